@@ -1,0 +1,157 @@
+"""Events a trainer emits, one JSON object a line: the contract with every front end."""
+
+import json
+import math
+from dataclasses import asdict, dataclass, field
+from typing import Any, ClassVar
+
+
+@dataclass(frozen=True, kw_only=True)
+class Event:
+    """Base of all events; `kind` is the value of the JSON key "event"."""
+
+    kind: ClassVar[str] = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Started(Event):
+    """Training is about to take its first step (also after a resume, then `step` > 0)."""
+
+    kind: ClassVar[str] = "started"
+    source: str
+    output: str
+    iterations: int
+    step: int
+    train_views: int
+    test_views: int
+    splats: int
+    width: int
+    height: int
+    isa: str
+    threads: int
+    config: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Progress(Event):
+    """Where training stands; at most a few a second."""
+
+    kind: ClassVar[str] = "progress"
+    step: int
+    iterations: int
+    loss: float
+    psnr: float
+    splats: int
+    steps_per_s: float
+    eta_s: float
+    elapsed_s: float
+    phase: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Preview(Event):
+    """A picture of one test view was written."""
+
+    kind: ClassVar[str] = "preview"
+    step: int
+    view: str
+    path: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Snapshot(Event):
+    """The splats as they are now were written as a PLY."""
+
+    kind: ClassVar[str] = "snapshot"
+    step: int
+    path: str
+    splats: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Eval(Event):
+    """Mean metrics over the held-out views."""
+
+    kind: ClassVar[str] = "eval"
+    step: int
+    split: str
+    metrics: dict[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Warn(Event):
+    """Something the user should know; training goes on."""
+
+    kind: ClassVar[str] = "warning"
+    message: str
+    code: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Saved(Event):
+    """A checkpoint or a result file was written completely."""
+
+    kind: ClassVar[str] = "saved"
+    step: int
+    path: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Done(Event):
+    """Training ended; `reason` is finished, stopped or converged."""
+
+    kind: ClassVar[str] = "done"
+    step: int
+    reason: str
+    splats: int
+    train_seconds: float
+    path: str
+    metrics: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Failed(Event):
+    """Training ended with an error; earlier files are untouched."""
+
+    kind: ClassVar[str] = "error"
+    message: str
+    type: str = "GsError"
+
+
+KINDS: dict[str, type[Event]] = {
+    cls.kind: cls
+    for cls in (Started, Progress, Preview, Snapshot, Eval, Warn, Saved, Done, Failed)
+}
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if isinstance(value, dict):
+        return {k: _finite(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(v) for v in value]
+    return value
+
+
+def to_line(event: Event) -> str:
+    """One line of strict JSON without the newline; NaN and infinities become null."""
+    return json.dumps({"event": event.kind} | _finite(asdict(event)), allow_nan=False)
+
+
+def from_line(line: str) -> Event | None:
+    """The event in `line`, or None for a line that is no event (other programs print too)."""
+    try:
+        data = json.loads(line)
+    except ValueError:
+        return None
+    if not isinstance(data, dict):
+        return None
+    cls = KINDS.get(data.pop("event", None))
+    if cls is None:
+        return None
+    known = {name: data[name] for name in cls.__dataclass_fields__ if name in data}
+    try:
+        return cls(**known)
+    except TypeError:
+        return None

@@ -1,0 +1,69 @@
+"""Cameras and points of a capture, in COLMAP world, float64."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from .errors import ShapeError
+from .splats import check_array
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cameras:
+    """C posed pinhole cameras. Pixel centres lie at +0.5; OpenCV axes (+x right, +y down, +z forward)."""
+
+    viewmats: np.ndarray
+    """[C, 4, 4] float64, world to camera, column vectors."""
+    Ks: np.ndarray
+    """[C, 3, 3] float64, pixels."""
+    widths: np.ndarray
+    """[C] int64, pixels."""
+    heights: np.ndarray
+    """[C] int64, pixels."""
+    names: tuple[str, ...]
+    """Image names as the capture states them, sub-folders with '/'."""
+
+    def __post_init__(self) -> None:
+        check_array("viewmats", self.viewmats, ("C", 4, 4), np.float64)
+        c = len(self.viewmats)
+        check_array("Ks", self.Ks, (c, 3, 3), np.float64)
+        check_array("widths", self.widths, (c,), np.int64)
+        check_array("heights", self.heights, (c,), np.int64)
+        if len(self.names) != c:
+            raise ShapeError(f"names must hold {c} entries, one a camera, got {len(self.names)}.")
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @property
+    def centers(self) -> np.ndarray:
+        """[C, 3] float64, camera positions in the world."""
+        rotation, translation = self.viewmats[:, :3, :3], self.viewmats[:, :3, 3]
+        return -np.einsum("cji,cj->ci", rotation, translation)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PointCloud:
+    """P points of structure from motion."""
+
+    points: np.ndarray
+    """[P, 3] float64, world units."""
+    colors: np.ndarray
+    """[P, 3] uint8, sRGB."""
+
+    def __post_init__(self) -> None:
+        check_array("points", self.points, ("P", 3), np.float64)
+        check_array("colors", self.colors, (len(self.points), 3), np.uint8)
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """What structure from motion knows about a capture."""
+
+    cameras: Cameras
+    points: PointCloud
+    warnings: tuple[str, ...] = field(default=())
+    """Sentences for the user about what was mended or left out while reading."""
