@@ -1,0 +1,43 @@
+"""The rasterizer's definition in plain torch: slow, in float64, written to be read.
+
+The native library computes the same in float32. Where the two differ outside `boundary_band`,
+one of them is wrong.
+"""
+
+from .band import boundary_band
+from .blending import Blended, blend, blend_pixels, gaussian_alpha, pixel_centers
+from .geometry import (
+    conic,
+    covariance,
+    covariance_to_camera,
+    means_to_camera,
+    project_covariance,
+    project_means,
+    projection_jacobian,
+    quat_to_rotmat,
+)
+from .harmonics import sh_basis, sh_colors
+from .rasterize import ProjectedSplats, ReferenceOutput, project, rasterize_reference
+
+__all__ = [
+    "Blended",
+    "ProjectedSplats",
+    "ReferenceOutput",
+    "blend",
+    "blend_pixels",
+    "boundary_band",
+    "conic",
+    "covariance",
+    "covariance_to_camera",
+    "gaussian_alpha",
+    "means_to_camera",
+    "pixel_centers",
+    "project",
+    "project_covariance",
+    "project_means",
+    "projection_jacobian",
+    "quat_to_rotmat",
+    "rasterize_reference",
+    "sh_basis",
+    "sh_colors",
+]

@@ -1,0 +1,100 @@
+"""Which pixels sit on a discontinuity, where two correct rasterizers may differ."""
+
+import torch
+from torch import Tensor
+
+from .blending import PAIRS_PER_CHUNK, gaussian_alpha, pixel_centers
+from .constants import ALPHA_MAX, ALPHA_MIN, STOP_AT, TRANSMITTANCE_MIN
+from .rasterize import ProjectedSplats, check_inputs, project
+
+
+@torch.no_grad()
+def boundary_band(
+    means: Tensor,
+    quats: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    sh0: Tensor,
+    shN: Tensor,
+    viewmat: Tensor,
+    K: Tensor,
+    width: int,
+    height: int,
+    *,
+    raw: bool = False,
+    sh_degree: int | None = None,
+    near: float = 0.01,
+    far: float = 1e10,
+    eps2d: float = 0.3,
+    antialias: bool = False,
+    alpha_tolerance: float = 1e-3,
+    cap_tolerance: float = 1e-3,
+    transmittance_tolerance: float = 1e-3,
+    depth_tolerance: float = 1e-6,
+    dtype: torch.dtype = torch.float64,
+    pairs_per_chunk: int = PAIRS_PER_CHUNK,
+) -> Tensor:
+    """Mark the pixels whose value hinges on a comparison that rounding could turn over.
+
+    Only splats that the pixel reaches before it stops count. A pixel is marked where
+
+    - alpha is within `alpha_tolerance` (relative) of the threshold 1/255,
+    - alpha before the cap is within `cap_tolerance` (relative) of 0.99,
+    - the transmittance behind a splat is within `transmittance_tolerance` (relative) of 1e-4,
+    - two neighbours in its blending order differ in z by less than `depth_tolerance` (relative),
+    - a splat it blends has z within `depth_tolerance` (relative) of `near` or `far`.
+
+    Args:
+        means, quats, scales, opacities, sh0, shN, viewmat, K, width, height, raw, sh_degree, near,
+            far, eps2d, antialias, dtype, pairs_per_chunk: as `rasterize_reference`.
+        alpha_tolerance: |255 alpha - 1|.
+        cap_tolerance: |alpha / 0.99 - 1|.
+        transmittance_tolerance: |T (1 - alpha) / 1e-4 - 1|.
+        depth_tolerance: |z_i - z_j| / z.
+
+    Returns:
+        [H, W] bool.
+    """
+    degree = check_inputs(
+        means, quats, scales, opacities, sh0, shN, viewmat, K, width, height, sh_degree
+    )
+    tensors = (means, quats, scales, opacities, sh0, shN, viewmat, K)
+    splats = project(
+        *(tensor.to(dtype) for tensor in tensors),
+        width,
+        height,
+        raw=raw,
+        sh_degree=degree,
+        # A little wider than what is drawn, so that splats just culled are seen here.
+        near=near * (1 - depth_tolerance),
+        far=far * (1 + depth_tolerance),
+        eps2d=eps2d,
+        antialias=antialias,
+        min_opacity=ALPHA_MIN * (1 - alpha_tolerance),
+    )
+    pixels = pixel_centers(width, height, like=splats.means2d)
+    if len(splats.index) == 0:
+        return torch.zeros(height, width, dtype=torch.bool)
+    at_limit = (splats.depths - near).abs() < depth_tolerance * near
+    at_limit |= (splats.depths - far).abs() < depth_tolerance * far
+    marks = []
+    for part in pixels.split(max(1, pairs_per_chunk // len(splats.index))):
+        uncapped = gaussian_alpha(part, splats.means2d, splats.conics, splats.opacities)  # [P, M]
+        drawn = uncapped >= ALPHA_MIN
+        after = torch.cumprod(torch.where(drawn, 1 - uncapped.clamp(max=ALPHA_MAX), 1.0), 1)
+        before = torch.cat([torch.ones_like(after[:, :1]), after[:, :-1]], 1)
+        reached = before > STOP_AT
+        hinges = (255 * uncapped - 1).abs() < alpha_tolerance
+        hinges |= (uncapped / ALPHA_MAX - 1).abs() < cap_tolerance
+        hinges |= drawn & ((after / TRANSMITTANCE_MIN - 1).abs() < transmittance_tolerance)
+        hinges |= drawn & (at_limit | depth_ties(splats, drawn, depth_tolerance))
+        marks.append((hinges & reached).any(1))
+    return torch.cat(marks).reshape(height, width)
+
+
+def depth_ties(splats: ProjectedSplats, drawn: Tensor, tolerance: float) -> Tensor:
+    """[P, M] bool: the splat drawn before this one at the same pixel is at almost the same z."""
+    z = splats.depths.expand(drawn.shape)
+    latest = torch.where(drawn, z, -torch.inf).cummax(1).values  # z ascends: the last one drawn
+    previous = torch.cat([torch.full_like(latest[:, :1], -torch.inf), latest[:, :-1]], 1)
+    return z - previous < tolerance * z

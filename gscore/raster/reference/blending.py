@@ -1,0 +1,141 @@
+"""Front-to-back alpha blending, every splat tried at every pixel: no tiles, no bounding boxes.
+
+Source: Kerbl et al. 2023, equations 2 to 4 (C = sum_i T_i alpha_i c_i).
+"""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+from torch.utils.checkpoint import checkpoint
+
+from .constants import ALPHA_MAX, ALPHA_MIN, STOP_AT
+
+PAIRS_PER_CHUNK = 1 << 18
+"""Splat-pixel pairs held at once: bounds memory to about a hundred megabytes in float64."""
+
+
+class Blended(NamedTuple):
+    """What one pass over the splats leaves at each of P pixels."""
+
+    sums: Tensor
+    """[P, F], sum of weight times feature."""
+    transmittance: Tensor
+    """[P], light that passes all splats."""
+    median_depth: Tensor
+    """[P], z of the splat that brings the transmittance to 0.5 or below; 0 if none does."""
+
+
+def pixel_centers(width: int, height: int, like: Tensor) -> Tensor:
+    """Coordinates of the pixel centres, row by row: [height * width, 2] as (x, y), pixels."""
+    y, x = torch.meshgrid(
+        torch.arange(height, dtype=like.dtype, device=like.device) + 0.5,
+        torch.arange(width, dtype=like.dtype, device=like.device) + 0.5,
+        indexing="ij",
+    )
+    return torch.stack([x, y], -1).reshape(-1, 2)
+
+
+def gaussian_alpha(pixels: Tensor, means2d: Tensor, conics: Tensor, opacities: Tensor) -> Tensor:
+    """Opacity of M splats at P pixels before the cap (Kerbl et al. 2023, equation 4, in the image).
+
+    Args:
+        pixels: [P, 2], pixel centres.
+        means2d: [M, 2], pixels.
+        conics: [M, 3], inverse covariance (xx, xy, yy).
+        opacities: [M], activated and compensated.
+
+    Returns:
+        [P, M], opacity * exp(-d^T conic d / 2).
+    """
+    dx, dy = (pixels[:, None, :] - means2d).unbind(-1)  # [P, M]
+    xx, xy, yy = conics.unbind(-1)  # [M]
+    half_distance2 = 0.5 * (xx * dx * dx + yy * dy * dy) + xy * dx * dy
+    return opacities * torch.exp(-half_distance2)
+
+
+def blend_pixels(
+    pixels: Tensor,
+    means2d: Tensor,
+    conics: Tensor,
+    opacities: Tensor,
+    depths: Tensor,
+    features: Tensor,
+) -> Blended:
+    """Blend M splats, given front to back, at P pixels.
+
+    Differentiable in all but `pixels`; the cap on alpha passes no gradient to the splat's shape,
+    position and opacity, and the median depth passes none at all.
+
+    Args:
+        pixels: [P, 2], pixel centres.
+        means2d: [M, 2], pixels.
+        conics: [M, 3].
+        opacities: [M].
+        depths: [M], camera z, ascending.
+        features: [M, F], whatever is to be summed: colour, depth, one.
+
+    Returns:
+        The sums, the final transmittance and the median depth.
+    """
+    uncapped = gaussian_alpha(pixels, means2d, conics, opacities)  # [P, M]
+    alpha = torch.where(uncapped < ALPHA_MAX, uncapped, ALPHA_MAX)
+    alpha = torch.where(uncapped >= ALPHA_MIN, alpha, 0.0)
+
+    # Transmittance only falls, so the splats that come before the stop are those after which it
+    # would still be above the limit.
+    keep = torch.cumprod(1 - alpha, 1).detach() > STOP_AT
+    alpha = torch.where(keep, alpha, 0.0)
+
+    after = torch.cumprod(1 - alpha, 1)  # [P, M], transmittance behind each splat
+    before = torch.cat([torch.ones_like(after[:, :1]), after[:, :-1]], 1)
+    weights = alpha * before
+
+    crossed = after.detach() <= 0.5
+    median = depths.detach()[crossed.to(torch.int8).argmax(1)]  # first True
+    median = torch.where(crossed.any(1), median, 0.0)
+    return Blended(weights @ features, after[:, -1], median)
+
+
+def blend(
+    means2d: Tensor,
+    conics: Tensor,
+    opacities: Tensor,
+    depths: Tensor,
+    features: Tensor,
+    *,
+    width: int,
+    height: int,
+    pairs_per_chunk: int = PAIRS_PER_CHUNK,
+) -> Blended:
+    """`blend_pixels` over a whole image, a few rows at a time, recomputed in the backward pass.
+
+    Args:
+        means2d: [M, 2], pixels.
+        conics: [M, 3].
+        opacities: [M].
+        depths: [M], camera z, ascending.
+        features: [M, F].
+        width: pixels.
+        height: pixels.
+        pairs_per_chunk: memory bound; changes nothing but the memory used.
+
+    Returns:
+        The fields of `Blended` for P = height * width pixels, row by row.
+    """
+    pixels = pixel_centers(width, height, like=means2d)
+    if len(means2d) == 0:
+        return Blended(
+            features.new_zeros(len(pixels), features.shape[1]),
+            features.new_ones(len(pixels)),
+            features.new_zeros(len(pixels)),
+        )
+    chunk = max(1, pairs_per_chunk // len(means2d))
+    parts = [
+        # Recomputing a chunk in the backward pass keeps only its inputs alive.
+        checkpoint(
+            blend_pixels, part, means2d, conics, opacities, depths, features, use_reentrant=False
+        )
+        for part in pixels.split(chunk)
+    ]
+    return Blended(*(torch.cat(field) for field in zip(*parts, strict=True)))

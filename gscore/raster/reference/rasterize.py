@@ -1,0 +1,307 @@
+"""The whole chain in one place: parameters and a camera in, pictures out."""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from ...errors import ConfigError, ShapeError
+from .blending import PAIRS_PER_CHUNK, blend
+from .constants import ALPHA_MIN, QUAT_NORM2_MIN
+from .geometry import (
+    conic,
+    covariance,
+    covariance_to_camera,
+    means_to_camera,
+    project_covariance,
+    project_means,
+    projection_jacobian,
+)
+from .harmonics import sh_colors
+
+SH_COUNT_TO_DEGREE = {0: 0, 3: 1, 8: 2, 15: 3}
+
+
+class ProjectedSplats(NamedTuple):
+    """The M splats a camera can see, front to back; ties in depth stay in input order."""
+
+    index: Tensor
+    """[M] int64, row of the input."""
+    means2d: Tensor
+    """[M, 2], pixels."""
+    conics: Tensor
+    """[M, 3], inverse image covariance (xx, xy, yy)."""
+    opacities: Tensor
+    """[M], activated, compensated if asked for."""
+    colors: Tensor
+    """[M, 3], RGB."""
+    depths: Tensor
+    """[M], camera z."""
+
+
+class ReferenceOutput(NamedTuple):
+    """Pictures of one camera, in the dtype the reference ran in."""
+
+    rgb: Tensor
+    """[H, W, 3], background included."""
+    alpha: Tensor
+    """[H, W], 1 minus the final transmittance."""
+    inverse_depth: Tensor | None
+    """[H, W], sum of weight / z (not divided by alpha)."""
+    depth: Tensor | None
+    """[H, W], expected depth: sum of weight * z / sum of weight; 0 where nothing was blended."""
+    median_depth: Tensor | None
+    """[H, W], depth at which half the light is gone, 0 where it never is; not differentiable."""
+
+
+def check_inputs(
+    means: Tensor,
+    quats: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    sh0: Tensor,
+    shN: Tensor,
+    viewmat: Tensor,
+    K: Tensor,
+    width: int,
+    height: int,
+    sh_degree: int | None,
+) -> int:
+    """Raise on shapes and cameras the rasterizer does not define; return the SH degree to use."""
+    n = len(means)
+    shapes = {
+        "means": (means, [n, 3]),
+        "quats": (quats, [n, 4]),
+        "scales": (scales, [n, 3]),
+        "opacities": (opacities, [n]),
+        "sh0": (sh0, [n, 1, 3]),
+        "shN": (shN, [n, *shN.shape[1:2], 3]),
+        "viewmat": (viewmat, [4, 4]),
+        "K": (K, [3, 3]),
+    }
+    for name, (tensor, wanted) in shapes.items():
+        if list(tensor.shape) != wanted:
+            raise ShapeError(f"{name} must be {wanted}, got {list(tensor.shape)}.")
+    if shN.shape[1] not in SH_COUNT_TO_DEGREE:
+        raise ShapeError(
+            f"shN must hold 0, 3, 8 or 15 coefficients a splat (degree 0 to 3), got {shN.shape[1]}."
+        )
+    if width < 1 or height < 1:
+        raise ShapeError(f"the image must have at least one pixel, got {width} x {height}.")
+    zero_entries = [float(K[0, 1]), float(K[1, 0]), float(K[2, 0]), float(K[2, 1])]
+    if any(zero_entries) or float(K[2, 2]) != 1 or not (K[0, 0] > 0 and K[1, 1] > 0):
+        raise ConfigError(
+            f"K must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with positive fx and fy, "
+            f"got {K.tolist()}; undistort the images to a pinhole camera without skew."
+        )
+    stored = SH_COUNT_TO_DEGREE[shN.shape[1]]
+    degree = stored if sh_degree is None else sh_degree
+    if not 0 <= degree <= stored:
+        raise ConfigError(f"sh_degree must be 0 to {stored}, the degree stored, got {degree}.")
+    return degree
+
+
+def alive_rows(
+    means: Tensor,
+    quats: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    sh0: Tensor,
+    shN: Tensor,
+    viewmat: Tensor,
+    near: float,
+    far: float,
+) -> Tensor:
+    """[N] bool: rows with only finite parameters, a usable quaternion, and near < z <= far."""
+    rows = torch.cat([means, quats, scales, opacities[:, None], sh0.flatten(1), shN.flatten(1)], 1)
+    z = means_to_camera(means, viewmat)[:, 2]
+    return (
+        rows.isfinite().all(1)
+        & ((quats * quats).sum(1) >= QUAT_NORM2_MIN)
+        & (z > near)
+        & (z <= far)
+    )
+
+
+def project_rows(
+    means: Tensor,
+    quats: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    sh0: Tensor,
+    shN: Tensor,
+    viewmat: Tensor,
+    K: Tensor,
+    width: int,
+    height: int,
+    *,
+    raw: bool,
+    sh_degree: int,
+    eps2d: float,
+    antialias: bool,
+) -> ProjectedSplats:
+    """The per-splat chain for every row given: activate, project, colour. Arguments as below."""
+    if raw:
+        scales, opacities = scales.exp(), opacities.sigmoid()
+    means_cam = means_to_camera(means, viewmat)
+    covars_cam = covariance_to_camera(covariance(quats, scales), viewmat)
+    jacobian = projection_jacobian(means_cam, K, width, height)
+    conics, compensation = conic(project_covariance(covars_cam, jacobian), eps2d)
+    return ProjectedSplats(
+        index=torch.arange(len(means), device=means.device),
+        means2d=project_means(means_cam, K),
+        conics=conics,
+        opacities=opacities * compensation if antialias else opacities,
+        colors=sh_colors(means, viewmat, sh0, shN, sh_degree),
+        depths=means_cam[:, 2],
+    )
+
+
+def project(
+    means: Tensor,
+    quats: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    sh0: Tensor,
+    shN: Tensor,
+    viewmat: Tensor,
+    K: Tensor,
+    width: int,
+    height: int,
+    *,
+    raw: bool,
+    sh_degree: int,
+    near: float,
+    far: float,
+    eps2d: float,
+    antialias: bool,
+    min_opacity: float = ALPHA_MIN,
+) -> ProjectedSplats:
+    """Everything that happens per splat: cull, activate, project, colour, sort.
+
+    Arguments as `rasterize_reference`; `min_opacity` is the opacity below which a splat cannot
+    reach the alpha threshold anywhere. What is culled is decided first, without gradients, and
+    left out of the differentiated chain: culled rows get an exact zero gradient, and a NaN or an
+    overflow in one row reaches no other and not the camera.
+    """
+    rows = (means, quats, scales, opacities, sh0, shN)
+    camera = (viewmat, K, width, height)
+
+    def chain(index: Tensor) -> ProjectedSplats:
+        return project_rows(
+            *(row[index] for row in rows),
+            *camera,
+            raw=raw,
+            sh_degree=sh_degree,
+            eps2d=eps2d,
+            antialias=antialias,
+        )
+
+    with torch.no_grad():
+        index = alive_rows(*rows, viewmat, near, far).nonzero()[:, 0]
+        tried = chain(index)
+        finite = torch.cat([tried.means2d, tried.conics, tried.colors], 1).isfinite().all(1)
+        ellipse = (tried.conics[:, 0] > 0) & (tried.conics[:, 2] > 0)  # not lost to rounding
+        kept = (finite & ellipse & (tried.opacities >= min_opacity)).nonzero()[:, 0]
+        kept = kept[tried.depths[kept].argsort(stable=True)]
+        index = index[kept]
+    return chain(index)._replace(index=index)
+
+
+def rasterize_reference(
+    means: Tensor,
+    quats: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    sh0: Tensor,
+    shN: Tensor,
+    viewmat: Tensor,
+    K: Tensor,
+    width: int,
+    height: int,
+    *,
+    raw: bool = False,
+    sh_degree: int | None = None,
+    background: Tensor | None = None,
+    near: float = 0.01,
+    far: float = 1e10,
+    eps2d: float = 0.3,
+    antialias: bool = False,
+    inverse_depth: bool = False,
+    depth: bool = False,
+    dtype: torch.dtype = torch.float64,
+    pairs_per_chunk: int = PAIRS_PER_CHUNK,
+) -> ReferenceOutput:
+    """Rasterize N splats into one camera: slow, exact, differentiable by plain autograd.
+
+    Differentiable in means, quats, scales, opacities, sh0, shN and viewmat; the viewmat gradient
+    is the full chain through position, covariance and SH direction, entry by entry of the upper
+    three rows, with the camera centre taken as -R^T t.
+
+    Args:
+        means: [N, 3], world units.
+        quats: [N, 4], wxyz, of any length; splats with a zero quaternion are not drawn.
+        scales: [N, 3], standard deviations in world units, or their logarithms if `raw`.
+        opacities: [N], 0 to 1, or logits if `raw`.
+        sh0: [N, 1, 3], constant SH coefficient.
+        shN: [N, K-1, 3], K-1 = 0, 3, 8 or 15.
+        viewmat: [4, 4], rigid, world to camera, OpenCV axes, column vectors.
+        K: [3, 3], pixels, no skew; pixel centres at +0.5.
+        width: pixels.
+        height: pixels.
+        raw: whether scales and opacities are the raw parameters of a 3DGS file.
+        sh_degree: SH degree to use, at most the stored one; None uses all.
+        background: [3], RGB behind all splats; None is black. Constant.
+        near: splats with z <= near are not drawn, world units.
+        far: splats with z > far are not drawn, world units.
+        eps2d: variance added in the image, pixels squared.
+        antialias: scale opacities to undo the widening by `eps2d`.
+        inverse_depth: whether to return the accumulated inverse depth.
+        depth: whether to return expected and median depth.
+        dtype: floating dtype to compute in; inputs of another are converted.
+        pairs_per_chunk: splat-pixel pairs held in memory at once.
+
+    Returns:
+        The pictures in `dtype`.
+
+    Raises:
+        ShapeError: an input has the wrong shape or the image no pixels.
+        ConfigError: K has skew or no focal length, or sh_degree exceeds what is stored.
+    """
+    degree = check_inputs(
+        means, quats, scales, opacities, sh0, shN, viewmat, K, width, height, sh_degree
+    )
+    tensors = (means, quats, scales, opacities, sh0, shN, viewmat, K)
+    splats = project(
+        *(tensor.to(dtype) for tensor in tensors),
+        width,
+        height,
+        raw=raw,
+        sh_degree=degree,
+        near=near,
+        far=far,
+        eps2d=eps2d,
+        antialias=antialias,
+    )
+    z = splats.depths[:, None]
+    blended = blend(
+        splats.means2d,
+        splats.conics,
+        splats.opacities,
+        splats.depths,
+        torch.cat([splats.colors, 1 / z, z, torch.ones_like(z)], 1),
+        width=width,
+        height=height,
+        pairs_per_chunk=pairs_per_chunk,
+    )
+    rgb, inverse, depth_sum, weight = blended.sums.split([3, 1, 1, 1], 1)
+    if background is not None:
+        rgb = rgb + blended.transmittance[:, None] * background.to(dtype).detach()
+    expected = torch.where(weight > 0, depth_sum / torch.where(weight > 0, weight, 1.0), 0.0)
+    return ReferenceOutput(
+        rgb=rgb.reshape(height, width, 3),
+        alpha=(1 - blended.transmittance).reshape(height, width),
+        inverse_depth=inverse.reshape(height, width) if inverse_depth else None,
+        depth=expected.reshape(height, width) if depth else None,
+        median_depth=blended.median_depth.reshape(height, width) if depth else None,
+    )
