@@ -1,7 +1,18 @@
 """Options of a run as frozen dataclasses: the same objects behind command line, JSON and add-on."""
 
-from dataclasses import dataclass
+import difflib
+import json
+import math
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, fields
+from enum import StrEnum
 from pathlib import Path
+from typing import Any, TypeVar, get_args, get_type_hints
+
+from ._version import __version__
+from .errors import ConfigError
+
+ConfigT = TypeVar("ConfigT", "DataConfig", "TrainConfig")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -13,12 +24,18 @@ class DataConfig:
     images: str = "images"
     """Folder of the photos, relative to `source`."""
     masks: str = ""
-    """Folder of masks relative to `source`; empty: `masks/` where it exists, or the photos' alpha."""
+    """Folder of masks relative to `source`; empty: `masks/` where it exists, or the photos'
+    alpha."""
     mask_mode: str = "auto"
-    """`composite`: the mask is opacity, photos lie over the background; `ignore`: masked-out pixels do not count;
+    """`composite`: the mask is opacity, photos lie over the background; `ignore`: masked-out
+    pixels do not count;
     `none`: masks are not read; `auto`: composite for photos with alpha, ignore for mask folders."""
     resolution: float = -1
-    """-1: as is, but at most 1600 px wide; 1, 2, 4, 8: divided by that; larger: this many pixels wide."""
+    """-1: as is, but at most `max_width` wide; 1, 2, 4, 8: divided by that; larger: this many
+    pixels wide."""
+    max_width: int = 1600
+    """With `resolution` -1: photos wider than this are scaled down to it, pixels. Presets lower
+    it."""
     eval: bool = False
     """Hold test views out of the training."""
     test_every: int = 8
@@ -29,3 +46,279 @@ class DataConfig:
     """The last n views by sorted name are test views; 0: use `test_every`."""
     test_first: int = 0
     """The first n views by sorted name are test views; 0: use `test_every`."""
+
+
+class Strategy(StrEnum):
+    """How the number of splats changes during training."""
+
+    DEFAULT = "default"
+    """Clone, split, prune and reset by gradient: adaptive density control (Kerbl et al. 2023)."""
+    MCMC = "mcmc"
+    """Relocate dead splats, grow by 5 % up to the cap, add noise (Kheradmand et al. 2024)."""
+
+
+class Background(StrEnum):
+    """What lies behind the splats during training."""
+
+    AUTO = "auto"
+    """Another colour at each step for photos with opacity, black for all others."""
+    BLACK = "black"
+    WHITE = "white"
+    RANDOM = "random"
+    """Another colour at each step."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainConfig:
+    """How to train. A 0 that means "by itself" says so; `trainer.schedules.Plan` holds what it
+    became.
+
+    Lengths are in units of the camera extent: 1.1 times the largest distance of a camera from
+    their mean.
+    """
+
+    iterations: int = 10_000
+    """Optimizer steps, one view each."""
+    max_splats: int = 400_000
+    """Never more splats than this."""
+    strategy: Strategy = Strategy.DEFAULT
+    """How the number of splats changes."""
+    sh_degree: int = 3
+    """Highest degree of the view-dependent colour, 0 to 3."""
+    sh_every: int = 0
+    """Steps between two SH degrees; 0: 1000, or fewer so that all are in use by half of the run."""
+    seed: int = 0
+    """Same seed, capture and options: same splats, bit for bit, with any number of threads."""
+    threads: int = 0
+    """CPU threads; 0: one per core this process may use."""
+    background: Background = Background.AUTO
+    """What lies behind the splats."""
+    antialias: bool = False
+    """Opacity compensation for the widening of small splats (Yu et al. 2024)."""
+    near: float = 0.01
+    """Splats nearer to a camera than this are not drawn; world units, as in `gscore.render`."""
+
+    ssim_weight: float = 0.2
+    """Loss = (1 - w) L1 + w (1 - SSIM)."""
+    means_lr: float = 1.6e-4
+    """Learning rate of positions at the first step, in extents."""
+    means_lr_final: float = 1.6e-6
+    """Learning rate of positions at the last step, in extents; exponential in between."""
+    sh0_lr: float = 2.5e-3
+    """Learning rate of the constant colour."""
+    shN_lr: float = 1.25e-4  # noqa: N815 - the field's name everywhere
+    """Learning rate of the view-dependent colour."""
+    opacities_lr: float = 0.0
+    """Learning rate of logit opacities; 0: 0.025, with mcmc 0.05."""
+    scales_lr: float = 5e-3
+    """Learning rate of log scales."""
+    quats_lr: float = 1e-3
+    """Learning rate of quaternions."""
+    init_opacity: float = 0.0
+    """Opacity of the first splats; 0: 0.1, with mcmc 0.5."""
+    init_scale: float = 0.0
+    """Size of the first splats in mean distances to their neighbours; 0: 1, with mcmc 0.1."""
+
+    refine_start: int = 0
+    """First step at which splats may be added or removed; 0: 500, sooner in short runs."""
+    refine_stop: int = 0
+    """Last such step; 0: half of the run, with mcmc five sixths."""
+    refine_every: int = 0
+    """Steps between two refinements; 0: 100, fewer in short runs."""
+    reset_every: int = 0
+    """`default`: steps between two opacity resets; 0: 3000, none in runs under 6000 steps; -1:
+    never."""
+    grow_grad: float = 2e-4
+    """`default`: mean positional gradient in normalised image coordinates above which a splat is
+    doubled."""
+    grow_scale: float = 0.01
+    """`default`: larger splats are split, smaller ones cloned; in extents."""
+    prune_opacity: float = 0.005
+    """Splats with a lower opacity are removed, with mcmc relocated."""
+    prune_scale: float = 0.1
+    """`default`: larger splats are removed after the first opacity reset; in extents."""
+    mcmc_growth: float = 0.05
+    """`mcmc`: splats added at each refinement, as a share of those there."""
+    mcmc_noise: float = 5e5
+    """`mcmc`: noise on positions, in units of their learning rate."""
+    opacity_reg: float = 0.01
+    """`mcmc`: weight of the mean opacity in the loss."""
+    scale_reg: float = 0.01
+    """`mcmc`: weight of the mean scale in the loss."""
+
+    test_iterations: tuple[int, ...] = ()
+    """Steps after which the test views are measured; the end of a run always is."""
+    save_iterations: tuple[int, ...] = ()
+    """Steps after which the splats are written to `point_cloud/iteration_N/`; the end always is."""
+    checkpoint_iterations: tuple[int, ...] = ()
+    """Steps after which a checkpoint is written that is never cleaned up."""
+    checkpoint_seconds: float = 300.0
+    """Seconds of training between two checkpoints, of which the last two are kept; 0: only at the
+    end."""
+    preview_seconds: float = 0.0
+    """Seconds between two pictures of one view; 0: none."""
+    snapshot_every: int = 0
+    """Steps between two PLY snapshots; 0: only on request."""
+    lpips: Path | None = None
+    """ONNX file of the LPIPS network; without it LPIPS is not measured."""
+    detect_anomaly: bool = False
+    """Stop with an error at the first number that is not finite, and say where it came from;
+    slow."""
+
+    def __post_init__(self) -> None:
+        _at_least(self, 1, "iterations", "max_splats")
+        _at_least(self, 0, "sh_every", "threads", "refine_start", "refine_stop", "refine_every")
+        _at_least(self, 0, "snapshot_every", "seed")
+        _at_least(self, -1, "reset_every")
+        _at_least(
+            self, 0.0, "near", "means_lr", "means_lr_final", "sh0_lr", "shN_lr", "opacities_lr"
+        )
+        _at_least(self, 0.0, "scales_lr", "quats_lr", "init_scale", "grow_grad", "grow_scale")
+        _at_least(self, 0.0, "prune_scale", "mcmc_growth", "mcmc_noise", "opacity_reg", "scale_reg")
+        _at_least(self, 0.0, "checkpoint_seconds", "preview_seconds")
+        for name in ("ssim_weight", "init_opacity", "prune_opacity"):
+            value = getattr(self, name)
+            if not 0 <= value <= (1 if name == "ssim_weight" else 0.99):
+                raise ConfigError(f"{name} must lie in [0, 1) (ssim_weight up to 1), got {value}.")
+        if self.sh_degree not in range(4):
+            raise ConfigError(f"sh_degree must be 0, 1, 2 or 3, got {self.sh_degree}.")
+        for name in ("test_iterations", "save_iterations", "checkpoint_iterations"):
+            if any(step < 1 for step in getattr(self, name)):
+                raise ConfigError(f"{name} must be steps from 1 on, got {getattr(self, name)}.")
+
+
+def preview(source: Path) -> tuple[DataConfig, TrainConfig]:
+    """A first look within about 30 seconds on two cores."""
+    train = TrainConfig(iterations=1000, max_splats=50_000, sh_degree=1)
+    return DataConfig(source=source, max_width=400), train
+
+
+def draft(source: Path) -> tuple[DataConfig, TrainConfig]:
+    """Good enough to judge a capture, in about three minutes on two cores."""
+    train = TrainConfig(iterations=3000, max_splats=150_000, sh_degree=2)
+    return DataConfig(source=source, max_width=640), train
+
+
+def normal(source: Path) -> tuple[DataConfig, TrainConfig]:
+    """The everyday choice, about twelve minutes on two cores."""
+    train = TrainConfig(iterations=7000, max_splats=300_000)
+    return DataConfig(source=source, max_width=1000), train
+
+
+def high(source: Path) -> tuple[DataConfig, TrainConfig]:
+    """Everything the method gives, about an hour on two cores."""
+    train = TrainConfig(iterations=30_000, max_splats=1_000_000)
+    return DataConfig(source=source, max_width=1600), train
+
+
+PRESETS: dict[str, Callable[[Path], tuple[DataConfig, TrainConfig]]] = {
+    f.__name__: f for f in (preview, draft, normal, high)
+}
+
+
+def to_dict(config: DataConfig | TrainConfig) -> dict[str, Any]:
+    """The options as JSON values: paths and enums as strings, tuples as lists."""
+    return {f.name: _to_json(getattr(config, f.name)) for f in fields(config)}
+
+
+def from_dict(cls: type[ConfigT], data: Any, *, where: str) -> ConfigT:
+    """The config that `to_dict` wrote; options that are missing keep their defaults.
+
+    Args:
+        cls: DataConfig or TrainConfig.
+        data: What JSON gave.
+        where: Name of the file and section, for messages.
+
+    Raises:
+        ConfigError: an unknown option, or a value of another type or out of range.
+    """
+    if not isinstance(data, dict):
+        raise ConfigError(f"{where}: expected an object with options, got {type(data).__name__}.")
+    hints = get_type_hints(cls)
+    values = {}
+    for name, value in data.items():
+        if name not in hints:
+            guess = difflib.get_close_matches(name, hints, n=1)
+            hint = f" Did you mean {guess[0]!r}?" if guess else ""
+            raise ConfigError(f"{where}: there is no option {name!r}.{hint}")
+        values[name] = _from_json(value, hints[name], f"{where}: {name}")
+    try:
+        return cls(**values)
+    except ConfigError as error:
+        raise ConfigError(f"{where}: {error}") from None
+    except TypeError:
+        raise ConfigError(f"{where}: the option 'source' is missing.") from None
+
+
+def save_config(path: Path, data: DataConfig, train: TrainConfig) -> None:
+    """Write both configs as the JSON file that `load_config` and `gscore train --config` read."""
+    content = {"gscore": __version__, "data": to_dict(data), "train": to_dict(train)}
+    temporary = path.with_name(path.name + ".tmp")
+    temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    temporary.replace(path)
+
+
+def load_config(path: Path) -> tuple[DataConfig, TrainConfig]:
+    """Read what `save_config` wrote.
+
+    Raises:
+        ConfigError: no such file, not JSON, an unknown option or a bad value.
+    """
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: there is no such config file.") from None
+    except (UnicodeDecodeError, ValueError) as error:
+        raise ConfigError(f"{path}: not a JSON config file ({error}).") from None
+    if not isinstance(content, dict) or not {"data", "train"} <= content.keys():
+        raise ConfigError(f"{path}: expected an object with 'data' and 'train', as runs write it.")
+    return (
+        from_dict(DataConfig, content["data"], where=f"{path}: data"),
+        from_dict(TrainConfig, content["train"], where=f"{path}: train"),
+    )
+
+
+def differences(old: Any, new: Any, *, ignore: Collection[str] = ()) -> list[str]:
+    """Sentences like "max_splats was 100, is 200", one for each option that differs."""
+    return [
+        f"{f.name} was {_to_json(getattr(old, f.name))}, is {_to_json(getattr(new, f.name))}"
+        for f in fields(old)
+        if f.name not in ignore and getattr(old, f.name) != getattr(new, f.name)
+    ]
+
+
+def _at_least(config: TrainConfig, low: float, *names: str) -> None:
+    for name in names:
+        value = getattr(config, name)
+        if not low <= value < math.inf:
+            raise ConfigError(f"{name} must be at least {low:g}, got {value}.")
+
+
+def _to_json(value: Any) -> Any:
+    if isinstance(value, Path):
+        return value.as_posix()
+    if isinstance(value, StrEnum):
+        return value.value
+    return [_to_json(item) for item in value] if isinstance(value, tuple) else value
+
+
+def _from_json(value: Any, kind: Any, where: str) -> Any:
+    """`value` as the annotated type `kind`, or ConfigError."""
+    options = get_args(kind)
+    if type(None) in options:
+        return None if value is None else _from_json(value, options[0], where)
+    if options and isinstance(value, list):  # tuple[int, ...]
+        return tuple(_from_json(item, options[0], where) for item in value)
+    if kind is Path and isinstance(value, str):
+        return Path(value)
+    if isinstance(kind, type) and issubclass(kind, StrEnum):
+        try:
+            return kind(value)
+        except ValueError:
+            raise ConfigError(f"{where} must be one of {', '.join(kind)}, got {value!r}.") from None
+    if kind is float and isinstance(value, int | float) and not isinstance(value, bool):
+        return float(value)
+    if kind in (int, bool, str) and type(value) is kind:
+        return value
+    name = "list of numbers" if options else getattr(kind, "__name__", str(kind)).lower()
+    raise ConfigError(f"{where} must be a {name}, got {value!r}.")

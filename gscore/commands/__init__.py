@@ -1,0 +1,126 @@
+"""Command line: `gscore VERB ...`.
+
+A verb is a module here with `add_arguments(parser)` and `run(args) -> int` (the exit code). Only
+the module of the verb that was asked for is imported, so that a missing optional package of one
+verb does not break the others. Exit codes: 0 done, 1 an error inside gscore, 2 bad input, 130 and
+143 for SIGINT and SIGTERM.
+"""
+
+import argparse
+import difflib
+import errno
+import os
+import sys
+import traceback
+from collections.abc import Sequence
+from importlib import import_module
+
+from .._version import __version__
+from ..errors import GsError
+
+VERBS = {
+    "train": "train splats from photos with COLMAP cameras",
+    "eval": "measure trained splats against the photos",
+    "render": "render splats to pictures or a video",
+    "info": "say what a capture, a PLY or a run holds",
+    "doctor": "say what this machine can do and what is missing",
+    "bench": "measure speed",
+}
+
+_EXTRAS = {
+    "torch": "train",
+    "safetensors": "train",
+    "scipy": "train",
+    "pycolmap": "train",
+    "PIL": "train",
+    "tqdm": "train",
+    "onnxruntime": "lpips",
+    "av": "video",
+}
+_DISK_ERRORS = {
+    errno.ENOSPC: "the disk is full; free some space or choose another output",
+    errno.EDQUOT: "your disk quota is used up; free some space or choose another output",
+    errno.EROFS: "the file system is read-only; choose another output",
+    errno.EACCES: "permission denied; check the rights or choose another path",
+    errno.EPERM: "the operation is not permitted; check the rights or choose another path",
+}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one verb; returns the exit code and never raises for what a user can cause."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(_usage())
+        return 0 if arguments else 2
+    verb, *rest = arguments
+    if verb in ("-V", "--version"):
+        print(f"gscore {__version__}")
+        return 0
+    if verb not in VERBS:
+        guess = difflib.get_close_matches(verb, VERBS, n=1)
+        hint = f"did you mean `gscore {guess[0]}`?" if guess else f"verbs: {', '.join(VERBS)}."
+        return _complain("gscore", f"there is no verb {verb!r}; {hint}")
+    return _guarded(f"gscore {verb}", verb, rest)
+
+
+def dashed(arguments: Sequence[str]) -> list[str]:
+    """The arguments with `--some_name` spelled `--some-name`, as 3DGS users may write either."""
+    result = []
+    for argument in arguments:
+        name, sep, value = argument.partition("=")
+        result.append((name.replace("_", "-") if name.startswith("--") else name) + sep + value)
+    return result
+
+
+def _guarded(prog: str, verb: str, arguments: list[str]) -> int:
+    try:
+        module = import_module(f".{verb}", __package__)
+        parser = argparse.ArgumentParser(
+            prog=prog, description=VERBS[verb].capitalize() + ".", allow_abbrev=False
+        )
+        module.add_arguments(parser)
+        return module.run(parser.parse_args(dashed(arguments)))
+    except SystemExit as stop:  # argparse has already said what is wrong
+        return stop.code if isinstance(stop.code, int) else 2
+    except GsError as error:
+        return _complain(prog, str(error))
+    except ModuleNotFoundError as error:
+        extra = _EXTRAS.get((error.name or "").partition(".")[0])
+        if extra is None:
+            return _internal(prog)
+        need = f'needs the package {error.name}; install it with: pip install "gscore[{extra}]"'
+        return _complain(prog, f"`{prog}` {need}")
+    except KeyboardInterrupt:
+        return 130
+    except MemoryError:
+        return _complain(prog, "out of memory; try fewer splats or smaller photos (-r 2).")
+    except BrokenPipeError:  # the reader of our output is gone, e.g. `| head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except OSError as error:
+        reason = _DISK_ERRORS.get(error.errno or 0)
+        if reason is None:
+            return _internal(prog)
+        return _complain(prog, f"{error.filename or 'output'}: {reason}.")
+    except Exception:
+        return _internal(prog)
+
+
+def _usage() -> str:
+    lines = ["usage: gscore VERB ...", "", "3D Gaussian Splatting on any CPU.", ""]
+    lines += [f"  {verb:8} {text}" for verb, text in VERBS.items()]
+    return "\n".join([*lines, "", "`gscore VERB --help` lists the options of a verb."])
+
+
+def _complain(prog: str, message: str) -> int:
+    print(f"{prog}: error: {message}", file=sys.stderr)
+    return 2
+
+
+def _internal(prog: str) -> int:
+    traceback.print_exc()
+    print(
+        f"{prog}: this is an error in gscore; please report it with the lines above.",
+        file=sys.stderr,
+    )
+    return 1
