@@ -1,0 +1,208 @@
+/* gscore: differentiable rasterization of 3D Gaussians on the CPU, as a plain C interface.
+ *
+ * This header is the manual of the library. Conventions:
+ *  - All arrays are C-contiguous, float32 unless said otherwise, and owned by the caller. Output arrays are written
+ *    completely. N is the number of splats, H and W the image size in pixels.
+ *  - Pixel centres lie at +0.5. Cameras use OpenCV axes (+x right, +y down, +z forward); `viewmat` maps world to
+ *    camera, row-major, column vectors.
+ *  - Every function returns a gs_status. On anything but GS_OK, gs_last_error() of the same thread says what was wrong,
+ *    and outputs are unspecified.
+ *  - A gs_raster may be used by one thread at a time; several of them may be used from several threads.
+ *  - No input value, however broken, makes the library crash: rows with NaN or infinities are culled.
+ *  - Results are bit-identical for any number of threads.
+ *
+ * The maths is that of Kerbl et al. 2023 (3D Gaussian Splatting) and Zwicker et al. 2001 (EWA splatting), with the
+ * constants below.
+ */
+#ifndef GSCORE_H
+#define GSCORE_H
+
+#include <stdint.h>
+
+#if defined(_WIN32)
+#if defined(GSCORE_BUILD)
+#define GS_API __declspec(dllexport)
+#else
+#define GS_API __declspec(dllimport)
+#endif
+#else
+#define GS_API __attribute__((visibility("default")))
+#endif
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* Changes whenever a struct or a signature below changes. */
+#define GS_ABI_VERSION 1
+
+/* A splat contributes to a pixel where its alpha is at least this. */
+#define GS_ALPHA_MIN (1.0f / 255.0f)
+/* Alpha is clamped to this; where the clamp acts, it passes no gradient. */
+#define GS_ALPHA_MAX 0.99f
+/* A pixel is complete when the next splat would leave it with this transmittance or less; that splat is not blended. */
+#define GS_TRANSMITTANCE_MIN 1e-4f
+/* Smallest opacity factor of the anti-aliasing compensation. */
+#define GS_COMPENSATION_MIN 0.005f
+/* Side of a tile in pixels. */
+#define GS_TILE 16
+
+typedef enum gs_status {
+    GS_OK = 0,
+    GS_BAD_ARGUMENT = 1,  /* a size, pointer or option that cannot work */
+    GS_OUT_OF_MEMORY = 2, /* an allocation failed; the gs_raster stays usable */
+    GS_CANCELLED = 3,     /* *cancel became non-zero */
+    GS_TOO_MANY = 4,      /* more than 2^31 - 1 (tile, splat) entries */
+    GS_UNSUPPORTED = 5    /* an instruction set this machine does not have */
+} gs_status;
+
+/* N splats. Quaternions are wxyz and need not be normalised; a row whose quaternion is shorter than 1e-8 is culled. */
+typedef struct gs_splats {
+    int64_t count;          /* N, at most 2^31 - 1; 0 is allowed */
+    const float *means;     /* [N, 3] world */
+    const float *quats;     /* [N, 4] */
+    const float *scales;    /* [N, 3] standard deviations, or their natural logs where `raw` */
+    const float *opacities; /* [N] in [0, 1], or logits where `raw` */
+    const float *sh0;       /* [N, 1, 3] */
+    const float *shN;       /* [N, sh_rest, 3]; may be null where sh_rest is 0 */
+    int32_t sh_rest;        /* stored coefficients beyond the constant one: 0, 3, 8 or 15 */
+    int32_t sh_degree;      /* evaluated degree, 0 to 3, at most what is stored */
+    int32_t raw;            /* 1: scales are logs and opacities logits */
+} gs_splats;
+
+typedef struct gs_camera {
+    float viewmat[16];
+    float fx, fy, cx, cy; /* pixels */
+    int32_t width, height; /* 1 to 65536 each */
+    float near_plane, far_plane; /* splats with near < z <= far are drawn */
+} gs_camera;
+
+/* Bits of gs_options.outputs. RGB and alpha are always made. */
+enum {
+    GS_OUT_INVERSE_DEPTH = 1, /* sum of w / z, not divided by alpha */
+    GS_OUT_DEPTH = 2,         /* sum of w * z, not divided by alpha */
+    GS_OUT_MEDIAN_DEPTH = 4   /* z of the splat at which transmittance falls to 0.5 or less; 0 where it never does */
+};
+
+/* Bits of gs_options.disable: each names a skip that leaves the image bit-identical, to prove and to measure it. */
+enum {
+    GS_NO_EXACT_CULL = 1, /* use each splat's bounding box instead of its ellipse for tiles and rows */
+    GS_NO_ZERO_TILE = 2   /* run the backward pass also over tiles whose image gradient is zero */
+};
+
+typedef struct gs_options {
+    float eps2d;          /* added to the diagonal of the 2D covariance, px^2; 0.3 is customary */
+    int32_t antialias;    /* 1: opacities are multiplied by max(sqrt(det0 / det), GS_COMPENSATION_MIN) */
+    float background[3];
+    uint32_t outputs;
+    uint32_t disable;
+    int32_t threads;      /* 0: gs_default_threads() */
+    const volatile int32_t *cancel; /* may be null; polled between tiles */
+} gs_options;
+
+/* Where gs_raster_forward writes. Pointers of outputs that were not asked for are ignored. */
+typedef struct gs_image {
+    float *rgb;           /* [H, W, 3], background included */
+    float *alpha;         /* [H, W] */
+    float *inverse_depth; /* [H, W] */
+    float *depth;         /* [H, W] */
+    float *median_depth;  /* [H, W] */
+    int32_t *radii;       /* [N] half the larger side of a splat's box in px, rounded up, 0 = culled; may be null */
+} gs_image;
+
+/* Loss gradients with respect to the image. Null means zero. */
+typedef struct gs_image_grads {
+    const float *rgb;           /* [H, W, 3] */
+    const float *alpha;         /* [H, W] */
+    const float *inverse_depth; /* [H, W]; needs GS_OUT_INVERSE_DEPTH in the forward call */
+    const float *depth;         /* [H, W]; gradient of the undivided sum; needs GS_OUT_DEPTH */
+} gs_image_grads;
+
+/* Where gs_raster_backward writes gradients with respect to the arrays of gs_splats (raw ones where `raw`).
+ * Rows of culled splats become zero. */
+typedef struct gs_splat_grads {
+    float *means;     /* [N, 3] */
+    float *quats;     /* [N, 4] */
+    float *scales;    /* [N, 3] */
+    float *opacities; /* [N] */
+    float *sh0;       /* [N, 1, 3] */
+    float *shN;       /* [N, sh_rest, 3]; null where sh_rest is 0; bands above sh_degree become zero */
+    float *means2d;   /* [N, 2] px; may be null */
+    float *viewmat;   /* [16], last row zero; may be null */
+} gs_splat_grads;
+
+/* What the last forward and backward call of a gs_raster did. A pair is one splat evaluated at one pixel. */
+typedef struct gs_stats {
+    int64_t visible;        /* splats that reach the image */
+    int64_t entries;        /* (tile, splat) entries */
+    int64_t forward_pairs;
+    int64_t backward_pairs;
+    double project_ms, sort_ms, bin_ms, blend_ms;
+    double blend_backward_ms, project_backward_ms;
+    int64_t workspace_bytes;
+} gs_stats;
+
+typedef struct gs_raster gs_raster;
+
+/* Version of this header the library was built from (GS_ABI_VERSION). */
+GS_API int32_t gs_abi_version(void);
+/* Message of the last failure on this thread, UTF-8, valid until the next call on this thread. */
+GS_API const char *gs_last_error(void);
+
+/* Instruction sets, best first, comma-separated, that were compiled in and run on this machine: of
+ * "avx512,avx2,neon,scalar". "scalar" is the same code for the baseline instruction set. */
+GS_API const char *gs_isas(void);
+/* The one in use: the environment variable GSCORE_ISA if it names an available one, else the best. */
+GS_API const char *gs_isa(void);
+/* Use another one from now on (not while another thread rasterizes). GS_UNSUPPORTED if it is not available. */
+GS_API gs_status gs_set_isa(const char *name);
+/* Threads used where 0 is asked for: the environment variable GSCORE_THREADS, else the number of usable cores. */
+GS_API int32_t gs_default_threads(void);
+
+/* A workspace. Its buffers grow to what a call needs and are kept. */
+GS_API gs_status gs_raster_create(gs_raster **out);
+GS_API void gs_raster_destroy(gs_raster *raster);
+/* Draw. Keeps what gs_raster_backward needs until the next forward call. */
+GS_API gs_status gs_raster_forward(gs_raster *raster, const gs_splats *splats, const gs_camera *camera,
+                                   const gs_options *options, const gs_image *image);
+/* Gradients of the last forward call; `splats` must hold the same values as then. */
+GS_API gs_status gs_raster_backward(gs_raster *raster, const gs_splats *splats, const gs_image_grads *image_grads,
+                                    const gs_splat_grads *grads);
+GS_API gs_status gs_raster_stats(const gs_raster *raster, gs_stats *out);
+/* Screen-space values of the last forward call, for tests and tools; zero rows for culled splats. Any may be null.
+ * means2d [N, 2] px, depths [N] z, conics [N, 3] (xx, xy, yy), colors [N, 3], opacities [N] after compensation. */
+GS_API gs_status gs_raster_projected(const gs_raster *raster, float *means2d, float *depths, float *conics,
+                                     float *colors, float *opacities);
+
+/* How gs_image_loss treats the mask. */
+enum {
+    GS_MASK_NONE = 0,
+    GS_MASK_COMPOSITE = 1, /* target = photo * mask + background * (1 - mask) */
+    GS_MASK_IGNORE = 2     /* image and photo are both multiplied by the mask */
+};
+
+/* loss = (1 - ssim_weight) * mean|x - y| + ssim_weight * (1 - mean SSIM(x, y)), with x the image, y the target.
+ * SSIM (Wang et al. 2004): Gaussian window of 11 px, sigma 1.5, zero padding, C1 = 0.01^2, C2 = 0.03^2, per channel. */
+typedef struct gs_loss_args {
+    int32_t width, height;
+    const float *image;    /* [H, W, 3] */
+    const uint8_t *target; /* [H, W, 3] */
+    const uint8_t *mask;   /* [H, W]; null with GS_MASK_NONE */
+    int32_t mask_mode;
+    float background[3];
+    float ssim_weight;
+    int32_t threads;
+} gs_loss_args;
+
+typedef struct gs_loss_result {
+    double loss, l1, ssim, mse; /* mse of x against y, both as they enter the loss */
+} gs_loss_result;
+
+/* Loss and, where v_image is not null, its gradient [H, W, 3] with respect to the image. The gs_raster lends its
+ * workspace; its forward state stays valid. */
+GS_API gs_status gs_image_loss(gs_raster *raster, const gs_loss_args *args, gs_loss_result *result, float *v_image);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,165 @@
+// The C entry points: check arguments, call, turn exceptions into statuses.
+#include "dispatch.h"
+#include "parallel.h"
+#include "raster.h"
+
+#include <cmath>
+#include <cstdio>
+#include <new>
+
+namespace {
+
+thread_local char last_error[256] = "";
+
+template <class... Args> gs_status fail(gs_status status, const char *format, Args... args) {
+    std::snprintf(last_error, sizeof last_error, format, args...);
+    return status;
+}
+
+gs_status fail(gs_status status, const char *text) { return fail(status, "%s", text); }
+
+template <class Body> gs_status guarded(const char *what, Body body) {
+    try {
+        return body();
+    } catch (const std::bad_alloc &) {
+        return fail(GS_OUT_OF_MEMORY, "%s: out of memory", what);
+    }
+}
+
+gs_status check_splats(const gs_splats &s) {
+    if (s.count < 0 || s.count > INT32_MAX)
+        return fail(GS_BAD_ARGUMENT, "splats.count must be 0 to 2147483647, got %lld", (long long)s.count);
+    if (s.sh_rest != 0 && s.sh_rest != 3 && s.sh_rest != 8 && s.sh_rest != 15)
+        return fail(GS_BAD_ARGUMENT, "splats.sh_rest must be 0, 3, 8 or 15, got %d", s.sh_rest);
+    if (s.sh_degree < 0 || s.sh_degree > 3 || (s.sh_degree + 1) * (s.sh_degree + 1) - 1 > s.sh_rest)
+        return fail(GS_BAD_ARGUMENT, "splats.sh_degree must be 0 to 3 and at most what sh_rest = %d holds, got %d",
+                    s.sh_rest, s.sh_degree);
+    if (s.count > 0 && (!s.means || !s.quats || !s.scales || !s.opacities || !s.sh0 || (s.sh_rest && !s.shN)))
+        return fail(GS_BAD_ARGUMENT, "an array of splats is null");
+    return GS_OK;
+}
+
+gs_status check_camera(const gs_camera &c) {
+    if (c.width < 1 || c.width > 65536 || c.height < 1 || c.height > 65536)
+        return fail(GS_BAD_ARGUMENT, "image size must be 1 to 65536 px a side, got %d x %d", c.width, c.height);
+    for (const float v : c.viewmat)
+        if (!std::isfinite(v))
+            return fail(GS_BAD_ARGUMENT, "camera.viewmat holds a value that is not finite");
+    if (!(c.fx > 0 && c.fy > 0 && std::isfinite(c.fx) && std::isfinite(c.fy)))
+        return fail(GS_BAD_ARGUMENT, "focal lengths must be positive, got fx = %g, fy = %g", double(c.fx), double(c.fy));
+    if (!std::isfinite(c.cx) || !std::isfinite(c.cy))
+        return fail(GS_BAD_ARGUMENT, "the principal point must be finite, got cx = %g, cy = %g", double(c.cx),
+                    double(c.cy));
+    if (!(c.near_plane > 0) || !(c.far_plane > c.near_plane))
+        return fail(GS_BAD_ARGUMENT, "near must be positive and below far, got near = %g, far = %g",
+                    double(c.near_plane), double(c.far_plane));
+    return GS_OK;
+}
+
+gs_status check_options(const gs_options &o) {
+    if (!(o.eps2d > 0 && o.eps2d < 1e6f))
+        return fail(GS_BAD_ARGUMENT, "eps2d must be positive, got %g", double(o.eps2d));
+    for (const float b : o.background)
+        if (!std::isfinite(b))
+            return fail(GS_BAD_ARGUMENT, "the background must be finite");
+    if (o.threads < 0 || o.threads > 1024)
+        return fail(GS_BAD_ARGUMENT, "threads must be 0 (all) to 1024, got %d", o.threads);
+    return GS_OK;
+}
+
+} // namespace
+
+int32_t gs_abi_version(void) { return GS_ABI_VERSION; }
+const char *gs_last_error(void) { return last_error; }
+const char *gs_isas(void) { return gs::available_kernels(); }
+const char *gs_isa(void) { return gs::kernels().name; }
+int32_t gs_default_threads(void) { return gs::default_threads(); }
+
+gs_status gs_set_isa(const char *name) {
+    if (!gs::use_kernels(name))
+        return fail(GS_UNSUPPORTED, "instruction set %.40s is not available here; there are: %s", name ? name : "(null)",
+                    gs::available_kernels());
+    return GS_OK;
+}
+
+gs_status gs_raster_create(gs_raster **out) {
+    if (!out)
+        return fail(GS_BAD_ARGUMENT, "out is null");
+    return guarded("gs_raster_create", [&] {
+        *out = new gs_raster;
+        return GS_OK;
+    });
+}
+
+void gs_raster_destroy(gs_raster *raster) { delete raster; }
+
+gs_status gs_raster_forward(gs_raster *raster, const gs_splats *splats, const gs_camera *camera,
+                            const gs_options *options, const gs_image *image) {
+    if (!raster || !splats || !camera || !options || !image || !image->rgb || !image->alpha)
+        return fail(GS_BAD_ARGUMENT, "gs_raster_forward: an argument, image.rgb or image.alpha is null");
+    if (const gs_status s = check_splats(*splats))
+        return s;
+    if (const gs_status s = check_camera(*camera))
+        return s;
+    if (const gs_status s = check_options(*options))
+        return s;
+    if ((options->outputs & GS_OUT_INVERSE_DEPTH && !image->inverse_depth) ||
+        (options->outputs & GS_OUT_DEPTH && !image->depth) ||
+        (options->outputs & GS_OUT_MEDIAN_DEPTH && !image->median_depth))
+        return fail(GS_BAD_ARGUMENT, "gs_raster_forward: an output that was asked for has no array");
+    return guarded("gs_raster_forward", [&] {
+        const gs_status s = raster->forward(*splats, *camera, *options, *image);
+        if (s == GS_TOO_MANY)
+            return fail(s, "the splats cover too many tiles: more than 2147483647 entries; use a smaller image or fewer "
+                           "screen-filling splats");
+        if (s == GS_CANCELLED)
+            return fail(s, "cancelled");
+        return s;
+    });
+}
+
+gs_status gs_raster_backward(gs_raster *raster, const gs_splats *splats, const gs_image_grads *image_grads,
+                             const gs_splat_grads *grads) {
+    if (!raster || !splats || !image_grads || !grads)
+        return fail(GS_BAD_ARGUMENT, "gs_raster_backward: an argument is null");
+    if (const gs_status s = check_splats(*splats))
+        return s;
+    if (splats->count > 0 && (!grads->means || !grads->quats || !grads->scales || !grads->opacities || !grads->sh0 ||
+                              (splats->sh_rest && !grads->shN)))
+        return fail(GS_BAD_ARGUMENT, "gs_raster_backward: an array of grads is null");
+    return guarded("gs_raster_backward", [&] {
+        const gs_status s = raster->backward(*splats, *image_grads, *grads);
+        if (s == GS_BAD_ARGUMENT)
+            return fail(s, "gs_raster_backward: there is no forward call of this raster with the same number of splats");
+        return s;
+    });
+}
+
+gs_status gs_raster_stats(const gs_raster *raster, gs_stats *out) {
+    if (!raster || !out)
+        return fail(GS_BAD_ARGUMENT, "gs_raster_stats: an argument is null");
+    *out = raster->stats;
+    return GS_OK;
+}
+
+gs_status gs_raster_projected(const gs_raster *raster, float *means2d, float *depths, float *conics, float *colors,
+                              float *opacities) {
+    if (!raster || raster->projected(means2d, depths, conics, colors, opacities) != GS_OK)
+        return fail(GS_BAD_ARGUMENT, "gs_raster_projected: no forward call has succeeded");
+    return GS_OK;
+}
+
+gs_status gs_image_loss(gs_raster *raster, const gs_loss_args *args, gs_loss_result *result, float *v_image) {
+    if (!raster || !args || !result || !args->image || !args->target)
+        return fail(GS_BAD_ARGUMENT, "gs_image_loss: an argument is null");
+    if (args->width < 1 || args->width > 65536 || args->height < 1 || args->height > 65536)
+        return fail(GS_BAD_ARGUMENT, "image size must be 1 to 65536 px a side, got %d x %d", args->width, args->height);
+    if (args->mask_mode < GS_MASK_NONE || args->mask_mode > GS_MASK_IGNORE ||
+        (args->mask_mode != GS_MASK_NONE && !args->mask))
+        return fail(GS_BAD_ARGUMENT, "mask_mode must be 0, 1 or 2, with a mask unless 0; got %d", args->mask_mode);
+    if (!(args->ssim_weight >= 0 && args->ssim_weight <= 1))
+        return fail(GS_BAD_ARGUMENT, "ssim_weight must be 0 to 1, got %g", double(args->ssim_weight));
+    if (args->threads < 0 || args->threads > 1024)
+        return fail(GS_BAD_ARGUMENT, "threads must be 0 (all) to 1024, got %d", args->threads);
+    return guarded("gs_image_loss", [&] { return raster->image_loss(*args, *result, v_image); });
+}

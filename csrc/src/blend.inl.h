@@ -1,0 +1,343 @@
+// Alpha blending of one tile, forward and backward (Kerbl et al. 2023, section 6).
+// A tile belongs to one thread. Per splat only the pixel rows its ellipse reaches are visited, apart for each block of
+// kLanes columns; sums over pixels stay in vector accumulators and are reduced once per (tile, splat).
+#pragma once
+
+#include "simd.h"
+#include "types.h"
+
+namespace gs::GS_NAMESPACE {
+
+constexpr int kBlocks = kTile / kLanes;
+constexpr uint32_t kLaneBits = (1u << kLanes) - 1;
+// Records are fetched this many list entries ahead of their use.
+constexpr uint32_t kPrefetch = 8;
+
+struct RowSpan {
+    int first, end;
+};
+
+// Rows of column block `block` in which the splat can reach its alpha threshold.
+static inline RowSpan rows_of_block(RowRange rows, int block) {
+    const auto span = [&](int half) { return RowSpan{rows.half[half] & 15, (rows.half[half] >> 4) + 1}; };
+    if constexpr (kLanes == kTile) {
+        const RowSpan a = span(0), b = span(1);
+        if (rows.half[0] == kNoRows)
+            return b;
+        if (rows.half[1] == kNoRows)
+            return a;
+        return {a.first < b.first ? a.first : b.first, a.end > b.end ? a.end : b.end};
+    } else {
+        return span(block * kLanes / (kTile / 2));
+    }
+}
+
+// What depends on the row alone: u = ux + ub_dy[row], alpha = exp2(lv[row] - u^2).
+struct RowTable {
+    alignas(64) float ub_dy[kTile], lv[kTile], dy[kTile];
+};
+
+static inline void fill_rows(RowTable &t, const Projected &p, float first_row_y) {
+    for (int i = 0; i < kTile; i += kLanes) {
+        const Vec dy = (iota() + (first_row_y + float(i))) - p.mean_y;
+        const Vec v = p.vc * dy;
+        store(t.dy + i, dy);
+        store(t.ub_dy + i, p.ub * dy);
+        store(t.lv + i, fnma(v, v, set1(p.log2_opacity)));
+    }
+}
+
+// Alpha before the clamp, zero below the threshold. The one place that decides which splat reaches which pixel.
+static inline Vec unclamped_alpha(Vec ux, float ub_dy, float lv) {
+    const Vec u = ux + ub_dy;
+    const Vec q = fnma(u, u, set1(lv));
+    return keep(ge(q, set1(kLog2AlphaMin)), exp2(q));
+}
+
+template <int kChannels> static inline void channels_of(const Projected &p, uint32_t outputs, float *c) {
+    c[0] = p.color[0];
+    c[1] = p.color[1];
+    c[2] = p.color[2];
+    if constexpr (kChannels >= 4)
+        c[3] = outputs & GS_OUT_INVERSE_DEPTH ? p.inverse_z : p.z;
+    if constexpr (kChannels >= 5)
+        c[4] = p.z;
+}
+
+template <int kChannels, bool kMedian>
+static int64_t blend_tile(const BlendArgs &a, uint32_t outputs, uint32_t tile) {
+    const int tile_x = int(tile) % a.tiles_x, tile_y = int(tile) / a.tiles_x;
+    const int x0 = tile_x * kTile, y0 = tile_y * kTile;
+    const int columns = a.width - x0 < kTile ? a.width - x0 : kTile;
+    const int rows = a.height - y0 < kTile ? a.height - y0 : kTile;
+
+    alignas(64) float trans[kTilePixels];
+    alignas(64) float color[kChannels][kTilePixels];
+    alignas(64) float median[kMedian ? kTilePixels : kLanes];
+    uint32_t done[kTile * kBlocks];
+    RowSpan live[kBlocks]; // rows of a block outside of which every pixel is complete
+    float *final_trans = a.final_transmittance + size_t(tile) * kTilePixels;
+    uint32_t *stop = a.stop_index + size_t(tile) * kTilePixels;
+    uint8_t *stop_order = a.stop_order + size_t(tile) * kTilePixels;
+    int stops = 0;
+
+    int open = 0;
+    std::memset(color, 0, sizeof color);
+    std::memset(median, 0, sizeof median);
+    for (int i = 0; i < kTilePixels; ++i) {
+        const bool inside = i % kTile < columns && i / kTile < rows;
+        trans[i] = inside ? 1.0f : 0.0f;
+        final_trans[i] = trans[i];
+        stop[i] = inside ? ~0u : 0u;
+        open += inside;
+    }
+    for (int r = 0; r < kTile; ++r)
+        for (int b = 0; b < kBlocks; ++b) {
+            uint32_t m = 0;
+            for (int l = 0; l < kLanes; ++l)
+                m |= uint32_t(trans[r * kTile + b * kLanes + l] == 0.0f) << l;
+            done[r * kBlocks + b] = m;
+        }
+    for (int b = 0; b < kBlocks; ++b)
+        live[b] = {0, rows};
+
+    const uint32_t begin = a.tile_begin[tile], end = a.tile_begin[tile + 1];
+    const Vec first_x = iota() + (float(x0) + 0.5f);
+    RowTable table;
+    int64_t vectors = 0;
+    for (uint32_t e = begin; e < end && open > 0; ++e) {
+        if (e + kPrefetch < end)
+            __builtin_prefetch(&a.projected[a.entries[e + kPrefetch].slot]);
+        const Entry entry = a.entries[e];
+        const Projected &p = a.projected[entry.slot];
+        fill_rows(table, p, float(y0) + 0.5f);
+        float c[kChannels];
+        channels_of<kChannels>(p, outputs, c);
+        for (int b = 0; b < kBlocks; ++b) {
+            RowSpan span = rows_of_block(entry.rows, b);
+            span.first = span.first > live[b].first ? span.first : live[b].first;
+            span.end = span.end < live[b].end ? span.end : live[b].end;
+            if (span.first >= span.end)
+                continue;
+            vectors += span.end - span.first;
+            const Vec ux = p.ua * ((first_x + float(b * kLanes)) - p.mean_x);
+            for (int r = span.first; r < span.end; ++r) {
+                const int at = r * kTile + b * kLanes;
+                const Vec alpha = min(unclamped_alpha(ux, table.ub_dy[r], table.lv[r]), set1(kAlphaMax));
+                const Vec t = load(trans + at);
+                Vec w = alpha * t;
+                Vec next = t - w;
+                const uint32_t finished = bits(ge(set1(kTransmittanceMin), next));
+                if (finished != done[r * kBlocks + b]) [[unlikely]] {
+                    // Complete pixels hold a transmittance of zero, so the new ones are those not yet marked.
+                    const uint32_t fresh = finished & ~done[r * kBlocks + b];
+                    for (int l = 0; l < kLanes; ++l)
+                        if (fresh >> l & 1) {
+                            final_trans[at + l] = t[l];
+                            stop[at + l] = e - begin;
+                            stop_order[stops++] = uint8_t(at + l);
+                            w[l] = 0.0f;
+                            next[l] = 0.0f;
+                            --open;
+                        }
+                    done[r * kBlocks + b] = finished;
+                    while (live[b].first < live[b].end && done[live[b].first * kBlocks + b] == kLaneBits)
+                        ++live[b].first;
+                    while (live[b].first < live[b].end && done[(live[b].end - 1) * kBlocks + b] == kLaneBits)
+                        --live[b].end;
+                }
+                if constexpr (kMedian) {
+                    // A splat leaves at least 1 - kAlphaMax, so none completes a pixel and crosses 0.5 at once.
+                    const Mask crossed = both(gt(t, set1(0.5f)), ge(set1(0.5f), next));
+                    store(median + at, load(median + at) + keep(crossed, set1(p.z)));
+                }
+                store(trans + at, next);
+                for (int k = 0; k < kChannels; ++k)
+                    store(color[k] + at, fma(w, set1(c[k]), load(color[k] + at)));
+            }
+        }
+    }
+
+    a.stop_count[tile] = uint16_t(stops);
+    for (int r = 0; r < rows; ++r)
+        for (int x = 0; x < columns; ++x) {
+            const int at = r * kTile + x;
+            if (stop[at] == ~0u)
+                final_trans[at] = trans[at];
+            const float t = final_trans[at];
+            const size_t pixel = size_t(y0 + r) * size_t(a.width) + size_t(x0 + x);
+            for (int k = 0; k < 3; ++k)
+                a.image.rgb[3 * pixel + k] = color[k][at] + t * a.background[k];
+            a.image.alpha[pixel] = 1.0f - t;
+            if (kChannels >= 4 && outputs & GS_OUT_INVERSE_DEPTH)
+                a.image.inverse_depth[pixel] = color[3][at];
+            if (kChannels >= 4 && outputs & GS_OUT_DEPTH)
+                a.image.depth[pixel] = color[kChannels - 1][at];
+            if constexpr (kMedian)
+                a.image.median_depth[pixel] = median[at];
+        }
+    return vectors * kLanes;
+}
+
+static int64_t blend(const BlendArgs &a, uint32_t outputs, uint32_t tile) {
+    const int extra = bool(outputs & GS_OUT_INVERSE_DEPTH) + bool(outputs & GS_OUT_DEPTH);
+    if (outputs & GS_OUT_MEDIAN_DEPTH)
+        return extra == 0   ? blend_tile<3, true>(a, outputs, tile)
+               : extra == 1 ? blend_tile<4, true>(a, outputs, tile)
+                            : blend_tile<5, true>(a, outputs, tile);
+    return extra == 0   ? blend_tile<3, false>(a, outputs, tile)
+           : extra == 1 ? blend_tile<4, false>(a, outputs, tile)
+                        : blend_tile<5, false>(a, outputs, tile);
+}
+
+// With C the colour a pixel shows from splat i on (background last) and c_i its own, C_i = alpha_i c_i + (1 - alpha_i)
+// C_{i+1}; therefore dL/dalpha_i = T_i (c_i - C_{i+1}) . dL/dC. Walking back to front, `behind` is C_{i+1} . dL/dC and
+// T_i = T_{i+1} / (1 - alpha_i). All quantities are relative to what remains behind, so distant splats keep precision.
+template <int kChannels>
+static int64_t blend_tile_backward(const BlendBackwardArgs &args, uint32_t outputs, uint32_t tile) {
+    const BlendArgs &a = *args.forward;
+    const uint32_t begin = a.tile_begin[tile], count = a.tile_begin[tile + 1] - begin;
+    if (count == 0)
+        return 0;
+    Moments *moments = args.moments + begin;
+    const int tile_x = int(tile) % a.tiles_x, tile_y = int(tile) / a.tiles_x;
+    const int x0 = tile_x * kTile, y0 = tile_y * kTile;
+    const int columns = a.width - x0 < kTile ? a.width - x0 : kTile;
+    const int rows = a.height - y0 < kTile ? a.height - y0 : kTile;
+    const float *final_trans = a.final_transmittance + size_t(tile) * kTilePixels;
+    const uint32_t *stop = a.stop_index + size_t(tile) * kTilePixels;
+
+    alignas(64) float v_color[kChannels][kTilePixels];
+    alignas(64) float trans[kTilePixels], behind[kTilePixels], last[kTilePixels];
+    std::memset(v_color, 0, sizeof v_color);
+    std::memset(last, 0, sizeof last);
+    const float *planes[2] = {nullptr, nullptr};
+    if constexpr (kChannels >= 4)
+        planes[0] = outputs & GS_OUT_INVERSE_DEPTH ? args.grads.inverse_depth : args.grads.depth;
+    if constexpr (kChannels >= 5)
+        planes[1] = args.grads.depth;
+    bool any = false;
+    for (int r = 0; r < rows; ++r)
+        for (int x = 0; x < columns; ++x) {
+            const int at = r * kTile + x;
+            const size_t pixel = size_t(y0 + r) * size_t(a.width) + size_t(x0 + x);
+            for (int k = 0; k < 3 && args.grads.rgb; ++k)
+                v_color[k][at] = args.grads.rgb[3 * pixel + k];
+            for (int k = 3; k < kChannels; ++k)
+                if (planes[k - 3])
+                    v_color[k][at] = planes[k - 3][pixel];
+            last[at] = v_color[0][at] * a.background[0] + v_color[1][at] * a.background[1] +
+                       v_color[2][at] * a.background[2] - (args.grads.alpha ? args.grads.alpha[pixel] : 0.0f);
+            bool nonzero = last[at] != 0.0f;
+            for (int k = 0; k < kChannels; ++k)
+                nonzero |= v_color[k][at] != 0.0f;
+            any |= nonzero;
+        }
+    if (!any && args.skip_zero_tiles) {
+        std::memset(moments, 0, count * sizeof(Moments));
+        return 0;
+    }
+
+    // Pixels that stopped early join when the walk reaches the splat before their stop: until then their transmittance
+    // is held at zero, which makes every contribution vanish.
+    const uint8_t *stop_order = a.stop_order + size_t(tile) * kTilePixels;
+    int waiting = a.stop_count[tile];
+    uint32_t start = waiting > 0 ? stop[stop_order[waiting - 1]] : 0;
+    RowSpan live[kBlocks];
+    for (int b = 0; b < kBlocks; ++b)
+        live[b] = {kTile, 0};
+    const auto wake = [&](int at) {
+        trans[at] = final_trans[at];
+        behind[at] = last[at];
+        RowSpan &span = live[at % kTile / kLanes];
+        const int r = at / kTile;
+        span.first = r < span.first ? r : span.first;
+        span.end = r + 1 > span.end ? r + 1 : span.end;
+    };
+    for (int i = 0; i < kTilePixels; ++i) {
+        trans[i] = behind[i] = 0.0f;
+        if (stop[i] == ~0u) {
+            wake(i);
+            start = count;
+        }
+    }
+    std::memset(moments + start, 0, (count - start) * sizeof(Moments));
+
+    const Vec first_x = iota() + (float(x0) + 0.5f);
+    RowTable table;
+    int64_t vectors = 0;
+    for (uint32_t i = start; i-- > 0;) {
+        while (waiting > 0 && stop[stop_order[waiting - 1]] > i)
+            wake(stop_order[--waiting]);
+        const uint32_t e = begin + i;
+        if (i >= kPrefetch)
+            __builtin_prefetch(&a.projected[a.entries[e - kPrefetch].slot]);
+        const Entry entry = a.entries[e];
+        const Projected &p = a.projected[entry.slot];
+        fill_rows(table, p, float(y0) + 0.5f);
+        float c[kChannels];
+        channels_of<kChannels>(p, outputs, c);
+        Vec sums[kMomentCount] = {};
+        for (int b = 0; b < kBlocks; ++b) {
+            RowSpan span = rows_of_block(entry.rows, b);
+            span.first = span.first > live[b].first ? span.first : live[b].first;
+            span.end = span.end < live[b].end ? span.end : live[b].end;
+            if (span.first >= span.end)
+                continue;
+            vectors += span.end - span.first;
+            const Vec dx = (first_x + float(b * kLanes)) - p.mean_x;
+            const Vec ux = p.ua * dx;
+            // dx does not change down the rows, so its powers are applied after the row loop.
+            Vec g0 = {}, gy = {}, gyy = {}, v_c[kChannels] = {};
+            for (int r = span.first; r < span.end; ++r) {
+                const int at = r * kTile + b * kLanes;
+                const Vec raw = unclamped_alpha(ux, table.ub_dy[r], table.lv[r]);
+                const Vec alpha = min(raw, set1(kAlphaMax));
+                const Vec t = load(trans + at) / (1.0f - alpha);
+                store(trans + at, t);
+                const Vec w = alpha * t;
+                Vec own = set1(c[0]) * load(v_color[0] + at);
+                for (int k = 1; k < kChannels; ++k)
+                    own = fma(set1(c[k]), load(v_color[k] + at), own);
+                const Vec back = load(behind + at);
+                const Vec diff = own - back;
+                store(behind + at, fma(alpha, diff, back));
+                const Vec g = keep(ge(set1(kAlphaMax), raw), w * diff);
+                const Vec dy = set1(table.dy[r]);
+                const Vec g_dy = g * dy;
+                g0 += g;
+                gy += g_dy;
+                gyy = fma(g_dy, dy, gyy);
+                for (int k = 0; k < kChannels; ++k)
+                    v_c[k] = fma(w, load(v_color[k] + at), v_c[k]);
+            }
+            const Vec gx = g0 * dx;
+            sums[kG] += g0;
+            sums[kGx] += gx;
+            sums[kGy] += gy;
+            sums[kGxx] = fma(gx, dx, sums[kGxx]);
+            sums[kGxy] = fma(gy, dx, sums[kGxy]);
+            sums[kGyy] += gyy;
+            sums[kRed] += v_c[0];
+            sums[kGreen] += v_c[1];
+            sums[kBlue] += v_c[2];
+            if constexpr (kChannels == 4)
+                sums[outputs & GS_OUT_INVERSE_DEPTH ? kInvZ : kZ] += v_c[3];
+            if constexpr (kChannels == 5) {
+                sums[kInvZ] += v_c[3];
+                sums[kZ] += v_c[4];
+            }
+        }
+        lane_sums(sums, kMomentCount, moments[i].v);
+    }
+    return vectors * kLanes;
+}
+
+static int64_t blend_backward(const BlendBackwardArgs &a, uint32_t outputs, uint32_t tile) {
+    const int extra = bool(outputs & GS_OUT_INVERSE_DEPTH) + bool(outputs & GS_OUT_DEPTH);
+    return extra == 0   ? blend_tile_backward<3>(a, outputs, tile)
+           : extra == 1 ? blend_tile_backward<4>(a, outputs, tile)
+                        : blend_tile_backward<5>(a, outputs, tile);
+}
+
+} // namespace gs::GS_NAMESPACE

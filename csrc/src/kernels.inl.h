@@ -1,0 +1,15 @@
+// All kernels of one instruction set, gathered into its table.
+#pragma once
+
+#include "bin.inl.h"
+#include "blend.inl.h"
+#include "loss.inl.h"
+#include "project.inl.h"
+
+namespace gs::GS_NAMESPACE {
+
+static constexpr Kernels make_kernels(const char *name) {
+    return {name, project, bin, blend, blend_backward, project_backward, loss_forward, loss_backward};
+}
+
+} // namespace gs::GS_NAMESPACE

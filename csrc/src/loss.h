@@ -1,0 +1,19 @@
+// Sizes of the fused loss, shared by its driver and its kernels.
+#pragma once
+
+#include "types.h"
+
+namespace gs {
+
+constexpr int kWindow = 11;
+// Rows a thread takes at once; sums are per band, so it is part of the numeric definition.
+constexpr int kLossBand = 64;
+// Floats before a row and after it: the window's reach and a vector's overhang.
+constexpr int kLossMargin = 16;
+
+constexpr int loss_stride(int width) { return (width + 15) / 16 * 16 + 3 * kLossMargin; }
+constexpr size_t loss_scratch_floats(int width) { return size_t(5 + 5 * kWindow) * size_t(loss_stride(width)); }
+constexpr size_t loss_plane_floats(int width, int height) { return 9 * size_t(height) * size_t(loss_stride(width)); }
+constexpr int loss_bands(int height) { return (height + kLossBand - 1) / kLossBand; }
+
+} // namespace gs

@@ -1,0 +1,156 @@
+// A thread pool with one verb: parallel_for.
+#include "parallel.h"
+
+#include <atomic>
+#include <condition_variable>
+#include <cstdint>
+#include <cstdlib>
+#include <mutex>
+#include <system_error>
+#include <thread>
+#include <vector>
+
+#if defined(__x86_64__) || defined(_M_X64)
+#include <immintrin.h>
+#endif
+#if defined(__linux__)
+#include <sched.h>
+#endif
+
+namespace gs {
+namespace {
+
+// Subnormals slow the blend loops down a hundredfold and carry no information there. The host process (Blender, say)
+// gets its own state back.
+class FlushSubnormals {
+  public:
+#if defined(__x86_64__) || defined(_M_X64)
+    FlushSubnormals() : saved_(_mm_getcsr()) { _mm_setcsr(kDefault | kFlushToZero | kZeroInputs); }
+    ~FlushSubnormals() { _mm_setcsr(saved_); }
+
+  private:
+    static constexpr unsigned kDefault = 0x1f80, kFlushToZero = 0x8000, kZeroInputs = 0x0040;
+    unsigned saved_;
+#elif defined(__aarch64__)
+    FlushSubnormals() {
+        __asm__ volatile("mrs %0, fpcr" : "=r"(saved_));
+        const uint64_t flush = uint64_t(1) << 24;
+        __asm__ volatile("msr fpcr, %0" ::"r"(flush));
+    }
+    ~FlushSubnormals() { __asm__ volatile("msr fpcr, %0" ::"r"(saved_)); }
+
+  private:
+    uint64_t saved_;
+#endif
+};
+
+struct Job {
+    const std::function<void(size_t, int)> *body = nullptr;
+    size_t count = 0;
+    std::atomic<size_t> next{0};
+    int wanted = 0;  // helpers that may join
+    int joined = 0;  // helpers that did
+    int running = 0; // helpers still inside
+
+    void work(int worker) {
+        const FlushSubnormals flush;
+        for (size_t i = next++; i < count; i = next++)
+            (*body)(i, worker);
+    }
+};
+
+class Pool {
+  public:
+    ~Pool() {
+        {
+            const std::lock_guard lock(mutex_);
+            closing_ = true;
+        }
+        wake_.notify_all();
+        for (auto &t : threads_)
+            t.join();
+    }
+
+    void run(Job &job) {
+        // One job at a time; callers from several threads take turns.
+        const std::lock_guard turn(turn_);
+        {
+            const std::lock_guard lock(mutex_);
+            try {
+                while (int(threads_.size()) < job.wanted)
+                    threads_.emplace_back([this] { loop(); });
+            } catch (const std::system_error &) {
+                // No more threads to be had: go on with those there are.
+            }
+            job_ = &job;
+        }
+        wake_.notify_all();
+        job.work(0);
+        std::unique_lock lock(mutex_);
+        job_ = nullptr;
+        idle_.wait(lock, [&] { return job.running == 0; });
+    }
+
+  private:
+    void loop() {
+        std::unique_lock lock(mutex_);
+        while (true) {
+            wake_.wait(lock, [&] { return closing_ || (job_ && job_->joined < job_->wanted); });
+            if (closing_)
+                return;
+            Job &job = *job_;
+            const int worker = ++job.joined;
+            ++job.running;
+            lock.unlock();
+            job.work(worker);
+            lock.lock();
+            if (--job.running == 0)
+                idle_.notify_all();
+        }
+    }
+
+    std::mutex turn_, mutex_;
+    std::condition_variable wake_, idle_;
+    std::vector<std::thread> threads_;
+    Job *job_ = nullptr;
+    bool closing_ = false;
+};
+
+Pool &pool() {
+    // Never destroyed: joining threads while the process exits deadlocks on some systems.
+    static Pool *const instance = new Pool;
+    return *instance;
+}
+
+} // namespace
+
+void parallel_for(size_t count, int threads, const std::function<void(size_t, int)> &body) {
+    Job job;
+    job.body = &body;
+    job.count = count;
+    job.wanted = int(count < size_t(threads) ? count : size_t(threads)) - 1;
+    if (job.wanted <= 0)
+        job.work(0);
+    else
+        pool().run(job);
+}
+
+int default_threads() {
+    static const int threads = [] {
+        if (const char *text = std::getenv("GSCORE_THREADS")) {
+            const int n = std::atoi(text);
+            if (n > 0)
+                return n;
+        }
+#if defined(__linux__)
+        cpu_set_t set;
+        if (sched_getaffinity(0, sizeof set, &set) == 0 && CPU_COUNT(&set) > 0)
+            return CPU_COUNT(&set);
+#endif
+        const unsigned n = std::thread::hardware_concurrency();
+        return n > 0 ? int(n) : 1;
+    }();
+    return threads;
+}
+
+} // namespace gs

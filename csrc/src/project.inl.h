@@ -1,0 +1,436 @@
+// From splats to the screen and back: EWA projection (Zwicker et al. 2001), spherical harmonics, and their gradients.
+// kLanes splats at a time. With W the rotation of the camera, R that of a splat and S its scales, the 2D covariance is
+// M M^T + eps2d I where M = J W R S is 2 x 3. Its determinant before eps2d is the sum of M's squared 2 x 2 minors
+// (Cauchy-Binet), which does not cancel for needles.
+#pragma once
+
+#include "sh.inl.h"
+#include "simd.h"
+#include "types.h"
+
+namespace gs::GS_NAMESPACE {
+
+struct Row3 {
+    Vec x, y, z;
+};
+
+static inline Vec gather(const float *base, const uint32_t *id, int stride, int offset) {
+    Vec v;
+    for (int l = 0; l < kLanes; ++l)
+        v[l] = base[size_t(id[l]) * size_t(stride) + size_t(offset)];
+    return v;
+}
+
+static inline Vec dot3(Vec ax, Vec ay, Vec az, Vec bx, Vec by, Vec bz) { return fma(ax, bx, fma(ay, by, az * bz)); }
+
+// One splat per lane, everything the forward and the backward pass both need.
+struct Lanes {
+    Vec mean[3], quat[4], quat_length, scale[3], opacity;
+    Vec cam[3], inverse_z;
+    Vec ratio[2];         // x / z, y / z
+    Vec ratio_clamped[2]; // as the Jacobian uses it
+    Mask unclamped[2];
+    Vec jac_diagonal[2];  // J = [d0 0 o0; 0 d1 o1]
+    Vec jac_offset[2];
+    Vec rot[3][3];        // R
+    Vec world_rot[3][3];  // W R
+    Vec proj[2][3];       // J W R
+    Vec m[2][3];          // J W R S
+    Vec minor[3];         // of columns 12, 20, 01
+    Vec cov_xx, cov_xy, cov_yy, det0, det;
+    Vec compensation;     // opacity factor
+    Mask compensated;     // where its floor does not act
+    Vec mean2d[2];
+    Vec sigma_opacity;    // after compensation
+};
+
+// Half-widths of the region in which J is evaluated, as multiples of the focal length: outside it, x / z is clamped to
+// it, since the linearisation degenerates far off screen.
+struct Limits {
+    float low[2], high[2];
+    explicit Limits(const gs_camera &c) {
+        const float tan_x = 0.5f * float(c.width) / c.fx, tan_y = 0.5f * float(c.height) / c.fy;
+        high[0] = (float(c.width) - c.cx) / c.fx + 0.3f * tan_x;
+        low[0] = -c.cx / c.fx - 0.3f * tan_x;
+        high[1] = (float(c.height) - c.cy) / c.fy + 0.3f * tan_y;
+        low[1] = -c.cy / c.fy - 0.3f * tan_y;
+    }
+};
+
+// Fills `s` for the splats id[0..kLanes); returns the lanes that can be drawn as far as the geometry says.
+static inline Mask project_lanes(const gs_splats &in, const gs_camera &camera, const gs_options &options,
+                                 const Limits &limits, const uint32_t *id, Lanes &s) {
+    const float *w = camera.viewmat;
+    for (int k = 0; k < 3; ++k)
+        s.mean[k] = gather(in.means, id, 3, k);
+    for (int i = 0; i < 3; ++i)
+        s.cam[i] = fma(set1(w[4 * i]), s.mean[0],
+                       fma(set1(w[4 * i + 1]), s.mean[1], fma(set1(w[4 * i + 2]), s.mean[2], set1(w[4 * i + 3]))));
+    // Comparisons with NaN are false, so a broken row fails here or below.
+    Mask ok = both(gt(s.cam[2], set1(camera.near_plane)), ge(set1(camera.far_plane), s.cam[2]));
+    if (!bits(ok))
+        return ok;
+
+    Vec poison = {};
+    for (int k = 0; k < 4; ++k) {
+        s.quat[k] = gather(in.quats, id, 4, k);
+        poison += s.quat[k] * 0.0f;
+    }
+    for (int k = 0; k < 3; ++k) {
+        const Vec v = gather(in.scales, id, 3, k);
+        s.scale[k] = in.raw ? exp(v) : v;
+        poison += v * 0.0f;
+    }
+    const Vec o = gather(in.opacities, id, 1, 0);
+    poison += o * 0.0f;
+    s.opacity = in.raw ? 1.0f / (1.0f + exp(-o)) : o;
+    ok = both(ok, ge(poison, Vec{}));
+
+    // Divided by the largest component first, so that no length over- or underflows.
+    Vec largest = {};
+    for (int k = 0; k < 4; ++k)
+        largest = max(largest, max(s.quat[k], -s.quat[k]));
+    ok = both(ok, ge(largest, set1(kQuatMin)));
+    Vec q[4], norm2 = {};
+    const Vec shrink = 1.0f / max(largest, set1(kQuatMin));
+    for (int k = 0; k < 4; ++k) {
+        q[k] = s.quat[k] * shrink;
+        norm2 = fma(q[k], q[k], norm2);
+    }
+    const Vec norm = sqrt(norm2);
+    for (int k = 0; k < 4; ++k)
+        s.quat[k] = q[k] / norm;
+    s.quat_length = norm / shrink;
+    const Vec qw = s.quat[0], qx = s.quat[1], qy = s.quat[2], qz = s.quat[3];
+    s.rot[0][0] = 1.0f - 2.0f * fma(qy, qy, qz * qz);
+    s.rot[0][1] = 2.0f * fnma(qw, qz, qx * qy);
+    s.rot[0][2] = 2.0f * fma(qw, qy, qx * qz);
+    s.rot[1][0] = 2.0f * fma(qw, qz, qx * qy);
+    s.rot[1][1] = 1.0f - 2.0f * fma(qx, qx, qz * qz);
+    s.rot[1][2] = 2.0f * fnma(qw, qx, qy * qz);
+    s.rot[2][0] = 2.0f * fnma(qw, qy, qx * qz);
+    s.rot[2][1] = 2.0f * fma(qw, qx, qy * qz);
+    s.rot[2][2] = 1.0f - 2.0f * fma(qx, qx, qy * qy);
+    for (int i = 0; i < 3; ++i)
+        for (int k = 0; k < 3; ++k)
+            s.world_rot[i][k] = dot3(set1(w[4 * i]), set1(w[4 * i + 1]), set1(w[4 * i + 2]), s.rot[0][k],
+                                     s.rot[1][k], s.rot[2][k]);
+
+    s.inverse_z = 1.0f / s.cam[2];
+    const float focal[2] = {camera.fx, camera.fy}, center[2] = {camera.cx, camera.cy};
+    for (int i = 0; i < 2; ++i) {
+        s.ratio[i] = s.cam[i] * s.inverse_z;
+        s.ratio_clamped[i] = min(max(s.ratio[i], set1(limits.low[i])), set1(limits.high[i]));
+        s.unclamped[i] = both(ge(s.ratio[i], set1(limits.low[i])), ge(set1(limits.high[i]), s.ratio[i]));
+        s.jac_diagonal[i] = focal[i] * s.inverse_z;
+        s.jac_offset[i] = -s.jac_diagonal[i] * s.ratio_clamped[i];
+        s.mean2d[i] = fma(set1(focal[i]), s.ratio[i], set1(center[i]));
+        for (int k = 0; k < 3; ++k) {
+            s.proj[i][k] = fma(s.jac_diagonal[i], s.world_rot[i][k], s.jac_offset[i] * s.world_rot[2][k]);
+            s.m[i][k] = s.proj[i][k] * s.scale[k];
+        }
+    }
+    for (int k = 0; k < 3; ++k) {
+        const int i = (k + 1) % 3, j = (k + 2) % 3;
+        s.minor[k] = fnma(s.m[0][j], s.m[1][i], s.m[0][i] * s.m[1][j]);
+    }
+    const float eps = options.eps2d;
+    const Vec xx = dot3(s.m[0][0], s.m[0][1], s.m[0][2], s.m[0][0], s.m[0][1], s.m[0][2]);
+    const Vec yy = dot3(s.m[1][0], s.m[1][1], s.m[1][2], s.m[1][0], s.m[1][1], s.m[1][2]);
+    s.cov_xy = dot3(s.m[0][0], s.m[0][1], s.m[0][2], s.m[1][0], s.m[1][1], s.m[1][2]);
+    s.cov_xx = xx + eps;
+    s.cov_yy = yy + eps;
+    s.det0 = dot3(s.minor[0], s.minor[1], s.minor[2], s.minor[0], s.minor[1], s.minor[2]);
+    s.det = fma(set1(eps), xx + yy + eps, s.det0);
+    // Beyond float's range (a deviation of some 1e9 px) a splat cannot be drawn.
+    ok = both(ok, both(gt(s.det, Vec{}), ge(set1(3e38f), s.det)));
+
+    s.compensation = set1(1.0f);
+    s.compensated = gt(Vec{}, set1(1.0f));
+    if (options.antialias) {
+        const Vec c = sqrt(s.det0 / s.det);
+        s.compensated = gt(c, set1(GS_COMPENSATION_MIN));
+        s.compensation = max(c, set1(GS_COMPENSATION_MIN));
+    }
+    s.sigma_opacity = s.opacity * s.compensation;
+    ok = both(ok, both(ge(s.sigma_opacity, set1(GS_ALPHA_MIN)), ge(set1(3e38f), s.sigma_opacity)));
+    return ok;
+}
+
+static inline void direction(const gs_camera &camera, const Lanes &s, Row3 &d, Vec &length) {
+    // mean - camera centre = W^T (W mean + t), exact also far from the origin.
+    const float *w = camera.viewmat;
+    Vec v[3];
+    for (int j = 0; j < 3; ++j)
+        v[j] = dot3(set1(w[j]), set1(w[4 + j]), set1(w[8 + j]), s.cam[0], s.cam[1], s.cam[2]);
+    length = sqrt(dot3(v[0], v[1], v[2], v[0], v[1], v[2]));
+    d = {v[0] / length, v[1] / length, v[2] / length};
+}
+
+static void project(const ProjectArgs &a, int64_t chunk) {
+    const gs_splats &in = *a.splats;
+    const gs_camera &camera = *a.camera;
+    const Limits limits(camera);
+    const int64_t begin = chunk * kChunk;
+    const int64_t end = begin + kChunk < in.count ? begin + kChunk : in.count;
+    Projected *out = a.projected + begin;
+    uint32_t *keys = a.depth_keys + begin;
+    int visible = 0;
+    Lanes s;
+    for (int64_t i0 = begin; i0 < end; i0 += kLanes) {
+        const int lanes = end - i0 < kLanes ? int(end - i0) : kLanes;
+        uint32_t id[kLanes];
+        for (int l = 0; l < kLanes; ++l)
+            id[l] = uint32_t(l < lanes ? i0 + l : i0);
+        if (a.radii)
+            for (int l = 0; l < lanes; ++l)
+                a.radii[i0 + l] = 0;
+        Mask ok = project_lanes(in, camera, *a.options, limits, id, s);
+        if (!bits(ok))
+            continue;
+        const Vec log2_opacity = log2(s.sigma_opacity);
+        const Vec t = max(log2_opacity - kLog2AlphaMin, Vec{}) * (1.0f / kHalfLog2E);
+        const Vec ex = sqrt(t * s.cov_xx), ey = sqrt(t * s.cov_yy);
+        ok = both(ok, both(ge(s.mean2d[0] + ex, set1(0.5f)), ge(set1(float(camera.width) - 0.5f), s.mean2d[0] - ex)));
+        ok = both(ok, both(ge(s.mean2d[1] + ey, set1(0.5f)), ge(set1(float(camera.height) - 0.5f), s.mean2d[1] - ey)));
+        uint32_t alive = bits(ok) & ((1u << lanes) - 1);
+        if (!alive)
+            continue;
+
+        Row3 d;
+        Vec length;
+        direction(camera, s, d, length);
+        alignas(64) float color[3][kLanes];
+        sh_colors(in, id, alive, d.x, d.y, d.z, color);
+
+        const Vec inv_yy = 1.0f / s.cov_yy;
+        const Vec vc = sqrt(kHalfLog2E * inv_yy);
+        const Vec ua = sqrt(kHalfLog2E * s.cov_yy / s.det);
+        const Vec ub = -ua * s.cov_xy * inv_yy;
+        const Vec extent = max(ex, ey);
+        for (int l = 0; l < lanes; ++l) {
+            if (!(alive >> l & 1))
+                continue;
+            // Inverted comparisons, so that NaN fails.
+            if (!(color[0][l] <= 3e38f && color[1][l] <= 3e38f && color[2][l] <= 3e38f))
+                continue;
+            Projected p;
+            p.mean_x = s.mean2d[0][l];
+            p.mean_y = s.mean2d[1][l];
+            p.ua = ua[l];
+            p.ub = ub[l];
+            p.vc = vc[l];
+            p.log2_opacity = log2_opacity[l];
+            p.inverse_z = s.inverse_z[l];
+            p.z = s.cam[2][l];
+            for (int k = 0; k < 3; ++k)
+                p.color[k] = color[k][l];
+            p.cov_xx = s.cov_xx[l];
+            p.cov_xy = s.cov_xy[l];
+            p.cov_yy = s.cov_yy[l];
+            p.det = s.det[l];
+            p.id = id[l];
+            out[visible] = p;
+            std::memcpy(&keys[visible], &p.z, sizeof p.z);
+            if (a.radii)
+                a.radii[id[l]] = extent[l] < 1e9f ? int32_t(extent[l]) + 1 : 1000000000;
+            ++visible;
+        }
+    }
+    a.visible[chunk] = visible;
+}
+
+// Gradient of the normalised quaternion and the rotation matrix it makes, per lane.
+static inline void quat_backward(const Lanes &s, const Vec v_rot[3][3], Vec v_quat[4]) {
+    const Vec w = s.quat[0], x = s.quat[1], y = s.quat[2], z = s.quat[3];
+    Vec v[4];
+    v[0] = 2.0f * (x * (v_rot[2][1] - v_rot[1][2]) + y * (v_rot[0][2] - v_rot[2][0]) + z * (v_rot[1][0] - v_rot[0][1]));
+    v[1] = 2.0f * (y * (v_rot[0][1] + v_rot[1][0]) + z * (v_rot[0][2] + v_rot[2][0]) + w * (v_rot[2][1] - v_rot[1][2]) -
+                   2.0f * x * (v_rot[1][1] + v_rot[2][2]));
+    v[2] = 2.0f * (x * (v_rot[0][1] + v_rot[1][0]) + z * (v_rot[1][2] + v_rot[2][1]) + w * (v_rot[0][2] - v_rot[2][0]) -
+                   2.0f * y * (v_rot[0][0] + v_rot[2][2]));
+    v[3] = 2.0f * (x * (v_rot[0][2] + v_rot[2][0]) + y * (v_rot[1][2] + v_rot[2][1]) + w * (v_rot[1][0] - v_rot[0][1]) -
+                   2.0f * z * (v_rot[0][0] + v_rot[1][1]));
+    // Through q = p / |p|: remove the component along q, divide by the length.
+    Vec along = {};
+    for (int k = 0; k < 4; ++k)
+        along = fma(v[k], s.quat[k], along);
+    for (int k = 0; k < 4; ++k)
+        v_quat[k] = fnma(along, s.quat[k], v[k]) / s.quat_length;
+}
+
+static inline void scatter(float *base, const uint32_t *id, uint32_t lanes, int stride, int offset, Vec v) {
+    for (int l = 0; l < kLanes; ++l)
+        if (lanes >> l & 1)
+            base[size_t(id[l]) * size_t(stride) + size_t(offset)] = v[l];
+}
+
+static inline void zero_rows(const gs_splat_grads &g, int64_t begin, int64_t end, int sh_rest) {
+    const size_t n = size_t(end - begin) * sizeof(float);
+    std::memset(g.means + 3 * begin, 0, 3 * n);
+    std::memset(g.quats + 4 * begin, 0, 4 * n);
+    std::memset(g.scales + 3 * begin, 0, 3 * n);
+    std::memset(g.opacities + begin, 0, n);
+    std::memset(g.sh0 + 3 * begin, 0, 3 * n);
+    if (sh_rest)
+        std::memset(g.shN + 3 * sh_rest * begin, 0, 3 * size_t(sh_rest) * n);
+    if (g.means2d)
+        std::memset(g.means2d + 2 * begin, 0, 2 * n);
+}
+
+static void project_backward(const ProjectBackwardArgs &a, int64_t chunk) {
+    const gs_splats &in = *a.forward.splats;
+    const gs_camera &camera = *a.forward.camera;
+    const gs_splat_grads &grads = a.grads;
+    const Limits limits(camera);
+    const float *view = camera.viewmat;
+    const float focal[2] = {camera.fx, camera.fy};
+    const int64_t begin = chunk * kChunk;
+    zero_rows(grads, begin, begin + kChunk < in.count ? begin + kChunk : in.count, in.sh_rest);
+    Vec view_sums[16] = {}; // 3 x 4 row-major, the last four stay zero
+    Lanes s;
+    const int visible = a.forward.visible[chunk];
+    for (int first = 0; first < visible; first += kLanes) {
+        const int lanes = visible - first < kLanes ? visible - first : kLanes;
+        const uint32_t alive = lanes == kLanes ? kLaneBits : (1u << lanes) - 1;
+        uint32_t id[kLanes];
+        alignas(64) float sums[kMomentCount][kLanes] = {};
+        alignas(64) float color[3][kLanes] = {};
+        for (int l = 0; l < kLanes; ++l) {
+            const size_t slot = size_t(begin + first + (l < lanes ? l : 0));
+            const Projected &p = a.forward.projected[slot];
+            id[l] = p.id;
+            if (l >= lanes)
+                continue;
+            // Always in the order of the tiles, whatever thread drew them.
+            const uint32_t *entry = a.instance_entry + a.instance_begin[slot];
+            Moments m = {};
+            for (uint32_t e = 0; e < a.instance_count[slot]; ++e)
+                for (int k = 0; k < kMomentCount; ++k)
+                    m.v[k] += a.moments[entry[e]].v[k];
+            for (int k = 0; k < kMomentCount; ++k)
+                sums[k][l] = m.v[k];
+            for (int k = 0; k < 3; ++k)
+                color[k][l] = p.color[k];
+        }
+        project_lanes(in, camera, *a.forward.options, limits, id, s);
+        const auto sum = [&](MomentIndex k) { return load(sums[k]); };
+
+        // Conic Q = inverse of the 2D covariance. With G the matrix of second moments, the gradient with respect to
+        // the covariance is Q G Q / 2, and with respect to M twice that times M.
+        const Vec inv_det = 1.0f / s.det;
+        const Vec qa = s.cov_yy * inv_det, qb = -s.cov_xy * inv_det, qc = s.cov_xx * inv_det;
+        const Vec v_mean2d[2] = {fma(qa, sum(kGx), qb * sum(kGy)), fma(qb, sum(kGx), qc * sum(kGy))};
+        const Vec t00 = fma(qa, sum(kGxx), qb * sum(kGxy)), t01 = fma(qa, sum(kGxy), qb * sum(kGyy));
+        const Vec t10 = fma(qb, sum(kGxx), qc * sum(kGxy)), t11 = fma(qb, sum(kGxy), qc * sum(kGyy));
+        Vec k00 = fma(t00, qa, t01 * qb), k01 = fma(t00, qb, t01 * qc), k11 = fma(t10, qb, t11 * qc);
+        Vec v_m[2][3];
+        const Vec log_gain = keep(s.compensated, sum(kG));
+        // ln(compensation) = (ln det0 - ln det) / 2; the second half adds -Q to the gradient of M M^T.
+        k00 -= log_gain * qa;
+        k01 -= log_gain * qb;
+        k11 -= log_gain * qc;
+        for (int k = 0; k < 3; ++k) {
+            v_m[0][k] = fma(k00, s.m[0][k], k01 * s.m[1][k]);
+            v_m[1][k] = fma(k01, s.m[0][k], k11 * s.m[1][k]);
+        }
+        if (a.forward.options->antialias) {
+            const Vec gain = keep(s.compensated, sum(kG) / s.det0);
+            for (int k = 0; k < 3; ++k) {
+                const int i = (k + 1) % 3, j = (k + 2) % 3;
+                const Vec g = gain * s.minor[k]; // minor[k] = m0i m1j - m0j m1i
+                v_m[0][i] = fma(g, s.m[1][j], v_m[0][i]);
+                v_m[1][j] = fma(g, s.m[0][i], v_m[1][j]);
+                v_m[0][j] = fnma(g, s.m[1][i], v_m[0][j]);
+                v_m[1][i] = fnma(g, s.m[0][j], v_m[1][i]);
+            }
+        }
+
+        // v_opacity: alpha is proportional to the opacity.
+        const Vec v_opacity = in.raw ? sum(kG) * (1.0f - s.opacity) : sum(kG) / s.opacity;
+        scatter(grads.opacities, id, alive, 1, 0, v_opacity);
+
+        Vec v_jac_diagonal[2] = {}, v_jac_offset[2] = {}, v_world_rot[3][3];
+        for (int k = 0; k < 3; ++k) {
+            const Vec v_scale = fma(v_m[0][k], s.proj[0][k], v_m[1][k] * s.proj[1][k]);
+            scatter(grads.scales, id, alive, 3, k, in.raw ? v_scale * s.scale[k] : v_scale);
+            const Vec v_p0 = v_m[0][k] * s.scale[k], v_p1 = v_m[1][k] * s.scale[k];
+            v_jac_diagonal[0] = fma(v_p0, s.world_rot[0][k], v_jac_diagonal[0]);
+            v_jac_diagonal[1] = fma(v_p1, s.world_rot[1][k], v_jac_diagonal[1]);
+            v_jac_offset[0] = fma(v_p0, s.world_rot[2][k], v_jac_offset[0]);
+            v_jac_offset[1] = fma(v_p1, s.world_rot[2][k], v_jac_offset[1]);
+            v_world_rot[0][k] = v_p0 * s.jac_diagonal[0];
+            v_world_rot[1][k] = v_p1 * s.jac_diagonal[1];
+            v_world_rot[2][k] = fma(v_p0, s.jac_offset[0], v_p1 * s.jac_offset[1]);
+        }
+        Vec v_rot[3][3];
+        for (int i = 0; i < 3; ++i)
+            for (int k = 0; k < 3; ++k)
+                v_rot[i][k] = dot3(set1(view[i]), set1(view[4 + i]), set1(view[8 + i]), v_world_rot[0][k],
+                                   v_world_rot[1][k], v_world_rot[2][k]);
+        Vec v_quat[4];
+        quat_backward(s, v_rot, v_quat);
+        for (int k = 0; k < 4; ++k)
+            scatter(grads.quats, id, alive, 4, k, v_quat[k]);
+
+        Vec v_cam[3], v_inverse_z = sum(kInvZ);
+        for (int i = 0; i < 2; ++i) {
+            // jac_diagonal = f / z, jac_offset = -f / z * clamped ratio.
+            const Vec v_clamped = -s.jac_diagonal[i] * v_jac_offset[i];
+            v_inverse_z += focal[i] * fnma(s.ratio_clamped[i], v_jac_offset[i], v_jac_diagonal[i]);
+            const Vec v_ratio = fma(set1(focal[i]), v_mean2d[i], keep(s.unclamped[i], v_clamped));
+            v_cam[i] = v_ratio * s.inverse_z;
+            v_inverse_z = fma(v_ratio, s.cam[i], v_inverse_z);
+        }
+        v_cam[2] = fnma(s.inverse_z * s.inverse_z, v_inverse_z, sum(kZ));
+
+        // Colour: passes where it was not clamped at zero.
+        Vec v_color[3];
+        for (int k = 0; k < 3; ++k)
+            v_color[k] = keep(gt(load(color[k]), Vec{}), sum(MomentIndex(kRed + k)));
+        Row3 d;
+        Vec length;
+        direction(camera, s, d, length);
+        Vec v_d[3];
+        sh_backward(in, grads, id, alive, d.x, d.y, d.z, v_color, v_d);
+        const Vec radial = dot3(d.x, d.y, d.z, v_d[0], v_d[1], v_d[2]);
+        const Vec v_from_center[3] = {fnma(radial, d.x, v_d[0]) / length, fnma(radial, d.y, v_d[1]) / length,
+                                      fnma(radial, d.z, v_d[2]) / length};
+
+        for (int j = 0; j < 3; ++j)
+            scatter(grads.means, id, alive, 3, j,
+                    dot3(set1(view[j]), set1(view[4 + j]), set1(view[8 + j]), v_cam[0], v_cam[1], v_cam[2]) +
+                        v_from_center[j]);
+        if (grads.means2d)
+            for (int k = 0; k < 2; ++k)
+                scatter(grads.means2d, id, alive, 2, k, v_mean2d[k]);
+
+        if (a.viewmat_partial) {
+            alignas(64) float on[kLanes];
+            for (int l = 0; l < kLanes; ++l)
+                on[l] = float(alive >> l & 1);
+            const Mask mask = gt(load(on), Vec{});
+            for (int i = 0; i < 3; ++i) {
+                const float t = view[4 * i + 3];
+                Vec v_t = v_cam[i];
+                for (int j = 0; j < 3; ++j) {
+                    // W acts on the mean, on R, and through the centre -W^T t on the viewing direction.
+                    Vec v_w = fma(v_cam[i], s.mean[j], t * v_from_center[j]);
+                    for (int k = 0; k < 3; ++k)
+                        v_w = fma(v_world_rot[i][k], s.rot[j][k], v_w);
+                    view_sums[4 * i + j] += keep(mask, v_w);
+                    v_t = fma(set1(view[4 * i + j]), v_from_center[j], v_t);
+                }
+                view_sums[4 * i + 3] += keep(mask, v_t);
+            }
+        }
+    }
+    if (a.viewmat_partial) {
+        float out[16];
+        lane_sums(view_sums, 16, out);
+        for (int k = 0; k < 16; ++k)
+            a.viewmat_partial[chunk * 16 + k] = double(out[k]);
+    }
+}
+
+} // namespace gs::GS_NAMESPACE

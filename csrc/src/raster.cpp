@@ -1,0 +1,329 @@
+// Drives the stages: project, sort, bin, blend; and back.
+#include "raster.h"
+
+#include "dispatch.h"
+#include "loss.h"
+#include "parallel.h"
+
+#include <algorithm>
+#include <atomic>
+#include <chrono>
+#include <cmath>
+#include <cstring>
+
+using namespace gs;
+
+namespace {
+
+class Timer {
+  public:
+    double lap_ms() {
+        const auto now = std::chrono::steady_clock::now();
+        const double ms = std::chrono::duration<double, std::milli>(now - last_).count();
+        last_ = now;
+        return ms;
+    }
+
+  private:
+    std::chrono::steady_clock::time_point last_ = std::chrono::steady_clock::now();
+};
+
+int threads_of(int32_t wanted) { return wanted > 0 ? wanted : default_threads(); }
+
+int64_t chunks_of(int64_t count) { return (count + kChunk - 1) / kChunk; }
+
+bool cancelled(const gs_options &o) { return o.cancel && *o.cancel; }
+
+} // namespace
+
+bool GrowingInstances::grow_more(InstanceBuffer *self) {
+    const size_t wanted = self->capacity ? self->capacity * 2 : 4096;
+    void *p = std::realloc(self->data, wanted * sizeof(Instance));
+    if (!p)
+        return false;
+    self->data = static_cast<Instance *>(p);
+    self->capacity = wanted;
+    return true;
+}
+
+ProjectArgs gs_raster::project_args(const gs_splats &splats) const {
+    return {&splats, &camera_, &options_, projected_.get(), depth_keys_.get(), nullptr, visible_.get()};
+}
+
+// Stable radix sort of the visible splats by the bits of z, which is positive, so bits order like values; ties keep the
+// order of ids.
+void gs_raster::sort_by_depth(size_t count, int) {
+    constexpr int kBits = 11, kBuckets = 1 << kBits, kPasses = 3;
+    uint32_t *keys = keys_.get(), *order = order_.get();
+    uint32_t *keys_to = keys_scratch_.ensure(count), *order_to = order_scratch_.ensure(count);
+    uint32_t histogram[kPasses][kBuckets] = {};
+    for (size_t i = 0; i < count; ++i)
+        for (int p = 0; p < kPasses; ++p)
+            ++histogram[p][keys[i] >> (p * kBits) & (kBuckets - 1)];
+    for (int p = 0; p < kPasses; ++p) {
+        uint32_t start = 0;
+        for (uint32_t &h : histogram[p]) {
+            const uint32_t n = h;
+            h = start;
+            start += n;
+        }
+        for (size_t i = 0; i < count; ++i) {
+            const uint32_t at = histogram[p][keys[i] >> (p * kBits) & (kBuckets - 1)]++;
+            keys_to[at] = keys[i];
+            order_to[at] = order[i];
+        }
+        std::swap(keys, keys_to);
+        std::swap(order, order_to);
+    }
+    // An odd number of passes ends in the scratch buffers.
+    std::swap(order_, order_scratch_);
+    std::swap(keys_, keys_scratch_);
+}
+
+gs_status gs_raster::bin(const BinArgs &args, size_t count, uint32_t tiles, int threads) {
+    // Ranges of splats in depth order are listed independently, then scattered to their tiles with one cursor per
+    // (range, tile), which keeps depth order whatever the number of ranges.
+    const int ranges = int(std::clamp<size_t>(count / 2048, 1, size_t(std::min(kMaxRanges, 2 * threads))));
+    uint32_t *first = instance_begin_.get(), *number = instance_count_.get();
+    const auto range_begin = [&](int r) { return count * size_t(r) / size_t(ranges); };
+    std::atomic<bool> out_of_memory{false};
+    const Kernels &k = kernels();
+    uint32_t *cursor = tile_cursor_.ensure(size_t(ranges) * tiles);
+    parallel_for(size_t(ranges), threads, [&](size_t r, int) {
+        GrowingInstances &out = instances_[r];
+        out.size = 0;
+        if (!k.bin(args, range_begin(int(r)), range_begin(int(r) + 1), &out, first, number)) {
+            out_of_memory = true;
+            return;
+        }
+        uint32_t *counts = cursor + r * tiles;
+        std::memset(counts, 0, tiles * sizeof(uint32_t));
+        for (size_t i = 0; i < out.size; ++i)
+            ++counts[out.data[i].tile];
+    });
+    if (out_of_memory)
+        throw std::bad_alloc();
+    size_t total = 0;
+    size_t base[kMaxRanges];
+    for (int r = 0; r < ranges; ++r) {
+        base[r] = total;
+        total += instances_[r].size;
+    }
+    if (total > size_t(INT32_MAX))
+        return GS_TOO_MANY;
+    entry_count_ = total;
+    uint32_t *begin = tile_begin_.ensure(size_t(tiles) + 1);
+    uint32_t running = 0;
+    for (uint32_t t = 0; t < tiles; ++t) {
+        begin[t] = running;
+        for (int r = 0; r < ranges; ++r) {
+            const uint32_t n = cursor[size_t(r) * tiles + t];
+            cursor[size_t(r) * tiles + t] = running;
+            running += n;
+        }
+    }
+    begin[tiles] = running;
+    Entry *entries = entries_.ensure(total);
+    uint32_t *where = instance_entry_.ensure(total);
+    parallel_for(size_t(ranges), threads, [&](size_t r, int) {
+        const GrowingInstances &in = instances_[r];
+        uint32_t *at = cursor + r * tiles;
+        for (size_t i = 0; i < in.size; ++i) {
+            const Instance &x = in.data[i];
+            const uint32_t e = at[x.tile]++;
+            entries[e] = {x.slot, x.rows, 0};
+            where[base[r] + i] = e;
+        }
+        for (size_t i = range_begin(int(r)); i < range_begin(int(r) + 1); ++i)
+            first[args.order[i]] += uint32_t(base[r]);
+    });
+    return GS_OK;
+}
+
+gs_status gs_raster::forward(const gs_splats &splats, const gs_camera &camera, const gs_options &options,
+                             const gs_image &image) {
+    valid_ = false;
+    stats = {};
+    camera_ = camera;
+    options_ = options;
+    options_.threads = threads_of(options.threads);
+    splat_count_ = splats.count;
+    const int threads = options_.threads;
+    const Kernels &k = kernels();
+    Timer timer;
+
+    const int64_t chunks = chunks_of(splats.count);
+    const size_t slots = size_t(chunks) * size_t(kChunk);
+    projected_.ensure(slots);
+    depth_keys_.ensure(slots);
+    visible_.ensure(size_t(chunks));
+    instance_begin_.ensure(slots);
+    instance_count_.ensure(slots);
+    ProjectArgs project = project_args(splats);
+    project.radii = image.radii;
+    parallel_for(size_t(chunks), threads, [&](size_t c, int) {
+        if (cancelled(options))
+            return;
+        k.project(project, int64_t(c));
+    });
+    if (cancelled(options))
+        return GS_CANCELLED;
+    size_t visible = 0;
+    for (int64_t c = 0; c < chunks; ++c)
+        visible += size_t(visible_.get()[c]);
+    uint32_t *order = order_.ensure(visible), *keys = keys_.ensure(visible);
+    size_t at = 0;
+    for (int64_t c = 0; c < chunks; ++c)
+        for (int32_t i = 0; i < visible_.get()[c]; ++i, ++at) {
+            order[at] = uint32_t(c * kChunk + i);
+            keys[at] = depth_keys_.get()[c * kChunk + i];
+        }
+    stats.project_ms = timer.lap_ms();
+    sort_by_depth(visible, threads);
+    stats.sort_ms = timer.lap_ms();
+
+    const int tiles_x = (camera.width + kTile - 1) / kTile, tiles_y = (camera.height + kTile - 1) / kTile;
+    const uint32_t tiles = uint32_t(tiles_x) * uint32_t(tiles_y);
+    const BinArgs bins = {projected_.get(),  order_.get(), camera.width,
+                          camera.height,     tiles_x,      !(options.disable & GS_NO_EXACT_CULL)};
+    if (const gs_status s = bin(bins, visible, tiles, threads))
+        return s;
+    if (cancelled(options))
+        return GS_CANCELLED;
+    stats.bin_ms = timer.lap_ms();
+
+    blend_.projected = projected_.get();
+    blend_.entries = entries_.get();
+    blend_.tile_begin = tile_begin_.get();
+    blend_.width = camera.width;
+    blend_.height = camera.height;
+    blend_.tiles_x = tiles_x;
+    std::copy_n(options.background, 3, blend_.background);
+    blend_.image = image;
+    blend_.final_transmittance = final_transmittance_.ensure(size_t(tiles) * kTilePixels);
+    blend_.stop_index = stop_index_.ensure(size_t(tiles) * kTilePixels);
+    blend_.stop_order = stop_order_.ensure(size_t(tiles) * kTilePixels);
+    blend_.stop_count = stop_count_.ensure(tiles);
+    std::atomic<int64_t> pairs{0};
+    parallel_for(tiles, threads, [&](size_t t, int) {
+        if (!cancelled(options))
+            pairs += k.blend(blend_, options.outputs, uint32_t(t));
+    });
+    blend_.image = {}; // the caller's arrays may be gone by the backward call
+    options_.cancel = nullptr;
+    if (cancelled(options))
+        return GS_CANCELLED;
+    stats.blend_ms = timer.lap_ms();
+    stats.visible = int64_t(visible);
+    stats.entries = int64_t(entry_count_);
+    stats.forward_pairs = pairs;
+    stats.workspace_bytes = workspace_bytes();
+    valid_ = true;
+    return GS_OK;
+}
+
+gs_status gs_raster::backward(const gs_splats &splats, const gs_image_grads &image_grads, const gs_splat_grads &grads) {
+    if (!valid_ || splats.count != splat_count_)
+        return GS_BAD_ARGUMENT;
+    const Kernels &k = kernels();
+    const int threads = options_.threads;
+    Timer timer;
+    const uint32_t tiles = uint32_t(blend_.tiles_x) * uint32_t((blend_.height + kTile - 1) / kTile);
+    const BlendBackwardArgs args = {&blend_, image_grads, moments_.ensure(entry_count_),
+                                    !(options_.disable & GS_NO_ZERO_TILE)};
+    std::atomic<int64_t> pairs{0};
+    parallel_for(tiles, threads, [&](size_t t, int) { pairs += k.blend_backward(args, options_.outputs, uint32_t(t)); });
+    stats.backward_pairs = pairs;
+    stats.blend_backward_ms = timer.lap_ms();
+
+    const int64_t chunks = chunks_of(splats.count);
+    ProjectBackwardArgs project = {project_args(splats), instance_begin_.get(), instance_count_.get(),
+                                   instance_entry_.get(), moments_.get(),       grads,
+                                   nullptr};
+    if (grads.viewmat)
+        project.viewmat_partial = viewmat_partial_.ensure(size_t(chunks) * 16);
+    parallel_for(size_t(chunks), threads, [&](size_t c, int) { k.project_backward(project, int64_t(c)); });
+    if (grads.viewmat)
+        for (int i = 0; i < 16; ++i) {
+            double sum = 0;
+            for (int64_t c = 0; c < chunks; ++c)
+                sum += project.viewmat_partial[c * 16 + i];
+            grads.viewmat[i] = float(sum);
+        }
+    stats.project_backward_ms = timer.lap_ms();
+    stats.workspace_bytes = workspace_bytes();
+    return GS_OK;
+}
+
+gs_status gs_raster::image_loss(const gs_loss_args &args, gs_loss_result &result, float *v_image) {
+    const Kernels &k = kernels();
+    const int threads = threads_of(args.threads), bands = loss_bands(args.height);
+    const size_t scratch = loss_scratch_floats(args.width);
+    float *scratches = loss_scratch_.ensure(scratch * size_t(std::min(threads, bands)));
+    LossArgs loss = {&args, nullptr, loss_partial_.ensure(size_t(bands) * 3), v_image};
+    if (v_image)
+        loss.planes = loss_planes_.ensure(loss_plane_floats(args.width, args.height));
+    parallel_for(size_t(bands), threads,
+                 [&](size_t b, int worker) { k.loss_forward(loss, int(b), scratches + scratch * size_t(worker)); });
+    double sums[3] = {};
+    for (int b = 0; b < bands; ++b)
+        for (int i = 0; i < 3; ++i)
+            sums[i] += loss.partial[3 * b + i];
+    const double n = 3.0 * args.width * args.height;
+    result.l1 = sums[0] / n;
+    result.ssim = sums[1] / n;
+    result.mse = sums[2] / n;
+    const double w = double(args.ssim_weight);
+    result.loss = (1.0 - w) * result.l1 + w * (1.0 - result.ssim);
+    if (v_image)
+        parallel_for(size_t(bands), threads,
+                     [&](size_t b, int worker) { k.loss_backward(loss, int(b), scratches + scratch * size_t(worker)); });
+    return GS_OK;
+}
+
+gs_status gs_raster::projected(float *means2d, float *depths, float *conics, float *colors, float *opacities) const {
+    if (!valid_)
+        return GS_BAD_ARGUMENT;
+    const auto clear = [&](float *p, size_t width) {
+        if (p)
+            std::memset(p, 0, size_t(splat_count_) * width * sizeof(float));
+    };
+    clear(means2d, 2);
+    clear(depths, 1);
+    clear(conics, 3);
+    clear(colors, 3);
+    clear(opacities, 1);
+    for (int64_t c = 0; c < chunks_of(splat_count_); ++c)
+        for (int32_t i = 0; i < visible_.get()[c]; ++i) {
+            const Projected &p = projected_.get()[c * kChunk + i];
+            const size_t id = p.id;
+            if (means2d) {
+                means2d[2 * id] = p.mean_x;
+                means2d[2 * id + 1] = p.mean_y;
+            }
+            if (depths)
+                depths[id] = p.z;
+            if (conics) {
+                conics[3 * id] = p.cov_yy / p.det;
+                conics[3 * id + 1] = -p.cov_xy / p.det;
+                conics[3 * id + 2] = p.cov_xx / p.det;
+            }
+            if (colors)
+                std::copy_n(p.color, 3, colors + 3 * id);
+            if (opacities)
+                opacities[id] = std::exp2(p.log2_opacity);
+        }
+    return GS_OK;
+}
+
+int64_t gs_raster::workspace_bytes() const {
+    size_t bytes = projected_.bytes() + depth_keys_.bytes() + visible_.bytes() + instance_begin_.bytes() +
+                   instance_count_.bytes() + order_.bytes() + order_scratch_.bytes() + keys_.bytes() +
+                   keys_scratch_.bytes() + tile_cursor_.bytes() + tile_begin_.bytes() + entries_.bytes() +
+                   instance_entry_.bytes() + moments_.bytes() + final_transmittance_.bytes() + stop_index_.bytes() +
+                   stop_order_.bytes() + stop_count_.bytes() + viewmat_partial_.bytes() + loss_planes_.bytes() +
+                   loss_scratch_.bytes() + loss_partial_.bytes();
+    for (const GrowingInstances &i : instances_)
+        bytes += i.capacity * sizeof(Instance);
+    return int64_t(bytes);
+}

@@ -1,0 +1,197 @@
+// Vectors of one instruction set: kLanes floats behind a handful of operations.
+// Each kernels_<isa>.cpp defines GS_ISA_<NAME> and the namespace it wants before including this.
+// Arithmetic operators come from the compiler's vector types; fused multiply-add is always spelled out and automatic
+// contraction is off, so forward and backward pass compute the same alpha to the last bit.
+#pragma once
+
+#include <cstdint>
+#include <cstring>
+
+#if defined(GS_ISA_AVX2) || defined(GS_ISA_AVX512)
+#include <immintrin.h>
+#elif defined(GS_ISA_NEON)
+#include <arm_neon.h>
+#endif
+
+namespace gs::GS_NAMESPACE {
+
+#if defined(GS_ISA_AVX512)
+constexpr int kLanes = 16;
+#elif defined(GS_ISA_AVX2)
+constexpr int kLanes = 8;
+#else
+constexpr int kLanes = 4;
+#endif
+
+typedef float Vec __attribute__((vector_size(4 * kLanes)));
+typedef int32_t IVec __attribute__((vector_size(4 * kLanes)));
+typedef float Vec4 __attribute__((vector_size(16)));
+
+static inline Vec set1(float x) { return x - Vec{}; }
+static inline IVec as_int(Vec v) { return (IVec)v; }
+static inline Vec as_float(IVec v) { return (Vec)v; }
+
+template <class V> static inline V load(const float *p) {
+    V v;
+    std::memcpy(&v, p, sizeof v);
+    return v;
+}
+static inline Vec load(const float *p) { return load<Vec>(p); }
+template <class V> static inline void store(float *p, V v) { std::memcpy(p, &v, sizeof v); }
+
+static inline Vec iota() {
+    Vec v;
+    for (int i = 0; i < kLanes; ++i)
+        v[i] = float(i);
+    return v;
+}
+
+#if defined(GS_ISA_AVX512)
+
+typedef __mmask16 Mask;
+static inline Vec fma(Vec a, Vec b, Vec c) { return _mm512_fmadd_ps(a, b, c); }
+static inline Vec fnma(Vec a, Vec b, Vec c) { return _mm512_fnmadd_ps(a, b, c); }
+static inline Vec min(Vec a, Vec b) { return _mm512_min_ps(a, b); }
+static inline Vec max(Vec a, Vec b) { return _mm512_max_ps(a, b); }
+static inline Vec sqrt(Vec a) { return _mm512_sqrt_ps(a); }
+static inline Mask ge(Vec a, Vec b) { return _mm512_cmp_ps_mask(a, b, _CMP_GE_OQ); }
+static inline Mask gt(Vec a, Vec b) { return _mm512_cmp_ps_mask(a, b, _CMP_GT_OQ); }
+static inline Mask both(Mask a, Mask b) { return Mask(a & b); }
+static inline Vec keep(Mask m, Vec v) { return _mm512_maskz_mov_ps(m, v); }
+static inline Vec select(Mask m, Vec a, Vec b) { return _mm512_mask_mov_ps(b, m, a); }
+static inline uint32_t bits(Mask m) { return m; }
+
+#elif defined(GS_ISA_AVX2)
+
+typedef IVec Mask;
+static inline Vec fma(Vec a, Vec b, Vec c) { return _mm256_fmadd_ps(a, b, c); }
+static inline Vec fnma(Vec a, Vec b, Vec c) { return _mm256_fnmadd_ps(a, b, c); }
+static inline Vec min(Vec a, Vec b) { return _mm256_min_ps(a, b); }
+static inline Vec max(Vec a, Vec b) { return _mm256_max_ps(a, b); }
+static inline Vec sqrt(Vec a) { return _mm256_sqrt_ps(a); }
+static inline Mask ge(Vec a, Vec b) { return (IVec)_mm256_cmp_ps(a, b, _CMP_GE_OQ); }
+static inline Mask gt(Vec a, Vec b) { return (IVec)_mm256_cmp_ps(a, b, _CMP_GT_OQ); }
+static inline Mask both(Mask a, Mask b) { return a & b; }
+static inline Vec keep(Mask m, Vec v) { return (Vec)(m & (IVec)v); }
+static inline Vec select(Mask m, Vec a, Vec b) { return _mm256_blendv_ps(b, a, (Vec)m); }
+static inline uint32_t bits(Mask m) { return uint32_t(_mm256_movemask_ps((Vec)m)); }
+
+#elif defined(GS_ISA_NEON)
+
+typedef IVec Mask;
+static inline Vec fma(Vec a, Vec b, Vec c) { return (Vec)vfmaq_f32((float32x4_t)c, (float32x4_t)a, (float32x4_t)b); }
+static inline Vec fnma(Vec a, Vec b, Vec c) { return (Vec)vfmsq_f32((float32x4_t)c, (float32x4_t)a, (float32x4_t)b); }
+static inline Vec min(Vec a, Vec b) { return (Vec)vminq_f32((float32x4_t)a, (float32x4_t)b); }
+static inline Vec max(Vec a, Vec b) { return (Vec)vmaxq_f32((float32x4_t)a, (float32x4_t)b); }
+static inline Vec sqrt(Vec a) { return (Vec)vsqrtq_f32((float32x4_t)a); }
+static inline Mask ge(Vec a, Vec b) { return (IVec)(a >= b); }
+static inline Mask gt(Vec a, Vec b) { return (IVec)(a > b); }
+static inline Mask both(Mask a, Mask b) { return a & b; }
+static inline Vec keep(Mask m, Vec v) { return (Vec)(m & (IVec)v); }
+static inline Vec select(Mask m, Vec a, Vec b) { return (Vec)((m & (IVec)a) | (~m & (IVec)b)); }
+static inline uint32_t bits(Mask m) {
+    const uint32_t weights[4] = {1, 2, 4, 8};
+    return vaddvq_u32(vandq_u32((uint32x4_t)m, vld1q_u32(weights)));
+}
+
+#else
+
+typedef IVec Mask;
+static inline Vec fma(Vec a, Vec b, Vec c) { return a * b + c; }
+static inline Vec fnma(Vec a, Vec b, Vec c) { return c - a * b; }
+static inline Mask ge(Vec a, Vec b) { return (IVec)(a >= b); }
+static inline Mask gt(Vec a, Vec b) { return (IVec)(a > b); }
+static inline Mask both(Mask a, Mask b) { return a & b; }
+static inline Vec keep(Mask m, Vec v) { return (Vec)(m & (IVec)v); }
+static inline Vec select(Mask m, Vec a, Vec b) { return (Vec)((m & (IVec)a) | (~m & (IVec)b)); }
+static inline Vec min(Vec a, Vec b) { return select((IVec)(a < b), a, b); }
+static inline Vec max(Vec a, Vec b) { return select((IVec)(a > b), a, b); }
+static inline Vec sqrt(Vec a) {
+    for (int i = 0; i < kLanes; ++i)
+        a[i] = __builtin_sqrtf(a[i]);
+    return a;
+}
+static inline uint32_t bits(Mask m) {
+    uint32_t b = 0;
+    for (int i = 0; i < kLanes; ++i)
+        b |= uint32_t(m[i] & 1) << i;
+    return b;
+}
+
+#endif
+
+static inline Vec fma(Vec a, float b, Vec c) { return fma(a, set1(b), c); }
+static inline Vec fma(float a, Vec b, Vec c) { return fma(set1(a), b, c); }
+static inline float clamp01(float x) { return x < 0 ? 0 : x > 1 ? 1 : x; }
+
+// Sums of the lanes of `count` (a multiple of 4) vectors.
+static inline void lane_sums(const Vec *v, int count, float *out) {
+#if defined(GS_ISA_AVX512) || defined(GS_ISA_AVX2)
+    for (int i = 0; i < count; i += 4) {
+        __m256 h[4];
+        for (int j = 0; j < 4; ++j) {
+#if defined(GS_ISA_AVX512)
+            const __m512 x = v[i + j];
+            h[j] = _mm256_add_ps(_mm512_castps512_ps256(x),
+                                 _mm256_castpd_ps(_mm512_extractf64x4_pd(_mm512_castps_pd(x), 1)));
+#else
+            h[j] = v[i + j];
+#endif
+        }
+        const __m256 s = _mm256_hadd_ps(_mm256_hadd_ps(h[0], h[1]), _mm256_hadd_ps(h[2], h[3]));
+        _mm_storeu_ps(out + i, _mm_add_ps(_mm256_castps256_ps128(s), _mm256_extractf128_ps(s, 1)));
+    }
+#else
+    for (int i = 0; i < count; ++i)
+        out[i] = (v[i][0] + v[i][2]) + (v[i][1] + v[i][3]);
+#endif
+}
+
+// 2^x for x in [-126, 127]; relative error 2.2e-7 (minimax polynomial of degree 5 on [-0.5, 0.5]).
+// Outside that range the result is meaningless but harmless: callers mask it.
+static inline Vec exp2(Vec x) {
+    const Vec magic = set1(12582912.0f); // 1.5 * 2^23: adding it rounds to an integer kept in the low mantissa bits
+    const Vec t = x + magic;
+    const Vec f = x - (t - magic);
+    Vec p = set1(0.0013276472f);
+    p = fma(p, f, set1(0.009675541f));
+    p = fma(p, f, set1(0.05550713f));
+    p = fma(p, f, set1(0.2402212f));
+    p = fma(p, f, set1(0.69314694f));
+    p = fma(p, f, set1(1.0f));
+    return as_float(as_int(p) + (as_int(t) << 23));
+}
+
+// e^x, relative error below 4e-7; x is clamped to [-87, 88].
+static inline Vec exp(Vec x) {
+    x = min(max(x, set1(-87.0f)), set1(88.0f));
+    const Vec magic = set1(12582912.0f);
+    const Vec t = fma(x, set1(1.44269504f), magic);
+    const Vec n = t - magic;
+    // x log2(e) - n in two parts, so that large |x| keep their fraction.
+    const Vec f = fma(x, set1(1.92596303e-8f), fma(x, set1(1.44269502162933349609375f), -n));
+    Vec p = set1(0.0013276472f);
+    p = fma(p, f, set1(0.009675541f));
+    p = fma(p, f, set1(0.05550713f));
+    p = fma(p, f, set1(0.2402212f));
+    p = fma(p, f, set1(0.69314694f));
+    p = fma(p, f, set1(1.0f));
+    return as_float(as_int(p) + (as_int(t) << 23));
+}
+
+// log2(x) for normal positive x: x = m 2^e with m in [sqrt(1/2), sqrt(2)), then 2 atanh((m - 1) / (m + 1)) / ln 2.
+static inline Vec log2(Vec x) {
+    const IVec shifted = as_int(x) - 0x3f3504f3;
+    const IVec e = shifted >> 23;
+    const Vec m = as_float((shifted & 0x007fffff) + 0x3f3504f3);
+    const Vec f = (m - 1.0f) / (m + 1.0f);
+    const Vec f2 = f * f;
+    Vec p = set1(2.885390082f / 9);
+    p = fma(p, f2, set1(2.885390082f / 7));
+    p = fma(p, f2, set1(2.885390082f / 5));
+    p = fma(p, f2, set1(2.885390082f / 3));
+    p = fma(p, f2, set1(2.885390082f));
+    return fma(p, f, __builtin_convertvector(e, Vec));
+}
+
+} // namespace gs::GS_NAMESPACE

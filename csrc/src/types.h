@@ -1,0 +1,143 @@
+// Plain data the driver and the kernels of every instruction set share.
+#pragma once
+
+#include "gscore.h"
+
+#include <cstddef>
+#include <cstdint>
+
+namespace gs {
+
+constexpr int kTile = GS_TILE;
+constexpr int kTilePixels = kTile * kTile;
+constexpr float kAlphaMax = GS_ALPHA_MAX;
+constexpr float kTransmittanceMin = GS_TRANSMITTANCE_MIN;
+constexpr float kLog2AlphaMin = -7.99435343685886f; // log2(1 / 255)
+constexpr float kQuatMin = 1e-8f;
+// Gaussian exponent -d/2 in base 2: exp(-d / 2) = exp2(-kHalfLog2E * d).
+constexpr float kHalfLog2E = 0.72134752044448170f;
+
+// Splats are projected in chunks of this many; part of the numeric definition of sums, so it never depends on threads.
+constexpr int64_t kChunk = 1024;
+
+// What the blend loops read of a projected splat: one cache line.
+// With d = pixel - mean: alpha = exp2(log2_opacity - u^2 - v^2), u = ua * dx + ub * dy, v = vc * dy. This factored
+// form of the conic keeps needles accurate, where A dx^2 + 2 B dx dy + C dy^2 would cancel.
+struct alignas(64) Projected {
+    float mean_x, mean_y;
+    float ua, ub, vc;
+    float log2_opacity;
+    float inverse_z, z;
+    float color[3];
+    // What binning reads: the 2D covariance (xx, xy, yy) and its determinant, eps2d included.
+    float cov_xx, cov_xy, cov_yy, det;
+    uint32_t id;
+};
+static_assert(sizeof(Projected) == 64);
+
+// Rows of a tile that a splat reaches, apart for the left and the right 8 columns: low nibble first row, high nibble
+// last row; first > last means none.
+struct RowRange {
+    uint8_t half[2];
+};
+constexpr uint8_t kNoRows = 0x0f;
+
+// A splat in a tile's list.
+struct Entry {
+    uint32_t slot; // index into Projected
+    RowRange rows;
+    uint16_t unused;
+};
+
+// The same before it is sorted into its tile.
+struct Instance {
+    uint32_t tile;
+    uint32_t slot;
+    RowRange rows;
+    uint16_t unused;
+};
+
+// Sums over the pixels of one entry, and after merging of one splat. With g = dL / d ln(alpha) and d = pixel - mean:
+// sum of g, g dx, g dy, g dx^2, g dx dy, g dy^2, then gradients of colour, inverse depth and depth.
+enum MomentIndex { kG, kGx, kGy, kGxx, kGxy, kGyy, kRed, kGreen, kBlue, kInvZ, kZ, kMomentCount = 12 };
+struct alignas(16) Moments {
+    float v[kMomentCount];
+};
+
+struct InstanceBuffer {
+    Instance *data;
+    size_t size, capacity;
+    bool (*grow)(InstanceBuffer *self); // makes room for at least one image row of tiles more; false: out of memory
+    void *owner;
+};
+
+struct ProjectArgs {
+    const gs_splats *splats;
+    const gs_camera *camera;
+    const gs_options *options;
+    Projected *projected;    // [chunks * kChunk], visible ones packed at the start of each chunk
+    uint32_t *depth_keys;    // same layout: bits of z
+    int32_t *radii;          // [N] or null
+    int32_t *visible;        // [chunks]
+};
+
+struct BinArgs {
+    const Projected *projected;
+    const uint32_t *order; // slots by depth
+    int32_t width, height, tiles_x;
+    bool exact;
+};
+
+struct BlendArgs {
+    const Projected *projected;
+    const Entry *entries;
+    const uint32_t *tile_begin; // [tiles + 1]
+    int32_t width, height, tiles_x;
+    float background[3];
+    gs_image image;
+    float *final_transmittance; // [tiles * kTilePixels]
+    uint32_t *stop_index;       // [tiles * kTilePixels], first entry of the tile that is not blended, or ~0
+    uint8_t *stop_order;        // [tiles * kTilePixels], pixels of the tile that stopped, in the order they did
+    uint16_t *stop_count;       // [tiles]
+};
+
+struct BlendBackwardArgs {
+    const BlendArgs *forward;
+    gs_image_grads grads;
+    Moments *moments; // [entries]
+    bool skip_zero_tiles;
+};
+
+struct ProjectBackwardArgs {
+    ProjectArgs forward;
+    const uint32_t *instance_begin; // [slots]
+    const uint32_t *instance_count; // [slots]
+    const uint32_t *instance_entry; // [entries] in depth order
+    const Moments *moments;
+    gs_splat_grads grads;
+    double *viewmat_partial; // [chunks * 16] or null
+};
+
+struct LossArgs {
+    const gs_loss_args *args;
+    float *planes;    // loss_plane_floats: derivatives with respect to E[x], E[x^2], E[xy]; map, channel, row
+    double *partial;  // [bands * 3] l1, ssim, mse sums
+    float *v_image;   // null: no gradient
+};
+
+// One instruction set's kernels.
+struct Kernels {
+    const char *name;
+    void (*project)(const ProjectArgs &, int64_t chunk);
+    // Entries of the splats order[begin, end) appended to `out`; false: out of memory.
+    bool (*bin)(const BinArgs &, size_t begin, size_t end, InstanceBuffer *out, uint32_t *first, uint32_t *count);
+    // Returns the number of pairs evaluated.
+    int64_t (*blend)(const BlendArgs &, uint32_t outputs, uint32_t tile);
+    int64_t (*blend_backward)(const BlendBackwardArgs &, uint32_t outputs, uint32_t tile);
+    void (*project_backward)(const ProjectBackwardArgs &, int64_t chunk);
+    // One band of rows; `scratch` holds loss_scratch_floats(width).
+    void (*loss_forward)(const LossArgs &, int band, float *scratch);
+    void (*loss_backward)(const LossArgs &, int band, float *scratch);
+};
+
+} // namespace gs

@@ -1,0 +1,125 @@
+"""Render splats with numpy and the native library alone: what Blender and scripts call."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import ShapeError
+from ..io.ply import read_splats
+from ..splats import SH_REST_BY_DEGREE, Splats
+from . import _native
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rendered:
+    """A rendered view; all arrays float32. Pixel (0, 0) is the top left."""
+
+    rgb: np.ndarray
+    """[H, W, 3], background included, in the encoding of the training images; may exceed 1."""
+    alpha: np.ndarray
+    """[H, W], coverage in [0, 1]."""
+    inverse_depth: np.ndarray
+    """[H, W], sum of weight / z, not divided by alpha; 1 / world units."""
+    depth: np.ndarray
+    """[H, W], expected z: sum of weight * z / sum of weight; world units, 0 where nothing is."""
+    median_depth: np.ndarray
+    """[H, W], z at which half of the light is blocked; world units, 0 where it never is."""
+    visible: int
+    """Splats that reach the image."""
+
+
+def render(
+    splats: Splats | str | Path,
+    K: np.ndarray,
+    viewmat: np.ndarray,
+    width: int,
+    height: int,
+    *,
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    sh_degree: int | None = None,
+    near: float = 0.01,
+    far: float = 1e10,
+    eps2d: float = 0.3,
+    antialias: bool = False,
+    threads: int = 0,
+) -> Rendered:
+    """Render splats from one pinhole camera (Kerbl et al. 2023; EWA of Zwicker et al. 2001).
+
+    Args:
+        splats: The model, or the path of a 3DGS PLY.
+        K: [3, 3] pixels, [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]; pixel centres lie at +0.5.
+        viewmat: [4, 4] world to camera, OpenCV axes (+x right, +y down, +z forward).
+        width: Pixels.
+        height: Pixels.
+        background: Colour behind the splats, in the encoding of the training images.
+        sh_degree: Degree of the spherical harmonics used; None: all that are stored.
+        near: Splats with z at or below this are not drawn; world units.
+        far: Splats beyond this are not drawn; world units.
+        eps2d: Added to the diagonal of the 2D covariance, px^2.
+        antialias: Compensate opacities for `eps2d`, as Mip-Splatting models expect.
+        threads: 0: all cores.
+
+    Returns:
+        The picture and its depths.
+
+    Raises:
+        ShapeError: K, viewmat, size or degree cannot be used.
+        FormatError: The file is not a splat PLY.
+        BackendError: The native library is missing or out of memory.
+    """
+    if not isinstance(splats, Splats):
+        splats = read_splats(Path(splats))
+    degree = splats.sh_degree if sh_degree is None else sh_degree
+    if not 0 <= degree <= splats.sh_degree:
+        raise ShapeError(
+            f"sh_degree must be 0 to {splats.sh_degree}, which is what the splats hold, got {degree}."
+        )
+    K, viewmat = np.asarray(K, np.float64), np.asarray(viewmat, np.float64)
+    # Float32 is relative to the camera from here on, so that a scene far from the origin keeps its detail.
+    center = -viewmat[:3, :3].T @ viewmat[:3, 3] if viewmat.shape == (4, 4) else np.zeros(3)
+    local = viewmat.copy()
+    far_from_origin = bool(np.abs(center).max(initial=0.0) > 100.0)
+    means = splats.means
+    if far_from_origin and np.isfinite(center).all():
+        means = (means.astype(np.float64) - center).astype(np.float32)
+        local[:3, 3] = viewmat[:3, :3] @ center + viewmat[:3, 3]
+    camera = _native.camera_struct(local, K, width, height, near, far)
+    options = _native.options_struct(
+        eps2d=eps2d,
+        antialias=antialias,
+        background=background,
+        outputs=_native.OUT_INVERSE_DEPTH | _native.OUT_DEPTH | _native.OUT_MEDIAN_DEPTH,
+        threads=threads,
+    )
+    arrays = [
+        np.ascontiguousarray(a)
+        for a in (means, splats.quats, splats.scales, splats.opacities, splats.sh0, splats.shN)
+    ]
+    pointers = [a.ctypes.data for a in arrays]
+    struct = _native.SplatsStruct(
+        len(splats), *pointers, SH_REST_BY_DEGREE[splats.sh_degree], degree, 1
+    )
+    shape = (height, width)
+    rgb = np.zeros((*shape, 3), np.float32) if width > 0 and height > 0 else np.zeros((1, 1, 3))
+    alpha, inverse, depth, median = (np.zeros(shape, np.float32) for _ in range(4))
+    image = _native.ImageStruct(
+        rgb.ctypes.data,
+        alpha.ctypes.data,
+        inverse.ctypes.data,
+        depth.ctypes.data,
+        median.ctypes.data,
+        None,
+    )
+    with _native.pool.lend() as raster:
+        raster.forward(struct, camera, options, image)
+        visible = raster.stats().visible
+    np.divide(depth, alpha, out=depth, where=alpha > 0)
+    return Rendered(
+        rgb=rgb,
+        alpha=alpha,
+        inverse_depth=inverse,
+        depth=depth,
+        median_depth=median,
+        visible=visible,
+    )

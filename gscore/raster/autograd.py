@@ -1,0 +1,270 @@
+"""The native rasterizer as a differentiable torch function, one camera a call, float32 on the CPU."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from ..errors import ShapeError
+from ..splats import SH_REST_BY_DEGREE
+from . import _native
+
+
+@dataclass
+class RasterAux:
+    """By-products a strategy needs, filled by the call it is passed to."""
+
+    radii: Tensor | None = None
+    """[N] int32 after forward: half the larger side of a splat's box in px, 0 = culled."""
+    v_means2d: Tensor | None = None
+    """[N, 2] float32 after backward: gradient with respect to the projected means, px."""
+    stats: dict[str, float] | None = None
+    """Counts and milliseconds by stage (gs_stats), after forward and again after backward."""
+
+
+@dataclass(frozen=True)
+class RasterOutput:
+    """A rendered view, differentiable."""
+
+    rgb: Tensor
+    """[H, W, 3], background included."""
+    alpha: Tensor
+    """[H, W]."""
+    inverse_depth: Tensor | None
+    """[H, W], sum of weight / z, not divided by alpha; None unless asked for."""
+    depth: Tensor | None
+    """[H, W], sum of weight * z / sum of weight, 0 where nothing is; None unless asked for."""
+
+
+def _checked(name: str, tensor: Tensor, shape: tuple[int, ...]) -> Tensor:
+    if tensor.dtype != torch.float32 or tensor.device.type != "cpu" or tensor.shape != shape:
+        raise ShapeError(
+            f"{name} must be {list(shape)} float32 on the CPU, "
+            f"got {list(tensor.shape)} {tensor.dtype} on {tensor.device}."
+        )
+    return tensor.detach().contiguous()
+
+
+@dataclass(frozen=True)
+class _Settings:
+    raw: bool
+    sh_degree: int
+    width: int
+    height: int
+    K: Any
+    near: float
+    far: float
+    eps2d: float
+    antialias: bool
+    background: tuple[float, float, float]
+    outputs: int
+    disable: int
+    threads: int
+    aux: RasterAux | None
+
+
+def _struct(tensors: tuple[Tensor, ...], settings: _Settings) -> _native.SplatsStruct:
+    means, quats, scales, opacities, sh0, shN = tensors
+    return _native.SplatsStruct(
+        means.shape[0],
+        means.data_ptr(),
+        quats.data_ptr(),
+        scales.data_ptr(),
+        opacities.data_ptr(),
+        sh0.data_ptr(),
+        shN.data_ptr(),
+        shN.shape[1],
+        settings.sh_degree,
+        int(settings.raw),
+    )
+
+
+class _Rasterize(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, *args: Any) -> tuple[Tensor, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        *tensors, viewmat, settings = args
+        s: _Settings = settings
+        h, w = s.height, s.width
+        rgb, alpha = torch.zeros(h, w, 3), torch.zeros(h, w)
+        inverse = torch.zeros(h, w) if s.outputs & _native.OUT_INVERSE_DEPTH else torch.zeros(0)
+        depth = torch.zeros(h, w) if s.outputs & _native.OUT_DEPTH else torch.zeros(0)
+        image = _native.ImageStruct(
+            rgb.data_ptr(),
+            alpha.data_ptr(),
+            inverse.data_ptr() or None,
+            depth.data_ptr() or None,
+            None,
+            None,
+        )
+        if s.aux is not None:
+            s.aux.radii = torch.zeros(tensors[0].shape[0], dtype=torch.int32)
+            image.radii = s.aux.radii.data_ptr()
+        camera = _native.camera_struct(viewmat.numpy(), s.K, w, h, s.near, s.far)
+        options = _native.options_struct(
+            eps2d=s.eps2d,
+            antialias=s.antialias,
+            background=s.background,
+            outputs=s.outputs,
+            threads=s.threads,
+            disable=s.disable,
+        )
+        raster = _native.pool.take()
+        try:
+            raster.forward(_struct(tuple(tensors), s), camera, options, image)
+            if s.aux is not None:
+                s.aux.stats = raster.stats().as_dict()
+        except BaseException:
+            _native.pool.give_back(raster)
+            raise
+        if any(ctx.needs_input_grad):
+            ctx.save_for_backward(*tensors)
+            ctx.raster, ctx.settings = _Lease(raster), s
+        else:
+            _native.pool.give_back(raster)
+        ctx.set_materialize_grads(False)
+        return rgb, alpha, inverse, depth
+
+    @staticmethod
+    def backward(ctx: Any, *v_outputs: Tensor | None) -> tuple[Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        tensors = ctx.saved_tensors
+        s: _Settings = ctx.settings
+        kept = [None if v is None else v.to(torch.float32).contiguous() for v in v_outputs]
+        # An output that was not asked for is an empty tensor, whose gradient has no address to pass on.
+        pointers = [None if v is None else v.data_ptr() or None for v in kept]
+        v_tensors = [torch.empty_like(t) for t in tensors]
+        v_viewmat = torch.zeros(4, 4) if ctx.needs_input_grad[6] else None
+        grads = _native.SplatGradsStruct(*(v.data_ptr() for v in v_tensors))
+        if s.aux is not None:
+            s.aux.v_means2d = torch.empty(tensors[0].shape[0], 2)
+            grads.means2d = s.aux.v_means2d.data_ptr()
+        if v_viewmat is not None:
+            grads.viewmat = v_viewmat.data_ptr()
+        raster = ctx.raster.raster
+        raster.backward(_struct(tensors, s), _native.ImageGradsStruct(*pointers), grads)
+        if s.aux is not None:
+            s.aux.stats = raster.stats().as_dict()
+        return (*v_tensors, v_viewmat, None)
+
+
+class _Lease:
+    """Gives a workspace back when the graph that needs it is gone, with or without a backward pass."""
+
+    def __init__(self, raster: _native.Raster) -> None:
+        self.raster = raster
+
+    def __del__(self) -> None:
+        _native.pool.give_back(self.raster)
+
+
+def rasterize(
+    means: Tensor,
+    quats: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    sh0: Tensor,
+    shN: Tensor,
+    viewmat: Tensor,
+    K: Tensor,
+    width: int,
+    height: int,
+    *,
+    raw: bool = False,
+    sh_degree: int | None = None,
+    background: tuple[float, float, float] | Tensor | None = None,
+    near: float = 0.01,
+    far: float = 1e10,
+    eps2d: float = 0.3,
+    antialias: bool = False,
+    inverse_depth: bool = False,
+    depth: bool = False,
+    threads: int = 0,
+    disable: int = 0,
+    aux: RasterAux | None = None,
+) -> RasterOutput:
+    """Render splats from one pinhole camera (Kerbl et al. 2023; EWA of Zwicker et al. 2001).
+
+    Differentiable in means, quats, scales, opacities, sh0, shN and viewmat; not in K and background.
+
+    Args:
+        means: [N, 3] world units.
+        quats: [N, 4] wxyz, of any length above 1e-8.
+        scales: [N, 3] standard deviations in world units; their natural logs where `raw`.
+        opacities: [N] in [0, 1]; logits where `raw`.
+        sh0: [N, 1, 3] constant SH coefficient.
+        shN: [N, K-1, 3] higher coefficients, K-1 = 0, 3, 8 or 15.
+        viewmat: [4, 4] world to camera, OpenCV axes.
+        K: [3, 3] pixels, without skew; pixel centres lie at +0.5.
+        width: Pixels.
+        height: Pixels.
+        raw: Activate inside (exp, sigmoid), with gradients to the raw values.
+        sh_degree: Degree that is evaluated; None: all that is stored.
+        background: RGB behind the splats; None: black.
+        near: Splats with z at or below this are not drawn; world units.
+        far: Splats beyond this are not drawn; world units.
+        eps2d: Added to the diagonal of the 2D covariance, px^2.
+        antialias: Multiply opacities by max(sqrt(det0 / det), 0.005).
+        inverse_depth: Also return the accumulated inverse depth.
+        depth: Also return the expected depth.
+        threads: 0: all cores. Results do not depend on it.
+        disable: Bits of `_native.NO_*`: skips to leave out, for tests and benchmarks.
+        aux: Where radii, screen gradients and statistics go.
+
+    Returns:
+        The picture, alpha and the depths asked for.
+
+    Raises:
+        ShapeError: A tensor has another shape, dtype or device, or an option is out of range.
+        BackendError: The native library is missing or out of memory.
+    """
+    if means.ndim != 2:
+        raise ShapeError(f"means must be [N, 3] float32 on the CPU, got {list(means.shape)}.")
+    n = means.shape[0]
+    rest = shN.shape[1] if shN.ndim == 3 else -1
+    if rest not in SH_REST_BY_DEGREE.values():
+        raise ShapeError(f"shN must be [N, 0, 3, 8 or 15, 3], got {list(shN.shape)}.")
+    stored = next(d for d, count in SH_REST_BY_DEGREE.items() if count == rest)
+    shapes = {
+        "means": (means, (n, 3)),
+        "quats": (quats, (n, 4)),
+        "scales": (scales, (n, 3)),
+        "opacities": (opacities, (n,)),
+        "sh0": (sh0, (n, 1, 3)),
+        "shN": (shN, (n, rest, 3)),
+        "viewmat": (viewmat, (4, 4)),
+    }
+    for name, (tensor, shape) in shapes.items():
+        _checked(name, tensor, shape)
+    if width < 1 or height < 1:
+        raise ShapeError(f"The image must be at least 1 x 1 px, got {width} x {height}.")
+    if background is None:
+        color = (0.0, 0.0, 0.0)
+    else:
+        r, g, b = (float(c) for c in background)
+        color = (r, g, b)
+    outputs = _native.OUT_INVERSE_DEPTH * inverse_depth | _native.OUT_DEPTH * depth
+    settings = _Settings(
+        raw=raw,
+        sh_degree=stored if sh_degree is None else sh_degree,
+        width=width,
+        height=height,
+        K=K.detach().numpy(),
+        near=near,
+        far=far,
+        eps2d=eps2d,
+        antialias=antialias,
+        background=color,
+        outputs=outputs,
+        disable=disable,
+        threads=threads,
+        aux=aux,
+    )
+    tensors = (means, quats, scales, opacities, sh0, shN)
+    rgb, alpha, inverse, weighted = _Rasterize.apply(
+        *(t.contiguous() for t in tensors), viewmat.contiguous(), settings
+    )  # pyright: ignore[reportGeneralTypeIssues]
+    expected = None
+    if depth:
+        # The quotient's gradient comes from torch; where alpha is 0 so is the sum.
+        expected = weighted / torch.where(alpha > 0, alpha, torch.ones_like(alpha))
+    return RasterOutput(rgb, alpha, inverse if inverse_depth else None, expected)
