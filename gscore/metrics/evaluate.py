@@ -1,0 +1,148 @@
+"""Score renders of a dataset's views: every metric per view, means, and frames per second."""
+
+import math
+import statistics
+import time
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from ..errors import ShapeError
+from .image import image_metrics
+from .lpips import SHORTEST_SIDE, Lpips
+
+METRICS = ("psnr", "psnr_u8", "psnr_masked", "ssim", "ssim_valid", "d_ssim", "ms_ssim", "lpips")
+"""Keys of the metrics of a view and of their means, in the order tables show them."""
+
+
+ViewHook = Callable[[int, np.ndarray, np.ndarray, dict[str, Any]], None]
+"""Called with the place in `indices`, the target, the render ([H, W, 3] float) and the numbers."""
+
+
+def target_picture(
+    photo: np.ndarray,
+    mask: np.ndarray | None,
+    mask_mode: str,
+    background: Sequence[float] = (0.0, 0.0, 0.0),
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """What a render is compared with, and the weights of its pixels.
+
+    Args:
+        photo: [H, W, 3] uint8.
+        mask: [H, W] uint8 or None.
+        mask_mode: `composite` lays the photo over `background`; `ignore` keeps the mask as
+            weights; `none` leaves the photo as it is.
+        background: RGB in [0, 1].
+
+    Returns:
+        [H, W, 3] float64 target, [H, W] uint8 weights or None.
+    """
+    target = photo / 255.0
+    if mask is None or mask_mode == "none":
+        return target, None
+    if mask_mode == "ignore":
+        return target, mask
+    alpha = mask[:, :, None] / 255.0
+    return target * alpha + np.asarray(background, dtype=np.float64) * (1.0 - alpha), None
+
+
+def evaluate(
+    render: Callable[[int], np.ndarray],
+    dataset: Any,
+    indices: Iterable[int],
+    *,
+    lpips: Lpips | None = None,
+    lpips_reason: str = "",
+    background: Sequence[float] = (0.0, 0.0, 0.0),
+    on_view: ViewHook | None = None,
+) -> dict[str, Any]:
+    """Score a model on some views of a dataset.
+
+    Args:
+        render: Gives the picture of view i over `background`, [H, W, 3] float. Only this call is
+            timed, so it should render and nothing else.
+        dataset: The views; its scene.cameras.names, image(i), mask(i) and mask_mode are used.
+        indices: Views to score.
+        lpips: The perceptual metric, or None.
+        lpips_reason: Why there is none, from `find_lpips`.
+        background: RGB in [0, 1] under transparent photos (mask mode `composite`).
+        on_view: Called after each view, to collect pictures or show progress.
+
+    Returns:
+        {"mean": {...}, "views": [{"name", "width", "height", ..., "render_seconds"}, ...]}.
+        Keys are METRICS (`psnr_masked` only where masks are ignored); `lpips` also appears under
+        the key that names the net. A value that does not exist is None with `<key>_reason`.
+        `mean` also holds `fps`, 1 / the median time of rendering a view, warm.
+
+    Raises:
+        ShapeError: A render has another size than its photo or is not finite.
+    """
+    views: list[dict[str, Any]] = []
+    for place, index in enumerate(indices):
+        if place == 0:
+            render(index)  # warm up: first calls allocate and wake the threads
+        started = time.perf_counter()
+        picture = render(index)
+        seconds = time.perf_counter() - started
+        name = dataset.scene.cameras.names[index]
+        target, weights = target_picture(
+            dataset.image(index), dataset.mask(index), dataset.mask_mode, background
+        )
+        if weights is None and dataset.mask_mode == "ignore":
+            weights = np.full(target.shape[:2], 255, dtype=np.uint8)  # a view without a mask
+        try:
+            values = image_metrics(picture, target, mask=weights)
+        except ShapeError as error:
+            raise ShapeError(f"View {name} cannot be scored: {error}") from error
+        _put_lpips(values, picture, target, weights, lpips, lpips_reason)
+        height, width = target.shape[:2]
+        view = {"name": name, "width": width, "height": height}
+        view |= values | {"render_seconds": seconds}
+        views.append(view)
+        if on_view is not None:
+            on_view(place, target, np.asarray(picture), view)
+    return {"mean": _means(views, lpips), "views": views}
+
+
+def _put_lpips(
+    values: dict[str, Any],
+    picture: np.ndarray,
+    target: np.ndarray,
+    weights: np.ndarray | None,
+    lpips: Lpips | None,
+    reason: str,
+) -> None:
+    values["lpips"] = None
+    if lpips is None:
+        values["lpips_reason"] = reason or "not asked for"
+        return
+    if min(target.shape[:2]) < SHORTEST_SIDE:
+        values["lpips_reason"] = f"needs {SHORTEST_SIDE} x {SHORTEST_SIDE} pixels"
+    elif weights is None:
+        values["lpips"] = lpips(picture, target)
+    else:
+        scale = weights[:, :, None] / 255.0
+        values["lpips"] = lpips(np.clip(picture, 0.0, 1.0) * scale, target * scale)
+    values[lpips.key] = values["lpips"]
+
+
+def _means(views: list[dict[str, Any]], lpips: Lpips | None) -> dict[str, Any]:
+    """Means over the views; None with the reason of the first view that lacks the value."""
+    mean: dict[str, Any] = {"lpips_net": lpips.net if lpips else None}
+    for key in METRICS:
+        if key == "psnr_masked" and not any(key in view for view in views):
+            continue
+        values = [view[key] for view in views if view.get(key) is not None]
+        if values and len(values) == len(views):
+            mean[key] = math.fsum(values) / len(values)
+        else:
+            lacking = next((view for view in views if view.get(key) is None), {})
+            why = lacking.get(key + "_reason", "no mask")
+            where = f" (view {lacking['name']})" if key != "lpips" and lacking else ""
+            mean[key] = None
+            mean[key + "_reason"] = why + where if views else "no view to score"
+    if lpips is not None:
+        mean[lpips.key] = mean["lpips"]
+    mean["fps"] = 1.0 / statistics.median(v["render_seconds"] for v in views) if views else None
+    return mean

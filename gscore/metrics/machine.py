@@ -1,0 +1,175 @@
+"""What a run used and where it ran: memory, processor, versions. Standard library only."""
+
+import os
+import platform
+import sys
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+
+def peak_memory_bytes() -> int | None:
+    """Largest resident memory of this process so far, or None where the system does not say.
+
+    On Linux the kernel's high-water mark of this program image is read: `ru_maxrss` also counts
+    the parent that started it, which may be a whole Blender.
+    """
+    if sys.platform == "linux":
+        return _proc_bytes(Path("/proc/self/status"), "VmHWM")
+    if sys.platform == "win32":
+        return _windows_peak()
+    import resource
+
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else peak * 1024  # macOS counts bytes, BSD kB
+
+
+def total_memory_bytes() -> int | None:
+    """Physical memory, less where a container is limited to less, or None if unknown."""
+    if sys.platform == "linux":
+        total = _proc_bytes(Path("/proc/meminfo"), "MemTotal")
+        limit = _cgroup_limit()
+        return min(total, limit) if total and limit else total
+    if sys.platform == "win32":
+        return _windows_memory()[0]
+    return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+
+
+def available_memory_bytes() -> int | None:
+    """Memory a new program could use now without swapping, or None if unknown."""
+    if sys.platform == "linux":
+        free = _proc_bytes(Path("/proc/meminfo"), "MemAvailable")
+        limit, used = _cgroup_limit(), _cgroup_value("memory.current")
+        return max(0, min(free, limit - used)) if free and limit and used else free
+    if sys.platform == "win32":
+        return _windows_memory()[1]
+    return None
+
+
+def cpu_name() -> str:
+    """The processor's name as its maker writes it, as far as the system tells."""
+    if sys.platform == "linux":
+        try:
+            lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        except OSError:
+            lines = []
+        for line in lines:
+            key, _, value = line.partition(":")
+            if key.strip() == "model name":
+                return value.strip()
+    if sys.platform == "darwin":
+        import subprocess
+
+        command = ["/usr/sbin/sysctl", "-n", "machdep.cpu.brand_string"]
+        try:
+            found = subprocess.run(command, capture_output=True, text=True, timeout=5, check=True)
+        except (OSError, subprocess.SubprocessError):
+            return platform.processor() or platform.machine()
+        return found.stdout.strip()
+    return platform.processor() or platform.machine()
+
+
+def cores() -> int:
+    """Logical processors this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def version_of(distribution: str) -> str | None:
+    """Installed version of a distribution, without importing it; None if it is not installed."""
+    try:
+        return metadata.version(distribution)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def machine() -> dict[str, Any]:
+    """The machine in words and numbers, for metrics.json; what cannot be told is None."""
+    return {
+        "cpu": cpu_name(),
+        "cores": cores(),
+        "memory_bytes": total_memory_bytes(),
+        "platform": platform.platform(terse=True),
+        "arch": platform.machine(),
+        "python": platform.python_version(),
+        "torch": version_of("torch"),
+    }
+
+
+def _proc_bytes(path: Path, key: str) -> int | None:
+    """A line `key:  123 kB` of a /proc file, in bytes."""
+    try:
+        lines = path.read_text(encoding="ascii", errors="replace").splitlines()
+    except OSError:
+        return None
+    for line in lines:
+        name, _, value = line.partition(":")
+        if name == key:
+            return int(value.split()[0]) * 1024
+    return None
+
+
+def _cgroup_value(name: str) -> int | None:
+    """A number of the container's memory controller (cgroup v2), None where there is no limit."""
+    try:
+        return int((Path("/sys/fs/cgroup") / name).read_text(encoding="ascii"))
+    except (OSError, ValueError):  # no such file, or the word "max"
+        return None
+
+
+def _cgroup_limit() -> int | None:
+    return _cgroup_value("memory.max")
+
+
+def _windows_peak() -> int | None:
+    import ctypes
+    from ctypes import wintypes
+
+    class Counters(ctypes.Structure):  # PROCESS_MEMORY_COUNTERS of psapi.h
+        _fields_ = [
+            ("cb", wintypes.DWORD),
+            ("PageFaultCount", wintypes.DWORD),
+            ("PeakWorkingSetSize", ctypes.c_size_t),
+            ("WorkingSetSize", ctypes.c_size_t),
+            ("QuotaPeakPagedPoolUsage", ctypes.c_size_t),
+            ("QuotaPagedPoolUsage", ctypes.c_size_t),
+            ("QuotaPeakNonPagedPoolUsage", ctypes.c_size_t),
+            ("QuotaNonPagedPoolUsage", ctypes.c_size_t),
+            ("PagefileUsage", ctypes.c_size_t),
+            ("PeakPagefileUsage", ctypes.c_size_t),
+        ]
+
+    counters = Counters(cb=ctypes.sizeof(Counters))
+    kernel = ctypes.WinDLL("kernel32")  # type: ignore[attr-defined]
+    kernel.GetCurrentProcess.restype = wintypes.HANDLE
+    query = kernel.K32GetProcessMemoryInfo
+    query.argtypes = [wintypes.HANDLE, ctypes.POINTER(Counters), wintypes.DWORD]
+    if not query(kernel.GetCurrentProcess(), ctypes.byref(counters), counters.cb):
+        return None
+    return int(counters.PeakWorkingSetSize)
+
+
+def _windows_memory() -> tuple[int | None, int | None]:
+    """Physical and available memory from GlobalMemoryStatusEx."""
+    import ctypes
+    from ctypes import wintypes
+
+    class Status(ctypes.Structure):  # MEMORYSTATUSEX of sysinfoapi.h
+        _fields_ = [
+            ("dwLength", wintypes.DWORD),
+            ("dwMemoryLoad", wintypes.DWORD),
+            ("ullTotalPhys", ctypes.c_uint64),
+            ("ullAvailPhys", ctypes.c_uint64),
+            ("ullTotalPageFile", ctypes.c_uint64),
+            ("ullAvailPageFile", ctypes.c_uint64),
+            ("ullTotalVirtual", ctypes.c_uint64),
+            ("ullAvailVirtual", ctypes.c_uint64),
+            ("ullAvailExtendedVirtual", ctypes.c_uint64),
+        ]
+
+    status = Status(dwLength=ctypes.sizeof(Status))
+    kernel = ctypes.WinDLL("kernel32")  # type: ignore[attr-defined]
+    if not kernel.GlobalMemoryStatusEx(ctypes.byref(status)):
+        return None, None
+    return int(status.ullTotalPhys), int(status.ullAvailPhys)

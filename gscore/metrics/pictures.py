@@ -1,0 +1,130 @@
+"""Thumbnails of the report: photo, render and error of a view as JPEG data URIs."""
+
+import base64
+import io
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ..errors import BackendError
+from .colormap import colorize
+
+MAX_WIDTH = 640
+"""Widest thumbnail, pixels."""
+MAX_VIEWS = 60
+"""Views that get pictures; of more, this many at even distances. All get their numbers."""
+BYTES_IN_ALL = 7_000_000
+"""Budget of all thumbnails of a report as base64 text."""
+BYTES_EACH = 120_000
+"""A thumbnail is never larger than this, however few there are."""
+ERROR_GAIN = 4.0
+"""Error pictures show this times the mean absolute difference of the channels; 1 = white."""
+_WIDTHS = (640, 512, 400, 320, 240, 160)
+_QUALITY = 82
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewPictures:
+    """One row of the report's views."""
+
+    name: str
+    """Name of the view."""
+    numbers: dict[str, Any]
+    """The view's entry in metrics.json."""
+    width: int = 0
+    """Size of the thumbnails, pixels; 0: this view has numbers only."""
+    height: int = 0
+    photo: str = ""
+    """`data:image/jpeg;base64,...` of the target: the photo as it was compared."""
+    render: str = ""
+    error: str = ""
+
+
+@dataclass(kw_only=True)
+class PictureCollector:
+    """An `on_view` hook for `evaluate`: keeps thumbnails, never the pictures themselves."""
+
+    count: int
+    """Number of views that will come; decides which get pictures and how large."""
+    views: list[ViewPictures] = field(default_factory=list)
+    """What `write_report` shows, in the order of the views."""
+
+    def __call__(
+        self, place: int, target: np.ndarray, render: np.ndarray, numbers: dict[str, Any]
+    ) -> None:
+        """Take the pictures of one view, [H, W, 3] float in [0, 1] each."""
+        shown = min(self.count, MAX_VIEWS)
+        # Exactly `shown` of `count` places satisfy this, the first among them.
+        if place * shown % self.count >= shown:
+            self.views.append(ViewPictures(name=numbers["name"], numbers=numbers))
+            return
+        render = np.clip(render, 0.0, 1.0)
+        error = np.abs(render - target).mean(axis=2)
+        budget = min(BYTES_EACH, BYTES_IN_ALL // (3 * shown)) * 3 // 4  # base64 adds a third
+        uris, size = _encode_all(target, render, error, budget)
+        self.views.append(
+            ViewPictures(
+                name=numbers["name"],
+                numbers=numbers,
+                width=size[0],
+                height=size[1],
+                photo=uris[0],
+                render=uris[1],
+                error=uris[2],
+            )
+        )
+
+
+def _encode_all(
+    target: np.ndarray, render: np.ndarray, error: np.ndarray, budget: int
+) -> tuple[list[str], tuple[int, int]]:
+    """The largest of the usual widths at which all three pictures together fit their budget."""
+    encoded, size = [], (0, 0)
+    for width in _WIDTHS:
+        size = _fitted(target.shape[1], target.shape[0], min(width, MAX_WIDTH))
+        # The error is averaged first and coloured then: colours cannot be averaged.
+        pictures = [
+            _shrink(_bytes(target), size),
+            _shrink(_bytes(render), size),
+            colorize(_shrink(_bytes(error * ERROR_GAIN), size) / 255.0),
+        ]
+        encoded = [_jpeg(picture) for picture in pictures]
+        if sum(map(len, encoded)) <= 3 * budget:
+            break
+    uris = ["data:image/jpeg;base64," + base64.b64encode(e).decode("ascii") for e in encoded]
+    return uris, size
+
+
+def _fitted(width: int, height: int, widest: int) -> tuple[int, int]:
+    """Size within a square of `widest` pixels at the same aspect; never enlarged."""
+    scale = min(1.0, widest / max(width, height))
+    return max(1, round(width * scale)), max(1, round(height * scale))
+
+
+def _bytes(picture: np.ndarray) -> np.ndarray:
+    return (np.clip(picture, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
+
+
+def _pil() -> Any:
+    try:
+        from PIL import Image
+    except ImportError as error:
+        raise BackendError(
+            "Pictures in the report need Pillow, which is not installed: "
+            "pip install 'gscore[train]'."
+        ) from error
+    return Image
+
+
+def _shrink(picture: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    image = _pil().fromarray(picture)
+    if image.size == size:
+        return picture
+    return np.asarray(image.resize(size, _pil().Resampling.BOX))
+
+
+def _jpeg(picture: np.ndarray) -> bytes:
+    stream = io.BytesIO()
+    _pil().fromarray(picture).save(stream, "JPEG", quality=_QUALITY, optimize=True)
+    return stream.getvalue()
