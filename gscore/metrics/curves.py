@@ -6,9 +6,9 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-WIDTH, HEIGHT = 560, 250
+WIDTH, HEIGHT = 430, 230
 """Size of a chart in its own units; the page scales it."""
-_LEFT, _RIGHT, _TOP, _BOTTOM = 52, 14, 14, 34
+_LEFT, _RIGHT, _TOP, _BOTTOM = 46, 12, 14, 36
 _BUCKETS = 240
 
 
@@ -180,7 +180,7 @@ def _axes(
         parts.append(f"{short_number(y)}</text>")
     base = HEIGHT - _BOTTOM
     parts.append(f'<line class="axis" x1="{_LEFT}" x2="{WIDTH - _RIGHT}" y1="{base}" y2="{base}"/>')
-    for x in nice_ticks(x_low, x_high, 6):
+    for x in nice_ticks(x_low, x_high, 5):
         parts.append(
             f'<text class="tick" x="{to_x(x):.1f}" y="{base + 15}" text-anchor="middle">'
             f"{short_number(x)}</text>"

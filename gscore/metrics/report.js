@@ -39,7 +39,7 @@ for (const chart of document.querySelectorAll("svg.chart")) {
     line.setAttribute("x1", px);
     line.setAttribute("x2", px);
     line.setAttribute("y1", 14);
-    line.setAttribute("y2", height - 34);
+    line.setAttribute("y2", height - 36);
     circle.setAttribute("cx", px);
     circle.setAttribute("cy", py);
     text.textContent = words;

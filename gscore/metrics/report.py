@@ -132,7 +132,7 @@ def _tiles(metrics: dict[str, Any]) -> str:
         ("Training", time_words(metrics["train_seconds"]), "", _steps(metrics)),
         ("Rendering", _number(metrics["fps"], 1), "fps", _picture_size(metrics)),
         ("Storage", size_words(metrics["storage_bytes"]), "", "PLY file"),
-        ("Peak memory", size_words(metrics["peak_memory_bytes"]), "", "resident, whole run"),
+        ("Peak memory", size_words(metrics["peak_memory_bytes"]), "", "resident"),
     ]
     cells = "".join(
         f'<div class="tile"><dt>{name}</dt><dd>{value}<small>{f" {unit}" if unit else ""}</small>'
