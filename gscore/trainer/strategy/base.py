@@ -1,0 +1,66 @@
+"""What the training loop asks of a strategy, the policy that adds, moves and removes splats."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import torch
+
+from ..model import Model
+
+
+@dataclass(frozen=True, kw_only=True)
+class Change:
+    """What a strategy did to the model after a step."""
+
+    added: int = 0
+    removed: int = 0
+    moved: int = 0
+    reset: bool = False
+    """Opacities were lowered."""
+
+    def __bool__(self) -> bool:
+        return bool(self.added or self.removed or self.moved or self.reset)
+
+
+class Strategy(Protocol):
+    """A policy without state of its own: what it counts lives in `Model.rows`.
+
+    A step calls, in this order: `shape_gradients`, `observe`, the optimizer, `after_step`.
+    """
+
+    def start(self, model: Model) -> None:
+        """Make the counters that the strategy keeps."""
+        ...
+
+    def shape_gradients(self, model: Model) -> None:
+        """Add the gradients of the strategy's own loss terms."""
+        ...
+
+    def observe(
+        self,
+        model: Model,
+        *,
+        step: int,
+        radii: torch.Tensor,
+        v_means2d: torch.Tensor,
+        width: int,
+        height: int,
+    ) -> None:
+        """Take note of one rendered view.
+
+        Args:
+            model: Its `rows` are updated.
+            step: Number of the step, from 1.
+            radii: [N] int32 px, 0 where a splat was not drawn.
+            v_means2d: [N, 2] float32, gradient of the loss in projected positions, per px.
+            width: Of the view, px.
+            height: Of the view, px.
+        """
+        ...
+
+    def after_step(
+        self, model: Model, *, step: int, means_lr: float, generator: torch.Generator
+    ) -> Change:
+        """Change the model after the optimizer's step `step`, which moved positions at
+        `means_lr`."""
+        ...

@@ -1,0 +1,112 @@
+"""Adaptive density control of the 3DGS paper: clone, split, prune and reset (Kerbl et al. 2023)."""
+
+import math
+
+import numpy as np
+import torch
+
+from ...config import TrainConfig
+from ..model import Model
+from ..schedules import Plan
+from . import ops
+from .base import Change
+
+RESET_OPACITY = 0.01
+"""Ceiling of all opacities at a reset."""
+
+
+class DefaultStrategy:
+    """Doubles splats whose projected positions are pulled hard, removes transparent and huge ones.
+
+    The pull is the mean over the views that drew the splat of |dL / d position| in normalised
+    image coordinates (2 per image side). Under a cap the splats that are pulled hardest go first.
+    """
+
+    def __init__(self, config: TrainConfig, plan: Plan, *, extent: float) -> None:
+        self._config = config
+        self._plan = plan
+        self._extent = extent
+
+    def start(self, model: Model) -> None:
+        model.rows["pull"] = torch.zeros(len(model))
+        model.rows["seen"] = torch.zeros(len(model))
+
+    def shape_gradients(self, model: Model) -> None:
+        pass
+
+    def observe(
+        self,
+        model: Model,
+        *,
+        step: int,
+        radii: torch.Tensor,
+        v_means2d: torch.Tensor,
+        width: int,
+        height: int,
+    ) -> None:
+        if step > self._plan.refine_stop:
+            return
+        # Splats that were not drawn have zero gradients, so no mask is needed.
+        x, y = v_means2d[:, 0] * (0.5 * width), v_means2d[:, 1] * (0.5 * height)
+        model.rows["pull"] += (x * x + y * y).sqrt_()
+        model.rows["seen"] += radii > 0
+
+    def after_step(
+        self, model: Model, *, step: int, means_lr: float, generator: torch.Generator
+    ) -> Change:
+        change = Change()
+        if self._plan.refines_at(step):
+            change = self._refine(model, step, generator)
+        if self._plan.resets_at(step):
+            ops.reset_opacities(model, RESET_OPACITY)
+            change = Change(added=change.added, removed=change.removed, reset=True)
+        return change
+
+    def _refine(self, model: Model, step: int, generator: torch.Generator) -> Change:
+        config = self._config
+        before = len(model)
+        pull = model.rows["pull"] / model.rows["seen"].clamp_min(1)
+        size = model.params["scales"].detach().amax(dim=1)  # log
+        doomed = self._to_prune(model.params, step)
+        large = size > _log(config.grow_scale * self._extent)
+
+        grow = (pull >= config.grow_grad) & ~doomed
+        room = config.max_splats - before + int(doomed.sum())
+        grow = _strongest(grow, pull, max(room, 0))
+        clone, divide = (grow & ~large).nonzero().flatten(), (grow & large).nonzero().flatten()
+        new = ops.join(ops.duplicate(model, clone), ops.split(model, divide, generator))
+        healthy = (~self._to_prune(new, step)).nonzero().flatten()
+        new = {name: rows[healthy] for name, rows in new.items()}
+
+        keep = ~doomed
+        keep[divide] = False
+        kept = keep.nonzero().flatten()
+        if len(kept) + len(healthy) == 0:  # everything would go: a blank model cannot recover
+            return Change()
+        ops.edit(model, keep=kept, append=new)
+        self.start(model)
+        return Change(added=len(healthy), removed=before - len(kept))
+
+    def _to_prune(self, params: dict[str, torch.Tensor], step: int) -> torch.Tensor:
+        """[N] bool: too transparent, too large once opacities have been reset, or not a splat."""
+        config, opacities = self._config, params["opacities"].detach()
+        doomed = ~(opacities >= ops.logit(max(config.prune_opacity, 1e-6)))  # NaN goes too
+        if self._plan.reset_every and step > self._plan.reset_every:
+            size = params["scales"].detach().amax(dim=1)
+            doomed |= size > _log(config.prune_scale * self._extent)
+        return doomed | (params["quats"].detach().square().sum(dim=1) < 1e-8)
+
+
+def _log(value: float) -> float:
+    return math.log(value) if value > 0 else -math.inf
+
+
+def _strongest(mask: torch.Tensor, score: torch.Tensor, count: int) -> torch.Tensor:
+    """`mask` [N] with at most `count` entries left, those with the largest score; ties by row."""
+    chosen = mask.nonzero().flatten()
+    if len(chosen) <= count:
+        return mask
+    order = np.argsort(-score[chosen].numpy(), kind="stable")[:count]
+    out = torch.zeros_like(mask)
+    out[chosen[torch.from_numpy(order)]] = True
+    return out

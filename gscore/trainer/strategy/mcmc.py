@@ -1,0 +1,89 @@
+"""3DGS as Markov chain Monte Carlo: relocation, slow growth to a cap, noise (Kheradmand et al.
+2024)."""
+
+import torch
+
+from ...config import TrainConfig
+from ..model import Model
+from ..schedules import Plan
+from . import ops
+from .base import Change
+
+GATE_SHARPNESS = 100.0
+GATE_OPACITY = 0.005
+"""Noise fades out around this opacity: sigmoid(-sharpness (opacity - GATE_OPACITY))."""
+NOISE_MAX_OPACITY = 0.1
+"""More opaque splats get no noise at all; the gate would leave them less than 1e-4 of it."""
+
+
+class MCMCStrategy:
+    """Keeps the number of splats on a fixed course and moves those that are not needed."""
+
+    def __init__(self, config: TrainConfig, plan: Plan, *, extent: float) -> None:
+        self._config = config
+        self._plan = plan
+        self._extent = extent
+
+    def start(self, model: Model) -> None:
+        pass
+
+    def shape_gradients(self, model: Model) -> None:
+        """Gradients of opacity_reg * mean(opacity) + scale_reg * mean(scale)."""
+        opacities, scales = model.params["opacities"], model.params["scales"]
+        if opacities.grad is None or scales.grad is None or len(model) == 0:
+            return
+        with torch.no_grad():
+            if self._config.opacity_reg:
+                opacity = torch.sigmoid(opacities)
+                slope = opacity * (1 - opacity)
+                opacities.grad.add_(slope, alpha=self._config.opacity_reg / len(model))
+            if self._config.scale_reg:
+                scales.grad.add_(scales.exp(), alpha=self._config.scale_reg / scales.numel())
+
+    def observe(
+        self,
+        model: Model,
+        *,
+        step: int,
+        radii: torch.Tensor,
+        v_means2d: torch.Tensor,
+        width: int,
+        height: int,
+    ) -> None:
+        pass
+
+    def after_step(
+        self, model: Model, *, step: int, means_lr: float, generator: torch.Generator
+    ) -> Change:
+        change = Change()
+        if self._plan.refines_at(step):
+            change = self._refine(model, generator)
+        self._add_noise(model, means_lr, generator)
+        return change
+
+    def _refine(self, model: Model, generator: torch.Generator) -> Change:
+        floor = max(self._config.prune_opacity, 1e-6)
+        opacities = model.params["opacities"].detach()
+        dead = ~(opacities > ops.logit(floor))  # NaN is dead too
+        dead |= model.params["quats"].detach().square().sum(dim=1) < 1e-8
+        moved = ops.relocate(model, dead, generator, min_opacity=floor)
+        target = min(self._config.max_splats, int((1 + self._config.mcmc_growth) * len(model)))
+        added = ops.grow(model, target - len(model), generator, min_opacity=floor)
+        return Change(added=added, moved=moved)
+
+    def _add_noise(self, model: Model, means_lr: float, generator: torch.Generator) -> None:
+        """Move faint splats at random, along their own shape: covariance @ normal noise."""
+        weight = self._config.mcmc_noise * means_lr
+        opacities = model.params["opacities"].detach()
+        faint = (opacities < ops.logit(NOISE_MAX_OPACITY)).nonzero().flatten()
+        if weight <= 0 or len(faint) == 0:
+            return
+        opacity = torch.sigmoid(opacities[faint])
+        gate = torch.sigmoid(-GATE_SHARPNESS * (opacity - GATE_OPACITY))
+        variance = (2 * model.params["scales"].detach()[faint]).exp()
+        quats = model.params["quats"].detach()[faint]
+        noise = torch.randn((len(faint), 3), generator=generator) * (gate * weight)[:, None]
+        back = quats * quats.new_tensor([1.0, -1.0, -1.0, -1.0])
+        shift = ops.rotate(quats, variance * ops.rotate(back, noise))
+        with torch.no_grad():
+            model.params["means"].index_add_(0, faint, shift)

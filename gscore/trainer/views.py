@@ -1,0 +1,85 @@
+"""The views of a capture as the training step needs them, and the order they come in."""
+
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
+
+import numpy as np
+import torch
+
+from ..scene import Cameras, Scene
+
+
+class Photos(Protocol):
+    """What the trainer asks of a dataset; see `gscore.datasets`."""
+
+    @property
+    def scene(self) -> Scene:
+        """Cameras at training resolution and points."""
+        ...
+
+    @property
+    def train(self) -> Sequence[int]:
+        """Views to train on."""
+        ...
+
+    @property
+    def test(self) -> Sequence[int]:
+        """Views held out."""
+        ...
+
+    @property
+    def mask_mode(self) -> str:
+        """`composite`, `ignore` or `none`."""
+        ...
+
+    def image(self, index: int) -> np.ndarray:
+        """[H, W, 3] uint8."""
+        ...
+
+    def mask(self, index: int) -> np.ndarray | None:
+        """[H, W] uint8, or None."""
+        ...
+
+
+class View(NamedTuple):
+    """A camera in the training world."""
+
+    viewmat: torch.Tensor
+    """[4, 4] float32, world to camera."""
+    K: torch.Tensor
+    """[3, 3] float32, pixels."""
+    width: int
+    height: int
+
+
+def views_of(cameras: Cameras) -> list[View]:
+    """The cameras (training world) as tensors."""
+    return [
+        View(
+            torch.from_numpy(cameras.viewmats[i].astype(np.float32)),
+            torch.from_numpy(cameras.Ks[i].astype(np.float32)),
+            int(cameras.widths[i]),
+            int(cameras.heights[i]),
+        )
+        for i in range(len(cameras))
+    ]
+
+
+class Sampler:
+    """Each view once an epoch, in another order each epoch."""
+
+    def __init__(self, indices: Sequence[int]) -> None:
+        self.indices = list(indices)
+        self.order: list[int] = []
+        """Views of this epoch."""
+        self.position = 0
+        """Next place in `order`."""
+
+    def next(self, generator: torch.Generator) -> int:
+        """The next view; draws an order where an epoch begins."""
+        if self.position >= len(self.order):
+            shuffled = torch.randperm(len(self.indices), generator=generator).tolist()
+            self.order = [self.indices[i] for i in shuffled]
+            self.position = 0
+        self.position += 1
+        return self.order[self.position - 1]
