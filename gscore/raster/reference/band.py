@@ -73,16 +73,14 @@ def boundary_band(
         min_opacity=ALPHA_MIN * (1 - alpha_tolerance),
     )
     pixels = pixel_centers(width, height, like=splats.means2d)
-    if len(splats.index) == 0:
-        return torch.zeros(height, width, dtype=torch.bool)
     at_limit = (splats.depths - near).abs() < depth_tolerance * near
     at_limit |= (splats.depths - far).abs() < depth_tolerance * far
     marks = []
-    for part in pixels.split(max(1, pairs_per_chunk // len(splats.index))):
+    for part in pixels.split(max(1, pairs_per_chunk // max(1, len(splats.index)))):
         uncapped = gaussian_alpha(part, splats.means2d, splats.conics, splats.opacities)  # [P, M]
         drawn = uncapped >= ALPHA_MIN
         after = torch.cumprod(torch.where(drawn, 1 - uncapped.clamp(max=ALPHA_MAX), 1.0), 1)
-        before = torch.cat([torch.ones_like(after[:, :1]), after[:, :-1]], 1)
+        before = torch.cat([after.new_ones(len(part), 1), after], 1)[:, :-1]
         reached = before > STOP_AT
         hinges = (255 * uncapped - 1).abs() < alpha_tolerance
         hinges |= (uncapped / ALPHA_MAX - 1).abs() < cap_tolerance
@@ -96,5 +94,6 @@ def depth_ties(splats: ProjectedSplats, drawn: Tensor, tolerance: float) -> Tens
     """[P, M] bool: the splat drawn before this one at the same pixel is at almost the same z."""
     z = splats.depths.expand(drawn.shape)
     latest = torch.where(drawn, z, -torch.inf).cummax(1).values  # z ascends: the last one drawn
-    previous = torch.cat([torch.full_like(latest[:, :1], -torch.inf), latest[:, :-1]], 1)
+    nothing = latest.new_full((len(drawn), 1), -torch.inf)
+    previous = torch.cat([nothing, latest], 1)[:, :-1]
     return z - previous < tolerance * z

@@ -88,13 +88,13 @@ def blend_pixels(
     alpha = torch.where(keep, alpha, 0.0)
 
     after = torch.cumprod(1 - alpha, 1)  # [P, M], transmittance behind each splat
-    before = torch.cat([torch.ones_like(after[:, :1]), after[:, :-1]], 1)
+    light = torch.cat([after.new_ones(len(pixels), 1), after], 1)  # [P, M + 1]
+    before = light[:, :-1]
     weights = alpha * before
 
-    crossed = after.detach() <= 0.5
-    median = depths.detach()[crossed.to(torch.int8).argmax(1)]  # first True
-    median = torch.where(crossed.any(1), median, 0.0)
-    return Blended(weights @ features, after[:, -1], median)
+    crossing = (before > 0.5) & (after <= 0.5)  # at most one splat a pixel
+    median_depth = crossing.to(depths.dtype) @ depths.detach()
+    return Blended(weights @ features, light[:, -1], median_depth)
 
 
 def blend(
@@ -124,13 +124,7 @@ def blend(
         The fields of `Blended` for P = height * width pixels, row by row.
     """
     pixels = pixel_centers(width, height, like=means2d)
-    if len(means2d) == 0:
-        return Blended(
-            features.new_zeros(len(pixels), features.shape[1]),
-            features.new_ones(len(pixels)),
-            features.new_zeros(len(pixels)),
-        )
-    chunk = max(1, pairs_per_chunk // len(means2d))
+    chunk = max(1, pairs_per_chunk // max(1, len(means2d)))
     parts = [
         # Recomputing a chunk in the backward pass keeps only its inputs alive.
         checkpoint(
