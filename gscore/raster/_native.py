@@ -1,7 +1,7 @@
 """The only file that loads the native library: its C structs, its errors, its workspaces.
 
-`csrc/include/gscore.h` is the manual of everything declared here. Arrays are checked here for dtype, shape and layout;
-values are the library's matter.
+`csrc/include/gscore.h` is the manual of everything declared here. Callers check arrays for dtype,
+shape and layout; values are the library's matter.
 """
 
 import ctypes as ct
@@ -242,7 +242,7 @@ def check(status: int) -> None:
         raise Cancelled("Rendering was cancelled.")
     if status == _OUT_OF_MEMORY:
         raise BackendError(
-            f"{message}. Use a smaller image (-r) or fewer splats (--max-splats), or close programs."
+            f"{message}. Use a smaller image (-r), fewer splats (--max-splats), or close programs."
         )
     if status == _BAD_ARGUMENT:
         raise ShapeError(f"{message}.")
@@ -368,14 +368,15 @@ pool = RasterPool()
 def camera_struct(
     viewmat: np.ndarray, K: np.ndarray, width: int, height: int, near: float, far: float
 ) -> CameraStruct:
-    """A gs_camera from [4, 4] and [3, 3] arrays. Raises ShapeError for a K that is not fx, fy, cx, cy."""
+    """A gs_camera from [4, 4] and [3, 3] arrays; ShapeError for a K with more than fx, fy, cx, cy."""
     if viewmat.shape != (4, 4):
         raise ShapeError(f"viewmat must be [4, 4], got {list(viewmat.shape)}.")
     if K.shape != (3, 3):
         raise ShapeError(f"K must be [3, 3], got {list(K.shape)}.")
     if K[0, 1] != 0 or K[1, 0] != 0 or K[2, 0] != 0 or K[2, 1] != 0 or K[2, 2] != 1:
         raise ShapeError(
-            f"K must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]; skew is not supported, got {K.tolist()}."
+            "K must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]; skew is not supported, "
+            f"got {K.tolist()}."
         )
     camera = CameraStruct(
         fx=K[0, 0], fy=K[1, 1], cx=K[0, 2], cy=K[1, 2], width=width, height=height

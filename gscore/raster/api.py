@@ -73,18 +73,10 @@ def render(
     degree = splats.sh_degree if sh_degree is None else sh_degree
     if not 0 <= degree <= splats.sh_degree:
         raise ShapeError(
-            f"sh_degree must be 0 to {splats.sh_degree}, which is what the splats hold, got {degree}."
+            f"sh_degree must be 0 to {splats.sh_degree}, what the splats hold, got {degree}."
         )
     K, viewmat = np.asarray(K, np.float64), np.asarray(viewmat, np.float64)
-    # Float32 is relative to the camera from here on, so that a scene far from the origin keeps its detail.
-    center = -viewmat[:3, :3].T @ viewmat[:3, 3] if viewmat.shape == (4, 4) else np.zeros(3)
-    local = viewmat.copy()
-    far_from_origin = bool(np.abs(center).max(initial=0.0) > 100.0)
-    means = splats.means
-    if far_from_origin and np.isfinite(center).all():
-        means = (means.astype(np.float64) - center).astype(np.float32)
-        local[:3, 3] = viewmat[:3, :3] @ center + viewmat[:3, 3]
-    camera = _native.camera_struct(local, K, width, height, near, far)
+    camera = _native.camera_struct(viewmat, K, width, height, near, far)
     options = _native.options_struct(
         eps2d=eps2d,
         antialias=antialias,
@@ -94,14 +86,23 @@ def render(
     )
     arrays = [
         np.ascontiguousarray(a)
-        for a in (means, splats.quats, splats.scales, splats.opacities, splats.sh0, splats.shN)
+        for a in (
+            splats.means,
+            splats.quats,
+            splats.scales,
+            splats.opacities,
+            splats.sh0,
+            splats.shN,
+        )
     ]
     pointers = [a.ctypes.data for a in arrays]
     struct = _native.SplatsStruct(
         len(splats), *pointers, SH_REST_BY_DEGREE[splats.sh_degree], degree, 1
     )
     shape = (height, width)
-    rgb = np.zeros((*shape, 3), np.float32) if width > 0 and height > 0 else np.zeros((1, 1, 3))
+    if width < 1 or height < 1:
+        raise ShapeError(f"The image must be at least 1 x 1 px, got {width} x {height}.")
+    rgb = np.zeros((*shape, 3), np.float32)
     alpha, inverse, depth, median = (np.zeros(shape, np.float32) for _ in range(4))
     image = _native.ImageStruct(
         rgb.ctypes.data,

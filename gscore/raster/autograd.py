@@ -1,4 +1,4 @@
-"""The native rasterizer as a differentiable torch function, one camera a call, float32 on the CPU."""
+"""The native rasterizer as a differentiable torch function: one camera a call, float32, CPU."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -130,7 +130,7 @@ class _Rasterize(torch.autograd.Function):
         tensors = ctx.saved_tensors
         s: _Settings = ctx.settings
         kept = [None if v is None else v.to(torch.float32).contiguous() for v in v_outputs]
-        # An output that was not asked for is an empty tensor, whose gradient has no address to pass on.
+        # An output nobody asked for is an empty tensor; its gradient has no address to pass on.
         pointers = [None if v is None else v.data_ptr() or None for v in kept]
         v_tensors = [torch.empty_like(t) for t in tensors]
         v_viewmat = torch.zeros(4, 4) if ctx.needs_input_grad[6] else None
@@ -148,7 +148,7 @@ class _Rasterize(torch.autograd.Function):
 
 
 class _Lease:
-    """Gives a workspace back when the graph that needs it is gone, with or without a backward pass."""
+    """Gives a workspace back when the graph that needs it is gone, run backward or not."""
 
     def __init__(self, raster: _native.Raster) -> None:
         self.raster = raster
@@ -184,7 +184,7 @@ def rasterize(
 ) -> RasterOutput:
     """Render splats from one pinhole camera (Kerbl et al. 2023; EWA of Zwicker et al. 2001).
 
-    Differentiable in means, quats, scales, opacities, sh0, shN and viewmat; not in K and background.
+    Differentiable in means, quats, scales, opacities, sh0, shN and viewmat; not in K, background.
 
     Args:
         means: [N, 3] world units.

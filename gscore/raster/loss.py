@@ -49,17 +49,18 @@ def image_loss(
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
     threads: int = 0,
 ) -> ImageLoss:
-    """(1 - w) L1 + w (1 - SSIM), differentiable in `image` (Kerbl et al. 2023, eq. 7; Wang et al. 2004).
+    """(1 - w) L1 + w (1 - SSIM), differentiable in `image` (Kerbl et al. 2023, eq. 7).
 
-    SSIM uses a Gaussian window of 11 px and sigma 1.5 with zero padding, per channel, C1 = 0.01^2, C2 = 0.03^2.
+    SSIM (Wang et al. 2004) uses a Gaussian window of 11 px and sigma 1.5 with zero padding, per
+    channel, C1 = 0.01^2, C2 = 0.03^2.
 
     Args:
         image: [H, W, 3] float32, rendered.
         target: [H, W, 3] uint8, the photo.
         ssim_weight: w.
         mask: [H, W] uint8, needed unless `mask_mode` is "none".
-        mask_mode: "none"; "composite": target = photo * mask + background * (1 - mask); "ignore": image and photo are
-            both multiplied by the mask.
+        mask_mode: "none"; "composite": target = photo * mask + background * (1 - mask);
+            "ignore": image and photo are both multiplied by the mask.
         background: RGB used by "composite".
         threads: 0: all cores.
 

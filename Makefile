@@ -1,0 +1,64 @@
+# Every target works on a fresh clone: it makes .venv itself. PYTHON chooses the interpreter (3.11 or newer).
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+INSTALLED := $(VENV)/.installed
+LIBRARY := build/native/.built
+SOURCES := $(wildcard csrc/CMakeLists.txt csrc/include/*.h csrc/src/*)
+
+.PHONY: demo test test-slow test-native sanitize lint format bench wheel clean
+
+$(INSTALLED): pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade pip
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	touch $@
+
+# After a change in csrc/: rebuilds the library in the checkout without reinstalling.
+$(LIBRARY): $(INSTALLED) $(SOURCES)
+	$(BIN)/cmake -G Ninja -S csrc -B build/native -DCMAKE_MAKE_PROGRAM=$(abspath $(BIN)/ninja) \
+		-DCMAKE_BUILD_TYPE=Release -DGS_TESTS=ON > /dev/null
+	$(BIN)/cmake --build build/native
+	touch $@
+
+# Trains the bundled capture and leaves out/demo/{point_cloud.ply,metrics.json,report.html}.
+demo: $(LIBRARY)
+	$(BIN)/gscore train examples/studio -o out/demo --overwrite --preset preview --eval --test-every 6
+	$(BIN)/gscore render out/demo/point_cloud.ply --cameras examples/studio --test -o out/demo/renders
+	@echo "Open out/demo/report.html"
+
+test: $(LIBRARY)
+	$(BIN)/python -m pytest -q -m "not slow"
+	$(BIN)/ctest --test-dir build/native --output-on-failure
+
+test-slow: $(LIBRARY)
+	$(BIN)/python -m pytest -q -m slow
+
+test-native: $(LIBRARY)
+	$(BIN)/ctest --test-dir build/native --output-on-failure
+
+# The native tests under the address, undefined-behaviour and thread sanitizers.
+sanitize: $(INSTALLED)
+	for s in address,undefined thread; do \
+		$(BIN)/cmake -G Ninja -S csrc -B build/$$s -DCMAKE_MAKE_PROGRAM=$(abspath $(BIN)/ninja) \
+			-DCMAKE_BUILD_TYPE=Release -DGS_TESTS=ON -DGS_SANITIZE=$$s > /dev/null && \
+		$(BIN)/cmake --build build/$$s && $(BIN)/ctest --test-dir build/$$s --output-on-failure || exit 1; \
+	done
+
+lint: $(INSTALLED)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+
+format: $(INSTALLED)
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+bench: $(LIBRARY)
+	$(BIN)/gscore bench raster
+
+wheel: $(INSTALLED)
+	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist .
+
+clean:
+	rm -rf build dist out $(VENV) gscore/raster/libgscore.* gscore/raster/gscore.dll

@@ -1,0 +1,170 @@
+"""How fast the rasterizer is, forward and backward apart; numpy and the native library only."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..raster import _native
+from ..scene import Cameras
+from ..splats import SH_REST_BY_DEGREE, Splats
+
+STAGES = (
+    "project_ms",
+    "sort_ms",
+    "bin_ms",
+    "blend_ms",
+    "blend_backward_ms",
+    "project_backward_ms",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RasterBench:
+    """Means over views of the fastest of several passes."""
+
+    isa: str
+    threads: int
+    splats: int
+    views: int
+    width: int
+    """Of the first view, px."""
+    height: int
+    gpairs_per_s: float
+    """Pairs / (forward + backward blending time) / 1e9, a pair counted once."""
+    gpairs_per_s_all_stages: float
+    """The same over all stages of both passes: projection, sorting, binning, blending."""
+    forward_gpairs_per_s: float
+    """Blending alone."""
+    backward_gpairs_per_s: float
+    """Blending alone."""
+    pairs_per_pixel: float
+    """Splats evaluated at a pixel after culling and early termination."""
+    entries_per_tile: float
+    visible: float
+    forward_ms: float
+    """All stages of a forward pass."""
+    backward_ms: float
+    """All stages of a backward pass."""
+    forward_fps: float
+    stages_ms: dict[str, float]
+    workspace_bytes: int
+
+
+def synthetic_scene(
+    count: int = 100_000, width: int = 640, height: int = 360, seed: int = 0
+) -> tuple[Splats, Cameras]:
+    """A seeded cloud of small splats before one camera, for machines without a capture."""
+    rng = np.random.default_rng(seed)
+    z = rng.uniform(2, 5, count)
+    means = np.stack(
+        [rng.uniform(-0.65, 0.65, count) * z, rng.uniform(-0.375, 0.375, count) * z, z], axis=1
+    )
+    splats = Splats(
+        means=means.astype(np.float32),
+        quats=rng.normal(size=(count, 4)).astype(np.float32),
+        scales=(rng.normal(size=(count, 3)) * 0.7 + np.log(0.008)).astype(np.float32),
+        opacities=(rng.normal(size=count) * 1.5 - 0.5).astype(np.float32),
+        sh0=rng.normal(size=(count, 1, 3)).astype(np.float32),
+        shN=(rng.normal(size=(count, 15, 3)) * 0.1).astype(np.float32),
+    )
+    focal = 500.0 * width / 640
+    K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]])
+    cameras = Cameras(
+        viewmats=np.eye(4)[None],
+        Ks=K[None],
+        widths=np.array([width]),
+        heights=np.array([height]),
+        names=("synthetic",),
+    )
+    return splats, cameras
+
+
+def bench_raster(
+    splats: Splats,
+    cameras: Cameras,
+    views: Sequence[int],
+    *,
+    repeats: int = 5,
+    threads: int = 0,
+    disable: int = 0,
+    image_gradient_seed: int = 0,
+) -> RasterBench:
+    """Measure forward and backward passes of `views`.
+
+    Args:
+        splats: The model.
+        cameras: The capture's cameras.
+        views: Indices into `cameras`.
+        repeats: Passes per view; the fastest counts.
+        threads: 0: all cores.
+        disable: Bits of `_native.NO_*`.
+        image_gradient_seed: Seed of the image gradients, which are dense and random.
+    """
+    arrays = [
+        np.ascontiguousarray(getattr(splats, name))
+        for name in ("means", "quats", "scales", "opacities", "sh0", "shN")
+    ]
+    grads = [np.zeros_like(a) for a in arrays]
+    struct = _native.SplatsStruct(
+        len(splats),
+        *(a.ctypes.data for a in arrays),
+        SH_REST_BY_DEGREE[splats.sh_degree],
+        splats.sh_degree,
+        1,
+    )
+    grads_struct = _native.SplatGradsStruct(*(g.ctypes.data for g in grads))
+    options = _native.options_struct(
+        eps2d=0.3,
+        antialias=False,
+        background=(0, 0, 0),
+        outputs=0,
+        threads=threads,
+        disable=disable,
+    )
+    rng = np.random.default_rng(image_gradient_seed)
+    best = []
+    pixels = tiles = 0
+    with _native.pool.lend() as raster:
+        for view in views:
+            width, height = int(cameras.widths[view]), int(cameras.heights[view])
+            pixels += width * height
+            tiles += -(-width // 16) * -(-height // 16)
+            rgb, alpha = np.zeros((height, width, 3), np.float32), np.zeros((height, width), "f4")
+            v_rgb = rng.normal(size=rgb.shape).astype(np.float32)
+            image = _native.ImageStruct(rgb.ctypes.data, alpha.ctypes.data)
+            camera = _native.camera_struct(
+                cameras.viewmats[view], cameras.Ks[view], width, height, 0.01, 1e10
+            )
+            passes = []
+            for _ in range(repeats + 1):  # the first one warms buffers up
+                raster.forward(struct, camera, options, image)
+                raster.backward(struct, _native.ImageGradsStruct(v_rgb.ctypes.data), grads_struct)
+                passes.append(raster.stats().as_dict())
+            fastest = {key: min(p[key] for p in passes[1:]) for key in passes[0]}
+            best.append(fastest)
+    total = {key: sum(b[key] for b in best) for key in best[0]}
+    forward = sum(total[key] for key in STAGES[:4])
+    backward = sum(total[key] for key in STAGES[4:])
+    blending = total["blend_ms"] + total["blend_backward_ms"]
+    n = len(best)
+    return RasterBench(
+        isa=_native.isa(),
+        threads=threads or _native.default_threads(),
+        splats=len(splats),
+        views=n,
+        width=int(cameras.widths[views[0]]),
+        height=int(cameras.heights[views[0]]),
+        gpairs_per_s=total["forward_pairs"] / blending / 1e6,
+        gpairs_per_s_all_stages=total["forward_pairs"] / (forward + backward) / 1e6,
+        forward_gpairs_per_s=total["forward_pairs"] / total["blend_ms"] / 1e6,
+        backward_gpairs_per_s=total["backward_pairs"] / total["blend_backward_ms"] / 1e6,
+        pairs_per_pixel=total["forward_pairs"] / pixels,
+        entries_per_tile=total["entries"] / tiles,
+        visible=total["visible"] / n,
+        forward_ms=forward / n,
+        backward_ms=backward / n,
+        forward_fps=1000 * n / forward,
+        stages_ms={key.removesuffix("_ms"): total[key] / n for key in STAGES},
+        workspace_bytes=int(max(b["workspace_bytes"] for b in best)),
+    )

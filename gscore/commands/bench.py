@@ -1,0 +1,78 @@
+"""`gscore bench`: measure speed on this machine."""
+
+import argparse
+import json
+import sys
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+
+from ..bench.raster import RasterBench, bench_raster, synthetic_scene
+from ..config import DataConfig
+from ..errors import ConfigError
+from ..io.ply import read_splats
+from ..raster import _native
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of the verb."""
+    what = parser.add_subparsers(dest="what", required=True, metavar="WHAT")
+    raster = what.add_parser("raster", help="forward and backward passes of the rasterizer")
+    raster.add_argument("--ply", type=Path, help="trained splats; default: a synthetic cloud")
+    raster.add_argument("--cameras", type=Path, help="the capture the splats were trained on")
+    raster.add_argument("--views", type=int, default=6, help="views, spread evenly (default 6)")
+    raster.add_argument("--repeats", type=int, default=5, help="passes per view, fastest counts")
+    raster.add_argument("--splats", type=int, default=100_000, help="size of the synthetic cloud")
+    raster.add_argument("--width", type=int, default=640, help="px, of the synthetic view")
+    raster.add_argument("--height", type=int, default=360, help="px, of the synthetic view")
+    raster.add_argument("-r", "--resolution", type=float, default=-1, help="as in `gscore train`")
+    raster.add_argument("--threads", type=int, default=0, help="0: all cores")
+    raster.add_argument("--isa", help="instruction set; `all` measures each that runs here")
+    raster.add_argument("--json", action="store_true", help="one JSON object on stdout")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure and print."""
+    if (args.ply is None) != (args.cameras is None):
+        raise ConfigError("--ply and --cameras belong together: give both, or neither.")
+    for name in ("views", "repeats", "splats", "width", "height"):
+        if getattr(args, name) < 1:
+            raise ConfigError(f"--{name} must be at least 1, got {getattr(args, name)}.")
+    if args.ply is None:
+        splats, cameras = synthetic_scene(args.splats, args.width, args.height)
+    else:
+        from ..datasets import load_scene  # needs pycolmap only for distorted cameras
+
+        splats = read_splats(args.ply)
+        data = DataConfig(source=args.cameras)
+        cameras = load_scene(replace(data, resolution=args.resolution)).cameras
+    count = min(args.views, len(cameras))
+    views = np.unique(np.linspace(0, len(cameras) - 1, count).round().astype(int)).tolist()
+    isas = _native.available_isas() if args.isa == "all" else [args.isa or _native.isa()]
+    results = []
+    for isa in isas:
+        _native.set_isa(isa)
+        result = bench_raster(splats, cameras, views, repeats=args.repeats, threads=args.threads)
+        results.append(result)
+        if not args.json:
+            sys.stdout.write(_table(result))
+    if args.json:
+        found = [asdict(r) for r in results]
+        sys.stdout.write(json.dumps(found[0] if len(found) == 1 else found) + "\n")
+    return 0
+
+
+def _table(r: RasterBench) -> str:
+    stages = "  ".join(f"{name} {ms:.2f}" for name, ms in r.stages_ms.items())
+    return (
+        f"{r.isa}, {r.threads} threads, {r.splats:,} splats, "
+        f"{r.views} views of {r.width} x {r.height}\n"
+        f"  {r.gpairs_per_s:.2f} Gpair/s forward + backward blending "
+        f"({r.gpairs_per_s_all_stages:.2f} with all stages), "
+        f"forward {r.forward_gpairs_per_s:.2f}, backward {r.backward_gpairs_per_s:.2f}\n"
+        f"  {r.pairs_per_pixel:.1f} pairs per pixel, {r.entries_per_tile:.0f} splats per tile, "
+        f"{r.visible:,.0f} visible\n"
+        f"  forward {r.forward_ms:.2f} ms ({r.forward_fps:.0f} fps), "
+        f"backward {r.backward_ms:.2f} ms; ms: {stages}\n"
+    )
