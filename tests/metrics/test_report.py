@@ -1,0 +1,237 @@
+"""report.html: self-contained, well-formed, bounded, and showing the numbers it was given."""
+
+import base64
+import io
+import re
+from html.parser import HTMLParser
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gscore.errors import GsError
+from gscore.metrics import PictureCollector, write_report
+from gscore.metrics.colormap import colorize
+from gscore.metrics.curves import Series, chart, clean_points, log_ticks, nice_ticks, short_number
+from gscore.metrics.pictures import BYTES_IN_ALL, ERROR_GAIN, MAX_VIEWS
+from gscore.metrics.report import report_html, size_words, time_words
+
+VOID = {"meta", "img", "br", "link", "hr", "input"}
+
+
+class Page(HTMLParser):
+    """Checks that tags nest and collects links, classes and texts."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.stack, self.links, self.tags, self.words = [], [], [], []
+        self.feed(text)
+        assert self.stack == []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        self.links += [v for k, v in attrs if k in ("src", "href", "data", "action") and v]
+        if tag not in VOID:
+            self.stack.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag):
+        assert self.stack.pop() == tag
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+
+@pytest.fixture
+def run(metrics_dict):
+    def make(**changes):
+        metrics, views = metrics_dict(**changes)
+        steps = range(0, 500, 5)
+        history = [
+            {"step": s, "elapsed_s": s / 7, "loss": 1 / (s + 3), "psnr": 10 + s / 50, "splats": s}
+            for s in steps
+        ]
+        return {
+            "title": "a <script>alert(1)</script> capture",
+            "metrics": metrics,
+            "views": views,
+            "history": history,
+            "evals": [
+                {"step": 100, "elapsed_s": 14.0, "psnr": 12.0},
+                {"step": 500, "elapsed_s": 71.0, "psnr": 19.0},
+            ],
+            "warnings": ["3 photos & no camera"],
+            "config": {"train": {"iterations": 500, "lpips": None}},
+        }
+
+    return make
+
+
+def test_page_is_whole_and_alone(run, tmp_path):
+    """Oracle: an HTML parser; nothing but data URIs is referred to."""
+    path = tmp_path / "report.html"
+    write_report(path, run())
+    text = path.read_text(encoding="utf-8")
+    page = Page(text)
+    assert len(page.links) == 3 and all(x.startswith("data:image/jpeg;base64,") for x in page.links)
+    assert not re.search(r"https?://|url\(|@import", text)
+    assert "<script>alert" not in text and "a <script>alert(1)</script> capture" in page.words
+    assert "3 photos & no camera" in page.words
+
+
+def test_numbers_are_shown(run):
+    """Oracle: the metrics the page was made from."""
+    content = run()
+    words = Page(report_html(content)).words
+    metrics = content["metrics"]
+    shown = " ".join(words)
+    for piece in (f"{metrics['psnr']:.2f}", f"{metrics['ssim']:.4f}", "1 234", "1 min 15 s"):
+        assert piece in shown
+    assert "306 kB" in shown and "500 steps" in shown and "iterations" in shown
+    assert "needs 161 x 161 pixels" in shown  # why MS-SSIM is missing
+    assert "1 held-out views" in shown
+
+
+def test_scores_on_training_views_say_so(run):
+    """Oracle: the sentence under the title."""
+    shown = " ".join(Page(report_html(run(split="train", test_views=[]))).words)
+    assert "not a test" in shown
+
+
+def test_a_run_without_history_or_pictures_still_has_a_page(run):
+    """Oracle: no curves, no cards, but the numbers of the views."""
+    content = run()
+    bare = {"title": "x", "metrics": content["metrics"]}
+    page = Page(report_html(bare))
+    assert not any(tag == "svg" for tag, _ in page.tags)
+    assert f"{content['metrics']['psnr']:.2f}" in page.words
+
+
+def test_pictures_are_what_they_claim():
+    """Oracle: a render that is wrong by a ramp from 0 to 1 / ERROR_GAIN shows the colour map."""
+    target = np.full((64, 256, 3), 0.5)
+    target[:16] = (0.1, 0.9, 0.4)
+    ramp = np.broadcast_to(np.linspace(0, 1, 256)[None, :, None], target.shape)
+    collector = PictureCollector(count=1)
+    collector(0, target, target - ramp / ERROR_GAIN, {"name": "a"})
+    decoded = {}
+    for kind in ("photo", "render", "error"):
+        data = base64.b64decode(getattr(collector.views[0], kind).partition(",")[2])
+        decoded[kind] = np.asarray(Image.open(io.BytesIO(data))).astype(float)
+        assert decoded[kind].shape == (64, 256, 3)
+    assert np.abs(decoded["photo"] - target * 255).mean() < 2
+    assert np.abs(decoded["render"] - (target - ramp / ERROR_GAIN).clip(0) * 255).mean() < 2
+    assert np.abs(decoded["error"][20:] - colorize(ramp[20:, :, 0])).mean() < 4
+
+
+@pytest.mark.parametrize("shape", [(600, 800, 3), (1000, 300, 3)])
+def test_sixty_noisy_views_stay_within_the_budget(shape):
+    """Oracle: the worst case for JPEG, white noise; four views stand for sixty."""
+    rng = np.random.default_rng(0)
+    collector = PictureCollector(count=60)
+    for place in range(4):
+        pair = rng.random(shape), rng.random(shape)
+        collector(place, *pair, {"name": str(place), "psnr": 8.0})
+    sizes = [len(v.photo) + len(v.render) + len(v.error) for v in collector.views]
+    assert max(sizes) * 60 <= BYTES_IN_ALL * 1.01
+    assert all(max(v.width, v.height) <= 640 and v.width > 0 for v in collector.views)
+    aspect = collector.views[0].width / collector.views[0].height
+    assert aspect == pytest.approx(shape[1] / shape[0], rel=0.02)
+
+
+def test_of_many_views_some_get_pictures():
+    """Oracle: at most MAX_VIEWS, evenly spread, the first among them; all keep their numbers."""
+    collector = PictureCollector(count=150)
+    for place in range(150):
+        collector(place, *[np.zeros((8, 9, 3))] * 2, {"name": str(place)})
+    pictured = [i for i, v in enumerate(collector.views) if v.width]
+    assert len(collector.views) == 150 and len(pictured) == MAX_VIEWS and pictured[0] == 0
+    assert max(np.diff(pictured)) <= 3
+
+
+def test_colour_map_reads_in_grey():
+    """Oracle: lightness (CIE L*) rises at every step, from black to nearly white."""
+    linear = colorize(np.linspace(0, 1, 256)) / 255.0
+    linear = np.where(linear <= 0.04045, linear / 12.92, ((linear + 0.055) / 1.055) ** 2.4)
+    y = linear @ [0.2126, 0.7152, 0.0722]
+    lightness = np.where(y > 0.008856, 116 * np.cbrt(y) - 16, 903.3 * y)
+    assert lightness[0] < 1 and lightness[-1] > 95 and (np.diff(lightness) > 0).all()
+
+
+def test_chart_puts_points_where_the_axes_say():
+    """Oracle: a straight line from the first to the last point; ticks at known heights."""
+    points = [(float(x), 2.0 * x) for x in range(101)]
+    svg = ElementTree.fromstring(
+        chart([Series(label="a", points=points, dots=True)], label="up", x_unit="steps")
+    )
+    dots = [(float(c.get("cx")), float(c.get("cy"))) for c in svg.iter("circle") if c.get("cx")]
+    assert len(dots) == 101
+    xs, ys = np.array(dots).T
+    assert np.allclose(np.diff(xs), np.diff(xs).mean(), atol=0.11) and xs[0] < xs[-1]
+    assert np.allclose(np.diff(ys), np.diff(ys).mean(), atol=0.11) and ys[0] > ys[-1]
+    labels = {t.text: float(t.get("y")) for t in svg.iter("text") if t.get("text-anchor") == "end"}
+    assert labels["100"] == pytest.approx(ys[50], abs=0.1)
+
+
+def test_chart_keeps_means_of_noisy_points_and_ignores_spikes():
+    """Oracle: 20 000 points of mean 5 with one spike; the drawn line is short and near 5."""
+    rng = np.random.default_rng(0)
+    points = [(float(i), 5 + float(n)) for i, n in enumerate(rng.normal(0, 0.5, 20_000))]
+    points[9000] = (9000.0, 1e6)
+    text = chart([Series(label="a", points=points)], label="n", x_unit="steps")
+    assert len(text) < 40_000
+    ticks = [float(t) for t in re.findall(r'text-anchor="end">([\d.]+)</text>', text)]
+    assert ticks and max(ticks) < 10
+
+
+def test_chart_needs_two_points():
+    """Oracle: a sentence instead of an empty drawing; values that are not numbers are left out."""
+    nothing = clean_points([(1, None), (2, float("nan")), (3, 4.0)])
+    assert nothing == [(3.0, 4.0)]
+    assert "Not enough" in chart([Series(label="a", points=nothing)], label="x", x_unit="s")
+    same = chart([Series(label="a", points=[(0, 7.0), (9, 7.0)])], label="x", x_unit="s")
+    assert "svg" in same and "nan" not in same
+
+
+@pytest.mark.parametrize(
+    ("got", "want"),
+    [
+        (nice_ticks(0, 10), [0, 2, 4, 6, 8, 10]),
+        (nice_ticks(0.12, 0.31), [0.15, 0.2, 0.25, 0.3]),
+        (nice_ticks(3, 3), [3]),
+        (log_ticks(0.04, 0.3), [0.05, 0.1, 0.2]),
+    ],
+)
+def test_ticks(got, want):
+    """Oracle: the round numbers a person would choose."""
+    assert got == pytest.approx(want)
+
+
+@pytest.mark.parametrize(
+    ("got", "want"),
+    [
+        (size_words(306_032), "306 kB"),
+        (size_words(None), "n/a"),
+        (size_words(46_460_816), "46.5 MB"),
+        (time_words(59.96), "60 s"),
+        (time_words(75), "1 min 15 s"),
+        (time_words(7265), "2 h 01 min"),
+        (short_number(187_342), "187 k"),
+        (short_number(0.0512), "0.0512"),
+        (short_number(1_234_567), "1.23 M"),
+        (short_number(2500), "2500"),
+    ],
+)
+def test_words_for_numbers(got, want):
+    """Oracle: how people write them."""
+    assert got == want
+
+
+def test_a_folder_that_cannot_be_written_is_an_error(run, tmp_path):
+    """Oracle: the path in the message, no file left behind."""
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(GsError, match="report"):
+        write_report(tmp_path / "file" / "report.html", run())
