@@ -46,6 +46,13 @@ class RasterScene:
         }
         return {**leaves, "K": self.K.to(dtype), "width": self.width, "height": self.height}
 
+    def tensors(self) -> tuple[reference.SplatTensors, reference.PinholeView]:
+        """The arguments of the reference's stages."""
+        return (
+            reference.SplatTensors(*(getattr(self, name) for name in PARAMETERS)),
+            reference.PinholeView(self.viewmat, self.K, self.width, self.height),
+        )
+
     def activated(self) -> "RasterScene":
         """The same splats with exp and sigmoid applied, for raw=False."""
         return replace(

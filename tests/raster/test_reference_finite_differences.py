@@ -73,16 +73,7 @@ def opaque_front(scene):
 
 def light_through_all(scene):
     """[P, M] alpha before the cap, and [P] transmittance if no pixel ever stopped."""
-    splats = project(
-        *(getattr(scene, name) for name in ("means", "quats", "scales", "opacities")),
-        *(scene.sh0, scene.shN, scene.viewmat, scene.K, scene.width, scene.height),
-        raw=True,
-        sh_degree=0,
-        near=0.01,
-        far=1e10,
-        eps2d=0.3,
-        antialias=False,
-    )
+    splats = project(*scene.tensors(), raw=True)
     pixels = pixel_centers(scene.width, scene.height, like=scene.means)
     uncapped = gaussian_alpha(pixels, splats.means2d, splats.conics, splats.opacities)
     return uncapped, (1 - uncapped.clamp(max=0.99)).prod(1)

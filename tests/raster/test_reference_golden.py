@@ -47,7 +47,10 @@ def test_the_scene_is_worth_comparing(golden, inputs):
 
 def test_projection_and_colors(golden, inputs):
     splats = reference.project(
-        **inputs, sh_degree=3, near=0.01, far=1e10, eps2d=0.3, antialias=True
+        reference.SplatTensors(*(inputs[name] for name in PARAMETERS[:6])),
+        reference.PinholeView(*(inputs[name] for name in ("viewmat", "K", "width", "height"))),
+        raw=True,
+        antialias=True,
     )
     index = splats.index.numpy()
     assert sorted(index) == list(range(24))

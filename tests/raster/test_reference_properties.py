@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from gscore.errors import ConfigError, ShapeError
+from gscore.errors import ShapeError
 from gscore.raster.reference import boundary_band, rasterize_reference
 
 OPTIONS = {"raw": True, "inverse_depth": True, "depth": True}
@@ -146,22 +146,22 @@ def test_empty_scenes_show_the_background(random_scene, count):
 def test_bad_input_is_refused(random_scene):
     inputs = random_scene(9, sh_degree=1).inputs()
 
-    def refuses(error, message, **changes):
+    def refuses(message, **changes):
         for function in (rasterize_reference, boundary_band):
-            with pytest.raises(error, match=message):
+            with pytest.raises(ShapeError, match=message):
                 function(**{**inputs, **changes})
 
     skewed = inputs["K"].clone()
     skewed[0, 1] = 0.1
-    refuses(ConfigError, "undistort", K=skewed)
+    refuses("undistort", K=skewed)
     mirrored = inputs["K"].clone()
     mirrored[0, 0] *= -1
-    refuses(ConfigError, "positive fx", K=mirrored)
-    refuses(ConfigError, "0 to 1", sh_degree=2)
-    refuses(ShapeError, "quats must be", quats=inputs["quats"][:, :3])
-    refuses(ShapeError, "opacities must be", opacities=inputs["opacities"][:, None])
-    refuses(ShapeError, "0, 3, 8 or 15", shN=inputs["shN"][:, :2])
-    refuses(ShapeError, "at least one pixel", width=0)
+    refuses("positive fx", K=mirrored)
+    refuses("0 to 1", sh_degree=2)
+    refuses("quats must be", quats=inputs["quats"][:, :3])
+    refuses("opacities must be", opacities=inputs["opacities"][:, None])
+    refuses("0, 3, 8 or 15", shN=inputs["shN"][:, :2])
+    refuses("at least 1 x 1", width=0)
 
 
 K_AXIS = torch.tensor([[20.0, 0, 8.5], [0, 20.0, 6.5], [0, 0, 1]], dtype=torch.float64)

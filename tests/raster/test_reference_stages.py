@@ -241,16 +241,7 @@ def test_color_is_clamped_at_zero_without_gradient():
 def test_alpha_and_blend_gradients(smooth_scene):
     """Every input of the blend stage, on a scene without jumps."""
     scene = smooth_scene(800, count=5, width=9, height=8, sh_degree=0)
-    splats = reference.project(
-        *(scene.means, scene.quats, scene.scales, scene.opacities, scene.sh0, scene.shN),
-        *(scene.viewmat, scene.K, scene.width, scene.height),
-        raw=True,
-        sh_degree=0,
-        near=0.01,
-        far=1e10,
-        eps2d=0.3,
-        antialias=False,
-    )
+    splats = reference.project(*scene.tensors(), raw=True)
     pixels = reference.pixel_centers(scene.width, scene.height, like=scene.means)
     geometry = (splats.means2d, splats.conics, splats.opacities)
     assert reference.gaussian_alpha(pixels, *geometry).max() > 0.1

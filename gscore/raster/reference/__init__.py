@@ -17,15 +17,26 @@ from .geometry import (
     quat_to_rotmat,
 )
 from .harmonics import sh_basis, sh_colors
-from .rasterize import ProjectedSplats, ReferenceOutput, project, rasterize_reference
+from .rasterize import (
+    PinholeView,
+    ProjectedSplats,
+    ReferenceOutput,
+    SplatTensors,
+    composite,
+    project,
+    rasterize_reference,
+)
 
 __all__ = [
     "Blended",
+    "PinholeView",
     "ProjectedSplats",
     "ReferenceOutput",
+    "SplatTensors",
     "blend",
     "blend_pixels",
     "boundary_band",
+    "composite",
     "conic",
     "covariance",
     "covariance_to_camera",

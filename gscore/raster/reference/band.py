@@ -5,7 +5,7 @@ from torch import Tensor
 
 from .blending import PAIRS_PER_CHUNK, gaussian_alpha, pixel_centers
 from .constants import ALPHA_MAX, ALPHA_MIN, STOP_AT, TRANSMITTANCE_MIN
-from .rasterize import ProjectedSplats, check_inputs, project
+from .rasterize import PinholeView, ProjectedSplats, SplatTensors, project
 
 
 @torch.no_grad()
@@ -55,21 +55,17 @@ def boundary_band(
     Returns:
         [H, W] bool.
     """
-    degree = check_inputs(
-        means, quats, scales, opacities, sh0, shN, viewmat, K, width, height, sh_degree
-    )
-    tensors = (means, quats, scales, opacities, sh0, shN, viewmat, K)
     splats = project(
-        *(tensor.to(dtype) for tensor in tensors),
-        width,
-        height,
+        SplatTensors(means, quats, scales, opacities, sh0, shN),
+        PinholeView(viewmat, K, width, height),
         raw=raw,
-        sh_degree=degree,
+        sh_degree=sh_degree,
         # A little wider than what is drawn, so that splats just culled are seen here.
         near=near * (1 - depth_tolerance),
         far=far * (1 + depth_tolerance),
         eps2d=eps2d,
         antialias=antialias,
+        dtype=dtype,
         min_opacity=ALPHA_MIN * (1 - alpha_tolerance),
     )
     pixels = pixel_centers(width, height, like=splats.means2d)

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from ...errors import ConfigError, ShapeError
+from ...errors import ShapeError
 from .blending import PAIRS_PER_CHUNK, blend
 from .constants import ALPHA_MIN, QUAT_NORM2_MIN
 from .geometry import (
@@ -20,6 +20,40 @@ from .geometry import (
 from .harmonics import sh_colors
 
 SH_COUNT_TO_DEGREE = {0: 0, 3: 1, 8: 2, 15: 3}
+
+
+class SplatTensors(NamedTuple):
+    """Parameters of N splats, raw or activated as the caller says."""
+
+    means: Tensor
+    """[N, 3], world units."""
+    quats: Tensor
+    """[N, 4], wxyz, of any length."""
+    scales: Tensor
+    """[N, 3], standard deviations in world units or their logarithms."""
+    opacities: Tensor
+    """[N], 0 to 1 or logits."""
+    sh0: Tensor
+    """[N, 1, 3], constant SH coefficient."""
+    shN: Tensor
+    """[N, K-1, 3], K-1 = 0, 3, 8 or 15."""
+
+    def rows(self, index: Tensor) -> "SplatTensors":
+        """The splats at these indices."""
+        return SplatTensors(*(field[index] for field in self))
+
+
+class PinholeView(NamedTuple):
+    """One camera and its image."""
+
+    viewmat: Tensor
+    """[4, 4], rigid, world to camera, OpenCV axes, column vectors."""
+    K: Tensor
+    """[3, 3], pixels, no skew; pixel centres at +0.5."""
+    width: int
+    """pixels."""
+    height: int
+    """pixels."""
 
 
 class ProjectedSplats(NamedTuple):
@@ -54,86 +88,54 @@ class ReferenceOutput(NamedTuple):
     """[H, W], depth at which half the light is gone, 0 where it never is; not differentiable."""
 
 
-def check_inputs(
-    means: Tensor,
-    quats: Tensor,
-    scales: Tensor,
-    opacities: Tensor,
-    sh0: Tensor,
-    shN: Tensor,
-    viewmat: Tensor,
-    K: Tensor,
-    width: int,
-    height: int,
-    sh_degree: int | None,
-) -> int:
+def check_inputs(splats: SplatTensors, view: PinholeView, sh_degree: int | None) -> int:
     """Raise on shapes and cameras the rasterizer does not define; return the SH degree to use."""
-    n = len(means)
+    n, K = len(splats.means), view.K
     shapes = {
-        "means": (means, [n, 3]),
-        "quats": (quats, [n, 4]),
-        "scales": (scales, [n, 3]),
-        "opacities": (opacities, [n]),
-        "sh0": (sh0, [n, 1, 3]),
-        "shN": (shN, [n, *shN.shape[1:2], 3]),
-        "viewmat": (viewmat, [4, 4]),
+        "means": (splats.means, [n, 3]),
+        "quats": (splats.quats, [n, 4]),
+        "scales": (splats.scales, [n, 3]),
+        "opacities": (splats.opacities, [n]),
+        "sh0": (splats.sh0, [n, 1, 3]),
+        "shN": (splats.shN, [n, *splats.shN.shape[1:2], 3]),
+        "viewmat": (view.viewmat, [4, 4]),
         "K": (K, [3, 3]),
     }
     for name, (tensor, wanted) in shapes.items():
         if list(tensor.shape) != wanted:
             raise ShapeError(f"{name} must be {wanted}, got {list(tensor.shape)}.")
-    if shN.shape[1] not in SH_COUNT_TO_DEGREE:
+    rest = splats.shN.shape[1]
+    if rest not in SH_COUNT_TO_DEGREE:
         raise ShapeError(
-            f"shN must hold 0, 3, 8 or 15 coefficients a splat (degree 0 to 3), got {shN.shape[1]}."
+            f"shN must hold 0, 3, 8 or 15 coefficients a splat (degree 0 to 3), got {rest}."
         )
-    if width < 1 or height < 1:
-        raise ShapeError(f"the image must have at least one pixel, got {width} x {height}.")
+    if view.width < 1 or view.height < 1:
+        raise ShapeError(f"the image must be at least 1 x 1 px, got {view.width} x {view.height}.")
     zero_entries = [float(K[0, 1]), float(K[1, 0]), float(K[2, 0]), float(K[2, 1])]
     if any(zero_entries) or float(K[2, 2]) != 1 or not (K[0, 0] > 0 and K[1, 1] > 0):
-        raise ConfigError(
+        raise ShapeError(
             f"K must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with positive fx and fy, "
             f"got {K.tolist()}; undistort the images to a pinhole camera without skew."
         )
-    stored = SH_COUNT_TO_DEGREE[shN.shape[1]]
+    stored = SH_COUNT_TO_DEGREE[rest]
     degree = stored if sh_degree is None else sh_degree
     if not 0 <= degree <= stored:
-        raise ConfigError(f"sh_degree must be 0 to {stored}, the degree stored, got {degree}.")
+        raise ShapeError(f"sh_degree must be 0 to {stored}, the degree stored, got {degree}.")
     return degree
 
 
-def alive_rows(
-    means: Tensor,
-    quats: Tensor,
-    scales: Tensor,
-    opacities: Tensor,
-    sh0: Tensor,
-    shN: Tensor,
-    viewmat: Tensor,
-    near: float,
-    far: float,
-) -> Tensor:
+def alive_rows(splats: SplatTensors, viewmat: Tensor, near: float, far: float) -> Tensor:
     """[N] bool: rows with only finite parameters, a usable quaternion, and near < z <= far."""
-    rows = torch.cat([means, quats, scales, opacities[:, None], sh0.flatten(1), shN.flatten(1)], 1)
-    z = means_to_camera(means, viewmat)[:, 2]
-    return (
-        rows.isfinite().all(1)
-        & ((quats * quats).sum(1) >= QUAT_NORM2_MIN)
-        & (z > near)
-        & (z <= far)
-    )
+    numbers = [field[:, None].flatten(1) for field in splats]
+    finite = torch.cat(numbers, 1).isfinite()
+    length2 = (splats.quats * splats.quats).sum(1)
+    z = means_to_camera(splats.means, viewmat)[:, 2]
+    return finite.all(1) & (length2 >= QUAT_NORM2_MIN) & (z > near) & (z <= far)
 
 
 def project_rows(
-    means: Tensor,
-    quats: Tensor,
-    scales: Tensor,
-    opacities: Tensor,
-    sh0: Tensor,
-    shN: Tensor,
-    viewmat: Tensor,
-    K: Tensor,
-    width: int,
-    height: int,
+    splats: SplatTensors,
+    view: PinholeView,
     *,
     raw: bool,
     sh_degree: int,
@@ -141,40 +143,34 @@ def project_rows(
     antialias: bool,
 ) -> ProjectedSplats:
     """The per-splat chain for every row given: activate, project, colour. Arguments as below."""
+    scales, opacities = splats.scales, splats.opacities
     if raw:
         scales, opacities = scales.exp(), opacities.sigmoid()
-    means_cam = means_to_camera(means, viewmat)
-    covars_cam = covariance_to_camera(covariance(quats, scales), viewmat)
-    jacobian = projection_jacobian(means_cam, K, width, height)
+    means_cam = means_to_camera(splats.means, view.viewmat)
+    covars_cam = covariance_to_camera(covariance(splats.quats, scales), view.viewmat)
+    jacobian = projection_jacobian(means_cam, view.K, view.width, view.height)
     conics, compensation = conic(project_covariance(covars_cam, jacobian), eps2d)
     return ProjectedSplats(
-        index=torch.arange(len(means), device=means.device),
-        means2d=project_means(means_cam, K),
+        index=torch.arange(len(means_cam), device=means_cam.device),
+        means2d=project_means(means_cam, view.K),
         conics=conics,
         opacities=opacities * compensation if antialias else opacities,
-        colors=sh_colors(means, viewmat, sh0, shN, sh_degree),
+        colors=sh_colors(splats.means, view.viewmat, splats.sh0, splats.shN, sh_degree),
         depths=means_cam[:, 2],
     )
 
 
 def project(
-    means: Tensor,
-    quats: Tensor,
-    scales: Tensor,
-    opacities: Tensor,
-    sh0: Tensor,
-    shN: Tensor,
-    viewmat: Tensor,
-    K: Tensor,
-    width: int,
-    height: int,
+    splats: SplatTensors,
+    view: PinholeView,
     *,
-    raw: bool,
-    sh_degree: int,
-    near: float,
-    far: float,
-    eps2d: float,
-    antialias: bool,
+    raw: bool = False,
+    sh_degree: int | None = None,
+    near: float = 0.01,
+    far: float = 1e10,
+    eps2d: float = 0.3,
+    antialias: bool = False,
+    dtype: torch.dtype = torch.float64,
     min_opacity: float = ALPHA_MIN,
 ) -> ProjectedSplats:
     """Everything that happens per splat: cull, activate, project, colour, sort.
@@ -184,21 +180,22 @@ def project(
     left out of the differentiated chain: culled rows get an exact zero gradient, and a NaN or an
     overflow in one row reaches no other and not the camera.
     """
-    rows = (means, quats, scales, opacities, sh0, shN)
-    camera = (viewmat, K, width, height)
+    degree = check_inputs(splats, view, sh_degree)
+    splats = SplatTensors(*(field.to(dtype) for field in splats))
+    view = view._replace(viewmat=view.viewmat.to(dtype), K=view.K.to(dtype))
 
     def chain(index: Tensor) -> ProjectedSplats:
         return project_rows(
-            *(row[index] for row in rows),
-            *camera,
+            splats.rows(index),
+            view,
             raw=raw,
-            sh_degree=sh_degree,
+            sh_degree=degree,
             eps2d=eps2d,
             antialias=antialias,
         )
 
     with torch.no_grad():
-        index = alive_rows(*rows, viewmat, near, far).nonzero()[:, 0]
+        index = alive_rows(splats, view.viewmat, near, far).nonzero()[:, 0]
         tried = chain(index)
         finite = torch.cat([tried.means2d, tried.conics, tried.colors], 1).isfinite().all(1)
         ellipse = (tried.conics[:, 0] > 0) & (tried.conics[:, 2] > 0)  # not lost to rounding
@@ -206,6 +203,44 @@ def project(
         kept = kept[tried.depths[kept].argsort(stable=True)]
         index = index[kept]
     return chain(index)._replace(index=index)
+
+
+def composite(
+    splats: ProjectedSplats,
+    width: int,
+    height: int,
+    *,
+    background: Tensor | None = None,
+    inverse_depth: bool = False,
+    depth: bool = False,
+    pairs_per_chunk: int = PAIRS_PER_CHUNK,
+) -> ReferenceOutput:
+    """Everything that happens per pixel: blend colour and depth, put the background behind.
+
+    Arguments as `rasterize_reference`. Colour, 1/z, z and 1 are blended alike, as features.
+    """
+    z = splats.depths[:, None]
+    blended = blend(
+        splats.means2d,
+        splats.conics,
+        splats.opacities,
+        splats.depths,
+        torch.cat([splats.colors, 1 / z, z, torch.ones_like(z)], 1),
+        width=width,
+        height=height,
+        pairs_per_chunk=pairs_per_chunk,
+    )
+    rgb, inverse, depth_sum, weight = blended.sums.split([3, 1, 1, 1], 1)
+    if background is not None:
+        rgb = rgb + blended.transmittance[:, None] * background.to(rgb).detach()
+    expected = torch.where(weight > 0, depth_sum / torch.where(weight > 0, weight, 1.0), 0.0)
+    return ReferenceOutput(
+        rgb=rgb.reshape(height, width, 3),
+        alpha=(1 - blended.transmittance).reshape(height, width),
+        inverse_depth=inverse.reshape(height, width) if inverse_depth else None,
+        depth=expected.reshape(height, width) if depth else None,
+        median_depth=blended.median_depth.reshape(height, width) if depth else None,
+    )
 
 
 def rasterize_reference(
@@ -265,43 +300,26 @@ def rasterize_reference(
         The pictures in `dtype`.
 
     Raises:
-        ShapeError: an input has the wrong shape or the image no pixels.
-        ConfigError: K has skew or no focal length, or sh_degree exceeds what is stored.
+        ShapeError: an input has the wrong shape, the image no pixels, K has skew or no focal
+            length, or sh_degree exceeds what is stored.
     """
-    degree = check_inputs(
-        means, quats, scales, opacities, sh0, shN, viewmat, K, width, height, sh_degree
-    )
-    tensors = (means, quats, scales, opacities, sh0, shN, viewmat, K)
     splats = project(
-        *(tensor.to(dtype) for tensor in tensors),
-        width,
-        height,
+        SplatTensors(means, quats, scales, opacities, sh0, shN),
+        PinholeView(viewmat, K, width, height),
         raw=raw,
-        sh_degree=degree,
+        sh_degree=sh_degree,
         near=near,
         far=far,
         eps2d=eps2d,
         antialias=antialias,
+        dtype=dtype,
     )
-    z = splats.depths[:, None]
-    blended = blend(
-        splats.means2d,
-        splats.conics,
-        splats.opacities,
-        splats.depths,
-        torch.cat([splats.colors, 1 / z, z, torch.ones_like(z)], 1),
-        width=width,
-        height=height,
+    return composite(
+        splats,
+        width,
+        height,
+        background=background,
+        inverse_depth=inverse_depth,
+        depth=depth,
         pairs_per_chunk=pairs_per_chunk,
-    )
-    rgb, inverse, depth_sum, weight = blended.sums.split([3, 1, 1, 1], 1)
-    if background is not None:
-        rgb = rgb + blended.transmittance[:, None] * background.to(dtype).detach()
-    expected = torch.where(weight > 0, depth_sum / torch.where(weight > 0, weight, 1.0), 0.0)
-    return ReferenceOutput(
-        rgb=rgb.reshape(height, width, 3),
-        alpha=(1 - blended.transmittance).reshape(height, width),
-        inverse_depth=inverse.reshape(height, width) if inverse_depth else None,
-        depth=expected.reshape(height, width) if depth else None,
-        median_depth=blended.median_depth.reshape(height, width) if depth else None,
     )
