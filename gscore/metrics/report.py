@@ -24,10 +24,7 @@ def write_report(path: Path, run: dict[str, Any]) -> None:
             title: str, usually the capture's name.
             metrics: the content of metrics.json, see `summarize`.
             views: list of ViewPictures, from a `PictureCollector` given to `evaluate`.
-            history: list of dicts with the fields of `events.Progress` (step, elapsed_s, loss,
-                psnr, splats, phase are used); may be missing or empty.
-            evals: list of {"step", "elapsed_s", "psnr"} measured on the scored split during the
-                run, the last one at its end; may be missing or empty.
+            history, evals: curves as in `summarize`; without them those in metrics are drawn.
             warnings: list of sentences; may be missing or empty.
             config: {section: {option: value}}; may be missing or empty.
 
@@ -46,7 +43,11 @@ def report_html(run: dict[str, Any]) -> str:
             _header(title, metrics),
             _warnings(run.get("warnings") or []),
             _tiles(metrics),
-            _curves(run.get("history") or [], run.get("evals") or [], metrics),
+            _curves(
+                run.get("history") or metrics.get("history") or [],
+                run.get("evals") or metrics.get("evals") or [],
+                metrics,
+            ),
             _view_cards(views, metrics),
             _view_table(views),
             _details(metrics, run.get("config") or {}),
@@ -97,9 +98,11 @@ def _count(value: int | None) -> str:
 
 def _split_words(metrics: dict[str, Any]) -> str:
     count = len(metrics["views"])
+    if not count:
+        return "no views: " + metrics.get("psnr_reason", "")
     if metrics["split"] == "test":
-        return f"{count} held-out views"
-    return f"{count} training views (none were held out, so this is not a test)"
+        return f"{count} held-out view{'s' if count > 1 else ''}"
+    return f"{count} training view{'s' if count > 1 else ''} (not held out, so this is no test)"
 
 
 def _header(title: str, metrics: dict[str, Any]) -> str:
@@ -123,14 +126,24 @@ def _tiles(metrics: dict[str, Any]) -> str:
     net = metrics.get("lpips_net")
     lpips_note = f"net: {net}, lower is better" if net else metrics.get("lpips_reason", "")
     tiles = [
-        ("PSNR", _number(metrics["psnr"], 2), "dB", _reason(metrics, "psnr", "higher is better")),
-        ("SSIM", _number(metrics["ssim"], 4), "", "1 is identical"),
-        ("D-SSIM", _number(metrics["d_ssim"], 4), "", "(1 - SSIM) / 2"),
-        ("MS-SSIM", _number(metrics["ms_ssim"], 4), "", _reason(metrics, "ms_ssim", "five scales")),
-        ("LPIPS", _number(metrics["lpips"], 4), "", lpips_note),
+        (
+            "PSNR",
+            _number(metrics.get("psnr"), 2),
+            "dB",
+            _reason(metrics, "psnr", "higher is better"),
+        ),
+        ("SSIM", _number(metrics.get("ssim"), 4), "", "1 is identical"),
+        ("D-SSIM", _number(metrics.get("d_ssim"), 4), "", "(1 - SSIM) / 2"),
+        (
+            "MS-SSIM",
+            _number(metrics.get("ms_ssim"), 4),
+            "",
+            _reason(metrics, "ms_ssim", "five scales"),
+        ),
+        ("LPIPS", _number(metrics.get("lpips"), 4), "", lpips_note),
         ("Splats", _count(metrics["splats"]), "", f"SH degree {metrics['sh_degree']}"),
         ("Training", time_words(metrics["train_seconds"]), "", _steps(metrics)),
-        ("Rendering", _number(metrics["fps"], 1), "fps", _picture_size(metrics)),
+        ("Rendering", _number(metrics.get("fps"), 1), "fps", _picture_size(metrics)),
         ("Storage", size_words(metrics["storage_bytes"]), "", "PLY file"),
         ("Peak memory", size_words(metrics["peak_memory_bytes"]), "", "resident"),
     ]
@@ -143,7 +156,7 @@ def _tiles(metrics: dict[str, Any]) -> str:
 
 
 def _reason(metrics: dict[str, Any], key: str, otherwise: str) -> str:
-    return otherwise if metrics[key] is not None else metrics.get(f"{key}_reason", "")
+    return otherwise if metrics.get(key) is not None else metrics.get(f"{key}_reason", "")
 
 
 def _steps(metrics: dict[str, Any]) -> str:
@@ -153,7 +166,7 @@ def _steps(metrics: dict[str, Any]) -> str:
 def _picture_size(metrics: dict[str, Any]) -> str:
     sizes = {(v["width"], v["height"]) for v in metrics["views"]}
     if len(sizes) != 1:
-        return "pictures of several sizes"
+        return "pictures of several sizes" if sizes else ""
     width, height = sizes.pop()
     return f"{width} {TIMES} {height} px, median"
 
@@ -173,7 +186,7 @@ def _curves(history: list[dict[str, Any]], evals: list[dict[str, Any]], metrics:
             series = []
             noisy = clean_points([(row.get(axis), row.get(key)) for row in history])
             if noisy:
-                series.append(Series(label="training view of the step", points=noisy))
+                series.append(Series(label="training views, smoothed", points=noisy))
             exact = clean_points([(row.get(axis), row.get(key)) for row in evals])
             if exact and key == "psnr":
                 series.append(Series(label=f"mean of the {held_out}", points=exact, dots=True))
@@ -312,26 +325,37 @@ def _table(title: str, values: dict[str, Any]) -> str:
     return f"<details><summary>{html.escape(title)}</summary><table>{rows}</table></details>"
 
 
+_DEFINITIONS = (
+    ("psnr", "PSNR", 3, "dB, mean over the views of -10 log10 MSE of floats clamped to [0, 1]"),
+    ("psnr_u8", "PSNR 8 bit", 3, "both pictures rounded to 8 bit first, as scoring files does"),
+    (
+        "psnr_masked",
+        "PSNR in the mask",
+        3,
+        "only pixels the mask keeps; the other numbers count masked-out pixels as equal, as the "
+        "loss does",
+    ),
+    (
+        "ssim",
+        "SSIM",
+        5,
+        f"11 {TIMES} 11 window, sigma 1.5, zero padding: the convention of the 3DGS code",
+    ),
+    ("ssim_valid", "SSIM valid", 5, "the same window, only where it lies inside the picture"),
+    ("ms_ssim", "MS-SSIM", 5, "five scales, valid windows (Wang et al. 2003)"),
+)
+
+
 def _definitions(metrics: dict[str, Any]) -> str:
     rows = {
-        f"PSNR {_number(metrics['psnr'], 3)}": "dB, mean over the views of -10 log10 MSE, floats "
-        "clamped to [0, 1]",
-        f"PSNR 8 bit {_number(metrics['psnr_u8'], 3)}": "both pictures rounded to 8 bit first, "
-        "as when saved files are scored",
-        f"SSIM {_number(metrics['ssim'], 5)}": f"11 {TIMES} 11 window, sigma 1.5, zero padding: "
-        "the convention of the 3DGS code",
-        f"SSIM valid {_number(metrics['ssim_valid'], 5)}": "the same window, only where it lies "
-        "inside the picture",
-        f"MS-SSIM {_number(metrics['ms_ssim'], 5)}": "five scales, valid windows "
-        "(Wang et al. 2003)",
-        f"LPIPS {_number(metrics['lpips'], 5)}": f"network {metrics['lpips_net']}, inputs in "
-        "[-1, 1]; numbers of other networks cannot be compared"
-        if metrics["lpips_net"]
-        else metrics.get("lpips_reason", ""),
+        f"{label} {_number(metrics.get(key), digits)}": words
+        for key, label, digits, words in _DEFINITIONS
+        if key != "psnr_masked" or key in metrics
     }
-    if "psnr_masked" in metrics:
-        rows[f"PSNR in the mask {_number(metrics['psnr_masked'], 3)}"] = (
-            "only pixels the mask keeps; the other numbers count masked-out pixels as equal, as "
-            "the loss does"
-        )
+    rows[f"LPIPS {_number(metrics.get('lpips'), 5)}"] = (
+        f"network {metrics['lpips_net']}, inputs in [-1, 1]; numbers of other networks cannot be "
+        "compared"
+        if metrics.get("lpips_net")
+        else metrics.get("lpips_reason", "")
+    )
     return _table("How the numbers are defined", rows)

@@ -1,6 +1,7 @@
 """metrics.json: what a run reached, how it was measured and on what machine."""
 
 import json
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -8,6 +9,10 @@ from typing import Any
 from .._version import __version__
 from ..io.files import atomic_write
 from .machine import machine, peak_memory_bytes
+
+HISTORY = ("step", "elapsed_s", "loss", "psnr", "splats")
+"""Keys of a row of the history."""
+_LISTS = frozenset({"views", "train_views", "test_views", "history", "evals"})
 
 
 def summarize(
@@ -25,6 +30,8 @@ def summarize(
     train_seconds: float | None,
     isa: str,
     threads: int,
+    history: Sequence[dict[str, Any]] = (),
+    evals: Sequence[dict[str, Any]] = (),
 ) -> dict[str, Any]:
     """The content of metrics.json.
 
@@ -37,12 +44,14 @@ def summarize(
         storage_bytes: Size of its PLY.
         steps, train_seconds: Length of the training without evaluation; None if not known.
         isa, threads: What the rasterizer ran with.
+        history: Fields of `events.Progress` over the training; those in `HISTORY` are kept.
+        evals: {"step", "elapsed_s", "psnr"} measured on the same split during the training.
 
     Returns:
         Means first (psnr, psnr_u8, ssim, ssim_valid, d_ssim, ms_ssim, lpips, lpips_net,
         lpips_<net>, fps), then the model, the training, peak_memory_bytes of this process, the
-        split, the machine, and one entry a view under `views`. A value that is not known is None;
-        `<key>_reason` says why.
+        split, the machine, one entry a view under `views`, and `history` and `evals`. A value that
+        is not known is None; `<key>_reason` says why.
     """
     return {
         **evaluation["mean"],
@@ -60,12 +69,21 @@ def summarize(
         "gscore": __version__,
         "machine": machine() | {"isa": isa, "threads": threads},
         "views": evaluation["views"],
+        "history": [{key: _finite(row.get(key)) for key in HISTORY} for row in history],
+        "evals": [dict(row) for row in evals],
     }
+
+
+def _finite(value: Any) -> Any:
+    """Six digits of a float, None for one that is not finite: JSON has no NaN."""
+    if isinstance(value, float):
+        return float(f"{value:.6g}") if math.isfinite(value) else None
+    return value
 
 
 def headline(metrics: dict[str, Any]) -> dict[str, Any]:
     """metrics.json without the long lists: what `--json` prints."""
-    return {k: v for k, v in metrics.items() if k not in ("views", "train_views", "test_views")}
+    return {key: value for key, value in metrics.items() if key not in _LISTS}
 
 
 def write_metrics(path: Path, metrics: dict[str, Any]) -> None:

@@ -2,6 +2,7 @@
 
 import base64
 import io
+import json
 import re
 from html.parser import HTMLParser
 from xml.etree import ElementTree
@@ -11,7 +12,7 @@ import pytest
 from PIL import Image
 
 from gscore.errors import GsError
-from gscore.metrics import PictureCollector, write_report
+from gscore.metrics import PictureCollector, headline, write_report
 from gscore.metrics.colormap import colorize
 from gscore.metrics.curves import Series, chart, clean_points, log_ticks, nice_ticks, short_number
 from gscore.metrics.pictures import BYTES_IN_ALL, ERROR_GAIN, MAX_VIEWS
@@ -92,13 +93,13 @@ def test_numbers_are_shown(run):
         assert piece in shown
     assert "306 kB" in shown and "500 steps" in shown and "iterations" in shown
     assert "needs 161 x 161 pixels" in shown  # why MS-SSIM is missing
-    assert "1 held-out views" in shown
+    assert "1 held-out view " in shown
 
 
 def test_scores_on_training_views_say_so(run):
     """Oracle: the sentence under the title."""
     shown = " ".join(Page(report_html(run(split="train", test_views=[]))).words)
-    assert "not a test" in shown
+    assert "no test" in shown
 
 
 def test_a_run_without_history_or_pictures_still_has_a_page(run):
@@ -108,6 +109,29 @@ def test_a_run_without_history_or_pictures_still_has_a_page(run):
     page = Page(report_html(bare))
     assert not any(tag == "svg" for tag, _ in page.tags)
     assert f"{content['metrics']['psnr']:.2f}" in page.words
+
+
+def test_curves_kept_in_the_metrics_are_drawn(metrics_dict):
+    """Oracle: the page of a metrics.json that was read again has the charts of the run."""
+    history = [
+        {"step": s, "elapsed_s": s / 9, "loss": 1 / s, "psnr": float("nan"), "splats": 7}
+        for s in range(1, 50)
+    ]
+    metrics, _ = metrics_dict(history=history, evals=[{"step": 49, "elapsed_s": 6, "psnr": 9.0}])
+    page = Page(report_html({"title": "x", "metrics": json.loads(json.dumps(metrics))}))
+    assert sum(tag == "svg" for tag, _ in page.tags) == 4  # loss and splats, by step and seconds
+    assert metrics["history"][2]["psnr"] is None and "history" not in headline(metrics)
+
+
+def test_a_run_stopped_before_its_evaluation_has_a_page(metrics_dict):
+    """Oracle: the reason in place of the numbers."""
+    metrics, _ = metrics_dict()
+    for key in ("psnr", "ssim", "lpips"):
+        metrics |= {key: None, f"{key}_reason": "training was stopped"}
+    for key in ("d_ssim", "ms_ssim", "ssim_valid", "psnr_u8", "fps", "lpips_net"):
+        del metrics[key]
+    shown = " ".join(Page(report_html({"title": "x", "metrics": metrics | {"views": []}})).words)
+    assert "no views: training was stopped" in shown and "n/a" in shown
 
 
 def test_pictures_are_what_they_claim():
