@@ -250,16 +250,14 @@ def from_dict(cls: type[ConfigT], data: Any, *, where: str) -> ConfigT:
         raise ConfigError(f"{where}: the option 'source' is missing.") from None
 
 
-def save_config(path: Path, data: DataConfig, train: TrainConfig) -> None:
-    """Write both configs as the JSON file that `load_config` and `gscore train --config` read."""
+def config_json(data: DataConfig, train: TrainConfig) -> str:
+    """Both configs as the text of the config.json that `load_config` reads."""
     content = {"gscore": __version__, "data": to_dict(data), "train": to_dict(train)}
-    temporary = path.with_name(path.name + ".tmp")
-    temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
-    temporary.replace(path)
+    return json.dumps(content, indent=2) + "\n"
 
 
 def load_config(path: Path) -> tuple[DataConfig, TrainConfig]:
-    """Read what `save_config` wrote.
+    """Read a config.json: one that a run left in its output folder, or one written by hand.
 
     Raises:
         ConfigError: no such file, not JSON, an unknown option or a bad value.

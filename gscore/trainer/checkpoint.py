@@ -1,0 +1,171 @@
+"""Checkpoints: one safetensors file with all state of a run; read without running any code.
+
+The tensors are those of `Trainer.tensors`; everything else is JSON in the file's metadata.
+"""
+
+import hashlib
+import json
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import torch
+
+from .._version import __version__
+from ..config import TrainConfig, differences, from_dict, to_dict
+from ..errors import ConfigError, FormatError
+from ..io.files import atomic_write
+from .trainer import Trainer
+from .views import Photos
+
+FORMAT = 1
+_DTYPES = {torch.float32: "F32", torch.uint8: "U8"}
+_FREE = frozenset(
+    {
+        "iterations",
+        "threads",
+        "test_iterations",
+        "save_iterations",
+        "checkpoint_iterations",
+        "checkpoint_seconds",
+        "preview_seconds",
+        "snapshot_every",
+        "lpips",
+        "detect_anomaly",
+    }
+)
+"""Options that may change when a run goes on."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Checkpoint:
+    """A checkpoint that was read."""
+
+    path: Path
+    config: TrainConfig
+    """Of the run that wrote it."""
+    capture: dict[str, Any]
+    """`fingerprint` of its capture."""
+    trainer: dict[str, Any]
+    """`Trainer.state`."""
+    session: dict[str, Any]
+    """What the session keeps: clock, history, evaluations."""
+    tensors: dict[str, torch.Tensor]
+    """`Trainer.tensors`."""
+
+    @property
+    def steps(self) -> int:
+        """Steps taken."""
+        return self.trainer["steps"]
+
+
+def save(path: Path, trainer: Trainer, session: dict[str, Any]) -> None:
+    """Write a checkpoint completely or not at all.
+
+    Raises:
+        GsError: the disk is full or read-only.
+    """
+    content = {
+        "format": FORMAT,
+        "gscore": __version__,
+        "torch": torch.__version__,
+        "config": to_dict(trainer.config),
+        "capture": fingerprint(trainer.photos),
+        "trainer": trainer.state(),
+        "session": session,
+    }
+    tensors = trainer.tensors()
+    atomic_write(path, lambda file: _write(file, tensors, {"gscore": json.dumps(content)}))
+
+
+def load(path: Path) -> Checkpoint:
+    """Read a checkpoint.
+
+    Raises:
+        FormatError: not a checkpoint, truncated, or of a later gscore.
+        ConfigError: there is no such file.
+    """
+    from safetensors import SafetensorError, safe_open
+
+    if not path.is_file():
+        raise ConfigError(f"{path}: there is no such checkpoint.")
+    try:
+        with safe_open(path, framework="pt") as file:
+            content = json.loads((file.metadata() or {})["gscore"])
+            # Cloned, because the tensors of safetensors are views of one mapped file.
+            tensors = {key: file.get_tensor(key).clone() for key in file.keys()}  # noqa: SIM118
+    except (SafetensorError, KeyError, ValueError, OSError) as error:
+        raise FormatError(
+            f"{path} is not a complete checkpoint of gscore ({error}); use an older one."
+        ) from error
+    if content.get("format") != FORMAT:
+        raise FormatError(
+            f"{path} was written by gscore {content.get('gscore')} in format "
+            f"{content.get('format')}; this gscore reads format {FORMAT}."
+        )
+    return Checkpoint(
+        path=path,
+        config=from_dict(TrainConfig, content["config"], where=str(path)),
+        capture=content["capture"],
+        trainer=content["trainer"],
+        session=content["session"],
+        tensors=tensors,
+    )
+
+
+def check_compatible(checkpoint: Checkpoint, config: TrainConfig, photos: Photos) -> None:
+    """Raise ConfigError, and say what differs, unless the run can go on with these inputs.
+
+    `iterations` may change: schedules belong to the length of a run, so an extended run goes on
+    with the learning rates and refinements that a run of the new length has at this step.
+    """
+    changed = differences(checkpoint.config, config, ignore=_FREE)
+    now = fingerprint(photos)
+    for key, was in checkpoint.capture.items():
+        if was != now[key]:
+            changed.append(f"{key} of the capture are not the same")
+    if changed:
+        raise ConfigError(
+            f"{checkpoint.path} belongs to another run: {'; '.join(changed)}. Use the same options "
+            "and photos, or start anew in another folder."
+        )
+    if checkpoint.steps > config.iterations:
+        raise ConfigError(
+            f"{checkpoint.path} is at step {checkpoint.steps}, beyond iterations = "
+            f"{config.iterations}; ask for more iterations."
+        )
+
+
+def fingerprint(photos: Photos) -> dict[str, Any]:
+    """What makes a capture the same capture, wherever it lies: short hashes by subject."""
+    cameras = photos.scene.cameras
+    parts = {
+        "names": "\n".join(cameras.names).encode(),
+        "sizes": cameras.widths.tobytes() + cameras.heights.tobytes(),
+        "cameras": cameras.viewmats.tobytes() + cameras.Ks.tobytes(),
+        "training views": json.dumps([int(i) for i in photos.train]).encode(),
+        "masks": photos.mask_mode.encode(),
+    }
+    return {key: hashlib.sha256(value).hexdigest()[:16] for key, value in parts.items()}
+
+
+def _write(file: BinaryIO, tensors: dict[str, torch.Tensor], metadata: dict[str, str]) -> None:
+    """The safetensors format, straight from the tensors' memory: its own writers copy it all."""
+    header: dict[str, Any] = {"__metadata__": metadata}
+    arrays = {key: t.contiguous() for key, t in tensors.items()}
+    end = 0
+    for key, tensor in arrays.items():
+        start, end = end, end + tensor.numel() * tensor.element_size()
+        header[key] = {
+            "dtype": _DTYPES[tensor.dtype],
+            "shape": list(tensor.shape),
+            "data_offsets": [start, end],
+        }
+    encoded = json.dumps(header).encode()
+    encoded += b" " * (-len(encoded) % 8)
+    file.write(struct.pack("<Q", len(encoded)))
+    file.write(encoded)
+    for tensor in arrays.values():
+        if tensor.numel():
+            file.write(memoryview(tensor.numpy()).cast("B"))

@@ -1,0 +1,112 @@
+"""Requests to a running trainer, from other threads, signal handlers or lines on a pipe."""
+
+import os
+import stat
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+
+COMMANDS = ("stop", "pause", "resume", "snapshot")
+"""Lines that `submit` understands."""
+
+
+class Control:
+    """What a front end asks of a trainer; the trainer looks between two steps.
+
+    Plain attributes instead of locks: a signal handler runs in the middle of the code that it
+    interrupts, so a lock could be held by itself.
+    """
+
+    def __init__(self) -> None:
+        self.stop_reason = ""
+        """Not empty: write a checkpoint and end."""
+        self.paused = False
+        self._snapshots = 0
+        self._unknown: deque[str] = deque(maxlen=100)
+
+    def stop(self, reason: str = "stopped") -> None:
+        """Ask for a checkpoint and an end; the first reason counts."""
+        self.stop_reason = self.stop_reason or reason
+
+    def pause(self) -> None:
+        """Ask to wait before the next step."""
+        self.paused = True
+
+    def resume(self) -> None:
+        """Ask to go on."""
+        self.paused = False
+
+    def snapshot(self) -> None:
+        """Ask for the splats as they are now."""
+        self._snapshots += 1
+
+    def submit(self, line: str) -> None:
+        """Act on a line of text; lines that are no command are kept for `unknown`."""
+        command = line.strip()
+        if command in COMMANDS:
+            getattr(self, command)()
+        elif command:
+            self._unknown.append(command)
+
+    @property
+    def stopping(self) -> bool:
+        """Whether an end was asked for."""
+        return bool(self.stop_reason)
+
+    def take_snapshot(self) -> bool:
+        """Whether a snapshot was asked for since the last call."""
+        asked, self._snapshots = self._snapshots > 0, 0
+        return asked
+
+    def unknown(self) -> list[str]:
+        """Lines since the last call that were no command."""
+        lines = []
+        while self._unknown:
+            lines.append(self._unknown.popleft())
+        return lines
+
+    def wait_while_paused(self) -> None:
+        """Return when training may go on or must end."""
+        while self.paused and not self.stopping:
+            time.sleep(0.02)
+
+
+def listen(control: Control, descriptor: int, *, on_end: Callable[[], None]) -> threading.Thread:
+    """Feed the lines of a file descriptor to `control` from a daemon thread.
+
+    Args:
+        control: Gets the lines.
+        descriptor: Read until its end. `os.read` holds no lock of Python's, unlike sys.stdin, so
+            a thread that waits in it does not get in the way of the interpreter's exit.
+        on_end: Called at the end of the input if that means that the parent process is gone.
+    """
+
+    def read() -> None:
+        rest = b""
+        while chunk := _read(descriptor):
+            *lines, rest = (rest + chunk).split(b"\n")
+            for line in lines:
+                control.submit(line.decode("utf-8", "replace"))
+        if end_means_parent_gone(descriptor):
+            on_end()
+
+    thread = threading.Thread(target=read, name="gscore-control", daemon=True)
+    thread.start()
+    return thread
+
+
+def end_means_parent_gone(descriptor: int) -> bool:
+    """True for pipes and sockets; files, terminals and /dev/null end while the parent lives on."""
+    try:
+        mode = os.fstat(descriptor).st_mode
+    except OSError:
+        return False
+    return stat.S_ISFIFO(mode) or stat.S_ISSOCK(mode)
+
+
+def _read(descriptor: int) -> bytes:
+    try:
+        return os.read(descriptor, 4096)
+    except OSError:
+        return b""

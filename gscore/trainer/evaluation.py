@@ -1,0 +1,77 @@
+"""Measuring a model in training against the photos, and the pictures of it."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from ..errors import Cancelled
+from ..metrics import Lpips, PictureCollector, evaluate
+from .trainer import Trainer
+
+_TRAIN_VIEWS_SHOWN = 8
+"""Training views that are measured where none are held out."""
+
+
+class Evaluator:
+    """Knows which views are measured and how."""
+
+    def __init__(self, trainer: Trainer, *, lpips: Lpips | None, lpips_reason: str) -> None:
+        self._trainer = trainer
+        self._lpips, self._lpips_reason = lpips, lpips_reason
+        photos = trainer.photos
+        self.split = "test" if photos.test else "train"
+        """`test` if the measured views are held out."""
+        self.indices = list(photos.test)
+        """Views that are measured."""
+        if not photos.test:
+            count = min(len(photos.train), _TRAIN_VIEWS_SHOWN)
+            places = np.linspace(0, len(photos.train) - 1, count).round().astype(int)
+            self.indices = [photos.train[i] for i in places]
+
+    def picture(self, index: int) -> np.ndarray:
+        """The view `index` as it is now, [H, W, 3] float32, over the background of metrics."""
+        trainer = self._trainer
+        return trainer.picture(index, background=trainer.fixed_background).numpy()
+
+    def measure(
+        self, collector: PictureCollector | None, *, interrupted: Callable[[], bool]
+    ) -> dict[str, Any] | None:
+        """All metrics of all measured views as `gscore.metrics.evaluate` returns them.
+
+        Args:
+            collector: Gets the pictures for the report.
+            interrupted: Asked after each view.
+
+        Returns:
+            The metrics, or None if it was interrupted.
+        """
+
+        def on_view(
+            place: int, target: np.ndarray, render: np.ndarray, values: dict[str, Any]
+        ) -> None:
+            if interrupted():
+                raise Cancelled("The evaluation was interrupted.")
+            if collector:
+                collector(place, target, render, values)
+
+        try:
+            return evaluate(
+                self.picture,
+                self._trainer.photos,
+                self.indices,
+                lpips=self._lpips,
+                lpips_reason=self._lpips_reason,
+                background=self._trainer.fixed_background,
+                on_view=on_view,
+            )
+        except Cancelled:
+            return None
+
+
+def unmeasured(reason: str) -> dict[str, Any]:
+    """What `measure` would return, with nulls and the reason."""
+    mean: dict[str, Any] = {}
+    for key in ("psnr", "ssim", "lpips"):
+        mean |= {key: None, f"{key}_reason": reason}
+    return {"mean": mean, "views": []}

@@ -1,0 +1,174 @@
+"""The output folder of a run: what lies where, whose it is, and that only one run writes there."""
+
+import contextlib
+import errno
+import json
+import os
+import shutil
+import sys
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO
+
+from ..errors import ConfigError, GsError
+from ..io.files import atomic_write
+
+LOCK = ".gscore.lock"
+_FILES = ("config.json", "cfg_args", "cameras.json", "point_cloud.ply", "metrics.json")
+_FILES = (*_FILES, "report.html")
+_FOLDERS = ("checkpoints", "point_cloud", "previews", "snapshots")
+_FAR = 1 << 20
+_PREFIX, _SUFFIX = "step_", ".safetensors"
+
+
+class RunFolder:
+    """Names of the results of a run."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    @property
+    def config(self) -> Path:
+        """Options of the run."""
+        return self.path / "config.json"
+
+    @property
+    def point_cloud(self) -> Path:
+        """The splats at the end."""
+        return self.path / "point_cloud.ply"
+
+    def saved(self, step: int) -> Path:
+        """The splats after `step`, where 3DGS tools look for them."""
+        return self.path / "point_cloud" / f"iteration_{step}" / "point_cloud.ply"
+
+    def snapshot(self, step: int) -> Path:
+        """The splats after `step`, on request."""
+        return self.path / "snapshots" / f"step_{step:06d}.ply"
+
+    def preview(self, step: int) -> Path:
+        """A picture of one view after `step`."""
+        return self.path / "previews" / f"step_{step:06d}.png"
+
+    def checkpoint(self, step: int) -> Path:
+        """The checkpoint after `step`."""
+        return self.path / "checkpoints" / f"{_PREFIX}{step:08d}{_SUFFIX}"
+
+    def checkpoints(self) -> list[Path]:
+        """All checkpoints, the latest last."""
+        return sorted((self.path / "checkpoints").glob(f"{_PREFIX}*{_SUFFIX}"))
+
+    def drop_checkpoints(self, *, keep: int, protected: Collection[int]) -> None:
+        """Remove all but the last `keep` checkpoints and those of the steps in `protected`."""
+        spared = {self.checkpoint(step) for step in protected}
+        for path in [p for p in self.checkpoints() if p not in spared][:-keep]:
+            path.unlink(missing_ok=True)
+
+    def results(self) -> list[str]:
+        """Names of files and folders here that a run has written."""
+        return [name for name in (*_FILES, *_FOLDERS) if (self.path / name).exists()]
+
+    def clear(self) -> None:
+        """Remove what a run has written, and nothing else."""
+        for name in _FOLDERS:
+            shutil.rmtree(self.path / name, ignore_errors=True)
+        for name in _FILES:
+            (self.path / name).unlink(missing_ok=True)
+
+    def write_text(self, name: str, text: str) -> None:
+        """Write a small file completely or not at all."""
+        atomic_write(self.path / name, text.encode())
+
+
+@contextmanager
+def open_folder(path: Path, *, resume: bool, overwrite: bool) -> Iterator[RunFolder]:
+    """Hold an output folder, alone, for the duration of a run.
+
+    Args:
+        path: Made if it is not there; removed again if nothing was written into it.
+        resume: It must hold a checkpoint.
+        overwrite: It may hold another run.
+
+    Raises:
+        ConfigError: it holds another run, or none to resume.
+        GsError: another process trains into it, or it cannot be written.
+    """
+    folder = RunFolder(path)
+    if resume and not folder.checkpoints():
+        raise ConfigError(f"{path} holds no checkpoint to resume from; leave --resume out.")
+    new = not path.exists()
+    lock = _lock(path)
+    try:
+        if folder.results() and not resume and not overwrite:
+            names = ", ".join(folder.results())
+            raise ConfigError(
+                f"{path} holds another run ({names}); go on with it with --resume, replace it with "
+                "--overwrite, or choose another folder."
+            )
+        yield folder
+    finally:
+        _release(lock, path, remove_folder=new)
+
+
+def _lock(path: Path) -> IO[str]:
+    """Take the lock, which the system drops when this process ends, however it ends."""
+    while True:
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+            file = (path / LOCK).open("a+", encoding="utf-8")
+        except FileExistsError:
+            raise ConfigError(f"{path} is a file; an output folder is needed.") from None
+        except OSError as error:
+            raise GsError(
+                f"Cannot write into {path}: {error.strerror}; choose another output."
+            ) from error
+        if not _try_lock(file):
+            file.seek(0)
+            holder = ""
+            with contextlib.suppress(ValueError, KeyError, TypeError):
+                holder = f" (process {json.loads(file.read())['pid']})"
+            file.close()
+            raise GsError(
+                f"{path} is in use by another training{holder}; wait for it, stop it, or choose "
+                "another output folder."
+            )
+        try:
+            current = os.path.samestat(os.fstat(file.fileno()), (path / LOCK).stat())
+        except OSError:
+            current = False
+        if current:
+            break
+        file.close()  # its last owner has removed it since it was opened
+    file.seek(0)
+    file.truncate()
+    file.write(json.dumps({"pid": os.getpid()}))
+    file.flush()
+    return file
+
+
+def _try_lock(file: IO[str]) -> bool:
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            file.seek(_FAR)  # the lock is on a byte; the text before it stays readable
+            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        # Anything else is a file system that knows no locks.
+        return error.errno not in (errno.EACCES, errno.EAGAIN, errno.EDEADLK)
+    return True
+
+
+def _release(file: IO[str], path: Path, *, remove_folder: bool) -> None:
+    with contextlib.suppress(OSError):
+        # Removed while it is still held, so that nobody can be holding it.
+        if sys.platform != "win32":
+            (path / LOCK).unlink(missing_ok=True)
+        file.close()
+        (path / LOCK).unlink(missing_ok=True)
+        if remove_folder:
+            path.rmdir()  # only an empty folder can be removed

@@ -1,0 +1,115 @@
+"""Writes what a run leaves behind, each file completely or not at all."""
+
+import argparse
+from typing import Any
+
+import numpy as np
+
+from ..config import Background, DataConfig, config_json, to_dict
+from ..io.cameras_json import write_cameras
+from ..io.images import write_png
+from ..io.ply import write_splats
+from ..metrics import PictureCollector, summarize, write_metrics, write_report
+from ..raster import _native
+from ..splats import Splats
+from .evaluation import Evaluator, unmeasured
+from .folder import RunFolder
+from .meter import Meter
+from .trainer import Trainer
+
+_SNAPSHOTS_KEPT = 2
+
+
+class Results:
+    """The files of one run."""
+
+    def __init__(self, trainer: Trainer, folder: RunFolder, data: DataConfig) -> None:
+        self._trainer = trainer
+        self._folder = folder
+        self._data = data
+
+    @property
+    def threads(self) -> int:
+        """Threads that the rasterizer uses."""
+        return self._trainer.config.threads or _native.default_threads()
+
+    def write_inputs(self) -> None:
+        """Options and cameras, known before the first step."""
+        folder, config = self._folder, self._trainer.config
+        folder.write_text("config.json", config_json(self._data, config))
+        write_cameras(folder.path / "cameras.json", self._trainer.photos.scene.cameras)
+        # Viewers of the 3DGS authors look here for the SH degree and the background.
+        arguments = argparse.Namespace(
+            sh_degree=config.sh_degree,
+            source_path=str(self._data.source.resolve()),
+            model_path=str(folder.path.resolve()),
+            images=self._data.images,
+            resolution=self._data.resolution,
+            white_background=config.background is Background.WHITE,
+            data_device="cpu",
+            eval=self._data.eval,
+        )
+        folder.write_text("cfg_args", repr(arguments))
+
+    def write_splats(self, path: Any) -> Splats:
+        """The splats as they are now, in COLMAP world."""
+        splats = self._trainer.splats()
+        # Viewers that know the mark compensate opacities as the training did.
+        comments = ("SplatRenderMode: mip",) if self._trainer.config.antialias else ()
+        write_splats(path, splats, comments=comments)
+        return splats
+
+    def write_snapshot(self) -> Any:
+        """The splats as they are now for a front end to show; the last two are kept."""
+        path = self._folder.snapshot(self._trainer.steps)
+        self.write_splats(path)
+        for old in sorted(path.parent.glob("step_*.ply"))[:-_SNAPSHOTS_KEPT]:
+            old.unlink(missing_ok=True)
+        return path
+
+    def write_preview(self, picture: np.ndarray) -> Any:
+        """A picture, [H, W, 3] float."""
+        path = self._folder.preview(self._trainer.steps)
+        write_png(path, (np.clip(picture, 0, 1) * 255 + 0.5).astype(np.uint8))
+        return path
+
+    def write_summary(
+        self,
+        evaluation: dict[str, Any] | None,
+        *,
+        evaluator: Evaluator,
+        collector: PictureCollector,
+        meter: Meter,
+        evals: list[dict[str, Any]],
+        warnings: list[str],
+    ) -> dict[str, Any]:
+        """metrics.json and report.html; `evaluation` is None if there was none."""
+        trainer, folder, photos = self._trainer, self._folder, self._trainer.photos
+        names = photos.scene.cameras.names
+        metrics = summarize(
+            evaluation or unmeasured("training was stopped before its evaluation"),
+            split=evaluator.split,
+            train_views=[names[i] for i in photos.train],
+            test_views=[names[i] for i in photos.test],
+            mask_mode=photos.mask_mode,
+            background=trainer.fixed_background,
+            splats=len(trainer.model),
+            sh_degree=trainer.config.sh_degree,
+            storage_bytes=folder.point_cloud.stat().st_size,
+            steps=trainer.steps,
+            train_seconds=meter.train_seconds,
+            isa=_native.isa(),
+            threads=self.threads,
+        )
+        write_metrics(folder.path / "metrics.json", metrics)
+        report = {
+            "title": self._data.source.resolve().name,
+            "metrics": metrics,
+            "views": collector.views if evaluation else [],
+            "history": meter.history,
+            "evals": evals,
+            "warnings": warnings,
+            "config": {"data": to_dict(self._data), "train": to_dict(trainer.config)},
+        }
+        write_report(folder.path / "report.html", report)
+        return metrics

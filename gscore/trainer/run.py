@@ -1,0 +1,169 @@
+"""`train`: everything that must be right before the first step, then a session."""
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from ..config import DataConfig, TrainConfig
+from ..datasets import Dataset, load_dataset
+from ..errors import ConfigError
+from ..events import Event, Progress
+from ..metrics import find_lpips
+from . import checkpoint
+from .control import Control
+from .folder import RunFolder, open_folder
+from .frame import Frame
+from .memory import check_memory
+from .session import Session, TrainResult
+from .trainer import Trainer
+
+_FAR_FROM_ORIGIN = 1e4
+_LOADING_PERIOD = 0.5
+"""Seconds between two events while photos are read."""
+
+
+def train(
+    config: TrainConfig,
+    data: DataConfig,
+    output: Path,
+    on_event: Callable[[Event], None] | None = None,
+    control: Control | None = None,
+    *,
+    resume: bool = False,
+    overwrite: bool = False,
+    start_checkpoint: Path | None = None,
+) -> TrainResult:
+    """Train splats from a capture and write them, their metrics and a report into a folder.
+
+    Nothing in the folder is touched before the options, the capture and the memory are found good.
+
+    Args:
+        config: How to train.
+        data: What to train on.
+        output: Folder for the results; made if it is not there.
+        on_event: Called with each event, in the thread that called `train`.
+        control: Through which others ask to stop, pause or save.
+        resume: Go on from the last checkpoint in `output`.
+        overwrite: Replace another run in `output`.
+        start_checkpoint: Go on from this checkpoint of another folder.
+
+    Returns:
+        How it ended. Stopping by `control` is no error.
+
+    Raises:
+        GsError: bad input, a folder in use, too little memory, a full disk or a diverged training.
+        Cancelled: stopped by `control` while the photos were read; nothing was written.
+    """
+    emit, control = on_event or (lambda event: None), control or Control()
+    with open_folder(output, resume=resume, overwrite=overwrite) as folder, _one_torch_thread():
+        before = _checkpoint_to_start_from(folder, resume, start_checkpoint)
+        lpips, lpips_reason = find_lpips(config.lpips, threads=config.threads)
+        photos = load_dataset(data)
+        frame = None
+        if before is not None:
+            checkpoint.check_compatible(before, config, photos)
+            frame = Frame.from_dict(before.trainer["frame"])
+        _check_fits(config, photos)
+        _decode(photos, config, emit, control)
+        trainer = Trainer(config, photos, frame=frame)
+        session = Session(
+            trainer,
+            folder,
+            data,
+            emit=emit,
+            control=control,
+            lpips=lpips,
+            lpips_reason=lpips_reason,
+        )
+        if before is not None:
+            trainer.restore(before.trainer, before.tensors)
+            session.restore(before.session)
+        elif overwrite:
+            folder.clear()
+        for message in (*photos.warnings, *_own_warnings(trainer)):
+            session.warn(message, "capture")
+        return session.run()
+
+
+def _checkpoint_to_start_from(
+    folder: RunFolder, resume: bool, start_checkpoint: Path | None
+) -> checkpoint.Checkpoint | None:
+    if resume and start_checkpoint is not None:
+        raise ConfigError("Give either --resume or --start-checkpoint, not both.")
+    if start_checkpoint is not None:
+        return checkpoint.load(start_checkpoint)
+    return checkpoint.load(folder.checkpoints()[-1]) if resume else None
+
+
+def _check_fits(config: TrainConfig, photos: Dataset) -> None:
+    cameras = photos.scene.cameras
+    check_memory(
+        splats=config.max_splats,
+        sh_degree=config.sh_degree,
+        pixels=int((cameras.widths * cameras.heights).max(initial=0)),
+        photos=photos.nbytes,
+    )
+
+
+def _decode(
+    photos: Dataset, config: TrainConfig, emit: Callable[[Event], None], control: Control
+) -> None:
+    """Decode all photos now, so that steps take even times, and tell how far it is."""
+    began = last = time.monotonic()
+
+    def on_progress(done: int, total: int) -> None:
+        nonlocal last
+        now = time.monotonic()
+        if now - last < _LOADING_PERIOD:
+            return
+        last = now
+        emit(
+            Progress(
+                step=0,
+                iterations=config.iterations,
+                loss=math.nan,
+                psnr=math.nan,
+                splats=0,
+                steps_per_s=0.0,
+                eta_s=math.nan,
+                elapsed_s=now - began,
+                phase=f"reading photos {done}/{total}",
+            )
+        )
+
+    photos.preload(
+        threads=config.threads, on_progress=on_progress, cancelled=lambda: control.stopping
+    )
+
+
+def _own_warnings(trainer: Trainer) -> Iterator[str]:
+    """Sentences about what the training world implies for the results."""
+    frame, config = trainer.frame, trainer.config
+    near = frame.near / frame.similarity.scale
+    if near < 0.999 * config.near:
+        yield (
+            f"The capture is small in its own units, so the near plane was lowered from "
+            f"{config.near:g} to {near:.3g}; use the same when rendering (--near {near:.3g})."
+        )
+    offset = float(np.abs(frame.similarity.shift).max()) * frame.similarity.scale / frame.extent
+    if offset > _FAR_FROM_ORIGIN:
+        yield (
+            f"The capture lies {offset:.0f} times its own size from the origin; the float32 "
+            "numbers of a PLY are coarse there. Move its origin near the cameras before exporting."
+        )
+
+
+@contextmanager
+def _one_torch_thread() -> Iterator[None]:
+    """Torch does little here, and its waiting threads would take cores from the rasterizer."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

@@ -1,0 +1,225 @@
+"""A run from its first step to its report: the loop, and what happens between two steps."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..config import DataConfig
+from ..events import Done, Eval, Event, Preview, Saved, Snapshot, Started, Warn
+from ..metrics import Lpips, PictureCollector, headline
+from ..raster import _native
+from ..splats import Splats
+from . import checkpoint
+from .control import Control
+from .evaluation import Evaluator
+from .folder import RunFolder
+from .meter import Meter
+from .results import Results
+from .trainer import StepResult, Trainer
+
+_WARN_BAD_ROWS = (1, 100, 10_000)
+_CHECKPOINTS_KEPT = 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainResult:
+    """How a run ended."""
+
+    reason: str
+    """`finished`, or why it was stopped."""
+    steps: int
+    splats: Splats
+    """In COLMAP world, as written to point_cloud.ply."""
+    train_seconds: float
+    """Spent in steps, without evaluation, files and pauses."""
+    metrics: dict[str, Any]
+    """Content of metrics.json."""
+    output: Path
+
+
+class Session:
+    """Takes a trainer through a run, tells about it and writes everything into its folder."""
+
+    def __init__(
+        self,
+        trainer: Trainer,
+        folder: RunFolder,
+        data: DataConfig,
+        *,
+        emit: Callable[[Event], None],
+        control: Control,
+        lpips: Lpips | None,
+        lpips_reason: str,
+    ) -> None:
+        self._trainer = trainer
+        self._config = trainer.config
+        self._folder = folder
+        self._data = data
+        self._emit = emit
+        self._control = control
+        self._evaluator = Evaluator(trainer, lpips=lpips, lpips_reason=lpips_reason)
+        self._results = Results(trainer, folder, data)
+        self._meter = Meter(trainer.plan)
+        self._evals: list[dict[str, Any]] = []
+        self._warnings: list[str] = []
+        self._last_checkpoint = 0.0
+        self._last_preview = 0.0
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on with the clock and the history of a checkpoint."""
+        self._meter.restore(state["meter"])
+        self._evals, self._warnings = list(state["evals"]), list(state["warnings"])
+        self._last_checkpoint = self._last_preview = self._meter.train_seconds
+
+    def warn(self, message: str, code: str = "") -> None:
+        """Tell the user, now and in the report."""
+        if message not in self._warnings:
+            self._warnings.append(message)
+        self._emit(Warn(message=message, code=code))
+
+    def run(self) -> TrainResult:
+        """Train until the last step or until asked to stop, then write the results."""
+        self._results.write_inputs()
+        self._started()
+        trainer, control = self._trainer, self._control
+        while trainer.steps < self._config.iterations and not control.stopping:
+            if control.paused:
+                self._emit(self._meter.progress(phase="paused"))
+                control.wait_while_paused()
+                continue
+            began = time.perf_counter()
+            result = trainer.step()
+            self._meter.update(
+                step=trainer.steps,
+                loss=result.loss,
+                mse=result.mse,
+                splats=len(trainer.model),
+                seconds=time.perf_counter() - began,
+            )
+            if self._meter.due():
+                self._emit(self._meter.progress())
+            self._complain(result)
+            self._between_steps()
+        return self._finish()
+
+    def _started(self) -> None:
+        photos, cameras = self._trainer.photos, self._trainer.photos.scene.cameras
+        self._emit(
+            Started(
+                source=str(self._data.source),
+                output=str(self._folder.path),
+                iterations=self._config.iterations,
+                step=self._trainer.steps,
+                train_views=len(photos.train),
+                test_views=len(photos.test),
+                splats=len(self._trainer.model),
+                width=int(cameras.widths.max()),
+                height=int(cameras.heights.max()),
+                isa=_native.isa(),
+                threads=self._results.threads,
+            )
+        )
+
+    def _complain(self, result: StepResult) -> None:
+        step, count = self._trainer.steps, self._trainer.bad_rows
+        if result.skipped:
+            self.warn(f"Step {step}: the loss was not finite; the step was skipped.", "non_finite")
+        if any(count - result.bad_rows < limit <= count for limit in _WARN_BAD_ROWS):
+            self.warn(
+                f"Step {step}: gradients of splats that were not finite were left out, {count} "
+                "so far.",
+                "non_finite",
+            )
+        for line in self._control.unknown():
+            self.warn(f"There is no control command {line!r}.", "control")
+
+    def _between_steps(self) -> None:
+        config, step, clock = self._config, self._trainer.steps, self._meter.train_seconds
+        last = step >= config.iterations
+        every = config.snapshot_every
+        if self._control.take_snapshot() or (every and step % every == 0):
+            path = self._results.write_snapshot()
+            self._emit(Snapshot(step=step, path=str(path), splats=len(self._trainer.model)))
+        if config.preview_seconds and clock - self._last_preview >= config.preview_seconds:
+            self._last_preview = clock
+            self._preview()
+        if step in config.save_iterations:
+            path = self._folder.saved(step)
+            self._results.write_splats(path)
+            self._emit(Saved(step=step, path=str(path)))
+        if step in config.test_iterations and not last:
+            self._evaluate(None)
+        period = config.checkpoint_seconds
+        overdue = period > 0 and clock - self._last_checkpoint >= period
+        if not last and (overdue or step in config.checkpoint_iterations):
+            self._checkpoint(keep=_CHECKPOINTS_KEPT)
+
+    def _preview(self) -> None:
+        view = self._evaluator.indices[0]
+        path = self._results.write_preview(self._evaluator.picture(view))
+        name = self._trainer.photos.scene.cameras.names[view]
+        self._emit(Preview(step=self._trainer.steps, view=name, path=str(path)))
+
+    def _checkpoint(self, *, keep: int) -> None:
+        path = self._folder.checkpoint(self._trainer.steps)
+        self._last_checkpoint = self._meter.train_seconds
+        state = {
+            "meter": self._meter.state(),
+            "evals": self._evals,
+            "warnings": self._warnings,
+        }
+        checkpoint.save(path, self._trainer, state)
+        self._folder.drop_checkpoints(keep=keep, protected=self._config.checkpoint_iterations)
+        self._emit(Saved(step=self._trainer.steps, path=str(path)))
+
+    def _evaluate(self, collector: PictureCollector | None) -> dict[str, Any] | None:
+        self._emit(self._meter.progress(phase="evaluating"))
+        found = self._evaluator.measure(collector, interrupted=lambda: self._control.stopping)
+        if found is None:
+            return None
+        step = self._trainer.steps
+        entry = {
+            "step": step,
+            "elapsed_s": self._meter.train_seconds,
+            "psnr": found["mean"]["psnr"],
+        }
+        self._evals = [e for e in self._evals if e["step"] != step] + [entry]
+        self._emit(Eval(step=step, split=self._evaluator.split, metrics=found["mean"]))
+        return found
+
+    def _finish(self) -> TrainResult:
+        trainer, finished = self._trainer, self._trainer.steps >= self._config.iterations
+        self._checkpoint(keep=1 if finished else _CHECKPOINTS_KEPT)
+        splats = self._results.write_splats(self._folder.point_cloud)
+        self._emit(Saved(step=trainer.steps, path=str(self._folder.point_cloud)))
+        collector = PictureCollector(count=len(self._evaluator.indices))
+        evaluation = None if self._control.stopping else self._evaluate(collector)
+        metrics = self._results.write_summary(
+            evaluation,
+            evaluator=self._evaluator,
+            collector=collector,
+            meter=self._meter,
+            evals=self._evals,
+            warnings=self._warnings,
+        )
+        result = TrainResult(
+            reason="finished" if finished else self._control.stop_reason,
+            steps=trainer.steps,
+            splats=splats,
+            train_seconds=self._meter.train_seconds,
+            metrics=metrics,
+            output=self._folder.path,
+        )
+        self._emit(
+            Done(
+                step=result.steps,
+                reason=result.reason,
+                splats=len(splats),
+                train_seconds=result.train_seconds,
+                path=str(self._folder.point_cloud),
+                metrics=headline(metrics),
+            )
+        )
+        return result
