@@ -40,9 +40,10 @@ test-native: $(LIBRARY)
 # The native tests under the address, undefined-behaviour and thread sanitizers.
 sanitize: $(INSTALLED)
 	for s in address,undefined thread; do \
-		$(BIN)/cmake -G Ninja -S csrc -B build/$$s -DCMAKE_MAKE_PROGRAM=$(abspath $(BIN)/ninja) \
+		d=build/sanitize-$${s%%,*}; \
+		$(BIN)/cmake -G Ninja -S csrc -B $$d -DCMAKE_MAKE_PROGRAM=$(abspath $(BIN)/ninja) \
 			-DCMAKE_BUILD_TYPE=Release -DGS_TESTS=ON -DGS_SANITIZE=$$s > /dev/null && \
-		$(BIN)/cmake --build build/$$s && $(BIN)/ctest --test-dir build/$$s --output-on-failure || exit 1; \
+		$(BIN)/cmake --build $$d && $(BIN)/ctest --test-dir $$d --output-on-failure || exit 1; \
 	done
 
 lint: $(INSTALLED)

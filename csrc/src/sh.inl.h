@@ -80,7 +80,7 @@ static inline void store3(float *p, Vec4 v) {
     p[2] = v[2];
 }
 
-// colour = max(0, 0.5 + sum of b_k c_k) of the lanes in `alive`.
+// colour = max(0, 0.5 + sum of b_k c_k) of the lanes in `alive`; NaN where that is not finite.
 static inline void sh_colors(const gs_splats &in, const uint32_t *id, uint32_t alive, Vec x, Vec y, Vec z,
                              float color[3][kLanes]) {
     Vec basis[kShMax];
@@ -96,7 +96,7 @@ static inline void sh_colors(const gs_splats &in, const uint32_t *id, uint32_t a
         if (rest > 0)
             c += load3(row + 3 * (rest - 1)) * basis[rest][l];
         for (int k = 0; k < 3; ++k)
-            color[k][l] = c[k] > 0.0f || c[k] != c[k] ? c[k] : 0.0f;
+            color[k][l] = c[k] > 0.0f ? c[k] : c[k] >= -3e38f ? 0.0f : __builtin_nanf("");
     }
 }
 

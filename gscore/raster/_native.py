@@ -368,7 +368,7 @@ pool = RasterPool()
 def camera_struct(
     viewmat: np.ndarray, K: np.ndarray, width: int, height: int, near: float, far: float
 ) -> CameraStruct:
-    """A gs_camera from [4, 4] and [3, 3] arrays; ShapeError for a K with more than fx, fy, cx, cy."""
+    """A gs_camera from [4, 4] and [3, 3] arrays; ShapeError where K has skew."""
     if viewmat.shape != (4, 4):
         raise ShapeError(f"viewmat must be [4, 4], got {list(viewmat.shape)}.")
     if K.shape != (3, 3):

@@ -1,0 +1,373 @@
+// Tests of the C interface without Python, for sanitizers and other machines: closed forms, invariances, hostile input.
+#include "gscore.h"
+
+#include <cmath>
+#include <cstdio>
+#include <cstring>
+#include <limits>
+#include <random>
+#include <sstream>
+#include <string>
+#include <vector>
+
+namespace {
+
+int failures = 0;
+
+#define CHECK(condition)                                                                                               \
+    do {                                                                                                               \
+        if (!(condition)) {                                                                                            \
+            std::printf("%s:%d: %s\n", __FILE__, __LINE__, #condition);                                                \
+            ++failures;                                                                                                \
+        }                                                                                                              \
+    } while (0)
+
+struct Model {
+    std::vector<float> means, quats, scales, opacities, sh0, shN;
+    int sh_rest = 15, sh_degree = 3, raw = 1;
+
+    size_t size() const { return opacities.size(); }
+    gs_splats view() const {
+        return {int64_t(size()), means.data(), quats.data(), scales.data(), opacities.data(),
+                sh0.data(),      shN.data(),   sh_rest,      sh_degree,     raw};
+    }
+};
+
+Model random_model(size_t n, unsigned seed) {
+    std::mt19937 rng(seed);
+    std::normal_distribution<float> normal;
+    std::uniform_real_distribution<float> uniform;
+    Model m;
+    for (size_t i = 0; i < n; ++i) {
+        const float z = 1.5f + 4 * uniform(rng);
+        m.means.insert(m.means.end(), {(uniform(rng) - 0.5f) * z, (uniform(rng) - 0.5f) * z, z});
+        for (int k = 0; k < 4; ++k)
+            m.quats.push_back(normal(rng));
+        for (int k = 0; k < 3; ++k)
+            m.scales.push_back(-3.5f + normal(rng));
+        m.opacities.push_back(normal(rng));
+        for (int k = 0; k < 3; ++k)
+            m.sh0.push_back(normal(rng));
+        for (int k = 0; k < 45; ++k)
+            m.shN.push_back(0.1f * normal(rng));
+    }
+    return m;
+}
+
+gs_camera make_camera(int width, int height) {
+    gs_camera c = {};
+    for (int i = 0; i < 4; ++i)
+        c.viewmat[5 * i] = 1;
+    c.fx = c.fy = 0.9f * float(width);
+    c.cx = 0.5f * float(width) + 1.25f;
+    c.cy = 0.5f * float(height) - 0.5f;
+    c.width = width;
+    c.height = height;
+    c.near_plane = 0.01f;
+    c.far_plane = 1e10f;
+    return c;
+}
+
+gs_options make_options(int threads = 1) {
+    gs_options o = {};
+    o.eps2d = 0.3f;
+    o.background[0] = 0.2f;
+    o.background[1] = 0.4f;
+    o.background[2] = 0.6f;
+    o.outputs = GS_OUT_INVERSE_DEPTH | GS_OUT_DEPTH | GS_OUT_MEDIAN_DEPTH;
+    o.threads = threads;
+    return o;
+}
+
+struct Result {
+    gs_status forward = GS_OK, backward = GS_OK;
+    std::vector<float> image; // rgb, alpha, inverse depth, depth, median
+    std::vector<float> grads; // means, quats, scales, opacities, sh0, shN, means2d, viewmat
+    gs_stats stats = {};
+
+    bool finite() const {
+        for (const auto *values : {&image, &grads})
+            for (const float v : *values)
+                if (!std::isfinite(v))
+                    return false;
+        return true;
+    }
+};
+
+bool same_bits(const std::vector<float> &a, const std::vector<float> &b) {
+    return a.size() == b.size() && std::memcmp(a.data(), b.data(), a.size() * sizeof(float)) == 0;
+}
+
+Result run(const Model &m, const gs_camera &camera, const gs_options &options) {
+    Result r;
+    const size_t pixels = size_t(camera.width) * size_t(camera.height), n = m.size();
+    const float untouched = -777.0f;
+    r.image.assign(7 * pixels, untouched);
+    gs_image image = {};
+    image.rgb = r.image.data();
+    image.alpha = image.rgb + 3 * pixels;
+    image.inverse_depth = image.alpha + pixels;
+    image.depth = image.inverse_depth + pixels;
+    image.median_depth = image.depth + pixels;
+    gs_raster *raster = nullptr;
+    CHECK(gs_raster_create(&raster) == GS_OK);
+    const gs_splats splats = m.view();
+    r.forward = gs_raster_forward(raster, &splats, &camera, &options, &image);
+    if (r.forward == GS_OK) {
+        std::vector<float> v(6 * pixels);
+        std::mt19937 rng(7);
+        std::normal_distribution<float> normal;
+        for (float &x : v)
+            x = normal(rng);
+        const gs_image_grads in = {v.data(), v.data() + 3 * pixels, v.data() + 4 * pixels, v.data() + 5 * pixels};
+        const size_t rest = size_t(m.sh_rest);
+        const size_t sizes[] = {3 * n, 4 * n, 3 * n, n, 3 * n, 3 * rest * n, 2 * n, 16};
+        size_t total = 0;
+        for (const size_t s : sizes)
+            total += s;
+        r.grads.assign(total, untouched);
+        float *at[8], *next = r.grads.data();
+        for (int i = 0; i < 8; ++i) {
+            at[i] = next;
+            next += sizes[i];
+        }
+        const gs_splat_grads out = {at[0], at[1], at[2], at[3], at[4], at[5], at[6], at[7]};
+        r.backward = gs_raster_backward(raster, &splats, &in, &out);
+        CHECK(gs_raster_stats(raster, &r.stats) == GS_OK);
+        for (const auto *values : {&r.image, &r.grads})
+            for (const float x : *values)
+                CHECK(x != untouched);
+    }
+    gs_raster_destroy(raster);
+    return r;
+}
+
+double mean_alpha(const Result &r, const gs_camera &c) {
+    const size_t pixels = size_t(c.width) * size_t(c.height);
+    double sum = 0;
+    for (size_t i = 0; i < pixels; ++i)
+        sum += double(r.image[3 * pixels + i]);
+    return sum / double(pixels);
+}
+
+// Oracle: the alpha of one round splat at the pixel under its centre is its opacity.
+void one_splat_has_its_closed_form() {
+    Model m;
+    m.means = {0, 0, 2};
+    m.quats = {1, 0, 0, 0};
+    m.scales = {0.1f, 0.1f, 0.1f};
+    m.opacities = {0.7f};
+    m.sh0 = {1, 0, -1};
+    m.sh_rest = 0;
+    m.sh_degree = 0;
+    m.raw = 0;
+    gs_camera c = make_camera(33, 33);
+    c.cx = c.cy = 16.5f;
+    const Result r = run(m, c, make_options());
+    const size_t pixels = 33 * 33, center = 16 * 33 + 16;
+    CHECK(std::fabs(r.image[3 * pixels + center] - 0.7f) < 1e-6f);
+    CHECK(std::fabs(r.image[4 * pixels + center] - 0.35f) < 1e-6f);
+    CHECK(std::fabs(r.image[5 * pixels + center] - 1.4f) < 1e-6f);
+    CHECK(r.image[6 * pixels + center] == 2.0f);
+    const float red = 0.7f * (0.5f + 0.28209479f) + 0.3f * 0.2f;
+    CHECK(std::fabs(r.image[3 * center] - red) < 1e-6f);
+    // Three pixels to the right: variance (fx * scale / z)^2 + eps2d.
+    const double variance = std::pow(double(c.fx) * 0.1 / 2, 2) + 0.3;
+    CHECK(std::fabs(double(r.image[3 * pixels + center + 3]) - 0.7 * std::exp(-9 / (2 * variance))) < 1e-6);
+}
+
+// Oracle: one thread.
+void results_do_not_depend_on_threads() {
+    const Model m = random_model(6000, 1);
+    const gs_camera c = make_camera(150, 100);
+    const Result one = run(m, c, make_options(1));
+    CHECK(mean_alpha(one, c) > 0.1);
+    for (const int threads : {2, 3, 5, 16, 64}) {
+        const Result many = run(m, c, make_options(threads));
+        CHECK(same_bits(one.image, many.image));
+        CHECK(same_bits(one.grads, many.grads));
+    }
+}
+
+// Oracle: the same pass without the skips.
+void skips_do_not_change_a_bit() {
+    for (unsigned seed = 0; seed < 8; ++seed) {
+        Model m = random_model(1500, 10 + seed);
+        if (seed % 2) // needles
+            for (size_t i = 0; i < m.size(); ++i)
+                m.scales[3 * i] += 3.0f;
+        const gs_camera c = make_camera(90 + int(seed) * 7, 70 + int(seed) * 3);
+        gs_options o = make_options(2);
+        const Result fast = run(m, c, o);
+        o.disable = GS_NO_EXACT_CULL | GS_NO_ZERO_TILE;
+        const Result full = run(m, c, o);
+        CHECK(mean_alpha(fast, c) > 0.1);
+        CHECK(same_bits(fast.image, full.image));
+        CHECK(fast.stats.forward_pairs < full.stats.forward_pairs);
+    }
+}
+
+// Oracle: the model without the broken row.
+void poisoned_rows_do_not_touch_others() {
+    const float bad[] = {std::numeric_limits<float>::quiet_NaN(), std::numeric_limits<float>::infinity(),
+                         -std::numeric_limits<float>::infinity(), std::numeric_limits<float>::max(),
+                         -std::numeric_limits<float>::max()};
+    const size_t n = 400, row = 200;
+    const gs_camera c = make_camera(64, 48);
+    Model clean = random_model(n, 3);
+    clean.means[3 * row + 2] = -1; // culled
+    const Result expected = run(clean, c, make_options());
+    for (int field = 0; field < 6; ++field)
+        for (const float value : bad) {
+            Model m = clean;
+            std::vector<float> *arrays[] = {&m.means, &m.quats, &m.scales, &m.opacities, &m.sh0, &m.shN};
+            if (field != 0)
+                m.means[3 * row + 2] = 3;
+            std::vector<float> &a = *arrays[field];
+            a[a.size() / n * row] = value;
+            const Result r = run(m, c, make_options());
+            CHECK(r.forward == GS_OK && r.backward == GS_OK);
+            if (!std::isfinite(value)) {
+                CHECK(same_bits(r.image, expected.image));
+                CHECK(r.finite());
+            }
+        }
+}
+
+void odd_sizes_and_empty_models_work() {
+    const int sizes[][2] = {{1, 1}, {1, 40}, {15, 17}, {16, 16}, {17, 33}, {300, 16}};
+    for (const auto &size : sizes) {
+        const gs_camera c = make_camera(size[0], size[1]);
+        CHECK(run(random_model(300, 5), c, make_options(2)).finite());
+        const Result empty = run(random_model(0, 5), c, make_options(2));
+        CHECK(empty.backward == GS_OK && empty.image[0] == 0.2f && empty.finite());
+    }
+}
+
+void extreme_values_stay_finite() {
+    std::mt19937 rng(11);
+    std::uniform_real_distribution<float> uniform(-1, 1);
+    const gs_camera c = make_camera(40, 30);
+    for (int round = 0; round < 200; ++round) {
+        Model m = random_model(60, unsigned(round));
+        for (size_t i = 0; i < m.size(); ++i) {
+            m.means[3 * i + 2] = std::pow(10.0f, 4 * uniform(rng)) * (uniform(rng) > -0.8f ? 1.0f : -1.0f);
+            for (int k = 0; k < 3; ++k)
+                m.scales[3 * i + size_t(k)] = 40 * uniform(rng);
+            m.opacities[i] = 100 * uniform(rng);
+            if (round % 3 == 0)
+                for (int k = 0; k < 4; ++k)
+                    m.quats[4 * i + size_t(k)] *= std::pow(10.0f, 30 * uniform(rng));
+        }
+        gs_options o = make_options(2);
+        o.antialias = round % 2;
+        const Result r = run(m, c, o);
+        CHECK(r.forward == GS_OK && r.backward == GS_OK);
+        for (size_t i = 0; i < r.image.size(); ++i)
+            if (!std::isfinite(r.image[i])) {
+                std::printf("round %d: pixel value %zu is not finite\n", round, i);
+                ++failures;
+                break;
+            }
+    }
+}
+
+void bad_arguments_are_named() {
+    const Model m = random_model(10, 1);
+    gs_camera c = make_camera(20, 20);
+    gs_options o = make_options();
+    c.width = 70000;
+    CHECK(run(m, c, o).forward == GS_BAD_ARGUMENT);
+    CHECK(std::strstr(gs_last_error(), "image size"));
+    c = make_camera(20, 20);
+    c.fx = -1;
+    CHECK(run(m, c, o).forward == GS_BAD_ARGUMENT);
+    c = make_camera(20, 20);
+    o.eps2d = 0;
+    CHECK(run(m, c, o).forward == GS_BAD_ARGUMENT);
+    CHECK(gs_set_isa("vax") == GS_UNSUPPORTED);
+    gs_raster *raster = nullptr;
+    CHECK(gs_raster_create(&raster) == GS_OK);
+    const gs_splats splats = m.view();
+    const gs_image_grads in = {};
+    std::vector<float> g(64 * m.size());
+    const gs_splat_grads out = {g.data(), g.data(), g.data(), g.data(), g.data(), g.data(), nullptr, nullptr};
+    CHECK(gs_raster_backward(raster, &splats, &in, &out) == GS_BAD_ARGUMENT);
+    gs_raster_destroy(raster);
+}
+
+void cancelling_stops() {
+    const Model m = random_model(5000, 1);
+    gs_options o = make_options(2);
+    const int32_t cancel = 1;
+    o.cancel = &cancel;
+    CHECK(run(m, make_camera(200, 200), o).forward == GS_CANCELLED);
+}
+
+// Oracle: central differences of the loss itself.
+void loss_gradient_matches_differences() {
+    const int w = 37, h = 70;
+    std::mt19937 rng(3);
+    std::uniform_real_distribution<float> uniform;
+    std::vector<float> image(size_t(3 * w * h));
+    std::vector<uint8_t> target(image.size()), mask(size_t(w * h));
+    for (size_t i = 0; i < image.size(); ++i) {
+        target[i] = uint8_t(255 * uniform(rng));
+        // Away from the kink of |x - y|.
+        image[i] = float(target[i]) / 255 + (uniform(rng) < 0.5f ? -0.1f : 0.1f);
+    }
+    for (auto &v : mask)
+        v = uint8_t(128 + 127 * uniform(rng));
+    gs_raster *raster = nullptr;
+    CHECK(gs_raster_create(&raster) == GS_OK);
+    for (int mode = 0; mode < 3; ++mode) {
+        gs_loss_args args = {w, h, image.data(), target.data(), mask.data(), mode, {0.3f, 0.5f, 0.7f}, 0.2f, 2};
+        std::vector<float> gradient(image.size(), -777.0f);
+        gs_loss_result result = {}, plus = {}, minus = {};
+        CHECK(gs_image_loss(raster, &args, &result, gradient.data()) == GS_OK);
+        // Composited targets move towards the background, so the kink may be near: only smooth modes are compared.
+        for (size_t i = 5; i < image.size() && mode != GS_MASK_COMPOSITE; i += 97) {
+            const float kept = image[i], step = 1e-2f;
+            image[i] = kept + step;
+            CHECK(gs_image_loss(raster, &args, &plus, nullptr) == GS_OK);
+            image[i] = kept - step;
+            CHECK(gs_image_loss(raster, &args, &minus, nullptr) == GS_OK);
+            image[i] = kept;
+            const double difference = (plus.loss - minus.loss) / (2 * double(step));
+            CHECK(std::fabs(difference - double(gradient[i])) < 2e-2 * std::fabs(difference) + 2e-6);
+        }
+        for (const float g : gradient)
+            CHECK(g != -777.0f && std::isfinite(g));
+    }
+    std::vector<float> exact(image.size());
+    for (size_t i = 0; i < exact.size(); ++i)
+        exact[i] = float(target[i]) * (1.0f / 255.0f);
+    gs_loss_args same = {w, h, exact.data(), target.data(), nullptr, GS_MASK_NONE, {0, 0, 0}, 0.2f, 1};
+    gs_loss_result result = {};
+    CHECK(gs_image_loss(raster, &same, &result, nullptr) == GS_OK);
+    CHECK(result.loss == 0.0 && result.ssim == 1.0 && result.l1 == 0.0);
+    gs_raster_destroy(raster);
+}
+
+} // namespace
+
+int main() {
+    CHECK(gs_abi_version() == GS_ABI_VERSION);
+    std::stringstream isas(gs_isas());
+    int count = 0;
+    for (std::string isa; std::getline(isas, isa, ','); ++count) {
+        CHECK(gs_set_isa(isa.c_str()) == GS_OK);
+        const int before = failures;
+        one_splat_has_its_closed_form();
+        results_do_not_depend_on_threads();
+        skips_do_not_change_a_bit();
+        poisoned_rows_do_not_touch_others();
+        odd_sizes_and_empty_models_work();
+        extreme_values_stay_finite();
+        bad_arguments_are_named();
+        cancelling_stops();
+        loss_gradient_matches_differences();
+        std::printf("%s: %s\n", isa.c_str(), failures == before ? "passed" : "FAILED");
+    }
+    return failures == 0 && count > 0 ? 0 : 1;
+}
