@@ -14,6 +14,7 @@ import sys
 import traceback
 from collections.abc import Sequence
 from importlib import import_module
+from typing import NoReturn
 
 from .._version import __version__
 from ..errors import GsError
@@ -72,12 +73,17 @@ def dashed(arguments: Sequence[str]) -> list[str]:
     return result
 
 
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong in a sentence, without the page of usage before it."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{self.prog}: error: {message.rstrip('.')}. See {self.prog} --help.\n")
+
+
 def _guarded(prog: str, verb: str, arguments: list[str]) -> int:
     try:
         module = import_module(f".{verb}", __package__)
-        parser = argparse.ArgumentParser(
-            prog=prog, description=VERBS[verb].capitalize() + ".", allow_abbrev=False
-        )
+        parser = _Parser(prog=prog, description=VERBS[verb].capitalize() + ".", allow_abbrev=False)
         module.add_arguments(parser)
         return module.run(parser.parse_args(dashed(arguments)))
     except SystemExit as stop:  # argparse has already said what is wrong

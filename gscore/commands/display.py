@@ -1,0 +1,114 @@
+"""How a command shows events: JSON lines for programs, one moving line for people, or nothing."""
+
+import contextlib
+import os
+import sys
+import time
+from collections.abc import Callable
+from typing import TextIO
+
+from ..events import Eval, Event, Progress, Saved, Started, Warn, to_line
+
+_LINE_PERIOD = 10.0
+"""Seconds between two lines where stderr is not a terminal."""
+
+
+class Silent:
+    """Shows nothing."""
+
+    def __call__(self, event: Event) -> None:
+        """Drop the event."""
+
+
+class JsonLines:
+    """Each event as a line of JSON."""
+
+    def __init__(self, stream: TextIO, *, on_closed: Callable[[], None]) -> None:
+        """Write to `stream`; `on_closed` is called once if nobody reads it any more."""
+        self._stream = stream
+        self._on_closed = on_closed
+        self._open = True
+
+    def __call__(self, event: Event) -> None:
+        """Write the event at once."""
+        if not self._open:
+            return
+        try:
+            self._stream.write(to_line(event) + "\n")
+            self._stream.flush()
+        except (OSError, ValueError):
+            self._open = False
+            # Python flushes stdout at exit, which would fail again, with a traceback.
+            with contextlib.suppress(OSError, ValueError):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), self._stream.fileno())
+            self._on_closed()
+
+
+class Lines:
+    """A line that moves on a terminal, and a line every few seconds elsewhere."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+        self._moving = stream.isatty()
+        self._width = 0
+        self._last = -_LINE_PERIOD
+
+    def __call__(self, event: Event) -> None:
+        """Show the event."""
+        match event:
+            case Started():
+                self._permanent(
+                    f"{event.train_views} training views, {event.test_views} test views, "
+                    f"{event.width} x {event.height} px; {event.splats} splats to start with; "
+                    f"{event.threads} threads, {event.isa}"
+                )
+            case Progress():
+                self._progress(event)
+            case Warn():
+                self._permanent(f"Warning: {event.message}")
+            case Eval():
+                psnr, ssim = event.metrics.get("psnr"), event.metrics.get("ssim")
+                if psnr is not None and ssim is not None:
+                    text = f"PSNR {psnr:.2f} dB, SSIM {ssim:.4f}"
+                    self._permanent(f"Step {event.step}, {event.split} views: {text}")
+            case Saved():
+                self._permanent(f"Saved {event.path}")
+
+    def _progress(self, event: Progress) -> None:
+        now = time.monotonic()
+        last = event.step >= event.iterations
+        if not self._moving and now - self._last < _LINE_PERIOD and not last:
+            return
+        self._last = now
+        text = progress_text(event)
+        if self._moving:
+            self._stream.write("\r" + text.ljust(self._width))
+            self._width = len(text)
+            self._stream.flush()
+        else:
+            self._permanent(text)
+
+    def _permanent(self, text: str) -> None:
+        clear = "\r" + " " * self._width + "\r" if self._width else ""
+        self._width = 0
+        self._stream.write(clear + text + "\n")
+        self._stream.flush()
+
+
+def progress_text(event: Progress) -> str:
+    """One line for people."""
+    share = event.step / max(event.iterations, 1)
+    parts = [f"step {event.step}/{event.iterations} {share:4.0%}"]
+    if event.splats:
+        parts += [f"loss {event.loss:.4f}", f"PSNR {event.psnr:5.2f}", f"{event.splats} splats"]
+        parts += [f"{event.steps_per_s:.1f} steps/s", f"{clock(event.eta_s)} left"]
+    return "  ".join([*parts, event.phase])
+
+
+def clock(seconds: float) -> str:
+    """1:02:03 or 2:03; a dash if it is not known."""
+    if not 0 <= seconds < sys.maxsize:
+        return "-"
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"

@@ -1,0 +1,289 @@
+"""`gscore train`: options under the names 3DGS users know, and what comes out of them."""
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+from ..config import (
+    PRESETS,
+    Background,
+    ConfigT,
+    DataConfig,
+    Strategy,
+    TrainConfig,
+    load_config,
+)
+from ..errors import Cancelled, ConfigError
+from ..events import Event, Failed
+from ..metrics import headline
+from ..trainer import Control, TrainResult, listen, train
+from .display import JsonLines, Lines, Silent
+from .interrupt import Interrupt
+
+_STEPS: dict[str, Any] = {"type": int, "nargs": "+", "metavar": "STEP"}
+_SWITCH: dict[str, Any] = {"action": argparse.BooleanOptionalAction}
+
+_DATA: dict[str, tuple[tuple[str, ...], dict[str, Any], str]] = {
+    "images": (("-i", "--images"), {}, "folder of the photos in SOURCE"),
+    "masks": (("--masks",), {}, "folder of masks in SOURCE; by itself masks/ or the photos' alpha"),
+    "mask_mode": (
+        ("--mask-mode",),
+        {"choices": ("auto", "composite", "ignore", "none")},
+        "composite: masks are opacity; ignore: masked-out pixels do not count",
+    ),
+    "resolution": (
+        ("-r", "--resolution"),
+        {"type": float},
+        "1, 2, 4, 8: divide by it; larger: width in pixels; -1: as the preset says",
+    ),
+    "eval": (("--eval",), _SWITCH, "hold test views out and measure on them"),
+    "test_every": (("--test-every",), {"type": int}, "every n-th view is a test view (8)"),
+    "test_list": (("--test-list",), {"type": Path}, "text file with the names of the test views"),
+    "test_first": (("--test-first",), {"type": int}, "the first n views are test views"),
+    "test_last": (("--test-last",), {"type": int}, "the last n views are test views"),
+}
+_RUN: dict[str, tuple[tuple[str, ...], dict[str, Any], str]] = {
+    "iterations": (("--iterations",), {"type": int}, "training steps"),
+    "max_splats": (("--max-splats", "--cap-max"), {"type": int}, "never more splats than this"),
+    "strategy": (("--strategy",), {"choices": tuple(Strategy)}, "how splats are added and removed"),
+    "sh_degree": (("--sh-degree",), {"type": int}, "degree of view-dependent colour, 0 to 3"),
+    "seed": (("--seed",), {"type": int}, "same seed, same result, bit for bit"),
+    "threads": (("--threads",), {"type": int}, "CPU threads; 0: all cores"),
+    "background": (
+        ("--background",),
+        {"choices": tuple(Background)},
+        "what lies behind the splats",
+    ),
+    "antialias": (("--antialias", "--antialiasing"), _SWITCH, "compensate small splats' opacity"),
+    "near": (("--near",), {"type": float}, "near plane, world units"),
+    "lpips": (
+        ("--lpips",),
+        {"type": Path, "metavar": "FILE.onnx"},
+        "network to measure LPIPS with",
+    ),
+    "test_iterations": (("--test-iterations",), _STEPS, "measure after these steps too"),
+    "save_iterations": (("--save-iterations",), _STEPS, "write the splats after these steps too"),
+    "checkpoint_iterations": (("--checkpoint-iterations",), _STEPS, "checkpoints that are kept"),
+    "checkpoint_seconds": (
+        ("--checkpoint-seconds",),
+        {"type": float},
+        "training time between two checkpoints (300); 0: only at the end",
+    ),
+    "preview_seconds": (
+        ("--preview-seconds",),
+        {"type": float},
+        "training time between two pictures in OUT/previews; 0: none",
+    ),
+    "snapshot_every": (
+        ("--snapshot-every",),
+        {"type": int},
+        "steps between two PLYs in OUT/snapshots, of which two are kept; 0: none",
+    ),
+    "detect_anomaly": (("--detect-anomaly",), _SWITCH, "stop at the first number not finite"),
+}
+_METHOD = {
+    "means_lr": ("--means-lr", "--position-lr-init"),
+    "means_lr_final": ("--means-lr-final", "--position-lr-final"),
+    "sh0_lr": ("--sh0-lr", "--feature-lr"),
+    "shN_lr": ("--shN-lr",),
+    "opacities_lr": ("--opacities-lr", "--opacity-lr"),
+    "scales_lr": ("--scales-lr", "--scaling-lr"),
+    "quats_lr": ("--quats-lr", "--rotation-lr"),
+    "ssim_weight": ("--ssim-weight", "--lambda-dssim"),
+    "sh_every": ("--sh-every",),
+    "init_opacity": ("--init-opacity",),
+    "init_scale": ("--init-scale",),
+    "refine_start": ("--refine-start", "--densify-from-iter"),
+    "refine_stop": ("--refine-stop", "--densify-until-iter"),
+    "refine_every": ("--refine-every", "--densification-interval"),
+    "reset_every": ("--reset-every", "--opacity-reset-interval"),
+    "grow_grad": ("--grow-grad", "--densify-grad-threshold"),
+    "grow_scale": ("--grow-scale", "--percent-dense"),
+    "prune_opacity": ("--prune-opacity",),
+    "prune_scale": ("--prune-scale",),
+    "mcmc_growth": ("--mcmc-growth",),
+    "mcmc_noise": ("--mcmc-noise", "--noise-lr"),
+    "opacity_reg": ("--opacity-reg",),
+    "scale_reg": ("--scale-reg",),
+}
+_NOT_HERE = {
+    ("--ip", "--port"): "there is no network viewer; programs follow a run with --events jsonl",
+    ("--debug", "--debug-from"): "the rasterizer has no debug dumps; see --detect-anomaly",
+    ("-d", "--depths"): "depth maps are not used in training",
+    ("--data-device",): "photos are always kept as bytes in main memory",
+    ("--optimizer-type",): "there is one optimizer, Adam",
+    ("--train-test-exp",): "exposure is not optimised",
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `gscore train`."""
+    parser.add_argument("source", nargs="?", type=Path, help="folder with photos and COLMAP model")
+    parser.add_argument(
+        "-s", "--source", "--source-path", dest="source_option", type=Path, help=argparse.SUPPRESS
+    )
+    parser.add_argument(
+        "-o", "-m", "--output", "--model-path", required=True, type=Path, help="folder for results"
+    )
+    parser.add_argument(
+        "--preset", choices=tuple(PRESETS), help="how much effort to spend (normal)"
+    )
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE.json", help="options of another run, its config.json"
+    )
+    existing = parser.add_mutually_exclusive_group()
+    existing.add_argument(
+        "--resume", action="store_true", help="go on from the last checkpoint in the output folder"
+    )
+    existing.add_argument(
+        "--overwrite", action="store_true", help="replace another run in the output folder"
+    )
+    existing.add_argument("--start-checkpoint", type=Path, help="go on from this checkpoint")
+    for title, table in (("capture", _DATA), ("run", _RUN)):
+        group = parser.add_argument_group(title)
+        for name, (flags, kind, text) in table.items():
+            group.add_argument(*flags, dest=name, default=None, help=text, **kind)
+    parser.add_argument(
+        "-w", "--white-background", action="store_true", help="the same as --background white"
+    )
+    group = parser.add_argument_group(
+        "method", "Also under their 3DGS names; gscore.TrainConfig explains them."
+    )
+    kinds = {f.name: type(f.default) for f in fields(TrainConfig)}
+    for name, flags in _METHOD.items():
+        kind = kinds[name]
+        group.add_argument(*flags, dest=name, default=None, type=kind, metavar=kind.__name__)
+    group = parser.add_argument_group("output")
+    group.add_argument("--quiet", action="store_true", help="say nothing but errors")
+    group.add_argument(
+        "--events", choices=("jsonl",), help="events as JSON lines on stdout, commands on stdin"
+    )
+    group.add_argument("--json", action="store_true", help="the results as JSON, last on stdout")
+    group.add_argument(
+        "--disable-viewer", action="store_true", help="for 3DGS scripts: there never is a viewer"
+    )
+    for names, reason in _NOT_HERE.items():
+        parser.add_argument(*names, nargs="*", action=_Refuse, reason=reason)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Train and say how it went; returns the exit code."""
+    control = Control()
+    show = _display(args, control)
+    with Interrupt(control) as interrupt:
+        try:
+            result = _train(args, show, control)
+        except Cancelled:
+            show(Failed(message="Stopped before the first step.", type="Cancelled"))
+            return interrupt.exit_code
+        except Exception as error:
+            message = str(error) or type(error).__name__
+            show(Failed(message=message, type=type(error).__name__))
+            raise
+    if args.json:
+        numbers = headline(result.metrics) | {"reason": result.reason, "output": str(args.output)}
+        print(json.dumps(numbers, allow_nan=False), flush=True)
+    elif not (args.quiet or args.events):
+        print(_summary(result))
+    return interrupt.exit_code
+
+
+def configs(args: argparse.Namespace) -> tuple[DataConfig, TrainConfig]:
+    """The options: of a preset, a file or the run that goes on, then those given one by one."""
+    source = args.source or args.source_option
+    if args.source and args.source_option and args.source != args.source_option:
+        raise ConfigError(f"Two captures were given: {args.source} and {args.source_option}.")
+    if args.config and args.preset:
+        raise ConfigError("Give either --preset or --config: a config file holds all options.")
+    stored = args.config
+    if args.resume and not (args.config or args.preset):
+        stored = args.output / "config.json"
+        if not stored.is_file():
+            raise ConfigError(f"{args.output} holds no run to resume; leave --resume out.")
+    if stored:
+        data, config = load_config(stored)
+        data = replace(data, source=source or data.source)
+    elif source is None:
+        raise ConfigError("No capture was given: `gscore train SOURCE -o OUTPUT`.")
+    else:
+        data, config = PRESETS[args.preset or "normal"](source)
+    if args.white_background:
+        args.background = args.background or Background.WHITE
+    return _with_given(data, args, _DATA), _with_given(config, args, (*_RUN, *_METHOD))
+
+
+def _with_given(config: ConfigT, args: argparse.Namespace, names: Sequence[str] | dict) -> ConfigT:
+    given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
+    for name, value in given.items():
+        if isinstance(value, list):
+            given[name] = tuple(value)
+    if "strategy" in given:
+        given["strategy"] = Strategy(given["strategy"])
+    if "background" in given:
+        given["background"] = Background(given["background"])
+    return replace(config, **given)
+
+
+def _train(
+    args: argparse.Namespace, show: Callable[[Event], None], control: Control
+) -> TrainResult:
+    data, config = configs(args)
+    if args.events:
+        listen(control, 0, on_end=lambda: control.stop("input ended"))
+    return train(
+        config,
+        data,
+        args.output,
+        show,
+        control,
+        resume=args.resume,
+        overwrite=args.overwrite,
+        start_checkpoint=args.start_checkpoint,
+    )
+
+
+def _display(args: argparse.Namespace, control: Control) -> Callable[[Event], None]:
+    if args.events:
+        return JsonLines(sys.stdout, on_closed=lambda: control.stop("output closed"))
+    return Silent() if args.quiet else Lines(sys.stderr)
+
+
+def _summary(result: TrainResult) -> str:
+    metrics = result.metrics
+    how = "Finished" if result.reason == "finished" else f"Stopped ({result.reason})"
+    lines = [
+        f"{how} after {result.steps} steps, {result.train_seconds:.1f} s of training: "
+        f"{len(result.splats)} splats."
+    ]
+    if metrics["psnr"] is not None:
+        views = "test views" if metrics["split"] == "test" else "training views"
+        lpips = metrics.get("lpips")
+        lines.append(
+            f"{len(metrics['views'])} {views}: PSNR {metrics['psnr']:.2f} dB, "
+            f"SSIM {metrics['ssim']:.4f}" + (f", LPIPS {lpips:.4f}" if lpips is not None else "")
+        )
+    lines.append(f"Results: {result.output / 'point_cloud.ply'}, report.html")
+    if result.reason != "finished":
+        lines.append(f"To go on: gscore train -o {result.output} --resume")
+    return "\n".join(lines)
+
+
+class _Refuse(argparse.Action):
+    """An option of other programs that has no meaning here, with the reason."""
+
+    def __init__(self, *args: Any, reason: str, **kwargs: Any) -> None:
+        super().__init__(*args, help=argparse.SUPPRESS, **kwargs)
+        self._reason = reason
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: Any,
+        option_string: str | None = None,
+    ) -> None:
+        parser.error(f"{option_string}: {self._reason}; leave it out")
