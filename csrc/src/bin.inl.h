@@ -36,10 +36,7 @@ static bool bin(const BinArgs &a, size_t begin, size_t end, InstanceBuffer *out,
         if (i + 8 < end)
             __builtin_prefetch(&a.projected[a.order[i + 8]]);
         const size_t size_before = out->size;
-        // Squared Mahalanobis radius at which alpha falls to the threshold.
-        const float margin = p.log2_opacity - kLog2AlphaMin;
-        const float t = (margin > 0.0f ? margin : 0.0f) * (1.0f / kHalfLog2E);
-        const float ex = __builtin_sqrtf(t * p.cov_xx), ey = __builtin_sqrtf(t * p.cov_yy);
+        const float ex = p.extent_x, ey = p.extent_y;
         const float sx = slack_px(ex), sy = slack_px(ey);
         const int x_first = clamp_int(p.mean_x - ex - sx + 0.5f, 0, a.width);
         const int x_last = clamp_int(p.mean_x + ex + sx - 0.5f, -1, a.width - 1);
@@ -50,34 +47,39 @@ static bool bin(const BinArgs &a, size_t begin, size_t end, InstanceBuffer *out,
         if (x_first > x_last || box_first > box_last)
             continue;
         const int slab_first = x_first / kSlab & ~1, slab_last = x_last / kSlab | 1;
-        const float slope = p.cov_xy / p.cov_xx;
-        const float spread = p.det / p.cov_xx;
-        const float inv_xx = 1.0f / p.cov_xx;
-        const float x_top = p.cov_xy * __builtin_sqrtf(t / p.cov_yy);
+        // Where the ellipse is highest: its mean plus (x_top, extent_y).
+        const float x_top = -p.ub / p.ua * ey;
         // An even number of slabs at a time: whole tiles.
         for (int s0 = slab_first; s0 <= slab_last; s0 += kLanes) {
-            alignas(64) float low[kLanes], high[kLanes];
+            alignas(64) int32_t first_row[kLanes], last_row[kLanes];
             if (a.exact) {
                 const Vec left = (iota() + float(s0)) * float(kSlab) + (0.5f - p.mean_x);
                 const Vec l = max(left, set1(-ex)), h = min(left + float(kSlab - 1), set1(ex));
                 const Vec top = min(max(set1(x_top), l), h), bottom = min(max(set1(-x_top), l), h);
-                const Vec reach_top = sqrt(max(spread * (t - top * top * inv_xx), Vec{}));
-                const Vec reach_bottom = sqrt(max(spread * (t - bottom * bottom * inv_xx), Vec{}));
+                const Vec ex2 = set1(ex * ex);
+                const Vec reach_top = p.half_chord * sqrt(max(fnma(top, top, ex2), Vec{}));
+                const Vec reach_bottom = p.half_chord * sqrt(max(fnma(bottom, bottom, ex2), Vec{}));
                 const Mask inside = ge(h + sx, l - sx);
-                const Vec far_out = set1(1e9f);
-                store(high, select(inside, p.mean_y + (slope * top + reach_top) + (sy - 0.5f), -far_out));
-                store(low, select(inside, p.mean_y + (slope * bottom - reach_bottom) + (0.5f - sy), far_out));
+                Vec high = fma(set1(p.slope), top, reach_top) + (p.mean_y + (sy - 0.5f));
+                Vec low = fma(set1(p.slope), bottom, -reach_bottom) + (p.mean_y + (0.5f - sy));
+                // Rounding down by truncation: both are at least zero after the shift by one.
+                high = min(max(high, set1(-1.0f)), set1(float(box_last))) + 1.0f;
+                low = min(max(low, set1(float(box_first))), set1(float(a.height))) + 1.0f;
+                high = select(inside, high, Vec{});
+                low = select(inside, low, set1(float(a.height) + 1.0f));
+                const IVec last_of = __builtin_convertvector(high, IVec) - 1;
+                const IVec first_of = __builtin_convertvector(low, IVec) - 1;
+                std::memcpy(last_row, &last_of, sizeof last_row);
+                std::memcpy(first_row, &first_of, sizeof first_row);
             } else {
-                store(high, set1(float(box_last)));
-                store(low, set1(float(box_first) + 0.5f));
+                for (int l = 0; l < kLanes; ++l) {
+                    first_row[l] = box_first;
+                    last_row[l] = box_last;
+                }
             }
             const int slabs = slab_last - s0 + 1 < kLanes ? slab_last - s0 + 1 : kLanes;
             for (int s = 0; s < slabs; s += 2) {
-                int first[2], last[2];
-                for (int h = 0; h < 2; ++h) {
-                    first[h] = clamp_int(low[s + h], box_first, a.height);
-                    last[h] = clamp_int(high[s + h], -1, box_last);
-                }
+                const int32_t *first = first_row + s, *last = last_row + s;
                 const bool none0 = first[0] > last[0], none1 = first[1] > last[1];
                 if (none0 && none1)
                     continue;

@@ -208,6 +208,8 @@ static void project(const ProjectArgs &a, int64_t chunk) {
         const Vec ua = sqrt(kHalfLog2E * s.cov_yy / s.det);
         const Vec ub = -ua * s.cov_xy * inv_yy;
         const Vec extent = max(ex, ey);
+        const Vec slope = s.cov_xy / s.cov_xx;
+        const Vec half_chord = sqrt(s.det) / s.cov_xx;
         for (int l = 0; l < lanes; ++l) {
             if (!(alive >> l & 1))
                 continue;
@@ -225,10 +227,10 @@ static void project(const ProjectArgs &a, int64_t chunk) {
             p.z = s.cam[2][l];
             for (int k = 0; k < 3; ++k)
                 p.color[k] = color[k][l];
-            p.cov_xx = s.cov_xx[l];
-            p.cov_xy = s.cov_xy[l];
-            p.cov_yy = s.cov_yy[l];
-            p.det = s.det[l];
+            p.extent_x = ex[l];
+            p.extent_y = ey[l];
+            p.slope = slope[l];
+            p.half_chord = half_chord[l];
             p.id = id[l];
             out[visible] = p;
             std::memcpy(&keys[visible], &p.z, sizeof p.z);
@@ -259,10 +261,14 @@ static inline void quat_backward(const Lanes &s, const Vec v_rot[3][3], Vec v_qu
         v_quat[k] = fnma(along, s.quat[k], v[k]) / s.quat_length;
 }
 
-static inline void scatter(float *base, const uint32_t *id, uint32_t lanes, int stride, int offset, Vec v) {
-    for (int l = 0; l < kLanes; ++l)
-        if (lanes >> l & 1)
-            base[size_t(id[l]) * size_t(stride) + size_t(offset)] = v[l];
+// Writes kWidth values of each of the first `lanes` lanes to the rows `id`.
+template <int kWidth> static inline void scatter(float *base, const uint32_t *id, int lanes, const Vec *v) {
+    alignas(64) float columns[kWidth][kLanes];
+    for (int k = 0; k < kWidth; ++k)
+        store(columns[k], v[k]);
+    for (int l = 0; l < lanes; ++l)
+        for (int k = 0; k < kWidth; ++k)
+            base[size_t(id[l]) * size_t(kWidth) + size_t(k)] = columns[k][l];
 }
 
 static inline void zero_rows(const gs_splat_grads &g, int64_t begin, int64_t end, int sh_rest) {
@@ -278,6 +284,37 @@ static inline void zero_rows(const gs_splat_grads &g, int64_t begin, int64_t end
         std::memset(g.means2d + 2 * begin, 0, 2 * n);
 }
 
+// Rows of the chunk whose splats are culled get zeros; the others are written by the caller.
+static inline void zero_culled_rows(const ProjectBackwardArgs &a, int64_t begin, int64_t end, int visible) {
+    int64_t next = begin;
+    for (int i = 0; i < visible; ++i) {
+        const int64_t id = a.forward.projected[begin + i].id;
+        if (id > next)
+            zero_rows(a.grads, next, id, a.forward.splats->sh_rest);
+        next = id + 1;
+    }
+    if (end > next)
+        zero_rows(a.grads, next, end, a.forward.splats->sh_rest);
+}
+
+// The moments of a splat: those of its entries, always added in the order of its tiles, whatever thread drew them.
+static inline Moments merge_moments(const ProjectBackwardArgs &a, size_t slot) {
+    const uint32_t *entry = a.instance_entry + a.instance_begin[slot];
+    Vec4 sum[kMomentCount / 4] = {};
+    for (uint32_t e = 0; e < a.instance_count[slot]; ++e)
+        for (int k = 0; k < kMomentCount / 4; ++k)
+            sum[k] += load<Vec4>(a.moments[entry[e]].v + 4 * k);
+    Moments m;
+    std::memcpy(m.v, sum, sizeof m.v);
+    return m;
+}
+
+static inline void prefetch_moments(const ProjectBackwardArgs &a, size_t slot) {
+    const uint32_t *entry = a.instance_entry + a.instance_begin[slot];
+    for (uint32_t e = 0; e < a.instance_count[slot] && e < 8; ++e)
+        __builtin_prefetch(a.moments[entry[e]].v);
+}
+
 static void project_backward(const ProjectBackwardArgs &a, int64_t chunk) {
     const gs_splats &in = *a.forward.splats;
     const gs_camera &camera = *a.forward.camera;
@@ -286,13 +323,12 @@ static void project_backward(const ProjectBackwardArgs &a, int64_t chunk) {
     const float *view = camera.viewmat;
     const float focal[2] = {camera.fx, camera.fy};
     const int64_t begin = chunk * kChunk;
-    zero_rows(grads, begin, begin + kChunk < in.count ? begin + kChunk : in.count, in.sh_rest);
+    const int visible = a.forward.visible[chunk];
+    zero_culled_rows(a, begin, begin + kChunk < in.count ? begin + kChunk : in.count, visible);
     Vec view_sums[16] = {}; // 3 x 4 row-major, the last four stay zero
     Lanes s;
-    const int visible = a.forward.visible[chunk];
     for (int first = 0; first < visible; first += kLanes) {
         const int lanes = visible - first < kLanes ? visible - first : kLanes;
-        const uint32_t alive = lanes == kLanes ? kLaneBits : (1u << lanes) - 1;
         uint32_t id[kLanes];
         alignas(64) float sums[kMomentCount][kLanes] = {};
         alignas(64) float color[3][kLanes] = {};
@@ -302,12 +338,9 @@ static void project_backward(const ProjectBackwardArgs &a, int64_t chunk) {
             id[l] = p.id;
             if (l >= lanes)
                 continue;
-            // Always in the order of the tiles, whatever thread drew them.
-            const uint32_t *entry = a.instance_entry + a.instance_begin[slot];
-            Moments m = {};
-            for (uint32_t e = 0; e < a.instance_count[slot]; ++e)
-                for (int k = 0; k < kMomentCount; ++k)
-                    m.v[k] += a.moments[entry[e]].v[k];
+            if (first + l + kLanes < visible)
+                prefetch_moments(a, slot + kLanes);
+            const Moments m = merge_moments(a, slot);
             for (int k = 0; k < kMomentCount; ++k)
                 sums[k][l] = m.v[k];
             for (int k = 0; k < 3; ++k)
@@ -348,12 +381,13 @@ static void project_backward(const ProjectBackwardArgs &a, int64_t chunk) {
 
         // v_opacity: alpha is proportional to the opacity.
         const Vec v_opacity = in.raw ? sum(kG) * (1.0f - s.opacity) : sum(kG) / s.opacity;
-        scatter(grads.opacities, id, alive, 1, 0, v_opacity);
+        scatter<1>(grads.opacities, id, lanes, &v_opacity);
 
-        Vec v_jac_diagonal[2] = {}, v_jac_offset[2] = {}, v_world_rot[3][3];
+        Vec v_jac_diagonal[2] = {}, v_jac_offset[2] = {}, v_world_rot[3][3], v_scale[3];
         for (int k = 0; k < 3; ++k) {
-            const Vec v_scale = fma(v_m[0][k], s.proj[0][k], v_m[1][k] * s.proj[1][k]);
-            scatter(grads.scales, id, alive, 3, k, in.raw ? v_scale * s.scale[k] : v_scale);
+            v_scale[k] = fma(v_m[0][k], s.proj[0][k], v_m[1][k] * s.proj[1][k]);
+            if (in.raw)
+                v_scale[k] *= s.scale[k];
             const Vec v_p0 = v_m[0][k] * s.scale[k], v_p1 = v_m[1][k] * s.scale[k];
             v_jac_diagonal[0] = fma(v_p0, s.world_rot[0][k], v_jac_diagonal[0]);
             v_jac_diagonal[1] = fma(v_p1, s.world_rot[1][k], v_jac_diagonal[1]);
@@ -363,6 +397,7 @@ static void project_backward(const ProjectBackwardArgs &a, int64_t chunk) {
             v_world_rot[1][k] = v_p1 * s.jac_diagonal[1];
             v_world_rot[2][k] = fma(v_p0, s.jac_offset[0], v_p1 * s.jac_offset[1]);
         }
+        scatter<3>(grads.scales, id, lanes, v_scale);
         Vec v_rot[3][3];
         for (int i = 0; i < 3; ++i)
             for (int k = 0; k < 3; ++k)
@@ -370,8 +405,7 @@ static void project_backward(const ProjectBackwardArgs &a, int64_t chunk) {
                                    v_world_rot[1][k], v_world_rot[2][k]);
         Vec v_quat[4];
         quat_backward(s, v_rot, v_quat);
-        for (int k = 0; k < 4; ++k)
-            scatter(grads.quats, id, alive, 4, k, v_quat[k]);
+        scatter<4>(grads.quats, id, lanes, v_quat);
 
         Vec v_cam[3], v_inverse_z = sum(kInvZ);
         for (int i = 0; i < 2; ++i) {
@@ -392,23 +426,23 @@ static void project_backward(const ProjectBackwardArgs &a, int64_t chunk) {
         Vec length;
         direction(camera, s, d, length);
         Vec v_d[3];
-        sh_backward(in, grads, id, alive, d.x, d.y, d.z, v_color, v_d);
+        sh_backward(in, grads, id, lanes, d.x, d.y, d.z, v_color, v_d);
         const Vec radial = dot3(d.x, d.y, d.z, v_d[0], v_d[1], v_d[2]);
         const Vec v_from_center[3] = {fnma(radial, d.x, v_d[0]) / length, fnma(radial, d.y, v_d[1]) / length,
                                       fnma(radial, d.z, v_d[2]) / length};
 
+        Vec v_mean[3];
         for (int j = 0; j < 3; ++j)
-            scatter(grads.means, id, alive, 3, j,
-                    dot3(set1(view[j]), set1(view[4 + j]), set1(view[8 + j]), v_cam[0], v_cam[1], v_cam[2]) +
-                        v_from_center[j]);
+            v_mean[j] = dot3(set1(view[j]), set1(view[4 + j]), set1(view[8 + j]), v_cam[0], v_cam[1], v_cam[2]) +
+                        v_from_center[j];
+        scatter<3>(grads.means, id, lanes, v_mean);
         if (grads.means2d)
-            for (int k = 0; k < 2; ++k)
-                scatter(grads.means2d, id, alive, 2, k, v_mean2d[k]);
+            scatter<2>(grads.means2d, id, lanes, v_mean2d);
 
         if (a.viewmat_partial) {
             alignas(64) float on[kLanes];
             for (int l = 0; l < kLanes; ++l)
-                on[l] = float(alive >> l & 1);
+                on[l] = float(l < lanes);
             const Mask mask = gt(load(on), Vec{});
             for (int i = 0; i < 3; ++i) {
                 const float t = view[4 * i + 3];

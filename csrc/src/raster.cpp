@@ -304,9 +304,9 @@ gs_status gs_raster::projected(float *means2d, float *depths, float *conics, flo
             if (depths)
                 depths[id] = p.z;
             if (conics) {
-                conics[3 * id] = p.cov_yy / p.det;
-                conics[3 * id + 1] = -p.cov_xy / p.det;
-                conics[3 * id + 2] = p.cov_xx / p.det;
+                conics[3 * id] = p.ua * p.ua / kHalfLog2E;
+                conics[3 * id + 1] = p.ua * p.ub / kHalfLog2E;
+                conics[3 * id + 2] = (p.ub * p.ub + p.vc * p.vc) / kHalfLog2E;
             }
             if (colors)
                 std::copy_n(p.color, 3, colors + 3 * id);

@@ -83,9 +83,12 @@ static inline void store3(float *p, Vec4 v) {
 // colour = max(0, 0.5 + sum of b_k c_k) of the lanes in `alive`; NaN where that is not finite.
 static inline void sh_colors(const gs_splats &in, const uint32_t *id, uint32_t alive, Vec x, Vec y, Vec z,
                              float color[3][kLanes]) {
-    Vec basis[kShMax];
-    sh_basis(in.sh_degree, x, y, z, basis);
+    Vec b[kShMax] = {};
+    sh_basis(in.sh_degree, x, y, z, b);
+    alignas(64) float basis[kShMax][kLanes];
     const int rest = sh_count(in.sh_degree) - 1;
+    for (int k = 0; k <= rest; ++k)
+        store(basis[k], b[k]);
     for (int l = 0; l < kLanes; ++l) {
         if (!(alive >> l & 1))
             continue;
@@ -100,28 +103,36 @@ static inline void sh_colors(const gs_splats &in, const uint32_t *id, uint32_t a
     }
 }
 
-// Writes gradients of the coefficients and returns dL/d(x, y, z) of the unit direction.
-static inline void sh_backward(const gs_splats &in, const gs_splat_grads &grads, const uint32_t *id, uint32_t alive,
-                               Vec x, Vec y, Vec z, const Vec v_color[3], Vec v_dir[3]) {
-    Vec basis[kShMax], s[kShMax] = {};
-    sh_basis(in.sh_degree, x, y, z, basis);
+// Writes gradients of the coefficients of the first `lanes` lanes and returns dL/d(x, y, z) of the unit direction.
+static inline void sh_backward(const gs_splats &in, const gs_splat_grads &grads, const uint32_t *id, int lanes, Vec x,
+                               Vec y, Vec z, const Vec v_color[3], Vec v_dir[3]) {
+    Vec b[kShMax] = {};
+    sh_basis(in.sh_degree, x, y, z, b);
+    alignas(64) float basis[kShMax][kLanes], v_basis[kShMax][kLanes] = {}, v_rgb[3][kLanes];
     const int rest = sh_count(in.sh_degree) - 1;
-    for (int l = 0; l < kLanes; ++l) {
-        if (!(alive >> l & 1))
-            continue;
-        const Vec4 g = {v_color[0][l], v_color[1][l], v_color[2][l], 0.0f};
+    for (int k = 0; k <= rest; ++k)
+        store(basis[k], b[k]);
+    for (int k = 0; k < 3; ++k)
+        store(v_rgb[k], v_color[k]);
+    for (int l = 0; l < lanes; ++l) {
+        const Vec4 g = {v_rgb[0][l], v_rgb[1][l], v_rgb[2][l], 0.0f};
         store3(grads.sh0 + size_t(id[l]) * 3, g * kSh0);
         const size_t row = size_t(id[l]) * size_t(in.sh_rest) * 3;
         for (int k = 0; k < rest; ++k) {
-            const Vec4 c = load3(in.shN + row + 3 * k) * g;
-            s[k + 1][l] = c[0] + c[1] + c[2];
+            const float *c = in.shN + row + 3 * k;
+            v_basis[k + 1][l] = c[0] * g[0] + c[1] * g[1] + c[2] * g[2];
             const Vec4 v = g * basis[k + 1][l];
             if (k < rest - 1)
                 store(grads.shN + row + 3 * k, v); // the fourth float is overwritten by the next k
             else
                 store3(grads.shN + row + 3 * k, v);
         }
+        if (rest < in.sh_rest)
+            std::memset(grads.shN + row + 3 * rest, 0, size_t(in.sh_rest - rest) * 3 * sizeof(float));
     }
+    Vec s[kShMax];
+    for (int k = 0; k <= rest; ++k)
+        s[k] = load(v_basis[k]);
     sh_basis_backward(in.sh_degree, x, y, z, s, v_dir);
 }
 

@@ -29,8 +29,9 @@ struct alignas(64) Projected {
     float log2_opacity;
     float inverse_z, z;
     float color[3];
-    // What binning reads: the 2D covariance (xx, xy, yy) and its determinant, eps2d included.
-    float cov_xx, cov_xy, cov_yy, det;
+    // What binning reads of the ellipse alpha >= 1/255: half-sides of its box in px, the slope of the line that halves
+    // its vertical chords, and the half-length of the chord at distance x: half_chord * sqrt(extent_x^2 - x^2).
+    float extent_x, extent_y, slope, half_chord;
     uint32_t id;
 };
 static_assert(sizeof(Projected) == 64);
