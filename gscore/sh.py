@@ -1,0 +1,93 @@
+"""Real spherical harmonics with the signs of 3D Gaussian Splatting, and colour to coefficient."""
+
+import math
+
+import numpy as np
+
+from .errors import ShapeError
+
+SH_C0 = 0.5 * math.sqrt(1.0 / math.pi)
+"""Value of the constant basis function."""
+SH_C1 = math.sqrt(3.0 / (4.0 * math.pi))
+"""Factor of the linear basis functions -y, z, -x."""
+SH_C2 = (
+    0.5 * math.sqrt(15.0 / math.pi),
+    -0.5 * math.sqrt(15.0 / math.pi),
+    0.25 * math.sqrt(5.0 / math.pi),
+    -0.5 * math.sqrt(15.0 / math.pi),
+    0.25 * math.sqrt(15.0 / math.pi),
+)
+"""Factors of xy, yz, 2z²-x²-y², xz, x²-y²."""
+SH_C3 = (
+    -0.25 * math.sqrt(35.0 / (2.0 * math.pi)),
+    0.5 * math.sqrt(105.0 / math.pi),
+    -0.25 * math.sqrt(21.0 / (2.0 * math.pi)),
+    0.25 * math.sqrt(7.0 / math.pi),
+    -0.25 * math.sqrt(21.0 / (2.0 * math.pi)),
+    0.25 * math.sqrt(105.0 / math.pi),
+    -0.25 * math.sqrt(35.0 / (2.0 * math.pi)),
+)
+"""Factors of y(3x²-y²), xyz, y(4z²-x²-y²), z(2z²-3x²-3y²), x(4z²-x²-y²), z(x²-y²), x(x²-3y²)."""
+MAX_DEGREE = 3
+"""Highest degree that splats store here."""
+
+
+def sh_count(degree: int) -> int:
+    """Number of basis functions up to and including `degree`."""
+    return (degree + 1) ** 2
+
+
+def sh_basis(degree: int, dirs: np.ndarray) -> np.ndarray:
+    """Values of the basis functions in given directions.
+
+    Source: the real spherical harmonics with the Condon-Shortley sign kept (Sloan, "Efficient
+    Spherical Harmonic Evaluation", JCGT 2013), ordered l = 0..degree, m = -l..l as in 3DGS files.
+
+    Args:
+        degree: 0 to 3.
+        dirs: [..., 3] float32 or float64 unit vectors from the camera to the splat.
+
+    Returns:
+        [..., (degree + 1)²] of the dtype of `dirs`.
+
+    Raises:
+        ShapeError: degree out of range or `dirs` not [..., 3] of floats.
+    """
+    if degree not in range(MAX_DEGREE + 1):
+        raise ShapeError(f"degree must be 0 to {MAX_DEGREE}, got {degree!r}.")
+    if dirs.ndim < 1 or dirs.shape[-1] != 3 or dirs.dtype.kind != "f":
+        raise ShapeError(f"dirs must be [..., 3] of floats, got {list(dirs.shape)} {dirs.dtype}.")
+    x, y, z = dirs[..., 0], dirs[..., 1], dirs[..., 2]
+    out = [np.full_like(x, SH_C0)]
+    if degree >= 1:
+        out += [-SH_C1 * y, SH_C1 * z, -SH_C1 * x]
+    if degree >= 2:
+        xx, yy, zz = x * x, y * y, z * z
+        out += [
+            SH_C2[0] * x * y,
+            SH_C2[1] * y * z,
+            SH_C2[2] * (2.0 * zz - xx - yy),
+            SH_C2[3] * x * z,
+            SH_C2[4] * (xx - yy),
+        ]
+        if degree >= 3:
+            out += [
+                SH_C3[0] * y * (3.0 * xx - yy),
+                SH_C3[1] * x * y * z,
+                SH_C3[2] * y * (4.0 * zz - xx - yy),
+                SH_C3[3] * z * (2.0 * zz - 3.0 * xx - 3.0 * yy),
+                SH_C3[4] * x * (4.0 * zz - xx - yy),
+                SH_C3[5] * z * (xx - yy),
+                SH_C3[6] * x * (xx - 3.0 * yy),
+            ]
+    return np.stack(out, axis=-1)
+
+
+def rgb_to_sh0(rgb: np.ndarray) -> np.ndarray:
+    """Constant coefficient of a colour in [0, 1] (sRGB values), of any shape: (rgb - 0.5) / C0."""
+    return (rgb - 0.5) / SH_C0
+
+
+def sh0_to_rgb(sh0: np.ndarray) -> np.ndarray:
+    """Colour in [0, 1] (sRGB values, not clamped) of a constant coefficient: C0 sh0 + 0.5."""
+    return sh0 * SH_C0 + 0.5

@@ -1,0 +1,166 @@
+"""Rotations, camera axes and the training world; nothing else converts frames."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .errors import ShapeError
+from .scene import Cameras
+from .splats import Splats, check_array
+
+CAMERA_FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
+"""From OpenCV camera axes (+y down, +z forward) to OpenGL/Blender ones (+y up), and back."""
+
+
+def quat_to_rotmat(quats: np.ndarray) -> np.ndarray:
+    """Rotation matrices of quaternions of any non-zero length.
+
+    Args:
+        quats: [..., 4] float, wxyz.
+
+    Returns:
+        [..., 3, 3] of the same dtype.
+    """
+    w, x, y, z = np.moveaxis(quats / np.linalg.norm(quats, axis=-1, keepdims=True), -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def rotmat_to_quat(rotations: np.ndarray) -> np.ndarray:
+    """Unit quaternions of rotation matrices, with w >= 0.
+
+    Each of the four formulas of Shepperd (1978) divides by another component; the one with the
+    largest divisor is taken, so no rotation loses digits.
+
+    Args:
+        rotations: [..., 3, 3] float.
+
+    Returns:
+        [..., 4] of the same dtype, wxyz.
+    """
+    m = rotations
+    m00, m11, m22 = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
+    wx, xy = m[..., 2, 1] - m[..., 1, 2], m[..., 1, 0] + m[..., 0, 1]
+    wy, xz = m[..., 0, 2] - m[..., 2, 0], m[..., 0, 2] + m[..., 2, 0]
+    wz, yz = m[..., 1, 0] - m[..., 0, 1], m[..., 2, 1] + m[..., 1, 2]
+    # Row i is 4 q_i q; its norm is 4 |q_i|, so the longest row is the best conditioned one.
+    rows = np.stack(
+        [
+            np.stack([1 + m00 + m11 + m22, wx, wy, wz], axis=-1),
+            np.stack([wx, 1 + m00 - m11 - m22, xy, xz], axis=-1),
+            np.stack([wy, xy, 1 - m00 + m11 - m22, yz], axis=-1),
+            np.stack([wz, xz, yz, 1 - m00 - m11 + m22], axis=-1),
+        ],
+        axis=-2,
+    )  # [..., 4, 4]
+    norms = np.linalg.norm(rows, axis=-1)
+    best = np.argmax(norms, axis=-1)[..., None, None]
+    quats = np.take_along_axis(rows, best, axis=-2)[..., 0, :]
+    quats = quats / np.linalg.norm(quats, axis=-1, keepdims=True)
+    return np.where(quats[..., :1] < 0, -quats, quats)
+
+
+def invert_rigid(matrix: np.ndarray) -> np.ndarray:
+    """Inverse of [..., 4, 4] rigid transforms, by transposition: exact where the rotation is."""
+    out = np.zeros_like(matrix)
+    rotation = np.swapaxes(matrix[..., :3, :3], -1, -2)
+    out[..., :3, :3] = rotation
+    out[..., :3, 3] = -np.einsum("...ij,...j->...i", rotation, matrix[..., :3, 3])
+    out[..., 3, 3] = 1
+    return out
+
+
+def viewmat_from_opengl(world_from_camera: np.ndarray) -> np.ndarray:
+    """World-to-camera in OpenCV axes from camera-to-world in OpenGL axes, rigid [..., 4, 4]."""
+    return invert_rigid(world_from_camera @ CAMERA_FLIP.astype(world_from_camera.dtype))
+
+
+def opengl_from_viewmat(viewmat: np.ndarray) -> np.ndarray:
+    """Camera-to-world in OpenGL axes from world-to-camera in OpenCV axes, rigid [..., 4, 4]."""
+    return invert_rigid(viewmat) @ CAMERA_FLIP.astype(viewmat.dtype)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Similarity:
+    """training = scale * (world - shift): recentring and scaling without rotation.
+
+    Without rotation the way back touches neither quaternions nor SH coefficients.
+    """
+
+    scale: float
+    """Training units per world unit, > 0."""
+    shift: np.ndarray
+    """[3] float64, world point that becomes the training origin."""
+
+    def __post_init__(self) -> None:
+        check_array("shift", self.shift, (3,), np.float64)
+        if not (math.isfinite(self.scale) and self.scale > 0 and np.isfinite(self.shift).all()):
+            raise ShapeError(
+                f"scale must be finite and positive, shift finite, got {self.scale}, {self.shift}."
+            )
+
+    @classmethod
+    def fit(cls, centers: np.ndarray) -> "Similarity":
+        """Put camera centres [C, 3] float64 around the origin, within a radius of 1.
+
+        The scale is a power of two: multiplying by it is exact in floating point, both ways.
+        """
+        check_array("centers", centers, ("C", 3), np.float64)
+        if len(centers) == 0:
+            return cls(scale=1.0, shift=np.zeros(3))
+        shift = centers.mean(axis=0)
+        radius = float(np.linalg.norm(centers - shift, axis=1).max())
+        # One camera, or all in one place: no length to go by.
+        if not radius > 1e-12 * float(np.abs(centers).max() + 1e-300):
+            return cls(scale=1.0, shift=shift)
+        return cls(scale=2.0 ** -math.ceil(math.log2(radius)), shift=shift)
+
+    def points_to_training(self, points: np.ndarray) -> np.ndarray:
+        """World points [..., 3] in training units, float64."""
+        return (np.asarray(points, np.float64) - self.shift) * self.scale
+
+    def points_from_training(self, points: np.ndarray) -> np.ndarray:
+        """Training points [..., 3] in world units, float64."""
+        return np.asarray(points, np.float64) / self.scale + self.shift
+
+    def viewmats_to_training(self, viewmats: np.ndarray) -> np.ndarray:
+        """World-to-camera [..., 4, 4] float64 to training-to-camera; camera space is scaled too."""
+        out = viewmats.copy()
+        moved = viewmats[..., :3, :3] @ self.shift + viewmats[..., :3, 3]
+        out[..., :3, 3] = moved * self.scale
+        return out
+
+    def viewmats_from_training(self, viewmats: np.ndarray) -> np.ndarray:
+        """Undo `viewmats_to_training`."""
+        out = viewmats.copy()
+        out[..., :3, 3] = viewmats[..., :3, 3] / self.scale - viewmats[..., :3, :3] @ self.shift
+        return out
+
+    def cameras_to_training(self, cameras: Cameras) -> Cameras:
+        """The same cameras in the training world; K does not change."""
+        return replace(cameras, viewmats=self.viewmats_to_training(cameras.viewmats))
+
+    def cameras_from_training(self, cameras: Cameras) -> Cameras:
+        """Undo `cameras_to_training`."""
+        return replace(cameras, viewmats=self.viewmats_from_training(cameras.viewmats))
+
+    def splats_to_training(self, splats: Splats) -> Splats:
+        """World splats in training units: means moved and scaled, log scales plus log(scale)."""
+        return replace(
+            splats,
+            means=self.points_to_training(splats.means).astype(np.float32),
+            scales=(splats.scales + np.float64(math.log(self.scale))).astype(np.float32),
+        )
+
+    def splats_from_training(self, splats: Splats) -> Splats:
+        """Undo `splats_to_training`."""
+        return replace(
+            splats,
+            means=self.points_from_training(splats.means).astype(np.float32),
+            scales=(splats.scales - np.float64(math.log(self.scale))).astype(np.float32),
+        )
