@@ -11,6 +11,7 @@ from ..io.files import atomic_write
 from .colormap import colorize
 from .curves import Series, chart, clean_points, legend
 from .pictures import ERROR_GAIN, ViewPictures
+from .words import size_words, time_words
 
 TIMES = "\u00d7"
 
@@ -70,39 +71,20 @@ def _number(value: Any, digits: int) -> str:
     return "n/a" if value is None else f"{value:.{digits}f}"
 
 
-def size_words(count: int | None) -> str:
-    """Bytes as people read them, decimal units: 12.3 MB."""
-    if count is None:
-        return "n/a"
-    for factor, unit in ((1e9, "GB"), (1e6, "MB"), (1e3, "kB")):
-        if count >= factor:
-            return f"{count / factor:.3g} {unit}"
-    return f"{count} B"
-
-
-def time_words(seconds: float | None) -> str:
-    """A duration as people read it: 42 s, 3 min 05 s, 1 h 02 min."""
-    if seconds is None:
-        return "n/a"
-    if seconds < 60:
-        return f"{seconds:.3g} s"
-    minutes, rest = divmod(round(seconds), 60)
-    if minutes < 60:
-        return f"{minutes} min {rest:02d} s"
-    return f"{minutes // 60} h {minutes % 60:02d} min"
-
-
 def _count(value: int | None) -> str:
     return "n/a" if value is None else f"{value:,}".replace(",", " ")
 
 
 def _split_words(metrics: dict[str, Any]) -> str:
-    count = len(metrics["views"])
+    count, split = len(metrics["views"]), metrics["split"]
+    plural = "s" if count != 1 else ""
     if not count:
         return "no views: " + metrics.get("psnr_reason", "")
-    if metrics["split"] == "test":
-        return f"{count} held-out view{'s' if count > 1 else ''}"
-    return f"{count} training view{'s' if count > 1 else ''} (not held out, so this is no test)"
+    if split == "test":
+        return f"{count} held-out view{plural}"
+    if split == "all":
+        return f"all {count} view{plural}, {len(metrics['test_views'])} of them held out"
+    return f"{count} training view{plural} (not held out, so this is no test)"
 
 
 def _header(title: str, metrics: dict[str, Any]) -> str:

@@ -37,7 +37,8 @@ def summarize(
 
     Args:
         evaluation: Result of `evaluate`.
-        split: `test` if the scored views were held out of the training, `train` if not.
+        split: `test` if the scored views were held out of the training, `train` if not, `all` for
+            views of both kinds.
         train_views, test_views: Names of the views of both splits.
         mask_mode, background: How masks counted, as in `evaluate`.
         splats, sh_degree: Size of the model.

@@ -16,7 +16,8 @@ from gscore.metrics import PictureCollector, headline, write_report
 from gscore.metrics.colormap import colorize
 from gscore.metrics.curves import Series, chart, clean_points, log_ticks, nice_ticks, short_number
 from gscore.metrics.pictures import BYTES_IN_ALL, ERROR_GAIN, MAX_VIEWS
-from gscore.metrics.report import report_html, size_words, time_words
+from gscore.metrics.report import report_html
+from gscore.metrics.words import size_words, time_words
 
 VOID = {"meta", "img", "br", "link", "hr", "input"}
 

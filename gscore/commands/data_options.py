@@ -1,0 +1,46 @@
+"""Options that say how to read a capture, for verbs that do not train."""
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from ..config import DataConfig
+
+
+def add_data_options(parser: argparse.ArgumentParser) -> None:
+    """Declare them, under the names `gscore train` and the 3DGS tools use."""
+    group = parser.add_argument_group("capture")
+    group.add_argument("-i", "--images", metavar="DIR", help="folder of the photos in SOURCE")
+    group.add_argument("--masks", metavar="DIR", help="folder of masks in SOURCE")
+    group.add_argument(
+        "--mask-mode",
+        choices=("auto", "composite", "ignore", "none"),
+        help="composite: masks are opacity; ignore: masked-out pixels do not count",
+    )
+    group.add_argument(
+        "-r",
+        "--resolution",
+        type=float,
+        help="1, 2, 4, 8: divide by it; larger: width in pixels; -1: as is, at most 1600 px wide",
+    )
+    group.add_argument("--test-every", type=int, metavar="N", help="every N-th view is a test view")
+    group.add_argument("--test-list", type=Path, metavar="FILE", help="names of the test views")
+    group.add_argument("--test-first", type=int, metavar="N", help="the first N are test views")
+    group.add_argument("--test-last", type=int, metavar="N", help="the last N are test views")
+
+
+_SPLIT = ("test_every", "test_list", "test_first", "test_last")
+_OTHER = ("images", "masks", "mask_mode", "resolution")
+
+
+def with_data_options(config: DataConfig, args: argparse.Namespace) -> DataConfig:
+    """The config with what was given on the command line; naming a split means to use it."""
+    given: dict[str, Any] = {
+        name: getattr(args, name)
+        for name in (*_SPLIT, *_OTHER)
+        if getattr(args, name, None) is not None
+    }
+    if any(name in given for name in _SPLIT):
+        given["eval"] = True
+    return replace(config, **given)

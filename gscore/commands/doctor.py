@@ -1,0 +1,214 @@
+"""`gscore doctor`: what this machine can do, and what is missing."""
+
+import argparse
+import importlib
+import json
+import platform
+import sys
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from .._version import __version__
+from ..errors import GsError
+from ..metrics.machine import (
+    available_memory_bytes,
+    cores,
+    cpu_name,
+    total_memory_bytes,
+    version_of,
+)
+from ..metrics.words import size_words
+from ..sh import rgb_to_sh0
+from ..splats import Splats
+
+_LITTLE_MEMORY = 2_000_000_000
+_TOLERANCE = 1e-5
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A package some verb needs."""
+
+    module: str
+    distribution: str
+    extra: str
+    use: str
+    needed: bool
+    """Without it there is no training."""
+
+
+_PARTS = (
+    _Part("numpy", "numpy", "", "everything", True),
+    _Part("plyfile", "plyfile", "", "reading models", True),
+    _Part("torch", "torch", "train", "training", True),
+    _Part("scipy", "scipy", "train", "first sizes of splats, SSIM", True),
+    _Part("PIL", "pillow", "train", "reading photos", True),
+    _Part("safetensors", "safetensors", "train", "checkpoints", True),
+    _Part("pycolmap", "pycolmap", "train", "photos with lens distortion", True),
+    _Part("onnxruntime", "onnxruntime", "lpips", "LPIPS", False),
+    _Part("av", "av", "video", "MP4 files", False),
+    _Part("bpy", "bpy", "blender", "Blender as a Python module", False),
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of the verb."""
+    parser.add_argument("--json", action="store_true", help="one JSON object on stdout")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Look, try, say; 0 if this machine can train, 2 if something needed is missing."""
+    facts = _facts()
+    print(json.dumps(facts, allow_nan=False) if args.json else _text(facts))
+    return 0 if facts["can_train"] else 2
+
+
+def _facts() -> dict[str, Any]:
+    native = _native_facts()
+    packages = {part.distribution: _package_facts(part) for part in _PARTS}
+    missing = [
+        f"{p.distribution} ({packages[p.distribution]['problem']})"
+        for p in _PARTS
+        if p.needed and packages[p.distribution]["problem"]
+    ]
+    if native["problem"]:
+        missing.insert(0, f"the native library ({native['problem']})")
+    available = available_memory_bytes()
+    return {
+        "gscore": __version__,
+        "python": platform.python_version(),
+        "executable": sys.executable,
+        "platform": platform.platform(),
+        "cpu": cpu_name(),
+        "arch": platform.machine(),
+        "cores": cores(),
+        "memory_bytes": total_memory_bytes(),
+        "memory_available_bytes": available,
+        "memory_is_short": available is not None and available < _LITTLE_MEMORY,
+        "native": native,
+        "packages": packages,
+        "can_train": not missing,
+        "missing": missing,
+    }
+
+
+def _package_facts(part: _Part) -> dict[str, Any]:
+    """Version of a package, found by importing it: installed is not the same as working."""
+    try:
+        module = importlib.import_module(part.module)
+    except ModuleNotFoundError:
+        command = (
+            f'pip install "gscore[{part.extra}]"'
+            if part.extra
+            else f"pip install {part.distribution}"
+        )
+        return {"version": None, "use": part.use, "problem": f"not installed: {command}"}
+    except Exception as error:  # a broken wheel may raise anything while it loads
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        return {
+            "version": version_of(part.distribution),
+            "use": part.use,
+            "problem": f"does not load: {reason}",
+        }
+    version = getattr(module, "__version__", None) or version_of(part.distribution)
+    return {"version": str(version), "use": part.use, "problem": ""}
+
+
+def _native_facts() -> dict[str, Any]:
+    """The rasterizer: where it is, what it can use here, and whether it draws one splat right."""
+    from ..raster import _native
+
+    facts: dict[str, Any] = {"library": str(_native.library_path()), "problem": ""}
+    try:
+        facts["isas"] = _native.available_isas()
+        facts["isa"] = _native.isa()
+        facts["threads"] = _native.default_threads()
+        facts["self_test"] = self_test(facts["isas"])
+    except GsError as error:
+        return facts | {"problem": str(error)}
+    wrong = [isa for isa, found in facts["self_test"].items() if not found["error"] <= _TOLERANCE]
+    if facts["isa"] in wrong:
+        facts["problem"] = f"wrong pictures with {facts['isa']}"
+    return facts
+
+
+def self_test(isas: list[str]) -> dict[str, dict[str, float]]:
+    """Draw one splat with each instruction set and compare it with the closed form.
+
+    Returns:
+        Per instruction set the largest absolute error of colour and alpha, and milliseconds.
+    """
+    from ..raster import _native
+    from ..raster.api import render
+
+    size, focal, z, sigma, opacity = 65, 80.0, 4.0, 0.5, 0.8
+    color, background = np.array([0.9, 0.3, 0.1]), np.array([0.1, 0.2, 0.4])
+    splats = Splats(
+        means=np.array([[0, 0, z]], np.float32),
+        quats=np.array([[1, 0, 0, 0]], np.float32),
+        scales=np.full((1, 3), np.log(sigma), np.float32),
+        opacities=np.array([np.log(opacity / (1 - opacity))], np.float32),
+        sh0=rgb_to_sh0(color)[None, None].astype(np.float32),
+        shN=np.zeros((1, 0, 3), np.float32),
+    )
+    K = np.array([[focal, 0, size / 2], [0, focal, size / 2], [0, 0, 1]])
+    offsets = np.arange(size) + 0.5 - size / 2
+    square = offsets[:, None] ** 2 + offsets[None, :] ** 2
+    alpha = opacity * np.exp(-square / (2 * ((focal * sigma / z) ** 2 + 0.3)))
+    alpha[alpha < 1 / 255] = 0.0
+    # At the cut one rounding decides between 1/255 and nothing; that is no error.
+    certain = np.abs(alpha * 255 - 1) > 1e-3
+    wanted = alpha[..., None] * color + (1 - alpha[..., None]) * background
+    before, results = _native.isa(), {}
+    try:
+        for isa in isas:
+            _native.set_isa(isa)
+            began = time.perf_counter()
+            picture = render(splats, K, np.eye(4), size, size, background=tuple(background))
+            milliseconds = (time.perf_counter() - began) * 1000
+            error = max(
+                np.abs(picture.rgb - wanted)[certain].max(),
+                np.abs(picture.alpha - alpha)[certain].max(),
+            )
+            results[isa] = {"error": float(error), "milliseconds": round(milliseconds, 3)}
+    finally:
+        _native.set_isa(before)
+    return results
+
+
+def _text(facts: dict[str, Any]) -> str:
+    native = facts["native"]
+    memory = size_words(facts["memory_bytes"])
+    if facts["memory_available_bytes"] is not None:
+        memory += f", {size_words(facts['memory_available_bytes'])} free"
+    if facts["memory_is_short"]:
+        memory += "; little: train with -r 2 and fewer --max-splats"
+    rows = [
+        ("gscore", facts["gscore"]),
+        ("Python", f"{facts['python']} ({facts['executable']})"),
+        ("platform", facts["platform"]),
+        ("processor", f"{facts['cpu']} ({facts['arch']}), {facts['cores']} cores"),
+        ("memory", memory),
+        ("library", native["library"]),
+    ]
+    if "isa" in native:
+        others = ", ".join(i for i in native["isas"] if i != native["isa"])
+        also = f" (also here: {others})" if others else ""
+        rows.append(("uses", f"{native['isa']}{also}, {native['threads']} threads"))
+    for isa, found in native.get("self_test", {}).items():
+        verdict = "ok" if found["error"] <= _TOLERANCE else "WRONG"
+        rows.append(("self-test", f"{isa}: {verdict}, error {found['error']:.1e}"))
+    if native["problem"]:
+        rows.append(("problem", native["problem"]))
+    for name, part in facts["packages"].items():
+        state = f"{part['version'] or ''} {part['problem']}".strip()
+        rows.append((name, f"{state}  ({part['use']})"))
+    lines = [f"{label:12} {value}" for label, value in rows]
+    if facts["can_train"]:
+        lines.append("This machine can train.")
+    else:
+        lines.append("This machine cannot train; missing: " + "; ".join(facts["missing"]) + ".")
+    return "\n".join(lines)

@@ -1,0 +1,196 @@
+"""`gscore eval`: measure trained splats against the photos of a capture."""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from ..config import DataConfig, to_dict
+from ..datasets import Dataset, load_dataset
+from ..errors import ConfigError, DatasetError
+from ..metrics import (
+    PictureCollector,
+    evaluate,
+    find_lpips,
+    headline,
+    summarize,
+    write_metrics,
+    write_report,
+)
+from ..raster import _native
+from ..raster.api import render
+from .data_options import add_data_options, with_data_options
+from .model import Model, open_model
+
+_KEPT = ("steps", "train_seconds", "history", "evals", "peak_memory_bytes")
+"""What only the training knows; a run that is measured again keeps it."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of the verb."""
+    parser.add_argument("model", type=Path, help="folder of a run, or a PLY")
+    parser.add_argument(
+        "-s", "--source", type=Path, help="the capture; default: the one the run was trained on"
+    )
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        help="folder for metrics.json and report.html; default: the run's",
+    )
+    parser.add_argument(
+        "--split",
+        choices=("test", "train", "all"),
+        help="views to measure; default: test if there are test views, else all",
+    )
+    parser.add_argument("--lpips", type=Path, metavar="FILE.onnx", help="network for LPIPS")
+    parser.add_argument("--threads", type=int, default=0, help="0: all cores")
+    parser.add_argument("--json", action="store_true", help="the results as JSON, last on stdout")
+    parser.add_argument("--quiet", action="store_true", help="no progress")
+    add_data_options(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure, write metrics.json and report.html, say the means."""
+    lpips, lpips_reason = find_lpips(args.lpips, threads=args.threads)
+    model = open_model(args.model)
+    output = args.output or model.run
+    if output is None:
+        raise ConfigError(
+            f"{model.ply} lies in no run's folder; say with -o where to write metrics.json."
+        )
+    config = _data_config(args, model)
+    dataset = load_dataset(config)
+    warnings = [*model.warnings, *dataset.warnings]
+    if model.data is None and dataset.test and args.split != "all":
+        warnings.append(
+            "It is not known which views this model was trained on; the test views are held out "
+            "only if it was trained with the same split."
+        )
+    split, indices = _indices(args.split, dataset)
+    collector = PictureCollector(count=len(indices))
+    background = model.background
+
+    def picture(index: int) -> Any:
+        cameras = dataset.scene.cameras
+        return render(
+            model.splats,
+            cameras.Ks[index],
+            cameras.viewmats[index],
+            int(cameras.widths[index]),
+            int(cameras.heights[index]),
+            background=background,
+            near=model.near,
+            antialias=model.antialias,
+            threads=args.threads,
+        ).rgb
+
+    def on_view(place: int, target: Any, rendered: Any, values: dict[str, Any]) -> None:
+        collector(place, target, rendered, values)
+        if not args.quiet:
+            psnr = values["psnr"]
+            worth = "identical" if psnr is None else f"PSNR {psnr:.2f} dB"
+            print(f"{place + 1}/{len(indices)} {values['name']}: {worth}", file=sys.stderr)
+
+    evaluation = evaluate(
+        picture,
+        dataset,
+        indices,
+        lpips=lpips,
+        lpips_reason=lpips_reason,
+        background=background,
+        on_view=on_view,
+    )
+    names = dataset.scene.cameras.names
+    metrics = summarize(
+        evaluation,
+        split=split,
+        train_views=[names[i] for i in dataset.train],
+        test_views=[names[i] for i in dataset.test],
+        mask_mode=dataset.mask_mode,
+        background=background,
+        splats=len(model.splats),
+        sh_degree=model.splats.sh_degree,
+        storage_bytes=model.ply.stat().st_size,
+        steps=None,
+        train_seconds=None,
+        isa=_native.isa(),
+        threads=args.threads or _native.default_threads(),
+    ) | _of_the_training(model)
+    write_metrics(output / "metrics.json", metrics)
+    options = {"data": to_dict(config)}
+    if model.train is not None:
+        options["train"] = to_dict(model.train)
+    report = {
+        "title": config.source.resolve().name,
+        "metrics": metrics,
+        "views": collector.views,
+        "warnings": warnings,
+        "config": options,
+    }
+    write_report(output / "report.html", report)
+    for sentence in warnings:
+        print(f"Warning: {sentence}", file=sys.stderr)
+    if args.json:
+        print(json.dumps(headline(metrics) | {"output": str(output)}, allow_nan=False))
+    else:
+        print(_summary(metrics, output))
+    return 0
+
+
+def _data_config(args: argparse.Namespace, model: Model) -> DataConfig:
+    """How the run read its capture, changed by what was given; a bare PLY needs `-s`."""
+    if model.data is not None:
+        config = model.data
+        if args.source is not None:
+            config = DataConfig(
+                source=args.source, resolution=config.resolution, max_width=config.max_width
+            )
+            # Another capture: the names and folders of the old one mean nothing there.
+            if args.source.resolve() == model.data.source.resolve():
+                config = model.data
+    elif args.source is None:
+        raise ConfigError(
+            f"{model.ply} does not say what it was trained on; give the capture with -s SOURCE."
+        )
+    else:
+        config = DataConfig(source=args.source, eval=True)
+    return with_data_options(config, args)
+
+
+def _indices(split: str | None, dataset: Dataset) -> tuple[str, list[int]]:
+    """Name and indices of the views to measure."""
+    if split == "test" and not dataset.test:
+        raise DatasetError(
+            "The run held no views out, so there is no test split; choose another with --split, or "
+            "name test views with --test-every or --test-list."
+        )
+    if split == "test" or (split is None and dataset.test):
+        return "test", dataset.test
+    if split == "all":
+        return "all", list(range(len(dataset)))
+    return "train", dataset.train
+
+
+def _of_the_training(model: Model) -> dict[str, Any]:
+    """Time, length, curves and memory of the training from the metrics.json that it wrote."""
+    if model.run is None or model.ply != model.run / "point_cloud.ply":
+        return {}
+    try:
+        old = json.loads((model.run / "metrics.json").read_text(encoding="utf-8"))
+        return {key: old[key] for key in _KEPT if old.get(key) is not None}
+    except (OSError, ValueError, AttributeError):
+        return {}
+
+
+def _summary(metrics: dict[str, Any], output: Path) -> str:
+    parts = []
+    for key, label, form in (("psnr", "PSNR", ".2f"), ("ssim", "SSIM", ".4f")):
+        if metrics[key] is not None:
+            parts.append(f"{label} {metrics[key]:{form}}")
+    if metrics["lpips"] is not None:
+        parts.append(f"LPIPS ({metrics['lpips_net']}) {metrics['lpips']:.4f}")
+    held = {"test": "test views", "train": "training views", "all": "views"}[metrics["split"]]
+    views = f"{len(metrics['views'])} {held}"
+    return f"{views}: {', '.join(parts)}\nResults: {output / 'metrics.json'}, report.html"

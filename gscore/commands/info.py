@@ -1,0 +1,223 @@
+"""`gscore info`: what a capture, a PLY or the folder of a run holds."""
+
+import argparse
+import json
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..config import DataConfig
+from ..errors import DatasetError
+from ..io.colmap import find_model, read_model
+from ..io.ply_compressed import is_compressed
+from ..io.ply_elements import read_elements
+from ..metrics.words import size_words, time_words
+from ..splats import Splats
+from .model import Model, find_ply, open_model
+
+_QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of the verb."""
+    parser.add_argument("path", type=Path, help="a capture's folder, a run's folder or a PLY")
+    parser.add_argument(
+        "-i", "--images", default="images", help="folder of the photos in a capture"
+    )
+    parser.add_argument("--json", action="store_true", help="one JSON object on stdout")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Look and say."""
+    path = args.path
+    if not path.exists():
+        raise DatasetError(f"There is no file or folder {path}.")
+    if path.is_file() and path.suffix.lower() != ".json":
+        facts = _model_facts(open_model(path))
+    elif path.is_dir() and _holds_model(path):
+        facts = _run_facts(path)
+    else:
+        facts = _capture_facts(path, args.images)
+    print(json.dumps(facts, allow_nan=False) if args.json else _text(facts))
+    return 0
+
+
+def _holds_model(folder: Path) -> bool:
+    try:
+        find_ply(folder)
+    except DatasetError:
+        return (folder / "config.json").is_file()
+    return True
+
+
+def _model_facts(model: Model) -> dict[str, Any]:
+    splats = model.splats
+    elements = read_elements(model.ply)
+    size = model.ply.stat().st_size
+    return {
+        "kind": "splats",
+        "path": str(model.ply),
+        "splats": len(splats),
+        "sh_degree": splats.sh_degree,
+        "storage_bytes": size,
+        "bytes_per_splat": round(size / len(splats), 1) if len(splats) else None,
+        "layout": "compressed (SuperSplat)" if is_compressed(elements) else "3DGS",
+        "antialias": model.antialias,
+        "comments": list(model.comments),
+        **(_statistics(splats) if len(splats) else {}),
+        "warnings": list(model.warnings),
+    }
+
+
+def _statistics(splats: Splats) -> dict[str, Any]:
+    """Where the splats are, and how large and opaque; of finite values, in float64."""
+    means = splats.means.astype(np.float64)
+    opacity = 1.0 / (1.0 + np.exp(-splats.opacities.astype(np.float64)))
+    scales = np.exp(splats.scales.astype(np.float64))
+    largest, smallest = scales.max(axis=1), scales.min(axis=1)
+    return {
+        "bounds": [means.min(axis=0).tolist(), means.max(axis=0).tolist()],
+        # A few far splats make the bounds say nothing about where the scene is.
+        "bounds_of_98_percent": np.quantile(means, (0.01, 0.99), axis=0).tolist(),
+        "quantiles": list(_QUANTILES),
+        "opacity": np.quantile(opacity, _QUANTILES).tolist(),
+        "largest_scale": np.quantile(largest, _QUANTILES).tolist(),
+        "elongation": np.quantile(largest / smallest, _QUANTILES).tolist(),
+        "nearly_transparent": float((opacity < 0.005).mean()),
+    }
+
+
+def _run_facts(folder: Path) -> dict[str, Any]:
+    checkpoints = sorted(folder.glob("checkpoints/*.safetensors"))
+    facts: dict[str, Any] = {"kind": "run", "path": str(folder), "checkpoints": len(checkpoints)}
+    try:
+        metrics = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
+        keys = ("psnr", "ssim", "lpips", "lpips_net", "split", "steps", "train_seconds", "gscore")
+        facts["metrics"] = {key: metrics.get(key) for key in keys}
+    except (OSError, ValueError, AttributeError):
+        facts["metrics"] = None
+    try:
+        find_ply(folder)
+    except DatasetError:
+        return facts | {"model": None, "source": None}
+    model = open_model(folder)
+    facts["source"] = str(model.data.source) if model.data else None
+    return facts | {"model": _model_facts(model)}
+
+
+def _capture_facts(path: Path, images: str) -> dict[str, Any]:
+    from ..datasets import load_dataset  # needs Pillow to look into the photos
+
+    dataset = load_dataset(DataConfig(source=path, images=images, resolution=1))
+    scene = dataset.scene
+    cameras = scene.cameras
+    sizes = Counter(
+        f"{w} x {h}" for w, h in zip(cameras.widths.tolist(), cameras.heights.tolist(), strict=True)
+    )
+    centers = cameras.centers
+    facts: dict[str, Any] = {
+        "kind": "capture",
+        "path": str(path),
+        "views": len(cameras),
+        "names": [cameras.names[0], cameras.names[-1]],
+        "sizes": dict(sizes.most_common()),
+        "focal_px": [float(cameras.Ks[:, 0, 0].min()), float(cameras.Ks[:, 0, 0].max())],
+        "camera_extent": float(
+            1.1 * np.linalg.norm(centers - centers.mean(axis=0), axis=1).max(initial=0.0)
+        ),
+        "points": len(scene.points),
+        "masks": dataset.mask_mode,
+        "decoded_bytes": dataset.nbytes,
+        "warnings": list(dataset.warnings),
+    }
+    return facts | {"model": _colmap_facts(path)}
+
+
+def _colmap_facts(path: Path) -> dict[str, Any] | None:
+    """What COLMAP wrote, before undistortion; None for captures with a transforms.json."""
+    if path.is_file():
+        return None
+    try:
+        folder, _ = find_model(path)
+    except DatasetError:
+        return None
+    model = read_model(folder)
+    errors = model.points.error[model.points.error >= 0]
+    return {
+        "path": str(folder),
+        "cameras": dict(Counter(camera.model for camera in model.cameras.values())),
+        "images": len(model.images),
+        "points": len(model.points),
+        "mean_error_px": float(errors.mean()) if len(errors) else None,
+    }
+
+
+def _text(facts: dict[str, Any]) -> str:
+    lines = {"splats": _splats_text, "run": _run_text, "capture": _capture_text}[facts["kind"]]
+    return "\n".join(lines(facts) + [f"Warning: {w}" for w in facts.get("warnings", [])])
+
+
+def _splats_text(facts: dict[str, Any]) -> list[str]:
+    marks = ["trained with antialiasing"] if facts["antialias"] else []
+    marks += [f'comment "{line}"' for line in facts["comments"]]
+    lines = [
+        f"{facts['path']}: {facts['splats']:,} splats, SH degree {facts['sh_degree']}, "
+        f"{size_words(facts['storage_bytes'])}, {facts['layout']} layout"
+        + (f", {', '.join(marks)}" if marks else "")
+    ]
+    if "bounds" not in facts:
+        return lines
+    low, high = facts["bounds_of_98_percent"]
+    lines += [
+        f"  98 % of them lie within {_point(low)} and {_point(high)}",
+        f"  bounds             {_point(facts['bounds'][0])} and {_point(facts['bounds'][1])}",
+        "                     " + "".join(f"{f'{q:.0%}':>10}" for q in _QUANTILES),
+    ]
+    rows = (("opacity", "opacity"), ("largest_scale", "largest scale"), ("elongation",) * 2)
+    for key, label in rows:
+        lines.append(f"  {label:19}" + "".join(f"{v:10.3g}" for v in facts[key]))
+    share = facts["nearly_transparent"]
+    return [*lines, f"  {share:.1%} have an opacity below 0.005 and could be removed"]
+
+
+def _run_text(facts: dict[str, Any]) -> list[str]:
+    lines = [f"{facts['path']}: a run" + (f" on {facts['source']}" if facts["source"] else "")]
+    metrics = facts["metrics"]
+    if metrics and metrics["psnr"] is not None:
+        lpips = "" if metrics["lpips"] is None else f", LPIPS {metrics['lpips']:.4f}"
+        lines.append(
+            f"  {metrics['split']} views: PSNR {metrics['psnr']:.2f}, SSIM {metrics['ssim']:.4f}"
+            f"{lpips}; {metrics['steps']} steps in {time_words(metrics['train_seconds'])}"
+        )
+    lines.append(f"  {facts['checkpoints']} checkpoints")
+    if facts["model"] is None:
+        return [*lines, "  no point_cloud.ply yet"]
+    return lines + _splats_text(facts["model"])
+
+
+def _capture_text(facts: dict[str, Any]) -> list[str]:
+    sizes = ", ".join(f"{n} of {size} px" for size, n in facts["sizes"].items())
+    low, high = facts["focal_px"]
+    focal = f"{low:.1f}" if high - low < 0.05 else f"{low:.1f} to {high:.1f}"
+    lines = [
+        f"{facts['path']}: a capture with {facts['views']} photos ({sizes})",
+        f"  names from {facts['names'][0]} to {facts['names'][1]}",
+        f"  focal length {focal} px after undistortion, camera extent {facts['camera_extent']:.3g}",
+        f"  {facts['points']:,} points, masks: {facts['masks']}, "
+        f"{size_words(facts['decoded_bytes'])} of photos in memory",
+    ]
+    model = facts["model"]
+    if model:
+        kinds = ", ".join(f"{n} {kind}" for kind, n in model["cameras"].items())
+        error = model["mean_error_px"]
+        lines.append(
+            f"  COLMAP model {model['path']}: cameras {kinds}; {model['images']} images"
+            + (f"; mean error {error:.2f} px" if error is not None else "")
+        )
+    return lines
+
+
+def _point(values: list[float]) -> str:
+    return "(" + ", ".join(f"{v:.3g}" for v in values) + ")"

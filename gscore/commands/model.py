@@ -1,0 +1,143 @@
+"""The model a verb is given: a PLY file, or the folder of a run with its options."""
+
+import logging
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..config import Background, DataConfig, TrainConfig, load_config
+from ..errors import DatasetError
+from ..io.ply import read_splats
+from ..splats import Splats
+
+_HEADER_LIMIT = 1 << 16
+
+
+@dataclass(frozen=True, kw_only=True)
+class Model:
+    """Splats and what is known of their training."""
+
+    ply: Path
+    """The file."""
+    run: Path | None
+    """Folder of the run that made it, if it lies in one."""
+    splats: Splats
+    """What it holds."""
+    comments: tuple[str, ...]
+    """Comment lines of its header."""
+    data: DataConfig | None
+    """Options of the run; None: not known."""
+    train: TrainConfig | None
+    """Options of the run; None: not known."""
+    warnings: tuple[str, ...]
+    """Sentences for the user."""
+
+    @property
+    def antialias(self) -> bool:
+        """Whether it was trained with opacity compensation: its header or its run says so."""
+        return header_says_antialias(self.comments) or bool(self.train and self.train.antialias)
+
+    @property
+    def background(self) -> tuple[float, float, float]:
+        """Colour behind the splats in measurements."""
+        is_white = self.train is not None and self.train.background is Background.WHITE
+        return (1.0, 1.0, 1.0) if is_white else (0.0, 0.0, 0.0)
+
+    @property
+    def near(self) -> float:
+        """Near plane of the training, world units."""
+        return self.train.near if self.train else 0.01
+
+
+def open_model(path: Path) -> Model:
+    """Read a PLY, or the newest one in the folder of a run.
+
+    Raises:
+        DatasetError: There is no such file, or no model in the folder.
+        FormatError: The file holds no splats.
+        ConfigError: The run's config.json cannot be used.
+    """
+    ply = find_ply(path)
+    run = find_run(ply)
+    data, train = load_config(run / "config.json") if run else (None, None)
+    with collected_warnings() as warnings:
+        splats = read_splats(ply)
+    return Model(
+        ply=ply,
+        run=run,
+        splats=splats,
+        comments=header_comments(ply),
+        data=data,
+        train=train,
+        warnings=tuple(warnings),
+    )
+
+
+def find_ply(path: Path) -> Path:
+    """`path` if it is a file; in a folder point_cloud.ply, else the last iteration as 3DGS saves.
+
+    Raises:
+        DatasetError: There is none.
+    """
+    if path.is_file():
+        return path
+    if not path.exists():
+        raise DatasetError(f"There is no file or folder {path}; give a PLY or the folder of a run.")
+    found = path / "point_cloud.ply"
+    if found.is_file():
+        return found
+    saved = sorted(path.glob("point_cloud/iteration_*/point_cloud.ply"), key=_iteration)
+    if saved:
+        return saved[-1]
+    raise DatasetError(
+        f"No model in {path}: expected point_cloud.ply or point_cloud/iteration_*/point_cloud.ply; "
+        "give the PLY itself or the folder a training wrote."
+    )
+
+
+def _iteration(ply: Path) -> int:
+    digits = re.search(r"\d+", ply.parent.name)
+    return int(digits[0]) if digits else -1
+
+
+def find_run(ply: Path) -> Path | None:
+    """The folder with config.json the file belongs to, or None."""
+    folders = [ply.parent]
+    if ply.parent.name.startswith("iteration_"):
+        folders.append(ply.parent.parent.parent)
+    if ply.parent.name == "snapshots":
+        folders.append(ply.parent.parent)
+    return next((f for f in folders if (f / "config.json").is_file()), None)
+
+
+def header_comments(ply: Path) -> tuple[str, ...]:
+    """Comment lines of a PLY's header, without the word comment."""
+    with ply.open("rb") as file:
+        head = file.read(_HEADER_LIMIT)
+    lines = head.partition(b"end_header")[0].decode("utf-8", "replace").splitlines()
+    return tuple(line[8:].strip() for line in lines if line.startswith("comment "))
+
+
+def header_says_antialias(comments: tuple[str, ...]) -> bool:
+    """Whether a comment says that opacities were compensated, as Brush and Postshot write it."""
+    marks = ("splatrendermode: mip", "antialiased 1", "antialiased: 1")
+    return any(line.lower().startswith(marks) for line in comments)
+
+
+@contextmanager
+def collected_warnings() -> Iterator[list[str]]:
+    """The messages gscore logs as warnings within the block, instead of printing them."""
+    collected: list[str] = []
+
+    class Keep(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            collected.append(record.getMessage())
+
+    logger, keep = logging.getLogger("gscore"), Keep(level=logging.WARNING)
+    logger.addHandler(keep)
+    try:
+        yield collected
+    finally:
+        logger.removeHandler(keep)
