@@ -6,7 +6,7 @@ INSTALLED := $(VENV)/.installed
 LIBRARY := build/native/.built
 SOURCES := $(wildcard csrc/CMakeLists.txt csrc/include/*.h csrc/src/*)
 
-.PHONY: demo test test-slow test-native sanitize lint format bench wheel clean
+.PHONY: demo test test-slow test-native test-widths test-neon sanitize lint format bench wheel clean
 
 $(INSTALLED): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -36,6 +36,23 @@ test-slow: $(LIBRARY)
 
 test-native: $(LIBRARY)
 	$(BIN)/ctest --test-dir build/native --output-on-failure
+
+# The portable kernels at the vector widths of AVX2 and AVX-512, for machines that lack these, and NEON under emulation
+# (needs Debian's g++-aarch64-linux-gnu and qemu-user-static).
+test-widths: $(INSTALLED)
+	for n in 8 16; do \
+		$(BIN)/cmake -G Ninja -S csrc -B build/lanes-$$n -DCMAKE_MAKE_PROGRAM=$(abspath $(BIN)/ninja) \
+			-DCMAKE_BUILD_TYPE=Release -DGS_TESTS=ON -DGS_SCALAR_LANES=$$n > /dev/null && \
+		$(BIN)/cmake --build build/lanes-$$n && \
+		GSCORE_ISA=scalar $(BIN)/ctest --test-dir build/lanes-$$n --output-on-failure || exit 1; \
+	done
+
+test-neon: $(INSTALLED)
+	$(BIN)/cmake -G Ninja -S csrc -B build/neon -DCMAKE_MAKE_PROGRAM=$(abspath $(BIN)/ninja) \
+		-DCMAKE_BUILD_TYPE=Release -DGS_TESTS=ON -DCMAKE_SYSTEM_NAME=Linux -DCMAKE_SYSTEM_PROCESSOR=aarch64 \
+		-DCMAKE_CXX_COMPILER=aarch64-linux-gnu-g++ > /dev/null
+	$(BIN)/cmake --build build/neon
+	qemu-aarch64-static -L /usr/aarch64-linux-gnu -E LD_LIBRARY_PATH=build/neon build/neon/test_native
 
 # The native tests under the address, undefined-behaviour and thread sanitizers.
 sanitize: $(INSTALLED)

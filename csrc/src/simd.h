@@ -19,6 +19,8 @@ namespace gs::GS_NAMESPACE {
 constexpr int kLanes = 16;
 #elif defined(GS_ISA_AVX2)
 constexpr int kLanes = 8;
+#elif defined(GS_ISA_SCALAR) && defined(GS_SCALAR_LANES)
+constexpr int kLanes = GS_SCALAR_LANES;
 #else
 constexpr int kLanes = 4;
 #endif
@@ -142,8 +144,14 @@ static inline void lane_sums(const Vec *v, int count, float *out) {
         _mm_storeu_ps(out + i, _mm_add_ps(_mm256_castps256_ps128(s), _mm256_extractf128_ps(s, 1)));
     }
 #else
-    for (int i = 0; i < count; ++i)
-        out[i] = (v[i][0] + v[i][2]) + (v[i][1] + v[i][3]);
+    for (int i = 0; i < count; ++i) {
+        alignas(64) float lane[kLanes];
+        store(lane, v[i]);
+        for (int n = kLanes / 2; n > 0; n /= 2)
+            for (int l = 0; l < n; ++l)
+                lane[l] += lane[l + n];
+        out[i] = lane[0];
+    }
 #endif
 }
 
