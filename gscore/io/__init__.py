@@ -1,0 +1,1 @@
+"""Readers and writers of files; numpy only, one format a module."""

@@ -1,0 +1,214 @@
+"""COLMAP reconstructions read from and written to folders, binary or text, with numpy alone."""
+
+import re
+from dataclasses import replace
+from pathlib import Path, PurePosixPath, PureWindowsPath
+
+import numpy as np
+
+from ..errors import DatasetError, FormatError
+from . import colmap_binary, colmap_text
+from .colmap_model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
+from .files import atomic_write
+
+__all__ = [
+    "ColmapCamera",
+    "ColmapImage",
+    "ColmapModel",
+    "ColmapPoints",
+    "find_model",
+    "has_model",
+    "read_model",
+    "write_model",
+]
+
+
+def has_model(folder: Path) -> bool:
+    """Whether cameras and images of a model, binary or text, lie directly in `folder`."""
+    return any(
+        (folder / f"cameras{end}").is_file() and (folder / f"images{end}").is_file()
+        for end in (".bin", ".txt")
+    )
+
+
+def find_model(path: str | Path) -> tuple[Path, tuple[str, ...]]:
+    """Folder of the model in or at `path`, and sentences about a choice that had to be made.
+
+    Looked for in this order: numbered folders in `path`/sparse, `path`/sparse, `path` itself,
+    numbered folders in `path`, and the same under `path`/colmap. Of several numbered models the one
+    with the most images is taken.
+
+    Raises:
+        DatasetError: there is none.
+    """
+    path = Path(path)
+    if not path.is_dir():
+        raise DatasetError(f"There is no folder {path}. Give the folder that holds the capture.")
+    for root in (path / "sparse", path, path / "colmap" / "sparse"):
+        numbered = _numbered_models(root)
+        if root == path and has_model(path):
+            return path, ()
+        if numbered:
+            best = max(numbered, key=_count_images)  # the first of equals: the smallest number
+            if len(numbered) == 1:
+                return best, ()
+            others = ", ".join(f"{m.name} ({_count_images(m)})" for m in numbered if m != best)
+            return best, (
+                f"{root} holds {len(numbered)} models that COLMAP could not join; using "
+                f"{best.name} with {_count_images(best)} images, leaving out {others}.",
+            )
+        if has_model(root):
+            return root, ()
+    raise DatasetError(
+        f"No COLMAP model in {path}: expected cameras and images (.bin or .txt) in sparse/0, in "
+        f"sparse or in the folder itself. Run COLMAP first, or give the folder above `sparse`."
+    )
+
+
+def read_model(path: str | Path) -> ColmapModel:
+    """Read the COLMAP model in or at `path`.
+
+    Args:
+        path: A folder with `sparse/0` or `sparse`, or one that holds the files itself. Binary files
+            win over text files. Missing points are allowed and give none.
+
+    Raises:
+        DatasetError: there is no model.
+        FormatError: a file is truncated or corrupt, a camera model is unknown, an image's pose or
+            name is unusable.
+    """
+    folder, warnings = find_model(path)
+    reader, end = _reader(folder)
+    cameras = reader.read_cameras(folder / f"cameras{end}")
+    images = reader.read_images(folder / f"images{end}")
+    points_file = folder / f"points3D{end}"
+    if points_file.is_file():
+        points = reader.read_points(points_file)
+    else:
+        points = ColmapPoints.none()
+        warnings = (*warnings, f"{points_file} is missing; the model has no points.")
+    for camera_id, camera in cameras.items():
+        _check_camera(folder / f"cameras{end}", camera_id, camera)
+    for image in images:
+        _check_image(folder / f"images{end}", image, cameras)
+    return ColmapModel(
+        cameras=cameras, images=images, points=points, path=folder, warnings=warnings
+    )
+
+
+def write_model(model: ColmapModel, path: str | Path, *, binary: bool = True) -> None:
+    """Write the model's three files into the folder `path`, each completely or not at all.
+
+    Tracks are made from the images' observations; an observation of a point that is not in the
+    model is written as one of no point, as COLMAP itself insists on.
+
+    Raises:
+        GsError: a file cannot be written.
+    """
+    path = Path(path)
+    known = [np.isin(image.point3D_ids, model.points.ids) for image in model.images]
+    images = [
+        replace(image, point3D_ids=np.where(keep, image.point3D_ids, -1))
+        for image, keep in zip(model.images, known, strict=True)
+    ]
+    tracks, lengths = _tracks(images, model.points)
+    if binary:
+        atomic_write(path / "cameras.bin", colmap_binary.cameras_to_bytes(model.cameras))
+        atomic_write(path / "images.bin", colmap_binary.images_to_bytes(images))
+        points = colmap_binary.points_to_bytes(model.points, tracks, lengths)
+        atomic_write(path / "points3D.bin", points)
+    else:
+        texts = {
+            "cameras.txt": colmap_text.cameras_to_text(model.cameras),
+            "images.txt": colmap_text.images_to_text(images),
+            "points3D.txt": colmap_text.points_to_text(model.points, tracks, lengths),
+        }
+        for name, text in texts.items():
+            atomic_write(path / name, text.encode("utf-8"))
+
+
+def is_safe_name(name: str) -> bool:
+    """Whether a file name from a model stays inside the folder it is joined to, on any system."""
+    posix, windows = PurePosixPath(name), PureWindowsPath(name)
+    return (
+        bool(windows.parts)
+        and not posix.is_absolute()
+        and not windows.drive
+        and not windows.root
+        and ".." not in windows.parts
+        and not any(ord(letter) < 32 for letter in name)
+    )
+
+
+def _numbered_models(root: Path) -> list[Path]:
+    if not root.is_dir():
+        return []
+    folders = [f for f in root.iterdir() if re.fullmatch(r"\d+", f.name) and has_model(f)]
+    return sorted(folders, key=lambda f: int(f.name))
+
+
+def _reader(folder: Path):
+    """The module that reads this folder (both have the same functions), and its file ending."""
+    binary = (folder / "cameras.bin").is_file() and (folder / "images.bin").is_file()
+    return (colmap_binary, ".bin") if binary else (colmap_text, ".txt")
+
+
+def _count_images(folder: Path) -> int:
+    reader, end = _reader(folder)
+    return reader.count_images(folder / f"images{end}")
+
+
+def _check_camera(path: Path, camera_id: int, camera: ColmapCamera) -> None:
+    size_ok = 0 < camera.width < 2**31 and 0 < camera.height < 2**31
+    focal = [v for n, v in camera.named_params.items() if n in ("f", "fx", "fy")]
+    if (
+        not 0 <= camera_id < 2**32
+        or not size_ok
+        or not np.isfinite(camera.params).all()
+        or any(v <= 0 for v in focal)
+    ):
+        raise FormatError(
+            f"{path}: camera {camera_id} ({camera.model}) has the size "
+            f"{camera.width} x {camera.height} and the parameters {camera.params.tolist()}; "
+            f"expected a positive size, positive focal lengths and finite numbers. Run COLMAP"
+            f" again."
+        )
+
+
+def _check_image(path: Path, image: ColmapImage, cameras: dict[int, ColmapCamera]) -> None:
+    if not 0 <= image.id < 2**32:
+        raise FormatError(
+            f"{path}: image {image.name!r} has the id {image.id}, expected 0 to 2^32."
+        )
+    if image.camera_id not in cameras:
+        raise FormatError(
+            f"{path}: image {image.name!r} uses camera {image.camera_id}, which the model does not "
+            f"have. The files of the model do not belong together; export it anew."
+        )
+    pose = np.concatenate([image.qvec, image.tvec])
+    if not np.isfinite(pose).all() or not 1e-6 < np.linalg.norm(image.qvec) < 1e6:
+        raise FormatError(
+            f"{path}: image {image.name!r} has the pose {pose.tolist()}; expected finite "
+            f"numbers and a quaternion that is not zero. Export the model anew from COLMAP."
+        )
+    if not is_safe_name(image.name):
+        raise FormatError(
+            f"{path}: image {image.id} has the name {image.name!r}; expected a path inside the "
+            f"image folder, without '..' and not absolute. Run COLMAP with all images below one "
+            f"folder."
+        )
+
+
+def _tracks(images: list[ColmapImage], points: ColmapPoints) -> tuple[np.ndarray, np.ndarray]:
+    """Observations [T, 2] (image id, index) point after point, and their number a point [P]."""
+    empty = np.zeros(0, np.int64)
+    sizes = [len(image.point3D_ids) for image in images]
+    point_ids = np.concatenate([empty, *(image.point3D_ids for image in images)])
+    image_ids = np.repeat(np.array([image.id for image in images], np.int64), sizes)
+    indices = np.concatenate([empty, *(np.arange(size) for size in sizes)])
+    seen = np.flatnonzero(point_ids != -1)
+    order = np.argsort(points.ids, kind="stable")
+    rank = order[np.searchsorted(points.ids, point_ids[seen], sorter=order)] if len(seen) else empty
+    seen = seen[np.argsort(rank, kind="stable")]
+    lengths = np.bincount(rank, minlength=len(points)).astype(np.int64)
+    return np.stack([image_ids[seen], indices[seen]], axis=1), lengths

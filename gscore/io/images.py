@@ -1,0 +1,228 @@
+"""Photos as bytes: decoding, size without decoding, downscaling, PNG out."""
+
+import struct
+import zlib
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..errors import BackendError, DatasetError, FormatError, ShapeError
+from .files import atomic_write
+
+IMAGE_ENDINGS = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp", ".tga")
+"""Endings tried where a name has none or names a file of another kind, lower case."""
+
+
+class ImageInfo(NamedTuple):
+    """What the header of an image file says."""
+
+    width: int
+    """Pixels as stored."""
+    height: int
+    """Pixels as stored."""
+    has_alpha: bool
+    """Whether there is transparency."""
+    is_sideways: bool
+    """Whether EXIF asks to turn the stored picture by a quarter for display."""
+
+
+def read_info(path: str | Path) -> ImageInfo:
+    """Size and kind of an image, without decoding it.
+
+    Raises:
+        DatasetError: the file is missing.
+        FormatError: it is no image.
+        BackendError: Pillow is not installed.
+    """
+    with _open(Path(path)) as image:
+        has_alpha = image.mode in _ALPHA or "transparency" in image.info
+        try:
+            sideways = image.getexif().get(0x0112, 1) in (5, 6, 7, 8)
+        except _BROKEN:  # damaged EXIF does not make the picture unusable
+            sideways = False
+        return ImageInfo(image.width, image.height, has_alpha, sideways)
+
+
+def read_image(path: str | Path, *, upright: bool = False) -> np.ndarray:
+    """Decode an image.
+
+    Args:
+        path: The file. Grey, palette, CMYK and 16-bit images are converted.
+        upright: Turn it as EXIF asks. COLMAP does not, so neither does gscore by default.
+
+    Returns:
+        [H, W, 3] uint8 sRGB, or [H, W, 4] if the file has transparency (not premultiplied).
+
+    Raises:
+        DatasetError: the file is missing.
+        FormatError: it is no image, or truncated or corrupt.
+        BackendError: Pillow is not installed.
+    """
+    path = Path(path)
+    with _open(path) as image:
+        has_alpha = image.mode in _ALPHA or "transparency" in image.info
+        try:
+            image.load()
+            if upright:
+                from PIL import ImageOps
+
+                image = ImageOps.exif_transpose(image)
+            if image.mode.startswith("I"):
+                grey = _bytes_of_16_bit(np.asarray(image))
+                return np.repeat(grey[..., None], 3, axis=2)
+            return np.array(image.convert("RGBA" if has_alpha else "RGB"))
+        except _BROKEN as error:
+            raise _broken(path, error) from error
+
+
+def read_mask(path: str | Path) -> np.ndarray:
+    """Decode a mask.
+
+    Args:
+        path: Grey, black and white, or colour image; one whose transparency varies gives that.
+
+    Returns:
+        [H, W] uint8, 255 = keep. Masks that hold only 0 and 1 are stretched to 0 and 255.
+
+    Raises:
+        As `read_image`.
+    """
+    image = read_image(path)
+    if image.shape[2] == 4 and image[..., 3].min() < 255:
+        mask = np.ascontiguousarray(image[..., 3])
+    else:
+        mask = image[..., :3].max(axis=2)
+    return mask * np.uint8(255) if mask.max(initial=0) == 1 else mask
+
+
+def resize(image: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Scale an image down by averaging.
+
+    Whole-numbered factors use the mean of the pixels each new pixel covers; others a Hamming
+    window of that size, Pillow's advice for downscaling, because a box would shift edges by up to
+    half a pixel. Neither rings as bicubic and Lanczos do; splats cannot follow ringing. RGBA is
+    weighted by its alpha.
+
+    Args:
+        image: [H, W], [H, W, 3] or [H, W, 4] uint8.
+        width: New width in pixels, not above the old one.
+        height: New height in pixels, not above the old one.
+
+    Returns:
+        [height, width, ...] uint8, contiguous.
+    """
+    old_height, old_width = image.shape[:2]
+    if (old_width, old_height) == (width, height):
+        return np.ascontiguousarray(image)
+    if not (0 < width <= old_width and 0 < height <= old_height) or image.dtype != np.uint8:
+        raise ShapeError(
+            f"resize takes uint8 images down to at least 1 x 1, got {image.dtype} {old_width} x "
+            f"{old_height} to {width} x {height}."
+        )
+    pil = _pillow()
+    source = pil.fromarray(image)
+    if old_width % width == 0 and old_height % height == 0:
+        # Rounds once; resize with a box rounds up after each axis and brightens by half a step.
+        return np.array(source.reduce((old_width // width, old_height // height)))
+    return np.array(source.resize((width, height), pil.Resampling.HAMMING))
+
+
+def reduce(image: np.ndarray, factor: int) -> np.ndarray:
+    """Mean of `factor` x `factor` blocks; the last row and column average what is left.
+
+    Args:
+        image: [H, W], [H, W, 3] or [H, W, 4] uint8.
+        factor: At least 1.
+
+    Returns:
+        [ceil(H / factor), ceil(W / factor), ...] uint8; pixel i covers [i factor, (i + 1) factor).
+    """
+    return np.array(_pillow().fromarray(image).reduce(factor)) if factor > 1 else image
+
+
+def write_png(path: str | Path, image: np.ndarray) -> None:
+    """Write a PNG with the standard library alone, completely or not at all.
+
+    Args:
+        path: The file to write; its folder is made.
+        image: [H, W], [H, W, 3] or [H, W, 4] uint8; grey, RGB or RGBA (not premultiplied), sRGB.
+
+    Raises:
+        ShapeError: another shape or dtype.
+        GsError: the file cannot be written.
+    """
+    shape = image.shape
+    kinds = {1: 0, 3: 2, 4: 6}  # colour types of the PNG standard, by number of channels
+    channels = 1 if len(shape) == 2 else shape[2] if len(shape) == 3 else 0
+    if channels not in kinds or image.dtype != np.uint8 or 0 in shape:
+        raise ShapeError(
+            f"write_png takes uint8 [H, W], [H, W, 3] or [H, W, 4], got {image.dtype} "
+            f"{list(shape)}."
+        )
+    height, width = shape[:2]
+    pixels = np.ascontiguousarray(image).reshape(height, width, channels)
+    rows = np.zeros((height, width * channels + 1), np.uint8)
+    rows[:, 0] = 1  # filter "Sub": each byte minus the one of the pixel to the left
+    rows[:, 1 : 1 + channels] = pixels[:, 0]
+    rows[:, 1 + channels :] = (pixels[:, 1:] - pixels[:, :-1]).reshape(height, -1)
+    head = struct.pack(">IIBBBBB", width, height, 8, kinds[channels], 0, 0, 0)
+    chunks = [(b"IHDR", head), (b"IDAT", zlib.compress(rows.data, 6)), (b"IEND", b"")]
+    out = [b"\x89PNG\r\n\x1a\n"]
+    for kind, body in chunks:
+        check = struct.pack(">I", zlib.crc32(kind + body))
+        out += [struct.pack(">I", len(body)), kind, body, check]
+    atomic_write(path, b"".join(out))
+
+
+_ALPHA = frozenset({"RGBA", "LA", "PA", "RGBa", "La"})
+
+# What Pillow's decoders raise on damaged files; DecompressionBombError is added when it is loaded.
+_BROKEN: tuple[type[Exception], ...] = (
+    OSError,
+    ValueError,
+    SyntaxError,
+    TypeError,
+    KeyError,
+    IndexError,
+    EOFError,
+    MemoryError,
+    OverflowError,
+    RuntimeError,
+    struct.error,
+    zlib.error,
+)
+
+
+def _pillow() -> Any:
+    """PIL.Image, loaded when first needed: the numpy-only parts of gscore do without."""
+    try:
+        from PIL import Image
+    except ImportError as error:
+        raise BackendError(
+            'Reading photos takes the package Pillow: pip install "gscore[train]"'
+        ) from error
+    return Image
+
+
+def _open(path: Path) -> Any:
+    pil = _pillow()
+    try:
+        return pil.open(path)
+    except FileNotFoundError as error:
+        raise DatasetError(f"There is no image {path}.") from error
+    except (*_BROKEN, pil.DecompressionBombError) as error:
+        raise _broken(path, error) from error
+
+
+def _broken(path: Path, error: Exception) -> FormatError:
+    reason = (str(error) or type(error).__name__).rstrip(".")
+    return FormatError(
+        f"{path} cannot be read as an image: {reason}. Copy the photo again, or remove it from the "
+        f"capture."
+    )
+
+
+def _bytes_of_16_bit(values: np.ndarray) -> np.ndarray:
+    """[H, W] uint8 of 16-bit grey; Pillow's own conversion cuts everything above 255."""
+    return ((np.clip(values, 0, 65535).astype(np.uint32) * 255 + 32767) // 65535).astype(np.uint8)

@@ -1,0 +1,172 @@
+"""Splat models as PLY: every dialect in, the official 3DGS layout out."""
+
+import logging
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from ..errors import FormatError
+from ..sh import rgb_to_sh0
+from ..splats import SH_REST_BY_DEGREE, Splats
+from .files import atomic_write
+from .ply_compressed import decompress, is_compressed
+from .ply_elements import columns, read_elements
+
+__all__ = ["read_splats", "write_splats"]
+
+_log = logging.getLogger(__name__)
+
+_POSITION = ["x", "y", "z"]
+_SCALE = ["scale_0", "scale_1", "scale_2"]
+_QUAT = ["rot_0", "rot_1", "rot_2", "rot_3"]
+_DC = ["f_dc_0", "f_dc_1", "f_dc_2"]
+_RGB = ["red", "green", "blue"]
+_ROWS_A_BLOCK = 1 << 15
+
+
+def read_splats(path: str | Path) -> Splats:
+    """Read a splat model; properties are found by name, in any order and among any others.
+
+    Understood are the official layout and its relatives (no normals, SH degree 0 to 4, colours as
+    red, green, blue instead of SH, ASCII, either byte order) and SuperSplat's compressed layout.
+    Splats with numbers that are not finite, or a zero quaternion, are left out; a coefficient
+    beyond degree 3 is cut. Both are logged as a warning.
+
+    Args:
+        path: The .ply file.
+
+    Returns:
+        Raw parameters in the file's world.
+
+    Raises:
+        DatasetError: the file is missing.
+        FormatError: it is truncated or corrupt, no PLY, or a PLY that holds no splats.
+    """
+    path = Path(path)
+    elements = read_elements(path)
+    if is_compressed(elements):
+        raw = decompress(path, elements)
+    else:
+        raw = _plain(path, elements.get("vertex", np.zeros(0, [("none", "f4")])))
+    rest = _rest_by_coefficient(path, raw.pop("rest"))
+    # Programs that store opacity as a byte write +inf for 255; that splat is opaque, not broken.
+    raw["opacities"] = np.where(np.isposinf(raw["opacities"]), np.float32(20), raw["opacities"])
+    good = np.isfinite(rest).all(axis=(1, 2)) & (np.abs(raw["quats"]).max(axis=1, initial=0) > 0)
+    for values in raw.values():
+        good &= np.isfinite(values).reshape(len(values), -1).all(axis=1)
+    splats = Splats(
+        means=raw["means"],
+        quats=raw["quats"],
+        scales=raw["scales"],
+        opacities=raw["opacities"],
+        sh0=raw["sh0"][:, None, :],
+        shN=rest,
+    )
+    if good.all():
+        return splats
+    _log.warning(
+        "%s: %d of %d splats have numbers that are not finite or a zero quaternion; left out.",
+        path,
+        int((~good).sum()),
+        len(good),
+    )
+    return splats.subset(good)
+
+
+def write_splats(path: str | Path, splats: Splats, *, comments: tuple[str, ...] = ()) -> None:
+    """Write a model in the official layout, completely or not at all.
+
+    Binary little endian float32: x y z nx ny nz f_dc_0..2 f_rest_* opacity scale_0..2 rot_0..3,
+    with zero normals and f_rest channel-major (all red coefficients, then green, then blue).
+
+    Args:
+        path: The file to write; its folder is made.
+        splats: The model, raw parameters.
+        comments: Lines for the header, for example "SplatRenderMode: mip".
+
+    Raises:
+        GsError: the file cannot be written.
+    """
+    rest = 3 * splats.shN.shape[1]
+    names = [*_POSITION, "nx", "ny", "nz", *_DC, *(f"f_rest_{k}" for k in range(rest))]
+    names += ["opacity", *_SCALE, *_QUAT]
+    header = ["ply", "format binary_little_endian 1.0", *(f"comment {line}" for line in comments)]
+    header += [f"element vertex {len(splats)}", *(f"property float {name}" for name in names)]
+
+    def write(file: BinaryIO) -> None:
+        file.write("\n".join([*header, "end_header\n"]).encode("ascii"))
+        # Blocks keep the memory small and the transposition in cache.
+        for at in range(0, len(splats), _ROWS_A_BLOCK):
+            part = slice(at, at + _ROWS_A_BLOCK)
+            means = splats.means[part]
+            rows = np.zeros((len(means), len(names)), "<f4")
+            rows[:, 0:3] = means
+            rows[:, 6:9] = splats.sh0[part, 0]
+            by_channel = splats.shN[part].transpose(0, 2, 1)  # [n, 3, K-1]
+            rows[:, 9 : 9 + rest] = by_channel.reshape(len(means), rest)
+            rows[:, 9 + rest] = splats.opacities[part]
+            rows[:, 10 + rest : 13 + rest] = splats.scales[part]
+            rows[:, 13 + rest :] = splats.quats[part]
+            file.write(rows.data)
+
+    atomic_write(path, write)
+
+
+def _plain(path: Path, table: np.ndarray) -> dict[str, np.ndarray]:
+    """Parameters of an uncompressed vertex element, `rest` in the order of the file's names."""
+    names = table.dtype.names or ()
+    has_dc = all(name in names for name in _DC)
+    has_rgb = all(name in names for name in _RGB)
+    missing = [n for n in (*_POSITION, "opacity", *_SCALE, *_QUAT) if n not in names]
+    if not has_dc and not has_rgb:
+        missing += [n for n in _DC if n not in names]
+    if missing:
+        raise FormatError(
+            f"{path} holds no Gaussian splats: its vertices lack {', '.join(missing)}, so it is a "
+            f"plain mesh or point cloud; choose the point_cloud.ply that a 3D Gaussian Splatting "
+            f"trainer wrote."
+        )
+    if has_dc:
+        sh0 = columns(table, _DC)
+    else:
+        kinds = [table.dtype[name] for name in _RGB]
+        top = float(np.iinfo(kinds[0]).max) if kinds[0].kind in "iu" else 1.0
+        sh0 = rgb_to_sh0(columns(table, _RGB) / top).astype(np.float32)
+    count = sum(1 for name in names if name.startswith("f_rest_"))
+    rest_names = [f"f_rest_{k}" for k in range(count)]
+    if any(name not in names for name in rest_names):
+        raise FormatError(
+            f"{path} has {count} properties f_rest_*, but they are not numbered 0 to {count - 1}. "
+            f"Export it again."
+        )
+    return {
+        "means": columns(table, _POSITION),
+        "quats": columns(table, _QUAT),
+        "scales": columns(table, _SCALE),
+        "opacities": columns(table, ["opacity"])[:, 0],
+        "sh0": sh0,
+        "rest": columns(table, rest_names),
+    }
+
+
+def _rest_by_coefficient(path: Path, rest: np.ndarray) -> np.ndarray:
+    """[N, K-1, 3] from channel-major [N, 3(K'-1)], cut to whole bands of degree 3 at most."""
+    count = rest.shape[1]
+    if count % 3:
+        raise FormatError(
+            f"{path} has {count} properties f_rest_*, expected 0, 9, 24 or 45 (three colour "
+            f"channels of SH degree 0 to 3). Export it again."
+        )
+    each = count // 3
+    keep = max(kept for kept in SH_REST_BY_DEGREE.values() if kept <= each)
+    if keep < each:
+        _log.warning(
+            "%s has %d SH coefficients a channel beyond the constant one; only the first %d "
+            "(whole bands, degree 3 at most) are used.",
+            path,
+            each,
+            keep,
+        )
+    by_channel = rest.reshape(len(rest), 3, each)[:, :, :keep]
+    return np.ascontiguousarray(by_channel.transpose(0, 2, 1))

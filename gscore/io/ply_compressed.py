@@ -1,0 +1,112 @@
+"""Decoding of SuperSplat's compressed PLY: 256 splats a chunk, packed into 16 bytes each.
+
+Layout of the public format: element `chunk` holds the bounds of positions, log scales and colours
+of 256 splats; element `vertex` four uint32 a splat; element `sh`, if there, one byte a coefficient.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import FormatError
+from ..sh import rgb_to_sh0
+from .ply_elements import columns
+
+CHUNK = 256
+"""Splats a chunk."""
+_ENDS = ("min", "max")
+_PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
+
+
+def is_compressed(elements: dict[str, np.ndarray]) -> bool:
+    """Whether the elements of a PLY file are a compressed splat model."""
+    vertex = elements.get("vertex")
+    return vertex is not None and "packed_position" in (vertex.dtype.names or ())
+
+
+def decompress(path: Path, elements: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Decode the packed elements.
+
+    Args:
+        path: Named in errors only.
+        elements: Elements of the file.
+
+    Returns:
+        Raw parameters as float32: means [N, 3], quats [N, 4] wxyz, scales [N, 3] log, opacities [N]
+        logit, sh0 [N, 3], rest [N, 3(K-1)] channel-major as in an ordinary PLY.
+
+    Raises:
+        FormatError: an element or property is missing or sizes disagree.
+    """
+    vertex = elements["vertex"]
+    chunk = elements.get("chunk", np.zeros(0, [("none", "f4")]))
+    count = len(vertex)
+    need = [f"{end}_{what}{axis}" for what in ("", "scale_") for end in _ENDS for axis in "xyz"]
+    missing = [n for n in _PACKED if n not in (vertex.dtype.names or ())]
+    missing += [n for n in need if n not in (chunk.dtype.names or ())]
+    if missing or len(chunk) != -(-count // CHUNK):
+        raise FormatError(
+            f"{path} is a damaged compressed splat PLY: {len(chunk)} chunks for {count} splats "
+            f"(expected {-(-count // CHUNK)}), missing properties: {', '.join(missing) or 'none'}. "
+            f"Export it again."
+        )
+    packed = [vertex[name].astype(np.uint32) for name in _PACKED]
+    of = np.arange(count) // CHUNK
+    colors = np.stack([_unorm(packed[3], shift, 8) for shift in (24, 16, 8)], axis=1)
+    if "min_r" in (chunk.dtype.names or ()):
+        colors = _lerp(chunk, "{}_{}", "rgb", of, colors)
+    # A byte of 0 or 255 stands for the half step next to it: a logit has to stay finite.
+    alpha = np.clip(_unorm(packed[3], 0, 8), 0.25 / 255, 1 - 0.25 / 255)
+    return {
+        "means": _lerp(chunk, "{}_{}", "xyz", of, _unpack_11_10_11(packed[0])),
+        "quats": _unpack_rotation(packed[1]),
+        "scales": _lerp(chunk, "{}_scale_{}", "xyz", of, _unpack_11_10_11(packed[2])),
+        "opacities": np.log(alpha / (1 - alpha)).astype(np.float32),
+        "sh0": rgb_to_sh0(colors).astype(np.float32),
+        "rest": _unpack_rest(path, elements.get("sh"), count),
+    }
+
+
+def _unorm(values: np.ndarray, shift: int, bits: int) -> np.ndarray:
+    top = (1 << bits) - 1
+    return ((values >> np.uint32(shift)) & np.uint32(top)).astype(np.float64) / top
+
+
+def _unpack_11_10_11(values: np.ndarray) -> np.ndarray:
+    fields = [_unorm(values, 21, 11), _unorm(values, 11, 10), _unorm(values, 0, 11)]
+    return np.stack(fields, axis=1)
+
+
+def _lerp(chunk: np.ndarray, pattern: str, axes: str, of: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """[N, 3] float32: t in [0, 1] between the chunk's bounds."""
+    low = columns(chunk, [pattern.format("min", axis) for axis in axes]).astype(np.float64)[of]
+    high = columns(chunk, [pattern.format("max", axis) for axis in axes]).astype(np.float64)[of]
+    return (low * (1 - t) + high * t).astype(np.float32)
+
+
+def _unpack_rotation(values: np.ndarray) -> np.ndarray:
+    """[N, 4] float32 wxyz: two bits name the largest component, 3 x 10 bits hold the others."""
+    others = np.stack([_unorm(values, shift, 10) for shift in (20, 10, 0)], axis=1)
+    others = (others - 0.5) * np.sqrt(2.0)
+    largest = np.sqrt(np.maximum(0.0, 1.0 - (others**2).sum(axis=1)))
+    which = (values >> np.uint32(30)).astype(np.int64)
+    # Row i lists where w, x, y, z come from: 0 is the largest, 1 to 3 the others in order.
+    order = np.array([[0, 1, 2, 3], [1, 0, 2, 3], [1, 2, 0, 3], [1, 2, 3, 0]])
+    parts = np.concatenate([largest[:, None], others], axis=1)
+    return np.take_along_axis(parts, order[which], axis=1).astype(np.float32)
+
+
+def _unpack_rest(path: Path, table: np.ndarray | None, count: int) -> np.ndarray:
+    if table is None:
+        return np.zeros((count, 0), np.float32)
+    names = table.dtype.names or ()
+    if len(table) != count or set(names) != {f"f_rest_{k}" for k in range(len(names))}:
+        raise FormatError(
+            f"{path} is a damaged compressed splat PLY: element sh has {len(table)} rows and the "
+            f"properties {', '.join(names[:4])}..., expected {count} rows of f_rest_0 onwards. "
+            f"Export it again."
+        )
+    raw = columns(table, [f"f_rest_{k}" for k in range(len(names))])
+    # The ends stand for themselves, everything between for the middle of its step.
+    unit = np.where(raw == 0, 0.0, np.where(raw == 255, 1.0, (raw + 0.5) / 256))
+    return ((unit - 0.5) * 8).astype(np.float32)

@@ -1,0 +1,104 @@
+"""Atomic writing against real failures of the file system."""
+
+import os
+import threading
+from pathlib import Path
+from typing import BinaryIO
+
+import pytest
+
+from gscore.errors import DatasetError, GsError
+from gscore.io.files import atomic_write, read_bytes
+
+
+def _listing(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_writes_and_makes_folders(tmp_path: Path) -> None:
+    """Oracle: the bytes read back, and nothing else left in the folder."""
+    path = tmp_path / "a" / "b" / "file.bin"
+    atomic_write(path, b"first")
+    atomic_write(path, lambda file: [file.write(b"sec"), file.write(b"ond")][0] and None)
+    assert path.read_bytes() == b"second"
+    assert _listing(path.parent) == ["file.bin"]
+
+
+def test_failure_leaves_the_old_file(tmp_path: Path) -> None:
+    """Oracle: contents before a writer that fails half-way, with an error of its own kind."""
+    path = tmp_path / "file.bin"
+    atomic_write(path, b"old")
+
+    def fail(file: BinaryIO) -> None:
+        file.write(b"half")
+        raise KeyError("stop")
+
+    with pytest.raises(KeyError):
+        atomic_write(path, fail)
+    assert path.read_bytes() == b"old"
+    assert _listing(tmp_path) == ["file.bin"]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_full_disk(tmp_path: Path) -> None:
+    """Oracle: the kernel's /dev/full, which answers every write with 'no space left'."""
+
+    def fill(file: BinaryIO) -> None:
+        with open("/dev/full", "wb", buffering=0) as full:  # noqa: PTH123  unbuffered
+            full.write(b"x")
+
+    with pytest.raises(GsError, match=r"result\.ply: the disk is full\. Free some space"):
+        atomic_write(tmp_path / "result.ply", fill)
+    assert _listing(tmp_path) == []
+
+
+def test_file_in_place_of_folder(tmp_path: Path) -> None:
+    """Oracle: the sentence names the path and the trouble."""
+    (tmp_path / "out").write_text("a file")
+    with pytest.raises(GsError, match=r"Cannot write .*out.*a file"):
+        atomic_write(tmp_path / "out" / "x.ply", b"1")
+    (tmp_path / "dir").mkdir()
+    with pytest.raises(GsError, match="it is a folder"):
+        atomic_write(tmp_path / "dir", b"1")
+
+
+@pytest.mark.skipif(os.name == "nt" or os.geteuid() == 0, reason="root may write anywhere")
+def test_read_only_folder(tmp_path: Path) -> None:
+    """Oracle: the sentence names the trouble."""
+    tmp_path.chmod(0o500)
+    with pytest.raises(GsError, match="permission denied"):
+        atomic_write(tmp_path / "x", b"1")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="POSIX permissions")
+def test_permissions_of_ordinary_files(tmp_path: Path) -> None:
+    """Oracle: a file made by open() in the same process."""
+    (tmp_path / "plain").write_bytes(b"")
+    atomic_write(tmp_path / "ours", b"")
+    assert (tmp_path / "ours").stat().st_mode == (tmp_path / "plain").stat().st_mode
+
+
+def test_readers_never_see_half(tmp_path: Path) -> None:
+    """Oracle: a second thread that keeps reading sees only whole versions."""
+    path = tmp_path / "file"
+    versions = {bytes([k]) * 100_000 for k in range(8)}
+    atomic_write(path, bytes([0]) * 100_000)
+    seen, stop = set(), threading.Event()
+
+    def watch() -> None:
+        while not stop.is_set():
+            seen.add(path.read_bytes())
+
+    watcher = threading.Thread(target=watch)
+    watcher.start()
+    for version in sorted(versions):
+        atomic_write(path, version)
+    stop.set()
+    watcher.join()
+    assert seen <= versions
+
+
+def test_missing_file(tmp_path: Path) -> None:
+    """Oracle: the sentence names the file."""
+    with pytest.raises(DatasetError, match=r"Cannot read .*none\.bin: there is no such file"):
+        read_bytes(tmp_path / "none.bin")
