@@ -8,7 +8,8 @@ SOURCES := $(wildcard csrc/CMakeLists.txt csrc/include/*.h csrc/src/*)
 
 .PHONY: demo test test-slow test-native test-widths test-neon sanitize lint format bench wheel clean
 
-$(INSTALLED): pyproject.toml constraints.txt
+# The editable install lists packages when it is made, so a new package renews it.
+$(INSTALLED): pyproject.toml constraints.txt $(wildcard gscore/*/__init__.py gscore/*/*/__init__.py)
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
@@ -22,7 +23,7 @@ $(LIBRARY): $(INSTALLED) $(SOURCES)
 	touch $@
 
 # Trains the bundled capture and leaves out/demo/{point_cloud.ply,metrics.json,report.html}.
-demo: $(LIBRARY)
+demo: $(INSTALLED)
 	$(BIN)/gscore train examples/studio -o out/demo --overwrite --preset preview --eval --test-every 6
 	$(BIN)/gscore render out/demo/point_cloud.ply --cameras examples/studio --test -o out/demo/renders
 	@echo "Open out/demo/report.html"
