@@ -137,8 +137,9 @@ class TrainConfig:
     """Splats with a lower opacity are removed, with mcmc relocated."""
     prune_scale: float = 0.1
     """`default`: larger splats are removed after the first opacity reset; in extents."""
-    mcmc_growth: float = 0.05
-    """`mcmc`: splats added at each refinement, as a share of those there."""
+    mcmc_growth: float = 0.0
+    """`mcmc`: splats added at each refinement, as a share of those there; 0: 0.05, more in runs
+    that would not reach `max_splats` otherwise."""
     mcmc_noise: float = 5e5
     """`mcmc`: noise on positions, in units of their learning rate."""
     opacity_reg: float = 0.01

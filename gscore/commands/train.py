@@ -3,7 +3,7 @@
 import argparse
 import json
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,6 @@ from typing import Any
 from ..config import (
     PRESETS,
     Background,
-    ConfigT,
     DataConfig,
     Strategy,
     TrainConfig,
@@ -19,33 +18,14 @@ from ..config import (
 )
 from ..errors import Cancelled, ConfigError
 from ..events import Event, Failed
-from ..metrics import headline
 from ..trainer import Control, TrainResult, listen, train
+from .data_options import add_data_options, with_data_options
 from .display import JsonLines, Lines, Silent
 from .interrupt import Interrupt
 
 _STEPS: dict[str, Any] = {"type": int, "nargs": "+", "metavar": "STEP"}
 _SWITCH: dict[str, Any] = {"action": argparse.BooleanOptionalAction}
 
-_DATA: dict[str, tuple[tuple[str, ...], dict[str, Any], str]] = {
-    "images": (("-i", "--images"), {}, "folder of the photos in SOURCE"),
-    "masks": (("--masks",), {}, "folder of masks in SOURCE; by itself masks/ or the photos' alpha"),
-    "mask_mode": (
-        ("--mask-mode",),
-        {"choices": ("auto", "composite", "ignore", "none")},
-        "composite: masks are opacity; ignore: masked-out pixels do not count",
-    ),
-    "resolution": (
-        ("-r", "--resolution"),
-        {"type": float},
-        "1, 2, 4, 8: divide by it; larger: width in pixels; -1: as the preset says",
-    ),
-    "eval": (("--eval",), _SWITCH, "hold test views out and measure on them"),
-    "test_every": (("--test-every",), {"type": int}, "every n-th view is a test view (8)"),
-    "test_list": (("--test-list",), {"type": Path}, "text file with the names of the test views"),
-    "test_first": (("--test-first",), {"type": int}, "the first n views are test views"),
-    "test_last": (("--test-last",), {"type": int}, "the last n views are test views"),
-}
 _RUN: dict[str, tuple[tuple[str, ...], dict[str, Any], str]] = {
     "iterations": (("--iterations",), {"type": int}, "training steps"),
     "max_splats": (("--max-splats", "--cap-max"), {"type": int}, "never more splats than this"),
@@ -143,11 +123,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--overwrite", action="store_true", help="replace another run in the output folder"
     )
     existing.add_argument("--start-checkpoint", type=Path, help="go on from this checkpoint")
-    for title, table in (("capture", _DATA), ("run", _RUN)):
-        group = parser.add_argument_group(title)
-        for name, (flags, kind, text) in table.items():
-            group.add_argument(*flags, dest=name, default=None, help=text, **kind)
+    add_data_options(parser)
     parser.add_argument(
+        "--eval",
+        action=argparse.BooleanOptionalAction,
+        default=None,
+        help="hold every 8th view out and measure on them; implied by the options that choose some",
+    )
+    group = parser.add_argument_group("run")
+    for name, (flags, kind, text) in _RUN.items():
+        group.add_argument(*flags, dest=name, default=None, help=text, **kind)
+    group.add_argument(
         "-w", "--white-background", action="store_true", help="the same as --background white"
     )
     group = parser.add_argument_group(
@@ -185,7 +171,7 @@ def run(args: argparse.Namespace) -> int:
             show(Failed(message=message, type=type(error).__name__))
             raise
     if args.json:
-        numbers = headline(result.metrics) | {"reason": result.reason, "output": str(args.output)}
+        numbers = result.headline | {"reason": result.reason, "output": str(args.output)}
         print(json.dumps(numbers, allow_nan=False), flush=True)
     elif not (args.quiet or args.events):
         print(_summary(result))
@@ -213,10 +199,14 @@ def configs(args: argparse.Namespace) -> tuple[DataConfig, TrainConfig]:
         data, config = PRESETS[args.preset or "normal"](source)
     if args.white_background:
         args.background = args.background or Background.WHITE
-    return _with_given(data, args, _DATA), _with_given(config, args, (*_RUN, *_METHOD))
+    data = with_data_options(data, args)
+    if args.eval is not None:
+        data = replace(data, eval=args.eval)
+    return data, _with_given(config, args)
 
 
-def _with_given(config: ConfigT, args: argparse.Namespace, names: Sequence[str] | dict) -> ConfigT:
+def _with_given(config: TrainConfig, args: argparse.Namespace) -> TrainConfig:
+    names = (*_RUN, *_METHOD)
     given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
     for name, value in given.items():
         if isinstance(value, list):

@@ -10,6 +10,7 @@ from .schedules import Plan
 
 _EVENTS_PER_SECOND = 5.0
 _HISTORY = 500
+_HISTORY_FIELDS = ("step", "elapsed_s", "loss", "psnr", "splats", "steps_per_s", "phase")
 _WINDOW = 50
 
 
@@ -21,7 +22,7 @@ class Meter:
         self.train_seconds = 0.0
         """Seconds spent in steps, without evaluation, files and pauses."""
         self.history: list[dict[str, Any]] = []
-        """Fields of Progress, at about 500 steps evenly spread."""
+        """Some fields of Progress, at about 500 steps evenly spread; what is not finite is None."""
         self._loss = math.nan
         self._mse = math.nan
         self._count = 0
@@ -45,7 +46,7 @@ class Meter:
         every = max(1, self._plan.iterations // _HISTORY)
         if step % every == 0 or step == self._plan.iterations:
             fields = vars(self.progress())
-            self.history.append({key: fields[key] for key in fields if key != "iterations"})
+            self.history.append({key: _finite(fields[key]) for key in _HISTORY_FIELDS})
 
     @property
     def psnr(self) -> float:
@@ -92,3 +93,7 @@ class Meter:
         """Go on from what `state` returned."""
         self.train_seconds, self.history = state["train_seconds"], list(state["history"])
         self._loss, self._mse, self._count = state["loss"], state["mse"], state["count"]
+
+
+def _finite(value: Any) -> Any:
+    return None if isinstance(value, float) and not math.isfinite(value) else value

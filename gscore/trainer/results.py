@@ -100,7 +100,7 @@ class Results:
             train_seconds=meter.train_seconds,
             isa=_native.isa(),
             threads=self.threads,
-        )
+        ) | {"history": meter.history, "evals": evals}
         write_metrics(folder.path / "metrics.json", metrics)
         report = {
             "title": self._data.source.resolve().name,

@@ -32,22 +32,35 @@ class Plan:
     """Opacity of the first splats."""
     init_scale: float
     """Size of the first splats in mean distances to their neighbours."""
+    mcmc_growth: float
+    """Share of splats that `mcmc` adds at a refinement."""
 
     @classmethod
-    def of(cls, config: TrainConfig, *, extent: float) -> "Plan":
-        """Resolve `config` for a capture whose cameras span `extent` training units."""
+    def of(cls, config: TrainConfig, *, extent: float, points: int) -> "Plan":
+        """Resolve `config` for a capture.
+
+        Args:
+            config: The options.
+            extent: Camera extent, training units.
+            points: Number of splats at the start.
+        """
         n = config.iterations
         mcmc = config.strategy is Strategy.MCMC
         # Runs shorter than the paper's 30 000 steps keep its proportions where a splat still sees
         # enough views between two decisions: at least 100 steps at the start, 50 in between.
         every = config.refine_every or max(min(50, n), min(100, n // 50))
+        start = config.refine_start or max(min(100, n), min(500, n // 20))
+        stop = config.refine_stop or (n * 5 // 6 if mcmc else n // 2)
+        # The cap is reached halfway through the refinements even if the run is short.
+        growths = max((stop - start) // (2 * every), 1)
+        growth = max(0.05, (config.max_splats / max(points, 1)) ** (1 / growths) - 1)
         reset = config.reset_every or (3000 if n >= 6000 else -1)
         return cls(
             iterations=n,
             sh_degree=config.sh_degree,
             sh_every=config.sh_every or max(1, min(1000, n // (2 * max(config.sh_degree, 1)))),
-            refine_start=config.refine_start or max(min(100, n), min(500, n // 20)),
-            refine_stop=config.refine_stop or (n * 5 // 6 if mcmc else n // 2),
+            refine_start=start,
+            refine_stop=stop,
             refine_every=every,
             reset_every=max(reset, 0),
             means_lr=(config.means_lr * extent, config.means_lr_final * extent),
@@ -60,6 +73,7 @@ class Plan:
             },
             init_opacity=config.init_opacity or (0.5 if mcmc else 0.1),
             init_scale=config.init_scale or (0.1 if mcmc else 1.0),
+            mcmc_growth=config.mcmc_growth or min(growth, 1.0),
         )
 
     def means_lr_at(self, step: int) -> float:

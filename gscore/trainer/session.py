@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..config import DataConfig
+from ..config import DataConfig, to_dict
 from ..events import Done, Eval, Event, Preview, Saved, Snapshot, Started, Warn
 from ..metrics import Lpips, PictureCollector, headline
 from ..raster import _native
@@ -37,6 +37,12 @@ class TrainResult:
     metrics: dict[str, Any]
     """Content of metrics.json."""
     output: Path
+
+    @property
+    def headline(self) -> dict[str, Any]:
+        """The metrics without what is long: what `--json` prints and `Done` tells."""
+        long = ("history", "evals")
+        return {k: v for k, v in headline(self.metrics).items() if k not in long}
 
 
 class Session:
@@ -119,6 +125,7 @@ class Session:
                 height=int(cameras.heights.max()),
                 isa=_native.isa(),
                 threads=self._results.threads,
+                config={"data": to_dict(self._data), "train": to_dict(self._config)},
             )
         )
 
@@ -219,7 +226,7 @@ class Session:
                 splats=len(splats),
                 train_seconds=result.train_seconds,
                 path=str(self._folder.point_cloud),
-                metrics=headline(metrics),
+                metrics=result.headline,
             )
         )
         return result

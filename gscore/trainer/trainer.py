@@ -57,7 +57,8 @@ class Trainer:
         self.config = config
         self.photos = photos
         self.frame = frame or Frame.of(photos.scene, near=config.near)
-        self.plan = Plan.of(config, extent=self.frame.extent)
+        points = min(len(photos.scene.points), config.max_splats)
+        self.plan = Plan.of(config, extent=self.frame.extent, points=points)
         self.strategy = make_strategy(config, self.plan, extent=self.frame.extent)
         self.generator = torch.Generator().manual_seed(config.seed)
         self.sampler = Sampler(photos.train)
