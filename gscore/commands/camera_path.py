@@ -9,6 +9,10 @@ from ..transforms import invert_rigid, quat_to_rotmat, rotmat_to_quat
 
 _GAP = math.radians(100)
 """An arc this wide without cameras means that the capture did not go all the way round."""
+_SWING = 0.9
+"""Share of the arc with cameras that such an orbit uses; its ends were seen from one side only."""
+_NEARBY = math.radians(20)
+"""Cameras about this far around the orbit decide its distance and height there."""
 
 
 def spline_path(viewmats: np.ndarray, Ks: np.ndarray, frames: int) -> tuple[np.ndarray, np.ndarray]:
@@ -38,7 +42,8 @@ def spline_path(viewmats: np.ndarray, Ks: np.ndarray, frames: int) -> tuple[np.n
             quats[i] = -quats[i]
     moves = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
     unit = float(np.median(moves)) or 1.0
-    keys = np.concatenate([poses[:, :3, 3] / unit, quats, Ks.reshape(-1, 9)], axis=1)
+    lenses = Ks[:, [0, 1, 0, 1], [0, 1, 2, 2]]  # fx, fy, cx, cy
+    keys = np.concatenate([poses[:, :3, 3] / unit, quats, lenses], axis=1)
     knots = np.concatenate([[0.0], np.cumsum(np.sqrt(_lengths(keys)) + 1e-6)])
     dense = np.interp(np.linspace(0, len(knots) - 1, 50 * len(knots)), range(len(knots)), knots)
     passed = np.concatenate([[0.0], np.cumsum(_lengths(_catmull_rom(knots, keys, dense)))])
@@ -47,7 +52,9 @@ def spline_path(viewmats: np.ndarray, Ks: np.ndarray, frames: int) -> tuple[np.n
     out = np.tile(np.eye(4), (frames, 1, 1))
     out[:, :3, :3] = quat_to_rotmat(values[:, 3:7])
     out[:, :3, 3] = values[:, :3] * unit
-    return invert_rigid(out), values[:, 7:].reshape(frames, 3, 3)
+    path_Ks = np.tile(np.eye(3), (frames, 1, 1))
+    path_Ks[:, [0, 1, 0, 1], [0, 1, 2, 2]] = values[:, 7:]
+    return invert_rigid(out), path_Ks
 
 
 def _lengths(keys: np.ndarray) -> np.ndarray:
@@ -85,10 +92,11 @@ def _catmull_rom(knots: np.ndarray, keys: np.ndarray, at: np.ndarray) -> np.ndar
 
 
 def orbit_path(viewmats: np.ndarray, frames: int) -> np.ndarray:
-    """A closed path around what the cameras look at, at their mean distance and height.
+    """A closed path around what the cameras look at, always near where cameras stood.
 
-    Where the capture leaves a wide arc without cameras, the path swings to and fro within the arc
-    that has them, because behind it there is nothing to see.
+    Distance and height at each angle are those of the cameras around that angle. Where the capture
+    leaves a wide arc without cameras, the path swings to and fro within the arc that has them,
+    because beyond it there is nothing to see.
 
     Args:
         viewmats: [C, 4, 4] float64, world to camera; at least two.
@@ -98,32 +106,34 @@ def orbit_path(viewmats: np.ndarray, frames: int) -> np.ndarray:
         [frames, 4, 4] float64, world to camera. The frame after the last would be the first.
 
     Raises:
-        ConfigError: Fewer than two cameras or frames.
+        ConfigError: Fewer than two cameras or frames, or cameras that stand where they look.
     """
     _check(viewmats, frames)
     centers = invert_rigid(viewmats)[:, :3, 3]
     focus, up = focus_point(viewmats), up_direction(viewmats)
-    offsets = centers - focus
-    heights = offsets @ up
-    flat = offsets - heights[:, None] * up
-    radius = float(np.median(np.linalg.norm(flat, axis=1)))
-    if radius < 1e-9:
-        raise ConfigError(
-            "The cameras stand where they look; an orbit is not possible, use spline."
-        )
-    ahead = flat[0] / max(float(np.linalg.norm(flat[0])), 1e-12)
-    if float(np.linalg.norm(flat[0])) < 1e-9:
-        ahead = _across(up)
+    ahead = _across(up)
     side = np.cross(up, ahead)
-    angles = np.arctan2(flat @ side, flat @ ahead)
+    offsets = centers - focus
+    x, y, heights = offsets @ ahead, offsets @ side, offsets @ up
+    radii, angles = np.hypot(x, y), np.arctan2(y, x)
+    if not np.median(radii) > 1e-9 * max(1.0, float(np.abs(centers).max())):
+        raise ConfigError("The cameras stand where they look, so there is no orbit; use spline.")
     phases = np.arange(frames) / frames * 2 * math.pi
     start, sweep = _covered_arc(angles)
-    is_open = 2 * math.pi - sweep > _GAP
-    wanted = start + sweep / 2 * (1 - np.cos(phases)) if is_open else phases
+    if 2 * math.pi - sweep > _GAP:
+        swing = 0.5 - 0.5 * _SWING * np.cos(phases)
+        wanted = start + sweep * swing
+    else:
+        wanted = angles[0] + phases
+    away = np.angle(np.exp(1j * (wanted[:, None] - angles[None, :])))  # [frames, C] in (-pi, pi]
+    weights = np.exp(-0.5 * (away / _NEARBY) ** 2) + 1e-12
+    weights /= weights.sum(axis=1, keepdims=True)
+    radius, height = weights @ radii, weights @ heights
     eyes = (
         focus
-        + radius * (np.cos(wanted)[:, None] * ahead + np.sin(wanted)[:, None] * side)
-        + float(np.median(heights)) * up
+        + (radius * np.cos(wanted))[:, None] * ahead
+        + (radius * np.sin(wanted))[:, None] * side
+        + height[:, None] * up
     )
     return np.stack([look_at(eye, focus, up) for eye in eyes])
 
@@ -174,7 +184,7 @@ def up_direction(viewmats: np.ndarray) -> np.ndarray:
         return -down[0]
     mean_up = mean_up / length
     spread = np.einsum("ci,cj->ij", right, right) / len(right)
-    _, vectors = np.linalg.eigh(spread - 0.05 * np.outer(mean_up, mean_up))
+    _, vectors = np.linalg.eigh(spread - 0.01 * np.outer(mean_up, mean_up))
     up = vectors[:, 0]  # of the smallest eigenvalue
     return up if up @ mean_up > 0 else -up
 

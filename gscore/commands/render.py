@@ -112,8 +112,9 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps(result, allow_nan=False))
     else:
-        what = str(args.output) if is_video else f"{len(shots.names)} pictures in {args.output}"
-        print(f"Wrote {what}, rendered at {work.fps:.1f} fps.")
+        count = len(shots.names)
+        plural = "s" if count != 1 else ""
+        print(f"Wrote {args.output}: {count} picture{plural}, rendered at {work.fps:.1f} fps.")
     return 0
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 WIDTH, HEIGHT = 430, 230
 """Size of a chart in its own units; the page scales it."""
-_LEFT, _RIGHT, _TOP, _BOTTOM = 46, 12, 14, 36
+_LEFT, _RIGHT, _TOP, _BOTTOM = 46, 18, 14, 36
 _BUCKETS = 240
 
 

@@ -1,0 +1,87 @@
+"""gscore doctor: a healthy machine, and each way it can be unwell."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+
+from gscore.commands import doctor
+from gscore.errors import BackendError
+from gscore.raster import _native, api
+
+
+def test_a_machine_that_can_train(gscore):
+    """Oracle: this one, which runs the tests."""
+    code, out, _ = gscore("doctor", "--json")
+    facts = json.loads(out)
+    assert code == 0 and facts["can_train"] and facts["missing"] == []
+    native = facts["native"]
+    assert native["isa"] in native["isas"] and "scalar" in native["isas"]
+    assert set(native["self_test"]) == set(native["isas"])
+    assert all(found["error"] < 1e-5 for found in native["self_test"].values())
+    assert native["threads"] >= 1 and facts["packages"]["torch"]["version"]
+    assert facts["memory_bytes"] > 0
+    code, out, _ = gscore("doctor")
+    assert code == 0 and "This machine can train." in out and "scalar: ok" in out
+
+
+def test_the_instruction_set_is_put_back():
+    """Oracle: the one in use before."""
+    before = _native.isa()
+    doctor.self_test(_native.available_isas())
+    assert _native.isa() == before
+
+
+def test_self_test_sees_a_wrong_picture(monkeypatch):
+    """Oracle: a rasterizer that is off by one part in a thousand."""
+    true_render = api.render
+
+    def wrong(*args, **options):
+        rendered = true_render(*args, **options)
+        rendered.rgb[...] *= np.float32(1.001)
+        return rendered
+
+    monkeypatch.setattr(api, "render", wrong)
+    assert doctor.self_test(["scalar"])["scalar"]["error"] > 5e-4
+
+
+def test_wrong_pictures_mean_no_training(gscore, monkeypatch):
+    """Oracle: exit code 2 and the word."""
+    found = {_native.isa(): {"error": 0.3, "milliseconds": 1.0}}
+    monkeypatch.setattr(doctor, "self_test", lambda isas: found)
+    code, out, _ = gscore("doctor")
+    assert code == 2 and "WRONG" in out and "cannot train" in out
+
+
+@pytest.mark.parametrize(
+    ("package", "trains"), [("torch", False), ("pycolmap", False), ("onnxruntime", True)]
+)
+def test_missing_packages(gscore, monkeypatch, package, trains):
+    """Oracle: a None in sys.modules makes the import fail; only what training needs is fatal."""
+    monkeypatch.setitem(sys.modules, package, None)
+    code, out, _ = gscore("doctor", "--json")
+    facts = json.loads(out)
+    assert code == (0 if trains else 2) and facts["can_train"] is trains
+    assert "pip install" in facts["packages"][package]["problem"]
+    assert bool(facts["missing"]) is not trains
+
+
+def test_a_package_that_does_not_load(gscore, monkeypatch, tmp_path):
+    """Oracle: a torch that fails like one with a missing system library."""
+    (tmp_path / "torch.py").write_text("raise OSError('libgomp.so.1: cannot open')\n")
+    monkeypatch.delitem(sys.modules, "torch", raising=False)
+    monkeypatch.syspath_prepend(tmp_path)
+    code, out, _ = gscore("doctor")
+    assert code == 2 and "does not load: libgomp.so.1" in out
+
+
+def test_missing_library(gscore, monkeypatch, tmp_path):
+    """Oracle: the sentence of the loader, exit code 2, everything else still told."""
+
+    def missing():
+        raise BackendError("The native library is missing: x.so does not exist.")
+
+    monkeypatch.setattr(_native, "available_isas", missing)
+    code, out, _ = gscore("doctor")
+    assert code == 2 and "native library is missing" in out and "numpy" in out

@@ -1,0 +1,101 @@
+"""gscore eval: the numbers of a run or a bare PLY, and what it keeps and writes."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gscore.io.ply import write_splats
+
+
+def photo(capture, index):
+    return np.asarray(Image.open(capture / "images" / f"a_{index}.png")) / 255.0
+
+
+def test_a_perfect_run(gscore, run_folder, capture):
+    """Oracle: photos that are the run's own renders, so only rounding to 8 bit is left."""
+    folder = run_folder()
+    code, out, err = gscore("eval", folder, "--json")
+    assert code == 0
+    facts = json.loads(out.splitlines()[-1])
+    assert 55 < facts["psnr"] < 65  # rounding error of 1/255: 20 log10(255 sqrt(12)) = 58.9 dB
+    assert facts["psnr_u8"] is None and "identical" in facts["psnr_u8_reason"]
+    assert facts["ssim"] > 0.999 and facts["lpips"] is None and facts["lpips_reason"]
+    assert facts["splats"] == 60 and facts["split"] == "test" and facts["sh_degree"] == 1
+    assert "2/2 a_8.png: PSNR" in err
+    written = json.loads((folder / "metrics.json").read_text())
+    assert [v["name"] for v in written["views"]] == ["a_0.png", "a_8.png"]
+    assert written["test_views"] == ["a_0.png", "a_8.png"] and len(written["train_views"]) == 7
+    page = (folder / "report.html").read_text()
+    assert f"{facts['psnr']:.2f}" in page and capture.name in page
+
+
+def test_what_the_training_knew_is_kept(gscore, run_folder):
+    """Oracle: the metrics.json of the training."""
+    folder = run_folder()
+    gscore("eval", folder)
+    written = json.loads((folder / "metrics.json").read_text())
+    assert written["steps"] == 700 and written["train_seconds"] == 12.5
+    assert written["peak_memory_bytes"] == 123_456_789 and len(written["history"]) == 1
+    assert written["psnr"] > 50  # not the old one
+
+
+def test_no_splats_against_the_photo(gscore, run_folder, capture, splats, tmp_path):
+    """Oracle: an empty model shows the background, so the MSE is the photo's mean square."""
+    nothing = splats.subset(np.zeros(60, bool))
+    code, out, _ = gscore("eval", run_folder(splats=nothing), "--json", "-o", tmp_path / "e")
+    assert code == 0
+    facts = json.loads(out)
+    views = json.loads((tmp_path / "e" / "metrics.json").read_text())["views"]
+    wanted = [-10 * math.log10(np.mean(photo(capture, i) ** 2)) for i in (0, 8)]
+    assert [v["psnr"] for v in views] == pytest.approx(wanted, abs=1e-6)
+    assert facts["psnr"] == pytest.approx(sum(wanted) / 2, abs=1e-6)
+
+
+def test_a_bare_ply(gscore, capture, splats, tmp_path):
+    """Oracle: a model whose colours are all too bright by a known amount, over all views."""
+    ply = tmp_path / "model.ply"
+    write_splats(ply, replace(splats, sh0=splats.sh0 + np.float32(0.5)))
+    code, out, err = gscore("eval", ply, "-s", capture, "-o", tmp_path / "e", "--json")
+    assert code == 0 and "not known which views" in err
+    assert 15 < json.loads(out)["psnr"] < 35
+    for split, count in (("train", 7), ("all", 9)):
+        options = ("--split", split, "--quiet")
+        code, out, _ = gscore("eval", ply, "-s", capture, "-o", tmp_path / split, *options)
+        assert code == 0 and out.startswith(f"{count} ")
+        written = json.loads((tmp_path / split / "metrics.json").read_text())
+        assert written["split"] == split and len(written["views"]) == count
+        assert written["steps"] is None and written["train_seconds"] is None
+
+
+def test_another_split_and_resolution(gscore, run_folder, tmp_path):
+    """Oracle: every third of nine views; half the width."""
+    options = ("--test-every", "3", "-r", "2", "-o", tmp_path / "e", "--quiet")
+    code, _, _ = gscore("eval", run_folder(), *options)
+    views = json.loads((tmp_path / "e" / "metrics.json").read_text())["views"]
+    assert code == 0 and [v["name"] for v in views] == ["a_0.png", "a_3.png", "a_6.png"]
+    assert all((v["width"], v["height"]) == (24, 18) and v["psnr"] > 25 for v in views)
+
+
+def test_bad_input(gscore, capture, run_folder, splats, tmp_path):
+    """Oracle: exit code 2, one sentence, nothing written."""
+    ply = tmp_path / "model.ply"
+    write_splats(ply, splats)
+    cases = [
+        ((ply, "-s", capture), "say with -o"),
+        ((ply, "-o", tmp_path / "e"), "give the capture with -s"),
+        ((ply, "-s", tmp_path / "no", "-o", tmp_path / "e"), "no"),
+        ((capture / "images" / "a_0.png", "-s", capture, "-o", tmp_path / "e"), "not a PLY"),
+        ((ply, "-s", capture, "-o", tmp_path / "e", "--lpips", tmp_path / "x.onnx"), "x.onnx"),
+    ]
+    for arguments, says in cases:
+        code, out, err = gscore("eval", *arguments)
+        assert code == 2 and out == "" and says in err and "Traceback" not in err
+    assert not (tmp_path / "e").exists()
+    folder = run_folder()
+    (folder / "config.json").write_text("{")
+    code, _, err = gscore("eval", folder)
+    assert code == 2 and "config.json" in err

@@ -1,0 +1,105 @@
+"""gscore info: what it says of captures, models and runs."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from gscore.io.ply import write_splats
+
+
+def test_capture(gscore, capture, ring):
+    """Oracle: how the capture was made."""
+    code, out, _ = gscore("info", capture, "--json")
+    facts = json.loads(out)
+    assert code == 0 and facts["kind"] == "capture" and facts["views"] == 9
+    assert facts["sizes"] == {"48 x 36": 9} and facts["points"] == 60
+    assert facts["names"] == ["a_0.png", "a_8.png"] and facts["masks"] == "none"
+    assert facts["focal_px"] == pytest.approx([45, 45])
+    assert facts["camera_extent"] == pytest.approx(1.1 * 5, rel=1e-6)
+    assert facts["model"]["cameras"] == {"PINHOLE": 1}
+    assert facts["model"]["mean_error_px"] == pytest.approx(0.5)
+    assert facts["decoded_bytes"] >= 9 * 48 * 36 * 3
+    code, out, _ = gscore("info", capture)
+    assert code == 0 and "9 photos (9 of 48 x 36 px)" in out and "1 PINHOLE" in out
+
+
+def test_ply(gscore, splats, tmp_path):
+    """Oracle: quantiles of the arrays that were written."""
+    path = tmp_path / "m.ply"
+    write_splats(path, splats, comments=("SplatRenderMode: mip",))
+    code, out, _ = gscore("info", path, "--json")
+    facts = json.loads(out)
+    assert code == 0 and facts["splats"] == 60 and facts["sh_degree"] == 1
+    assert facts["storage_bytes"] == path.stat().st_size and facts["antialias"] is True
+    assert facts["comments"] == ["SplatRenderMode: mip"] and facts["layout"] == "3DGS"
+    opacity = 1 / (1 + np.exp(-splats.opacities.astype(float)))
+    assert facts["opacity"][2] == pytest.approx(np.median(opacity))
+    assert facts["bounds"] == pytest.approx(
+        np.stack([splats.means.min(axis=0), splats.means.max(axis=0)]), abs=1e-6
+    )
+    ratio = np.exp(np.ptp(splats.scales, axis=1))
+    assert facts["elongation"][-1] == pytest.approx(ratio.max(), rel=1e-5)
+    assert facts["largest_scale"][0] == pytest.approx(
+        math.exp(splats.scales.max(axis=1).min()), rel=1e-5
+    )
+    code, out, _ = gscore("info", path)
+    assert code == 0 and "60 splats, SH degree 1" in out and "antialiasing" in out
+
+
+def test_ply_with_broken_rows(gscore, splats, tmp_path):
+    """Oracle: one row of NaN is left out, and said, in the JSON and in the text."""
+    broken = splats.subset(np.arange(60))
+    broken.means[3] = np.nan
+    write_splats(tmp_path / "m.ply", broken)
+    code, out, err = gscore("info", tmp_path / "m.ply", "--json")
+    facts = json.loads(out)
+    assert code == 0 and facts["splats"] == 59 and "1 of 60 splats" in facts["warnings"][0]
+    assert err == ""
+    assert "Warning: " in gscore("info", tmp_path / "m.ply")[1]
+
+
+def test_empty_ply(gscore, splats, tmp_path):
+    """Oracle: no splats, no statistics, no error."""
+    write_splats(tmp_path / "m.ply", splats.subset(np.zeros(60, bool)))
+    code, out, _ = gscore("info", tmp_path / "m.ply", "--json")
+    assert code == 0 and json.loads(out)["splats"] == 0
+    assert gscore("info", tmp_path / "m.ply")[0] == 0
+
+
+def test_run(gscore, run_folder, capture):
+    """Oracle: the files of the run."""
+    folder = run_folder()
+    code, out, _ = gscore("info", folder, "--json")
+    facts = json.loads(out)
+    assert code == 0 and facts["kind"] == "run" and facts["source"] == str(capture)
+    assert facts["metrics"]["steps"] == 700 and facts["model"]["splats"] == 60
+    code, out, _ = gscore("info", folder)
+    assert "PSNR 1.00" in out and "700 steps in 12.5 s" in out and "60 splats" in out
+    (folder / "point_cloud.ply").unlink()
+    (folder / "metrics.json").unlink()
+    code, out, _ = gscore("info", folder)
+    assert code == 0 and "no point_cloud.ply yet" in out
+
+
+def test_layout_of_3dgs_runs(gscore, splats, tmp_path):
+    """Oracle: the last of several iterations, by number and not by name."""
+    for step in (700, 7000, 30000):
+        count = step // 700
+        ply = tmp_path / "point_cloud" / f"iteration_{step}" / "point_cloud.ply"
+        write_splats(ply, splats.subset(np.arange(count)))
+    code, out, _ = gscore("info", tmp_path, "--json")
+    facts = json.loads(out)
+    assert code == 0 and facts["model"]["splats"] == 42 and facts["source"] is None
+
+
+def test_nothing_there(gscore, tmp_path):
+    """Oracle: exit code 2 and a sentence."""
+    code, _, err = gscore("info", tmp_path / "none")
+    assert code == 2 and "There is no file or folder" in err
+    code, _, err = gscore("info", tmp_path)
+    assert code == 2 and "No COLMAP model" in err
+    (tmp_path / "x.txt").write_text("hello")
+    code, _, err = gscore("info", tmp_path / "x.txt")
+    assert code == 2 and "not a PLY file" in err

@@ -1,0 +1,229 @@
+"""gscore render: stills, depth, transparency, paths and videos against the rasterizer itself."""
+
+import json
+import re
+import sys
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gscore.commands.stills import still_names, write_depth_png
+from gscore.errors import ShapeError
+from gscore.raster.api import render
+
+
+def read(path):
+    return np.asarray(Image.open(path))
+
+
+def as_bytes(picture):
+    return (np.clip(picture, 0, 1) * 255 + 0.5).astype(np.uint8)
+
+
+def test_all_views_of_a_run(gscore, run_folder, tmp_path, picture, capture):
+    """Oracle: the photos of the capture are renders of the same splats, bit for bit."""
+    code, out, err = gscore("render", run_folder(), "-o", tmp_path / "out", "--json")
+    facts = json.loads(out)
+    assert code == 0 and facts["pictures"] == 9 and facts["splats"] == 60 and facts["fps"] > 0
+    assert (facts["width"], facts["height"]) == (48, 36)
+    for i in range(9):
+        made = read(tmp_path / "out" / f"a_{i}.png")
+        assert made.max() > 100
+        np.testing.assert_array_equal(made, as_bytes(picture(i).rgb))
+        np.testing.assert_array_equal(made, read(capture / "images" / f"a_{i}.png"))
+    assert "9/9 a_8.png" in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "wanted"),
+    [
+        (["--view", "a_3.png", "a_5"], ["a_3", "a_5"]),
+        (["--view", "7"], ["a_7"]),
+        (["--test"], ["a_0", "a_8"]),
+        (["--all"], [f"a_{i}" for i in range(9)]),
+    ],
+)
+def test_which_views(gscore, run_folder, tmp_path, arguments, wanted):
+    """Oracle: the names asked for; the test views that metrics.json lists."""
+    code, _, _ = gscore("render", run_folder(), "-o", tmp_path / "out", *arguments, "--quiet")
+    assert code == 0
+    assert sorted(p.stem for p in (tmp_path / "out").iterdir()) == wanted
+
+
+def test_cameras_of_the_capture_and_resolution(
+    gscore, run_folder, tmp_path, capture, splats, cameras
+):
+    """Oracle: the rasterizer with the upper two rows of K halved."""
+    folder = run_folder()
+    (folder / "cameras.json").unlink()
+    options = ("-s", capture, "--test", "-r", "2", "--quiet")
+    code, _, _ = gscore("render", folder, "-o", tmp_path / "out", *options)
+    assert code == 0
+    half = cameras.Ks[0] * np.array([[0.5], [0.5], [1.0]])
+    wanted = as_bytes(render(splats, half, cameras.viewmats[0], 24, 18).rgb)
+    small = read(tmp_path / "out" / "a_0.png")
+    assert small.shape == (18, 24, 3)
+    # The model's poses are quaternions, so the last bit of a colour may differ.
+    np.testing.assert_allclose(small.astype(int), wanted, atol=1)
+
+
+def test_transparency(gscore, run_folder, tmp_path, picture):
+    """Oracle: laid over any background it is the picture rendered over that background."""
+    path = tmp_path / "one.png"
+    code, _, _ = gscore("render", run_folder(), "-o", path, "--view", "2", "--transparent")
+    assert code == 0
+    rgba = read(path).astype(float) / 255
+    assert rgba.shape == (36, 48, 4) and rgba[..., 3].min() < 0.05 < 0.9 < rgba[..., 3].max()
+    for background in ((0.0, 0.0, 0.0), (1.0, 0.5, 0.0)):
+        over = rgba[..., :3] * rgba[..., 3:] + np.array(background) * (1 - rgba[..., 3:])
+        wanted = np.clip(picture(2, background=background).rgb, 0, 1)
+        bright = picture(2).rgb.max(axis=2) <= picture(2).alpha  # colours above 1 cannot be stored
+        assert np.abs(over - wanted)[bright].max() < 2.1 / 255
+
+
+def test_background(gscore, run_folder, tmp_path, picture):
+    """Oracle: the rasterizer with that background; a run on white keeps white."""
+    out = tmp_path / "out"
+    gscore("render", run_folder(), "-o", out, "--view", "1", "--background", "0.2,0.4,1")
+    np.testing.assert_array_equal(
+        read(out / "a_1.png"), as_bytes(picture(1, background=(0.2, 0.4, 1.0)).rgb)
+    )
+
+
+def test_white_run_renders_on_white(gscore, run_folder, tmp_path, picture):
+    """Oracle: the rasterizer on white."""
+    gscore("render", run_folder(background="white"), "-o", tmp_path / "x.png", "--view", "1")
+    np.testing.assert_array_equal(
+        read(tmp_path / "x.png"), as_bytes(picture(1, background=(1.0, 1.0, 1.0)).rgb)
+    )
+
+
+def test_depth(gscore, run_folder, tmp_path, picture):
+    """Oracle: the rasterizer's depth; 16 bits times the unit, and 32 bits exactly."""
+    folder, wanted = run_folder(), picture(4).depth
+    options = ("--view", "4", "--json", "--quiet")
+    code, out, _ = gscore("render", folder, "-o", tmp_path / "a", "--depth", "png", *options)
+    assert code == 0
+    unit = json.loads(out)["depth_unit"]
+    image = Image.open(tmp_path / "a" / "a_4_depth.png")
+    assert image.mode == "I;16" and float(image.text["depth_unit"]) == unit
+    np.testing.assert_allclose(np.asarray(image) * unit, wanted, atol=0.51 * unit)
+    gscore("render", folder, "-o", tmp_path / "b", "--depth", "npy", *options)
+    np.testing.assert_array_equal(np.load(tmp_path / "b" / "a_4_depth.npy"), wanted)
+    assert 3 < wanted.max() < 8 and (wanted == 0).any()
+
+
+def test_depth_beyond_the_range_is_kept_apart_from_nothing(tmp_path):
+    """Oracle: 0 is nothing, tiny depths are 1, too large ones 65535."""
+    depth = np.array([[0.0, 1e-9, 2.0], [3.0, 1e9, 0.0]], np.float32)
+    write_depth_png(tmp_path / "d.png", depth, 0.001)
+    np.testing.assert_array_equal(read(tmp_path / "d.png"), [[0, 1, 2000], [3000, 65535, 0]])
+
+
+@pytest.mark.parametrize("kind", ["orbit", "spline"])
+def test_path_to_pictures(gscore, run_folder, tmp_path, kind):
+    """Oracle: every frame shows the splats near the middle, and neighbours are alike."""
+    out = tmp_path / "out"
+    code, _, _ = gscore(
+        "render", run_folder(), "-o", out, "--path", kind, "--frames", "24", "--quiet"
+    )
+    assert code == 0
+    names = sorted(p.name for p in out.iterdir())
+    assert names == [f"frame_{i:05d}.png" for i in range(24)]
+    frames = np.stack([read(out / name) for name in names]).astype(float)
+    assert (frames[:, 12:24, 16:32].mean(axis=(1, 2, 3)) > 20).all()
+    changes = np.abs(np.diff(frames, axis=0)).mean(axis=(1, 2, 3))
+    assert 0 < changes.max() < 25
+
+
+def test_video(gscore, run_folder, tmp_path, splats):
+    """Oracle: the decoded frames of the file against the PNG files of the same path."""
+    av = pytest.importorskip("av")
+    folder = run_folder()
+    shared = ("--path", "orbit", "--frames", "12", "-r", "24", "--quiet")
+    gscore("render", folder, "-o", tmp_path / "frames", *shared)
+    code, out, _ = gscore("render", folder, "-o", tmp_path / "v.mp4", "--fps", "12", *shared)
+    assert code == 0 and "v.mp4: 12 pictures" in out
+    with av.open(str(tmp_path / "v.mp4")) as file:
+        stream = file.streams.video[0]
+        assert stream.average_rate == 12 and stream.codec_context.pix_fmt == "yuv420p"
+        frames = [f.to_ndarray(format="rgb24") for f in file.decode(video=0)]
+    assert len(frames) == 12 and frames[0].shape == (18, 24, 3)
+    for i, frame in enumerate(frames):
+        still = read(tmp_path / "frames" / f"frame_{i:05d}.png").astype(float)
+        # H.264 with half the colour resolution on a tiny, colourful picture.
+        assert np.abs(frame - still).mean() < 14
+        assert np.abs(frame - still[:, ::-1]).mean() > np.abs(frame - still).mean() + 5
+    assert [p.name for p in tmp_path.iterdir() if p.name.endswith(".tmp")] == []
+
+
+def test_video_without_pyav(gscore, run_folder, tmp_path, monkeypatch):
+    """Oracle: one sentence with the command that helps, before any work."""
+    monkeypatch.setitem(sys.modules, "av", None)
+    code, _, err = gscore("render", run_folder(), "-o", tmp_path / "v.mp4", "--path", "orbit")
+    assert code == 2 and 'pip install "gscore[video]"' in err and not (tmp_path / "v.mp4").exists()
+
+
+def test_broken_video_leaves_nothing(gscore, run_folder, tmp_path, monkeypatch):
+    """Oracle: the folder after an error in the middle."""
+    pytest.importorskip("av")
+    folder = run_folder()
+
+    def broken(*args, **options):
+        raise ShapeError("no more")
+
+    monkeypatch.setattr("gscore.commands.render.render_view", broken)
+    code, _, err = gscore("render", folder, "-o", tmp_path / "new" / "v.mp4", "--path", "orbit")
+    assert code == 2 and "no more" in err and list((tmp_path / "new").iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--view", "b"], r"There is no view b; there are 9, named like a_0\.png"),
+        (["--frames", "5"], "--frames belongs to --path"),
+        (["--transparent", "--background", "white"], "either --transparent or --background"),
+        (["--background", "pink"], "'pink' is not black, white or r,g,b"),
+        (["-r", "12"], "resolution is 12"),
+        (["-s", "nowhere"], "nowhere"),
+        (["--path", "orbit", "--frames", "1"], "two frames"),
+        (["--fps", "0"], "--fps must be above 0"),
+        (["--sh-degree", "3"], "sh_degree must be 0 to 1"),
+    ],
+)
+def test_bad_options(gscore, run_folder, tmp_path, arguments, says):
+    """Oracle: exit code 2, one sentence, no output folder."""
+    code, out, err = gscore("render", run_folder(), "-o", tmp_path / "out", *arguments)
+    assert code == 2 and out == "" and re.search(says, err)
+    assert "Traceback" not in err and not (tmp_path / "out").exists()
+
+
+def test_bad_outputs_and_models(gscore, run_folder, tmp_path):
+    """Oracle: exit code 2 and a sentence with the path."""
+    folder = run_folder()
+    code, _, err = gscore("render", folder, "-o", tmp_path / "a.png")
+    assert code == 2 and "9 views were chosen" in err
+    code, _, err = gscore("render", folder, "-o", tmp_path / "a.mp4", "--depth", "png")
+    assert code == 2 and "neither transparency nor depth" in err
+    code, _, err = gscore("render", tmp_path / "none", "-o", tmp_path / "out")
+    assert code == 2 and "There is no file or folder" in err
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    code, _, err = gscore("render", empty, "-o", tmp_path / "out")
+    assert code == 2 and "expected point_cloud.ply" in err
+    (folder / "cameras.json").unlink()
+    code, _, err = gscore("render", folder, "-o", tmp_path / "out")
+    assert code == 2 and "no cameras.json" in err
+    (tmp_path / "file").write_text("")
+    code, _, err = gscore("render", folder, "-o", tmp_path / "file" / "x", "-s", empty)
+    assert code == 2
+
+
+def test_names_of_pictures_stay_inside_and_apart():
+    """Oracle: names as captures have them, with sub-folders, same stems and hostile paths."""
+    assert still_names(["a/b.jpg", "c.JPG"]) == ["a/b", "c"]
+    assert still_names(["x.jpg", "x.png"]) == ["x_jpg", "x_png"]
+    assert still_names(["../../etc/x.jpg", "/abs/y.jpg", "C:\\z.jpg"]) == ["etc/x", "abs/y", "C_/z"]
+    odd = still_names(["", "..", "a.b.jpg", "same", "same"])
+    assert len(set(odd)) == 5 and all(name and ".." not in name.split("/") for name in odd)
