@@ -22,6 +22,7 @@ from ..raster import _native
 from ..raster.api import render
 from .data_options import add_data_options, with_data_options
 from .model import Model, open_model
+from .output import check_folder
 
 _KEPT = ("steps", "train_seconds", "history", "evals", "peak_memory_bytes")
 """What only the training knows; a run that is measured again keeps it."""
@@ -60,6 +61,7 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(
             f"{model.ply} lies in no run's folder; say with -o where to write metrics.json."
         )
+    check_folder(output)
     config = _data_config(args, model)
     dataset = load_dataset(config)
     warnings = [*model.warnings, *dataset.warnings]

@@ -22,6 +22,7 @@ from ..raster.api import render as render_view
 from ..scene import Cameras
 from .camera_path import orbit_path, spline_path
 from .model import Model, open_model
+from .output import check_folder
 from .stills import still_names, to_rgb, to_rgba, write_depth_npy, write_depth_png
 from .video import need_video, write_video
 
@@ -83,6 +84,8 @@ def run(args: argparse.Namespace) -> int:
     """Render and write."""
     is_video = args.output.suffix.lower() == ".mp4"
     _check_options(args, is_video=is_video)
+    is_file = is_video or args.output.suffix.lower() == ".png"
+    check_folder(args.output.parent if is_file else args.output)
     model = open_model(args.model)
     for sentence in model.warnings:
         print(f"Warning: {sentence}", file=sys.stderr)

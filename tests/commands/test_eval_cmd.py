@@ -88,6 +88,7 @@ def test_bad_input(gscore, capture, run_folder, splats, tmp_path):
         ((ply, "-s", capture), "say with -o"),
         ((ply, "-o", tmp_path / "e"), "give the capture with -s"),
         ((ply, "-s", tmp_path / "no", "-o", tmp_path / "e"), "no"),
+        ((ply, "-s", capture, "-o", ply / "e"), "is a file; a folder is needed"),
         ((capture / "images" / "a_0.png", "-s", capture, "-o", tmp_path / "e"), "not a PLY"),
         ((ply, "-s", capture, "-o", tmp_path / "e", "--lpips", tmp_path / "x.onnx"), "x.onnx"),
     ]

@@ -216,8 +216,9 @@ def test_bad_outputs_and_models(gscore, run_folder, tmp_path):
     code, _, err = gscore("render", folder, "-o", tmp_path / "out")
     assert code == 2 and "no cameras.json" in err
     (tmp_path / "file").write_text("")
-    code, _, err = gscore("render", folder, "-o", tmp_path / "file" / "x", "-s", empty)
-    assert code == 2
+    for output in ("file/x", "file/x/y.png", "file/v.mp4"):
+        code, _, err = gscore("render", folder, "-o", tmp_path / output, "--path", "orbit")
+        assert code == 2 and "file is a file; a folder is needed" in err
 
 
 def test_names_of_pictures_stay_inside_and_apart():
