@@ -69,13 +69,9 @@ def run(args: argparse.Namespace) -> int:
 def _facts() -> dict[str, Any]:
     native = _native_facts()
     packages = {part.distribution: _package_facts(part) for part in _PARTS}
-    missing = [
-        f"{p.distribution} ({packages[p.distribution]['problem']})"
-        for p in _PARTS
-        if p.needed and packages[p.distribution]["problem"]
-    ]
+    missing = [p.distribution for p in _PARTS if p.needed and packages[p.distribution]["problem"]]
     if native["problem"]:
-        missing.insert(0, f"the native library ({native['problem']})")
+        missing.insert(0, "the native library")
     available = available_memory_bytes()
     return {
         "gscore": __version__,
@@ -210,5 +206,7 @@ def _text(facts: dict[str, Any]) -> str:
     if facts["can_train"]:
         lines.append("This machine can train.")
     else:
-        lines.append("This machine cannot train; missing: " + "; ".join(facts["missing"]) + ".")
+        lines.append(
+            f"This machine cannot train without: {', '.join(facts['missing'])}. See above."
+        )
     return "\n".join(lines)

@@ -21,7 +21,7 @@ from ..metrics import (
 from ..raster import _native
 from ..raster.api import render
 from .data_options import add_data_options, with_data_options
-from .model import Model, open_model
+from .model import Model, add_model_argument, model_path, open_model
 from .output import check_folder
 
 _KEPT = ("steps", "train_seconds", "history", "evals", "peak_memory_bytes")
@@ -30,7 +30,7 @@ _KEPT = ("steps", "train_seconds", "history", "evals", "peak_memory_bytes")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
-    parser.add_argument("model", type=Path, help="folder of a run, or a PLY")
+    add_model_argument(parser)
     parser.add_argument(
         "-s", "--source", type=Path, help="the capture; default: the one the run was trained on"
     )
@@ -55,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Measure, write metrics.json and report.html, say the means."""
     lpips, lpips_reason = find_lpips(args.lpips, threads=args.threads)
-    model = open_model(args.model)
+    model = open_model(model_path(args))
     output = args.output or model.run
     if output is None:
         raise ConfigError(

@@ -1,5 +1,6 @@
 """The model a verb is given: a PLY file, or the folder of a run with its options."""
 
+import argparse
 import logging
 import re
 from collections.abc import Iterator
@@ -8,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..config import Background, DataConfig, TrainConfig, load_config
-from ..errors import DatasetError
+from ..errors import ConfigError, DatasetError
 from ..io.ply import read_splats
 from ..splats import Splats
 
@@ -49,6 +50,29 @@ class Model:
     def near(self) -> float:
         """Near plane of the training, world units."""
         return self.train.near if self.train else 0.01
+
+
+def add_model_argument(parser: argparse.ArgumentParser) -> None:
+    """The model as the first argument, or as the 3DGS tools take it."""
+    parser.add_argument("model", nargs="?", type=Path, help="folder of a run, or a PLY")
+    parser.add_argument(
+        "-m", "--model-path", dest="model_option", type=Path, help=argparse.SUPPRESS
+    )
+
+
+def model_path(args: argparse.Namespace) -> Path:
+    """What was given for `add_model_argument`.
+
+    Raises:
+        ConfigError: Nothing, or two models.
+    """
+    given = [path for path in (args.model, args.model_option) if path is not None]
+    if len(given) != 1:
+        raise ConfigError(
+            "Give one model: the folder of a run, or a PLY."
+            + (f" Got {given[0]} and {given[1]}." if given else "")
+        )
+    return given[0]
 
 
 def open_model(path: Path) -> Model:

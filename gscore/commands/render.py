@@ -21,7 +21,7 @@ from ..raster.api import Rendered
 from ..raster.api import render as render_view
 from ..scene import Cameras
 from .camera_path import orbit_path, spline_path
-from .model import Model, open_model
+from .model import Model, add_model_argument, model_path, open_model
 from .output import check_folder
 from .stills import still_names, to_rgb, to_rgba, write_depth_npy, write_depth_png
 from .video import need_video, write_video
@@ -33,7 +33,7 @@ _DEPTH_STEPS = 60_000
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
-    parser.add_argument("model", type=Path, help="folder of a run, or a PLY")
+    add_model_argument(parser)
     parser.add_argument(
         "-o", "--output", type=Path, required=True, help="folder, or one .png, or an .mp4"
     )
@@ -86,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
     _check_options(args, is_video=is_video)
     is_file = is_video or args.output.suffix.lower() == ".png"
     check_folder(args.output.parent if is_file else args.output)
-    model = open_model(args.model)
+    model = open_model(model_path(args))
     for sentence in model.warnings:
         print(f"Warning: {sentence}", file=sys.stderr)
     shots = _shots(args, model, even=is_video)

@@ -58,7 +58,7 @@ def test_cameras_of_the_capture_and_resolution(
     folder = run_folder()
     (folder / "cameras.json").unlink()
     options = ("-s", capture, "--test", "-r", "2", "--quiet")
-    code, _, _ = gscore("render", folder, "-o", tmp_path / "out", *options)
+    code, _, _ = gscore("render", "-m", folder, "-o", tmp_path / "out", *options)
     assert code == 0
     half = cameras.Ks[0] * np.array([[0.5], [0.5], [1.0]])
     wanted = as_bytes(render(splats, half, cameras.viewmats[0], 24, 18).rgb)
@@ -202,6 +202,10 @@ def test_bad_options(gscore, run_folder, tmp_path, arguments, says):
 def test_bad_outputs_and_models(gscore, run_folder, tmp_path):
     """Oracle: exit code 2 and a sentence with the path."""
     folder = run_folder()
+    code, _, err = gscore("render", "-o", tmp_path / "out")
+    assert code == 2 and "Give one model" in err
+    code, _, err = gscore("render", folder, "-m", folder, "-o", tmp_path / "out")
+    assert code == 2 and "Give one model" in err
     code, _, err = gscore("render", folder, "-o", tmp_path / "a.png")
     assert code == 2 and "9 views were chosen" in err
     code, _, err = gscore("render", folder, "-o", tmp_path / "a.mp4", "--depth", "png")
