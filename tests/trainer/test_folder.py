@@ -1,0 +1,125 @@
+"""The output folder; oracle: what lies in it before and after."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from gscore.errors import ConfigError, GsError
+from gscore.trainer.folder import LOCK, open_folder
+
+
+def names(path: Path) -> set[str]:
+    return {p.name for p in path.rglob("*")}
+
+
+def test_a_new_folder_is_made_and_removed_if_nothing_was_written(tmp_path: Path) -> None:
+    """Oracle: the folder is gone; with a file in it it stays."""
+    path = tmp_path / "a" / "b"
+    with open_folder(path, resume=False, overwrite=False):
+        assert path.is_dir()
+    assert not path.exists()
+    with open_folder(path, resume=False, overwrite=False) as folder:
+        folder.write_text("config.json", "{}")
+    assert names(path) == {"config.json"}
+
+
+def test_another_run_is_refused_and_untouched(tmp_path: Path) -> None:
+    """Oracle: the message names what was found and both ways out; every file is as before."""
+    (tmp_path / "metrics.json").write_text("old")
+    with (
+        pytest.raises(ConfigError, match=r"holds another run \(metrics.json\).*--resume.*--overw"),
+        open_folder(tmp_path, resume=False, overwrite=False),
+    ):
+        pass
+    assert names(tmp_path) == {"metrics.json"}
+    assert (tmp_path / "metrics.json").read_text() == "old"
+
+
+def test_foreign_files_are_no_run_and_survive_overwriting(tmp_path: Path) -> None:
+    """Oracle: clear removes what a run writes and nothing else."""
+    (tmp_path / "holiday.jpg").write_text("keep")
+    (tmp_path / "checkpoints").mkdir()
+    with open_folder(tmp_path, resume=False, overwrite=True) as folder:
+        folder.write_text("config.json", "{}")
+        folder.clear()
+    assert names(tmp_path) == {"holiday.jpg"}
+    with open_folder(tmp_path, resume=False, overwrite=False):
+        pass
+    assert names(tmp_path) == {"holiday.jpg"}
+
+
+def test_two_runs_at_once_are_refused(tmp_path: Path) -> None:
+    """Oracle: the second one fails and names the process of the first, which is not disturbed."""
+    with open_folder(tmp_path, resume=False, overwrite=False) as folder:
+        with (
+            pytest.raises(GsError, match=rf"in use by another training \(process {os.getpid()}\)"),
+            open_folder(tmp_path, resume=False, overwrite=True),
+        ):
+            pass
+        folder.write_text("config.json", "{}")
+    assert names(tmp_path) == {"config.json"}
+
+
+def test_the_lock_of_a_dead_process_does_not_count(tmp_path: Path) -> None:
+    """Oracle: a process that was killed while it held the folder."""
+    code = (
+        "import os, sys; from pathlib import Path; from gscore.trainer.folder import open_folder\n"
+        "with open_folder(Path(sys.argv[1]), resume=False, overwrite=False): os._exit(9)"
+    )
+    ended = subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=False)
+    assert ended.returncode == 9
+    assert json.loads((tmp_path / LOCK).read_text())["pid"] != os.getpid()
+    with open_folder(tmp_path, resume=False, overwrite=False):
+        assert json.loads((tmp_path / LOCK).read_text())["pid"] == os.getpid()
+    assert names(tmp_path) == set()
+
+
+def test_resume_needs_a_checkpoint(tmp_path: Path) -> None:
+    """Oracle: the message, and no folder made on the way."""
+    path = tmp_path / "none"
+    with (
+        pytest.raises(ConfigError, match="holds no checkpoint"),
+        open_folder(path, resume=True, overwrite=False),
+    ):
+        pass
+    assert not path.exists()
+
+
+@pytest.mark.skipif(os.name == "nt" or os.geteuid() == 0, reason="root may write anywhere")
+def test_a_read_only_place_is_refused(tmp_path: Path) -> None:
+    """Oracle: one sentence."""
+    tmp_path.chmod(0o555)
+    try:
+        with (
+            pytest.raises(GsError, match="Cannot write into"),
+            open_folder(tmp_path / "out", resume=False, overwrite=False),
+        ):
+            pass
+    finally:
+        tmp_path.chmod(0o755)
+
+
+def test_a_file_is_no_folder(tmp_path: Path) -> None:
+    """Oracle: the file is as before."""
+    (tmp_path / "out").write_text("x")
+    with (
+        pytest.raises(ConfigError, match="is a file"),
+        open_folder(tmp_path / "out", resume=False, overwrite=True),
+    ):
+        pass
+    assert (tmp_path / "out").read_text() == "x"
+
+
+def test_old_checkpoints_are_dropped_except_those_asked_for(tmp_path: Path) -> None:
+    """Oracle: the last two, and the protected one."""
+    with open_folder(tmp_path, resume=False, overwrite=False) as folder:
+        for step in (5, 90, 100, 1000):
+            path = folder.checkpoint(step)
+            path.parent.mkdir(exist_ok=True)
+            path.write_text("")
+        folder.drop_checkpoints(keep=2, protected=(5,))
+        assert folder.checkpoints() == [folder.checkpoint(s) for s in (5, 100, 1000)]

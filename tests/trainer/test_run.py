@@ -1,0 +1,253 @@
+"""Runs from a folder on disk to results; oracle: the events' contract and the files."""
+
+import json
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gscore.config import DataConfig, TrainConfig, load_config
+from gscore.errors import Cancelled, ConfigError, DatasetError, GsError
+from gscore.events import (
+    Done,
+    Eval,
+    Event,
+    Preview,
+    Progress,
+    Saved,
+    Snapshot,
+    Started,
+    Warn,
+    from_line,
+    to_line,
+)
+from gscore.io.cameras_json import read_cameras
+from gscore.io.images import read_image
+from gscore.io.ply import read_splats
+from gscore.trainer import Control, memory, train
+from gscore.trainer.folder import RunFolder
+
+CONFIG = TrainConfig(
+    iterations=40, max_splats=200, sh_degree=1, refine_start=5, refine_every=5, grow_grad=1e-5
+)
+
+
+def data_of(capture: Path, **options: Any) -> DataConfig:
+    return DataConfig(source=capture, eval=True, test_every=4, **options)
+
+
+def test_a_run_tells_everything_in_order_and_leaves_all_files(
+    capture: Path, tmp_path: Path
+) -> None:
+    """Oracle: the events' contract; files read back by the readers of their formats."""
+    config = replace(
+        CONFIG,
+        test_iterations=(10,),
+        save_iterations=(20,),
+        checkpoint_iterations=(15,),
+        snapshot_every=10,
+        preview_seconds=1e-6,
+    )
+    events: list[Event] = []
+    result = train(config, data_of(capture), tmp_path, events.append)
+    kinds = [type(e) for e in events]
+    assert kinds.index(Started) < kinds.index(Progress)
+    assert kinds[-1] is Done
+    assert kinds.count(Started) == kinds.count(Done) == 1
+    started, done = events[kinds.index(Started)], events[-1]
+    assert isinstance(started, Started)
+    assert (started.step, started.train_views, started.test_views) == (0, 6, 2)
+    assert (started.width, started.height, started.splats) == (48, 48, 150)
+    steps = [e.step for e in events if isinstance(e, Progress)]
+    assert steps == sorted(steps)
+    assert steps[-1] == 40
+    assert [e.step for e in events if isinstance(e, Eval)] == [10, 40]
+    assert [from_line(to_line(e)) for e in events] == [from_line(to_line(e)) for e in events]
+    for event in events:
+        assert from_line(to_line(event)).kind == event.kind
+        if isinstance(event, Saved | Preview):
+            assert Path(event.path).is_file() or "checkpoints" in event.path
+
+    assert isinstance(done, Done)
+    assert done.reason == result.reason == "finished"
+    splats = read_splats(tmp_path / "point_cloud.ply")
+    assert len(splats) == done.splats == len(result.splats)
+    assert splats.sh_degree == 1
+    assert len(read_splats(tmp_path / "point_cloud/iteration_20/point_cloud.ply")) >= 150
+    assert len(list((tmp_path / "snapshots").iterdir())) == 2
+    assert read_image(next((tmp_path / "previews").iterdir())).shape == (48, 48, 3)
+    assert len(read_cameras(tmp_path / "cameras.json")) == 8
+    assert load_config(tmp_path / "config.json") == (data_of(capture), config)
+    checkpoints = [p.name for p in RunFolder(tmp_path).checkpoints()]
+    assert checkpoints == ["step_00000015.safetensors", "step_00000040.safetensors"]
+    assert "white_background=False" in (tmp_path / "cfg_args").read_text()
+    assert "<html" in (tmp_path / "report.html").read_text()
+
+    metrics = json.loads((tmp_path / "metrics.json").read_text())
+    assert metrics["split"] == "test"
+    assert metrics["psnr"] == result.metrics["psnr"] == done.metrics["psnr"]
+    assert metrics["train_seconds"] == pytest.approx(done.train_seconds)
+    assert [entry["step"] for entry in metrics["evals"]] == [10, 40]
+    assert [entry["step"] for entry in metrics["history"]] == list(range(1, 41))
+    assert "history" not in done.metrics
+    assert not list(tmp_path.glob(".*")), "lock and temporary files are gone"
+
+
+def test_without_held_out_views_training_views_are_measured(capture: Path, tmp_path: Path) -> None:
+    """Oracle: the split is named."""
+    result = train(CONFIG, DataConfig(source=capture), tmp_path)
+    assert result.metrics["split"] == "train"
+    assert len(result.metrics["views"]) == 8
+    assert result.metrics["psnr"] > 10
+    assert result.metrics["lpips_reason"]
+
+
+def test_a_run_in_two_parts_gives_the_same_file(capture: Path, tmp_path: Path) -> None:
+    """Oracle: the bytes of point_cloud.ply of a run that was not stopped."""
+    train(CONFIG, data_of(capture), tmp_path / "whole")
+    control, seen = Control(), []
+
+    def stop_at_17(event: Event) -> None:
+        seen.append(event)
+        if isinstance(event, Snapshot):
+            control.stop()
+
+    part = replace(CONFIG, snapshot_every=17)
+    first = train(part, data_of(capture), tmp_path / "parts", stop_at_17, control)
+    assert (first.reason, first.steps) == ("stopped", 17)
+    assert isinstance(seen[-1], Done)
+    assert seen[-1].reason == "stopped"
+    assert first.metrics["psnr"] is None
+    assert "stopped" in first.metrics["psnr_reason"]
+    events: list[Event] = []
+    second = train(CONFIG, data_of(capture), tmp_path / "parts", events.append, resume=True)
+    assert isinstance(events[0], Started)
+    assert events[0].step == 17
+    assert second.train_seconds > first.train_seconds
+    whole, parts = (tmp_path / n / "point_cloud.ply" for n in ("whole", "parts"))
+    assert whole.read_bytes() == parts.read_bytes()
+    steps = [entry["step"] for entry in second.metrics["history"]]
+    assert steps == list(range(1, 41))
+
+
+def test_start_checkpoint_goes_on_in_another_folder(capture: Path, tmp_path: Path) -> None:
+    """Oracle: longer by 10 steps; the first folder is as before."""
+    train(CONFIG, data_of(capture), tmp_path / "a")
+    before = {p: p.stat().st_mtime_ns for p in (tmp_path / "a").rglob("*")}
+    result = train(
+        replace(CONFIG, iterations=50),
+        data_of(capture),
+        tmp_path / "b",
+        start_checkpoint=RunFolder(tmp_path / "a").checkpoints()[-1],
+    )
+    assert result.steps == 50
+    assert {p: p.stat().st_mtime_ns for p in (tmp_path / "a").rglob("*")} == before
+
+
+def in_thread(work: Callable[[], Any]) -> tuple[threading.Thread, list[Any]]:
+    results: list[Any] = []
+    thread = threading.Thread(target=lambda: results.append(work()))
+    thread.start()
+    return thread, results
+
+
+def test_pause_snapshot_resume_stop(capture: Path, tmp_path: Path) -> None:
+    """Oracle: no step during the pause; a stop works during a pause and within a moment."""
+    control, events = Control(), []
+    config = replace(CONFIG, iterations=1_000_000)
+    work = lambda: train(config, data_of(capture), tmp_path, events.append, control)  # noqa: E731
+    thread, results = in_thread(work)
+
+    def steps() -> list[int]:
+        return [e.step for e in list(events) if isinstance(e, Progress)]
+
+    def phases() -> list[str]:
+        return [e.phase for e in list(events) if isinstance(e, Progress)]
+
+    end = time.monotonic() + 30
+    while not steps() and time.monotonic() < end:
+        time.sleep(0.01)
+    control.submit("snapshot")
+    control.submit("dance")
+    control.pause()
+    while "paused" not in phases() and time.monotonic() < end:
+        time.sleep(0.01)
+    held = len(steps())
+    time.sleep(0.5)
+    assert len(steps()) == held, "no progress while paused"
+    control.resume()
+    while len(steps()) < held + 2 and time.monotonic() < end:
+        time.sleep(0.01)
+    control.pause()
+    time.sleep(0.1)
+    asked = time.monotonic()
+    control.stop("stopped")
+    thread.join(10)
+    assert time.monotonic() - asked < 5
+    assert results[0].reason == "stopped"
+    assert any(isinstance(e, Snapshot) for e in events)
+    assert any(isinstance(e, Warn) and "dance" in e.message for e in events)
+    assert RunFolder(tmp_path).checkpoints()
+
+
+def test_stop_before_the_first_step_leaves_nothing(capture: Path, tmp_path: Path) -> None:
+    """Oracle: no folder."""
+    control = Control()
+    control.stop()
+    with pytest.raises(Cancelled):
+        train(CONFIG, data_of(capture), tmp_path / "out", control=control)
+    assert not (tmp_path / "out").exists()
+
+
+def test_bad_input_leaves_the_other_run_alone(capture: Path, tmp_path: Path) -> None:
+    """Oracle: every file of the run that is there, after each kind of failure."""
+    train(CONFIG, data_of(capture), tmp_path)
+    before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
+    nowhere = DataConfig(source=capture / "nothing")
+    with pytest.raises(DatasetError):
+        train(CONFIG, nowhere, tmp_path, overwrite=True)
+    with pytest.raises(ConfigError, match="holds another run"):
+        train(CONFIG, data_of(capture), tmp_path)
+    with pytest.raises(ConfigError, match="sh_degree was 1, is 2"):
+        train(replace(CONFIG, sh_degree=2), data_of(capture), tmp_path, resume=True)
+    with pytest.raises(ConfigError, match="LPIPS"):
+        bad = replace(CONFIG, lpips=capture / "no.onnx")
+        train(bad, data_of(capture), tmp_path, overwrite=True)
+    assert {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()} == before
+    train(CONFIG, data_of(capture), tmp_path, overwrite=True)
+
+
+def test_too_little_memory_is_told_before_the_start(
+    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: 2 GB free do not hold 10 million splats; the number that is offered fits."""
+    monkeypatch.setattr(memory, "available_memory_bytes", lambda: 2_000_000_000)
+    config = replace(CONFIG, max_splats=10_000_000, sh_degree=3)
+    with pytest.raises(GsError, match=r"use --max-splats (\d+)") as error:
+        train(config, data_of(capture), tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    words = str(error.value).split()
+    offered = int(words[words.index("--max-splats") + 1].rstrip(","))
+    assert offered > 100_000
+    memory.check_memory(splats=offered, sh_degree=3, pixels=48 * 48)
+
+
+def test_a_capture_far_from_its_origin_is_trained_and_warned_about(
+    make_photos: Callable[..., Any],
+) -> None:
+    """Oracle: the first pictures are those of the same capture at the origin."""
+    from gscore.trainer.trainer import Trainer
+
+    near, far = make_photos(), make_photos()
+    cameras, cloud = far.scene.cameras, far.scene.points
+    offset = np.array([1e6, -2e6, 3e6])
+    cameras.viewmats[:, :3, 3] -= np.einsum("cij,j->ci", cameras.viewmats[:, :3, :3], offset)
+    np.add(cloud.points, offset, out=cloud.points)
+    pictures = [Trainer(CONFIG, p).picture(0, background=(0, 0, 0)).numpy() for p in (near, far)]
+    assert pictures[0].mean() > 0.1
+    np.testing.assert_allclose(*pictures, atol=1e-4)

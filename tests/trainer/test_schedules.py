@@ -1,0 +1,89 @@
+"""Schedules; oracle: the values that the papers state for their run lengths."""
+
+import math
+from itertools import pairwise
+
+import pytest
+
+from gscore.config import PRESETS, Strategy, TrainConfig
+from gscore.trainer.schedules import Plan
+
+
+def plan_of(config: TrainConfig, points: int = 10_000) -> Plan:
+    return Plan.of(config, extent=2.0, points=points)
+
+
+def test_a_run_of_30000_steps_is_that_of_the_paper() -> None:
+    """Oracle: Kerbl et al. 2023 and its reference code."""
+    plan = plan_of(TrainConfig(iterations=30_000))
+    assert (plan.refine_start, plan.refine_stop, plan.refine_every) == (500, 15_000, 100)
+    assert (plan.reset_every, plan.sh_every) == (3000, 1000)
+    assert plan.rates["opacities"] == 0.025
+    assert [plan.sh_degree_at(s) for s in (1, 1000, 1001, 2001, 3001, 30_000)] == [0, 0, 1, 2, 3, 3]
+    assert plan.means_lr_at(30_000) == pytest.approx(2 * 1.6e-6)
+    assert plan.means_lr_at(15_000) == pytest.approx(2 * 1.6e-5)
+
+
+def test_mcmc_of_30000_steps_is_that_of_the_paper() -> None:
+    """Oracle: Kheradmand et al. 2024: refine until 25 000, +5 %, other initial values."""
+    plan = plan_of(TrainConfig(iterations=30_000, strategy=Strategy.MCMC))
+    assert (plan.refine_stop, plan.mcmc_growth) == (25_000, 0.05)
+    assert (plan.init_opacity, plan.init_scale, plan.rates["opacities"]) == (0.5, 0.1, 0.05)
+
+
+def test_a_short_mcmc_run_grows_fast_enough() -> None:
+    """Oracle: compound growth reaches the cap within the refinements."""
+    config = TrainConfig(iterations=1500, strategy=Strategy.MCMC, max_splats=100_000)
+    plan = plan_of(config, points=5000)
+    count = 5000.0
+    for step in range(1, 1501):
+        if plan.refines_at(step):
+            count *= 1 + plan.mcmc_growth
+    assert count >= 100_000
+
+
+@pytest.mark.parametrize("iterations", [1, 2, 50, 700, 3000, 7000, 100_000])
+@pytest.mark.parametrize("strategy", list(Strategy))
+def test_any_length_gives_a_sane_plan(iterations: int, strategy: Strategy) -> None:
+    """Oracle: all SH degrees by half of the run, no refinement at or after the last step."""
+    plan = plan_of(TrainConfig(iterations=iterations, strategy=strategy))
+    if iterations >= 6:
+        assert plan.sh_degree_at(iterations // 2 + 1) == 3
+    assert not plan.refines_at(iterations)
+    assert not plan.resets_at(iterations)
+    assert plan.means_lr_at(0) == pytest.approx(3.2e-4)
+    assert plan.means_lr_at(iterations) == pytest.approx(3.2e-6)
+    steps = range(1, min(iterations, 8000))
+    assert all(plan.means_lr_at(s) > plan.means_lr_at(s + 1) for s in steps)
+    if iterations >= 700:
+        assert sum(plan.refines_at(s) for s in steps) >= 5
+
+
+def test_options_win_over_what_is_derived() -> None:
+    """Oracle: the options."""
+    config = TrainConfig(
+        iterations=100, sh_every=7, refine_start=11, refine_stop=90, refine_every=13, reset_every=-1
+    )
+    plan = plan_of(config)
+    assert (plan.sh_every, plan.refine_start, plan.refine_stop) == (7, 11, 90)
+    assert [s for s in range(1, 101) if plan.refines_at(s)] == [13, 26, 39, 52, 65, 78]
+    assert plan.reset_every == 0
+    assert not any(plan.resets_at(s) for s in range(1, 101))
+
+
+def test_a_rate_of_zero_stays_zero() -> None:
+    """Oracle: frozen positions do not move, and no logarithm fails."""
+    plan = plan_of(TrainConfig(means_lr=0.0))
+    assert plan.means_lr_at(500) == 0
+
+
+def test_presets_spend_more_each_time(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Oracle: steps, splats and photo width rise from preview to high."""
+    made = [preset(tmp_path_factory.getbasetemp()) for preset in PRESETS.values()]
+    assert list(PRESETS) == ["preview", "draft", "normal", "high"]
+    for (data, train), (more_data, more_train) in pairwise(made):
+        assert train.iterations < more_train.iterations
+        assert train.max_splats < more_train.max_splats
+        assert data.max_width < more_data.max_width
+        assert train.sh_degree <= more_train.sh_degree
+    assert math.isfinite(made[-1][1].means_lr)
