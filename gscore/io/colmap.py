@@ -186,7 +186,7 @@ def _check_image(path: Path, image: ColmapImage, cameras: dict[int, ColmapCamera
             f"have. The files of the model do not belong together; export it anew."
         )
     pose = np.concatenate([image.qvec, image.tvec])
-    if not np.isfinite(pose).all() or not 1e-6 < np.linalg.norm(image.qvec) < 1e6:
+    if not np.isfinite(pose).all() or not 1e-6 < np.abs(image.qvec).max() < 1e6:
         raise FormatError(
             f"{path}: image {image.name!r} has the pose {pose.tolist()}; expected finite "
             f"numbers and a quaternion that is not zero. Export the model anew from COLMAP."

@@ -54,7 +54,7 @@ def read_splats(path: str | Path) -> Splats:
     raw["opacities"] = np.where(np.isposinf(raw["opacities"]), np.float32(20), raw["opacities"])
     good = np.isfinite(rest).all(axis=(1, 2)) & (np.abs(raw["quats"]).max(axis=1, initial=0) > 0)
     for values in raw.values():
-        good &= np.isfinite(values).reshape(len(values), -1).all(axis=1)
+        good &= np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
     splats = Splats(
         means=raw["means"],
         quats=raw["quats"],

@@ -42,8 +42,10 @@ def decompress(path: Path, elements: dict[str, np.ndarray]) -> dict[str, np.ndar
     chunk = elements.get("chunk", np.zeros(0, [("none", "f4")]))
     count = len(vertex)
     need = [f"{end}_{what}{axis}" for what in ("", "scale_") for end in _ENDS for axis in "xyz"]
-    missing = [n for n in _PACKED if n not in (vertex.dtype.names or ())]
-    missing += [n for n in need if n not in (chunk.dtype.names or ())]
+    colors = [f"{end}_{axis}" for end in _ENDS for axis in "rgb"]
+    has_colors = any(name in (chunk.dtype.names or ()) for name in colors)
+    missing = [n for n in _PACKED if not _has(vertex, n, "iu")]
+    missing += [n for n in need + colors * has_colors if not _has(chunk, n, "iuf")]
     if missing or len(chunk) != -(-count // CHUNK):
         raise FormatError(
             f"{path} is a damaged compressed splat PLY: {len(chunk)} chunks for {count} splats "
@@ -52,9 +54,9 @@ def decompress(path: Path, elements: dict[str, np.ndarray]) -> dict[str, np.ndar
         )
     packed = [vertex[name].astype(np.uint32) for name in _PACKED]
     of = np.arange(count) // CHUNK
-    colors = np.stack([_unorm(packed[3], shift, 8) for shift in (24, 16, 8)], axis=1)
-    if "min_r" in (chunk.dtype.names or ()):
-        colors = _lerp(chunk, "{}_{}", "rgb", of, colors)
+    rgb = np.stack([_unorm(packed[3], shift, 8) for shift in (24, 16, 8)], axis=1)
+    if has_colors:
+        rgb = _lerp(chunk, "{}_{}", "rgb", of, rgb)
     # A byte of 0 or 255 stands for the half step next to it: a logit has to stay finite.
     alpha = np.clip(_unorm(packed[3], 0, 8), 0.25 / 255, 1 - 0.25 / 255)
     return {
@@ -62,9 +64,13 @@ def decompress(path: Path, elements: dict[str, np.ndarray]) -> dict[str, np.ndar
         "quats": _unpack_rotation(packed[1]),
         "scales": _lerp(chunk, "{}_scale_{}", "xyz", of, _unpack_11_10_11(packed[2])),
         "opacities": np.log(alpha / (1 - alpha)).astype(np.float32),
-        "sh0": rgb_to_sh0(colors).astype(np.float32),
+        "sh0": rgb_to_sh0(rgb).astype(np.float32),
         "rest": _unpack_rest(path, elements.get("sh"), count),
     }
+
+
+def _has(table: np.ndarray, name: str, kinds: str) -> bool:
+    return name in (table.dtype.names or ()) and table.dtype[name].kind in kinds
 
 
 def _unorm(values: np.ndarray, shift: int, bits: int) -> np.ndarray:

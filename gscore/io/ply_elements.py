@@ -52,7 +52,7 @@ def read_elements(path: Path) -> dict[str, np.ndarray]:
 
 
 def columns(table: np.ndarray, names: list[str]) -> np.ndarray:
-    """The named properties of an element as [N, len(names)] float32.
+    """The named properties of an element as [N, len(names)] float32; too large ones are infinite.
 
     Raises:
         FormatError: a property is a list.
@@ -72,7 +72,8 @@ def columns(table: np.ndarray, names: list[str]) -> np.ndarray:
     for k, name in enumerate(names):
         if table.dtype[name].kind == "O":
             raise FormatError(f"Property {name} is a list, expected one number a vertex.")
-        out[:, k] = table[name]
+        with np.errstate(over="ignore"):  # too large for float32: infinite
+            out[:, k] = table[name]
     return out
 
 

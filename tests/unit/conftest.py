@@ -73,7 +73,7 @@ class SmallCapture:
 
 @pytest.fixture
 def make_capture(tmp_path: Path) -> Callable[..., SmallCapture]:
-    """Writes a capture: cameras in a ring around coloured points, photos with those points as discs.
+    """Writes a capture: cameras in a ring around coloured points, their photos show them.
 
     Each point is a disc of its own colour, radius 3 px, so that colours and positions can be read
     back from the photos.

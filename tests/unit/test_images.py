@@ -150,6 +150,7 @@ def test_reduce_averages_blocks(rng: np.random.Generator) -> None:
             assert abs(small[row, column] - block.mean()) <= 0.7
 
 
+@pytest.mark.filterwarnings("ignore::UserWarning")  # Pillow remarks on damaged TIFF
 @pytest.mark.parametrize("kind", ["PNG", "JPEG", "TIFF", "BMP", "WEBP"])
 def test_hostile(kind: str, mutations: Callable[[bytes], Iterator[bytes]], tmp_path: Path) -> None:
     """Oracle: a damaged file gives an image or one of our errors, never another exception."""

@@ -1,0 +1,48 @@
+"""What the readers of the different layouts hand to the common rest: views, points, split."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from ..io.colmap_model import ColmapCamera
+from ..scene import PointCloud
+
+
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """One posed photo as the capture states it, before undistortion and scaling."""
+
+    name: str
+    """Unique in the capture, sub-folders with '/'."""
+    image: Path
+    """File of the photo."""
+    viewmat: np.ndarray
+    """[4, 4] float64, world to camera, OpenCV axes."""
+    camera: ColmapCamera
+    """Intrinsics at the camera's own size."""
+    mask: Path | None = None
+    """File of the mask that the capture states for this view."""
+    seen: np.ndarray | None = None
+    """[M] int64, indices of the points observed in this view; None: unknown."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Capture:
+    """A capture as stated by its files."""
+
+    root: Path
+    """Folder with everything."""
+    views: list[View]
+    """In any order."""
+    points: PointCloud
+    """World points; may be empty."""
+    test_names: frozenset[str] = frozenset()
+    """Views the capture itself calls test views."""
+    warnings: tuple[str, ...] = field(default=())
+    """Sentences for the user."""
+
+
+def listing(names: list[str], most: int = 5) -> str:
+    """The first few names for a message."""
+    return ", ".join(names[:most]) + (", ..." if len(names) > most else "")

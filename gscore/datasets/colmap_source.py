@@ -1,0 +1,100 @@
+"""A capture from a COLMAP model and a folder of photos."""
+
+import numpy as np
+
+from ..config import DataConfig
+from ..errors import DatasetError
+from ..io.colmap import ColmapModel, read_model
+from ..scene import PointCloud
+from .capture import Capture, View, listing
+from .folder import Folder
+
+
+def read_colmap(config: DataConfig) -> Capture:
+    """Read the model in `config.source` and find its photos in `config.images`.
+
+    Photos that are not there are left out with a warning as long as at least half are.
+
+    Raises:
+        DatasetError: there is no model, no image folder, or most photos are missing.
+        FormatError: the model is corrupt.
+    """
+    model = read_model(config.source)
+    if not model.images:
+        raise DatasetError(
+            f"The COLMAP model in {model.path} has no images. Run COLMAP's mapper again, with more "
+            f"overlap between the photos."
+        )
+    names = [image.name for image in model.images]
+    twice = sorted({name for name in names if names.count(name) > 1}) if _repeats(names) else []
+    if twice:
+        raise DatasetError(
+            f"The COLMAP model in {model.path} has several images of the same name: "
+            f"{listing(twice)}. Export the model anew from COLMAP."
+        )
+    root = config.source / config.images
+    if not root.is_dir():
+        raise DatasetError(
+            f"There is no image folder {root}. Give the folder that holds both the photos and the "
+            f"model, and the name of the photo folder in it with --images."
+        )
+    folder = Folder(root)
+    files = [folder.find_image(name) for name in names]
+    warnings = [*model.warnings]
+    missing = [name for name, file in zip(names, files, strict=True) if file is None]
+    if 2 * len(missing) > len(names):
+        raise DatasetError(
+            f"{len(missing)} of the {len(names)} images of the model in {model.path} are missing "
+            f"in {root} ({len(folder)} images there): {listing(missing)}. Give the folder of the "
+            f"photos that COLMAP was run on with --images."
+        )
+    if missing:
+        warnings.append(
+            f"{len(missing)} of the {len(names)} images of the model are missing in {root}: "
+            f"{listing(missing)}; going on with the other {len(names) - len(missing)}."
+        )
+    renamed = [
+        f"{name} -> {file.relative_to(root).as_posix()}"
+        for name, file in zip(names, files, strict=True)
+        if file is not None and file != root / name
+    ]
+    if renamed:
+        warnings.append(
+            f"{len(renamed)} images are named differently in {root}; used: {listing(renamed, 3)}."
+        )
+    seen = _observed(model)
+    views = [
+        View(
+            name=image.name,
+            image=file,
+            viewmat=image.viewmat,
+            camera=model.cameras[image.camera_id],
+            seen=seen[i],
+        )
+        for i, (image, file) in enumerate(zip(model.images, files, strict=True))
+        if file is not None
+    ]
+    return Capture(
+        root=config.source,
+        views=views,
+        points=PointCloud(points=model.points.xyz, colors=model.points.rgb),
+        warnings=tuple(warnings),
+    )
+
+
+def _repeats(names: list[str]) -> bool:
+    return len(set(names)) != len(names)
+
+
+def _observed(model: ColmapModel) -> list[np.ndarray]:
+    """Indices of the points seen in each image, [M] int64."""
+    order = np.argsort(model.points.ids, kind="stable")
+    ids = model.points.ids[order]
+    out = []
+    for image in model.images:
+        wanted = image.point3D_ids[image.point3D_ids != -1]
+        at = np.searchsorted(ids, wanted)
+        hit = at < len(ids)
+        hit[hit] = ids[at[hit]] == wanted[hit]
+        out.append(np.unique(order[at[hit]]))
+    return out

@@ -1,0 +1,201 @@
+"""A capture folder read into a Dataset: layout, sizes, masks, points and split."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..config import DataConfig
+from ..errors import DatasetError
+from ..io.colmap import find_model
+from ..io.images import ImageInfo, read_info
+from ..scene import Cameras, PointCloud, Scene
+from .capture import Capture, View, listing
+from .colmap_source import read_colmap
+from .dataset import Dataset
+from .decode import ViewFile, decode_view
+from .masks import MaskChoice, choose_masks
+from .points import colors_from_photos, random_points
+from .resolution import check_resolution, scale_intrinsics, target_size
+from .split import split_views
+from .transforms_json import FILES, find_transforms, read_transforms
+from .undistort import Undistortion, plan_undistortion
+
+RANDOM_POINTS = 100_000
+"""Points made up for a capture without any, as the 3DGS paper does for synthetic scenes."""
+RANDOM_SEED = 0
+"""Of those points."""
+
+
+def load_dataset(config: DataConfig) -> Dataset:
+    """Read a capture: a COLMAP model or a transforms.json, with photos and masks.
+
+    Photos are not decoded yet (except to colour black points): `Dataset.nbytes` says what they will
+    take, `Dataset.preload` decodes them.
+
+    Raises:
+        DatasetError: something is missing, does not match, or leaves nothing to train on.
+        FormatError: a file is truncated, corrupt or of an unknown kind.
+        ConfigError: an option has a value that cannot work.
+        BackendError: an optional package that this capture takes is not installed.
+    """
+    check_resolution(config.resolution)
+    capture = _read(config)
+    views = sorted(capture.views, key=lambda view: view.name)
+    infos = [read_info(view.image) for view in views]
+    warnings = list(capture.warnings)
+    upright = [_is_upright(view, info) for view, info in zip(views, infos, strict=True)]
+    sizes = [
+        (info.height, info.width) if turn else (info.width, info.height)
+        for info, turn in zip(infos, upright, strict=True)
+    ]
+    warnings += _other_sizes(views, sizes)
+    masks = choose_masks(config, capture.root, views, infos, sizes)
+    warnings += masks.warnings
+    files, Ks = _files(views, sizes, upright, masks, config.resolution)
+    narrow = sum(1 for file in files if file.photo_size[0] < config.resolution)
+    if narrow:
+        warnings.append(
+            f"{narrow} photos are narrower than the {config.resolution:g} px asked for; they are "
+            f"used as they are."
+        )
+    cameras = Cameras(
+        viewmats=np.stack([view.viewmat for view in views]),
+        Ks=np.stack(Ks),
+        widths=np.array([file.size[0] for file in files], np.int64),
+        heights=np.array([file.size[1] for file in files], np.int64),
+        names=tuple(view.name for view in views),
+    )
+    train, test = split_views(cameras.names, config, stated=capture.test_names)
+    points = _points(capture.points, cameras, views, files, warnings)
+    return Dataset(
+        scene=Scene(cameras=cameras, points=points, warnings=tuple(warnings)),
+        files=files,
+        train=train,
+        test=test,
+        mask_mode=masks.mode,
+        source=capture.root,
+    )
+
+
+def _read(config: DataConfig) -> Capture:
+    transforms = find_transforms(config.source)
+    if transforms == config.source:
+        return read_transforms(config)
+    try:
+        find_model(config.source)
+    except DatasetError as error:
+        if transforms is not None:
+            return read_transforms(config)
+        if not config.source.is_dir():
+            raise
+        raise DatasetError(f"{error} Nor is there a {' or '.join(FILES)}.") from error
+    return read_colmap(config)
+
+
+def _is_upright(view: View, info: ImageInfo) -> bool:
+    """Whether the camera was calibrated on the photo as EXIF turns it, not as it is stored."""
+    stored = _fits(view, (info.width, info.height))
+    turned = info.is_sideways and _fits(view, (info.height, info.width))
+    if not stored and not turned:
+        raise DatasetError(
+            f"{view.image} is {info.width} x {info.height} pixels, its camera was calibrated for "
+            f"{view.camera.width} x {view.camera.height}. Give the folder of the photos that "
+            f"COLMAP was run on with --images, or photos scaled without cropping."
+        )
+    return turned and not stored
+
+
+def _fits(view: View, size: tuple[int, int]) -> bool:
+    """Whether a size is the camera's up to a common scale, within the rounding of both sides."""
+    scale = size[0] / view.camera.width
+    return abs(view.camera.height * scale - size[1]) <= 1.0 + 0.5 * scale
+
+
+def _other_sizes(views: list[View], sizes: list[tuple[int, int]]) -> list[str]:
+    other = [
+        f"{view.name} ({size[0]} x {size[1]} for {view.camera.width} x {view.camera.height})"
+        for view, size in zip(views, sizes, strict=True)
+        if size != (view.camera.width, view.camera.height)
+    ]
+    if not other:
+        return []
+    return [
+        f"{len(other)} photos have another size than their camera; intrinsics are scaled by the "
+        f"actual ratio: {listing(other, 2)}."
+    ]
+
+
+def _files(
+    views: list[View],
+    sizes: list[tuple[int, int]],
+    upright: list[bool],
+    masks: MaskChoice,
+    resolution: float,
+) -> tuple[list[ViewFile], list[np.ndarray]]:
+    """How to decode each view, and its K at the size delivered, [3, 3] float64 each."""
+    plans: dict[tuple, Undistortion | None] = {}
+    files, Ks = [], []
+    for i, (view, size) in enumerate(zip(views, sizes, strict=True)):
+        camera = view.camera
+        key = (camera.model, camera.width, camera.height, camera.params.tobytes())
+        if key not in plans:
+            plans[key] = plan_undistortion(camera)
+        plan = plans[key]
+        if plan is None:
+            K, own, full = camera.K, (camera.width, camera.height), size
+        else:
+            K, own = plan.K, (plan.width, plan.height)
+            full = (
+                max(1, round(plan.width * size[0] / camera.width)),
+                max(1, round(plan.height * size[1] / camera.height)),
+            )
+        target = target_size(*full, resolution)
+        Ks.append(scale_intrinsics(K, own, target))
+        files.append(
+            ViewFile(
+                image=view.image,
+                mask=masks.files[i],
+                use_alpha=masks.use_alpha[i],
+                upright=upright[i],
+                photo_size=size,
+                size=target,
+                plan=plan,
+            )
+        )
+    return files, Ks
+
+
+def _points(
+    points: PointCloud,
+    cameras: Cameras,
+    views: list[View],
+    files: list[ViewFile],
+    warnings: list[str],
+) -> PointCloud:
+    """The capture's points mended: finite, at least some, coloured."""
+    finite = np.array(np.isfinite(points.points).all(axis=1))
+    if not finite.any():
+        warnings.append(
+            f"The capture has no points; starting from {RANDOM_POINTS} random ones, which takes "
+            f"longer and gives floaters. Run COLMAP's triangulation for better results."
+        )
+        return random_points(cameras, RANDOM_POINTS, seed=RANDOM_SEED)
+    if points.colors[finite].any() and finite.all():
+        return points
+    seen: list[np.ndarray | None] = [view.seen for view in views]
+    if not finite.all():
+        warnings.append(f"{int((~finite).sum())} points are not finite; left out.")
+        new_index = np.cumsum(finite) - 1
+        for i, index in enumerate(seen):
+            if index is not None:
+                seen[i] = new_index[index[finite[index]]]
+        points = PointCloud(points=points.points[finite], colors=points.colors[finite])
+    if points.colors.any():
+        return points
+    warnings.append(
+        f"All {len(points)} points are black (COLMAP was run without extracting colours); they are "
+        f"coloured from the photos."
+    )
+    # Not kept: whoever calls decides by `nbytes` whether all photos fit into memory.
+    colors = colors_from_photos(points.points, cameras, seen, lambda i: decode_view(files[i]))
+    return replace(points, colors=colors)

@@ -1,0 +1,118 @@
+"""Where the masks of a capture are and what they mean."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..config import DataConfig
+from ..errors import ConfigError, DatasetError
+from ..io.images import ImageInfo, read_info
+from .capture import View, listing
+from .folder import Folder
+
+MASK_MODES = ("auto", "composite", "ignore", "none")
+"""Values of the option."""
+DEFAULT_FOLDER = "masks"
+"""Folder looked for when none is given."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MaskChoice:
+    """The mask of every view."""
+
+    mode: str
+    """`composite`, `ignore` or `none`."""
+    files: list[Path | None]
+    """[C] mask files."""
+    use_alpha: list[bool]
+    """[C] whether the photo's own alpha is the mask."""
+    warnings: tuple[str, ...] = ()
+    """Sentences for the user."""
+
+
+def choose_masks(
+    config: DataConfig,
+    root: Path,
+    views: list[View],
+    infos: list[ImageInfo],
+    sizes: list[tuple[int, int]],
+) -> MaskChoice:
+    """Find the masks: those the capture states, else those of a folder, else the photos' alpha.
+
+    Args:
+        config: Options `masks` and `mask_mode`.
+        root: Folder of the capture.
+        views: The views.
+        infos: Of their photos.
+        sizes: Width and height of the photos as they will be used; masks must have the same.
+
+    Raises:
+        ConfigError: `mask_mode` is unknown.
+        DatasetError: the folder is missing or has no mask of any view, or a mask has another size.
+    """
+    if config.mask_mode not in MASK_MODES:
+        raise ConfigError(
+            f"mask_mode is {config.mask_mode!r}, expected one of {', '.join(MASK_MODES)}."
+        )
+    none = MaskChoice(mode="none", files=[None] * len(views), use_alpha=[False] * len(views))
+    if config.mask_mode == "none":
+        return none
+    files, warnings = _find(config, root, views)
+    if any(file is not None for file in files):
+        for view, file, size in zip(views, files, sizes, strict=True):
+            if file is not None:
+                _check_size(view, file, size)
+        mode = "ignore" if config.mask_mode == "auto" else config.mask_mode
+        return MaskChoice(
+            mode=mode, files=files, use_alpha=none.use_alpha, warnings=tuple(warnings)
+        )
+    use_alpha = [info.has_alpha for info in infos]
+    if not any(use_alpha):
+        return MaskChoice(mode="none", files=files, use_alpha=use_alpha, warnings=tuple(warnings))
+    mode = "composite" if config.mask_mode == "auto" else config.mask_mode
+    return MaskChoice(mode=mode, files=files, use_alpha=use_alpha, warnings=tuple(warnings))
+
+
+def _find(config: DataConfig, root: Path, views: list[View]) -> tuple[list[Path | None], list[str]]:
+    stated = [view.mask for view in views]
+    place = root / (config.masks or DEFAULT_FOLDER)
+    if any(file is not None for file in stated) and not config.masks:
+        files = [file if file is not None and file.is_file() else None for file in stated]
+        if not any(files):
+            raise DatasetError(
+                f"None of the {len(views)} masks that the capture names is there, for example "
+                f"{next(file for file in stated if file is not None)}. Put them there, or choose "
+                f"--mask-mode none."
+            )
+        where = "the places that the capture names"
+    elif place.is_dir():
+        folder = Folder(place)
+        files = [folder.find_mask(view.name) for view in views]
+        where = str(place)
+        if not any(files):
+            sentence = (
+                f"{place} has no mask of any view ({len(folder)} images there); expected names "
+                f"like {views[0].name}.png."
+            )
+            if config.masks:
+                raise DatasetError(f"{sentence} Rename them, or give another folder with --masks.")
+            return files, [f"{sentence} It is not used."]
+    elif config.masks:
+        raise DatasetError(f"There is no mask folder {place}. Give its name with --masks.")
+    else:
+        return [None] * len(views), []
+    missing = [view.name for view, file in zip(views, files, strict=True) if file is None]
+    if missing:
+        return files, [
+            f"{len(missing)} of {len(views)} views have no mask in {where}: {listing(missing)}; "
+            f"they count as a whole."
+        ]
+    return files, []
+
+
+def _check_size(view: View, file: Path, size: tuple[int, int]) -> None:
+    info = read_info(file)
+    if (info.width, info.height) != size:
+        raise DatasetError(
+            f"The mask {file} is {info.width} x {info.height} pixels, its photo {view.image} is "
+            f"{size[0]} x {size[1]}. Scale the masks to the size of the photos."
+        )

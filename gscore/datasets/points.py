@@ -1,0 +1,114 @@
+"""Points to start from where the capture has none, and colours where it has only black ones."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ..scene import Cameras, PointCloud
+from .dataset import map_threads
+
+GREY = 128
+"""Colour of points that no photo shows, sRGB byte."""
+
+
+def random_points(cameras: Cameras, count: int, *, seed: int) -> PointCloud:
+    """Grey points spread evenly over the space that the cameras look at.
+
+    Cameras around something: a cube around the point nearest to all optical axes, its sides as long
+    as the median distance to it. Otherwise (forward or outward): the volume that the cameras see,
+    as deep as three times their spread.
+
+    Args:
+        cameras: At least one.
+        count: Number of points.
+        seed: Of the random generator.
+
+    Returns:
+        [count] points, world units.
+    """
+    rng = np.random.default_rng(seed)
+    centers = cameras.centers
+    focus = _focus(cameras)
+    if focus is not None:
+        center, distance = focus
+        points = center + 0.5 * distance * rng.uniform(-1, 1, (count, 3))
+    else:
+        spread = float(np.linalg.norm(centers - centers.mean(axis=0), axis=1).max())
+        # The cube root makes a pyramid evenly filled; no length to go by: 1.
+        depth = (3 * spread if spread > 0 else 1.0) * np.cbrt(rng.uniform(0, 1, (count, 1)))
+        i = rng.integers(0, len(cameras), count)
+        sizes = np.stack([cameras.widths[i], cameras.heights[i], np.ones(count)], axis=1)
+        pixels = sizes * np.column_stack([rng.uniform(0, 1, (count, 2)), np.ones(count)])
+        rays = np.einsum("pij,pj->pi", np.linalg.inv(cameras.Ks)[i], pixels)
+        points = centers[i] + np.einsum("pji,pj->pi", cameras.viewmats[i, :3, :3], rays * depth)
+    return PointCloud(points=points, colors=np.full((count, 3), GREY, np.uint8))
+
+
+def colors_from_photos(
+    points: np.ndarray,
+    cameras: Cameras,
+    seen: list[np.ndarray | None],
+    load: Callable[[int], tuple[np.ndarray, np.ndarray | None]],
+) -> np.ndarray:
+    """Mean colour of points in the photos that observed them.
+
+    Args:
+        points: [P, 3] float64, world.
+        cameras: Of the photos.
+        seen: For each camera the indices of the points observed in it; None: unknown. Points
+            without a known observation are looked up in every photo, whatever may stand before
+            them.
+        load: Gives photo [H, W, 3] uint8 and mask [H, W] uint8 or None; masked-out pixels are
+            skipped.
+
+    Returns:
+        [P, 3] uint8; grey where no photo shows the point.
+    """
+    known = np.zeros(len(points), bool)
+    for index in seen:
+        if index is not None:
+            known[index] = True
+    unknown = np.flatnonzero(~known)
+
+    def sample(i: int) -> tuple[np.ndarray, np.ndarray]:
+        observed = seen[i]
+        index = unknown if observed is None else np.concatenate([observed, unknown])
+        pixels, inside = _project(cameras, i, points[index])
+        index, pixels = index[inside], pixels[inside].astype(np.int64)
+        image, mask = load(i)
+        if mask is not None:
+            kept = mask[pixels[:, 1], pixels[:, 0]] > 127
+            index, pixels = index[kept], pixels[kept]
+        return index, image[pixels[:, 1], pixels[:, 0]]
+
+    total, number = np.zeros((len(points), 3), np.int64), np.zeros(len(points), np.int64)
+    for index, values in map_threads(sample, list(range(len(cameras)))):
+        total[index] += values
+        number[index] += 1
+    mean = np.rint(total / np.maximum(number, 1)[:, None])
+    return np.where(number[:, None] > 0, mean, GREY).astype(np.uint8)
+
+
+def _project(cameras: Cameras, i: int, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pixel positions [P, 2] of world points in camera i; whether they are in its image, [P]."""
+    in_camera = points @ cameras.viewmats[i, :3, :3].T + cameras.viewmats[i, :3, 3]
+    depth = in_camera[:, 2]
+    safe = np.where(depth > 0, depth, 1.0)
+    pixels = (in_camera[:, :2] @ cameras.Ks[i, :2, :2].T) / safe[:, None] + cameras.Ks[i, :2, 2]
+    size = np.array([cameras.widths[i], cameras.heights[i]])
+    return pixels, (depth > 0) & (pixels >= 0).all(axis=1) & (pixels < size).all(axis=1)
+
+
+def _focus(cameras: Cameras) -> tuple[np.ndarray, float] | None:
+    """Point [3] nearest to all optical axes and its median distance; None if they do not meet."""
+    centers, axes = cameras.centers, cameras.viewmats[:, 2, :3]
+    # Least squares: the projections of (x - centre) across each axis sum to zero.
+    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
+    matrix = across.sum(axis=0)
+    # The smallest eigenvalue vanishes when all axes are parallel and have no nearest point.
+    if np.linalg.eigvalsh(matrix)[0] < 1e-3 * len(cameras):
+        return None
+    focus = np.linalg.solve(matrix, np.einsum("cij,cj->i", across, centers))
+    depth = float(np.median(np.einsum("ci,ci->c", focus - centers, axes)))
+    spread = float(np.linalg.norm(centers - centers.mean(axis=0), axis=1).max())
+    return (focus, depth) if depth > 0.5 * spread else None

@@ -1,0 +1,66 @@
+"""The size to train at, from the option `-r`."""
+
+import math
+
+import numpy as np
+
+from ..errors import ConfigError
+
+LARGEST_WIDTH = 1600
+"""Pixels; without the option wider photos are scaled down to this width."""
+LARGEST_FACTOR = 8
+"""Options up to this divide the size, larger ones are a width in pixels."""
+SMALLEST_WIDTH = 16
+"""Pixels; a smaller width is taken for a slip."""
+
+
+def target_size(width: int, height: int, resolution: float) -> tuple[int, int]:
+    """Size in pixels to scale a photo to; never larger than the photo.
+
+    Args:
+        width: Of the undistorted photo, pixels.
+        height: Of the undistorted photo, pixels.
+        resolution: -1: as it is, but at most 1600 px wide; up to 8: divide by it; larger: the
+            width.
+
+    Raises:
+        ConfigError: `resolution` is none of these.
+    """
+    check_resolution(resolution)
+    if resolution == -1:
+        factor = max(1.0, width / LARGEST_WIDTH)
+    elif resolution <= LARGEST_FACTOR:
+        factor = float(resolution)
+    else:
+        factor = max(1.0, width / resolution)
+    return max(1, round(width / factor)), max(1, round(height / factor))
+
+
+def check_resolution(resolution: float) -> None:
+    """Raise ConfigError unless `resolution` is one that `target_size` takes."""
+    factor = 1 <= resolution <= LARGEST_FACTOR
+    pixels = SMALLEST_WIDTH <= resolution < math.inf
+    if not (resolution == -1 or factor or pixels):
+        raise ConfigError(
+            f"resolution is {resolution:g}; expected -1 (as is, at most {LARGEST_WIDTH} px wide), "
+            f"1 to {LARGEST_FACTOR} (divide by it) or a width of at least {SMALLEST_WIDTH} px."
+        )
+
+
+def scale_intrinsics(
+    K: np.ndarray, old_size: tuple[float, float], new_size: tuple[float, float]
+) -> np.ndarray:
+    """K of the same camera with another number of pixels, each axis by its own actual ratio.
+
+    Pixel centres lie at +0.5, so positions scale without an offset: cx' = cx w' / w.
+
+    Args:
+        K: [3, 3] float64, pixels of the old size.
+        old_size: Width and height, pixels.
+        new_size: Width and height, pixels.
+
+    Returns:
+        [3, 3] float64, pixels of the new size.
+    """
+    ratio = np.array([new_size[0] / old_size[0], new_size[1] / old_size[1], 1.0])
+    return K * ratio[:, None]

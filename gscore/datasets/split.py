@@ -1,0 +1,85 @@
+"""Which views train and which are held out."""
+
+from collections.abc import Collection, Sequence
+from pathlib import Path, PurePosixPath
+
+from ..config import DataConfig
+from ..errors import ConfigError, DatasetError
+from ..io.files import read_bytes
+
+
+def split_views(
+    names: Sequence[str], config: DataConfig, *, stated: Collection[str] = ()
+) -> tuple[list[int], list[int]]:
+    """Divide views into train and test.
+
+    Args:
+        names: Names of the views, sorted.
+        config: `eval` off: all train. Otherwise the first of these that applies: `test_list`;
+            `test_first` and `test_last`; what the capture states itself; every `test_every`-th
+            view, counting from the first (the rule of the 3DGS paper with 8).
+        stated: Names that the capture itself calls test views.
+
+    Returns:
+        Indices of training views and of test views, each rising.
+
+    Raises:
+        ConfigError: a number is out of range.
+        DatasetError: the list names views that do not exist, or nothing is left to train or to
+            test.
+    """
+    count = len(names)
+    if not config.eval:
+        return list(range(count)), []
+    if config.test_first < 0 or config.test_last < 0:
+        raise ConfigError(
+            f"test_first and test_last must not be negative, got {config.test_first} and "
+            f"{config.test_last}."
+        )
+    if config.test_list is not None:
+        test = _listed(names, config.test_list)
+        rule = f"the list {config.test_list}"
+    elif config.test_first or config.test_last:
+        test = {i for i in range(count) if i < config.test_first or i >= count - config.test_last}
+        rule = f"the first {config.test_first} and last {config.test_last} views"
+    elif stated:
+        test = {i for i, name in enumerate(names) if name in stated}
+        rule = "the capture's own split"
+    else:
+        if config.test_every < 2:
+            raise ConfigError(f"test_every must be at least 2, got {config.test_every}.")
+        test = set(range(0, count, config.test_every))
+        rule = f"every {config.test_every}th view"
+    if not test or len(test) == count:
+        left = "no view to test" if not test else "no view to train"
+        raise DatasetError(
+            f"The test split ({rule}) leaves {left}: {len(test)} of {count} views are test views. "
+            f"Choose another split, or train without --eval."
+        )
+    return [i for i in range(count) if i not in test], sorted(test)
+
+
+def _listed(names: Sequence[str], path: Path) -> set[int]:
+    """Indices of the views a text file names; folder and ending may be left out where unique."""
+    try:
+        lines = read_bytes(path).decode("utf-8").splitlines()
+    except UnicodeDecodeError as error:
+        raise DatasetError(
+            f"{path} is not UTF-8 text. Give a text file with the name of a test view on each line."
+        ) from error
+    lookup: dict[str, set[int]] = {}
+    for i, name in enumerate(names):
+        pure = PurePosixPath(name)
+        for form in {name, pure.name, pure.stem, str(pure.with_suffix(""))}:
+            lookup.setdefault(form, set()).add(i)
+    for i, name in enumerate(names):  # a whole name is never ambiguous
+        lookup[name] = {i}
+    wanted = [line.strip() for line in lines if line.strip() and not line.lstrip().startswith("#")]
+    unknown = [name for name in wanted if len(lookup.get(name, ())) != 1]
+    if unknown:
+        raise DatasetError(
+            f"{path} names {len(unknown)} views that the capture does not have, or not only once: "
+            f"{', '.join(unknown[:5])}{', ...' if len(unknown) > 5 else ''}. Names look like "
+            f"{names[0]}."
+        )
+    return {next(iter(lookup[name])) for name in wanted}

@@ -1,0 +1,251 @@
+"""Captures described by transforms.json: nerfstudio, Instant-NGP and the synthetic NeRF scenes."""
+
+import json
+import math
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+
+from ..config import DataConfig
+from ..errors import DatasetError, FormatError
+from ..io.camera_models import MODELS_BY_NAME
+from ..io.colmap import is_safe_name
+from ..io.colmap_model import ColmapCamera
+from ..io.files import read_bytes
+from ..io.images import IMAGE_ENDINGS, read_info
+from ..io.ply_points import read_point_cloud
+from ..scene import PointCloud
+from ..transforms import viewmat_from_opengl
+from .capture import Capture, View, listing
+
+FILES = ("transforms.json", "transforms_train.json")
+"""Names by which such a capture is recognised."""
+
+# What the tools call their cameras, as the COLMAP model whose first parameters they use.
+_MODELS = {
+    "SIMPLE_PINHOLE": "PINHOLE",
+    "PINHOLE": "PINHOLE",
+    "PERSPECTIVE": "OPENCV",
+    "SIMPLE_RADIAL": "OPENCV",
+    "RADIAL": "OPENCV",
+    "OPENCV": "OPENCV",
+    "OPENCV_FISHEYE": "OPENCV_FISHEYE",
+}
+_POINT_FILES = ("points3d.ply", "points3D.ply", "sparse_pc.ply")
+
+
+def find_transforms(source: Path) -> Path | None:
+    """The transforms file at or in `source`, or None."""
+    if source.is_file() and source.suffix.lower() == ".json":
+        return source
+    return next((source / name for name in FILES if (source / name).is_file()), None)
+
+
+def read_transforms(config: DataConfig) -> Capture:
+    """Read the transforms file at or in `config.source`.
+
+    Poses are camera to world in OpenGL axes. The world is kept as the file states it, so the result
+    fits the file's cameras; nerfstudio's `applied_transform` is already part of its poses and
+    points. Paths are relative to the file; `config.images` is not used. Beside
+    transforms_train.json, transforms_test.json gives the test views.
+
+    Raises:
+        DatasetError: photos are missing.
+        FormatError: the file is no JSON, a key is missing or unusable, a camera model is unknown.
+    """
+    path = find_transforms(config.source)
+    if path is None:
+        raise DatasetError(f"There is no {' or '.join(FILES)} in {config.source}.")
+    root = path.parent
+    data = _load(path)
+    views, missing = _views(path, data)
+    test_names = _stated_test(path, data)
+    test = root / "transforms_test.json"
+    if path.name == "transforms_train.json" and test.is_file():
+        held, held_missing = _views(test, _load(test))
+        test_names = frozenset(view.name for view in held)
+        views, missing = views + held, missing + held_missing
+    total = len(views) + len(missing)
+    if not total:
+        raise DatasetError(f"{path} lists no frames. Export the capture again.")
+    if 2 * len(missing) > total:
+        raise DatasetError(
+            f"{len(missing)} of the {total} images of {path} are missing in {root}: "
+            f"{listing(missing)}. Put them there, or export the capture again."
+        )
+    warnings = []
+    if missing:
+        warnings.append(
+            f"{len(missing)} of the {total} images of {path} are missing in {root}: "
+            f"{listing(missing)}; going on with the other {len(views)}."
+        )
+    names = [view.name for view in views]
+    if len(set(names)) != len(names):
+        twice = sorted({name for name in names if names.count(name) > 1})
+        raise DatasetError(f"{path} lists images twice: {listing(twice)}. Export it again.")
+    return Capture(
+        root=root,
+        views=views,
+        points=_points(path, data),
+        test_names=test_names,
+        warnings=tuple(warnings),
+    )
+
+
+def _load(path: Path) -> dict[str, Any]:
+    try:
+        data = json.loads(read_bytes(path))
+    except (ValueError, RecursionError) as error:
+        raise FormatError(f"{path} is not JSON: {error}. Copy or export it again.") from error
+    if not isinstance(data, dict) or not isinstance(data.get("frames"), list):
+        raise FormatError(f"{path} must hold an object with a list `frames`. Export it again.")
+    return data
+
+
+def _views(path: Path, data: dict[str, Any]) -> tuple[list[View], list[str]]:
+    """Views of one file and the names of photos that are not there."""
+    views, missing = [], []
+    for i, frame in enumerate(data["frames"]):
+        where = f"{path}: frame {i}"
+        if not isinstance(frame, dict):
+            raise FormatError(f"{where} is no object. Export it again.")
+        name = _inside(where, "file_path", frame.get("file_path"))
+        image = _find(path.parent, name)
+        if image is None:
+            missing.append(name)
+            continue
+        mask = frame.get("mask_path")
+        views.append(
+            View(
+                name=image.relative_to(path.parent).as_posix(),
+                image=image,
+                viewmat=_pose(where, frame.get("transform_matrix")),
+                camera=_camera(where, data | frame, image),
+                mask=path.parent / _inside(where, "mask_path", mask) if mask else None,
+            )
+        )
+    return views, missing
+
+
+def _stated_test(path: Path, data: dict[str, Any]) -> frozenset[str]:
+    """Names of the views that nerfstudio's `test_filenames` holds out."""
+    stated = data.get("test_filenames", [])
+    if not isinstance(stated, list):
+        raise FormatError(f"{path}: test_filenames must be a list. Export the capture again.")
+    return frozenset(_inside(str(path), "test_filenames", name) for name in stated)
+
+
+def _inside(where: str, key: str, value: Any) -> str:
+    if not isinstance(value, str) or not is_safe_name(value):
+        raise FormatError(
+            f"{where}: {key} is {value!r}, expected a path inside the folder of the file, without "
+            f"'..' and not absolute. Move the photos below it and export it again."
+        )
+    return PurePosixPath(value.replace("\\", "/")).as_posix()
+
+
+def _find(root: Path, name: str) -> Path | None:
+    """The photo; synthetic NeRF scenes leave the ending out."""
+    candidates = [name, *(name + ending for ending in IMAGE_ENDINGS)]
+    return next((root / c for c in candidates if (root / c).is_file()), None)
+
+
+def _pose(where: str, value: Any) -> np.ndarray:
+    """[4, 4] float64 world to camera, OpenCV axes."""
+    try:
+        matrix = np.array(value, np.float64)
+    except (TypeError, ValueError):
+        matrix = np.zeros(0)
+    rotation = matrix[:3, :3] if matrix.shape in ((4, 4), (3, 4)) else np.zeros((3, 3))
+    finite = np.isfinite(matrix).all()
+    # Exporters round to 6 digits or so; more than 1e-2 off is a scaled or sheared camera.
+    if not finite or np.abs(rotation.T @ rotation - np.eye(3)).max() > 1e-2:
+        raise FormatError(
+            f"{where}: transform_matrix is {value!r}, expected 4 x 4 finite numbers, a rotation "
+            f"and a position. Remove the scale from the cameras and export it again."
+        )
+    if np.linalg.det(rotation) < 0:
+        raise FormatError(f"{where}: transform_matrix mirrors the camera. Export it again.")
+    world_from_camera = np.eye(4)
+    world_from_camera[:3] = matrix[:3]
+    u, _, vt = np.linalg.svd(rotation)
+    world_from_camera[:3, :3] = u @ vt  # the nearest true rotation
+    return viewmat_from_opengl(world_from_camera)
+
+
+def _camera(where: str, data: dict[str, Any], image: Path) -> ColmapCamera:
+    """Intrinsics of one frame; its own keys win over those of the whole file."""
+
+    def number(key: str, default: float | None = None) -> float:
+        value = data.get(key, default)
+        if (
+            isinstance(value, bool)
+            or not isinstance(value, int | float)
+            or not math.isfinite(value)
+        ):
+            raise FormatError(
+                f"{where}: {key} is {value!r}, expected a number. Export the capture again."
+            )
+        return float(value)
+
+    if "w" in data and "h" in data:
+        width, height = int(number("w")), int(number("h"))
+    else:
+        info = read_info(image)
+        width, height = info.width, info.height
+    fisheye = data.get("is_fisheye") is True  # Instant-NGP's spelling
+    stated = data.get("camera_model", "OPENCV_FISHEYE" if fisheye else "OPENCV")
+    model = _MODELS.get(stated) if isinstance(stated, str) else None
+    if model is None:
+        raise FormatError(
+            f"{where}: unknown camera_model {stated!r}, known are {', '.join(_MODELS)}. Undistort "
+            f"the capture, or use its COLMAP model."
+        )
+    if "fl_x" in data or "camera_angle_x" in data:
+        fx = number("fl_x") if "fl_x" in data else _focal(width, number("camera_angle_x"))
+    else:
+        raise FormatError(f"{where}: neither fl_x nor camera_angle_x is given. Export it again.")
+    if "fl_y" in data:
+        fy = number("fl_y")
+    elif "camera_angle_y" in data and "fl_x" not in data:
+        fy = _focal(height, number("camera_angle_y"))
+    else:
+        fy = fx
+    if not (fx > 0 and fy > 0 and 0 < width < 2**31 and 0 < height < 2**31):
+        raise FormatError(
+            f"{where}: focal lengths {fx} and {fy} and size {width} x {height} must be positive. "
+            f"Export the capture again."
+        )
+    values = {
+        "fx": fx,
+        "fy": fy,
+        "cx": number("cx", width / 2),
+        "cy": number("cy", height / 2),
+    }
+    if model == "OPENCV" and number("k4", 0) != 0:
+        raise FormatError(
+            f"{where}: k4 of a {stated} camera has no agreed meaning, expected 0 or none. "
+            f"Undistort the capture, or use its COLMAP model."
+        )
+    if model == "OPENCV" and number("k3", 0) != 0:
+        model = "FULL_OPENCV"
+        values |= dict.fromkeys(("k4", "k5", "k6"), 0.0)
+    names = MODELS_BY_NAME[model].params
+    params = [values[name] if name in values else number(name, 0) for name in names]
+    return ColmapCamera(model=model, width=width, height=height, params=np.array(params))
+
+
+def _focal(size: int, angle: float) -> float:
+    """Focal length in pixels of a full field of view in radians."""
+    return 0.5 * size / math.tan(0.5 * angle) if 0 < angle < math.pi else math.nan
+
+
+def _points(path: Path, data: dict[str, Any]) -> PointCloud:
+    stated = data.get("ply_file_path")
+    if stated is not None:
+        return read_point_cloud(path.parent / _inside(str(path), "ply_file_path", stated))
+    file = next((path.parent / n for n in _POINT_FILES if (path.parent / n).is_file()), None)
+    if file is not None:
+        return read_point_cloud(file)
+    return PointCloud(points=np.zeros((0, 3)), colors=np.zeros((0, 3), np.uint8))

@@ -1,0 +1,201 @@
+"""Distorted cameras to pinhole cameras: pycolmap plans, numpy resamples photos, masks, depths."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..errors import BackendError, DatasetError, FormatError
+from ..io.colmap_model import ColmapCamera
+from .resolution import scale_intrinsics
+
+_ROWS_A_STRIP = 32
+_MOST_BLANK = 0.05
+
+
+@dataclass(frozen=True, kw_only=True)
+class Undistortion:
+    """The pinhole camera that replaces a distorted one, and the way between their pixels."""
+
+    camera: ColmapCamera
+    """The distorted camera."""
+    width: int
+    """Of the pinhole camera, in pixels as large as those of `camera`."""
+    height: int
+    """Of the pinhole camera, in pixels as large as those of `camera`."""
+    K: np.ndarray
+    """[3, 3] float64, intrinsics of the pinhole camera at that size."""
+
+    def distort(self, points: np.ndarray) -> np.ndarray:
+        """Pixels of the distorted camera for pixels of the pinhole camera, both [P, 2] float64."""
+        pycolmap = _pycolmap()
+        rays = np.ones((len(points), 3))
+        rays[:, 0] = (points[:, 0] - self.K[0, 2]) / self.K[0, 0]
+        rays[:, 1] = (points[:, 1] - self.K[1, 2]) / self.K[1, 1]
+        return pycolmap_camera(pycolmap, self.camera).img_from_cam(rays)
+
+    def remap(
+        self,
+        image: np.ndarray,
+        size: tuple[int, int],
+        *,
+        pixels: tuple[float, float] = (1.0, 1.0),
+        nearest: bool = False,
+    ) -> np.ndarray:
+        """Resample an image of the distorted camera as one of the pinhole camera.
+
+        Args:
+            image: [h, w] or [h, w, D] of any dtype; channels are independent, so
+                premultiply colours by alpha before.
+            size: Width and height of the result, which shows the whole pinhole image whatever the
+                size; its K is `scale_intrinsics(self.K, (self.width, self.height), size)`.
+            pixels: Pixels of `image` per pixel of `camera`, each axis; not 1 if the photo has
+                another size than the camera was calibrated at.
+            nearest: Take the nearest pixel (labels, binary masks, depth) instead of interpolating
+                bilinearly.
+
+        Returns:
+            [size[1], size[0], ...] of the dtype of `image`. Outside the photo its border is
+            repeated.
+        """
+        height, width = image.shape[:2]
+        out = np.zeros((size[1], size[0], *image.shape[2:]), image.dtype)
+        columns = (np.arange(size[0]) + 0.5) * (self.width / size[0])
+        # Strips keep the positions of a large photo in cache instead of gigabytes of memory.
+        for top in range(0, size[1], _ROWS_A_STRIP):
+            part = out[top : top + _ROWS_A_STRIP]
+            rows = (np.arange(top, top + len(part)) + 0.5) * (self.height / size[1])
+            grid = np.stack(np.meshgrid(columns, rows), axis=-1)
+            found = self.distort(grid.reshape(-1, 2)).reshape(grid.shape) * pixels - 0.5
+            x = np.clip(np.nan_to_num(found[..., 0]), 0, width - 1)
+            y = np.clip(np.nan_to_num(found[..., 1]), 0, height - 1)
+            if nearest:
+                part[...] = image[np.rint(y).astype(np.int64), np.rint(x).astype(np.int64)]
+            else:
+                _bilinear(image, x, y, part)
+        return out
+
+
+def plan_undistortion(camera: ColmapCamera) -> Undistortion | None:
+    """How to undistort a camera so that no blank pixels appear; None if it is a pinhole camera.
+
+    The pinhole camera is the one COLMAP's image undistorter would choose.
+
+    Raises:
+        DatasetError: the camera sees in all directions, no pinhole camera can replace it.
+        FormatError: the parameters make no camera.
+        BackendError: pycolmap is not installed or does not know the model.
+    """
+    if camera.is_pinhole:
+        return None
+    if camera.model == "EQUIRECTANGULAR":
+        raise DatasetError(
+            "The capture has 360 degree (EQUIRECTANGULAR) photos, which no pinhole camera can "
+            "show. Cut them into ordinary views with COLMAP's panorama script first."
+        )
+    pycolmap = _pycolmap()
+    try:
+        distorted = pycolmap_camera(pycolmap, camera)
+    except (ValueError, KeyError, AttributeError, TypeError, RuntimeError) as error:
+        raise BackendError(
+            f"The installed pycolmap {pycolmap.__version__} does not know the camera model "
+            f"{camera.model}. Update it: pip install -U pycolmap"
+        ) from error
+    try:
+        pinhole = pycolmap.undistort_camera(pycolmap.UndistortCameraOptions(), distorted)
+    except (ValueError, RuntimeError) as error:
+        raise FormatError(
+            f"The {camera.model} camera with parameters {camera.params.tolist()} cannot be "
+            f"undistorted: {error}. Run COLMAP again, perhaps with a simpler camera model."
+        ) from error
+    fx, fy, cx, cy = pinhole.params
+    plan = Undistortion(
+        camera=camera,
+        width=int(pinhole.width),
+        height=int(pinhole.height),
+        K=np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64),
+    )
+    _check_plan(plan)
+    return plan
+
+
+def undistorted_intrinsics(plan: Undistortion, size: tuple[int, int]) -> np.ndarray:
+    """[3, 3] float64 K of the pinhole camera at a size in pixels."""
+    return scale_intrinsics(plan.K, (plan.width, plan.height), size)
+
+
+def pycolmap_camera(pycolmap: Any, camera: ColmapCamera) -> Any:
+    """The camera as pycolmap's own."""
+    return pycolmap.Camera(
+        model=camera.model,
+        width=camera.width,
+        height=camera.height,
+        params=camera.params.tolist(),
+    )
+
+
+def _pycolmap() -> Any:
+    """The module, loaded when first needed."""
+    try:
+        import pycolmap
+    except ImportError as error:
+        raise BackendError(
+            "The cameras are distorted, and undistorting takes the package pycolmap: pip install "
+            '"gscore[train]", or undistort the capture with COLMAP first.'
+        ) from error
+    if not hasattr(pycolmap, "undistort_camera"):
+        raise BackendError(
+            f"The installed pycolmap {pycolmap.__version__} cannot undistort single cameras, "
+            f"expected 3.12 or newer. Update it: pip install -U pycolmap"
+        )
+    return pycolmap
+
+
+def _check_plan(plan: Undistortion) -> None:
+    """Raise FormatError if the pinhole image would show much that the photo does not."""
+    x, y = (np.linspace(0, size, 33) for size in (plan.width, plan.height))
+    found = plan.distort(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2))
+    outside = (found < -1) | (found > [plan.camera.width + 1, plan.camera.height + 1])
+    blank = float((outside | ~np.isfinite(found)).any(axis=1).mean())
+    if blank > _MOST_BLANK:
+        raise FormatError(
+            f"The {plan.camera.model} camera with parameters {plan.camera.params.tolist()} cannot "
+            f"be undistorted: {100 * blank:.0f} % of the picture would lie outside the photo, so "
+            f"the distortion is wrong. Run COLMAP again, perhaps with a simpler camera model."
+        )
+
+
+def _bilinear(image: np.ndarray, x: np.ndarray, y: np.ndarray, out: np.ndarray) -> None:
+    """Fill `out` [r, W, ...] with `image` at pixel indices x, y [r, W], inside the image."""
+    height, width = image.shape[:2]
+    left = np.minimum(x.astype(np.int64), max(width - 2, 0))
+    top = np.minimum(y.astype(np.int64), max(height - 2, 0))
+    fx, fy = (x - left).astype(np.float32), (y - top).astype(np.float32)
+    at = top * width + left
+    right, below = (1 if width > 1 else 0), (width if height > 1 else 0)
+    flat = _packed(image)
+    corners = [_unpacked(flat[at + k], out) for k in (0, right, below, right + below)]
+    channels = range(out.shape[2]) if out.ndim == 3 else [...]
+    for c in channels:
+        key = (..., c) if out.ndim == 3 else ...
+        a, b, d, e = (corner[key].astype(np.float32) for corner in corners)
+        a += fx * (b - a)
+        d += fx * (e - d)
+        a += fy * (d - a)
+        out[key] = np.rint(a) if out.dtype.kind in "iu" else a
+
+
+def _packed(image: np.ndarray) -> np.ndarray:
+    """[h w, ...] rows; bytes of a colour as one uint32, which gathers several times faster."""
+    if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] not in (3, 4):
+        return image.reshape(-1, *image.shape[2:])
+    if image.shape[2] == 3:
+        image = np.concatenate([image, np.zeros_like(image[..., :1])], axis=2)
+    return np.ascontiguousarray(image).view(np.uint32).reshape(-1)
+
+
+def _unpacked(values: np.ndarray, out: np.ndarray) -> np.ndarray:
+    """Undo `_packed` for gathered values [r, W] or [r, W, ...]."""
+    if values.ndim == out.ndim:
+        return values
+    return np.ascontiguousarray(values).view(np.uint8).reshape(*values.shape, 4)

@@ -1,0 +1,538 @@
+"""Captures on disk against what they were made from."""
+
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gscore.config import DataConfig
+from gscore.datasets import Dataset, load_dataset
+from gscore.datasets.resolution import target_size
+from gscore.errors import Cancelled, ConfigError, DatasetError, FormatError, GsError
+from gscore.io.colmap import ColmapPoints, read_model, write_model
+from gscore.io.images import read_image, write_png
+
+
+def _load(root: Path, **options: Any) -> Dataset:
+    return load_dataset(DataConfig(source=root, **options))
+
+
+def test_plain_capture(make_capture: Callable) -> None:
+    """Oracle: the model and photos that were written."""
+    capture = make_capture()
+    data = _load(capture.root)
+    cameras = data.scene.cameras
+    assert len(data) == 9 and data.names == tuple(sorted(capture.photos))
+    assert data.warnings == () and data.mask_mode == "none" and data.source == capture.root
+    assert (data.train, data.test) == (list(range(9)), [])
+    assert (cameras.widths.tolist(), cameras.heights.tolist()) == ([64] * 9, [48] * 9)
+    for i, image in enumerate(capture.model.images):
+        np.testing.assert_allclose(cameras.viewmats[i], image.viewmat, atol=1e-15)
+        np.testing.assert_array_equal(cameras.Ks[i], capture.model.cameras[1].K)
+        np.testing.assert_array_equal(data.image(i), capture.photos[image.name])
+        assert data.mask(i) is None and data.image(i).flags.c_contiguous
+    np.testing.assert_array_equal(data.scene.points.points, capture.model.points.xyz)
+    np.testing.assert_array_equal(data.scene.points.colors, capture.model.points.rgb)
+    assert data.nbytes == 9 * 64 * 48 * 3
+
+
+def test_sorted_by_name_with_subfolders(make_capture: Callable) -> None:
+    """Oracle: names sorted as text, photos and poses following."""
+    names = ["b/2.png", "a/9.png", "z.png", "a/10.png"]
+    capture = make_capture(names=names)
+    data = _load(capture.root, eval=True, test_last=1)
+    assert data.names == ("a/10.png", "a/9.png", "b/2.png", "z.png")
+    assert (data.train, data.test) == ([0, 1, 2], [3])
+    by_name = {image.name: image for image in capture.model.images}
+    for i, name in enumerate(data.names):
+        np.testing.assert_allclose(
+            data.scene.cameras.viewmats[i], by_name[name].viewmat, atol=1e-15
+        )
+        np.testing.assert_array_equal(data.image(i), capture.photos[name])
+
+
+@pytest.mark.parametrize(
+    ("size", "resolution", "expected"),
+    [
+        ((800, 600), -1, (800, 600)),
+        ((1600, 9), -1, (1600, 9)),
+        ((4000, 3000), -1, (1600, 1200)),
+        ((1237, 822), 1, (1237, 822)),
+        ((1237, 822), 2, (618, 411)),
+        ((1237, 822), 4, (309, 206)),
+        ((1237, 822), 8, (155, 103)),
+        ((1237, 822), 2.5, (495, 329)),
+        ((1237, 822), 400, (400, 266)),
+        ((300, 200), 400, (300, 200)),
+        ((5, 3), 8, (1, 1)),
+    ],
+)
+def test_target_sizes(size: tuple[int, int], resolution: float, expected: tuple[int, int]) -> None:
+    """Oracle: the documented meaning of -r, computed by hand."""
+    assert target_size(*size, resolution) == expected
+
+
+@pytest.mark.parametrize("resolution", [0, -2, 0.5, 9, 15, float("nan"), float("inf")])
+def test_unusable_resolutions(resolution: float, make_capture: Callable) -> None:
+    """Oracle: the sentence says what -r takes."""
+    with pytest.raises(ConfigError, match=r"resolution is .*; expected -1"):
+        _load(make_capture().root, resolution=resolution)
+
+
+@pytest.mark.parametrize("resolution", [1, 2, 2.5, 4, 40])
+def test_scaled_cameras_see_the_same(resolution: float, make_capture: Callable) -> None:
+    """Oracle: a point projects to the same fraction of the picture, on each axis by itself."""
+    capture = make_capture(size=(101, 67))
+    full, small = _load(capture.root), _load(capture.root, resolution=resolution)
+    sizes = [np.stack([d.scene.cameras.widths, d.scene.cameras.heights], 1) for d in (full, small)]
+    for point in capture.model.points.xyz:
+        places = []
+        for data, size in zip((full, small), sizes, strict=True):
+            cameras = data.scene.cameras
+            in_camera = cameras.viewmats[:, :3, :3] @ point + cameras.viewmats[:, :3, 3]
+            pixels = np.einsum("cij,cj->ci", cameras.Ks, in_camera)
+            places.append(pixels[:, :2] / pixels[:, 2:] / size)
+        np.testing.assert_allclose(places[0], places[1], rtol=1e-12)
+    for i in range(len(small)):
+        assert small.image(i).shape == (sizes[1][i, 1], sizes[1][i, 0], 3)
+        mean = small.image(i).mean(axis=(0, 1)) - full.image(i).mean(axis=(0, 1))
+        assert np.abs(mean).max() < 1.0
+
+
+def test_photos_of_another_size(make_capture: Callable) -> None:
+    """Oracle: photos of half the size give half the intrinsics, and a warning."""
+    capture = make_capture(size=(101, 67))
+    for name, photo in capture.photos.items():
+        small = Image.fromarray(photo).resize((50, 33), Image.Resampling.BOX)
+        (capture.root / "images_2").mkdir(exist_ok=True)
+        small.save(capture.root / "images_2" / name)
+    data = _load(capture.root, images="images_2")
+    np.testing.assert_allclose(
+        data.scene.cameras.Ks[0], np.diag([50 / 101, 33 / 67, 1]) @ capture.model.cameras[1].K
+    )
+    assert data.image(0).shape == (33, 50, 3)
+    (warning,) = data.warnings
+    assert "9 photos have another size than their camera" in warning
+    assert "view_00.png (50 x 33 for 101 x 67)" in warning
+
+
+def test_photos_of_another_shape(make_capture: Callable) -> None:
+    """Oracle: a cropped photo is refused with both sizes."""
+    capture = make_capture()
+    write_png(capture.root / "images" / "view_03.png", np.zeros((48, 40, 3), np.uint8))
+    with pytest.raises(DatasetError, match=r"view_03\.png is 40 x 48 pixels, .* for 64 x 48"):
+        _load(capture.root)
+
+
+def test_photos_turned_by_exif(make_capture: Callable) -> None:
+    """Oracle: a model made from upright photos, while the files are stored sideways."""
+    capture = make_capture(names=[f"{i}.jpg" for i in range(3)], write=False)
+    exif = Image.Exif()
+    exif[0x0112] = 6  # to show, turn clockwise: stored is the upright picture turned back
+    for name, photo in capture.photos.items():
+        (capture.root / "images").mkdir(parents=True, exist_ok=True)
+        Image.fromarray(np.ascontiguousarray(np.rot90(photo, 1))).save(
+            capture.root / "images" / name, exif=exif, quality=100, subsampling=0
+        )
+    write_model(capture.model, capture.root / "sparse")
+    data = _load(capture.root)
+    for i, name in enumerate(data.names):
+        assert np.abs(data.image(i).astype(int) - capture.photos[name]).mean() < 2
+
+
+class TestMissing:
+    """Photos and folders that are not there."""
+
+    def test_some_photos(self, make_capture: Callable) -> None:
+        """Oracle: the others are used, in order, with a warning that names the missing."""
+        capture = make_capture()
+        for i in (1, 4):
+            (capture.root / "images" / f"view_{i:02d}.png").unlink()
+        data = _load(capture.root)
+        assert len(data) == 7
+        (warning,) = data.warnings
+        assert "2 of the 9 images" in warning and "view_01.png, view_04.png" in warning
+        np.testing.assert_array_equal(data.image(1), capture.photos["view_02.png"])
+
+    def test_most_photos(self, make_capture: Callable) -> None:
+        """Oracle: the error lists the first few names and the folder."""
+        capture = make_capture()
+        for i in range(1, 9):
+            (capture.root / "images" / f"view_{i:02d}.png").unlink()
+        with pytest.raises(DatasetError) as caught:
+            _load(capture.root)
+        message = str(caught.value)
+        assert "8 of the 9 images" in message and "view_01.png" in message
+        assert "view_05.png, ..." in message and str(capture.root / "images") in message
+        assert "--images" in message
+
+    def test_folders(self, make_capture: Callable, tmp_path: Path) -> None:
+        """Oracle: the sentence names the folder and the option."""
+        capture = make_capture()
+        with pytest.raises(DatasetError, match=r"no image folder .*photos.*--images"):
+            _load(capture.root, images="photos")
+        with pytest.raises(DatasetError, match="There is no folder"):
+            _load(tmp_path / "nowhere")
+        (tmp_path / "empty").mkdir()
+        with pytest.raises(DatasetError, match=r"No COLMAP model.*Nor is there a transforms\.json"):
+            _load(tmp_path / "empty")
+
+    def test_other_ending_or_case(self, make_capture: Callable) -> None:
+        """Oracle: photos converted to another format or renamed by case are found, and said."""
+        capture = make_capture(names=["a.JPG", "Sub/b.jpg", "c.png"], write=False)
+        write_model(capture.model, capture.root / "sparse" / "0")
+        files = {"a.JPG": "a.png", "Sub/b.jpg": "sub/B.png", "c.png": "c.png"}
+        for name, file in files.items():
+            write_png(capture.root / "images" / file, capture.photos[name])
+        data = _load(capture.root)
+        for i, name in enumerate(data.names):
+            np.testing.assert_array_equal(data.image(i), capture.photos[name])
+        (warning,) = data.warnings
+        assert "2 images are named differently" in warning and "a.JPG -> a.png" in warning
+
+    def test_model_without_images(self, make_capture: Callable) -> None:
+        """Oracle: a model of nothing is refused."""
+        capture = make_capture(write=False)
+        write_model(replace(capture.model, images=[]), capture.root)
+        with pytest.raises(DatasetError, match="has no images"):
+            _load(capture.root)
+
+    def test_names_used_twice(self, make_capture: Callable) -> None:
+        """Oracle: the sentence lists them."""
+        capture = make_capture(write=False)
+        images = [replace(image, name="same.png") for image in capture.model.images]
+        write_model(replace(capture.model, images=images), capture.root)
+        with pytest.raises(DatasetError, match=r"several images of the same name: same\.png"):
+            _load(capture.root)
+
+
+class TestDecoding:
+    """When photos are decoded, and what if they are broken."""
+
+    def test_once_and_lazily(self, make_capture: Callable, monkeypatch: Any) -> None:
+        """Oracle: a count of calls; loading decodes nothing, preloading each photo once."""
+        from gscore.datasets import decode
+
+        seen: list[Path] = []
+
+        def count(path: Path, **options: Any) -> np.ndarray:
+            seen.append(path)
+            return read_image(path, **options)
+
+        monkeypatch.setattr(decode, "read_image", count)
+        data = _load(make_capture().root)
+        assert seen == []
+        progress: list[tuple[int, int]] = []
+        data.preload(threads=3, on_progress=lambda done, total: progress.append((done, total)))
+        assert progress == [(k, 9) for k in range(1, 10)]
+        first = data.image(4)
+        data.preload()
+        assert len(seen) == 9 and data.image(4) is first
+        assert sum(data.image(i).nbytes for i in range(9)) == data.nbytes
+
+    def test_threads_agree(self, make_capture: Callable) -> None:
+        """Oracle: the photos; many threads asking at the same time get the same bytes."""
+        capture = make_capture()
+        data = _load(capture.root)
+        results: list[list[np.ndarray]] = []
+
+        def ask() -> None:
+            results.append([data.image(i) for i in range(9)])
+
+        threads = [threading.Thread(target=ask) for _ in range(8)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        assert len(results) == 8
+        for images in results:
+            for image, again in zip(images, results[0], strict=True):
+                np.testing.assert_array_equal(image, again)
+
+    def test_part(self, make_capture: Callable) -> None:
+        """Oracle: only the views asked for are reported."""
+        data = _load(make_capture().root)
+        done: list[int] = []
+        data.preload([2, 5], on_progress=lambda k, total: done.append(total))
+        assert done == [2, 2]
+
+    def test_cancel(self, make_capture: Callable) -> None:
+        """Oracle: stops at the first question."""
+        data = _load(make_capture().root)
+        with pytest.raises(Cancelled):
+            data.preload(cancelled=lambda: True)
+
+    @pytest.mark.parametrize("threads", [1, 3])
+    def test_truncated_photo(self, threads: int, make_capture: Callable) -> None:
+        """Oracle: the error names the file."""
+        capture = make_capture()
+        path = capture.root / "images" / "view_06.png"
+        path.write_bytes(path.read_bytes()[:-40])
+        data = _load(capture.root)
+        with pytest.raises(FormatError, match=r"view_06\.png cannot be read as an image"):
+            data.preload(threads=threads)
+
+    def test_photo_that_is_none(self, make_capture: Callable) -> None:
+        """Oracle: known before anything is decoded."""
+        capture = make_capture()
+        (capture.root / "images" / "view_02.png").write_bytes(b"")
+        with pytest.raises(FormatError, match=r"view_02\.png cannot be read as an image"):
+            _load(capture.root)
+
+    def test_photo_that_changes(self, make_capture: Callable) -> None:
+        """Oracle: the sentence gives both sizes."""
+        capture = make_capture()
+        data = _load(capture.root)
+        write_png(capture.root / "images" / "view_00.png", np.zeros((9, 9, 3), np.uint8))
+        with pytest.raises(FormatError, match=r"is 9 x 9 pixels, expected 64 x 48; it changed"):
+            data.image(0)
+
+
+class TestMasks:
+    """Alpha, mask folders and what they mean."""
+
+    def _masks(self, root: Path, naming: str, count: int = 9, folder: str = "masks") -> None:
+        for i in range(count):
+            mask = np.zeros((48, 64), np.uint8)
+            mask[:, i:] = 255
+            mask[:3] = 100
+            write_png(root / folder / naming.format(f"view_{i:02d}"), mask)
+
+    @pytest.mark.parametrize("naming", ["{}.png", "{}.png.png", "{}.PNG"])
+    def test_folder(self, naming: str, make_capture: Callable) -> None:
+        """Oracle: the masks written, soft values kept; both naming customs."""
+        capture = make_capture()
+        self._masks(capture.root, naming)
+        data = _load(capture.root)
+        assert data.mask_mode == "ignore" and data.warnings == ()
+        mask = data.mask(5)
+        assert mask is not None and mask.flags.c_contiguous
+        assert (mask[:3] == 100).all() and not mask[3:, :5].any() and (mask[3:, 5:] == 255).all()
+        np.testing.assert_array_equal(data.image(5), capture.photos["view_05.png"])
+        assert data.nbytes == 9 * 64 * 48 * 4
+
+    def test_alpha(self, make_capture: Callable) -> None:
+        """Oracle: colours and alpha as written."""
+        capture = make_capture(alpha=True)
+        data = _load(capture.root)
+        assert data.mask_mode == "composite"
+        photo = capture.photos["view_02.png"]
+        mask = data.mask(2)
+        assert mask is not None
+        np.testing.assert_array_equal(mask, photo[..., 3])
+        np.testing.assert_array_equal(data.image(2), photo[..., :3])
+
+    def test_opaque_alpha_is_no_mask(self, make_capture: Callable) -> None:
+        """Oracle: a photo whose alpha is 255 everywhere."""
+        capture = make_capture(alpha=True)
+        photo = capture.photos["view_02.png"].copy()
+        photo[..., 3] = 255
+        write_png(capture.root / "images" / "view_02.png", photo)
+        data = _load(capture.root)
+        assert data.mask(2) is None and data.mask(3) is not None
+        assert data.nbytes >= sum(
+            data.image(i).nbytes + (0 if data.mask(i) is None else data.mask(i).nbytes)  # type: ignore[union-attr]
+            for i in range(9)
+        )
+
+    @pytest.mark.parametrize(
+        ("alpha", "folder", "mode", "expected", "has_mask"),
+        [
+            (True, False, "auto", "composite", True),
+            (True, False, "ignore", "ignore", True),
+            (True, False, "none", "none", False),
+            (True, True, "auto", "ignore", True),
+            (False, True, "composite", "composite", True),
+            (False, True, "none", "none", False),
+            (False, False, "composite", "none", False),
+        ],
+    )
+    def test_modes(
+        self,
+        alpha: bool,
+        folder: bool,
+        mode: str,
+        expected: str,
+        has_mask: bool,
+        make_capture: Callable,
+    ) -> None:
+        """Oracle: the documented table; a folder wins over alpha."""
+        capture = make_capture(alpha=alpha)
+        if folder:
+            self._masks(capture.root, "{}.png")
+        data = _load(capture.root, mask_mode=mode)
+        assert data.mask_mode == expected
+        mask = data.mask(4)
+        assert (mask is not None) == has_mask
+        if folder and mask is not None:
+            assert mask[10, 3] == 0 and mask[10, 4] == 255
+
+    def test_scaled_with_the_photo(self, make_capture: Callable) -> None:
+        """Oracle: area means; pixels cut in half are half kept."""
+        capture = make_capture()
+        self._masks(capture.root, "{}.png")
+        mask = _load(capture.root, resolution=2).mask(5)
+        assert mask is not None and mask.shape == (24, 32)
+        assert mask[10, :4].tolist() == [0, 0, 128, 255]
+
+    def test_other_folder(self, make_capture: Callable) -> None:
+        """Oracle: the folder of the option is used, a missing or foreign one refused."""
+        capture = make_capture()
+        self._masks(capture.root, "{}.png", folder="mattes")
+        assert _load(capture.root).mask_mode == "none"
+        assert _load(capture.root, masks="mattes").mask_mode == "ignore"
+        with pytest.raises(DatasetError, match=r"no mask folder .*gone"):
+            _load(capture.root, masks="gone")
+        write_png(capture.root / "other" / "x.png", np.zeros((2, 2), np.uint8))
+        with pytest.raises(DatasetError, match=r"has no mask of any view.*view_00\.png\.png"):
+            _load(capture.root, masks="other")
+        write_png(capture.root / "masks" / "x.png", np.zeros((2, 2), np.uint8))
+        data = _load(capture.root)
+        assert data.mask_mode == "none" and "It is not used" in data.warnings[0]
+
+    def test_some_missing(self, make_capture: Callable) -> None:
+        """Oracle: views without a mask count as a whole, with a warning."""
+        capture = make_capture()
+        self._masks(capture.root, "{}.png", count=7)
+        data = _load(capture.root)
+        assert data.mask(8) is None and data.mask(6) is not None
+        assert "2 of 9 views have no mask" in data.warnings[0]
+
+    def test_other_size(self, make_capture: Callable) -> None:
+        """Oracle: the error names the file and both sizes, before anything is decoded."""
+        capture = make_capture()
+        self._masks(capture.root, "{}.png")
+        write_png(capture.root / "masks" / "view_04.png", np.zeros((24, 32), np.uint8))
+        with pytest.raises(DatasetError, match=r"view_04\.png is 32 x 24 pixels, .* is 64 x 48"):
+            _load(capture.root)
+
+    def test_unknown_mode(self, make_capture: Callable) -> None:
+        """Oracle: the sentence lists the values."""
+        with pytest.raises(ConfigError, match="expected one of auto, composite, ignore, none"):
+            _load(make_capture().root, mask_mode="invert")
+
+
+class TestPoints:
+    """Points mended while loading."""
+
+    @pytest.mark.parametrize("known", [True, False])
+    def test_black_points_are_colored(self, known: bool, make_capture: Callable) -> None:
+        """Oracle: the colours of the discs that the points are drawn as in the photos."""
+        capture = make_capture(black=True, views=12)
+        if not known:  # without observations every photo is asked
+            images = [
+                replace(image, point3D_ids=np.full_like(image.point3D_ids, -1))
+                for image in capture.model.images
+            ]
+            write_model(replace(capture.model, images=images), capture.root / "sparse" / "0")
+        data = _load(capture.root)
+        assert "All 6 points are black" in data.warnings[0]
+        points = capture.model.points.xyz
+        expected = np.zeros((6, 3))
+        number = np.zeros(6)
+        for i, name in enumerate(data.names):
+            cameras = data.scene.cameras
+            in_camera = points @ cameras.viewmats[i, :3, :3].T + cameras.viewmats[i, :3, 3]
+            pixels = in_camera @ cameras.Ks[i].T
+            pixels = np.floor(pixels[:, :2] / pixels[:, 2:]).astype(int)
+            for k, (x, y) in enumerate(pixels):
+                if 0 <= x < 64 and 0 <= y < 48:
+                    expected[k] += capture.photos[name][y, x]
+                    number[k] += 1
+        np.testing.assert_allclose(data.scene.points.colors, expected / number[:, None], atol=0.51)
+
+    def test_masked_pixels_give_no_color(self, make_capture: Callable) -> None:
+        """Oracle: all photos masked out leave the points grey."""
+        capture = make_capture(black=True)
+        for name in capture.photos:
+            write_png(capture.root / "masks" / name, np.zeros((48, 64), np.uint8))
+        assert (_load(capture.root).scene.points.colors == 128).all()
+
+    def test_one_coloured_point_is_enough(self, make_capture: Callable) -> None:
+        """Oracle: only a model that is black altogether was made without colours."""
+        capture = make_capture()
+        rgb = np.zeros_like(capture.model.points.rgb)
+        rgb[2] = 9
+        points = replace(capture.model.points, rgb=rgb)
+        write_model(replace(capture.model, points=points), capture.root / "sparse" / "0")
+        data = _load(capture.root)
+        assert data.warnings == ()
+        np.testing.assert_array_equal(data.scene.points.colors, rgb)
+
+    def test_no_points(self, make_capture: Callable) -> None:
+        """Oracle: random ones, the same every time, most of them in view, and a warning."""
+        capture = make_capture()
+        write_model(
+            replace(capture.model, points=ColmapPoints.none()), capture.root / "sparse" / "0"
+        )
+        first, second = _load(capture.root), _load(capture.root)
+        assert len(first.scene.points) == 100_000
+        np.testing.assert_array_equal(first.scene.points.points, second.scene.points.points)
+        assert any("no points; starting from 100000 random" in w for w in first.warnings)
+
+    @pytest.mark.parametrize("black", [False, True])
+    def test_points_that_are_not_finite(self, black: bool, make_capture: Callable) -> None:
+        """Oracle: they are left out; the others keep their colours."""
+        capture = make_capture()
+        xyz = capture.model.points.xyz.copy()
+        xyz[[1, 3], 0] = [np.nan, np.inf]
+        rgb = capture.model.points.rgb * np.uint8(not black)
+        points = replace(capture.model.points, xyz=xyz, rgb=rgb)
+        write_model(replace(capture.model, points=points), capture.root / "sparse" / "0")
+        data = _load(capture.root)
+        assert "2 points are not finite" in data.warnings[0]
+        np.testing.assert_array_equal(data.scene.points.points, xyz[[0, 2, 4, 5]])
+        shown = capture.model.points.rgb[[0, 2, 4, 5]]
+        if not black:
+            np.testing.assert_array_equal(data.scene.points.colors, shown)
+        else:
+            assert len(data.warnings) == 2
+            nearest = np.abs(data.scene.points.colors.astype(int)[:, None] - shown[None]).sum(-1)
+            assert (nearest.argmin(axis=1) == np.arange(4)).all()
+
+
+def test_hostile_folder(make_capture: Callable, mutations: Callable) -> None:
+    """Oracle: a capture with a damaged model or photo loads or gives one of our errors."""
+    capture = make_capture(views=4)
+    for path in (capture.root / "sparse/0/images.bin", capture.root / "images/view_01.png"):
+        good = path.read_bytes()
+        for k, raw in enumerate(mutations(good)):
+            if k % 3:
+                continue
+            path.write_bytes(raw)
+            try:
+                _load(capture.root).preload(threads=1)
+            except GsError as error:
+                assert str(error)
+        path.write_bytes(good)
+
+
+@pytest.mark.data
+@pytest.mark.parametrize(
+    ("name", "views", "test"), [("plush", 59, 8), ("stone_horse", 60, 8), ("lund", 29, 4)]
+)
+def test_real_captures(name: str, views: int, test: int, data_root: Path) -> None:
+    """Oracle: the numbers in the captures' notes, and their reprojection error from the points."""
+    data = _load(data_root / name, eval=True, resolution=2)
+    assert (len(data), len(data.test), data.warnings) == (views, test, ())
+    data.preload()
+    assert sum(data.image(i).nbytes for i in range(views)) == data.nbytes
+    model = read_model(data_root / name)
+    by_name = {image.name: image for image in model.images}
+    index = {point_id: k for k, point_id in enumerate(model.points.ids.tolist())}
+    cameras, errors = data.scene.cameras, []
+    for i, view in enumerate(data.names):
+        image = by_name[view]
+        seen = image.point3D_ids != -1
+        points = data.scene.points.points[[index[k] for k in image.point3D_ids[seen].tolist()]]
+        in_camera = points @ cameras.viewmats[i, :3, :3].T + cameras.viewmats[i, :3, 3]
+        pixels = in_camera @ cameras.Ks[i].T
+        camera = model.cameras[image.camera_id]
+        ratio = [cameras.widths[i] / camera.width, cameras.heights[i] / camera.height]
+        errors.append(pixels[:, :2] / pixels[:, 2:] - image.xys[seen] * ratio)
+    assert np.linalg.norm(np.concatenate(errors), axis=1).mean() < 0.7 / 2 + 0.05

@@ -1,0 +1,338 @@
+"""Splat PLY in every dialect, checked with plyfile and by hand."""
+
+import logging
+import os
+import time
+from collections.abc import Callable
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import plyfile
+import pytest
+
+from gscore.errors import DatasetError, FormatError, GsError
+from gscore.io.ply import read_splats, write_splats
+from gscore.io.ply_points import read_point_cloud
+from gscore.splats import SH_REST_BY_DEGREE, Splats
+
+
+@pytest.fixture
+def make_splats(rng: np.random.Generator) -> Callable[..., Splats]:
+    """Random splats of a degree."""
+
+    def make(count: int = 50, degree: int = 3) -> Splats:
+        def normal(*shape: int) -> np.ndarray:
+            return rng.standard_normal(shape, dtype=np.float32)
+
+        return Splats(
+            means=normal(count, 3),
+            quats=normal(count, 4),
+            scales=normal(count, 3),
+            opacities=normal(count),
+            sh0=normal(count, 1, 3),
+            shN=normal(count, SH_REST_BY_DEGREE[degree], 3),
+        )
+
+    return make
+
+
+def _columns(splats: Splats) -> dict[str, np.ndarray]:
+    """Properties by name, written out by hand from the public description of the format."""
+    out = {name: splats.means[:, k] for k, name in enumerate("xyz")}
+    out |= {f"f_dc_{c}": splats.sh0[:, 0, c] for c in range(3)}
+    rest = splats.shN.shape[1]
+    for c in range(3):
+        out |= {f"f_rest_{c * rest + k}": splats.shN[:, k, c] for k in range(rest)}
+    out["opacity"] = splats.opacities
+    out |= {f"scale_{k}": splats.scales[:, k] for k in range(3)}
+    out |= {f"rot_{k}": splats.quats[:, k] for k in range(4)}
+    return out
+
+
+def _write(
+    path: Path, columns: dict[str, np.ndarray], *, text: bool = False, order: str = "<"
+) -> None:
+    table = np.zeros(len(next(iter(columns.values()))), [(n, c.dtype) for n, c in columns.items()])
+    for name, column in columns.items():
+        table[name] = column
+    element = plyfile.PlyElement.describe(table, "vertex")
+    plyfile.PlyData([element], text=text, byte_order=order).write(str(path))
+
+
+def _assert_equal(a: Splats, b: Splats) -> None:
+    for item in fields(Splats):
+        np.testing.assert_array_equal(getattr(a, item.name), getattr(b, item.name), item.name)
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_writes_the_official_layout(degree: int, make_splats: Callable, tmp_path: Path) -> None:
+    """Oracle: names and order of the official files, values as plyfile reads them."""
+    splats = make_splats(degree=degree)
+    write_splats(tmp_path / "a.ply", splats, comments=("SplatRenderMode: mip",))
+    data = plyfile.PlyData.read(str(tmp_path / "a.ply"))
+    vertex = data["vertex"]
+    rest = [f"f_rest_{k}" for k in range(3 * SH_REST_BY_DEGREE[degree])]
+    assert [p.name for p in vertex.properties] == [
+        *("x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"),
+        *rest,
+        *("opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"),
+    ]
+    assert all(p.val_dtype == "f4" for p in vertex.properties)
+    assert data.byte_order == "<" and not data.text
+    assert data.comments == ["SplatRenderMode: mip"]
+    for name, column in _columns(splats).items():
+        np.testing.assert_array_equal(vertex[name], column, name)
+    assert not any(vertex[name].any() for name in ("nx", "ny", "nz"))
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_round_trip_to_the_bit(degree: int, make_splats: Callable, tmp_path: Path) -> None:
+    """Oracle: what was written, with more splats than one block, zeros of both signs, denormals."""
+    splats = make_splats(40_000, degree)
+    splats.means[:3, 0] = [-0.0, 1e-42, 3.4e38]
+    write_splats(tmp_path / "a.ply", splats)
+    again = read_splats(tmp_path / "a.ply")
+    _assert_equal(again, splats)
+    assert np.signbit(again.means[0, 0])
+    assert all(getattr(again, item.name).flags.c_contiguous for item in fields(Splats))
+
+
+def test_million_splats_in_seconds(make_splats: Callable, tmp_path: Path) -> None:
+    """Oracle: the clock, generously: 200,000 splats in 2 s each way on a busy machine."""
+    splats = make_splats(200_000)
+    start = time.perf_counter()
+    write_splats(tmp_path / "a.ply", splats)
+    middle = time.perf_counter()
+    read_splats(tmp_path / "a.ply")
+    assert middle - start < 2
+    assert time.perf_counter() - middle < 2
+
+
+class TestDialects:
+    """Files other programs write."""
+
+    def test_any_order_and_more_properties(self, make_splats: Callable, tmp_path: Path) -> None:
+        """Oracle: the same splats, columns shuffled, without normals, with strangers between."""
+        splats = make_splats()
+        columns = _columns(splats)
+        names = sorted(columns, key=lambda name: name[::-1])
+        mixed: dict[str, np.ndarray] = {"t": np.zeros(50, np.uint8)}
+        for name in names:
+            mixed[name] = columns[name]
+        mixed["segment"] = np.arange(50, dtype=np.int32)
+        _write(tmp_path / "a.ply", mixed)
+        _assert_equal(read_splats(tmp_path / "a.ply"), splats)
+
+    @pytest.mark.parametrize(("text", "order"), [(True, "="), (False, ">")])
+    def test_text_and_big_endian(
+        self, text: bool, order: str, make_splats: Callable, tmp_path: Path
+    ) -> None:
+        """Oracle: the same splats as plyfile writes them (text with 8 digits)."""
+        splats = make_splats(degree=1)
+        _write(tmp_path / "a.ply", _columns(splats), text=text, order=order)
+        again = read_splats(tmp_path / "a.ply")
+        np.testing.assert_allclose(again.shN, splats.shN, rtol=1e-6 if text else 0)
+        np.testing.assert_allclose(again.quats, splats.quats, rtol=1e-6 if text else 0)
+
+    def test_doubles(self, make_splats: Callable, tmp_path: Path) -> None:
+        """Oracle: the same numbers, stored as doubles."""
+        splats = make_splats(degree=0)
+        wide = {name: column.astype(np.float64) for name, column in _columns(splats).items()}
+        _write(tmp_path / "a.ply", wide)
+        _assert_equal(read_splats(tmp_path / "a.ply"), splats)
+
+    def test_bytes_as_color(self, make_splats: Callable, tmp_path: Path) -> None:
+        """Oracle: colour = 0.5 + 0.2820948 f_dc gives the byte back."""
+        splats = make_splats(degree=0)
+        columns = {n: c for n, c in _columns(splats).items() if not n.startswith("f_dc")}
+        rgb = np.arange(150, dtype=np.uint8).reshape(50, 3)
+        for c, name in enumerate(("red", "green", "blue")):
+            columns[name] = rgb[:, c]
+        _write(tmp_path / "a.ply", columns)
+        again = read_splats(tmp_path / "a.ply")
+        np.testing.assert_allclose(
+            (0.5 + 0.28209479177387814 * again.sh0[:, 0]) * 255, rgb, atol=1e-4
+        )
+        assert again.sh_degree == 0
+
+    def test_degree_4_is_cut(
+        self, make_splats: Callable, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        """Oracle: the first 15 of 24 coefficients a channel."""
+        splats = make_splats(degree=0)
+        columns = _columns(splats)
+        rest = np.arange(72, dtype=np.float32)
+        for k in range(72):
+            columns[f"f_rest_{k}"] = np.full(50, rest[k])
+        _write(tmp_path / "a.ply", columns)
+        with caplog.at_level(logging.WARNING):
+            again = read_splats(tmp_path / "a.ply")
+        assert again.sh_degree == 3
+        np.testing.assert_array_equal(again.shN[0], rest.reshape(3, 24)[:, :15].T)
+        assert "24 SH coefficients" in caplog.text and "first 15" in caplog.text
+
+    def test_incomplete_band_is_cut(self, make_splats: Callable, tmp_path: Path) -> None:
+        """Oracle: 5 coefficients a channel hold one whole band of 3."""
+        columns = _columns(make_splats(degree=0))
+        for k in range(15):
+            columns[f"f_rest_{k}"] = np.full(50, k, np.float32)
+        _write(tmp_path / "a.ply", columns)
+        again = read_splats(tmp_path / "a.ply")
+        np.testing.assert_array_equal(again.shN[0], [[0, 5, 10], [1, 6, 11], [2, 7, 12]])
+
+    def test_broken_rows_are_left_out(
+        self, make_splats: Callable, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        """Oracle: the rows that were damaged by hand, counted; +inf opacity means opaque."""
+        splats = make_splats()
+        splats.means[3, 1] = np.nan
+        splats.shN[4, 7, 2] = np.inf
+        splats.quats[5] = 0
+        splats.scales[6, 0] = -np.inf
+        splats.opacities[7] = np.inf
+        splats.opacities[8] = -np.inf
+        write_splats(tmp_path / "a.ply", splats)
+        with caplog.at_level(logging.WARNING):
+            again = read_splats(tmp_path / "a.ply")
+        assert len(again) == 45
+        assert again.opacities[3] == 20
+        assert "5 of 50 splats have numbers that are not finite" in caplog.text
+
+    def test_no_splats(self, make_splats: Callable, tmp_path: Path) -> None:
+        """Oracle: an empty model is a model."""
+        write_splats(tmp_path / "a.ply", make_splats(0))
+        again = read_splats(tmp_path / "a.ply")
+        assert len(again) == 0 and again.sh_degree == 3
+
+
+class TestRefusals:
+    """What is no splat model, in one sentence."""
+
+    def test_point_cloud(self, tmp_path: Path) -> None:
+        """Oracle: the sentence names what is missing and what to choose."""
+        points = {name: np.zeros(4, np.float32) for name in "xyz"}
+        _write(tmp_path / "points.ply", points | {"red": np.zeros(4, np.uint8)})
+        with pytest.raises(FormatError) as caught:
+            read_splats(tmp_path / "points.ply")
+        message = str(caught.value)
+        assert "points.ply holds no Gaussian splats: its vertices lack opacity, scale_0" in message
+        assert "plain mesh or point cloud" in message and message.count(". ") == 0
+
+    def test_no_vertices(self, tmp_path: Path) -> None:
+        """Oracle: a PLY of faces only."""
+        face = np.zeros(1, [("a", "i4")])
+        element = plyfile.PlyElement.describe(face, "face")
+        plyfile.PlyData([element]).write(str(tmp_path / "a.ply"))
+        with pytest.raises(FormatError, match="holds no Gaussian splats"):
+            read_splats(tmp_path / "a.ply")
+
+    def test_other_files(self, tmp_path: Path) -> None:
+        """Oracle: missing file, other contents, header without an end."""
+        with pytest.raises(DatasetError, match=r"Cannot read .*none\.ply"):
+            read_splats(tmp_path / "none.ply")
+        (tmp_path / "a.ply").write_bytes(b"\x89PNG\r\n")
+        with pytest.raises(FormatError, match="is not a PLY file"):
+            read_splats(tmp_path / "a.ply")
+        (tmp_path / "a.ply").write_bytes(b"ply\nformat ascii 1.0\n")
+        with pytest.raises(FormatError, match="no end_header"):
+            read_splats(tmp_path / "a.ply")
+
+    def test_gaps_in_rest(self, make_splats: Callable, tmp_path: Path) -> None:
+        """Oracle: f_rest_2 left out."""
+        columns = _columns(make_splats(degree=1))
+        del columns["f_rest_2"]
+        _write(tmp_path / "a.ply", columns)
+        with pytest.raises(FormatError, match="not numbered 0 to 7"):
+            read_splats(tmp_path / "a.ply")
+
+    def test_rest_not_of_three_channels(self, make_splats: Callable, tmp_path: Path) -> None:
+        """Oracle: seven coefficients cannot be three channels."""
+        columns = _columns(make_splats(degree=1))
+        del columns["f_rest_8"], columns["f_rest_7"]
+        _write(tmp_path / "a.ply", columns)
+        with pytest.raises(FormatError, match="expected 0, 9, 24 or 45"):
+            read_splats(tmp_path / "a.ply")
+
+    def test_list_in_place_of_number(self, make_splats: Callable, tmp_path: Path) -> None:
+        """Oracle: opacity stored as a list."""
+        columns = _columns(make_splats(2, 0))
+        table = np.zeros(2, [(n, "O" if n == "opacity" else "f4") for n in columns])
+        table["opacity"] = [np.zeros(2, np.float32)] * 2
+        plyfile.PlyData(
+            [plyfile.PlyElement.describe(table, "vertex", val_types={"opacity": "f4"})]
+        ).write(str(tmp_path / "a.ply"))
+        with pytest.raises(FormatError, match="opacity is a list"):
+            read_splats(tmp_path / "a.ply")
+
+    def test_every_truncation(self, make_splats: Callable, tmp_path: Path) -> None:
+        """Oracle: a file cut anywhere is refused, naming the file."""
+        path = tmp_path / "a.ply"
+        write_splats(path, make_splats(3, 0))
+        good = path.read_bytes()
+        for cut in range(len(good)):
+            path.write_bytes(good[:cut])
+            with pytest.raises(FormatError, match=r"a\.ply"):
+                read_splats(path)
+
+    def test_huge_count(self, make_splats: Callable, tmp_path: Path) -> None:
+        """Oracle: 10^15 vertices are refused without allocating."""
+        path = tmp_path / "a.ply"
+        write_splats(path, make_splats(3, 0))
+        path.write_bytes(path.read_bytes().replace(b"vertex 3", b"vertex 1000000000000000"))
+        with pytest.raises(FormatError, match="announces 1000000000000000 rows of vertex"):
+            read_splats(path)
+
+    @pytest.mark.parametrize("text", [True, False])
+    def test_hostile(
+        self, text: bool, make_splats: Callable, mutations: Callable, tmp_path: Path
+    ) -> None:
+        """Oracle: a damaged file gives splats or one of our errors, never another exception."""
+        path, refused = tmp_path / "a.ply", 0
+        _write(path, _columns(make_splats(4, 1)), text=text)
+        for raw in mutations(path.read_bytes()):
+            path.write_bytes(raw)
+            for read in (read_splats, read_point_cloud):
+                try:
+                    read(path)
+                except GsError:
+                    refused += 1
+        assert refused > 40
+
+
+@pytest.mark.skipif(os.name == "nt", reason="needs /dev/full")
+def test_failed_write_leaves_the_old_model(make_splats: Callable, tmp_path: Path) -> None:
+    """Oracle: the old file, when its folder's name is taken by a file."""
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(GsError, match="Cannot write"):
+        write_splats(tmp_path / "file" / "a.ply", make_splats())
+    assert (tmp_path / "file").read_text() == "in the way"
+
+
+class TestPointClouds:
+    """Plain points, as transforms.json captures have them."""
+
+    @pytest.mark.parametrize("kind", ["u1", "u2", "f4"])
+    def test_colors(self, kind: str, tmp_path: Path) -> None:
+        """Oracle: full and half intensity in each type."""
+        top = 1.0 if kind == "f4" else np.iinfo(kind).max
+        columns = {name: np.arange(2, dtype=np.float64) for name in "xyz"}
+        for name in ("red", "green", "blue"):
+            columns[name] = np.array([top, top / 2]).astype(kind)
+        _write(tmp_path / "a.ply", columns)
+        cloud = read_point_cloud(tmp_path / "a.ply")
+        assert cloud.points.tolist() == [[0, 0, 0], [1, 1, 1]]
+        assert (cloud.colors[0] == 255).all() and (
+            abs(cloud.colors[1].astype(int) - 127) <= 1
+        ).all()
+
+    def test_without_colors(self, tmp_path: Path) -> None:
+        """Oracle: black."""
+        _write(tmp_path / "a.ply", {name: np.ones(2, np.float32) for name in "xyz"})
+        assert not read_point_cloud(tmp_path / "a.ply").colors.any()
+
+    def test_no_points(self, tmp_path: Path) -> None:
+        """Oracle: the sentence names what is missing."""
+        _write(tmp_path / "a.ply", {"x": np.ones(2, np.float32)})
+        with pytest.raises(FormatError, match="lack y, z"):
+            read_point_cloud(tmp_path / "a.ply")

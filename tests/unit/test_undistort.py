@@ -1,0 +1,262 @@
+"""Undistortion against pycolmap: what it draws at a distorted place ends up where K says."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+import pytest
+
+from gscore.config import DataConfig
+from gscore.datasets import load_dataset
+from gscore.datasets.decode import ViewFile, decode_view
+from gscore.datasets.resolution import scale_intrinsics
+from gscore.datasets.undistort import Undistortion, plan_undistortion
+from gscore.errors import DatasetError, FormatError
+from gscore.io.camera_models import CAMERA_MODELS
+from gscore.io.colmap import ColmapCamera
+from gscore.io.images import resize, write_png
+
+_DISTORTED = [
+    model.name
+    for model in CAMERA_MODELS
+    if model.name not in ("SIMPLE_PINHOLE", "PINHOLE", "EQUIRECTANGULAR")
+]
+_SIZE = (200, 150)
+
+
+def _camera(model: str) -> ColmapCamera:
+    """A camera with off-centre principal point, fx != fy where it can, visible distortion."""
+    theirs = pycolmap.Camera.create_from_model_name(1, model, 170.0, *_SIZE)
+    params = np.array(theirs.params, float)
+    if len(theirs.focal_length_idxs()) == 2:
+        params[1] = 176.0
+    for index, value in zip(theirs.principal_point_idxs(), (103.0, 72.0), strict=True):
+        params[index] = value
+    small = {"p1": 0.002, "p2": -0.003, "p0": 0.002, "sx1": 0.001, "sy1": 0.001, "omega": 1.0}
+    small |= {"alpha": 0.5, "beta": 1.1, "k": -0.1, "k1": -0.1, "k2": 0.02, "k0": -0.1}
+    names = [name.strip() for name in theirs.params_info.split(",")]
+    for k in theirs.extra_params_idxs():
+        params[k] = small.get(names[k], 0.001)
+    return ColmapCamera(model=model, width=_SIZE[0], height=_SIZE[1], params=params)
+
+
+def _project(camera: ColmapCamera, points: np.ndarray) -> np.ndarray:
+    """Pixels of camera-space points [P, 3], by pycolmap."""
+    theirs = pycolmap.Camera(
+        model=camera.model, width=camera.width, height=camera.height, params=camera.params
+    )
+    return theirs.img_from_cam(points)
+
+
+def _marker(size: tuple[int, int], at: np.ndarray) -> np.ndarray:
+    """[h, w] uint8, a smooth spot of standard deviation 2 px around a position."""
+    row, column = np.mgrid[0 : size[1], 0 : size[0]] + 0.5
+    spot = np.exp(-((column - at[0]) ** 2 + (row - at[1]) ** 2) / (2 * 2.0**2))
+    return np.rint(255 * spot).astype(np.uint8)
+
+
+def _centroid(image: np.ndarray) -> np.ndarray:
+    weight = np.where(image > 8, image, 0).astype(float)
+    row, column = np.mgrid[0 : image.shape[0], 0 : image.shape[1]] + 0.5
+    return np.array([(weight * column).sum(), (weight * row).sum()]) / weight.sum()
+
+
+def _plan(camera: ColmapCamera) -> Undistortion:
+    plan = plan_undistortion(camera)
+    assert plan is not None
+    return plan
+
+
+@pytest.mark.parametrize("model", _DISTORTED)
+@pytest.mark.parametrize("scale", [1.0, 1.5])
+def test_markers_land_where_the_pinhole_predicts(model: str, scale: float) -> None:
+    """Oracle: pycolmap projects 3D points with the distorted camera; K alone predicts the result.
+
+    With scale 1.5 the photo is larger than the camera was calibrated at.
+    """
+    camera = _camera(model)
+    plan = _plan(camera)
+    photo_size = (round(_SIZE[0] * scale), round(_SIZE[1] * scale))
+    size = (round(plan.width * scale), round(plan.height * scale))
+    K = scale_intrinsics(plan.K, (plan.width, plan.height), size)
+    # Points behind pixels of the pinhole image, at several depths.
+    targets = np.array([[0.5, 0.5], [0.15, 0.2], [0.85, 0.2], [0.15, 0.8], [0.8, 0.85]]) * size
+    depths = np.array([1.0, 2.0, 3.0, 0.5, 7.0])
+    rays = np.column_stack([targets, np.ones(5)]) @ np.linalg.inv(K).T
+    drawn = _project(camera, rays * depths[:, None]) * scale
+    moved = np.abs(drawn - _project_pinhole(camera, rays) * scale).max()
+    assert moved > 0.5  # the distortion is there to be undone
+    for target, at in zip(targets, drawn, strict=True):
+        photo = np.repeat(_marker(photo_size, at)[..., None], 3, axis=2)
+        out = plan.remap(photo, size, pixels=(scale, scale))
+        assert out.shape == (size[1], size[0], 3)
+        assert np.abs(_centroid(out[..., 1]) - target).max() < 0.2
+        np.testing.assert_array_equal(out[..., 0], out[..., 2])
+        mask = plan.remap(_marker(photo_size, at), size, pixels=(scale, scale))
+        np.testing.assert_array_equal(mask, out[..., 0])
+
+
+def _project_pinhole(camera: ColmapCamera, rays: np.ndarray) -> np.ndarray:
+    projected = rays @ camera.K.T
+    return projected[:, :2] / projected[:, 2:]
+
+
+@pytest.mark.parametrize("model", ["SIMPLE_RADIAL", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV"])
+def test_pictures_equal_those_of_colmap(model: str, rng: np.random.Generator) -> None:
+    """Oracle: pycolmap's own undistorter on a smooth random photo, pixel by pixel."""
+    camera = _camera(model)
+    plan = _plan(camera)
+    coarse = rng.uniform(0, 255, (8, 10, 3))
+    row, column = np.mgrid[0 : _SIZE[1], 0 : _SIZE[0]]
+    r, c = row / _SIZE[1] * 6.9, column / _SIZE[0] * 8.9
+    i, j = r.astype(int), c.astype(int)
+    u, v = (r - i)[..., None], (c - j)[..., None]
+    top = coarse[i, j] * (1 - v) + coarse[i, j + 1] * v
+    below = coarse[i + 1, j] * (1 - v) + coarse[i + 1, j + 1] * v
+    photo = np.rint(top * (1 - u) + below * u).astype(np.uint8)
+    theirs, theirs_camera = pycolmap.undistort_image(
+        pycolmap.UndistortCameraOptions(),
+        pycolmap.Bitmap.from_array(photo),
+        pycolmap.Camera(model=model, width=_SIZE[0], height=_SIZE[1], params=camera.params),
+    )
+    assert (theirs_camera.width, theirs_camera.height) == (plan.width, plan.height)
+    np.testing.assert_allclose(theirs_camera.calibration_matrix(), plan.K)
+    ours = plan.remap(photo, (plan.width, plan.height))
+    difference = np.abs(ours.astype(int) - theirs.to_array().astype(int)).max(axis=2)
+    # Where the photo ends they paint black and we repeat its border.
+    row, column = np.mgrid[0 : plan.height, 0 : plan.width] + 0.5
+    source = plan.distort(np.column_stack([column.ravel(), row.ravel()])).reshape(*row.shape, 2)
+    inside = ((source > 1) & (source < np.array(_SIZE) - 1)).all(axis=2)
+    assert inside.mean() > 0.95
+    assert difference[inside].max() <= 1
+
+
+def test_nearest_keeps_values(rng: np.random.Generator) -> None:
+    """Oracle: labels and depths stay members of the input; bilinear floats stay in range."""
+    plan = _plan(_camera("OPENCV"))
+    labels = np.where(rng.uniform(size=(150, 200)) > 0.5, 255, 0).astype(np.uint8)
+    out = plan.remap(labels, (plan.width, plan.height), nearest=True)
+    assert set(np.unique(out).tolist()) == {0, 255}
+    depth = rng.uniform(1, 9, (150, 200)).astype(np.float32)
+    out = plan.remap(depth, (plan.width, plan.height), nearest=True)
+    assert out.dtype == np.float32 and np.isin(out, depth).all()
+    smooth = plan.remap(depth, (plan.width, plan.height))
+    assert depth.min() <= smooth.min() and smooth.max() <= depth.max()
+
+
+def test_one_pixel_photo() -> None:
+    """Oracle: a photo of one row or column has nothing to interpolate between."""
+    plan = _plan(_camera("SIMPLE_RADIAL"))
+    for shape in ((1, 1, 3), (1, 200, 3), (150, 1, 3)):
+        photo = np.full(shape, 77, np.uint8)
+        pixels = (shape[1] / 200, shape[0] / 150)
+        assert (plan.remap(photo, (20, 15), pixels=pixels) == 77).all()
+
+
+def test_pinhole_needs_nothing() -> None:
+    """Oracle: cameras without distortion, and models whose distortion is 0, are left alone."""
+    for model in ("PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL"):
+        theirs = pycolmap.Camera.create_from_model_name(1, model, 170.0, *_SIZE)
+        camera = ColmapCamera(model=model, width=200, height=150, params=np.array(theirs.params))
+        assert plan_undistortion(camera) is None
+
+
+def test_refusals() -> None:
+    """Oracle: panoramas and distortion that folds over are refused in a sentence."""
+    panorama = ColmapCamera(
+        model="EQUIRECTANGULAR", width=200, height=100, params=np.array([200.0, 100.0])
+    )
+    with pytest.raises(DatasetError, match="360 degree"):
+        plan_undistortion(panorama)
+    params = np.array([30.0, 30, 100, 75, -0.3, 0, 0, 0, 0, 0, 0, 0])
+    folded = ColmapCamera(model="FULL_OPENCV", width=200, height=150, params=params)
+    with pytest.raises(FormatError, match=r"% of the picture would lie outside the photo"):
+        plan_undistortion(folded)
+
+
+class TestInADataset:
+    """The whole chain: model, photos, masks, scaling."""
+
+    @pytest.mark.parametrize("model", ["SIMPLE_RADIAL", "OPENCV_FISHEYE"])
+    @pytest.mark.parametrize("resolution", [1, 2, 5])
+    def test_points_appear_where_the_scene_says(
+        self, model: str, resolution: float, make_capture: Callable
+    ) -> None:
+        """Oracle: a spot drawn by pycolmap's projection is found at K (R x + t), masks alike."""
+        camera = _camera(model)
+        capture = make_capture(
+            model=model, params=camera.params.tolist(), size=_SIZE, views=3, points=1
+        )
+        point = capture.model.points.xyz[0]
+        for image in capture.model.images:
+            in_camera = image.viewmat[:3, :3] @ point + image.viewmat[:3, 3]
+            spot = _marker(_SIZE, _project(camera, in_camera[None])[0])
+            write_png(capture.root / "images" / image.name, np.repeat(spot[..., None], 3, 2))
+            write_png(capture.root / "masks" / image.name, np.maximum(spot, 1))
+        data = load_dataset(DataConfig(source=capture.root, resolution=resolution))
+        cameras = data.scene.cameras
+        assert data.mask_mode == "ignore"
+        for i in range(3):
+            K, viewmat = cameras.Ks[i], cameras.viewmats[i]
+            x, y, z = K @ (viewmat[:3, :3] @ point + viewmat[:3, 3])
+            image, mask = data.image(i), data.mask(i)
+            assert mask is not None
+            assert image.shape == (cameras.heights[i], cameras.widths[i], 3)
+            assert image.flags.c_contiguous and mask.flags.c_contiguous
+            np.testing.assert_allclose(_centroid(image[..., 0]), [x / z, y / z], atol=0.25)
+            np.testing.assert_allclose(_centroid(mask), [x / z, y / z], atol=0.25)
+
+    def test_binary_masks_stay_binary(self, make_capture: Callable) -> None:
+        """Oracle: without scaling there is nothing to average."""
+        params = _camera("OPENCV").params.tolist()
+        capture = make_capture(model="OPENCV", params=params, size=_SIZE, views=1)
+        half = np.zeros((150, 200), np.uint8)
+        half[:, 90:] = 255
+        write_png(capture.root / "masks" / "view_00.png", half)
+        mask = load_dataset(DataConfig(source=capture.root)).mask(0)
+        assert mask is not None and set(np.unique(mask).tolist()) == {0, 255}
+
+    def test_alpha_is_undistorted_with_the_colors(self, make_capture: Callable) -> None:
+        """Oracle: colours hidden under alpha 0 do not show at the rim of what is opaque."""
+        params = _camera("OPENCV").params.tolist()
+        capture = make_capture(model="OPENCV", params=params, size=_SIZE, views=1)
+        photo = np.zeros((150, 200, 4), np.uint8)
+        photo[..., 1] = 255
+        photo[40:110, 60:140] = [200, 0, 0, 255]
+        write_png(capture.root / "images" / "view_00.png", photo)
+        for resolution in (1, 3):
+            data = load_dataset(DataConfig(source=capture.root, resolution=resolution))
+            image, mask = data.image(0), data.mask(0)
+            assert data.mask_mode == "composite" and mask is not None
+            assert 0 < mask.min(initial=255, where=mask > 0) < 255 == mask.max()
+            seen = mask > 40
+            assert image[seen, 1].max() <= 8 and abs(int(image[seen, 0].min()) - 200) <= 8
+
+
+def test_huge_photos_are_reduced_first(tmp_path: Path) -> None:
+    """Oracle: the result of the straight way, on a smooth picture."""
+    camera = ColmapCamera(
+        model="SIMPLE_RADIAL",
+        width=1200,
+        height=900,
+        params=np.array([1000.0, 610.0, 440.0, -0.1]),
+    )
+    plan = _plan(camera)
+    row, column = np.mgrid[0:900, 0:1200]
+    photo = np.dstack([column / 5, row / 4, 128 + 100 * np.sin(row / 60) * np.cos(column / 50)])
+    photo = np.rint(photo).astype(np.uint8)
+    write_png(tmp_path / "photo.png", photo)
+    size = (round(plan.width / 8), round(plan.height / 8))
+    view = ViewFile(
+        image=tmp_path / "photo.png",
+        mask=None,
+        use_alpha=False,
+        upright=False,
+        photo_size=(1200, 900),
+        size=size,
+        plan=plan,
+    )
+    ours, _ = decode_view(view)
+    straight = resize(plan.remap(photo, (plan.width, plan.height)), *size)
+    assert np.abs(ours.astype(int) - straight.astype(int)).max() <= 2
