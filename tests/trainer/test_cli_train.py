@@ -1,0 +1,312 @@
+"""`gscore train` as people and programs use it; oracle: exit codes, lines and files."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gscore.commands import main
+from gscore.config import Background, Strategy, load_config
+from gscore.events import Done, Event, Failed, Progress, Saved, Started, from_line
+from gscore.trainer.folder import RunFolder
+
+SHORT = ["--iterations", "12", "--max-splats", "200", "--sh-degree", "0"]
+
+
+def test_json_is_the_last_line(
+    capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Oracle: the keys that the documentation promises, in strict JSON."""
+    arguments = ["train", str(capture), "-o", str(tmp_path / "o"), *SHORT, "--eval", "--json"]
+    assert main(arguments) == 0
+    out = capsys.readouterr().out
+    data = json.loads(out.splitlines()[-1])
+    assert data["psnr"] > 5
+    assert 0 < data["ssim"] < 1
+    assert data["splats"] == 150
+    assert data["train_seconds"] > 0
+    assert data["peak_memory_bytes"] > 50_000_000
+    assert data["lpips"] is None
+    assert data["lpips_reason"]
+    assert data["reason"] == "finished"
+    assert data["split"] == "test"
+
+
+def test_people_get_a_summary_and_programs_silence(
+    capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Oracle: what is on which stream."""
+    base = ["train", str(capture), "-o", str(tmp_path), *SHORT, "--overwrite"]
+    assert main(base) == 0
+    seen = capsys.readouterr()
+    assert "Finished after 12 steps" in seen.out
+    assert "8 training views: PSNR" in seen.out
+    assert "step 12/12 100%" in seen.err
+    assert main([*base, "--quiet"]) == 0
+    seen = capsys.readouterr()
+    assert (seen.out, seen.err) == ("", "")
+
+
+def test_options_reach_the_config_under_all_names(capture: Path, tmp_path: Path) -> None:
+    """Oracle: config.json of the run, for a command line in the style of 3DGS."""
+    arguments = f"""
+        train -s {capture} -m {tmp_path} --iterations 4 --sh_degree 1 --lambda_dssim 0.3 -w
+        --position_lr_init 0.001 --densify_grad_threshold 0.0005 --test_iterations 2 3
+        --save_iterations 3 --checkpoint_iterations 2 --eval --quiet --disable_viewer
+        --cap_max 170 --strategy mcmc --antialiasing --seed 5 --test_every 3
+    """.split()
+    assert main(arguments) == 0
+    data, config = load_config(tmp_path / "config.json")
+    assert data.source == capture
+    assert (data.eval, data.test_every) == (True, 3)
+    assert config.ssim_weight == 0.3
+    assert (config.means_lr, config.grow_grad) == (0.001, 0.0005)
+    assert (config.test_iterations, config.save_iterations) == ((2, 3), (3,))
+    assert config.background is Background.WHITE
+    assert config.strategy is Strategy.MCMC
+    assert (config.max_splats, config.seed, config.antialias) == (170, 5, True)
+    assert RunFolder(tmp_path).saved(3).is_file()
+    assert RunFolder(tmp_path).checkpoint(2).is_file()
+    header = (tmp_path / "point_cloud.ply").read_bytes()[:200]
+    assert b"SplatRenderMode: mip" in header
+
+
+def test_a_config_file_repeats_a_run(capture: Path, tmp_path: Path) -> None:
+    """Oracle: equal bytes of the model; options given besides win."""
+    assert main(["train", str(capture), "-o", str(tmp_path / "a"), *SHORT, "--quiet"]) == 0
+    config = ["--config", str(tmp_path / "a/config.json"), "--quiet"]
+    assert main(["train", "-o", str(tmp_path / "b"), *config]) == 0
+    assert main(["train", "-o", str(tmp_path / "c"), *config, "--seed", "1"]) == 0
+    a, b, c = ((tmp_path / x / "point_cloud.ply").read_bytes() for x in "abc")
+    assert a == b
+    assert a != c
+
+
+def test_resume_needs_no_options(capture: Path, tmp_path: Path) -> None:
+    """Oracle: the config of the first part, with the new length."""
+    first = ["train", str(capture), "-o", str(tmp_path), *SHORT, "--quiet", "--eval"]
+    assert main(first) == 0
+    again = ["train", "-o", str(tmp_path), "--resume", "--iterations", "20", "--quiet"]
+    assert main(again) == 0
+    data, config = load_config(tmp_path / "config.json")
+    assert (config.iterations, config.max_splats, data.eval) == (20, 200, True)
+    assert json.loads((tmp_path / "metrics.json").read_text())["steps"] == 20
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["-o", "{out}"], "No capture was given"),
+        (["{capture}/nothing", "-o", "{out}"], "nothing"),
+        (["{capture}", "-s", "elsewhere", "-o", "{out}"], "Two captures were given"),
+        (["{capture}"], "the following arguments are required: -o"),
+        (["{capture}", "-o", "{out}", "--resume"], "holds no run to resume"),
+        (["{capture}", "-o", "{out}", "--resume", "--overwrite"], "not allowed with argument"),
+        (["{capture}", "-o", "{out}", "--start-checkpoint", "{out}/x"], "no such checkpoint"),
+        (["{capture}", "-o", "{out}", "--config", "{out}/x.json"], "there is no such config"),
+        (["{capture}", "-o", "{out}", "--max-splats", "0"], "max_splats must be at least 1"),
+        (["{capture}", "-o", "{out}", "--lpips", "{out}/x.onnx"], "No LPIPS network at"),
+        (["{capture}", "-o", "{out}", "-r", "0.5"], "resolution is 0.5"),
+        (["{capture}", "-o", "{out}", "--ip", "127.0.0.1"], "there is no network viewer"),
+        (["{capture}", "-o", "{out}", "--debug_from", "3"], "no debug dumps"),
+        (["{capture}", "-o", "{out}", "--nonsense"], "unrecognized arguments: --nonsense"),
+        (["{capture}", "-o", "{capture}/images/view_00.png"], "is a file"),
+    ],
+)
+def test_bad_input_is_one_sentence_and_leaves_nothing(
+    capture: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    message: str,
+) -> None:
+    """Oracle: code 2, one line that says what is wrong, no output folder."""
+    out = tmp_path / "out"
+    filled = [a.format(capture=capture, out=out) for a in arguments]
+    assert main(["train", *filled, "--quiet"]) == 2
+    err = capsys.readouterr().err
+    assert message in err
+    assert err.count("\n") == 1
+    assert not out.exists()
+
+
+class Job:
+    """A `gscore train --events jsonl` in another process."""
+
+    def __init__(self, *arguments: str, stdin: Any = subprocess.PIPE) -> None:
+        command = [sys.executable, "-m", "gscore", "train", *arguments, "--events", "jsonl"]
+        self.process = subprocess.Popen(
+            command, stdin=stdin, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        self.events: list[Event] = []
+
+    def until(self, kind: type[Event], condition: Callable[[Any], bool] = lambda e: True) -> Event:
+        """Read events up to one of a kind."""
+        assert self.process.stdout
+        for line in self.process.stdout:
+            event = from_line(line)
+            assert event is not None, line
+            self.events.append(event)
+            if isinstance(event, kind) and condition(event):
+                return event
+        assert self.process.stderr
+        pytest.fail(f"no {kind.__name__}; stderr: {self.process.stderr.read()}")
+
+    def end(self) -> int:
+        """Read to the end, and the exit code."""
+        assert self.process.stdout
+        self.events += [e for line in self.process.stdout if (e := from_line(line))]
+        return self.process.wait(timeout=20)
+
+
+@pytest.fixture
+def job(capture: Path, tmp_path: Path) -> Iterator[Callable[..., Job]]:
+    """`start(*arguments)`: a run that would take very long."""
+    jobs: list[Job] = []
+
+    def start(*arguments: str, **kwargs: Any) -> Job:
+        base = [str(capture), "-o", str(tmp_path / "out"), "--max-splats", "200"]
+        jobs.append(Job(*base, "--iterations", "10000000", *arguments, **kwargs))
+        return jobs[-1]
+
+    yield start
+    for made in jobs:
+        made.process.kill()
+        made.process.wait()
+        for stream in (made.process.stdin, made.process.stdout, made.process.stderr):
+            if stream:
+                stream.close()
+
+
+def checkpoint_step(path: Path) -> int:
+    return int(RunFolder(path).checkpoints()[-1].stem.removeprefix("step_"))
+
+
+@pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_signals_end_with_a_checkpoint(
+    job: Callable[..., Job], tmp_path: Path, number: signal.Signals, code: int
+) -> None:
+    """Oracle: the shell's exit code, a Done event, and a checkpoint from which a run goes on."""
+    run = job()
+    run.until(Progress, lambda e: e.step > 5)
+    run.process.send_signal(number)
+    assert run.end() == code
+    done = run.events[-1]
+    assert isinstance(done, Done)
+    assert done.reason == "interrupted"
+    assert checkpoint_step(tmp_path / "out") == done.step
+    assert (tmp_path / "out/point_cloud.ply").is_file()
+    more = str(done.step + 3)
+    assert main(["train", "-o", str(tmp_path / "out"), "--resume", "--iterations", more]) == 0
+    assert checkpoint_step(tmp_path / "out") == done.step + 3
+
+
+def test_stop_on_stdin_ends_well(job: Callable[..., Job], tmp_path: Path) -> None:
+    """Oracle: code 0, reason, checkpoint."""
+    run = job()
+    run.until(Progress, lambda e: e.step > 5)
+    assert run.process.stdin
+    run.process.stdin.write("stop\n")
+    run.process.stdin.flush()
+    assert run.end() == 0
+    assert isinstance(run.events[0], Started | Progress)
+    assert isinstance(run.events[-1], Done)
+    assert run.events[-1].reason == "stopped"
+    assert any(isinstance(e, Saved) for e in run.events)
+    assert checkpoint_step(tmp_path / "out") == run.events[-1].step
+
+
+def test_the_end_of_stdin_means_that_the_parent_died(
+    job: Callable[..., Job], tmp_path: Path
+) -> None:
+    """Oracle: a checkpoint, although nobody asked."""
+    run = job()
+    run.until(Progress, lambda e: e.step > 5)
+    assert run.process.stdin
+    run.process.stdin.close()
+    assert run.end() == 0
+    assert isinstance(run.events[-1], Done)
+    assert run.events[-1].reason == "input ended"
+    assert checkpoint_step(tmp_path / "out") == run.events[-1].step
+
+
+def test_a_reader_that_goes_away_means_the_same(job: Callable[..., Job], tmp_path: Path) -> None:
+    """Oracle: the process ends by itself, with a checkpoint and without a traceback."""
+    run = job()
+    run.until(Progress, lambda e: e.step > 5)
+    assert run.process.stdout
+    assert run.process.stderr
+    run.process.stdout.close()
+    assert run.process.wait(timeout=20) == 0
+    assert run.process.stderr.read() == ""
+    assert checkpoint_step(tmp_path / "out") > 5
+
+
+def test_dev_null_as_stdin_does_not_end_a_run(capture: Path, tmp_path: Path) -> None:
+    """Oracle: it runs to its last step."""
+    run = Job(str(capture), "-o", str(tmp_path / "out"), *SHORT, stdin=subprocess.DEVNULL)
+    assert run.end() == 0
+    assert isinstance(run.events[-1], Done)
+    assert run.events[-1].reason == "finished"
+
+
+def test_a_second_run_in_the_same_folder_is_refused(
+    job: Callable[..., Job], capture: Path, tmp_path: Path
+) -> None:
+    """Oracle: the second says which process holds the folder; the first goes on."""
+    run = job()
+    run.until(Progress, lambda e: e.step > 5)
+    second = Job(str(capture), "-o", str(tmp_path / "out"), "--overwrite")
+    assert second.end() == 2
+    assert isinstance(second.events[-1], Failed)
+    assert f"process {run.process.pid}" in second.events[-1].message
+    run.until(Progress)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_events_that_cannot_be_written_end_the_run_in_order(capture: Path, tmp_path: Path) -> None:
+    """Oracle: a device that is always full: no traceback, and a checkpoint if anything."""
+    with Path("/dev/full").open("w") as full:
+        command = [sys.executable, "-m", "gscore", "train", str(capture), "-o", str(tmp_path)]
+        ended = subprocess.run(
+            [*command, *SHORT, "--events", "jsonl"],
+            stdin=subprocess.DEVNULL,
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+    assert "Traceback" not in ended.stderr
+    assert RunFolder(tmp_path).checkpoints() or not list(tmp_path.iterdir())
+
+
+def _no_large_files() -> None:
+    import resource
+
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+
+
+@pytest.mark.skipif(os.name == "nt", reason="limits of POSIX")
+def test_a_write_that_fails_is_one_sentence(capture: Path, tmp_path: Path) -> None:
+    """Oracle: the system refuses files of over 20 kB, as a full disk would, in mid-write."""
+    command = [sys.executable, "-m", "gscore", "train", str(capture), "-o", str(tmp_path), *SHORT]
+    ended = subprocess.run(
+        [*command, "--quiet"],
+        capture_output=True,
+        text=True,
+        check=False,
+        preexec_fn=_no_large_files,
+    )
+    assert ended.returncode == 2
+    assert ended.stderr.count("\n") == 1
+    assert "gscore train: error: Cannot write" in ended.stderr
+    assert "checkpoints/step_00000012.safetensors" in ended.stderr
+    left = {p.name for p in tmp_path.rglob("*") if p.is_file()}
+    assert left == {"config.json", "cfg_args", "cameras.json"}

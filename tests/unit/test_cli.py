@@ -1,0 +1,117 @@
+"""The dispatcher; oracle: exit codes and single sentences on stderr."""
+
+import errno
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from gscore import commands
+from gscore._version import __version__
+from gscore.errors import DatasetError
+
+
+def test_no_verb_shows_the_verbs(capsys: pytest.CaptureFixture[str]) -> None:
+    """Oracle: all verbs with a line each; 2 without, 0 with --help."""
+    assert commands.main([]) == 2
+    assert commands.main(["--help"]) == 0
+    out = capsys.readouterr().out
+    for verb in ("train", "eval", "render", "info", "doctor", "bench"):
+        assert out.count(f"\n  {verb} ") == 2
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    """Oracle: the version file."""
+    assert commands.main(["--version"]) == 0
+    assert capsys.readouterr().out == f"gscore {__version__}\n"
+
+
+def test_a_verb_that_does_not_exist(capsys: pytest.CaptureFixture[str]) -> None:
+    """Oracle: the nearest verb is offered."""
+    assert commands.main(["trian"]) == 2
+    assert "did you mean `gscore train`?" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("verb", list(commands.VERBS))
+def test_help_of_each_verb(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Oracle: exit code 0 and the program's name."""
+    assert commands.main([verb, "--help"]) == 0
+    assert f"usage: gscore {verb}" in capsys.readouterr().out
+
+
+def test_underscores_are_dashes_in_names_only() -> None:
+    """Oracle: names as argparse knows them; values stay."""
+    given = ["--test_iterations", "7_000", "--max_splats=1_0", "-r", "a_b", "c_d"]
+    expected = ["--test-iterations", "7_000", "--max-splats=1_0", "-r", "a_b", "c_d"]
+    assert commands.dashed(given) == expected
+
+
+def fake(monkeypatch: pytest.MonkeyPatch, error: BaseException) -> None:
+    """Let every verb fail with `error`."""
+
+    def run(args: Any) -> int:
+        raise error
+
+    module = SimpleNamespace(add_arguments=lambda parser: None, run=run)
+    monkeypatch.setattr(commands, "import_module", lambda *_: module)
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "words"),
+    [
+        (DatasetError("No photos in x."), 2, "gscore info: error: No photos in x.\n"),
+        (OSError(errno.ENOSPC, "full", "out/a.ply"), 2, "out/a.ply: the disk is full; free some"),
+        (OSError(errno.EROFS, "ro", "out/a.ply"), 2, "the file system is read-only"),
+        (OSError(errno.EACCES, "no", "out/a.ply"), 2, "permission denied"),
+        (MemoryError(), 2, "out of memory; try fewer splats"),
+        (ModuleNotFoundError("no", name="torch"), 2, 'pip install "gscore[train]"'),
+        (ModuleNotFoundError("no", name="av.video"), 2, 'pip install "gscore[video]"'),
+        (ModuleNotFoundError("no", name="nonsense"), 1, "this is an error in gscore"),
+        (RuntimeError("bug"), 1, "this is an error in gscore"),
+        (OSError(errno.EIO, "io"), 1, "this is an error in gscore"),
+    ],
+)
+def test_failures_become_a_code_and_a_sentence(
+    error: BaseException,
+    code: int,
+    words: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Oracle: 2 for what a user can mend, in one line; 1 with a traceback for the rest."""
+    fake(monkeypatch, error)
+    assert commands.main(["info"]) == code
+    err = capsys.readouterr().err
+    assert words in err
+    assert ("Traceback" in err) == (code == 1)
+    if code == 2:
+        assert err.count("\n") == 1
+
+
+def test_ctrl_c_outside_of_training(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: the shell's code for SIGINT."""
+    fake(monkeypatch, KeyboardInterrupt())
+    assert commands.main(["info"]) == 130
+
+
+def test_a_bad_option_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
+    """Oracle: one line, code 2, and where to read on."""
+    assert commands.main(["train", "x", "-o", "y", "--iterations", "many"]) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert "--iterations: invalid int value: 'many'. See gscore train --help." in err
+
+
+def test_python_dash_m(tmp_path: Path) -> None:
+    """Oracle: the same as the installed command, from any folder; torch is not loaded."""
+    code = (
+        "import sys; from gscore.commands import main; main(['--help']); "
+        "assert 'torch' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, cwd=tmp_path)
+    command = [sys.executable, "-m", "gscore", "--version"]
+    done = subprocess.run(command, check=True, capture_output=True, text=True, cwd=tmp_path)
+    assert done.stdout == f"gscore {__version__}\n"

@@ -1,0 +1,125 @@
+"""Options and their files; oracle: equality after a round trip, messages that name the fault."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gscore.config import (
+    PRESETS,
+    Background,
+    DataConfig,
+    Strategy,
+    TrainConfig,
+    config_json,
+    differences,
+    from_dict,
+    load_config,
+    to_dict,
+)
+from gscore.errors import ConfigError
+
+ODD = TrainConfig(
+    iterations=7,
+    strategy=Strategy.MCMC,
+    background=Background.WHITE,
+    lpips=Path("some/where.onnx"),
+    test_iterations=(1, 5),
+    means_lr=0.1 + 0.2,
+    detect_anomaly=True,
+)
+
+
+@pytest.mark.parametrize("preset", list(PRESETS))
+def test_presets_survive_a_file(preset: str, tmp_path: Path) -> None:
+    """Oracle: the dataclasses are equal."""
+    data, train = PRESETS[preset](tmp_path / "capture")
+    path = tmp_path / "config.json"
+    path.write_text(config_json(data, train))
+    assert load_config(path) == (data, train)
+
+
+def test_all_kinds_of_values_survive_a_file(tmp_path: Path) -> None:
+    """Oracle: equality, with paths, enums, tuples and a float that has no short form."""
+    data = DataConfig(source=tmp_path, test_list=Path("names.txt"), resolution=2.5, eval=True)
+    path = tmp_path / "config.json"
+    path.write_text(config_json(data, ODD))
+    assert load_config(path) == (data, ODD)
+    assert json.loads(path.read_text())["train"]["strategy"] == "mcmc"
+
+
+def test_missing_options_keep_their_defaults() -> None:
+    """Oracle: the defaults."""
+    assert from_dict(TrainConfig, {"iterations": 5}, where="x") == TrainConfig(iterations=5)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"iteratons": 5}, "x: there is no option 'iteratons'. Did you mean 'iterations'?"),
+        ({"iterations": "5"}, "x: iterations must be a int, got '5'."),
+        ({"iterations": 5.0}, "x: iterations must be a int, got 5.0."),
+        ({"iterations": True}, "x: iterations must be a int, got True."),
+        ({"iterations": None}, "x: iterations must be a int, got None."),
+        ({"iterations": 0}, "x: iterations must be at least 1, got 0."),
+        ({"means_lr": "fast"}, "x: means_lr must be a float, got 'fast'."),
+        ({"means_lr": -1}, "x: means_lr must be at least 0, got -1.0."),
+        ({"means_lr": float("nan")}, "x: means_lr must be at least 0, got nan."),
+        ({"strategy": "magic"}, "x: strategy must be one of default, mcmc, got 'magic'."),
+        ({"test_iterations": 5}, "x: test_iterations must be a list of numbers, got 5."),
+        ({"test_iterations": ["5"]}, "x: test_iterations must be a int, got '5'."),
+        ({"test_iterations": [0]}, "x: test_iterations must be steps from 1 on, got (0,)."),
+        ({"sh_degree": 4}, "x: sh_degree must be 0, 1, 2 or 3, got 4."),
+        ({"lpips": 3}, "x: lpips must be a path, got 3."),
+        ({"init_opacity": 1.0}, "x: init_opacity must lie in [0, 1)"),
+        ([1], "x: expected an object with options, got list."),
+    ],
+)
+def test_bad_options_are_named(values: Any, message: str) -> None:
+    """Oracle: the sentence."""
+    with pytest.raises(ConfigError) as error:
+        from_dict(TrainConfig, values, where="x")
+    assert str(error.value).startswith(message)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", "not a JSON config file"),
+        ("\xff", "not a JSON config file"),
+        ("[]", "expected an object with 'data' and 'train'"),
+        ('{"data": {}, "train": {}}', "data: the option 'source' is missing"),
+        ('{"data": {"source": 1}, "train": {}}', "data: source must be a path, got 1"),
+    ],
+)
+def test_bad_files_are_named(tmp_path: Path, text: str, message: str) -> None:
+    """Oracle: file, place and fault in one sentence."""
+    path = tmp_path / "c.json"
+    path.write_text(text, encoding="latin-1")
+    with pytest.raises(ConfigError, match=message) as error:
+        load_config(path)
+    assert str(path) in str(error.value)
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    """Oracle: the path in the message."""
+    with pytest.raises(ConfigError, match=r"gone\.json: there is no such"):
+        load_config(tmp_path / "gone.json")
+
+
+def test_differences_are_sentences() -> None:
+    """Oracle: the fields that were changed, in their order, less those ignored."""
+    other = replace(ODD, iterations=9, background=Background.BLACK, lpips=None)
+    assert differences(ODD, other, ignore={"iterations"}) == [
+        "background was white, is black",
+        "lpips was some/where.onnx, is None",
+    ]
+    assert differences(ODD, ODD) == []
+
+
+def test_to_dict_holds_json_values_only() -> None:
+    """Oracle: the standard library's encoder, in its strict form."""
+    json.dumps(to_dict(ODD), allow_nan=False)
+    json.dumps(to_dict(DataConfig(source=Path("a"))), allow_nan=False)
