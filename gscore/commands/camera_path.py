@@ -9,6 +9,8 @@ from ..transforms import invert_rigid, quat_to_rotmat, rotmat_to_quat
 
 _GAP = math.radians(100)
 """An arc this wide without cameras means that the capture did not go all the way round."""
+_FACING = math.radians(45)
+"""Cameras that turn more than this from the middle do not look at it."""
 _SWING = 0.9
 """Share of the arc with cameras that such an orbit uses; its ends were seen from one side only."""
 _NEARBY = math.radians(20)
@@ -106,7 +108,7 @@ def orbit_path(viewmats: np.ndarray, frames: int) -> np.ndarray:
         [frames, 4, 4] float64, world to camera. The frame after the last would be the first.
 
     Raises:
-        ConfigError: Fewer than two cameras or frames, or cameras that stand where they look.
+        ConfigError: Fewer than two cameras or frames, or cameras that look at nothing in common.
     """
     _check(viewmats, frames)
     centers = invert_rigid(viewmats)[:, :3, 3]
@@ -117,9 +119,18 @@ def orbit_path(viewmats: np.ndarray, frames: int) -> np.ndarray:
     x, y, heights = offsets @ ahead, offsets @ side, offsets @ up
     radii, angles = np.hypot(x, y), np.arctan2(y, x)
     if not np.median(radii) > 1e-9 * max(1.0, float(np.abs(centers).max())):
-        raise ConfigError("The cameras stand where they look, so there is no orbit; use spline.")
+        raise ConfigError(
+            "The cameras stand where they look, so there is no orbit; use --path spline."
+        )
+    toward = -offsets / np.maximum(np.linalg.norm(offsets, axis=1, keepdims=True), 1e-12)
+    facing = np.einsum("ci,ci->c", viewmats[:, 2, :3], toward)
+    start, sweep, second_gap = _covered_arc(angles)
+    if (facing < math.cos(_FACING)).mean() > 0.25 or second_gap > _GAP:
+        raise ConfigError(
+            "The cameras do not look at a common middle, so an orbit would show what no photo saw; "
+            "use --path spline."
+        )
     phases = np.arange(frames) / frames * 2 * math.pi
-    start, sweep = _covered_arc(angles)
     if 2 * math.pi - sweep > _GAP:
         swing = 0.5 - 0.5 * _SWING * np.cos(phases)
         wanted = start + sweep * swing
@@ -189,13 +200,14 @@ def up_direction(viewmats: np.ndarray) -> np.ndarray:
     return up if up @ mean_up > 0 else -up
 
 
-def _covered_arc(angles: np.ndarray) -> tuple[float, float]:
-    """Start and width of the smallest arc that holds all angles, radians."""
+def _covered_arc(angles: np.ndarray) -> tuple[float, float, float]:
+    """Start and width of the smallest arc that holds all angles, and the widest gap within it."""
     ordered = np.sort(np.mod(angles, 2 * math.pi))
     gaps = np.diff(np.concatenate([ordered, ordered[:1] + 2 * math.pi]))
     widest = int(np.argmax(gaps))
-    start = ordered[(widest + 1) % len(ordered)]
-    return float(start), float(2 * math.pi - gaps[widest])
+    start = float(ordered[(widest + 1) % len(ordered)])
+    inner = np.delete(gaps, widest)
+    return start, float(2 * math.pi - gaps[widest]), float(inner.max(initial=0.0))
 
 
 def _across(direction: np.ndarray) -> np.ndarray:

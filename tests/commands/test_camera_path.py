@@ -190,6 +190,13 @@ def test_paths_that_cannot_be_made(ring):
         orbit_path(ring[:1], 10)
     with pytest.raises(ConfigError, match="two frames, got 1"):
         spline_path(ring, Ks_of(9), 1)
+    eyes = [np.array([0.1 * (i % 2), 0, 2.0 * i]) for i in range(10)]
+    walk = np.stack([look_at(e, e + AHEAD, np.array([0, -1.0, 0])) for e in eyes])
+    opposite = [np.array([x, 0, z]) for z in (0.0, 20.0) for x in (-1, 0.5, 2)]
+    facing = np.stack([look_at(e, 10 * AHEAD, np.array([0, -1.0, 0])) for e in opposite])
+    for keys in (walk, facing):
+        with pytest.raises(ConfigError, match="common middle"):
+            orbit_path(keys, 10)
     same = np.tile(np.eye(4), (3, 1, 1))
     with pytest.raises(ConfigError, match="no orbit"):
         orbit_path(same, 10)
