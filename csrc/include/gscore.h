@@ -103,7 +103,8 @@ typedef struct gs_options {
 /* Where gs_raster_forward writes. Pointers of outputs that were not asked for are ignored. */
 typedef struct gs_image {
     float *rgb;           /* [H, W, 3], background included */
-    float *alpha;         /* [H, W] */
+    float *alpha;         /* [H, W]; with an inverse depth or depth output the sum of weights, else 1 - transmittance: the
+                             same but for rounding, and the sum is what depths should be divided by */
     float *inverse_depth; /* [H, W] */
     float *depth;         /* [H, W] */
     float *median_depth;  /* [H, W] */

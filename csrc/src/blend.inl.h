@@ -74,6 +74,9 @@ static int64_t blend_tile(const BlendArgs &a, uint32_t outputs, uint32_t tile) {
     alignas(64) float trans[kTilePixels];
     alignas(64) float color[kChannels][kTilePixels];
     alignas(64) float median[kMedian ? kTilePixels : kLanes];
+    // With depths, alpha is summed: depths are divided by it, and 1 - T has lost the digits of faint pixels.
+    constexpr bool kSumAlpha = kChannels >= 4;
+    alignas(64) float cover[kSumAlpha ? kTilePixels : kLanes] = {};
     uint32_t done[kTile * kBlocks];
     RowSpan live[kBlocks]; // rows of a block outside of which every pixel is complete
     float *final_trans = a.final_transmittance + size_t(tile) * kTilePixels;
@@ -152,6 +155,8 @@ static int64_t blend_tile(const BlendArgs &a, uint32_t outputs, uint32_t tile) {
                     store(median + at, load(median + at) + keep(crossed, set1(p.z)));
                 }
                 store(trans + at, next);
+                if constexpr (kSumAlpha)
+                    store(cover + at, load(cover + at) + w);
                 for (int k = 0; k < kChannels; ++k)
                     store(color[k] + at, fma(w, set1(c[k]), load(color[k] + at)));
             }
@@ -168,7 +173,7 @@ static int64_t blend_tile(const BlendArgs &a, uint32_t outputs, uint32_t tile) {
             const size_t pixel = size_t(y0 + r) * size_t(a.width) + size_t(x0 + x);
             for (int k = 0; k < 3; ++k)
                 a.image.rgb[3 * pixel + k] = color[k][at] + t * a.background[k];
-            a.image.alpha[pixel] = 1.0f - t;
+            a.image.alpha[pixel] = kSumAlpha ? cover[at] : 1.0f - t;
             if (kChannels >= 4 && outputs & GS_OUT_INVERSE_DEPTH)
                 a.image.inverse_depth[pixel] = color[3][at];
             if (kChannels >= 4 && outputs & GS_OUT_DEPTH)

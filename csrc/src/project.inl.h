@@ -315,6 +315,32 @@ static inline void prefetch_moments(const ProjectBackwardArgs &a, size_t slot) {
         __builtin_prefetch(a.moments[entry[e]].v);
 }
 
+// Gradient with respect to M = J W R S. With G the matrix of second moments and Q the conic, that with respect to the
+// covariance is Q G Q / 2, hence (Q G Q) M. ln(compensation) = (ln det0 - ln det) / 2 adds -log_gain Q M for its second
+// half. In double: for needles entries of G are ten thousand times what is left of the product.
+static inline void covariance_backward(const Lanes &s, float eps2d, Vec gxx, Vec gxy, Vec gyy, Vec log_gain,
+                                       Vec v_m[2][3]) {
+    DVec m[2][3];
+    for (int i = 0; i < 2; ++i)
+        for (int k = 0; k < 3; ++k)
+            m[i][k] = to_double(s.m[i][k]);
+    const DVec xx = m[0][0] * m[0][0] + m[0][1] * m[0][1] + m[0][2] * m[0][2] + double(eps2d);
+    const DVec yy = m[1][0] * m[1][0] + m[1][1] * m[1][1] + m[1][2] * m[1][2] + double(eps2d);
+    const DVec xy = m[0][0] * m[1][0] + m[0][1] * m[1][1] + m[0][2] * m[1][2];
+    const DVec inv_det = 1.0 / (xx * yy - xy * xy);
+    const DVec qa = yy * inv_det, qb = -xy * inv_det, qc = xx * inv_det;
+    const DVec g00 = to_double(gxx), g01 = to_double(gxy), g11 = to_double(gyy), gain = to_double(log_gain);
+    const DVec t00 = qa * g00 + qb * g01, t01 = qa * g01 + qb * g11;
+    const DVec t10 = qb * g00 + qc * g01, t11 = qb * g01 + qc * g11;
+    const DVec k00 = t00 * qa + t01 * qb - gain * qa;
+    const DVec k01 = t00 * qb + t01 * qc - gain * qb;
+    const DVec k11 = t10 * qb + t11 * qc - gain * qc;
+    for (int k = 0; k < 3; ++k) {
+        v_m[0][k] = to_float(k00 * m[0][k] + k01 * m[1][k]);
+        v_m[1][k] = to_float(k01 * m[0][k] + k11 * m[1][k]);
+    }
+}
+
 static void project_backward(const ProjectBackwardArgs &a, int64_t chunk) {
     const gs_splats &in = *a.forward.splats;
     const gs_camera &camera = *a.forward.camera;
@@ -349,24 +375,13 @@ static void project_backward(const ProjectBackwardArgs &a, int64_t chunk) {
         project_lanes(in, camera, *a.forward.options, limits, id, s);
         const auto sum = [&](MomentIndex k) { return load(sums[k]); };
 
-        // Conic Q = inverse of the 2D covariance. With G the matrix of second moments, the gradient with respect to
-        // the covariance is Q G Q / 2, and with respect to M twice that times M.
+        // Conic Q, inverse of the 2D covariance.
         const Vec inv_det = 1.0f / s.det;
         const Vec qa = s.cov_yy * inv_det, qb = -s.cov_xy * inv_det, qc = s.cov_xx * inv_det;
         const Vec v_mean2d[2] = {fma(qa, sum(kGx), qb * sum(kGy)), fma(qb, sum(kGx), qc * sum(kGy))};
-        const Vec t00 = fma(qa, sum(kGxx), qb * sum(kGxy)), t01 = fma(qa, sum(kGxy), qb * sum(kGyy));
-        const Vec t10 = fma(qb, sum(kGxx), qc * sum(kGxy)), t11 = fma(qb, sum(kGxy), qc * sum(kGyy));
-        Vec k00 = fma(t00, qa, t01 * qb), k01 = fma(t00, qb, t01 * qc), k11 = fma(t10, qb, t11 * qc);
-        Vec v_m[2][3];
         const Vec log_gain = keep(s.compensated, sum(kG));
-        // ln(compensation) = (ln det0 - ln det) / 2; the second half adds -Q to the gradient of M M^T.
-        k00 -= log_gain * qa;
-        k01 -= log_gain * qb;
-        k11 -= log_gain * qc;
-        for (int k = 0; k < 3; ++k) {
-            v_m[0][k] = fma(k00, s.m[0][k], k01 * s.m[1][k]);
-            v_m[1][k] = fma(k01, s.m[0][k], k11 * s.m[1][k]);
-        }
+        Vec v_m[2][3];
+        covariance_backward(s, a.forward.options->eps2d, sum(kGxx), sum(kGxy), sum(kGyy), log_gain, v_m);
         if (a.forward.options->antialias) {
             const Vec gain = keep(s.compensated, sum(kG) / s.det0);
             for (int k = 0; k < 3; ++k) {

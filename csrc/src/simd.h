@@ -27,9 +27,12 @@ constexpr int kLanes = 4;
 
 typedef float Vec __attribute__((vector_size(4 * kLanes)));
 typedef int32_t IVec __attribute__((vector_size(4 * kLanes)));
+typedef double DVec __attribute__((vector_size(8 * kLanes)));
 typedef float Vec4 __attribute__((vector_size(16)));
 
 static inline Vec set1(float x) { return x - Vec{}; }
+static inline DVec to_double(Vec v) { return __builtin_convertvector(v, DVec); }
+static inline Vec to_float(DVec v) { return __builtin_convertvector(v, Vec); }
 static inline IVec as_int(Vec v) { return (IVec)v; }
 static inline Vec as_float(IVec v) { return (Vec)v; }
 

@@ -3,13 +3,14 @@
 import argparse
 import json
 import sys
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 
 from ..bench.raster import RasterBench, bench_raster, synthetic_scene
 from ..config import DataConfig
+from ..datasets import load_dataset
 from ..errors import ConfigError
 from ..io.ply import read_splats
 from ..raster import _native
@@ -42,11 +43,9 @@ def run(args: argparse.Namespace) -> int:
     if args.ply is None:
         splats, cameras = synthetic_scene(args.splats, args.width, args.height)
     else:
-        from ..datasets import load_scene  # needs pycolmap only for distorted cameras
-
         splats = read_splats(args.ply)
-        data = DataConfig(source=args.cameras)
-        cameras = load_scene(replace(data, resolution=args.resolution)).cameras
+        data = DataConfig(source=args.cameras, resolution=args.resolution)
+        cameras = load_dataset(data).scene.cameras
     count = min(args.views, len(cameras))
     views = np.unique(np.linspace(0, len(cameras) - 1, count).round().astype(int)).tolist()
     isas = _native.available_isas() if args.isa == "all" else [args.isa or _native.isa()]

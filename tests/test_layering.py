@@ -1,0 +1,106 @@
+"""Oracle: the layers of docs/architecture.md, read off the syntax trees; and fresh interpreters."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+PACKAGE = ROOT / "gscore"
+
+BOTTOM = {"errors", "_version", "splats", "scene", "config", "events", "sh", "transforms"}
+ALLOWED = {
+    **{name: BOTTOM for name in BOTTOM},
+    "io": BOTTOM | {"io"},
+    "datasets": BOTTOM | {"io", "datasets"},
+    "raster": BOTTOM | {"io", "raster"},
+    "metrics": BOTTOM | {"io", "datasets", "raster", "metrics"},
+    "trainer": BOTTOM | {"io", "datasets", "raster", "metrics", "trainer"},
+    "bench": BOTTOM | {"io", "datasets", "raster", "metrics", "trainer", "bench"},
+}
+OUTSIDE = {"torch": {"raster", "metrics", "trainer", "bench", "commands"}, "bpy": set()}
+"""Layers that may import a package at all."""
+
+
+def _files() -> list[Path]:
+    return sorted(PACKAGE.rglob("*.py"))
+
+
+def _layer(path: Path) -> str:
+    return path.relative_to(PACKAGE).with_suffix("").parts[0]
+
+
+def _imports(path: Path) -> list[tuple[str, bool]]:
+    """Dotted names of what a file imports, and whether they lie inside gscore."""
+    package = path.relative_to(ROOT).with_suffix("").parts[:-1]
+    found = []
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found += [(alias.name, alias.name.split(".")[0] == "gscore") for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.level == 0:
+            found.append((node.module or "", (node.module or "").split(".")[0] == "gscore"))
+        elif isinstance(node, ast.ImportFrom):
+            base = package[: len(package) - node.level + 1]
+            stem = [*base, *(node.module.split(".") if node.module else [])]
+            found += [(".".join([*stem, alias.name]), True) for alias in node.names]
+    return found
+
+
+@pytest.mark.parametrize("path", _files(), ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_imports_point_down(path: Path) -> None:
+    """Oracle: ALLOWED."""
+    layer = _layer(path)
+    if layer in {"__init__", "__main__", "commands"}:
+        return
+    for name, inside in _imports(path):
+        if inside:
+            target = name.split(".")[1]
+            assert target in ALLOWED[layer], f"{path.name} ({layer}) imports {name}"
+            assert not (target == "raster" and name.endswith("_native") and layer != "raster") or (
+                layer == "bench"
+            ), f"{path.name}: only raster and bench see the native library"
+        else:
+            package = name.split(".")[0]
+            assert layer in OUTSIDE.get(package, {layer}), f"{path.name} ({layer}) imports {name}"
+
+
+def test_every_layer_is_covered() -> None:
+    """Oracle: the folder listing; a new package must be given its place."""
+    layers = {_layer(path) for path in _files()} - {"__init__", "__main__", "commands"}
+    assert layers == set(ALLOWED)
+
+
+def _fresh(code: str) -> str:
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True
+    )
+    return done.stdout.strip()
+
+
+def test_import_is_light() -> None:
+    """Oracle: the modules of a fresh interpreter."""
+    code = "import sys, gscore; print([m for m in ('torch', 'numpy', 'bpy') if m in sys.modules])"
+    assert _fresh(code) == "[]"
+
+
+def test_rendering_needs_no_torch() -> None:
+    """Oracle: the modules of a fresh interpreter in which torch cannot be imported."""
+    code = (
+        "import sys; sys.modules['torch'] = None\n"
+        "import numpy as np, gscore\n"
+        "f = lambda *s: np.zeros(s, np.float32)\n"
+        "m = f(1, 3); m[0, 2] = 2; q = f(1, 4); q[0, 0] = 1; s = f(1, 3) - 2; o = f(1) + 3\n"
+        "p = gscore.Splats(means=m, quats=q, scales=s, opacities=o, sh0=f(1, 1, 3), shN=f(1, 0, 3))\n"
+        "K = np.array([[50, 0, 16.5], [0, 50, 16.5], [0, 0, 1.0]])\n"
+        "v = gscore.render(p, K, np.eye(4), 33, 33)\n"
+        "print(round(float(v.alpha[16, 16]), 5), round(float(v.depth[16, 16]), 5))"
+    )
+    assert _fresh(code) == "0.95257 2.0"
+
+
+def test_public_names_exist() -> None:
+    """Oracle: `__all__`."""
+    code = "import gscore; print(all(getattr(gscore, n) is not None for n in gscore.__all__))"
+    assert _fresh(code) == "True"
