@@ -192,6 +192,7 @@ def test_paths_that_cannot_be_made(ring):
         spline_path(ring, Ks_of(9), 1)
     eyes = [np.array([0.1 * (i % 2), 0, 2.0 * i]) for i in range(10)]
     walk = np.stack([look_at(e, e + AHEAD, np.array([0, -1.0, 0])) for e in eyes])
+    walk[3:6] = np.diag([-1, 1, -1, 1]) @ walk[3:6]  # some look back
     opposite = [np.array([x, 0, z]) for z in (0.0, 20.0) for x in (-1, 0.5, 2)]
     facing = np.stack([look_at(e, 10 * AHEAD, np.array([0, -1.0, 0])) for e in opposite])
     for keys in (walk, facing):
