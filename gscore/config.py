@@ -106,7 +106,7 @@ class TrainConfig:
     """Learning rate of positions at the last step, in extents; exponential in between."""
     sh0_lr: float = 2.5e-3
     """Learning rate of the constant colour."""
-    shN_lr: float = 1.25e-4  # noqa: N815 - the field's name everywhere
+    shN_lr: float = 1.25e-4
     """Learning rate of the view-dependent colour."""
     opacities_lr: float = 0.0
     """Learning rate of logit opacities; 0: 0.025, with mcmc 0.05."""

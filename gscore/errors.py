@@ -25,5 +25,5 @@ class BackendError(GsError, RuntimeError):
     """The native library or an optional package is missing or failed."""
 
 
-class Cancelled(GsError):
+class Cancelled(GsError):  # noqa: N818 - nothing went wrong
     """The caller asked to stop."""

@@ -10,7 +10,7 @@ from .splats import check_array
 
 @dataclass(frozen=True, kw_only=True)
 class Cameras:
-    """C posed pinhole cameras. Pixel centres lie at +0.5; OpenCV axes (+x right, +y down, +z forward)."""
+    """C posed pinhole cameras: OpenCV axes (x right, y down, z forward), pixel centres at +0.5."""
 
     viewmats: np.ndarray
     """[C, 4, 4] float64, world to camera, column vectors."""

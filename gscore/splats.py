@@ -11,7 +11,7 @@ SH_REST_BY_DEGREE = {0: 0, 1: 3, 2: 8, 3: 15}
 
 
 def check_array(name: str, array: np.ndarray, shape: tuple[int | str, ...], dtype: type) -> None:
-    """Raise ShapeError unless `array` has this dtype and shape; a str in `shape` matches any size."""
+    """Raise ShapeError unless `array` has this dtype and shape; a str matches any size."""
     wanted = "[" + ", ".join(str(s) for s in shape) + "]"
     fits = isinstance(array, np.ndarray) and array.ndim == len(shape)
     if fits:

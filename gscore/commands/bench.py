@@ -13,7 +13,7 @@ from ..config import DataConfig
 from ..datasets import load_dataset
 from ..errors import ConfigError
 from ..io.ply import read_splats
-from ..raster import _native
+from ..raster import backend
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -48,10 +48,10 @@ def run(args: argparse.Namespace) -> int:
         cameras = load_dataset(data).scene.cameras
     count = min(args.views, len(cameras))
     views = np.unique(np.linspace(0, len(cameras) - 1, count).round().astype(int)).tolist()
-    isas = _native.available_isas() if args.isa == "all" else [args.isa or _native.isa()]
+    isas = backend.available_isas() if args.isa == "all" else [args.isa or backend.isa()]
     results = []
     for isa in isas:
-        _native.set_isa(isa)
+        backend.set_isa(isa)
         result = bench_raster(splats, cameras, views, repeats=args.repeats, threads=args.threads)
         results.append(result)
         if not args.json:

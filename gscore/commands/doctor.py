@@ -115,13 +115,13 @@ def _package_facts(part: _Part) -> dict[str, Any]:
 
 def _native_facts() -> dict[str, Any]:
     """The rasterizer: where it is, what it can use here, and whether it draws one splat right."""
-    from ..raster import _native
+    from ..raster import backend
 
-    facts: dict[str, Any] = {"library": str(_native.library_path()), "problem": ""}
+    facts: dict[str, Any] = {"library": str(backend.library_path()), "problem": ""}
     try:
-        facts["isas"] = _native.available_isas()
-        facts["isa"] = _native.isa()
-        facts["threads"] = _native.default_threads()
+        facts["isas"] = backend.available_isas()
+        facts["isa"] = backend.isa()
+        facts["threads"] = backend.default_threads()
         facts["self_test"] = self_test(facts["isas"])
     except GsError as error:
         return facts | {"problem": str(error)}
@@ -137,7 +137,7 @@ def self_test(isas: list[str]) -> dict[str, dict[str, float]]:
     Returns:
         Per instruction set the largest absolute error of colour and alpha, and milliseconds.
     """
-    from ..raster import _native
+    from ..raster import backend
     from ..raster.api import render
 
     size, focal, z, sigma, opacity = 65, 80.0, 4.0, 0.5, 0.8
@@ -158,10 +158,10 @@ def self_test(isas: list[str]) -> dict[str, dict[str, float]]:
     # At the cut one rounding decides between 1/255 and nothing; that is no error.
     certain = np.abs(alpha * 255 - 1) > 1e-3
     wanted = alpha[..., None] * color + (1 - alpha[..., None]) * background
-    before, results = _native.isa(), {}
+    before, results = backend.isa(), {}
     try:
         for isa in isas:
-            _native.set_isa(isa)
+            backend.set_isa(isa)
             began = time.perf_counter()
             picture = render(splats, K, np.eye(4), size, size, background=tuple(background))
             milliseconds = (time.perf_counter() - began) * 1000
@@ -171,7 +171,7 @@ def self_test(isas: list[str]) -> dict[str, dict[str, float]]:
             )
             results[isa] = {"error": float(error), "milliseconds": round(milliseconds, 3)}
     finally:
-        _native.set_isa(before)
+        backend.set_isa(before)
     return results
 
 

@@ -18,7 +18,7 @@ from ..metrics import (
     write_metrics,
     write_report,
 )
-from ..raster import _native
+from ..raster import backend
 from ..raster.api import render
 from .data_options import add_data_options, with_data_options
 from .model import Model, add_model_argument, model_path, open_model
@@ -85,6 +85,7 @@ def run(args: argparse.Namespace) -> int:
             background=background,
             near=model.near,
             antialias=model.antialias,
+            depths=False,
             threads=args.threads,
         ).rgb
 
@@ -117,8 +118,8 @@ def run(args: argparse.Namespace) -> int:
         storage_bytes=model.ply.stat().st_size,
         steps=None,
         train_seconds=None,
-        isa=_native.isa(),
-        threads=args.threads or _native.default_threads(),
+        isa=backend.isa(),
+        threads=args.threads or backend.default_threads(),
     ) | _of_the_training(model)
     write_metrics(output / "metrics.json", metrics)
     options = {"data": to_dict(config)}

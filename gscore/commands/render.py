@@ -96,6 +96,7 @@ def run(args: argparse.Namespace) -> int:
         "sh_degree": args.sh_degree,
         "near": model.near if args.near is None else args.near,
         "antialias": model.antialias if args.antialias is None else args.antialias,
+        "depths": args.depth is not None,
         "threads": args.threads,
     }
     work = _Work(model, shots, options, quiet=args.quiet)
@@ -166,7 +167,7 @@ def _write_stills(args: argparse.Namespace, work: _Work) -> dict[str, Any]:
         picture = stem.with_name(stem.name + ".png")
         write_png(picture, to_rgba(rendered) if args.transparent else to_rgb(rendered))
         files.append(str(picture))
-        if args.depth:
+        if args.depth and rendered.depth is not None:
             path = stem.with_name(f"{stem.name}_depth.{args.depth}")
             unit = unit or float(rendered.depth.max()) / _DEPTH_STEPS
             if args.depth == "npy":
@@ -259,7 +260,7 @@ def _scaled(cameras: Cameras, resolution: float, *, even: bool) -> Cameras:
     sizes, Ks = [], []
     for K, width, height in zip(cameras.Ks, cameras.widths, cameras.heights, strict=True):
         old = int(width), int(height)
-        new = old if resolution == -1 else target_size(*old, resolution)
+        new = target_size(*old, resolution, max_width=old[0])
         if even:
             new = max(2, new[0] // 2 * 2), max(2, new[1] // 2 * 2)
         sizes.append(new)

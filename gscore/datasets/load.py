@@ -51,7 +51,7 @@ def load_dataset(config: DataConfig) -> Dataset:
     warnings += _other_sizes(views, sizes)
     masks = choose_masks(config, capture.root, views, infos, sizes)
     warnings += masks.warnings
-    files, Ks = _files(views, sizes, upright, masks, config.resolution)
+    files, Ks = _files(views, sizes, upright, masks, config)
     narrow = sum(1 for file in files if file.photo_size[0] < config.resolution)
     if narrow:
         warnings.append(
@@ -130,7 +130,7 @@ def _files(
     sizes: list[tuple[int, int]],
     upright: list[bool],
     masks: MaskChoice,
-    resolution: float,
+    config: DataConfig,
 ) -> tuple[list[ViewFile], list[np.ndarray]]:
     """How to decode each view, and its K at the size delivered, [3, 3] float64 each."""
     plans: dict[tuple, Undistortion | None] = {}
@@ -149,7 +149,7 @@ def _files(
                 max(1, round(plan.width * size[0] / camera.width)),
                 max(1, round(plan.height * size[1] / camera.height)),
             )
-        target = target_size(*full, resolution)
+        target = target_size(*full, config.resolution, max_width=config.max_width)
         Ks.append(scale_intrinsics(K, own, target))
         files.append(
             ViewFile(

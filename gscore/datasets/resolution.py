@@ -6,29 +6,30 @@ import numpy as np
 
 from ..errors import ConfigError
 
-LARGEST_WIDTH = 1600
-"""Pixels; without the option wider photos are scaled down to this width."""
 LARGEST_FACTOR = 8
 """Options up to this divide the size, larger ones are a width in pixels."""
 SMALLEST_WIDTH = 16
 """Pixels; a smaller width is taken for a slip."""
 
 
-def target_size(width: int, height: int, resolution: float) -> tuple[int, int]:
+def target_size(width: int, height: int, resolution: float, *, max_width: int) -> tuple[int, int]:
     """Size in pixels to scale a photo to; never larger than the photo.
 
     Args:
         width: Of the undistorted photo, pixels.
         height: Of the undistorted photo, pixels.
-        resolution: -1: as it is, but at most 1600 px wide; up to 8: divide by it; larger: the
-            width.
+        resolution: -1: as it is, but at most `max_width` wide; up to 8: divide by it; larger:
+            the width.
+        max_width: Pixels, for -1.
 
     Raises:
-        ConfigError: `resolution` is none of these.
+        ConfigError: `resolution` is none of these, or `max_width` is not positive.
     """
     check_resolution(resolution)
+    if max_width < 1:
+        raise ConfigError(f"max_width is {max_width}, expected a positive number of pixels.")
     if resolution == -1:
-        factor = max(1.0, width / LARGEST_WIDTH)
+        factor = max(1.0, width / max_width)
     elif resolution <= LARGEST_FACTOR:
         factor = float(resolution)
     else:
@@ -42,7 +43,7 @@ def check_resolution(resolution: float) -> None:
     pixels = SMALLEST_WIDTH <= resolution < math.inf
     if not (resolution == -1 or factor or pixels):
         raise ConfigError(
-            f"resolution is {resolution:g}; expected -1 (as is, at most {LARGEST_WIDTH} px wide), "
+            f"resolution is {resolution:g}; expected -1 (as is, up to the preset's width), "
             f"1 to {LARGEST_FACTOR} (divide by it) or a width of at least {SMALLEST_WIDTH} px."
         )
 

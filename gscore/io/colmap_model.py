@@ -67,7 +67,7 @@ class ColmapImage:
     """[3] float64, translation world to camera, world units."""
     xys: np.ndarray
     """[M, 2] float64, observed positions, pixels of the camera's size, before undistortion."""
-    point3D_ids: np.ndarray  # noqa: N815  COLMAP's name
+    point3D_ids: np.ndarray
     """[M] int64, id of the point seen there; -1: none."""
 
     @property

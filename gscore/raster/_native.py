@@ -132,7 +132,7 @@ class StatsStruct(ct.Structure):
 
     def as_dict(self) -> dict[str, float]:
         """Names and values."""
-        return {name: getattr(self, name) for name, _ in self._fields_}
+        return {field[0]: getattr(self, field[0]) for field in self._fields_}
 
 
 class LossArgsStruct(ct.Structure):

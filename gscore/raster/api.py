@@ -10,6 +10,8 @@ from ..io.ply import read_splats
 from ..splats import SH_REST_BY_DEGREE, Splats
 from . import _native
 
+_DEPTHS = _native.OUT_INVERSE_DEPTH | _native.OUT_DEPTH | _native.OUT_MEDIAN_DEPTH
+
 
 @dataclass(frozen=True, kw_only=True)
 class Rendered:
@@ -19,11 +21,11 @@ class Rendered:
     """[H, W, 3], background included, in the encoding of the training images; may exceed 1."""
     alpha: np.ndarray
     """[H, W], coverage in [0, 1]."""
-    inverse_depth: np.ndarray
+    inverse_depth: np.ndarray | None
     """[H, W], sum of weight / z, not divided by alpha; 1 / world units."""
-    depth: np.ndarray
+    depth: np.ndarray | None
     """[H, W], expected z: sum of weight * z / sum of weight; world units, 0 where nothing is."""
-    median_depth: np.ndarray
+    median_depth: np.ndarray | None
     """[H, W], z at which half of the light is blocked; world units, 0 where it never is."""
     visible: int
     """Splats that reach the image."""
@@ -42,6 +44,7 @@ def render(
     far: float = 1e10,
     eps2d: float = 0.3,
     antialias: bool = False,
+    depths: bool = True,
     threads: int = 0,
 ) -> Rendered:
     """Render splats from one pinhole camera (Kerbl et al. 2023; EWA of Zwicker et al. 2001).
@@ -58,6 +61,7 @@ def render(
         far: Splats beyond this are not drawn; world units.
         eps2d: Added to the diagonal of the 2D covariance, px^2.
         antialias: Compensate opacities for `eps2d`, as Mip-Splatting models expect.
+        depths: Make the three depths too; without them, which are then None, a fifth faster.
         threads: 0: all cores.
 
     Returns:
@@ -81,7 +85,7 @@ def render(
         eps2d=eps2d,
         antialias=antialias,
         background=background,
-        outputs=_native.OUT_INVERSE_DEPTH | _native.OUT_DEPTH | _native.OUT_MEDIAN_DEPTH,
+        outputs=_DEPTHS if depths else 0,
         threads=threads,
     )
     arrays = [
@@ -102,20 +106,16 @@ def render(
     shape = (height, width)
     if width < 1 or height < 1:
         raise ShapeError(f"The image must be at least 1 x 1 px, got {width} x {height}.")
-    rgb = np.zeros((*shape, 3), np.float32)
-    alpha, inverse, depth, median = (np.zeros(shape, np.float32) for _ in range(4))
+    rgb, alpha = np.zeros((*shape, 3), np.float32), np.zeros(shape, np.float32)
+    inverse, depth, median = (np.zeros(shape, np.float32) if depths else None for _ in range(3))
     image = _native.ImageStruct(
-        rgb.ctypes.data,
-        alpha.ctypes.data,
-        inverse.ctypes.data,
-        depth.ctypes.data,
-        median.ctypes.data,
-        None,
+        *(None if a is None else a.ctypes.data for a in (rgb, alpha, inverse, depth, median))
     )
     with _native.pool.lend() as raster:
         raster.forward(struct, camera, options, image)
         visible = raster.stats().visible
-    np.divide(depth, alpha, out=depth, where=alpha > 0)
+    if depth is not None:
+        np.divide(depth, alpha, out=depth, where=alpha > 0)
     return Rendered(
         rgb=rgb,
         alpha=alpha,

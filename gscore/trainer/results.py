@@ -10,7 +10,7 @@ from ..io.cameras_json import write_cameras
 from ..io.images import write_png
 from ..io.ply import write_splats
 from ..metrics import PictureCollector, summarize, write_metrics, write_report
-from ..raster import _native
+from ..raster import backend
 from ..splats import Splats
 from .evaluation import Evaluator, unmeasured
 from .folder import RunFolder
@@ -31,7 +31,7 @@ class Results:
     @property
     def threads(self) -> int:
         """Threads that the rasterizer uses."""
-        return self._trainer.config.threads or _native.default_threads()
+        return self._trainer.config.threads or backend.default_threads()
 
     def write_inputs(self) -> None:
         """Options and cameras, known before the first step."""
@@ -98,7 +98,7 @@ class Results:
             storage_bytes=folder.point_cloud.stat().st_size,
             steps=trainer.steps,
             train_seconds=meter.train_seconds,
-            isa=_native.isa(),
+            isa=backend.isa(),
             threads=self.threads,
         ) | {"history": meter.history, "evals": evals}
         write_metrics(folder.path / "metrics.json", metrics)

@@ -9,7 +9,7 @@ from typing import Any
 from ..config import DataConfig, to_dict
 from ..events import Done, Eval, Event, Preview, Saved, Snapshot, Started, Warn
 from ..metrics import Lpips, PictureCollector, headline
-from ..raster import _native
+from ..raster import backend
 from ..splats import Splats
 from . import checkpoint
 from .control import Control
@@ -123,7 +123,7 @@ class Session:
                 splats=len(self._trainer.model),
                 width=int(cameras.widths.max()),
                 height=int(cameras.heights.max()),
-                isa=_native.isa(),
+                isa=backend.isa(),
                 threads=self._results.threads,
                 config={"data": to_dict(self._data), "train": to_dict(self._config)},
             )

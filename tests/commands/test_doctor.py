@@ -8,7 +8,7 @@ import pytest
 
 from gscore.commands import doctor
 from gscore.errors import BackendError
-from gscore.raster import _native, api
+from gscore.raster import api, backend
 
 
 def test_a_machine_that_can_train(gscore):
@@ -28,9 +28,9 @@ def test_a_machine_that_can_train(gscore):
 
 def test_the_instruction_set_is_put_back():
     """Oracle: the one in use before."""
-    before = _native.isa()
-    doctor.self_test(_native.available_isas())
-    assert _native.isa() == before
+    before = backend.isa()
+    doctor.self_test(backend.available_isas())
+    assert backend.isa() == before
 
 
 def test_self_test_sees_a_wrong_picture(monkeypatch):
@@ -48,7 +48,7 @@ def test_self_test_sees_a_wrong_picture(monkeypatch):
 
 def test_wrong_pictures_mean_no_training(gscore, monkeypatch):
     """Oracle: exit code 2 and the word."""
-    found = {_native.isa(): {"error": 0.3, "milliseconds": 1.0}}
+    found = {backend.isa(): {"error": 0.3, "milliseconds": 1.0}}
     monkeypatch.setattr(doctor, "self_test", lambda isas: found)
     code, out, _ = gscore("doctor")
     assert code == 2 and "WRONG" in out and "cannot train" in out
@@ -82,6 +82,6 @@ def test_missing_library(gscore, monkeypatch, tmp_path):
     def missing():
         raise BackendError("The native library is missing: x.so does not exist.")
 
-    monkeypatch.setattr(_native, "available_isas", missing)
+    monkeypatch.setattr(backend, "available_isas", missing)
     code, out, _ = gscore("doctor")
     assert code == 2 and "native library is missing" in out and "numpy" in out

@@ -74,7 +74,16 @@ def test_sorted_by_name_with_subfolders(make_capture: Callable) -> None:
 )
 def test_target_sizes(size: tuple[int, int], resolution: float, expected: tuple[int, int]) -> None:
     """Oracle: the documented meaning of -r, computed by hand."""
-    assert target_size(*size, resolution) == expected
+    assert target_size(*size, resolution, max_width=1600) == expected
+
+
+def test_largest_width(make_capture: Callable) -> None:
+    """Oracle: without -r photos are scaled to the width of the option, with it they are not."""
+    root = make_capture(size=(101, 67)).root
+    assert _load(root, max_width=40).image(0).shape == (27, 40, 3)
+    assert _load(root, max_width=40, resolution=1).image(0).shape == (67, 101, 3)
+    with pytest.raises(ConfigError, match="max_width is 0"):
+        _load(root, max_width=0)
 
 
 @pytest.mark.parametrize("resolution", [0, -2, 0.5, 9, 15, float("nan"), float("inf")])
