@@ -79,9 +79,10 @@ def _fit(file: ViewFile, image: np.ndarray, *, nearest: bool = False) -> np.ndar
         width, height = file.photo_size
         pixels = (width / file.plan.camera.width, height / file.plan.camera.height)
         full = (file.plan.width * pixels[0], file.plan.height * pixels[1])
-        # Interpolation at twice the final size or more leaves no trace after scaling down, so huge
-        # photos are first reduced by whole factors, which is exact and many times cheaper.
-        factor = max(1, int(min(full[0] / file.size[0], full[1] / file.size[1]) // 2))
+        # Interpolation at twice the final size leaves no trace after scaling down, so large photos
+        # are first averaged by whole factors, many times cheaper. 0.05: sizes are rounded.
+        ratio = min(full[0] / file.size[0], full[1] / file.size[1])
+        factor = max(1, int(ratio / 2 + 0.05))
         size = (
             max(file.size[0], round(full[0] / factor)),
             max(file.size[1], round(full[1] / factor)),

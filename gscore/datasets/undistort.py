@@ -61,6 +61,7 @@ class Undistortion:
         height, width = image.shape[:2]
         out = np.zeros((size[1], size[0], *image.shape[2:]), image.dtype)
         columns = (np.arange(size[0]) + 0.5) * (self.width / size[0])
+        rows_of_pixels = _packed(image)
         # Strips keep the positions of a large photo in cache instead of gigabytes of memory.
         for top in range(0, size[1], _ROWS_A_STRIP):
             part = out[top : top + _ROWS_A_STRIP]
@@ -72,7 +73,7 @@ class Undistortion:
             if nearest:
                 part[...] = image[np.rint(y).astype(np.int64), np.rint(x).astype(np.int64)]
             else:
-                _bilinear(image, x, y, part)
+                _bilinear(rows_of_pixels, (height, width), x, y, part)
         return out
 
 
@@ -165,15 +166,16 @@ def _check_plan(plan: Undistortion) -> None:
         )
 
 
-def _bilinear(image: np.ndarray, x: np.ndarray, y: np.ndarray, out: np.ndarray) -> None:
-    """Fill `out` [r, W, ...] with `image` at pixel indices x, y [r, W], inside the image."""
-    height, width = image.shape[:2]
+def _bilinear(
+    flat: np.ndarray, shape: tuple[int, int], x: np.ndarray, y: np.ndarray, out: np.ndarray
+) -> None:
+    """Fill `out` [r, W, ...] from packed pixels at indices x, y [r, W] inside (height, width)."""
+    height, width = shape
     left = np.minimum(x.astype(np.int64), max(width - 2, 0))
     top = np.minimum(y.astype(np.int64), max(height - 2, 0))
     fx, fy = (x - left).astype(np.float32), (y - top).astype(np.float32)
     at = top * width + left
     right, below = (1 if width > 1 else 0), (width if height > 1 else 0)
-    flat = _packed(image)
     corners = [_unpacked(flat[at + k], out) for k in (0, right, below, right + below)]
     channels = range(out.shape[2]) if out.ndim == 3 else [...]
     for c in channels:
