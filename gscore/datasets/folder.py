@@ -13,7 +13,7 @@ class Folder:
         self.root = root
         self._files: dict[str, str] = {}
         self._stems: dict[str, list[str]] = {}
-        for folder, _, names in os.walk(root, followlinks=True):
+        for folder, _, names in os.walk(root):
             prefix = Path(folder).relative_to(root).as_posix()
             for name in names:
                 if Path(name).suffix.lower() not in IMAGE_ENDINGS:
