@@ -13,9 +13,21 @@ constexpr uint32_t kLaneBits = (1u << kLanes) - 1;
 // Records are fetched this many list entries ahead of their use.
 constexpr uint32_t kPrefetch = 8;
 
+// Rows the backward pass computes together, stage by stage: a row's chain of dependent operations is so long that
+// out-of-order execution alone cannot keep the arithmetic units busy. The forward pass gains nothing from it.
+constexpr int kBackwardRows = 4;
+
 struct RowSpan {
     int first, end;
 };
+
+// The span widened to a multiple of kBackwardRows inside the tile. Rows added are below the alpha threshold or complete,
+// so they contribute exactly nothing.
+static inline RowSpan whole_steps(RowSpan span) {
+    const int count = (span.end - span.first + kBackwardRows - 1) / kBackwardRows * kBackwardRows;
+    const int first = span.first + count > kTile ? kTile - count : span.first;
+    return {first, first + count};
+}
 
 // Rows of column block `block` in which the splat can reach its alpha threshold.
 static inline RowSpan rows_of_block(RowRange rows, int block) {
@@ -47,11 +59,17 @@ static inline void fill_rows(RowTable &t, const Projected &p, float first_row_y)
     }
 }
 
-// Alpha before the clamp, zero below the threshold. The one place that decides which splat reaches which pixel.
-static inline Vec unclamped_alpha(Vec ux, float ub_dy, float lv) {
-    const Vec u = ux + ub_dy;
-    const Vec q = fnma(u, u, set1(lv));
-    return keep(ge(q, set1(kLog2AlphaMin)), exp2(q));
+// Alpha of `kRows` rows before the clamp, zero below the threshold. The one place that decides which splat reaches
+// which pixel.
+template <int kRows> static inline void unclamped_alpha(Vec ux, const float *ub_dy, const float *lv, Vec *alpha) {
+    Vec q[kRows];
+    for (int j = 0; j < kRows; ++j) {
+        const Vec u = ux + ub_dy[j];
+        q[j] = fnma(u, u, set1(lv[j]));
+    }
+    exp2<kRows>(q, alpha);
+    for (int j = 0; j < kRows; ++j)
+        alpha[j] = keep(ge(q[j], set1(kLog2AlphaMin)), alpha[j]);
 }
 
 template <int kChannels> static inline void channels_of(const Projected &p, uint32_t outputs, float *c) {
@@ -126,9 +144,10 @@ static int64_t blend_tile(const BlendArgs &a, uint32_t outputs, uint32_t tile) {
             const Vec ux = p.ua * ((first_x + float(b * kLanes)) - p.mean_x);
             for (int r = span.first; r < span.end; ++r) {
                 const int at = r * kTile + b * kLanes;
-                const Vec alpha = min(unclamped_alpha(ux, table.ub_dy[r], table.lv[r]), set1(kAlphaMax));
+                Vec alpha;
+                unclamped_alpha<1>(ux, table.ub_dy + r, table.lv + r, &alpha);
                 const Vec t = load(trans + at);
-                Vec w = alpha * t;
+                Vec w = min(alpha, set1(kAlphaMax)) * t;
                 Vec next = t - w;
                 const uint32_t finished = bits(ge(set1(kTransmittanceMin), next));
                 if (finished != done[r * kBlocks + b]) [[unlikely]] {
@@ -294,27 +313,36 @@ static int64_t blend_tile_backward(const BlendBackwardArgs &args, uint32_t outpu
             const Vec ux = p.ua * dx;
             // dx does not change down the rows, so its powers are applied after the row loop.
             Vec g0 = {}, gy = {}, gyy = {}, v_c[kChannels] = {};
-            for (int r = span.first; r < span.end; ++r) {
+            span = whole_steps(span);
+            for (int r = span.first; r < span.end; r += kBackwardRows) {
                 const int at = r * kTile + b * kLanes;
-                const Vec raw = unclamped_alpha(ux, table.ub_dy[r], table.lv[r]);
-                const Vec alpha = min(raw, set1(kAlphaMax));
-                const Vec t = load(trans + at) / (1.0f - alpha);
-                store(trans + at, t);
-                const Vec w = alpha * t;
-                Vec own = set1(c[0]) * load(v_color[0] + at);
-                for (int k = 1; k < kChannels; ++k)
-                    own = fma(set1(c[k]), load(v_color[k] + at), own);
-                const Vec back = load(behind + at);
-                const Vec diff = own - back;
-                store(behind + at, fma(alpha, diff, back));
-                const Vec g = keep(ge(set1(kAlphaMax), raw), w * diff);
-                const Vec dy = set1(table.dy[r]);
-                const Vec g_dy = g * dy;
-                g0 += g;
-                gy += g_dy;
-                gyy = fma(g_dy, dy, gyy);
-                for (int k = 0; k < kChannels; ++k)
-                    v_c[k] = fma(w, load(v_color[k] + at), v_c[k]);
+                Vec raw[kBackwardRows], alpha[kBackwardRows], w[kBackwardRows], g[kBackwardRows];
+                unclamped_alpha<kBackwardRows>(ux, table.ub_dy + r, table.lv + r, raw);
+                for (int j = 0; j < kBackwardRows; ++j) {
+                    alpha[j] = min(raw[j], set1(kAlphaMax));
+                    const Vec t = load(trans + at + j * kTile) / (1.0f - alpha[j]);
+                    store(trans + at + j * kTile, t);
+                    w[j] = alpha[j] * t;
+                }
+                for (int j = 0; j < kBackwardRows; ++j) {
+                    const int row_at = at + j * kTile;
+                    Vec own = set1(c[0]) * load(v_color[0] + row_at);
+                    for (int k = 1; k < kChannels; ++k)
+                        own = fma(set1(c[k]), load(v_color[k] + row_at), own);
+                    const Vec back = load(behind + row_at);
+                    const Vec diff = own - back;
+                    store(behind + row_at, fma(alpha[j], diff, back));
+                    g[j] = keep(ge(set1(kAlphaMax), raw[j]), w[j] * diff);
+                }
+                for (int j = 0; j < kBackwardRows; ++j) {
+                    const Vec dy = set1(table.dy[r + j]);
+                    const Vec g_dy = g[j] * dy;
+                    g0 += g[j];
+                    gy += g_dy;
+                    gyy = fma(g_dy, dy, gyy);
+                    for (int k = 0; k < kChannels; ++k)
+                        v_c[k] = fma(w[j], load(v_color[k] + at + j * kTile), v_c[k]);
+                }
             }
             const Vec gx = g0 * dx;
             sums[kG] += g0;

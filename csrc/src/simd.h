@@ -158,19 +158,22 @@ static inline void lane_sums(const Vec *v, int count, float *out) {
 #endif
 }
 
-// 2^x for x in [-126, 127]; relative error 2.2e-7 (minimax polynomial of degree 5 on [-0.5, 0.5]).
-// Outside that range the result is meaningless but harmless: callers mask it.
-static inline Vec exp2(Vec x) {
+// 2^x of `count` vectors, stage by stage, for x in [-126, 127]; relative error 2.2e-7 (minimax polynomial of degree 5 on
+// [-0.5, 0.5]). Outside that range the result is meaningless but harmless: callers mask it.
+template <int count> static inline void exp2(const Vec *x, Vec *out) {
+    constexpr float kPoly[5] = {0.009675541f, 0.05550713f, 0.2402212f, 0.69314694f, 1.0f};
     const Vec magic = set1(12582912.0f); // 1.5 * 2^23: adding it rounds to an integer kept in the low mantissa bits
-    const Vec t = x + magic;
-    const Vec f = x - (t - magic);
-    Vec p = set1(0.0013276472f);
-    p = fma(p, f, set1(0.009675541f));
-    p = fma(p, f, set1(0.05550713f));
-    p = fma(p, f, set1(0.2402212f));
-    p = fma(p, f, set1(0.69314694f));
-    p = fma(p, f, set1(1.0f));
-    return as_float(as_int(p) + (as_int(t) << 23));
+    Vec t[count], f[count], p[count];
+    for (int j = 0; j < count; ++j) {
+        t[j] = x[j] + magic;
+        f[j] = x[j] - (t[j] - magic);
+        p[j] = fma(set1(0.0013276472f), f[j], set1(kPoly[0]));
+    }
+    for (int k = 1; k < 5; ++k)
+        for (int j = 0; j < count; ++j)
+            p[j] = fma(p[j], f[j], set1(kPoly[k]));
+    for (int j = 0; j < count; ++j)
+        out[j] = as_float(as_int(p[j]) + (as_int(t[j]) << 23));
 }
 
 // e^x, relative error below 4e-7; x is clamped to [-87, 88].
