@@ -22,7 +22,7 @@ class DataConfig:
     source: Path
     """Folder with the COLMAP model or transforms.json."""
     images: str = "images"
-    """Folder of the photos, relative to `source`."""
+    """Folder of the photos, relative to `source`; not used by transforms.json, which names them."""
     masks: str = ""
     """Folder of masks relative to `source`; empty: `masks/` where it exists, or the photos'
     alpha."""
@@ -39,13 +39,16 @@ class DataConfig:
     eval: bool = False
     """Hold test views out of the training."""
     test_every: int = 8
-    """Every n-th view by sorted name is a test view."""
+    """Every n-th view by sorted name is a test view, unless the capture states its own split."""
     test_list: Path | None = None
     """Text file with the names of the test views, one a line; wins over the other rules."""
     test_last: int = 0
     """The last n views by sorted name are test views; 0: use `test_every`."""
     test_first: int = 0
     """The first n views by sorted name are test views; 0: use `test_every`."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "source", Path(self.source))  # scripts pass strings
 
 
 class Strategy(StrEnum):

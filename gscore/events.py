@@ -119,8 +119,7 @@ class Failed(Event):
 
 
 KINDS: dict[str, type[Event]] = {
-    cls.kind: cls
-    for cls in (Started, Progress, Preview, Snapshot, Eval, Warn, Saved, Done, Failed)
+    cls.kind: cls for cls in (Started, Progress, Preview, Snapshot, Eval, Warn, Saved, Done, Failed)
 }
 
 
