@@ -63,6 +63,13 @@ static inline void read_row(const gs_loss_args &a, int row, int channel, float *
     }
 }
 
+static inline double lane_total(Vec v) {
+    double sum = 0;
+    for (int l = 0; l < kLanes; ++l)
+        sum += double(v[l]);
+    return sum;
+}
+
 static void loss_forward(const LossArgs &a, int band, float *scratch) {
     const gs_loss_args &in = *a.args;
     const int w = in.width, h = in.height, stride = loss_stride(w);
@@ -72,30 +79,39 @@ static void loss_forward(const LossArgs &a, int band, float *scratch) {
     for (int k = 0; k < kMaps; ++k)
         rows[k] = scratch + size_t(k) * size_t(stride) + kLossMargin;
     float *ring = scratch + size_t(kMaps) * size_t(stride);
+    const float pad[kMaps] = {-kShift, -kShift, kShift * kShift, kShift * kShift, kShift * kShift};
+    const auto fill = [&](int k, int begin, int stop) {
+        for (int i = begin; i < stop; ++i)
+            rows[k][i] = pad[k];
+    };
+    for (int k = 0; k < kMaps; ++k)
+        fill(k, -kLossMargin, stride - kLossMargin);
+    // Vectors that hang over the end of a row count only with the lanes inside.
+    const int last = (w - 1) / kLanes * kLanes;
+    const Mask last_lanes = gt(set1(float(w - last)), iota());
+    const auto inside = [&](int i, Vec v) { return i < last ? v : keep(last_lanes, v); };
     double l1 = 0, ssim = 0, mse = 0;
     for (int channel = 0; channel < 3; ++channel) {
-        const float pad[kMaps] = {-kShift, -kShift, kShift * kShift, kShift * kShift, kShift * kShift};
         for (int row = first - kReach; row < end + kReach; ++row) {
-            for (int k = 0; k < kMaps; ++k)
-                for (int i = -kLossMargin; i < stride - kLossMargin; ++i)
-                    if (i < 0 || i >= w || row < 0 || row >= h)
-                        rows[k][i] = pad[k];
-            if (row >= 0 && row < h) {
+            if (row < 0 || row >= h) {
+                for (int k = 0; k < kMaps; ++k)
+                    fill(k, 0, w);
+            } else {
                 read_row(in, row, channel, rows[0], rows[1]);
-                for (int i = 0; i < w; ++i) {
-                    rows[2][i] = rows[0][i] * rows[0][i];
-                    rows[3][i] = rows[1][i] * rows[1][i];
-                    rows[4][i] = rows[0][i] * rows[1][i];
+                Vec row_l1 = {}, row_mse = {};
+                for (int i = 0; i < w; i += kLanes) {
+                    const Vec x = load(rows[0] + i), y = load(rows[1] + i), d = x - y;
+                    store(rows[2] + i, x * x);
+                    store(rows[3] + i, y * y);
+                    store(rows[4] + i, x * y);
+                    row_l1 += inside(i, max(d, -d));
+                    row_mse += inside(i, d * d);
                 }
+                for (int k = 2; k < kMaps; ++k)
+                    fill(k, w, last + kLanes);
                 if (row >= first && row < end) {
-                    double row_l1 = 0, row_mse = 0;
-                    for (int i = 0; i < w; ++i) {
-                        const float d = rows[0][i] - rows[1][i];
-                        row_l1 += double(__builtin_fabsf(d));
-                        row_mse += double(d * d);
-                    }
-                    l1 += row_l1;
-                    mse += row_mse;
+                    l1 += lane_total(row_l1);
+                    mse += lane_total(row_mse);
                 }
             }
             const int slot = (row - (first - kReach)) % kWindow;
@@ -110,7 +126,7 @@ static void loss_forward(const LossArgs &a, int band, float *scratch) {
                     in_order[k][j] = ring + size_t(k * kWindow + (slot + 1 + j) % kWindow) * size_t(stride);
             float *planes = a.planes + (size_t(channel) * size_t(h) + size_t(y)) * size_t(stride);
             const size_t plane = 3 * size_t(h) * size_t(stride);
-            double row_ssim = 0;
+            Vec row_ssim = {};
             for (int i = 0; i < w; i += kLanes) {
                 const Vec mx = filter_column(in_order[0], i), my = filter_column(in_order[1], i);
                 const Vec sx = max(fnma(mx, mx, filter_column(in_order[2], i)), Vec{});
@@ -122,8 +138,7 @@ static void loss_forward(const LossArgs &a, int band, float *scratch) {
                 const Vec inv = 1.0f / (b1 * b2);
                 // Not a1 * a2 * inv: identical images must give exactly 1.
                 const Vec s = (a1 * a2) / (b1 * b2);
-                for (int l = 0; l < kLanes && i + l < w; ++l)
-                    row_ssim += double(s[l]);
+                row_ssim += inside(i, s);
                 if (!a.v_image)
                     continue;
                 const Vec v_sxy = 2.0f * a1 * inv;
@@ -133,7 +148,7 @@ static void loss_forward(const LossArgs &a, int band, float *scratch) {
                 store(planes + plane + i, v_sx);
                 store(planes + 2 * plane + i, v_sxy);
             }
-            ssim += row_ssim;
+            ssim += lane_total(row_ssim);
         }
     }
     a.partial[3 * band] = l1;
