@@ -12,7 +12,7 @@ constexpr int kLossBand = 64;
 constexpr int kLossMargin = 16;
 
 constexpr int loss_stride(int width) { return (width + 15) / 16 * 16 + 3 * kLossMargin; }
-constexpr size_t loss_scratch_floats(int width) { return size_t(5 + 5 * kWindow) * size_t(loss_stride(width)); }
+constexpr size_t loss_scratch_floats(int width) { return size_t(4 + 4 * kWindow) * size_t(loss_stride(width)); }
 constexpr size_t loss_plane_floats(int width, int height) { return 9 * size_t(height) * size_t(loss_stride(width)); }
 constexpr int loss_bands(int height) { return (height + kLossBand - 1) / kLossBand; }
 

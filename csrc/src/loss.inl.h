@@ -1,6 +1,9 @@
 // Fused L1 + SSIM loss of one band of rows, and its gradient (Wang et al. 2004; zero padding as in 3DGS).
-// Gaussian windows are separable: rows are filtered once into a ring of 11 and combined downwards. Values are shifted by
-// -0.5 first, which leaves variances unchanged and keeps E[x^2] - E[x]^2 from cancelling in bright flat regions.
+// Gaussian windows are separable: rows are filtered once into a ring of 11 and combined downwards.
+// SSIM is computed from d = x - y: with D = E[d] and V = Var(d),
+//   SSIM = (1 - D^2 / (mx^2 + my^2 + C1)) (1 - V / (sx^2 + sy^2 + C2)),
+// the usual formula rearranged. Its variances would cancel in bright flat regions; here the small quantities D and V are
+// computed from small numbers. Values are also shifted by -0.5, which leaves variances unchanged.
 #pragma once
 
 #include "loss.h"
@@ -74,12 +77,12 @@ static void loss_forward(const LossArgs &a, int band, float *scratch) {
     const gs_loss_args &in = *a.args;
     const int w = in.width, h = in.height, stride = loss_stride(w);
     const int first = band * kLossBand, end = first + kLossBand < h ? first + kLossBand : h;
-    constexpr int kMaps = 5;
-    float *rows[kMaps]; // x, y, x^2, y^2, xy with margins
+    constexpr int kMaps = 4;
+    float *rows[kMaps]; // x, y, x^2 + y^2, d^2 with margins
     for (int k = 0; k < kMaps; ++k)
         rows[k] = scratch + size_t(k) * size_t(stride) + kLossMargin;
     float *ring = scratch + size_t(kMaps) * size_t(stride);
-    const float pad[kMaps] = {-kShift, -kShift, kShift * kShift, kShift * kShift, kShift * kShift};
+    const float pad[kMaps] = {-kShift, -kShift, 2.0f * kShift * kShift, 0.0f};
     const auto fill = [&](int k, int begin, int stop) {
         for (int i = begin; i < stop; ++i)
             rows[k][i] = pad[k];
@@ -101,11 +104,11 @@ static void loss_forward(const LossArgs &a, int band, float *scratch) {
                 Vec row_l1 = {}, row_mse = {};
                 for (int i = 0; i < w; i += kLanes) {
                     const Vec x = load(rows[0] + i), y = load(rows[1] + i), d = x - y;
-                    store(rows[2] + i, x * x);
-                    store(rows[3] + i, y * y);
-                    store(rows[4] + i, x * y);
+                    const Vec d2 = d * d;
+                    store(rows[2] + i, fma(x, x, y * y));
+                    store(rows[3] + i, d2);
                     row_l1 += inside(i, max(d, -d));
-                    row_mse += inside(i, d * d);
+                    row_mse += inside(i, d2);
                 }
                 for (int k = 2; k < kMaps; ++k)
                     fill(k, w, last + kLanes);
@@ -129,24 +132,22 @@ static void loss_forward(const LossArgs &a, int band, float *scratch) {
             Vec row_ssim = {};
             for (int i = 0; i < w; i += kLanes) {
                 const Vec mx = filter_column(in_order[0], i), my = filter_column(in_order[1], i);
-                const Vec sx = max(fnma(mx, mx, filter_column(in_order[2], i)), Vec{});
-                const Vec sy = max(fnma(my, my, filter_column(in_order[3], i)), Vec{});
-                const Vec sxy = fnma(mx, my, filter_column(in_order[4], i));
+                const Vec diff = mx - my;
+                const Vec spread = filter_column(in_order[2], i) - fma(mx, mx, my * my);
+                const Vec v = max(fnma(diff, diff, filter_column(in_order[3], i)), Vec{});
                 const Vec ux = mx + kShift, uy = my + kShift;
-                const Vec a1 = 2.0f * (ux * uy) + kC1, a2 = 2.0f * sxy + kC2;
-                const Vec b1 = ux * ux + uy * uy + kC1, b2 = sx + sy + kC2;
-                const Vec inv = 1.0f / (b1 * b2);
-                // Not a1 * a2 * inv: identical images must give exactly 1.
-                const Vec s = (a1 * a2) / (b1 * b2);
-                row_ssim += inside(i, s);
+                const Vec inv_b1 = 1.0f / (fma(ux, ux, uy * uy) + kC1);
+                const Vec inv_b2 = 1.0f / (max(spread, Vec{}) + kC2);
+                const Vec v_share = v * inv_b2, diff_share = diff * diff * inv_b1;
+                const Vec luminance = 1.0f - diff_share, contrast = 1.0f - v_share;
+                row_ssim += inside(i, luminance * contrast);
                 if (!a.v_image)
                     continue;
-                const Vec v_sxy = 2.0f * a1 * inv;
-                const Vec v_sx = -s / b2;
-                const Vec v_ux = 2.0f * (uy * a2 * inv - ux * s / b1);
-                store(planes + i, v_ux - 2.0f * (v_sx * mx) - v_sxy * my);
-                store(planes + plane + i, v_sx);
-                store(planes + 2 * plane + i, v_sxy);
+                const Vec v_sum = luminance * v_share * inv_b2; // with respect to E[x^2 + y^2]
+                store(planes + i, 2.0f * (contrast * inv_b1 * (ux * diff_share - diff) +
+                                          luminance * inv_b2 * diff - v_sum * mx));
+                store(planes + plane + i, v_sum);
+                store(planes + 2 * plane + i, -luminance * inv_b2);
             }
             ssim += lane_total(row_ssim);
         }
@@ -190,8 +191,8 @@ static void loss_backward(const LossArgs &a, int band, float *scratch) {
             read_row(in, at, channel, x, y);
             for (int i = 0; i < w; i += kLanes) {
                 const Vec vx = load(x + i), vy = load(y + i);
-                const Vec g = filter_column(in_order[0], i) + 2.0f * vx * filter_column(in_order[1], i) +
-                              vy * filter_column(in_order[2], i);
+                const Vec g = filter_column(in_order[0], i) + 2.0f * (vx * filter_column(in_order[1], i) +
+                                                                      (vx - vy) * filter_column(in_order[2], i));
                 const Vec sign = keep(gt(vx, vy), set1(l1_weight)) - keep(gt(vy, vx), set1(l1_weight));
                 store(out + i, fnma(set1(ssim_weight), g, sign));
             }

@@ -121,7 +121,7 @@ struct ProjectBackwardArgs {
 
 struct LossArgs {
     const gs_loss_args *args;
-    float *planes;    // loss_plane_floats: derivatives with respect to E[x], E[x^2], E[xy]; map, channel, row
+    float *planes;    // loss_plane_floats: derivatives with respect to E[x], E[x^2 + y^2], E[d^2]; map, channel, row
     double *partial;  // [bands * 3] l1, ssim, mse sums
     float *v_image;   // null: no gradient
 };

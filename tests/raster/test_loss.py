@@ -1,0 +1,151 @@
+"""Oracle: the loss written out in float64 torch with autograd; and facts known by hand."""
+
+from collections.abc import Iterator
+
+import pytest
+import torch
+from torch.nn import functional
+
+from gscore.errors import ShapeError
+from gscore.raster import backend
+from gscore.raster.loss import image_loss
+
+BACKGROUND = (0.2, 0.5, 0.9)
+
+
+def twin(
+    image: torch.Tensor, target: torch.Tensor, mask: torch.Tensor, mode: str, weight: float
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Loss and SSIM of [H, W, 3] float64: (1 - w) L1 + w (1 - SSIM), zero padding."""
+    y, m = target.double() / 255, mask.double()[..., None] / 255
+    if mode == "composite":
+        y = y * m + torch.tensor(BACKGROUND, dtype=torch.float64) * (1 - m)
+    elif mode == "ignore":
+        image, y = image * m, y * m
+    taps = torch.exp(-((torch.arange(11, dtype=torch.float64) - 5) ** 2) / (2 * 1.5**2))
+    taps = taps / taps.sum()
+    window = torch.outer(taps, taps)[None, None]
+
+    def blur(x: torch.Tensor) -> torch.Tensor:
+        return functional.conv2d(x.permute(2, 0, 1)[:, None], window, padding=5)
+
+    mx, my = blur(image), blur(y)
+    sx, sy = blur(image * image) - mx * mx, blur(y * y) - my * my
+    sxy = blur(image * y) - mx * my
+    c1, c2 = 0.01**2, 0.03**2
+    ssim = ((2 * mx * my + c1) * (2 * sxy + c2)) / ((mx * mx + my * my + c1) * (sx + sy + c2))
+    l1 = (image - y).abs().mean()
+    return (1 - weight) * l1 + weight * (1 - ssim.mean()), ssim.mean()
+
+
+def pictures(height: int, width: int, seed: int = 0) -> tuple[torch.Tensor, ...]:
+    """A smooth picture plus noise, a photo like it, and a soft mask."""
+    g = torch.Generator().manual_seed(seed)
+    y, x = torch.meshgrid(torch.linspace(0, 3, height), torch.linspace(0, 4, width), indexing="ij")
+    smooth = torch.stack([(x * k + y).sin() * 0.4 + 0.5 for k in (1, 2, 3)], dim=-1)
+    image = smooth + 0.1 * torch.randn(height, width, 3, generator=g)
+    photo = (smooth + 0.05 * torch.randn(height, width, 3, generator=g)).clamp(0, 1)
+    mask = (torch.rand(height, width, generator=g) * 255).byte()
+    return image, (photo * 255).byte(), mask
+
+
+@pytest.fixture(params=backend.available_isas())
+def isa(request: pytest.FixtureRequest) -> Iterator[str]:
+    before = backend.isa()
+    backend.set_isa(request.param)
+    yield request.param
+    backend.set_isa(before)
+
+
+@pytest.mark.parametrize("mode", ["none", "composite", "ignore"])
+@pytest.mark.parametrize("size", [(1, 1), (8, 8), (11, 5), (33, 47), (130, 96), (65, 17)])
+def test_value_and_gradient(isa: str, size: tuple[int, int], mode: str) -> None:
+    """Oracle: `twin`; values to 1e-6, gradients to 1e-5 of the largest."""
+    image, target, mask = pictures(*size)
+    exact = image.double().requires_grad_()
+    loss, ssim = twin(exact, target, mask, mode, 0.2)
+    loss.backward()
+    image.requires_grad_()
+    found = image_loss(
+        image, target, mask=mask, mask_mode=mode, background=BACKGROUND, ssim_weight=0.2
+    )
+    found.loss.backward()
+    assert found.loss.item() == pytest.approx(loss.item(), abs=1e-6)
+    assert found.ssim == pytest.approx(ssim.item(), abs=1e-6)
+    assert exact.grad is not None and image.grad is not None
+    largest = exact.grad.abs().max()
+    assert largest > 0
+    assert (image.grad - exact.grad).abs().max() < 1e-5 * largest + 1e-7
+
+
+def test_bright_flat_pictures_keep_their_digits(isa: str) -> None:
+    """Oracle: `twin`. E[x^2] - E[x]^2 of white walls would cancel without the shift."""
+    g = torch.Generator().manual_seed(1)
+    target = torch.full((64, 64, 3), 250, dtype=torch.uint8)
+    image = 0.98 + 0.002 * torch.randn(64, 64, 3, generator=g)
+    found = image_loss(image, target)
+    _, ssim = twin(image.double(), target, torch.zeros(64, 64), "none", 0.2)
+    assert found.ssim == pytest.approx(ssim.item(), abs=2e-6)
+
+
+def test_identical_pictures_score_exactly_one(isa: str) -> None:
+    """Oracle: the definition."""
+    _, target, _ = pictures(40, 50)
+    image = (target.float() * (1 / 255)).requires_grad_()
+    found = image_loss(image, target)
+    assert (found.ssim, found.l1, found.mse, found.loss.item()) == (1.0, 0.0, 0.0, 0.0)
+    found.loss.backward()
+    assert image.grad is not None and image.grad.abs().max() < 1e-9
+
+
+@pytest.mark.parametrize("weight", [0.0, 1.0])
+def test_weights_at_the_ends(weight: float) -> None:
+    """Oracle: L1 alone and 1 - SSIM alone."""
+    image, target, mask = pictures(30, 30)
+    loss, _ = twin(image.double(), target, mask, "none", weight)
+    assert image_loss(image, target, ssim_weight=weight).loss.item() == pytest.approx(
+        loss.item(), abs=1e-6
+    )
+
+
+def test_bits_do_not_depend_on_threads() -> None:
+    """Oracle: one thread."""
+    image, target, mask = pictures(300, 70)
+
+    def run(threads: int) -> tuple[float, torch.Tensor]:
+        x = image.clone().requires_grad_()
+        found = image_loss(x, target, mask=mask, mask_mode="ignore", threads=threads)
+        found.loss.backward()
+        assert x.grad is not None
+        return found.ssim, x.grad
+
+    one = run(1)
+    for threads in (2, 3, 8):
+        many = run(threads)
+        assert many[0] == one[0]
+        assert torch.equal(many[1], one[1])
+
+
+def test_gradient_scales_with_what_follows() -> None:
+    """Oracle: the chain rule."""
+    image, target, _ = pictures(20, 20)
+    a, b = image.clone().requires_grad_(), image.clone().requires_grad_()
+    image_loss(a, target).loss.backward()
+    (3 * image_loss(b, target).loss).backward()
+    assert a.grad is not None and b.grad is not None
+    torch.testing.assert_close(b.grad, 3 * a.grad)
+
+
+def test_bad_input_is_named() -> None:
+    """Oracle: the messages."""
+    image, target, mask = pictures(9, 7)
+    with pytest.raises(ShapeError, match=r"target must be \[9, 7, 3\] uint8"):
+        image_loss(image, target[:5])
+    with pytest.raises(ShapeError, match="mask must be"):
+        image_loss(image, target, mask=mask[:5], mask_mode="ignore")
+    with pytest.raises(ShapeError, match=r"mask must be .* got none"):
+        image_loss(image, target, mask_mode="composite")
+    with pytest.raises(ShapeError, match="mask_mode must be one of"):
+        image_loss(image, target, mask=mask, mask_mode="soft")
+    with pytest.raises(ShapeError, match="ssim_weight must be 0 to 1"):
+        image_loss(image, target, ssim_weight=2)
