@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from .io.ply import read_splats, write_splats
     from .raster.api import Rendered, render
     from .raster.autograd import RasterAux, RasterOutput, rasterize
+    from .raster.backend import CancelFlag
     from .raster.loss import ImageLoss, image_loss
     from .scene import Cameras, PointCloud, Scene
     from .splats import Splats
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 _HOME = {
     "BackendError": "errors",
     "Cameras": "scene",
+    "CancelFlag": "raster.backend",
     "Cancelled": "errors",
     "ConfigError": "errors",
     "DataConfig": "config",
@@ -60,6 +62,7 @@ _HOME = {
 __all__ = [
     "BackendError",
     "Cameras",
+    "CancelFlag",
     "Cancelled",
     "ConfigError",
     "DataConfig",

@@ -386,6 +386,17 @@ def camera_struct(
     return camera
 
 
+class CancelFlag:
+    """Stops a running call from another thread: pass it to the call, `set()` it to stop."""
+
+    def __init__(self) -> None:
+        self.value = ct.c_int32(0)
+
+    def set(self) -> None:
+        """The call it was passed to raises Cancelled soon, and so do later ones."""
+        self.value.value = 1
+
+
 def options_struct(
     *,
     eps2d: float,
@@ -394,10 +405,13 @@ def options_struct(
     outputs: int,
     threads: int,
     disable: int = 0,
+    cancel: CancelFlag | None = None,
 ) -> OptionsStruct:
-    """A gs_options."""
+    """A gs_options; `cancel` must outlive the call."""
     options = OptionsStruct(
         eps2d=eps2d, antialias=int(antialias), outputs=outputs, disable=disable, threads=threads
     )
     options.background = (ct.c_float * 3)(*background)
+    if cancel is not None:
+        options.cancel = ct.pointer(cancel.value)
     return options

@@ -46,6 +46,7 @@ def render(
     antialias: bool = False,
     depths: bool = True,
     threads: int = 0,
+    cancel: _native.CancelFlag | None = None,
 ) -> Rendered:
     """Render splats from one pinhole camera (Kerbl et al. 2023; EWA of Zwicker et al. 2001).
 
@@ -63,6 +64,7 @@ def render(
         antialias: Compensate opacities for `eps2d`, as Mip-Splatting models expect.
         depths: Make the three depths too; without them, which are then None, a fifth faster.
         threads: 0: all cores.
+        cancel: Set it from another thread to stop.
 
     Returns:
         The picture and its depths.
@@ -71,6 +73,7 @@ def render(
         ShapeError: K, viewmat, size or degree cannot be used.
         FormatError: The file is not a splat PLY.
         BackendError: The native library is missing or out of memory.
+        Cancelled: `cancel` was set.
     """
     if not isinstance(splats, Splats):
         splats = read_splats(Path(splats))
@@ -87,6 +90,7 @@ def render(
         background=background,
         outputs=_DEPTHS if depths else 0,
         threads=threads,
+        cancel=cancel,
     )
     arrays = [
         np.ascontiguousarray(a)

@@ -35,6 +35,9 @@ class RasterOutput:
     """[H, W], sum of weight / z, not divided by alpha; None unless asked for."""
     depth: Tensor | None
     """[H, W], sum of weight * z / sum of weight, 0 where nothing is; None unless asked for."""
+    median_depth: Tensor | None
+    """[H, W], z at which transmittance falls to 0.5 or less, 0 where it never does; not
+    differentiable; None unless asked for."""
 
 
 def _checked(name: str, tensor: Tensor, shape: tuple[int, ...]) -> Tensor:
@@ -89,12 +92,13 @@ class _Rasterize(torch.autograd.Function):
         rgb, alpha = torch.zeros(h, w, 3), torch.zeros(h, w)
         inverse = torch.zeros(h, w) if s.outputs & _native.OUT_INVERSE_DEPTH else torch.zeros(0)
         depth = torch.zeros(h, w) if s.outputs & _native.OUT_DEPTH else torch.zeros(0)
+        median = torch.zeros(h, w) if s.outputs & _native.OUT_MEDIAN_DEPTH else torch.zeros(0)
         image = _native.ImageStruct(
             rgb.data_ptr(),
             alpha.data_ptr(),
             inverse.data_ptr() or None,
             depth.data_ptr() or None,
-            None,
+            median.data_ptr() or None,
             None,
         )
         if s.aux is not None:
@@ -123,13 +127,14 @@ class _Rasterize(torch.autograd.Function):
         else:
             _native.pool.give_back(raster)
         ctx.set_materialize_grads(False)
-        return rgb, alpha, inverse, depth
+        ctx.mark_non_differentiable(median)
+        return rgb, alpha, inverse, depth, median
 
     @staticmethod
     def backward(ctx: Any, *v_outputs: Tensor | None) -> tuple[Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
         tensors = ctx.saved_tensors
         s: _Settings = ctx.settings
-        kept = [None if v is None else v.to(torch.float32).contiguous() for v in v_outputs]
+        kept = [None if v is None else v.to(torch.float32).contiguous() for v in v_outputs[:4]]
         # An output nobody asked for is an empty tensor; its gradient has no address to pass on.
         pointers = [None if v is None else v.data_ptr() or None for v in kept]
         v_tensors = [torch.empty_like(t) for t in tensors]
@@ -178,6 +183,7 @@ def rasterize(
     antialias: bool = False,
     inverse_depth: bool = False,
     depth: bool = False,
+    median_depth: bool = False,
     threads: int = 0,
     disable: int = 0,
     aux: RasterAux | None = None,
@@ -206,6 +212,7 @@ def rasterize(
         antialias: Multiply opacities by max(sqrt(det0 / det), 0.005).
         inverse_depth: Also return the accumulated inverse depth.
         depth: Also return the expected depth.
+        median_depth: Also return the median depth.
         threads: 0: all cores. Results do not depend on it.
         disable: Bits of `_native.NO_*`: skips to leave out, for tests and benchmarks.
         aux: Where radii, screen gradients and statistics go.
@@ -242,7 +249,11 @@ def rasterize(
     else:
         r, g, b = (float(c) for c in background)
         color = (r, g, b)
-    outputs = _native.OUT_INVERSE_DEPTH * inverse_depth | _native.OUT_DEPTH * depth
+    outputs = (
+        _native.OUT_INVERSE_DEPTH * inverse_depth
+        | _native.OUT_DEPTH * depth
+        | _native.OUT_MEDIAN_DEPTH * median_depth
+    )
     settings = _Settings(
         raw=raw,
         sh_degree=stored if sh_degree is None else sh_degree,
@@ -260,11 +271,17 @@ def rasterize(
         aux=aux,
     )
     tensors = (means, quats, scales, opacities, sh0, shN)
-    rgb, alpha, inverse, weighted = _Rasterize.apply(
+    rgb, alpha, inverse, weighted, median = _Rasterize.apply(
         *(t.contiguous() for t in tensors), viewmat.contiguous(), settings
     )  # pyright: ignore[reportGeneralTypeIssues]
     expected = None
     if depth:
         # The quotient's gradient comes from torch; where alpha is 0 so is the sum.
         expected = weighted / torch.where(alpha > 0, alpha, torch.ones_like(alpha))
-    return RasterOutput(rgb, alpha, inverse if inverse_depth else None, expected)
+    return RasterOutput(
+        rgb,
+        alpha,
+        inverse if inverse_depth else None,
+        expected,
+        median if median_depth else None,
+    )

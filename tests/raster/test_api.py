@@ -1,0 +1,110 @@
+"""Oracles: the torch wrapper for the numpy one, wall time for cancelling, messages for errors."""
+
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+import gscore
+from gscore.bench.raster import synthetic_scene
+from gscore.splats import Splats
+
+
+def _view(splats: Splats, **options: object) -> gscore.Rendered:
+    _, cameras = synthetic_scene(1, 160, 90)
+    return gscore.render(splats, cameras.Ks[0], cameras.viewmats[0], 160, 90, **options)
+
+
+def test_numpy_and_torch_agree_to_the_bit(tmp_path: Path) -> None:
+    """Oracle: `rasterize` on the same values; a PLY in between changes nothing."""
+    splats, cameras = synthetic_scene(3000, 160, 90)
+    gscore.write_splats(tmp_path / "a.ply", splats)
+    K, viewmat = cameras.Ks[0], cameras.viewmats[0]
+    view = gscore.render(tmp_path / "a.ply", K, viewmat, 160, 90, background=(0.1, 0.2, 0.3))
+    tensors = [
+        torch.from_numpy(getattr(splats, n))
+        for n in ("means", "quats", "scales", "opacities", "sh0", "shN")
+    ]
+    out = gscore.rasterize(
+        *tensors,
+        torch.from_numpy(viewmat).float(),
+        torch.from_numpy(K).float(),
+        160,
+        90,
+        raw=True,
+        background=(0.1, 0.2, 0.3),
+        inverse_depth=True,
+        depth=True,
+        median_depth=True,
+    )
+    assert view.alpha.mean() > 0.1
+    for name in ("rgb", "alpha", "inverse_depth", "depth", "median_depth"):
+        np.testing.assert_array_equal(getattr(view, name), getattr(out, name).numpy())
+
+
+def test_depths_can_be_left_out() -> None:
+    """Oracle: the same picture; alpha differs by rounding only, see the header."""
+    splats, _ = synthetic_scene(3000, 160, 90)
+    full, bare = _view(splats), _view(splats, depths=False)
+    np.testing.assert_array_equal(full.rgb, bare.rgb)
+    np.testing.assert_allclose(full.alpha, bare.alpha, atol=1e-6)
+    assert (bare.depth, bare.inverse_depth, bare.median_depth) == (None, None, None)
+
+
+def test_cancel_stops_a_long_call() -> None:
+    """Oracle: the clock. Uncancelled, this picture takes many times longer."""
+    splats, _ = synthetic_scene(20_000, 160, 90)
+    big = Splats(
+        means=splats.means,
+        quats=splats.quats,
+        scales=splats.scales + 2.5,
+        opacities=splats.opacities - 4,
+        sh0=splats.sh0,
+        shN=splats.shN,
+    )
+    K = np.array([[3000, 0, 1920], [0, 3000, 1080], [0, 0, 1.0]])
+    flag = gscore.CancelFlag()
+    threading.Timer(0.3, flag.set).start()
+    began = time.perf_counter()
+    with pytest.raises(gscore.Cancelled):
+        gscore.render(big, K, np.eye(4), 3840, 2160, cancel=flag)
+    assert time.perf_counter() - began < 3
+    with pytest.raises(gscore.Cancelled):
+        _view(big, cancel=flag)
+    assert _view(splats).alpha.mean() > 0.1  # the workspace is as good as new
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"K": np.array([[50, 1, 16], [0, 50, 16], [0, 0, 1.0]])}, "skew is not supported"),
+        ({"K": np.eye(4)}, r"K must be \[3, 3\]"),
+        ({"viewmat": np.eye(3)}, r"viewmat must be \[4, 4\]"),
+        ({"viewmat": np.full((4, 4), np.nan)}, "viewmat holds a value that is not finite"),
+        ({"width": 0}, "at least 1 x 1 px"),
+        ({"width": 70_000}, "1 to 65536 px"),
+        ({"sh_degree": 4}, "sh_degree must be 0 to 3"),
+        ({"near": 0.0}, "near must be positive"),
+        ({"eps2d": -1.0}, "eps2d must be positive"),
+        ({"threads": -1}, "threads must be 0"),
+    ],
+)
+def test_bad_input_is_named(options: dict, message: str) -> None:
+    """Oracle: the messages."""
+    splats, cameras = synthetic_scene(10, 32, 32)
+    values = {"K": cameras.Ks[0], "viewmat": np.eye(4), "width": 32, "height": 32} | options
+    with pytest.raises(gscore.ShapeError, match=message):
+        gscore.render(splats, **values)
+
+
+def test_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: the message."""
+    from gscore.raster import _native
+
+    monkeypatch.setenv("GSCORE_LIBRARY", "/nowhere/libgscore.so")
+    monkeypatch.setattr(_native, "_library", None)
+    with pytest.raises(gscore.BackendError, match="native library is missing"):
+        _native.library()
