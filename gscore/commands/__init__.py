@@ -34,7 +34,6 @@ _EXTRAS = {
     "scipy": "train",
     "pycolmap": "train",
     "PIL": "train",
-    "tqdm": "train",
     "onnxruntime": "lpips",
     "av": "video",
 }

@@ -59,17 +59,17 @@ class Dataset:
         """Bytes that all photos and masks take once decoded; known before, an upper bound."""
         return sum(file.nbytes for file in self._files)
 
-    def image(self, i: int) -> np.ndarray:
+    def image(self, index: int) -> np.ndarray:
         """[H, W, 3] uint8, contiguous; decoded on first use. Do not write to it.
 
         Raises:
             FormatError: the file is corrupt.
         """
-        return self._view(i)[0]
+        return self._view(index)[0]
 
-    def mask(self, i: int) -> np.ndarray | None:
+    def mask(self, index: int) -> np.ndarray | None:
         """[H, W] uint8, 255 = keep, or None for a view without mask. Do not write to it."""
-        return self._view(i)[1]
+        return self._view(index)[1]
 
     def preload(
         self,

@@ -168,4 +168,4 @@ def _write(file: BinaryIO, tensors: dict[str, torch.Tensor], metadata: dict[str,
     file.write(encoded)
     for tensor in arrays.values():
         if tensor.numel():
-            file.write(memoryview(tensor.numpy()).cast("B"))
+            file.write(tensor.numpy().data.cast("B"))

@@ -37,6 +37,14 @@ class Model:
         return len(self.params["means"])
 
     @property
+    def arguments(
+        self,
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+        """The parameters in the order in which `rasterize` takes them."""
+        means, quats, scales, opacities, sh0, shN = (self.params[name] for name in NAMES)
+        return means, quats, scales, opacities, sh0, shN
+
+    @property
     def sh_degree(self) -> int:
         """Degree of the SH coefficients stored, 0 to 3."""
         return round((self.params["shN"].shape[1] + 1) ** 0.5) - 1

@@ -78,10 +78,10 @@ def splats_from_tensors(params: Mapping[str, torch.Tensor], *, sh_degree: int) -
 
 def _neighbour_distance(points: np.ndarray, *, lone: float) -> np.ndarray:
     """[P] root-mean-square distance to the three nearest neighbours, at least sqrt(1e-7)."""
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     neighbours = min(3, len(points) - 1)
     if neighbours == 0:
         return np.full(len(points), lone)
-    distances, _ = cKDTree(points).query(points, k=neighbours + 1)
+    distances, _ = KDTree(points).query(points, k=neighbours + 1)
     return np.sqrt(np.maximum((distances[:, 1:] ** 2).mean(axis=1), 1e-7))

@@ -85,7 +85,7 @@ class Trainer:
         background = self._step_background()
         aux = RasterAux()
         picture = rasterize(
-            *model.params.values(),
+            *model.arguments,
             view.viewmat,
             view.K,
             view.width,
@@ -124,7 +124,7 @@ class Trainer:
         view = self._views[index]
         with torch.no_grad():
             return rasterize(
-                *self.model.params.values(),
+                *self.model.arguments,
                 view.viewmat,
                 view.K,
                 view.width,
