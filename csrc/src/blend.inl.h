@@ -89,13 +89,13 @@ static int64_t blend_tile(const BlendArgs &a, uint32_t outputs, uint32_t tile) {
     const int columns = a.width - x0 < kTile ? a.width - x0 : kTile;
     const int rows = a.height - y0 < kTile ? a.height - y0 : kTile;
 
-    alignas(64) float trans[kTilePixels];
-    alignas(64) float color[kChannels][kTilePixels];
-    alignas(64) float median[kMedian ? kTilePixels : kLanes];
     // With depths, alpha is summed: depths are divided by it, and 1 - T has lost the digits of faint pixels.
     constexpr bool kSumAlpha = kChannels >= 4;
-    alignas(64) float cover[kSumAlpha ? kTilePixels : kLanes] = {};
-    uint32_t done[kTile * kBlocks];
+    // One block, so that the inner loop addresses all of it from one pointer: transmittance, channels, and where needed
+    // the sum of weights and the median depth.
+    constexpr int kCover = 1 + kChannels, kMedianAt = kCover + kSumAlpha, kPlanes = kMedianAt + kMedian;
+    alignas(64) float state[kPlanes][kTilePixels];
+    uint32_t done[kBlocks][kTile];
     RowSpan live[kBlocks]; // rows of a block outside of which every pixel is complete
     float *final_trans = a.final_transmittance + size_t(tile) * kTilePixels;
     uint32_t *stop = a.stop_index + size_t(tile) * kTilePixels;
@@ -103,24 +103,42 @@ static int64_t blend_tile(const BlendArgs &a, uint32_t outputs, uint32_t tile) {
     int stops = 0;
 
     int open = 0;
-    std::memset(color, 0, sizeof color);
-    std::memset(median, 0, sizeof median);
+    std::memset(state, 0, sizeof state);
     for (int i = 0; i < kTilePixels; ++i) {
         const bool inside = i % kTile < columns && i / kTile < rows;
-        trans[i] = inside ? 1.0f : 0.0f;
-        final_trans[i] = trans[i];
+        state[0][i] = final_trans[i] = inside ? 1.0f : 0.0f;
         stop[i] = inside ? ~0u : 0u;
         open += inside;
     }
-    for (int r = 0; r < kTile; ++r)
-        for (int b = 0; b < kBlocks; ++b) {
-            uint32_t m = 0;
-            for (int l = 0; l < kLanes; ++l)
-                m |= uint32_t(trans[r * kTile + b * kLanes + l] == 0.0f) << l;
-            done[r * kBlocks + b] = m;
-        }
-    for (int b = 0; b < kBlocks; ++b)
+    for (int b = 0; b < kBlocks; ++b) {
         live[b] = {0, rows};
+        for (int r = 0; r < kTile; ++r) {
+            done[b][r] = 0;
+            for (int l = 0; l < kLanes; ++l)
+                done[b][r] |= uint32_t(state[0][r * kTile + b * kLanes + l] == 0.0f) << l;
+        }
+    }
+    // The lanes `finished` of a row are complete before `entry`. `values` holds their transmittance before it, and its
+    // weights and their transmittance after it, which become zero. Rare, hence kept out of the loop below.
+    const auto complete = [&](int b, int r, uint32_t finished, uint32_t entry,
+                              float (*values)[kLanes]) __attribute__((noinline)) {
+        // Complete pixels hold a transmittance of zero, so the new ones are those not yet marked.
+        const uint32_t fresh = finished & ~done[b][r];
+        for (int l = 0; l < kLanes; ++l)
+            if (fresh >> l & 1) {
+                const int at = r * kTile + b * kLanes + l;
+                final_trans[at] = values[0][l];
+                stop[at] = entry;
+                stop_order[stops++] = uint8_t(at);
+                values[1][l] = values[2][l] = 0.0f;
+                --open;
+            }
+        done[b][r] = finished;
+        while (live[b].first < live[b].end && done[b][live[b].first] == kLaneBits)
+            ++live[b].first;
+        while (live[b].first < live[b].end && done[b][live[b].end - 1] == kLaneBits)
+            --live[b].end;
+    };
 
     const uint32_t begin = a.tile_begin[tile], end = a.tile_begin[tile + 1];
     const Vec first_x = iota() + (float(x0) + 0.5f);
@@ -142,42 +160,38 @@ static int64_t blend_tile(const BlendArgs &a, uint32_t outputs, uint32_t tile) {
                 continue;
             vectors += span.end - span.first;
             const Vec ux = p.ua * ((first_x + float(b * kLanes)) - p.mean_x);
-            for (int r = span.first; r < span.end; ++r) {
-                const int at = r * kTile + b * kLanes;
+            float *at = state[0] + span.first * kTile + b * kLanes;
+            for (int r = span.first; r < span.end; ++r, at += kTile) {
                 Vec alpha;
                 unclamped_alpha<1>(ux, table.ub_dy + r, table.lv + r, &alpha);
-                const Vec t = load(trans + at);
+                const Vec t = load(at);
                 Vec w = min(alpha, set1(kAlphaMax)) * t;
                 Vec next = t - w;
                 const uint32_t finished = bits(ge(set1(kTransmittanceMin), next));
-                if (finished != done[r * kBlocks + b]) [[unlikely]] {
-                    // Complete pixels hold a transmittance of zero, so the new ones are those not yet marked.
-                    const uint32_t fresh = finished & ~done[r * kBlocks + b];
-                    for (int l = 0; l < kLanes; ++l)
-                        if (fresh >> l & 1) {
-                            final_trans[at + l] = t[l];
-                            stop[at + l] = e - begin;
-                            stop_order[stops++] = uint8_t(at + l);
-                            w[l] = 0.0f;
-                            next[l] = 0.0f;
-                            --open;
-                        }
-                    done[r * kBlocks + b] = finished;
-                    while (live[b].first < live[b].end && done[live[b].first * kBlocks + b] == kLaneBits)
-                        ++live[b].first;
-                    while (live[b].first < live[b].end && done[(live[b].end - 1) * kBlocks + b] == kLaneBits)
-                        --live[b].end;
+                if (finished != done[b][r]) [[unlikely]] {
+                    alignas(64) float values[3][kLanes];
+                    store(values[0], t);
+                    store(values[1], w);
+                    store(values[2], next);
+                    complete(b, r, finished, e - begin, values);
+                    w = load(values[1]);
+                    next = load(values[2]);
+                }
+                store(at, next);
+                for (int k = 0; k < kChannels; ++k) {
+                    float *channel = at + (1 + k) * kTilePixels;
+                    store(channel, fma(w, set1(c[k]), load(channel)));
+                }
+                if constexpr (kSumAlpha) {
+                    float *cover = at + kCover * kTilePixels;
+                    store(cover, load(cover) + w);
                 }
                 if constexpr (kMedian) {
                     // A splat leaves at least 1 - kAlphaMax, so none completes a pixel and crosses 0.5 at once.
                     const Mask crossed = both(gt(t, set1(0.5f)), ge(set1(0.5f), next));
-                    store(median + at, load(median + at) + keep(crossed, set1(p.z)));
+                    float *median = at + kMedianAt * kTilePixels;
+                    store(median, load(median) + keep(crossed, set1(p.z)));
                 }
-                store(trans + at, next);
-                if constexpr (kSumAlpha)
-                    store(cover + at, load(cover + at) + w);
-                for (int k = 0; k < kChannels; ++k)
-                    store(color[k] + at, fma(w, set1(c[k]), load(color[k] + at)));
             }
         }
     }
@@ -187,18 +201,18 @@ static int64_t blend_tile(const BlendArgs &a, uint32_t outputs, uint32_t tile) {
         for (int x = 0; x < columns; ++x) {
             const int at = r * kTile + x;
             if (stop[at] == ~0u)
-                final_trans[at] = trans[at];
+                final_trans[at] = state[0][at];
             const float t = final_trans[at];
             const size_t pixel = size_t(y0 + r) * size_t(a.width) + size_t(x0 + x);
             for (int k = 0; k < 3; ++k)
-                a.image.rgb[3 * pixel + k] = color[k][at] + t * a.background[k];
-            a.image.alpha[pixel] = kSumAlpha ? cover[at] : 1.0f - t;
+                a.image.rgb[3 * pixel + k] = state[1 + k][at] + t * a.background[k];
+            a.image.alpha[pixel] = kSumAlpha ? state[kCover][at] : 1.0f - t;
             if (kChannels >= 4 && outputs & GS_OUT_INVERSE_DEPTH)
-                a.image.inverse_depth[pixel] = color[3][at];
+                a.image.inverse_depth[pixel] = state[4][at];
             if (kChannels >= 4 && outputs & GS_OUT_DEPTH)
-                a.image.depth[pixel] = color[kChannels - 1][at];
+                a.image.depth[pixel] = state[kChannels][at];
             if constexpr (kMedian)
-                a.image.median_depth[pixel] = median[at];
+                a.image.median_depth[pixel] = state[kMedianAt][at];
         }
     return vectors * kLanes;
 }
