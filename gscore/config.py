@@ -117,6 +117,9 @@ class TrainConfig:
     """Learning rate of log scales."""
     quats_lr: float = 1e-3
     """Learning rate of quaternions."""
+    lr_boost: float = 0.0
+    """Learning rates are multiplied by this, those of positions and opacities by its root, and the
+    last one of positions by its square; 0: 1 for 30 000 steps and more, up to 4 in short runs."""
     init_opacity: float = 0.0
     """Opacity of the first splats; 0: 0.1, with mcmc 0.5."""
     init_scale: float = 0.0
@@ -131,9 +134,9 @@ class TrainConfig:
     reset_every: int = 0
     """`default`: steps between two opacity resets; 0: 3000, none in runs under 6000 steps; -1:
     never."""
-    grow_grad: float = 2e-4
+    grow_grad: float = 0.0
     """`default`: mean positional gradient in normalised image coordinates above which a splat is
-    doubled."""
+    doubled; 0: 2e-4, down to 1e-4 in short runs."""
     grow_scale: float = 0.01
     """`default`: larger splats are split, smaller ones cloned; in extents."""
     prune_opacity: float = 0.005
@@ -177,7 +180,9 @@ class TrainConfig:
         _at_least(
             self, 0.0, "near", "means_lr", "means_lr_final", "sh0_lr", "shN_lr", "opacities_lr"
         )
-        _at_least(self, 0.0, "scales_lr", "quats_lr", "init_scale", "grow_grad", "grow_scale")
+        _at_least(
+            self, 0.0, "scales_lr", "quats_lr", "lr_boost", "init_scale", "grow_grad", "grow_scale"
+        )
         _at_least(self, 0.0, "prune_scale", "mcmc_growth", "mcmc_noise", "opacity_reg", "scale_reg")
         _at_least(self, 0.0, "checkpoint_seconds", "preview_seconds")
         for name in ("ssim_weight", "init_opacity", "prune_opacity"):

@@ -46,7 +46,7 @@ def test_a_short_mcmc_run_grows_fast_enough() -> None:
 @pytest.mark.parametrize("strategy", list(Strategy))
 def test_any_length_gives_a_sane_plan(iterations: int, strategy: Strategy) -> None:
     """Oracle: all SH degrees by half of the run, no refinement at or after the last step."""
-    plan = plan_of(TrainConfig(iterations=iterations, strategy=strategy))
+    plan = plan_of(TrainConfig(iterations=iterations, strategy=strategy, lr_boost=1))
     if iterations >= 6:
         assert plan.sh_degree_at(iterations // 2 + 1) == 3
     assert not plan.refines_at(iterations)
@@ -57,6 +57,20 @@ def test_any_length_gives_a_sane_plan(iterations: int, strategy: Strategy) -> No
     assert all(plan.means_lr_at(s) > plan.means_lr_at(s + 1) for s in steps)
     if iterations >= 700:
         assert sum(plan.refines_at(s) for s in steps) >= 5
+
+
+def test_short_runs_learn_faster() -> None:
+    """Oracle: 1 for the paper's length and beyond, rising to 4; roots and squares as documented."""
+    paper, short = (plan_of(TrainConfig(iterations=n)) for n in (30_000, 100))
+    assert plan_of(TrainConfig(iterations=90_000)).rates == paper.rates
+    for name in ("quats", "scales", "sh0", "shN"):
+        assert short.rates[name] == pytest.approx(4 * paper.rates[name])
+    assert short.rates["opacities"] == pytest.approx(2 * paper.rates["opacities"])
+    assert short.means_lr_at(0) == pytest.approx(2 * paper.means_lr_at(0))
+    assert short.means_lr_at(100) == pytest.approx(16 * paper.means_lr_at(30_000))
+    assert (paper.grow_grad, short.grow_grad) == (2e-4, 1e-4)
+    scales = [plan_of(TrainConfig(iterations=n)).rates["scales"] for n in (500, 2000, 9000, 29_000)]
+    assert scales == sorted(scales, reverse=True)
 
 
 def test_options_win_over_what_is_derived() -> None:

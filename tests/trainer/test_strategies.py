@@ -49,7 +49,9 @@ def refine(strategy: DefaultStrategy, model: Model, step: int) -> Change:
     return strategy.after_step(model, step=step, means_lr=0.0, generator=generator)
 
 
-CONFIG = TrainConfig(iterations=1000, refine_start=10, refine_every=10, refine_stop=500)
+CONFIG = TrainConfig(
+    iterations=1000, refine_start=10, refine_every=10, refine_stop=500, grow_grad=2e-4
+)
 
 
 def test_pull_is_the_mean_over_views_that_drew_the_splat(marked_model: Make) -> None:

@@ -70,7 +70,7 @@ class DefaultStrategy:
         doomed = self._to_prune(model.params, step)
         large = size > _log(config.grow_scale * self._extent)
 
-        grow = (pull >= config.grow_grad) & ~doomed
+        grow = (pull >= self._plan.grow_grad) & ~doomed
         room = config.max_splats - before + int(doomed.sum())
         grow = _strongest(grow, pull, max(room, 0))
         clone, divide = (grow & ~large).nonzero().flatten(), (grow & large).nonzero().flatten()
