@@ -4,7 +4,7 @@ import difflib
 import json
 import math
 from collections.abc import Callable, Collection
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_type_hints
@@ -260,8 +260,12 @@ def from_dict(cls: type[ConfigT], data: Any, *, where: str) -> ConfigT:
 
 
 def config_json(data: DataConfig, train: TrainConfig) -> str:
-    """Both configs as the text of the config.json that `load_config` reads."""
-    content = {"gscore": __version__, "data": to_dict(data), "train": to_dict(train)}
+    """Both configs as the text of the config.json that `load_config` reads, paths absolute."""
+    content = {
+        "gscore": __version__,
+        "data": to_dict(_absolute(data)),
+        "train": to_dict(_absolute(train)),
+    }
     return json.dumps(content, indent=2) + "\n"
 
 
@@ -292,6 +296,13 @@ def differences(old: Any, new: Any, *, ignore: Collection[str] = ()) -> list[str
         for f in fields(old)
         if f.name not in ignore and getattr(old, f.name) != getattr(new, f.name)
     ]
+
+
+def _absolute(config: ConfigT) -> ConfigT:
+    """The config with paths that mean the same from any folder."""
+    values = {f.name: getattr(config, f.name) for f in fields(config)}
+    paths = {name: value.absolute() for name, value in values.items() if isinstance(value, Path)}
+    return replace(config, **paths)
 
 
 def _at_least(config: TrainConfig, low: float, *names: str) -> None:

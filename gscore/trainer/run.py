@@ -11,7 +11,7 @@ import torch
 
 from ..config import DataConfig, TrainConfig
 from ..datasets import Dataset, load_dataset
-from ..errors import ConfigError
+from ..errors import BackendError, ConfigError
 from ..events import Event, Progress
 from ..metrics import find_lpips
 from . import checkpoint
@@ -87,7 +87,15 @@ def train(
             folder.clear()
         for message in (*photos.warnings, *_own_warnings(trainer)):
             session.warn(message, "capture")
-        return session.run()
+        try:
+            return session.run()
+        except RuntimeError as error:
+            if "can't allocate memory" not in str(error):  # what torch says instead of MemoryError
+                raise
+            raise BackendError(
+                f"Out of memory at step {trainer.steps} with {len(trainer.model)} splats; use "
+                "fewer (--max-splats), smaller photos (-r 2), or close programs."
+            ) from error
 
 
 def _checkpoint_to_start_from(

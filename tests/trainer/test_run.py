@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from gscore.config import DataConfig, TrainConfig, load_config
-from gscore.errors import Cancelled, ConfigError, DatasetError, GsError
+from gscore.errors import BackendError, Cancelled, ConfigError, DatasetError, GsError
 from gscore.events import (
     Done,
     Eval,
@@ -31,6 +32,7 @@ from gscore.io.images import read_image
 from gscore.io.ply import read_splats
 from gscore.trainer import Control, memory, train
 from gscore.trainer.folder import RunFolder
+from gscore.trainer.trainer import Trainer
 
 CONFIG = TrainConfig(
     iterations=40, max_splats=200, sh_degree=1, refine_start=5, refine_every=5, grow_grad=1e-5
@@ -237,12 +239,26 @@ def test_too_little_memory_is_told_before_the_start(
     memory.check_memory(splats=offered, sh_degree=3, pixels=48 * 48)
 
 
+def test_running_out_of_memory_is_one_sentence(
+    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: an allocation of torch that fails for real, in the fifth step."""
+    real = Trainer.step
+
+    def step(self: Trainer) -> Any:
+        if self.steps == 4:
+            torch.empty(1 << 60)
+        return real(self)
+
+    monkeypatch.setattr(Trainer, "step", step)
+    with pytest.raises(BackendError, match="Out of memory at step 4 with 150 splats"):
+        train(CONFIG, data_of(capture), tmp_path)
+
+
 def test_a_capture_far_from_its_origin_is_trained_and_warned_about(
     make_photos: Callable[..., Any],
 ) -> None:
     """Oracle: the first pictures are those of the same capture at the origin."""
-    from gscore.trainer.trainer import Trainer
-
     near, far = make_photos(), make_photos()
     cameras, cloud = far.scene.cameras, far.scene.points
     offset = np.array([1e6, -2e6, 3e6])

@@ -43,11 +43,24 @@ def test_presets_survive_a_file(preset: str, tmp_path: Path) -> None:
 
 def test_all_kinds_of_values_survive_a_file(tmp_path: Path) -> None:
     """Oracle: equality, with paths, enums, tuples and a float that has no short form."""
-    data = DataConfig(source=tmp_path, test_list=Path("names.txt"), resolution=2.5, eval=True)
+    data = DataConfig(source=tmp_path, test_list=tmp_path / "n.txt", resolution=2.5, eval=True)
+    train = replace(ODD, lpips=tmp_path / "lpips.onnx")
     path = tmp_path / "config.json"
-    path.write_text(config_json(data, ODD))
-    assert load_config(path) == (data, ODD)
+    path.write_text(config_json(data, train))
+    assert load_config(path) == (data, train)
     assert json.loads(path.read_text())["train"]["strategy"] == "mcmc"
+
+
+def test_paths_mean_the_same_from_another_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: the folder of the process that wrote the file."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "c.json").write_text(config_json(DataConfig(source=Path("photos")), ODD))
+    monkeypatch.chdir("/")
+    data, train = load_config(tmp_path / "c.json")
+    assert data.source == tmp_path / "photos"
+    assert train.lpips == tmp_path / "some/where.onnx"
 
 
 def test_missing_options_keep_their_defaults() -> None:
