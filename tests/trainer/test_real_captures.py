@@ -1,4 +1,4 @@
-"""Real photos, shortly and small; oracle: what such a run reached when this was written, less 1 dB."""
+"""Real photos, shortly and small; oracle: what such a run reached when written, less 1 dB."""
 
 import json
 import os
