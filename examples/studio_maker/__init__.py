@@ -1,0 +1,1 @@
+"""Parts of make_studio.py: figure, stage, cameras, rendering, reconstruction."""

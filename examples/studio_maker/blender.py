@@ -1,0 +1,111 @@
+"""Thin helpers over bpy: meshes, strands, materials; the same calls in Blender 4.5 and 5."""
+
+import bpy
+import numpy as np
+
+MASK = "figure"
+"""Shader output that every material of the figure sets to 1."""
+
+
+def add_mesh(name, vertices, faces, material=None, *, uv=None, tint=None, smooth=True):
+    """New object in the scene.
+
+    Args:
+        vertices: [V, 3]; faces: [F, 3 or 4].
+        uv: [F, 3 or 4, 2] for each corner, or None.
+        tint: [V, 3] linear colours in the attribute `tint`, or None.
+    """
+    faces = np.asarray(faces)
+    f, n = faces.shape
+    data = bpy.data.meshes.new(name)
+    data.vertices.add(len(vertices))
+    data.attributes["position"].data.foreach_set(
+        "vector", np.ascontiguousarray(vertices, np.float32).ravel()
+    )
+    data.loops.add(f * n)
+    data.loops.foreach_set("vertex_index", faces.astype(np.int32).ravel())
+    data.polygons.add(f)
+    data.polygons.foreach_set("loop_start", np.arange(0, f * n, n, dtype=np.int32))
+    data.polygons.foreach_set("use_smooth", np.full(f, smooth))
+    if uv is not None:
+        layer = data.uv_layers.new(name="uv")
+        layer.data.foreach_set("uv", np.ascontiguousarray(uv, np.float32).ravel())
+    if tint is not None:
+        rgba = np.concatenate([tint, np.ones((len(tint), 1))], 1).astype(np.float32)
+        data.attributes.new("tint", "FLOAT_COLOR", "POINT").data.foreach_set("color", rgba.ravel())
+    data.update(calc_edges=True)
+    data.validate()
+    item = bpy.data.objects.new(name, data)
+    bpy.context.scene.collection.objects.link(item)
+    if material is not None:
+        data.materials.append(material)
+    return item
+
+
+def add_strands(name, points, radius, material):
+    """Hair: points [S, P, 3] and radius [S, P], metres."""
+    s, p = radius.shape
+    data = bpy.data.hair_curves.new(name)
+    data.add_curves([p] * s)
+    data.attributes["position"].data.foreach_set(
+        "vector", np.ascontiguousarray(points, np.float32).ravel()
+    )
+    width = data.attributes.get("radius") or data.attributes.new("radius", "FLOAT", "POINT")
+    width.data.foreach_set("value", np.ascontiguousarray(radius, np.float32).ravel())
+    item = bpy.data.objects.new(name, data)
+    bpy.context.scene.collection.objects.link(item)
+    data.materials.append(material)
+    return item
+
+
+def evaluated_vertices(item):
+    """[V, 3] float64 positions of an object after its modifiers, in the world."""
+    shape = item.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    data = shape.data
+    flat = np.empty(len(data.vertices) * 3, np.float32)
+    data.attributes["position"].data.foreach_get("vector", flat)
+    return flat.reshape(-1, 3).astype(np.float64)
+
+
+def add_image(name, pixels):
+    """Image from sRGB values [H, W, 3] in [0, 1], row 0 at the bottom (v = 0)."""
+    h, w, _ = pixels.shape
+    image = bpy.data.images.new(name, w, h, alpha=False)
+    rgba = np.ones((h, w, 4), np.float32)
+    rgba[..., :3] = pixels
+    image.pixels.foreach_set(rgba.ravel())
+    image.pack()
+    return image
+
+
+def material(name, *, color=(0.8, 0.8, 0.8), image=None, tint=False, in_mask=True, **inputs):
+    """Principled material; its colour is flat, an image over `uv`, or the attribute `tint`.
+
+    Further keyword arguments set inputs of the shader: sheen_weight=0.5 sets "Sheen Weight".
+    """
+    made = bpy.data.materials.new(name)
+    if bpy.app.version < (5, 0):
+        made.use_nodes = True
+    tree = made.node_tree
+    tree.nodes.clear()
+    new, link = tree.nodes.new, tree.links.new
+    output = new("ShaderNodeOutputMaterial")
+    shader = new("ShaderNodeBsdfPrincipled")
+    link(shader.outputs[0], output.inputs["Surface"])
+    base = shader.inputs["Base Color"]
+    base.default_value = (*color, 1)
+    if image is not None:
+        texture = new("ShaderNodeTexImage")
+        texture.image = image
+        link(texture.outputs["Color"], base)
+    elif tint:
+        attribute = new("ShaderNodeAttribute")
+        attribute.attribute_name = "tint"
+        link(attribute.outputs["Color"], base)
+    for key, value in inputs.items():
+        shader.inputs[key.replace("_", " ").title()].default_value = value
+    if in_mask:
+        mask = new("ShaderNodeOutputAOV")
+        mask.aov_name = MASK
+        mask.inputs["Value"].default_value = 1.0
+    return made

@@ -1,0 +1,164 @@
+"""The bundled capture examples/studio against itself: exact depth, true cameras, COLMAP's model."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gscore.config import DataConfig
+from gscore.datasets import load_dataset
+from gscore.io.colmap import ColmapModel, read_model
+
+STUDIO = Path(__file__).parents[2] / "examples" / "studio"
+VIEWS = 60
+WIDTH, HEIGHT = 480, 640
+
+
+@pytest.fixture(scope="module")
+def truth() -> dict:
+    """What the renderer knew."""
+    return json.loads((STUDIO / "cameras_true.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def model() -> ColmapModel:
+    """What COLMAP found."""
+    return read_model(STUDIO / "sparse" / "0")
+
+
+def read_depth(name: str, truth: dict) -> np.ndarray:
+    """[H, W] float64 metres along the optical axis, inf where there is nothing."""
+    code = np.asarray(Image.open(STUDIO / "depths" / f"{Path(name).stem}.png"))
+    assert code.dtype == np.uint16
+    with np.errstate(divide="ignore"):
+        return 1.0 / (code * truth["depth"]["scale"])
+
+
+def true_view(name: str, truth: dict) -> np.ndarray:
+    """[4, 4] world to camera."""
+    return np.array(next(v["viewmat"] for v in truth["views"] if v["name"] == name))
+
+
+def center(viewmat: np.ndarray) -> np.ndarray:
+    """[3] position of a camera."""
+    return -viewmat[:3, :3].T @ viewmat[:3, 3]
+
+
+def project(points: np.ndarray, viewmat: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Pixels [N, 2], pixel centres at +0.5, and depth [N]."""
+    local = points @ viewmat[:3, :3].T + viewmat[:3, 3]
+    image = local @ K.T
+    return image[:, :2] / image[:, 2:], local[:, 2]
+
+
+def test_it_is_complete_and_small(truth: dict) -> None:
+    """Oracle: the promises of its README."""
+    names = [f"view_{i:03d}" for i in range(VIEWS)]
+    for folder, ending in (("images", ".jpg"), ("masks", ".png"), ("depths", ".png")):
+        files = sorted((STUDIO / folder).iterdir())
+        assert [f.name for f in files] == [n + ending for n in names]
+        assert {Image.open(f).size for f in files} == {(WIDTH, HEIGHT)}
+    assert [v["name"] for v in truth["views"]] == [f"{n}.jpg" for n in names]
+    test = (STUDIO / "test.txt").read_text().split()
+    assert test == [f"{n}.jpg" for n in names[::6]]
+    assert sum(f.stat().st_size for f in STUDIO.rglob("*") if f.is_file()) < 10_000_000
+
+
+def test_gscore_loads_it() -> None:
+    """Oracle: no warnings, 50 views to train on and 10 to test with."""
+    data = load_dataset(DataConfig(source=STUDIO, eval=True, test_list=STUDIO / "test.txt"))
+    assert (len(data.train), len(data.test), list(data.warnings)) == (50, 10, [])
+    assert len(data.scene.points) > 3000
+    assert data.image(0).shape == (HEIGHT, WIDTH, 3)
+
+
+def test_masks_are_soft_and_hold_the_figure(model: ColmapModel, truth: dict) -> None:
+    """Oracle: true cameras; points in the space of a standing person lie in the mask."""
+    K = np.array(truth["K"])
+    points = model.points.xyz
+    person = (np.hypot(points[:, 0], points[:, 1]) < 0.45) & (np.abs(points[:, 2] - 0.9) < 0.75)
+    assert person.sum() > 500
+    for view in truth["views"][::7]:
+        mask = np.asarray(Image.open(STUDIO / "masks" / f"{Path(view['name']).stem}.png"))
+        assert mask.dtype == np.uint8 and mask.shape == (HEIGHT, WIDTH)
+        assert 0.10 < (mask / 255).mean() < 0.35
+        between = ((mask > 0) & (mask < 255)).mean()
+        assert 0.005 < between < 0.06  # antialiased rim, and no more than a rim
+        at, _ = project(points[person], np.array(view["viewmat"]), K)
+        column, row = np.floor(at).astype(int).T
+        assert (mask[row, column] > 127).mean() > 0.97
+
+
+def test_colmap_found_the_true_cameras(model: ColmapModel, truth: dict) -> None:
+    """Oracle: the renderer's cameras; the frames are the same, so no alignment here."""
+    assert len(model.images) == VIEWS
+    (camera,) = model.cameras.values()
+    assert (camera.model, camera.width, camera.height) == ("PINHOLE", WIDTH, HEIGHT)
+    K = np.array(truth["K"])
+    expected = [K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
+    np.testing.assert_allclose(camera.params, expected, rtol=3e-3)
+    shifts, turns = [], []
+    for image in model.images:
+        found, true = image.viewmat, true_view(image.name, truth)
+        shifts.append(np.linalg.norm(center(found) - center(true)))
+        cosine = (np.trace(found[:3, :3] @ true[:3, :3].T) - 1) / 2
+        turns.append(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
+    assert max(shifts) < 0.015 and np.median(shifts) < 0.005
+    assert max(turns) < 0.2
+
+
+def test_depth_and_cameras_agree_with_colmaps_points(model: ColmapModel, truth: dict) -> None:
+    """Oracle: COLMAP's points and features, seen through the renderer's cameras and depth.
+
+    COLMAP keeps the principal point and finds a focal length of its own, which tilts its cameras
+    by a third of a pixel; sideways, where nothing is shared, half a pixel would show.
+    """
+    assert len(model.points.xyz) > 3000
+    assert model.points.error.mean() < 1.0
+    place = {int(i): k for k, i in enumerate(model.points.ids)}
+    K = np.array(truth["K"])
+    relative, residuals = [], []
+    for image in model.images:
+        seen = image.point3D_ids >= 0
+        index = [place[int(i)] for i in image.point3D_ids[seen]]
+        at, z = project(model.points.xyz[index], true_view(image.name, truth), K)
+        residuals.append(at - image.xys[seen])
+        column, row = np.floor(image.xys[seen]).astype(int).T
+        relative.append(z / read_depth(image.name, truth)[row, column] - 1)
+    relative, residuals = np.concatenate(relative), np.concatenate(residuals)
+    assert np.median(np.abs(relative)) < 0.002
+    assert np.percentile(np.abs(relative), 90) < 0.01
+    sideways, down = np.abs(np.median(residuals, axis=0))
+    assert sideways < 0.1 and down < 0.45
+
+
+def test_depth_carries_one_picture_into_the_next(truth: dict) -> None:
+    """Oracle: the same surface has nearly the same colour in two neighbouring pictures."""
+    K, first, second = np.array(truth["K"]), "view_020.jpg", "view_021.jpg"
+    picture = [np.asarray(Image.open(STUDIO / "images" / n), np.float64) for n in (first, second)]
+    depth = [read_depth(n, truth) for n in (first, second)]
+    viewmat = [true_view(n, truth) for n in (first, second)]
+    v, u = np.mgrid[:HEIGHT, :WIDTH] + 0.5
+    pixels = np.stack([u, v, np.ones_like(u)], -1).reshape(-1, 3)
+    local = (pixels @ np.linalg.inv(K).T) * depth[0].reshape(-1, 1)
+    world = (local - viewmat[0][:3, 3]) @ viewmat[0][:3, :3]
+    at, z = project(world, viewmat[1], K)
+    inside = np.all((at > 1) & (at < np.array([WIDTH, HEIGHT]) - 1), axis=1)
+    column, row = np.floor(at[inside]).astype(int).T
+    visible = np.abs(z[inside] / depth[1][row, column] - 1) < 0.005
+    there = picture[1][row, column][visible]
+    here = picture[0].reshape(-1, 3)[inside][visible]
+    assert visible.mean() > 0.6
+    carried = np.abs(there - here).mean()
+    unmoved = np.abs(picture[1] - picture[0]).mean()
+    assert carried < 8 and carried < 0.4 * unmoved
+
+
+def test_depth_scales_are_where_3dgs_trainers_look(truth: dict) -> None:
+    """Oracle: the official trainer's rule, inverse depth = value / 65536 * scale + offset."""
+    scales = json.loads((STUDIO / "sparse" / "0" / "depth_params.json").read_text())
+    assert sorted(scales) == [Path(v["name"]).stem for v in truth["views"]]
+    for entry in scales.values():
+        assert entry["scale"] / 65536 == truth["depth"]["scale"] and entry["offset"] == 0
