@@ -24,7 +24,7 @@ $(LIBRARY): $(INSTALLED) $(SOURCES)
 
 # Trains the bundled capture and leaves out/demo/{point_cloud.ply,metrics.json,report.html}.
 demo: $(INSTALLED)
-	$(BIN)/gscore train examples/studio -o out/demo --overwrite --preset preview --eval --test-every 6
+	$(BIN)/gscore train examples/studio -o out/demo --overwrite --preset preview --mask-mode none --test-every 6
 	$(BIN)/gscore render out/demo/point_cloud.ply --cameras examples/studio --test -o out/demo/renders
 	@echo "Open out/demo/report.html"
 
