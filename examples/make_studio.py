@@ -2,8 +2,8 @@
 
 python examples/make_studio.py -o examples/studio
 
-Needs the Python packages bpy (4.5 or later), pycolmap (4 or later) and pillow. The seeds are fixed:
-the scene is always the same; pictures and model may differ slightly between versions of these.
+Needs gscore and the Python packages bpy (4.5 or later), pycolmap (4 or later) and pillow. Seeds are
+fixed: the scene is always the same; pictures and model may differ slightly between versions.
 """
 
 import argparse
@@ -27,7 +27,7 @@ def main():
     )
     parser.add_argument("--views", type=int, default=60, help="cameras, on three rings")
     parser.add_argument(
-        "--samples", type=int, default=32, help="most rays a pixel, before denoising"
+        "--samples", type=int, default=28, help="most rays a pixel, before denoising"
     )
     parser.add_argument("--threads", type=int, default=0, help="threads of Cycles; 0: all")
     parser.add_argument(

@@ -9,7 +9,7 @@ from PIL import Image
 
 from gscore.config import DataConfig
 from gscore.datasets import load_dataset
-from gscore.io.colmap import ColmapModel, read_model
+from gscore.io.colmap import ColmapImage, ColmapModel, read_model
 
 STUDIO = Path(__file__).parents[2] / "examples" / "studio"
 VIEWS = 60
@@ -39,6 +39,25 @@ def read_depth(name: str, truth: dict) -> np.ndarray:
 def true_view(name: str, truth: dict) -> np.ndarray:
     """[4, 4] world to camera."""
     return np.array(next(v["viewmat"] for v in truth["views"] if v["name"] == name))
+
+
+def observations(model: ColmapModel) -> list[tuple[ColmapImage, np.ndarray, np.ndarray]]:
+    """Of every image: itself, rows of the points seen in it [M], where they are seen [M, 2]."""
+    place = {int(i): k for k, i in enumerate(model.points.ids)}
+    out = []
+    for image in model.images:
+        seen = image.point3D_ids >= 0
+        index = np.array([place[int(i)] for i in image.point3D_ids[seen]])
+        out.append((image, index, image.xys[seen]))
+    return out
+
+
+def unproject(
+    pixels: np.ndarray, depth: np.ndarray, viewmat: np.ndarray, K: np.ndarray
+) -> np.ndarray:
+    """[N, 3] world points at pixels [N, 2], pixel centres at +0.5, and depth [N]."""
+    rays = np.concatenate([pixels, np.ones((len(pixels), 1))], 1) @ np.linalg.inv(K).T
+    return (rays * depth[:, None] - viewmat[:3, 3]) @ viewmat[:3, :3]
 
 
 def center(viewmat: np.ndarray) -> np.ndarray:
@@ -109,29 +128,47 @@ def test_colmap_found_the_true_cameras(model: ColmapModel, truth: dict) -> None:
     assert max(turns) < 0.3
 
 
-def test_depth_and_cameras_agree_with_colmaps_points(model: ColmapModel, truth: dict) -> None:
-    """Oracle: COLMAP's points and features, seen through the renderer's cameras and depth.
-
-    COLMAP keeps the principal point and finds a focal length of its own, which tilts its cameras
-    by a third of a pixel; sideways, where nothing is shared, half a pixel would show.
-    """
+def test_depth_agrees_with_colmaps_points(model: ColmapModel, truth: dict) -> None:
+    """Oracle: COLMAP's points, seen through the renderer's cameras, lie where the depth says."""
     assert len(model.points.xyz) > 3000
     assert model.points.error.mean() < 1.0
-    place = {int(i): k for k, i in enumerate(model.points.ids)}
-    K = np.array(truth["K"])
-    relative, residuals = [], []
-    for image in model.images:
-        seen = image.point3D_ids >= 0
-        index = [place[int(i)] for i in image.point3D_ids[seen]]
-        at, z = project(model.points.xyz[index], true_view(image.name, truth), K)
-        residuals.append(at - image.xys[seen])
-        column, row = np.floor(image.xys[seen]).astype(int).T
+    K, relative = np.array(truth["K"]), []
+    for image, index, xys in observations(model):
+        _, z = project(model.points.xyz[index], true_view(image.name, truth), K)
+        column, row = np.floor(xys).astype(int).T
         relative.append(z / read_depth(image.name, truth)[row, column] - 1)
-    relative, residuals = np.concatenate(relative), np.concatenate(residuals)
+    relative = np.concatenate(relative)
     assert np.median(np.abs(relative)) < 0.002
     assert np.percentile(np.abs(relative), 90) < 0.01
-    sideways, down = np.abs(np.median(residuals, axis=0))
-    assert sideways < 0.1 and down < 0.45
+
+
+def test_pixel_centres_lie_at_a_half(model: ColmapModel, truth: dict) -> None:
+    """Oracle: features triangulated with the renderer's cameras alone land on the depth's rug.
+
+    A pixel grid half a pixel off would lift or sink the rug by 1.5 mm, or leave residuals.
+    """
+    K = np.array(truth["K"])
+    normal, right = np.zeros((len(model.points.xyz), 3, 3)), np.zeros((len(model.points.xyz), 3))
+    for image, index, xys in observations(model):
+        viewmat = true_view(image.name, truth)
+        ray = unproject(xys, np.ones(len(xys)), viewmat, K) - center(viewmat)
+        ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+        across = np.eye(3) - ray[:, :, None] * ray[:, None]
+        np.add.at(normal, index, across)
+        np.add.at(right, index, across @ center(viewmat))
+    points = np.linalg.solve(normal, right[..., None])[..., 0]
+    residuals, lifts = [], []
+    for image, index, xys in observations(model):
+        viewmat = true_view(image.name, truth)
+        residuals.append(project(points[index], viewmat, K)[0] - xys)
+        pixel = np.floor(xys).astype(int)
+        depth = read_depth(image.name, truth)[pixel[:, 1], pixel[:, 0]]
+        surface = unproject(pixel + 0.5, depth, viewmat, K)
+        rug = (np.abs(surface[:, :2]).max(1) < 0.7) & (surface[:, 2] < 0.02)
+        lifts.append((points[index] - surface)[rug, 2])
+    assert len(np.concatenate(lifts)) > 5000
+    assert abs(np.median(np.concatenate(lifts))) < 0.0005
+    assert np.all(np.abs(np.median(np.concatenate(residuals), axis=0)) < 0.05)
 
 
 def test_depth_carries_one_picture_into_the_next(truth: dict) -> None:
@@ -141,9 +178,7 @@ def test_depth_carries_one_picture_into_the_next(truth: dict) -> None:
     depth = [read_depth(n, truth) for n in (first, second)]
     viewmat = [true_view(n, truth) for n in (first, second)]
     v, u = np.mgrid[:HEIGHT, :WIDTH] + 0.5
-    pixels = np.stack([u, v, np.ones_like(u)], -1).reshape(-1, 3)
-    local = (pixels @ np.linalg.inv(K).T) * depth[0].reshape(-1, 1)
-    world = (local - viewmat[0][:3, 3]) @ viewmat[0][:3, :3]
+    world = unproject(np.stack([u, v], -1).reshape(-1, 2), depth[0].ravel(), viewmat[0], K)
     at, z = project(world, viewmat[1], K)
     inside = np.all((at > 1) & (at < np.array([WIDTH, HEIGHT]) - 1), axis=1)
     column, row = np.floor(at[inside]).astype(int).T
