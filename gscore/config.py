@@ -204,20 +204,20 @@ def preview(source: Path) -> tuple[DataConfig, TrainConfig]:
 
 def draft(source: Path) -> tuple[DataConfig, TrainConfig]:
     """Good enough to judge a capture, in about three minutes on two cores."""
-    train = TrainConfig(iterations=3000, max_splats=150_000, sh_degree=2)
-    return DataConfig(source=source, max_width=640), train
+    train = TrainConfig(iterations=2500, max_splats=100_000, sh_degree=2)
+    return DataConfig(source=source, max_width=512), train
 
 
 def normal(source: Path) -> tuple[DataConfig, TrainConfig]:
     """The everyday choice, about twelve minutes on two cores."""
-    train = TrainConfig(iterations=7000, max_splats=300_000)
-    return DataConfig(source=source, max_width=1000), train
+    train = TrainConfig(iterations=5000, max_splats=250_000)
+    return DataConfig(source=source, max_width=800), train
 
 
 def high(source: Path) -> tuple[DataConfig, TrainConfig]:
     """Everything the method gives, about an hour on two cores."""
-    train = TrainConfig(iterations=30_000, max_splats=1_000_000)
-    return DataConfig(source=source, max_width=1600), train
+    train = TrainConfig(iterations=12_000, max_splats=600_000)
+    return DataConfig(source=source, max_width=1200), train
 
 
 PRESETS: dict[str, Callable[[Path], tuple[DataConfig, TrainConfig]]] = {
