@@ -53,7 +53,8 @@ typedef enum gs_status {
     GS_OUT_OF_MEMORY = 2, /* an allocation failed; the gs_raster stays usable */
     GS_CANCELLED = 3,     /* *cancel became non-zero */
     GS_TOO_MANY = 4,      /* more than 2^31 - 1 (tile, splat) entries */
-    GS_UNSUPPORTED = 5    /* an instruction set this machine does not have */
+    GS_UNSUPPORTED = 5,   /* an instruction set this machine does not have */
+    GS_INTERNAL = 6       /* an error of the library */
 } gs_status;
 
 /* N splats. Quaternions are wxyz and need not be normalised; a row whose quaternion is shorter than 1e-8 is culled. */

@@ -23,6 +23,8 @@ template <class Body> gs_status guarded(const char *what, Body body) {
         return body();
     } catch (const std::bad_alloc &) {
         return fail(GS_OUT_OF_MEMORY, "%s: out of memory", what);
+    } catch (...) {
+        return fail(GS_INTERNAL, "%s: an unexpected exception; please report it", what);
     }
 }
 

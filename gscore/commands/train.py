@@ -73,6 +73,7 @@ _METHOD = {
     "opacities_lr": ("--opacities-lr", "--opacity-lr"),
     "scales_lr": ("--scales-lr", "--scaling-lr"),
     "quats_lr": ("--quats-lr", "--rotation-lr"),
+    "lr_boost": ("--lr-boost",),
     "ssim_weight": ("--ssim-weight", "--lambda-dssim"),
     "sh_every": ("--sh-every",),
     "init_opacity": ("--init-opacity",),

@@ -8,6 +8,7 @@ import ctypes as ct
 import os
 import sys
 import threading
+from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,6 +21,7 @@ ABI_VERSION = 1
 
 OUT_INVERSE_DEPTH, OUT_DEPTH, OUT_MEDIAN_DEPTH = 1, 2, 4
 NO_EXACT_CULL, NO_ZERO_TILE = 1, 2
+MAX_SIDE = 65536
 MASK_MODES = {"none": 0, "composite": 1, "ignore": 2}
 
 _OK, _BAD_ARGUMENT, _OUT_OF_MEMORY, _CANCELLED = 0, 1, 2, 3
@@ -336,21 +338,26 @@ class Raster:
 
 
 class RasterPool:
-    """Lends workspaces, so that their buffers are kept between calls."""
+    """Lends workspaces, so that their buffers are kept between calls.
+
+    Without a lock: workspaces also come back from destructors, which the garbage collector may run
+    at any point, inside `take` too. A deque's ends are safe to use from several threads.
+    """
 
     def __init__(self) -> None:
-        self._free: list[Raster] = []
-        self._lock = threading.Lock()
+        # The oldest are dropped: a graph that held many must not keep their memory for ever.
+        self._free: deque[Raster] = deque(maxlen=8)
 
     def take(self) -> Raster:
         """A workspace nobody else uses; give it back."""
-        with self._lock:
-            return self._free.pop() if self._free else Raster()
+        try:
+            return self._free.pop()
+        except IndexError:
+            return Raster()
 
     def give_back(self, raster: Raster) -> None:
         """Return a workspace taken before."""
-        with self._lock:
-            self._free.append(raster)
+        self._free.append(raster)
 
     @contextmanager
     def lend(self) -> Iterator[Raster]:
@@ -363,6 +370,12 @@ class RasterPool:
 
 
 pool = RasterPool()
+
+
+def check_size(width: int, height: int) -> None:
+    """Raise ShapeError for a picture the library would refuse, before memory is taken for it."""
+    if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
+        raise ShapeError(f"The image must be 1 to {MAX_SIDE} px a side, got {width} x {height}.")
 
 
 def camera_struct(

@@ -82,6 +82,7 @@ def render(
         raise ShapeError(
             f"sh_degree must be 0 to {splats.sh_degree}, what the splats hold, got {degree}."
         )
+    _native.check_size(width, height)
     K, viewmat = np.asarray(K, np.float64), np.asarray(viewmat, np.float64)
     camera = _native.camera_struct(viewmat, K, width, height, near, far)
     options = _native.options_struct(
@@ -108,8 +109,6 @@ def render(
         len(splats), *pointers, SH_REST_BY_DEGREE[splats.sh_degree], degree, 1
     )
     shape = (height, width)
-    if width < 1 or height < 1:
-        raise ShapeError(f"The image must be at least 1 x 1 px, got {width} x {height}.")
     rgb, alpha = np.zeros((*shape, 3), np.float32), np.zeros(shape, np.float32)
     inverse, depth, median = (np.zeros(shape, np.float32) if depths else None for _ in range(3))
     image = _native.ImageStruct(

@@ -242,8 +242,7 @@ def rasterize(
     }
     for name, (tensor, shape) in shapes.items():
         _checked(name, tensor, shape)
-    if width < 1 or height < 1:
-        raise ShapeError(f"The image must be at least 1 x 1 px, got {width} x {height}.")
+    _native.check_size(width, height)
     if background is None:
         color = (0.0, 0.0, 0.0)
     else:

@@ -84,7 +84,7 @@ def test_cancel_stops_a_long_call() -> None:
         ({"K": np.eye(4)}, r"K must be \[3, 3\]"),
         ({"viewmat": np.eye(3)}, r"viewmat must be \[4, 4\]"),
         ({"viewmat": np.full((4, 4), np.nan)}, "viewmat holds a value that is not finite"),
-        ({"width": 0}, "at least 1 x 1 px"),
+        ({"width": 0}, "1 to 65536 px"),
         ({"width": 70_000}, "1 to 65536 px"),
         ({"sh_degree": 4}, "sh_degree must be 0 to 3"),
         ({"near": 0.0}, "near must be positive"),
@@ -98,6 +98,26 @@ def test_bad_input_is_named(options: dict, message: str) -> None:
     values = {"K": cameras.Ks[0], "viewmat": np.eye(4), "width": 32, "height": 32} | options
     with pytest.raises(gscore.ShapeError, match=message):
         gscore.render(splats, **values)
+
+
+def test_workspaces_come_back_while_one_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: the clock. A destructor that runs inside `take` must not wait for it."""
+    from gscore.raster import _native
+
+    pool = _native.RasterPool()
+    spare = _native.Raster()
+
+    class Making(_native.Raster):
+        def __init__(self) -> None:
+            pool.give_back(spare)  # what the garbage collector may do here
+            super().__init__()
+
+    monkeypatch.setattr(_native, "Raster", Making)
+    worker = threading.Thread(target=pool.take, daemon=True)
+    worker.start()
+    worker.join(timeout=10)
+    assert not worker.is_alive()
+    assert pool.take() is spare
 
 
 def test_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
