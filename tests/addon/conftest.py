@@ -1,0 +1,97 @@
+"""Fixtures of the add-on's tests: a real Blender with a profile of its own, and empty scenes.
+
+The folder is skipped where Python has no bpy. Blender enables the add-on once per session, as a
+user would, and disables it at the end: a class that is still registered when the interpreter exits
+crashes bpy 4.2 and hangs bpy 4.5.
+"""
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent.parent
+
+collect_ignore_glob = [] if find_spec("bpy") else ["*"]
+
+if find_spec("bpy"):
+    if str(ROOT) not in sys.path:
+        sys.path.insert(0, str(ROOT))
+    if "bpy" not in sys.modules:  # a Blender program has read its profile before this file
+        os.environ["BLENDER_USER_RESOURCES"] = tempfile.mkdtemp(prefix="blender-profile-")
+    import bpy
+
+
+def _raise(error: Exception) -> None:
+    raise error
+
+
+def _switch(on: bool) -> None:
+    """Enable or disable the checkout's add-on through Blender, as the preferences do."""
+    import addon_utils  # only there once bpy is
+
+    if on:
+        addon_utils.enable("addon", default_set=True, persistent=True, handle_error=_raise)
+    else:
+        addon_utils.disable("addon", default_set=True, handle_error=_raise)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def enabled() -> Iterator[None]:
+    """The add-on is registered while tests run."""
+    _switch(True)
+    yield
+    _switch(False)
+    profile = Path(os.environ.get("BLENDER_USER_RESOURCES", ""))
+    if profile.name.startswith("blender-profile-"):
+        shutil.rmtree(profile, ignore_errors=True)
+
+
+@pytest.fixture
+def switch() -> Callable[[bool], None]:
+    """Enables (True) or disables (False) the add-on."""
+    return _switch
+
+
+@pytest.fixture
+def scene() -> "bpy.types.Scene":
+    """The scene of a new, empty file."""
+    bpy.ops.wm.read_homefile(use_empty=True)
+    return bpy.context.scene
+
+
+@pytest.fixture
+def run_blender(tmp_path: Path) -> Callable[..., str]:
+    """Run a Python script in a fresh Blender with an empty profile; its output, or a failure.
+
+    In the bpy module the fresh Blender is a fresh Python, else it is the running program.
+    """
+
+    def run(script: str, *args: str | Path, cwd: Path = tmp_path, timeout: float = 240) -> str:
+        path, profile = tmp_path / "script.py", tmp_path / "profile"
+        path.write_text(script, encoding="utf-8")
+        profile.mkdir(exist_ok=True)
+        program = bpy.app.binary_path
+        command = [program, "-b", "--factory-startup", "--python-exit-code", "1", "-P", str(path)]
+        command = [*command, "--"] if program else [sys.executable, str(path)]
+        environment = {**os.environ, "BLENDER_USER_RESOURCES": str(profile)}
+        environment.pop("PYTHONPATH", None)
+        done = subprocess.run(
+            [*command, *map(str, args)],
+            cwd=cwd,
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=timeout,
+            check=False,
+        )
+        assert done.returncode == 0, f"rc {done.returncode}\n{done.stdout}\n{done.stderr}"
+        return done.stdout
+
+    return run
