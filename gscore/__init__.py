@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from ._version import __version__
 
 if TYPE_CHECKING:
-    from .config import DataConfig, TrainConfig
+    from .config import PRESETS, DataConfig, Strategy, TrainConfig
     from .datasets import Dataset, load_dataset
     from .errors import (
         BackendError,
@@ -21,7 +21,21 @@ if TYPE_CHECKING:
         GsError,
         ShapeError,
     )
+    from .events import (
+        Done,
+        Eval,
+        Event,
+        Failed,
+        Preview,
+        Progress,
+        Saved,
+        Snapshot,
+        Started,
+        Warn,
+        from_line,
+    )
     from .io.ply import read_splats, write_splats
+    from .io.runs import RunInfo, clear_run, read_run
     from .raster.api import Rendered, render
     from .raster.autograd import RasterAux, RasterOutput, rasterize
     from .raster.backend import CancelFlag
@@ -39,20 +53,36 @@ _HOME = {
     "DataConfig": "config",
     "Dataset": "datasets",
     "DatasetError": "errors",
+    "Done": "events",
+    "Eval": "events",
+    "Event": "events",
+    "Failed": "events",
     "FormatError": "errors",
     "GsError": "errors",
     "ImageLoss": "raster.loss",
+    "PRESETS": "config",
     "PointCloud": "scene",
+    "Preview": "events",
+    "Progress": "events",
     "RasterAux": "raster.autograd",
     "RasterOutput": "raster.autograd",
     "Rendered": "raster.api",
+    "RunInfo": "io.runs",
+    "Saved": "events",
     "Scene": "scene",
     "ShapeError": "errors",
+    "Snapshot": "events",
     "Splats": "splats",
+    "Started": "events",
+    "Strategy": "config",
     "TrainConfig": "config",
+    "Warn": "events",
+    "clear_run": "io.runs",
+    "from_line": "events",
     "image_loss": "raster.loss",
     "load_dataset": "datasets",
     "rasterize": "raster.autograd",
+    "read_run": "io.runs",
     "read_splats": "io.ply",
     "render": "raster.api",
     "train": "trainer",
@@ -60,6 +90,7 @@ _HOME = {
 }
 
 __all__ = [
+    "PRESETS",
     "BackendError",
     "Cameras",
     "CancelFlag",
@@ -68,21 +99,36 @@ __all__ = [
     "DataConfig",
     "Dataset",
     "DatasetError",
+    "Done",
+    "Eval",
+    "Event",
+    "Failed",
     "FormatError",
     "GsError",
     "ImageLoss",
     "PointCloud",
+    "Preview",
+    "Progress",
     "RasterAux",
     "RasterOutput",
     "Rendered",
+    "RunInfo",
+    "Saved",
     "Scene",
     "ShapeError",
+    "Snapshot",
     "Splats",
+    "Started",
+    "Strategy",
     "TrainConfig",
+    "Warn",
     "__version__",
+    "clear_run",
+    "from_line",
     "image_loss",
     "load_dataset",
     "rasterize",
+    "read_run",
     "read_splats",
     "render",
     "train",

@@ -1,0 +1,125 @@
+"""The folder a training left behind, read without torch: how far it is, and what may be removed."""
+
+import contextlib
+import json
+import math
+import re
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..config import DataConfig, TrainConfig, load_config
+from ..errors import ConfigError
+
+RUN_LOCK = ".gscore.lock"
+"""The file by which a training holds its folder."""
+RUN_FILES = (
+    "config.json",
+    "cfg_args",
+    "cameras.json",
+    "point_cloud.ply",
+    "metrics.json",
+    "report.html",
+)
+"""Files that a training writes."""
+RUN_FOLDERS = ("checkpoints", "point_cloud", "previews", "snapshots")
+"""Folders that a training writes."""
+
+_CHECKPOINT = re.compile(r"step_(\d+)\.safetensors")
+_UNFINISHED = tuple(f".{name}.*.tmp" for name in RUN_FILES)
+"""What `atomic_write` leaves of a file when its process is killed."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunInfo:
+    """What the folder of a run tells about it."""
+
+    path: Path
+    steps: int
+    """Steps taken when the last checkpoint was written; 0 without one."""
+    iterations: int
+    """Steps the run was asked for; 0 if its options cannot be read."""
+    checkpoint: Path | None
+    """The last checkpoint."""
+    splats: Path | None
+    """point_cloud.ply, where it is written already."""
+    psnr: float | None
+    """Of the last evaluation, dB."""
+    data: DataConfig | None
+    """Options of the run, None where config.json is missing or broken."""
+    train: TrainConfig | None
+    problem: str
+    """Why the run cannot go on though there is a checkpoint; empty if it can."""
+
+    @property
+    def finished(self) -> bool:
+        """Whether all steps were taken."""
+        return 0 < self.iterations <= self.steps
+
+    @property
+    def resumable(self) -> bool:
+        """Whether `gscore train --resume` has steps left to take."""
+        return self.checkpoint is not None and not self.problem and not self.finished
+
+
+def read_run(path: str | Path) -> RunInfo | None:
+    """How far the training in an output folder is, or None if no training has written there.
+
+    Looks at names and at two small JSON files; checkpoints are not opened.
+    """
+    path = Path(path)
+    if not any((path / name).exists() for name in (*RUN_FILES, *RUN_FOLDERS)):
+        return None
+    data, train, problem = None, None, ""
+    try:
+        data, train = load_config(path / "config.json")
+    except (ConfigError, OSError) as error:
+        problem = str(error)
+    steps, checkpoint = _last_checkpoint(path / "checkpoints")
+    splats = path / "point_cloud.ply"
+    return RunInfo(
+        path=path,
+        steps=steps,
+        iterations=train.iterations if train else 0,
+        checkpoint=checkpoint,
+        splats=splats if splats.is_file() else None,
+        psnr=_psnr(path / "metrics.json"),
+        data=data,
+        train=train,
+        problem=problem,
+    )
+
+
+def clear_run(path: str | Path) -> None:
+    """Remove what a training has written into a folder and the folder if nothing else is in it.
+
+    Only for a folder in which no training is running. What cannot be removed stays.
+    """
+    path = Path(path)
+    for name in RUN_FOLDERS:
+        shutil.rmtree(path / name, ignore_errors=True)
+    leftovers = [file for pattern in _UNFINISHED for file in path.glob(pattern)]
+    for file in (*(path / name for name in (*RUN_FILES, RUN_LOCK)), *leftovers):
+        with contextlib.suppress(OSError):
+            file.unlink(missing_ok=True)
+    with contextlib.suppress(OSError):
+        path.rmdir()  # only an empty folder can be removed
+
+
+def _last_checkpoint(folder: Path) -> tuple[int, Path | None]:
+    """Step and path of the latest checkpoint; (0, None) if there is none."""
+    found = [
+        (int(match[1]), path)
+        for path in folder.glob("*.safetensors")
+        if (match := _CHECKPOINT.fullmatch(path.name))
+    ]
+    return max(found) if found else (0, None)
+
+
+def _psnr(path: Path) -> float | None:
+    try:
+        value = json.loads(path.read_text(encoding="utf-8"))["psnr"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    good = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    return float(value) if good else None
