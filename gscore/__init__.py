@@ -11,7 +11,7 @@ from ._version import __version__
 
 if TYPE_CHECKING:
     from .config import PRESETS, DataConfig, Strategy, TrainConfig
-    from .datasets import Dataset, load_dataset
+    from .datasets import Capture, Dataset, Folder, View, load_dataset, read_capture
     from .errors import (
         BackendError,
         Cancelled,
@@ -34,6 +34,12 @@ if TYPE_CHECKING:
         Warn,
         from_line,
     )
+    from .io.colmap import find_model as find_colmap
+    from .io.colmap import read_model as read_colmap
+    from .io.colmap import write_model as write_colmap
+    from .io.colmap_model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
+    from .io.files import atomic_write
+    from .io.image_header import ImageInfo, read_header
     from .io.ply import read_splats, write_splats
     from .io.runs import RunInfo, clear_run, read_run
     from .raster.api import Rendered, render
@@ -43,12 +49,19 @@ if TYPE_CHECKING:
     from .scene import Cameras, PointCloud, Scene
     from .splats import Splats
     from .trainer import train
+    from .transforms import rotmat_to_quat
 
+# Where a public name lives; `module:name` where it is called differently there.
 _HOME = {
     "BackendError": "errors",
     "Cameras": "scene",
     "CancelFlag": "raster.backend",
     "Cancelled": "errors",
+    "Capture": "datasets",
+    "ColmapCamera": "io.colmap_model",
+    "ColmapImage": "io.colmap_model",
+    "ColmapModel": "io.colmap_model",
+    "ColmapPoints": "io.colmap_model",
     "ConfigError": "errors",
     "DataConfig": "config",
     "Dataset": "datasets",
@@ -57,8 +70,10 @@ _HOME = {
     "Eval": "events",
     "Event": "events",
     "Failed": "events",
+    "Folder": "datasets",
     "FormatError": "errors",
     "GsError": "errors",
+    "ImageInfo": "io.image_header",
     "ImageLoss": "raster.loss",
     "PRESETS": "config",
     "PointCloud": "scene",
@@ -76,16 +91,24 @@ _HOME = {
     "Started": "events",
     "Strategy": "config",
     "TrainConfig": "config",
+    "View": "datasets",
     "Warn": "events",
+    "atomic_write": "io.files",
     "clear_run": "io.runs",
+    "find_colmap": "io.colmap:find_model",
     "from_line": "events",
     "image_loss": "raster.loss",
     "load_dataset": "datasets",
     "rasterize": "raster.autograd",
+    "read_capture": "datasets",
+    "read_colmap": "io.colmap:read_model",
+    "read_header": "io.image_header",
     "read_run": "io.runs",
     "read_splats": "io.ply",
     "render": "raster.api",
+    "rotmat_to_quat": "transforms",
     "train": "trainer",
+    "write_colmap": "io.colmap:write_model",
     "write_splats": "io.ply",
 }
 
@@ -95,6 +118,11 @@ __all__ = [
     "Cameras",
     "CancelFlag",
     "Cancelled",
+    "Capture",
+    "ColmapCamera",
+    "ColmapImage",
+    "ColmapModel",
+    "ColmapPoints",
     "ConfigError",
     "DataConfig",
     "Dataset",
@@ -103,8 +131,10 @@ __all__ = [
     "Eval",
     "Event",
     "Failed",
+    "Folder",
     "FormatError",
     "GsError",
+    "ImageInfo",
     "ImageLoss",
     "PointCloud",
     "Preview",
@@ -121,17 +151,25 @@ __all__ = [
     "Started",
     "Strategy",
     "TrainConfig",
+    "View",
     "Warn",
     "__version__",
+    "atomic_write",
     "clear_run",
+    "find_colmap",
     "from_line",
     "image_loss",
     "load_dataset",
     "rasterize",
+    "read_capture",
+    "read_colmap",
+    "read_header",
     "read_run",
     "read_splats",
     "render",
+    "rotmat_to_quat",
     "train",
+    "write_colmap",
     "write_splats",
 ]
 
@@ -140,7 +178,8 @@ def __getattr__(name: str) -> Any:
     home = _HOME.get(name)
     if home is None:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f".{home}", __name__), name)
+    module, _, inner = home.partition(":")
+    return getattr(import_module(f".{module}", __name__), inner or name)
 
 
 def __dir__() -> list[str]:

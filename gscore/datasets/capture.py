@@ -16,7 +16,7 @@ class View:
     name: str
     """Unique in the capture, sub-folders with '/'."""
     image: Path
-    """File of the photo."""
+    """File of the photo; where the reader did not require it, perhaps not there."""
     viewmat: np.ndarray
     """[4, 4] float64, world to camera, OpenCV axes."""
     camera: ColmapCamera

@@ -10,10 +10,11 @@ from .capture import Capture, View, listing
 from .folder import Folder
 
 
-def read_colmap(config: DataConfig) -> Capture:
+def read_colmap(config: DataConfig, *, photos_required: bool = True) -> Capture:
     """Read the model in `config.source` and find its photos in `config.images`.
 
-    Photos that are not there are left out with a warning as long as at least half are.
+    Photos that are not there are left out with a warning as long as at least half are. Without
+    `photos_required` every view stays, with the file where its photo should be.
 
     Raises:
         DatasetError: there is no model, no image folder, or most photos are missing.
@@ -33,7 +34,7 @@ def read_colmap(config: DataConfig) -> Capture:
             f"{listing(twice)}. Export the model anew from COLMAP."
         )
     root = config.source / config.images
-    if not root.is_dir():
+    if photos_required and not root.is_dir():
         raise DatasetError(
             f"There is no image folder {root}. Give the folder that holds both the photos and the "
             f"model, and the name of the photo folder in it with --images."
@@ -42,16 +43,17 @@ def read_colmap(config: DataConfig) -> Capture:
     files = [folder.find_image(name) for name in names]
     warnings = [*model.warnings]
     missing = [name for name, file in zip(names, files, strict=True) if file is None]
-    if 2 * len(missing) > len(names):
+    if photos_required and 2 * len(missing) > len(names):
         raise DatasetError(
             f"{len(missing)} of the {len(names)} images of the model in {model.path} are missing "
             f"in {root} ({len(folder)} images there): {listing(missing)}. Give the folder of the "
             f"photos that COLMAP was run on with --images."
         )
     if missing:
+        rest = f"; going on with the other {len(names) - len(missing)}" if photos_required else ""
         warnings.append(
             f"{len(missing)} of the {len(names)} images of the model are missing in {root}: "
-            f"{listing(missing)}; going on with the other {len(names) - len(missing)}."
+            f"{listing(missing)}{rest}."
         )
     renamed = [
         f"{name} -> {file.relative_to(root).as_posix()}"
@@ -66,13 +68,13 @@ def read_colmap(config: DataConfig) -> Capture:
     views = [
         View(
             name=image.name,
-            image=file,
+            image=file or root / image.name,
             viewmat=image.viewmat,
             camera=model.cameras[image.camera_id],
             seen=seen[i],
         )
         for i, (image, file) in enumerate(zip(model.images, files, strict=True))
-        if file is not None
+        if file is not None or not photos_required
     ]
     return Capture(
         root=config.source,

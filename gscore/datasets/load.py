@@ -6,18 +6,16 @@ import numpy as np
 
 from ..config import DataConfig
 from ..errors import DatasetError
-from ..io.colmap import find_model
 from ..io.images import ImageInfo, read_info
 from ..scene import Cameras, PointCloud, Scene
-from .capture import Capture, View, listing
-from .colmap_source import read_colmap
+from .capture import View, listing
 from .dataset import Dataset
 from .decode import ViewFile, decode_view
 from .masks import MaskChoice, choose_masks
 from .points import colors_from_photos, random_points
+from .read import read_capture
 from .resolution import check_resolution, scale_intrinsics, target_size
 from .split import split_views
-from .transforms_json import FILES, find_transforms, read_transforms
 from .undistort import Undistortion, plan_undistortion
 
 RANDOM_POINTS = 100_000
@@ -39,7 +37,7 @@ def load_dataset(config: DataConfig) -> Dataset:
         BackendError: an optional package that this capture takes is not installed.
     """
     check_resolution(config.resolution)
-    capture = _read(config)
+    capture = read_capture(config)
     views = sorted(capture.views, key=lambda view: view.name)
     infos = [read_info(view.image) for view in views]
     warnings = list(capture.warnings)
@@ -75,21 +73,6 @@ def load_dataset(config: DataConfig) -> Dataset:
         mask_mode=masks.mode,
         source=capture.root,
     )
-
-
-def _read(config: DataConfig) -> Capture:
-    transforms = find_transforms(config.source)
-    if transforms == config.source:
-        return read_transforms(config)
-    try:
-        find_model(config.source)
-    except DatasetError as error:
-        if transforms is not None:
-            return read_transforms(config)
-        if not config.source.is_dir():
-            raise
-        raise DatasetError(f"{error} Nor is there a {' or '.join(FILES)}.") from error
-    return read_colmap(config)
 
 
 def _is_upright(view: View, info: ImageInfo) -> bool:

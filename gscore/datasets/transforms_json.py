@@ -42,13 +42,14 @@ def find_transforms(source: Path) -> Path | None:
     return next((source / name for name in FILES if (source / name).is_file()), None)
 
 
-def read_transforms(config: DataConfig) -> Capture:
+def read_transforms(config: DataConfig, *, photos_required: bool = True) -> Capture:
     """Read the transforms file at or in `config.source`.
 
     Poses are camera to world in OpenGL axes. The world is kept as the file states it, so the result
     fits the file's cameras; nerfstudio's `applied_transform` is already part of its poses and
     points. Paths are relative to the file; `config.images` is not used. Beside
-    transforms_train.json, transforms_test.json gives the test views.
+    transforms_train.json, transforms_test.json gives the test views. Without `photos_required`
+    views whose photo is missing stay, with the file where it should be.
 
     Raises:
         DatasetError: photos are missing.
@@ -59,26 +60,27 @@ def read_transforms(config: DataConfig) -> Capture:
         raise DatasetError(f"There is no {' or '.join(FILES)} in {config.source}.")
     root = path.parent
     data = _load(path)
-    views, missing = _views(path, data)
+    views, missing = _views(path, data, photos_required)
     test_names = _stated_test(path, data)
     test = root / "transforms_test.json"
     if path.name == "transforms_train.json" and test.is_file():
-        held, held_missing = _views(test, _load(test))
+        held, held_missing = _views(test, _load(test), photos_required)
         test_names = frozenset(view.name for view in held)
         views, missing = views + held, missing + held_missing
-    total = len(views) + len(missing)
+    total = len(views) + (len(missing) if photos_required else 0)
     if not total:
         raise DatasetError(f"{path} lists no frames. Export the capture again.")
-    if 2 * len(missing) > total:
+    if photos_required and 2 * len(missing) > total:
         raise DatasetError(
             f"{len(missing)} of the {total} images of {path} are missing in {root}: "
             f"{listing(missing)}. Put them there, or export the capture again."
         )
     warnings = []
     if missing:
+        rest = f"; going on with the other {len(views)}" if photos_required else ""
         warnings.append(
             f"{len(missing)} of the {total} images of {path} are missing in {root}: "
-            f"{listing(missing)}; going on with the other {len(views)}."
+            f"{listing(missing)}{rest}."
         )
     names = [view.name for view in views]
     if len(set(names)) != len(names):
@@ -103,8 +105,8 @@ def _load(path: Path) -> dict[str, Any]:
     return data
 
 
-def _views(path: Path, data: dict[str, Any]) -> tuple[list[View], list[str]]:
-    """Views of one file and the names of photos that are not there."""
+def _views(path: Path, data: dict[str, Any], photos_required: bool) -> tuple[list[View], list[str]]:
+    """Views of one file, and the names of photos that are not there."""
     views, missing = [], []
     for i, frame in enumerate(data["frames"]):
         where = f"{path}: frame {i}"
@@ -114,7 +116,9 @@ def _views(path: Path, data: dict[str, Any]) -> tuple[list[View], list[str]]:
         image = _find(path.parent, name)
         if image is None:
             missing.append(name)
-            continue
+            if photos_required:
+                continue
+            image = path.parent / name
         mask = frame.get("mask_path")
         views.append(
             View(

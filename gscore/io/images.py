@@ -3,38 +3,30 @@
 import struct
 import zlib
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from ..errors import BackendError, DatasetError, FormatError, ShapeError
 from .files import atomic_write
+from .image_header import ImageInfo, read_header
 
 IMAGE_ENDINGS = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp", ".tga")
 """Endings tried where a name has none or names a file of another kind, lower case."""
 
 
-class ImageInfo(NamedTuple):
-    """What the header of an image file says."""
-
-    width: int
-    """Pixels as stored."""
-    height: int
-    """Pixels as stored."""
-    has_alpha: bool
-    """Whether there is transparency."""
-    is_sideways: bool
-    """Whether EXIF asks to turn the stored picture by a quarter for display."""
-
-
 def read_info(path: str | Path) -> ImageInfo:
     """Size and kind of an image, without decoding it.
+
+    PNG and JPEG take the standard library alone, other kinds take Pillow.
 
     Raises:
         DatasetError: the file is missing.
         FormatError: it is no image.
-        BackendError: Pillow is not installed.
+        BackendError: Pillow is needed and not installed.
     """
+    if info := read_header(path):
+        return info
     with _open(Path(path)) as image:
         has_alpha = image.mode in _ALPHA or "transparency" in image.info
         try:
