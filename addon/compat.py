@@ -1,0 +1,29 @@
+"""Everything that depends on Blender's version, told apart by what is there, not by numbers."""
+
+from typing import Any
+
+import bpy
+import numpy as np
+
+
+def matrix_to_numpy(matrix: Any) -> np.ndarray:
+    """A mathutils Matrix as [4, 4] float64; numpy's own conversion gives float32 since 5.0."""
+    return np.array([tuple(row) for row in matrix], np.float64)
+
+
+def set_modifier_input(modifier: bpy.types.NodesModifier, name: str, value: Any) -> None:
+    """Set the input socket called `name` of a geometry nodes modifier, and have it evaluated.
+
+    Raises:
+        KeyError: the node group has no such input.
+    """
+    for item in modifier.node_group.interface.items_tree:
+        if item.item_type == "SOCKET" and item.in_out == "INPUT" and item.name == name:
+            break
+    else:
+        raise KeyError(f"{modifier.node_group.name} has no input {name!r}.")
+    if hasattr(modifier, "properties"):  # 5.2 and later
+        getattr(modifier.properties.inputs, item.identifier).value = value
+    else:
+        modifier[item.identifier] = value
+    modifier.id_data.update_tag()
