@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from .scene import Cameras, PointCloud, Scene
     from .splats import Splats
     from .trainer import train
-    from .transforms import rotmat_to_quat
+    from .transforms import rotmat_to_quat, transform_splats
 
 # Where a public name lives; `module:name` where it is called differently there.
 _HOME = {
@@ -108,6 +108,7 @@ _HOME = {
     "render": "raster.api",
     "rotmat_to_quat": "transforms",
     "train": "trainer",
+    "transform_splats": "transforms",
     "write_colmap": "io.colmap:write_model",
     "write_splats": "io.ply",
 }
@@ -169,6 +170,7 @@ __all__ = [
     "render",
     "rotmat_to_quat",
     "train",
+    "transform_splats",
     "write_colmap",
     "write_splats",
 ]

@@ -83,6 +83,37 @@ def sh_basis(degree: int, dirs: np.ndarray) -> np.ndarray:
     return np.stack(out, axis=-1)
 
 
+def sh_rotation(degree: int, rotation: np.ndarray) -> np.ndarray:
+    """Matrix that turns the coefficients of one band along with the world.
+
+    With f(d) = sum of c_i Y_i(d), the turned function is g(d) = f(rotation^T d); its coefficients
+    are `sh_rotation(degree, rotation) @ c`. The integral of Y_i(d) Y_j(rotation^T d) over the
+    sphere is taken by a quadrature that is exact for its polynomials.
+
+    Args:
+        degree: The band, 0 to 3.
+        rotation: [3, 3] float64, orthogonal; a reflection is as good as a rotation.
+
+    Returns:
+        [2 degree + 1, 2 degree + 1] float64, orthogonal.
+
+    Raises:
+        ShapeError: degree out of range or `rotation` not [3, 3] of floats.
+    """
+    if rotation.shape != (3, 3):
+        raise ShapeError(f"rotation must be [3, 3], got {list(rotation.shape)}.")
+    nodes, weights = np.polynomial.legendre.leggauss(2 * MAX_DEGREE)
+    turns = np.arange(4 * MAX_DEGREE) * (2 * np.pi / (4 * MAX_DEGREE))
+    z, phi = np.meshgrid(nodes, turns, indexing="ij")
+    r = np.sqrt(1 - z * z)
+    dirs = np.stack([r * np.cos(phi), r * np.sin(phi), z], axis=-1).reshape(-1, 3)
+    area = np.repeat(weights, len(turns)) * (2 * np.pi / len(turns))
+    band = slice(degree * degree, (degree + 1) ** 2)
+    here = sh_basis(degree, dirs)[:, band]
+    there = sh_basis(degree, dirs @ rotation)[:, band]
+    return here.T @ (there * area[:, None])
+
+
 def rgb_to_sh0(rgb: np.ndarray) -> np.ndarray:
     """Constant coefficient of a colour in [0, 1] (sRGB values), of any shape: (rgb - 0.5) / C0."""
     return (rgb - 0.5) / SH_C0

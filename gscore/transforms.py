@@ -7,10 +7,16 @@ import numpy as np
 
 from .errors import ShapeError
 from .scene import Cameras
+from .sh import sh_rotation
 from .splats import Splats, check_array
 
 CAMERA_FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 """From OpenCV camera axes (+y down, +z forward) to OpenGL/Blender ones (+y up), and back."""
+
+_UNEVEN = 1e-4
+"""Relative deviation from a similarity that float32 object matrices may show."""
+_BLOCK = 1 << 16
+"""Splats whose SH coefficients are turned at once."""
 
 
 def quat_to_rotmat(quats: np.ndarray) -> np.ndarray:
@@ -164,3 +170,80 @@ class Similarity:
             means=self.points_from_training(splats.means).astype(np.float32),
             scales=(splats.scales - np.float64(math.log(self.scale))).astype(np.float32),
         )
+
+
+def transform_splats(splats: Splats, matrix: np.ndarray) -> Splats:
+    """Move, turn, mirror and evenly scale a model, exactly.
+
+    A mirror image of a Gaussian is a Gaussian: with the orthogonal part Q of `matrix` (det -1), the
+    rotation R of a splat becomes -Q R, and SH coefficients follow Q itself.
+
+    Args:
+        splats: Raw parameters.
+        matrix: [4, 4], acts on column vectors: new = matrix @ old. Upper left: a positive factor
+            times an orthogonal matrix.
+
+    Returns:
+        Raw parameters; computed in float64. Quaternions keep their length.
+
+    Raises:
+        ShapeError: the matrix stretches or shears, so a splat's colours could not follow; or it is
+            singular, not finite or a projection.
+    """
+    matrix = np.asarray(matrix, np.float64)
+    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+        raise ShapeError(f"matrix must be [4, 4] and finite, got {matrix.tolist()}.")
+    if not np.array_equal(matrix[3], [0, 0, 0, 1]):
+        raise ShapeError(f"matrix must end in the row 0 0 0 1, got {matrix[3].tolist()}.")
+    linear, shift = matrix[:3, :3], matrix[:3, 3]
+    scale, orthogonal = _similarity_parts(linear)
+    turn = rotmat_to_quat(orthogonal if np.linalg.det(orthogonal) > 0 else -orthogonal)
+    return replace(
+        splats,
+        means=(splats.means.astype(np.float64) @ linear.T + shift).astype(np.float32),
+        quats=_quat_multiply(turn, splats.quats.astype(np.float64)).astype(np.float32),
+        scales=(splats.scales + np.float64(math.log(scale))).astype(np.float32),
+        shN=_turn_harmonics(splats.shN, orthogonal),
+    )
+
+
+def _similarity_parts(linear: np.ndarray) -> tuple[float, np.ndarray]:
+    """Factor and orthogonal [3, 3] nearest to a [3, 3] matrix, or ShapeError."""
+    u, stretches, vt = np.linalg.svd(linear)
+    scale = float(np.cbrt(stretches.prod()))
+    if not scale > 0:
+        raise ShapeError("The matrix has a scale of 0: give the object a scale above 0.")
+    if stretches[0] - stretches[2] > _UNEVEN * scale:
+        raise ShapeError(
+            f"The matrix stretches space unevenly, by {stretches[0]:.6g}, {stretches[1]:.6g} and "
+            f"{stretches[2]:.6g} along three directions; the view-dependent colours of splats "
+            f"cannot follow that exactly. Make the scale the same on all axes (of the parents "
+            f"too) and remove shear."
+        )
+    return scale, u @ vt
+
+
+def _quat_multiply(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Hamilton product of quaternions [..., 4] wxyz: the rotation `right`, then `left`."""
+    a, b, c, d = np.moveaxis(left, -1, 0)
+    w, x, y, z = np.moveaxis(right, -1, 0)
+    parts = [
+        a * w - b * x - c * y - d * z,
+        a * x + b * w + c * z - d * y,
+        a * y - b * z + c * w + d * x,
+        a * z + b * y - c * x + d * w,
+    ]
+    return np.stack(parts, axis=-1)
+
+
+def _turn_harmonics(rest: np.ndarray, orthogonal: np.ndarray) -> np.ndarray:
+    """Coefficients [N, K-1, 3] float32 of the turned functions."""
+    out = np.empty_like(rest)
+    degree = math.isqrt(rest.shape[1] + 1) - 1
+    for band in range(1, degree + 1):
+        rows = slice(band * band - 1, (band + 1) ** 2 - 1)
+        turn = sh_rotation(band, orthogonal)
+        for at in range(0, len(rest), _BLOCK):
+            part = slice(at, at + _BLOCK)
+            out[part, rows] = turn @ rest[part, rows].astype(np.float64)
+    return out
