@@ -23,6 +23,8 @@ from gscore import (
     from_line,
     read_run,
     read_splats,
+    transform_splats,
+    write_splats,
 )
 
 __all__ = [
@@ -48,4 +50,6 @@ __all__ = [
     "from_line",
     "read_run",
     "read_splats",
+    "transform_splats",
+    "write_splats",
 ]

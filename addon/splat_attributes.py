@@ -1,0 +1,167 @@
+"""Splats <-> point attributes named like Blender's own Gaussian splats; works on any datablock.
+
+| attribute | type | meaning |
+|---|---|---|
+| `position` | FLOAT_VECTOR | means |
+| `scale` | FLOAT_VECTOR | standard deviations, linear |
+| `rotation` | QUATERNION | wxyz, unit length |
+| `radiance:base` | FLOAT_COLOR | constant SH coefficient r, g, b and the opacity in [0, 1] |
+| `radiance:sh_<k>` | FLOAT_VECTOR | SH coefficient k + 1, rgb; k = 0..14 at degree 3 |
+
+All float32. `exp` and the sigmoid are evaluated in float64, so that the way back is exact to the
+last bits of float32, with one limit: near 1 an opacity is spaced by 6e-8, so logits above 5 come
+back with an error growing to 1e-3 at logit 10, and those above 16.6 as 16.6 (an opacity of
+1 - 2^-24). None of that can be seen: no splat is drawn with more than 0.99.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from .core import Splats
+
+POSITION, SCALE, ROTATION = "position", "scale", "rotation"
+BASE, SH = "radiance:base", "radiance:sh_"
+SH_COUNTS = (0, 3, 8, 15)
+"""Numbers of `radiance:sh_<k>` attributes of SH degrees 0 to 3."""
+
+_KINDS = {
+    "FLOAT_VECTOR": ("vector", 3),
+    "QUATERNION": ("value", 4),
+    "FLOAT_COLOR": ("color", 4),
+    "FLOAT4": ("value", 4),
+}
+"""Key for foreach_get and width in floats, by data type."""
+_TINY = float(np.finfo(np.float32).tiny)
+_LARGEST_OPACITY = 1.0 - 2.0**-24
+"""The float32 below 1."""
+
+
+def write(datablock: Any, splats: Splats, *, base_type: str = "FLOAT_COLOR") -> None:
+    """Give a mesh or point cloud that has exactly N points the attributes of N splats.
+
+    Args:
+        datablock: Mesh or PointCloud with `attributes`.
+        splats: Raw parameters.
+        base_type: Data type of `radiance:base`: FLOAT_COLOR, or FLOAT4 where Blender has it.
+    """
+    opacities = 1.0 / (1.0 + np.exp(-splats.opacities.astype(np.float64)))
+    base = np.empty((len(splats), 4), np.float32)
+    base[:, :3] = splats.sh0[:, 0]
+    base[:, 3] = opacities
+    lengths = np.linalg.norm(splats.quats.astype(np.float64), axis=1, keepdims=True)
+    columns = [
+        (POSITION, "FLOAT_VECTOR", splats.means),
+        (SCALE, "FLOAT_VECTOR", np.exp(splats.scales.astype(np.float64))),
+        (ROTATION, "QUATERNION", splats.quats / lengths),
+        (BASE, base_type, base),
+    ]
+    columns += [(f"{SH}{k}", "FLOAT_VECTOR", splats.shN[:, k]) for k in range(splats.shN.shape[1])]
+    # All first: adding an attribute moves the others' memory.
+    for name, kind, _ in columns:
+        if datablock.attributes.get(name) is None:
+            datablock.attributes.new(name, kind, "POINT")
+    for name, kind, values in columns:
+        # foreach_set is a plain copy for contiguous float32 alone.
+        flat = np.ascontiguousarray(values, np.float32).ravel()
+        datablock.attributes[name].data.foreach_set(_KINDS[kind][0], flat)
+
+
+def column(datablock: Any, name: str) -> np.ndarray:
+    """[N, 3] or [N, 4] float32 copy of one attribute.
+
+    Raises:
+        ValueError: the attribute is missing or is no point attribute of a known type.
+    """
+    attribute = datablock.attributes.get(name)
+    wanted = attribute is not None and attribute.domain == "POINT"
+    if not wanted or attribute.data_type not in _KINDS:
+        raise ValueError(
+            f"{datablock.name} has no point attribute {name!r} of vectors: it is no splat object, "
+            f"or the attribute was deleted or converted; undo that or import the splats again."
+        )
+    key, width = _KINDS[attribute.data_type]
+    values = np.empty(len(attribute.data) * width, np.float32)
+    attribute.data.foreach_get(key, values)
+    return values.reshape(-1, width)
+
+
+def sh_count(datablock: Any) -> int:
+    """Number of `radiance:sh_<k>` attributes.
+
+    Raises:
+        ValueError: some are missing.
+    """
+    have = {a.name for a in datablock.attributes if a.name.startswith(SH)}
+    if not have:
+        return 0
+    numbers = [int(n.removeprefix(SH)) for n in have if n.removeprefix(SH).isdecimal()]
+    # Degree 4 and beyond is not used by anything here.
+    top = min(max(numbers, default=-1) + 1, SH_COUNTS[-1])
+    count = next(c for c in SH_COUNTS if c >= top)
+    missing = [f"{SH}{k}" for k in range(count) if f"{SH}{k}" not in have]
+    if missing:
+        raise ValueError(
+            f"{datablock.name} lacks the attributes {', '.join(missing)} of its SH degree: undo "
+            f"their deletion, or delete all {SH}<k> to go on without view-dependent colour."
+        )
+    return count
+
+
+def read(datablock: Any) -> Splats:
+    """Splats of a mesh or point cloud, raw parameters in the datablock's space.
+
+    A vertex added by hand has a scale of zero: such a splat gets the smallest scale and opacity
+    that float32 holds, and so is never seen.
+
+    Raises:
+        ValueError: attributes are missing (they are named) or hold numbers that are not finite.
+    """
+    missing = [n for n in (POSITION, SCALE, ROTATION, BASE) if n not in datablock.attributes]
+    # Blender drops `position` from a mesh without vertices.
+    if missing and not (missing == [POSITION] and _count(datablock) == 0):
+        raise ValueError(
+            f"{datablock.name} holds no splats: the attributes {', '.join(missing)} are missing. "
+            f"Choose an object made by an import or a training run."
+        )
+    base, scales = column(datablock, BASE), column(datablock, SCALE)
+    quats = column(datablock, ROTATION)
+    quats[~quats.any(axis=1)] = (1, 0, 0, 0)
+    alpha = np.clip(base[:, 3].astype(np.float64), _TINY, _LARGEST_OPACITY)
+    alpha[~scales.any(axis=1)] = _TINY
+    count = sh_count(datablock)
+    rest = np.empty((len(base), count, 3), np.float32)
+    for k in range(count):
+        rest[:, k] = column(datablock, f"{SH}{k}")
+    splats = Splats(
+        means=np.zeros((0, 3), np.float32) if missing else column(datablock, POSITION),
+        quats=quats,
+        scales=np.log(np.maximum(np.abs(scales).astype(np.float64), _TINY)).astype(np.float32),
+        opacities=(np.log(alpha) - np.log1p(-alpha)).astype(np.float32),
+        sh0=np.ascontiguousarray(base[:, None, :3]),
+        shN=rest,
+    )
+    _check_finite(datablock, splats)
+    return splats
+
+
+def _count(datablock: Any) -> int:
+    return len(datablock.vertices if hasattr(datablock, "vertices") else datablock.points)
+
+
+def _check_finite(datablock: Any, splats: Splats) -> None:
+    arrays = {
+        POSITION: splats.means,
+        SCALE: splats.scales,
+        ROTATION: splats.quats,
+        f"{BASE} (opacity)": splats.opacities,
+        f"{BASE} (colour)": splats.sh0,
+        SH: splats.shN,
+    }
+    for name, values in arrays.items():
+        bad = ~np.isfinite(values.reshape(len(splats), values[:1].size)).all(axis=1)
+        if bad.any():
+            raise ValueError(
+                f"{datablock.name} has {int(bad.sum())} splats whose {name} is not finite, the "
+                f"first is number {int(bad.argmax())}: delete them in Edit Mode."
+            )
