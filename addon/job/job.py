@@ -1,0 +1,184 @@
+"""A training that runs beside Blender: its process, what it told, and what it is asked; no bpy."""
+
+import threading
+import time
+import uuid
+from collections.abc import Sequence
+from pathlib import Path
+
+from ..core import Snapshot, clear_run
+from . import session
+from .loader import Loaded, Loader
+from .process import Process
+
+BUDGET = 0.005
+"""Seconds that a poll may spend on lines."""
+STOP_GRACE = 120.0
+"""Seconds without a sign of life after which a trainer that was asked to stop is killed."""
+SILENT = 20.0
+"""Seconds without a sign of life that are worth telling."""
+
+
+class Job:
+    """One run of the trainer."""
+
+    def __init__(
+        self,
+        python: str | Path,
+        arguments: Sequence[str],
+        *,
+        source: Path,
+        output: Path,
+        resumed: bool = False,
+    ) -> None:
+        """Start the trainer.
+
+        Args:
+            python: The Python that has gscore and torch.
+            arguments: Of `gscore`, see `options`.
+            source: Folder of the capture.
+            output: Folder of the results.
+            resumed: Whether the run began earlier; then its folder is never removed.
+
+        Raises:
+            OSError: `python` cannot be run.
+        """
+        self.id = uuid.uuid4().hex[:8]
+        self.python, self.source, self.output = str(python), source, output
+        self.resumed = resumed
+        self.state = session.RunState()
+        self.live_seconds = 0.0
+        """Seconds between two snapshots that are asked for; 0: none."""
+        self.live_most = 0
+        """Splats of a snapshot that are kept at most; 0: all."""
+        self.loader = Loader()
+        self.result_wanted = False
+        """Whether the result still has to be shown."""
+        self.preview_shown = ""
+        self._discarding = False
+        self._clearer: threading.Thread | None = None
+        self._asked_for_live = time.monotonic()
+        self._live_underway = False
+        self._process = Process([str(python), "-u", "-m", "gscore", *arguments])
+
+    @property
+    def active(self) -> bool:
+        """Whether the process or a reading of its files is under way."""
+        return not self.state.ended or self.loader.busy or self.result_wanted
+
+    @property
+    def pid(self) -> int:
+        """Number of the trainer's process."""
+        return self._process.pid
+
+    @property
+    def silent_s(self) -> float:
+        """Seconds since the last sign of life, of a trainer that should give one."""
+        if self.state.ended or self.state.status == session.PAUSED:
+            return 0.0
+        return time.monotonic() - self._process.last_line_at
+
+    @property
+    def silence(self) -> str:
+        """A sentence about a trainer that says nothing, or nothing."""
+        if self.silent_s < SILENT:
+            return ""
+        return f"No sign of life for {self.silent_s:.0f} s"
+
+    def poll(self, budget: float = BUDGET) -> bool:
+        """Take in what the trainer told since the last call.
+
+        Args:
+            budget: Seconds to spend at most; what is left is taken by the next call.
+
+        Returns:
+            Whether something changed.
+        """
+        if self.state.ended:
+            return False
+        changed = False
+        for line in self._process.lines(budget):
+            event = session.read_event(line)
+            if event is None:
+                continue
+            changed = True
+            self.state.apply(event)
+            if isinstance(event, Snapshot):
+                self._live_underway = False
+                self.loader.request(Path(event.path), most=self.live_most)
+        if self._process.ended and not self._clearing():
+            self._end()
+            return True
+        if self.state.status == session.STOPPING and self.silent_s > STOP_GRACE:
+            self._process.kill()
+        self._ask_for_live()
+        return changed
+
+    def take_loaded(self) -> Loaded | None:
+        """A snapshot or the result that was read since the last call."""
+        return self.loader.take()
+
+    def pause(self) -> None:
+        """Ask the trainer to wait; it keeps its memory and holds no core."""
+        self._process.send("pause")
+
+    def unpause(self) -> None:
+        """Ask a waiting trainer to go on."""
+        self._process.send("resume")
+
+    def snapshot(self) -> None:
+        """Ask for the splats as they are now."""
+        self._live_underway, self._asked_for_live = True, time.monotonic()
+        self._process.send("snapshot")
+
+    def stop(self) -> None:
+        """Ask the trainer to write a checkpoint and its results, and to end."""
+        if not self.state.ended:
+            self.state.status = session.STOPPING
+            self._process.send("stop")
+
+    def leave(self) -> None:
+        """Let go because Blender ends: the trainer writes a checkpoint and ends by itself."""
+        self._process.end_input()
+
+    def kill(self) -> None:
+        """End the trainer at once; checkpoints that are written stay."""
+        self._process.kill()
+
+    def discard(self) -> None:
+        """End the trainer at once and remove what this run wrote, unless it began earlier."""
+        self._discarding, self.result_wanted = True, False
+        self._process.kill()
+
+    def wait(self, timeout: float) -> bool:
+        """Wait for the process alone, without taking in what it tells; whether it is gone."""
+        return self._process.wait(timeout)
+
+    def _end(self) -> None:
+        state = self.state
+        if self._discarding:
+            state.status, state.eta_s = session.DISCARDED, None
+            state.sentence = (
+                "Stopped; what was trained since the last checkpoint is discarded, earlier files "
+                "of the run are kept."
+                if self.resumed
+                else "Discarded: the files of this run are removed."
+            )
+            return
+        state.end(self._process.returncode, self._process.stderr_tail, python=self.python)
+        if state.result is not None:
+            self.result_wanted = True
+
+    def _clearing(self) -> bool:
+        """Whether files of a discarded run are being removed, which a slow disk makes long."""
+        if not self._discarding or self.resumed:
+            return False
+        if self._clearer is None:
+            self._clearer = threading.Thread(target=clear_run, args=(self.output,), daemon=True)
+            self._clearer.start()
+        return self._clearer.is_alive()
+
+    def _ask_for_live(self) -> None:
+        due = time.monotonic() - self._asked_for_live >= self.live_seconds > 0
+        if due and not self._live_underway and self.state.status == session.RUNNING:
+            self.snapshot()

@@ -1,0 +1,103 @@
+"""The add-on's settings as a command line of `gscore train`; no bpy."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from ..core import PRESETS
+
+AS_PRESET, BY_WIDTH = "PRESET", "WIDTH"
+"""Values of `resolution` beside the divisors 1, 2, 4 and 8."""
+
+
+class Settings(Protocol):
+    """What of the scene's settings goes to the trainer; `properties.SceneSettings` has it."""
+
+    preset: str
+    iterations: int
+    max_splats: int
+    sh_degree: int
+    strategy: str
+    background: str
+    antialias: bool
+    seed: int
+    images: str
+    resolution: str
+    width: int
+    eval: bool
+    test_every: int
+    use_masks: bool
+    mask_mode: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Machine:
+    """What the preferences say about this computer."""
+
+    threads: int = 0
+    """CPU threads; 0: all."""
+    lpips: Path | None = None
+    """Network to measure LPIPS with."""
+    preview_seconds: float = 0.0
+    """Training time between two pictures of a test view; 0: none."""
+
+
+def new_run(
+    settings: Settings, *, source: Path, output: Path, machine: Machine, overwrite: bool = False
+) -> list[str]:
+    """Arguments that start a run: the preset, and only what differs from it.
+
+    Args:
+        settings: Of the scene.
+        source: Folder of the capture.
+        output: Folder for the results.
+        machine: Of the preferences.
+        overwrite: Replace another run in `output`.
+    """
+    data, train = PRESETS[settings.preset](source)
+    arguments = ["train", str(source), "-o", str(output), "--preset", settings.preset]
+    for name in ("iterations", "max_splats", "sh_degree", "strategy", "background", "seed"):
+        value = getattr(settings, name)
+        if value != getattr(train, name):
+            arguments += [f"--{name.replace('_', '-')}", str(value)]
+    if settings.antialias != train.antialias:
+        arguments.append("--antialias" if settings.antialias else "--no-antialias")
+    arguments.append("--eval" if settings.eval else "--no-eval")
+    if settings.eval and settings.test_every != data.test_every:
+        arguments += ["--test-every", str(settings.test_every)]
+    if settings.images != data.images:
+        arguments += ["--images", settings.images]
+    mask_mode = settings.mask_mode if settings.use_masks else "none"
+    if mask_mode != data.mask_mode:
+        arguments += ["--mask-mode", mask_mode]
+    if settings.resolution == BY_WIDTH:
+        arguments += ["--resolution", str(settings.width)]
+    elif settings.resolution != AS_PRESET:
+        arguments += ["--resolution", settings.resolution]
+    if overwrite:
+        arguments.append("--overwrite")
+    return arguments + _machine(machine)
+
+
+def resumed_run(
+    *, source: Path | None, output: Path, machine: Machine, iterations: int | None = None
+) -> list[str]:
+    """Arguments that go on with the run in `output`, with the options it was started with.
+
+    Args:
+        source: Where the capture lies now; None: where it was.
+        output: Folder of the run.
+        machine: Of the preferences.
+        iterations: Train up to this step instead of the one asked for at first.
+    """
+    arguments = ["train", *([str(source)] if source else []), "-o", str(output), "--resume"]
+    if iterations is not None:
+        arguments += ["--iterations", str(iterations)]
+    return arguments + _machine(machine)
+
+
+def _machine(machine: Machine) -> list[str]:
+    arguments = ["--threads", str(machine.threads)]
+    if machine.lpips is not None:
+        arguments += ["--lpips", str(machine.lpips)]
+    return [*arguments, "--preview-seconds", f"{machine.preview_seconds:g}", "--events", "jsonl"]
