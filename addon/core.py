@@ -2,6 +2,7 @@
 
 from gscore import (
     PRESETS,
+    Background,
     DataConfig,
     Done,
     Eval,
@@ -29,6 +30,7 @@ from gscore import (
 
 __all__ = [
     "PRESETS",
+    "Background",
     "DataConfig",
     "Done",
     "Eval",
