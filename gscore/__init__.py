@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from ._version import __version__
 
 if TYPE_CHECKING:
-    from .config import PRESETS, DataConfig, Strategy, TrainConfig
+    from .config import PRESETS, Background, DataConfig, Strategy, TrainConfig
     from .datasets import Capture, Dataset, Folder, View, load_dataset, read_capture
     from .errors import (
         BackendError,
@@ -54,6 +54,7 @@ if TYPE_CHECKING:
 # Where a public name lives; `module:name` where it is called differently there.
 _HOME = {
     "BackendError": "errors",
+    "Background": "config",
     "Cameras": "scene",
     "CancelFlag": "raster.backend",
     "Cancelled": "errors",
@@ -116,6 +117,7 @@ _HOME = {
 __all__ = [
     "PRESETS",
     "BackendError",
+    "Background",
     "Cameras",
     "CancelFlag",
     "Cancelled",
