@@ -34,7 +34,7 @@ extern "C" {
 #endif
 
 /* Changes whenever a struct or a signature below changes. */
-#define GS_ABI_VERSION 1
+#define GS_ABI_VERSION 2
 
 /* A splat contributes to a pixel where its alpha is at least this. */
 #define GS_ALPHA_MIN (1.0f / 255.0f)
@@ -73,9 +73,10 @@ typedef struct gs_splats {
 
 typedef struct gs_camera {
     float viewmat[16];
-    float fx, fy, cx, cy; /* pixels */
+    float fx, fy, cx, cy; /* pixels; fx and fy are pixels per world unit where `orthographic` */
     int32_t width, height; /* 1 to 65536 each */
     float near_plane, far_plane; /* splats with near < z <= far are drawn */
+    int32_t orthographic; /* 1: parallel rays, x = fx X + cx; colours are those seen along +z. Forward calls only. */
 } gs_camera;
 
 /* Bits of gs_options.outputs. RGB and alpha are always made. */
@@ -167,7 +168,8 @@ GS_API void gs_raster_destroy(gs_raster *raster);
 /* Draw. Keeps what gs_raster_backward needs until the next forward call. */
 GS_API gs_status gs_raster_forward(gs_raster *raster, const gs_splats *splats, const gs_camera *camera,
                                    const gs_options *options, const gs_image *image);
-/* Gradients of the last forward call; `splats` must hold the same values as then. */
+/* Gradients of the last forward call; `splats` must hold the same values as then. GS_UNSUPPORTED after an orthographic
+ * one. */
 GS_API gs_status gs_raster_backward(gs_raster *raster, const gs_splats *splats, const gs_image_grads *image_grads,
                                     const gs_splat_grads *grads);
 GS_API gs_status gs_raster_stats(const gs_raster *raster, gs_stats *out);

@@ -55,6 +55,8 @@ gs_status check_camera(const gs_camera &c) {
     if (!(c.near_plane > 0) || !(c.far_plane > c.near_plane))
         return fail(GS_BAD_ARGUMENT, "near must be positive and below far, got near = %g, far = %g",
                     double(c.near_plane), double(c.far_plane));
+    if (c.orthographic != 0 && c.orthographic != 1)
+        return fail(GS_BAD_ARGUMENT, "camera.orthographic must be 0 or 1, got %d", c.orthographic);
     return GS_OK;
 }
 
@@ -131,6 +133,8 @@ gs_status gs_raster_backward(gs_raster *raster, const gs_splats *splats, const g
         return fail(GS_BAD_ARGUMENT, "gs_raster_backward: an array of grads is null");
     return guarded("gs_raster_backward", [&] {
         const gs_status s = raster->backward(*splats, *image_grads, *grads);
+        if (s == GS_UNSUPPORTED)
+            return fail(s, "gs_raster_backward: the last forward call was orthographic, which has no gradients");
         if (s == GS_BAD_ARGUMENT)
             return fail(s, "gs_raster_backward: there is no forward call of this raster with the same number of splats");
         return s;

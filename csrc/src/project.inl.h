@@ -27,7 +27,7 @@ static inline Vec dot3(Vec ax, Vec ay, Vec az, Vec bx, Vec by, Vec bz) { return 
 struct Lanes {
     Vec mean[3], quat[4], quat_length, scale[3], opacity;
     Vec cam[3], inverse_z;
-    Vec ratio[2];         // x / z, y / z
+    Vec ratio[2];         // x / z, y / z; not filled for parallel rays, as the next two
     Vec ratio_clamped[2]; // as the Jacobian uses it
     Mask unclamped[2];
     Vec jac_diagonal[2];  // J = [d0 0 o0; 0 d1 o1]
@@ -119,12 +119,18 @@ static inline Mask project_lanes(const gs_splats &in, const gs_camera &camera, c
     s.inverse_z = 1.0f / s.cam[2];
     const float focal[2] = {camera.fx, camera.fy}, center[2] = {camera.cx, camera.cy};
     for (int i = 0; i < 2; ++i) {
-        s.ratio[i] = s.cam[i] * s.inverse_z;
-        s.ratio_clamped[i] = min(max(s.ratio[i], set1(limits.low[i])), set1(limits.high[i]));
-        s.unclamped[i] = both(ge(s.ratio[i], set1(limits.low[i])), ge(set1(limits.high[i]), s.ratio[i]));
-        s.jac_diagonal[i] = focal[i] * s.inverse_z;
-        s.jac_offset[i] = -s.jac_diagonal[i] * s.ratio_clamped[i];
-        s.mean2d[i] = fma(set1(focal[i]), s.ratio[i], set1(center[i]));
+        if (camera.orthographic) {
+            s.jac_diagonal[i] = set1(focal[i]);
+            s.jac_offset[i] = Vec{};
+            s.mean2d[i] = fma(set1(focal[i]), s.cam[i], set1(center[i]));
+        } else {
+            s.ratio[i] = s.cam[i] * s.inverse_z;
+            s.ratio_clamped[i] = min(max(s.ratio[i], set1(limits.low[i])), set1(limits.high[i]));
+            s.unclamped[i] = both(ge(s.ratio[i], set1(limits.low[i])), ge(set1(limits.high[i]), s.ratio[i]));
+            s.jac_diagonal[i] = focal[i] * s.inverse_z;
+            s.jac_offset[i] = -s.jac_diagonal[i] * s.ratio_clamped[i];
+            s.mean2d[i] = fma(set1(focal[i]), s.ratio[i], set1(center[i]));
+        }
         for (int k = 0; k < 3; ++k) {
             s.proj[i][k] = fma(s.jac_diagonal[i], s.world_rot[i][k], s.jac_offset[i] * s.world_rot[2][k]);
             s.m[i][k] = s.proj[i][k] * s.scale[k];
@@ -159,10 +165,13 @@ static inline Mask project_lanes(const gs_splats &in, const gs_camera &camera, c
 
 static inline void direction(const gs_camera &camera, const Lanes &s, Row3 &d, Vec &length) {
     // mean - camera centre = W^T (W mean + t), exact also far from the origin.
+    // Parallel rays all run along W^T z.
     const float *w = camera.viewmat;
     Vec v[3];
     for (int j = 0; j < 3; ++j)
-        v[j] = dot3(set1(w[j]), set1(w[4 + j]), set1(w[8 + j]), s.cam[0], s.cam[1], s.cam[2]);
+        v[j] = camera.orthographic
+                   ? set1(w[8 + j])
+                   : dot3(set1(w[j]), set1(w[4 + j]), set1(w[8 + j]), s.cam[0], s.cam[1], s.cam[2]);
     length = sqrt(dot3(v[0], v[1], v[2], v[0], v[1], v[2]));
     d = {v[0] / length, v[1] / length, v[2] / length};
 }

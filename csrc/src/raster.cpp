@@ -225,6 +225,8 @@ gs_status gs_raster::forward(const gs_splats &splats, const gs_camera &camera, c
 gs_status gs_raster::backward(const gs_splats &splats, const gs_image_grads &image_grads, const gs_splat_grads &grads) {
     if (!valid_ || splats.count != splat_count_)
         return GS_BAD_ARGUMENT;
+    if (camera_.orthographic)
+        return GS_UNSUPPORTED;
     const Kernels &k = kernels();
     const int threads = options_.threads;
     Timer timer;

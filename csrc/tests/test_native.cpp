@@ -134,9 +134,10 @@ Result run(const Model &m, const gs_camera &camera, const gs_options &options) {
         const gs_splat_grads out = {at[0], at[1], at[2], at[3], at[4], at[5], at[6], at[7]};
         r.backward = gs_raster_backward(raster, &splats, &in, &out);
         CHECK(gs_raster_stats(raster, &r.stats) == GS_OK);
-        for (const auto *values : {&r.image, &r.grads})
-            for (const float x : *values)
-                CHECK(x != untouched);
+        for (const float x : r.image)
+            CHECK(x != untouched);
+        for (const float x : r.grads)
+            CHECK((x != untouched) == (r.backward == GS_OK));
     }
     gs_raster_destroy(raster);
     return r;
@@ -296,6 +297,20 @@ void bad_arguments_are_named() {
     gs_raster_destroy(raster);
 }
 
+// Oracle: the header.
+void parallel_rays_have_no_gradients() {
+    const Model m = random_model(200, 4);
+    gs_camera c = make_camera(40, 30);
+    c.fx = c.fy = 10;
+    c.orthographic = 1;
+    const Result r = run(m, c, make_options());
+    CHECK(r.forward == GS_OK && r.backward == GS_UNSUPPORTED);
+    CHECK(std::strstr(gs_last_error(), "orthographic"));
+    CHECK(mean_alpha(r, c) > 0.05);
+    c.orthographic = 2;
+    CHECK(run(m, c, make_options()).forward == GS_BAD_ARGUMENT);
+}
+
 void cancelling_stops() {
     const Model m = random_model(5000, 1);
     gs_options o = make_options(2);
@@ -365,6 +380,7 @@ int main() {
         odd_sizes_and_empty_models_work();
         extreme_values_stay_finite();
         bad_arguments_are_named();
+        parallel_rays_have_no_gradients();
         cancelling_stops();
         loss_gradient_matches_differences();
         std::printf("%s: %s\n", isa.c_str(), failures == before ? "passed" : "FAILED");

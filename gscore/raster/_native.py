@@ -17,7 +17,7 @@ import numpy as np
 
 from ..errors import BackendError, Cancelled, ShapeError
 
-ABI_VERSION = 1
+ABI_VERSION = 2
 
 OUT_INVERSE_DEPTH, OUT_DEPTH, OUT_MEDIAN_DEPTH = 1, 2, 4
 NO_EXACT_CULL, NO_ZERO_TILE = 1, 2
@@ -59,6 +59,7 @@ class CameraStruct(ct.Structure):
         ("height", ct.c_int32),
         ("near_plane", ct.c_float),
         ("far_plane", ct.c_float),
+        ("orthographic", ct.c_int32),
     )
 
 
@@ -379,7 +380,14 @@ def check_size(width: int, height: int) -> None:
 
 
 def camera_struct(
-    viewmat: np.ndarray, K: np.ndarray, width: int, height: int, near: float, far: float
+    viewmat: np.ndarray,
+    K: np.ndarray,
+    width: int,
+    height: int,
+    near: float,
+    far: float,
+    *,
+    orthographic: bool = False,
 ) -> CameraStruct:
     """A gs_camera from [4, 4] and [3, 3] arrays; ShapeError where K has skew."""
     if viewmat.shape != (4, 4):
@@ -396,6 +404,7 @@ def camera_struct(
     )
     camera.viewmat = (ct.c_float * 16)(*np.asarray(viewmat, np.float32).ravel().tolist())
     camera.near_plane, camera.far_plane = near, far
+    camera.orthographic = int(orthographic)
     return camera
 
 

@@ -45,10 +45,11 @@ def render(
     eps2d: float = 0.3,
     antialias: bool = False,
     depths: bool = True,
+    orthographic: bool = False,
     threads: int = 0,
     cancel: _native.CancelFlag | None = None,
 ) -> Rendered:
-    """Render splats from one pinhole camera (Kerbl et al. 2023; EWA of Zwicker et al. 2001).
+    """Render splats from one camera (Kerbl et al. 2023; EWA of Zwicker et al. 2001).
 
     Args:
         splats: The model, or the path of a 3DGS PLY.
@@ -63,6 +64,8 @@ def render(
         eps2d: Added to the diagonal of the 2D covariance, px^2.
         antialias: Compensate opacities for `eps2d`, as Mip-Splatting models expect.
         depths: Make the three depths too; without them, which are then None, a fifth faster.
+        orthographic: Parallel rays: K's focal lengths are pixels per world unit, x = fx X + cx,
+            and colours are those seen along the camera's +z.
         threads: 0: all cores.
         cancel: Set it from another thread to stop.
 
@@ -84,7 +87,7 @@ def render(
         )
     _native.check_size(width, height)
     K, viewmat = np.asarray(K, np.float64), np.asarray(viewmat, np.float64)
-    camera = _native.camera_struct(viewmat, K, width, height, near, far)
+    camera = _native.camera_struct(viewmat, K, width, height, near, far, orthographic=orthographic)
     options = _native.options_struct(
         eps2d=eps2d,
         antialias=antialias,

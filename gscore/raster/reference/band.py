@@ -27,6 +27,7 @@ def boundary_band(
     far: float = 1e10,
     eps2d: float = 0.3,
     antialias: bool = False,
+    orthographic: bool = False,
     alpha_tolerance: float = 1e-3,
     cap_tolerance: float = 1e-3,
     transmittance_tolerance: float = 1e-3,
@@ -46,7 +47,7 @@ def boundary_band(
 
     Args:
         means, quats, scales, opacities, sh0, shN, viewmat, K, width, height, raw, sh_degree, near,
-            far, eps2d, antialias, dtype, pairs_per_chunk: as `rasterize_reference`.
+            far, eps2d, antialias, orthographic, dtype, pairs_per_chunk: as `rasterize_reference`.
         alpha_tolerance: |255 alpha - 1|.
         cap_tolerance: |alpha / 0.99 - 1|.
         transmittance_tolerance: |T (1 - alpha) / 1e-4 - 1|.
@@ -57,7 +58,7 @@ def boundary_band(
     """
     splats = project(
         SplatTensors(means, quats, scales, opacities, sh0, shN),
-        PinholeView(viewmat, K, width, height),
+        PinholeView(viewmat, K, width, height, orthographic),
         raw=raw,
         sh_degree=sh_degree,
         # A little wider than what is drawn, so that splats just culled are seen here.

@@ -122,6 +122,34 @@ def projection_jacobian(means_cam: Tensor, K: Tensor, width: int, height: int) -
     return torch.stack(rows, -2)
 
 
+def project_parallel(means_cam: Tensor, K: Tensor) -> Tensor:
+    """Orthographic projection of the centres, x = fx X + cx.
+
+    Args:
+        means_cam: [N, 3], camera frame.
+        K: [3, 3], fx and fy in pixels per world unit.
+
+    Returns:
+        [N, 2], pixels.
+    """
+    return means_cam[:, :2] * K.diagonal()[:2] + K[:2, 2]
+
+
+def parallel_jacobian(means_cam: Tensor, K: Tensor) -> Tensor:
+    """Derivative of `project_parallel`, the same for every splat; nothing is approximated.
+
+    Args:
+        means_cam: [N, 3], camera frame.
+        K: [3, 3], fx and fy in pixels per world unit.
+
+    Returns:
+        [N, 2, 3], pixels per world unit.
+    """
+    jacobian = torch.zeros_like(K[:2])
+    jacobian[0, 0], jacobian[1, 1] = K[0, 0], K[1, 1]
+    return jacobian.expand(len(means_cam), 2, 3)
+
+
 def project_covariance(covars_cam: Tensor, jacobian: Tensor) -> Tensor:
     """Covariance in the image, J W Sigma W^T J^T (Kerbl et al. 2023, equation 5).
 

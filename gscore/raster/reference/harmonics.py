@@ -50,7 +50,15 @@ def sh_basis(directions: Tensor, degree: int) -> Tensor:
     return torch.stack(values, -1)
 
 
-def sh_colors(means: Tensor, viewmat: Tensor, sh0: Tensor, shN: Tensor, degree: int) -> Tensor:
+def sh_colors(
+    means: Tensor,
+    viewmat: Tensor,
+    sh0: Tensor,
+    shN: Tensor,
+    degree: int,
+    *,
+    orthographic: bool = False,
+) -> Tensor:
     """Colour of each splat seen from the camera, max(0, 0.5 + SH(direction)).
 
     The direction runs from the camera centre, -R^T t, to the splat. Where the maximum
@@ -62,12 +70,13 @@ def sh_colors(means: Tensor, viewmat: Tensor, sh0: Tensor, shN: Tensor, degree: 
         sh0: [N, 1, 3].
         shN: [N, K-1, 3]; only the first (degree + 1)^2 - 1 coefficients are read.
         degree: 0 to 3.
+        orthographic: whether the direction is the camera's +z for all splats instead.
 
     Returns:
         [N, 3], RGB, not bounded above.
     """
     rotation, translation = viewmat[:3, :3], viewmat[:3, 3]
-    offsets = means + rotation.T @ translation
+    offsets = rotation[2].expand_as(means) if orthographic else means + rotation.T @ translation
     directions = offsets / offsets.norm(dim=-1, keepdim=True)
     basis = sh_basis(directions, degree)  # [N, K]
     coefficients = torch.cat([sh0, shN], 1)[:, : basis.shape[1]]  # [N, K, 3]

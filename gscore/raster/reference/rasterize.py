@@ -13,8 +13,10 @@ from .geometry import (
     covariance,
     covariance_to_camera,
     means_to_camera,
+    parallel_jacobian,
     project_covariance,
     project_means,
+    project_parallel,
     projection_jacobian,
 )
 from .harmonics import sh_colors
@@ -44,7 +46,7 @@ class SplatTensors(NamedTuple):
 
 
 class PinholeView(NamedTuple):
-    """One camera and its image."""
+    """One camera and its image: a pinhole, or parallel rays."""
 
     viewmat: Tensor
     """[4, 4], rigid, world to camera, OpenCV axes, column vectors."""
@@ -54,6 +56,8 @@ class PinholeView(NamedTuple):
     """pixels."""
     height: int
     """pixels."""
+    orthographic: bool = False
+    """Parallel rays: K's focal lengths are pixels per world unit."""
 
 
 class ProjectedSplats(NamedTuple):
@@ -148,14 +152,25 @@ def project_rows(
         scales, opacities = scales.exp(), opacities.sigmoid()
     means_cam = means_to_camera(splats.means, view.viewmat)
     covars_cam = covariance_to_camera(covariance(splats.quats, scales), view.viewmat)
-    jacobian = projection_jacobian(means_cam, view.K, view.width, view.height)
+    if view.orthographic:
+        means2d, jacobian = (f(means_cam, view.K) for f in (project_parallel, parallel_jacobian))
+    else:
+        means2d = project_means(means_cam, view.K)
+        jacobian = projection_jacobian(means_cam, view.K, view.width, view.height)
     conics, compensation = conic(project_covariance(covars_cam, jacobian), eps2d)
     return ProjectedSplats(
         index=torch.arange(len(means_cam), device=means_cam.device),
-        means2d=project_means(means_cam, view.K),
+        means2d=means2d,
         conics=conics,
         opacities=opacities * compensation if antialias else opacities,
-        colors=sh_colors(splats.means, view.viewmat, splats.sh0, splats.shN, sh_degree),
+        colors=sh_colors(
+            splats.means,
+            view.viewmat,
+            splats.sh0,
+            splats.shN,
+            sh_degree,
+            orthographic=view.orthographic,
+        ),
         depths=means_cam[:, 2],
     )
 
@@ -262,6 +277,7 @@ def rasterize_reference(
     far: float = 1e10,
     eps2d: float = 0.3,
     antialias: bool = False,
+    orthographic: bool = False,
     inverse_depth: bool = False,
     depth: bool = False,
     dtype: torch.dtype = torch.float64,
@@ -291,6 +307,7 @@ def rasterize_reference(
         far: splats with z > far are not drawn, world units.
         eps2d: variance added in the image, pixels squared.
         antialias: scale opacities to undo the widening by `eps2d`.
+        orthographic: parallel rays; K's focal lengths are pixels per world unit.
         inverse_depth: whether to return the accumulated inverse depth.
         depth: whether to return expected and median depth.
         dtype: floating dtype to compute in; inputs of another are converted.
@@ -305,7 +322,7 @@ def rasterize_reference(
     """
     splats = project(
         SplatTensors(means, quats, scales, opacities, sh0, shN),
-        PinholeView(viewmat, K, width, height),
+        PinholeView(viewmat, K, width, height, orthographic),
         raw=raw,
         sh_degree=sh_degree,
         near=near,
