@@ -67,8 +67,8 @@ class Control:
         return lines
 
     def wait_while_paused(self) -> None:
-        """Return when training may go on or must end."""
-        while self.paused and not self.stopping:
+        """Return when training may go on or must end, or when something else was asked for."""
+        while self.paused and not (self.stopping or self._snapshots or self._unknown):
             time.sleep(0.02)
 
 

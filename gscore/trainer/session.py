@@ -94,6 +94,7 @@ class Session:
             if control.paused:
                 self._emit(self._meter.progress(phase="paused"))
                 control.wait_while_paused()
+                self._answer()
                 continue
             began = time.perf_counter()
             result = trainer.step()
@@ -139,16 +140,22 @@ class Session:
                 "so far.",
                 "non_finite",
             )
+
+    def _answer(self) -> None:
+        """Do what was asked for besides pausing and stopping."""
         for line in self._control.unknown():
             self.warn(f"There is no control command {line!r}.", "control")
+        if self._control.take_snapshot():
+            path = self._results.write_snapshot()
+            trainer = self._trainer
+            self._emit(Snapshot(step=trainer.steps, path=str(path), splats=len(trainer.model)))
 
     def _between_steps(self) -> None:
         config, step, clock = self._config, self._trainer.steps, self._meter.train_seconds
         last = step >= config.iterations
-        every = config.snapshot_every
-        if self._control.take_snapshot() or (every and step % every == 0):
-            path = self._results.write_snapshot()
-            self._emit(Snapshot(step=step, path=str(path), splats=len(self._trainer.model)))
+        if config.snapshot_every and step % config.snapshot_every == 0:
+            self._control.snapshot()
+        self._answer()
         if config.preview_seconds and clock - self._last_preview >= config.preview_seconds:
             self._last_preview = clock
             self._preview()
@@ -198,6 +205,7 @@ class Session:
 
     def _finish(self) -> TrainResult:
         trainer, finished = self._trainer, self._trainer.steps >= self._config.iterations
+        self._answer()  # a snapshot asked for just before the stop
         self._checkpoint(keep=1 if finished else _CHECKPOINTS_KEPT)
         splats = self._results.write_splats(self._folder.point_cloud)
         self._emit(Saved(step=trainer.steps, path=str(self._folder.point_cloud)))

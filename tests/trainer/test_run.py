@@ -182,15 +182,23 @@ def test_pause_snapshot_resume_stop(capture: Path, tmp_path: Path) -> None:
     held = len(steps())
     time.sleep(0.5)
     assert len(steps()) == held, "no progress while paused"
+    shots = sum(isinstance(e, Snapshot) for e in events)
+    control.submit("snapshot")
+    while sum(isinstance(e, Snapshot) for e in list(events)) == shots and time.monotonic() < end:
+        time.sleep(0.01)
+    assert sum(isinstance(e, Snapshot) for e in events) == shots + 1, "a snapshot while paused"
+    held = len(steps())
     control.resume()
     while len(steps()) < held + 2 and time.monotonic() < end:
         time.sleep(0.01)
     control.pause()
     time.sleep(0.1)
     asked = time.monotonic()
+    control.submit("snapshot")
     control.stop("stopped")
     thread.join(10)
     assert time.monotonic() - asked < 5
+    assert sum(isinstance(e, Snapshot) for e in events) == shots + 2, "a snapshot before the end"
     assert results[0].reason == "stopped"
     assert any(isinstance(e, Snapshot) for e in events)
     assert any(isinstance(e, Warn) and "dance" in e.message for e in events)
@@ -251,7 +259,7 @@ def test_running_out_of_memory_is_one_sentence(
         return real(self)
 
     monkeypatch.setattr(Trainer, "step", step)
-    with pytest.raises(BackendError, match="Out of memory at step 4 with 150 splats"):
+    with pytest.raises(BackendError, match="Out of memory; use fewer splats"):
         train(CONFIG, data_of(capture), tmp_path)
 
 
