@@ -1,5 +1,6 @@
 """A capture ready to train on: scene, photos as bytes, masks and the split."""
 
+import hashlib
 import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -8,7 +9,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from ..errors import Cancelled
+from ..errors import Cancelled, DatasetError
 from ..scene import Scene
 from .decode import ViewFile, decode_view
 
@@ -40,6 +41,7 @@ class Dataset:
         """Folder of the capture."""
         self._files = files
         self._views: dict[int, tuple[np.ndarray, np.ndarray | None]] = {}
+        self._content_hash: str | None = None
 
     def __len__(self) -> int:
         return len(self._files)
@@ -58,6 +60,20 @@ class Dataset:
     def nbytes(self) -> int:
         """Bytes that all photos and masks take once decoded; known before, an upper bound."""
         return sum(file.nbytes for file in self._files)
+
+    def content_hash(self) -> str:
+        """Short hash of all photo and mask files, read once; tells whether a capture changed.
+
+        Raises:
+            DatasetError: a file is missing or cannot be read.
+        """
+        if self._content_hash is None:
+            digest = hashlib.sha256()
+            for file in self._files:
+                for path in (file.image, file.mask):
+                    digest.update(b"-" if path is None else _file_hash(path))
+            self._content_hash = digest.hexdigest()[:16]
+        return self._content_hash
 
     def image(self, index: int) -> np.ndarray:
         """[H, W, 3] uint8, contiguous; decoded on first use. Do not write to it.
@@ -104,6 +120,14 @@ class Dataset:
         if view is None:
             view = self._views.setdefault(i, decode_view(self._files[i]))
         return view
+
+
+def _file_hash(path: Path) -> bytes:
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").digest()
+    except OSError as error:
+        raise DatasetError(f"{path} cannot be read ({error.strerror}); restore it.") from error
 
 
 def map_threads(work: Callable[[int], T], items: list[int], *, threads: int = 0) -> Iterator[T]:

@@ -123,7 +123,7 @@ def check_compatible(checkpoint: Checkpoint, config: TrainConfig, photos: Photos
     changed = differences(checkpoint.config, config, ignore=_FREE)
     now = fingerprint(photos)
     for key, was in checkpoint.capture.items():
-        if was != now[key]:
+        if was != now.get(key):
             changed.append(f"{key} of the capture are not the same")
     if changed:
         raise ConfigError(
@@ -146,6 +146,8 @@ def fingerprint(photos: Photos) -> dict[str, Any]:
         "cameras": cameras.viewmats.tobytes() + cameras.Ks.tobytes(),
         "training views": json.dumps([int(i) for i in photos.train]).encode(),
         "masks": photos.mask_mode.encode(),
+        "photos": photos.content_hash().encode(),
+        "points": photos.scene.points.points.tobytes() + photos.scene.points.colors.tobytes(),
     }
     return {key: hashlib.sha256(value).hexdigest()[:16] for key, value in parts.items()}
 

@@ -32,6 +32,10 @@ class Photos(Protocol):
         """`composite`, `ignore` or `none`."""
         ...
 
+    def content_hash(self) -> str:
+        """Changes with any photo or mask."""
+        ...
+
     def image(self, index: int) -> np.ndarray:
         """[H, W, 3] uint8."""
         ...

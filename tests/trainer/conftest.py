@@ -1,5 +1,6 @@
 """A toy capture that takes milliseconds to train on, in memory and as a folder."""
 
+import hashlib
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -35,6 +36,12 @@ class ToyPhotos:
     mask_mode: str = "none"
     nbytes: int = 0
     warnings: tuple[str, ...] = ()
+
+    def content_hash(self) -> str:
+        digest = hashlib.sha256()
+        for picture in (*self.images, *(m for m in self.masks if m is not None)):
+            digest.update(picture.tobytes())
+        return digest.hexdigest()
 
     def image(self, index: int) -> np.ndarray:
         return self.images[index]

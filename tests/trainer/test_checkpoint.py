@@ -78,6 +78,14 @@ def test_another_capture_is_refused(
     photos.scene.cameras.viewmats[0, 0, 3] += 1e-9
     with pytest.raises(ConfigError, match="cameras of the capture are not the same"):
         checkpoint.check_compatible(found, CONFIG, photos)
+    photos = make_photos()
+    photos.images[2][0, 0, 0] ^= 1
+    with pytest.raises(ConfigError, match="photos of the capture are not the same"):
+        checkpoint.check_compatible(found, CONFIG, photos)
+    photos = make_photos()
+    photos.scene.points.colors[0, 0] ^= 1
+    with pytest.raises(ConfigError, match="points of the capture are not the same"):
+        checkpoint.check_compatible(found, CONFIG, photos)
 
 
 def test_iterations_may_grow_but_not_end_before_the_checkpoint(
