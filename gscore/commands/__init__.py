@@ -28,15 +28,9 @@ VERBS = {
     "bench": "measure speed",
 }
 
-_EXTRAS = {
-    "torch": "train",
-    "safetensors": "train",
-    "scipy": "train",
-    "pycolmap": "train",
-    "PIL": "train",
-    "onnxruntime": "lpips",
-    "av": "video",
-}
+_OPTIONAL = {name: name for name in ("torch", "safetensors", "scipy", "pycolmap", "onnxruntime")}
+_OPTIONAL |= {"PIL": "pillow", "av": "av"}
+"""Packages that a verb may lack: module name to what pip calls it."""
 _DISK_ERRORS = {
     errno.ENOSPC: "the disk is full; free some space or choose another output",
     errno.EDQUOT: "your disk quota is used up; free some space or choose another output",
@@ -90,10 +84,10 @@ def _guarded(prog: str, verb: str, arguments: list[str]) -> int:
     except GsError as error:
         return _complain(prog, str(error))
     except ModuleNotFoundError as error:
-        extra = _EXTRAS.get((error.name or "").partition(".")[0])
-        if extra is None:
+        package = _OPTIONAL.get((error.name or "").partition(".")[0])
+        if package is None:
             return _internal(prog)
-        need = f'needs the package {error.name}; install it with: pip install "gscore[{extra}]"'
+        need = f"needs the package {package}; install it with: pip install {package}"
         return _complain(prog, f"`{prog}` {need}")
     except KeyboardInterrupt:
         return 130

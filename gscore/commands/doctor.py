@@ -34,23 +34,22 @@ class _Part:
 
     module: str
     distribution: str
-    extra: str
     use: str
     needed: bool
     """Without it there is no training."""
 
 
 _PARTS = (
-    _Part("numpy", "numpy", "", "everything", True),
-    _Part("plyfile", "plyfile", "", "reading models", True),
-    _Part("torch", "torch", "train", "training", True),
-    _Part("scipy", "scipy", "train", "first sizes of splats, SSIM", True),
-    _Part("PIL", "pillow", "train", "reading photos", True),
-    _Part("safetensors", "safetensors", "train", "checkpoints", True),
-    _Part("pycolmap", "pycolmap", "train", "photos with lens distortion", True),
-    _Part("onnxruntime", "onnxruntime", "lpips", "LPIPS", False),
-    _Part("av", "av", "video", "MP4 files", False),
-    _Part("bpy", "bpy", "blender", "Blender as a Python module", False),
+    _Part("numpy", "numpy", "everything", True),
+    _Part("plyfile", "plyfile", "reading models", True),
+    _Part("torch", "torch", "training", True),
+    _Part("scipy", "scipy", "first sizes of splats, SSIM", True),
+    _Part("PIL", "pillow", "reading photos", True),
+    _Part("safetensors", "safetensors", "checkpoints", True),
+    _Part("pycolmap", "pycolmap", "photos with lens distortion", True),
+    _Part("onnxruntime", "onnxruntime", "LPIPS", False),
+    _Part("av", "av", "MP4 files", False),
+    _Part("bpy", "bpy", "Blender as a Python module", False),
 )
 
 
@@ -96,11 +95,7 @@ def _package_facts(part: _Part) -> dict[str, Any]:
     try:
         module = importlib.import_module(part.module)
     except ModuleNotFoundError:
-        command = (
-            f'pip install "gscore[{part.extra}]"'
-            if part.extra
-            else f"pip install {part.distribution}"
-        )
+        command = f"pip install {part.distribution}"
         return {"version": None, "use": part.use, "problem": f"not installed: {command}"}
     except Exception as error:  # a broken wheel may raise anything while it loads
         reason = (str(error).splitlines() or [type(error).__name__])[0]

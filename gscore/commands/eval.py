@@ -59,7 +59,8 @@ def run(args: argparse.Namespace) -> int:
     output = args.output or model.run
     if output is None:
         raise ConfigError(
-            f"{model.ply} lies in no run's folder; say with -o where to write metrics.json."
+            f"{model.ply} lies in no run's folder; say with -s which capture to measure it on and "
+            "with -o where to write metrics.json."
         )
     check_folder(output)
     config = _data_config(args, model)

@@ -191,9 +191,11 @@ def _run_text(facts: dict[str, Any]) -> list[str]:
             f"  {metrics['split']} views: PSNR {metrics['psnr']:.2f}, SSIM {metrics['ssim']:.4f}"
             f"{lpips}; {metrics['steps']} steps in {time_words(metrics['train_seconds'])}"
         )
-    lines.append(f"  {facts['checkpoints']} checkpoints")
+    count = facts["checkpoints"]
+    lines.append(f"  {count} checkpoint{'' if count == 1 else 's'}")
     if facts["model"] is None:
-        return [*lines, "  no point_cloud.ply yet"]
+        hint = f"; go on with: gscore train -o {facts['path']} --resume" if count else ""
+        return [*lines, f"  no point_cloud.ply yet{hint}"]
     return lines + _splats_text(facts["model"])
 
 

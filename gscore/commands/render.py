@@ -27,6 +27,11 @@ from .stills import still_names, to_rgb, to_rgba, write_depth_npy, write_depth_p
 from .video import need_video, write_video
 
 _COLORS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0)}
+_OTHER_FORMATS = frozenset(
+    {".avi", ".bmp", ".exr", ".gif", ".jpeg", ".jpg", ".mkv", ".mov", ".tif", ".tiff", ".webm"}
+    | {".webp"}
+)
+"""Endings that show that a file was meant, not a folder."""
 _DEPTH_STEPS = 60_000
 """16-bit values given to the depths of the first picture; the rest is for deeper ones."""
 
@@ -184,6 +189,11 @@ def _write_stills(args: argparse.Namespace, work: _Work) -> dict[str, Any]:
 
 def _check_options(args: argparse.Namespace, *, is_video: bool) -> None:
     check_resolution(args.resolution)
+    suffix = args.output.suffix.lower()
+    if suffix in _OTHER_FORMATS and not args.output.is_dir():
+        raise ConfigError(
+            f"{args.output}: {suffix} files are not written; give a .png, an .mp4 or a folder."
+        )
     if is_video and (args.transparent or args.depth):
         raise ConfigError("An MP4 holds neither transparency nor depth; give a folder with -o.")
     if args.frames is not None and args.path is None:

@@ -68,7 +68,7 @@ _RUN: dict[str, tuple[tuple[str, ...], dict[str, Any], str]] = {
 _METHOD = {
     "means_lr": ("--means-lr", "--position-lr-init"),
     "means_lr_final": ("--means-lr-final", "--position-lr-final"),
-    "sh0_lr": ("--sh0-lr", "--feature-lr"),
+    "sh0_lr": ("--sh0-lr",),
     "shN_lr": ("--shN-lr",),
     "opacities_lr": ("--opacities-lr", "--opacity-lr"),
     "scales_lr": ("--scales-lr", "--scaling-lr"),
@@ -91,10 +91,15 @@ _METHOD = {
     "opacity_reg": ("--opacity-reg",),
     "scale_reg": ("--scale-reg",),
 }
+_WITHOUT_EFFECT = ("--ip", "--port", "--debug-from")
+"""Of 3DGS scripts: they concern its network viewer and its debug dumps, not the result."""
+_FEATURE_LR_SHARE = 20
+"""The 3DGS option --feature-lr also sets the rate of the higher SH bands, divided by this."""
 _NOT_HERE = {
-    ("--ip", "--port"): "there is no network viewer; programs follow a run with --events jsonl",
-    ("--debug", "--debug-from"): "the rasterizer has no debug dumps; see --detect-anomaly",
+    ("--debug",): "the rasterizer has no debug dumps; see --detect-anomaly",
     ("-d", "--depths"): "depth maps are not used in training",
+    ("--position-lr-max-steps",): "the rate of positions falls until the last step",
+    ("--position-lr-delay-mult",): "the rate of positions is not delayed at the start",
     ("--data-device",): "photos are always kept as bytes in main memory",
     ("--optimizer-type",): "there is one optimizer, Adam",
     ("--train-test-exp",): "exposure is not optimised",
@@ -137,13 +142,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "-w", "--white-background", action="store_true", help="the same as --background white"
     )
+    group.add_argument(
+        "--random-background", action="store_true", help="the same as --background random"
+    )
     group = parser.add_argument_group(
-        "method", "Also under their 3DGS names; gscore.TrainConfig explains them."
+        "method",
+        "Also under their 3DGS names; gscore.TrainConfig explains them. Learning rates are raised "
+        "in runs of less than 30 000 steps; --lr-boost 1 takes them exactly as given.",
     )
     kinds = {f.name: type(f.default) for f in fields(TrainConfig)}
     for name, flags in _METHOD.items():
         kind = kinds[name]
         group.add_argument(*flags, dest=name, default=None, type=kind, metavar=kind.__name__)
+    group.add_argument("--feature-lr", type=float, metavar="float", help="sh0-lr, 20 times shN-lr")
     group = parser.add_argument_group("output")
     group.add_argument("--quiet", action="store_true", help="say nothing but errors")
     group.add_argument(
@@ -153,6 +164,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--disable-viewer", action="store_true", help="for 3DGS scripts: there never is a viewer"
     )
+    for name in _WITHOUT_EFFECT:
+        parser.add_argument(name, help=argparse.SUPPRESS)
     for names, reason in _NOT_HERE.items():
         parser.add_argument(*names, nargs="*", action=_Refuse, reason=reason)
 
@@ -198,8 +211,14 @@ def configs(args: argparse.Namespace) -> tuple[DataConfig, TrainConfig]:
         raise ConfigError("No capture was given: `gscore train SOURCE -o OUTPUT`.")
     else:
         data, config = PRESETS[args.preset or "normal"](source)
-    if args.white_background:
-        args.background = args.background or Background.WHITE
+    if args.white_background and args.random_background:
+        raise ConfigError("Give either --white-background or --random-background.")
+    if args.white_background or args.random_background:
+        asked = Background.WHITE if args.white_background else Background.RANDOM
+        args.background = args.background or asked
+    if args.feature_lr is not None:
+        args.sh0_lr = args.feature_lr if args.sh0_lr is None else args.sh0_lr
+        args.shN_lr = args.feature_lr / _FEATURE_LR_SHARE if args.shN_lr is None else args.shN_lr
     data = with_data_options(data, args)
     if args.eval is not None:
         data = replace(data, eval=args.eval)
@@ -211,7 +230,7 @@ def _with_given(config: TrainConfig, args: argparse.Namespace) -> TrainConfig:
     given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
     for name, value in given.items():
         if isinstance(value, list):
-            given[name] = tuple(value)
+            given[name] = tuple(step for step in value if step != -1)  # 3DGS: -1 is never
     if "strategy" in given:
         given["strategy"] = Strategy(given["strategy"])
     if "background" in given:
@@ -257,6 +276,11 @@ def _summary(result: TrainResult) -> str:
             f"{len(metrics['views'])} {views}: PSNR {metrics['psnr']:.2f} dB, "
             f"SSIM {metrics['ssim']:.4f}" + (f", LPIPS {lpips:.4f}" if lpips is not None else "")
         )
+        if metrics.get("psnr_masked") is not None:
+            lines.append(
+                f"Inside the masks alone: PSNR {metrics['psnr_masked']:.2f} dB (above, pixels "
+                "outside the masks count as equal)."
+            )
     lines.append(f"Results: {result.output / 'point_cloud.ply'}, report.html")
     if result.reason != "finished":
         lines.append(f"To go on: gscore train -o {result.output} --resume")

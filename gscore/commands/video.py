@@ -25,7 +25,7 @@ def need_video() -> Any:
     except ImportError as error:
         raise BackendError(
             "Writing a video needs the package av, which is not installed: "
-            'pip install "gscore[video]". Or give a folder with -o to get PNG files.'
+            "pip install av. Or give a folder with -o to get PNG files."
         ) from error
     return av
 

@@ -142,7 +142,7 @@ def _pycolmap() -> Any:
     except ImportError as error:
         raise BackendError(
             "The cameras are distorted, and undistorting takes the package pycolmap: pip install "
-            '"gscore[train]", or undistort the capture with COLMAP first.'
+            "pycolmap, or undistort the capture with COLMAP first."
         ) from error
     if not hasattr(pycolmap, "undistort_camera"):
         raise BackendError(

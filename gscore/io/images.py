@@ -192,7 +192,7 @@ def _pillow() -> Any:
         from PIL import Image
     except ImportError as error:
         raise BackendError(
-            'Reading photos takes the package Pillow: pip install "gscore[train]"'
+            'Reading photos takes the package Pillow: pip install pillow'
         ) from error
     return Image
 

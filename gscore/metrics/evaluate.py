@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import ShapeError
-from .image import image_metrics
+from .image import EMPTY_MASK, image_metrics
 from .lpips import SHORTEST_SIDE, Lpips
 
 METRICS = ("psnr", "psnr_u8", "psnr_masked", "ssim", "ssim_valid", "d_ssim", "ms_ssim", "lpips")
@@ -128,7 +128,12 @@ def _put_lpips(
 
 
 def _means(views: list[dict[str, Any]], lpips: Lpips | None) -> dict[str, Any]:
-    """Means over the views; None with the reason of the first view that lacks the value."""
+    """Means over the views; None with the reason of the first view that lacks the value.
+
+    A view that is masked out as a whole is not counted: it would be a perfect one.
+    """
+    counted = [view for view in views if view.get("psnr_masked_reason") != EMPTY_MASK]
+    views = counted or views
     mean: dict[str, Any] = {"lpips_net": lpips.net if lpips else None}
     for key in METRICS:
         if key == "psnr_masked" and not any(key in view for view in views):

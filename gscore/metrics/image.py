@@ -7,6 +7,8 @@ import numpy as np
 
 from ..errors import BackendError, ShapeError
 
+EMPTY_MASK = "the mask leaves no pixel"
+"""Reason of a view that says nothing about a model."""
 WINDOW = 11
 """Width of the Gaussian window of SSIM, pixels."""
 SIGMA = 1.5
@@ -85,7 +87,7 @@ def _blur(planes: np.ndarray) -> np.ndarray:
         from scipy.ndimage import correlate1d
     except ImportError as error:
         raise BackendError(
-            "SSIM needs scipy, which is not installed: pip install 'gscore[train]'."
+            "SSIM needs scipy, which is not installed: pip install scipy."
         ) from error
     window = _gaussian_window()
     rows = correlate1d(planes, window, axis=-2, mode="constant")
@@ -255,7 +257,7 @@ def _mask_weight(mask: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
 def _put_psnr(values: dict[str, Any], key: str, mse: float | None) -> None:
     """Store the PSNR of a mean squared error; JSON has no infinity, so that becomes None."""
     if mse is None:
-        values[key], values[key + "_reason"] = None, "the mask leaves no pixel"
+        values[key], values[key + "_reason"] = None, EMPTY_MASK
     elif mse == 0:
         values[key], values[key + "_reason"] = None, "infinite: the pictures are identical"
     else:

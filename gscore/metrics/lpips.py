@@ -37,7 +37,7 @@ class Lpips:
             import onnxruntime
         except ImportError as error:
             raise BackendError(
-                "LPIPS needs onnxruntime, which is not installed: pip install 'gscore[lpips]'."
+                "LPIPS needs onnxruntime, which is not installed: pip install onnxruntime."
             ) from error
         if not path.is_file():
             raise ConfigError(

@@ -111,8 +111,7 @@ def _pil() -> Any:
         from PIL import Image
     except ImportError as error:
         raise BackendError(
-            "Pictures in the report need Pillow, which is not installed: "
-            "pip install 'gscore[train]'."
+            "Pictures in the report need Pillow, which is not installed: pip install pillow."
         ) from error
     return Image
 

@@ -1,6 +1,7 @@
 """Writes what a run leaves behind, each file completely or not at all."""
 
 import argparse
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -109,7 +110,18 @@ class Results:
             "history": meter.history,
             "evals": evals,
             "warnings": warnings,
-            "config": {"data": to_dict(self._data), "train": to_dict(trainer.config)},
+            "config": {
+                "data": to_dict(self._data),
+                "train": to_dict(trainer.config),
+                "what 0 (by itself) became in train": _resolved(trainer),
+            },
         }
         write_report(folder.path / "report.html", report)
         return metrics
+
+
+def _resolved(trainer: Trainer) -> dict[str, Any]:
+    """The trainer's plan under the names of the options, rates as they are applied."""
+    values = asdict(trainer.plan)
+    values["means_lr"], values["means_lr_final"] = values["means_lr"]
+    return values | {f"{name}_lr": rate for name, rate in values.pop("rates").items()}

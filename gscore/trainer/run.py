@@ -11,7 +11,7 @@ import torch
 
 from ..config import DataConfig, TrainConfig
 from ..datasets import Dataset, load_dataset
-from ..errors import BackendError, ConfigError
+from ..errors import BackendError, ConfigError, DatasetError
 from ..events import Event, Progress
 from ..metrics import find_lpips
 from . import checkpoint
@@ -70,32 +70,26 @@ def train(
             frame = Frame.from_dict(before.trainer["frame"])
         _check_fits(config, photos)
         _decode(photos, config, emit, control)
-        trainer = Trainer(config, photos, frame=frame)
-        session = Session(
-            trainer,
-            folder,
-            data,
-            emit=emit,
-            control=control,
-            lpips=lpips,
-            lpips_reason=lpips_reason,
-        )
-        if before is not None:
-            trainer.restore(before.trainer, before.tensors)
-            session.restore(before.session)
-        elif overwrite:
-            folder.clear()
-        for message in (*photos.warnings, *_own_warnings(trainer)):
-            session.warn(message, "capture")
-        try:
+        empty = _check_masks(photos)
+        with _memory_in_words():
+            trainer = Trainer(config, photos, frame=frame)
+            session = Session(
+                trainer,
+                folder,
+                data,
+                emit=emit,
+                control=control,
+                lpips=lpips,
+                lpips_reason=lpips_reason,
+            )
+            if before is not None:
+                trainer.restore(before.trainer, before.tensors)
+                session.restore(before.session)
+            elif overwrite:
+                folder.clear()
+            for message in (*photos.warnings, *empty, *_own_warnings(trainer)):
+                session.warn(message, "capture")
             return session.run()
-        except RuntimeError as error:
-            if "can't allocate memory" not in str(error):  # what torch says instead of MemoryError
-                raise
-            raise BackendError(
-                f"Out of memory at step {trainer.steps} with {len(trainer.model)} splats; use "
-                "fewer (--max-splats), smaller photos (-r 2), or close programs."
-            ) from error
 
 
 def _checkpoint_to_start_from(
@@ -149,6 +143,22 @@ def _decode(
     )
 
 
+def _check_masks(photos: Dataset) -> list[str]:
+    """Sentences about masks that leave nothing to train on; DatasetError if all do."""
+    if photos.mask_mode == "none":
+        return []
+    masks = {i: photos.mask(i) for i in photos.train}
+    empty = [photos.names[i] for i, mask in masks.items() if mask is not None and not mask.any()]
+    if len(empty) == len(masks):
+        raise DatasetError(
+            f"The masks of all {len(empty)} training views in {photos.source} are black, so there "
+            "is nothing to train on. White is what counts: invert them, or choose --mask-mode none."
+        )
+    if empty:
+        return [f"The masks of {len(empty)} training views are black, for example {empty[0]}."]
+    return []
+
+
 def _own_warnings(trainer: Trainer) -> Iterator[str]:
     """Sentences about what the training world implies for the results."""
     frame, config = trainer.frame, trainer.config
@@ -164,6 +174,21 @@ def _own_warnings(trainer: Trainer) -> Iterator[str]:
             f"The capture lies {offset:.0f} times its own size from the origin; the float32 "
             "numbers of a PLY are coarse there. Move its origin near the cameras before exporting."
         )
+
+
+@contextmanager
+def _memory_in_words() -> Iterator[None]:
+    """BackendError where memory runs out."""
+    try:
+        yield
+    except (MemoryError, RuntimeError) as error:
+        # torch raises a RuntimeError with these words instead of a MemoryError.
+        if not isinstance(error, MemoryError) and "can't allocate memory" not in str(error):
+            raise
+        raise BackendError(
+            "Out of memory; use fewer splats (--max-splats), smaller photos (-r 2), or close "
+            "programs. The last checkpoint is kept."
+        ) from error
 
 
 @contextmanager

@@ -1,7 +1,9 @@
 """`gscore train` as people and programs use it; oracle: exit codes, lines and files."""
 
+import argparse
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -9,11 +11,14 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from gscore.commands import main
+from gscore.commands import train as train_command
 from gscore.config import Background, Strategy, load_config
 from gscore.events import Done, Event, Failed, Progress, Saved, Started, from_line
+from gscore.io.images import read_image, write_png
 from gscore.trainer.folder import RunFolder
 
 SHORT = ["--iterations", "12", "--max-splats", "200", "--sh-degree", "0"]
@@ -113,8 +118,8 @@ def test_resume_needs_no_options(capture: Path, tmp_path: Path) -> None:
         (["{capture}", "-o", "{out}", "--max-splats", "0"], "max_splats must be at least 1"),
         (["{capture}", "-o", "{out}", "--lpips", "{out}/x.onnx"], "No LPIPS network at"),
         (["{capture}", "-o", "{out}", "-r", "0.5"], "resolution is 0.5"),
-        (["{capture}", "-o", "{out}", "--ip", "127.0.0.1"], "there is no network viewer"),
-        (["{capture}", "-o", "{out}", "--debug_from", "3"], "no debug dumps"),
+        (["{capture}", "-o", "{out}", "--debug"], "no debug dumps"),
+        (["{capture}", "-o", "{out}", "-w", "--random-background"], "Give either"),
         (["{capture}", "-o", "{out}", "--nonsense"], "unrecognized arguments: --nonsense"),
         (["{capture}", "-o", "{capture}/images/view_00.png"], "is a file"),
     ],
@@ -134,6 +139,42 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(
     assert message in err
     assert err.count("\n") == 1
     assert not out.exists()
+
+
+def test_flags_of_3dgs_scripts_mean_what_they_mean_there() -> None:
+    """Oracle: the 3DGS trainer's documentation of its options."""
+    parser = argparse.ArgumentParser()
+    train_command.add_arguments(parser)
+    flags = "--ip 127.0.0.1 --port 6009 --debug-from -1 --disable-viewer --test-iterations -1"
+    line = f"-s in -m out {flags} --feature-lr 0.01 --random-background --position-lr-init 0.002"
+    _, config = train_command.configs(parser.parse_args(line.split()))
+    assert config.test_iterations == ()
+    assert (config.sh0_lr, config.shN_lr, config.means_lr) == (0.01, 0.0005, 0.002)
+    assert config.background is Background.RANDOM
+
+
+def test_black_masks_are_refused_and_some_are_warned_about(
+    capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Oracle: masks written here; the two PSNR lines where masks are in use."""
+    shutil.copytree(capture, tmp_path / "in")
+    masks = tmp_path / "in" / "masks"
+    masks.mkdir()
+    photos = sorted((tmp_path / "in" / "images").iterdir())
+    for photo in photos:
+        write_png(masks / photo.name, np.zeros(read_image(photo).shape[:2], np.uint8))
+    run = ["train", str(tmp_path / "in"), "-o", str(tmp_path / "out"), *SHORT]
+    assert main([*run, "--quiet"]) == 2
+    assert "are black, so there is nothing to train on" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+    for photo in photos[1:]:
+        mask = np.zeros(read_image(photo).shape[:2], np.uint8)
+        mask[:, ::2] = 255
+        write_png(masks / photo.name, mask)
+    assert main(run) == 0
+    told = capsys.readouterr()
+    assert "The masks of 1 training views are black" in told.err
+    assert "Inside the masks alone: PSNR" in told.out
 
 
 class Job:
