@@ -85,7 +85,7 @@ def test_bad_input(gscore, capture, run_folder, splats, tmp_path):
     ply = tmp_path / "model.ply"
     write_splats(ply, splats)
     cases = [
-        ((ply, "-s", capture), "say with -o"),
+        ((ply, "-s", capture), "with -o"),
         ((ply, "-o", tmp_path / "e"), "give the capture with -s"),
         ((ply, "-s", tmp_path / "no", "-o", tmp_path / "e"), "no"),
         ((ply, "-s", capture, "-o", ply / "e"), "is a file; a folder is needed"),
