@@ -27,3 +27,25 @@ def set_modifier_input(modifier: bpy.types.NodesModifier, name: str, value: Any)
     else:
         modifier[item.identifier] = value
     modifier.id_data.update_tag()
+
+
+def use_nodes(material: bpy.types.Material) -> None:
+    """Give a material its node tree; since 5.0 every material has one."""
+    if material.node_tree is None:
+        material.use_nodes = True
+
+
+def remove_by_wildcard(node: bpy.types.Node) -> None:
+    """Let a Remove Named Attribute node take a pattern; since 5.0 that is an input socket."""
+    if hasattr(node, "pattern_mode"):
+        node.pattern_mode = "WILDCARD"
+    else:
+        node.inputs["Pattern Mode"].default_value = "Wildcard"
+
+
+def native_splat_type() -> tuple[str, str] | None:
+    """Property of PointCloud and its value that make Blender's own splats; None without them."""
+    for prop in bpy.types.PointCloud.bl_rna.properties:
+        if prop.type == "ENUM" and "GAUSSIAN_SPLAT" in prop.enum_items:
+            return prop.identifier, "GAUSSIAN_SPLAT"
+    return None

@@ -6,6 +6,7 @@ from contextlib import contextmanager
 import bpy
 import numpy as np
 
+from . import compat, splat_settings
 from . import splat_attributes as attributes
 from .core import Splats, transform_splats
 from .splat_filter import visible_mask
@@ -34,6 +35,10 @@ def create(
     ob["gs_kind"] = KIND
     ob.parent = parent
     (collection or bpy.context.collection).objects.link(ob)
+    if len(splats):
+        # Half the typical splat: points then neither merge nor vanish.
+        ob.gscore.point_size = 0.5 * float(np.exp(np.median(splats.scales.max(axis=1))))
+    splat_settings.attach(ob)
     return ob
 
 
@@ -76,7 +81,7 @@ def read_world(ob: bpy.types.Object, *, filtered: bool = False) -> Splats:
     Raises:
         ValueError: as `read`, or the object's matrix is no similarity (it is named).
     """
-    return transformed(ob, world_matrix(ob), filtered=filtered)
+    return transformed(ob, compat.matrix_to_numpy(ob.matrix_world), filtered=filtered)
 
 
 def transformed(ob: bpy.types.Object, matrix: np.ndarray, *, filtered: bool = False) -> Splats:
@@ -86,11 +91,6 @@ def transformed(ob: bpy.types.Object, matrix: np.ndarray, *, filtered: bool = Fa
         return transform_splats(splats, matrix)
     except ValueError as error:
         raise ValueError(f"{ob.name} cannot be transformed. {error}") from error
-
-
-def world_matrix(ob: bpy.types.Object) -> np.ndarray:
-    """[4, 4] float64 `matrix_world`, whatever the version's buffer type."""
-    return np.array([tuple(row) for row in ob.matrix_world], np.float64)
 
 
 def is_splats(ob: bpy.types.Object | None) -> bool:

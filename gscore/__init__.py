@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from .raster.backend import CancelFlag
     from .raster.loss import ImageLoss, image_loss
     from .scene import Cameras, PointCloud, Scene
+    from .sh import sh0_to_rgb
     from .splats import Splats
     from .trainer import train
     from .transforms import rotmat_to_quat, transform_splats
@@ -108,6 +109,7 @@ _HOME = {
     "read_splats": "io.ply",
     "render": "raster.api",
     "rotmat_to_quat": "transforms",
+    "sh0_to_rgb": "sh",
     "train": "trainer",
     "transform_splats": "transforms",
     "write_colmap": "io.colmap:write_model",
@@ -171,6 +173,7 @@ __all__ = [
     "read_splats",
     "render",
     "rotmat_to_quat",
+    "sh0_to_rgb",
     "train",
     "transform_splats",
     "write_colmap",

@@ -1,0 +1,1 @@
+"""Node trees built in Python: filters, colours, materials, display."""

@@ -1,0 +1,130 @@
+"""Node group "Splat Colors": the colour in which a splat is shown, as a scene-linear field."""
+
+import bpy
+
+from ..core import sh0_to_rgb
+from ..splat_attributes import BASE, SCALE, SH, SH_COUNTS
+from .filters import largest, opacity
+from .graph import Graph, Socket, ensure, inputs, new_group, result, socket
+
+NAME = "Splat Colors"
+MODES = ("COLOR", "OPACITY", "SIZE", "ANISOTROPY", "SH_ENERGY", "DEPTH")
+"""By number, as the group's input Color By has them."""
+ELONGATION_DECADES = 2.0
+"""The colour map ends where the longest axis is 10^2 times the shortest."""
+_SPREAD = 2.0
+"""Standard deviations to each side of the mean that the colour map spans."""
+_VIRIDIS = ("440154", "46327e", "365c8d", "277f8e", "1fa187", "4ac16d", "a0da39", "fde725")
+"""Samples at equal distances of the map viridis (CC0), sRGB."""
+
+
+def group() -> bpy.types.NodeTree:
+    """The group, built where the file has none."""
+    return ensure(bpy.data.node_groups, NAME, _build)
+
+
+def _build(name: str) -> bpy.types.NodeTree:
+    graph, tree = new_group(name)
+    socket(tree, "Geometry", "Geometry")
+    socket(tree, "Visible", "Bool", True)
+    socket(tree, "Color By", "Int", 0, min_value=0, max_value=len(MODES) - 1)
+    given = inputs(graph)
+    size = graph.math("LOGARITHM", largest(graph), 10.0)
+    energy = _harmonic_energy(graph)
+    measures = [
+        0.0,
+        opacity(graph),
+        _spread(graph, given, size),
+        _elongation(graph),
+        _spread(graph, given, energy, from_zero=True),
+        _spread(graph, given, _camera_depth(graph)),
+    ]
+    measure = graph.choose("FLOAT", given["Color By"], measures)
+    mapped = _color_map(graph, measure)
+    options = [_base_color(graph)] + [mapped] * (len(MODES) - 1)
+    result(graph, "Color", "Color", graph.choose("RGBA", given["Color By"], options))
+    return tree
+
+
+def _base_color(graph: Graph) -> Socket:
+    """The constant part of the SH colour: display-referred sRGB values, decoded to scene-linear."""
+    middle = float(sh0_to_rgb(0.0))
+    factor = float(sh0_to_rgb(1.0)) - middle
+    node = graph.node("FunctionNodeSeparateColor")
+    graph.feed(node.inputs[0], graph.attribute(BASE, "FLOAT_COLOR"))
+    channels = []
+    for channel in list(node.outputs)[:3]:
+        encoded = graph.math("MULTIPLY_ADD", channel, factor, middle)
+        channels.append(_linear(graph, graph.math("MAXIMUM", encoded, 0.0)))
+    return graph.call("FunctionNodeCombineColor", *channels, 1.0)
+
+
+def _linear(graph: Graph, encoded: Socket) -> Socket:
+    """IEC 61966-2-1 decoding of one channel."""
+    low = graph.math("DIVIDE", encoded, 12.92)
+    base = graph.math("DIVIDE", graph.math("ADD", encoded, 0.055), 1.055)
+    high = graph.math("POWER", base, 2.4)
+    return graph.switch("FLOAT", graph.compare("LESS_EQUAL", encoded, 0.04045), high, low)
+
+
+def _elongation(graph: Graph) -> Socket:
+    """0 for a ball, 1 where the longest axis is 100 times the shortest."""
+    x, y, z = graph.separate(graph.attribute(SCALE, "FLOAT_VECTOR"))
+    smallest = graph.math("MINIMUM", graph.math("MINIMUM", x, y), z)
+    ratio = graph.math("DIVIDE", largest(graph), graph.math("MAXIMUM", smallest, 1e-30))
+    return graph.math("DIVIDE", graph.math("LOGARITHM", ratio, 10.0), ELONGATION_DECADES)
+
+
+def _harmonic_energy(graph: Graph) -> Socket:
+    """Root of the sum of squares of all view-dependent coefficients."""
+    total: Socket | None = None
+    for k in range(SH_COUNTS[-1]):
+        value = graph.attribute(f"{SH}{k}", "FLOAT_VECTOR")
+        square = graph.vector("DOT_PRODUCT", value, value)
+        total = square if total is None else graph.math("ADD", total, square)
+    return graph.math("SQRT", total)
+
+
+def _camera_depth(graph: Graph) -> Socket:
+    """Distance in front of the scene's camera, along its axis."""
+    camera = graph.call("GeometryNodeInputActiveCamera")
+    matrix = graph.call("GeometryNodeObjectInfo", camera, transform_space="RELATIVE")
+    position = graph.call("GeometryNodeInputPosition")
+    to_camera = graph.call("FunctionNodeInvertMatrix", matrix)
+    z = graph.separate(graph.call("FunctionNodeTransformPoint", position, to_camera))[2]
+    return graph.math("MULTIPLY", z, -1.0)
+
+
+def _spread(
+    graph: Graph, given: dict[str, Socket], field: Socket, *, from_zero: bool = False
+) -> Socket:
+    """A field as 0 to 1 over mean +- 2 standard deviations of what is visible."""
+    statistic = graph.node("GeometryNodeAttributeStatistic", data_type="FLOAT", domain="POINT")
+    sockets = [s for s in statistic.inputs if s.enabled]
+    for item, value in zip(sockets, [given["Geometry"], given["Visible"], field], strict=True):
+        graph.feed(item, value)
+    of = {s.name: s for s in statistic.outputs if s.enabled}
+    margin = graph.math("MULTIPLY", of["Standard Deviation"], _SPREAD)
+    low = 0.0 if from_zero else graph.math("SUBTRACT", of["Mean"], margin)
+    high = graph.math("ADD", of["Mean"], margin)
+    span = graph.math("MAXIMUM", graph.math("SUBTRACT", high, low), 1e-12)
+    return graph.math("DIVIDE", graph.math("SUBTRACT", field, low), span)
+
+
+def _color_map(graph: Graph, measure: Socket) -> Socket:
+    """Viridis: dark blue for 0, yellow for 1."""
+    node = graph.node("ShaderNodeValToRGB")
+    ramp = node.color_ramp
+    while len(ramp.elements) < len(_VIRIDIS):
+        ramp.elements.new(0.5)
+    for k, code in enumerate(_VIRIDIS):
+        encoded = [int(code[i : i + 2], 16) / 255 for i in (0, 2, 4)]
+        element = ramp.elements[k]
+        element.position = k / (len(_VIRIDIS) - 1)
+        element.color = (*(_decode(c) for c in encoded), 1.0)
+    graph.feed(node.inputs[0], measure)
+    return node.outputs[0]
+
+
+def _decode(encoded: float) -> float:
+    return encoded / 12.92 if encoded <= 0.04045 else ((encoded + 0.055) / 1.055) ** 2.4

@@ -1,0 +1,97 @@
+"""Node group "Splat Display": mesh vertices to points, ellipsoids or soft splats."""
+
+import bpy
+
+from .. import compat
+from ..splat_attributes import ROTATION, SCALE, SH
+from . import colors, filters, materials
+from .graph import Graph, Socket, ensure, inputs, is_ours, new_group, result, socket, use_group
+
+NAME = "Splat Display"
+MODES = ("POINTS", "ELLIPSOIDS", "SOFT", "NATIVE")
+"""By number, as the group's input Display has them; NATIVE leaves the picture to the copy."""
+
+
+def group() -> bpy.types.NodeTree:
+    """The group, built where the file has none."""
+    return ensure(bpy.data.node_groups, NAME, _build)
+
+
+def modifier_of(ob: bpy.types.Object) -> bpy.types.NodesModifier | None:
+    """The object's display modifier, whichever version of this add-on made it."""
+    for modifier in ob.modifiers:
+        if modifier.type == "NODES" and is_ours(modifier.node_group, NAME):
+            return modifier
+    return None
+
+
+def _build(name: str) -> bpy.types.NodeTree:
+    graph, tree = new_group(name)
+    tree.is_modifier = True
+    socket(tree, "Geometry", "Geometry")
+    socket(tree, "Display", "Int", 0, min_value=0, max_value=len(MODES) - 1)
+    socket(tree, "Color By", "Int", 0, min_value=0, max_value=len(colors.MODES) - 1)
+    socket(tree, "Point Radius", "Float", 0.01, min_value=0.0, subtype="DISTANCE")
+    socket(tree, "Ellipsoid Size", "Float", 1.5, min_value=0.0)
+    filters.add_inputs(tree)
+    given = inputs(graph)
+    visible = use_group(graph, filters.group(), given)
+    points = _points(graph, given, visible)
+    options = [
+        graph.call("GeometryNodeSetMaterial", points, None, materials.points()),
+        _instances(graph, points, given["Ellipsoid Size"], materials.ellipsoids()),
+        _instances(graph, _with_opacity(graph, points), materials.REACH, materials.soft()),
+        None,
+    ]
+    result(graph, "Geometry", "Geometry", graph.choose("GEOMETRY", given["Display"], options))
+    return tree
+
+
+def _points(graph: Graph, given: dict[str, Socket], visible: Socket) -> Socket:
+    """The visible splats as a point cloud with a colour."""
+    mesh = given["Geometry"]
+    color = use_group(
+        graph,
+        colors.group(),
+        {"Geometry": mesh, "Visible": visible, "Color By": given["Color By"]},
+    )
+    node = graph.node("GeometryNodeStoreNamedAttribute", data_type="FLOAT_COLOR", domain="POINT")
+    colored = _store(graph, node, mesh, visible, materials.COLOR, color)
+    # Coefficients are most of the memory, and nothing below needs them.
+    slim = graph.node("GeometryNodeRemoveAttribute")
+    compat.remove_by_wildcard(slim)
+    graph.feed(slim.inputs["Geometry"], colored)
+    graph.feed(slim.inputs["Name"], f"{SH}*")
+    points = graph.node("GeometryNodeMeshToPoints")
+    graph.feed(points.inputs["Mesh"], slim.outputs[0])
+    graph.feed(points.inputs["Selection"], visible)
+    graph.feed(points.inputs["Radius"], given["Point Radius"])
+    return points.outputs[0]
+
+
+def _with_opacity(graph: Graph, points: Socket) -> Socket:
+    node = graph.node("GeometryNodeStoreNamedAttribute", data_type="FLOAT", domain="POINT")
+    return _store(graph, node, points, True, materials.OPACITY, filters.opacity(graph))
+
+
+def _store(graph: Graph, node: bpy.types.Node, *values: Socket | str | bool) -> Socket:
+    sockets = [s for s in node.inputs if s.enabled]
+    for item, value in zip(sockets, values, strict=True):
+        graph.feed(item, value)
+    return node.outputs[0]
+
+
+def _instances(
+    graph: Graph, points: Socket, size: Socket | float, material: bpy.types.Material
+) -> Socket:
+    """A ball on every point, stretched and turned like the splat."""
+    ball = graph.node("GeometryNodeMeshIcoSphere")
+    graph.feed(ball.inputs["Subdivisions"], 2)
+    painted = graph.call("GeometryNodeSetMaterial", ball.outputs["Mesh"], None, material)
+    scale = graph.vector("SCALE", graph.attribute(SCALE, "FLOAT_VECTOR"), size)
+    node = graph.node("GeometryNodeInstanceOnPoints")
+    graph.feed(node.inputs["Points"], points)
+    graph.feed(node.inputs["Instance"], painted)
+    graph.feed(node.inputs["Rotation"], graph.attribute(ROTATION, "QUATERNION"))
+    graph.feed(node.inputs["Scale"], scale)
+    return node.outputs[0]

@@ -1,0 +1,156 @@
+"""A node tree written as expressions: sockets go in, sockets come out."""
+
+from collections.abc import Callable
+from typing import Any
+
+import bpy
+
+Socket = bpy.types.NodeSocket
+Value = Any
+"""A socket to link, or a constant for the socket's default."""
+
+VERSION = 1
+"""Of the node groups and materials; a file with older ones gets new ones."""
+_TAG = "gs_nodes"
+
+
+def ensure(datablocks: Any, name: str, make: Callable[[str], bpy.types.ID]) -> bpy.types.ID:
+    """The group or material of this name that we built before, or a new one.
+
+    A datablock of the same name that is not ours, or of another version, is left alone.
+    """
+    for block in datablocks:
+        if block.get(_TAG) == f"{name} {VERSION}" and block.library is None:
+            return block
+    block = make(name)
+    block[_TAG] = f"{name} {VERSION}"
+    return block
+
+
+def is_ours(block: bpy.types.ID | None, name: str) -> bool:
+    """Whether a datablock was made by `ensure` under this name, in any version."""
+    return block is not None and str(block.get(_TAG, "")).startswith(f"{name} ")
+
+
+class Graph:
+    """Builder on a node tree; identical calls in every Blender version."""
+
+    def __init__(self, tree: bpy.types.NodeTree) -> None:
+        self.tree = tree
+
+    def node(self, kind: str, **settings: Any) -> bpy.types.Node:
+        """Add a node and set its properties, before its sockets are asked for."""
+        node = self.tree.nodes.new(kind)
+        for name, value in settings.items():
+            setattr(node, name, value)
+        return node
+
+    def feed(self, socket: Socket, value: Value) -> None:
+        """Link a socket to an input or make a constant its default; None leaves it."""
+        if isinstance(value, bpy.types.NodeSocket):
+            self.tree.links.new(value, socket)
+        elif value is not None:
+            socket.default_value = value
+
+    def call(self, kind: str, *values: Value, out: int = 0, **settings: Any) -> Socket:
+        """Add a node, feed its enabled inputs in order and return an enabled output."""
+        node = self.node(kind, **settings)
+        inputs = [s for s in node.inputs if s.enabled and s.type != "CUSTOM"]
+        for socket, value in zip(inputs, values, strict=False):
+            self.feed(socket, value)
+        return [s for s in node.outputs if s.enabled][out]
+
+    def math(self, operation: str, *values: Value, clamp: bool = False) -> Socket:
+        """Scalar arithmetic."""
+        return self.call("ShaderNodeMath", *values, operation=operation, use_clamp=clamp)
+
+    def vector(self, operation: str, *values: Value) -> Socket:
+        """Vector arithmetic; lengths and dot products give a scalar."""
+        return self.call("ShaderNodeVectorMath", *values, operation=operation)
+
+    def attribute(self, name: str, data_type: str) -> Socket:
+        """A named attribute of the geometry at hand; zero where there is none."""
+        return self.call("GeometryNodeInputNamedAttribute", name, data_type=data_type)
+
+    def compare(self, operation: str, a: Value, b: Value) -> Socket:
+        """Compare two floats."""
+        kind = "FunctionNodeCompare"
+        return self.call(kind, a, b, data_type="FLOAT", operation=operation)
+
+    def both(self, a: Socket, b: Socket) -> Socket:
+        """Logical and."""
+        return self.call("FunctionNodeBooleanMath", a, b, operation="AND")
+
+    def switch(self, kind: str, condition: Value, false: Value, true: Value) -> Socket:
+        """One of two values; only the chosen one is computed where the condition is constant."""
+        return self.call("GeometryNodeSwitch", condition, false, true, input_type=kind)
+
+    def choose(self, kind: str, index: Socket, options: list[Value]) -> Socket:
+        """One of several values by number; only the chosen one is computed."""
+        node = self.node("GeometryNodeIndexSwitch", data_type=kind)
+        while len(node.index_switch_items) < len(options):
+            node.index_switch_items.new()
+        sockets = [s for s in node.inputs if s.enabled and s.type != "CUSTOM"]
+        for socket, value in zip(sockets, [index, *options], strict=True):
+            self.feed(socket, value)
+        return node.outputs[0]
+
+    def separate(self, vector: Socket) -> list[Socket]:
+        """x, y, z."""
+        node = self.node("ShaderNodeSeparateXYZ")
+        self.feed(node.inputs[0], vector)
+        return list(node.outputs)
+
+    def arrange(self) -> None:
+        """Place nodes in columns from the inputs to the output, for whoever opens the tree."""
+        depth: dict[str, int] = {}
+        links = list(self.tree.links)
+        for _ in self.tree.nodes:  # the longest path has no more nodes than that
+            before = dict(depth)
+            for link in links:
+                at = depth.get(link.from_node.name, 0) + 1
+                depth[link.to_node.name] = max(depth.get(link.to_node.name, 0), at)
+            if depth == before:
+                break
+        rows: dict[int, int] = {}
+        for node in self.tree.nodes:
+            column = depth.get(node.name, 0)
+            node.location = (200 * column, -170 * rows.get(column, 0))
+            rows[column] = rows.get(column, 0) + 1
+
+
+def new_group(name: str) -> tuple[Graph, bpy.types.NodeTree]:
+    """An empty geometry node group."""
+    tree = bpy.data.node_groups.new(name, "GeometryNodeTree")
+    return Graph(tree), tree
+
+
+def socket(
+    tree: bpy.types.NodeTree, name: str, kind: str, default: Any = None, **more: Any
+) -> None:
+    """Add an input socket to a group's interface, for example kind Float, Int or Geometry."""
+    item = tree.interface.new_socket(name, in_out="INPUT", socket_type=f"NodeSocket{kind}")
+    if default is not None:
+        item.default_value = default
+    for key, value in more.items():
+        setattr(item, key, value)
+
+
+def result(graph: Graph, name: str, kind: str, value: Socket) -> None:
+    """Give a group its one output."""
+    graph.tree.interface.new_socket(name, in_out="OUTPUT", socket_type=f"NodeSocket{kind}")
+    graph.feed(graph.node("NodeGroupOutput").inputs[0], value)
+    graph.arrange()
+
+
+def inputs(graph: Graph) -> dict[str, Socket]:
+    """The group's inputs by name, as sockets to link from."""
+    return {s.name: s for s in graph.node("NodeGroupInput").outputs if s.name}
+
+
+def use_group(graph: Graph, group: bpy.types.NodeTree, values: dict[str, Value]) -> Socket:
+    """Add a node group as a node, feed the inputs it shares with `values`, return its output."""
+    node = graph.node("GeometryNodeGroup", node_tree=group)
+    for item in node.inputs:
+        graph.feed(item, values.get(item.name))
+    return node.outputs[0]

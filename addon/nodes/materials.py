@@ -1,0 +1,87 @@
+"""Materials that show a splat's colour unlit: on points, on ellipsoids, and fading like a splat."""
+
+import bpy
+
+from .. import compat
+from .graph import Graph, Socket, ensure
+
+COLOR = "gs_color"
+"""Attribute with the scene-linear colour. (One named `color` renders black on point clouds.)"""
+OPACITY = "gs_opacity"
+REACH = 3.0
+"""Standard deviations at which a soft splat ends; its weight there is 1.1 %."""
+
+
+def points() -> bpy.types.Material:
+    """For point clouds."""
+    return ensure(bpy.data.materials, "Splat Points", lambda n: _plain(n, "GEOMETRY"))
+
+
+def ellipsoids() -> bpy.types.Material:
+    """For instances, opaque."""
+    return ensure(bpy.data.materials, "Splat Ellipsoids", lambda n: _plain(n, "INSTANCER"))
+
+
+def soft() -> bpy.types.Material:
+    """For instances that reach to `REACH` standard deviations: fades out like the Gaussian."""
+    return ensure(bpy.data.materials, "Splat Soft", _soft)
+
+
+def _new(name: str) -> tuple[Graph, bpy.types.Material]:
+    material = bpy.data.materials.new(name)
+    compat.use_nodes(material)
+    material.node_tree.nodes.clear()
+    material.diffuse_color = (0.6, 0.6, 0.6, 1.0)
+    return Graph(material.node_tree), material
+
+
+def _attribute(graph: Graph, name: str, kind: str) -> bpy.types.Node:
+    return graph.node("ShaderNodeAttribute", attribute_name=name, attribute_type=kind)
+
+
+def _emission(graph: Graph, kind: str) -> Socket:
+    color = _attribute(graph, COLOR, kind).outputs["Color"]
+    return graph.call("ShaderNodeEmission", color)
+
+
+def _finish(graph: Graph, shader: Socket) -> None:
+    output = graph.node("ShaderNodeOutputMaterial")
+    graph.feed(output.inputs["Surface"], shader)
+    graph.arrange()
+
+
+def _plain(name: str, kind: str) -> bpy.types.Material:
+    graph, material = _new(name)
+    _finish(graph, _emission(graph, kind))
+    return material
+
+
+def _soft(name: str) -> bpy.types.Material:
+    """Alpha = opacity exp(-d²/2), d being how near the line of sight comes to the centre.
+
+    The ellipsoid is a ball in its instance's space: with a point p of its surface and the line's
+    direction v there, d² = p.p - (p.v)² in units of `REACH`.
+    """
+    graph, material = _new(name)
+    material.surface_render_method = "DITHERED"  # sorted blending cannot work across instances
+    surface = graph.node("ShaderNodeTexCoord").outputs["Object"]
+    geometry = graph.node("ShaderNodeNewGeometry")
+    to_instance = graph.node(
+        "ShaderNodeVectorTransform", vector_type="VECTOR", convert_from="WORLD", convert_to="OBJECT"
+    )
+    graph.feed(to_instance.inputs[0], geometry.outputs["Incoming"])
+    view = graph.vector("NORMALIZE", to_instance.outputs[0])
+    along = graph.vector("DOT_PRODUCT", surface, view)
+    squared = graph.vector("DOT_PRODUCT", surface, surface)
+    distance = graph.math("SUBTRACT", squared, graph.math("MULTIPLY", along, along))
+    weight = graph.math("EXPONENT", graph.math("MULTIPLY", distance, -0.5 * REACH * REACH))
+    # The value socket is the third, whatever a version calls it.
+    opacity = _attribute(graph, OPACITY, "INSTANCER").outputs[2]
+    front = graph.math("SUBTRACT", 1.0, geometry.outputs["Backfacing"])
+    alpha = graph.math("MULTIPLY", graph.math("MULTIPLY", weight, opacity), front, clamp=True)
+    node = graph.node("ShaderNodeMixShader")
+    graph.feed(node.inputs[0], alpha)
+    graph.feed(node.inputs[1], graph.call("ShaderNodeBsdfTransparent"))
+    graph.feed(node.inputs[2], _emission(graph, "INSTANCER"))
+    _finish(graph, node.outputs[0])
+    return material
