@@ -6,6 +6,10 @@
 #include <string>
 #include <vector>
 
+#if defined(GS_HAVE_X86)
+#include <cpuid.h>
+#endif
+
 namespace gs {
 
 extern const Kernels kernels_scalar;
@@ -18,14 +22,38 @@ extern const Kernels kernels_neon;
 
 namespace {
 
+#if defined(GS_HAVE_X86)
+struct Cpu {
+    bool avx2 = false, avx512 = false;
+};
+
+// What the processor has and the operating system saves. Asked here, because the compilers' own __builtin_cpu_supports
+// needs a part of their runtime library that clang-cl and zig do not link.
+Cpu cpu() {
+    unsigned a, b, c, d;
+    if (!__get_cpuid(1, &a, &b, &c, &d) || !(c & bit_OSXSAVE))
+        return {};
+    const bool fma = c & bit_FMA;
+    if (!__get_cpuid_count(7, 0, &a, &b, &c, &d))
+        return {};
+    unsigned saved, high;
+    __asm__("xgetbv" : "=a"(saved), "=d"(high) : "c"(0));
+    constexpr unsigned ymm = 0x06, zmm = 0xe6; // xmm and ymm; also the masks and both parts of zmm
+    constexpr unsigned wide = bit_AVX512F | bit_AVX512DQ | bit_AVX512VL | bit_AVX512BW;
+    Cpu found;
+    found.avx2 = fma && (b & bit_AVX2) && (saved & ymm) == ymm;
+    found.avx512 = found.avx2 && (b & wide) == wide && (saved & zmm) == zmm;
+    return found;
+}
+#endif
+
 std::vector<const Kernels *> runnable() {
     std::vector<const Kernels *> list;
 #if defined(GS_HAVE_X86)
-    // These also ask whether the operating system saves the wide registers.
-    if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") &&
-        __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("avx512bw"))
+    const Cpu has = cpu();
+    if (has.avx512)
         list.push_back(&kernels_avx512);
-    if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma"))
+    if (has.avx2)
         list.push_back(&kernels_avx2);
 #endif
 #if defined(GS_HAVE_NEON)
