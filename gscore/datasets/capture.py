@@ -26,6 +26,11 @@ class View:
     seen: np.ndarray | None = None
     """[M] int64, indices of the points observed in this view; None: unknown."""
 
+    def fits(self, width: int, height: int) -> bool:
+        """Whether a photo of this size is the camera's up to one scale, within rounding."""
+        scale = width / self.camera.width
+        return abs(self.camera.height * scale - height) <= 1.0 + 0.5 * scale
+
 
 @dataclass(frozen=True, kw_only=True)
 class Capture:

@@ -77,8 +77,8 @@ def load_dataset(config: DataConfig) -> Dataset:
 
 def _is_upright(view: View, info: ImageInfo) -> bool:
     """Whether the camera was calibrated on the photo as EXIF turns it, not as it is stored."""
-    stored = _fits(view, (info.width, info.height))
-    turned = info.is_sideways and _fits(view, (info.height, info.width))
+    stored = view.fits(info.width, info.height)
+    turned = info.is_sideways and view.fits(info.height, info.width)
     if not stored and not turned:
         raise DatasetError(
             f"{view.image} is {info.width} x {info.height} pixels, its camera was calibrated for "
@@ -86,12 +86,6 @@ def _is_upright(view: View, info: ImageInfo) -> bool:
             f"COLMAP was run on with --images, or photos scaled without cropping."
         )
     return turned and not stored
-
-
-def _fits(view: View, size: tuple[int, int]) -> bool:
-    """Whether a size is the camera's up to a common scale, within the rounding of both sides."""
-    scale = size[0] / view.camera.width
-    return abs(view.camera.height * scale - size[1]) <= 1.0 + 0.5 * scale
 
 
 def _other_sizes(views: list[View], sizes: list[tuple[int, int]]) -> list[str]:

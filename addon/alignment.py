@@ -1,0 +1,207 @@
+"""Up axis, ground and size of a capture, found from its cameras and points; numpy alone.
+
+Structure from motion leaves the world's orientation and scale open. What is found here goes into
+one matrix; no camera and no point is changed.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+LEVEL = 0.05
+"""Sine of the roll (3 degrees) up to which a photo counts as level, and its weight in full."""
+PRIOR = 0.003
+"""How much the photos' own upright counts against their horizons, as a squared sine."""
+GROUND_TILT = np.cos(np.radians(12))
+"""How far the ground may lean from what the cameras say."""
+GROUND_TOLERANCE = 0.01
+"""Thickness of the ground, in diameters of the neighbourhood."""
+GROUND_SHARE = 0.08
+"""Share of the points that must lie on a plane for it to be the ground."""
+BELOW_SHARE = 0.1
+"""Largest share of the points below it, and of cameras."""
+_TRIALS, _SAMPLES, _SEED = 1200, 3000, 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Alignment:
+    """Where a capture's world lies in Blender's: z up, ground at z = 0."""
+
+    matrix: np.ndarray
+    """[4, 4] float64, rigid, from the capture's world."""
+    up: np.ndarray
+    """[3] float64, unit, in the capture's world."""
+    ground_found: bool
+    """Whether z = 0 is a plane of points; else it is the height of the lowest few."""
+
+
+def align(viewmats: np.ndarray, points: np.ndarray, up: np.ndarray | None = None) -> Alignment:
+    """Z up, the ground at z = 0, what the cameras look at above the origin, the first looks to +y.
+
+    Args:
+        viewmats: [C, 4, 4] float64, world to camera, OpenCV axes; C >= 1.
+        points: [P, 3] float64, world; may be empty.
+        up: [3], roughly up in the world; None: found from the cameras.
+
+    Raises:
+        ValueError: no camera, or an `up` of no length.
+    """
+    if len(viewmats) == 0:
+        raise ValueError("There are no cameras to align by.")
+    up = find_up(viewmats) if up is None else _unit(np.asarray(up, np.float64))
+    centers = _centers(viewmats)
+    ground = find_ground(points, centers, up)
+    if ground is not None:
+        up, height = ground
+    else:
+        height = _lowest(points, centers, up)
+    origin = focus(viewmats)
+    origin = origin + (height - origin @ up) * up
+    return Alignment(
+        matrix=_upright(up, viewmats[0, 2, :3], origin), up=up, ground_found=ground is not None
+    )
+
+
+def find_up(viewmats: np.ndarray) -> np.ndarray:
+    """Unit vector [3] that points up in the world, from the way people hold cameras.
+
+    A level photo's x axis is horizontal, so up is what all x axes are perpendicular to; rolled
+    photos count less. Where the x axes leave up open (all cameras facing one way), the mean of the
+    photos' own upright decides. Captures held sideways throughout are recognised by y axes that lie
+    in one plane while x axes do not.
+    """
+    x, y, z = (viewmats[:, i, :3] for i in range(3))
+    if _is_planar(y) and not _is_planar(x):
+        up = np.linalg.eigh(y.T @ y)[1][:, 0]
+        return up if up @ z.mean(axis=0) <= 0 else -up  # people look down rather than up
+    weights = np.ones(len(x))
+    up = np.zeros(3)
+    for _ in range(15):
+        total = weights.sum()
+        scatter = (x * weights[:, None]).T @ x / total
+        own = -(y * weights[:, None]).sum(axis=0) / total
+        if np.linalg.norm(own) < 0.3:  # straight down, turned in every direction
+            own = own - z.mean(axis=0)
+        if np.linalg.norm(own) < 1e-6:
+            own = -y[0]
+        up = _unit(np.linalg.solve(scatter + PRIOR * np.eye(3), own))
+        weights = LEVEL / np.maximum(np.abs(x @ up), LEVEL)
+    return up
+
+
+def find_ground(
+    points: np.ndarray, centers: np.ndarray, up: np.ndarray
+) -> tuple[np.ndarray, float] | None:
+    """The ground: its normal [3] and height along it, or None if no plane is like one.
+
+    The plane with most points among those that are nearly level, with hardly a point or camera
+    below (RANSAC, Fischler and Bolles 1981, with a fixed seed), then fitted to its points.
+    """
+    near, size = _neighbourhood(points, centers)
+    if len(near) < 50:
+        return None
+    rng = np.random.default_rng(_SEED)
+    few = near[rng.permutation(len(near))[:_SAMPLES]]
+    a, b, c = few[rng.integers(0, len(few), (3, _TRIALS))]
+    normals = np.cross(b - a, c - a)
+    lengths = np.linalg.norm(normals, axis=1)
+    normals = normals / np.maximum(lengths, 1e-300)[:, None]
+    normals *= np.sign(normals @ up)[:, None]
+    level = (normals @ up > GROUND_TILT) & (lengths > 1e-6 * size**2)
+    best, most, tolerance = None, 0, GROUND_TOLERANCE * size
+    for normal, height in zip(normals[level], (normals * a).sum(axis=1)[level], strict=True):
+        count = _support(few, centers, normal, height, tolerance)
+        if count > most:
+            best, most = (normal, height), count
+    if best is None or most < max(30, GROUND_SHARE * len(few)):
+        return None
+    normal, height = best
+    for _ in range(3):
+        own = near[np.abs(near @ normal - height) < tolerance]
+        center = own.mean(axis=0)
+        fitted = np.linalg.svd(own - center, full_matrices=False)[2][2]
+        normal = fitted * np.sign(fitted @ normal)
+        height = float(normal @ center)
+    return (normal, height) if normal @ up > GROUND_TILT else None
+
+
+def focus(viewmats: np.ndarray) -> np.ndarray:
+    """The point [3] nearest to all optical axes, or the cameras' middle if they look past it."""
+    z, centers = viewmats[:, 2, :3], _centers(viewmats)
+    across = np.eye(3) - z[:, :, None] * z[:, None, :]
+    total = across.mean(axis=0)
+    middle = np.median(centers, axis=0)
+    if np.linalg.eigvalsh(total)[0] < 0.05:
+        return middle
+    point = np.linalg.solve(total, np.einsum("cij,cj->i", across, centers) / len(z))
+    in_front = ((point - centers) * z).sum(axis=1) > 0
+    return point if in_front.mean() > 0.7 else middle
+
+
+def camera_extent(centers: np.ndarray) -> float:
+    """The largest distance between two of the camera positions [C, 3], world units."""
+    largest = 0.0
+    for part in np.array_split(centers, max(1, len(centers) // 256)):
+        distances = np.linalg.norm(part[:, None] - centers[None], axis=2)
+        largest = max(largest, float(distances.max(initial=0.0)))
+    return largest
+
+
+def _support(
+    points: np.ndarray, centers: np.ndarray, normal: np.ndarray, height: float, tolerance: float
+) -> int:
+    """Number of points on a plane; 0 if it cannot be the ground."""
+    above = points @ normal - height
+    if (above < -3 * tolerance).mean() > BELOW_SHARE:
+        return 0
+    if (centers @ normal < height).mean() > BELOW_SHARE:
+        return 0
+    return int((np.abs(above) < tolerance).sum())
+
+
+def _neighbourhood(points: np.ndarray, centers: np.ndarray) -> tuple[np.ndarray, float]:
+    """Points no farther from the cameras' middle than twice the median is, and their diameter."""
+    points = points[np.isfinite(points).all(axis=1)]
+    if len(points) == 0:
+        return points, 0.0
+    distances = np.linalg.norm(points - np.median(centers, axis=0), axis=1)
+    reach = 2 * float(np.median(distances))
+    return points[distances <= reach], reach
+
+
+def _lowest(points: np.ndarray, centers: np.ndarray, up: np.ndarray) -> float:
+    """Height below which hardly a point lies; of cameras if there are no points."""
+    near, _ = _neighbourhood(points, centers)
+    if len(near) == 0:
+        return float((centers @ up).min())
+    return float(np.quantile(near @ up, 0.02))
+
+
+def _is_planar(directions: np.ndarray) -> bool:
+    """Whether unit vectors [C, 3] fill a plane and nothing but it."""
+    low, middle, _ = np.linalg.eigvalsh(directions.T @ directions / len(directions))
+    return bool(low < 0.03 and middle > 0.15)
+
+
+def _upright(up: np.ndarray, forward: np.ndarray, origin: np.ndarray) -> np.ndarray:
+    """[4, 4] that takes `up` to +z, `forward` over +y and `origin` to 0."""
+    ahead = forward - (forward @ up) * up
+    if np.linalg.norm(ahead) < 1e-3:  # straight down: any heading will do
+        ahead = np.eye(3)[np.argmin(np.abs(up))]
+        ahead = ahead - (ahead @ up) * up
+    ahead = _unit(ahead)
+    matrix = np.eye(4)
+    matrix[:3, :3] = [np.cross(ahead, up), ahead, up]
+    matrix[:3, 3] = -matrix[:3, :3] @ origin
+    return matrix
+
+
+def _centers(viewmats: np.ndarray) -> np.ndarray:
+    return -np.einsum("cji,cj->ci", viewmats[:, :3, :3], viewmats[:, :3, 3])
+
+
+def _unit(vector: np.ndarray) -> np.ndarray:
+    length = np.linalg.norm(vector)
+    if not (np.isfinite(length) and length > 1e-12):
+        raise ValueError(f"A direction needs a length, got {vector.tolist()}.")
+    return vector / length
