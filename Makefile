@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 LIBRARY := build/native/.built
-SOURCES := $(wildcard csrc/CMakeLists.txt csrc/include/*.h csrc/src/*)
+SOURCES := $(wildcard csrc/CMakeLists.txt csrc/include/*.h csrc/src/* csrc/tests/*)
 
 .PHONY: demo test test-slow test-native test-widths test-neon sanitize lint format bench wheel clean
 

@@ -169,9 +169,9 @@ GS_API void gs_raster_destroy(gs_raster *raster);
 GS_API gs_status gs_raster_forward(gs_raster *raster, const gs_splats *splats, const gs_camera *camera,
                                    const gs_options *options, const gs_image *image);
 /* Gradients of the last forward call; `splats` must hold the same values as then. GS_UNSUPPORTED after an orthographic
- * one. */
+ * one. `cancel` is as in gs_options; after GS_CANCELLED the gradients are incomplete. */
 GS_API gs_status gs_raster_backward(gs_raster *raster, const gs_splats *splats, const gs_image_grads *image_grads,
-                                    const gs_splat_grads *grads);
+                                    const gs_splat_grads *grads, const volatile int32_t *cancel);
 GS_API gs_status gs_raster_stats(const gs_raster *raster, gs_stats *out);
 /* Screen-space values of the last forward call, for tests and tools; zero rows for culled splats. Any may be null.
  * means2d [N, 2] px, depths [N] z, conics [N, 3] (xx, xy, yy), colors [N, 3], opacities [N] after compensation. */

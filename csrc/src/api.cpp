@@ -123,7 +123,7 @@ gs_status gs_raster_forward(gs_raster *raster, const gs_splats *splats, const gs
 }
 
 gs_status gs_raster_backward(gs_raster *raster, const gs_splats *splats, const gs_image_grads *image_grads,
-                             const gs_splat_grads *grads) {
+                             const gs_splat_grads *grads, const volatile int32_t *cancel) {
     if (!raster || !splats || !image_grads || !grads)
         return fail(GS_BAD_ARGUMENT, "gs_raster_backward: an argument is null");
     if (const gs_status s = check_splats(*splats))
@@ -132,7 +132,9 @@ gs_status gs_raster_backward(gs_raster *raster, const gs_splats *splats, const g
                               (splats->sh_rest && !grads->shN)))
         return fail(GS_BAD_ARGUMENT, "gs_raster_backward: an array of grads is null");
     return guarded("gs_raster_backward", [&] {
-        const gs_status s = raster->backward(*splats, *image_grads, *grads);
+        const gs_status s = raster->backward(*splats, *image_grads, *grads, cancel);
+        if (s == GS_CANCELLED)
+            return fail(s, "cancelled");
         if (s == GS_UNSUPPORTED)
             return fail(s, "gs_raster_backward: the last forward call was orthographic, which has no gradients");
         if (s == GS_BAD_ARGUMENT)

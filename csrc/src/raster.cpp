@@ -32,7 +32,7 @@ int threads_of(int32_t wanted) { return wanted > 0 ? wanted : default_threads();
 
 int64_t chunks_of(int64_t count) { return (count + kChunk - 1) / kChunk; }
 
-bool cancelled(const gs_options &o) { return o.cancel && *o.cancel; }
+bool cancelled(const volatile int32_t *cancel) { return cancel && *cancel; }
 
 } // namespace
 
@@ -162,11 +162,11 @@ gs_status gs_raster::forward(const gs_splats &splats, const gs_camera &camera, c
     ProjectArgs project = project_args(splats);
     project.radii = image.radii;
     parallel_for(size_t(chunks), threads, [&](size_t c, int) {
-        if (cancelled(options))
+        if (cancelled(options.cancel))
             return;
         k.project(project, int64_t(c));
     });
-    if (cancelled(options))
+    if (cancelled(options.cancel))
         return GS_CANCELLED;
     size_t visible = 0;
     for (int64_t c = 0; c < chunks; ++c)
@@ -188,7 +188,7 @@ gs_status gs_raster::forward(const gs_splats &splats, const gs_camera &camera, c
                           camera.height,     tiles_x,      !(options.disable & GS_NO_EXACT_CULL)};
     if (const gs_status s = bin(bins, visible, tiles, threads))
         return s;
-    if (cancelled(options))
+    if (cancelled(options.cancel))
         return GS_CANCELLED;
     stats.bin_ms = timer.lap_ms();
 
@@ -206,12 +206,12 @@ gs_status gs_raster::forward(const gs_splats &splats, const gs_camera &camera, c
     blend_.stop_count = stop_count_.ensure(tiles);
     std::atomic<int64_t> pairs{0};
     parallel_for(tiles, threads, [&](size_t t, int) {
-        if (!cancelled(options))
+        if (!cancelled(options.cancel))
             pairs += k.blend(blend_, options.outputs, uint32_t(t));
     });
     blend_.image = {}; // the caller's arrays may be gone by the backward call
     options_.cancel = nullptr;
-    if (cancelled(options))
+    if (cancelled(options.cancel))
         return GS_CANCELLED;
     stats.blend_ms = timer.lap_ms();
     stats.visible = int64_t(visible);
@@ -222,7 +222,8 @@ gs_status gs_raster::forward(const gs_splats &splats, const gs_camera &camera, c
     return GS_OK;
 }
 
-gs_status gs_raster::backward(const gs_splats &splats, const gs_image_grads &image_grads, const gs_splat_grads &grads) {
+gs_status gs_raster::backward(const gs_splats &splats, const gs_image_grads &image_grads, const gs_splat_grads &grads,
+                              const volatile int32_t *cancel) {
     if (!valid_ || splats.count != splat_count_)
         return GS_BAD_ARGUMENT;
     if (camera_.orthographic)
@@ -234,7 +235,12 @@ gs_status gs_raster::backward(const gs_splats &splats, const gs_image_grads &ima
     const BlendBackwardArgs args = {&blend_, image_grads, moments_.ensure(entry_count_),
                                     !(options_.disable & GS_NO_ZERO_TILE)};
     std::atomic<int64_t> pairs{0};
-    parallel_for(tiles, threads, [&](size_t t, int) { pairs += k.blend_backward(args, options_.outputs, uint32_t(t)); });
+    parallel_for(tiles, threads, [&](size_t t, int) {
+        if (!cancelled(cancel))
+            pairs += k.blend_backward(args, options_.outputs, uint32_t(t));
+    });
+    if (cancelled(cancel))
+        return GS_CANCELLED;
     stats.backward_pairs = pairs;
     stats.blend_backward_ms = timer.lap_ms();
 
@@ -244,7 +250,12 @@ gs_status gs_raster::backward(const gs_splats &splats, const gs_image_grads &ima
                                    nullptr};
     if (grads.viewmat)
         project.viewmat_partial = viewmat_partial_.ensure(size_t(chunks) * 16);
-    parallel_for(size_t(chunks), threads, [&](size_t c, int) { k.project_backward(project, int64_t(c)); });
+    parallel_for(size_t(chunks), threads, [&](size_t c, int) {
+        if (!cancelled(cancel))
+            k.project_backward(project, int64_t(c));
+    });
+    if (cancelled(cancel))
+        return GS_CANCELLED;
     if (grads.viewmat)
         for (int i = 0; i < 16; ++i) {
             double sum = 0;

@@ -48,7 +48,8 @@ class GrowingInstances : public InstanceBuffer {
 
 struct gs_raster {
     gs_status forward(const gs_splats &, const gs_camera &, const gs_options &, const gs_image &);
-    gs_status backward(const gs_splats &, const gs_image_grads &, const gs_splat_grads &);
+    gs_status backward(const gs_splats &, const gs_image_grads &, const gs_splat_grads &,
+                       const volatile int32_t *cancel);
     gs_status image_loss(const gs_loss_args &, gs_loss_result &, float *v_image);
     gs_status projected(float *means2d, float *depths, float *conics, float *colors, float *opacities) const;
     int64_t workspace_bytes() const;

@@ -132,7 +132,9 @@ Result run(const Model &m, const gs_camera &camera, const gs_options &options) {
             next += sizes[i];
         }
         const gs_splat_grads out = {at[0], at[1], at[2], at[3], at[4], at[5], at[6], at[7]};
-        r.backward = gs_raster_backward(raster, &splats, &in, &out);
+        const int32_t stop = 1;
+        CHECK(gs_raster_backward(raster, &splats, &in, &out, &stop) == (camera.orthographic ? GS_UNSUPPORTED : GS_CANCELLED));
+        r.backward = gs_raster_backward(raster, &splats, &in, &out, nullptr);
         CHECK(gs_raster_stats(raster, &r.stats) == GS_OK);
         for (const float x : r.image)
             CHECK(x != untouched);
@@ -293,7 +295,7 @@ void bad_arguments_are_named() {
     const gs_image_grads in = {};
     std::vector<float> g(64 * m.size());
     const gs_splat_grads out = {g.data(), g.data(), g.data(), g.data(), g.data(), g.data(), nullptr, nullptr};
-    CHECK(gs_raster_backward(raster, &splats, &in, &out) == GS_BAD_ARGUMENT);
+    CHECK(gs_raster_backward(raster, &splats, &in, &out, nullptr) == GS_BAD_ARGUMENT);
     gs_raster_destroy(raster);
 }
 

@@ -211,6 +211,7 @@ def _load() -> ct.CDLL:
         ct.POINTER(SplatsStruct),
         ct.POINTER(ImageGradsStruct),
         ct.POINTER(SplatGradsStruct),
+        ct.POINTER(ct.c_int32),
     ]
     lib.gs_raster_stats.argtypes = [_pointer, ct.POINTER(StatsStruct)]
     lib.gs_raster_projected.argtypes = [_pointer] * 6
@@ -301,14 +302,16 @@ class Raster:
         )
 
     def backward(
-        self, splats: SplatsStruct, image_grads: ImageGradsStruct, grads: SplatGradsStruct
+        self,
+        splats: SplatsStruct,
+        image_grads: ImageGradsStruct,
+        grads: SplatGradsStruct,
+        cancel: "CancelFlag | None" = None,
     ) -> None:
         """gs_raster_backward"""
-        check(
-            self._lib.gs_raster_backward(
-                self.handle, ct.byref(splats), ct.byref(image_grads), ct.byref(grads)
-            )
-        )
+        flag = None if cancel is None else ct.byref(cancel.value)
+        arguments = (ct.byref(splats), ct.byref(image_grads), ct.byref(grads), flag)
+        check(self._lib.gs_raster_backward(self.handle, *arguments))
 
     def image_loss(self, args: LossArgsStruct, v_image: int | None) -> LossResultStruct:
         """gs_image_loss; `v_image` is the address of the gradient or None."""

@@ -64,6 +64,7 @@ class _Settings:
     outputs: int
     disable: int
     threads: int
+    cancel: _native.CancelFlag | None
     aux: RasterAux | None
 
 
@@ -112,6 +113,7 @@ class _Rasterize(torch.autograd.Function):
             outputs=s.outputs,
             threads=s.threads,
             disable=s.disable,
+            cancel=s.cancel,
         )
         raster = _native.pool.take()
         try:
@@ -146,7 +148,8 @@ class _Rasterize(torch.autograd.Function):
         if v_viewmat is not None:
             grads.viewmat = v_viewmat.data_ptr()
         raster = ctx.raster.raster
-        raster.backward(_struct(tensors, s), _native.ImageGradsStruct(*pointers), grads)
+        image_grads = _native.ImageGradsStruct(*pointers)
+        raster.backward(_struct(tensors, s), image_grads, grads, s.cancel)
         if s.aux is not None:
             s.aux.stats = raster.stats().as_dict()
         return (*v_tensors, v_viewmat, None)
@@ -186,6 +189,7 @@ def rasterize(
     median_depth: bool = False,
     threads: int = 0,
     disable: int = 0,
+    cancel: _native.CancelFlag | None = None,
     aux: RasterAux | None = None,
 ) -> RasterOutput:
     """Render splats from one pinhole camera (Kerbl et al. 2023; EWA of Zwicker et al. 2001).
@@ -215,6 +219,7 @@ def rasterize(
         median_depth: Also return the median depth.
         threads: 0: all cores. Results do not depend on it.
         disable: Bits of `_native.NO_*`: skips to leave out, for tests and benchmarks.
+        cancel: Set it from another thread to stop this call or its backward pass.
         aux: Where radii, screen gradients and statistics go.
 
     Returns:
@@ -223,6 +228,7 @@ def rasterize(
     Raises:
         ShapeError: A tensor has another shape, dtype or device, or an option is out of range.
         BackendError: The native library is missing or out of memory.
+        Cancelled: `cancel` was set.
     """
     if means.ndim != 2:
         raise ShapeError(f"means must be [N, 3] float32 on the CPU, got {list(means.shape)}.")
@@ -267,6 +273,7 @@ def rasterize(
         outputs=outputs,
         disable=disable,
         threads=threads,
+        cancel=cancel,
         aux=aux,
     )
     tensors = (means, quats, scales, opacities, sh0, shN)

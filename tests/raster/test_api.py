@@ -74,6 +74,14 @@ def test_cancel_stops_a_long_call() -> None:
     assert time.perf_counter() - began < 3
     with pytest.raises(gscore.Cancelled):
         _view(big, cancel=flag)
+    names = ("means", "quats", "scales", "opacities", "sh0", "shN")
+    tensors = [torch.from_numpy(getattr(splats, name)).requires_grad_() for name in names]
+    later = gscore.CancelFlag()
+    K = torch.tensor([[100, 0, 80], [0, 100, 45], [0, 0, 1.0]])
+    out = gscore.rasterize(*tensors, torch.eye(4), K, 160, 90, raw=True, cancel=later)
+    later.set()
+    with pytest.raises(gscore.Cancelled):
+        out.rgb.sum().backward()
     assert _view(splats).alpha.mean() > 0.1  # the workspace is as good as new
 
 
