@@ -5,7 +5,12 @@ Importing this package needs no bpy, so that its modules of plain formulas serve
 
 from importlib import import_module
 
-MODULES: tuple[str, ...] = ("splat_settings",)
+MODULES: tuple[str, ...] = (
+    "preferences",
+    "properties",
+    "splat_settings",
+    "job.operators",
+)
 """Modules with a register() and an unregister(), in the order in which they need each other."""
 
 

@@ -1,0 +1,18 @@
+"""Training beside Blender, for scripts: `train`, `resume`, `wait_for`, `discard` and `job_of`.
+
+`job.pause()`, `job.unpause()`, `job.stop()` and `job.snapshot()` are methods of the job that
+`train` returns. The modules process, job, session, curve, options, loader, registry, environment,
+installer and background need no bpy.
+"""
+
+from importlib import import_module
+from typing import Any
+
+_FUNCTIONS = ("discard", "job_of", "resume", "train", "wait_for")
+
+
+def __getattr__(name: str) -> Any:
+    """Loaded when first used, because `training` needs bpy."""
+    if name not in _FUNCTIONS:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(".training", __name__), name)

@@ -22,6 +22,10 @@ CPU_INDEX = "https://download.pytorch.org/whl/cpu"
 """Where torch without CUDA lies for Linux; elsewhere the usual registry has no other."""
 NEEDED_BYTES = 3_000_000_000
 """Free space wanted: torch and its company unpacked, and the downloads meanwhile."""
+OFFLINE = (
+    "Blender does not allow add-ons to go online; switch on Preferences > System > Network > Allow "
+    "Online Access, then press Make Environment again."
+)
 _OLDEST = (3, 11)
 _RENAME_TRIES = 5
 
@@ -57,10 +61,7 @@ def make(
         Cancelled: as the task was asked to.
     """
     if not online:
-        raise SetupError(
-            "Blender does not allow add-ons to go online; switch on Preferences > System > "
-            "Network > Allow Online Access, then press the button again."
-        )
+        raise SetupError(OFFLINE)
     _check_space(target)
     partial = target.with_name(f"{target.name}.{secrets.token_hex(4)}.new")
     try:
@@ -116,7 +117,7 @@ def usable_base() -> Path:
             return Path(found)
     raise SetupError(
         "No Python 3.11 or later was found to build on; install one from python.org, then press "
-        "the button again."
+        "Make Environment again."
     )
 
 
@@ -133,7 +134,7 @@ def _make_venv(folder: Path, base: Path, task: Task) -> None:
         if "ensurepip" in text or "No module named venv" in text:
             raise SetupError(
                 f"{base} has no working venv module; on Debian and Ubuntu install the package "
-                "python3-venv, then press the button again."
+                "python3-venv, then press Make Environment again."
             ) from error
         raise
 
@@ -144,7 +145,7 @@ def _check_space(target: Path) -> None:
     if free < NEEDED_BYTES:
         raise SetupError(
             f"The environment needs about {NEEDED_BYTES / 1e9:.0f} GB, but {folder} has only "
-            f"{free / 1e9:.1f} GB free; free some space, then press the button again."
+            f"{free / 1e9:.1f} GB free; free some space, then press Make Environment again."
         )
 
 
@@ -181,7 +182,7 @@ def _reason(lines: list[str]) -> str:
     """The sentence for a failed pip or venv."""
     text = "\n".join(lines)
     if re.search(r"No space left on device|Errno 28|not enough space on the disk", text):
-        return "The disk is full; free some space, then press the button again."
+        return "The disk is full; free some space, then press Make Environment again."
     network = (
         r"NewConnectionError|ConnectionError|Temporary failure in name resolution|timed out"
         r"|getaddrinfo failed|Network is unreachable|Max retries exceeded|ProxyError|SSLError"
@@ -189,7 +190,7 @@ def _reason(lines: list[str]) -> str:
     if re.search(network, text):
         return (
             "The package registry cannot be reached; check the network and proxy of this "
-            "computer, then press the button again."
+            "computer, then press Make Environment again."
         )
     errors = [line.strip() for line in lines if "ERROR" in line or line.startswith("Error")]
     last = errors[-1] if errors else next((x for x in reversed(lines) if x.strip()), "no reason")
@@ -215,7 +216,7 @@ def _put_in_place(partial: Path, target: Path) -> None:
     except OSError as error:
         raise SetupError(
             f"{target} cannot be replaced ({error.strerror}); stop trainings that use it, then "
-            "press the button again."
+            "press Make Environment again."
         ) from error
     shutil.rmtree(aside, ignore_errors=True)
 

@@ -54,17 +54,14 @@ class Job:
         self.loader = Loader()
         self.result_wanted = False
         """Whether the result still has to be shown."""
+        self.result_requested = False
+        """Whether the result is being read in order to be shown."""
         self.preview_shown = ""
         self._discarding = False
         self._clearer: threading.Thread | None = None
         self._asked_for_live = time.monotonic()
         self._live_underway = False
         self._process = Process([str(python), "-u", "-m", "gscore", *arguments])
-
-    @property
-    def active(self) -> bool:
-        """Whether the process or a reading of its files is under way."""
-        return not self.state.ended or self.loader.busy or self.result_wanted
 
     @property
     def pid(self) -> int:
@@ -158,6 +155,9 @@ class Job:
         state = self.state
         if self._discarding:
             state.status, state.eta_s = session.DISCARDED, None
+            earlier = self.output / "point_cloud.ply"
+            if self.resumed and earlier.is_file():
+                state.result, self.result_wanted = earlier, True
             state.sentence = (
                 "Stopped; what was trained since the last checkpoint is discarded, earlier files "
                 "of the run are kept."

@@ -1,0 +1,40 @@
+"""What panels show of a scene's folders, without waiting for a disk."""
+
+import bpy
+
+from .. import lookup, preferences
+from ..capture import CaptureFacts
+from ..core import RunInfo
+from ..paths import absolute, output_folder
+from . import timer
+
+
+def capture(scene: bpy.types.Scene) -> tuple[CaptureFacts | None, str]:
+    """What the scene's capture holds, and a problem; (None, "") while it is looked up."""
+    settings = scene.gscore
+    if not settings.capture_path.strip():
+        return None, ""
+    try:
+        path = absolute(settings.capture_path, "Capture")
+    except ValueError as error:
+        return None, str(error)
+    answer = lookup.captures.get((str(path), settings.images))
+    timer.ensure()
+    return answer
+
+
+def look_again(scene: bpy.types.Scene) -> tuple[CaptureFacts | None, str]:
+    """As `capture`, but looks now and waits; for scripts and before a training."""
+    path = absolute(scene.gscore.capture_path, "Capture")
+    return lookup.captures.wait((str(path), scene.gscore.images))
+
+
+def run(scene: bpy.types.Scene) -> tuple[RunInfo | None, str]:
+    """How far the run in the scene's output folder is; (None, "") for none or still unknown."""
+    try:
+        folder = output_folder(scene, preferences.get().output_folder)
+    except ValueError:
+        return None, ""  # the panel says what is missing where the capture is chosen
+    answer = lookup.runs.get(folder)
+    timer.ensure()
+    return answer

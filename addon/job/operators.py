@@ -1,0 +1,309 @@
+"""Operators of the training and of its Python."""
+
+from pathlib import Path
+from typing import ClassVar
+
+import bpy
+from bpy.props import BoolProperty, StringProperty
+
+from .. import preferences
+from . import registry, session, setup, timer, training
+from .job import Job
+
+Result = set[str]
+
+
+class _JobOperator:
+    """What operators on a training share: the scene's own, or one named by its id."""
+
+    job_id: StringProperty(
+        name="Training",
+        description="Which training; empty: the one of this scene",
+        options={"HIDDEN", "SKIP_SAVE"},
+    )
+    allowed: ClassVar[tuple[str, ...]] = (session.STARTING, session.RUNNING, session.PAUSED)
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if any(job.state.status in cls.allowed for job in registry.jobs()):
+            return True
+        cls.poll_message_set("No training is in the state for this")
+        return False
+
+    def execute(self, context: bpy.types.Context) -> Result:
+        job = registry.by_id(self.job_id) if self.job_id else training.job_of(context.scene)
+        if job is None or job.state.status not in self.allowed:
+            self.report({"ERROR"}, "This scene has no training in the state for this.")
+            return {"CANCELLED"}
+        self.act(job)
+        timer.redraw()
+        return {"FINISHED"}
+
+    def act(self, job: Job) -> None:
+        raise NotImplementedError
+
+
+class Train(bpy.types.Operator):
+    """Train splats from the capture in the background; Blender stays free"""
+
+    bl_idname = "gscore.train"
+    bl_label = "Train"
+    bl_options: ClassVar = {"REGISTER"}
+
+    overwrite: BoolProperty(
+        name="Start Over",
+        description="Replace another run in the output folder",
+        options={"SKIP_SAVE"},
+    )
+    wait: BoolProperty(
+        name="Wait",
+        description="Return when the training has ended; for scripts",
+        options={"HIDDEN", "SKIP_SAVE"},
+    )
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
+        """Ask before an earlier run is replaced."""
+        if self.overwrite:
+            return context.window_manager.invoke_confirm(self, event)
+        return self.execute(context)
+
+    def execute(self, context: bpy.types.Context) -> Result:
+        """Start."""
+        try:
+            job = training.train(context.scene, overwrite=self.overwrite, wait=self.wait)
+        except ValueError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        return _told(self, job)
+
+
+class ResumeTraining(bpy.types.Operator):
+    """Go on with the run in the output folder from its last checkpoint"""
+
+    bl_idname = "gscore.resume_training"
+    bl_label = "Resume"
+    bl_options: ClassVar = {"REGISTER"}
+
+    wait: BoolProperty(
+        name="Wait",
+        description="Return when the training has ended; for scripts",
+        options={"HIDDEN", "SKIP_SAVE"},
+    )
+
+    def execute(self, context: bpy.types.Context) -> Result:
+        """Start."""
+        try:
+            job = training.resume(context.scene, wait=self.wait)
+        except ValueError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        return _told(self, job)
+
+
+class PauseTraining(_JobOperator, bpy.types.Operator):
+    """Let the trainer wait: it keeps its memory, and Blender gets all cores"""
+
+    bl_idname = "gscore.pause_training"
+    bl_label = "Pause"
+    allowed = (session.STARTING, session.RUNNING)
+
+    def act(self, job: Job) -> None:
+        """Ask."""
+        job.pause()
+
+
+class ContinueTraining(_JobOperator, bpy.types.Operator):
+    """Let a waiting trainer go on"""
+
+    bl_idname = "gscore.continue_training"
+    bl_label = "Continue"
+    allowed = (session.PAUSED,)
+
+    def act(self, job: Job) -> None:
+        """Ask."""
+        job.unpause()
+
+
+class StopTraining(_JobOperator, bpy.types.Operator):
+    """Write a checkpoint and the splats as they are, and end; Resume goes on from there"""
+
+    bl_idname = "gscore.stop_training"
+    bl_label = "Stop"
+
+    def act(self, job: Job) -> None:
+        """Ask."""
+        job.stop()
+
+
+class DiscardTraining(_JobOperator, bpy.types.Operator):
+    """End at once and remove what this run wrote; a resumed run keeps its last checkpoint"""
+
+    bl_idname = "gscore.discard_training"
+    bl_label = "Discard"
+    allowed = (session.STARTING, session.RUNNING, session.PAUSED, session.STOPPING)
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
+        """Ask, because nothing brings it back."""
+        return context.window_manager.invoke_confirm(self, event)
+
+    def act(self, job: Job) -> None:
+        """End it."""
+        training.discard(job)
+
+
+class UpdateSplats(_JobOperator, bpy.types.Operator):
+    """Show the splats as they are now in the viewport"""
+
+    bl_idname = "gscore.update_splats"
+    bl_label = "Update Splats"
+    allowed = (session.RUNNING, session.PAUSED)
+
+    def act(self, job: Job) -> None:
+        """Ask for them."""
+        job.snapshot()
+
+
+class ShowTestView(bpy.types.Operator):
+    """Show the picture of the test view in an image editor, in a new window if there is none"""
+
+    bl_idname = "gscore.show_test_view"
+    bl_label = "Show Test View"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """There is a picture."""
+        return context.scene.gscore.preview is not None
+
+    def execute(self, context: bpy.types.Context) -> Result:
+        """Show it."""
+        space = _image_editor(context)
+        if space is None:
+            self.report({"ERROR"}, "There is no window to show a picture in.")
+            return {"CANCELLED"}
+        space.image = context.scene.gscore.preview
+        return {"FINISHED"}
+
+
+class CheckTrainer(bpy.types.Operator):
+    """Ask the chosen Python whether it can train; without one, look for one that can"""
+
+    bl_idname = "gscore.check_trainer"
+    bl_label = "Check"
+
+    wait: BoolProperty(
+        name="Wait",
+        description="Return when the answer is there; for scripts",
+        options={"HIDDEN", "SKIP_SAVE"},
+    )
+
+    def execute(self, context: bpy.types.Context) -> Result:
+        """Ask."""
+        prefs = preferences.get()
+        if not self.wait:
+            setup.start_check(prefs)
+            timer.ensure()
+            return {"FINISHED"}
+        verdict = setup.check(prefs)
+        self.report({"INFO" if verdict.good else "ERROR"}, verdict.sentence)
+        return {"FINISHED" if verdict.good else "CANCELLED"}
+
+
+class MakeEnvironment(bpy.types.Operator):
+    """Make a private Python environment for training: downloads torch and its company"""
+
+    bl_idname = "gscore.make_environment"
+    bl_label = "Make Environment"
+
+    wheel: StringProperty(
+        name="Wheel",
+        description="gscore to install; empty: the one in the extension",
+        options={"HIDDEN", "SKIP_SAVE"},
+    )
+    wait: BoolProperty(
+        name="Wait",
+        description="Return when it is made; for scripts",
+        options={"HIDDEN", "SKIP_SAVE"},
+    )
+
+    def execute(self, context: bpy.types.Context) -> Result:
+        """Start."""
+        wheel = Path(self.wheel) if self.wheel else None
+        try:
+            if self.wait:
+                setup.make(preferences.get(), wheel=wheel)
+            else:
+                setup.start_make(preferences.get(), wheel=wheel)
+        except (ValueError, RuntimeError) as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        timer.ensure()
+        return {"FINISHED"}
+
+
+class CancelSetup(bpy.types.Operator):
+    """End the check, or the making of an environment; one that was there before stays"""
+
+    bl_idname = "gscore.cancel_setup"
+    bl_label = "Cancel"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Something is under way."""
+        return setup.busy()
+
+    def execute(self, context: bpy.types.Context) -> Result:
+        """End it."""
+        setup.cancel()
+        return {"FINISHED"}
+
+
+def _told(operator: bpy.types.Operator, job: Job) -> Result:
+    """Report how a training that was waited for has ended."""
+    if job.state.ended:
+        failed = job.state.status == session.FAILED
+        operator.report({"ERROR" if failed else "INFO"}, job.state.sentence)
+        return {"CANCELLED" if failed else "FINISHED"}
+    return {"FINISHED"}
+
+
+def _image_editor(context: bpy.types.Context) -> bpy.types.SpaceImageEditor | None:
+    """An image editor that is open, or one in a new window; None without a window."""
+    for window in context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "IMAGE_EDITOR":
+                return area.spaces.active
+    if bpy.app.background:
+        return None
+    bpy.ops.wm.window_new()
+    area = context.window_manager.windows[-1].screen.areas[0]
+    area.type = "IMAGE_EDITOR"
+    return area.spaces.active
+
+
+CLASSES = (
+    Train,
+    ResumeTraining,
+    PauseTraining,
+    ContinueTraining,
+    StopTraining,
+    DiscardTraining,
+    UpdateSplats,
+    ShowTestView,
+    CheckTrainer,
+    MakeEnvironment,
+    CancelSetup,
+)
+
+
+def register() -> None:
+    """Register the operators, and follow trainings."""
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
+    timer.register()
+
+
+def unregister() -> None:
+    """Take them back; trainings write a checkpoint and end."""
+    timer.unregister()
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)

@@ -1,0 +1,78 @@
+"""The beat that takes in what trainings and searches have found, in Blender's main thread.
+
+Blender calls `tick` several times a second while there is something to wait for. Without a window
+timers never run: scripts call `tick`, or `training.wait_for`, themselves.
+"""
+
+import atexit
+
+import bpy
+from bpy.app.handlers import persistent
+
+from .. import lookup, preferences
+from . import display, registry, setup
+
+INTERVAL = 0.1
+"""Seconds between two beats."""
+
+
+def tick() -> bool:
+    """Do a small piece of whatever there is to do; whether anything is under way.
+
+    A beat does one thing that may take milliseconds: reading lines, or showing a picture, or
+    handing splats to Blender.
+    """
+    changed = False
+    for job in registry.jobs():
+        if job.poll():
+            changed = True
+        else:
+            changed |= display.update(job)
+    changed |= lookup.collect()
+    changed |= setup.collect(preferences.get())
+    if changed:
+        redraw()
+    return setup.busy() or lookup.busy() or any(display.waits(job) for job in registry.jobs())
+
+
+def ensure() -> None:
+    """Have `tick` called from now on, until there is nothing to wait for."""
+    if not bpy.app.background and not bpy.app.timers.is_registered(_beat):
+        bpy.app.timers.register(_beat, first_interval=INTERVAL, persistent=True)
+
+
+def redraw() -> None:
+    """Draw the sidebars of 3D views, and preferences, anew."""
+    manager = bpy.context.window_manager
+    areas = [area for window in manager.windows for area in window.screen.areas]
+    for area in areas:
+        wanted = {"VIEW_3D": "UI", "PREFERENCES": "WINDOW"}.get(area.type)
+        for region in area.regions:
+            if region.type == wanted:
+                region.tag_redraw()
+
+
+def _beat() -> float | None:
+    return INTERVAL if tick() else None
+
+
+@persistent
+def _file_loaded(*_: object) -> None:
+    """A training belongs to the session: the file that is open now may be its own."""
+    if registry.jobs():
+        ensure()
+
+
+def register() -> None:
+    """Follow the loading of files, and the end of Blender."""
+    bpy.app.handlers.load_post.append(_file_loaded)
+    atexit.register(registry.leave_all)
+
+
+def unregister() -> None:
+    """Let go of all trainings, each of which writes a checkpoint and ends."""
+    if bpy.app.timers.is_registered(_beat):
+        bpy.app.timers.unregister(_beat)
+    bpy.app.handlers.load_post.remove(_file_loaded)
+    atexit.unregister(registry.leave_all)
+    registry.leave_all()

@@ -1,0 +1,192 @@
+"""Training from scripts and operators: start, go on, wait, pause, stop, discard."""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import bpy
+
+from .. import lookup, preferences
+from ..core import read_run
+from ..paths import absolute, capture_folder, output_folder, relative
+from . import facts, options, registry, setup, timer
+from .display import waits
+from .job import Job
+
+_BEAT = 0.02
+
+
+def job_of(scene: bpy.types.Scene) -> Job | None:
+    """The training of a scene: the one into its output folder, running or ended."""
+    try:
+        folder = output_folder(scene, preferences.get().output_folder)
+    except ValueError:
+        return None
+    return registry.by_output(folder)
+
+
+def train(
+    scene: bpy.types.Scene,
+    *,
+    overwrite: bool = False,
+    wait: bool = False,
+    python: str | Path | None = None,
+) -> Job:
+    """Start a training of the scene's capture.
+
+    Args:
+        scene: Its `gscore` settings say what and how; the output folder is filled in.
+        overwrite: Replace another run in the output folder.
+        wait: Return when it has ended and its splats are in the scene.
+        python: The Python that trains; None: as the preferences say.
+
+    Raises:
+        ValueError: something is missing or in the way; the message says what to do.
+    """
+    source = capture_folder(scene)
+    output = output_folder(scene, preferences.get().output_folder)
+    _check_free(output)
+    _check_capture(scene)
+    if read_run(output) is not None and not overwrite:
+        raise ValueError(
+            f"{output} holds another run; press Resume to go on with it, Start Over to replace it, "
+            "or choose another output folder."
+        )
+    arguments = options.new_run(
+        scene.gscore, source=source, output=output, machine=machine(), overwrite=overwrite
+    )
+    scene.gscore.output_path = relative(output)
+    return _start(arguments, source, output, resumed=False, wait=wait, python=python)
+
+
+def resume(scene: bpy.types.Scene, *, wait: bool = False, python: str | Path | None = None) -> Job:
+    """Go on with the run in the scene's output folder, from its last checkpoint.
+
+    With more steps in the settings than the run was asked for, it is trained up to those.
+
+    Args:
+        scene: Its output folder holds the run.
+        wait: As in `train`.
+        python: As in `train`.
+
+    Raises:
+        ValueError: there is nothing to go on with; the message says why.
+    """
+    output = output_folder(scene, preferences.get().output_folder)
+    _check_free(output)
+    info = read_run(output)
+    if info is None or info.checkpoint is None:
+        raise ValueError(f"{output} holds no checkpoint to go on from; press Train instead.")
+    if info.problem:
+        raise ValueError(f"The run cannot go on: {info.problem} Press Start Over instead.")
+    wanted = max(scene.gscore.iterations, info.iterations)
+    if info.steps >= wanted:
+        raise ValueError(
+            f"The run has taken all of its {info.steps:,} steps; ask for more Steps to go on."
+        )
+    assert info.data is not None
+    source = info.data.source
+    if scene.gscore.capture_path.strip():
+        source = capture_folder(scene)  # it may have moved
+    elif not source.exists():
+        raise ValueError(f"The capture of the run, {source}, is not there; choose where it is now.")
+    arguments = options.resumed_run(
+        source=source,
+        output=output,
+        machine=machine(),
+        iterations=wanted if wanted != info.iterations else None,
+    )
+    return _start(arguments, source, output, resumed=True, wait=wait, python=python)
+
+
+def wait_for(
+    job: Job, *, timeout: float = float("inf"), on_tick: Callable[[Job], None] | None = None
+) -> bool:
+    """Follow a training until it has ended and its splats are in the scene; for scripts.
+
+    Args:
+        job: The training.
+        timeout: Seconds after which to give up following; the training goes on.
+        on_tick: Called several times a second.
+
+    Returns:
+        Whether it has ended.
+    """
+    until = time.monotonic() + timeout
+    while waits(job):
+        timer.tick()
+        if on_tick is not None:
+            on_tick(job)
+        if time.monotonic() > until:
+            return False
+        time.sleep(_BEAT)
+    return True
+
+
+def discard(job: Job) -> None:
+    """End a training at once and remove what it wrote, its live splats included.
+
+    A run that began earlier goes back to its last checkpoint instead.
+    """
+    job.discard()
+    timer.ensure()
+
+
+def machine() -> options.Machine:
+    """What the preferences say about this computer.
+
+    Raises:
+        ValueError: the LPIPS network is not there.
+    """
+    prefs = preferences.get()
+    lpips = None
+    if prefs.lpips_path.strip():
+        lpips = absolute(prefs.lpips_path, "LPIPS Network")
+        if not lpips.is_file():
+            raise ValueError(
+                f"There is no LPIPS network {lpips}; choose it again in the add-on's preferences, "
+                "or clear the field."
+            )
+    return options.Machine(
+        threads=prefs.threads, lpips=lpips, preview_seconds=prefs.preview_seconds
+    )
+
+
+def _check_free(output: Path) -> None:
+    other = registry.by_output(output)
+    if other is not None and not other.state.ended:
+        raise ValueError(f"A training into {output} is running; stop it first.")
+
+
+def _check_capture(scene: bpy.types.Scene) -> None:
+    found, problem = facts.look_again(scene)
+    if found is None:
+        raise ValueError(problem or "The capture could not be looked into; try again.")
+    errors = [p.text for p in found.problems if p.is_error]
+    if errors or not found.can_train:
+        raise ValueError(errors[0] if errors else f"{found.source} holds no capture.")
+
+
+def _start(
+    arguments: list[str],
+    source: Path,
+    output: Path,
+    *,
+    resumed: bool,
+    wait: bool,
+    python: str | Path | None,
+) -> Job:
+    program = python or setup.trainer_python(preferences.get())
+    try:
+        job = Job(program, arguments, source=source, output=output, resumed=resumed)
+    except OSError as error:
+        raise ValueError(
+            f"{program} cannot be run ({error.strerror or error}); press Check in the add-on's "
+            "preferences."
+        ) from error
+    registry.add(job)
+    lookup.runs.forget(output)
+    timer.ensure()
+    if wait:
+        wait_for(job)
+    return job

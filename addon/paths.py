@@ -1,0 +1,77 @@
+"""Folders as the user writes them in a .blend file, and as the system knows them."""
+
+import os
+from pathlib import Path
+
+import bpy
+
+from .capture import find_capture
+
+ROOT = __package__.removesuffix(".addon")
+"""Name under which Blender knows the add-on."""
+
+
+def absolute(text: str, what: str) -> Path:
+    """The folder or file meant by a property; `//` is the folder of the .blend file.
+
+    Args:
+        text: As the user wrote it.
+        what: Name of the property, for messages.
+
+    Raises:
+        ValueError: nothing is given, or it is relative to a file that is not saved.
+    """
+    if not text.strip():
+        raise ValueError(f"{what} is empty; choose a folder.")
+    if text.startswith("//") and not bpy.data.filepath:
+        raise ValueError(
+            f"{what} {text} lies beside the .blend file, which is not saved; save it, or choose a "
+            "folder with its whole path."
+        )
+    return Path(os.path.abspath(bpy.path.abspath(text)))  # noqa: PTH100 - keeps symbolic links
+
+
+def relative(path: Path) -> str:
+    """A path to keep in the .blend file: relative to it where that is possible."""
+    if not bpy.data.filepath:
+        return str(path)
+    try:
+        text = bpy.path.relpath(str(path))
+    except ValueError:  # another drive
+        return str(path)
+    # Far away from the .blend file a relative path only breaks sooner.
+    return str(path) if text.startswith("//../../") else text
+
+
+def capture_folder(scene: bpy.types.Scene) -> Path:
+    """The scene's capture.
+
+    Raises:
+        ValueError: none is chosen, or it is not there.
+    """
+    folder = absolute(scene.gscore.capture_path, "Capture")
+    if not folder.exists():
+        raise ValueError(
+            f"There is no capture {folder}; choose the folder with the photos and the COLMAP model."
+        )
+    return find_capture(folder)
+
+
+def output_folder(scene: bpy.types.Scene, default: str = "") -> Path:
+    """The folder of the scene's results, whether it is there or not.
+
+    Args:
+        scene: With a capture, if it names no folder.
+        default: Folder in which one is made up for scenes that name none.
+
+    Raises:
+        ValueError: it cannot be told.
+    """
+    if scene.gscore.output_path.strip():
+        return absolute(scene.gscore.output_path, "Output")
+    capture = find_capture(absolute(scene.gscore.capture_path, "Capture"))
+    if default.strip():
+        return absolute(default, "Default Output Folder") / capture.name
+    if bpy.data.filepath:
+        return Path(bpy.data.filepath).parent / "splats" / capture.name
+    return capture.with_name(f"{capture.name}_splats")
