@@ -8,7 +8,9 @@ from importlib import import_module
 MODULES: tuple[str, ...] = (
     "preferences",
     "properties",
+    "camera_operators",
     "splat_settings",
+    "splat_operators",
     "job.operators",
 )
 """Modules with a register() and an unregister(), in the order in which they need each other."""

@@ -28,6 +28,7 @@ __all__ = [
     "is_camera",
     "relink",
     "render_camera",
+    "reset_root",
     "root_of",
     "set_extent",
     "step_camera",
@@ -174,7 +175,8 @@ def import_capture(
     _size_drawings(root, cameras)
     made = None
     if points and len(cloud):
-        made = sfm_points.create(cloud, colors, f"{name} points", collection, root)
+        indices = np.flatnonzero(finite)
+        made = sfm_points.create(cloud, colors, f"{name} points", collection, root, indices)
         made[co.KIND] = "points"
     warnings = (*capture.warnings, *_warnings(views, viewmats, capture))
     return ImportedCapture(
@@ -247,7 +249,9 @@ def align_root(root: bpy.types.Object, up: np.ndarray | None = None) -> alignmen
     if not cameras:
         raise ValueError(f"{root.name} has no cameras to align by. Import the capture again.")
     viewmats = np.stack([co.stated(ob).viewmat for ob in cameras])
-    found = alignment.align(viewmats, _points(root), up)
+    made = co.points_of(root)
+    cloud = np.zeros((0, 3)) if made is None else sfm_points.positions_of(made).astype(np.float64)
+    found = alignment.align(viewmats, cloud, up)
     scale = root_scale(root)
     set_root_matrix(root, np.diag([scale, scale, scale, 1.0]) @ found.matrix)
     return found
@@ -276,6 +280,12 @@ def set_extent(root: bpy.types.Object, extent: float) -> None:
     matrix = matrix_to_numpy(root.matrix_basis)
     matrix[:3] *= extent / now
     set_root_matrix(root, matrix)
+    _size_drawings(root, cameras_of(root))
+
+
+def reset_root(root: bpy.types.Object) -> None:
+    """Give a capture the axes, origin and scale of its own files back."""
+    set_root_matrix(root, np.eye(4))
     _size_drawings(root, cameras_of(root))
 
 
@@ -350,6 +360,8 @@ def _make_root(
 
 def _size_drawings(root: bpy.types.Object, cameras: list[bpy.types.Object]) -> None:
     """Camera drawings that do not hide each other, and clipping that fits the capture's size."""
+    if not cameras:
+        return
     scale = root_scale(root)
     centers = np.array([co.local_matrix(ob)[:3, 3] for ob in cameras])
     extent = alignment.camera_extent(centers) * scale or 1.0
@@ -363,15 +375,6 @@ def _size_drawings(root: bpy.types.Object, cameras: list[bpy.types.Object]) -> N
         ob.data.display_size = length
         ob.data.clip_start, ob.data.clip_end = CLIP_START * extent, CLIP_END * extent
     root.empty_display_size = 0.1 * extent / scale
-
-
-def _points(root: bpy.types.Object) -> np.ndarray:
-    ob = co.points_of(root)
-    if ob is None:
-        return np.zeros((0, 3))
-    flat = np.empty(3 * len(ob.data.vertices), np.float32)
-    ob.data.attributes["position"].data.foreach_get("vector", flat)
-    return flat.reshape(-1, 3).astype(np.float64)
 
 
 def _warnings(views: list[View], viewmats: np.ndarray, capture: Capture) -> list[str]:

@@ -8,6 +8,8 @@ from . import compat
 COLOR = "gs_color"
 """Attribute of the colours, linear RGBA. Cycles draws point clouds black whose colours are called
 `color`."""
+INDEX = "gs_point"
+"""Attribute with each point's place in the capture, by which an export finds its track again."""
 GROUP = "Capture Points"
 """Name of the node group and of its material."""
 SOLID_MOST = 200_000
@@ -23,6 +25,7 @@ def create(
     name: str,
     collection: bpy.types.Collection,
     parent: bpy.types.Object | None = None,
+    indices: np.ndarray | None = None,
 ) -> bpy.types.Object:
     """A mesh object of loose vertices in the capture's world, displayed by a node group.
 
@@ -34,6 +37,7 @@ def create(
         name: Of object and mesh.
         collection: To link it to.
         parent: Carries the alignment.
+        indices: [P] int, places of the points in the capture; None: 0 to P - 1.
     """
     mesh = bpy.data.meshes.new(name)
     mesh.vertices.add(len(points))
@@ -42,6 +46,8 @@ def create(
     rgba = np.ones((len(points), 4), np.float32)
     rgba[:, :3] = _linear(colors)
     mesh.attributes.new(COLOR, "FLOAT_COLOR", "POINT").data.foreach_set("color", rgba.ravel())
+    places = np.arange(len(points)) if indices is None else indices
+    mesh.attributes.new(INDEX, "INT", "POINT").data.foreach_set("value", places.astype(np.int32))
     mesh.color_attributes.active_color = mesh.color_attributes[COLOR]
     mesh.materials.append(_material())
     mesh.update()
@@ -61,6 +67,26 @@ def point_radius(points: np.ndarray) -> float:
         return 0.01
     distances = np.linalg.norm(points - np.median(points, axis=0), axis=1)
     return RADIUS * max(2 * float(np.median(distances)), 1e-6)
+
+
+def positions_of(ob: bpy.types.Object) -> np.ndarray:
+    """Positions [P, 3] float32 of a mesh object's vertices, in its own space."""
+    flat = np.empty(3 * len(ob.data.vertices), np.float32)
+    ob.data.attributes["position"].data.foreach_get("vector", flat)
+    return flat.reshape(-1, 3)
+
+
+def indices_of(ob: bpy.types.Object) -> np.ndarray:
+    """Place of each vertex in the capture, [P] int32; -1 where it has none, or another's."""
+    out = np.full(len(ob.data.vertices), -1, np.int32)
+    attribute = ob.data.attributes.get(INDEX)
+    if attribute is None or attribute.data_type != "INT" or attribute.domain != "POINT":
+        return out
+    places = np.empty_like(out)
+    attribute.data.foreach_get("value", places)
+    first = np.unique(places, return_index=True)[1]  # copies of a point carry its number too
+    out[first] = places[first]
+    return out
 
 
 def colors_of(ob: bpy.types.Object) -> np.ndarray:

@@ -1,0 +1,60 @@
+"""Which capture and which camera a user means."""
+
+from pathlib import Path
+
+import bpy
+
+from . import camera_objects as co
+
+
+def find_root(context: bpy.types.Context, name: str = "") -> bpy.types.Object:
+    """The capture that is meant: by name, else by what is active, else the only one.
+
+    Raises:
+        ValueError: there is none, or it is not clear which.
+    """
+    if name:
+        root = co.root_of(bpy.data.objects.get(name))
+        if root is None:
+            raise ValueError(f"There is no capture called {name}. Import one with Import Cameras.")
+        return root
+    active = getattr(context, "active_object", None)
+    for ob in (active, context.scene.camera):
+        if (root := co.root_of(ob)) is not None:
+            return root
+    roots = roots_of(context.scene)
+    if len(roots) != 1:
+        few = "No capture is imported. Use Import Cameras first."
+        many = "There are several captures. Select an object of the one that is meant."
+        raise ValueError(many if roots else few)
+    return roots[0]
+
+
+def roots_of(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """The empties of all captures in a scene."""
+    return [ob for ob in scene.objects if ob.type == "EMPTY" and co.is_kind(ob, "capture")]
+
+
+def find_camera(
+    context: bpy.types.Context, root: bpy.types.Object, name: str = "", index: int = -1
+) -> bpy.types.Object:
+    """A photo's camera by object or image name, else by index, else the active object.
+
+    Raises:
+        ValueError: there is no such camera.
+    """
+    listed = co.cameras_of(root)
+    if name:
+        found = [ob for ob in listed if name in (ob.name, ob.get("gs_image"))]
+        found += [ob for ob in listed if Path(str(ob.get("gs_image"))).stem == name]
+        if not found:
+            raise ValueError(f"The capture has no camera or photo called {name}.")
+        return found[0]
+    if index >= 0:
+        if index >= len(listed):
+            raise ValueError(f"There is no camera {index}; they go from 0 to {len(listed) - 1}.")
+        return listed[index]
+    active = getattr(context, "active_object", None)
+    if active is None or not co.is_camera(active):
+        raise ValueError("Select a camera of a photo, or name one.")
+    return active

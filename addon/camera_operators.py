@@ -1,0 +1,442 @@
+"""Operators of captures and their cameras: thin covers over `cameras` and the exporters."""
+
+from pathlib import Path
+from typing import Any, ClassVar
+
+import bpy
+import numpy as np
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
+
+from . import camera_objects as co
+from . import cameras
+from .camera_lookup import find_camera, find_root
+from .compat import matrix_to_numpy
+from .core import GsError
+from .export_cameras import Exported, export_colmap
+from .export_transforms import export_transforms
+
+_AXES = {"X": 0, "Y": 1, "Z": 2}
+
+
+class CaptureOperator:
+    """What they share: an error is a report, and leaves the scene alone."""
+
+    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
+
+    capture: StringProperty(
+        name="Capture",
+        description="Name of the capture's empty; without one, that of the active object, of the "
+        "scene camera, or the only one there is",
+        options={"SKIP_SAVE"},
+    )
+
+    def act(self, context: bpy.types.Context) -> None:
+        """Do it; raise GsError, ValueError or OSError with a sentence for the user."""
+        raise NotImplementedError
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Blender calls this."""
+        try:
+            self.act(context)
+        except (GsError, ValueError, OSError) as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        return {"FINISHED"}
+
+    def warn(self, sentences: Any) -> None:
+        """Show what the user should know."""
+        for sentence in sentences:
+            self.report({"WARNING"}, sentence)
+
+
+class GSCORE_OT_import_cameras(CaptureOperator, bpy.types.Operator):  # noqa: N801 Blender's rule
+    """Bring a capture's cameras, photos and SfM points into the scene"""
+
+    bl_idname = "gscore.import_cameras"
+    bl_label = "Import Cameras"
+
+    directory: StringProperty(
+        name="Capture",
+        subtype="DIR_PATH",
+        description="Folder with the COLMAP model and the photos, or with a transforms.json; "
+        "empty: the one of the Capture panel",
+        options={"SKIP_SAVE"},
+    )
+    images: StringProperty(
+        name="Photos",
+        default="images",
+        description="Folder of the photos inside the capture",
+    )
+    photos: BoolProperty(
+        name="Photos as Backgrounds",
+        default=True,
+        description="Show each photo behind its camera; Blender reads it when it is first seen",
+    )
+    points: BoolProperty(
+        name="SfM Points", default=True, description="Make an object of the coloured points"
+    )
+    align: BoolProperty(
+        name="Align to Ground",
+        default=True,
+        description="Turn the capture so that up is up and the ground at height 0; else keep "
+        "COLMAP's axes",
+    )
+    solid_colors: BoolProperty(
+        name="Colours in Solid View",
+        default=True,
+        description="Let this window's 3D views show the points' colours in Solid shading",
+    )
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask for a folder where the panel names none."""
+        if self.directory or _panel_path(context):
+            return self.execute(context)
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def act(self, context: bpy.types.Context) -> None:
+        """Import."""
+        path = self.directory or _panel_path(context)
+        if not path:
+            raise ValueError("No folder is given. Choose the folder of a capture.")
+        manager = context.window_manager
+        manager.progress_begin(0, 1)
+        try:
+            made = cameras.import_capture(
+                context,
+                path,
+                images=self.images,
+                photos=self.photos,
+                points=self.points,
+                align=self.align,
+                progress=manager.progress_update,
+            )
+        finally:
+            manager.progress_end()
+        self.warn(made.warnings)
+        if self.solid_colors and made.points is not None:
+            _show_colors(context)
+        count = f"{len(made.cameras)} cameras"
+        points = f", {len(made.points.data.vertices)} points" if made.points else ""
+        self.report({"INFO"}, f"{made.root.name}: {count}{points}")
+
+
+class GSCORE_OT_use_camera(CaptureOperator, bpy.types.Operator):  # noqa: N801
+    """Look through a photo's camera: scene camera, resolution, pixel aspect and background"""
+
+    bl_idname = "gscore.use_camera"
+    bl_label = "Use Camera"
+
+    camera: StringProperty(
+        name="Camera",
+        description="Name of the camera or of its photo; empty: by index",
+        options={"SKIP_SAVE"},
+    )
+    index: IntProperty(
+        name="Index",
+        default=-1,
+        min=-1,
+        description="Place among the photos by name, from 0; -1: the active object",
+        options={"SKIP_SAVE"},
+    )
+    look_through: BoolProperty(
+        name="Look Through", default=True, description="Turn the 3D view to the camera"
+    )
+
+    def act(self, context: bpy.types.Context) -> None:
+        """Use it."""
+        root = find_root(context, self.capture)
+        ob = find_camera(context, root, self.camera, self.index)
+        self.warn(cameras.use_camera(context.scene, ob))
+        if self.look_through:
+            _look_through(context)
+
+
+class GSCORE_OT_step_camera(CaptureOperator, bpy.types.Operator):  # noqa: N801
+    """Look through the next or the previous photo's camera"""
+
+    bl_idname = "gscore.step_camera"
+    bl_label = "Next Camera"
+
+    step: IntProperty(name="Step", default=1, description="Photos to go on by name; negative: back")
+    look_through: BoolProperty(
+        name="Look Through", default=True, description="Turn the 3D view to the camera"
+    )
+
+    @classmethod
+    def description(cls, context: bpy.types.Context, properties: Any) -> str:
+        """Tooltip by direction."""
+        which = "next" if properties.step > 0 else "previous"
+        return f"Look through the {which} photo's camera"
+
+    def act(self, context: bpy.types.Context) -> None:
+        """Step."""
+        ob = cameras.step_camera(context.scene, find_root(context, self.capture), self.step)
+        self.warn(cameras.use_camera(context.scene, ob))
+        if self.look_through:
+            _look_through(context)
+
+
+class GSCORE_OT_align_capture(CaptureOperator, bpy.types.Operator):  # noqa: N801
+    """Turn a capture so that up is up and the ground lies at height 0; its scale stays"""
+
+    bl_idname = "gscore.align_capture"
+    bl_label = "Align to Ground"
+
+    up: EnumProperty(
+        name="Up",
+        items=(
+            ("CAMERAS", "From Cameras", "As people hold cameras: photos are level"),
+            ("CURRENT", "Current", "Near what is up now; finds the ground again"),
+            ("VIEW", "Scene Camera", "The upper side of the scene camera's picture"),
+            ("X", "+X", "The capture's own x axis"),
+            ("-X", "-X", "Against the capture's own x axis"),
+            ("Y", "+Y", "The capture's own y axis"),
+            ("-Y", "-Y", "Against the capture's own y axis, as in many COLMAP models"),
+            ("Z", "+Z", "The capture's own z axis"),
+            ("-Z", "-Z", "Against the capture's own z axis"),
+        ),
+        description="What is roughly up; the plane of points nearest to it is the ground",
+    )
+
+    def act(self, context: bpy.types.Context) -> None:
+        """Align."""
+        root = find_root(context, self.capture)
+        found = cameras.align_root(root, self._up(context, root))
+        if not found.ground_found:
+            self.report({"WARNING"}, "No ground was found; the lowest points are at height 0.")
+
+    def _up(self, context: bpy.types.Context, root: bpy.types.Object) -> np.ndarray | None:
+        if self.up == "CAMERAS":
+            return None
+        if self.up == "CURRENT":
+            return current_up(root)
+        if self.up == "VIEW":
+            if context.scene.camera is None:
+                raise ValueError("The scene has no camera. Choose one with Use Camera.")
+            depsgraph = context.evaluated_depsgraph_get()
+            return -co.viewmat_in(context.scene.camera, root, depsgraph)[1, :3]
+        sign = -1.0 if self.up.startswith("-") else 1.0
+        return sign * np.eye(3)[_AXES[self.up[-1]]]
+
+
+class GSCORE_OT_flip_up(CaptureOperator, bpy.types.Operator):  # noqa: N801
+    """Turn a capture upside down, and find the ground again"""
+
+    bl_idname = "gscore.flip_up"
+    bl_label = "Flip Up"
+
+    def act(self, context: bpy.types.Context) -> None:
+        """Flip."""
+        root = find_root(context, self.capture)
+        cameras.align_root(root, -current_up(root))
+
+
+class GSCORE_OT_set_extent(CaptureOperator, bpy.types.Operator):  # noqa: N801
+    """Scale a capture to real size by how far apart its outermost cameras were"""
+
+    bl_idname = "gscore.set_extent"
+    bl_label = "Set Size"
+
+    extent: FloatProperty(
+        name="Camera Extent",
+        default=5.0,
+        min=1e-4,
+        soft_max=1000.0,
+        subtype="DISTANCE",
+        unit="LENGTH",
+        description="Distance in metres between the two cameras that are farthest apart",
+    )
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask, beginning with the present size."""
+        try:
+            self.extent = cameras.world_extent(find_root(context, self.capture))
+        except ValueError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        return context.window_manager.invoke_props_dialog(self)
+
+    def act(self, context: bpy.types.Context) -> None:
+        """Scale."""
+        cameras.set_extent(find_root(context, self.capture), self.extent)
+
+
+class GSCORE_OT_reset_alignment(CaptureOperator, bpy.types.Operator):  # noqa: N801
+    """Give a capture the axes, origin and scale of its own files back"""
+
+    bl_idname = "gscore.reset_alignment"
+    bl_label = "Reset to COLMAP World"
+
+    def act(self, context: bpy.types.Context) -> None:
+        """Reset."""
+        cameras.reset_root(find_root(context, self.capture))
+
+
+class GSCORE_OT_relink_capture(CaptureOperator, bpy.types.Operator):  # noqa: N801
+    """Find a capture's photos again after its folder or this file has been moved"""
+
+    bl_idname = "gscore.relink_capture"
+    bl_label = "Find Photos"
+
+    directory: StringProperty(
+        name="Folder",
+        subtype="DIR_PATH",
+        description="Folder of the capture, or of its photos",
+        options={"SKIP_SAVE"},
+    )
+    images: StringProperty(
+        name="Photos",
+        default="images",
+        description="Folder of the photos inside the capture",
+    )
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask for the folder."""
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def act(self, context: bpy.types.Context) -> None:
+        """Relink."""
+        if not self.directory:
+            raise ValueError("No folder is given. Choose the folder of the capture.")
+        root = find_root(context, self.capture)
+        found, total = cameras.relink(root, self.directory, self.images)
+        kind = "INFO" if found == total else "WARNING"
+        self.report({kind}, f"{found} of {total} photos found in {self.directory}")
+
+
+class GSCORE_OT_export_cameras(CaptureOperator, bpy.types.Operator):  # noqa: N801
+    """Write cameras and SfM points as a COLMAP model or a transforms.json"""
+
+    bl_idname = "gscore.export_cameras"
+    bl_label = "Export Cameras"
+    bl_options: ClassVar[set[str]] = {"REGISTER"}
+
+    directory: StringProperty(
+        name="Folder",
+        subtype="DIR_PATH",
+        description="Folder to write into: sparse/0 with a COLMAP model, or transforms.json",
+        options={"SKIP_SAVE"},
+    )
+    kind: EnumProperty(
+        name="Format",
+        items=(
+            ("COLMAP", "COLMAP", "cameras.bin, images.bin and points3D.bin in sparse/0"),
+            ("COLMAP_TEXT", "COLMAP Text", "The same as text files"),
+            ("TRANSFORMS", "transforms.json", "For nerfstudio and its relatives"),
+        ),
+        description="What to write",
+    )
+    which: EnumProperty(
+        name="Cameras",
+        items=(
+            ("CAPTURE", "Capture", "All cameras of the capture"),
+            ("SELECTED", "Selected", "The selected cameras, of photos or not"),
+            ("SCENE", "Scene", "Every camera of the scene"),
+        ),
+        description="Which cameras to write",
+    )
+    world: EnumProperty(
+        name="World",
+        items=(
+            ("CAPTURE", "Capture", "The world of the capture's own files, whatever the alignment"),
+            ("BLENDER", "Blender", "Blender's world: z up, as aligned and scaled; without points"),
+        ),
+        description="Whose axes, origin and scale to write in",
+    )
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask for the folder."""
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def act(self, context: bpy.types.Context) -> None:
+        """Export."""
+        if not self.directory:
+            raise ValueError("No folder is given. Choose a folder to write into.")
+        folder = Path(bpy.path.abspath(self.directory))
+        needs_root = self.world == "CAPTURE" or self.which == "CAPTURE"
+        root = find_root(context, self.capture) if needs_root else None
+        objects = _chosen(context, self.which, root)
+        done = self._write(context, folder, objects, root if self.world == "CAPTURE" else None)
+        self.warn(done.warnings)
+        moved = f", {done.moved} of them as they stand in Blender" if done.moved else ""
+        text = f"{done.path}: {done.views} cameras{moved}, {done.points} points"
+        self.report({"INFO"}, text)
+
+    def _write(
+        self,
+        context: bpy.types.Context,
+        folder: Path,
+        objects: list[bpy.types.Object],
+        root: bpy.types.Object | None,
+    ) -> Exported:
+        shared: dict[str, Any] = {"root": root, "depsgraph": context.evaluated_depsgraph_get()}
+        if self.kind == "TRANSFORMS":
+            return export_transforms(folder / "transforms.json", objects, context.scene, **shared)
+        binary = self.kind == "COLMAP"
+        return export_colmap(folder, objects, context.scene, binary=binary, **shared)
+
+
+CLASSES = (
+    GSCORE_OT_import_cameras,
+    GSCORE_OT_use_camera,
+    GSCORE_OT_step_camera,
+    GSCORE_OT_align_capture,
+    GSCORE_OT_flip_up,
+    GSCORE_OT_set_extent,
+    GSCORE_OT_reset_alignment,
+    GSCORE_OT_relink_capture,
+    GSCORE_OT_export_cameras,
+)
+
+
+def register() -> None:
+    """Register the operators."""
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
+
+
+def unregister() -> None:
+    """Take them back."""
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)
+
+
+def current_up(root: bpy.types.Object) -> np.ndarray:
+    """Blender's up [3] in a capture's world."""
+    return np.linalg.inv(matrix_to_numpy(root.matrix_world)[:3, :3])[:, 2]
+
+
+def _panel_path(context: bpy.types.Context) -> str:
+    settings = getattr(context.scene, "gscore", None)
+    return getattr(settings, "capture_path", "") if settings is not None else ""
+
+
+def _chosen(
+    context: bpy.types.Context, which: str, root: bpy.types.Object | None
+) -> list[bpy.types.Object]:
+    if which == "CAPTURE" and root is not None:
+        return cameras.cameras_of(root)
+    source = context.selected_objects if which == "SELECTED" else context.scene.objects
+    return sorted((ob for ob in source if ob.type == "CAMERA"), key=lambda ob: ob.name)
+
+
+def _views(context: bpy.types.Context) -> list[bpy.types.SpaceView3D]:
+    areas = context.screen.areas if context.screen else []
+    return [area.spaces.active for area in areas if area.type == "VIEW_3D"]
+
+
+def _show_colors(context: bpy.types.Context) -> None:
+    for space in _views(context):
+        space.shading.color_type = "VERTEX"
+
+
+def _look_through(context: bpy.types.Context) -> None:
+    """Turn one 3D view to the camera, unless one shows it already."""
+    regions = [space.region_3d for space in _views(context)]
+    if regions and all(region.view_perspective != "CAMERA" for region in regions):
+        space = context.space_data
+        own = getattr(space, "region_3d", None) if space and space.type == "VIEW_3D" else None
+        (own or regions[0]).view_perspective = "CAMERA"
