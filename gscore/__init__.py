@@ -41,7 +41,10 @@ if TYPE_CHECKING:
     from .io.files import atomic_write
     from .io.image_header import ImageInfo, read_header
     from .io.ply import read_splats, write_splats
+    from .io.resample import downscale
     from .io.runs import RunInfo, clear_run, read_run
+    from .metrics.colormap import colorize
+    from .metrics.image import psnr
     from .raster.api import Rendered, render
     from .raster.autograd import RasterAux, RasterOutput, rasterize
     from .raster.backend import CancelFlag
@@ -97,10 +100,13 @@ _HOME = {
     "Warn": "events",
     "atomic_write": "io.files",
     "clear_run": "io.runs",
+    "colorize": "metrics.colormap",
+    "downscale": "io.resample",
     "find_colmap": "io.colmap:find_model",
     "from_line": "events",
     "image_loss": "raster.loss",
     "load_dataset": "datasets",
+    "psnr": "metrics.image",
     "rasterize": "raster.autograd",
     "read_capture": "datasets",
     "read_colmap": "io.colmap:read_model",
@@ -161,10 +167,13 @@ __all__ = [
     "__version__",
     "atomic_write",
     "clear_run",
+    "colorize",
+    "downscale",
     "find_colmap",
     "from_line",
     "image_loss",
     "load_dataset",
+    "psnr",
     "rasterize",
     "read_capture",
     "read_colmap",
