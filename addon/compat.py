@@ -3,7 +3,15 @@
 from typing import Any
 
 import bpy
+import mathutils
 import numpy as np
+
+BLEND_RELATIVE: set[str] = (
+    {"PATH_SUPPORTS_BLEND_RELATIVE"}
+    if "is_path_supports_blend_relative" in bpy.types.Property.bl_rna.properties
+    else set()
+)
+"""Option of properties whose paths may begin with `//`; older versions take that for granted."""
 
 
 def matrix_to_numpy(matrix: Any) -> np.ndarray:
@@ -49,3 +57,15 @@ def native_splat_type() -> tuple[str, str] | None:
         if prop.type == "ENUM" and "GAUSSIAN_SPLAT" in prop.enum_items:
             return prop.identifier, "GAUSSIAN_SPLAT"
     return None
+
+
+def rec709_to_scene() -> np.ndarray:
+    """[3, 3] float64 from linear Rec. 709 to the file's working space; files choose since 5.0."""
+    units = (mathutils.Color(row) for row in np.eye(3))
+    return np.array([tuple(c.from_rec709_linear_to_scene_linear()) for c in units], np.float64).T
+
+
+def world_nodes(world: bpy.types.World) -> bpy.types.NodeTree | None:
+    """The nodes that make a world's light, if it has any; since 5.0 every world has."""
+    tree = world.node_tree
+    return tree if tree is not None and (bpy.app.version >= (5, 0) or world.use_nodes) else None

@@ -12,6 +12,7 @@ from bpy.props import (
     StringProperty,
 )
 
+from . import compat
 from .core import PRESETS, Background, Strategy
 from .job import facts
 from .job.options import AS_PRESET, BY_WIDTH
@@ -80,12 +81,14 @@ class SceneSettings(bpy.types.PropertyGroup):
         name="Capture",
         description="Folder with the photos and their COLMAP model",
         subtype="DIR_PATH",
+        options=compat.BLEND_RELATIVE,
         update=_capture_changed,
     )
     output_path: StringProperty(
         name="Output",
         description="Folder for the results of the training; empty: chosen when training starts",
         subtype="DIR_PATH",
+        options=compat.BLEND_RELATIVE,
     )
     preset: EnumProperty(
         name="Preset",
