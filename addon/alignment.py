@@ -15,7 +15,7 @@ PRIOR = 0.003
 GROUND_TILT = np.cos(np.radians(12))
 """How far the ground may lean from what the cameras say."""
 GROUND_TOLERANCE = 0.01
-"""Thickness of the ground, in diameters of the neighbourhood."""
+"""Half the thickness of the ground, in median diameters of the points around the cameras."""
 GROUND_SHARE = 0.08
 """Share of the points that must lie on a plane for it to be the ground."""
 BELOW_SHARE = 0.1
@@ -160,13 +160,13 @@ def _support(
 
 
 def _neighbourhood(points: np.ndarray, centers: np.ndarray) -> tuple[np.ndarray, float]:
-    """Points no farther from the cameras' middle than twice the median is, and their diameter."""
+    """Points no farther from the cameras' middle than twice the median is, and their size."""
     points = points[np.isfinite(points).all(axis=1)]
     if len(points) == 0:
         return points, 0.0
     distances = np.linalg.norm(points - np.median(centers, axis=0), axis=1)
-    reach = 2 * float(np.median(distances))
-    return points[distances <= reach], reach
+    near = points[distances <= 2 * np.median(distances)]
+    return near, 2 * float(np.median(np.linalg.norm(near - np.median(near, axis=0), axis=1)))
 
 
 def _lowest(points: np.ndarray, centers: np.ndarray, up: np.ndarray) -> float:

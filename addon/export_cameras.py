@@ -105,7 +105,7 @@ def export_colmap(
     other = _restated(views, model)
     if other:
         warnings.append(
-            f"{other} cameras are another model's than the one in {source} now; they are written as "
+            f"{other} cameras stand elsewhere in {source} by now; they are written as "
             f"they were imported, without observations."
         )
     written = ColmapModel(cameras=table, images=images, points=cloud)
