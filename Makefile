@@ -6,7 +6,12 @@ INSTALLED := $(VENV)/.installed
 LIBRARY := build/native/.built
 SOURCES := $(wildcard csrc/CMakeLists.txt csrc/include/*.h csrc/src/* csrc/tests/*)
 
-.PHONY: demo test test-slow test-native test-widths test-neon sanitize lint format bench wheel clean
+# Which Blenders `make test` runs the add-on in: newest, oldest, all, versions, or none.
+BLENDER ?= newest
+# What `make extension` makes zips for: nothing for this machine's platform, all, or names like windows-x64.
+PLATFORMS ?=
+
+.PHONY: demo test test-slow test-blender extension test-native test-widths test-neon sanitize lint format bench wheel clean
 
 # The editable install lists packages when it is made, so a new package renews it.
 $(INSTALLED): pyproject.toml constraints.txt $(wildcard gscore/*/__init__.py gscore/*/*/__init__.py)
@@ -31,9 +36,20 @@ demo: $(INSTALLED)
 test: $(LIBRARY)
 	$(BIN)/python -m pytest -q -m "not slow"
 	$(BIN)/ctest --test-dir build/native --output-on-failure
+ifneq ($(BLENDER),none)
+	$(BIN)/python tools/test_blender.py $(BLENDER) -- -m "not slow"
+endif
 
 test-slow: $(LIBRARY)
 	$(BIN)/python -m pytest -q -m slow
+
+# The add-on's tests, the slow ones too, in every Blender of tools/bpy_venvs.py: 350 MB and half a minute each at first.
+test-blender: $(LIBRARY)
+	$(BIN)/python tools/test_blender.py all
+
+# dist/gscore_splats-<version>-<platform>.zip, checked by Blender's validator.
+extension: $(INSTALLED)
+	$(BIN)/python tools/build_extension.py $(PLATFORMS)
 
 test-native: $(LIBRARY)
 	$(BIN)/ctest --test-dir build/native --output-on-failure

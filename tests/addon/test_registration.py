@@ -1,0 +1,123 @@
+"""Oracle: the classes, properties and handlers Blender itself lists, before and after."""
+
+import importlib
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import bpy
+import pytest
+
+import addon
+
+ROOT = Path(__file__).parent.parent.parent
+OWNERS = (bpy.types.Scene, bpy.types.Object, bpy.types.WindowManager, bpy.types.Camera)
+
+
+def _subclasses(cls: type) -> Iterator[type]:
+    for sub in cls.__subclasses__():
+        yield sub
+        yield from _subclasses(sub)
+
+
+def _ours() -> set[str]:
+    """Everything of the add-on that Blender knows now."""
+    found = {
+        f"class {cls.__name__}"
+        for cls in _subclasses(bpy.types.bpy_struct)
+        if cls.__module__.split(".")[0] == "addon" and cls.is_registered
+    }
+    found |= {f"operator {name}" for name in dir(bpy.ops.gscore)}
+    for owner in OWNERS:
+        names = owner.bl_rna.properties.keys()
+        found |= {f"property {owner.__name__}.{name}" for name in names if name.startswith("gs")}
+    for name in dir(bpy.app.handlers):
+        handlers = getattr(bpy.app.handlers, name)
+        if isinstance(handlers, list):
+            theirs = [h for h in handlers if h.__module__.split(".")[0] == "addon"]
+            found |= {f"handler {name} {handler.__name__}" for handler in theirs}
+    return found
+
+
+@pytest.fixture
+def disabled(switch: Callable[[bool], None]) -> Iterator[Callable[[bool], None]]:
+    """The add-on is disabled; enabled again after the test."""
+    switch(False)
+    yield switch
+    switch(True)
+
+
+def test_every_module_registers() -> None:
+    """Oracle: MODULES, each with the two functions."""
+    for name in addon.MODULES:
+        module = importlib.import_module(f"addon.{name}")
+        assert callable(module.register) and callable(module.unregister), name
+
+
+def test_disabling_leaves_nothing(disabled: Callable[[bool], None]) -> None:
+    """Oracle: Blender's lists hold nothing of ours."""
+    assert _ours() == set()
+
+
+def test_enabling_again_brings_the_same(switch: Callable[[bool], None]) -> None:
+    """Oracle: Blender's lists after the first time, three times over."""
+    before = _ours()
+    assert before
+    for _ in range(3):
+        switch(False)
+        switch(True)
+        assert _ours() == before
+
+
+def test_a_failure_leaves_nothing(
+    disabled: Callable[[bool], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: Blender's lists are empty after the last module refused to register."""
+    last = importlib.import_module(f"addon.{addon.MODULES[-1]}")
+
+    def refuse() -> None:
+        raise RuntimeError("refused")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(last, "register", refuse)
+        with pytest.raises(RuntimeError, match="refused"):
+            addon.register()
+    assert _ours() == set()
+
+
+def test_a_new_file_keeps_the_add_on(scene: bpy.types.Scene) -> None:
+    """Oracle: the operators are there in the empty file."""
+    assert scene.objects.keys() == []
+    assert [name for name in _ours() if name.startswith("operator")]
+
+
+def test_every_operator_and_property_explains_itself() -> None:
+    """Oracle: Blender's RNA, which tooltips are drawn from."""
+    types = {f"gscore.{n}": getattr(bpy.ops.gscore, n).get_rna_type() for n in dir(bpy.ops.gscore)}
+    silent = [name for name, rna in types.items() if not (rna.name and rna.description)]
+    groups = (bpy.types.PropertyGroup, bpy.types.AddonPreferences)
+    for cls in _subclasses(bpy.types.bpy_struct):
+        if cls.__module__.split(".")[0] == "addon" and issubclass(cls, groups):
+            types[cls.__name__] = cls.bl_rna
+    for name, rna in types.items():
+        inherited = {p.identifier for p in rna.base.properties} if rna.base else set()
+        for prop in rna.properties:
+            if prop.identifier in inherited | {"rna_type", "name"} or prop.is_hidden:
+                continue
+            if not prop.description and prop.type not in {"POINTER", "COLLECTION"}:
+                silent.append(f"{name}.{prop.identifier}")
+    assert len(types) > 10
+    assert silent == []
+
+
+def test_the_root_is_empty_outside_blender() -> None:
+    """Oracle: a fresh interpreter in which bpy cannot be imported."""
+    code = (
+        "import sys, importlib.util as u; sys.modules['bpy'] = None\n"
+        f"spec = u.spec_from_file_location('root', r'{ROOT / '__init__.py'}')\n"
+        "module = u.module_from_spec(spec); spec.loader.exec_module(module)\n"
+        "print(hasattr(module, 'register'))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
