@@ -32,6 +32,15 @@ _KINDS = {
     "FLOAT4": ("value", 4),
 }
 """Key for foreach_get and width in floats, by data type."""
+_COPIED = {
+    **_KINDS,
+    "FLOAT": ("value", 1),
+    "INT": ("value", 1),
+    "BOOLEAN": ("value", 1),
+    "FLOAT2": ("vector", 2),
+}
+"""The same for everything that follows when points are deleted."""
+_DTYPES = {"INT": np.int32, "BOOLEAN": np.bool_}
 _TINY = float(np.finfo(np.float32).tiny)
 _LARGEST_OPACITY = 1.0 - 2.0**-24
 """The float32 below 1."""
@@ -143,6 +152,31 @@ def read(datablock: Any) -> Splats:
     )
     _check_finite(datablock, splats)
     return splats
+
+
+def keep(mesh: Any, mask: np.ndarray) -> None:
+    """Delete the vertices of a mesh of points that are not in `mask` [N] bool.
+
+    Attributes of numbers and vectors follow to the bit; selection, hiding and vertex groups go.
+    """
+    kept = []
+    for attribute in mesh.attributes:
+        if attribute.domain == "POINT" and attribute.data_type in _COPIED:
+            if attribute.name.startswith("."):
+                continue
+            key, width = _COPIED[attribute.data_type]
+            values = np.empty((len(mask), width), _DTYPES.get(attribute.data_type, np.float32))
+            flat = values.reshape(-1)
+            attribute.data.foreach_get(key, flat)
+            kept.append((attribute.name, attribute.data_type, key, values[mask].ravel()))
+    # Blender has no other way to take vertices away without a copy of everything in its editor.
+    mesh.clear_geometry()
+    mesh.vertices.add(int(mask.sum()))
+    for name, kind, _, _ in kept:
+        if name not in mesh.attributes:
+            mesh.attributes.new(name, kind, "POINT")
+    for name, _, key, values in kept:
+        mesh.attributes[name].data.foreach_set(key, values)
 
 
 def _count(datablock: Any) -> int:

@@ -48,10 +48,7 @@ def refresh(ob: bpy.types.Object, splats: Splats) -> None:
     Raises:
         ValueError: the object is being edited, or its mesh is no mesh of its own.
     """
-    if ob.mode == "EDIT":
-        raise ValueError(f"{ob.name} is in Edit Mode: leave it before its splats are replaced.")
-    if ob.type != "MESH" or not ob.data.is_editable:
-        raise ValueError(f"{ob.name} has no mesh that can be written: it is linked or no mesh.")
+    check_writable(ob)
     # Vertices can be added to a mesh, but not removed, so start over where the number differs.
     if len(ob.data.vertices) != len(splats) or _sh_names(ob.data) != splats.shN.shape[1]:
         ob.data.clear_geometry()
@@ -87,10 +84,20 @@ def read_world(ob: bpy.types.Object, *, filtered: bool = False) -> Splats:
 def transformed(ob: bpy.types.Object, matrix: np.ndarray, *, filtered: bool = False) -> Splats:
     """The object's splats after a 4x4 similarity from object space; ValueError as `read_world`."""
     splats = read(ob, filtered=filtered)
+    if np.array_equal(matrix, np.eye(4)):
+        return splats
     try:
         return transform_splats(splats, matrix)
     except ValueError as error:
         raise ValueError(f"{ob.name} cannot be transformed. {error}") from error
+
+
+def check_writable(ob: bpy.types.Object) -> None:
+    """Raise ValueError unless the object's mesh can be written now."""
+    if ob.mode == "EDIT":
+        raise ValueError(f"{ob.name} is in Edit Mode: leave it before its splats are changed.")
+    if ob.type != "MESH" or not ob.data.is_editable:
+        raise ValueError(f"{ob.name} has no mesh that can be changed: it is linked or no mesh.")
 
 
 def is_splats(ob: bpy.types.Object | None) -> bool:

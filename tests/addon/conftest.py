@@ -13,12 +13,16 @@ import tempfile
 from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 
 collect_ignore_glob = [] if find_spec("bpy") else ["*"]
+
+if TYPE_CHECKING:
+    from addon.core import Splats
 
 if find_spec("bpy"):
     if str(ROOT) not in sys.path:
@@ -95,3 +99,26 @@ def run_blender(tmp_path: Path) -> Callable[..., str]:
         return done.stdout
 
     return run
+
+
+@pytest.fixture
+def make_splats() -> "Callable[..., Splats]":
+    """Random splats with unit quaternions and the spread of trained ones, the same every time."""
+    import numpy as np
+
+    from addon.core import Splats
+
+    def make(count: int = 500, rest: int = 15, seed: int = 0) -> Splats:
+        rng = np.random.default_rng(seed)
+        quats = rng.normal(size=(count, 4))
+        quats /= np.linalg.norm(quats, axis=1, keepdims=True)
+        return Splats(
+            means=rng.normal(size=(count, 3)).astype(np.float32),
+            quats=quats.astype(np.float32),
+            scales=rng.uniform(-9, -1.1, (count, 3)).astype(np.float32),
+            opacities=rng.uniform(-8, 5, count).astype(np.float32),
+            sh0=rng.normal(size=(count, 1, 3)).astype(np.float32),
+            shN=rng.normal(size=(count, rest, 3)).astype(np.float32) * np.float32(0.2),
+        )
+
+    return make

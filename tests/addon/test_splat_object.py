@@ -1,5 +1,6 @@
 """Splats as mesh objects. Oracle: the numbers that went in, bit by bit where float32 allows it."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import bpy
@@ -9,22 +10,8 @@ import pytest
 from addon import splat_object
 from addon.core import Splats, read_splats, transform_splats, write_splats
 
+Make = Callable[..., Splats]
 RAW = ("means", "quats", "scales", "opacities", "sh0", "shN")
-
-
-def make(count: int = 500, rest: int = 15, seed: int = 0) -> Splats:
-    """Random splats with unit quaternions and the spread of trained ones."""
-    rng = np.random.default_rng(seed)
-    quats = rng.normal(size=(count, 4))
-    quats /= np.linalg.norm(quats, axis=1, keepdims=True)
-    return Splats(
-        means=rng.normal(size=(count, 3)).astype(np.float32),
-        quats=quats.astype(np.float32),
-        scales=rng.uniform(-9, -1.1, (count, 3)).astype(np.float32),
-        opacities=rng.uniform(-8, 5, count).astype(np.float32),
-        sh0=rng.normal(size=(count, 1, 3)).astype(np.float32),
-        shN=rng.normal(size=(count, rest, 3)).astype(np.float32) * np.float32(0.2),
-    )
 
 
 def equal(got: Splats, wanted: Splats) -> None:
@@ -57,9 +44,9 @@ def raw_bytes(ob: bpy.types.Object) -> dict[str, bytes]:
 
 
 @pytest.mark.parametrize("rest", [0, 3, 8, 15])
-def test_round_trip(scene: bpy.types.Scene, rest: int) -> None:
+def test_round_trip(scene: bpy.types.Scene, make_splats: Make, rest: int) -> None:
     """Oracle: the splats given."""
-    splats = make(rest=rest)
+    splats = make_splats(rest=rest)
     ob = splat_object.create(splats, "Splats")
     assert splat_object.is_splats(ob)
     assert ob.name in scene.collection.all_objects
@@ -67,9 +54,9 @@ def test_round_trip(scene: bpy.types.Scene, rest: int) -> None:
     equal(splat_object.read(ob), splats)
 
 
-def test_attributes_are_blenders(scene: bpy.types.Scene) -> None:
+def test_attributes_are_blenders(scene: bpy.types.Scene, make_splats: Make) -> None:
     """Oracle: the names, types and meaning of Blender's own splats, computed by hand."""
-    splats = make(3)
+    splats = make_splats(3)
     ob = splat_object.create(splats, "Splats")
     types = {a.name: a.data_type for a in ob.data.attributes if not a.name.startswith(".")}
     wanted = {f"radiance:sh_{k}": "FLOAT_VECTOR" for k in range(15)} | {
@@ -89,17 +76,17 @@ def test_attributes_are_blenders(scene: bpy.types.Scene) -> None:
     np.testing.assert_allclose(data["radiance:sh_4"].data[1].vector, splats.shN[1, 4], rtol=1e-6)
 
 
-def test_quaternions_of_any_length(scene: bpy.types.Scene) -> None:
+def test_quaternions_of_any_length(scene: bpy.types.Scene, make_splats: Make) -> None:
     """Oracle: the same rotation, unit length."""
-    splats = make()
+    splats = make_splats()
     long = Splats(**{n: getattr(splats, n) for n in RAW} | {"quats": splats.quats * 7})
     got = splat_object.read(splat_object.create(long, "Splats")).quats
     np.testing.assert_allclose(got, splats.quats, atol=2e-7)
 
 
-def test_extreme_opacities(scene: bpy.types.Scene) -> None:
+def test_extreme_opacities(scene: bpy.types.Scene, make_splats: Make) -> None:
     """Oracle: finite on the way back, and the same opacity; the documented limit at the top."""
-    splats = make(5)
+    splats = make_splats(5)
     logits = np.array([-60, -20, 0, 12, 60], np.float32)
     splats = Splats(**{n: getattr(splats, n) for n in RAW} | {"opacities": logits})
     got = splat_object.read(splat_object.create(splats, "Splats")).opacities
@@ -108,9 +95,9 @@ def test_extreme_opacities(scene: bpy.types.Scene) -> None:
     assert np.isfinite(got).all() and got[4] == pytest.approx(16.6, abs=0.1)
 
 
-def test_save_and_load(scene: bpy.types.Scene, tmp_path: Path) -> None:
+def test_save_and_load(scene: bpy.types.Scene, make_splats: Make, tmp_path: Path) -> None:
     """Oracle: the bytes of every attribute before saving."""
-    ob = splat_object.create(make(), "Splats")
+    ob = splat_object.create(make_splats(), "Splats")
     before = raw_bytes(ob)
     assert len(before) == 19
     path = str(tmp_path / "scene.blend")
@@ -123,23 +110,23 @@ def test_save_and_load(scene: bpy.types.Scene, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("change", [(500, 15), (800, 15), (200, 15), (500, 3), (0, 0), (900, 0)])
-def test_refresh(scene: bpy.types.Scene, change: tuple[int, int]) -> None:
+def test_refresh(scene: bpy.types.Scene, make_splats: Make, change: tuple[int, int]) -> None:
     """Oracle: the new splats; transform, parent and settings as they were."""
     parent = bpy.data.objects.new("Root", None)
     scene.collection.objects.link(parent)
-    ob = splat_object.create(make(), "Splats", parent=parent)
+    ob = splat_object.create(make_splats(), "Splats", parent=parent)
     ob.location = (1, 2, 3)
-    new = make(*change, seed=1)
+    new = make_splats(*change, seed=1)
     splat_object.refresh(ob, new)
     equal(splat_object.read(ob), new)
     assert ob.parent == parent and tuple(ob.location) == (1, 2, 3)
-    splat_object.refresh(ob, make(50))
-    equal(splat_object.read(ob), make(50))
+    splat_object.refresh(ob, make_splats(50))
+    equal(splat_object.read(ob), make_splats(50))
 
 
-def test_delete_in_edit_mode(scene: bpy.types.Scene) -> None:
+def test_delete_in_edit_mode(scene: bpy.types.Scene, make_splats: Make) -> None:
     """Oracle: the rows of the splats that were not selected, and all of them after undo."""
-    splats = make()
+    splats = make_splats()
     ob = splat_object.create(splats, "Splats")
     bpy.context.view_layer.objects.active = ob
     bpy.ops.ed.undo_push(message="before")
@@ -159,9 +146,9 @@ def test_delete_in_edit_mode(scene: bpy.types.Scene) -> None:
     equal(splat_object.read(ob), splats)
 
 
-def test_vertex_added_by_hand(scene: bpy.types.Scene) -> None:
+def test_vertex_added_by_hand(scene: bpy.types.Scene, make_splats: Make) -> None:
     """Oracle: it is no splat that could be seen; the others stay."""
-    splats = make(4)
+    splats = make_splats(4)
     ob = splat_object.create(splats, "Splats")
     ob.data.vertices.add(1)
     got = splat_object.read(ob)
@@ -171,9 +158,9 @@ def test_vertex_added_by_hand(scene: bpy.types.Scene) -> None:
     assert np.linalg.norm(got.quats[4]) == 1
 
 
-def test_world(scene: bpy.types.Scene) -> None:
+def test_world(scene: bpy.types.Scene, make_splats: Make) -> None:
     """Oracle: transform_splats with the matrix put together by hand."""
-    splats = make()
+    splats = make_splats()
     parent = bpy.data.objects.new("Root", None)
     scene.collection.objects.link(parent)
     parent.rotation_euler = (0.3, -1.0, 2.0)
@@ -188,9 +175,9 @@ def test_world(scene: bpy.types.Scene) -> None:
         np.testing.assert_allclose(getattr(got, name), getattr(wanted, name), atol=3e-6)
 
 
-def test_uneven_scale_is_refused(scene: bpy.types.Scene) -> None:
+def test_uneven_scale_is_refused(scene: bpy.types.Scene, make_splats: Make) -> None:
     """Oracle: the sentence names the object and the reason."""
-    ob = splat_object.create(make(), "Chair")
+    ob = splat_object.create(make_splats(), "Chair")
     ob.scale = (1, 1, 2)
     bpy.context.view_layer.update()
     with pytest.raises(ValueError, match=r"Chair.*unevenly"):
@@ -198,17 +185,17 @@ def test_uneven_scale_is_refused(scene: bpy.types.Scene) -> None:
 
 
 @pytest.mark.parametrize("name", ["scale", "rotation", "radiance:base", "radiance:sh_2"])
-def test_missing_attribute(scene: bpy.types.Scene, name: str) -> None:
+def test_missing_attribute(scene: bpy.types.Scene, make_splats: Make, name: str) -> None:
     """Oracle: the sentence names the attribute."""
-    ob = splat_object.create(make(), "Chair")
+    ob = splat_object.create(make_splats(), "Chair")
     ob.data.attributes.remove(ob.data.attributes[name])
     with pytest.raises(ValueError, match=name):
         splat_object.read(ob)
 
 
-def test_not_finite(scene: bpy.types.Scene) -> None:
+def test_not_finite(scene: bpy.types.Scene, make_splats: Make) -> None:
     """Oracle: the sentence names count, attribute and the first number."""
-    ob = splat_object.create(make(), "Chair")
+    ob = splat_object.create(make_splats(), "Chair")
     ob.data.attributes["scale"].data[7].vector = (1, float("nan"), 1)
     with pytest.raises(ValueError, match=r"1 splats whose scale .* number 7"):
         splat_object.read(ob)
@@ -224,20 +211,22 @@ def test_other_objects(scene: bpy.types.Scene) -> None:
             splat_object.read(ob)
 
 
-def test_refresh_refuses_edit_mode(scene: bpy.types.Scene) -> None:
+def test_refresh_refuses_edit_mode(scene: bpy.types.Scene, make_splats: Make) -> None:
     """Oracle: the sentence, and the splats untouched."""
-    ob = splat_object.create(make(), "Chair")
+    ob = splat_object.create(make_splats(), "Chair")
     bpy.context.view_layer.objects.active = ob
     bpy.ops.object.mode_set(mode="EDIT")
     with pytest.raises(ValueError, match="Edit Mode"):
-        splat_object.refresh(ob, make(3))
+        splat_object.refresh(ob, make_splats(3))
     bpy.ops.object.mode_set(mode="OBJECT")
-    equal(splat_object.read(ob), make())
+    equal(splat_object.read(ob), make_splats())
 
 
-def test_blenders_own_importer_agrees(scene: bpy.types.Scene, tmp_path: Path) -> None:
+def test_blenders_own_importer_agrees(
+    scene: bpy.types.Scene, make_splats: Make, tmp_path: Path
+) -> None:
     """Oracle: Blender's PLY importer, which brings the file's properties as attributes."""
-    splats = make()
+    splats = make_splats()
     write_splats(tmp_path / "a.ply", splats)
     ob = splat_object.create(read_splats(tmp_path / "a.ply"), "Ours")
     bpy.ops.wm.ply_import(filepath=str(tmp_path / "a.ply"), import_attributes=True)
