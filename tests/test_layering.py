@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+import gscore
+
 ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "gscore"
 
@@ -20,8 +22,26 @@ ALLOWED = {
     "trainer": BOTTOM | {"io", "datasets", "raster", "metrics", "trainer"},
     "bench": BOTTOM | {"io", "datasets", "raster", "metrics", "trainer", "bench"},
 }
-OUTSIDE = {"torch": {"raster", "metrics", "trainer", "bench", "commands"}, "bpy": set()}
+OUTSIDE = {
+    "torch": {"raster", "metrics", "trainer", "bench", "commands"},
+    "bpy": set(),
+    "addon": set(),
+}
 """Layers that may import a package at all."""
+
+ADDON = ROOT / "addon"
+IN_BLENDER = {"bpy", "bpy_extras", "mathutils", "numpy"}
+"""What the add-on may import besides the standard library and itself."""
+WITHOUT_BPY = (
+    "alignment",
+    "camera_math",
+    "capture",
+    "job.environment",
+    "job.process",
+    "job.session",
+    "splat_filter",
+)
+"""Modules of the add-on that serve scripts outside Blender."""
 
 
 def _files() -> list[Path]:
@@ -104,3 +124,40 @@ def test_public_names_exist() -> None:
     """Oracle: `__all__`."""
     code = "import gscore; print(all(getattr(gscore, n) is not None for n in gscore.__all__))"
     assert _fresh(code) == "True"
+
+
+@pytest.mark.parametrize(
+    "path", sorted(ADDON.rglob("*.py")), ids=lambda p: str(p.relative_to(ADDON))
+)
+def test_the_addon_sees_only_what_is_public(path: Path) -> None:
+    """Oracle: gscore's `__all__`, IN_BLENDER, and the add-on's own folder for relative imports."""
+    depth = len(path.relative_to(ADDON).parts)
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.level:
+            assert node.level <= depth, f"line {node.lineno}: leaves the add-on"
+            continue
+        if isinstance(node, ast.Import):
+            modules = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            modules = [node.module or ""]
+        else:
+            continue
+        for module in modules:
+            package = module.split(".")[0]
+            if package != "gscore":
+                known = package in IN_BLENDER or package in sys.stdlib_module_names
+                assert known, f"line {node.lineno}: imports {module}"
+                continue
+            assert path == ADDON / "core.py", f"line {node.lineno}: only core.py sees gscore"
+            assert isinstance(node, ast.ImportFrom) and module == "gscore"
+            assert {alias.name for alias in node.names} <= set(gscore.__all__)
+
+
+@pytest.mark.parametrize("module", WITHOUT_BPY)
+def test_plain_modules_need_no_bpy(module: str) -> None:
+    """Oracle: a fresh interpreter in which neither bpy nor torch can be imported."""
+    code = (
+        "import sys; sys.modules.update(bpy=None, mathutils=None, torch=None)\n"
+        f"import importlib; print(importlib.import_module('addon.{module}').__name__)"
+    )
+    assert _fresh(code) == f"addon.{module}"
