@@ -12,6 +12,7 @@ MODULES: tuple[str, ...] = (
     "splat_settings",
     "splat_operators",
     "job.operators",
+    "panels",
 )
 """Modules with a register() and an unregister(), in the order in which they need each other."""
 

@@ -184,6 +184,43 @@ class ShowTestView(bpy.types.Operator):
         return {"FINISHED"}
 
 
+class SelectResult(bpy.types.Operator):
+    """Make the splats of the training the active object"""
+
+    bl_idname = "gscore.select_result"
+    bl_label = "Select Result"
+    bl_options: ClassVar = {"REGISTER", "UNDO"}
+
+    def execute(self, context: bpy.types.Context) -> Result:
+        """Select."""
+        ob = context.scene.gscore.result
+        if ob is None or context.view_layer.objects.get(ob.name) is None:
+            self.report({"ERROR"}, "This scene shows no splats of a training; train some first.")
+            return {"CANCELLED"}
+        for other in context.selected_objects:
+            other.select_set(False)
+        ob.select_set(True)
+        context.view_layer.objects.active = ob
+        return {"FINISHED"}
+
+
+class ShowReport(bpy.types.Operator):
+    """Open the report of the training in the web browser: curves, pictures, numbers"""
+
+    bl_idname = "gscore.show_report"
+    bl_label = "Show Report"
+
+    def execute(self, context: bpy.types.Context) -> Result:
+        """Open it."""
+        try:
+            report = training.report_of(context.scene)
+        except ValueError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        bpy.ops.wm.url_open(url=report.as_uri())
+        return {"FINISHED"}
+
+
 class CheckTrainer(bpy.types.Operator):
     """Ask the chosen Python whether it can train; without one, look for one that can"""
 
@@ -289,6 +326,8 @@ CLASSES = (
     DiscardTraining,
     UpdateSplats,
     ShowTestView,
+    SelectResult,
+    ShowReport,
     CheckTrainer,
     MakeEnvironment,
     CancelSetup,

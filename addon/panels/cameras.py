@@ -1,0 +1,70 @@
+"""The capture's cameras in the scene: import, walk through, align, export."""
+
+from typing import ClassVar
+
+import bpy
+
+from ..camera_objects import cameras_of, is_camera, points_of
+from .widgets import TabPanel, found, root, rows, sentence
+
+
+class CamerasPanel(TabPanel, bpy.types.Panel):
+    """Cameras, photos and points"""
+
+    bl_idname = "GSCORE_PT_cameras"
+    bl_label = "Cameras"
+    bl_order = 1
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        layout, empty = self.layout, root(context)
+        if empty is None:
+            if not context.scene.gscore.capture_path.strip():
+                layout.label(text="Choose a capture first", icon="INFO")
+                return
+            facts = found(context)
+            row = layout.row()
+            row.enabled = facts is not None and bool(facts.kind)
+            row.operator("gscore.import_cameras", icon="CAMERA_DATA")
+            sentence(layout, context, "Training needs no import; it places the splats upright.")
+            return
+        cameras, points = cameras_of(empty), points_of(empty)
+        count = f"{len(points.data.vertices):,}" if points else "none"
+        rows(layout, [("Cameras", str(len(cameras))), ("Points", count)])
+        row = layout.row(align=True)
+        row.operator("gscore.step_camera", text="", icon="TRIA_LEFT").step = -1
+        camera = context.scene.camera
+        name = str(camera.get("gs_image", camera.name)) if camera else "No camera"
+        row.operator("gscore.use_camera", text=name, icon="VIEW_CAMERA")
+        row.operator("gscore.step_camera", text="", icon="TRIA_RIGHT").step = 1
+        if camera is not None and not is_camera(camera):
+            sentence(layout, context, "The scene camera is not one of the capture's.")
+
+
+class AlignmentPanel(TabPanel, bpy.types.Panel):
+    """Where up and the ground are, and how large the capture is"""
+
+    bl_idname = "GSCORE_PT_alignment"
+    bl_label = "Alignment and Export"
+    bl_parent_id = "GSCORE_PT_cameras"
+    bl_options: ClassVar = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """There is a capture in the scene."""
+        return root(context) is not None
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        layout = self.layout
+        row = layout.row(align=True)
+        row.operator_menu_enum("gscore.align_capture", "up", text="Align to Ground")
+        row.operator("gscore.flip_up")
+        row = layout.row(align=True)
+        row.operator("gscore.set_extent")
+        row.operator("gscore.reset_alignment", text="Reset")
+        layout.operator("gscore.relink_capture", icon="FILE_REFRESH")
+        layout.operator("gscore.export_cameras", icon="EXPORT")
+
+
+CLASSES = (CamerasPanel, AlignmentPanel)

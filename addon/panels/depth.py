@@ -1,0 +1,39 @@
+"""Depth maps of the capture: what there is, and what becomes of it."""
+
+from dataclasses import fields
+from typing import ClassVar
+
+import bpy
+
+from ..core import DataConfig, TrainConfig
+from .widgets import TabPanel, found, rows, sentence
+
+TRAINS_WITH_DEPTH = any(
+    "depth" in f.name for kind in (DataConfig, TrainConfig) for f in fields(kind)
+)
+"""Whether this gscore has options for depth maps."""
+
+
+class DepthPanel(TabPanel, bpy.types.Panel):
+    """Depth maps"""
+
+    bl_idname = "GSCORE_PT_depth"
+    bl_label = "Depth"
+    bl_order = 2
+    bl_options: ClassVar = {"DEFAULT_CLOSED"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        layout, facts = self.layout, found(context)
+        if facts is None or not facts.kind:
+            layout.label(text="Choose a capture first", icon="INFO")
+            return
+        maps = f"{facts.depths} of {facts.photos} photos" if facts.depths else "none (depths/)"
+        scales = f"{facts.depth_params} entries" if facts.depth_params else "none"
+        rows(layout, [("Depth maps", maps), ("Scales", scales)])
+        if not TRAINS_WITH_DEPTH:
+            text = "This version trains from the photos alone; depth maps are left as they are."
+            sentence(layout, context, text, icon="INFO")
+
+
+CLASSES = (DepthPanel,)

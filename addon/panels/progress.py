@@ -1,0 +1,118 @@
+"""A training under way or just ended: numbers, loss curve, warnings, buttons."""
+
+import sys
+
+import bpy
+
+from ..job import session
+from ..job.job import Job
+from . import curve_icon
+from .widgets import TabPanel, job, rows, sentence
+
+_WARNINGS_SHOWN = 3
+_CURVE_SCALE = 6.0
+
+
+class ProgressPanel(TabPanel, bpy.types.Panel):
+    """How the training is going"""
+
+    bl_idname = "GSCORE_PT_progress"
+    bl_label = "Progress"
+    bl_order = 4
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """The scene has a training."""
+        return job(context) is not None
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        layout, current = self.layout, job(context)
+        if current is None:
+            return
+        state = current.state
+        if not state.ended:
+            layout.progress(factor=state.share, text=bar_text(state))
+        draw_numbers(layout, current)
+        if state.sentence:
+            icon = "ERROR" if state.status == session.FAILED else "CHECKMARK"
+            sentence(layout, context, state.sentence, icon=icon)
+        if current.silence:
+            sentence(layout, context, current.silence, icon="QUESTION")
+        for text in state.warnings[-_WARNINGS_SHOWN:]:
+            sentence(layout, context, text, icon="ERROR")
+        if len(state.warnings) > _WARNINGS_SHOWN:
+            layout.label(text=f"{len(state.warnings) - _WARNINGS_SHOWN} earlier warnings")
+        draw_buttons(layout, context, current)
+
+
+def draw_numbers(layout: bpy.types.UILayout, current: Job) -> None:
+    """The loss curve beside the numbers."""
+    state = current.state
+    if state.started is None:
+        return
+    icon = curve_icon.update(current)
+    if icon and len(state.curve.losses) > 1:
+        split = layout.split(factor=0.45)
+        split.template_icon(icon, scale=_CURVE_SCALE)
+        layout = split.column()
+    rows(layout, numbers(state))
+
+
+def draw_buttons(layout: bpy.types.UILayout, context: bpy.types.Context, current: Job) -> None:
+    """What can be asked of the training now."""
+    status = current.state.status
+    if status in (session.RUNNING, session.STARTING, session.PAUSED):
+        row = layout.row(align=True)
+        if status == session.PAUSED:
+            row.operator("gscore.continue_training", icon="PLAY")
+        else:
+            row.operator("gscore.pause_training", icon="PAUSE")
+        row.operator("gscore.stop_training", icon="SNAP_FACE")
+        row.operator("gscore.discard_training", icon="TRASH")
+    elif status == session.STOPPING:
+        row = layout.row(align=True)
+        row.label(text="Writing a checkpoint...")
+        row.operator("gscore.discard_training", text="Do Not Wait", icon="TRASH")
+    row = layout.row(align=True)
+    if status in (session.RUNNING, session.PAUSED):
+        row.operator("gscore.update_splats", icon="FILE_REFRESH")
+    if context.scene.gscore.preview is not None:
+        row.operator("gscore.show_test_view", icon="IMAGE_DATA")
+
+
+def bar_text(state: session.RunState) -> str:
+    """What stands in the progress bar."""
+    if state.status in (session.PAUSED, session.STOPPING):
+        return state.status.capitalize()
+    if not state.iterations or state.started is None:
+        return state.phase.capitalize()
+    left = f", {clock(state.eta_s)} left" if state.eta_s is not None else ""
+    return f"{state.share:.0%}{left}"
+
+
+def numbers(state: session.RunState) -> list[tuple[str, str]]:
+    """Labels and values of a run."""
+    pairs = [("Step", f"{state.step:,} / {state.iterations:,}")]
+    if state.loss is not None:
+        pairs.append(("Loss", f"{state.loss:.4f}"))
+    if (psnr := state.metrics.get("psnr")) is not None:
+        pairs.append((f"PSNR {state.metrics.get('split', '')}".strip(), f"{psnr:.2f} dB"))
+    elif state.psnr is not None:
+        pairs.append(("PSNR", f"{state.psnr:.2f} dB"))
+    pairs.append(("Splats", f"{state.splats:,}"))
+    if state.ended:
+        return [*pairs, ("Time", clock(state.elapsed_s))]
+    return [*pairs, ("Speed", f"{state.steps_per_s:.1f} steps/s"), ("Phase", state.phase)]
+
+
+def clock(seconds: float) -> str:
+    """1:02:03 or 2:03; a dash if it is not known."""
+    if not 0 <= seconds < sys.maxsize:
+        return "-"
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"
+
+
+CLASSES = (ProgressPanel,)

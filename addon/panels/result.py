@@ -1,0 +1,127 @@
+"""The splats of the scene: counts, display, filters, files."""
+
+from typing import ClassVar
+
+import bpy
+
+from .. import splat_edit
+from ..job.display import RUN_KEY
+from ..splat_object import is_splats
+from .widgets import TabPanel, rows, sentence
+
+
+def shown(context: bpy.types.Context) -> bpy.types.Object | None:
+    """The splats that the panel is about: the active object, or the scene's result."""
+    if is_splats(context.object):
+        return context.object
+    result = context.scene.gscore.result
+    return result if is_splats(result) else None
+
+
+class ResultPanel(TabPanel, bpy.types.Panel):
+    """The splats"""
+
+    bl_idname = "GSCORE_PT_result"
+    bl_label = "Result"
+    bl_order = 5
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        layout, ob = self.layout, shown(context)
+        if ob is None:
+            sentence(layout, context, "No splats yet: train some, or import a PLY.", icon="INFO")
+            layout.operator("gscore.import_splats", icon="IMPORT")
+            return
+        row = layout.row(align=True)
+        row.label(text=ob.name, icon="OUTLINER_OB_POINTCLOUD")
+        if ob != context.object:
+            row.operator("gscore.select_result", text="Select")
+        draw_counts(layout, context, ob)
+        settings = ob.gscore
+        layout.prop(settings, "display")
+        layout.prop(settings, "colour_by")
+        if settings.display == "POINTS":
+            layout.prop(settings, "point_size")
+        elif settings.display in {"ELLIPSOIDS", "SOFT"}:
+            layout.prop(settings, "ellipsoid_size")
+        row = layout.row(align=True)
+        row.operator("gscore.import_splats", text="Import", icon="IMPORT")
+        row.operator("gscore.export_splats", text="Export", icon="EXPORT")
+        if ob.get(RUN_KEY):
+            layout.operator("gscore.show_report", icon="URL")
+
+
+class FiltersPanel(TabPanel, bpy.types.Panel):
+    """Which splats are shown, and what to do with the others"""
+
+    bl_idname = "GSCORE_PT_filters"
+    bl_label = "Filters"
+    bl_parent_id = "GSCORE_PT_result"
+    bl_options: ClassVar = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """There are splats."""
+        return shown(context) is not None
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        layout, ob = self.layout, shown(context)
+        settings = ob.gscore
+        column = layout.column(align=True)
+        for name in ("opacity_min", "size_min", "size_max"):
+            column.prop(settings, name)
+        column = layout.column(align=True)
+        column.prop(settings, "crop_object", text="Crop")
+        if settings.crop_object is not None:
+            row = column.row(align=True)
+            row.prop(settings, "crop_shape", text="")
+            row.prop(settings, "crop_invert", toggle=True)
+        layout.prop(settings, "apply_filters_to_render")
+        if ob != context.object:
+            return
+        if settings.crop_object is None:
+            layout.operator("gscore.add_crop_box", icon="CUBE")
+        row = layout.row(align=True)
+        row.operator("gscore.reset_filters", text="Reset")
+        row.operator("gscore.select_splats", text="Select Hidden").which = "HIDDEN"
+        layout.operator("gscore.apply_filters", icon="TRASH")
+
+
+class MorePanel(TabPanel, bpy.types.Panel):
+    """What is seldom needed"""
+
+    bl_idname = "GSCORE_PT_result_more"
+    bl_label = "More"
+    bl_parent_id = "GSCORE_PT_result"
+    bl_options: ClassVar = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """A splat object is active."""
+        return is_splats(context.object)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        layout = self.layout
+        layout.operator("gscore.apply_splat_transform")
+        layout.operator("gscore.reset_display")
+        if "NATIVE" in context.object.gscore.bl_rna.properties["display"].enum_items:
+            layout.operator("gscore.make_native_splats")
+
+
+def draw_counts(
+    layout: bpy.types.UILayout, context: bpy.types.Context, ob: bpy.types.Object
+) -> None:
+    """How many splats there are, and how many the filters show."""
+    try:
+        counts = splat_edit.stats(ob, context.evaluated_depsgraph_get())
+    except ValueError as error:
+        sentence(layout, context, str(error), icon="ERROR")
+        return
+    visible = "not known" if counts.visible is None else f"{counts.visible:,}"
+    pairs = [("Splats", f"{counts.total:,}"), ("Shown", visible)]
+    rows(layout, [*pairs, ("Color degree", str(counts.sh_degree))])
+
+
+CLASSES = (ResultPanel, FiltersPanel, MorePanel)

@@ -1,0 +1,131 @@
+"""Training: preset, the options that matter, the rest folded, and the button."""
+
+from pathlib import Path
+from typing import ClassVar
+
+import bpy
+
+from .. import preferences
+from ..core import PRESETS, RunInfo
+from ..job import facts, setup
+from ..job.options import AS_PRESET, BY_WIDTH
+from ..paths import output_folder
+from .widgets import TabPanel, found, job, open_preferences, sentence
+
+
+class TrainPanel(TabPanel, bpy.types.Panel):
+    """Train splats"""
+
+    bl_idname = "GSCORE_PT_train"
+    bl_label = "Train"
+    bl_order = 3
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        layout, settings = self.layout, context.scene.gscore
+        layout.row(align=True).prop(settings, "preset", expand=True)
+        sentence(layout, context, preset_sentence(settings))
+        column = layout.column(align=True)
+        column.prop(settings, "iterations")
+        column.prop(settings, "max_splats")
+        layout.prop(settings, "live_splats")
+        layout.prop(settings, "output_path", text="Output")
+        draw_output(layout, context)
+        draw_buttons(layout, context)
+
+
+class TrainOptionsPanel(TabPanel, bpy.types.Panel):
+    """Options that seldom matter"""
+
+    bl_idname = "GSCORE_PT_train_options"
+    bl_label = "Options"
+    bl_parent_id = "GSCORE_PT_train"
+    bl_options: ClassVar = {"DEFAULT_CLOSED"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        layout, settings = self.layout, context.scene.gscore
+        layout.use_property_split, layout.use_property_decorate = True, False
+        column = layout.column()
+        column.prop(settings, "resolution")
+        if settings.resolution == BY_WIDTH:
+            column.prop(settings, "width")
+        column = layout.column()
+        column.prop(settings, "eval")
+        if settings.eval:
+            column.prop(settings, "test_every")
+        column = layout.column()
+        column.prop(settings, "use_masks")
+        if settings.use_masks:
+            column.prop(settings, "mask_mode")
+        column = layout.column()
+        for name in ("strategy", "sh_degree", "background", "antialias", "seed"):
+            column.prop(settings, name)
+
+
+def preset_sentence(settings: bpy.types.PropertyGroup) -> str:
+    """What the chosen preset is for, and the size at which it trains."""
+    preset = PRESETS[settings.preset]
+    text = (preset.__doc__ or "").strip()
+    if settings.resolution == AS_PRESET:
+        text += f" Photos up to {preset(Path())[0].max_width} px wide."
+    return text
+
+
+def draw_output(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """Where results will go, if the scene does not say so."""
+    settings = context.scene.gscore
+    if settings.output_path.strip() or not settings.capture_path.strip():
+        return
+    try:
+        folder = output_folder(context.scene, preferences.get().output_folder)
+    except ValueError as error:
+        sentence(layout, context, str(error), icon="ERROR")
+        return
+    sentence(layout, context, f"Results go to {folder}", icon="FILE_FOLDER")
+
+
+def draw_buttons(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """Train, or what to do about the run that is there; or why training is not possible yet."""
+    running = job(context)
+    if running is not None and not running.state.ended:
+        layout.label(text="Training; see Progress", icon="TIME")
+        return
+    try:
+        setup.trainer_python(preferences.get())
+    except ValueError as error:
+        sentence(layout, context, str(error), icon="ERROR")
+        open_preferences(layout)
+        return
+    info, problem = facts.run(context.scene)
+    if problem:
+        sentence(layout, context, problem, icon="ERROR")
+    big = layout.column()
+    big.scale_y = 1.4
+    if info is None:
+        captured = found(context)
+        big.enabled = captured is not None and captured.can_train
+        big.operator("gscore.train", icon="PLAY")
+        return
+    sentence(layout, context, run_sentence(info), icon="INFO")
+    row = big.row(align=True)
+    if info.resumable or (info.finished and context.scene.gscore.iterations > info.steps):
+        row.operator("gscore.resume_training", icon="PLAY")
+    operator = row.operator("gscore.train", text="Start Over", icon="FILE_REFRESH")
+    operator.overwrite = True
+
+
+def run_sentence(info: RunInfo) -> str:
+    """What the output folder holds already."""
+    if info.problem:
+        return f"The output folder holds a run that cannot go on: {info.problem}"
+    if info.checkpoint is None:
+        return "The output folder holds a run without a checkpoint."
+    quality = f", PSNR {info.psnr:.2f} dB" if info.psnr is not None else ""
+    if info.finished:
+        return f"The output folder holds a finished run: {info.steps:,} steps{quality}."
+    done = f"step {info.steps:,} of {info.iterations:,}"
+    return f"The output folder holds a run that was stopped at {done}{quality}."
+
+
+CLASSES = (TrainPanel, TrainOptionsPanel)
