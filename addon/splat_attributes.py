@@ -29,7 +29,7 @@ _KINDS = {
     "FLOAT_VECTOR": ("vector", 3),
     "QUATERNION": ("value", 4),
     "FLOAT_COLOR": ("color", 4),
-    "FLOAT4": ("value", 4),
+    "FLOAT4": ("vector", 4),
 }
 """Key for foreach_get and width in floats, by data type."""
 _COPIED = {
@@ -54,7 +54,8 @@ def write(datablock: Any, splats: Splats, *, base_type: str = "FLOAT_COLOR") -> 
         splats: Raw parameters.
         base_type: Data type of `radiance:base`: FLOAT_COLOR, or FLOAT4 where Blender has it.
     """
-    opacities = 1.0 / (1.0 + np.exp(-splats.opacities.astype(np.float64)))
+    logits = np.clip(splats.opacities.astype(np.float64), -500, 500)  # exp stays finite
+    opacities = 1.0 / (1.0 + np.exp(-logits))
     base = np.empty((len(splats), 4), np.float32)
     base[:, :3] = splats.sh0[:, 0]
     base[:, 3] = opacities
@@ -68,7 +69,11 @@ def write(datablock: Any, splats: Splats, *, base_type: str = "FLOAT_COLOR") -> 
     columns += [(f"{SH}{k}", "FLOAT_VECTOR", splats.shN[:, k]) for k in range(splats.shN.shape[1])]
     # All first: adding an attribute moves the others' memory.
     for name, kind, _ in columns:
-        if datablock.attributes.get(name) is None:
+        old = datablock.attributes.get(name)
+        if old is not None and (old.data_type, old.domain) != (kind, "POINT"):
+            datablock.attributes.remove(old)
+            old = None
+        if old is None:
             datablock.attributes.new(name, kind, "POINT")
     for name, kind, values in columns:
         # foreach_set is a plain copy for contiguous float32 alone.
