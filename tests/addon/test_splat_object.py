@@ -201,6 +201,17 @@ def test_not_finite(scene: bpy.types.Scene, make_splats: Make) -> None:
         splat_object.read(ob)
 
 
+def test_converted_attribute(scene: bpy.types.Scene, make_splats: Make) -> None:
+    """Oracle: a sentence with the name; replacing the splats brings the right type back."""
+    ob = splat_object.create(make_splats(), "Chair")
+    ob.data.attributes.remove(ob.data.attributes["scale"])
+    ob.data.attributes.new("scale", "FLOAT", "POINT")
+    with pytest.raises(ValueError, match=r"Chair.*'scale'"):
+        splat_object.read(ob)
+    splat_object.refresh(ob, make_splats(seed=1))
+    equal(splat_object.read(ob), make_splats(seed=1))
+
+
 def test_other_objects(scene: bpy.types.Scene) -> None:
     """Oracle: an empty and a plain mesh hold no splats."""
     empty = bpy.data.objects.new("Empty", None)
