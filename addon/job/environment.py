@@ -118,7 +118,7 @@ def _candidates(chosen: str, private: Path | None) -> Iterator[Path]:
         yield python_in(private)
     if command := shutil.which("gscore"):
         # The command lies beside the Python of its environment; links lead to that place.
-        for folder in (Path(command).parent, Path(command).resolve().parent):
+        for folder in (Path(command).resolve().parent, Path(command).parent):
             yield from (folder / name for name in _program_names(("python", "python3")))
     for variable in ("VIRTUAL_ENV", "CONDA_PREFIX"):
         if folder := os.environ.get(variable):
