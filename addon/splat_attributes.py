@@ -40,6 +40,8 @@ _COPIED = {
     "FLOAT2": ("vector", 2),
 }
 """The same for everything that follows when points are deleted."""
+_BLOCK = 1 << 12
+"""Splats rearranged at once."""
 _DTYPES = {"INT": np.int32, "BOOLEAN": np.bool_}
 _TINY = float(np.finfo(np.float32).tiny)
 _LARGEST_OPACITY = 1.0 - 2.0**-24
@@ -66,7 +68,8 @@ def write(datablock: Any, splats: Splats, *, base_type: str = "FLOAT_COLOR") -> 
         (ROTATION, "QUATERNION", splats.quats / lengths),
         (BASE, base_type, base),
     ]
-    columns += [(f"{SH}{k}", "FLOAT_VECTOR", splats.shN[:, k]) for k in range(splats.shN.shape[1])]
+    by_coefficient = _swapped(splats.shN)
+    columns += [(f"{SH}{k}", "FLOAT_VECTOR", rows) for k, rows in enumerate(by_coefficient)]
     # All first: adding an attribute moves the others' memory.
     for name, kind, _ in columns:
         old = datablock.attributes.get(name)
@@ -85,7 +88,8 @@ def column(datablock: Any, name: str) -> np.ndarray:
     """[N, 3] or [N, 4] float32 copy of one attribute.
 
     Raises:
-        ValueError: the attribute is missing or is no point attribute of a known type.
+        ValueError: the attribute is missing, is no point attribute of a known type, or holds
+            numbers that are not finite.
     """
     attribute = datablock.attributes.get(name)
     wanted = attribute is not None and attribute.domain == "POINT"
@@ -97,7 +101,14 @@ def column(datablock: Any, name: str) -> np.ndarray:
     key, width = _KINDS[attribute.data_type]
     values = np.empty(len(attribute.data) * width, np.float32)
     attribute.data.foreach_get(key, values)
-    return values.reshape(-1, width)
+    values = values.reshape(-1, width)
+    if not np.isfinite(values).all():
+        bad = ~np.isfinite(values).all(axis=1)
+        raise ValueError(
+            f"{datablock.name} has {int(bad.sum())} splats whose {name} is not finite, the first "
+            f"is number {int(bad.argmax())}: delete them in Edit Mode."
+        )
+    return values
 
 
 def sh_count(datablock: Any) -> int:
@@ -144,19 +155,17 @@ def read(datablock: Any) -> Splats:
     alpha = np.clip(base[:, 3].astype(np.float64), _TINY, _LARGEST_OPACITY)
     alpha[~scales.any(axis=1)] = _TINY
     count = sh_count(datablock)
-    rest = np.empty((len(base), count, 3), np.float32)
+    rest = np.empty((count, len(base), 3), np.float32)
     for k in range(count):
-        rest[:, k] = column(datablock, f"{SH}{k}")
-    splats = Splats(
+        rest[k] = column(datablock, f"{SH}{k}")
+    return Splats(
         means=np.zeros((0, 3), np.float32) if missing else column(datablock, POSITION),
         quats=quats,
         scales=np.log(np.maximum(np.abs(scales).astype(np.float64), _TINY)).astype(np.float32),
         opacities=(np.log(alpha) - np.log1p(-alpha)).astype(np.float32),
         sh0=np.ascontiguousarray(base[:, None, :3]),
-        shN=rest,
+        shN=_swapped(rest),
     )
-    _check_finite(datablock, splats)
-    return splats
 
 
 def keep(mesh: Any, mask: np.ndarray) -> None:
@@ -188,19 +197,13 @@ def _count(datablock: Any) -> int:
     return len(datablock.vertices if hasattr(datablock, "vertices") else datablock.points)
 
 
-def _check_finite(datablock: Any, splats: Splats) -> None:
-    arrays = {
-        POSITION: splats.means,
-        SCALE: splats.scales,
-        ROTATION: splats.quats,
-        f"{BASE} (opacity)": splats.opacities,
-        f"{BASE} (colour)": splats.sh0,
-        SH: splats.shN,
-    }
-    for name, values in arrays.items():
-        bad = ~np.isfinite(values.reshape(len(splats), values[:1].size)).all(axis=1)
-        if bad.any():
-            raise ValueError(
-                f"{datablock.name} has {int(bad.sum())} splats whose {name} is not finite, the "
-                f"first is number {int(bad.argmax())}: delete them in Edit Mode."
-            )
+def _swapped(values: np.ndarray) -> np.ndarray:
+    """[a, b, 3] as a contiguous [b, a, 3], in blocks that fit a cache."""
+    out = np.empty((values.shape[1], values.shape[0], values.shape[2]), values.dtype)
+    for at in range(0, max(values.shape[:2]), _BLOCK):
+        part = slice(at, at + _BLOCK)
+        if values.shape[0] > values.shape[1]:
+            out[:, part] = values[part].transpose(1, 0, 2)
+        else:
+            out[part] = values[:, part].transpose(1, 0, 2)
+    return out
