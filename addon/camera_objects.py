@@ -248,7 +248,9 @@ def set_photo(ob: bpy.types.Object, file: Path, known: dict[str, bpy.types.Image
         return False
     image = known.get(str(file))
     if image is None:
-        image = known[str(file)] = bpy.data.images.load(str(file))
+        # `images.load` looks into every file, which makes it 80 times slower.
+        image = known[str(file)] = bpy.data.images.new(file.name, 1, 1)
+        image.source, image.filepath = "FILE", str(file)
     slots = ob.data.background_images
     slot = slots[0] if slots else slots.new()
     slot.image, slot.alpha = image, 1.0
