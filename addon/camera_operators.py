@@ -113,6 +113,7 @@ class GSCORE_OT_import_cameras(CaptureOperator, bpy.types.Operator):  # noqa: N8
             )
         finally:
             manager.progress_end()
+        _activate(context, made.root)
         self.warn(made.warnings)
         if self.solid_colors and made.points is not None:
             _show_colors(context)
@@ -426,6 +427,14 @@ def _chosen(
 def _views(context: bpy.types.Context) -> list[bpy.types.SpaceView3D]:
     areas = context.screen.areas if context.screen else []
     return [area.spaces.active for area in areas if area.type == "VIEW_3D"]
+
+
+def _activate(context: bpy.types.Context, ob: bpy.types.Object) -> None:
+    """Select one object alone, as Blender's importers do; splats then join its capture."""
+    for other in context.selected_objects:
+        other.select_set(False)
+    ob.select_set(True)
+    context.view_layer.objects.active = ob
 
 
 def _show_colors(context: bpy.types.Context) -> None:
