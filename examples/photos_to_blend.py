@@ -1,0 +1,86 @@
+"""From photos with COLMAP cameras to splats in a .blend file and a picture of them, with no window.
+
+    blender -b -P examples/photos_to_blend.py -- photos/ -o scene.blend     (the add-on installed)
+    python examples/photos_to_blend.py photos/ -o scene.blend               (Python with bpy)
+
+Splats are trained into the folder `--run`, or taken from the PLY that `--splats` names. Everything
+here is an operator of the add-on; the panel's buttons call the same ones.
+"""
+
+import argparse
+import sys
+from pathlib import Path
+
+import bpy
+
+ROOT = Path(__file__).resolve().parent.parent
+EXTENSION = "bl_ext.user_default.gscore_splats"
+
+
+def enable_addon() -> None:
+    """Enable the installed extension; without one, the add-on of this checkout."""
+    import addon_utils
+
+    if addon_utils.enable(EXTENSION) is None:
+        sys.path.insert(0, str(ROOT))
+        if addon_utils.enable("addon") is None:
+            sys.exit("The add-on cannot be enabled; the lines above say why.")
+
+
+def parse() -> argparse.Namespace:
+    """Arguments after `--` in a Blender program, all of them in the bpy module."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("capture", type=Path, help="folder with photos and a COLMAP model")
+    parser.add_argument("-o", "--output", type=Path, required=True, help="the .blend to write")
+    parser.add_argument("--render", type=Path, help="picture to render; default: beside the .blend")
+    parser.add_argument("--camera", default="", help="name of a photo; default: the first")
+    parser.add_argument("--splats", type=Path, help="a PLY; default: train")
+    parser.add_argument("--run", type=Path, help="folder of the training; default: OUTPUT_run")
+    parser.add_argument("--preset", default="preview", help="of the training")
+    parser.add_argument("--python", type=Path, help="Python with gscore[train]; default: found")
+    arguments = sys.argv[1:]
+    if bpy.app.binary_path:
+        arguments = arguments[arguments.index("--") + 1 :] if "--" in arguments else []
+    options = parser.parse_args(arguments)
+    options.output = options.output.absolute()
+    options.render = (options.render or options.output.with_suffix(".png")).absolute()
+    options.run = (options.run or options.output.with_name(options.output.stem + "_run")).absolute()
+    return options
+
+
+def train(options: argparse.Namespace) -> None:
+    """Train in another process and wait; the splats then stand in the scene."""
+    settings = bpy.context.scene.gscore
+    settings.capture_path = str(options.capture.absolute())
+    settings.output_path = str(options.run)
+    settings.preset = options.preset
+    if options.python:
+        prefs = [a for a in bpy.context.preferences.addons if a.module in (EXTENSION, "addon")]
+        prefs[0].preferences.python_path = str(options.python.absolute())
+    bpy.ops.gscore.train(overwrite=True, wait=True)
+
+
+def main() -> None:
+    """Import, train, show, render, save."""
+    options = parse()
+    bpy.ops.wm.read_homefile(use_empty=True)
+    enable_addon()
+    bpy.ops.gscore.import_cameras(directory=str(options.capture.absolute()))
+    if options.splats:
+        bpy.ops.gscore.import_splats(filepath=str(options.splats.absolute()))
+    else:
+        train(options)
+    index = -1 if options.camera else 0
+    bpy.ops.gscore.use_camera(camera=options.camera, index=index, look_through=False)
+    bpy.ops.gscore.use_engine()
+    render = bpy.context.scene.render
+    render.filepath = str(options.render)
+    bpy.ops.render.render(write_still=True)
+    bpy.ops.gscore.compare_photo()
+    options.output.parent.mkdir(parents=True, exist_ok=True)
+    bpy.ops.wm.save_as_mainfile(filepath=str(options.output))
+    print(f"Wrote {options.output} and {options.render}")
+
+
+if __name__ == "__main__":
+    main()
