@@ -56,32 +56,52 @@ def write(datablock: Any, splats: Splats, *, base_type: str = "FLOAT_COLOR") -> 
         splats: Raw parameters.
         base_type: Data type of `radiance:base`: FLOAT_COLOR, or FLOAT4 where Blender has it.
     """
+    made = columns(splats, base_type=base_type)
+    # All first: adding an attribute moves the others' memory.
+    for name, kind, _ in made:
+        declare(datablock, name, kind)
+    for name, kind, values in made:
+        fill(datablock, name, kind, values)
+
+
+def columns(splats: Splats, *, base_type: str = "FLOAT_COLOR") -> list[tuple[str, str, np.ndarray]]:
+    """Name, data type and values of all attributes of N splats; touches no datablock.
+
+    Values are flat float32, which `foreach_set` copies as they are.
+    """
     logits = np.clip(splats.opacities.astype(np.float64), -500, 500)  # exp stays finite
     opacities = 1.0 / (1.0 + np.exp(-logits))
     base = np.empty((len(splats), 4), np.float32)
     base[:, :3] = splats.sh0[:, 0]
     base[:, 3] = opacities
     lengths = np.linalg.norm(splats.quats.astype(np.float64), axis=1, keepdims=True)
-    columns = [
+    made = [
         (POSITION, "FLOAT_VECTOR", splats.means),
         (SCALE, "FLOAT_VECTOR", np.exp(splats.scales.astype(np.float64))),
         (ROTATION, "QUATERNION", splats.quats / lengths),
         (BASE, base_type, base),
     ]
     by_coefficient = _swapped(splats.shN)
-    columns += [(f"{SH}{k}", "FLOAT_VECTOR", rows) for k, rows in enumerate(by_coefficient)]
-    # All first: adding an attribute moves the others' memory.
-    for name, kind, _ in columns:
-        old = datablock.attributes.get(name)
-        if old is not None and (old.data_type, old.domain) != (kind, "POINT"):
-            datablock.attributes.remove(old)
-            old = None
-        if old is None:
-            datablock.attributes.new(name, kind, "POINT")
-    for name, kind, values in columns:
-        # foreach_set is a plain copy for contiguous float32 alone.
-        flat = np.ascontiguousarray(values, np.float32).ravel()
-        datablock.attributes[name].data.foreach_set(_KINDS[kind][0], flat)
+    made += [(f"{SH}{k}", "FLOAT_VECTOR", rows) for k, rows in enumerate(by_coefficient)]
+    return [
+        (name, kind, np.ascontiguousarray(values, np.float32).ravel())
+        for name, kind, values in made
+    ]
+
+
+def declare(datablock: Any, name: str, kind: str) -> None:
+    """Have a point attribute of this name and data type, whatever had the name before."""
+    old = datablock.attributes.get(name)
+    if old is not None and (old.data_type, old.domain) != (kind, "POINT"):
+        datablock.attributes.remove(old)
+        old = None
+    if old is None:
+        datablock.attributes.new(name, kind, "POINT")
+
+
+def fill(datablock: Any, name: str, kind: str, values: np.ndarray) -> None:
+    """Set a declared attribute from flat contiguous float32."""
+    datablock.attributes[name].data.foreach_set(_KINDS[kind][0], values)
 
 
 def column(datablock: Any, name: str) -> np.ndarray:
