@@ -13,6 +13,10 @@ MODULES: tuple[str, ...] = (
     "splat_operators",
     "job.operators",
     "panels",
+    "render.settings",
+    "render.engine",
+    "render.operators",
+    "render.panels",
 )
 """Modules with a register() and an unregister(), in the order in which they need each other."""
 

@@ -69,3 +69,51 @@ def world_nodes(world: bpy.types.World) -> bpy.types.NodeTree | None:
     """The nodes that make a world's light, if it has any; since 5.0 every world has."""
     tree = world.node_tree
     return tree if tree is not None and (bpy.app.version >= (5, 0) or world.use_nodes) else None
+
+
+def compositor_tree(scene: bpy.types.Scene) -> bpy.types.NodeTree | None:
+    """A scene's compositor nodes, in use or not; since 5.0 they are a node group."""
+    if hasattr(scene, "compositing_node_group"):
+        return scene.compositing_node_group
+    return scene.node_tree
+
+
+def make_compositor_tree(scene: bpy.types.Scene) -> bpy.types.NodeTree:
+    """A scene's compositor nodes, switched on; new ones pass the render on."""
+    if not hasattr(scene, "compositing_node_group"):
+        scene.use_nodes = True
+        return scene.node_tree
+    if scene.compositing_node_group is None:
+        tree = bpy.data.node_groups.new(f"{scene.name} Compositing", "CompositorNodeTree")
+        scene.compositing_node_group = tree
+        layers = tree.nodes.new("CompositorNodeRLayers")
+        layers.scene, layers.location = scene, (-600, 0)
+        tree.links.new(layers.outputs["Image"], compositor_result(tree))
+    return scene.compositing_node_group
+
+
+def compositor_result(tree: bpy.types.NodeTree) -> bpy.types.NodeSocket:
+    """The socket that takes a compositor tree's picture; its node is made where there is none."""
+    if hasattr(bpy.types, "CompositorNodeComposite"):
+        found = next((n for n in tree.nodes if n.type == "COMPOSITE"), None)
+        node = found or tree.nodes.new("CompositorNodeComposite")
+        return node.inputs["Image"]
+    outputs = [i for i in tree.interface.items_tree if getattr(i, "in_out", "") == "OUTPUT"]
+    if not outputs:
+        tree.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
+    found = next((n for n in tree.nodes if n.type == "GROUP_OUTPUT"), None)
+    return (found or tree.nodes.new("NodeGroupOutput")).inputs[0]
+
+
+def new_math_node(tree: bpy.types.NodeTree) -> bpy.types.Node:
+    """A math node in a compositor tree; since 5.0 it is the one of shaders."""
+    compositing = hasattr(bpy.types, "CompositorNodeMath")
+    return tree.nodes.new("CompositorNodeMath" if compositing else "ShaderNodeMath")
+
+
+def alpha_over_sockets(node: bpy.types.Node) -> dict[str, bpy.types.NodeSocket]:
+    """Inputs of an Alpha Over node as factor, below and above; 5.0 changed their order."""
+    if "Background" in node.inputs:
+        names = {"factor": "Factor", "below": "Background", "above": "Foreground"}
+        return {name: node.inputs[theirs] for name, theirs in names.items()}
+    return dict(zip(("factor", "below", "above"), node.inputs[:3], strict=True))

@@ -1,0 +1,1 @@
+"""Rendering splats in Blender: the engine, comparison with photos, compositing with meshes."""

@@ -1,0 +1,58 @@
+"""Between the values splats are blended in (sRGB, as the photos) and scene-linear light; no bpy."""
+
+from typing import Any
+
+import numpy as np
+
+NOTHING = 1e10
+"""Depth of a pixel without anything, as Blender's own engines write it."""
+
+
+def decode(values: np.ndarray) -> np.ndarray:
+    """Linear light of sRGB values (IEC 61966-2-1), float32; values above 1 continue the curve."""
+    values = np.maximum(np.asarray(values, np.float32), np.float32(0))
+    curve = ((values + np.float32(0.055)) * np.float32(1 / 1.055)) ** np.float32(2.4)
+    return np.where(values <= np.float32(0.04045), values * np.float32(1 / 12.92), curve)
+
+
+def encode(light: np.ndarray) -> np.ndarray:
+    """The inverse of `decode`."""
+    light = np.maximum(np.asarray(light, np.float32), np.float32(0))
+    curve = np.float32(1.055) * light ** np.float32(1 / 2.4) - np.float32(0.055)
+    return np.where(light <= np.float32(0.0031308), light * np.float32(12.92), curve)
+
+
+def combined(rendered: Any, *, transparent: bool, to_scene: np.ndarray) -> np.ndarray:
+    """A picture as Blender's Combined pass wants it.
+
+    Args:
+        rendered: What gscore.render returned; over black if `transparent`, else over the
+            background, which so is part of what is decoded.
+        transparent: Keep alpha. Colours are then decoded as they are before alpha multiplies them
+            (straight), so that a saved PNG holds the splats' own colours.
+        to_scene: [3, 3], from linear Rec. 709 to the file's working space.
+
+    Returns:
+        [H, W, 4] float32, scene-linear, premultiplied, the bottom row first.
+    """
+    out = np.ones((*rendered.alpha.shape, 4), np.float32)
+    if transparent:
+        alpha = rendered.alpha[..., None]
+        straight = np.divide(rendered.rgb, alpha, out=np.zeros_like(rendered.rgb), where=alpha > 0)
+        out[..., :3] = decode(straight) * alpha
+        out[..., 3] = rendered.alpha
+    else:
+        out[..., :3] = decode(rendered.rgb)
+    if not np.allclose(to_scene, np.eye(3), atol=1e-6):
+        out[..., :3] = out[..., :3] @ to_scene.T.astype(np.float32)
+    return np.ascontiguousarray(out[::-1])
+
+
+def z_pass(rendered: Any) -> np.ndarray:
+    """Planar depths as Blender's Depth pass wants them: [H, W] float32, the bottom row first.
+
+    The z at which half of the light is blocked; where the splats block less than half, their mean
+    z; `NOTHING` where there are none.
+    """
+    z = np.where(rendered.median_depth > 0, rendered.median_depth, rendered.depth)
+    return np.ascontiguousarray(np.where(z > 0, z, np.float32(NOTHING))[::-1])

@@ -1,0 +1,197 @@
+"""Splats among meshes: a second scene that renders the splats, and nodes that combine by depth."""
+
+import bpy
+
+from .. import compat
+from ..splat_object import is_splats
+from .engine import MAIN_SCENE, NAME
+
+SPLAT_SCENE = "gs_splat_scene"
+"""Custom property of a scene: the scene that renders its splats."""
+LAYER_NODE, COMBINE_NODE = "GS Splats", "GS Combine by Depth"
+"""Names of the nodes in the scene's tree."""
+GROUP = "Combine by Depth"
+_SHARED = (
+    "resolution_x",
+    "resolution_y",
+    "resolution_percentage",
+    "pixel_aspect_x",
+    "pixel_aspect_y",
+    "fps",
+    "fps_base",
+    "use_border",
+    "use_crop_to_border",
+    "border_min_x",
+    "border_max_x",
+    "border_min_y",
+    "border_max_y",
+)
+
+
+def set_up(scene: bpy.types.Scene, *, transparent: bool = True) -> bpy.types.Scene:
+    """Make renders of a scene show its splat objects among its meshes, by depth.
+
+    Makes a scene for the splats, or brings that of before up to date, and puts two nodes between
+    the render and whatever the compositor does with it. Everything else in the tree stays. The
+    splats' own display is taken out of the meshes' render.
+
+    Args:
+        scene: Rendered by an engine for meshes.
+        transparent: Make the meshes' film transparent, so that their edges blend.
+
+    Returns:
+        The scene that renders the splats.
+
+    Raises:
+        ValueError: nothing to composite, or the scene is rendered by the splats' engine.
+    """
+    splats = [ob for ob in scene.objects if is_splats(ob)]
+    if not splats:
+        raise ValueError(f"Scene {scene.name} has no splat objects: import a splat PLY first.")
+    if scene.render.engine == NAME:
+        raise ValueError(
+            f"Scene {scene.name} is rendered by Gaussian Splats, which draws no meshes: set its "
+            f"render engine to Cycles or EEVEE first."
+        )
+    if scene.camera is None:
+        raise ValueError(f"Scene {scene.name} has no camera: add one first.")
+    tree = compat.compositor_tree(scene)
+    if tree is not None and not tree.is_editable:
+        raise ValueError(f"The compositor's nodes {tree.name} are linked: make them local first.")
+    other = _splat_scene(scene)
+    _synchronise(scene, other, splats)
+    for view_layer in scene.view_layers:
+        view_layer.use_pass_z = True
+    if transparent:
+        scene.render.film_transparent = True
+    scene.render.use_compositing = True
+    _insert(compat.make_compositor_tree(scene), scene, other)
+    return other
+
+
+def _splat_scene(scene: bpy.types.Scene) -> bpy.types.Scene:
+    other = scene.get(SPLAT_SCENE)
+    if not isinstance(other, bpy.types.Scene):
+        other = bpy.data.scenes.new(f"{scene.name} Splats")
+        scene[SPLAT_SCENE] = other
+        other[MAIN_SCENE] = scene
+    return other
+
+
+def _synchronise(
+    scene: bpy.types.Scene, other: bpy.types.Scene, splats: list[bpy.types.Object]
+) -> None:
+    """Give the splats' scene the objects, camera, size and frames of the meshes' scene."""
+    for ob in [o for o in other.collection.objects if o not in splats]:
+        other.collection.objects.unlink(ob)
+    for ob in splats:
+        if other.collection.objects.get(ob.name) is None:
+            other.collection.objects.link(ob)
+        for modifier in ob.modifiers:
+            # Their picture comes from the other scene; points without faces show nothing here.
+            if modifier.type == "NODES":
+                modifier.show_render = False
+    other.render.engine = NAME
+    other.camera, other.world = scene.camera, None
+    for name in _SHARED:
+        setattr(other.render, name, getattr(scene.render, name))
+    other.render.film_transparent = True
+    other.frame_start, other.frame_end = scene.frame_start, scene.frame_end
+    other.gscore_render.antialias = scene.gscore_render.antialias
+    other.view_layers[0].use_pass_z = True
+
+
+def _insert(tree: bpy.types.NodeTree, scene: bpy.types.Scene, other: bpy.types.Scene) -> None:
+    """Put the nodes behind the scene's render layers, unless they are there."""
+    layers = tree.nodes.get(LAYER_NODE)
+    if layers is not None and tree.nodes.get(COMBINE_NODE) is not None:
+        layers.scene = other
+        return
+    meshes = _render_layers(tree, scene)
+    layers = layers or tree.nodes.new("CompositorNodeRLayers")
+    layers.name = layers.label = LAYER_NODE
+    layers.scene, layers.location = other, (meshes.location.x, meshes.location.y - 420)
+    combine = tree.nodes.new("CompositorNodeGroup")
+    combine.name = combine.label = COMBINE_NODE
+    combine.node_tree = _group()
+    combine.location = (meshes.location.x + 300, meshes.location.y)
+    followers = [link.to_socket for link in meshes.outputs["Image"].links]
+    for socket in followers:
+        tree.links.new(combine.outputs[0], socket)
+    for i, output in enumerate((meshes, layers)):
+        tree.links.new(output.outputs["Image"], combine.inputs[2 * i])
+        tree.links.new(output.outputs["Depth"], combine.inputs[2 * i + 1])
+    if not followers:
+        tree.links.new(combine.outputs[0], compat.compositor_result(tree))
+
+
+def _render_layers(tree: bpy.types.NodeTree, scene: bpy.types.Scene) -> bpy.types.Node:
+    """The node that brings the scene's own render into the tree."""
+    for node in tree.nodes:
+        if node.type == "R_LAYERS" and node.scene == scene and node.name != LAYER_NODE:
+            return node
+    node = tree.nodes.new("CompositorNodeRLayers")
+    node.scene = scene
+    return node
+
+
+def _group() -> bpy.types.NodeTree:
+    """Two premultiplied pictures with depths to one: at each pixel the nearer one over the other.
+
+    Blender's own Z Combine multiplies colours by alpha once more, so it is not used.
+    """
+    tree = bpy.data.node_groups.get(GROUP)
+    if tree is not None and tree.bl_idname == "CompositorNodeTree":
+        return tree
+    tree = bpy.data.node_groups.new(GROUP, "CompositorNodeTree")
+    for name in ("Meshes", "Splats"):
+        tree.interface.new_socket(name, in_out="INPUT", socket_type="NodeSocketColor")
+        tree.interface.new_socket(f"{name} Depth", in_out="INPUT", socket_type="NodeSocketFloat")
+    tree.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
+    given, result = tree.nodes.new("NodeGroupInput"), tree.nodes.new("NodeGroupOutput")
+    given.location, result.location = (-800, 0), (400, 0)
+    meshes, mesh_depth, splats, splat_depth = given.outputs[:4]
+    before = _compare(tree, "LESS_THAN", splat_depth, mesh_depth, (-600, -200))
+    behind = _compare(tree, "SUBTRACT", None, before, (-400, -200))
+    far = _over(tree, None, splats, behind, (-200, 0))
+    middle = _over(tree, far, meshes, None, (0, 0))
+    near = _over(tree, middle, splats, before, (200, 0))
+    tree.links.new(near, result.inputs[0])
+    return tree
+
+
+def _compare(
+    tree: bpy.types.NodeTree,
+    operation: str,
+    first: bpy.types.NodeSocket | None,
+    second: bpy.types.NodeSocket,
+    location: tuple[int, int],
+) -> bpy.types.NodeSocket:
+    """A math node; without `first`, that is 1."""
+    node = compat.new_math_node(tree)
+    node.operation, node.location = operation, location
+    if first is None:
+        node.inputs[0].default_value = 1.0
+    else:
+        tree.links.new(first, node.inputs[0])
+    tree.links.new(second, node.inputs[1])
+    return node.outputs[0]
+
+
+def _over(
+    tree: bpy.types.NodeTree,
+    below: bpy.types.NodeSocket | None,
+    above: bpy.types.NodeSocket,
+    factor: bpy.types.NodeSocket | None,
+    location: tuple[int, int],
+) -> bpy.types.NodeSocket:
+    """`above` times `factor` over `below`; without them, 1 and nothing."""
+    node = tree.nodes.new("CompositorNodeAlphaOver")
+    node.location = location
+    sockets = compat.alpha_over_sockets(node)
+    sockets["below"].default_value = (0, 0, 0, 0)
+    sockets["factor"].default_value = 1.0
+    for name, socket in (("below", below), ("above", above), ("factor", factor)):
+        if socket is not None:
+            tree.links.new(socket, sockets[name])
+    return node.outputs[0]

@@ -1,0 +1,100 @@
+"""Copies of splat meshes' attributes, so that decoding them needs neither bpy nor its thread."""
+
+import zlib
+from typing import Any
+
+import numpy as np
+
+from ..splat_attributes import BASE, POSITION, ROTATION, SCALE, SH
+
+_KEYS = {"FLOAT_VECTOR": ("vector", 3), "QUATERNION": ("value", 4), "FLOAT4": ("value", 4)}
+_KEYS["FLOAT_COLOR"] = ("color", 4)
+
+
+class _Data:
+    """What `attribute.data` offers."""
+
+    def __init__(self, values: np.ndarray, width: int) -> None:
+        self.values, self.width = values, width
+
+    def __len__(self) -> int:
+        return len(self.values) // self.width
+
+    def foreach_get(self, key: str, out: np.ndarray) -> None:
+        """Copy everything to `out`."""
+        out[:] = self.values
+
+
+class _Attribute:
+    """What an attribute offers; its memory is its own."""
+
+    def __init__(self, attribute: Any) -> None:
+        self.name, self.domain = attribute.name, attribute.domain
+        self.data_type = attribute.data_type
+        key, width = _KEYS.get(self.data_type, ("", 1))
+        # Of another type or domain than a splat's: nothing is copied, the reader refuses it.
+        count = len(attribute.data) * width if key else 0
+        values = np.empty(count, np.float32)
+        if count:
+            attribute.data.foreach_get(key, values)
+        self.data = _Data(values, width)
+        self.fingerprint = (self.name, self.domain, self.data_type, zlib.crc32(values))
+
+
+class _Attributes(dict[str, _Attribute]):
+    """Indexed by name and, like Blender's, giving attributes when iterated over."""
+
+    def __iter__(self) -> Any:
+        return iter(self.values())
+
+
+class FrozenMesh:
+    """The splat attributes of a mesh or point cloud as they were; reads like the datablock."""
+
+    def __init__(self, name: str, count: int) -> None:
+        self.name = name
+        self.vertices = range(count)
+        self.attributes = _Attributes()
+
+    @property
+    def fingerprint(self) -> tuple[Any, ...]:
+        """Differs wherever a value does, but for one case in 2^32 an attribute."""
+        return (len(self.vertices), *(a.fingerprint for a in self.attributes.values()))
+
+
+class Freezer:
+    """Copies a datablock's splat attributes one at a time, so that nobody waits for all."""
+
+    def __init__(self) -> None:
+        self._begun: FrozenMesh | None = None
+
+    def step(self, data: Any, name: str) -> FrozenMesh | None:
+        """Copy one more attribute; the whole once there are no more.
+
+        Args:
+            data: Mesh or point cloud; between the steps of one copy it must not change.
+            name: What messages shall call it: the object's name.
+        """
+        if self._begun is None:
+            points = data.vertices if hasattr(data, "vertices") else data.points
+            self._begun = FrozenMesh(name, len(points))
+        frozen = self._begun
+        for wanted in sorted(_wanted(data)):
+            if wanted not in frozen.attributes:
+                dict.__setitem__(frozen.attributes, wanted, _Attribute(data.attributes[wanted]))
+                return None
+        self._begun = None
+        return frozen
+
+
+def freeze(data: Any, name: str) -> FrozenMesh:
+    """All of a datablock's splat attributes at once; arguments as `Freezer.step`."""
+    freezer = Freezer()
+    while (frozen := freezer.step(data, name)) is None:
+        pass
+    return frozen
+
+
+def _wanted(data: Any) -> list[str]:
+    names = [a.name for a in data.attributes]
+    return [n for n in names if n in (POSITION, SCALE, ROTATION, BASE) or n.startswith(SH)]

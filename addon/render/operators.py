@@ -1,0 +1,164 @@
+"""Operators of rendering: set up the engine and its colours, compare with photos, composite."""
+
+import math
+from typing import ClassVar
+
+import bpy
+
+from ..core import GsError
+from . import compare as comparing
+from . import compositor
+from .engine import NAME
+
+
+def use_engine(scene: bpy.types.Scene) -> None:
+    """Render a scene with the Gaussian Splats engine, in the colours of the photos."""
+    scene.render.engine = NAME
+    use_photo_colors(scene)
+
+
+def use_photo_colors(scene: bpy.types.Scene) -> None:
+    """Take away what changes colours on the way to the file."""
+    view = scene.view_settings
+    view.view_transform = "Standard"  # resets the look where the new transform does not have it
+    view.look = "None"
+    view.exposure, view.gamma, view.use_curve_mapping = 0.0, 1.0, False
+    scene.render.dither_intensity = 0.0
+
+
+def changes_colors(scene: bpy.types.Scene) -> str:
+    """What changes colours between the splats and the file, or nothing."""
+    view = scene.view_settings
+    found = []
+    if view.view_transform != "Standard":
+        found.append(f"View Transform {view.view_transform}")
+    if view.look != "None":
+        found.append(f"Look {view.look}")
+    if view.exposure or view.gamma != 1 or view.use_curve_mapping:
+        found.append("Exposure, Gamma or Curves")
+    return ", ".join(found)
+
+
+def show_image(context: bpy.types.Context, image: bpy.types.Image) -> bool:
+    """Show an image in an image editor, if one is open."""
+    windows = context.window_manager.windows
+    areas = (area for window in windows for area in window.screen.areas)
+    area = next((a for a in areas if a.type == "IMAGE_EDITOR"), None)
+    if area is None:
+        return False
+    area.spaces.active.image = image
+    return True
+
+
+class GSCORE_OT_use_engine(bpy.types.Operator):  # noqa: N801 Blender's rule
+    """Render with the Gaussian Splats engine, in the colors of the photos (view Standard)"""
+
+    bl_idname = "gscore.use_engine"
+    bl_label = "Render with Gaussian Splats"
+    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Set the scene's engine."""
+        use_engine(context.scene)
+        return {"FINISHED"}
+
+
+class GSCORE_OT_use_photo_colors(bpy.types.Operator):  # noqa: N801
+    """Show and save colors as the splats have them: view transform Standard, no look, no dither"""
+
+    bl_idname = "gscore.use_photo_colors"
+    bl_label = "Use the Colors of the Photos"
+    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Set the scene's colour management."""
+        use_photo_colors(context.scene)
+        return {"FINISHED"}
+
+
+class GSCORE_OT_compare_photo(bpy.types.Operator):  # noqa: N801
+    """Render from an imported camera and show it beside its photo, with the error and the PSNR"""
+
+    bl_idname = "gscore.compare_photo"
+    bl_label = "Compare with Photo"
+    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
+
+    camera: bpy.props.StringProperty(
+        name="Camera",
+        description="Name of an imported camera; empty: the active object, or the scene's camera",
+    )
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Compare, show the pictures if an image editor is open, and report."""
+        try:
+            camera = chosen_camera(context, self.camera)
+            found = comparing.compare(context.scene, camera, context.evaluated_depsgraph_get())
+        except (GsError, ValueError) as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        shown = show_image(context, found.images["Comparison"])
+        where = "" if shown else f"; open the image {found.images['Comparison'].name} to see it"
+        value = "infinite" if math.isinf(found.psnr) else f"{found.psnr:.2f} dB"
+        self.report({"INFO"}, f"{camera.name}: PSNR {value}{where}.")
+        return {"FINISHED"}
+
+
+class GSCORE_OT_set_up_compositing(bpy.types.Operator):  # noqa: N801
+    """Add a scene for the splats and nodes that put them before and behind meshes by depth"""
+
+    bl_idname = "gscore.set_up_compositing"
+    bl_label = "Composite Splats with Meshes"
+    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
+
+    transparent: bpy.props.BoolProperty(
+        name="Transparent Meshes' Film",
+        description="Render meshes over nothing, so that their edges blend with the splats behind",
+        default=True,
+    )
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Set up, or bring the set-up of before up to date."""
+        try:
+            made = compositor.set_up(context.scene, transparent=self.transparent)
+        except ValueError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        self.report({"INFO"}, f"Rendering {context.scene.name} now includes {made.name}.")
+        return {"FINISHED"}
+
+
+def chosen_camera(context: bpy.types.Context, name: str = "") -> bpy.types.Object:
+    """The camera called so, else the active object if it is a photo's camera, else the scene's.
+
+    Raises:
+        ValueError: there is none.
+    """
+    if name:
+        found = context.scene.objects.get(name)
+        if found is None:
+            raise ValueError(f"Scene {context.scene.name} has no object {name}: give a camera's.")
+        return found
+    for candidate in (context.view_layer.objects.active, context.scene.camera):
+        if comparing.is_camera(candidate):
+            return candidate
+    raise ValueError("Select an imported camera, or make one the scene's, to compare its photo.")
+
+
+CLASSES = (
+    GSCORE_OT_use_engine,
+    GSCORE_OT_use_photo_colors,
+    GSCORE_OT_compare_photo,
+    GSCORE_OT_set_up_compositing,
+)
+
+
+def register() -> None:
+    """Make the operators known."""
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
+
+
+def unregister() -> None:
+    """Take them back."""
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)

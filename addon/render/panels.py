@@ -1,0 +1,94 @@
+"""Properties editor: Blender's own panels that concern this engine too, and its few own ones."""
+
+from typing import Any, ClassVar
+
+import bpy
+
+from .engine import NAME, world_light
+from .operators import changes_colors
+
+_OTHERS = {"EEVEE_WORLD_PT_surface", "WORLD_PT_context_world"}
+"""Panels that say of themselves that they are for other engines, but show what this one reads."""
+_UNUSED = ("freestyle", "gpencil", "grease", "simplify", "stereoscopy")
+"""Parts of the names of panels for every engine that offer what this one does not do."""
+
+
+def draw_render(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
+    """Settings, warnings and their cures; for the properties editor and the sidebar."""
+    column = layout.column()
+    column.use_property_split, column.use_property_decorate = True, False
+    column.prop(scene.render, "film_transparent", text="Transparent")
+    column.prop(scene.gscore_render, "antialias")
+    changes = changes_colors(scene)
+    if changes:
+        box = layout.box()
+        box.label(text=f"{changes} changes the colors", icon="ERROR")
+        box.operator("gscore.use_photo_colors", icon="CHECKMARK")
+    if not scene.render.film_transparent and world_light(scene.world)[1]:
+        layout.label(text="Only a world of one color is drawn", icon="INFO")
+
+
+class RENDER_PT_gscore(bpy.types.Panel):  # noqa: N801 Blender's rule
+    """Film and colours."""
+
+    bl_label = "Gaussian Splats"
+    bl_space_type, bl_region_type, bl_context = "PROPERTIES", "WINDOW", "render"
+    COMPAT_ENGINES: ClassVar[set[str]] = {NAME}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """For this engine."""
+        return context.engine in cls.COMPAT_ENGINES
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Lay it out."""
+        draw_render(self.layout, context.scene)
+
+
+class VIEWLAYER_PT_gscore_passes(bpy.types.Panel):  # noqa: N801 Blender's rule
+    """Passes the engine makes."""
+
+    bl_label = "Passes"
+    bl_space_type, bl_region_type, bl_context = "PROPERTIES", "WINDOW", "view_layer"
+    COMPAT_ENGINES: ClassVar[set[str]] = {NAME}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """For this engine."""
+        return context.engine in cls.COMPAT_ENGINES
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Lay it out."""
+        self.layout.use_property_split = True
+        self.layout.prop(context.view_layer, "use_pass_z", text="Depth")
+
+
+CLASSES = (RENDER_PT_gscore, VIEWLAYER_PT_gscore_passes)
+
+
+def _shared() -> list[Any]:
+    """Blender's panels that are made for engines like this one."""
+    found = []
+    for panel in bpy.types.Panel.__subclasses__():
+        name = panel.__name__
+        # BLENDER_RENDER is no engine any more; it marks what every engine shows.
+        general = "BLENDER_RENDER" in getattr(panel, "COMPAT_ENGINES", set())
+        if name in _OTHERS or (general and not any(word in name for word in _UNUSED)):
+            found.append(panel)
+    return found
+
+
+def register() -> None:
+    """Add the panels, and this engine to Blender's."""
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
+    for panel in _shared():
+        panel.COMPAT_ENGINES.add(NAME)
+
+
+def unregister() -> None:
+    """Take them back."""
+    for panel in bpy.types.Panel.__subclasses__():
+        getattr(panel, "COMPAT_ENGINES", set()).discard(NAME)
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)

@@ -1,0 +1,108 @@
+"""One picture of a model from one camera, drawn in a thread of its own so as to be stoppable."""
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..cameras import RenderCamera
+from ..core import CancelFlag, Rendered, render
+from .scene import Model
+
+AUTO, ON, OFF = "AUTO", "ON", "OFF"
+POLL = 0.02
+"""Seconds between two questions whether to stop."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """How to draw."""
+
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """sRGB values, as the splats' own."""
+    depths: bool = False
+    """Make depths too."""
+    antialias: str = AUTO
+    """ON, OFF, or AUTO: as the objects were trained."""
+
+
+def uses_antialias(model: Model, wish: str) -> bool:
+    """Whether opacities are compensated.
+
+    Raises:
+        ValueError: AUTO, and the objects were trained differently.
+    """
+    if wish != AUTO:
+        return wish == ON
+    if model.antialias and model.plain:
+        raise ValueError(
+            f"{model.antialias[0]} was trained with anti-aliasing and {model.plain[0]} without, "
+            f"but a picture is drawn one way: set Anti-Aliasing of the render settings to On or "
+            f"Off, or render them in two scenes."
+        )
+    return bool(model.antialias)
+
+
+def draw(
+    model: Model,
+    camera: RenderCamera,
+    options: Options,
+    *,
+    stop: Callable[[], bool] = lambda: False,
+    cancel: CancelFlag | None = None,
+) -> Rendered:
+    """Rasterize.
+
+    Args:
+        model: What to draw.
+        camera: From where.
+        options: How.
+        stop: Asked every `POLL` seconds on the calling thread.
+        cancel: Another way to stop, from another thread.
+
+    Raises:
+        Cancelled: `stop` said so, or `cancel` was set.
+        GsError: the library is missing or out of memory.
+        ValueError: the objects want to be drawn in different ways.
+    """
+    antialias = uses_antialias(model, options.antialias)
+    flag = CancelFlag() if cancel is None else cancel
+    done: list[Rendered | BaseException] = []
+
+    def work() -> None:
+        try:
+            done.append(
+                render(
+                    model.splats,
+                    camera.K,
+                    # A similarity in front of the camera leaves the picture exact, colours too:
+                    # they depend on directions in the splats' own space.
+                    camera.viewmat @ model.matrix,
+                    camera.width,
+                    camera.height,
+                    background=options.background,
+                    near=camera.near,
+                    antialias=antialias,
+                    depths=options.depths,
+                    orthographic=camera.orthographic,
+                    cancel=flag,
+                )
+            )
+        except BaseException as error:
+            done.append(error)
+
+    thread = threading.Thread(target=work, name="gscore picture", daemon=True)
+    thread.start()
+    while thread.is_alive():
+        thread.join(POLL)
+        if stop():
+            flag.set()
+    if isinstance(done[0], BaseException):
+        raise done[0]
+    return done[0]
+
+
+def crop(array: np.ndarray, left: int, bottom: int, width: int, height: int) -> np.ndarray:
+    """A window of [H, W, ...], whose first row is the bottom one, contiguous."""
+    return np.ascontiguousarray(array[bottom : bottom + height, left : left + width])

@@ -1,0 +1,232 @@
+"""From the objects of a depsgraph to one model of splats, remembered between pictures."""
+
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import bpy
+import numpy as np
+
+from .. import splat_attributes
+from ..compat import matrix_to_numpy
+from ..core import Splats, transform_splats
+from ..splat_filter import filters_of, visible_mask
+from ..splat_object import KIND
+from .frozen import FrozenMesh, freeze
+
+ANTIALIAS = "gs_antialias"
+"""Custom property of a splat object whose opacities want compensation (Mip-Splatting)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Source:
+    """A splat object as a depsgraph places it; valid as long as the depsgraph is."""
+
+    ob: bpy.types.Object
+    """Evaluated."""
+    matrix: np.ndarray
+    """[4, 4] float64 to the world."""
+
+    @property
+    def data(self) -> Any:
+        """The object's own data before its modifiers, as the depsgraph sees it."""
+        # A mesh's evaluated object shows what modifiers made of it; the display makes instances.
+        return self.ob.original.data.evaluated_get(self._depsgraph)
+
+    _depsgraph: bpy.types.Depsgraph
+    """Gives `data`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Placed:
+    """A splat object copied out of Blender: needs no bpy any more."""
+
+    name: str
+    """The object's."""
+    uid: int
+    """Of its original mesh; the same as long as Blender runs."""
+    frozen: FrozenMesh
+    matrix: np.ndarray
+    """[4, 4] float64 to the world."""
+    keep: np.ndarray | None
+    """[N] bool, splats that the object's filters leave; None: all."""
+    antialias: bool
+
+    @property
+    def part(self) -> tuple[int, bytes]:
+        """The same for two objects of the same mesh and filters."""
+        return self.uid, b"" if self.keep is None else self.keep.tobytes()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Model:
+    """All splats of a picture."""
+
+    splats: Splats
+    """In the space of the object with the most splats, which so needs no transformation."""
+    matrix: np.ndarray
+    """[4, 4] float64, similarity from that space to the world."""
+    antialias: tuple[str, ...]
+    """Names of the objects that were trained with anti-aliasing."""
+    plain: tuple[str, ...]
+    """Names of the others."""
+
+
+def sources(depsgraph: bpy.types.Depsgraph) -> list[Source]:
+    """The splat objects that a depsgraph shows, those in collection instances too."""
+    found = []
+    for ob in depsgraph.objects:  # leaves out what is hidden or excluded for the depsgraph's mode
+        placed = _instances(ob, depsgraph, matrix_to_numpy(ob.matrix_world), 0)
+        found += [Source(ob=o, matrix=m, _depsgraph=depsgraph) for o, m in placed]
+    return found
+
+
+def place(source: Source, frozen: FrozenMesh | None = None) -> Placed:
+    """Copy what is needed of an object.
+
+    Args:
+        source: The object.
+        frozen: Its attributes, where they have been copied already.
+
+    Raises:
+        ValueError: attributes are missing; they are named.
+    """
+    ob = source.ob
+    frozen = freeze(source.data, ob.name) if frozen is None else frozen
+    settings = getattr(ob, "gscore", None)
+    filtered = settings is not None and settings.apply_filters_to_render
+    keep = visible_mask(ob, frozen) if filtered and _filters_anything(ob) else None
+    return Placed(
+        name=ob.name,
+        uid=ob.original.data.session_uid,
+        frozen=frozen,
+        matrix=source.matrix,
+        keep=keep,
+        antialias=bool(ob.get(ANTIALIAS, False)),
+    )
+
+
+class SplatCache:
+    """Decoded splats by object, and the last model made of them. May be used from any thread."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._parts: dict[tuple[int, bytes], tuple[Any, Splats]] = {}
+        self._merged: tuple[list[tuple[Splats, np.ndarray]], Splats] | None = None
+        self.decoded = 0
+        """How many times an object has been decoded, for measuring."""
+        self.merged = 0
+        """How many times several objects have been brought into one space."""
+
+    def clear(self) -> None:
+        """Let go of everything."""
+        with self._lock:
+            self._parts, self._merged = {}, None
+
+    def model(self, placed: list[Placed]) -> Model:
+        """One model of all objects; only what has changed since the last call is computed.
+
+        Raises:
+            ValueError: attributes are missing or not finite, or an object is scaled unevenly; the
+                object is named.
+        """
+        with self._lock:
+            for p in placed:
+                _check_similar(p)
+            parts = {p.part: self._decode(p) for p in placed}
+            self._parts = {key: known for key, known in self._parts.items() if key in parts}
+            base = max(placed, key=lambda p: len(parts[p.part]))
+            inverse = np.linalg.inv(base.matrix)
+            turned = [
+                (parts[p.part], np.eye(4) if p is base else inverse @ p.matrix) for p in placed
+            ]
+            splats = self._merge(turned)
+        return Model(
+            splats=splats,
+            matrix=base.matrix,
+            antialias=tuple(p.name for p in placed if p.antialias),
+            plain=tuple(p.name for p in placed if not p.antialias),
+        )
+
+    def _decode(self, placed: Placed) -> Splats:
+        known = self._parts.get(placed.part)
+        if known is None or known[0] != placed.frozen.fingerprint:
+            splats = splat_attributes.read(placed.frozen)
+            if placed.keep is not None:
+                splats = splats.subset(placed.keep)
+            known = placed.frozen.fingerprint, splats
+            self._parts[placed.part] = known
+            self.decoded += 1
+        return known[1]
+
+    def _merge(self, turned: list[tuple[Splats, np.ndarray]]) -> Splats:
+        """Splats, each with the matrix to the common space, as one model."""
+        if len(turned) == 1:
+            self._merged = None
+            return turned[0][0]
+        same = self._merged is not None and len(self._merged[0]) == len(turned)
+        if same:
+            pairs = zip(self._merged[0], turned, strict=True)
+            same = all(a is b and np.array_equal(m, n) for (a, m), (b, n) in pairs)
+        if not same:
+            moved = [s if np.array_equal(m, np.eye(4)) else _moved(s, m) for s, m in turned]
+            self._merged = turned, _concatenated(moved)
+            self.merged += 1
+        return self._merged[1]
+
+
+def _instances(
+    ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph, matrix: np.ndarray, depth: int
+) -> Iterator[tuple[bpy.types.Object, np.ndarray]]:
+    """A splat object itself, or those in the collection that an object instances."""
+    if ob.get("gs_kind") == KIND and ob.type in {"MESH", "POINTCLOUD"}:
+        yield ob, matrix
+    collection = ob.instance_collection if ob.instance_type == "COLLECTION" else None
+    # Not through depsgraph.object_instances: that walks over every ellipsoid of a display.
+    if collection is None or depth > 8:
+        return
+    offset = np.eye(4)
+    offset[:3, 3] = -np.array(collection.instance_offset)
+    for inner in collection.all_objects:
+        if not inner.hide_render:
+            inner = inner.evaluated_get(depsgraph)
+            inside = matrix @ offset @ matrix_to_numpy(inner.matrix_world)
+            yield from _instances(inner, depsgraph, inside, depth + 1)
+
+
+def _filters_anything(ob: bpy.types.Object) -> bool:
+    filters = filters_of(ob)
+    limits = (filters.opacity_min, filters.size_min, filters.size_max)
+    return any(limits) or filters.crop is not None
+
+
+def _check_similar(placed: Placed) -> None:
+    try:
+        transform_splats(_NONE, placed.matrix)
+    except ValueError as error:
+        raise ValueError(f"{placed.name} cannot be rendered. {error}") from error
+
+
+def _moved(splats: Splats, matrix: np.ndarray) -> Splats:
+    matrix[3] = 0, 0, 0, 1  # an inversion leaves it so but for rounding
+    return transform_splats(splats, matrix)
+
+
+def _concatenated(parts: list[Splats]) -> Splats:
+    """One model; SH of lower degrees are filled up with zeros, which changes nothing."""
+    rest = max(p.shN.shape[1] for p in parts)
+    padded = [np.pad(p.shN, ((0, 0), (0, rest - p.shN.shape[1]), (0, 0))) for p in parts]
+    names = ("means", "quats", "scales", "opacities", "sh0")
+    joined = {n: np.concatenate([getattr(p, n) for p in parts]) for n in names}
+    return Splats(**joined, shN=np.concatenate(padded))
+
+
+_NONE = Splats(
+    means=np.zeros((0, 3), np.float32),
+    quats=np.zeros((0, 4), np.float32),
+    scales=np.zeros((0, 3), np.float32),
+    opacities=np.zeros(0, np.float32),
+    sh0=np.zeros((0, 1, 3), np.float32),
+    shN=np.zeros((0, 0, 3), np.float32),
+)

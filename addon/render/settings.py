@@ -1,0 +1,32 @@
+"""Settings of a scene's rendering."""
+
+import bpy
+
+from .picture import AUTO, OFF, ON
+
+
+class RenderSettings(bpy.types.PropertyGroup):
+    """`Scene.gscore_render`: how the engine draws."""
+
+    antialias: bpy.props.EnumProperty(
+        name="Anti-Aliasing",
+        description="Compensate opacities for the widening of splats smaller than a pixel",
+        items=[
+            (AUTO, "As Trained", "On for models trained with it, off for others"),
+            (ON, "On", "For models trained with it (Mip-Splatting)"),
+            (OFF, "Off", "For all other models"),
+        ],
+        default=AUTO,
+    )
+
+
+def register() -> None:
+    """Give scenes their settings."""
+    bpy.utils.register_class(RenderSettings)
+    bpy.types.Scene.gscore_render = bpy.props.PointerProperty(type=RenderSettings)
+
+
+def unregister() -> None:
+    """Take them back."""
+    del bpy.types.Scene.gscore_render
+    bpy.utils.unregister_class(RenderSettings)

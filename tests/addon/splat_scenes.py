@@ -1,0 +1,124 @@
+"""Splats, cameras and pictures for the tests of rendering."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from addon import splat_object
+from addon.compat import world_nodes
+from addon.core import Rendered, Splats, render
+
+SH_C0 = 0.28209479177387814
+
+
+def blob(
+    count: int = 400, *, center: tuple[float, ...] = (0, 0, 0), size: float = 0.6, seed: int = 0
+) -> Splats:
+    """Random coloured splats around a point, degree 2."""
+    rng = np.random.default_rng(seed)
+    return Splats(
+        means=(rng.normal(size=(count, 3)) * size / 2 + center).astype(np.float32),
+        quats=rng.normal(size=(count, 4)).astype(np.float32),
+        scales=rng.uniform(-4.0, -2.2, (count, 3)).astype(np.float32),
+        opacities=rng.uniform(-1, 4, count).astype(np.float32),
+        sh0=rng.normal(size=(count, 1, 3)).astype(np.float32),
+        shN=(rng.normal(size=(count, 8, 3)) * 0.3).astype(np.float32),
+    )
+
+
+def wall(z: float, color: tuple[float, float, float], *, half: float = 1.0) -> Splats:
+    """A dense opaque square of one sRGB colour across the z axis."""
+    side = np.linspace(-half, half, 41)
+    x, y = np.meshgrid(side, side)
+    n = x.size
+    sh0 = np.tile((np.array(color) - 0.5) / SH_C0, (n, 1))[:, None]
+    return Splats(
+        means=np.stack([x.ravel(), y.ravel(), np.full(n, z)], 1).astype(np.float32),
+        quats=np.tile([1, 0, 0, 0], (n, 1)).astype(np.float32),
+        scales=np.tile(np.log([0.05, 0.05, 0.001]), (n, 1)).astype(np.float32),
+        opacities=np.full(n, 6, np.float32),
+        sh0=sh0.astype(np.float32),
+        shN=np.zeros((n, 0, 3), np.float32),
+    )
+
+
+def prepare(
+    scene: bpy.types.Scene, size: tuple[int, int] = (90, 70), light: float = 0.0
+) -> bpy.types.Object:
+    """Engine, a grey world, and a camera 4 units up the z axis that looks down; the camera."""
+    scene.render.engine = "GSCORE_SPLATS"
+    scene.view_settings.view_transform = "Standard"
+    scene.render.dither_intensity = 0.0
+    scene.render.resolution_x, scene.render.resolution_y = size
+    world = bpy.data.worlds.new("World")
+    world.color = (light,) * 3
+    tree = world_nodes(world)
+    if tree is not None:
+        tree.nodes["Background"].inputs[0].default_value = (light, light, light, 1)
+    scene.world = world
+    camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+    scene.collection.objects.link(camera)
+    camera.location = (0, 0, 4)
+    scene.camera = camera
+    bpy.context.view_layer.update()
+    return camera
+
+
+def add(scene: bpy.types.Scene, splats: Splats, name: str = "splats") -> bpy.types.Object:
+    """A splat object in the scene."""
+    return splat_object.create(splats, name, collection=scene.collection)
+
+
+def truth(camera: bpy.types.Object, splats: Splats, size: tuple[int, int], **options) -> Rendered:
+    """gscore's own picture for a perspective camera without shift, by the textbook."""
+    width, height = size
+    data = camera.data
+    focal = data.lens / data.sensor_width * max(size)
+    K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]])
+    pose = np.array([tuple(row) for row in camera.matrix_world], np.float64)
+    viewmat = np.diag([1.0, -1.0, -1.0, 1.0]) @ np.linalg.inv(pose)
+    return render(splats, K, viewmat, width, height, near=data.clip_start, **options)
+
+
+def srgb(linear: np.ndarray) -> np.ndarray:
+    """IEC 61966-2-1 in float64."""
+    linear = np.asarray(linear, np.float64)
+    curve = 1.055 * np.maximum(linear, 0) ** (1 / 2.4) - 0.055
+    return np.where(linear <= 0.0031308, 12.92 * linear, curve)
+
+
+def read_image(path: Path) -> np.ndarray:
+    """[H, W, C] float32 of a picture file, the top row first, values as they are stored."""
+    image = bpy.data.images.load(str(path), check_existing=False)
+    pixels = np.empty(image.size[0] * image.size[1] * image.channels, np.float32)
+    image.pixels.foreach_get(pixels)
+    shaped = pixels.reshape(image.size[1], image.size[0], image.channels)[::-1].copy()
+    bpy.data.images.remove(image)
+    return shaped
+
+
+def render_file(path: Path, kind: str = "PNG", mode: str = "RGB") -> np.ndarray:
+    """F12 into a file, and its pixels."""
+    render_settings = bpy.context.scene.render
+    settings = render_settings.image_settings
+    settings.file_format, settings.color_mode = kind, mode
+    settings.color_depth = "8" if kind == "PNG" else "32"
+    render_settings.filepath = str(path)
+    bpy.ops.render.render(write_still=True)
+    return read_image(path)
+
+
+def render_exr(folder: Path, name: str = "a") -> np.ndarray:
+    """F12 as scene-linear float32 RGBA."""
+    return render_file(folder / f"{name}.exr", "OPEN_EXR", "RGBA")
+
+
+def error_of(action: Callable[[], object]) -> str:
+    """The message of a render or operator that must fail."""
+    try:
+        action()
+    except RuntimeError as error:
+        return str(error)
+    raise AssertionError("no error was reported")
