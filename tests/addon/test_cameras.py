@@ -344,6 +344,9 @@ def test_moving_and_zooming_is_noticed(scene) -> None:
     ob = made.cameras[9]
     ob.constraints.new("COPY_LOCATION")
     assert co.is_moved(ob, co.stated(ob))
+    ob = made.cameras[10]
+    ob.driver_add("location", 0).driver.expression = "frame"
+    assert co.is_moved(ob, co.stated(ob))
     made.root.location.x += 5
     assert not co.is_moved(made.cameras[0], co.stated(made.cameras[0]))
 

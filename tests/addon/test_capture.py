@@ -111,6 +111,13 @@ def test_sizes(capture: Path) -> None:
     assert facts.can_train and "1 photos look damaged" in texts(facts, False)
 
 
+def test_photos_stored_sideways(capture: Path) -> None:
+    """Oracle: EXIF's 6 turns 40 x 60 pixels into the camera's 60 x 40; without it they misfit."""
+    write_photo(capture / "images" / "sub" / "v005.png", 40, 60, turn=6)
+    facts = inspect(capture)
+    assert facts.can_train and "1 photos are stored sideways" in texts(facts, False)
+
+
 def test_masks(capture: Path) -> None:
     """Oracle: files beside names as COLMAP has them; a size that differs stops."""
     for i in range(19):

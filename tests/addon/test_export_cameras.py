@@ -120,6 +120,7 @@ def test_a_zoomed_camera(made, scene, tmp_path: Path) -> None:
     image = next(i for i in model.images if i.name == ob["gs_image"])
     camera = model.cameras[image.camera_id]
     assert image.camera_id == 8 and camera.model == "PINHOLE"
+    assert len(image.xys) == 0  # they were seen through another lens
     np.testing.assert_allclose(camera.params, [3400, 3400, 960, 540], rtol=1e-6)
     assert len(model.cameras) == 8
 
