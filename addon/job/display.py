@@ -3,16 +3,32 @@
 from pathlib import Path
 
 import bpy
+import numpy as np
 
-from .. import preferences, splat_object
+from .. import preferences, splat_io, splat_object
 from ..camera_objects import is_kind
+from ..core import Splats
 from ..paths import output_folder
+from ..render.scene import ANTIALIAS
 from . import registry, session
+from .filling import Filling, replace
 from .job import Job
 from .loader import Loaded
 
 RUN_KEY = "gs_run"
 """Custom property of a result: the output folder it came from."""
+EMPTY = Splats(
+    means=np.zeros((0, 3), np.float32),
+    quats=np.zeros((0, 4), np.float32),
+    scales=np.zeros((0, 3), np.float32),
+    opacities=np.zeros(0, np.float32),
+    sh0=np.zeros((0, 1, 3), np.float32),
+    shN=np.zeros((0, 0, 3), np.float32),
+)
+"""No splats."""
+
+_fillings: dict[str, Filling] = {}
+"""Splats on their way into the open file, by job."""
 
 
 def scene_of(job: Job) -> bpy.types.Scene | None:
@@ -33,6 +49,11 @@ def waits(job: Job) -> bool:
     if not job.state.ended or job.loader.busy:
         return True
     return job.result_wanted and scene_of(job) is not None
+
+
+def filling() -> bool:
+    """Whether splats are on their way, so that the next beat should come soon."""
+    return bool(_fillings)
 
 
 def update(job: Job) -> bool:
@@ -70,23 +91,23 @@ def show_picture(scene: bpy.types.Scene, path: Path) -> bpy.types.Image:
     return image
 
 
-def show_splats(scene: bpy.types.Scene, loaded: Loaded, job: Job) -> bpy.types.Object:
-    """Show splats as the scene's result: in the object of the same run, or in a new one.
-
-    Raises:
-        ValueError: the object is being edited, or its mesh cannot be written.
-    """
-    assert loaded.splats is not None
+def result_object(scene: bpy.types.Scene, job: Job, loaded: Loaded) -> bpy.types.Object:
+    """The object that shows the splats of a run: the one it has, or a new and empty one."""
     ob = scene.gscore.result
     same_run = ob is not None and ob.get(RUN_KEY) == str(job.output)
     if same_run and scene.objects.get(ob.name) is ob:
-        splat_object.refresh(ob, loaded.splats)
         return ob
     root = _root(scene, job.source)
     collection = root.users_collection[0] if root and root.users_collection else scene.collection
     name = f"{job.source.name} splats"
-    ob = splat_object.create(loaded.splats, name, collection=collection, parent=root)
+    ob = splat_object.create(EMPTY, name, collection=collection, parent=root)
     ob[RUN_KEY] = str(job.output)
+    if loaded.typical_size:
+        ob.gscore.point_size = 0.5 * loaded.typical_size
+    if job.antialias:
+        ob[ANTIALIAS] = True
+    if root is None:
+        splat_io.turn_up(ob, "-Y")  # as COLMAP and cameras lie, near enough to upright
     scene.gscore.result = ob
     return ob
 
@@ -105,6 +126,7 @@ def _remove_discarded(job: Job, scene: bpy.types.Scene) -> bool:
 
 
 def _update_splats(job: Job, scene: bpy.types.Scene) -> bool:
+    """Do the next step on the way of splats from a file to the scene; whether there was one."""
     result = job.state.result
     if job.result_wanted and not job.result_requested and result is not None:
         job.result_requested = True
@@ -112,24 +134,37 @@ def _update_splats(job: Job, scene: bpy.types.Scene) -> bool:
     ob = scene.gscore.result
     if ob is not None and ob.mode != "OBJECT":
         return False  # what the user edits stays; splats wait
-    loaded = job.take_loaded()
-    if loaded is None:
-        return False
+    if job.id not in _fillings:
+        loaded = job.take_loaded()
+        if loaded is None:
+            return False
+        if loaded.problem:
+            _give_up(job, loaded, loaded.problem)
+            return True
+        _fillings[job.id] = Filling(loaded)
+    filling = _fillings[job.id]
+    if not filling.loaded.final and (job.result_requested or not scene.gscore.live_splats):
+        _fillings.pop(job.id).drop()  # late
+        return True
+    mesh = filling.step()
+    if mesh is None:
+        return True
+    del _fillings[job.id]
+    try:
+        replace(result_object(scene, job, filling.loaded), mesh)
+        job.result_wanted = job.result_wanted and not filling.loaded.final
+    except ValueError as error:
+        bpy.data.meshes.remove(mesh)
+        _give_up(job, filling.loaded, str(error))
+    return True
+
+
+def _give_up(job: Job, loaded: Loaded, problem: str) -> None:
+    """Say why splats are not shown; a result is not tried again."""
+    job.state.warn(problem)
     if loaded.final:
         job.result_wanted = False
-    elif job.result_requested or not scene.gscore.live_splats:
-        return False  # late
-    problem = loaded.problem
-    if loaded.splats is not None:
-        try:
-            show_splats(scene, loaded, job)
-        except (ValueError, RuntimeError) as error:
-            problem = str(error)
-    if problem:
-        job.state.warn(problem)
-        if job.state.ended and job.state.status != session.FAILED:
-            job.state.sentence += " The splats could not be shown."
-    return True
+        job.state.sentence += " The splats could not be shown."
 
 
 def _root(scene: bpy.types.Scene, source: Path) -> bpy.types.Object | None:

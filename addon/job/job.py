@@ -69,6 +69,13 @@ class Job:
         return self._process.pid
 
     @property
+    def antialias(self) -> bool:
+        """Whether opacities were compensated in training, so that renders have to do it too."""
+        started = self.state.started
+        train = started.config.get("train") if started else None
+        return isinstance(train, dict) and train.get("antialias") is True
+
+    @property
     def silent_s(self) -> float:
         """Seconds since the last sign of life, of a trainer that should give one."""
         if self.state.ended or self.state.status == session.PAUSED:

@@ -1,12 +1,13 @@
-"""Reads splat files in a thread, so that Blender does not wait for a disk; no bpy."""
+"""Reads splat files in a thread and prepares them for Blender, which need not wait; no bpy."""
 
 import threading
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from .. import splat_attributes
 from ..core import GsError, Splats, read_splats
 
 
@@ -15,10 +16,15 @@ class Loaded:
     """A file that was read, or why it was not."""
 
     path: Path
-    splats: Splats | None
-    problem: str = ""
-    final: bool = False
+    final: bool
     """Whether this is the result and not a snapshot."""
+    problem: str = ""
+    count: int = 0
+    """Number of splats."""
+    columns: tuple[tuple[str, str, np.ndarray], ...] = ()
+    """`splat_attributes.columns`; empty if there is a problem."""
+    typical_size: float = 0.0
+    """Median of the largest standard deviations, world units."""
 
 
 class Loader:
@@ -72,22 +78,25 @@ class Loader:
 def _load(path: Path, most: int, final: bool) -> Loaded:
     try:
         splats = read_splats(path)
+        if most:
+            splats = _quick_look(splats, most)
+        sizes = splats.scales.max(axis=1)
+        return Loaded(
+            path=path,
+            final=final,
+            count=len(splats),
+            columns=tuple(splat_attributes.columns(splats)),
+            typical_size=float(np.exp(np.median(sizes))) if len(splats) else 0.0,
+        )
     except GsError as error:
-        return Loaded(path=path, splats=None, problem=str(error), final=final)
+        return Loaded(path=path, final=final, problem=str(error))
     except MemoryError:
         problem = f"{path} does not fit into memory; close other programs and import it again."
-        return Loaded(path=path, splats=None, problem=problem, final=final)
-    return Loaded(path=path, splats=_quick_look(splats, most) if most else splats, final=final)
+        return Loaded(path=path, final=final, problem=problem)
 
 
 def _quick_look(splats: Splats, most: int) -> Splats:
     """At most `most` splats, evenly chosen, of SH degree 0."""
     every = max(1, -(-len(splats) // most))
-    return Splats(
-        means=np.ascontiguousarray(splats.means[::every]),
-        quats=np.ascontiguousarray(splats.quats[::every]),
-        scales=np.ascontiguousarray(splats.scales[::every]),
-        opacities=np.ascontiguousarray(splats.opacities[::every]),
-        sh0=np.ascontiguousarray(splats.sh0[::every]),
-        shN=np.zeros((len(splats.means[::every]), 0, 3), np.float32),
-    )
+    chosen = splats.subset(np.arange(0, len(splats), every))
+    return replace(chosen, shN=np.zeros((len(chosen), 0, 3), np.float32))

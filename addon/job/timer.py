@@ -14,6 +14,8 @@ from . import display, registry, setup
 
 INTERVAL = 0.1
 """Seconds between two beats."""
+FAST = 0.01
+"""The same while splats are handed to Blender bit by bit."""
 
 
 def tick() -> bool:
@@ -53,7 +55,9 @@ def redraw() -> None:
 
 
 def _beat() -> float | None:
-    return INTERVAL if tick() else None
+    if not tick():
+        return None
+    return FAST if display.filling() else INTERVAL
 
 
 @persistent

@@ -8,6 +8,7 @@ import bpy
 
 from .. import lookup, preferences
 from ..core import read_run
+from ..nodes import display as display_nodes
 from ..paths import absolute, capture_folder, output_folder, relative
 from . import facts, options, registry, setup, timer
 from .display import waits
@@ -171,7 +172,9 @@ def _check_free(output: Path) -> None:
 
 
 def _check_capture(scene: bpy.types.Scene) -> None:
-    found, problem = facts.look_again(scene)
+    found, problem = facts.capture(scene)
+    if found is None or not found.can_train:
+        found, problem = facts.look_again(scene)  # it may have been mended
     if found is None:
         raise ValueError(problem or "The capture could not be looked into; try again.")
     errors = [p.text for p in found.problems if p.is_error]
@@ -196,8 +199,10 @@ def _start(
             f"{program} cannot be run ({error.strerror or error}); press Check in the add-on's "
             "preferences."
         ) from error
+    job.live_most = preferences.get().live_most
     registry.add(job)
     lookup.runs.forget(output)
+    display_nodes.group()  # takes a fifth of a second, once a file: now, while the trainer starts
     timer.ensure()
     if wait:
         wait_for(job)

@@ -1,0 +1,72 @@
+"""Hands splats to Blender bit by bit, so that no single step is long, however many there are.
+
+A mesh that nothing shows is filled attribute by attribute over several beats, and then takes the
+place of the old one at once.
+"""
+
+import time
+import uuid
+
+import bpy
+
+from .. import splat_attributes, splat_object
+from .loader import Loaded
+
+BUDGET = 0.008
+"""Seconds of a beat in which attributes are begun; the last one may take as long again."""
+_MARK = "gs_filling"
+
+
+class Filling:
+    """A mesh on its way. It is looked up anew at each step: undo, or another file, may take it."""
+
+    def __init__(self, loaded: Loaded) -> None:
+        self.loaded = loaded
+        self._mark = uuid.uuid4().hex
+        self._name = ""
+        self._next = 0
+
+    def step(self) -> bpy.types.Mesh | None:
+        """Fill some more; the mesh once it is complete."""
+        mesh = self._mesh()
+        until = time.perf_counter() + BUDGET
+        for name, kind, values in self.loaded.columns[self._next :]:
+            if time.perf_counter() > until:
+                return None
+            splat_attributes.declare(mesh, name, kind)
+            splat_attributes.fill(mesh, name, kind, values)
+            self._next += 1
+        del mesh[_MARK]
+        mesh.update()
+        return mesh
+
+    def drop(self) -> None:
+        """Remove what was filled so far."""
+        mesh = bpy.data.meshes.get(self._name)
+        if mesh is not None and mesh.get(_MARK) == self._mark:
+            bpy.data.meshes.remove(mesh)
+
+    def _mesh(self) -> bpy.types.Mesh:
+        mesh = bpy.data.meshes.get(self._name)
+        if mesh is None or mesh.get(_MARK) != self._mark:
+            mesh = bpy.data.meshes.new("splats")
+            mesh[_MARK] = self._mark
+            mesh.vertices.add(self.loaded.count)
+            self._name, self._next = mesh.name, 0
+        return mesh
+
+
+def replace(ob: bpy.types.Object, mesh: bpy.types.Mesh) -> None:
+    """Let a mesh take the place of an object's own, for all objects that share it.
+
+    Raises:
+        ValueError: the object's mesh is being edited, or is linked.
+    """
+    splat_object.check_writable(ob)
+    old = ob.data
+    name = old.name
+    for material in old.materials:
+        mesh.materials.append(material)
+    old.user_remap(mesh)
+    bpy.data.meshes.remove(old)
+    mesh.name = name
