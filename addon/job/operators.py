@@ -7,6 +7,7 @@ import bpy
 from bpy.props import BoolProperty, StringProperty
 
 from .. import preferences
+from ..render.operators import show_image
 from . import registry, session, setup, timer, training
 from .job import Job
 
@@ -176,11 +177,16 @@ class ShowTestView(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> Result:
         """Show it."""
-        space = _image_editor(context)
-        if space is None:
+        image = context.scene.gscore.preview
+        if show_image(context, image):
+            return {"FINISHED"}
+        if bpy.app.background:
             self.report({"ERROR"}, "There is no window to show a picture in.")
             return {"CANCELLED"}
-        space.image = context.scene.gscore.preview
+        bpy.ops.wm.window_new()
+        area = context.window_manager.windows[-1].screen.areas[0]
+        area.type = "IMAGE_EDITOR"
+        area.spaces.active.image = image
         return {"FINISHED"}
 
 
@@ -301,20 +307,6 @@ def _told(operator: bpy.types.Operator, job: Job) -> Result:
         operator.report({"ERROR" if failed else "INFO"}, job.state.sentence)
         return {"CANCELLED" if failed else "FINISHED"}
     return {"FINISHED"}
-
-
-def _image_editor(context: bpy.types.Context) -> bpy.types.SpaceImageEditor | None:
-    """An image editor that is open, or one in a new window; None without a window."""
-    for window in context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "IMAGE_EDITOR":
-                return area.spaces.active
-    if bpy.app.background:
-        return None
-    bpy.ops.wm.window_new()
-    area = context.window_manager.windows[-1].screen.areas[0]
-    area.type = "IMAGE_EDITOR"
-    return area.spaces.active
 
 
 CLASSES = (

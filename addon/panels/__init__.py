@@ -2,7 +2,7 @@
 
 import bpy
 
-from . import cameras, capture, curve_icon, depth, progress, result, train
+from . import cameras, capture, curve_icon, depth, progress, render, result, train
 
 CLASSES = (
     *capture.CLASSES,
@@ -11,6 +11,7 @@ CLASSES = (
     *train.CLASSES,
     *progress.CLASSES,
     *result.CLASSES,
+    *render.CLASSES,
 )
 
 

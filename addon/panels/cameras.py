@@ -36,6 +36,7 @@ class CamerasPanel(TabPanel, bpy.types.Panel):
         camera = context.scene.camera
         name = str(camera.get("gs_image", camera.name)) if camera else "No camera"
         row.operator("gscore.use_camera", text=name, icon="VIEW_CAMERA")
+        row.operator("gscore.choose_camera", text="", icon="VIEWZOOM")
         row.operator("gscore.step_camera", text="", icon="TRIA_RIGHT").step = 1
         if camera is not None and not is_camera(camera):
             sentence(layout, context, "The scene camera is not one of the capture's.")

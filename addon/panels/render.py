@@ -1,0 +1,40 @@
+"""Rendering the splats from Blender's cameras, and comparing with the photos."""
+
+import bpy
+
+from ..camera_objects import is_camera
+from ..render.engine import NAME
+from ..render.panels import draw_render
+from .widgets import TabPanel, root, sentence
+
+
+class RenderPanel(TabPanel, bpy.types.Panel):
+    """Pictures of the splats"""
+
+    bl_idname = "GSCORE_PT_render"
+    bl_label = "Render"
+    bl_order = 6
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        layout, scene = self.layout, context.scene
+        if scene.render.engine == NAME:
+            draw_render(layout, scene)
+        else:
+            text = "The engine Gaussian Splats draws them exactly as they were trained."
+            sentence(layout, context, text, icon="INFO")
+            layout.operator("gscore.use_engine", icon="SCENE")
+        row = layout.row(align=True)
+        row.enabled = scene.camera is not None
+        row.operator("render.render", text="Picture", icon="RENDER_STILL").use_viewport = True
+        row.operator("render.render", text="Animation", icon="RENDER_ANIMATION").animation = True
+        if scene.camera is None:
+            layout.label(text="The scene has no camera", icon="ERROR")
+        if root(context) is not None:
+            row = layout.row()
+            row.enabled = is_camera(context.object) or is_camera(scene.camera)
+            row.operator("gscore.compare_photo", icon="IMAGE_REFERENCE")
+        layout.operator("gscore.set_up_compositing", icon="NODE_COMPOSITING")
+
+
+CLASSES = (RenderPanel,)
