@@ -38,7 +38,7 @@ def roots_of(scene: bpy.types.Scene) -> list[bpy.types.Object]:
 def find_camera(
     context: bpy.types.Context, root: bpy.types.Object, name: str = "", index: int = -1
 ) -> bpy.types.Object:
-    """A photo's camera by object or image name, else by index, else the active object.
+    """A photo's camera by object or image name, else by index, else what is active.
 
     Raises:
         ValueError: there is no such camera.
@@ -54,7 +54,7 @@ def find_camera(
         if index >= len(listed):
             raise ValueError(f"There is no camera {index}; they go from 0 to {len(listed) - 1}.")
         return listed[index]
-    active = getattr(context, "active_object", None)
-    if active is None or not co.is_camera(active):
-        raise ValueError("Select a camera of a photo, or name one.")
-    return active
+    for ob in (getattr(context, "active_object", None), context.scene.camera, *listed[:1]):
+        if co.is_camera(ob) and co.root_of(ob) == root:
+            return ob
+    raise ValueError(f"{root.name} has no cameras left. Import the capture again.")

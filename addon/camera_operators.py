@@ -4,18 +4,13 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import bpy
-import numpy as np
-from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
+from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
-from . import camera_objects as co
 from . import cameras
 from .camera_lookup import find_camera, find_root
-from .compat import matrix_to_numpy
 from .core import GsError
 from .export_cameras import Exported, export_colmap
 from .export_transforms import export_transforms
-
-_AXES = {"X": 0, "Y": 1, "Z": 2}
 
 
 class CaptureOperator:
@@ -47,6 +42,21 @@ class CaptureOperator:
         """Show what the user should know."""
         for sentence in sentences:
             self.report({"WARNING"}, sentence)
+
+
+_shown: list[tuple[str, str, str]] = []
+"""Items of the last search: Blender keeps no copies of their strings."""
+
+
+def _image_items(self: Any, context: bpy.types.Context | None) -> list[tuple[str, str, str]]:
+    """The photos of the capture that is meant."""
+    try:
+        listed = cameras.cameras_of(find_root(context, self.capture)) if context else []
+    except ValueError:
+        listed = []
+    names = [str(ob.get("gs_image", ob.name)) for ob in listed]
+    _shown[:] = [(name, name, "") for name in dict.fromkeys(names)] or [("NONE", "No photo", "")]
+    return _shown
 
 
 class GSCORE_OT_import_cameras(CaptureOperator, bpy.types.Operator):  # noqa: N801 Blender's rule
@@ -123,7 +133,7 @@ class GSCORE_OT_import_cameras(CaptureOperator, bpy.types.Operator):  # noqa: N8
 
 
 class GSCORE_OT_use_camera(CaptureOperator, bpy.types.Operator):  # noqa: N801
-    """Look through a photo's camera: scene camera, resolution, pixel aspect and background"""
+    """Look through a photo's camera: scene camera, resolution, pixel aspect and photo are set"""
 
     bl_idname = "gscore.use_camera"
     bl_label = "Use Camera"
@@ -137,7 +147,8 @@ class GSCORE_OT_use_camera(CaptureOperator, bpy.types.Operator):  # noqa: N801
         name="Index",
         default=-1,
         min=-1,
-        description="Place among the photos by name, from 0; -1: the active object",
+        description="Place among the photos by name, from 0; -1: the active camera, else the "
+        "scene's, else the first",
         options={"SKIP_SAVE"},
     )
     look_through: BoolProperty(
@@ -178,100 +189,30 @@ class GSCORE_OT_step_camera(CaptureOperator, bpy.types.Operator):  # noqa: N801
             _look_through(context)
 
 
-class GSCORE_OT_align_capture(CaptureOperator, bpy.types.Operator):  # noqa: N801
-    """Turn a capture so that up is up and the ground lies at height 0; its scale stays"""
+class GSCORE_OT_choose_camera(CaptureOperator, bpy.types.Operator):  # noqa: N801
+    """Search a photo by name and look through its camera"""
 
-    bl_idname = "gscore.align_capture"
-    bl_label = "Align to Ground"
+    bl_idname = "gscore.choose_camera"
+    bl_label = "Choose Photo"
+    bl_property = "image"
 
-    up: EnumProperty(
-        name="Up",
-        items=(
-            ("CAMERAS", "From Cameras", "As people hold cameras: photos are level"),
-            ("CURRENT", "Current", "Near what is up now; finds the ground again"),
-            ("VIEW", "Scene Camera", "The upper side of the scene camera's picture"),
-            ("X", "+X", "The capture's own x axis"),
-            ("-X", "-X", "Against the capture's own x axis"),
-            ("Y", "+Y", "The capture's own y axis"),
-            ("-Y", "-Y", "Against the capture's own y axis, as in many COLMAP models"),
-            ("Z", "+Z", "The capture's own z axis"),
-            ("-Z", "-Z", "Against the capture's own z axis"),
-        ),
-        description="What is roughly up; the plane of points nearest to it is the ground",
-    )
-
-    def act(self, context: bpy.types.Context) -> None:
-        """Align."""
-        root = find_root(context, self.capture)
-        found = cameras.align_root(root, self._up(context, root))
-        if not found.ground_found:
-            self.report({"WARNING"}, "No ground was found; the lowest points are at height 0.")
-
-    def _up(self, context: bpy.types.Context, root: bpy.types.Object) -> np.ndarray | None:
-        if self.up == "CAMERAS":
-            return None
-        if self.up == "CURRENT":
-            return current_up(root)
-        if self.up == "VIEW":
-            if context.scene.camera is None:
-                raise ValueError("The scene has no camera. Choose one with Use Camera.")
-            depsgraph = context.evaluated_depsgraph_get()
-            return -co.viewmat_in(context.scene.camera, root, depsgraph)[1, :3]
-        sign = -1.0 if self.up.startswith("-") else 1.0
-        return sign * np.eye(3)[_AXES[self.up[-1]]]
-
-
-class GSCORE_OT_flip_up(CaptureOperator, bpy.types.Operator):  # noqa: N801
-    """Turn a capture upside down, and find the ground again"""
-
-    bl_idname = "gscore.flip_up"
-    bl_label = "Flip Up"
-
-    def act(self, context: bpy.types.Context) -> None:
-        """Flip."""
-        root = find_root(context, self.capture)
-        cameras.align_root(root, -current_up(root))
-
-
-class GSCORE_OT_set_extent(CaptureOperator, bpy.types.Operator):  # noqa: N801
-    """Scale a capture to real size by how far apart its outermost cameras were"""
-
-    bl_idname = "gscore.set_extent"
-    bl_label = "Set Size"
-
-    extent: FloatProperty(
-        name="Camera Extent",
-        default=5.0,
-        min=1e-4,
-        soft_max=1000.0,
-        subtype="DISTANCE",
-        unit="LENGTH",
-        description="Distance in metres between the two cameras that are farthest apart",
+    image: EnumProperty(
+        name="Photo",
+        items=_image_items,
+        description="Name of the photo",
+        options={"SKIP_SAVE"},
     )
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Ask, beginning with the present size."""
-        try:
-            self.extent = cameras.world_extent(find_root(context, self.capture))
-        except ValueError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        return context.window_manager.invoke_props_dialog(self)
+        """Let the user search."""
+        context.window_manager.invoke_search_popup(self)
+        return {"RUNNING_MODAL"}
 
     def act(self, context: bpy.types.Context) -> None:
-        """Scale."""
-        cameras.set_extent(find_root(context, self.capture), self.extent)
-
-
-class GSCORE_OT_reset_alignment(CaptureOperator, bpy.types.Operator):  # noqa: N801
-    """Give a capture the axes, origin and scale of its own files back"""
-
-    bl_idname = "gscore.reset_alignment"
-    bl_label = "Reset to COLMAP World"
-
-    def act(self, context: bpy.types.Context) -> None:
-        """Reset."""
-        cameras.reset_root(find_root(context, self.capture))
+        """Use it."""
+        ob = find_camera(context, find_root(context, self.capture), self.image)
+        self.warn(cameras.use_camera(context.scene, ob))
+        _look_through(context)
 
 
 class GSCORE_OT_relink_capture(CaptureOperator, bpy.types.Operator):  # noqa: N801
@@ -384,10 +325,7 @@ CLASSES = (
     GSCORE_OT_import_cameras,
     GSCORE_OT_use_camera,
     GSCORE_OT_step_camera,
-    GSCORE_OT_align_capture,
-    GSCORE_OT_flip_up,
-    GSCORE_OT_set_extent,
-    GSCORE_OT_reset_alignment,
+    GSCORE_OT_choose_camera,
     GSCORE_OT_relink_capture,
     GSCORE_OT_export_cameras,
 )
@@ -403,11 +341,6 @@ def unregister() -> None:
     """Take them back."""
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)
-
-
-def current_up(root: bpy.types.Object) -> np.ndarray:
-    """Blender's up [3] in a capture's world."""
-    return np.linalg.inv(matrix_to_numpy(root.matrix_world)[:3, :3])[:, 2]
 
 
 def _panel_path(context: bpy.types.Context) -> str:

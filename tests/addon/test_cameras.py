@@ -370,6 +370,11 @@ def test_operators(scene) -> None:
     assert scene.camera["gs_image"] == "view_010.jpg"
     bpy.ops.gscore.use_camera(index=3)
     assert scene.camera["gs_image"] == "view_003.jpg"
+    bpy.ops.gscore.choose_camera(image="view_044.jpg")
+    assert scene.camera["gs_image"] == "view_044.jpg"
+    with pytest.raises(TypeError, match="view_099"):
+        bpy.ops.gscore.choose_camera(image="view_099.jpg")
+    bpy.ops.gscore.use_camera(index=3)
     with pytest.raises(RuntimeError, match="from 0 to 59"):
         bpy.ops.gscore.use_camera(index=60)
     with pytest.raises(RuntimeError, match="called nobody"):
