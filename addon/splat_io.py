@@ -46,10 +46,18 @@ def import_splats(
     splats = read_splats(path)
     ob = splat_object.create(splats, path.stem, collection=context.collection, parent=parent)
     if parent is None:
-        ob.matrix_basis = Matrix(UP_AXES[up].tolist())
-        # As Blender keeps it, so that an object that was not moved goes back exactly.
-        ob[_IMPORT_MATRIX] = matrix_to_numpy(ob.matrix_basis).ravel().tolist()
+        turn_up(ob, up)
     return ob
+
+
+def turn_up(ob: bpy.types.Object, up: str) -> None:
+    """Turn an object so that an axis of its data, a key of `UP_AXES`, points up.
+
+    The turn is remembered, so that an export takes it back.
+    """
+    ob.matrix_basis = Matrix(UP_AXES[up].tolist())
+    # As Blender keeps it, so that an object that was not moved goes back exactly.
+    ob[_IMPORT_MATRIX] = matrix_to_numpy(ob.matrix_basis).ravel().tolist()
 
 
 def export_splats(
