@@ -1,6 +1,7 @@
 """The names of gscore that the add-on uses; the only file of the add-on that imports gscore."""
 
 from gscore import (
+    MIP_COMMENT,
     PRESETS,
     Background,
     CancelFlag,
@@ -38,6 +39,7 @@ from gscore import (
     downscale,
     find_colmap,
     from_line,
+    is_antialiased,
     psnr,
     read_capture,
     read_colmap,
@@ -53,6 +55,7 @@ from gscore import (
 )
 
 __all__ = [
+    "MIP_COMMENT",
     "PRESETS",
     "Background",
     "CancelFlag",
@@ -90,6 +93,7 @@ __all__ = [
     "downscale",
     "find_colmap",
     "from_line",
+    "is_antialiased",
     "psnr",
     "read_capture",
     "read_colmap",

@@ -1,6 +1,8 @@
 """Splat PLYs into the scene and out of it, in Blender's world or in that of the photos."""
 
-from collections.abc import Sequence
+import logging
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import bpy
@@ -10,7 +12,8 @@ from mathutils import Matrix
 from . import splat_object
 from .camera_objects import local_matrix, root_of
 from .compat import matrix_to_numpy
-from .core import Splats, read_splats, write_splats
+from .core import MIP_COMMENT, Splats, is_antialiased, read_splats, write_splats
+from .render.scene import ANTIALIAS
 
 UP_AXES = {
     "-Y": np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]]),
@@ -43,11 +46,36 @@ def import_splats(
         GsError: the file is missing, corrupt or holds no splats; the scene is untouched.
     """
     path = Path(bpy.path.abspath(str(path)))
-    splats = read_splats(path)
+    splats, antialiased = read_splats(path), is_antialiased(path)
     ob = splat_object.create(splats, path.stem, collection=context.collection, parent=parent)
+    if antialiased:
+        ob[ANTIALIAS] = True
     if parent is None:
         turn_up(ob, up)
     return ob
+
+
+class _Collector(logging.Handler):
+    """Keeps sentences instead of printing them."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.sentences: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Keep one."""
+        self.sentences.append(record.getMessage())
+
+
+@contextmanager
+def collected_warnings() -> Iterator[list[str]]:
+    """The warnings that gscore logs inside, one sentence each: splats or coefficients left out."""
+    logger, collector = logging.getLogger(read_splats.__module__.split(".")[0]), _Collector()
+    logger.addHandler(collector)
+    try:
+        yield collector.sentences
+    finally:
+        logger.removeHandler(collector)
 
 
 def turn_up(ob: bpy.types.Object, up: str) -> None:
@@ -95,7 +123,8 @@ def export_splats(
     if not len(splats):
         names = ", ".join(ob.name for ob in obs)
         raise ValueError(f"{names}: no splats left to export; relax the filters or undo deletions.")
-    write_splats(Path(bpy.path.abspath(str(path))), splats)
+    comments = (MIP_COMMENT,) if all(ob.get(ANTIALIAS) for ob in obs) else ()
+    write_splats(Path(bpy.path.abspath(str(path))), splats, comments=comments)
     return len(splats)
 
 

@@ -95,12 +95,15 @@ class ImportSplats(bpy.types.Operator, ImportHelper):
         parent = root_of(context.object) if self.under_capture else None
         made: list[bpy.types.Object] = []
         try:
-            for path in paths or [Path(self.filepath)]:
-                made.append(splat_io.import_splats(context, path, parent=parent, up=self.up))
+            with splat_io.collected_warnings() as warnings:
+                for path in paths or [Path(self.filepath)]:
+                    made.append(splat_io.import_splats(context, path, parent=parent, up=self.up))
         except (GsError, ValueError) as error:
             for ob in made:
                 bpy.data.meshes.remove(ob.data)
             return _failed(self, error)
+        for warning in warnings:
+            self.report({"WARNING"}, warning)
         for ob in context.selected_objects:
             ob.select_set(False)
         for ob in made:

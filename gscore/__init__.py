@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from .io.colmap_model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
     from .io.files import atomic_write
     from .io.image_header import ImageInfo, read_header
-    from .io.ply import read_splats, write_splats
+    from .io.ply import MIP_COMMENT, is_antialiased, read_splats, write_splats
     from .io.resample import downscale
     from .io.runs import RunInfo, clear_run, read_run
     from .metrics.colormap import colorize
@@ -80,6 +80,7 @@ _HOME = {
     "GsError": "errors",
     "ImageInfo": "io.image_header",
     "ImageLoss": "raster.loss",
+    "MIP_COMMENT": "io.ply",
     "PRESETS": "config",
     "PointCloud": "scene",
     "Preview": "events",
@@ -105,6 +106,7 @@ _HOME = {
     "find_colmap": "io.colmap:find_model",
     "from_line": "events",
     "image_loss": "raster.loss",
+    "is_antialiased": "io.ply",
     "load_dataset": "datasets",
     "psnr": "metrics.image",
     "rasterize": "raster.autograd",
@@ -123,6 +125,7 @@ _HOME = {
 }
 
 __all__ = [
+    "MIP_COMMENT",
     "PRESETS",
     "BackendError",
     "Background",
@@ -172,6 +175,7 @@ __all__ = [
     "find_colmap",
     "from_line",
     "image_loss",
+    "is_antialiased",
     "load_dataset",
     "psnr",
     "rasterize",

@@ -6,17 +6,20 @@ from typing import BinaryIO
 
 import numpy as np
 
-from ..errors import FormatError
+from ..errors import DatasetError, FormatError
 from ..sh import rgb_to_sh0
 from ..splats import SH_REST_BY_DEGREE, Splats
 from .files import atomic_write
 from .ply_compressed import decompress, is_compressed
 from .ply_elements import columns, read_elements
 
-__all__ = ["read_splats", "write_splats"]
+__all__ = ["MIP_COMMENT", "is_antialiased", "read_splats", "write_splats"]
 
 _log = logging.getLogger(__name__)
 
+MIP_COMMENT = "SplatRenderMode: mip"
+"""Header comment of models trained with the anti-aliasing compensation."""
+_HEADER_LIMIT = 1 << 20
 _POSITION = ["x", "y", "z"]
 _SCALE = ["scale_0", "scale_1", "scale_2"]
 _QUAT = ["rot_0", "rot_1", "rot_2", "rot_3"]
@@ -74,6 +77,22 @@ def read_splats(path: str | Path) -> Splats:
     return splats.subset(good)
 
 
+def is_antialiased(path: str | Path) -> bool:
+    """Whether the header of a PLY says that its splats want the anti-aliasing compensation.
+
+    Raises:
+        DatasetError: the file is missing.
+    """
+    path = Path(path)
+    try:
+        with path.open("rb") as file:
+            header = file.read(_HEADER_LIMIT).partition(b"end_header")[0]
+    except OSError as error:
+        raise DatasetError(f"Cannot read {path}: {error.strerror or error}.") from error
+    comments = [line[8:].strip() for line in header.splitlines() if line.startswith(b"comment ")]
+    return MIP_COMMENT.encode() in comments
+
+
 def write_splats(path: str | Path, splats: Splats, *, comments: tuple[str, ...] = ()) -> None:
     """Write a model in the official layout, completely or not at all.
 
@@ -83,7 +102,7 @@ def write_splats(path: str | Path, splats: Splats, *, comments: tuple[str, ...] 
     Args:
         path: The file to write; its folder is made.
         splats: The model, raw parameters.
-        comments: Lines for the header, for example "SplatRenderMode: mip".
+        comments: Lines for the header, for example `MIP_COMMENT`.
 
     Raises:
         GsError: the file cannot be written.

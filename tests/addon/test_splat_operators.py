@@ -10,7 +10,7 @@ from mathutils import Matrix
 
 from addon import native_splats, splat_edit, splat_io, splat_object
 from addon.compat import native_splat_type
-from addon.core import Splats, read_splats, transform_splats, write_splats
+from addon.core import MIP_COMMENT, Splats, read_splats, transform_splats, write_splats
 from addon.splat_filter import visible_mask
 
 Make = Callable[..., Splats]
@@ -145,6 +145,32 @@ def test_moved_export(
     matrix = local if world == "SOURCE" else base @ local
     assert (np.linalg.det(matrix[:3, :3]) < 0) == mirrored
     close(read_splats(tmp_path / "out.ply"), transform_splats(read_splats(ply), matrix), 6e-6)
+
+
+@pytest.mark.parametrize("antialiased", [False, True])
+def test_antialiasing_is_kept(
+    scene: bpy.types.Scene, tmp_path: Path, make_splats: Make, antialiased: bool
+) -> None:
+    """Oracle: the header's comment, before and after, and the mark that the engine reads."""
+    comments = (MIP_COMMENT,) if antialiased else ()
+    write_splats(tmp_path / "in.ply", make_splats(4), comments=comments)
+    bpy.ops.gscore.import_splats(filepath=str(tmp_path / "in.ply"))
+    assert bool(bpy.context.object.get("gs_antialias")) == antialiased
+    bpy.ops.gscore.export_splats(filepath=str(tmp_path / "out.ply"))
+    header = (tmp_path / "out.ply").read_bytes().partition(b"end_header")[0]
+    assert (b"comment SplatRenderMode: mip" in header) == antialiased
+
+
+def test_warnings_are_collected(tmp_path: Path, make_splats: Make) -> None:
+    """Oracle: a splat that is not finite is left out, and the sentence says how many."""
+    splats = make_splats(10)
+    splats.means[3, 1] = np.nan
+    write_splats(tmp_path / "a.ply", splats)
+    with splat_io.collected_warnings() as warnings:
+        assert len(read_splats(tmp_path / "a.ply")) == 9
+    assert len(warnings) == 1 and "1 of 10 splats" in warnings[0]
+    read_splats(tmp_path / "a.ply")
+    assert len(warnings) == 1
 
 
 def test_export_in_blenders_world(ob: bpy.types.Object, tmp_path: Path, ply: Path) -> None:

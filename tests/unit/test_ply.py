@@ -12,7 +12,7 @@ import plyfile
 import pytest
 
 from gscore.errors import DatasetError, FormatError, GsError
-from gscore.io.ply import read_splats, write_splats
+from gscore.io.ply import MIP_COMMENT, is_antialiased, read_splats, write_splats
 from gscore.io.ply_points import read_point_cloud
 from gscore.splats import SH_REST_BY_DEGREE, Splats
 
@@ -336,3 +336,16 @@ class TestPointClouds:
         _write(tmp_path / "a.ply", {"x": np.ones(2, np.float32)})
         with pytest.raises(FormatError, match="lack y, z"):
             read_point_cloud(tmp_path / "a.ply")
+
+
+def test_antialiasing_is_told_by_the_header(
+    tmp_path: Path, make_splats: Callable[..., Splats]
+) -> None:
+    """Oracle: the comment written; a missing file is named."""
+    splats = make_splats(5, 0)
+    write_splats(tmp_path / "plain.ply", splats, comments=("SplatRenderMode: default",))
+    write_splats(tmp_path / "mip.ply", splats, comments=("made by hand", MIP_COMMENT))
+    assert not is_antialiased(tmp_path / "plain.ply")
+    assert is_antialiased(tmp_path / "mip.ply")
+    with pytest.raises(DatasetError, match=r"none\.ply"):
+        is_antialiased(tmp_path / "none.ply")
