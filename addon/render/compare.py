@@ -121,7 +121,8 @@ def photo_pixels(
         pixels = _decoded(image, path)
     finally:
         bpy.data.images.remove(image)
-    if pixels.shape[1] * own.height != pixels.shape[0] * own.width:
+    # Copies of a photo at other sizes (images_2) are rounded to whole pixels.
+    if abs(pixels.shape[1] * own.height - pixels.shape[0] * own.width) > own.width + own.height:
         raise ValueError(
             f"The photo {path} is {pixels.shape[1]} x {pixels.shape[0]} pixels, its camera was "
             f"made for {own.width} x {own.height}: find the photo that COLMAP saw."

@@ -81,7 +81,7 @@ def _splat_scene(scene: bpy.types.Scene) -> bpy.types.Scene:
 def _synchronise(
     scene: bpy.types.Scene, other: bpy.types.Scene, splats: list[bpy.types.Object]
 ) -> None:
-    """Give the splats' scene the objects, camera, size and frames of the meshes' scene."""
+    """Give the splats' scene the objects and view of the meshes' scene."""
     for ob in [o for o in other.collection.objects if o not in splats]:
         other.collection.objects.unlink(ob)
     for ob in splats:
@@ -91,14 +91,41 @@ def _synchronise(
             # Their picture comes from the other scene; points without faces show nothing here.
             if modifier.type == "NODES":
                 modifier.show_render = False
-    other.render.engine = NAME
-    other.camera, other.world = scene.camera, None
-    for name in _SHARED:
-        setattr(other.render, name, getattr(scene.render, name))
+    other.render.engine, other.world = NAME, None
     other.render.film_transparent = True
-    other.frame_start, other.frame_end = scene.frame_start, scene.frame_end
+    # Blender draws no frame beyond these, whatever the frame of the meshes' scene.
+    other.frame_start, other.frame_end = 0, other.bl_rna.properties["frame_end"].hard_max
+    _follow(scene, other)
     other.gscore_render.antialias = scene.gscore_render.antialias
     other.view_layers[0].use_pass_z = True
+
+
+def _follow(scene: bpy.types.Scene, other: bpy.types.Scene) -> None:
+    """Give the splats' scene the view of the meshes' scene; writes only what differs."""
+    if other.camera != scene.camera:
+        other.camera = scene.camera
+    for name in _SHARED:
+        wanted = getattr(scene.render, name)
+        if getattr(other.render, name) != wanted:
+            setattr(other.render, name, wanted)
+
+
+@bpy.app.handlers.persistent
+def _after_update(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None = None) -> None:
+    """Once set up, a new camera or size of the meshes' scene is the splats' at once."""
+    other = scene.get(SPLAT_SCENE)
+    if isinstance(other, bpy.types.Scene):
+        _follow(scene, other)
+
+
+def register() -> None:
+    """Follow changes of scenes that were set up."""
+    bpy.app.handlers.depsgraph_update_post.append(_after_update)
+
+
+def unregister() -> None:
+    """Stop following."""
+    bpy.app.handlers.depsgraph_update_post.remove(_after_update)
 
 
 def _insert(tree: bpy.types.NodeTree, scene: bpy.types.Scene, other: bpy.types.Scene) -> None:

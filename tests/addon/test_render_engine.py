@@ -391,6 +391,8 @@ import splat_scenes as lab
 bpy.ops.wm.read_homefile(use_empty=True)
 lab.prepare(bpy.context.scene); lab.add(bpy.context.scene, lab.blob())
 print("SAID", lab.error_of(lambda: bpy.ops.render.render()))
+sys.stdout.flush()
+os._exit(0)  # bpy 4.2 crashes at exit once a property had a callback
 """
     assert "native library is missing" in run_blender(script)
 

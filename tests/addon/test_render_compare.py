@@ -1,0 +1,142 @@
+"""Comparison with photos. Oracle: gscore's metrics and pictures of the same view."""
+
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+
+from addon import cameras, splat_object
+from addon.camera_objects import stated
+from addon.core import downscale, psnr, render
+from addon.render import compare
+
+from . import splat_scenes as lab
+
+STUDIO = Path(__file__).parent.parent.parent / "examples" / "studio"
+
+
+@pytest.fixture
+def studio(scene):
+    """The bundled capture, a splat at each of its points, and the engine's settings."""
+    capture = cameras.import_capture(bpy.context, STUDIO, photos=False)
+    values = np.empty(3 * len(capture.points.data.vertices), np.float32)
+    capture.points.data.attributes["position"].data.foreach_get("vector", values)
+    means = values.reshape(-1, 3)
+    blob = lab.blob(len(means))
+    fields = {n: getattr(blob, n) for n in ("quats", "opacities", "sh0", "shN")}
+    splats = type(blob)(means=means, scales=blob.scales - 0.5, **fields)
+    splat_object.create(splats, "s", collection=capture.collection, parent=capture.root)
+    lab.prepare(scene, light=0.1)
+    return capture, splats
+
+
+def pixels(image: bpy.types.Image) -> np.ndarray:
+    """[H, W, 3], the top row first."""
+    values = np.empty(image.size[0] * image.size[1] * 4, np.float32)
+    image.pixels.foreach_get(values)
+    return values.reshape(image.size[1], image.size[0], 4)[::-1, :, :3]
+
+
+@pytest.mark.parametrize("percentage", [100, 50, 37])
+def test_psnr_and_pictures(studio, scene, percentage):
+    """Oracle: gscore.render with the capture's own K, and the photo scaled by gscore."""
+    capture, splats = studio
+    camera = capture.cameras[9]
+    scene.render.resolution_percentage = percentage
+    found = compare.compare(scene, camera, bpy.context.evaluated_depsgraph_get())
+    own = stated(camera)
+    width, height = own.width * percentage // 100, own.height * percentage // 100
+    K = np.diag([width / own.width, height / own.height, 1]) @ own.K
+    near = camera.data.clip_start / capture.root.scale[0]
+    background = (float(lab.srgb(0.1)),) * 3
+    want = render(splats, K, own.viewmat, width, height, near=near, background=background)
+    shown = np.clip(want.rgb, 0, 1)
+    photo = lab.read_image(Path(own.photo))[..., :3]
+    photo = downscale(np.rint(photo * 255).astype(np.uint8), width, height) / np.float32(255)
+    assert found.psnr == pytest.approx(psnr(shown, photo), abs=1e-3)
+    assert camera["gs_psnr"] == found.psnr
+    images = {kind: pixels(image) for kind, image in found.images.items()}
+    np.testing.assert_allclose(images["Photo"], photo, atol=0.51 / 255)
+    np.testing.assert_allclose(images["Render"], shown, atol=1.5 / 255)
+    assert images["Comparison"].shape == (height, 3 * width, 3)
+    error = np.abs(shown - photo).mean(axis=2)
+    bright = images["Error"].sum(axis=2)
+    assert bright[error > 0.2].min() > bright[error < 0.01].max()
+    assert 3 < found.psnr < 40
+
+
+def test_operator_reports_and_stores(studio, scene, capfd):
+    """Oracle: the function; running it again makes no further images."""
+    capture, _ = studio
+    name = capture.cameras[3].name
+    assert bpy.ops.gscore.compare_photo(camera=name) == {"FINISHED"}
+    images = len(bpy.data.images)
+    scene.camera = capture.cameras[3]
+    bpy.context.view_layer.objects.active = None
+    assert bpy.ops.gscore.compare_photo() == {"FINISHED"}
+    assert len(bpy.data.images) == images
+    assert f"PSNR {capture.cameras[3]['gs_psnr']:.2f} dB" in capfd.readouterr().out
+
+
+def no_photo(camera, folder):
+    camera["gs_photo"] = str(folder / "gone.jpg")
+
+
+def other_photo(camera, folder):
+    image = bpy.data.images.new("x", 30, 20)
+    image.filepath_raw, image.file_format = str(folder / "x.png"), "PNG"
+    image.save()
+    camera["gs_photo"] = str(folder / "x.png")
+
+
+def distorted(camera, folder):
+    camera["gs_model"] = "OPENCV"
+
+
+def no_picture(camera, folder):
+    (folder / "x.jpg").write_bytes(b"no picture")
+    camera["gs_photo"] = str(folder / "x.jpg")
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (no_photo, "find the capture's folder again"),
+        (other_photo, "30 x 20 pixels"),
+        (distorted, "distorted"),
+        (no_picture, "decode"),
+    ],
+)
+def test_refusals_change_nothing(studio, scene, tmp_path, spoil, words):
+    """Oracle: a sentence; no images more than before, no PSNR stored."""
+    camera = studio[0].cameras[0]
+    spoil(camera, tmp_path)
+    images = set(bpy.data.images)
+    message = lab.error_of(lambda: bpy.ops.gscore.compare_photo(camera=camera.name))
+    assert words in message
+    assert set(bpy.data.images) == images and "gs_psnr" not in camera
+
+
+def test_a_camera_of_no_photo_is_refused(scene):
+    """Oracle: the sentence says what to choose."""
+    lab.prepare(scene)
+    lab.add(scene, lab.blob())
+    assert "no camera of a photo" in lab.error_of(
+        lambda: bpy.ops.gscore.compare_photo(camera="Camera")
+    )
+    assert "Select an imported camera" in lab.error_of(bpy.ops.gscore.compare_photo)
+
+
+def test_colours_of_the_photos_in_one_click(scene):
+    """Oracle: Blender's own names; a picture does not change for settings that already fit."""
+    scene.view_settings.view_transform = "AgX"
+    scene.view_settings.exposure = 1.0
+    from addon.render.operators import changes_colors
+
+    assert "AgX" in changes_colors(scene) and "Exposure" in changes_colors(scene)
+    assert bpy.ops.gscore.use_photo_colors() == {"FINISHED"}
+    assert not changes_colors(scene)
+    assert scene.view_settings.view_transform == "Standard"
+    assert bpy.ops.gscore.use_engine() == {"FINISHED"}
+    assert scene.render.engine == "GSCORE_SPLATS"
