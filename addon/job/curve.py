@@ -55,10 +55,9 @@ class LossCurve:
             color: Of the line, RGB in [0, 1].
 
         Returns:
-            [height, width, 4] float32 RGBA, not premultiplied, bottom row first as Blender wants.
+            [height, width, 4] float32 RGBA, premultiplied, bottom row first, as icons are.
         """
         pixels = np.zeros((height, width, 4), np.float32)
-        pixels[..., :3] = color
         if len(self.losses) < 2:
             return pixels
         columns = np.arange(width)
@@ -77,4 +76,5 @@ class LossCurve:
         line = np.clip(1.5 - distance, 0, 1)
         under = np.where(rows < y, 0.18, 0.0)
         pixels[..., 3] = np.maximum(line, under) * inside
+        pixels[..., :3] = pixels[..., 3:] * np.float32(color)
         return pixels

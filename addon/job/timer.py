@@ -5,6 +5,8 @@ timers never run: scripts call `tick`, or `training.wait_for`, themselves.
 """
 
 import atexit
+import logging
+import time
 
 import bpy
 from bpy.app.handlers import persistent
@@ -16,6 +18,15 @@ INTERVAL = 0.1
 """Seconds between two beats."""
 FAST = 0.01
 """The same while splats are handed to Blender bit by bit."""
+REDRAW = 0.4
+"""Seconds between two redraws: the viewport behind a sidebar is drawn with it."""
+
+AFTER_ERROR = 5.0
+"""The same after an error of our own."""
+
+_log = logging.getLogger(__name__)
+_stale = False
+_drawn = 0.0
 
 
 def tick() -> bool:
@@ -24,17 +35,18 @@ def tick() -> bool:
     A beat does one thing that may take milliseconds: reading lines, or showing a picture, or
     handing splats to Blender.
     """
-    changed = False
+    global _stale
     for job in registry.jobs():
         if job.poll():
-            changed = True
+            _stale = True
         else:
-            changed |= display.update(job)
-    changed |= lookup.collect()
-    changed |= setup.collect(preferences.get())
-    if changed:
+            _stale |= display.update(job)
+    _stale |= lookup.collect()
+    _stale |= setup.collect(preferences.get())
+    if _stale and time.monotonic() - _drawn > REDRAW:
         redraw()
-    return setup.busy() or lookup.busy() or any(display.waits(job) for job in registry.jobs())
+    waits = setup.busy() or lookup.busy() or any(display.waits(job) for job in registry.jobs())
+    return waits or (_stale and not bpy.app.background)
 
 
 def ensure() -> None:
@@ -45,6 +57,8 @@ def ensure() -> None:
 
 def redraw() -> None:
     """Draw the sidebars of 3D views, and preferences, anew."""
+    global _stale, _drawn
+    _stale, _drawn = False, time.monotonic()
     manager = bpy.context.window_manager
     areas = [area for window in manager.windows for area in window.screen.areas]
     for area in areas:
@@ -55,7 +69,12 @@ def redraw() -> None:
 
 
 def _beat() -> float | None:
-    if not tick():
+    try:
+        waits = tick()
+    except Exception:  # Blender would never call again, and a training would seem to stand still
+        _log.exception("An error in the add-on; please report it.")
+        return AFTER_ERROR
+    if not waits:
         return None
     return FAST if display.filling() else INTERVAL
 

@@ -7,7 +7,7 @@ import bpy
 from .. import splat_edit
 from ..job.display import RUN_KEY
 from ..splat_object import is_splats
-from .widgets import TabPanel, rows, sentence
+from .widgets import TabPanel, job, rows, sentence
 
 
 def shown(context: bpy.types.Context) -> bpy.types.Object | None:
@@ -47,7 +47,8 @@ class ResultPanel(TabPanel, bpy.types.Panel):
         row = layout.row(align=True)
         row.operator("gscore.import_splats", text="Import", icon="IMPORT")
         row.operator("gscore.export_splats", text="Export", icon="EXPORT")
-        if ob.get(RUN_KEY):
+        training = job(context)
+        if ob.get(RUN_KEY) and (training is None or training.state.ended):
             layout.operator("gscore.show_report", icon="URL")
 
 
