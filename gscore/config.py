@@ -125,6 +125,12 @@ class TrainConfig:
     init_scale: float = 0.0
     """Size of the first splats in mean distances to their neighbours; 0: 1, with mcmc 0.1."""
 
+    coarse_factor: float = 0.0
+    """Sides of the photos are divided by this at the first steps, and by less and less until
+    `coarse_until`; 0: up to 8, so that 75 pixels are left; 1: full size from the first step."""
+    coarse_until: float = 0.9
+    """Share of the run after which photos are used at full size."""
+
     refine_start: int = 0
     """First step at which splats may be added or removed; 0: 500, sooner in short runs."""
     refine_stop: int = 0
@@ -185,6 +191,10 @@ class TrainConfig:
         )
         _at_least(self, 0.0, "prune_scale", "mcmc_growth", "mcmc_noise", "opacity_reg", "scale_reg")
         _at_least(self, 0.0, "checkpoint_seconds", "preview_seconds")
+        if self.coarse_factor != 0:
+            _at_least(self, 1.0, "coarse_factor")
+        if not 0 <= self.coarse_until <= 1:
+            raise ConfigError(f"coarse_until must lie in [0, 1], got {self.coarse_until}.")
         for name in ("ssim_weight", "init_opacity", "prune_opacity"):
             value = getattr(self, name)
             if not 0 <= value <= (1 if name == "ssim_weight" else 0.99):
@@ -198,26 +208,26 @@ class TrainConfig:
 
 def preview(source: Path) -> tuple[DataConfig, TrainConfig]:
     """A first look within about 30 seconds on two cores."""
-    train = TrainConfig(iterations=1000, max_splats=50_000, sh_degree=1)
+    train = TrainConfig(iterations=1500, max_splats=50_000, sh_degree=1)
     return DataConfig(source=source, max_width=400), train
 
 
 def draft(source: Path) -> tuple[DataConfig, TrainConfig]:
     """Good enough to judge a capture, in about three minutes on two cores."""
-    train = TrainConfig(iterations=2500, max_splats=100_000, sh_degree=2)
-    return DataConfig(source=source, max_width=512), train
+    train = TrainConfig(iterations=4000, max_splats=150_000, sh_degree=2)
+    return DataConfig(source=source, max_width=640), train
 
 
 def normal(source: Path) -> tuple[DataConfig, TrainConfig]:
     """The everyday choice, about twelve minutes on two cores."""
-    train = TrainConfig(iterations=5000, max_splats=250_000)
-    return DataConfig(source=source, max_width=800), train
+    train = TrainConfig(iterations=7000, max_splats=300_000)
+    return DataConfig(source=source, max_width=1000), train
 
 
 def high(source: Path) -> tuple[DataConfig, TrainConfig]:
     """Everything the method gives, about an hour on two cores."""
-    train = TrainConfig(iterations=12_000, max_splats=600_000)
-    return DataConfig(source=source, max_width=1200), train
+    train = TrainConfig(iterations=15_000, max_splats=600_000)
+    return DataConfig(source=source, max_width=1600), train
 
 
 PRESETS: dict[str, Callable[[Path], tuple[DataConfig, TrainConfig]]] = {

@@ -76,6 +76,8 @@ _METHOD = {
     "lr_boost": ("--lr-boost",),
     "ssim_weight": ("--ssim-weight", "--lambda-dssim"),
     "sh_every": ("--sh-every",),
+    "coarse_factor": ("--coarse-factor",),
+    "coarse_until": ("--coarse-until",),
     "init_opacity": ("--init-opacity",),
     "init_scale": ("--init-scale",),
     "refine_start": ("--refine-start", "--densify-from-iter"),

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from ..config import Strategy, TrainConfig
 
 _PAPER_STEPS = 30_000
+_COARSE_SIDE = 75
+"""Pixels of a photo's shorter side below which a coarse picture says too little."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,6 +20,10 @@ class Plan:
     """Degree in use from half of the run on."""
     sh_every: int
     """Steps between two SH degrees."""
+    coarse_factor: float
+    """What the sides of the photos are divided by at the first step."""
+    coarse_until: int
+    """From this step on photos are used at full size."""
     refine_start: int
     """First step that may refine."""
     refine_stop: int
@@ -40,13 +46,14 @@ class Plan:
     """Share of splats that `mcmc` adds at a refinement."""
 
     @classmethod
-    def of(cls, config: TrainConfig, *, extent: float, points: int) -> "Plan":
+    def of(cls, config: TrainConfig, *, extent: float, points: int, side: int) -> "Plan":
         """Resolve `config` for a capture.
 
         Args:
             config: The options.
             extent: Camera extent, training units.
             points: Number of splats at the start.
+            side: Shorter side of the smallest photo, pixels.
         """
         n = config.iterations
         mcmc = config.strategy is Strategy.MCMC
@@ -67,6 +74,8 @@ class Plan:
             iterations=n,
             sh_degree=config.sh_degree,
             sh_every=config.sh_every or max(1, min(1000, n // (2 * max(config.sh_degree, 1)))),
+            coarse_factor=config.coarse_factor or min(max(side / _COARSE_SIDE, 1.0), 8.0),
+            coarse_until=round(config.coarse_until * n),
             refine_start=start,
             refine_stop=stop,
             refine_every=every,
@@ -99,6 +108,19 @@ class Plan:
     def sh_degree_at(self, step: int) -> int:
         """SH degree in use at `step`."""
         return min(self.sh_degree, (step - 1) // self.sh_every)
+
+    def factor_at(self, step: int) -> float:
+        """What the sides of the photos are divided by at `step`: a power of the root of 2, or 1.
+
+        The number of pixels rises with the square of the step, so that most steps are cheap and
+        coarse structure settles first (after Chen et al. 2025, DashGaussian).
+        """
+        done = step / max(self.coarse_until, 1)
+        if done >= 1:
+            return 1.0
+        least = self.coarse_factor**-2
+        pixels = least + (1 - least) * done * done
+        return 2.0 ** (round(-math.log2(pixels)) / 2)
 
     def refines_at(self, step: int) -> bool:
         """Whether splats may be added or removed after `step`."""

@@ -14,9 +14,10 @@ from . import guard
 from .frame import Frame
 from .model import Model
 from .params import splats_from_points, splats_from_tensors, tensors_from_splats
+from .pyramid import Pyramid
 from .schedules import Plan
 from .strategy import Change, make_strategy, ops
-from .views import Photos, Sampler, views_of
+from .views import Photos, Sampler, View
 
 _MAX_SKIPPED = 100
 _COLORS = {Background.BLACK: (0.0, 0.0, 0.0), Background.WHITE: (1.0, 1.0, 1.0)}
@@ -58,7 +59,9 @@ class Trainer:
         self.photos = photos
         self.frame = frame or Frame.of(photos.scene, near=config.near)
         points = min(len(photos.scene.points), config.max_splats)
-        self.plan = Plan.of(config, extent=self.frame.extent, points=points)
+        cameras = photos.scene.cameras
+        side = int(min(cameras.widths.min(), cameras.heights.min()))
+        self.plan = Plan.of(config, extent=self.frame.extent, points=points, side=side)
         self.strategy = make_strategy(config, self.plan, extent=self.frame.extent)
         self.generator = torch.Generator().manual_seed(config.seed)
         self.sampler = Sampler(photos.train)
@@ -68,7 +71,7 @@ class Trainer:
         """Gradient rows left out so far because they were not finite."""
         self._skipped = 0
         self._cameras = self.frame.similarity.cameras_to_training(photos.scene.cameras)
-        self._views = views_of(self._cameras)
+        self._pyramid = Pyramid(photos, self._cameras)
         self.model = Model(tensors_from_splats(self._first_splats()))
         self.strategy.start(self.model)
 
@@ -81,7 +84,7 @@ class Trainer:
         step, config, model = self.steps + 1, self.config, self.model
         ops.widen_sh(model, self.plan.sh_degree_at(step))
         index = self.sampler.next(self.generator)
-        view = self._views[index]
+        view, image, mask = self._pyramid.at(index, self.plan.factor_at(step))
         background = self._step_background()
         aux = RasterAux()
         picture = rasterize(
@@ -97,10 +100,9 @@ class Trainer:
             threads=config.threads,
             aux=aux,
         )
-        mask = self.photos.mask(index)
         loss = image_loss(
             picture.rgb,
-            torch.from_numpy(self.photos.image(index)),
+            torch.from_numpy(image),
             ssim_weight=config.ssim_weight,
             mask=None if mask is None else torch.from_numpy(mask),
             mask_mode="none" if mask is None else self.photos.mask_mode,
@@ -117,11 +119,11 @@ class Trainer:
         self._skipped = 0
         bad_rows = guard.zero_bad_rows(model)
         self.bad_rows += bad_rows
-        return StepResult(value, loss.mse, self._learn(step, aux, index), bad_rows, False)
+        return StepResult(value, loss.mse, self._learn(step, aux, view), bad_rows, False)
 
     def picture(self, index: int, *, background: tuple[float, float, float]) -> torch.Tensor:
         """The view `index` as the splats show it now, [H, W, 3] float32."""
-        view = self._views[index]
+        view = self._pyramid.view(index)
         with torch.no_grad():
             return rasterize(
                 *self.model.arguments,
@@ -218,8 +220,8 @@ class Trainer:
             )
         return StepResult(value, mse, Change(), 0, True)
 
-    def _learn(self, step: int, aux: RasterAux, index: int) -> Change:
-        model, view = self.model, self._views[index]
+    def _learn(self, step: int, aux: RasterAux, view: View) -> Change:
+        model = self.model
         if aux.radii is None or aux.v_means2d is None:
             raise GsError("The rasterizer returned no radii; reinstall gscore.")
         self.strategy.shape_gradients(model)

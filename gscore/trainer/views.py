@@ -6,7 +6,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import torch
 
-from ..scene import Cameras, Scene
+from ..scene import Scene
 
 
 class Photos(Protocol):
@@ -56,17 +56,14 @@ class View(NamedTuple):
     height: int
 
 
-def views_of(cameras: Cameras) -> list[View]:
-    """The cameras (training world) as tensors."""
-    return [
-        View(
-            torch.from_numpy(cameras.viewmats[i].astype(np.float32)),
-            torch.from_numpy(cameras.Ks[i].astype(np.float32)),
-            int(cameras.widths[i]),
-            int(cameras.heights[i]),
-        )
-        for i in range(len(cameras))
-    ]
+def view_of(viewmat: np.ndarray, K: np.ndarray, width: int, height: int) -> View:
+    """A camera of the training world, [4, 4] and [3, 3] float64, as tensors."""
+    return View(
+        torch.from_numpy(viewmat.astype(np.float32)),
+        torch.from_numpy(K.astype(np.float32)),
+        width,
+        height,
+    )
 
 
 class Sampler:

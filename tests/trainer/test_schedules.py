@@ -9,8 +9,8 @@ from gscore.config import PRESETS, Strategy, TrainConfig
 from gscore.trainer.schedules import Plan
 
 
-def plan_of(config: TrainConfig, points: int = 10_000) -> Plan:
-    return Plan.of(config, extent=2.0, points=points)
+def plan_of(config: TrainConfig, points: int = 10_000, side: int = 300) -> Plan:
+    return Plan.of(config, extent=2.0, points=points, side=side)
 
 
 def test_a_run_of_30000_steps_is_that_of_the_paper() -> None:
@@ -101,3 +101,18 @@ def test_presets_spend_more_each_time(tmp_path_factory: pytest.TempPathFactory) 
         assert data.max_width < more_data.max_width
         assert train.sh_degree <= more_train.sh_degree
     assert math.isfinite(made[-1][1].means_lr)
+
+
+def test_photos_grow_to_full_size() -> None:
+    """Oracle: the definition: 75 pixels at first, halvings of the number of pixels, full at 0.9."""
+    plan = plan_of(TrainConfig(iterations=1000), side=300)
+    factors = [plan.factor_at(s) for s in range(1, 1001)]
+    assert factors[0] == 4.0
+    assert factors == sorted(factors, reverse=True)
+    assert set(factors) == {2.0 ** (i / 2) for i in range(5)}
+    assert factors[899:] == [1.0] * 101
+    assert sum(f**-2 for f in factors) < 600, "the work of 600 full steps"
+    assert plan_of(TrainConfig(), side=60).factor_at(1) == 1.0
+    assert plan_of(TrainConfig(), side=10_000).coarse_factor == 8.0
+    assert plan_of(TrainConfig(coarse_factor=1)).factor_at(1) == 1.0
+    assert plan_of(TrainConfig(coarse_until=0)).factor_at(1) == 1.0
