@@ -1,8 +1,10 @@
 """Oracle: empty environments, where the wheel installs beside numpy alone and renders."""
 
+import json
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -47,19 +49,46 @@ def test_the_name_serves_every_python(wheel: Path) -> None:
     assert tags[2] != "any"
 
 
+@pytest.fixture
+def environment(tmp_path: Path) -> Callable[[str], Path]:
+    """`environment(python)`: the interpreter of a new environment with nothing in it."""
+
+    def make(python: str) -> Path:
+        _run(python, "-m", "venv", tmp_path / "env", cwd=tmp_path)
+        found = (tmp_path / "env").glob("*/python*")
+        return next(p for p in found if p.stem in ("python", "python.exe"))
+
+    return make
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("version", ["3.11", "3.12", "3.13", "3.14"])
-def test_renders_in_an_empty_environment(wheel: Path, version: str, tmp_path: Path) -> None:
+def test_renders_in_an_empty_environment(
+    wheel: Path, version: str, environment: Callable[[str], Path], tmp_path: Path
+) -> None:
     """Oracle: the opacity of one splat under its centre, sigmoid(3)."""
     python = shutil.which(f"python{version}")
     if python is None or "3." not in _version_of(python):
         pytest.skip(f"python{version} is not on this machine")
-    _run(python, "-m", "venv", tmp_path / "env", cwd=tmp_path)
-    (python_there,) = [
-        p for p in (tmp_path / "env").glob("*/python*") if p.stem in ("python", "python.exe")
-    ]
+    python_there = environment(python)
     _run(python_there, "-m", "pip", "install", "-q", wheel, cwd=tmp_path)
     assert _run(python_there, "-c", RENDER, cwd=tmp_path) == "0.95257 False"
+
+
+@pytest.mark.slow
+def test_trains_from_the_wheel_with_its_extra(
+    wheel: Path, environment: Callable[[str], Path], tmp_path: Path
+) -> None:
+    """Oracle: the bundled capture, trained a little in an environment made from the wheel."""
+    python = environment(sys.executable)
+    pins = ROOT / "constraints.txt"
+    _run(python, "-m", "pip", "install", "-q", "-c", pins, f"{wheel}[train]", cwd=tmp_path)
+    short = ["--iterations", "20", "--max-splats", "5000", "-r", "8"]
+    options = ["-o", "run", *short, "--eval", "--json", "--quiet"]
+    capture = ROOT / "examples" / "studio"
+    told = _run(python, "-I", "-m", "gscore", "train", capture, *options, cwd=tmp_path)
+    assert json.loads(told)["psnr"] > 12
+    assert (tmp_path / "run" / "report.html").is_file()
 
 
 def _version_of(python: str) -> str:
