@@ -105,6 +105,16 @@ def is_splats(ob: bpy.types.Object | None) -> bool:
     return ob is not None and ob.type == "MESH" and ob.get("gs_kind") == KIND
 
 
+def can_export(ob: bpy.types.Object | None) -> bool:
+    """Whether an object holds splats of its own: ours, or a point cloud with Blender's attributes.
+
+    Native copies of our objects are left out: they are the same splats again.
+    """
+    if ob is None or ob.type != "POINTCLOUD" or "gs_kind" in ob:
+        return is_splats(ob)
+    return attributes.BASE in ob.data.attributes
+
+
 @contextmanager
 def _readable(ob: bpy.types.Object) -> Iterator[bpy.types.ID]:
     """The object's data; in Edit Mode, where its attributes are out of reach, a copy of them."""

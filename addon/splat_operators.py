@@ -11,7 +11,7 @@ from . import native_splats, splat_edit, splat_io, splat_settings
 from .camera_objects import root_of
 from .compat import native_splat_type
 from .core import GsError
-from .splat_object import is_splats
+from .splat_object import can_export, is_splats
 
 _UP = [
     ("-Y", "-Y Up", "The file's +Y points down, as COLMAP and most trainers write it"),
@@ -132,7 +132,7 @@ class ExportSplats(bpy.types.Operator, ExportHelper):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Whether a splat object is active or selected."""
+        """Whether an object with splats is active or selected."""
         if _chosen(context):
             return True
         cls.poll_message_set("Select a splat object to export")
@@ -152,8 +152,8 @@ class ExportSplats(bpy.types.Operator, ExportHelper):
 
 
 def _chosen(context: bpy.types.Context) -> list[bpy.types.Object]:
-    """Selected splat objects, the active one first even if it is not selected."""
-    obs = [ob for ob in (context.object, *context.selected_objects) if is_splats(ob)]
+    """Selected objects with splats, the active one first even if it is not selected."""
+    obs = [ob for ob in (context.object, *context.selected_objects) if can_export(ob)]
     return list(dict.fromkeys(obs))
 
 

@@ -390,16 +390,49 @@ def test_native(ob: bpy.types.Object, make_splats: Make) -> None:
         close(splat_object.read(native), make_splats(COUNT))
 
 
-@pytest.mark.skipif(
+needs_resize = pytest.mark.skipif(
     "resize" not in bpy.types.PointCloud.bl_rna.functions,
     reason="this Blender cannot size point clouds",
 )
+
+
+@needs_resize
 def test_native_attributes(scene: bpy.types.Scene, make_splats: Make) -> None:
     """Oracle: the splats given, and the type of Blender's own `radiance:base`."""
     cloud = native_splats.point_cloud(make_splats(COUNT), "Native")
     assert cloud.attributes["radiance:base"].data_type == "FLOAT4"
     ob = bpy.data.objects.new("Native", cloud)
     close(splat_object.read(ob), make_splats(COUNT))
+
+
+@needs_resize
+def test_blenders_splats_are_exported(
+    scene: bpy.types.Scene, make_splats: Make, tmp_path: Path
+) -> None:
+    """Oracle: transform_splats by hand; our own native copies are not exported twice."""
+    cloud = native_splats.point_cloud(make_splats(COUNT), "Theirs")
+    ob = bpy.data.objects.new("Theirs", cloud)
+    scene.collection.objects.link(ob)
+    ob.rotation_euler, ob.location = (0.5, 1, 2), (1, 2, 3)
+    bpy.context.view_layer.objects.active = ob
+    bpy.ops.gscore.export_splats(filepath=str(tmp_path / "out.ply"))
+    matrix = np.array([tuple(r) for r in ob.matrix_basis], np.float64)
+    close(read_splats(tmp_path / "out.ply"), transform_splats(make_splats(COUNT), matrix))
+    ob["gs_kind"] = native_splats.KIND
+    assert not bpy.ops.gscore.export_splats.poll()
+
+
+def test_import_and_undo(scene: bpy.types.Scene, ply: Path) -> None:
+    """Oracle: the scene before; what was there already is bit for bit the same."""
+    bpy.ops.gscore.import_splats(filepath=str(ply))
+    before = splat_object.read(bpy.data.objects["chair"])
+    bpy.ops.ed.undo_push(message="first")
+    bpy.ops.gscore.import_splats(filepath=str(ply))
+    bpy.ops.ed.undo_push(message="second")
+    assert len(bpy.data.objects) == 2
+    bpy.ops.ed.undo()
+    assert [ob.name for ob in bpy.data.objects] == ["chair"]
+    np.testing.assert_array_equal(splat_object.read(bpy.data.objects["chair"]).shN, before.shN)
 
 
 def test_drop_handler(scene: bpy.types.Scene) -> None:
