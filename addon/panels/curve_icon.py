@@ -22,6 +22,7 @@ def update(job: Job) -> int:
     if _drawn.get(job.id) != last:
         _drawn[job.id] = last
         pixels = curve.picture(_SIZE, _SIZE, last_step=job.state.iterations)
+        pixels[..., :3] *= pixels[..., 3:]  # Blender blends icons as premultiplied
         icon.image_size = (_SIZE, _SIZE)
         icon.image_pixels_float.foreach_set(pixels.ravel())
     return icon.icon_id

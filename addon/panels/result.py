@@ -40,6 +40,9 @@ class ResultPanel(TabPanel, bpy.types.Panel):
         settings = ob.gscore
         layout.prop(settings, "display")
         layout.prop(settings, "colour_by")
+        shading = context.space_data.shading
+        if shading.type in {"WIREFRAME", "SOLID"}:  # which know no colors but those of faces
+            layout.prop_enum(shading, "type", "MATERIAL", text="Show Colors in This View")
         if settings.display == "POINTS":
             layout.prop(settings, "point_size")
         elif settings.display in {"ELLIPSOIDS", "SOFT"}:
