@@ -11,6 +11,7 @@ from .camera_lookup import find_camera, find_root
 from .core import GsError
 from .export_cameras import Exported, export_colmap
 from .export_transforms import export_transforms
+from .paths import absolute, relative
 
 
 class CaptureOperator:
@@ -91,10 +92,11 @@ class GSCORE_OT_import_cameras(CaptureOperator, bpy.types.Operator):  # noqa: N8
         description="Turn the capture so that up is up and the ground at height 0; else keep "
         "COLMAP's axes",
     )
-    solid_colors: BoolProperty(
-        name="Colours in Solid View",
+    set_up_views: BoolProperty(
+        name="Set Up Views",
         default=True,
-        description="Let this window's 3D views show the points' colours in Solid shading",
+        description="Let this window's 3D views show the points' colours in Solid shading, and "
+        "hide outlines and the lines from each camera to its capture",
     )
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
@@ -106,16 +108,17 @@ class GSCORE_OT_import_cameras(CaptureOperator, bpy.types.Operator):  # noqa: N8
 
     def act(self, context: bpy.types.Context) -> None:
         """Import."""
-        path = self.directory or _panel_path(context)
-        if not path:
-            raise ValueError("No folder is given. Choose the folder of a capture.")
+        path = absolute(self.directory or _panel_path(context), "Capture")
+        images = self.images
+        if not self.properties.is_property_set("images"):
+            images = getattr(_settings(context), "images", self.images)
         manager = context.window_manager
         manager.progress_begin(0, 1)
         try:
             made = cameras.import_capture(
                 context,
                 path,
-                images=self.images,
+                images=images,
                 photos=self.photos,
                 points=self.points,
                 align=self.align,
@@ -125,8 +128,9 @@ class GSCORE_OT_import_cameras(CaptureOperator, bpy.types.Operator):  # noqa: N8
             manager.progress_end()
         _activate(context, made.root)
         self.warn(made.warnings)
-        if self.solid_colors and made.points is not None:
-            _show_colors(context)
+        if self.set_up_views:
+            _set_up_views(context)
+        _remember(context, made.root, images)
         count = f"{len(made.cameras)} cameras"
         points = f", {len(made.points.data.vertices)} points" if made.points else ""
         self.report({"INFO"}, f"{made.root.name}: {count}{points}")
@@ -240,12 +244,11 @@ class GSCORE_OT_relink_capture(CaptureOperator, bpy.types.Operator):  # noqa: N8
 
     def act(self, context: bpy.types.Context) -> None:
         """Relink."""
-        if not self.directory:
-            raise ValueError("No folder is given. Choose the folder of the capture.")
+        folder = absolute(self.directory, "Folder")
         root = find_root(context, self.capture)
-        found, total = cameras.relink(root, self.directory, self.images)
+        found, total = cameras.relink(root, folder, self.images)
         kind = "INFO" if found == total else "WARNING"
-        self.report({kind}, f"{found} of {total} photos found in {self.directory}")
+        self.report({kind}, f"{found} of {total} photos found in {folder}")
 
 
 class GSCORE_OT_export_cameras(CaptureOperator, bpy.types.Operator):  # noqa: N801
@@ -295,9 +298,7 @@ class GSCORE_OT_export_cameras(CaptureOperator, bpy.types.Operator):  # noqa: N8
 
     def act(self, context: bpy.types.Context) -> None:
         """Export."""
-        if not self.directory:
-            raise ValueError("No folder is given. Choose a folder to write into.")
-        folder = Path(bpy.path.abspath(self.directory))
+        folder = absolute(self.directory, "Folder")
         needs_root = self.world == "CAPTURE" or self.which == "CAPTURE"
         root = find_root(context, self.capture) if needs_root else None
         objects = _chosen(context, self.which, root)
@@ -343,9 +344,20 @@ def unregister() -> None:
         bpy.utils.unregister_class(cls)
 
 
+def _settings(context: bpy.types.Context) -> Any:
+    """The scene's settings, or None where only these operators are registered."""
+    return getattr(context.scene, "gscore", None)
+
+
 def _panel_path(context: bpy.types.Context) -> str:
-    settings = getattr(context.scene, "gscore", None)
-    return getattr(settings, "capture_path", "") if settings is not None else ""
+    return getattr(_settings(context), "capture_path", "").strip()
+
+
+def _remember(context: bpy.types.Context, root: bpy.types.Object, images: str) -> None:
+    """Train on what was imported, unless another capture has been chosen."""
+    settings = _settings(context)
+    if settings is not None and not _panel_path(context):
+        settings.capture_path, settings.images = relative(Path(root["gs_source"])), images
 
 
 def _chosen(
@@ -370,9 +382,11 @@ def _activate(context: bpy.types.Context, ob: bpy.types.Object) -> None:
     context.view_layer.objects.active = ob
 
 
-def _show_colors(context: bpy.types.Context) -> None:
+def _set_up_views(context: bpy.types.Context) -> None:
     for space in _views(context):
         space.shading.color_type = "VERTEX"
+        space.shading.show_object_outline = False  # around a dot it leaves nothing but outline
+        space.overlay.show_relationship_lines = False
 
 
 def _look_through(context: bpy.types.Context) -> None:

@@ -38,7 +38,7 @@ __all__ = [
 
 CLIP_START, CLIP_END = 0.002, 100.0
 """Clipping distances, in units of the cameras' extent."""
-DISPLAY = 0.25
+DISPLAY = 0.2
 """Length of a camera's drawing, in median distances to the nearest other camera."""
 FAR = 1e4
 """Distance of a capture from its origin, in extents, at which single precision shows."""
@@ -176,7 +176,8 @@ def import_capture(
     made = None
     if points and len(cloud):
         indices = np.flatnonzero(finite)
-        made = sfm_points.create(cloud, colors, f"{name} points", collection, root, indices)
+        radius = sfm_points.point_radius(cloud, _centers(viewmats))
+        made = sfm_points.create(cloud, colors, f"{name} points", collection, root, indices, radius)
         made[co.KIND] = "points"
     warnings = (*capture.warnings, *_warnings(views, viewmats, capture))
     return ImportedCapture(
@@ -260,10 +261,8 @@ def align_root(root: bpy.types.Object, up: np.ndarray | None = None) -> alignmen
 def world_extent(root: bpy.types.Object) -> float:
     """Largest distance between two of a capture's cameras, in Blender's units."""
     cameras = cameras_of(root)
-    centers = np.array(
-        [cm.matrix_world_from_viewmat(co.stated(ob).viewmat)[:3, 3] for ob in cameras]
-    )
-    return alignment.camera_extent(centers.reshape(-1, 3)) * root_scale(root)
+    viewmats = np.array([co.stated(ob).viewmat for ob in cameras]).reshape(-1, 4, 4)
+    return alignment.camera_extent(_centers(viewmats)) * root_scale(root)
 
 
 def set_extent(root: bpy.types.Object, extent: float) -> None:
@@ -335,6 +334,11 @@ def relink(root: bpy.types.Object, path: str | Path, images: str = "images") -> 
     return sum(1 for file in found.values() if file), len(cameras)
 
 
+def _centers(viewmats: np.ndarray) -> np.ndarray:
+    """Camera positions [C, 3]."""
+    return np.array([cm.matrix_world_from_viewmat(v)[:3, 3] for v in viewmats]).reshape(-1, 3)
+
+
 def _stated(view: View) -> co.PhotoCamera:
     camera = view.camera
     return co.PhotoCamera(
@@ -401,7 +405,7 @@ def _warnings(views: list[View], viewmats: np.ndarray, capture: Capture) -> list
             "The photos differ in size. Blender keeps resolution per scene: choose cameras with "
             "Use Camera, which sets it."
         )
-    centers = np.array([cm.matrix_world_from_viewmat(viewmat)[:3, 3] for viewmat in viewmats])
+    centers = _centers(viewmats)
     extent = alignment.camera_extent(centers)
     if extent > 0 and np.linalg.norm(centers, axis=1).max() > FAR * extent:
         out.append(

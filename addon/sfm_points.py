@@ -15,8 +15,8 @@ GROUP = "Capture Points"
 SOLID_MOST = 200_000
 """Points up to which each becomes a small octahedron, so that solid view has faces to colour; more
 become a point cloud, which only Material Preview and renders colour."""
-RADIUS = 0.002
-"""Radius of a point, in diameters of the cloud's dense part."""
+ANGLE = 0.002
+"""Radius of a point as the nearest camera sees it, radians: two or three pixels of a photo."""
 
 
 def create(
@@ -26,6 +26,7 @@ def create(
     collection: bpy.types.Collection,
     parent: bpy.types.Object | None = None,
     indices: np.ndarray | None = None,
+    radius: float = 0.01,
 ) -> bpy.types.Object:
     """A mesh object of loose vertices in the capture's world, displayed by a node group.
 
@@ -38,6 +39,7 @@ def create(
         collection: To link it to.
         parent: Carries the alignment.
         indices: [P] int, places of the points in the capture; None: 0 to P - 1.
+        radius: Of a displayed point, in the parent's units.
     """
     mesh = bpy.data.meshes.new(name)
     mesh.vertices.add(len(points))
@@ -57,16 +59,16 @@ def create(
     collection.objects.link(ob)
     modifier = ob.modifiers.new(GROUP, "NODES")
     modifier.node_group = _node_group()
-    compat.set_modifier_input(modifier, "Radius", point_radius(points))
+    compat.set_modifier_input(modifier, "Radius", radius)
     return ob
 
 
-def point_radius(points: np.ndarray) -> float:
-    """Radius at which single points are visible and still apart, in their own units."""
-    if len(points) == 0:
-        return 0.01
-    distances = np.linalg.norm(points - np.median(points, axis=0), axis=1)
-    return RADIUS * max(2 * float(np.median(distances)), 1e-6)
+def point_radius(points: np.ndarray, centers: np.ndarray) -> float:
+    """Radius at which points [P, 3] are visible to cameras [C, 3] and still apart; P, C > 0."""
+    few = points[:: max(1, len(points) // 1000)]
+    seen_from = centers[:: max(1, len(centers) // 300)]
+    distances = np.linalg.norm(few[:, None] - seen_from[None], axis=2).min(axis=1)
+    return ANGLE * max(float(np.median(distances)), 1e-9)
 
 
 def positions_of(ob: bpy.types.Object) -> np.ndarray:
@@ -149,7 +151,9 @@ def _fill(group: bpy.types.NodeTree) -> None:
     shape = node("GeometryNodeMeshUVSphere")
     shape.inputs["Segments"].default_value, shape.inputs["Rings"].default_value = 4, 2
     spread, real = node("GeometryNodeInstanceOnPoints"), node("GeometryNodeRealizeInstances")
-    # The bare vertices come along because they know which colour attribute is the active one.
+    # One bare vertex comes along because it knows which colour attribute is the active one. More
+    # would be drawn as black dots over the colours.
+    index, rest = node("GeometryNodeInputIndex"), node("GeometryNodeDeleteGeometry")
     join = node("GeometryNodeJoinGeometry")
     cloud, switch = node("GeometryNodeMeshToPoints"), node("GeometryNodeSwitch")
     switch.input_type = "GEOMETRY"
@@ -164,7 +168,9 @@ def _fill(group: bpy.types.NodeTree) -> None:
     link(radius, shape.inputs["Radius"])
     link(spread.outputs["Instances"], real.inputs["Geometry"])
     link(real.outputs["Geometry"], join.inputs["Geometry"])
-    link(geometry, join.inputs["Geometry"])
+    link(index.outputs["Index"], rest.inputs["Selection"])  # true for all but 0
+    link(geometry, rest.inputs["Geometry"])
+    link(rest.outputs["Geometry"], join.inputs["Geometry"])
     link(geometry, cloud.inputs["Mesh"])
     link(radius, cloud.inputs["Radius"])
     link(many.outputs["Result"], switch.inputs["Switch"])

@@ -176,7 +176,7 @@ def test_what_an_import_makes(scene) -> None:
 
 
 def test_points_show_their_colors(scene) -> None:
-    """Oracle: the model's points; the depsgraph's mesh, six vertices and the bare one a point."""
+    """Oracle: the model's points; the depsgraph's mesh: octahedra and one bare vertex."""
     made = cameras.import_capture(bpy.context, STUDIO)
     model = read_colmap(STUDIO)
     np.testing.assert_array_equal(
@@ -185,7 +185,7 @@ def test_points_show_their_colors(scene) -> None:
     np.testing.assert_array_equal(sfm_points.colors_of(made.points), model.points.rgb)
     np.testing.assert_array_equal(sfm_points.indices_of(made.points), np.arange(len(model.points)))
     shown = made.points.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
-    assert len(shown.vertices) == 7 * len(model.points)
+    assert len(shown.vertices) == 6 * len(model.points) + 1
     assert len(shown.polygons) == 8 * len(model.points)
     assert shown.color_attributes.active_color_name == sfm_points.COLOR
     assert [m.name for m in shown.materials if m] == [sfm_points.GROUP]
@@ -363,7 +363,10 @@ def test_operators(scene) -> None:
     """Oracle: what the functions do; errors of both kinds are reports."""
     with pytest.raises(RuntimeError, match="No capture is imported"):
         bpy.ops.gscore.use_camera(index=0)
+    with pytest.raises(RuntimeError, match="Capture is empty"):
+        bpy.ops.gscore.import_cameras()
     bpy.ops.gscore.import_cameras(directory=str(STUDIO))
+    assert Path(scene.gscore.capture_path) == STUDIO
     bpy.ops.gscore.use_camera(camera="view_012.jpg")
     assert scene.camera["gs_image"] == "view_012.jpg"
     bpy.ops.gscore.step_camera(step=-2)
