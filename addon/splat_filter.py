@@ -62,10 +62,16 @@ def filters_of(ob: Any) -> Filters:
         opacity_min=settings.opacity_min,
         size_min=settings.size_min,
         size_max=settings.size_max,
-        crop=None if settings.crop_object is None else crop_matrix(ob, settings.crop_object),
+        crop=crop_matrix(ob, settings.crop_object) if is_cropped(ob) else None,
         crop_shape=settings.crop_shape,
         crop_invert=settings.crop_invert,
     )
+
+
+def is_cropped(ob: Any) -> bool:
+    """Whether the object has a crop object; one that is scaled to nothing on all axes is none."""
+    crop = ob.gscore.crop_object
+    return crop is not None and any(any(row[:3]) for row in crop.matrix_world[:3])
 
 
 def visible_mask(ob: Any, data: Any = None) -> np.ndarray:

@@ -110,6 +110,23 @@ def test_filters_of_a_flat_crop(ob: bpy.types.Object, scene: bpy.types.Scene) ->
     assert len(shown()) == visible_mask(ob).sum() == 0
 
 
+@pytest.mark.parametrize("how", ["deleted", "shrunk"])
+def test_a_crop_that_is_gone_hides_nothing(
+    ob: bpy.types.Object, scene: bpy.types.Scene, how: str
+) -> None:
+    """Oracle: every splat, for display and twin."""
+    crop = empty_box(scene)
+    ob.gscore.crop_object = crop
+    bpy.context.view_layer.update()
+    assert len(shown()) < COUNT
+    if how == "deleted":
+        bpy.data.objects.remove(crop)
+    else:
+        crop.scale = (0, 0, 0)
+    bpy.context.view_layer.update()
+    assert len(shown()) == visible_mask(ob).sum() == COUNT
+
+
 def test_ellipsoids(ob: bpy.types.Object, make_splats: Make) -> None:
     """Oracle: matrix_world R diag(scale) by mathutils, times the size."""
     splats = make_splats(COUNT)
