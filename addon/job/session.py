@@ -206,7 +206,9 @@ def failure_sentence(
 
 def _done_sentence(done: Done) -> str:
     quality = done.metrics.get("psnr")
-    tail = f", PSNR {quality:.2f} dB" if isinstance(quality, int | float) else ""
+    views = {"test": " on test views", "train": " on training views"}
+    where = views.get(str(done.metrics.get("split")), "")
+    tail = f", PSNR {quality:.2f} dB{where}" if isinstance(quality, int | float) else ""
     count = f"{done.splats:,} splats{tail}"
     if done.reason == "finished":
         return f"Finished after {done.step:,} steps: {count}."

@@ -97,7 +97,7 @@ def numbers(state: session.RunState) -> list[tuple[str, str]]:
     if state.loss is not None:
         pairs.append(("Loss", f"{state.loss:.4f}"))
     if (psnr := state.metrics.get("psnr")) is not None:
-        pairs.append((f"PSNR {state.metrics.get('split', '')}".strip(), f"{psnr:.2f} dB"))
+        pairs.append(("PSNR", f"{psnr:.2f} dB"))
     elif state.psnr is not None:
         pairs.append(("PSNR", f"{state.psnr:.2f} dB"))
     pairs.append(("Splats", f"{state.splats:,}"))

@@ -70,7 +70,7 @@ def test_events_become_state(start: Start) -> None:
     assert (state.step, state.splats, state.warnings) == (100, 1234, ["few points"])
     assert state.preview is not None and state.preview.view == "a.jpg"
     assert state.checkpoint is not None and state.checkpoint.name == "step_00000100.safetensors"
-    assert state.sentence == "Finished after 100 steps: 1,234 splats, PSNR 25.00 dB."
+    assert state.sentence == "Finished after 100 steps: 1,234 splats, PSNR 25.00 dB on test views."
 
 
 def test_garbage_between_events_is_left_out(start: Start) -> None:
