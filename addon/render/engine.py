@@ -2,15 +2,17 @@
 
 import traceback
 from typing import Any
+from weakref import WeakSet
 
 import bpy
 import numpy as np
 
 from ..cameras import RenderCamera, render_camera
-from ..compat import rec709_to_scene, world_nodes
+from ..compat import matrix_to_numpy, rec709_to_scene, world_nodes
 from ..core import Cancelled, GsError
 from . import color, picture
 from .scene import Model, SplatCache, place, sources
+from .viewport import Painter, Request, Viewport, draw_pixels, redraw_when_ready, view_camera
 
 NAME = "GSCORE_SPLATS"
 """The engine in `scene.render.engine`."""
@@ -18,6 +20,8 @@ MAIN_SCENE = "gs_main_scene"
 """Custom property of a scene that only renders the splats of another: that scene."""
 final_cache = SplatCache()
 """Decoded splats of the last picture: the frames of an animation share it."""
+_painters: WeakSet[Painter] = WeakSet()
+"""Of all viewports in Rendered shading."""
 
 
 class SplatsRenderEngine(bpy.types.RenderEngine):
@@ -53,6 +57,69 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         except Exception as error:
             traceback.print_exc()
             self._refuse(f"Rendering splats failed: {error!r}. Details are in the console.")
+
+    def view_update(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
+        """Something in the scene has changed."""
+        self._viewport().forget_changed(depsgraph)
+
+    def view_draw(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
+        """Show the last picture that is ready, and ask for the one of now."""
+        view, region = self._viewport(), context.region
+        try:
+            placed = view.copied(depsgraph)
+        except ValueError as error:
+            self.update_stats("", str(error))
+            return
+        if placed is None:
+            self.update_stats("", "Reading splats")
+            self.tag_redraw()
+        elif placed:
+            rv3d = context.region_data
+            matrices = (matrix_to_numpy(m) for m in (rv3d.view_matrix, rv3d.window_matrix))
+            size = region.width, region.height
+            camera = view_camera(*matrices, *size, perspective=rv3d.is_perspective)
+            self._ask(view, depsgraph.scene, placed, camera)
+        else:
+            view.painter.pixels = None
+            self.update_stats("", "There are no splats to show")
+        view.painter.fresh = False
+        if view.painter.pixels is not None:
+            self.bind_display_space_shader(depsgraph.scene)
+            draw_pixels(view.painter.pixels, region.width, region.height)
+            self.unbind_display_space_shader()
+
+    _view: Viewport | None = None
+
+    def _viewport(self) -> Viewport:
+        # Not in __init__, whose arguments differ between versions of Blender.
+        if self._view is None:
+            self._view = Viewport(final_cache)
+            _painters.add(self._view.painter)
+        return self._view
+
+    def __del__(self) -> None:
+        if self._view is not None:
+            self._view.painter.close()
+
+    def _ask(
+        self, view: Viewport, scene: bpy.types.Scene, placed: list[Any], camera: RenderCamera
+    ) -> None:
+        transparent = scene.render.film_transparent
+        light = np.zeros(3) if transparent else world_light(scene.world)[0]
+        request = Request(
+            placed=placed,
+            camera=camera,
+            options=picture.Options(
+                background=background_of(light), antialias=scene.gscore_render.antialias
+            ),
+            transparent=transparent,
+            to_scene=rec709_to_scene(),
+        )
+        painter = view.painter
+        painter.ask(request)
+        if painter.busy:
+            redraw_when_ready(painter)
+        self.update_stats("", painter.problem)
 
     def _refuse(self, message: str) -> None:
         """Stop with a sentence: on the render window, and as the operator's error."""
@@ -178,4 +245,6 @@ def register() -> None:
 def unregister() -> None:
     """Forget the engine and its splats."""
     bpy.utils.unregister_class(SplatsRenderEngine)
+    for painter in list(_painters):
+        painter.close()
     final_cache.clear()

@@ -2,7 +2,7 @@
 
 import threading
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import bpy
@@ -11,7 +11,7 @@ import numpy as np
 from .. import splat_attributes
 from ..compat import matrix_to_numpy
 from ..core import Splats, transform_splats
-from ..splat_filter import filters_of, visible_mask
+from ..splat_filter import Filters, filters_of, mask
 from ..splat_object import KIND
 from .frozen import FrozenMesh, freeze
 
@@ -49,14 +49,17 @@ class Placed:
     frozen: FrozenMesh
     matrix: np.ndarray
     """[4, 4] float64 to the world."""
-    keep: np.ndarray | None
-    """[N] bool, splats that the object's filters leave; None: all."""
+    filters: Filters | None
+    """What is drawn of it; None: everything."""
     antialias: bool
 
     @property
     def part(self) -> tuple[int, bytes]:
         """The same for two objects of the same mesh and filters."""
-        return self.uid, b"" if self.keep is None else self.keep.tobytes()
+        if self.filters is None:
+            return self.uid, b""
+        crop = b"" if self.filters.crop is None else self.filters.crop.tobytes()
+        return self.uid, crop + repr(replace(self.filters, crop=None)).encode()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,13 +99,15 @@ def place(source: Source, frozen: FrozenMesh | None = None) -> Placed:
     frozen = freeze(source.data, ob.name) if frozen is None else frozen
     settings = getattr(ob, "gscore", None)
     filtered = settings is not None and settings.apply_filters_to_render
-    keep = visible_mask(ob, frozen) if filtered and _filters_anything(ob) else None
+    filters = filters_of(ob) if filtered else None
+    if filters is not None and not _leaves_out_anything(filters):
+        filters = None
     return Placed(
         name=ob.name,
         uid=ob.original.data.session_uid,
         frozen=frozen,
         matrix=source.matrix,
-        keep=keep,
+        filters=filters,
         antialias=bool(ob.get(ANTIALIAS, False)),
     )
 
@@ -153,8 +158,8 @@ class SplatCache:
         known = self._parts.get(placed.part)
         if known is None or known[0] != placed.frozen.fingerprint:
             splats = splat_attributes.read(placed.frozen)
-            if placed.keep is not None:
-                splats = splats.subset(placed.keep)
+            if placed.filters is not None:
+                splats = splats.subset(_kept(placed.frozen, placed.filters))
             known = placed.frozen.fingerprint, splats
             self._parts[placed.part] = known
             self.decoded += 1
@@ -189,16 +194,21 @@ def _instances(
     offset = np.eye(4)
     offset[:3, 3] = -np.array(collection.instance_offset)
     for inner in collection.all_objects:
-        if not inner.hide_render:
+        if not (inner.hide_render if depsgraph.mode == "RENDER" else inner.hide_viewport):
             inner = inner.evaluated_get(depsgraph)
             inside = matrix @ offset @ matrix_to_numpy(inner.matrix_world)
             yield from _instances(inner, depsgraph, inside, depth + 1)
 
 
-def _filters_anything(ob: bpy.types.Object) -> bool:
-    filters = filters_of(ob)
+def _leaves_out_anything(filters: Filters) -> bool:
     limits = (filters.opacity_min, filters.size_min, filters.size_max)
     return any(limits) or filters.crop is not None
+
+
+def _kept(frozen: FrozenMesh, filters: Filters) -> np.ndarray:
+    names = (splat_attributes.POSITION, splat_attributes.SCALE, splat_attributes.BASE)
+    means, scales, base = (splat_attributes.column(frozen, name) for name in names)
+    return mask(means, scales, base[:, 3], filters)
 
 
 def _check_similar(placed: Placed) -> None:

@@ -1,0 +1,247 @@
+"""The viewport's Rendered shading: pictures drawn by a thread, shown when they are ready."""
+
+import threading
+import time
+from dataclasses import dataclass, replace
+
+import bpy
+import gpu
+import numpy as np
+from gpu_extras.presets import draw_texture_2d
+
+from ..camera_math import FLIP
+from ..cameras import RenderCamera
+from ..core import CancelFlag, Cancelled, GsError
+from . import color, picture
+from .frozen import Freezer, FrozenMesh
+from .scene import Placed, Source, SplatCache, place, sources
+
+COPY_BUDGET = 0.015
+"""Seconds that one redraw may spend on copying splats out of Blender."""
+QUICK = 0.08
+"""Seconds a picture should take while the view turns; above, it is drawn smaller first."""
+COARSEST = 8
+"""Largest factor by which it is drawn smaller."""
+_POLL = 0.02
+"""Seconds between two looks whether a picture is ready."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Request:
+    """A picture that is wanted."""
+
+    placed: list[Placed]
+    camera: RenderCamera
+    options: picture.Options
+    transparent: bool
+    to_scene: np.ndarray
+
+    def same(self, other: "Request | None") -> bool:
+        """Whether the other picture is this one."""
+        return (
+            other is not None
+            and [(p.part, p.antialias) for p in self.placed]
+            == [(p.part, p.antialias) for p in other.placed]
+            and all(
+                a.frozen is b.frozen and np.array_equal(a.matrix, b.matrix)
+                for a, b in zip(self.placed, other.placed, strict=True)
+            )
+            and _same_camera(self.camera, other.camera)
+            and (self.options, self.transparent) == (other.options, other.transparent)
+            and np.array_equal(self.to_scene, other.to_scene)
+        )
+
+
+class Painter:
+    """Draws the last picture that was asked for, smaller first; knows nothing of bpy."""
+
+    def __init__(self, cache: SplatCache) -> None:
+        self._cache = cache
+        self._wish = threading.Condition()
+        self._request: Request | None = None
+        self._cancel = CancelFlag()
+        self._thread: threading.Thread | None = None
+        self._factor = 1
+        self.pixels: np.ndarray | None = None
+        """[H, W, 4] of the last finished picture, bottom row first."""
+        self.problem = ""
+        """Why there is no picture."""
+        self.fresh = False
+        """Whether something was finished since this was last set to False."""
+        self.busy = False
+        """Whether something is being drawn."""
+
+    def ask(self, request: Request) -> None:
+        """Draw this from now on; what is being drawn for an older wish is dropped."""
+        with self._wish:
+            if request.same(self._request):
+                return
+            self._request, self.busy = request, True
+            self._cancel.set()
+            if self._thread is None:
+                self._thread = threading.Thread(
+                    target=self._run, name="gscore viewport", daemon=True
+                )
+                self._thread.start()
+            self._wish.notify()
+
+    def close(self) -> None:
+        """End the thread."""
+        with self._wish:
+            self._request, self._closed = None, True
+            self._cancel.set()
+            self._wish.notify()
+
+    _closed = False
+
+    def _run(self) -> None:
+        done: Request | None = None
+        while True:
+            with self._wish:
+                self.busy = self._request is not None and self._request is not done
+                while self._request is done and not self._closed:
+                    self._wish.wait()
+                if self._closed:
+                    return
+                request, self._cancel = self._request, CancelFlag()
+            try:
+                self._paint(request)
+                done = request
+            except Cancelled:
+                continue
+            except (GsError, ValueError, MemoryError) as error:
+                self.problem, self.pixels, done = str(error) or "Out of memory.", None, request
+                self.fresh = True
+
+    def _paint(self, request: Request) -> None:
+        """Draw at a size that is quick, then at the full one."""
+        model = self._cache.model(request.placed)
+        for factor in dict.fromkeys((self._factor, 1)):
+            began = time.perf_counter()
+            camera = smaller(request.camera, factor)
+            rendered = picture.draw(model, camera, request.options, cancel=self._cancel)
+            pixels = color.combined(
+                rendered, transparent=request.transparent, to_scene=request.to_scene
+            )
+            took = time.perf_counter() - began
+            self.pixels, self.problem, self.fresh = pixels, "", True
+        wanted = (took / QUICK) ** 0.5  # the last one was full size
+        self._factor = min(COARSEST, max(1, int(np.ceil(wanted))))
+
+
+class Viewport:
+    """One 3D viewport in Rendered shading; used on the main thread only."""
+
+    def __init__(self, cache: SplatCache) -> None:
+        self.painter = Painter(cache)
+        self._frozen: dict[int, FrozenMesh] = {}
+        self._freezers: dict[int, Freezer] = {}
+
+    def forget_changed(self, depsgraph: bpy.types.Depsgraph) -> None:
+        """Copy again what a depsgraph update says has changed."""
+        for update in depsgraph.updates:
+            uid = getattr(update.id.original, "session_uid", None)
+            if isinstance(update.id, bpy.types.Object) and update.is_updated_geometry:
+                data = update.id.original.data
+                uid = None if data is None else data.session_uid
+            elif not update.is_updated_geometry:
+                continue
+            self._frozen.pop(uid, None)
+            self._freezers.pop(uid, None)
+
+    def copied(self, depsgraph: bpy.types.Depsgraph) -> list[Placed] | None:
+        """Everything to draw, or None while there is more to copy than one redraw may."""
+        until = time.perf_counter() + COPY_BUDGET
+        found = sources(depsgraph)
+        placed = []
+        for source in found:
+            frozen = self._copy(source, until)
+            if frozen is None:
+                return None
+            placed.append(place(source, frozen))
+        return placed
+
+    def _copy(self, source: Source, until: float) -> FrozenMesh | None:
+        uid = source.ob.original.data.session_uid
+        while uid not in self._frozen:
+            freezer = self._freezers.setdefault(uid, Freezer())
+            frozen = freezer.step(source.data, source.ob.name)
+            if frozen is not None:
+                self._frozen[uid] = frozen
+                del self._freezers[uid]
+            elif time.perf_counter() > until:
+                return None
+        return self._frozen[uid]
+
+
+def view_camera(
+    view: np.ndarray, window: np.ndarray, width: int, height: int, *, perspective: bool
+) -> RenderCamera:
+    """The camera of a 3D view from its matrices, both [4, 4] float64 as Blender has them.
+
+    Orthographic views see behind their own origin; they are moved back so that all is in front.
+    """
+    viewmat = FLIP @ view
+    K = np.eye(3)
+    K[0, 0], K[1, 1] = window[0, 0] * width / 2, window[1, 1] * height / 2
+    if perspective:
+        K[0, 2], K[1, 2] = (1 - window[0, 2]) * width / 2, (1 + window[1, 2]) * height / 2
+        near = window[2, 3] / (window[2, 2] - 1)
+    else:
+        K[0, 2], K[1, 2] = (1 + window[0, 3]) * width / 2, (1 - window[1, 3]) * height / 2
+        near = (window[2, 3] + 1) / window[2, 2]
+        far = (window[2, 3] - 1) / window[2, 2]
+        ahead = 1e-3 * (far - near)
+        viewmat[2, 3] += ahead - near
+        near = ahead
+    return RenderCamera(
+        viewmat=viewmat,
+        K=K,
+        width=width,
+        height=height,
+        near=float(near),
+        orthographic=not perspective,
+        name="3D view",
+    )
+
+
+def smaller(camera: RenderCamera, factor: int) -> RenderCamera:
+    """The same view with that many times fewer pixels a side."""
+    width, height = max(1, camera.width // factor), max(1, camera.height // factor)
+    K = camera.K.copy()
+    K[0] *= width / camera.width
+    K[1] *= height / camera.height
+    return replace(camera, K=K, width=width, height=height)
+
+
+def draw_pixels(pixels: np.ndarray, width: int, height: int) -> None:
+    """Draw [H, W, 4] float32, premultiplied, over a region of width x height pixels."""
+    flat = gpu.types.Buffer("FLOAT", pixels.size, pixels.reshape(-1))
+    texture = gpu.types.GPUTexture(pixels.shape[1::-1], format="RGBA16F", data=flat)
+    gpu.state.blend_set("ALPHA_PREMULT")
+    draw_texture_2d(texture, (0, 0), width, height)
+    gpu.state.blend_set("NONE")
+
+
+def redraw_when_ready(painter: Painter) -> None:
+    """Have 3D views drawn again once the painter has something new."""
+
+    def poll() -> float | None:
+        if painter.fresh:
+            for window in bpy.context.window_manager.windows:
+                for area in window.screen.areas:
+                    if area.type == "VIEW_3D":
+                        area.tag_redraw()
+        return _POLL if painter.busy or painter.fresh else None
+
+    bpy.app.timers.register(poll, first_interval=_POLL)
+
+
+def _same_camera(a: RenderCamera, b: RenderCamera) -> bool:
+    sizes = (a.width, a.height, a.near, a.orthographic) == (
+        b.width,
+        b.height,
+        b.near,
+        b.orthographic,
+    )
+    return sizes and np.array_equal(a.K, b.K) and np.array_equal(a.viewmat, b.viewmat)
