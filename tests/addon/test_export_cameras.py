@@ -7,6 +7,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
+from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 
 from addon import camera_math as cm
@@ -221,6 +222,29 @@ def test_blenders_world(made, scene, tmp_path: Path) -> None:
     for image, ob in zip(read_colmap(tmp_path).images, made.cameras, strict=False):
         expected = cm.viewmat_from_matrix_world(matrix_to_numpy(ob.matrix_world))
         np.testing.assert_allclose(image.viewmat, expected, atol=5e-6)
+
+
+def test_operator_without_a_capture(scene, tmp_path: Path) -> None:
+    """Oracle: Blender's own projection of what was written; a sentence without a capture."""
+    for i in range(3):
+        ob = bpy.data.objects.new(f"Shot {i}", bpy.data.cameras.new("c"))
+        scene.collection.objects.link(ob)
+        ob.location, ob.rotation_euler = (i, -4, 1), (1.4, 0, 0.1 * i)
+    bpy.context.view_layer.update()
+    with pytest.raises(RuntimeError, match="No capture is imported"):
+        bpy.ops.gscore.export_cameras(directory=str(tmp_path))
+    bpy.ops.gscore.export_cameras(directory=str(tmp_path), which="SCENE", world="BLENDER")
+    model = read_colmap(tmp_path)
+    assert [image.name for image in model.images] == ["Shot 0.png", "Shot 1.png", "Shot 2.png"]
+    assert len(model.cameras) == 1
+    point = np.array([[0.3, 0.2, 0.9]])
+    for image in model.images:
+        ob = scene.objects[Path(image.name).stem]
+        camera = model.cameras[image.camera_id]
+        ours, _ = cm.project(point, camera.K, image.viewmat)
+        x, y, _ = world_to_camera_view(scene, ob, Vector(point[0]))
+        expected = [x * camera.width, (1 - y) * camera.height]
+        np.testing.assert_allclose(ours[0], expected, atol=1e-3)
 
 
 def test_without_the_source(made, scene, capture: Path, tmp_path: Path) -> None:
