@@ -8,6 +8,8 @@ SOURCES := $(wildcard csrc/CMakeLists.txt csrc/include/*.h csrc/src/* csrc/tests
 
 # Which Blenders `make test` runs the add-on in: newest, oldest, all, versions, or none.
 BLENDER ?= newest
+# The Blender that ends `make demo`; older ones may not open what it saves.
+DEMO_BLENDER ?= newest
 # What `make extension` makes zips for: nothing for this machine's platform, all, or names like windows-x64.
 PLATFORMS ?=
 
@@ -27,11 +29,17 @@ $(LIBRARY): $(INSTALLED) $(SOURCES)
 	$(BIN)/cmake --build build/native
 	touch $@
 
-# Trains the bundled capture and leaves out/demo/{point_cloud.ply,metrics.json,report.html}.
+# Trains the bundled capture and leaves out/demo/{point_cloud.ply,metrics.json,report.html}; then brings it into Blender
+# (the bpy module) with cameras and splats and renders it there: out/demo/{demo.blend,blender.png}.
 demo: $(INSTALLED)
 	$(BIN)/gscore train examples/studio -o out/demo --overwrite --preset preview --mask-mode none --test-every 6
 	$(BIN)/gscore render out/demo/point_cloud.ply --cameras examples/studio --test -o out/demo/renders
-	@echo "Open out/demo/report.html"
+	@mkdir -p build/blender-profile
+	@bpy=$$($(BIN)/python tools/bpy_venvs.py $(DEMO_BLENDER)); status=$$?; \
+	if [ $$status = 3 ]; then echo "so the demo ends without Blender."; exit 0; fi; \
+	[ $$status = 0 ] && BLENDER_USER_RESOURCES=$(CURDIR)/build/blender-profile $$bpy examples/photos_to_blend.py \
+		examples/studio --splats out/demo/point_cloud.ply -o out/demo/demo.blend --render out/demo/blender.png
+	@echo "Open out/demo/report.html, out/demo/blender.png and, in Blender, out/demo/demo.blend"
 
 test: $(LIBRARY)
 	$(BIN)/python -m pytest -q -m "not slow"

@@ -8,23 +8,28 @@ here is an operator of the add-on; the panel's buttons call the same ones.
 """
 
 import argparse
+import os
 import sys
 from pathlib import Path
 
 import bpy
 
 ROOT = Path(__file__).resolve().parent.parent
-EXTENSION = "bl_ext.user_default.gscore_splats"
+EXTENSION = "gscore_splats"
 
 
-def enable_addon() -> None:
-    """Enable the installed extension; without one, the add-on of this checkout."""
-    import addon_utils
+def enable_addon() -> str:
+    """Enable the installed extension or, without one, this checkout's add-on; the name it has."""
+    import addon_utils  # there once bpy is
 
-    if addon_utils.enable(EXTENSION) is None:
+    extensions = Path(bpy.utils.user_resource("EXTENSIONS"))
+    name = f"bl_ext.user_default.{EXTENSION}"
+    if not (extensions / "user_default" / EXTENSION).is_dir():
         sys.path.insert(0, str(ROOT))
-        if addon_utils.enable("addon") is None:
-            sys.exit("The add-on cannot be enabled; the lines above say why.")
+        name = "addon"
+    if addon_utils.enable(name, default_set=True) is None:
+        sys.exit("The add-on cannot be enabled; the lines above say why.")
+    return name
 
 
 def parse() -> argparse.Namespace:
@@ -48,33 +53,29 @@ def parse() -> argparse.Namespace:
     return options
 
 
-def train(options: argparse.Namespace) -> None:
+def train(options: argparse.Namespace, addon: str) -> None:
     """Train in another process and wait; the splats then stand in the scene."""
     settings = bpy.context.scene.gscore
     settings.capture_path = str(options.capture.absolute())
     settings.output_path = str(options.run)
     settings.preset = options.preset
     if options.python:
-        prefs = [a for a in bpy.context.preferences.addons if a.module in (EXTENSION, "addon")]
-        prefs[0].preferences.python_path = str(options.python.absolute())
+        preferences = bpy.context.preferences.addons[addon].preferences
+        preferences.python_path = str(options.python.absolute())
     bpy.ops.gscore.train(overwrite=True, wait=True)
 
 
-def main() -> None:
-    """Import, train, show, render, save."""
-    options = parse()
-    bpy.ops.wm.read_homefile(use_empty=True)
-    enable_addon()
+def make(options: argparse.Namespace, addon: str) -> None:
+    """Import, train, render, save."""
     bpy.ops.gscore.import_cameras(directory=str(options.capture.absolute()))
     if options.splats:
         bpy.ops.gscore.import_splats(filepath=str(options.splats.absolute()))
     else:
-        train(options)
+        train(options, addon)
     index = -1 if options.camera else 0
     bpy.ops.gscore.use_camera(camera=options.camera, index=index, look_through=False)
     bpy.ops.gscore.use_engine()
-    render = bpy.context.scene.render
-    render.filepath = str(options.render)
+    bpy.context.scene.render.filepath = str(options.render)
     bpy.ops.render.render(write_still=True)
     bpy.ops.gscore.compare_photo()
     options.output.parent.mkdir(parents=True, exist_ok=True)
@@ -82,5 +83,21 @@ def main() -> None:
     print(f"Wrote {options.output} and {options.render}")
 
 
+def main() -> None:
+    """Make the file in an empty scene."""
+    import addon_utils
+
+    options = parse()
+    bpy.ops.wm.read_homefile(use_empty=True)
+    addon = enable_addon()
+    try:
+        make(options, addon)
+    finally:
+        addon_utils.disable(addon)  # bpy 4.5 hangs at exit with an add-on enabled
+
+
 if __name__ == "__main__":
     main()
+    if bpy.app.version < (4, 5) and not bpy.app.binary_path:
+        sys.stdout.flush()
+        os._exit(0)  # else bpy 4.2 frees its panels when there is no Python any more, and crashes

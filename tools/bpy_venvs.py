@@ -17,6 +17,8 @@ FOLDER = ROOT / ".venv-blender"
 PYTHONS = {"4.2.23": "3.11", "4.5.15": "3.11", "5.0.1": "3.11", "5.2.3": "3.13"}
 """The Blender versions that are tested, oldest first, and the only Python each runs on."""
 PACKAGES = ("plyfile>=1.0", "pytest>=8")
+NO_PYTHON = 3
+"""Exit status: this machine has no Python for the wanted Blender."""
 
 
 class NoPythonError(Exception):
@@ -124,8 +126,14 @@ def main(arguments: list[str]) -> int:
     try:
         for version in [v for which in arguments or ["newest"] for v in choose(which)]:
             print(ensure(version))
-    except (NoPythonError, ValueError) as error:
+    except NoPythonError as error:
         print(error, file=sys.stderr)
+        return NO_PYTHON
+    except ValueError as error:
+        print(error, file=sys.stderr)
+        return 2
+    except subprocess.CalledProcessError:
+        print("The packages did not install; what pip says stands above.", file=sys.stderr)
         return 1
     return 0
 

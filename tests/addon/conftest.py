@@ -2,7 +2,7 @@
 
 The folder is skipped where Python has no bpy. Blender enables the add-on once per session, as a
 user would, and disables it at the end: a class that is still registered when the interpreter exits
-crashes bpy 4.2 and hangs bpy 4.5.
+hangs bpy 4.5.
 """
 
 import os
@@ -19,6 +19,8 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 
+_STATUS = pytest.StashKey[int]()
+
 collect_ignore_glob = [] if find_spec("bpy") else ["*"]
 
 if TYPE_CHECKING:
@@ -30,6 +32,24 @@ if find_spec("bpy"):
     if "bpy" not in sys.modules:  # a Blender program has read its profile before this file
         os.environ["BLENDER_USER_RESOURCES"] = tempfile.mkdtemp(prefix="blender-profile-")
     import bpy
+
+
+def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
+    """Keep the exit status for the end."""
+    session.config.stash[_STATUS] = int(exitstatus)
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_unconfigure(config: pytest.Config) -> None:
+    """End the process here where Blender would crash after the last test.
+
+    bpy 4.2 keeps the update functions of properties forever, and with them itself; then it frees
+    its panels when there is no Python any more.
+    """
+    if "bpy" in sys.modules and bpy.app.version < (4, 5) and not bpy.app.binary_path:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(config.stash.get(_STATUS, 1))
 
 
 def _raise(error: Exception) -> None:
