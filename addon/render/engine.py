@@ -2,7 +2,7 @@
 
 import traceback
 from typing import Any
-from weakref import WeakSet
+from weakref import WeakSet, finalize
 
 import bpy
 import numpy as np
@@ -95,11 +95,9 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         if self._view is None:
             self._view = Viewport(final_cache)
             _painters.add(self._view.painter)
+            # Not in __del__ either: by then the instance's attributes are out of reach.
+            finalize(self, self._view.painter.close)
         return self._view
-
-    def __del__(self) -> None:
-        if self._view is not None:
-            self._view.painter.close()
 
     def _ask(
         self, view: Viewport, scene: bpy.types.Scene, placed: list[Any], camera: RenderCamera
