@@ -30,6 +30,12 @@ class DataConfig:
     """`composite`: the mask is opacity, photos lie over the background; `ignore`: masked-out
     pixels do not count;
     `none`: masks are not read; `auto`: composite for photos with alpha, ignore for mask folders."""
+    depths: str = ""
+    """Folder of inverse depth maps relative to `source`; empty: depth is not used."""
+    depth_align: str = "auto"
+    """How the maps get the scale of the capture. `official`: scale and offset by medians and mean
+    absolute deviations; `robust`: RANSAC against the SfM points; `none`: they have it already;
+    `auto`: as `sparse/0/depth_params.json` says where it is there, else `robust`."""
     resolution: float = -1
     """-1: as is, but at most `max_width` wide; 1, 2, 4, 8: divided by that; larger: this many
     pixels wide."""
@@ -46,6 +52,10 @@ class DataConfig:
     """The last n views by sorted name are test views; 0: use `test_every`."""
     test_first: int = 0
     """The first n views by sorted name are test views; 0: use `test_every`."""
+    frame: int | None = None
+    """Of a multi-view video (PKU-DyMVHumans): number of the frame; None: the first one."""
+    rig: Path | None = None
+    """Another capture by the same cameras: they stand where that one says, in its world."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "source", Path(self.source))  # scripts pass strings
@@ -69,6 +79,15 @@ class Background(StrEnum):
     WHITE = "white"
     RANDOM = "random"
     """Another colour at each step."""
+
+
+class Switch(StrEnum):
+    """Whether to do what not every capture has a use for."""
+
+    AUTO = "auto"
+    """Where the capture gives a reason to; a line says so."""
+    ON = "on"
+    OFF = "off"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,10 +139,32 @@ class TrainConfig:
     lr_boost: float = 0.0
     """Learning rates are multiplied by this, those of positions and opacities by its root, and the
     last one of positions by its square; 0: 1 for 30 000 steps and more, up to 4 in short runs."""
+    start_splats: Path | None = None
+    """PLY to start from instead of the capture's points, in the capture's world."""
     init_opacity: float = 0.0
     """Opacity of the first splats; 0: 0.1, with mcmc 0.5."""
     init_scale: float = 0.0
     """Size of the first splats in mean distances to their neighbours; 0: 1, with mcmc 0.1."""
+
+    depth_mode: Switch = Switch.AUTO
+    """Supervise inverse depth where `DataConfig.depths` gives maps; auto: not in dense captures."""
+    depth_weight: float = 1.0
+    """Weight of the depth loss at the first step; see `trainer.depth_loss` for its unit."""
+    depth_weight_final: float = 0.01
+    """Weight of the depth loss at the last step; exponential in between."""
+    depth_warmup: float = 0.02
+    """Share of the run over which the depth loss fades in, from 0 to its full weight."""
+    depth_pearson: float = 0.05
+    """Weight of 1 - correlation for views whose map could not be aligned, as a share of
+    `depth_weight`; 0: such views get no depth loss."""
+    depth_points: int = 0
+    """Points added at the start from aligned maps where SfM left holes, at most; 0: none."""
+    drop_rate: float = 0.0
+    """Share of splats left out of a step at random, rising from 0 to this at the last step (Park et
+    al. 2025, DropGaussian), against overfitting to few views; 0: none."""
+    alpha_weight: float = 0.0
+    """Weight of the mean absolute difference between rendered opacity and mask, where masks are
+    opacity (`composite`); 0: none."""
 
     coarse_factor: float = 0.0
     """Sides of the photos are divided by this at the first steps, and by less and less until
@@ -191,10 +232,15 @@ class TrainConfig:
         )
         _at_least(self, 0.0, "prune_scale", "mcmc_growth", "mcmc_noise", "opacity_reg", "scale_reg")
         _at_least(self, 0.0, "checkpoint_seconds", "preview_seconds")
+        _at_least(self, 0.0, "depth_weight", "depth_weight_final", "depth_pearson", "alpha_weight")
+        _at_least(self, 0, "depth_points")
         if self.coarse_factor != 0:
             _at_least(self, 1.0, "coarse_factor")
-        if not 0 <= self.coarse_until <= 1:
-            raise ConfigError(f"coarse_until must lie in [0, 1], got {self.coarse_until}.")
+        for name in ("coarse_until", "depth_warmup"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ConfigError(f"{name} must lie in [0, 1], got {getattr(self, name)}.")
+        if not 0 <= self.drop_rate < 1:
+            raise ConfigError(f"drop_rate must lie in [0, 1), got {self.drop_rate}.")
         for name in ("ssim_weight", "init_opacity", "prune_opacity"):
             value = getattr(self, name)
             if not 0 <= value <= (1 if name == "ssim_weight" else 0.99):
