@@ -45,18 +45,28 @@ def build_wheels() -> tuple[Path, Path]:
 
 
 def add_library(wheel: Path, library: Path, name: str, tag: str, folder: Path) -> Path:
-    """A copy of a wheel with the native library in it and the platform's tag."""
+    """A copy of a wheel with the native library in it, the platform's tag and a version of its own.
+
+    The version gets a part made of the content, because Blender does not unpack a wheel again whose
+    name and version it has unpacked before.
+    """
     project, version, *_ = wheel.name.split("-")
-    info = f"{project}-{version}.dist-info"
-    with zipfile.ZipFile(wheel) as old:
-        members = {entry: old.read(entry) for entry in old.namelist() if entry[-1] != "/"}
+    old = f"{project}-{version}.dist-info"
+    with zipfile.ZipFile(wheel) as archive:
+        members = {entry: archive.read(entry) for entry in archive.namelist() if entry[-1] != "/"}
+    del members[f"{old}/RECORD"]
     members[f"gscore/raster/{name}"] = library.read_bytes()
-    tags = members[f"{info}/WHEEL"].decode()
+    tags = members[f"{old}/WHEEL"].decode()
     tags = tags.replace("Root-Is-Purelib: true", "Root-Is-Purelib: false")
-    members[f"{info}/WHEEL"] = tags.replace("py3-none-any", f"py3-none-{tag}").encode()
-    del members[f"{info}/RECORD"]
+    members[f"{old}/WHEEL"] = tags.replace("py3-none-any", f"py3-none-{tag}").encode()
+    own = f"{version}+{hashlib.sha256(_record(members, '')).hexdigest()[:8]}"
+    metadata = members[f"{old}/METADATA"].decode()
+    metadata = metadata.replace(f"\nVersion: {version}\n", f"\nVersion: {own}\n", 1)
+    members[f"{old}/METADATA"] = metadata.encode()
+    info = f"{project}-{own}.dist-info"
+    members = {entry.replace(old, info, 1): data for entry, data in members.items()}
     members[f"{info}/RECORD"] = _record(members, f"{info}/RECORD")
-    path = folder / f"{project}-{version}-py3-none-{tag}.whl"
+    path = folder / f"{project}-{own}-py3-none-{tag}.whl"
     write_zip(path, members)
     return path
 
@@ -89,7 +99,7 @@ def manifest(platform: str, wheels: list[Path]) -> str:
     text, marks = _MARK.subn(f'platforms = ["{platform}"]\nwheels = [{names}]', text)
     if marks != 1:
         raise RuntimeError("blender_manifest.toml: the comment that marks where wheels go is gone")
-    stated, version = tomllib.loads(text)["version"], wheels[0].name.split("-")[1]
+    stated, version = tomllib.loads(text)["version"], re.split("[-+]", wheels[0].name)[1]
     if stated != version:
         raise RuntimeError(f"blender_manifest.toml: version is {stated}, gscore's is {version}")
     return text

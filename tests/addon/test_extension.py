@@ -2,6 +2,7 @@
 
 import base64
 import hashlib
+import io
 import subprocess
 import sys
 import zipfile
@@ -11,6 +12,9 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent.parent
+sys.path.append(str(ROOT / "tools"))
+import build_extension  # noqa: E402
+
 MODULE = "bl_ext.user_default.gscore_splats"
 
 INSTALL = f"""
@@ -27,6 +31,13 @@ assert module in bpy.context.preferences.addons
 assert there()
 """
 
+END = """
+# bpy 4.2 crashes at exit once anyone's class with property callbacks has been removed.
+import os
+sys.stdout.flush()
+os._exit(0)
+"""
+
 CYCLE = """
 import gscore
 for name in (gscore.__file__, sys.modules[module].__file__):
@@ -39,8 +50,26 @@ for _ in range(2):
 print("CLEAN")
 """
 
-UNINSTALL = """
-import os, pathlib
+UPDATE = (
+    """
+import gscore
+first = gscore.__file__
+assert not hasattr(gscore._version, "MARK")
+done = bpy.ops.extensions.package_install_files(
+    filepath=sys.argv[-2], repo="user_default", enable_on_install=True)
+assert done == {"FINISHED"} and there(), done
+import gscore
+assert gscore.__file__ == first and gscore._version.MARK == 1
+core = sys.modules[module + ".addon.core"]
+assert core.Splats is gscore.Splats
+print("UPDATED")
+"""
+    + END
+)
+
+UNINSTALL = (
+    """
+import pathlib
 import gscore
 wheels = pathlib.Path(gscore.__file__).parent.parent
 assert (wheels / "plyfile.py").exists()
@@ -49,10 +78,10 @@ repos = bpy.context.preferences.extensions.repos
 bpy.ops.extensions.package_uninstall(repo_index=index, pkg_id="gscore_splats")
 assert not there() and module not in bpy.context.preferences.addons
 assert not (wheels / "plyfile.py").exists() and not (wheels / "gscore").exists()
-print("GONE", flush=True)
-# bpy 4.2 crashes at exit once anyone's class with property callbacks has been uninstalled.
-os._exit(0)
+print("GONE")
 """
+    + END
+)
 
 
 @pytest.fixture(scope="session")
@@ -113,6 +142,45 @@ def test_installs_and_cycles(package: Path, run_blender: Callable[..., str]) -> 
     assert len(places) == 2
     assert all("extensions" in place and str(ROOT) not in place for place in places), places
     assert "CLEAN" in output
+
+
+def test_updates_in_a_running_session(
+    package: Path, run_blender: Callable[..., str], tmp_path: Path
+) -> None:
+    """Oracle: a mark in the newer wheel, whose version is the same to the user."""
+    newer = tmp_path / "newer.zip"
+    with zipfile.ZipFile(package) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    (name,) = [n for n in members if n.startswith("wheels/gscore-")]
+    marked = _marked(members.pop(name), Path(name).name, tmp_path)
+    members[f"wheels/{marked.name}"] = marked.read_bytes()
+    stated = members["blender_manifest.toml"].decode()
+    members["blender_manifest.toml"] = stated.replace(Path(name).name, marked.name).encode()
+    build_extension.write_zip(newer, members)
+    assert "UPDATED" in run_blender(INSTALL + UPDATE, newer, package)
+
+
+def _marked(wheel: bytes, name: str, folder: Path) -> Path:
+    """A wheel like this one with one more line of source, made by the tool from its parts."""
+    project, version, *_, tag = Path(name).stem.split("-")
+    plain = version.split("+")[0]
+    parts = {}
+    with zipfile.ZipFile(io.BytesIO(wheel)) as archive:
+        for entry in archive.namelist():
+            data = archive.read(entry)
+            if entry.endswith((".so", ".dll", ".dylib")):
+                library = folder / Path(entry).name
+                library.write_bytes(data)
+                continue
+            if entry.endswith("METADATA"):
+                data = data.replace(version.encode(), plain.encode(), 1)
+            parts[entry.replace(version, plain, 1)] = data
+    parts["gscore/_version.py"] += b"MARK = 1\n"
+    bare = folder / f"{project}-{plain}-py3-none-any.whl"
+    build_extension.write_zip(bare, parts)
+    made = build_extension.add_library(bare, library, library.name, tag, folder)
+    assert made.name != name
+    return made
 
 
 def test_uninstalls(package: Path, run_blender: Callable[..., str]) -> None:
