@@ -40,6 +40,11 @@ _RUN: dict[str, tuple[tuple[str, ...], dict[str, Any], str]] = {
     ),
     "antialias": (("--antialias", "--antialiasing"), _SWITCH, "compensate small splats' opacity"),
     "near": (("--near",), {"type": float}, "near plane, world units"),
+    "start_splats": (
+        ("--start-splats",),
+        {"type": Path, "metavar": "FILE.ply"},
+        "start from these splats, in the capture's world, instead of its points",
+    ),
     "lpips": (
         ("--lpips",),
         {"type": Path, "metavar": "FILE.onnx"},

@@ -33,6 +33,7 @@ _FREE = frozenset(
         "snapshot_every",
         "lpips",
         "detect_anomaly",
+        "start_splats",
     }
 )
 """Options that may change when a run goes on."""

@@ -13,6 +13,7 @@ from ..config import DataConfig, TrainConfig
 from ..datasets import Dataset, load_dataset
 from ..errors import BackendError, ConfigError, DatasetError
 from ..events import Event, Progress
+from ..io.ply import is_antialiased, read_splats
 from ..metrics import find_lpips
 from . import checkpoint
 from .control import Control
@@ -62,6 +63,7 @@ def train(
     emit, control = on_event or (lambda event: None), control or Control()
     with open_folder(output, resume=resume, overwrite=overwrite) as folder, _one_torch_thread():
         before = _checkpoint_to_start_from(folder, resume, start_checkpoint)
+        start = None if config.start_splats is None else read_splats(config.start_splats)
         lpips, lpips_reason = find_lpips(config.lpips, threads=config.threads)
         photos = load_dataset(data)
         frame = None
@@ -72,7 +74,7 @@ def train(
         _decode(photos, config, emit, control)
         empty = _check_masks(photos)
         with _memory_in_words():
-            trainer = Trainer(config, photos, frame=frame)
+            trainer = Trainer(config, photos, frame=frame, start=start)
             session = Session(
                 trainer,
                 folder,
@@ -167,6 +169,11 @@ def _own_warnings(trainer: Trainer) -> Iterator[str]:
         yield (
             f"The capture is small in its own units, so the near plane was lowered from "
             f"{config.near:g} to {near:.3g}; use the same when rendering (--near {near:.3g})."
+        )
+    if config.start_splats and is_antialiased(config.start_splats) != config.antialias:
+        yield (
+            f"{config.start_splats} was trained {'without' if config.antialias else 'with'} "
+            "antialiasing, unlike this run; small splats change their opacity at first."
         )
     offset = float(np.abs(frame.similarity.shift).max()) * frame.similarity.scale / frame.extent
     if offset > _FAR_FROM_ORIGIN:

@@ -1,15 +1,17 @@
 """The training step and all state it depends on; no files, no events, no clock."""
 
 import math
+from dataclasses import replace
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 
 from ..config import Background, TrainConfig
-from ..errors import DatasetError, GsError
+from ..errors import ConfigError, DatasetError, GsError
 from ..raster.autograd import RasterAux, rasterize
 from ..raster.loss import image_loss
-from ..splats import Splats
+from ..splats import SH_REST_BY_DEGREE, Splats
 from . import guard
 from .frame import Frame
 from .model import Model
@@ -44,11 +46,19 @@ class Trainer:
     summed in a fixed order. Run it with `torch.set_num_threads(1)`, see `session`.
     """
 
-    def __init__(self, config: TrainConfig, photos: Photos, *, frame: Frame | None = None) -> None:
-        """Start from the points of the capture.
+    def __init__(
+        self,
+        config: TrainConfig,
+        photos: Photos,
+        *,
+        frame: Frame | None = None,
+        start: Splats | None = None,
+    ) -> None:
+        """Start from `start`, in COLMAP world, or from the points of the capture.
 
         Raises:
             DatasetError: nothing to train on.
+            ConfigError: `start` has more splats than the config allows.
         """
         if not photos.train:
             raise DatasetError(
@@ -58,7 +68,7 @@ class Trainer:
         self.config = config
         self.photos = photos
         self.frame = frame or Frame.of(photos.scene, near=config.near)
-        points = min(len(photos.scene.points), config.max_splats)
+        points = min(len(photos.scene.points), config.max_splats) if start is None else len(start)
         cameras = photos.scene.cameras
         side = int(min(cameras.widths.min(), cameras.heights.min()))
         self.plan = Plan.of(config, extent=self.frame.extent, points=points, side=side)
@@ -72,7 +82,8 @@ class Trainer:
         self._skipped = 0
         self._cameras = self.frame.similarity.cameras_to_training(photos.scene.cameras)
         self._pyramid = Pyramid(photos, self._cameras)
-        self.model = Model(tensors_from_splats(self._first_splats()))
+        first = self._first_splats() if start is None else self._placed(start)
+        self.model = Model(tensors_from_splats(first))
         self.strategy.start(self.model)
 
     def step(self) -> StepResult:
@@ -198,6 +209,17 @@ class Trainer:
             max_splats=self.config.max_splats,
             seed=self.config.seed,
         )
+
+    def _placed(self, start: Splats) -> Splats:
+        """Given splats in the training world, with no higher SH degree than the config has."""
+        if not 0 < len(start) <= self.config.max_splats:
+            raise ConfigError(
+                f"The splats to start from are {len(start)}, expected 1 to max_splats = "
+                f"{self.config.max_splats}; raise --max-splats or start from fewer."
+            )
+        rest = SH_REST_BY_DEGREE[self.config.sh_degree]
+        start = replace(start, shN=np.ascontiguousarray(start.shN[:, :rest]))
+        return self.frame.similarity.splats_to_training(start)
 
     def _step_background(self) -> tuple[float, float, float]:
         mode = self.config.background
