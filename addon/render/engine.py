@@ -242,7 +242,18 @@ def register() -> None:
 
 def unregister() -> None:
     """Forget the engine and its splats."""
+    _leave_viewports()
     bpy.utils.unregister_class(SplatsRenderEngine)
     for painter in list(_painters):
         painter.close()
     final_cache.clear()
+
+
+def _leave_viewports() -> None:
+    """Have no viewport draw with the engine: Blender 4.3 never ends after it is gone then."""
+    manager = getattr(bpy.context, "window_manager", None)
+    for window in [] if manager is None else manager.windows:
+        for area in window.screen.areas:
+            if area.type == "VIEW_3D" and window.scene.render.engine == NAME:
+                shading = area.spaces.active.shading
+                shading.type = "SOLID" if shading.type == "RENDERED" else shading.type
