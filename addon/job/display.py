@@ -27,9 +27,6 @@ EMPTY = Splats(
 )
 """No splats."""
 
-_fillings: dict[str, Filling] = {}
-"""Splats on their way into the open file, by job."""
-
 
 def scene_of(job: Job) -> bpy.types.Scene | None:
     """The scene of the open file whose output is that of the job."""
@@ -53,7 +50,7 @@ def waits(job: Job) -> bool:
 
 def filling() -> bool:
     """Whether splats are on their way, so that the next beat should come soon."""
-    return bool(_fillings)
+    return any(job.filling is not None for job in registry.jobs())
 
 
 def update(job: Job) -> bool:
@@ -134,22 +131,23 @@ def _update_splats(job: Job, scene: bpy.types.Scene) -> bool:
     ob = scene.gscore.result
     if ob is not None and ob.mode != "OBJECT":
         return False  # what the user edits stays; splats wait
-    if job.id not in _fillings:
+    if job.filling is None:
         loaded = job.take_loaded()
         if loaded is None:
             return False
         if loaded.problem:
             _give_up(job, loaded, loaded.problem)
             return True
-        _fillings[job.id] = Filling(loaded)
-    filling = _fillings[job.id]
+        job.filling = Filling(loaded)
+    filling = job.filling
     if not filling.loaded.final and (job.result_requested or not scene.gscore.live_splats):
-        _fillings.pop(job.id).drop()  # late
+        filling.drop()  # late
+        job.filling = None
         return True
     mesh = filling.step()
     if mesh is None:
         return True
-    del _fillings[job.id]
+    job.filling = None
     try:
         replace(result_object(scene, job, filling.loaded), mesh)
         job.result_wanted = job.result_wanted and not filling.loaded.final

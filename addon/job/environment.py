@@ -82,7 +82,7 @@ def check(python: Path, task: Task, *, timeout: float = CHECK_TIMEOUT) -> Verdic
             time.sleep(0.05)
         output += list(process.lines(0.1))
     finally:
-        process.kill()
+        process.kill(wait=5.0)
     return _verdict(python, output, process.stderr_tail)
 
 

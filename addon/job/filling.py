@@ -30,12 +30,13 @@ class Filling:
         """Fill some more; the mesh once it is complete."""
         mesh = self._mesh()
         until = time.perf_counter() + BUDGET
-        for name, kind, values in self.loaded.columns[self._next :]:
-            if time.perf_counter() > until:
-                return None
+        while self._next < len(self.loaded.columns):
+            name, kind, values = self.loaded.columns[self._next]
             splat_attributes.declare(mesh, name, kind)
             splat_attributes.fill(mesh, name, kind, values)
             self._next += 1
+            if time.perf_counter() > until:
+                return None
         del mesh[_MARK]
         mesh.update()
         return mesh

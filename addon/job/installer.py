@@ -97,7 +97,7 @@ def find_wheel(folders: Iterable[Path], version: str) -> Path | None:
     machines = next((n for n in names.values() if machine in n), (machine,))
     system = {"win32": "win", "darwin": "macosx"}.get(sys.platform, "linux")
     for folder in folders:
-        for path in sorted(folder.glob(f"gscore-{version}-*.whl")):
+        for path in sorted(folder.glob(f"gscore-{version}[-+]*.whl")):
             tag = path.stem.rsplit("-", 1)[-1].lower()
             if system in tag and any(m in tag for m in machines):
                 return path
@@ -165,7 +165,7 @@ def _run(arguments: Sequence[str | Path], task: Task) -> None:
                     task.tell(shown)
             time.sleep(0.05)
     finally:
-        process.kill()
+        process.kill(wait=5.0)
     if process.returncode:
         raise SetupError(_reason([*said, *process.stderr_tail]))
 

@@ -5,6 +5,7 @@ import time
 import uuid
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from ..core import Snapshot, clear_run
 from . import session
@@ -56,6 +57,8 @@ class Job:
         """Whether the result still has to be shown."""
         self.result_requested = False
         """Whether the result is being read in order to be shown."""
+        self.filling: Any = None
+        """Splats on their way into the open file; `display` puts it here."""
         self.preview_shown = ""
         self._discarding = False
         self._clearer: threading.Thread | None = None

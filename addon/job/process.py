@@ -122,8 +122,12 @@ class Process:
         """Close its input after what was sent: a trainer writes a checkpoint and ends."""
         self._orders.put(None)
 
-    def kill(self) -> None:
-        """End it and its children at once."""
+    def kill(self, *, wait: float = 0.0) -> None:
+        """End it and its children at once.
+
+        Args:
+            wait: Seconds to wait until it is gone.
+        """
         if self._process.poll() is not None:
             return
         with contextlib.suppress(OSError):
@@ -131,6 +135,8 @@ class Process:
                 self._process.kill()
             else:
                 os.killpg(self._process.pid, signal.SIGKILL)
+        if wait:
+            self.wait(wait)
 
     def wait(self, timeout: float) -> bool:
         """Wait until the process is gone, at most `timeout` seconds; whether it is."""

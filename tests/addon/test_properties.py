@@ -137,6 +137,7 @@ def test_a_resumed_run_keeps_its_options(tmp_path: Path) -> None:
 
 def test_choosing_a_capture_looks_into_it(scene: bpy.types.Scene) -> None:
     """Oracle: the studio's 60 photos; a change of the photo folder is looked into as well."""
+    lookup.captures.forget((str(STUDIO), "images"))
     scene.gscore.capture_path = str(STUDIO)
     assert lookup.busy()
     found, problem = facts.look_again(scene)
