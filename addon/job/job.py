@@ -168,12 +168,14 @@ class Job:
             earlier = self.output / "point_cloud.ply"
             if self.resumed and earlier.is_file():
                 state.result, self.result_wanted = earlier, True
-            state.sentence = (
-                "Stopped; what was trained since the last checkpoint is discarded, earlier files "
-                "of the run are kept."
-                if self.resumed
-                else "Discarded: the files of this run are removed."
-            )
+            state.sentence = "Discarded: the files of this run are removed."
+            if self.resumed:
+                state.sentence = (
+                    "Stopped; what was trained since the last checkpoint is discarded, earlier "
+                    "files of the run are kept."
+                )
+            elif state.started is None:
+                state.sentence = "Discarded before the first step."
             return
         state.end(self._process.returncode, self._process.stderr_tail, python=self.python)
         if state.result is not None:
@@ -181,7 +183,8 @@ class Job:
 
     def _clearing(self) -> bool:
         """Whether files of a discarded run are being removed, which a slow disk makes long."""
-        if not self._discarding or self.resumed:
+        # Before it has started, a trainer has written nothing: files there are somebody else's.
+        if not self._discarding or self.resumed or self.state.started is None:
             return False
         if self._clearer is None:
             self._clearer = threading.Thread(target=clear_run, args=(self.output,), daemon=True)

@@ -39,6 +39,8 @@ def tick() -> bool:
     for job in registry.jobs():
         if job.poll():
             _stale = True
+            if job.state.ended:
+                lookup.runs.forget(job.output)
         else:
             _stale |= display.update(job)
     _stale |= lookup.collect()

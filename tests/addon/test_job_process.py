@@ -245,6 +245,18 @@ def test_discarding_removes_only_what_this_run_made(start: Start, resumed: bool)
     assert alone.output.exists() == resumed
 
 
+def test_discarding_before_the_start_spares_others(start: Start) -> None:
+    """Oracle: files of another training, which may hold the folder, are still there."""
+    write = {"write": ["$out/checkpoints/step_00000001.safetensors", "not ours"]}
+    job = start(write, {"raw": "still loading\n"}, {"sleep": 60})
+    run_until(job, lambda: (job.output / "checkpoints").exists())
+    job.discard()
+    assert run_to_end(job).sentence == "Discarded before the first step."
+    assert [path.name for path in job.output.rglob("*.safetensors")] == [
+        "step_00000001.safetensors"
+    ]
+
+
 def test_jobs_do_not_disturb_each_other(start: Start) -> None:
     """Oracle: one is stopped and one crashes while the third goes on to its end."""
     a = start({"say": STARTED}, {"follow": 20}, name="a")
