@@ -1,5 +1,6 @@
 """A photo beside what the splats show from its camera: pictures, and the PSNR."""
 
+import math
 from dataclasses import dataclass
 
 import bpy
@@ -9,14 +10,15 @@ from .. import camera_math as cm
 from ..camera_objects import PhotoCamera, is_camera, rigid_viewmat, stated
 from ..cameras import RenderCamera
 from ..compat import matrix_to_numpy
-from ..core import colorize, downscale, psnr
-from . import color, picture
+from ..core import colorize, psnr
+from . import picture
 from .engine import background_of, collect, final_cache, world_light
+from .photo import Target, load_target
 
 ERROR_GAIN = 4.0
 """Error pictures show this times the mean absolute difference of the channels, as gscore's do."""
-PSNR = "gs_psnr"
-"""Custom property of a camera: the PSNR of the last comparison, dB."""
+PSNR, PSNR_MASKED = "gs_psnr", "gs_psnr_masked"
+"""Custom properties of a camera: results of the last comparison, dB."""
 KINDS = ("Photo", "Render", "Error", "Comparison")
 """Pictures that are made; Comparison has the others side by side."""
 _PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE")
@@ -27,7 +29,10 @@ class Comparison:
     """What `compare` found."""
 
     psnr: float
-    """dB, of the splats' picture against the photo, on sRGB values; inf if they are equal."""
+    """dB, of the splats' picture against the photo, on sRGB values; inf if they are equal. Where a
+    mask says what counts, both are black elsewhere, as in gscore's metrics."""
+    psnr_masked: float | None
+    """dB, of the pixels that count alone; None without a mask."""
     images: dict[str, bpy.types.Image]
     """By the names in `KINDS`."""
 
@@ -38,8 +43,8 @@ def compare(
     """Render from an imported camera and compare with its photo.
 
     The picture has the photo's size times the scene's resolution percentage, whatever the scene's
-    resolution; the photo is scaled to that as it is for training. Transparent photos are put over
-    the world's colour, as the splats are.
+    resolution; the photo is scaled to that as it is for training. Masks are heeded as the scene's
+    settings for training say; what they make transparent is put over the world's colour.
 
     Args:
         scene: Gives percentage, world and settings, and receives nothing.
@@ -61,22 +66,37 @@ def compare(
             f"ideal one: import the capture as COLMAP's image_undistorter leaves it to compare."
         )
     background = background_of(world_light(scene.world)[0])
-    width, height = cm.frame_size(own.width, own.height, scene.render.resolution_percentage)
-    photo = photo_pixels(own, max(width, 1), max(height, 1), background)
+    size = cm.frame_size(own.width, own.height, scene.render.resolution_percentage)
+    width, height = max(size[0], 1), max(size[1], 1)
+    masks = scene.gscore.mask_mode if scene.gscore.use_masks else "none"
+    target = load_target(camera, width, height, background=background, mask_mode=masks)
     rendered = picture.draw(
         collect(depsgraph, final_cache),
-        photo_view(camera, own, depsgraph, photo.shape[1], photo.shape[0]),
+        photo_view(camera, own, depsgraph, width, height),
         picture.Options(background=background, antialias=scene.gscore_render.antialias),
     )
-    shown = np.clip(rendered.rgb, 0, 1)
+    return _judged(np.clip(rendered.rgb, 0, 1), target, camera)
+
+
+def _judged(shown: np.ndarray, target: Target, camera: bpy.types.Object) -> Comparison:
+    photo, masked = target.pixels, None
+    if target.weight is not None:
+        weight = target.weight[..., None]
+        squares = float((weight * (shown - photo).astype(np.float64) ** 2).sum())
+        counted = 3 * float(weight.sum())
+        masked = -10 * math.log10(squares / counted) if squares and counted else math.inf
+        shown, photo = shown * weight, photo * weight
     error = np.abs(shown - photo).mean(axis=2)
     pictures = {"Photo": photo, "Render": shown, "Error": colorize(error * ERROR_GAIN) / 255.0}
     pictures["Comparison"] = np.concatenate(list(pictures.values()), axis=1)
     value = psnr(shown, photo)
     camera[PSNR] = value
-    return Comparison(
-        psnr=value, images={kind: _store(kind, pictures[kind], camera.name) for kind in KINDS}
-    )
+    if masked is not None:
+        camera[PSNR_MASKED] = masked
+    elif PSNR_MASKED in camera:
+        del camera[PSNR_MASKED]
+    images = {kind: _store(kind, pictures[kind], camera.name) for kind in KINDS}
+    return Comparison(psnr=value, psnr_masked=masked, images=images)
 
 
 def photo_view(
@@ -100,58 +120,6 @@ def photo_view(
         orthographic=False,
         name=camera.name,
     )
-
-
-def photo_pixels(
-    own: PhotoCamera, width: int, height: int, background: tuple[float, float, float]
-) -> np.ndarray:
-    """A camera's photo as [height, width, 3] float32 sRGB values, the top row first.
-
-    Raises:
-        ValueError: it is not there, cannot be decoded, or has another shape than the camera.
-    """
-    path = bpy.path.abspath(own.photo)
-    try:
-        image = bpy.data.images.load(path, check_existing=False)
-    except RuntimeError as error:
-        raise ValueError(
-            f"The photo {path} cannot be read: find the capture's folder again."
-        ) from error
-    try:
-        pixels = _decoded(image, path)
-    finally:
-        bpy.data.images.remove(image)
-    # Copies of a photo at other sizes (images_2) are rounded to whole pixels.
-    if abs(pixels.shape[1] * own.height - pixels.shape[0] * own.width) > own.width + own.height:
-        raise ValueError(
-            f"The photo {path} is {pixels.shape[1]} x {pixels.shape[0]} pixels, its camera was "
-            f"made for {own.width} x {own.height}: find the photo that COLMAP saw."
-        )
-    alpha = pixels[..., 3:]
-    over = pixels[..., :3] * alpha + np.array(background, np.float32) * (1 - alpha)
-    levels = (np.clip(over, 0, 1) * 255 + 0.5).astype(np.uint8)
-    # A scene above 100 % asks for more pixels than the photo has.
-    if width > levels.shape[1] or height > levels.shape[0]:
-        raise ValueError(
-            f"The photo {path} has {levels.shape[1]} x {levels.shape[0]} pixels, {width} x "
-            f"{height} are asked for: lower the scene's resolution percentage."
-        )
-    return downscale(levels, width, height) / np.float32(255)
-
-
-def _decoded(image: bpy.types.Image, path: str) -> np.ndarray:
-    """[H, W, 4] float32, straight alpha, sRGB values, the top row first."""
-    width, height = image.size
-    if not width * height or image.channels not in (1, 3, 4):
-        raise ValueError(f"The photo {path} is no picture that Blender can decode.")
-    flat = np.empty(width * height * image.channels, np.float32)
-    image.pixels.foreach_get(flat)
-    found = flat.reshape(height, width, image.channels)[::-1]
-    pixels = np.ones((height, width, 4), np.float32)
-    pixels[..., : 3 if image.channels == 1 else image.channels] = found
-    if image.is_float:  # 16 bits and more are decoded to linear light, bytes are left as they are
-        pixels[..., :3] = color.encode(pixels[..., :3])
-    return pixels
 
 
 def _store(kind: str, pixels: np.ndarray, camera: str) -> bpy.types.Image:

@@ -99,6 +99,8 @@ class GSCORE_OT_compare_photo(bpy.types.Operator):  # noqa: N801
         shown = show_image(context, found.images["Comparison"])
         where = "" if shown else f"; open the image {found.images['Comparison'].name} to see it"
         value = "infinite" if math.isinf(found.psnr) else f"{found.psnr:.2f} dB"
+        if found.psnr_masked is not None:
+            value += f", {found.psnr_masked:.2f} dB within the mask"
         self.report({"INFO"}, f"{camera.name}: PSNR {value}{where}.")
         return {"FINISHED"}
 

@@ -43,7 +43,7 @@ def test_psnr_and_pictures(studio, scene, percentage):
     """Oracle: gscore.render with the capture's own K, and the photo scaled by gscore."""
     capture, splats = studio
     camera = capture.cameras[9]
-    scene.render.resolution_percentage = percentage
+    scene.render.resolution_percentage, scene.gscore.use_masks = percentage, False
     found = compare.compare(scene, camera, bpy.context.evaluated_depsgraph_get())
     own = stated(camera)
     width, height = own.width * percentage // 100, own.height * percentage // 100
@@ -64,6 +64,32 @@ def test_psnr_and_pictures(studio, scene, percentage):
     bright = images["Error"].sum(axis=2)
     assert bright[error > 0.2].min() > bright[error < 0.01].max()
     assert 3 < found.psnr < 40
+    assert found.psnr_masked is None
+
+
+def test_masks_of_the_capture_count(studio, scene):
+    """Oracle: gscore's definition, on the mask file read apart: both pictures times the mask."""
+    camera = studio[0].cameras[9]
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    scene.gscore.use_masks = False
+    whole = compare.compare(scene, camera, depsgraph)
+    photo, shown = (pixels(whole.images[kind]) for kind in ("Photo", "Render"))
+    scene.gscore.use_masks, scene.gscore.mask_mode = True, "auto"
+    masked = compare.compare(scene, camera, depsgraph)
+    file = next((STUDIO / "masks").glob(f"{Path(camera['gs_image']).stem}*"))
+    mask = lab.read_image(file)[..., :1].astype(np.float64)
+    assert 0.05 < mask.mean() < 0.6
+    squares = mask * (shown.astype(np.float64) - photo) ** 2
+    assert masked.psnr == pytest.approx(-10 * np.log10((mask * squares).mean()), abs=0.05)
+    inside = -10 * np.log10(squares.sum() / (3 * mask.sum()))
+    assert masked.psnr_masked == pytest.approx(inside, abs=0.05)
+    assert camera["gs_psnr_masked"] == masked.psnr_masked
+    assert not pixels(masked.images["Photo"])[mask[..., 0] == 0].any()
+    scene.gscore.mask_mode = "composite"
+    composite = compare.compare(scene, camera, depsgraph)
+    assert composite.psnr_masked is None and "gs_psnr_masked" not in camera
+    corner = pixels(composite.images["Photo"])[mask[..., 0] == 0]
+    np.testing.assert_allclose(corner, lab.srgb(0.1), atol=1 / 255)
 
 
 def test_operator_reports_and_stores(studio, scene, capfd):
@@ -76,7 +102,10 @@ def test_operator_reports_and_stores(studio, scene, capfd):
     bpy.context.view_layer.objects.active = None
     assert bpy.ops.gscore.compare_photo() == {"FINISHED"}
     assert len(bpy.data.images) == images
-    assert f"PSNR {capture.cameras[3]['gs_psnr']:.2f} dB" in capfd.readouterr().out
+    camera = capture.cameras[3]
+    said = capfd.readouterr().out
+    assert f"PSNR {camera['gs_psnr']:.2f} dB" in said
+    assert f"{camera['gs_psnr_masked']:.2f} dB within the mask" in said
 
 
 def no_photo(camera, folder):
