@@ -3,6 +3,7 @@
 import math
 import time
 from collections import deque
+from itertools import accumulate
 from typing import Any
 
 from ..events import Progress
@@ -29,6 +30,8 @@ class Meter:
         self._step = 0
         self._splats = 0
         self._recent: deque[float] = deque(maxlen=_WINDOW)
+        work = [plan.work_at(step) for step in range(1, plan.iterations + 1)]
+        self._work_done = [0.0, *accumulate(work)]
         self._last_event = -math.inf
 
     def update(self, *, step: int, loss: float, mse: float, splats: int, seconds: float) -> None:
@@ -57,7 +60,10 @@ class Meter:
         """Where the run stands."""
         recent = sum(self._recent)
         rate = len(self._recent) / recent if recent > 0 else 0.0
-        left = self._plan.iterations - self._step
+        # The last steps took as long as their share of the work says, and so will those to come.
+        work = self._work_done
+        lately = work[self._step] - work[max(self._step - len(self._recent), 0)]
+        left = (work[-1] - work[self._step]) / lately if lately else math.inf
         return Progress(
             step=self._step,
             iterations=self._plan.iterations,
@@ -65,7 +71,7 @@ class Meter:
             psnr=self.psnr,
             splats=self._splats,
             steps_per_s=rate,
-            eta_s=left / rate if rate else math.inf,
+            eta_s=left * recent,
             elapsed_s=self.train_seconds,
             phase=phase or ("growing" if self._step <= self._plan.refine_stop else "polishing"),
         )

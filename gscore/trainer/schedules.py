@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from ..config import Strategy, TrainConfig
 
 _PAPER_STEPS = 30_000
+_WORK_OF_SPLATS = 0.3
+"""Share of the time of a full-size step that does not depend on the number of pixels."""
 _COARSE_SIDE = 75
 """Pixels of a photo's shorter side below which a coarse picture says too little."""
 
@@ -121,6 +123,10 @@ class Plan:
         least = self.coarse_factor**-2
         pixels = least + (1 - least) * done * done
         return 2.0 ** (round(-math.log2(pixels)) / 2)
+
+    def work_at(self, step: int) -> float:
+        """Rough share of a full-size step's time that `step` takes: splats cost at any size."""
+        return _WORK_OF_SPLATS + (1 - _WORK_OF_SPLATS) / self.factor_at(step) ** 2
 
     def refines_at(self, step: int) -> bool:
         """Whether splats may be added or removed after `step`."""
