@@ -39,6 +39,12 @@ def show(name: str, milliseconds: list[float]) -> None:
     )
 
 
+def mesh_of(scene: bpy.types.Scene) -> int:
+    """Address of the mesh that the result shows; 0 without one."""
+    ob = scene.gscore.result
+    return ob.data.as_pointer() if ob else 0
+
+
 def training(options: argparse.Namespace) -> None:
     """Beats while a trainer works."""
     from addon import preferences
@@ -56,10 +62,11 @@ def training(options: argparse.Namespace) -> None:
     job = training.train(scene)
     beats: dict[str, list[float]] = {"reading lines": [], "a picture": [], "splats": []}
     while display.waits(job):
-        picture, splats, start = job.preview_shown, job.filling, time.perf_counter()
+        picture, mesh, splats = job.preview_shown, mesh_of(scene), job.filling
+        start = time.perf_counter()
         timer.tick()
         took = (time.perf_counter() - start) * 1000
-        kind = "splats" if splats or job.filling else "reading lines"
+        kind = "splats" if splats or job.filling or mesh != mesh_of(scene) else "reading lines"
         beats["a picture" if job.preview_shown != picture else kind].append(took)
         late = time.monotonic() - began > options.seconds
         if late and job.state.status == session.RUNNING:
