@@ -17,10 +17,11 @@ ALLOWED = {
     **dict.fromkeys(BOTTOM, BOTTOM),
     "io": BOTTOM | {"io"},
     "datasets": BOTTOM | {"io", "datasets"},
+    "depth": BOTTOM | {"io", "datasets", "depth"},
     "raster": BOTTOM | {"io", "raster"},
-    "metrics": BOTTOM | {"io", "datasets", "raster", "metrics"},
-    "trainer": BOTTOM | {"io", "datasets", "raster", "metrics", "trainer"},
-    "bench": BOTTOM | {"io", "datasets", "raster", "metrics", "trainer", "bench"},
+    "metrics": BOTTOM | {"io", "datasets", "depth", "raster", "metrics"},
+    "trainer": BOTTOM | {"io", "datasets", "depth", "raster", "metrics", "trainer"},
+    "bench": BOTTOM | {"io", "datasets", "depth", "raster", "metrics", "trainer", "bench"},
 }
 OUTSIDE = {
     "torch": {"raster", "metrics", "trainer", "bench", "commands"},

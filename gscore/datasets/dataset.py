@@ -52,6 +52,11 @@ class Dataset:
         return self.scene.cameras.names
 
     @property
+    def files(self) -> tuple[ViewFile, ...]:
+        """How each view is decoded, by index."""
+        return tuple(self._files)
+
+    @property
     def warnings(self) -> tuple[str, ...]:
         """Sentences for the user about what was mended or left out while reading."""
         return self.scene.warnings

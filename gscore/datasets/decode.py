@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import FormatError
-from ..io.images import read_image, read_mask, reduce, resize
+from ..errors import FormatError, ShapeError
+from ..io.images import read_image, read_mask, reduce, resize, resize_map
 from .undistort import Undistortion
 
 
@@ -61,6 +61,38 @@ def decode_view(file: ViewFile) -> tuple[np.ndarray, np.ndarray | None]:
         # A mask of only yes and no stays one: half-transparent rims would be invented otherwise.
         mask = _fit(file, mask, nearest=not np.any((mask > 0) & (mask < 255)))
     return _fit(file, np.ascontiguousarray(photo[..., :3])), mask
+
+
+def fit_map(file: ViewFile, values: np.ndarray) -> np.ndarray:
+    """Undistort and scale a map of numbers, such as depth, together with its photo.
+
+    Args:
+        file: The view.
+        values: [h, w] float32 of any size, showing what the photo shows; NaN: unknown.
+
+    Returns:
+        [H, W] float32 at the size of the decoded photo; NaN: unknown.
+
+    Raises:
+        ShapeError: the map has other proportions than the photo.
+    """
+    height, width = values.shape
+    photo_width, photo_height = file.photo_size
+    # Networks and exporters round sizes; a pixel of the map and 1 % are not a crop.
+    expected = photo_height * width / photo_width
+    if abs(expected - height) > 1 + 0.01 * height:
+        raise ShapeError(
+            f"it is {width} x {height} pixels, which does not have the proportions of the photo, "
+            f"{photo_width} x {photo_height}"
+        )
+    if file.plan is not None:
+        pixels = (width / file.plan.camera.width, height / file.plan.camera.height)
+        full = (
+            max(file.size[0], round(file.plan.width * pixels[0])),
+            max(file.size[1], round(file.plan.height * pixels[1])),
+        )
+        values = file.plan.remap(values, full, pixels=pixels)
+    return resize_map(values, *file.size)
 
 
 def _check_size(file: ViewFile, path: Path, image: np.ndarray) -> None:

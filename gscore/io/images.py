@@ -120,6 +120,33 @@ def resize(image: np.ndarray, width: int, height: int) -> np.ndarray:
     return np.array(source.resize((width, height), pil.Resampling.HAMMING))
 
 
+def resize_map(values: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Scale a map of numbers to any size, each pixel the mean of the known ones it covers.
+
+    Args:
+        values: [H, W] float32; NaN: unknown.
+        width: New width in pixels.
+        height: New height in pixels.
+
+    Returns:
+        [height, width] float32; NaN where less than half of a pixel is known.
+    """
+    if values.shape == (height, width):
+        return values
+    pil = _pillow()
+    grows = width > values.shape[1] or height > values.shape[0]
+    window = pil.Resampling.BILINEAR if grows else pil.Resampling.HAMMING
+    known = np.isfinite(values)
+
+    def scaled(part: np.ndarray) -> np.ndarray:
+        return np.array(pil.fromarray(part.astype(np.float32)).resize((width, height), window))
+
+    if known.all():
+        return scaled(values)
+    share, total = scaled(known), scaled(np.where(known, values, 0))
+    return np.divide(total, share, out=np.full_like(total, np.nan), where=share >= 0.5)
+
+
 def reduce(image: np.ndarray, factor: int) -> np.ndarray:
     """Mean of `factor` x `factor` blocks; the last row and column average what is left.
 
@@ -191,9 +218,7 @@ def _pillow() -> Any:
     try:
         from PIL import Image
     except ImportError as error:
-        raise BackendError(
-            'Reading photos takes the package Pillow: pip install pillow'
-        ) from error
+        raise BackendError("Reading photos takes the package Pillow: pip install pillow") from error
     return Image
 
 

@@ -1,0 +1,6 @@
+"""Depth maps of a capture: prediction, reading, and alignment with the points of SfM."""
+
+from .fit import Fit
+from .priors import DepthPrior, Priors, load_priors
+
+__all__ = ["DepthPrior", "Fit", "Priors", "load_priors"]

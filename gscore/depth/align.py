@@ -1,0 +1,187 @@
+"""Scale and offset of a depth map from the points of structure from motion: two rules."""
+
+import numpy as np
+
+from .fit import NO_FIT, Fit, agreement, scale_reason, tolerance
+from .maps import sample
+from .observations import Observations
+
+OFFICIAL_POINTS = 10
+"""The official rule wants more points than this."""
+OFFICIAL_RANGE = 1e-3
+"""The official rule wants a larger range of inverse depths than this, 1/world unit."""
+LEAST_POINTS = 20
+"""Inliers that the robust rule wants."""
+LEAST_SHARE = 0.3
+"""Share of inliers that the robust rule wants."""
+_LEAST_SPREAD = 0.02
+"""Range of the points' inverse depths, relative to their median, below which no scale shows."""
+_LEAST_GAIN = 0.25
+"""Part of the misfit of the best constant that a fit must remove to say anything."""
+_DRAWS = 500
+_ROUNDS = 20
+_HUBER = 1.345
+"""Huber's constant: 95 % efficiency on normal errors."""
+
+
+def align_official(values: np.ndarray, seen: Observations) -> Fit:
+    """The rule of the official 3DGS tools, exactly: medians and mean absolute deviations.
+
+    The map is read at the observed positions without the half pixel between COLMAP's and OpenCV's
+    pixel centres, both axes scaled by the ratio of heights, as those tools do. Its reliability is
+    decided among all views, by `scale_reason`.
+
+    Args:
+        values: [H, W] float32, inverse depth up to an affine map, finite; PNG values / 65536.
+        seen: The points of the view.
+
+    Returns:
+        Scale and offset; both 0, and refused, with 10 points or fewer or a range of inverse depths
+        of 1e-3 or less.
+    """
+    ratio = values.shape[0] / seen.height
+    x, y = (seen.x * ratio).astype(np.float32), (seen.y * ratio).astype(np.float32)
+    inside = (x >= 0) & (y >= 0) & (x < seen.width * ratio) & (y < seen.height * ratio)
+    inside &= seen.inverse_depth > 0
+    count = int(inside.sum())
+    if count <= OFFICIAL_POINTS:
+        return NO_FIT.refused(f"only {count} points are seen in it, expected more than 10")
+    if np.ptp(seen.inverse_depth) <= OFFICIAL_RANGE:
+        return NO_FIT.refused("the inverse depths of its points differ by 0.001 or less")
+    known = seen.inverse_depth[inside]
+    mono = sample(values, x[inside].astype(np.float64), y[inside].astype(np.float64))
+    middle, mono_middle = np.median(known), np.median(mono)
+    deviation, mono_deviation = np.abs(known - middle).mean(), np.abs(mono - mono_middle).mean()
+    if not mono_deviation > 0:
+        return NO_FIT.refused("the map has one value at all points")
+    scale = float(deviation / mono_deviation)
+    offset = float(middle - mono_middle * scale)
+    share, error = agreement(scale, offset, mono, known, seen.weights[inside])
+    return Fit(scale=scale, offset=offset, inliers=share, points=count, error=error, accepted=True)
+
+
+def align_robust(
+    mono: np.ndarray, inverse_depth: np.ndarray, weights: np.ndarray, *, seed: int = 0
+) -> Fit:
+    """RANSAC over pairs of points, then least squares reweighted by Huber's function.
+
+    Args:
+        mono: [M] values of the map at the points, affine in inverse depth; NaN: unknown.
+        inverse_depth: [M] of the points, 1/world unit.
+        weights: [M] positive trust in the points.
+        seed: Of the pairs drawn; same seed, same fit.
+
+    Returns:
+        The fit, refused with a reason if the points are few, lie at one depth, or do not follow
+        the map. Reliability among all views is for the caller to decide.
+    """
+    use = np.isfinite(mono) & np.isfinite(inverse_depth) & (inverse_depth > 0) & (weights > 0)
+    m, s, w = mono[use].astype(np.float64), inverse_depth[use].astype(np.float64), weights[use]
+    none = Fit(scale=0.0, offset=0.0, points=len(m))
+    if len(m) < LEAST_POINTS:
+        return none.refused(f"only {len(m)} points are seen in it, expected {LEAST_POINTS}")
+    middle = float(np.median(s))
+    low, high = np.quantile(s, (0.05, 0.95))
+    if high - low < _LEAST_SPREAD * middle:
+        return none.refused("its points all lie at the same depth, which shows no scale")
+    center = float(np.median(m))
+    spread = float(np.subtract(*np.quantile(m, (0.95, 0.05))))
+    if not spread > 1e-6 * max(abs(center), np.finfo(np.float32).tiny):
+        return none.refused("the map has one value at nearly all points")
+    unit = (m - center) / spread, s / middle
+    near = tolerance(s) / middle
+    slope, height = _refined(*unit, w, near, *_ransac(*unit, w, near, seed))
+    scale = slope * middle / spread
+    offset = height * middle - scale * center
+    share, error = agreement(scale, offset, m, s, w)
+    inside = int((np.abs(scale * m + offset - s) <= near * middle).sum())
+    fit = Fit(scale=scale, offset=offset, inliers=share, points=len(m), error=error, accepted=True)
+    if not scale > 0:
+        return fit.refused("the map is larger where the points are farther: it may hold depth")
+    if inside < LEAST_POINTS or share < LEAST_SHARE:
+        return fit.refused(
+            f"only {inside} of {len(m)} points ({share:.0%} by weight) agree with one scale and "
+            f"offset"
+        )
+    gain = 1.0 - _misfit(slope, height, *unit, w, near) / _constant_misfit(unit[1], w, near)
+    if gain < _LEAST_GAIN:
+        return fit.refused("the map does not follow the depth of the points")
+    return fit
+
+
+def reliable(fits: list[Fit | None], median: float) -> list[Fit | None]:
+    """The fits, those refused whose scale differs too much from the median of all views."""
+    out: list[Fit | None] = []
+    for fit in fits:
+        reason = scale_reason(fit.scale, median) if fit is not None and fit.accepted else ""
+        out.append(fit.refused(reason) if fit is not None and reason else fit)
+    return out
+
+
+def _ransac(
+    m: np.ndarray, s: np.ndarray, w: np.ndarray, near: float, seed: int
+) -> tuple[float, float]:
+    """Slope and height of the line through two points with the least truncated misfit."""
+    rng = np.random.default_rng(seed)
+    first, second = rng.integers(0, len(m), (2, _DRAWS))
+    apart = np.abs(m[first] - m[second]) > 0.05  # nearer pairs say little about the slope
+    if not apart.any():
+        apart = m[first] != m[second]
+    first, second = first[apart], second[apart]
+    if len(first) == 0:
+        return 0.0, float(np.median(s))
+    slope = (s[first] - s[second]) / (m[first] - m[second])
+    height = s[first] - slope * m[first]
+    misfit = [_misfit(a, b, m, s, w, near) for a, b in zip(slope, height, strict=True)]
+    best = int(np.argmin(misfit))
+    return float(slope[best]), float(height[best])
+
+
+def _refined(
+    m: np.ndarray, s: np.ndarray, w: np.ndarray, near: float, slope: float, height: float
+) -> tuple[float, float]:
+    """Iteratively reweighted least squares from a line that is nearly right.
+
+    Points farther off than three deviations do not count at all: Huber's function alone would let
+    many gross errors on one side pull the line.
+    """
+    for _ in range(_ROUNDS):
+        off = np.abs(slope * m + height - s)
+        inside = off <= near
+        if int(inside.sum()) < 2:
+            break
+        deviation = max(1.4826 * _weighted_median(off[inside], w[inside]), 1e-3 * near)
+        inside &= off <= 3 * deviation
+        huber = np.minimum(1.0, _HUBER * deviation / np.maximum(off, 1e-300))
+        weight = w * huber * inside
+        total = weight.sum()
+        mean_m, mean_s = (weight * m).sum() / total, (weight * s).sum() / total
+        variance = (weight * (m - mean_m) ** 2).sum()
+        if not variance > 1e-12 * total:
+            break
+        before = slope, height
+        slope = float((weight * (m - mean_m) * (s - mean_s)).sum() / variance)
+        height = float(mean_s - slope * mean_m)
+        if abs(slope - before[0]) + abs(height - before[1]) < 1e-9:
+            break
+    return slope, height
+
+
+def _misfit(
+    slope: float, height: float, m: np.ndarray, s: np.ndarray, w: np.ndarray, near: float
+) -> float:
+    """Weighted sum of squared differences, each counted up to that of the tolerance."""
+    return float((w * np.minimum((slope * m + height - s) ** 2, near**2)).sum())
+
+
+def _constant_misfit(s: np.ndarray, w: np.ndarray, near: float) -> float:
+    """The misfit of the best constant; positive."""
+    levels = np.quantile(s, np.linspace(0, 1, 101))
+    zero = np.zeros_like(s)
+    return max(min(_misfit(0.0, float(c), zero, s, w, near) for c in levels), 1e-300)
+
+
+def _weighted_median(values: np.ndarray, weights: np.ndarray) -> float:
+    order = np.argsort(values)
+    total = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(total, 0.5 * total[-1])])

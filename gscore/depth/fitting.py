@@ -1,0 +1,201 @@
+"""Alignment of all maps of a capture: what they hold, whose fit is taken, which are refused."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..config import DataConfig
+from ..datasets import Dataset
+from ..datasets.dataset import map_threads
+from .align import align_robust, reliable
+from .fit import Fit, agreement, median_scale, scale_reason
+from .maps import DepthKind, read_map, sample, stem
+from .observations import Observations
+from .params import Params, params_path, read_params
+
+_LEAST_SHARE = 0.3
+"""Share of points that must agree with a scale from depth_params.json for it to be used."""
+_LEAST_CORRELATION = 0.1
+"""Mean rank correlation below which the points do not say what a map holds."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Samples:
+    """The values of one view's map at its points."""
+
+    values: np.ndarray
+    """[M] float64, as the map states them; NaN: unknown."""
+    inverse_depth: np.ndarray
+    """[M] float64, 1/world unit."""
+    weights: np.ndarray
+    """[M] float64, positive."""
+
+    def inverse(self, kind: DepthKind) -> np.ndarray:
+        """[M] float64, affine in inverse depth."""
+        if kind is DepthKind.DEPTH:
+            return np.divide(
+                1, self.values, out=np.full_like(self.values, np.nan), where=self.values > 0
+            )
+        return self.values
+
+
+@dataclass(frozen=True, kw_only=True)
+class Alignment:
+    """The fits of a capture's maps."""
+
+    fits: list[Fit | None]
+    """By view; None: there is no map."""
+    kind: DepthKind
+    """What the maps' numbers grow with; never AUTO."""
+    warnings: tuple[str, ...] = ()
+    """Sentences for the user."""
+
+
+def view_samples(
+    maps: list[Path | None], seen: list[Observations], dataset: Dataset
+) -> list[Samples | None]:
+    """Read each map at the points seen in its view; None where there is no map."""
+
+    def samples(index: int) -> Samples | None:
+        path = maps[index]
+        return None if path is None else sampled(read_map(path), seen[index])
+
+    return list(map_threads(samples, list(range(len(dataset)))))
+
+
+def sampled(values: np.ndarray, seen: Observations) -> Samples:
+    """A map's values at the points seen in its view, pixel centres at +0.5 in both."""
+    height, width = values.shape
+    known = np.where(values == 0, np.float32(np.nan), values)
+    x, y = seen.x * (width / seen.width) - 0.5, seen.y * (height / seen.height) - 0.5
+    inside = (x >= -0.5) & (y >= -0.5) & (x <= width - 0.5) & (y <= height - 0.5)
+    inside &= seen.inverse_depth > 0
+    return Samples(
+        values=sample(known, x[inside], y[inside]),
+        inverse_depth=seen.inverse_depth[inside],
+        weights=seen.weights[inside],
+    )
+
+
+def align_views(
+    data: DataConfig,
+    dataset: Dataset,
+    maps: list[Path | None],
+    samples: list[Samples | None],
+    *,
+    kind: DepthKind,
+) -> Alignment:
+    """Scale and offset of every map as `data.depth_align` asks.
+
+    Raises:
+        DatasetError: `official`, and there is no depth_params.json.
+        FormatError: depth_params.json is damaged.
+    """
+    path = params_path(data.source)
+    if data.depth_align == "official" or (data.depth_align == "auto" and path.is_file()):
+        params = read_params(path)
+        return _stated(path, params, dataset, samples, check=data.depth_align == "auto")
+    found, warnings = find_kind(samples) if kind is DepthKind.AUTO else (kind, ())
+    if data.depth_align == "none":
+        fits = [None if part is None else _judged(1.0, 0.0, part, found) for part in samples]
+        return Alignment(fits=fits, kind=found, warnings=warnings)
+    return robust(samples, found, warnings)
+
+
+def robust(
+    samples: list[Samples | None], kind: DepthKind, warnings: tuple[str, ...] = ()
+) -> Alignment:
+    """Our own fits, refused where their scale stands alone among the views."""
+    fits = [
+        None if part is None else align_robust(part.inverse(kind), part.inverse_depth, part.weights)
+        for part in samples
+    ]
+    median = median_scale([fit.scale for fit in fits if fit is not None and fit.accepted])
+    return Alignment(
+        fits=reliable(fits, median), kind=kind, warnings=(*warnings, *_refusals(fits, median))
+    )
+
+
+def find_kind(samples: list[Samples | None]) -> tuple[DepthKind, tuple[str, ...]]:
+    """Whether maps rise or fall with the inverse depth of the points, by rank correlation."""
+    found = [c for part in samples if part is not None and (c := _correlation(part)) is not None]
+    mean = float(np.mean(found)) if found else 0.0
+    if abs(mean) < _LEAST_CORRELATION:
+        return DepthKind.INVERSE, (
+            "The points do not show whether the depth maps hold depth or inverse depth; taken for "
+            "inverse depth. Say it with --kind when making depth_params.json.",
+        )
+    return (DepthKind.INVERSE if mean > 0 else DepthKind.DEPTH), ()
+
+
+def _correlation(part: Samples) -> float | None:
+    """Spearman's, of map and inverse depth; None for few points or a constant map."""
+    use = np.isfinite(part.values)
+    values, depth = part.values[use], part.inverse_depth[use]
+    if len(values) < 10 or np.ptp(values) == 0 or np.ptp(depth) == 0:
+        return None
+    ranks = np.stack([np.argsort(np.argsort(v)).astype(np.float64) for v in (values, depth)])
+    return float(np.corrcoef(ranks)[0, 1])
+
+
+def _stated(
+    path: Path,
+    params: dict[str, Params],
+    dataset: Dataset,
+    samples: list[Samples | None],
+    *,
+    check: bool,
+) -> Alignment:
+    """Fits from depth_params.json; with `check` those that the points contradict are refused."""
+    median = median_scale([entry.scale for entry in params.values()])
+    fits: list[Fit | None] = []
+    kinds = {entry.kind for entry in params.values()}
+    kind = DepthKind.DEPTH if kinds == {DepthKind.DEPTH} else DepthKind.INVERSE
+    for name, part in zip(dataset.names, samples, strict=True):
+        if part is None:
+            fits.append(None)
+            continue
+        entry = params.get(stem(name))
+        if entry is None:
+            missing = Fit(scale=0.0, offset=0.0, points=len(part.values))
+            fits.append(missing.refused(f"{path.name} has no entry {stem(name)!r}"))
+            continue
+        fit = _judged(entry.scale, entry.offset, part, entry.kind)
+        reason = entry.reason if not entry.accepted else scale_reason(entry.scale, median)
+        if not reason and not entry.scale > 0:
+            reason = f"{path.name} gives it no scale"
+        if not reason and check and fit.points and fit.inliers < _LEAST_SHARE:
+            reason = (
+                f"{path.name} and the points disagree: only {fit.inliers:.0%} of them by weight "
+                f"lie where it says"
+            )
+        fits.append(fit.refused(reason) if reason else fit)
+    return Alignment(fits=fits, kind=kind, warnings=_refusals(fits, median))
+
+
+def _judged(scale: float, offset: float, part: Samples, kind: DepthKind) -> Fit:
+    """A given scale and offset, with what the points say to it."""
+    values = part.inverse(kind)
+    use = np.isfinite(values)
+    share, error = agreement(scale, offset, values[use], part.inverse_depth[use], part.weights[use])
+    return Fit(
+        scale=scale,
+        offset=offset,
+        inliers=share,
+        points=int(use.sum()),
+        error=error,
+        accepted=True,
+    )
+
+
+def _refusals(fits: list[Fit | None], median: float) -> tuple[str, ...]:
+    """One sentence about all maps that are not used."""
+    refused = [fit for fit in reliable(fits, median) if fit is not None and not fit.accepted]
+    if not refused:
+        return ()
+    there = sum(1 for fit in fits if fit is not None)
+    return (
+        f"{len(refused)} of {there} depth maps were not aligned, the first because "
+        f"{refused[0].reason}.",
+    )

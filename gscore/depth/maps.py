@@ -1,0 +1,237 @@
+"""Depth maps read from files: PNG, TIFF, NPY and EXR, of depth or of inverse depth."""
+
+import os
+from enum import StrEnum
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+
+from ..errors import BackendError, DatasetError, FormatError
+from ..io.images import read_info
+
+ENDINGS = (".png", ".npy", ".exr", ".tif", ".tiff")
+"""Kinds of depth maps, in the order in which they are preferred."""
+PNG_UNIT = 65536.0
+"""Values of PNGs, of 8 and of 16 bit alike, are divided by this, as 3DGS trainers do."""
+FARTHEST = 1e9
+"""Blender's Z pass holds 1e10 where there is nothing; from here on a value is not a depth."""
+
+
+class DepthKind(StrEnum):
+    """What the numbers of a depth map grow with."""
+
+    AUTO = "auto"
+    """Found out from the points of structure from motion."""
+    INVERSE = "inverse"
+    """Inverse depth up to scale and offset: larger is nearer (MiDaS, Depth Anything)."""
+    DEPTH = "depth"
+    """Depth along the optical axis up to scale: larger is farther (metric models, Z passes)."""
+
+
+class MapFolder:
+    """The depth maps below a folder, listed once and found by the names of views."""
+
+    def __init__(self, root: Path) -> None:
+        """List a folder.
+
+        Raises:
+            DatasetError: there is no such folder.
+        """
+        if not root.is_dir():
+            raise DatasetError(
+                f"There is no folder {root} with depth maps. Make them with `gscore depth`, or "
+                f"name the folder with --depths."
+            )
+        self.root = root
+        self._files: dict[str, Path] = {}
+        for folder, _, names in os.walk(root):
+            for name in names:
+                if not name.startswith(".") and Path(name).suffix.lower() in ENDINGS:
+                    path = Path(folder) / name
+                    self._files[path.relative_to(root).as_posix().lower()] = path
+
+    def __len__(self) -> int:
+        return len(self._files)
+
+    def find(self, view: str) -> Path | None:
+        """The map of a view: its name with another ending, or with one more."""
+        for base in (stem(view), view):
+            for ending in ENDINGS:
+                found = self._files.get(f"{base}{ending}".lower())
+                if found is not None:
+                    return found
+        return None
+
+
+def stem(view: str) -> str:
+    """Name of a view without ending, sub-folders kept: its key in depth_params.json."""
+    return str(PurePosixPath(view).with_suffix(""))
+
+
+def read_map(path: Path) -> np.ndarray:
+    """Read a depth map as its file states it.
+
+    Args:
+        path: PNG (grey, 8 or 16 bit), TIFF (grey, 8, 16 or 32 bit), NPY ([H, W] numbers) or EXR.
+
+    Returns:
+        [H, W] float32; PNG values divided by 65536, all others as they are; NaN where the file
+        holds no finite number or 1e9 and more.
+
+    Raises:
+        DatasetError: there is no such file.
+        FormatError: it is damaged, or no map of one number a pixel.
+        BackendError: the package OpenEXR is needed and not installed.
+    """
+    if not path.is_file():
+        raise DatasetError(f"There is no depth map {path}.")
+    kind = path.suffix.lower()
+    if kind == ".npy":
+        values = _read_npy(path)
+    elif kind == ".exr":
+        values = _read_exr(path)
+    else:
+        values = _read_picture(path)
+    if values.ndim != 2 or 0 in values.shape:
+        raise FormatError(
+            f"{path} has the shape {list(values.shape)}, expected [height, width] with one number "
+            f"a pixel. Save it without channels."
+        )
+    values = values.astype(np.float32)
+    with np.errstate(invalid="ignore"):
+        values[~(np.abs(values) < FARTHEST)] = np.nan
+    return values / np.float32(PNG_UNIT) if kind == ".png" else values
+
+
+def to_inverse(values: np.ndarray, kind: DepthKind) -> np.ndarray:
+    """Values that are affine in inverse depth, NaN where nothing is known.
+
+    Zero means unknown in either kind: 16-bit depth images hold it there, and in a map of inverse
+    depth it is the farthest point or a sky that has no depth.
+
+    Args:
+        values: [H, W] float32, as `read_map` gives them.
+        kind: INVERSE or DEPTH.
+
+    Returns:
+        [H, W] float32.
+    """
+    if kind is DepthKind.DEPTH:
+        return np.divide(1, values, out=np.full_like(values, np.nan), where=values > 0)
+    return np.where(values == 0, np.float32(np.nan), values)
+
+
+def sample(values: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Bilinear interpolation, borders repeated; NaN next to unknown pixels.
+
+    Args:
+        values: [H, W] float.
+        x: [M] columns, 0 = centre of the first pixel.
+        y: [M] rows, 0 = centre of the first pixel.
+
+    Returns:
+        [M] float64.
+    """
+    height, width = values.shape
+    x, y = np.clip(x, 0, width - 1), np.clip(y, 0, height - 1)
+    left = np.minimum(x.astype(np.int64), max(width - 2, 0))
+    top = np.minimum(y.astype(np.int64), max(height - 2, 0))
+    right, below = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
+    fx, fy = x - left, y - top
+    above = values[top, left] * (1 - fx) + values[top, right] * fx
+    under = values[below, left] * (1 - fx) + values[below, right] * fx
+    return above * (1 - fy) + under * fy
+
+
+def _read_npy(path: Path) -> np.ndarray:
+    try:
+        values = np.load(path, allow_pickle=False)
+    except (OSError, ValueError, EOFError, TypeError, MemoryError) as error:
+        raise FormatError(
+            f"{path} cannot be read as a NumPy array: {str(error).rstrip('.')}. Save it again with "
+            f"numpy.save."
+        ) from error
+    if not isinstance(values, np.ndarray) or values.dtype.kind not in "fiu":
+        raise FormatError(f"{path} holds no array of numbers. Save it with numpy.save.")
+    return values.squeeze()
+
+
+def _read_picture(path: Path) -> np.ndarray:
+    """[H, W] of a PNG or TIFF with one channel, or three equal ones."""
+    read_info(path)  # missing Pillow and files that are no image, in the words of the photos
+    from PIL import Image
+
+    try:
+        with Image.open(path) as image:
+            mode = image.mode
+            deep = path.suffix.lower() == ".png" and _is_deep_colour_png(path)
+            values = np.array(image)
+    except (OSError, ValueError, SyntaxError, MemoryError) as error:
+        raise FormatError(
+            f"{path} cannot be read as an image: {str(error).rstrip('.')}. Make the map again."
+        ) from error
+    if deep:
+        raise FormatError(
+            f"{path} is a 16-bit PNG in colour, of which only 8 bits can be read. Save it as grey."
+        )
+    if mode in ("RGB", "RGBA", "LA"):
+        colours = values[..., :3] if mode != "LA" else values[..., :1]
+        if (colours != colours[..., :1]).any():
+            raise FormatError(
+                f"{path} is a coloured picture of depth, from which depth cannot be read back. "
+                f"Save the depth map itself, as a grey 16-bit PNG."
+            )
+        return colours[..., 0]
+    if mode not in ("L", "I", "F") and not mode.startswith("I;16"):
+        raise FormatError(
+            f"{path} is a picture of the kind {mode!r}, expected one of grey values. Save the "
+            f"depth map as a grey 16-bit PNG."
+        )
+    return values
+
+
+def _is_deep_colour_png(path: Path) -> bool:
+    """Whether a PNG has 16 bits a channel and more than one channel."""
+    with path.open("rb") as file:
+        head = file.read(26)
+    return len(head) == 26 and head[24] == 16 and head[25] != 0
+
+
+def _read_exr(path: Path) -> np.ndarray:
+    """[H, W] of the channel that holds depth."""
+    try:
+        import OpenEXR
+    except ImportError as error:
+        raise BackendError(
+            f"{path}: reading EXR files takes the package OpenEXR: pip install OpenEXR, or save "
+            f"the depth maps as NPY or 16-bit PNG."
+        ) from error
+    try:
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            channels = {name: channel.pixels for name, channel in file.channels().items()}
+    except Exception as error:  # the package has no common base for its errors
+        raise FormatError(
+            f"{path} cannot be read as an EXR file: {str(error).strip().rstrip('.')}. Render or "
+            f"copy it again."
+        ) from error
+    return np.asarray(channels[_depth_channel(path, channels)])
+
+
+def _depth_channel(path: Path, channels: dict[str, Any]) -> str:
+    """Blender writes Z, Depth.Z, ViewLayer.Depth.Z or Depth.V; other tools Y, or all of R, G, B."""
+    for wanted in ("Z", "DEPTH", "V", "Y"):
+        named = [name for name in channels if name.rpartition(".")[2].upper() == wanted]
+        named.sort(key=lambda name: ("depth" not in name.lower(), len(name)))
+        if named:
+            return named[0]
+    if len(channels) == 1:
+        return next(iter(channels))
+    if {"R", "G", "B"} <= channels.keys():
+        red = channels["R"]
+        if all(np.array_equal(red, channels[c], equal_nan=True) for c in "GB"):
+            return "R"
+    raise FormatError(
+        f"{path} has the channels {', '.join(sorted(channels))}, none of which is known to hold "
+        f"depth, expected Z or one like ViewLayer.Depth.Z. Render it with Blender's Z pass."
+    )

@@ -1,0 +1,118 @@
+"""Where the points of structure from motion are seen in each view, and how far they are."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..config import DataConfig
+from ..datasets import Dataset, read_capture
+from ..errors import DatasetError
+from ..io.colmap import ColmapImage, ColmapModel, find_model, read_model
+
+_LONG_TRACK = 10
+"""Observations from which on a point counts no more than it does."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Observations:
+    """Points seen in one view, as the photo was taken (before undistortion)."""
+
+    x: np.ndarray
+    """[M] float64, pixels of the camera, 0 = left border."""
+    y: np.ndarray
+    """[M] float64, pixels of the camera, 0 = upper border."""
+    inverse_depth: np.ndarray
+    """[M] float64, 1 / camera z, 1/world unit; not positive behind the camera."""
+    weights: np.ndarray
+    """[M] float64, positive: how far a point is to be trusted."""
+    width: int
+    """Of the camera, pixels."""
+    height: int
+    """Of the camera, pixels."""
+
+    def __len__(self) -> int:
+        return len(self.x)
+
+
+def observations(data: DataConfig, dataset: Dataset) -> list[Observations]:
+    """What structure from motion knows of each view of `dataset`.
+
+    Captures with a COLMAP model have observations; for others the points are projected, hidden ones
+    too, which a robust fit has to bear.
+    """
+    # Cameras taken from another capture stand in its world, which the model's points do not.
+    model = _model(data) if data.rig is None else None
+    images = {image.name: image for image in model.images} if model else {}
+    if model is None or not set(dataset.names) <= images.keys():
+        # Not the dataset's points: those may be made up.
+        points = read_capture(data, photos_required=False).points.points
+        points = points[np.isfinite(points).all(axis=1)]
+        return [_projected(dataset, points, i) for i in range(len(dataset))]
+    order = np.argsort(model.points.ids, kind="stable")
+    return [observed(model, images[name], order) for name in dataset.names]
+
+
+def observed(
+    model: ColmapModel, image: ColmapImage, order: np.ndarray | None = None
+) -> Observations:
+    """The points that COLMAP found in one image; `order` sorts the model's point ids."""
+    points, camera = model.points, model.cameras[image.camera_id]
+    if order is None:
+        order = np.argsort(points.ids, kind="stable")
+    ids = points.ids[order]
+    at = np.searchsorted(ids, image.point3D_ids)
+    known = (image.point3D_ids >= 0) & (at < len(ids))
+    known[known] = ids[at[known]] == image.point3D_ids[known]
+    rows = order[at[known]]
+    viewmat = image.viewmat
+    z = points.xyz[rows] @ viewmat[2, :3] + viewmat[2, 3]
+    # A long track fixes the depth better, a large reprojection error says that it may be wrong.
+    error = np.where(points.error[rows] >= 0, points.error[rows], 1.0)
+    tracks = np.clip(points.track_lengths[rows], 2, _LONG_TRACK)
+    return Observations(
+        x=image.xys[known, 0],
+        y=image.xys[known, 1],
+        inverse_depth=_inverse(z),
+        weights=tracks / (1.0 + error**2),
+        width=camera.width,
+        height=camera.height,
+    )
+
+
+def _model(data: DataConfig) -> ColmapModel | None:
+    try:
+        find_model(data.source)
+    except DatasetError:
+        return None
+    return read_model(data.source)
+
+
+def _projected(dataset: Dataset, points: np.ndarray, index: int) -> Observations:
+    """All points [P, 3] that fall into a view."""
+    file, viewmat = dataset.files[index], dataset.scene.cameras.viewmats[index]
+    width, height = file.photo_size
+    local = points @ viewmat[:3, :3].T + viewmat[:3, 3]
+    local = local[local[:, 2] > 0]
+    K = dataset.scene.cameras.Ks[index]
+    pixels = (local @ K.T)[:, :2] / local[:, 2:]
+    size = np.array(file.size, np.float64)
+    inside = ((pixels >= 0) & (pixels < size)).all(axis=1)
+    pixels, z = pixels[inside] / size, local[inside, 2]
+    if file.plan is None:
+        pixels = pixels * (width, height)
+    else:
+        camera = file.plan.camera
+        pixels = file.plan.distort(pixels * (file.plan.width, file.plan.height))
+        pixels = pixels * (width / camera.width, height / camera.height)
+    return Observations(
+        x=pixels[:, 0],
+        y=pixels[:, 1],
+        inverse_depth=_inverse(z),
+        weights=np.ones(len(z)),
+        width=width,
+        height=height,
+    )
+
+
+def _inverse(z: np.ndarray) -> np.ndarray:
+    return np.divide(1.0, z, out=np.zeros_like(z), where=z != 0)

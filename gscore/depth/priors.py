@@ -1,0 +1,170 @@
+"""Depth maps of a capture as priors: read, aligned with the SfM points, at training resolution."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..config import DataConfig
+from ..datasets import Dataset
+from ..datasets.dataset import map_threads
+from ..datasets.decode import fit_map
+from ..errors import ConfigError, DatasetError, ShapeError
+from .confidence import confidence
+from .fit import NO_FIT, Fit
+from .fitting import Alignment, align_views, view_samples
+from .maps import DepthKind, MapFolder, read_map, to_inverse
+from .observations import observations
+
+ALIGNMENTS = ("auto", "official", "robust", "none")
+"""Values of the option `depth_align`."""
+DEFAULT_FOLDER = "depths"
+"""Where `gscore depth` writes."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthPrior:
+    """Prior of one view at training resolution."""
+
+    inverse_depth: np.ndarray
+    """[H, W] float32, 1/world unit of the capture where `aligned`, else in the map's own unit; 0
+    where nothing is known."""
+    confidence: np.ndarray
+    """[H, W] float32 in [0, 1]; 0 where nothing is known (mask, edges, invalid)."""
+    aligned: bool
+    """Whether scale and offset are known; else only losses free of both make sense."""
+    fit: Fit | None
+    """How the map agrees with the points of structure from motion."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Priors:
+    """The priors of a capture."""
+
+    views: list[DepthPrior | None]
+    """By index of the dataset's views; None: there is no map, or it was refused entirely."""
+    kind: DepthKind
+    """What the maps' numbers grow with."""
+    folder: Path
+    """Where the maps are."""
+    warnings: tuple[str, ...] = ()
+    """Sentences for the user."""
+    table: list[dict[str, Any]] = field(default_factory=list)
+    """A row a view, JSON values: view, map, points, scale, offset, inliers, error, accepted,
+    reason."""
+
+
+def load_priors(
+    data: DataConfig,
+    dataset: Dataset,
+    *,
+    kind: DepthKind = DepthKind.AUTO,
+    on_progress: Callable[[int, int], None] | None = None,
+) -> Priors:
+    """Read the depth maps of a capture and give them the scale of its world.
+
+    Args:
+        data: Options `depths` (empty: `depths`) and `depth_align`.
+        dataset: The capture at training resolution.
+        kind: What the maps' numbers grow with; AUTO: found out from the points.
+        on_progress: Called with (done, total) while the maps are read.
+
+    Raises:
+        DatasetError: the folder is missing or has no map of any view, or, with `official`, there
+            is no depth_params.json.
+        FormatError: a map or depth_params.json is damaged.
+        ConfigError: `depth_align` is unknown.
+    """
+    if data.depth_align not in ALIGNMENTS:
+        raise ConfigError(
+            f"depth_align is {data.depth_align!r}, expected one of {', '.join(ALIGNMENTS)}."
+        )
+    folder = MapFolder(dataset.source / (data.depths or DEFAULT_FOLDER))
+    maps = [folder.find(name) for name in dataset.names]
+    warnings = _missing(folder, maps, dataset.names)
+    seen = observations(data, dataset)
+    samples = view_samples(maps, seen, dataset)
+    alignment = align_views(data, dataset, maps, samples, kind=kind)
+    total = len(dataset)
+    views: list[DepthPrior | None] = []
+
+    def prior(index: int) -> DepthPrior | None:
+        path, fit = maps[index], alignment.fits[index]
+        if path is None:
+            return None
+        return _prior(dataset, index, to_inverse(read_map(path), alignment.kind), fit)
+
+    for done, view in enumerate(map_threads(prior, list(range(total))), start=1):
+        views.append(view)
+        if on_progress is not None:
+            on_progress(done, total)
+    return Priors(
+        views=views,
+        kind=alignment.kind,
+        folder=folder.root,
+        warnings=(*warnings, *alignment.warnings),
+        table=fit_table(dataset.names, maps, alignment),
+    )
+
+
+def fit_table(
+    names: tuple[str, ...], maps: list[Path | None], alignment: Alignment
+) -> list[dict[str, Any]]:
+    """A row a view for reports and depth_params.json's readers; NaN is None."""
+    rows = []
+    for name, path, fit in zip(names, maps, alignment.fits, strict=True):
+        stated = fit or NO_FIT.refused("there is no depth map of it")
+        rows.append(
+            {
+                "view": name,
+                "map": path.name if path is not None else None,
+                "points": stated.points,
+                "scale": stated.scale,
+                "offset": stated.offset,
+                "inliers": stated.inliers,
+                "error": stated.error if np.isfinite(stated.error) else None,
+                "accepted": stated.accepted,
+                "reason": stated.reason,
+            }
+        )
+    return rows
+
+
+def _missing(folder: MapFolder, maps: list[Path | None], names: tuple[str, ...]) -> list[str]:
+    missing = [name for name, path in zip(names, maps, strict=True) if path is None]
+    if len(missing) == len(maps):
+        raise DatasetError(
+            f"{folder.root} has no depth map of any view ({len(folder)} maps there); expected "
+            f"names like {Path(names[0]).stem}.png. Make them with `gscore depth`, or name another "
+            f"folder with --depths."
+        )
+    if not missing:
+        return []
+    listed = ", ".join(missing[:5]) + (", ..." if len(missing) > 5 else "")
+    return [f"{len(missing)} of {len(maps)} views have no depth map in {folder.root}: {listed}."]
+
+
+def _prior(dataset: Dataset, index: int, values: np.ndarray, fit: Fit | None) -> DepthPrior:
+    """The map of a view at training resolution, aligned where the fit allows it."""
+    file = dataset.files[index]
+    try:
+        values = fit_map(file, values)
+    except ShapeError as error:
+        raise DatasetError(
+            f"The depth map of {dataset.names[index]} cannot be used: {error}. Make it from the "
+            f"whole photo: gscore depth"
+        ) from error
+    trust = confidence(values, dataset.mask(index) if dataset.mask_mode != "none" else None)
+    aligned = fit is not None and fit.accepted
+    if fit is not None and fit.accepted:
+        values = np.float32(fit.scale) * values + np.float32(fit.offset)
+        with np.errstate(invalid="ignore"):
+            trust[~(values > 0)] = 0  # behind infinity
+    return DepthPrior(
+        inverse_depth=np.nan_to_num(values, nan=0.0).astype(np.float32, copy=False),
+        confidence=trust,
+        aligned=aligned,
+        fit=fit,
+    )
