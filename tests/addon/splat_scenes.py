@@ -28,6 +28,13 @@ def blob(
     )
 
 
+def veil(count: int = 500) -> Splats:
+    """Large faint splats: every pixel needs all of them, so that big pictures take seconds."""
+    splats = blob(count)
+    fields = {n: getattr(splats, n) for n in ("means", "quats", "sh0", "shN")}
+    return Splats(**fields, scales=splats.scales + 3, opacities=splats.opacities * 0 - 4)
+
+
 def wall(z: float, color: tuple[float, float, float], *, half: float = 1.0) -> Splats:
     """A dense opaque square of one sRGB colour across the z axis."""
     side = np.linspace(-half, half, 41)

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import bpy
@@ -10,8 +11,8 @@ import pytest
 
 from addon import cameras, splat_object
 from addon.compat import matrix_to_numpy
-from addon.core import transform_splats, write_splats
-from addon.render import engine
+from addon.core import Cancelled, transform_splats, write_splats
+from addon.render import engine, picture
 
 from . import splat_scenes as lab
 
@@ -408,3 +409,30 @@ def test_antialias_follows_the_objects(scene, tmp_path):
         ob["gs_antialias"], scene.gscore_render.antialias = mark, wish
         got = lab.srgb(lab.render_exr(tmp_path)[..., :3])
         np.testing.assert_allclose(got, pictures[want], atol=1e-4)
+
+
+def test_stopping(scene):
+    """Oracle: the clock; the picture alone takes several times longer. The next one is whole."""
+    camera = lab.prepare(scene)
+    lab.add(scene, lab.veil())
+    bpy.context.view_layer.update()
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    model = engine.collect(depsgraph, engine.final_cache)
+    began = time.monotonic()
+    view = cameras.render_camera(camera, scene, depsgraph=depsgraph, width=3000, height=3000)
+    with pytest.raises(Cancelled):
+        picture.draw(model, view, picture.Options(), stop=lambda: time.monotonic() > began + 0.2)
+    assert time.monotonic() - began < 3
+    small = cameras.render_camera(camera, scene, depsgraph=depsgraph)
+    assert picture.draw(model, small, picture.Options()).alpha.mean() > 0.5
+
+
+@pytest.mark.parametrize("panel", ["RENDER_PT_format", "RENDER_PT_output", "DATA_PT_lens"])
+def test_blenders_panels_are_shown(panel, switch):
+    """Oracle: the panels' own lists of engines, with the add-on and without it."""
+    engines = getattr(bpy.types, panel).COMPAT_ENGINES
+    assert engine.NAME in engines
+    switch(False)
+    assert engine.NAME not in engines
+    switch(True)
+    assert engine.NAME in engines
