@@ -58,6 +58,11 @@ class PointCloud:
     def __len__(self) -> int:
         return len(self.points)
 
+    @classmethod
+    def none(cls) -> "PointCloud":
+        """No points."""
+        return cls(points=np.zeros((0, 3)), colors=np.zeros((0, 3), np.uint8))
+
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:

@@ -27,11 +27,15 @@ def add_data_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--test-every", type=int, metavar="N", help="every N-th view is a test view")
     group.add_argument("--test-list", type=Path, metavar="FILE", help="names of the test views")
     group.add_argument("--test-first", type=int, metavar="N", help="the first N are test views")
+    group.add_argument("--frame", type=int, metavar="N", help="frame of a multi-view video")
+    group.add_argument(
+        "--rig", type=Path, metavar="DIR", help="take the cameras and the world of that capture"
+    )
     group.add_argument("--test-last", type=int, metavar="N", help="the last N are test views")
 
 
 _SPLIT = ("test_every", "test_list", "test_first", "test_last")
-_OTHER = ("images", "masks", "mask_mode", "resolution")
+_OTHER = ("images", "masks", "mask_mode", "resolution", "frame", "rig")
 
 
 def with_data_options(config: DataConfig, args: argparse.Namespace) -> DataConfig:

@@ -44,6 +44,8 @@ class Capture:
     """World points; may be empty."""
     test_names: frozenset[str] = frozenset()
     """Views the capture itself calls test views."""
+    masks_are: str = "ignore"
+    """What masks mean unless the user says: `ignore`, or `composite` for mattes of the subject."""
     warnings: tuple[str, ...] = field(default=())
     """Sentences for the user."""
 

@@ -47,7 +47,7 @@ def load_dataset(config: DataConfig) -> Dataset:
         for info, turn in zip(infos, upright, strict=True)
     ]
     warnings += _other_sizes(views, sizes)
-    masks = choose_masks(config, capture.root, views, infos, sizes)
+    masks = choose_masks(config, capture, views, infos, sizes)
     warnings += masks.warnings
     files, Ks = _files(views, sizes, upright, masks, config)
     narrow = sum(1 for file in files if file.photo_size[0] < config.resolution)

@@ -6,7 +6,7 @@ from pathlib import Path
 from ..config import DataConfig
 from ..errors import ConfigError, DatasetError
 from ..io.images import ImageInfo, read_info
-from .capture import View, listing
+from .capture import Capture, View, listing
 from .folder import Folder
 
 MASK_MODES = ("auto", "composite", "ignore", "none")
@@ -31,7 +31,7 @@ class MaskChoice:
 
 def choose_masks(
     config: DataConfig,
-    root: Path,
+    capture: Capture,
     views: list[View],
     infos: list[ImageInfo],
     sizes: list[tuple[int, int]],
@@ -40,8 +40,8 @@ def choose_masks(
 
     Args:
         config: Options `masks` and `mask_mode`.
-        root: Folder of the capture.
-        views: The views.
+        capture: Its folder, and what masks mean in it.
+        views: Its views, in the order of the lists below.
         infos: Of their photos.
         sizes: Width and height of the photos as they will be used; masks must have the same.
 
@@ -56,12 +56,12 @@ def choose_masks(
     none = MaskChoice(mode="none", files=[None] * len(views), use_alpha=[False] * len(views))
     if config.mask_mode == "none":
         return none
-    files, warnings = _find(config, root, views)
+    files, warnings = _find(config, capture.root, views)
     if any(file is not None for file in files):
         for view, file, size in zip(views, files, sizes, strict=True):
             if file is not None:
                 _check_size(view, file, size)
-        mode = "ignore" if config.mask_mode == "auto" else config.mask_mode
+        mode = capture.masks_are if config.mask_mode == "auto" else config.mask_mode
         return MaskChoice(
             mode=mode, files=files, use_alpha=none.use_alpha, warnings=tuple(warnings)
         )

@@ -1,25 +1,46 @@
 """A capture folder read as its files state it, whatever its layout; numpy alone."""
 
 from ..config import DataConfig
-from ..errors import DatasetError
+from ..errors import ConfigError, DatasetError
 from ..io.colmap import find_model
 from .capture import Capture
 from .colmap_source import read_colmap
+from .pku import find_video, read_video
+from .rig import with_rig
 from .transforms_json import FILES, find_transforms, read_transforms
 
 
 def read_capture(config: DataConfig, *, photos_required: bool = True) -> Capture:
-    """Views, cameras and points of a COLMAP model or a transforms.json; no photo is decoded.
+    """Views, cameras and points of a COLMAP model, a transforms.json or a frame of a video.
+
+    No photo is decoded. With `config.rig` cameras and world are those of that capture.
 
     Args:
-        config: `source` and `images`.
+        config: `source`, `images`, `frame` and `rig`.
         photos_required: Leave out views whose photo is missing and refuse a capture that misses
             most; else all views stay, with the file where their photo should be.
 
     Raises:
-        DatasetError: there is no capture, or its photos are missing.
+        DatasetError: there is no capture, or its photos are missing, or the rig is another one.
         FormatError: a file is truncated, corrupt or of an unknown kind.
+        ConfigError: `frame` was given for a capture that has none.
     """
+    capture = _read(config, photos_required)
+    if config.rig is None:
+        return capture
+    rig = _read(DataConfig(source=config.rig), False)
+    return with_rig(capture, rig, where=config.source, rig_at=config.rig)
+
+
+def _read(config: DataConfig, photos_required: bool) -> Capture:
+    video = find_video(config.source)
+    if video is not None:
+        return read_video(video, config, photos_required=photos_required)
+    if config.frame is not None and config.source.exists():
+        raise ConfigError(
+            f"{config.source} is no multi-view video, so it has no frame {config.frame}; expected "
+            f"a folder with data_COLMAP, per_frame or per_view. Leave --frame out."
+        )
     transforms = find_transforms(config.source)
     if transforms == config.source:
         return read_transforms(config, photos_required=photos_required)

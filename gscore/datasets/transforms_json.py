@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections.abc import Callable
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -18,6 +19,7 @@ from ..io.ply_points import read_point_cloud
 from ..scene import PointCloud
 from ..transforms import viewmat_from_opengl
 from .capture import Capture, View, listing
+from .poses import rigid_matrix
 
 FILES = ("transforms.json", "transforms_train.json")
 """Names by which such a capture is recognised."""
@@ -59,12 +61,12 @@ def read_transforms(config: DataConfig, *, photos_required: bool = True) -> Capt
     if path is None:
         raise DatasetError(f"There is no {' or '.join(FILES)} in {config.source}.")
     root = path.parent
-    data = _load(path)
-    views, missing = _views(path, data, photos_required)
+    data = load_transforms(path)
+    views, missing = views_of_file(path, data, photos_required)
     test_names = _stated_test(path, data)
     test = root / "transforms_test.json"
     if path.name == "transforms_train.json" and test.is_file():
-        held, held_missing = _views(test, _load(test), photos_required)
+        held, held_missing = views_of_file(test, load_transforms(test), photos_required)
         test_names = frozenset(view.name for view in held)
         views, missing = views + held, missing + held_missing
     total = len(views) + (len(missing) if photos_required else 0)
@@ -95,7 +97,13 @@ def read_transforms(config: DataConfig, *, photos_required: bool = True) -> Capt
     )
 
 
-def _load(path: Path) -> dict[str, Any]:
+def load_transforms(path: Path) -> dict[str, Any]:
+    """The content of such a file, at least an object with a list `frames`.
+
+    Raises:
+        DatasetError: the file is missing.
+        FormatError: it is something else.
+    """
     try:
         data = json.loads(read_bytes(path))
     except (ValueError, RecursionError) as error:
@@ -105,15 +113,31 @@ def _load(path: Path) -> dict[str, Any]:
     return data
 
 
-def _views(path: Path, data: dict[str, Any], photos_required: bool) -> tuple[list[View], list[str]]:
-    """Views of one file, and the names of photos that are not there."""
+def views_of_file(
+    path: Path,
+    data: dict[str, Any],
+    photos_required: bool,
+    find: Callable[[Path, str], Path | None] | None = None,
+) -> tuple[list[View], list[str]]:
+    """Views of one file, and the names of photos that are not there.
+
+    Args:
+        path: The file; names are relative to its folder.
+        data: What it holds.
+        photos_required: Leave views without a photo out.
+        find: The photo of a name in that folder; None: with any of the usual endings.
+
+    Raises:
+        FormatError: a key is missing or unusable, a camera model is unknown.
+    """
+    find = find or _find
     views, missing = [], []
     for i, frame in enumerate(data["frames"]):
         where = f"{path}: frame {i}"
         if not isinstance(frame, dict):
             raise FormatError(f"{where} is no object. Export it again.")
-        name = _inside(where, "file_path", frame.get("file_path"))
-        image = _find(path.parent, name)
+        name = inside(where, "file_path", frame.get("file_path"))
+        image = find(path.parent, name)
         if image is None:
             missing.append(name)
             if photos_required:
@@ -124,9 +148,11 @@ def _views(path: Path, data: dict[str, Any], photos_required: bool) -> tuple[lis
             View(
                 name=image.relative_to(path.parent).as_posix(),
                 image=image,
-                viewmat=_pose(where, frame.get("transform_matrix")),
+                viewmat=viewmat_from_opengl(
+                    rigid_matrix(where, "transform_matrix", frame.get("transform_matrix"))
+                ),
                 camera=_camera(where, data | frame, image),
-                mask=path.parent / _inside(where, "mask_path", mask) if mask else None,
+                mask=path.parent / inside(where, "mask_path", mask) if mask else None,
             )
         )
     return views, missing
@@ -137,10 +163,11 @@ def _stated_test(path: Path, data: dict[str, Any]) -> frozenset[str]:
     stated = data.get("test_filenames", [])
     if not isinstance(stated, list):
         raise FormatError(f"{path}: test_filenames must be a list. Export the capture again.")
-    return frozenset(_inside(str(path), "test_filenames", name) for name in stated)
+    return frozenset(inside(str(path), "test_filenames", name) for name in stated)
 
 
-def _inside(where: str, key: str, value: Any) -> str:
+def inside(where: str, key: str, value: Any) -> str:
+    """`value` as a relative path that stays inside the folder of the file, or FormatError."""
     if not isinstance(value, str) or not is_safe_name(value):
         raise FormatError(
             f"{where}: {key} is {value!r}, expected a path inside the folder of the file, without "
@@ -153,29 +180,6 @@ def _find(root: Path, name: str) -> Path | None:
     """The photo; synthetic NeRF scenes leave the ending out."""
     candidates = [name, *(name + ending for ending in IMAGE_ENDINGS)]
     return next((root / c for c in candidates if (root / c).is_file()), None)
-
-
-def _pose(where: str, value: Any) -> np.ndarray:
-    """[4, 4] float64 world to camera, OpenCV axes."""
-    try:
-        matrix = np.array(value, np.float64)
-    except (TypeError, ValueError):
-        matrix = np.zeros(0)
-    rotation = matrix[:3, :3] if matrix.shape in ((4, 4), (3, 4)) else np.zeros((3, 3))
-    finite = np.isfinite(matrix).all()
-    # Exporters round to 6 digits or so; more than 1e-2 off is a scaled or sheared camera.
-    if not finite or np.abs(rotation.T @ rotation - np.eye(3)).max() > 1e-2:
-        raise FormatError(
-            f"{where}: transform_matrix is {value!r}, expected 4 x 4 finite numbers, a rotation "
-            f"and a position. Remove the scale from the cameras and export it again."
-        )
-    if np.linalg.det(rotation) < 0:
-        raise FormatError(f"{where}: transform_matrix mirrors the camera. Export it again.")
-    world_from_camera = np.eye(4)
-    world_from_camera[:3] = matrix[:3]
-    u, _, vt = np.linalg.svd(rotation)
-    world_from_camera[:3, :3] = u @ vt  # the nearest true rotation
-    return viewmat_from_opengl(world_from_camera)
 
 
 def _camera(where: str, data: dict[str, Any], image: Path) -> ColmapCamera:
@@ -248,8 +252,8 @@ def _focal(size: int, angle: float) -> float:
 def _points(path: Path, data: dict[str, Any]) -> PointCloud:
     stated = data.get("ply_file_path")
     if stated is not None:
-        return read_point_cloud(path.parent / _inside(str(path), "ply_file_path", stated))
+        return read_point_cloud(path.parent / inside(str(path), "ply_file_path", stated))
     file = next((path.parent / n for n in _POINT_FILES if (path.parent / n).is_file()), None)
     if file is not None:
         return read_point_cloud(file)
-    return PointCloud(points=np.zeros((0, 3)), colors=np.zeros((0, 3), np.uint8))
+    return PointCloud.none()

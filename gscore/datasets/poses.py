@@ -1,0 +1,68 @@
+"""Poses and intrinsics as capture files state them, checked."""
+
+from typing import Any
+
+import numpy as np
+
+from ..errors import FormatError
+from ..io.colmap_model import ColmapCamera
+
+_SKEW = 1e-3
+"""Of the focal length; what decomposing a float32 projection matrix leaves behind."""
+
+
+def rigid_matrix(where: str, key: str, value: Any) -> np.ndarray:
+    """[4, 4] float64 rigid transform from 4 x 4 or 3 x 4 numbers, its rotation made exact.
+
+    Raises:
+        FormatError: no numbers of this shape, or they scale, shear or mirror.
+    """
+    matrix = _numbers(value)
+    rotation = matrix[:3, :3] if matrix.shape in ((4, 4), (3, 4)) else np.zeros((3, 3))
+    finite = np.isfinite(matrix).all()
+    # Exporters round to 6 digits or so; more than 1e-2 off is a scaled or sheared camera.
+    if not finite or np.abs(rotation.T @ rotation - np.eye(3)).max() > 1e-2:
+        raise FormatError(
+            f"{where}: {key} is {value!r}, expected 4 x 4 finite numbers, a rotation "
+            f"and a position. Remove the scale from the cameras and export it again."
+        )
+    if np.linalg.det(rotation) < 0:
+        raise FormatError(f"{where}: {key} mirrors the camera. Export it again.")
+    out = np.eye(4)
+    out[:3] = matrix[:3]
+    u, _, vt = np.linalg.svd(rotation)
+    out[:3, :3] = u @ vt  # the nearest true rotation
+    return out
+
+
+def pinhole_camera(where: str, key: str, value: Any, width: int, height: int) -> ColmapCamera:
+    """PINHOLE camera from 3 x 3 (or 4 x 4) intrinsics in pixels.
+
+    Raises:
+        FormatError: no such numbers, focal lengths not positive, skewed pixels, or a principal
+            point outside the picture.
+    """
+    matrix = _numbers(value)
+    K = matrix[:3, :3] if matrix.shape in ((3, 3), (4, 4)) else np.zeros((3, 3))
+    fx, skew, cx, fy, cy = K[0, 0], K[0, 1], K[0, 2], K[1, 1], K[1, 2]
+    good = np.isfinite(K).all() and fx > 0 and fy > 0 and np.allclose(K[2], [0, 0, 1])
+    if not (good and K[1, 0] == 0 and abs(skew) <= _SKEW * fx):
+        raise FormatError(
+            f"{where}: {key} is {value!r}, expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in "
+            f"pixels. Export the cameras again."
+        )
+    if not (0 < cx < width and 0 < cy < height):
+        raise FormatError(
+            f"{where}: {key} has the principal point ({cx:g}, {cy:g}), outside the picture of "
+            f"{width} x {height} pixels. The cameras belong to photos of another size."
+        )
+    return ColmapCamera(
+        model="PINHOLE", width=width, height=height, params=np.array([fx, fy, cx, cy], np.float64)
+    )
+
+
+def _numbers(value: Any) -> np.ndarray:
+    try:
+        return np.array(value, np.float64)
+    except (TypeError, ValueError):
+        return np.zeros(0)

@@ -1,0 +1,156 @@
+"""Captures by the same fixed cameras brought together: one set of cameras, one world."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import DatasetError
+from ..scene import PointCloud
+from .capture import Capture, View, listing
+from .pku_photos import camera_number
+
+_FARTHEST = 0.02
+"""Median distance of cameras, in radii of the rig, up to which two rigs are the same."""
+_TURNED = np.deg2rad(2.0)
+"""Median angle between the cameras of the same rig, at most."""
+_OUTLIER = 3.0
+"""Cameras farther off than this many medians do not take part in the fit."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Fit:
+    """new = scale rotation old + shift, and how far it leaves each camera from its place."""
+
+    scale: float
+    rotation: np.ndarray
+    """[3, 3]"""
+    shift: np.ndarray
+    """[3]"""
+    distances: np.ndarray
+    """[C], in radii of the rig."""
+    angles: np.ndarray
+    """[C], radians."""
+
+    def move_points(self, points: np.ndarray) -> np.ndarray:
+        """World points [P, 3]."""
+        return self.scale * points @ self.rotation.T + self.shift
+
+    def move_viewmat(self, viewmat: np.ndarray) -> np.ndarray:
+        """World to camera [4, 4]; camera space is scaled too."""
+        out = viewmat.copy()
+        out[:3, :3] = viewmat[:3, :3] @ self.rotation.T
+        out[:3, 3] = self.scale * viewmat[:3, 3] - out[:3, :3] @ self.shift
+        return out
+
+
+def with_rig(capture: Capture, rig: Capture, *, where: Path, rig_at: Path) -> Capture:
+    """A capture with the cameras of another one by the same fixed cameras, and in its world.
+
+    Structure from motion that is run on every frame of a video gives each its own origin,
+    orientation, scale and focal length. Cameras are matched by the number in their names
+    (`image_c_007_f_000005.png`, `007.png`), else by name; points follow by the similarity between
+    the two sets of cameras. Views that the rig does not have keep their own pose, moved as well.
+
+    Args:
+        capture: The capture to change.
+        rig: The capture whose cameras are taken.
+        where: Path of `capture`, for messages.
+        rig_at: Path of `rig`, for messages.
+
+    Raises:
+        DatasetError: fewer than two cameras are in both, or they stand differently.
+    """
+    places = {_key(view.name): view for view in rig.views}
+    pairs = [(view, places[_key(view.name)]) for view in capture.views if _key(view.name) in places]
+    if all(_same(view, place) for view, place in pairs) and len(pairs) == len(capture.views):
+        return capture
+    if len(pairs) < 2:
+        raise DatasetError(
+            f"{where} and {rig_at} have {len(pairs)} cameras in common, expected 2 or more; names "
+            f"are like {capture.views[0].name} and {rig.views[0].name}. Give a capture by the same "
+            f"cameras, with the same names or camera numbers."
+        )
+    fit = _fit(pairs)
+    distance, angle = float(np.median(fit.distances)), float(np.median(fit.angles))
+    if distance > _FARTHEST or angle > _TURNED:
+        raise DatasetError(
+            f"The cameras of {where} do not stand as those of {rig_at}: they are off by "
+            f"{100 * distance:.1f} % of the rig's radius and {np.rad2deg(angle):.1f} degrees in "
+            f"the median. Take a rig with the same fixed cameras, or let each frame keep its own."
+        )
+    views = []
+    for view in capture.views:
+        place = places.get(_key(view.name))
+        if place is None:
+            views.append(replace(view, viewmat=fit.move_viewmat(view.viewmat)))
+        else:
+            views.append(replace(view, viewmat=place.viewmat, camera=place.camera))
+    warnings = [
+        f"The cameras of {len(pairs)} views are those of {rig_at}, and the points were moved into "
+        f"its world; the cameras' own places differ by {100 * distance:.2f} % of the rig's radius "
+        f"in the median, {100 * float(fit.distances.max()):.2f} % at most."
+    ]
+    lone = [view.name for view in capture.views if _key(view.name) not in places]
+    if lone:
+        warnings.append(f"{len(lone)} views are not in {rig_at}: {listing(lone)}.")
+    return replace(
+        capture,
+        views=views,
+        points=PointCloud(
+            points=fit.move_points(capture.points.points), colors=capture.points.colors
+        ),
+        warnings=(*capture.warnings, *warnings),
+    )
+
+
+def _key(name: str) -> int | str:
+    number = camera_number(name)
+    return name if number is None else number
+
+
+def _same(view: View, place: View) -> bool:
+    a, b = view.camera, place.camera
+    return (
+        (a.model, a.width, a.height) == (b.model, b.width, b.height)
+        and np.array_equal(a.params, b.params)
+        and np.array_equal(view.viewmat, place.viewmat)
+    )
+
+
+def _fit(pairs: list[tuple[View, View]]) -> _Fit:
+    """The similarity from the cameras of the first of each pair to those of the second.
+
+    The rotation is the mean one between paired cameras, so that rigs on a line or an arc, whose
+    centres alone leave it open, are no special case.
+    """
+    old = np.stack([view.viewmat for view, _ in pairs])
+    new = np.stack([place.viewmat for _, place in pairs])
+    turns = np.swapaxes(new[:, :3, :3], 1, 2) @ old[:, :3, :3]
+    from_old, to_new = _centers(old), _centers(new)
+    radius = float(np.linalg.norm(to_new - to_new.mean(axis=0), axis=1).max()) or 1.0
+    kept = np.ones(len(pairs), bool)
+    while True:
+        u, _, vt = np.linalg.svd(turns[kept].sum(axis=0))
+        rotation = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
+        turned = from_old @ rotation.T
+        a = turned[kept] - turned[kept].mean(axis=0)
+        b = to_new[kept] - to_new[kept].mean(axis=0)
+        spread = float((a * a).sum())
+        scale = float((a * b).sum()) / spread if spread > 0 else 1.0
+        scale = scale if scale > 0 else 1.0
+        shift = to_new[kept].mean(axis=0) - scale * turned[kept].mean(axis=0)
+        distances = np.linalg.norm(scale * turned + shift - to_new, axis=1) / radius
+        cosines = (np.einsum("cij,ij->c", turns, rotation) - 1) / 2
+        angles = np.arccos(np.clip(cosines, -1, 1))
+        good = kept & (distances <= _OUTLIER * max(float(np.median(distances)), 1e-9))
+        if good.sum() < 2 or good.sum() == kept.sum():
+            return _Fit(
+                scale=scale, rotation=rotation, shift=shift, distances=distances, angles=angles
+            )
+        kept = good
+
+
+def _centers(viewmats: np.ndarray) -> np.ndarray:
+    """[C, 3] camera positions."""
+    return -np.einsum("cji,cj->ci", viewmats[:, :3, :3], viewmats[:, :3, 3])

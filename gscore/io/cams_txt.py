@@ -1,0 +1,77 @@
+"""Cameras as text, a file each, in the layout of MVSNet: extrinsic, intrinsic, depth range."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import DatasetError, FormatError
+from .files import read_bytes
+
+_NAME = re.compile(r"(\d+)_cam\.txt", re.IGNORECASE)
+
+
+def list_cams(folder: Path) -> dict[int, Path]:
+    """Files `<number>_cam.txt` of a folder, by number, rising.
+
+    Raises:
+        DatasetError: there is no such folder or no such file, or a number is there twice.
+    """
+    if not folder.is_dir():
+        raise DatasetError(
+            f"There is no folder {folder} with the files <number>_cam.txt of the cameras."
+        )
+    found: dict[int, Path] = {}
+    for path in sorted(folder.iterdir()):
+        match = _NAME.fullmatch(path.name)
+        if match is None:
+            continue
+        number = int(match[1])
+        if number in found:
+            raise DatasetError(
+                f"{folder} has camera {number} twice, {found[number].name} and {path.name}. "
+                f"Remove the wrong one."
+            )
+        found[number] = path
+    if not found:
+        raise DatasetError(f"{folder} has no file <number>_cam.txt. Copy the cameras into it.")
+    return dict(sorted(found.items()))
+
+
+def read_cam(path: Path) -> tuple[list[list[float]], list[list[float]]]:
+    """Extrinsic matrix, 4 x 4, world to camera in OpenCV axes, and intrinsic matrix, 3 x 3, pixels.
+
+    What follows them (depth range and interval) is not used.
+
+    Raises:
+        DatasetError: the file is missing.
+        FormatError: it is no text, or a matrix is missing or has too few numbers.
+    """
+    try:
+        words = read_bytes(path).decode("utf-8").split()
+    except UnicodeDecodeError as error:
+        raise FormatError(f"{path} is not text. Copy the camera file again.") from error
+    lower = [word.lower() for word in words]
+    return _matrix(path, words, lower, "extrinsic", 4), _matrix(path, words, lower, "intrinsic", 3)
+
+
+def _matrix(
+    path: Path, words: list[str], lower: list[str], name: str, size: int
+) -> list[list[float]]:
+    """`size` x `size` numbers after the word `name`."""
+    wanted = f"the word {name!r} and {size * size} numbers after it"
+    if name not in lower:
+        raise FormatError(f"{path} has no {name!r}; expected {wanted}. Copy the camera file again.")
+    at = lower.index(name) + 1
+    try:
+        values = np.array([float(word) for word in words[at : at + size * size]])
+    except ValueError as error:
+        raise FormatError(
+            f"{path}: {error} in the {name} matrix; expected {wanted}. Copy the camera file again."
+        ) from error
+    if len(values) != size * size:
+        raise FormatError(
+            f"{path} ends within the {name} matrix ({len(values)} numbers); expected {wanted}. "
+            f"Copy the camera file again."
+        )
+    return values.reshape(size, size).tolist()
