@@ -31,7 +31,9 @@ def run(command: Sequence[str | Path]) -> tuple[bool, str]:
         tempfile.TemporaryDirectory(prefix="blender-user-") as profile,
         tempfile.TemporaryFile("w+", errors="replace") as output,
     ):
-        environment = {**os.environ, "BLENDER_USER_RESOURCES": profile}
+        # The Python that runs this is the one that has what trainings need.
+        trainer = {"GSCORE_TRAINER_PYTHON": sys.executable}
+        environment = {**trainer, **os.environ, "BLENDER_USER_RESOURCES": profile}
         try:
             code = subprocess.run(
                 command,
