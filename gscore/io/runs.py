@@ -68,7 +68,7 @@ def read_run(path: str | Path) -> RunInfo | None:
     Looks at names and at two small JSON files; checkpoints are not opened.
     """
     path = Path(path)
-    if not any((path / name).exists() for name in (*RUN_FILES, *RUN_FOLDERS)):
+    if not results_in(path):
         return None
     data, train, problem = None, None, ""
     try:
@@ -90,16 +90,33 @@ def read_run(path: str | Path) -> RunInfo | None:
     )
 
 
+def results_in(path: Path) -> list[str]:
+    """Names of files and folders in `path` that a training has written."""
+    return [name for name in (*RUN_FILES, *RUN_FOLDERS) if (path / name).exists()]
+
+
+def remove_results(path: Path) -> None:
+    """Remove what a training has written into a folder, and nothing else.
+
+    Raises:
+        OSError: a file cannot be removed.
+    """
+    for name in RUN_FOLDERS:
+        shutil.rmtree(path / name, ignore_errors=True)
+    for name in RUN_FILES:
+        (path / name).unlink(missing_ok=True)
+
+
 def clear_run(path: str | Path) -> None:
     """Remove what a training has written into a folder and the folder if nothing else is in it.
 
     Only for a folder in which no training is running. What cannot be removed stays.
     """
     path = Path(path)
-    for name in RUN_FOLDERS:
-        shutil.rmtree(path / name, ignore_errors=True)
+    with contextlib.suppress(OSError):
+        remove_results(path)
     leftovers = [file for pattern in _UNFINISHED for file in path.glob(pattern)]
-    for file in (*(path / name for name in (*RUN_FILES, RUN_LOCK)), *leftovers):
+    for file in (path / RUN_LOCK, *leftovers):
         with contextlib.suppress(OSError):
             file.unlink(missing_ok=True)
     with contextlib.suppress(OSError):

@@ -4,7 +4,6 @@ import contextlib
 import errno
 import json
 import os
-import shutil
 import sys
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
@@ -13,11 +12,8 @@ from typing import IO
 
 from ..errors import ConfigError, GsError
 from ..io.files import atomic_write
+from ..io.runs import RUN_LOCK, remove_results, results_in
 
-LOCK = ".gscore.lock"
-_FILES = ("config.json", "cfg_args", "cameras.json", "point_cloud.ply", "metrics.json")
-_FILES = (*_FILES, "report.html")
-_FOLDERS = ("checkpoints", "point_cloud", "previews", "snapshots")
 _FAR = 1 << 20
 _PREFIX, _SUFFIX = "step_", ".safetensors"
 
@@ -61,19 +57,17 @@ class RunFolder:
     def drop_checkpoints(self, *, keep: int, protected: Collection[int]) -> None:
         """Remove all but the last `keep` checkpoints and those of the steps in `protected`."""
         spared = {self.checkpoint(step) for step in protected}
-        for path in [p for p in self.checkpoints() if p not in spared][:-keep]:
+        droppable = [path for path in self.checkpoints() if path not in spared]
+        for path in droppable[: max(len(droppable) - keep, 0)]:
             path.unlink(missing_ok=True)
 
     def results(self) -> list[str]:
         """Names of files and folders here that a run has written."""
-        return [name for name in (*_FILES, *_FOLDERS) if (self.path / name).exists()]
+        return results_in(self.path)
 
     def clear(self) -> None:
         """Remove what a run has written, and nothing else."""
-        for name in _FOLDERS:
-            shutil.rmtree(self.path / name, ignore_errors=True)
-        for name in _FILES:
-            (self.path / name).unlink(missing_ok=True)
+        remove_results(self.path)
 
     def write_text(self, name: str, text: str) -> None:
         """Write a small file completely or not at all."""
@@ -115,7 +109,7 @@ def _lock(path: Path) -> IO[str]:
     while True:
         try:
             path.mkdir(parents=True, exist_ok=True)
-            file = (path / LOCK).open("a+", encoding="utf-8")
+            file = (path / RUN_LOCK).open("a+", encoding="utf-8")
         except FileExistsError:
             raise ConfigError(f"{path} is a file; an output folder is needed.") from None
         except OSError as error:
@@ -133,7 +127,7 @@ def _lock(path: Path) -> IO[str]:
                 "another output folder."
             )
         try:
-            current = os.path.samestat(os.fstat(file.fileno()), (path / LOCK).stat())
+            current = os.path.samestat(os.fstat(file.fileno()), (path / RUN_LOCK).stat())
         except OSError:
             current = False
         if current:
@@ -167,8 +161,8 @@ def _release(file: IO[str], path: Path, *, remove_folder: bool) -> None:
     with contextlib.suppress(OSError):
         # Removed while it is still held, so that nobody can be holding it.
         if sys.platform != "win32":
-            (path / LOCK).unlink(missing_ok=True)
+            (path / RUN_LOCK).unlink(missing_ok=True)
         file.close()
-        (path / LOCK).unlink(missing_ok=True)
+        (path / RUN_LOCK).unlink(missing_ok=True)
         if remove_folder:
             path.rmdir()  # only an empty folder can be removed

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from gscore.errors import ConfigError, GsError
-from gscore.trainer.folder import LOCK, open_folder
+from gscore.io.runs import RUN_LOCK
+from gscore.trainer.folder import open_folder
 
 
 def names(path: Path) -> set[str]:
@@ -72,9 +73,9 @@ def test_the_lock_of_a_dead_process_does_not_count(tmp_path: Path) -> None:
     )
     ended = subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=False)
     assert ended.returncode == 9
-    assert json.loads((tmp_path / LOCK).read_text())["pid"] != os.getpid()
+    assert json.loads((tmp_path / RUN_LOCK).read_text())["pid"] != os.getpid()
     with open_folder(tmp_path, resume=False, overwrite=False):
-        assert json.loads((tmp_path / LOCK).read_text())["pid"] == os.getpid()
+        assert json.loads((tmp_path / RUN_LOCK).read_text())["pid"] == os.getpid()
     assert names(tmp_path) == set()
 
 
