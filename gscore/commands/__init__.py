@@ -22,6 +22,7 @@ from ..errors import GsError
 VERBS = {
     "train": "train splats from photos with COLMAP cameras",
     "eval": "measure trained splats against the photos",
+    "depth": "predict depth maps and align them with the capture",
     "render": "render splats to pictures or a video",
     "info": "say what a capture, a PLY or a run holds",
     "doctor": "say what this machine can do and what is missing",

@@ -1,6 +1,6 @@
 """Alignment of all maps of a capture: what they hold, whose fit is taken, which are refused."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -81,21 +81,21 @@ def sampled(values: np.ndarray, seen: Observations) -> Samples:
 def align_views(
     data: DataConfig,
     dataset: Dataset,
-    maps: list[Path | None],
+    folder: Path,
     samples: list[Samples | None],
     *,
     kind: DepthKind,
 ) -> Alignment:
-    """Scale and offset of every map as `data.depth_align` asks.
+    """Scale and offset of every map in `folder` as `data.depth_align` asks.
 
     Raises:
         DatasetError: `official`, and there is no depth_params.json.
         FormatError: depth_params.json is damaged.
     """
-    path = params_path(data.source)
+    path = params_path(dataset.source, folder)
     if data.depth_align == "official" or (data.depth_align == "auto" and path.is_file()):
-        params = read_params(path)
-        return _stated(path, params, dataset, samples, check=data.depth_align == "auto")
+        stated = _stated(path, read_params(path), dataset, samples)
+        return stated if data.depth_align == "official" else _checked(stated, path, samples)
     found, warnings = find_kind(samples) if kind is DepthKind.AUTO else (kind, ())
     if data.depth_align == "none":
         fits = [None if part is None else _judged(1.0, 0.0, part, found) for part in samples]
@@ -136,7 +136,7 @@ def _correlation(part: Samples) -> float | None:
     if len(values) < 10 or np.ptp(values) == 0 or np.ptp(depth) == 0:
         return None
     ranks = np.stack([np.argsort(np.argsort(v)).astype(np.float64) for v in (values, depth)])
-    return float(np.corrcoef(ranks)[0, 1])
+    return float(np.corrcoef(ranks[0], ranks[1])[0, 1])
 
 
 def _stated(
@@ -144,34 +144,46 @@ def _stated(
     params: dict[str, Params],
     dataset: Dataset,
     samples: list[Samples | None],
-    *,
-    check: bool,
 ) -> Alignment:
-    """Fits from depth_params.json; with `check` those that the points contradict are refused."""
+    """Fits from depth_params.json, those refused that official tools would not use."""
     median = median_scale([entry.scale for entry in params.values()])
-    fits: list[Fit | None] = []
     kinds = {entry.kind for entry in params.values()}
     kind = DepthKind.DEPTH if kinds == {DepthKind.DEPTH} else DepthKind.INVERSE
+    fits: list[Fit | None] = []
     for name, part in zip(dataset.names, samples, strict=True):
+        entry = params.get(stem(name))
         if part is None:
             fits.append(None)
-            continue
-        entry = params.get(stem(name))
-        if entry is None:
+        elif entry is None:
             missing = Fit(scale=0.0, offset=0.0, points=len(part.values))
             fits.append(missing.refused(f"{path.name} has no entry {stem(name)!r}"))
-            continue
-        fit = _judged(entry.scale, entry.offset, part, entry.kind)
-        reason = entry.reason if not entry.accepted else scale_reason(entry.scale, median)
-        if not reason and not entry.scale > 0:
-            reason = f"{path.name} gives it no scale"
-        if not reason and check and fit.points and fit.inliers < _LEAST_SHARE:
-            reason = (
-                f"{path.name} and the points disagree: only {fit.inliers:.0%} of them by weight "
-                f"lie where it says"
-            )
-        fits.append(fit.refused(reason) if reason else fit)
+        else:
+            fit = _judged(entry.scale, entry.offset, part, entry.kind)
+            reason = entry.reason if not entry.accepted else scale_reason(entry.scale, median)
+            if not reason and not entry.scale > 0:
+                reason = f"{path.name} gives it no scale"
+            fits.append(fit.refused(reason) if reason else fit)
     return Alignment(fits=fits, kind=kind, warnings=_refusals(fits, median))
+
+
+def _checked(stated: Alignment, path: Path, samples: list[Samples | None]) -> Alignment:
+    """The fits of a file; where most points of a view contradict it, our own in their place."""
+    ours = robust(samples, stated.kind).fits
+    fits = list(stated.fits)
+    wrong = [
+        i
+        for i, fit in enumerate(fits)
+        if fit is not None and fit.accepted and fit.points and fit.inliers < _LEAST_SHARE
+    ]
+    for i in wrong:
+        fits[i] = ours[i]
+    if not wrong:
+        return stated
+    sentence = (
+        f"{path} contradicts the points of {len(wrong)} views, as if it belonged to other maps; "
+        f"these are aligned anew. Make it again: gscore depth SOURCE"
+    )
+    return replace(stated, fits=fits, warnings=(*stated.warnings, sentence))
 
 
 def _judged(scale: float, offset: float, part: Samples, kind: DepthKind) -> Fit:

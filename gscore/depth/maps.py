@@ -12,6 +12,8 @@ from ..io.images import read_info
 
 ENDINGS = (".png", ".npy", ".exr", ".tif", ".tiff")
 """Kinds of depth maps, in the order in which they are preferred."""
+SHEET = "contact_sheet.png"
+"""Picture of all maps that `gscore depth` leaves beside them; not a map."""
 PNG_UNIT = 65536.0
 """Values of PNGs, of 8 and of 16 bit alike, are divided by this, as 3DGS trainers do."""
 FARTHEST = 1e9
@@ -47,7 +49,8 @@ class MapFolder:
         self._files: dict[str, Path] = {}
         for folder, _, names in os.walk(root):
             for name in names:
-                if not name.startswith(".") and Path(name).suffix.lower() in ENDINGS:
+                hidden = name.startswith(".") or name == SHEET
+                if not hidden and Path(name).suffix.lower() in ENDINGS:
                     path = Path(folder) / name
                     self._files[path.relative_to(root).as_posix().lower()] = path
 

@@ -14,6 +14,8 @@ from .fit import Fit
 from .maps import DepthKind
 
 FILE = "depth_params.json"
+DEFAULT_FOLDER = "depths"
+"""Where `gscore depth` writes maps, relative to the capture."""
 _REMAKE = "Make it again: gscore depth SOURCE"
 
 
@@ -33,10 +35,21 @@ class Params:
     """Why not. An addition of ours."""
 
 
-def params_path(source: Path) -> Path:
-    """Where the file of a capture lies or belongs: beside the COLMAP model, where official tools
-    look, else in the capture's folder."""
-    root = source if source.is_dir() else source.parent
+def params_path(root: Path, maps: Path, *, writing: bool = False) -> Path:
+    """Where the file of some maps lies or belongs.
+
+    Official tools look in `sparse/0`, beside the COLMAP model, and know one folder of maps. So the
+    file of `depths` lies there; that of any other folder lies with its maps, and where it does not,
+    the one in `sparse/0` is taken to speak of them, as official tools take it.
+
+    Args:
+        root: Folder of the capture.
+        maps: Folder of the maps.
+        writing: Where to write it, not where it may be read.
+    """
+    own = maps / FILE
+    if own.is_file() or (writing and maps.resolve() != (root / DEFAULT_FOLDER).resolve()):
+        return own
     official = root / "sparse" / "0" / FILE
     if official.is_file():
         return official
@@ -122,7 +135,7 @@ def _check_layout(path: Path, content: Any) -> None:
 
 def _entry(where: str, entry: dict[str, Any]) -> Params:
     def number(key: str) -> float:
-        value = entry.get(key)
+        value: Any = entry.get(key)
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
         if not is_number or not math.isfinite(value):
             stated = "missing" if key not in entry else repr(value)

@@ -17,11 +17,10 @@ from .fit import NO_FIT, Fit
 from .fitting import Alignment, align_views, view_samples
 from .maps import DepthKind, MapFolder, read_map, to_inverse
 from .observations import observations
+from .params import DEFAULT_FOLDER
 
 ALIGNMENTS = ("auto", "official", "robust", "none")
 """Values of the option `depth_align`."""
-DEFAULT_FOLDER = "depths"
-"""Where `gscore depth` writes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,7 +85,7 @@ def load_priors(
     warnings = _missing(folder, maps, dataset.names)
     seen = observations(data, dataset)
     samples = view_samples(maps, seen, dataset)
-    alignment = align_views(data, dataset, maps, samples, kind=kind)
+    alignment = align_views(data, dataset, folder.root, samples, kind=kind)
     total = len(dataset)
     views: list[DepthPrior | None] = []
 

@@ -165,7 +165,8 @@ def write_png(path: str | Path, image: np.ndarray) -> None:
 
     Args:
         path: The file to write; its folder is made.
-        image: [H, W], [H, W, 3] or [H, W, 4] uint8; grey, RGB or RGBA (not premultiplied), sRGB.
+        image: [H, W], [H, W, 3] or [H, W, 4] uint8; grey, RGB or RGBA (not premultiplied), sRGB. Or
+            [H, W] uint16, grey.
 
     Raises:
         ShapeError: another shape or dtype.
@@ -174,18 +175,21 @@ def write_png(path: str | Path, image: np.ndarray) -> None:
     shape = image.shape
     kinds = {1: 0, 3: 2, 4: 6}  # colour types of the PNG standard, by number of channels
     channels = 1 if len(shape) == 2 else shape[2] if len(shape) == 3 else 0
-    if channels not in kinds or image.dtype != np.uint8 or 0 in shape:
+    deep = image.dtype == np.uint16 and len(shape) == 2
+    if channels not in kinds or not (deep or image.dtype == np.uint8) or 0 in shape:
         raise ShapeError(
-            f"write_png takes uint8 [H, W], [H, W, 3] or [H, W, 4], got {image.dtype} "
-            f"{list(shape)}."
+            f"write_png takes uint8 [H, W], [H, W, 3] or [H, W, 4] or uint16 [H, W], got "
+            f"{image.dtype} {list(shape)}."
         )
     height, width = shape[:2]
-    pixels = np.ascontiguousarray(image).reshape(height, width, channels)
-    rows = np.zeros((height, width * channels + 1), np.uint8)
+    size = 2 if deep else channels  # bytes of a pixel, the high one of 16 bits first
+    pixels = np.ascontiguousarray(image, ">u2" if deep else None).view(np.uint8)
+    pixels = pixels.reshape(height, width, size)
+    rows = np.zeros((height, width * size + 1), np.uint8)
     rows[:, 0] = 1  # filter "Sub": each byte minus the one of the pixel to the left
-    rows[:, 1 : 1 + channels] = pixels[:, 0]
-    rows[:, 1 + channels :] = (pixels[:, 1:] - pixels[:, :-1]).reshape(height, -1)
-    head = struct.pack(">IIBBBBB", width, height, 8, kinds[channels], 0, 0, 0)
+    rows[:, 1 : 1 + size] = pixels[:, 0]
+    rows[:, 1 + size :] = (pixels[:, 1:] - pixels[:, :-1]).reshape(height, -1)
+    head = struct.pack(">IIBBBBB", width, height, 16 if deep else 8, kinds[channels], 0, 0, 0)
     chunks = [(b"IHDR", head), (b"IDAT", zlib.compress(rows.data, 6)), (b"IEND", b"")]
     out = [b"\x89PNG\r\n\x1a\n"]
     for kind, body in chunks:

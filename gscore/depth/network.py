@@ -1,0 +1,264 @@
+"""Monocular depth networks in ONNX files: told apart by their graphs, run photo by photo."""
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import BackendError, ConfigError, FormatError, GsError
+from ..io.images import resize_map
+from .maps import DepthKind
+from .onnx_graph import GraphFacts, read_facts
+
+WHERE = (
+    "Such files: model-small.onnx of https://github.com/isl-org/MiDaS/releases (v2_1), and Depth "
+    "Anything V2 exports of https://github.com/fabio-sim/Depth-Anything-ONNX/releases. Nothing is "
+    "downloaded by itself; look at their licences"
+)
+"""Where a user finds networks."""
+
+
+class Normalization(StrEnum):
+    """What a network expects photos to be turned into."""
+
+    AUTO = "auto"
+    """Found out from the network."""
+    IMAGENET = "imagenet"
+    """(RGB in [0, 1] - mean) / deviation of ImageNet: MiDaS 2.1, Depth Anything."""
+    HALF = "half"
+    """RGB in [-1, 1]: DPT and MiDaS 3."""
+    UNIT = "unit"
+    """RGB in [0, 1]: files with the normalisation inside, such as MiDaS' own exports."""
+    BYTES = "bytes"
+    """RGB in [0, 255]."""
+
+
+_SCALES = {
+    Normalization.IMAGENET: ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225)),
+    Normalization.HALF: ((0.5, 0.5, 0.5), (0.5, 0.5, 0.5)),
+    Normalization.UNIT: ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0)),
+    Normalization.BYTES: ((0.0, 0.0, 0.0), (1 / 255, 1 / 255, 1 / 255)),
+}
+"""Mean and deviation of RGB in [0, 1]."""
+_INPUT_TYPES = {"tensor(float)": np.float32, "tensor(float16)": np.float16}
+_OUTPUT_NAMES = ("predicted_depth", "depth", "inverse_depth", "disparity", "inv_depth")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Profile:
+    """How to feed a network."""
+
+    family: str
+    """For people: which networks it was taken for."""
+    normalization: Normalization
+    """Never AUTO."""
+    kind: DepthKind
+    """What its output grows with; never AUTO."""
+    width: int
+    """Pixels of its input; 0: any."""
+    height: int
+    """Pixels of its input; 0: any."""
+    multiple: int
+    """Both sides must be multiples of this, where they are free."""
+    short_side: int
+    """Pixels of the shorter side, where both are free."""
+    channels_last: bool
+    """Whether the input is [1, H, W, 3] instead of [1, 3, H, W]."""
+
+
+def recognize(
+    shape: list[Any], name: str, file_name: str, facts: GraphFacts, *, size: int = 0
+) -> Profile:
+    """The profile of a network by its input and its graph.
+
+    Args:
+        shape: Of the input; names or None where free.
+        name: Of the input.
+        file_name: Of the file; `metric` and `small` in it are heeded.
+        facts: Of the graph.
+        size: Pixels of the shorter side to use where the network leaves it free; 0: its usual one.
+
+    Raises:
+        FormatError: the input is no batch of one colour picture.
+    """
+    numbers = [n if isinstance(n, int) and n > 0 else 0 for n in shape]
+    if len(numbers) != 4 or numbers[0] > 1 or 3 not in (numbers[1], numbers[3]):
+        raise FormatError(
+            f"{file_name} takes {name} of the shape {shape}, expected one colour picture: "
+            f"[1, 3, height, width] or [1, height, width, 3]. It is no network for depth from one "
+            f"photo"
+        )
+    last = numbers[1] != 3
+    height, width = numbers[1:3] if last else numbers[2:]
+    dino = facts.kernel == (14, 14) or (
+        not facts.kernel and facts.attention and (width or height or 518) % 14 == 0
+    )
+    if dino:
+        family, normalization, multiple, short = "Depth Anything", Normalization.IMAGENET, 14, 518
+    elif facts.attention:
+        family, normalization, multiple, short = "DPT / MiDaS 3", Normalization.HALF, 32, 384
+    else:
+        family, normalization, multiple, short = "MiDaS 2.1", Normalization.IMAGENET, 32, 384
+        if max(width, height) == 256 or "small" in file_name.lower():
+            family, short = "MiDaS 2.1 small", 256
+    if {"Sub", "Add", "BatchNormalization"} & set(facts.arithmetic):
+        # The file normalises by itself. Large or tiny factors turn bytes into [0, 1] first.
+        of_bytes = any(c > 100 or 0 < c < 0.01 for c in facts.constants)
+        normalization = Normalization.BYTES if of_bytes else Normalization.UNIT
+    metric = "metric" in file_name.lower() or "Sigmoid" in facts.last[:3]
+    return Profile(
+        family=family,
+        normalization=normalization,
+        kind=DepthKind.DEPTH if metric else DepthKind.INVERSE,
+        width=width,
+        height=height,
+        multiple=multiple,
+        short_side=size or short,
+        channels_last=last,
+    )
+
+
+class Network:
+    """A network loaded into onnxruntime."""
+
+    def __init__(
+        self,
+        path: Path,
+        *,
+        normalization: Normalization = Normalization.AUTO,
+        size: int = 0,
+        threads: int = 0,
+    ) -> None:
+        """Load it.
+
+        Args:
+            path: The ONNX file.
+            normalization: Instead of the recognised one.
+            size: Pixels of the shorter side of its input; 0: its usual one.
+            threads: Threads to use; 0: all cores.
+
+        Raises:
+            ConfigError: there is no such file, or the network does not take that size.
+            BackendError: onnxruntime is not installed.
+            FormatError: the file is no network that turns a photo into a map.
+        """
+        if not path.is_file():
+            raise ConfigError(f"There is no model {path}. {WHERE}.")
+        self._session = _load(path, threads)
+        entry, output = _ends(path, self._session)
+        self._input, self._output = entry.name, output.name
+        self._dtype = _INPUT_TYPES[entry.type]
+        facts = read_facts(path, entry.name, output.name)
+        profile = recognize(entry.shape, entry.name, path.name, facts, size=size)
+        if normalization is not Normalization.AUTO:
+            profile = replace(profile, normalization=normalization)
+        self.profile = profile
+        """How photos are fed to it."""
+        self.path = path
+        """The file."""
+        if size and profile.width and profile.height and size != min(profile.width, profile.height):
+            raise ConfigError(
+                f"{path.name} takes pictures of {profile.width} x {profile.height} pixels and no "
+                f"others; leave --input-size out."
+            )
+        if size % profile.multiple and not (profile.width and profile.height):
+            raise ConfigError(
+                f"--input-size is {size}, expected a multiple of {profile.multiple} for "
+                f"{profile.family}."
+            )
+
+    def input_size(self, width: int, height: int) -> tuple[int, int]:
+        """Width and height that a photo of this size is scaled to.
+
+        A network of fixed size gets the whole photo stretched to it, as its authors' scripts do;
+        one of free size gets the photo's proportions, up to a multiple of what it needs.
+        """
+        profile = self.profile
+        scale = profile.short_side / min(width, height)
+
+        def free(side: int) -> int:
+            return max(1, round(side * scale / profile.multiple)) * profile.multiple
+
+        return profile.width or free(width), profile.height or free(height)
+
+    def predict(self, photo: np.ndarray) -> np.ndarray:
+        """The network's output for a photo, scaled to its size.
+
+        Args:
+            photo: [H, W, 3] uint8 RGB.
+
+        Returns:
+            [H, W] float32; NaN where the network gave no finite number.
+
+        Raises:
+            GsError: the network failed, or gave no map.
+        """
+        height, width = photo.shape[:2]
+        feed = {self._input: self._tensor(photo)}
+        try:
+            output = self._session.run([self._output], feed)[0]
+        except Exception as error:  # onnxruntime has no common base for its errors
+            raise GsError(
+                f"{self.path.name} failed on a picture of {feed[self._input].shape}: "
+                f"{str(error).strip()[:300]}. Try another --input-size, or another model."
+            ) from error
+        values = np.asarray(output, np.float32).squeeze()
+        if values.ndim != 2 or min(values.shape) < 2:
+            raise GsError(
+                f"{self.path.name} gives {list(np.shape(output))}, expected one number a pixel. It "
+                f"is no network for depth from one photo. {WHERE}."
+            )
+        values[~np.isfinite(values)] = np.nan
+        return resize_map(values, width, height)
+
+    def _tensor(self, photo: np.ndarray) -> np.ndarray:
+        from PIL import Image
+
+        size = self.input_size(photo.shape[1], photo.shape[0])
+        scaled = Image.fromarray(photo).resize(size, Image.Resampling.BICUBIC)
+        mean, deviation = np.array(_SCALES[self.profile.normalization], np.float32)
+        values = (np.asarray(scaled, np.float32) / 255 - mean) / deviation
+        if not self.profile.channels_last:
+            values = values.transpose(2, 0, 1)
+        return np.ascontiguousarray(values[None], self._dtype)
+
+
+def _load(path: Path, threads: int) -> Any:
+    try:
+        import onnxruntime
+    except ImportError as error:
+        raise BackendError(
+            "Predicting depth takes onnxruntime, which is not installed: pip install onnxruntime"
+        ) from error
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.log_severity_level = 4
+    try:
+        return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # onnxruntime has no common base for its errors
+        reason = str(error).strip().rstrip(".")[:300]
+        raise FormatError(
+            f"{path} is no ONNX model that onnxruntime can load: {reason}. Download it again, or "
+            f"update onnxruntime."
+        ) from error
+
+
+def _ends(path: Path, session: Any) -> tuple[Any, Any]:
+    """The one input, and the output that is the map."""
+    inputs, outputs = session.get_inputs(), session.get_outputs()
+    if len(inputs) != 1 or inputs[0].type not in _INPUT_TYPES:
+        stated = ", ".join(f"{i.name} {i.type} {i.shape}" for i in inputs)
+        raise FormatError(
+            f"{path.name} takes {stated or 'nothing'}, expected one picture of float numbers. It "
+            f"is no network for depth from one photo. {WHERE}."
+        )
+    named = [o for name in _OUTPUT_NAMES for o in outputs if o.name == name]
+    maps = [o for o in outputs if len(o.shape) in (2, 3, 4)]
+    if not (named or maps):
+        raise FormatError(
+            f"{path.name} gives {[o.shape for o in outputs]}, expected a map. It is no network for "
+            f"depth from one photo. {WHERE}."
+        )
+    return inputs[0], (named or maps)[0]

@@ -1,0 +1,183 @@
+"""Depth maps of all views of a capture by a network, written as 16-bit PNGs; can be continued."""
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .._version import __version__
+from ..datasets import Dataset
+from ..datasets.decode import ViewFile
+from ..errors import ConfigError, FormatError, GsError
+from ..io.files import atomic_write
+from ..io.images import read_image, read_mask, write_png
+from .fitting import find_kind, sampled
+from .maps import DepthKind, MapFolder, stem, to_inverse
+from .network import Network
+from .observations import Observations
+
+RECORD = "prediction.json"
+"""File beside the maps that says which network made them."""
+_HIDDEN = 127
+"""Grey that lies behind photos with opacity while the network looks at them."""
+_VIEWS_FOR_KIND = 3
+"""Views that decide whether a network gives depth or inverse depth."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prediction:
+    """What became of the views."""
+
+    written: list[str]
+    """Views predicted now."""
+    kept: list[str]
+    """Views whose map was there already."""
+    kind: DepthKind
+    """What the network's output grows with; what is written is inverse depth in either case."""
+
+
+def predict_views(
+    network: Network,
+    dataset: Dataset,
+    seen: list[Observations],
+    folder: Path,
+    *,
+    kind: DepthKind = DepthKind.AUTO,
+    overwrite: bool = False,
+    on_view: Callable[[int, int, str], None] | None = None,
+) -> Prediction:
+    """Predict every view that has no map in `folder` yet.
+
+    A map is written as soon as it is known, completely or not at all, so an interrupted call can be
+    made again and goes on.
+
+    Args:
+        network: The network.
+        dataset: The capture; its photos are read at full size.
+        seen: The points of each view; they tell depth from inverse depth where `kind` is AUTO.
+        folder: Where to write `<view>.png`.
+        kind: What the network's output grows with.
+        overwrite: Predict all views, whatever is there.
+        on_view: Called with (done, total, name) after each view.
+
+    Raises:
+        ConfigError: the folder holds maps that this network did not make.
+        GsError: the network failed, or a file cannot be written.
+    """
+    record = _record(network)
+    kept = [] if overwrite else _kept(folder, record, dataset.names)
+    todo = [i for i, name in enumerate(dataset.names) if name not in set(kept)]
+    outputs: dict[int, np.ndarray] = {}
+    if kind is DepthKind.AUTO and todo:
+        kind, outputs = _find_kind(network, dataset, seen, todo)
+    if todo:
+        text = json.dumps(record | {"kind": kind.value}, indent=2) + "\n"
+        atomic_write(folder / RECORD, text.encode("utf-8"))
+    for done, index in enumerate(todo, start=1):
+        name = dataset.names[index]
+        output = outputs.pop(index, None)
+        photo, mask = photo_of(dataset.files[index], dataset.mask_mode)
+        values = network.predict(photo) if output is None else output
+        write_png(folder / f"{stem(name)}.png", encoded(name, values, mask, kind))
+        if on_view is not None:
+            on_view(done, len(todo), name)
+    return Prediction(written=[dataset.names[i] for i in todo], kept=kept, kind=kind)
+
+
+def photo_of(file: ViewFile, mask_mode: str) -> tuple[np.ndarray, np.ndarray | None]:
+    """[H, W, 3] uint8 full-size photo as a network should see it, and [H, W] bool of what counts.
+
+    Where the mask is opacity, what it hides is no part of the scene: it becomes grey and is left out
+    of the map. Other masks say what the training shall not see; the network may, and needs to.
+    """
+    photo = read_image(file.image, upright=file.upright)
+    mask = None
+    if mask_mode == "composite":
+        if file.use_alpha and photo.shape[2] == 4:
+            mask = photo[..., 3]
+        elif file.mask is not None:
+            mask = read_mask(file.mask)
+    photo = np.ascontiguousarray(photo[..., :3])
+    if mask is None:
+        return photo, None
+    alpha = mask[..., None].astype(np.float32) / 255
+    return (photo * alpha + _HIDDEN * (1 - alpha) + 0.5).astype(np.uint8), mask >= 128
+
+
+def encoded(name: str, values: np.ndarray, mask: np.ndarray | None, kind: DepthKind) -> np.ndarray:
+    """[H, W] uint16 inverse depth, stretched to 1 to 65535; 0 where nothing is known.
+
+    Raises:
+        GsError: the map has no two different values, so the network saw nothing.
+    """
+    if kind is DepthKind.DEPTH:
+        values = to_inverse(values, kind)
+    known = np.isfinite(values) if mask is None else np.isfinite(values) & mask
+    low, high = (values[known].min(), values[known].max()) if known.any() else (0.0, 0.0)
+    if not high > low:
+        raise GsError(
+            f"The network gives {name} one value everywhere. Check with --normalization how it "
+            f"wants its photos, or try another model."
+        )
+    code = np.zeros(values.shape, np.uint16)
+    share = (values[known].astype(np.float64) - low) / (float(high) - float(low))
+    code[known] = np.rint(1 + share * 65534)
+    return code
+
+
+def _record(network: Network) -> dict[str, Any]:
+    profile = network.profile
+    with network.path.open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    return {
+        "gscore": __version__,
+        "model": network.path.name,
+        "sha256": digest,
+        "family": profile.family,
+        "normalization": profile.normalization.value,
+        "input_size": [profile.width, profile.height, profile.short_side],
+    }
+
+
+def _kept(folder: Path, record: dict[str, Any], names: tuple[str, ...]) -> list[str]:
+    """Views that have a map by the same network; raise if the maps are somebody else's."""
+    if not folder.is_dir():
+        return []
+    maps = MapFolder(folder)
+    there = [name for name in names if maps.find(name) is not None]
+    if not there:
+        return []
+    path = folder / RECORD
+    by = "they do not say by which model they were made"
+    if path.is_file():
+        try:
+            before = json.loads(path.read_text(encoding="utf-8"))
+            changed = [k for k in record if k != "gscore" and before.get(k) != record[k]]
+        except (OSError, ValueError, AttributeError) as error:
+            raise FormatError(
+                f"{path} is damaged ({error}). Remove the folder or give --overwrite."
+            ) from error
+        if not changed:
+            return there
+        by = f"they were made by {before.get('model')} with another {' and '.join(changed)}"
+    raise ConfigError(
+        f"{folder} holds depth maps of {len(there)} views already, and {by}. Give --overwrite to "
+        f"replace them, or another folder with --depths."
+    )
+
+
+def _find_kind(
+    network: Network, dataset: Dataset, seen: list[Observations], todo: list[int]
+) -> tuple[DepthKind, dict[int, np.ndarray]]:
+    """What the network gives, by the views with the most points; and their outputs."""
+    rich = sorted(todo, key=lambda i: -len(seen[i]))[:_VIEWS_FOR_KIND]
+    outputs = {}
+    for index in rich:
+        photo, _ = photo_of(dataset.files[index], dataset.mask_mode)
+        outputs[index] = network.predict(photo)
+    kind, doubts = find_kind([sampled(outputs[i], seen[i]) for i in rich])
+    return (network.profile.kind if doubts else kind), outputs

@@ -1,0 +1,242 @@
+"""Both alignment rules against independent computations and against known scales."""
+
+import statistics
+
+import numpy as np
+import pytest
+
+from gscore.depth.align import align_official, align_robust, reliable
+from gscore.depth.fit import Fit, median_scale, scale_reason
+from gscore.depth.observations import Observations
+
+SEEDS = range(40)
+
+
+def make_observations(x, y, inverse_depth, width, height, weights=None):
+    """Observations from plain lists."""
+    return Observations(
+        x=np.asarray(x, np.float64),
+        y=np.asarray(y, np.float64),
+        inverse_depth=np.asarray(inverse_depth, np.float64),
+        weights=np.ones(len(x)) if weights is None else np.asarray(weights, np.float64),
+        width=width,
+        height=height,
+    )
+
+
+def _official_by_hand(image, points, width, height):
+    """The rule in plain Python, one point at a time, as the documentation of the format has it."""
+    rows, columns = len(image), len(image[0])
+    ratio = rows / height
+    usable = []
+    for x, y, inverse in points:
+        u, v = x * ratio, y * ratio
+        if 0 <= u < width * ratio and 0 <= v < height * ratio and inverse > 0:
+            left, top = int(u // 1), int(v // 1)
+            fu, fv = u - left, v - top
+
+            def at(row, column):
+                return image[min(row, rows - 1)][min(column, columns - 1)]
+
+            mono = (
+                at(top, left) * (1 - fu) * (1 - fv)
+                + at(top, left + 1) * fu * (1 - fv)
+                + at(top + 1, left) * (1 - fu) * fv
+                + at(top + 1, left + 1) * fu * fv
+            )
+            usable.append((mono, inverse))
+    inverses = [p[2] for p in points]
+    if len(usable) <= 10 or max(inverses) - min(inverses) <= 1e-3:
+        return 0.0, 0.0
+    middle = statistics.median(s for _, s in usable)
+    mono_middle = statistics.median(m for m, _ in usable)
+    deviation = sum(abs(s - middle) for _, s in usable) / len(usable)
+    mono_deviation = sum(abs(m - mono_middle) for m, _ in usable) / len(usable)
+    scale = deviation / mono_deviation
+    return scale, middle - mono_middle * scale
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_official_rule(seed):
+    """Oracle: the rule computed one point at a time in plain Python."""
+    rng = np.random.default_rng(seed)
+    width, height, factor = 64, 48, (1.0, 0.5, 2.0, 0.37)[seed % 4]
+    shape = round(height * factor), round(width * factor)
+    values = (rng.integers(0, 65536, shape) / 65536).astype(np.float32)
+    count = int(rng.integers(11, 60))
+    # Some points lie outside the picture or behind the camera.
+    x, y = rng.uniform(-4, width + 4, count), rng.uniform(-4, height + 4, count)
+    inverse = rng.uniform(-0.05, 0.5, count)
+    fit = align_official(values, make_observations(x, y, inverse, width, height))
+    points = list(zip(x.tolist(), y.tolist(), inverse.tolist(), strict=True))
+    scale, offset = _official_by_hand(values.tolist(), points, width, height)
+    assert fit.accepted is (scale > 0)
+    assert fit.scale == pytest.approx(scale, rel=2e-5)
+    assert fit.offset == pytest.approx(offset, abs=2e-5 * abs(scale))
+
+
+@pytest.mark.parametrize(
+    ("count", "spread", "accepted"),
+    [(10, 0.5, False), (11, 0.5, True), (40, 0.9e-3, False), (40, 1.1e-3, True)],
+)
+def test_official_thresholds(count, spread, accepted):
+    """Oracle: more than 10 points and a range of inverse depth above 1e-3, as the rule states."""
+    rng = np.random.default_rng(0)
+    values = rng.random((20, 20)).astype(np.float32)
+    inverse = 0.3 + spread * np.linspace(0, 1, count)
+    x, y = rng.uniform(1, 19, (2, count))
+    fit = align_official(values, make_observations(x, y, inverse, 20, 20))
+    assert fit.accepted is accepted
+    assert (fit.scale > 0) is accepted and bool(fit.reason) is not accepted
+
+
+def test_official_constant_map_is_refused():
+    """Oracle: no deviation, no scale; the reason says so instead of infinity in a file."""
+    x = np.linspace(1, 19, 30)
+    seen = make_observations(x, x, np.linspace(0.1, 0.5, 30), 20, 20)
+    fit = align_official(np.full((20, 20), 0.25, np.float32), seen)
+    assert (fit.scale, fit.offset, fit.accepted) == (0.0, 0.0, False)
+    assert "one value" in fit.reason
+
+
+@pytest.mark.parametrize("factor", [0.19, 0.21, 1.0, 4.9, 5.1])
+def test_reliability(factor):
+    """Oracle: the interval [0.2, 5] times the median of the positive scales."""
+    scales = [2.0, 2.0, 2.0, 2.0 * factor, 0.0, -1.0, 2.0]
+    assert median_scale(scales) == 2.0
+    assert (scale_reason(2.0 * factor, 2.0) == "") is (0.2 <= factor <= 5)
+    fits: list[Fit | None] = [Fit(scale=s, offset=0.0, accepted=True) for s in scales[:4]]
+    judged = reliable([*fits, None], median_scale(scales))
+    assert judged[4] is None and judged[0] == fits[0]
+    assert judged[3] is not None and judged[3].accepted is (0.2 <= factor <= 5)
+
+
+def _scene(seed, *, outliers, noise, count=None, low=0.1):
+    """Values of a map, inverse depths of points, the scale and offset between them."""
+    rng = np.random.default_rng(seed)
+    count = count or int(rng.integers(150, 900))
+    inverse = low + rng.beta(2, 3, count) * 0.5
+    scale, offset = 10 ** rng.uniform(-2, 2), rng.uniform(-0.3, 0.1)
+    mono = (inverse - offset) / scale
+    mono *= 1 + noise * rng.normal(size=count)
+    wrong = rng.permutation(count)[: round(outliers * count)]
+    return rng, mono, inverse, scale, offset, wrong
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("sided", ["anywhere", "nearer", "same"])
+def test_scale_with_40_percent_outliers(seed, sided):
+    """Oracle: the scale the map was made with, within 1 %, and inliers near 60 %."""
+    rng, mono, inverse, scale, offset, wrong = _scene(seed, outliers=0.4, noise=0.005)
+    span = np.ptp(mono)
+    if sided == "anywhere":
+        mono[wrong] = rng.uniform(mono.min(), mono.max(), len(wrong))
+    elif sided == "nearer":  # all errors on one side, as where a map bleeds over an edge
+        mono[wrong] += rng.uniform(0.2, 1.0, len(wrong)) * span
+    else:  # a wrong surface that agrees with itself
+        mono[wrong] = rng.uniform(0.4, 0.45, len(wrong)) * span + mono.min()
+    fit = align_robust(mono, inverse, np.ones(len(mono)))
+    assert fit.accepted, fit.reason
+    assert fit.scale == pytest.approx(scale, rel=0.01)
+    assert fit.offset == pytest.approx(offset, abs=0.01 * np.median(inverse))
+    assert 0.58 < fit.inliers < 0.85
+    assert fit.points == len(mono)
+
+
+def test_the_official_rule_fails_there():
+    """Oracle: the same outliers move the official scale by more than 10 % in most captures."""
+    worse = 0
+    for seed in SEEDS:
+        rng, mono, inverse, scale, _, wrong = _scene(seed, outliers=0.4, noise=0.005)
+        mono[wrong] += rng.uniform(0.2, 1.0, len(wrong)) * np.ptp(mono)
+        count = len(mono)
+        seen = make_observations(np.arange(count) + 0.0, np.zeros(count), inverse, count + 1, 1)
+        strip = np.append(mono, 0)[None].astype(np.float32)
+        worse += abs(align_official(strip, seen).scale / scale - 1) > 0.1
+    assert worse > 0.9 * len(SEEDS)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_weights_decide(seed):
+    """Oracle: of two lines with equally many points the one with the trusted points is found."""
+    rng = np.random.default_rng(seed)
+    mono = rng.uniform(0, 1, 200)
+    trusted = rng.permutation(200) < 100
+    inverse = np.where(trusted, 0.1 + 0.4 * mono, 0.6 - 0.3 * mono)
+    fit = align_robust(mono, inverse, np.where(trusted, 5.0, 1.0))
+    assert fit.scale == pytest.approx(0.4, rel=0.01)
+    assert fit.inliers > 0.8
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_points_on_a_slanted_plane(seed):
+    """Oracle: inverse depth is affine across a plane, so its scale is found all the same."""
+    rng = np.random.default_rng(seed)
+    inverse = 0.2 + 0.1 * rng.uniform(0, 1, 120)
+    fit = align_robust((inverse - 0.05) / 3.0, inverse, np.ones(120))
+    assert fit.accepted and fit.scale == pytest.approx(3.0, rel=1e-6)
+    assert fit.error < 1e-6
+
+
+def test_points_at_one_depth_are_refused():
+    """Oracle: a plane facing the camera has one inverse depth, which any scale explains."""
+    rng = np.random.default_rng(1)
+    inverse = 0.25 * (1 + 0.002 * rng.normal(size=300))
+    fit = align_robust(rng.uniform(0, 1, 300), inverse, np.ones(300))
+    assert not fit.accepted and "same depth" in fit.reason
+
+
+@pytest.mark.parametrize("count", [0, 1, 5, 19])
+def test_few_points_are_refused(count):
+    """Oracle: the count in the reason."""
+    inverse = np.linspace(0.1, 0.5, count)
+    fit = align_robust(inverse * 2, inverse, np.ones(count))
+    assert not fit.accepted and fit.reason.startswith(f"only {count} points")
+    assert fit.points == count
+
+
+def test_constant_maps_are_refused():
+    """Oracle: one value says nothing, nor does one value at nearly all points."""
+    inverse = np.linspace(0.1, 0.5, 200)
+    mono = np.full(200, 0.3)
+    for extra in (0.3, 0.9):
+        mono[:4] = extra
+        fit = align_robust(mono, inverse, np.ones(200))
+        assert not fit.accepted and "one value" in fit.reason
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_depth_instead_of_inverse_depth_is_refused(seed):
+    """Oracle: a map that grows with depth gives a negative scale."""
+    _, mono, inverse, *_ = _scene(seed, outliers=0, noise=0.002)
+    fit = align_robust(-mono, inverse, np.ones(len(mono)))
+    assert not fit.accepted and "farther" in fit.reason and fit.scale < 0
+
+
+def test_unrelated_maps_are_refused():
+    """Oracle: a map of noise must not be accepted; none in 200."""
+    accepted = 0
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        inverse = 0.1 + rng.beta(2, 5, 300) * (0.02 + 0.5 * (seed % 4) / 3)
+        fit = align_robust(rng.uniform(0, 1, 300), inverse, np.ones(300))
+        assert fit.reason or fit.accepted
+        accepted += fit.accepted
+    assert accepted == 0
+
+
+def test_unknown_values_are_left_out():
+    """Oracle: the number of points that have a value and lie in front of the camera."""
+    inverse = np.linspace(0.1, 0.5, 100)
+    mono = inverse / 2
+    mono[:10] = np.nan
+    inverse[10:15] = -1
+    fit = align_robust(mono, inverse, np.ones(100))
+    assert fit.accepted and fit.points == 85 and fit.scale == pytest.approx(2)
+
+
+def test_same_seed_same_fit():
+    """Oracle: equality, bit for bit."""
+    _, mono, inverse, *_ = _scene(3, outliers=0.4, noise=0.02)
+    fits = [align_robust(mono, inverse, np.ones(len(mono))) for _ in range(2)]
+    assert fits[0] == fits[1]
