@@ -36,6 +36,8 @@ static bool bin(const BinArgs &a, size_t begin, size_t end, InstanceBuffer *out,
         if (i + 8 < end)
             __builtin_prefetch(&a.projected[a.order[i + 8]]);
         const size_t size_before = out->size;
+        if (a.cancel && *a.cancel)
+            return true; // the caller looks too, and throws the lists away
         const float ex = p.extent_x, ey = p.extent_y;
         const float sx = slack_px(ex), sy = slack_px(ey);
         const int x_first = clamp_int(p.mean_x - ex - sx + 0.5f, 0, a.width);

@@ -32,6 +32,8 @@ int threads_of(int32_t wanted) { return wanted > 0 ? wanted : default_threads();
 
 int64_t chunks_of(int64_t count) { return (count + kChunk - 1) / kChunk; }
 
+constexpr size_t kCancelEvery = 1 << 16; // entries scattered between two looks at the flag
+
 bool cancelled(const volatile int32_t *cancel) { return cancel && *cancel; }
 
 } // namespace
@@ -103,6 +105,8 @@ gs_status gs_raster::bin(const BinArgs &args, size_t count, uint32_t tiles, int 
     });
     if (out_of_memory)
         throw std::bad_alloc();
+    if (cancelled(args.cancel))
+        return GS_CANCELLED;
     size_t total = 0;
     size_t base[kMaxRanges];
     for (int r = 0; r < ranges; ++r) {
@@ -129,6 +133,8 @@ gs_status gs_raster::bin(const BinArgs &args, size_t count, uint32_t tiles, int 
         const GrowingInstances &in = instances_[r];
         uint32_t *at = cursor + r * tiles;
         for (size_t i = 0; i < in.size; ++i) {
+            if (i % kCancelEvery == 0 && cancelled(args.cancel))
+                return;
             const Instance &x = in.data[i];
             const uint32_t e = at[x.tile]++;
             entries[e] = {x.slot, x.rows, 0};
@@ -184,8 +190,9 @@ gs_status gs_raster::forward(const gs_splats &splats, const gs_camera &camera, c
 
     const int tiles_x = (camera.width + kTile - 1) / kTile, tiles_y = (camera.height + kTile - 1) / kTile;
     const uint32_t tiles = uint32_t(tiles_x) * uint32_t(tiles_y);
-    const BinArgs bins = {projected_.get(),  order_.get(), camera.width,
-                          camera.height,     tiles_x,      !(options.disable & GS_NO_EXACT_CULL)};
+    const BinArgs bins = {projected_.get(), order_.get(), camera.width,
+                          camera.height,    tiles_x,      !(options.disable & GS_NO_EXACT_CULL),
+                          options.cancel};
     if (const gs_status s = bin(bins, visible, tiles, threads))
         return s;
     if (cancelled(options.cancel))

@@ -87,6 +87,7 @@ struct BinArgs {
     const uint32_t *order; // slots by depth
     int32_t width, height, tiles_x;
     bool exact;
+    const volatile int32_t *cancel; // may be null
 };
 
 struct BlendArgs {

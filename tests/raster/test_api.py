@@ -74,6 +74,20 @@ def test_cancel_stops_a_long_call() -> None:
     assert time.perf_counter() - began < 3
     with pytest.raises(gscore.Cancelled):
         _view(big, cancel=flag)
+    sheets = Splats(  # each covers all tiles of a picture that takes long to sort into tiles
+        means=big.means[:2000],
+        quats=big.quats[:2000],
+        scales=np.full((2000, 3), 3.0, np.float32),
+        opacities=np.full(2000, -4.0, np.float32),
+        sh0=big.sh0[:2000],
+        shN=big.shN[:2000],
+    )
+    binning = gscore.CancelFlag()
+    threading.Timer(0.2, binning.set).start()
+    began = time.perf_counter()
+    with pytest.raises(gscore.Cancelled):
+        gscore.render(sheets, K, np.eye(4), 7680, 4320, cancel=binning)
+    assert time.perf_counter() - began < 3
     names = ("means", "quats", "scales", "opacities", "sh0", "shN")
     tensors = [torch.from_numpy(getattr(splats, name)).requires_grad_() for name in names]
     later = gscore.CancelFlag()
