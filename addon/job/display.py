@@ -1,5 +1,6 @@
 """Shows in the open file what a training leaves on the disk: splats and a picture."""
 
+import zlib
 from pathlib import Path
 
 import bpy
@@ -17,6 +18,8 @@ from .loader import Loaded
 
 RUN_KEY = "gs_run"
 """Custom property of a result: the output folder it came from."""
+_FILLED = "gs_filled"
+"""Custom property of a result: its `_signature` as it came, to know whether it was edited."""
 EMPTY = Splats(
     means=np.zeros((0, 3), np.float32),
     quats=np.zeros((0, 4), np.float32),
@@ -89,11 +92,17 @@ def show_picture(scene: bpy.types.Scene, path: Path) -> bpy.types.Image:
 
 
 def result_object(scene: bpy.types.Scene, job: Job, loaded: Loaded) -> bpy.types.Object:
-    """The object that shows the splats of a run: the one it has, or a new and empty one."""
+    """The object that shows the splats of a run: the one it has, or a new and empty one.
+
+    One that was edited stays as it is, and the splats go into a new one.
+    """
     ob = scene.gscore.result
     same_run = ob is not None and ob.get(RUN_KEY) == str(job.output)
     if same_run and scene.objects.get(ob.name) is ob:
-        return ob
+        if ob.get(_FILLED, "") in ("", _signature(ob)):
+            return ob
+        del ob[RUN_KEY], ob[_FILLED]
+        job.state.warn(f"{ob.name} was edited and is kept; the training goes into a new object.")
     root = _root(scene, job.source)
     collection = root.users_collection[0] if root and root.users_collection else scene.collection
     name = f"{job.source.name} splats"
@@ -107,6 +116,13 @@ def result_object(scene: bpy.types.Scene, job: Job, loaded: Loaded) -> bpy.types
         splat_io.turn_up(ob, "-Y")  # as COLMAP and cameras lie, near enough to upright
     scene.gscore.result = ob
     return ob
+
+
+def _signature(ob: bpy.types.Object) -> str:
+    """Tells whether splats were deleted, added or moved; 15 ms for a million."""
+    positions = np.empty(3 * len(ob.data.vertices), np.float32)
+    ob.data.attributes["position"].data.foreach_get("vector", positions)
+    return f"{len(positions) // 3}-{zlib.crc32(positions):08x}"
 
 
 def _remove_discarded(job: Job, scene: bpy.types.Scene) -> bool:
@@ -149,7 +165,9 @@ def _update_splats(job: Job, scene: bpy.types.Scene) -> bool:
         return True
     job.filling = None
     try:
-        replace(result_object(scene, job, filling.loaded), mesh)
+        ob = result_object(scene, job, filling.loaded)
+        replace(ob, mesh)
+        ob[_FILLED] = _signature(ob)
         job.result_wanted = job.result_wanted and not filling.loaded.final
     except ValueError as error:
         bpy.data.meshes.remove(mesh)

@@ -171,6 +171,26 @@ def test_an_edited_object_is_left_alone(
     assert len(ob.data.vertices) == 20
 
 
+def test_an_edited_result_is_kept_when_the_run_goes_on(
+    studio: bpy.types.Scene, play: Play, tmp_path: Path
+) -> None:
+    """Oracle: what is left of the edited object, a new one beside it, and a warning."""
+    write_splats(tmp_path / "out" / "point_cloud.ply", splats(300, 3))
+    play({"say": STARTED}, finish())
+    assert training.wait_for(training.train(studio, overwrite=True), timeout=20)
+    edited = studio.gscore.result
+    job = training.train(studio, overwrite=True)
+    assert training.wait_for(job, timeout=20)
+    assert studio.gscore.result is edited, "an untouched one is filled again"
+    edited.data.attributes["position"].data[7].vector = (9, 9, 9)
+    kept = positions(edited)
+    job = training.train(studio, overwrite=True)
+    assert training.wait_for(job, timeout=20)
+    assert studio.gscore.result is not edited
+    np.testing.assert_array_equal(positions(edited), kept)
+    assert any("was edited and is kept" in text for text in job.state.warnings)
+
+
 def test_results_of_other_runs_stay(studio: bpy.types.Scene, play: Play, tmp_path: Path) -> None:
     """Oracle: a second run into another folder makes a second object."""
     write_splats(tmp_path / "a.ply", splats(10))
