@@ -92,14 +92,20 @@ def scene() -> "bpy.types.Scene":
 
 @pytest.fixture
 def run_blender(tmp_path: Path) -> Callable[..., str]:
-    """Run a Python script in a fresh Blender with an empty profile; its output, or a failure.
+    """Run a Python script, its text or its path, in a fresh Blender with an empty profile.
 
-    In the bpy module the fresh Blender is a fresh Python, else it is the running program.
+    Returns the output, or fails. In the bpy module the fresh Blender is a fresh Python, else it is
+    the program that runs.
     """
 
-    def run(script: str, *args: str | Path, cwd: Path = tmp_path, timeout: float = 240) -> str:
+    def run(
+        script: str | Path, *args: str | Path, cwd: Path = tmp_path, timeout: float = 240
+    ) -> str:
         path, profile = tmp_path / "script.py", tmp_path / "profile"
-        path.write_text(script, encoding="utf-8")
+        if isinstance(script, Path):
+            path = script
+        else:
+            path.write_text(script, encoding="utf-8")
         profile.mkdir(exist_ok=True)
         program = bpy.app.binary_path
         command = [program, "-b", "--factory-startup", "--python-exit-code", "1", "-P", str(path)]
