@@ -104,4 +104,4 @@ wheel: $(INSTALLED)
 	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist .
 
 clean:
-	rm -rf build dist out $(VENV) gscore/raster/libgscore.* gscore/raster/gscore.dll
+	rm -rf build dist out $(VENV) .venv-blender .venv-zig gscore/raster/libgscore.* gscore/raster/gscore.dll
