@@ -261,12 +261,12 @@ def _model_facts(network: Network) -> dict[str, Any]:
 
 def _table_text(table: list[dict[str, Any]]) -> str:
     width = max(len(row["view"]) for row in table)
-    lines = [f"{'view':{width}}  points  inliers     scale    offset   error  "]
+    lines = [f"{'view':{width}}  points  inliers     scale    offset   error"]
     for row in table:
         error = "-" if row["error"] is None else f"{row['error']:.1%}"
+        numbers = f"{row['points']:6}  {row['inliers']:7.0%}  {row['scale']:8.4g}"
         lines.append(
-            f"{row['view']:{width}}  {row['points']:6}  {row['inliers']:7.0%}  {row['scale']:8.4g}  "
-            f"{row['offset']:8.3g}  {error:>6}  {row['reason']}"
+            f"{row['view']:{width}}  {numbers}  {row['offset']:8.3g}  {error:>6}  {row['reason']}"
         )
     return "\n".join(line.rstrip() for line in lines)
 

@@ -91,8 +91,8 @@ def predict_views(
 def photo_of(file: ViewFile, mask_mode: str) -> tuple[np.ndarray, np.ndarray | None]:
     """[H, W, 3] uint8 full-size photo as a network should see it, and [H, W] bool of what counts.
 
-    Where the mask is opacity, what it hides is no part of the scene: it becomes grey and is left out
-    of the map. Other masks say what the training shall not see; the network may, and needs to.
+    Where the mask is opacity, what it hides is no part of the scene: it becomes grey and is left
+    out of the map. Other masks say what the training shall not see; the network may, and needs to.
     """
     photo = read_image(file.image, upright=file.upright)
     mask = None

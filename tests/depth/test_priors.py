@@ -1,0 +1,298 @@
+"""Priors at training resolution against two planes whose inverse depth is known everywhere."""
+
+import json
+
+import numpy as np
+import OpenEXR
+import pytest
+from PIL import Image
+
+from gscore.config import DataConfig
+from gscore.datasets import load_dataset
+from gscore.depth import load_priors
+from gscore.depth.maps import DepthKind
+from gscore.errors import ConfigError, DatasetError, FormatError
+from gscore.io.images import write_png
+
+
+def _load(planes, **options):
+    config = DataConfig(source=planes.folder, depths="depths", **{"resolution": 1, **options})
+    dataset = load_dataset(config)
+    return dataset, load_priors(config, dataset)
+
+
+def _truth(planes, dataset, index):
+    """[H, W] true inverse depth at the pixel centres of the training camera."""
+    cameras = dataset.scene.cameras
+    width, height = int(cameras.widths[index]), int(cameras.heights[index])
+    pixels = np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5, [1]), -1)[
+        :, :, 0
+    ]
+    return planes.inverse_depth(index, pixels @ np.linalg.inv(cameras.Ks[index]).T)
+
+
+def _npy(function):
+    return lambda path, inverse: np.save(path, function(inverse).astype(np.float32))
+
+
+def _png(path, inverse):
+    code = np.rint(65535 * (inverse - inverse.min()) / np.ptp(inverse)).astype(np.uint16)
+    Image.fromarray(code).save(path)
+
+
+def _z_pass(path, inverse):
+    with OpenEXR.File({}, {"ViewLayer.Depth.Z": (1 / inverse).astype(np.float32)}) as file:
+        file.write(str(path))
+
+
+KINDS = {
+    "relative": (_npy(lambda s: 17 * s + 3), ".npy", DepthKind.INVERSE, 1 / 17),
+    "negative offset": (_npy(lambda s: 0.2 * s - 5), ".npy", DepthKind.INVERSE, 5),
+    "metric": (_npy(lambda s: 1.7 / s), ".npy", DepthKind.DEPTH, 1.7),
+    "16-bit png": (_png, ".png", DepthKind.INVERSE, None),
+    "z pass": (_z_pass, ".exr", DepthKind.DEPTH, 1.0),
+}
+
+
+@pytest.mark.parametrize("resolution", [1, 2])
+@pytest.mark.parametrize("name", KINDS)
+def test_every_kind_gives_the_true_inverse_depth(planes, name, resolution):
+    """Oracle: the planes; what the maps hold is found out, scale and offset are known."""
+    save, ending, kind, scale = KINDS[name]
+    planes.write_maps(save, ending=ending)
+    dataset, priors = _load(planes, resolution=resolution)
+    assert priors.kind is kind and priors.warnings == ()
+    for i, prior in enumerate(priors.views):
+        assert prior is not None and prior.aligned and prior.fit is not None
+        if scale is not None:
+            assert prior.fit.scale == pytest.approx(scale, rel=1e-3)
+        truth = _truth(planes, dataset, i)
+        assert prior.inverse_depth.dtype == prior.confidence.dtype == np.float32
+        trusted = prior.confidence > 0.5
+        assert trusted.mean() > 0.9  # all but the crease between the planes and unknown minima
+        assert prior.inverse_depth[trusted] == pytest.approx(truth[trusted], rel=3e-3)
+        assert prior.fit.inliers == pytest.approx(1) and prior.fit.error < 1e-3
+
+
+@pytest.mark.parametrize("factor", [0.25, 3])
+def test_maps_of_another_size(planes, factor):
+    """Oracle: the planes; a network's small map and a large one show the same places."""
+    width, height = round(planes.width * factor), round(planes.height * factor)
+    for i, name in enumerate(planes.names):
+        path = (planes.folder / "depths" / name).with_suffix(".npy")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        np.save(path, planes.truth(i, width, height).astype(np.float32))
+    dataset, priors = _load(planes)
+    for i, prior in enumerate(priors.views):
+        assert prior.fit.scale == pytest.approx(1, rel=5e-3)
+        inner = np.s_[3:-3, 3:-3]
+        off = np.abs(prior.inverse_depth / _truth(planes, dataset, i) - 1)[inner]
+        assert np.median(off) < 1e-3 and np.quantile(off, 0.99) < 0.02
+
+
+@pytest.mark.parametrize("resolution", [1, 2])
+def test_distorted_photos(make_planes, resolution):
+    """Oracle: the planes through the pinhole camera that replaces the distorted one."""
+    planes = make_planes(radial=-0.15)
+    planes.write_maps(_npy(lambda s: 2 * s))
+    dataset, priors = _load(planes, resolution=resolution)
+    for i, prior in enumerate(priors.views):
+        truth = _truth(planes, dataset, i)
+        assert prior.inverse_depth.shape == truth.shape
+        assert prior.fit.scale == pytest.approx(0.5, rel=1e-3)
+        trusted = prior.confidence > 0.5
+        assert trusted.mean() > 0.8
+        assert prior.inverse_depth[trusted] == pytest.approx(truth[trusted], rel=5e-3)
+
+
+def test_masks_and_unknown_pixels_are_not_trusted(planes):
+    """Oracle: where the mask is 0 and where the map is NaN or 0, and one pixel around."""
+    planes.write_maps(_npy(lambda s: s))
+    hole = planes.folder / "depths" / "cam" / "v_2.npy"
+    values = np.load(hole)
+    values[40:50, 20:30], values[60:, 60:] = np.nan, 0
+    np.save(hole, values)
+    mask = np.zeros((planes.height, planes.width), np.uint8)
+    mask[:, :70] = 255
+    for name in planes.names:
+        write_png(planes.folder / "masks" / name, mask)
+    _, priors = _load(planes)
+    trust = priors.views[2].confidence
+    assert trust[:, 69:].max() == 0 and trust[39:51, 19:31].max() == 0
+    assert trust[59:, 59:].max() == 0 and trust[5:35, 5:65].min() > 0.3
+    assert np.isfinite(priors.views[2].inverse_depth).all()
+    _, whole = _load(planes, mask_mode="none")
+    assert whole.views[2].confidence[5:35, 75:].max() > 0.9
+
+
+def test_no_maps_and_some_maps(planes):
+    """Oracle: errors and warnings that name what is missing."""
+    with pytest.raises(DatasetError, match=r"no folder .*depths.*gscore depth"):
+        _load(planes)
+    (planes.folder / "depths").mkdir()
+    np.save(planes.folder / "depths" / "other.npy", np.ones((4, 4)))
+    with pytest.raises(DatasetError, match=r"no depth map of any view \(1 maps there\)"):
+        _load(planes)
+    planes.write_maps(_npy(lambda s: s))
+    (planes.folder / "depths" / "cam" / "v_1.npy").unlink()
+    _, priors = _load(planes)
+    assert priors.views[1] is None and priors.views[0] is not None
+    assert "1 of 5 views have no depth map" in priors.warnings[0]
+    row = priors.table[1]
+    assert (row["view"], row["map"], row["accepted"]) == ("cam/v_1.png", None, False)
+    assert "no depth map" in row["reason"]
+    json.dumps(priors.table, allow_nan=False)
+
+
+def test_cropped_maps_are_refused(planes):
+    """Oracle: an error that names the view and both sizes."""
+    planes.write_maps(_npy(lambda s: s[:, 20:]))
+    with pytest.raises(DatasetError, match=r"cam/v_0\.png.*100 x 80.*120 x 80"):
+        _load(planes)
+
+
+def test_one_bad_map_among_good_ones(planes):
+    """Oracle: the view with noise for a map is refused with a reason; it is not aligned."""
+    planes.write_maps(_npy(lambda s: s))
+    rng = np.random.default_rng(0)
+    bad = planes.folder / "depths" / "cam" / "v_3.npy"
+    np.save(bad, rng.uniform(0.1, 0.3, (80, 120)).astype(np.float32))
+    _, priors = _load(planes)
+    assert [v.aligned for v in priors.views] == [True, True, True, False, True]
+    assert priors.table[3]["reason"] and "1 of 5 depth maps were not aligned" in priors.warnings[0]
+
+
+def test_a_scale_far_from_the_others_is_refused(planes):
+    """Oracle: the rule of 0.2 to 5 times the median."""
+    planes.write_maps(_npy(lambda s: s))
+    far = planes.folder / "depths" / "cam" / "v_3.npy"
+    np.save(far, np.load(far) * 8)
+    _, priors = _load(planes)
+    assert not priors.views[3].aligned and "times the median" in priors.table[3]["reason"]
+    np.save(far, np.load(far) / 4)
+    _, priors = _load(planes)
+    assert all(view.aligned for view in priors.views)
+
+
+def _write_params(planes, scale=0.5, offset=0.0, **others):
+    path = planes.folder / "sparse" / "0" / "depth_params.json"
+    content = {f"cam/v_{i}": {"scale": scale, "offset": offset} for i in range(5)} | others
+    path.write_text(json.dumps(content))
+    return path
+
+
+@pytest.mark.parametrize("align", ["auto", "official"])
+def test_the_file_is_used(planes, align):
+    """Oracle: its numbers, and the official rule for a scale of 0 and one far from the median."""
+    planes.write_maps(_npy(lambda s: 2 * s))
+    _write_params(
+        planes,
+        **{"cam/v_1": {"scale": 0, "offset": 0}, "cam/v_2": {"scale": 2.6, "offset": 0.1}},
+    )
+    dataset, priors = _load(planes, depth_align=align)
+    assert [v.aligned for v in priors.views] == [True, False, False, True, True]
+    assert priors.views[0].inverse_depth == pytest.approx(_truth(planes, dataset, 0), rel=1e-4)
+    assert priors.views[0].fit.scale == 0.5
+    assert "times the median" in priors.table[2]["reason"]
+
+
+def test_a_view_that_the_file_does_not_know(planes):
+    """Oracle: it is refused, and the reason names the entry that is missing."""
+    planes.write_maps(_npy(lambda s: 2 * s))
+    path = _write_params(planes)
+    content = json.loads(path.read_text())
+    del content["cam/v_4"]
+    path.write_text(json.dumps(content))
+    _, priors = _load(planes, depth_align="official")
+    assert not priors.views[4].aligned
+    assert priors.table[4]["reason"] == "depth_params.json has no entry 'cam/v_4'"
+
+
+def test_a_file_of_other_maps(planes):
+    """Oracle: official takes it as it is; auto sees that the points contradict it and says so."""
+    planes.write_maps(_npy(lambda s: 2 * s))
+    path = _write_params(planes, scale=0.9)
+    _, official = _load(planes, depth_align="official")
+    assert official.views[0].fit.scale == 0.9 and official.views[0].fit.inliers < 0.1
+    dataset, auto = _load(planes)
+    assert auto.views[0].fit.scale == pytest.approx(0.5, rel=1e-3)
+    assert (
+        str(path) in auto.warnings[-1] and "contradicts the points of 5 views" in auto.warnings[-1]
+    )
+    assert auto.views[0].inverse_depth == pytest.approx(_truth(planes, dataset, 0), rel=2e-3)
+
+
+def test_files_missing_and_broken(planes):
+    """Oracle: without a file official is an error, as in the official trainer, and auto aligns by
+    itself; a broken file is an error in both."""
+    planes.write_maps(_npy(lambda s: 2 * s))
+    with pytest.raises(DatasetError, match=r"There is no .*depth_params\.json.*gscore depth"):
+        _load(planes, depth_align="official")
+    _, priors = _load(planes)
+    assert all(view.aligned for view in priors.views)
+    _write_params(planes).write_text('{"cam/v_0": ')
+    for align in ("auto", "official"):
+        with pytest.raises(FormatError, match=r"depth_params\.json is not JSON"):
+            _load(planes, depth_align=align)
+    _, priors = _load(planes, depth_align="robust")
+    assert all(view.aligned for view in priors.views)
+
+
+def test_no_alignment(planes):
+    """Oracle: maps that hold inverse depth or depth in the capture's unit are taken as they are."""
+    planes.write_maps(_npy(lambda s: 1 / s))
+    dataset, priors = _load(planes, depth_align="none")
+    assert priors.views[1].inverse_depth == pytest.approx(_truth(planes, dataset, 1), rel=1e-3)
+    assert priors.views[1].fit.scale == 1
+    with pytest.raises(ConfigError, match="depth_align"):
+        _load(planes, depth_align="sometimes")
+
+
+@pytest.mark.parametrize("radial", [0.0, -0.1])
+def test_without_a_colmap_model(make_planes, radial):
+    """Oracle: a transforms.json with a point cloud gives the same scale, points projected."""
+    planes = make_planes(radial=radial)
+    planes.write_maps(_npy(lambda s: 4 * s))
+    _, expected = _load(planes)
+    model = planes.folder / "sparse"
+    dataset = load_dataset(DataConfig(source=planes.folder, resolution=1))
+    points = dataset.scene.points
+    properties = [f"property float {name}" for name in "xyz"]
+    properties += [f"property uchar {name}" for name in ("red", "green", "blue")]
+    lines = ["ply", "format ascii 1.0", f"element vertex {len(points)}", *properties, "end_header"]
+    header = "\n".join(lines) + "\n"
+    rows = "".join("{:.9g} {:.9g} {:.9g} 9 9 9\n".format(*p) for p in points.points)
+    (planes.folder / "points.ply").write_text(header + rows)
+    frames = []
+    for name, viewmat in zip(planes.names, planes.viewmats, strict=True):
+        pose = np.linalg.inv(viewmat) @ np.diag([1, -1, -1, 1.0])
+        frames.append({"file_path": f"images/{name}", "transform_matrix": pose.tolist()})
+    focal = {"fl_x": 90, "fl_y": 90, "cx": 60, "cy": 40, "w": 120, "h": 80, "k1": radial}
+    content = {"ply_file_path": "points.ply", "frames": frames, **focal}
+    (planes.folder / "transforms.json").write_text(json.dumps(content))
+    for file in sorted((model / "0").iterdir()):
+        file.unlink()
+    (planes.folder / "depths").rename(planes.folder / "moved")
+    (planes.folder / "depths" / "images").mkdir(parents=True)
+    (planes.folder / "moved" / "cam").rename(planes.folder / "depths" / "images" / "cam")
+    _, priors = _load(planes)
+    for got, want in zip(priors.views, expected.views, strict=True):
+        assert got.aligned and got.fit.scale == pytest.approx(want.fit.scale, rel=5e-3)
+        assert got.fit.points > 100
+
+
+@pytest.mark.parametrize("slant", [0.0, 0.02])
+def test_edges_are_not_trusted_slants_are(slant):
+    """Oracle: inverse depth of a slanted plane has no second difference; a step has one."""
+    from gscore.depth.confidence import confidence
+
+    rows, columns = np.mgrid[:60, :80].astype(np.float32)
+    values = 0.3 + slant * columns / 8 - 0.01 * rows / 6
+    flat = confidence(values, None)
+    assert flat.min() > 0.99
+    values[:, 40:] += 0.1
+    edge = confidence(values, None)
+    assert edge[:, 39:41].max() < 0.05
+    assert edge[:, :37].min() > 0.9 and edge[:, 43:].min() > 0.9
+    scaled = confidence(500 * values + 7, None)
+    assert scaled == pytest.approx(edge, abs=0.02)
