@@ -191,6 +191,29 @@ def test_an_edited_result_is_kept_when_the_run_goes_on(
     assert any("was edited and is kept" in text for text in job.state.warnings)
 
 
+def test_undo_of_the_next_step_keeps_the_result(
+    studio: bpy.types.Scene, play: Play, tmp_path: Path
+) -> None:
+    """Oracle: after the undo the user's own object is gone, and the splats are those in the file."""
+    snapshot, result = splats(30, 1), splats(20, 2)
+    write_splats(tmp_path / "s.ply", snapshot)
+    write_splats(tmp_path / "out" / "point_cloud.ply", result)
+    event = {"event": "snapshot", "step": 5, "path": str(tmp_path / "s.ply"), "splats": 30}
+    play({"say": STARTED}, {"say": event}, {"await": "go"}, finish())
+    bpy.ops.ed.undo_push(message="start")
+    job = training.train(studio, overwrite=True)
+    until(lambda: studio.gscore.result is not None)
+    for expected in (snapshot, result):
+        bpy.ops.object.empty_add()
+        bpy.ops.ed.undo_push(message="empty")
+        bpy.ops.ed.undo()
+        (ob,) = bpy.context.scene.objects
+        assert ob == bpy.context.scene.gscore.result
+        np.testing.assert_array_equal(positions(ob), expected.means)
+        job._process.send("go")
+        assert training.wait_for(job, timeout=20)
+
+
 def test_results_of_other_runs_stay(studio: bpy.types.Scene, play: Play, tmp_path: Path) -> None:
     """Oracle: a second run into another folder makes a second object."""
     write_splats(tmp_path / "a.ply", splats(10))
