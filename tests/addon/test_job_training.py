@@ -194,7 +194,7 @@ def test_an_edited_result_is_kept_when_the_run_goes_on(
 def test_undo_of_the_next_step_keeps_the_result(
     studio: bpy.types.Scene, play: Play, tmp_path: Path
 ) -> None:
-    """Oracle: after the undo the user's own object is gone, and the splats are those in the file."""
+    """Oracle: after the undo the user's own object is gone; the splats are those in the file."""
     snapshot, result = splats(30, 1), splats(20, 2)
     write_splats(tmp_path / "s.ply", snapshot)
     write_splats(tmp_path / "out" / "point_cloud.ply", result)
