@@ -168,7 +168,8 @@ class TrainConfig:
 
     coarse_factor: float = 0.0
     """Sides of the photos are divided by this at the first steps, and by less and less until
-    `coarse_until`; 0: up to 8, so that 75 pixels are left; 1: full size from the first step."""
+    `coarse_until`; 0: up to 8, so that 75 pixels are left, or 1 with `start_splats`; 1: full size
+    from the first step."""
     coarse_until: float = 0.9
     """Share of the run after which photos are used at full size."""
 

@@ -118,8 +118,55 @@ class Failed(Event):
     type: str = "GsError"
 
 
+@dataclass(frozen=True, kw_only=True)
+class FrameStarted(Event):
+    """A sequence goes on to a frame, whose own events follow up to its `done`."""
+
+    kind: ClassVar[str] = "frame"
+    frame: int
+    """Number of the frame."""
+    place: int
+    """Which one it is, from 1."""
+    frames: int
+    """How many there are."""
+    output: str
+    """Folder of its results."""
+    iterations: int
+    start: str
+    """PLY of the frame before, from which it starts; empty: it starts from its own points."""
+    complete: bool = False
+    """It is complete from before, so no events of its own follow."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SequenceDone(Event):
+    """A sequence ended; `reason` is finished or why it was stopped."""
+
+    kind: ClassVar[str] = "sequence"
+    reason: str
+    frames: int
+    """How many are complete."""
+    path: str
+    """The list of the frames, sequence.json."""
+    train_seconds: float
+    metrics: dict[str, Any] = field(default_factory=dict)
+
+
 KINDS: dict[str, type[Event]] = {
-    cls.kind: cls for cls in (Started, Progress, Preview, Snapshot, Eval, Warn, Saved, Done, Failed)
+    cls.kind: cls
+    for cls in (
+        Started,
+        Progress,
+        Preview,
+        Snapshot,
+        Eval,
+        Warn,
+        Saved,
+        Done,
+        Failed,
+        FrameStarted,
+        SequenceDone,
+    )
 }
 
 

@@ -21,6 +21,7 @@ from ..errors import GsError
 
 VERBS = {
     "train": "train splats from photos with COLMAP cameras",
+    "sequence": "train the frames of a multi-view video one after another",
     "eval": "measure trained splats against the photos",
     "depth": "predict depth maps and align them with the capture",
     "render": "render splats to pictures or a video",

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from typing import TextIO
 
-from ..events import Eval, Event, Progress, Saved, Started, Warn, to_line
+from ..events import Eval, Event, FrameStarted, Progress, Saved, Started, Warn, to_line
 
 _LINE_PERIOD = 10.0
 """Seconds between two lines where stderr is not a terminal."""
@@ -62,6 +62,11 @@ class Lines:
                     f"{event.width} x {event.height} px; {event.splats} splats to start with; "
                     f"{event.threads} threads, {event.isa}"
                 )
+            case FrameStarted():
+                how = "complete already" if event.complete else f"{event.iterations} steps"
+                how += ", from the frame before" if event.start and not event.complete else ""
+                place = f"{event.place} of {event.frames}"
+                self._permanent(f"Frame {event.frame} ({place}): {how}")
             case Progress():
                 self._progress(event)
             case Warn():

@@ -2,8 +2,6 @@
 
 import argparse
 import json
-import sys
-from collections.abc import Callable
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -16,12 +14,10 @@ from ..config import (
     TrainConfig,
     load_config,
 )
-from ..errors import Cancelled, ConfigError
-from ..events import Event, Failed
-from ..trainer import Control, TrainResult, listen, train
+from ..errors import ConfigError
+from ..trainer import Control, TrainResult, train
+from .attend import Show, add_output_options, attend
 from .data_options import add_data_options, with_data_options
-from .display import JsonLines, Lines, Silent
-from .interrupt import Interrupt
 
 _STEPS: dict[str, Any] = {"type": int, "nargs": "+", "metavar": "STEP"}
 _SWITCH: dict[str, Any] = {"action": argparse.BooleanOptionalAction}
@@ -162,15 +158,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         kind = kinds[name]
         group.add_argument(*flags, dest=name, default=None, type=kind, metavar=kind.__name__)
     group.add_argument("--feature-lr", type=float, metavar="float", help="sh0-lr, 20 times shN-lr")
-    group = parser.add_argument_group("output")
-    group.add_argument("--quiet", action="store_true", help="say nothing but errors")
-    group.add_argument(
-        "--events", choices=("jsonl",), help="events as JSON lines on stdout, commands on stdin"
-    )
-    group.add_argument("--json", action="store_true", help="the results as JSON, last on stdout")
-    group.add_argument(
-        "--disable-viewer", action="store_true", help="for 3DGS scripts: there never is a viewer"
-    )
+    add_output_options(parser)
     for name in _WITHOUT_EFFECT:
         parser.add_argument(name, help=argparse.SUPPRESS)
     for names, reason in _NOT_HERE.items():
@@ -179,24 +167,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Train and say how it went; returns the exit code."""
-    control = Control()
-    show = _display(args, control)
-    with Interrupt(control) as interrupt:
-        try:
-            result = _train(args, show, control)
-        except Cancelled:
-            show(Failed(message="Stopped before the first step.", type="Cancelled"))
-            return interrupt.exit_code
-        except Exception as error:
-            message = str(error) or type(error).__name__
-            show(Failed(message=message, type=type(error).__name__))
-            raise
+    result, code = attend(args, lambda show, control: _train(args, show, control))
+    if result is None:
+        return code
     if args.json:
         numbers = result.headline | {"reason": result.reason, "output": str(args.output)}
         print(json.dumps(numbers, allow_nan=False), flush=True)
     elif not (args.quiet or args.events):
         print(_summary(result))
-    return interrupt.exit_code
+    return code
 
 
 def configs(args: argparse.Namespace) -> tuple[DataConfig, TrainConfig]:
@@ -245,12 +224,8 @@ def _with_given(config: TrainConfig, args: argparse.Namespace) -> TrainConfig:
     return replace(config, **given)
 
 
-def _train(
-    args: argparse.Namespace, show: Callable[[Event], None], control: Control
-) -> TrainResult:
+def _train(args: argparse.Namespace, show: Show, control: Control) -> TrainResult:
     data, config = configs(args)
-    if args.events:
-        listen(control, 0, on_end=lambda: control.stop("input ended"))
     return train(
         config,
         data,
@@ -261,12 +236,6 @@ def _train(
         overwrite=args.overwrite,
         start_checkpoint=args.start_checkpoint,
     )
-
-
-def _display(args: argparse.Namespace, control: Control) -> Callable[[Event], None]:
-    if args.events:
-        return JsonLines(sys.stdout, on_closed=lambda: control.stop("output closed"))
-    return Silent() if args.quiet else Lines(sys.stderr)
 
 
 def _summary(result: TrainResult) -> str:

@@ -21,7 +21,7 @@ from .views import Photos
 
 FORMAT = 1
 _DTYPES = {torch.float32: "F32", torch.uint8: "U8"}
-_FREE = frozenset(
+FREE = frozenset(
     {
         "iterations",
         "threads",
@@ -121,7 +121,7 @@ def check_compatible(checkpoint: Checkpoint, config: TrainConfig, photos: Photos
     `iterations` may change: schedules belong to the length of a run, so an extended run goes on
     with the learning rates and refinements that a run of the new length has at this step.
     """
-    changed = differences(checkpoint.config, config, ignore=_FREE)
+    changed = differences(checkpoint.config, config, ignore=FREE)
     now = fingerprint(photos)
     for key, was in checkpoint.capture.items():
         if was != now.get(key):

@@ -16,6 +16,7 @@ from gscore.io.ply import read_splats, write_splats
 from gscore.raster.api import render
 from gscore.splats import Splats
 from gscore.trainer import train
+from gscore.trainer.schedules import Plan
 from gscore.trainer.trainer import Trainer
 
 CONFIG = TrainConfig(iterations=6, max_splats=400, sh_degree=2, coarse_factor=1)
@@ -82,6 +83,15 @@ def test_a_run_starts_from_a_ply_and_goes_on_from_its_checkpoint(
     assert main([*warm, "-o", str(rest), "--start-checkpoint", str(half)]) == 0
     both = [(folder / "point_cloud.ply").read_bytes() for folder in (whole, rest)]
     assert both[0] == both[1]
+
+
+def test_given_splats_see_full_photos_from_the_first_step() -> None:
+    """Oracle: the factor of the first step, with and without, and where one is asked for."""
+    blank = TrainConfig(iterations=500)
+    warm = replace(blank, start_splats=Path("some.ply"))
+    asked = replace(warm, coarse_factor=2.0)
+    plans = [Plan.of(c, extent=1.0, points=10, side=300) for c in (blank, warm, asked)]
+    assert [plan.factor_at(1) for plan in plans] == [4.0, 1.0, 2.0]
 
 
 def test_bad_starts_are_named(capture: Path, tmp_path: Path) -> None:

@@ -1,0 +1,62 @@
+"""A training as a command: shown to people or programs, steered by lines and signals."""
+
+import argparse
+import sys
+from collections.abc import Callable
+from typing import TypeVar
+
+from ..errors import Cancelled
+from ..events import Event, Failed
+from ..trainer import Control, listen
+from .display import JsonLines, Lines, Silent
+from .interrupt import Interrupt
+
+Result = TypeVar("Result")
+Show = Callable[[Event], None]
+
+
+def add_output_options(parser: argparse.ArgumentParser) -> None:
+    """Declare what is shown, and how."""
+    group = parser.add_argument_group("output")
+    group.add_argument("--quiet", action="store_true", help="say nothing but errors")
+    group.add_argument(
+        "--events", choices=("jsonl",), help="events as JSON lines on stdout, commands on stdin"
+    )
+    group.add_argument("--json", action="store_true", help="the results as JSON, last on stdout")
+    group.add_argument(
+        "--disable-viewer", action="store_true", help="for 3DGS scripts: there never is a viewer"
+    )
+
+
+def attend(
+    args: argparse.Namespace, work: Callable[[Show, Control], Result]
+) -> tuple[Result | None, int]:
+    """Do `work`, which trains; an error is told as an event too, before it is raised again.
+
+    Args:
+        args: With the options of `add_output_options`.
+        work: Gets where to send events and the control to obey.
+
+    Returns:
+        What `work` returned, None if it was stopped before its first step; and the exit code.
+    """
+    control = Control()
+    show = _display(args, control)
+    with Interrupt(control) as interrupt:
+        try:
+            if args.events:
+                listen(control, 0, on_end=lambda: control.stop("input ended"))
+            return work(show, control), interrupt.exit_code
+        except Cancelled:
+            show(Failed(message="Stopped before the first step.", type="Cancelled"))
+            return None, interrupt.exit_code
+        except Exception as error:
+            message = str(error) or type(error).__name__
+            show(Failed(message=message, type=type(error).__name__))
+            raise
+
+
+def _display(args: argparse.Namespace, control: Control) -> Show:
+    if args.events:
+        return JsonLines(sys.stdout, on_closed=lambda: control.stop("output closed"))
+    return Silent() if args.quiet else Lines(sys.stderr)

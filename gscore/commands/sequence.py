@@ -1,0 +1,106 @@
+"""`gscore sequence`: the frames of a multi-view video, each from the splats of the one before."""
+
+import argparse
+import json
+from dataclasses import replace
+from typing import Any
+
+from ..errors import ConfigError
+from ..trainer import Control
+from ..trainer.sequence import (
+    INDEX,
+    SequenceOptions,
+    SequenceResult,
+    read_index,
+    train_sequence,
+)
+from . import train as train_command
+from .attend import Show, attend
+
+_SWITCH: dict[str, Any] = {"action": argparse.BooleanOptionalAction, "default": None}
+_ONE_FRAME = {
+    "frame": ("--frame", "choose frames with --frames"),
+    "rig": ("--rig", "the cameras of the first frame are taken for all, unless --no-fixed-rig"),
+    "start_checkpoint": ("--start-checkpoint", "go on with --resume, or use --start-splats"),
+}
+"""Options of `gscore train` that concern one frame only."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `gscore train`, and those of the sequence."""
+    train_command.add_arguments(parser)
+    group = parser.add_argument_group(
+        "sequence",
+        "SOURCE is a folder of PKU-DyMVHumans, a folder of numbered captures, or a path with "
+        "{frame:06d} where the number stands; --images and --masks may hold that too. Each frame "
+        "gets a folder OUT/frame_NNNNNN with the results of a training.",
+    )
+    group.add_argument(
+        "--frames", metavar="LIST", help="0,5,12 or 0:30 or 0:30:5 (first, last, step); all"
+    )
+    group.add_argument(
+        "--next-iterations", type=int, metavar="N", help="steps of later frames (a quarter)"
+    )
+    group.add_argument(
+        "--warm-start", **_SWITCH, help="start each frame from the splats of the one before (yes)"
+    )
+    group.add_argument(
+        "--fixed-rig", **_SWITCH, help="the cameras do not move from frame to frame (yes)"
+    )
+    group.add_argument(
+        "--keep-checkpoints", **_SWITCH, help="keep those of frames that are complete (no)"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Train all frames and say how it went; returns the exit code."""
+    result, code = attend(args, lambda show, control: _train(args, show, control))
+    if result is None:
+        return code
+    if args.json:
+        facts = result.headline | {"reason": result.reason, "output": str(args.output)}
+        facts["per_frame"] = [frame.to_dict(result.output) for frame in result.frames]
+        print(json.dumps(facts, allow_nan=False), flush=True)
+    elif not (args.quiet or args.events):
+        print(_summary(result))
+    return code
+
+
+def _train(args: argparse.Namespace, show: Show, control: Control) -> SequenceResult:
+    for name, (option, instead) in _ONE_FRAME.items():
+        if getattr(args, name) is not None:
+            raise ConfigError(f"{option} is for one frame: {instead}.")
+    stored = read_index(args.output) if args.resume else None
+    options = stored[0] if stored else SequenceOptions()
+    names = ("frames", "next_iterations", "warm_start", "fixed_rig", "keep_checkpoints")
+    given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
+    data, config = train_command.configs(args)
+    return train_sequence(
+        config,
+        data,
+        args.output,
+        show,
+        control,
+        options=replace(options, **given),
+        resume=args.resume,
+        overwrite=args.overwrite,
+    )
+
+
+def _summary(result: SequenceResult) -> str:
+    numbers = result.headline
+    how = "Finished" if result.reason == "finished" else f"Stopped ({result.reason})"
+    lines = [
+        f"{how}: {len(result.frames)} of {result.total} frames, "
+        f"{numbers['train_seconds']:.1f} s of training."
+    ]
+    if numbers["psnr"] is not None:
+        split = result.frames[0].metrics["split"]
+        lines.append(
+            f"{split.capitalize()} views, mean of the frames: PSNR {numbers['psnr']:.2f} dB, "
+            f"SSIM {numbers['ssim']:.4f}."
+        )
+    lines.append(f"Results: {result.output / INDEX}, frame_*/point_cloud.ply")
+    if result.reason != "finished":
+        lines.append(f"To go on: gscore sequence -o {result.output} --resume")
+    return "\n".join(lines)

@@ -1,0 +1,201 @@
+"""The frames of a sequence of captures, and which of them to take."""
+
+import re
+import string
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from ..config import DataConfig
+from ..errors import ConfigError, DatasetError
+from ..io.colmap import has_model
+from .capture import listing
+from .pku import find_video
+from .transforms_json import find_transforms
+
+_PATTERNS = ("source", "images", "masks", "depths")
+"""Options that may hold `{frame}`."""
+_NUMBERED = re.compile(r"\D*(\d+)")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SequenceFrame:
+    """One frame of a sequence: a capture of its own."""
+
+    number: int
+    data: DataConfig
+
+    @property
+    def name(self) -> str:
+        """Folder of its results."""
+        return f"frame_{self.number:06d}"
+
+
+def find_frames(data: DataConfig) -> list[SequenceFrame]:
+    """All frames that `data` describes, rising by number.
+
+    `data.source` is one of these:
+
+    - a folder of PKU-DyMVHumans: a scenario or one of its layouts;
+    - a folder of numbered captures, such as `000000/` or `frame_12/`, each with a COLMAP model or a
+      transforms.json;
+    - a path with `{frame}` or `{frame:06d}` where the number stands. `images`, `masks` and
+      `depths` may hold it too, or instead: then one COLMAP model serves all frames.
+
+    Raises:
+        DatasetError: there are no frames.
+        ConfigError: a pattern holds something else in braces.
+    """
+    if any("{" in str(getattr(data, name)) for name in _PATTERNS):
+        return _from_pattern(data)
+    video = find_video(data.source)
+    if video is not None:
+        return [
+            SequenceFrame(
+                number=number,
+                # All paths but one name their frame, so that each result says what it came from.
+                data=replace(data, source=path, frame=number if path.name == "per_view" else None),
+            )
+            for number, path in video.frames().items()
+        ]
+    if not data.source.is_dir():
+        raise DatasetError(
+            f"There is no folder {data.source}. Give a folder with a numbered folder for each "
+            f"frame, or a path with {{frame:06d}} where the number stands."
+        )
+    found: dict[int, Path] = {}
+    for folder in sorted(data.source.iterdir()):
+        match = _NUMBERED.fullmatch(folder.name)
+        if match and folder.is_dir() and _is_capture(folder):
+            _add(found, int(match[1]), folder)
+    if not found:
+        raise DatasetError(
+            f"{data.source} holds no frames; expected a numbered folder for each, with photos and "
+            f"a COLMAP model in it. Where one model serves all frames, give its folder and the "
+            f"photos with --images frames/{{frame:06d}}."
+        )
+    return [
+        SequenceFrame(number=n, data=replace(data, source=path))
+        for n, path in sorted(found.items())
+    ]
+
+
+def choose_frames(frames: list[SequenceFrame], wanted: str) -> list[SequenceFrame]:
+    """Some frames: `0,5,12`, `0:30` (both ends belong to it), `0:30:5`, `10:`, `:20`, or joined.
+
+    Raises:
+        ConfigError: it is written differently.
+        DatasetError: a number, or all of a range, is not there.
+    """
+    numbers = {frame.number for frame in frames}
+    chosen: set[int] = set()
+    for part in wanted.split(","):
+        match = re.fullmatch(r"\s*(\d*)\s*(?:(:)\s*(\d*)\s*(?::\s*(\d+))?)?\s*", part)
+        if match is None or not part.strip() or match[4] == "0":
+            raise ConfigError(
+                f"frames is {wanted!r}; expected numbers such as 0,5,12 or ranges such as 0:30 or "
+                f"0:30:5 (first, last, step)."
+            )
+        if match[2] is None:
+            picked = numbers & {int(match[1])}
+        else:
+            first = int(match[1]) if match[1] else min(numbers)
+            last = int(match[3]) if match[3] else max(numbers)
+            picked = numbers & set(range(first, last + 1, int(match[4] or 1)))
+        if not picked:
+            raise DatasetError(
+                f"There is no frame {part.strip()}: the sequence has {len(numbers)} frames, "
+                f"{listing([str(n) for n in sorted(numbers)])} up to {max(numbers)}."
+            )
+        chosen |= picked
+    return [frame for frame in frames if frame.number in chosen]
+
+
+def _is_capture(folder: Path) -> bool:
+    places = (folder, folder / "sparse", folder / "sparse/0", folder / "colmap/sparse/0")
+    return find_transforms(folder) is not None or any(has_model(place) for place in places)
+
+
+def _from_pattern(data: DataConfig) -> list[SequenceFrame]:
+    source = str(data.source)
+    if "{" in source:
+        found = dict(_matches(Path(), source))
+        shown = source
+    else:
+        shown = next(p for name in _PATTERNS if "{" in (p := str(getattr(data, name))))
+        found = dict(_matches(data.source, shown))
+    if not found:
+        raise DatasetError(
+            f"Nothing fits {shown!r}{'' if '{' in source else f' in {source}'}; expected a folder "
+            f"for each frame with its number in place of the braces."
+        )
+    frames = []
+    for number in sorted(found):
+        given = {name: getattr(data, name) for name in _PATTERNS}
+        filled = {
+            name: type(value)(_fill(str(value), number))
+            for name, value in given.items()
+            if "{" in str(value)
+        }
+        frames.append(SequenceFrame(number=number, data=replace(data, **filled)))
+    return frames
+
+
+def _matches(root: Path, pattern: str) -> Iterator[tuple[int, Path]]:
+    """(number, path) for what there is of a pattern with `{frame}` in one of its parts."""
+    parts = Path(pattern).parts
+    at = next(i for i, part in enumerate(parts) if "{" in part)
+    above = root.joinpath(*parts[:at])
+    expression = re.compile(
+        "".join(
+            re.escape(text) + ("" if field is None else r"(\d+)")
+            for text, field in _fields(parts[at])
+        )
+    )
+    for path in sorted(above.iterdir()) if above.is_dir() else ():
+        match = expression.fullmatch(path.name)
+        if match is None or _fill(parts[at], int(match[1])) != path.name:
+            continue
+        number = int(match[1])
+        whole = path.joinpath(*(_fill(part, number) for part in parts[at + 1 :]))
+        if whole.exists():
+            yield number, whole
+
+
+def _fields(pattern: str) -> list[tuple[str, str | None]]:
+    """(text, format of the number after it or None) of a pattern."""
+    try:
+        parsed = list(string.Formatter().parse(pattern))
+    except ValueError as error:
+        raise ConfigError(f"{pattern!r}: {error}. Write {{frame}} or {{frame:06d}}.") from error
+    for _, field, spec, conversion in parsed:
+        good = field == "frame" and not conversion and re.fullmatch(r"(0?\d+)?d?", spec or "")
+        if field is not None and not good:
+            raise ConfigError(f"{pattern!r}: expected {{frame}} or {{frame:06d}} in the braces.")
+    if sum(field is not None for _, field, _, _ in parsed) > 1:
+        raise ConfigError(f"{pattern!r} holds the number twice in one name; once is enough.")
+    return [(text, None if field is None else spec or "") for text, field, spec, _ in parsed]
+
+
+def _fill(pattern: str, number: int) -> str:
+    return "".join(
+        text + ("" if spec is None else format(number, spec)) for text, spec in _fields_of(pattern)
+    )
+
+
+def _fields_of(pattern: str) -> list[tuple[str, str | None]]:
+    """`_fields` of a whole path, part by part."""
+    out: list[tuple[str, str | None]] = []
+    for i, part in enumerate(pattern.split("/")):
+        out += [("/", None)] if i else []
+        out += _fields(part)
+    return out
+
+
+def _add(found: dict[int, Path], number: int, path: Path) -> None:
+    if number in found:
+        raise DatasetError(
+            f"{path.parent} has frame {number} twice, {found[number].name} and {path.name}. Move "
+            f"one of them away."
+        )
+    found[number] = path

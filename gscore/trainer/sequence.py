@@ -1,0 +1,332 @@
+"""Trains the frames of a sequence one after another, each from the splats of the one before."""
+
+import contextlib
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from .._version import __version__
+from ..config import DataConfig, TrainConfig, config_json, differences
+from ..datasets.frames import SequenceFrame, choose_frames, find_frames
+from ..errors import Cancelled, ConfigError, FormatError, GsError
+from ..events import Event, FrameStarted, SequenceDone, Started
+from ..io.files import atomic_write
+from ..io.runs import clear_run, read_run
+from ..metrics import headline
+from . import checkpoint
+from .control import Control
+from .folder import RunFolder
+from .run import train
+
+INDEX = "sequence.json"
+"""File of a sequence's folder: its options and its frames."""
+_LONG = ("history", "evals")
+_MEANS = ("psnr", "ssim", "lpips")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SequenceOptions:
+    """What a sequence has besides the options of its frames."""
+
+    frames: str = ":"
+    """Which frames: `0,5,12`, `0:30`, `0:30:5` (first, last, step)."""
+    next_iterations: int = 0
+    """Steps of the frames after the first; 0: a quarter of those of the first."""
+    warm_start: bool = True
+    """False: every frame starts from its own points and takes as many steps as the first."""
+    fixed_rig: bool = True
+    """The cameras do not move: all frames get those of the first, in its world. False: the frames'
+    own cameras, which then must be in one world already."""
+    keep_checkpoints: bool = False
+    """Keep the last checkpoint of frames that are complete."""
+
+    def __post_init__(self) -> None:
+        if self.next_iterations < 0:
+            raise ConfigError(f"next_iterations must be at least 0, got {self.next_iterations}.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameResult:
+    """How the training of one frame ended."""
+
+    number: int
+    folder: Path
+    start: Path | None
+    """PLY it started from; None: from the points of its capture."""
+    metrics: dict[str, Any]
+    """metrics.json without its lists."""
+
+    def to_dict(self, root: Path) -> dict[str, Any]:
+        """As JSON values, paths relative to the folder of the sequence."""
+        keys = ("splats", "steps", "train_seconds", "split", *_MEANS)
+        return {
+            "frame": self.number,
+            "folder": self.folder.relative_to(root).as_posix(),
+            "start": None if self.start is None else self.start.parent.name,
+        } | {key: self.metrics.get(key) for key in keys}
+
+
+@dataclass(frozen=True, kw_only=True)
+class SequenceResult:
+    """How a sequence ended."""
+
+    reason: str
+    """`finished`, or why it was stopped."""
+    total: int
+    """Frames that were asked for."""
+    frames: list[FrameResult] = field(default_factory=list)
+    """Those that are complete, in order."""
+    output: Path
+
+    @property
+    def headline(self) -> dict[str, Any]:
+        """Means over the complete frames (None unless all have the value), and their seconds."""
+        metrics = [frame.metrics for frame in self.frames]
+        out: dict[str, Any] = {"frames": len(metrics), "frames_total": self.total}
+        for key in _MEANS:
+            values = [m[key] for m in metrics if m.get(key) is not None]
+            whole = values and len(values) == len(metrics)
+            out[key] = sum(values) / len(values) if whole else None
+        return out | {"train_seconds": sum(m.get("train_seconds") or 0.0 for m in metrics)}
+
+
+def train_sequence(
+    config: TrainConfig,
+    data: DataConfig,
+    output: Path,
+    on_event: Callable[[Event], None] | None = None,
+    control: Control | None = None,
+    *,
+    options: SequenceOptions | None = None,
+    resume: bool = False,
+    overwrite: bool = False,
+) -> SequenceResult:
+    """Train every frame into a folder of its own below `output`.
+
+    The first frame starts from the points of its capture, or `config.start_splats`, and takes
+    `config.iterations` steps; the others start from the splats of the frame before. Frames that an
+    interrupted sequence has completed are kept, one that it has begun goes on from its checkpoint.
+
+    Args:
+        config: How to train.
+        data: What to train on; see `datasets.frames.find_frames` for `source`.
+        output: Folder for the results; made if it is not there.
+        on_event: Called with each event of each frame, with `FrameStarted` before them and
+            `SequenceDone` at the end.
+        control: Through which others ask to stop, pause or save.
+        options: Which frames, and what goes from one to the next.
+        resume: Go on with the sequence in `output`.
+        overwrite: Replace the sequence in `output`.
+
+    Returns:
+        How it ended. Stopping by `control` is no error.
+
+    Raises:
+        ConfigError: `output` holds another sequence, or none to resume.
+        GsError: as `train`, with the frame's name; frames that are complete stay.
+        Cancelled: stopped before the first step of the first frame.
+    """
+    options = options or SequenceOptions()
+    frames = choose_frames(find_frames(data), options.frames)
+    _open(output, resume=resume, overwrite=overwrite)
+    run = _Run(config, data, output, options, frames, on_event or (lambda event: None))
+    return run.through(control or Control(), resume=resume)
+
+
+def read_index(output: Path) -> tuple[SequenceOptions, list[dict[str, Any]]] | None:
+    """Options and complete frames of the sequence in a folder, or None if there is none.
+
+    Raises:
+        FormatError: its sequence.json is something else.
+    """
+    path = output / INDEX
+    if not path.is_file():
+        return None
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        return SequenceOptions(**content["options"]), list(content["frames"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise FormatError(
+            f"{path} is not the list of a sequence's frames ({error}); remove it, or choose "
+            f"another output folder."
+        ) from error
+
+
+class _Run:
+    """One call of `train_sequence`."""
+
+    def __init__(
+        self,
+        config: TrainConfig,
+        data: DataConfig,
+        output: Path,
+        options: SequenceOptions,
+        frames: list[SequenceFrame],
+        emit: Callable[[Event], None],
+    ) -> None:
+        self._config = config
+        self._data = data
+        self._output = output
+        self._options = options
+        self._frames = frames
+        self._emit = emit
+        self._complete: list[FrameResult] = []
+
+    def through(self, control: Control, *, resume: bool) -> SequenceResult:
+        """Train all frames that are not complete."""
+        for place in range(len(self._frames)):
+            reason = self._frame(place, control, resume=resume)
+            if reason == "finished" and place + 1 < len(self._frames):
+                reason = control.stop_reason or reason
+            if reason != "finished":
+                return self._end(reason)
+        return self._end("finished")
+
+    def _frame(self, place: int, control: Control, *, resume: bool) -> str:
+        """Train a frame unless it is complete; why that ended."""
+        frame = self._frames[place]
+        folder = self._output / frame.name
+        config, data = self._config_of(place), self._data_of(place)
+        metrics = _completed(folder, config, data) if resume else None
+        self._emit(
+            FrameStarted(
+                frame=frame.number,
+                place=place + 1,
+                frames=len(self._frames),
+                output=str(folder),
+                iterations=config.iterations,
+                start="" if config.start_splats is None else str(config.start_splats),
+                complete=metrics is not None,
+            )
+        )
+        if metrics is None:
+            goes_on = resume and bool(RunFolder(folder).checkpoints())
+            try:
+                result = train(
+                    config, data, folder, self._tell, control, resume=goes_on, overwrite=not goes_on
+                )
+            except Cancelled:
+                if not self._complete:
+                    raise
+                return control.stop_reason
+            except GsError as error:
+                raise type(error)(f"{frame.name}: {error}") from error
+            finally:
+                with contextlib.suppress(OSError):
+                    self._output.rmdir()  # only if nothing was ever written
+            if result.reason != "finished":
+                return result.reason
+            metrics = _short(result.metrics)
+        self._complete.append(
+            FrameResult(
+                number=frame.number, folder=folder, start=config.start_splats, metrics=metrics
+            )
+        )
+        if not self._options.keep_checkpoints:
+            # They are three times as large as the splats, and only a frame in training needs them.
+            RunFolder(folder).drop_checkpoints(keep=0, protected=config.checkpoint_iterations)
+        self._write_index()
+        return "finished"
+
+    def _config_of(self, place: int) -> TrainConfig:
+        config, options = self._config, self._options
+        if place == 0 or not options.warm_start:
+            return config
+        return replace(
+            config,
+            iterations=options.next_iterations or max(1, config.iterations // 4),
+            start_splats=RunFolder(self._complete[-1].folder).point_cloud.absolute(),
+        )
+
+    def _data_of(self, place: int) -> DataConfig:
+        """Of a frame; with the rig of the first, unless both read the same cameras anyway."""
+        data, first = self._frames[place].data, self._frames[0].data
+        if not self._options.fixed_rig or data.source == first.source:
+            return data
+        return replace(data, rig=first.source.absolute())
+
+    def _tell(self, event: Event) -> None:
+        if isinstance(event, Started):  # from here on, options and captures are known to be good
+            text = config_json(self._data, self._config)
+            atomic_write(self._output / "config.json", text.encode())
+            self._write_index()
+        self._emit(event)
+
+    def _write_index(self) -> None:
+        result = self._result("")
+        content = {
+            "gscore": __version__,
+            "options": asdict(self._options),
+            "frames": [frame.to_dict(self._output) for frame in self._complete],
+            "mean": result.headline,
+        }
+        atomic_write(self._output / INDEX, (json.dumps(content, indent=2) + "\n").encode())
+
+    def _result(self, reason: str) -> SequenceResult:
+        return SequenceResult(
+            reason=reason,
+            total=len(self._frames),
+            frames=list(self._complete),
+            output=self._output,
+        )
+
+    def _end(self, reason: str) -> SequenceResult:
+        result = self._result(reason)
+        self._emit(
+            SequenceDone(
+                reason=reason,
+                frames=len(self._complete),
+                path=str(self._output / INDEX),
+                train_seconds=result.headline["train_seconds"],
+                metrics=result.headline,
+            )
+        )
+        return result
+
+
+def _open(output: Path, *, resume: bool, overwrite: bool) -> None:
+    """Raise unless a sequence may be trained into `output`, and clear it for another one."""
+    begun = sorted(path for path in output.glob("frame_*") if read_run(path) is not None)
+    if read_index(output) is None and not begun:
+        if resume:
+            raise ConfigError(f"{output} holds no sequence to resume; leave --resume out.")
+    elif overwrite:
+        for path in begun:
+            clear_run(path)
+        (output / INDEX).unlink(missing_ok=True)
+    elif not resume:
+        raise ConfigError(
+            f"{output} holds another sequence ({len(begun)} frames begun); go on with it with "
+            f"--resume, replace it with --overwrite, or choose another folder."
+        )
+
+
+def _completed(folder: Path, config: TrainConfig, data: DataConfig) -> dict[str, Any] | None:
+    """The metrics of a frame that needs no more training, or None.
+
+    Raises:
+        ConfigError: it was trained with other options.
+    """
+    run = read_run(folder)
+    if run is None or run.train is None or run.data is None or run.splats is None:
+        return None
+    # Paths may be written differently, and the folder may have been moved.
+    changed = differences(run.train, config, ignore=checkpoint.FREE)
+    changed += differences(run.data, data, ignore=("source", "rig", "test_list"))
+    if changed:
+        raise ConfigError(
+            f"{folder} was trained with other options: {'; '.join(changed)}. Use the same options, "
+            "or replace the sequence with --overwrite."
+        )
+    try:
+        metrics = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
+        good = metrics["steps"] >= config.iterations
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return _short(metrics) if good else None
+
+
+def _short(metrics: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in headline(metrics).items() if key not in _LONG}

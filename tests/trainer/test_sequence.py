@@ -1,0 +1,310 @@
+"""Frames trained one after another; oracle: the files they leave and the events they tell."""
+
+import argparse
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gscore.commands import main
+from gscore.commands import sequence as sequence_command
+from gscore.config import DataConfig, TrainConfig, load_config
+from gscore.datasets.frames import choose_frames, find_frames
+from gscore.errors import Cancelled, ConfigError, DatasetError, FormatError
+from gscore.events import Done, Event, FrameStarted, Progress, SequenceDone, Started, from_line
+from gscore.io.colmap import read_model, write_model
+from gscore.io.ply import read_splats
+from gscore.trainer import Control
+from gscore.trainer.sequence import SequenceOptions, read_index, train_sequence
+from gscore.transforms import rotmat_to_quat
+
+CONFIG = TrainConfig(iterations=40, max_splats=200, sh_degree=1, checkpoint_seconds=0)
+
+
+@pytest.fixture
+def frames(capture: Path, tmp_path: Path) -> Path:
+    """Three frames of the toy capture, each in a COLMAP world of its own."""
+    root = tmp_path / "video"
+    for number in (0, 5, 10):
+        folder = root / f"{number:06d}"
+        shutil.copytree(capture, folder)
+        rng = np.random.default_rng(number)
+        turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+        turn *= np.linalg.det(turn)
+        scale, shift = 1 + 0.1 * number, rng.normal(size=3)
+        model = read_model(folder)
+        images = []
+        for image in model.images:
+            viewmat = image.viewmat
+            turned = viewmat[:3, :3] @ turn.T
+            place = scale * turn @ (-viewmat[:3, :3].T @ viewmat[:3, 3]) + shift
+            images.append(replace(image, qvec=rotmat_to_quat(turned), tvec=-turned @ place))
+        points = replace(model.points, xyz=scale * model.points.xyz @ turn.T + shift)
+        write_model(replace(model, images=images, points=points), folder / "sparse/0")
+    return root
+
+
+def of_kind(events: list[Event], kind: type) -> list[Any]:
+    """The events of a kind."""
+    return [event for event in events if isinstance(event, kind)]
+
+
+def test_each_frame_starts_from_the_one_before(frames: Path, tmp_path: Path) -> None:
+    """Oracle: files of every frame; the number and the first PSNR of the splats handed over."""
+    events: list[Event] = []
+    out = tmp_path / "out"
+    data = DataConfig(source=frames, eval=True, test_every=4)
+    options = SequenceOptions(next_iterations=12)
+    result = train_sequence(CONFIG, data, out, events.append, options=options)
+    assert result.reason == "finished"
+    assert [frame.number for frame in result.frames] == [0, 5, 10]
+    assert [event.iterations for event in of_kind(events, Started)] == [40, 12, 12]
+    handed = [len(frame.metrics) and frame.metrics["splats"] for frame in result.frames]
+    assert [event.splats for event in of_kind(events, Started)] == [150, *handed[:2]]
+    told = of_kind(events, FrameStarted)
+    assert [(event.frame, event.place, event.frames) for event in told] == [
+        (0, 1, 3),
+        (5, 2, 3),
+        (10, 3, 3),
+    ]
+    assert told[0].start == ""
+    assert told[1].start.endswith("frame_000000/point_cloud.ply")
+    for frame in result.frames:
+        assert (frame.folder / "report.html").is_file()
+        assert not list(frame.folder.glob("checkpoints/*")), "complete frames need none"
+    # The photos are the same in all frames, so in one world the splats go on where they were.
+    psnr = [frame.metrics["psnr"] for frame in result.frames]
+    first = of_kind(events, Progress)
+    assert psnr[2] > psnr[0] > 8
+    assert first
+    assert isinstance(events[-1], SequenceDone)
+    assert events[-1].metrics["psnr"] == pytest.approx(np.mean(psnr))
+
+
+def test_all_frames_are_in_the_world_of_the_first(frames: Path, tmp_path: Path) -> None:
+    """Oracle: equal cameras in all frames, and `gscore eval` of a later frame on its own."""
+    out = tmp_path / "out"
+    data = DataConfig(source=frames, eval=True, test_every=4)
+    result = train_sequence(CONFIG, data, out, options=SequenceOptions(next_iterations=5))
+    cameras = [json.loads((frame.folder / "cameras.json").read_text()) for frame in result.frames]
+    for entry, first in zip(cameras[2], cameras[0], strict=True):
+        np.testing.assert_allclose(entry["position"], first["position"], atol=1e-6)
+    stored, _ = load_config(result.frames[2].folder / "config.json")
+    assert stored.rig == (frames / "000000").absolute()
+    report = tmp_path / "again"
+    assert main(["eval", str(result.frames[2].folder), "-o", str(report), "--quiet"]) == 0
+    again = json.loads((report / "metrics.json").read_text())["psnr"]
+    assert again == pytest.approx(result.frames[2].metrics["psnr"], abs=1e-3)
+
+
+def test_without_warm_start_and_rig_frames_know_nothing_of_each_other(
+    frames: Path, tmp_path: Path
+) -> None:
+    """Oracle: the bits of a training of the frame alone."""
+    out, alone = tmp_path / "out", tmp_path / "alone"
+    options = SequenceOptions(frames="5:", warm_start=False, fixed_rig=False)
+    train_sequence(CONFIG, DataConfig(source=frames), out, options=options)
+    assert [entry["frame"] for entry in read_index(out)[1]] == [5, 10]
+    run = ["train", str(frames / "000010"), "-o", str(alone), "--quiet", "--sh-degree", "1"]
+    assert main([*run, "--iterations", "40", "--max-splats", "200"]) == 0
+    both = [folder / "point_cloud.ply" for folder in (out / "frame_000010", alone)]
+    assert both[0].read_bytes() == both[1].read_bytes()
+
+
+def test_an_interrupted_sequence_goes_on(frames: Path, tmp_path: Path) -> None:
+    """Oracle: the bits of the sequence that was not interrupted; complete frames are untouched."""
+    data = DataConfig(source=frames)
+    options = SequenceOptions(next_iterations=12)
+    whole, cut = tmp_path / "whole", tmp_path / "cut"
+    train_sequence(CONFIG, data, whole, options=options)
+    control = Control()
+
+    def stop_in_the_second(event: Event) -> None:
+        if isinstance(event, Started) and "000005" in event.output:
+            control.stop("interrupted")
+
+    result = train_sequence(CONFIG, data, cut, stop_in_the_second, control, options=options)
+    assert (result.reason, len(result.frames)) == ("interrupted", 1)
+    assert (cut / "frame_000005/checkpoints").is_dir()
+    before = (cut / "frame_000000/point_cloud.ply").stat().st_mtime_ns
+    events: list[Event] = []
+    result = train_sequence(CONFIG, data, cut, events.append, options=options, resume=True)
+    assert result.reason == "finished"
+    assert [event.complete for event in of_kind(events, FrameStarted)] == [True, False, False]
+    assert len(of_kind(events, Done)) == 2
+    assert (cut / "frame_000000/point_cloud.ply").stat().st_mtime_ns == before
+    for name in ("frame_000005", "frame_000010"):
+        both = [(root / name / "point_cloud.ply").read_bytes() for root in (whole, cut)]
+        assert both[0] == both[1]
+    assert read_index(cut) == read_index(cut)
+    with pytest.raises(ConfigError, match="frame_000000 was trained with other options: sh_degree"):
+        other = replace(CONFIG, sh_degree=2)
+        train_sequence(other, data, cut, options=options, resume=True)
+
+
+def test_stopping_before_the_first_step_leaves_nothing(frames: Path, tmp_path: Path) -> None:
+    """Oracle: no folder."""
+    control = Control()
+    control.stop()
+    with pytest.raises(Cancelled):
+        train_sequence(CONFIG, DataConfig(source=frames), tmp_path / "out", control=control)
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_command_line(frames: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Oracle: JSON at the end, events of every line, options kept for --resume."""
+    out = tmp_path / "out"
+    base = ["sequence", str(frames), "-o", str(out), "--sh-degree", "0", "--max-splats", "200"]
+    base += ["--iterations", "20", "--next-iterations", "5", "--eval", "--frames", "0:5:5"]
+    assert main([*base, "--json", "--quiet"]) == 0
+    facts = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert (facts["reason"], facts["frames"], facts["frames_total"]) == ("finished", 2, 2)
+    assert [entry["steps"] for entry in facts["per_frame"]] == [20, 5]
+    assert facts["per_frame"][1]["start"] == "frame_000000"
+    assert facts["psnr"] > 5
+    assert main([*base, "--quiet"]) == 2
+    assert "holds another sequence" in capsys.readouterr().err
+    more = ["sequence", "-o", str(out), "--resume", "--frames", ":", "--events", "jsonl"]
+    assert main(more) == 0
+    lines = capsys.readouterr().out.splitlines()
+    events = [from_line(line) for line in lines]
+    assert None not in events
+    assert [e.complete for e in events if isinstance(e, FrameStarted)] == [True, True, False]
+    assert [e.iterations for e in events if isinstance(e, Started)] == [5]
+    assert main([*base, "--overwrite"]) == 0
+    seen = capsys.readouterr()
+    assert "Frame 5 (2 of 2): 5 steps, from the frame before" in seen.err
+    assert "Finished: 2 of 2 frames" in seen.out
+    assert not (out / "frame_000010").exists(), "of the sequence that was replaced"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["{video}/none", "-o", "{out}"], "There is no folder"),
+        (["{video}/000000", "-o", "{out}"], "holds no frames; expected a numbered folder"),
+        (["{video}", "-o", "{out}", "--frames", "3"], "There is no frame 3: the sequence has 3"),
+        (["{video}", "-o", "{out}", "--frames", "a-b"], "frames is 'a-b'; expected numbers"),
+        (["{video}", "-o", "{out}", "--frames", "0:10:0"], "expected numbers such as"),
+        (["{video}", "-o", "{out}", "--frame", "3"], "--frame is for one frame"),
+        (["{video}", "-o", "{out}", "--rig", "x"], "--rig is for one frame"),
+        (["{video}", "-o", "{out}", "--resume"], "holds no run to resume"),
+        (["{video}", "-o", "{out}", "--next-iterations", "-1"], "next_iterations must be"),
+        (["{video}/{{frame:06x}}", "-o", "{out}"], "{frame:06d}"),
+        (["{video}/{{number}}", "-o", "{out}"], "{frame:06d}"),
+        (["{video}/{{frame}}x", "-o", "{out}"], "Nothing fits"),
+        (["{video}", "-o", "{out}", "-i", "none"], "frame_000000: There is no image folder"),
+    ],
+)
+def test_bad_input_is_one_sentence_and_leaves_nothing(
+    frames: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    message: str,
+) -> None:
+    """Oracle: code 2, one line that says what is wrong, no output folder."""
+    out = tmp_path / "out"
+    filled = [argument.format(video=frames, out=out) for argument in arguments]
+    assert main(["sequence", *filled, "--quiet"]) == 2
+    err = capsys.readouterr().err
+    assert message in err
+    assert err.count("\n") == 1
+    assert not out.exists()
+
+
+def test_a_broken_frame_is_named_and_the_others_stay(frames: Path, tmp_path: Path) -> None:
+    """Oracle: the frames before it, complete, and a resumption once it is mended."""
+    data, out = DataConfig(source=frames), tmp_path / "out"
+    points = frames / "000005/sparse/0/images.bin"
+    good = points.read_bytes()
+    points.write_bytes(good[:50])
+    options = SequenceOptions(next_iterations=5)
+    with pytest.raises(FormatError, match="frame_000005: "):
+        train_sequence(CONFIG, data, out, options=options)
+    assert [entry["frame"] for entry in read_index(out)[1]] == [0]
+    points.write_bytes(good)
+    result = train_sequence(CONFIG, data, out, options=options, resume=True)
+    assert len(result.frames) == 3
+    (out / "sequence.json").write_text("{}")
+    with pytest.raises(FormatError, match=r"sequence\.json is not the list"):
+        train_sequence(CONFIG, data, out, options=options, resume=True)
+
+
+def test_moving_cameras_are_refused_as_a_rig(frames: Path, tmp_path: Path) -> None:
+    """Oracle: a frame whose cameras have been mixed up."""
+    folder = frames / "000005"
+    model = read_model(folder)
+    names = [image.name for image in model.images]
+    images = [replace(im, name=n) for im, n in zip(model.images, names[::-1], strict=True)]
+    write_model(replace(model, images=images), folder / "sparse/0")
+    with pytest.raises(DatasetError, match=r"frame_000005: The cameras of .* do not stand"):
+        options = SequenceOptions(next_iterations=5)
+        train_sequence(CONFIG, DataConfig(source=frames), tmp_path / "out", options=options)
+
+
+def test_frames_are_found_by_pattern(frames: Path, capture: Path, tmp_path: Path) -> None:
+    """Oracle: the folders that were made; one model for all frames where photos alone change."""
+    found = find_frames(DataConfig(source=Path(f"{frames}/{{frame:06d}}")))
+    assert [frame.number for frame in found] == [0, 5, 10]
+    assert found[1].data.source == frames / "000005"
+    assert found[1].name == "frame_000005"
+    for number in (3, 12):
+        shutil.copytree(capture / "images", tmp_path / f"rig/photos/take{number}/rgb")
+        shutil.copytree(capture / "images", tmp_path / f"rig/mattes/{number:04d}")
+    (tmp_path / "rig/photos/take7").mkdir()
+    (tmp_path / "rig/photos/other").mkdir()
+    shutil.copytree(capture / "sparse", tmp_path / "rig/sparse")
+    rig = DataConfig(
+        source=tmp_path / "rig", images="photos/take{frame}/rgb", masks="mattes/{frame:04d}"
+    )
+    found = find_frames(rig)
+    assert [frame.number for frame in found] == [3, 12]
+    assert found[1].data == DataConfig(
+        source=tmp_path / "rig", images="photos/take12/rgb", masks="mattes/0012"
+    )
+    options = SequenceOptions(next_iterations=4)
+    result = train_sequence(replace(CONFIG, iterations=4), rig, tmp_path / "out", options=options)
+    stored = [load_config(frame.folder / "config.json")[0] for frame in result.frames]
+    assert [data.rig for data in stored] == [None, None], "they share their cameras already"
+    assert len(read_splats(result.frames[1].folder / "point_cloud.ply")) > 100
+    with pytest.raises(ConfigError, match="twice in one name"):
+        find_frames(replace(rig, images="{frame}_{frame}"))
+    shutil.copytree(frames / "000005", frames / "again_5")
+    with pytest.raises(DatasetError, match="frame 5 twice"):
+        find_frames(DataConfig(source=frames))
+
+
+def test_frames_are_chosen() -> None:
+    """Oracle: lists of numbers written out."""
+    from gscore.datasets.frames import SequenceFrame
+
+    data = DataConfig(source=Path("x"))
+    frames = [SequenceFrame(number=n, data=data) for n in (0, 5, 10, 15, 20, 21)]
+    cases = {
+        ":": [0, 5, 10, 15, 20, 21],
+        "0:10": [0, 5, 10],
+        "5:21:5": [5, 10, 15, 20],
+        "15:": [15, 20, 21],
+        ":5, 21": [0, 5, 21],
+        "10": [10],
+        "0::10": [0, 10, 20],
+    }
+    for wanted, numbers in cases.items():
+        assert [frame.number for frame in choose_frames(frames, wanted)] == numbers, wanted
+    for wanted in ("", "1-3", "5,,6", "-5", "1:2:3:4"):
+        with pytest.raises(ConfigError):
+            choose_frames(frames, wanted)
+
+
+def test_flags_have_the_defaults_of_the_options() -> None:
+    """Oracle: SequenceOptions, for a command line that names none of them."""
+    parser = argparse.ArgumentParser()
+    sequence_command.add_arguments(parser)
+    args = parser.parse_args(["in", "-o", "out"])
+    for name in ("frames", "next_iterations", "warm_start", "fixed_rig", "keep_checkpoints"):
+        assert getattr(args, name) is None
