@@ -33,9 +33,10 @@ class DataConfig:
     depths: str = ""
     """Folder of inverse depth maps relative to `source`; empty: depth is not used."""
     depth_align: str = "auto"
-    """How the maps get the scale of the capture. `official`: scale and offset by medians and mean
-    absolute deviations; `robust`: RANSAC against the SfM points; `none`: they have it already;
-    `auto`: as `sparse/0/depth_params.json` says where it is there, else `robust`."""
+    """How the maps get the scale of the capture. `official`: as depth_params.json says, which must be
+    there, as for the 3DGS trainer; `robust`: RANSAC against the SfM points; `none`: they have it
+    already; `auto`: as depth_params.json says where it is there and the points agree, else
+    `robust`."""
     resolution: float = -1
     """-1: as is, but at most `max_width` wide; 1, 2, 4, 8: divided by that; larger: this many
     pixels wide."""

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from .fit import NO_FIT, Fit, agreement, scale_reason, tolerance
+from .fit import NO_FIT, Fit, judge, scale_reason, tolerance
 from .maps import sample
 from .observations import Observations
 
@@ -16,8 +16,14 @@ LEAST_SHARE = 0.3
 """Share of inliers that the robust rule wants."""
 _LEAST_SPREAD = 0.02
 """Range of the points' inverse depths, relative to their median, below which no scale shows."""
-_LEAST_GAIN = 0.25
-"""Part of the misfit of the best constant that a fit must remove to say anything."""
+_LEAST_GAIN = 0.15
+"""Part of the points that agree by more than chance, of those that could."""
+_DEVIATIONS = 4.5
+"""Standard deviations by which they must be more; a search for the best line finds up to 4."""
+_MOST_SLOPE_ERROR = 0.12
+"""Relative standard error of the scale above which it is as good as unknown."""
+_LEAST_SLOPE = 1e-3
+"""Slope of map on points, both in units of their spread, that is as good as none."""
 _DRAWS = 500
 _ROUNDS = 20
 _HUBER = 1.345
@@ -56,14 +62,16 @@ def align_official(values: np.ndarray, seen: Observations) -> Fit:
         return NO_FIT.refused("the map has one value at all points")
     scale = float(deviation / mono_deviation)
     offset = float(middle - mono_middle * scale)
-    share, error = agreement(scale, offset, mono, known, seen.weights[inside])
-    return Fit(scale=scale, offset=offset, inliers=share, points=count, error=error, accepted=True)
+    return judge(scale, offset, mono, known, seen.weights[inside])
 
 
 def align_robust(
     mono: np.ndarray, inverse_depth: np.ndarray, weights: np.ndarray, *, seed: int = 0
 ) -> Fit:
     """RANSAC over pairs of points, then least squares reweighted by Huber's function.
+
+    Maps err by per cents, points by tenths of one. So the map's values are regressed on the points'
+    inverse depths and not the reverse, which would flatten every noisy map.
 
     Args:
         mono: [M] values of the map at the points, affine in inverse depth; NaN: unknown.
@@ -92,20 +100,22 @@ def align_robust(
     near = tolerance(s) / middle
     slope, height = _refined(*unit, w, near, *_ransac(*unit, w, near, seed))
     scale = slope * middle / spread
-    offset = height * middle - scale * center
-    share, error = agreement(scale, offset, m, s, w)
-    inside = int((np.abs(scale * m + offset - s) <= near * middle).sum())
-    fit = Fit(scale=scale, offset=offset, inliers=share, points=len(m), error=error, accepted=True)
+    fit = judge(scale, height * middle - scale * center, m, s, w)
+    inside = round(fit.inliers * len(m))
     if not scale > 0:
         return fit.refused("the map is larger where the points are farther: it may hold depth")
-    if inside < LEAST_POINTS or share < LEAST_SHARE:
+    if inside < LEAST_POINTS or fit.inliers < LEAST_SHARE:
         return fit.refused(
-            f"only {inside} of {len(m)} points ({share:.0%} by weight) agree with one scale and "
-            f"offset"
+            f"only {inside} of {len(m)} points ({fit.inliers:.0%} by weight) agree with one scale "
+            f"and offset"
         )
-    gain = 1.0 - _misfit(slope, height, *unit, w, near) / _constant_misfit(unit[1], w, near)
-    if gain < _LEAST_GAIN:
+    if not _beyond_chance(slope, height, *unit, w, near):
         return fit.refused("the map does not follow the depth of the points")
+    if fit.slope_error > _MOST_SLOPE_ERROR:
+        return fit.refused(
+            f"its points lie too close in depth for a map of this noise: the scale is only known "
+            f"to {fit.slope_error:.0%}"
+        )
     return fit
 
 
@@ -140,7 +150,7 @@ def _ransac(
 def _refined(
     m: np.ndarray, s: np.ndarray, w: np.ndarray, near: float, slope: float, height: float
 ) -> tuple[float, float]:
-    """Iteratively reweighted least squares from a line that is nearly right.
+    """Iteratively reweighted least squares of m on s from a line that is nearly right.
 
     Points farther off than three deviations do not count at all: Huber's function alone would let
     many gross errors on one side pull the line.
@@ -152,15 +162,15 @@ def _refined(
             break
         deviation = max(1.4826 * _weighted_median(off[inside], w[inside]), 1e-3 * near)
         inside &= off <= 3 * deviation
-        huber = np.minimum(1.0, _HUBER * deviation / np.maximum(off, 1e-300))
-        weight = w * huber * inside
+        weight = w * np.minimum(1.0, _HUBER * deviation / np.maximum(off, 1e-300)) * inside
         total = weight.sum()
         mean_m, mean_s = (weight * m).sum() / total, (weight * s).sum() / total
-        variance = (weight * (m - mean_m) ** 2).sum()
-        if not variance > 1e-12 * total:
+        together = (weight * (m - mean_m) * (s - mean_s)).sum()
+        variance = (weight * (s - mean_s) ** 2).sum()
+        if abs(together) <= 1e-12 * total or abs(together) < _LEAST_SLOPE * variance:
             break
         before = slope, height
-        slope = float((weight * (m - mean_m) * (s - mean_s)).sum() / variance)
+        slope = float(variance / together)
         height = float(mean_s - slope * mean_m)
         if abs(slope - before[0]) + abs(height - before[1]) < 1e-9:
             break
@@ -174,11 +184,23 @@ def _misfit(
     return float((w * np.minimum((slope * m + height - s) ** 2, near**2)).sum())
 
 
-def _constant_misfit(s: np.ndarray, w: np.ndarray, near: float) -> float:
-    """The misfit of the best constant; positive."""
-    levels = np.quantile(s, np.linspace(0, 1, 101))
-    zero = np.zeros_like(s)
-    return max(min(_misfit(0.0, float(c), zero, s, w, near) for c in levels), 1e-300)
+def _beyond_chance(
+    slope: float, height: float, m: np.ndarray, s: np.ndarray, w: np.ndarray, near: float
+) -> bool:
+    """Whether more points agree than would if each had the map's value of any other point.
+
+    Where most points lie at one depth a flat line agrees with them whatever the map says.
+    """
+    line = slope * m + height
+    weight = w / w.sum()
+    share = float(weight[np.abs(line - s) <= near].sum())
+    order = np.argsort(s)
+    total = np.concatenate([[0.0], np.cumsum(weight[order])])
+    above = np.searchsorted(s[order], line + near, side="right")
+    below = np.searchsorted(s[order], line - near, side="left")
+    chance = float((weight * (total[above] - total[below])).sum())
+    deviation = (chance * (1 - chance) * (weight**2).sum()) ** 0.5
+    return share - chance >= max(_LEAST_GAIN * (1 - chance), _DEVIATIONS * deviation)
 
 
 def _weighted_median(values: np.ndarray, weights: np.ndarray) -> float:

@@ -20,15 +20,49 @@ class Fit:
     """Points of structure from motion that were compared."""
     error: float = float("nan")
     """Median relative difference of inverse depths over all points; NaN where there are none."""
+    center: float = 0.0
+    """Mean of the map's values at the inliers."""
+    deviation: float = 0.0
+    """Standard deviation of the map's values at the inliers."""
+    noise: float = 0.0
+    """Standard deviation of the inliers from the fit, 1/world unit."""
     accepted: bool = False
     """Whether scale and offset may be used."""
     reason: str = ""
     """Why it was refused, a clause without a full stop; empty if accepted."""
 
+    @property
+    def slope_error(self) -> float:
+        """Relative standard error of `scale`; infinite where the points do not show it."""
+        spread = abs(self.scale) * self.deviation * _INDEPENDENT**0.5
+        return self.noise / spread if spread > 0 else float("inf")
+
+    def relative_error(self, values: np.ndarray) -> np.ndarray:
+        """Expected relative error of the inverse depth that the fit gives for a map's values.
+
+        That of the fit itself: small among the points, larger the farther a value lies outside
+        theirs. Errors of the map at single pixels are not in it.
+
+        Args:
+            values: [...] float32 of the map.
+
+        Returns:
+            [...] float32; infinite where the inverse depth is not positive.
+        """
+        with np.errstate(divide="ignore", invalid="ignore"):
+            away = (values - np.float32(self.center)) / np.float32(self.deviation or 1.0)
+            error = np.sqrt((1 + away**2) / _INDEPENDENT) * np.float32(self.noise)
+            inverse = np.float32(self.scale) * values + np.float32(self.offset)
+            return np.where(inverse > 0, error / inverse, np.float32(np.inf))
+
     def refused(self, reason: str) -> Self:
         """The same fit, not to be used."""
         return replace(self, accepted=False, reason=reason)
 
+
+_INDEPENDENT = 12
+"""Points counted as independent: errors of a map are alike over large parts of it, so thousands of
+points fix its scale no better than a dozen."""
 
 NO_FIT = Fit(scale=0.0, offset=0.0)
 """A view about which nothing is known."""
@@ -56,16 +90,36 @@ def scale_reason(scale: float, median: float) -> str:
     )
 
 
-def agreement(
+def judge(
     scale: float, offset: float, mono: np.ndarray, inverse_depth: np.ndarray, weights: np.ndarray
-) -> tuple[float, float]:
-    """Weighted share of points within `tolerance` of a fit, and median relative difference."""
+) -> Fit:
+    """A scale and offset with what the points say to it; accepted for now.
+
+    Args:
+        scale: 1/world unit per unit of the map.
+        offset: 1/world unit.
+        mono: [M] finite values of the map at the points.
+        inverse_depth: [M] positive, 1/world unit.
+        weights: [M] positive.
+    """
+    fit = Fit(scale=scale, offset=offset, points=len(mono), accepted=True)
     if len(mono) == 0:
-        return 0.0, float("nan")
+        return fit
     difference = np.abs(scale * mono + offset - inverse_depth)
     inside = difference <= tolerance(inverse_depth)
-    share = float(weights[inside].sum() / weights.sum())
-    return share, float(np.median(difference / inverse_depth))
+    fit = replace(
+        fit,
+        inliers=float(weights[inside].sum() / weights.sum()),
+        error=float(np.median(difference / inverse_depth)),
+    )
+    if not inside.any():
+        return fit
+    return replace(
+        fit,
+        center=float(mono[inside].mean()),
+        deviation=float(mono[inside].std()),
+        noise=float(np.sqrt((difference[inside] ** 2).mean())),
+    )
 
 
 def tolerance(inverse_depth: np.ndarray) -> float:
@@ -74,4 +128,4 @@ def tolerance(inverse_depth: np.ndarray) -> float:
     5 % of the median; less where all points lie at similar depths, or any fit would do.
     """
     low, high = np.quantile(inverse_depth, (0.05, 0.95))
-    return float(min(0.05 * np.median(inverse_depth), 0.15 * (high - low)))
+    return float(min(0.05 * np.median(inverse_depth), 0.3 * (high - low)))

@@ -9,7 +9,7 @@ from ..config import DataConfig
 from ..datasets import Dataset
 from ..datasets.dataset import map_threads
 from .align import align_robust, reliable
-from .fit import Fit, agreement, median_scale, scale_reason
+from .fit import Fit, judge, median_scale, scale_reason
 from .maps import DepthKind, read_map, sample, stem
 from .observations import Observations
 from .params import Params, params_path, read_params
@@ -190,15 +190,7 @@ def _judged(scale: float, offset: float, part: Samples, kind: DepthKind) -> Fit:
     """A given scale and offset, with what the points say to it."""
     values = part.inverse(kind)
     use = np.isfinite(values)
-    share, error = agreement(scale, offset, values[use], part.inverse_depth[use], part.weights[use])
-    return Fit(
-        scale=scale,
-        offset=offset,
-        inliers=share,
-        points=int(use.sum()),
-        error=error,
-        accepted=True,
-    )
+    return judge(scale, offset, values[use], part.inverse_depth[use], part.weights[use])
 
 
 def _refusals(fits: list[Fit | None], median: float) -> tuple[str, ...]:

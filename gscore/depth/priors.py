@@ -23,6 +23,10 @@ ALIGNMENTS = ("auto", "official", "robust", "none")
 """Values of the option `depth_align`."""
 
 
+_TOLERABLE = 0.05
+"""Expected relative error of an aligned inverse depth at which a pixel counts half."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class DepthPrior:
     """Prior of one view at training resolution."""
@@ -158,6 +162,9 @@ def _prior(dataset: Dataset, index: int, values: np.ndarray, fit: Fit | None) ->
     trust = confidence(values, dataset.mask(index) if dataset.mask_mode != "none" else None)
     aligned = fit is not None and fit.accepted
     if fit is not None and fit.accepted:
+        if fit.deviation > 0:
+            trust /= 1 + (fit.relative_error(values) / np.float32(_TOLERABLE)) ** 2
+            trust[np.isnan(trust)] = 0
         values = np.float32(fit.scale) * values + np.float32(fit.offset)
         with np.errstate(invalid="ignore"):
             trust[~(values > 0)] = 0  # behind infinity

@@ -179,16 +179,53 @@ def test_depth_instead_of_inverse_depth_is_refused(seed):
     assert not fit.accepted and "farther" in fit.reason and fit.scale < 0
 
 
-def test_unrelated_maps_are_refused():
-    """Oracle: a map of noise must not be accepted; none in 200."""
-    accepted = 0
+@pytest.mark.parametrize("count", [25, 60, 300, 2000])
+def test_unrelated_maps_are_refused(count):
+    """Oracle: a map of noise must not be accepted, however the depths are spread: none in 200."""
     for seed in range(200):
         rng = np.random.default_rng(seed)
-        inverse = 0.1 + rng.beta(2, 5, 300) * (0.02 + 0.5 * (seed % 4) / 3)
-        fit = align_robust(rng.uniform(0, 1, 300), inverse, np.ones(300))
-        assert fit.reason or fit.accepted
-        accepted += fit.accepted
-    assert accepted == 0
+        a, b = [(2, 5), (1, 1), (8, 2), (0.3, 0.6)][seed % 4]
+        inverse = 0.1 + rng.beta(a, b, count) * (0.02 + 0.5 * (seed % 7) / 6)
+        inverse[: count // 2] = inverse[0]  # half of them on a wall
+        mono = rng.uniform(0, 1, count) if seed % 2 else rng.normal(size=count) ** 3
+        assert not align_robust(mono, inverse, rng.uniform(1, 10, count)).accepted
+
+
+def test_noise_of_the_map_does_not_flatten_it():
+    """Oracle: the true scale; least squares of depth on the map would be 12 % too small here."""
+    scales, plain = [], []
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        inverse = rng.uniform(0.3, 0.45, 600)
+        mono = inverse + 0.016 * rng.normal(size=600)
+        fit = align_robust(mono, inverse, np.ones(600))
+        assert fit.accepted, fit.reason
+        scales.append(fit.scale)
+        plain.append(np.polyfit(mono, inverse, 1)[0])
+    assert np.mean(plain) < 0.9
+    assert np.mean(scales) == pytest.approx(1, abs=0.04)
+
+
+def test_shallow_points_under_a_noisy_map_are_refused():
+    """Oracle: noise as large as the spread of the points leaves the scale open."""
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        inverse = rng.uniform(0.39, 0.41, 400)
+        mono = inverse + 0.008 * rng.normal(size=400)
+        fit = align_robust(mono, inverse, np.ones(400))
+        assert not fit.accepted
+    exact = align_robust(inverse * 3, inverse, np.ones(400))
+    assert exact.accepted and exact.scale == pytest.approx(1 / 3)
+
+
+def test_expected_error_of_a_fit():
+    """Oracle: the standard error of a line through 12 points, in closed form."""
+    fit = Fit(scale=2.0, offset=0.1, center=0.2, deviation=0.05, noise=0.012, accepted=True)
+    assert fit.slope_error == pytest.approx(0.012 / (2 * 0.05 * 12**0.5))
+    values = np.array([0.2, 0.25, 0.45, -0.05, -0.2], np.float32)
+    expected = 0.012 * np.sqrt((1 + np.array([0, 1, 25]) ** 1.0) / 12) / (2 * values[:3] + 0.1)
+    assert fit.relative_error(values)[:3] == pytest.approx(expected, rel=1e-5)
+    assert np.isinf(fit.relative_error(values)[3:]).all()
 
 
 def test_unknown_values_are_left_out():
