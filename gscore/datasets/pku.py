@@ -8,10 +8,13 @@ from itertools import pairwise
 from pathlib import Path
 
 from ..config import DataConfig
-from ..errors import ConfigError, DatasetError
+from ..errors import ConfigError, DatasetError, GsError
+from ..scene import PointCloud
 from . import pku_cams, pku_json, pku_neus
 from .capture import Capture
+from .colmap_source import read_colmap
 from .pku_photos import VIEW_FOLDER
+from .rig import with_rig
 
 _NUMBER = re.compile(r"\d+")
 _NEUS2 = re.compile(r"transforms?_(\d+)\.json")
@@ -94,12 +97,33 @@ def read_video(video: PkuVideo, config: DataConfig, *, photos_required: bool = T
     frame = next(iter(listed)) if asked is None else asked
     capture = LAYOUTS[layout](config, video.case, listed[frame], frame, photos_required)
     warnings = list(capture.warnings)
+    points = capture.points
+    if len(points) == 0:
+        points, told = _points_of_colmap(video.case, frame, capture, listed[frame])
+        warnings += told
     if asked is None and len(listed) > 1:
         warnings.append(
             f"{video.case / layout} holds {len(listed)} frames, {_span(listed)}; using frame "
             f"{frame}. Choose another with --frame."
         )
-    return replace(capture, masks_are="composite", warnings=tuple(warnings))
+    return replace(capture, points=points, masks_are="composite", warnings=tuple(warnings))
+
+
+def _points_of_colmap(
+    case: Path, frame: int, capture: Capture, path: Path
+) -> tuple[PointCloud, list[str]]:
+    """SfM points of the frame, or of the nearest one, in the world of a capture that has none."""
+    models = _list(case / "data_COLMAP", "data_COLMAP")
+    if not models:
+        return capture.points, []
+    folder = models[min(models, key=lambda number: abs(number - frame))]
+    try:
+        model = read_colmap(DataConfig(source=folder), photos_required=False)
+        points = with_rig(model, capture, where=folder, rig_at=path).points
+    except GsError as error:
+        return capture.points, [f"The points of {folder} cannot be used: {error}"]
+    sentence = f"{path} has no points; starting from those of {folder}, moved into its world."
+    return points, [sentence]
 
 
 Reader = Callable[[DataConfig, Path, Path, int, bool], Capture]

@@ -13,9 +13,9 @@ import pytest
 from gscore.commands import main
 from gscore.commands import sequence as sequence_command
 from gscore.config import DataConfig, TrainConfig, load_config
-from gscore.datasets.frames import choose_frames, find_frames
+from gscore.datasets.frames import SequenceFrame, choose_frames, find_frames
 from gscore.errors import Cancelled, ConfigError, DatasetError, FormatError
-from gscore.events import Done, Event, FrameStarted, Progress, SequenceDone, Started, from_line
+from gscore.events import Done, Event, FrameStarted, SequenceDone, Started, from_line
 from gscore.io.colmap import read_model, write_model
 from gscore.io.ply import read_splats
 from gscore.trainer import Control
@@ -63,7 +63,7 @@ def test_each_frame_starts_from_the_one_before(frames: Path, tmp_path: Path) -> 
     assert result.reason == "finished"
     assert [frame.number for frame in result.frames] == [0, 5, 10]
     assert [event.iterations for event in of_kind(events, Started)] == [40, 12, 12]
-    handed = [len(frame.metrics) and frame.metrics["splats"] for frame in result.frames]
+    handed = [frame.metrics["splats"] for frame in result.frames]
     assert [event.splats for event in of_kind(events, Started)] == [150, *handed[:2]]
     told = of_kind(events, FrameStarted)
     assert [(event.frame, event.place, event.frames) for event in told] == [
@@ -78,9 +78,7 @@ def test_each_frame_starts_from_the_one_before(frames: Path, tmp_path: Path) -> 
         assert not list(frame.folder.glob("checkpoints/*")), "complete frames need none"
     # The photos are the same in all frames, so in one world the splats go on where they were.
     psnr = [frame.metrics["psnr"] for frame in result.frames]
-    first = of_kind(events, Progress)
     assert psnr[2] > psnr[0] > 8
-    assert first
     assert isinstance(events[-1], SequenceDone)
     assert events[-1].metrics["psnr"] == pytest.approx(np.mean(psnr))
 
@@ -140,7 +138,6 @@ def test_an_interrupted_sequence_goes_on(frames: Path, tmp_path: Path) -> None:
     for name in ("frame_000005", "frame_000010"):
         both = [(root / name / "point_cloud.ply").read_bytes() for root in (whole, cut)]
         assert both[0] == both[1]
-    assert read_index(cut) == read_index(cut)
     with pytest.raises(ConfigError, match="frame_000000 was trained with other options: sh_degree"):
         other = replace(CONFIG, sh_degree=2)
         train_sequence(other, data, cut, options=options, resume=True)
@@ -281,8 +278,6 @@ def test_frames_are_found_by_pattern(frames: Path, capture: Path, tmp_path: Path
 
 def test_frames_are_chosen() -> None:
     """Oracle: lists of numbers written out."""
-    from gscore.datasets.frames import SequenceFrame
-
     data = DataConfig(source=Path("x"))
     frames = [SequenceFrame(number=n, data=data) for n in (0, 5, 10, 15, 20, 21)]
     cases = {

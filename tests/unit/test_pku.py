@@ -5,6 +5,7 @@ every frame in a COLMAP world of its own, black points, soft mattes, fx unlike f
 """
 
 import json
+import operator
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -17,10 +18,11 @@ import pytest
 from gscore.config import DataConfig
 from gscore.datasets import load_dataset, read_capture
 from gscore.datasets.capture import Capture
+from gscore.datasets.frames import find_frames
 from gscore.errors import ConfigError, DatasetError, FormatError, GsError
 from gscore.io.colmap import write_model
 from gscore.io.colmap_model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
-from gscore.io.images import write_png
+from gscore.io.images import read_image, write_png
 from gscore.raster.api import render
 from gscore.sh import rgb_to_sh0
 from gscore.splats import Splats
@@ -382,6 +384,22 @@ def test_frames_are_picked_by_number_or_path(make_case: Callable[..., Case]) -> 
         read_capture(DataConfig(source=root / "cams", frame=5))
 
 
+@pytest.mark.parametrize("layout", ["", *LAYOUTS])
+def test_every_layout_is_a_sequence(make_case: Callable[..., Case], layout: str) -> None:
+    """Oracle: the frames written; with the rig, the cameras of the first and other photos."""
+    case = make_case(layout or "data_COLMAP")
+    found = find_frames(DataConfig(source=case.root / layout, eval=True))
+    assert [frame.number for frame in found] == list(FRAMES)
+    first = read_capture(found[0].data)
+    last = found[-1].data
+    assert last.eval
+    joined = read_capture(replace(last, rig=found[0].data.source))
+    key = operator.attrgetter("name")
+    for a, b in zip(sorted(first.views, key=key), sorted(joined.views, key=key), strict=True):
+        np.testing.assert_allclose(a.viewmat, b.viewmat, atol=1e-9)
+        assert np.any(read_image(a.image) != read_image(b.image))
+
+
 def test_splits(make_case: Callable[..., Case]) -> None:
     """Oracle: the camera numbers: the last ones, those of the JSON files, every n-th."""
     root = make_case(*LAYOUTS).root
@@ -429,6 +447,22 @@ def test_a_rig_joins_the_worlds_of_frames(make_case: Callable[..., Case]) -> Non
     assert "differ by 0.00 %" in joined.warnings[-1]
     same = read_capture(DataConfig(source=rig, rig=rig))
     assert not any("moved" in warning for warning in same.warnings)
+
+
+def test_points_come_from_the_nearest_model(make_case: Callable[..., Case]) -> None:
+    """Oracle: the true blobs of the frame with a model, in the world of each layout's cameras."""
+    case = make_case(*LAYOUTS)
+    shutil.rmtree(case.root / "data_COLMAP/000010")
+    for layout in LAYOUTS[1:]:
+        world = world_of(0 if layout.startswith("per_") else 10)
+        capture = read_capture(DataConfig(source=case.root / layout, frame=10))
+        wanted = transform_splats(splats_at(5), world).means
+        np.testing.assert_allclose(capture.points.points, wanted, atol=1e-4)
+        assert "starting from those of" in capture.warnings[-1]
+    (case.root / "data_COLMAP/000005/sparse/images.bin").write_bytes(b"short")
+    capture = read_capture(DataConfig(source=case.root / "per_view", frame=5))
+    assert len(capture.points) == 0
+    assert "cannot be used" in capture.warnings[-1]
 
 
 def test_a_rig_with_a_wrong_and_a_lost_camera(make_case: Callable[..., Case]) -> None:
