@@ -17,6 +17,7 @@ def main() -> int:
     arguments = sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else []
     if arguments[:1] == ["--packages"]:
         sys.path.append(arguments[1])
+        os.environ["PYTHONPATH"] = arguments[1]  # for the Pythons that tests start
         arguments = arguments[2:]
     sys.path.insert(0, str(ROOT))
     os.chdir(ROOT)

@@ -205,6 +205,9 @@ def main() -> int:
     except (RuntimeError, bpy_venvs.NoPythonError) as error:
         print(error, file=sys.stderr)
         return 1
+    except subprocess.CalledProcessError as error:
+        print(f"{error.cmd[0]} failed; what it says stands above.", file=sys.stderr)
+        return 1
     return 0
 
 

@@ -108,10 +108,13 @@ def run_blender(tmp_path: Path) -> Callable[..., str]:
             path.write_text(script, encoding="utf-8")
         profile.mkdir(exist_ok=True)
         program = bpy.app.binary_path
-        command = [program, "-b", "--factory-startup", "--python-exit-code", "1", "-P", str(path)]
-        command = [*command, "--"] if program else [sys.executable, str(path)]
         environment = {**os.environ, "BLENDER_USER_RESOURCES": str(profile)}
-        environment.pop("PYTHONPATH", None)
+        packages = environment.pop("PYTHONPATH", "")
+        command = [sys.executable, str(path)]
+        if program:
+            command = [program, "-b", "--factory-startup", "--python-exit-code", "1"]
+            command += ["--python-expr", f"import sys; sys.path.append({packages!r})"]
+            command += ["-P", str(path), "--"]
         done = subprocess.run(
             [*command, *map(str, args)],
             cwd=cwd,
