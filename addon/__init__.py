@@ -8,6 +8,7 @@ from importlib import import_module
 MODULES: tuple[str, ...] = (
     "preferences",
     "properties",
+    "stored_paths",
     "camera_operators",
     "alignment_operators",
     "splat_settings",

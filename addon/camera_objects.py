@@ -1,5 +1,6 @@
 """Blender cameras that stand for photos: how they are marked, made and read back."""
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -8,6 +9,7 @@ import bpy
 import numpy as np
 
 from . import camera_math as cm
+from . import stored_paths
 from .compat import matrix_to_numpy
 from .core import rotmat_to_quat
 
@@ -82,7 +84,8 @@ def make(
     set_pose(ob, stated.viewmat)
     collection.objects.link(ob)
     ob[KIND] = "camera"
-    ob["gs_image"], ob["gs_photo"] = stated.image, stated.photo
+    ob["gs_image"] = stated.image
+    stored_paths.write(ob, stored_paths.PHOTO, stated.photo)
     ob["gs_K"] = stated.K.ravel().tolist()
     ob["gs_viewmat"] = stated.viewmat.ravel().tolist()
     ob["gs_size"] = [stated.width, stated.height]
@@ -100,7 +103,7 @@ def stated(ob: bpy.types.Object) -> PhotoCamera:
         size = [int(v) for v in ob["gs_size"]]
         return PhotoCamera(
             image=str(ob["gs_image"]),
-            photo=str(ob.get("gs_photo", "")),
+            photo=stored_paths.read(ob, stored_paths.PHOTO),
             viewmat=np.array(ob["gs_viewmat"], np.float64).reshape(4, 4),
             K=np.array(ob["gs_K"], np.float64).reshape(3, 3),
             width=size[0],
@@ -243,14 +246,14 @@ def set_photo(ob: bpy.types.Object, file: Path, known: dict[str, bpy.types.Image
         file: The photo.
         known: Images already in the file by absolute path; the new one is added.
     """
-    ob["gs_photo"] = str(file)
+    stored_paths.write(ob, stored_paths.PHOTO, file)
     if not file.is_file():
         return False
     image = known.get(str(file))
     if image is None:
         # `images.load` looks into every file, which makes it 80 times slower.
         image = known[str(file)] = bpy.data.images.new(file.name, 1, 1)
-        image.source, image.filepath = "FILE", str(file)
+        image.source, image.filepath = "FILE", ob[stored_paths.PHOTO]
     slots = ob.data.background_images
     slot = slots[0] if slots else slots.new()
     slot.image, slot.alpha = image, 1.0
@@ -263,7 +266,7 @@ def set_photo(ob: bpy.types.Object, file: Path, known: dict[str, bpy.types.Image
 def known_images() -> dict[str, Any]:
     """The images of this file by absolute path."""
     return {
-        bpy.path.abspath(image.filepath): image
+        os.path.normpath(bpy.path.abspath(image.filepath, library=image.library)): image
         for image in bpy.data.images
         if image.source == "FILE" and image.filepath
     }

@@ -6,12 +6,12 @@ from typing import Any, ClassVar
 import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
-from . import cameras
+from . import cameras, stored_paths
 from .camera_lookup import find_camera, find_root
 from .core import GsError
 from .export_cameras import Exported, export_colmap
 from .export_transforms import export_transforms
-from .paths import absolute, relative
+from .paths import absolute
 
 
 class CaptureOperator:
@@ -357,7 +357,7 @@ def _remember(context: bpy.types.Context, root: bpy.types.Object, images: str) -
     """Train on what was imported, unless another capture has been chosen."""
     settings = _settings(context)
     if settings is not None and not _panel_path(context):
-        settings.capture_path, settings.images = relative(Path(root["gs_source"])), images
+        settings.capture_path, settings.images = root[stored_paths.SOURCE], images
 
 
 def _chosen(

@@ -11,7 +11,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from . import alignment, sfm_points
+from . import alignment, sfm_points, stored_paths
 from . import camera_math as cm
 from . import camera_objects as co
 from .camera_objects import cameras_of, is_camera, root_of
@@ -326,7 +326,8 @@ def relink(root: bpy.types.Object, path: str | Path, images: str = "images") -> 
         raise ValueError(
             f"{picked} has none of the {len(cameras)} photos of {root.name}. Choose another folder."
         )
-    root["gs_source"], root["gs_images"] = str(source), images
+    stored_paths.write(root, stored_paths.SOURCE, source)
+    root["gs_images"] = images
     known = co.known_images()
     for ob in cameras:
         if found[ob.name] is not None:
@@ -357,7 +358,8 @@ def _make_root(
     name: str, collection: bpy.types.Collection, source: Path, images: str
 ) -> bpy.types.Object:
     root = bpy.data.objects.new(name, None)
-    root[co.KIND], root["gs_source"], root["gs_images"] = "capture", str(source), images
+    root[co.KIND], root["gs_images"] = "capture", images
+    stored_paths.write(root, stored_paths.SOURCE, source)
     collection.objects.link(root)
     return root
 

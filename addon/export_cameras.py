@@ -14,7 +14,7 @@ import numpy as np
 
 from . import camera_math as cm
 from . import camera_objects as co
-from . import sfm_points
+from . import sfm_points, stored_paths
 from .core import (
     Capture,
     ColmapCamera,
@@ -258,7 +258,7 @@ def _rigid(viewmat: np.ndarray) -> np.ndarray:
 
 def source_of(root: bpy.types.Object | None) -> Path | None:
     """The capture that an empty was imported from, if it is still there."""
-    text = str(root.get("gs_source", "")) if root is not None else ""
+    text = stored_paths.read(root, stored_paths.SOURCE) if root is not None else ""
     path = Path(text)
     return path if text and path.exists() else None
 

@@ -31,12 +31,17 @@ def absolute(text: str, what: str) -> Path:
     return Path(os.path.abspath(bpy.path.abspath(text)))  # noqa: PTH100 - keeps symbolic links
 
 
-def relative(path: Path) -> str:
-    """A path to keep in the .blend file: relative to it where that is possible."""
-    if not bpy.data.filepath:
+def relative(path: Path, folder: Path | None = None) -> str:
+    """A path to keep in the .blend file: relative to it where that is possible.
+
+    Args:
+        path: Absolute.
+        folder: Where the file will lie; None: where it lies.
+    """
+    if folder is None and not bpy.data.filepath:
         return str(path)
     try:
-        text = bpy.path.relpath(str(path))
+        text = bpy.path.relpath(str(path), start=None if folder is None else str(folder))
     except ValueError:  # another drive
         return str(path)
     # Far away from the .blend file a relative path only breaks sooner.

@@ -6,7 +6,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from .. import preferences, splat_io, splat_object
+from .. import preferences, splat_io, splat_object, stored_paths
 from ..camera_objects import is_kind
 from ..core import Splats
 from ..paths import output_folder
@@ -16,8 +16,6 @@ from .filling import Filling, replace
 from .job import Job
 from .loader import Loaded
 
-RUN_KEY = "gs_run"
-"""Custom property of a result: the output folder it came from."""
 _FILLED = "gs_filled"
 """Custom property of a result: its `_signature` as it came, to know whether it was edited."""
 EMPTY = Splats(
@@ -97,17 +95,17 @@ def result_object(scene: bpy.types.Scene, job: Job, loaded: Loaded) -> bpy.types
     One that was edited stays as it is, and the splats go into a new one.
     """
     ob = scene.gscore.result
-    same_run = ob is not None and ob.get(RUN_KEY) == str(job.output)
+    same_run = ob is not None and _is_of(ob, job)
     if same_run and scene.objects.get(ob.name) is ob:
         if ob.get(_FILLED, "") in ("", _signature(ob)):
             return ob
-        del ob[RUN_KEY], ob[_FILLED]
+        del ob[stored_paths.RUN], ob[_FILLED]
         job.state.warn(f"{ob.name} was edited and is kept; the training goes into a new object.")
     root = _root(scene, job.source)
     collection = root.users_collection[0] if root and root.users_collection else scene.collection
     name = f"{job.source.name} splats"
     ob = splat_object.create(EMPTY, name, collection=collection, parent=root)
-    ob[RUN_KEY] = str(job.output)
+    stored_paths.write(ob, stored_paths.RUN, job.output)
     if loaded.typical_size:
         ob.gscore.point_size = 0.5 * loaded.typical_size
     if job.antialias:
@@ -116,6 +114,12 @@ def result_object(scene: bpy.types.Scene, job: Job, loaded: Loaded) -> bpy.types
         splat_io.turn_up(ob, "-Y")  # as COLMAP and cameras lie, near enough to upright
     scene.gscore.result = ob
     return ob
+
+
+def _is_of(ob: bpy.types.Object, job: Job) -> bool:
+    """Whether an object shows the splats of a job's run."""
+    run = stored_paths.read(ob, stored_paths.RUN)
+    return bool(run) and registry.same_folder(Path(run), job.output)
 
 
 def _signature(ob: bpy.types.Object) -> str:
@@ -129,7 +133,7 @@ def _remove_discarded(job: Job, scene: bpy.types.Scene) -> bool:
     """Take back the live splats of a run that was discarded; whether there were any."""
     ob = scene.gscore.result
     over = job.state.status == session.DISCARDED and not job.resumed
-    if not over or ob is None or ob.get(RUN_KEY) != str(job.output) or ob.mode != "OBJECT":
+    if not over or ob is None or not _is_of(ob, job) or ob.mode != "OBJECT":
         return False
     mesh = ob.data
     bpy.data.objects.remove(ob)
@@ -198,7 +202,7 @@ def _give_up(job: Job, loaded: Loaded, problem: str) -> None:
 def _root(scene: bpy.types.Scene, source: Path) -> bpy.types.Object | None:
     """The empty that carries the alignment of the capture."""
     for ob in scene.objects:
-        text = ob.get("gs_source")
+        text = stored_paths.read(ob, stored_paths.SOURCE)
         if is_kind(ob, "capture") and text and registry.same_folder(Path(text), source):
             return ob
     return None

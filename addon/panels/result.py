@@ -4,8 +4,7 @@ from typing import ClassVar
 
 import bpy
 
-from .. import splat_edit
-from ..job.display import RUN_KEY
+from .. import splat_edit, stored_paths
 from ..splat_object import is_splats
 from .widgets import TabPanel, job, rows, sentence
 
@@ -51,7 +50,7 @@ class ResultPanel(TabPanel, bpy.types.Panel):
         row.operator("gscore.import_splats", text="Import", icon="IMPORT")
         row.operator("gscore.export_splats", text="Export", icon="EXPORT")
         training = job(context)
-        if ob.get(RUN_KEY) and (training is None or training.state.ended):
+        if stored_paths.RUN in ob and (training is None or training.state.ended):
             layout.operator("gscore.show_report", icon="URL")
 
 

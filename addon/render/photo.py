@@ -6,6 +6,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
+from .. import stored_paths
 from ..camera_objects import PhotoCamera, root_of, stated
 from ..core import Folder, downscale
 from . import color
@@ -46,7 +47,7 @@ def load_target(
         ValueError: photo or mask cannot be decoded or have other shapes than the camera.
     """
     own = stated(camera)
-    rgba = _read(bpy.path.abspath(own.photo), own)
+    rgba = _read(own.photo, own)
     if width > rgba.shape[1] or height > rgba.shape[0]:
         raise ValueError(
             f"The photo {own.photo} has {rgba.shape[1]} x {rgba.shape[0]} pixels, {width} x "
@@ -80,7 +81,7 @@ def _mask_file(camera: bpy.types.Object, own: PhotoCamera) -> Path | None:
     root = root_of(camera)
     if root is None:
         return None
-    source = Path(bpy.path.abspath(str(root.get("gs_source", ""))))
+    source = Path(stored_paths.read(root, stored_paths.SOURCE))
     place = (source.parent if source.is_file() else source) / MASKS
     return Folder(place).find_mask(own.image) if place.is_dir() else None
 

@@ -17,8 +17,8 @@ from addon import job as job_api
 from addon import preferences
 from addon.core import Splats, write_splats
 from addon.job import display, filling, registry, session, timer, training
-from addon.job.display import RUN_KEY
 from addon.job.job import Job
+from addon.stored_paths import RUN
 from tests.addon.fake_trainer import STARTED, fake_python, finish, step
 
 ROOT = Path(__file__).parent.parent.parent
@@ -100,7 +100,7 @@ def test_snapshots_then_the_result_reach_one_object(
     until(lambda: studio.gscore.result is not None)
     ob = studio.gscore.result
     np.testing.assert_array_equal(positions(ob), snapshot.means[::3])
-    assert ob[RUN_KEY] == str(tmp_path / "out")
+    assert ob[RUN] == str(tmp_path / "out")
     job._process.send("go")
     assert training.wait_for(job, timeout=20)
     assert studio.gscore.result is ob

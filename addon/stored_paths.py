@@ -1,0 +1,109 @@
+"""Paths that a .blend file keeps: read from wherever it lies, carried along when it is saved away.
+
+Blender does that for the paths of its own datablocks, not for those of add-ons.
+"""
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import bpy
+from bpy.app.handlers import persistent
+
+from .paths import relative
+
+SOURCE, PHOTO, RUN = "gs_source", "gs_photo", "gs_run"
+"""Custom properties of objects that hold a path: of a capture, of a photo, of a run."""
+
+
+def read(ob: bpy.types.Object, key: str) -> str:
+    """The path in a custom property, absolute; empty without one."""
+    text = str(ob.get(key, ""))
+    return os.path.normpath(bpy.path.abspath(text, library=ob.library)) if text else ""
+
+
+def write(ob: bpy.types.Object, key: str, path: str | Path) -> None:
+    """Keep a path in a custom property, relative to the .blend file where it lies near it."""
+    ob[key] = relative(Path(path)) if str(path) else ""
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Where a path is kept."""
+
+    owner: Any
+    key: str
+
+    @property
+    def text(self) -> str:
+        if isinstance(self.owner, bpy.types.Object):
+            return str(self.owner[self.key])
+        return getattr(self.owner, self.key)
+
+    def put(self, text: str) -> None:
+        if isinstance(self.owner, bpy.types.Object):
+            self.owner[self.key] = text
+        else:
+            setattr(self.owner, self.key, text)
+
+
+_before: list[tuple[_Place, str]] = []
+"""What stood there before the save that is under way."""
+
+
+def _places() -> Iterator[_Place]:
+    for scene in bpy.data.scenes:
+        if scene.library is None:
+            yield from (_Place(scene.gscore, key) for key in ("capture_path", "output_path"))
+    for ob in bpy.data.objects:
+        if ob.library is None:
+            yield from (_Place(ob, key) for key in (SOURCE, PHOTO, RUN) if key in ob)
+
+
+@persistent
+def _save_begins(filepath: str = "", *_: object) -> None:
+    """Write paths for the folder that the file is saved to.
+
+    Relative ones stay relative to it where they can; those of a file that was never saved become
+    so, as Blender's own do.
+    """
+    _before.clear()
+    old = bpy.data.filepath
+    if not filepath or (old and Path(old).parent == Path(filepath).parent):
+        return
+    for place in _places():
+        text = place.text
+        if text.strip() and text.startswith("//") == bool(old):
+            _before.append((place, text))
+            path = Path(os.path.normpath(bpy.path.abspath(text)))
+            place.put(relative(path, Path(filepath).parent))
+
+
+@persistent
+def _save_ended(filepath: str = "", *_: object) -> None:
+    """A copy was saved, or nothing was: the open file is where it was."""
+    if bpy.data.filepath != filepath:
+        for place, text in _before:
+            place.put(text)
+    _before.clear()
+
+
+_HANDLERS = {
+    "save_pre": _save_begins,
+    "save_post": _save_ended,
+    "save_post_fail": _save_ended,
+}
+
+
+def register() -> None:
+    """Follow saving."""
+    for name, function in _HANDLERS.items():
+        getattr(bpy.app.handlers, name).append(function)
+
+
+def unregister() -> None:
+    """Stop following."""
+    for name, function in _HANDLERS.items():
+        getattr(bpy.app.handlers, name).remove(function)
