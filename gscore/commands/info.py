@@ -1,4 +1,4 @@
-"""`gscore info`: what a capture, a PLY or the folder of a run holds."""
+"""`gscore info`: what a capture, a PLY or the folder of a run or a sequence holds."""
 
 import argparse
 import json
@@ -13,6 +13,7 @@ from ..errors import DatasetError
 from ..io.colmap import find_model, read_model
 from ..io.ply_compressed import is_compressed
 from ..io.ply_elements import read_elements
+from ..io.sequences import read_sequence
 from ..metrics.words import size_words, time_words
 from ..splats import Splats
 from .model import Model, find_ply, open_model
@@ -36,6 +37,8 @@ def run(args: argparse.Namespace) -> int:
         raise DatasetError(f"There is no file or folder {path}.")
     if path.is_file() and path.suffix.lower() != ".json":
         facts = _model_facts(open_model(path))
+    elif path.is_dir() and (index := read_sequence(path)):
+        facts = {"kind": "sequence", "path": str(path), **vars(index)}
     elif path.is_dir() and _holds_model(path):
         facts = _run_facts(path)
     else:
@@ -155,7 +158,12 @@ def _colmap_facts(path: Path) -> dict[str, Any] | None:
 
 
 def _text(facts: dict[str, Any]) -> str:
-    lines = {"splats": _splats_text, "run": _run_text, "capture": _capture_text}[facts["kind"]]
+    lines = {
+        "splats": _splats_text,
+        "run": _run_text,
+        "sequence": _sequence_text,
+        "capture": _capture_text,
+    }[facts["kind"]]
     return "\n".join(lines(facts) + [f"Warning: {w}" for w in facts.get("warnings", [])])
 
 
@@ -197,6 +205,22 @@ def _run_text(facts: dict[str, Any]) -> list[str]:
         hint = f"; go on with: gscore train -o {facts['path']} --resume" if count else ""
         return [*lines, f"  no point_cloud.ply yet{hint}"]
     return lines + _splats_text(facts["model"])
+
+
+def _sequence_text(facts: dict[str, Any]) -> list[str]:
+    frames, total = facts["frames"], facts["mean"].get("frames_total", "?")
+    lines = [f"{facts['path']}: a sequence, {len(frames)} of {total} frames complete"]
+    for entry in frames:
+        psnr = entry.get("psnr")
+        quality = "" if psnr is None else f", {entry.get('split')} views PSNR {psnr:.2f}"
+        took = time_words(entry.get("train_seconds") or 0.0)
+        lines.append(
+            f"  {entry['folder']}: {entry.get('splats', 0):,} splats, {entry.get('steps')} steps "
+            f"in {took}{quality}"
+        )
+    if len(frames) != total:
+        lines.append(f"  go on with: gscore sequence -o {facts['path']} --resume")
+    return lines
 
 
 def _capture_text(facts: dict[str, Any]) -> list[str]:

@@ -6,14 +6,9 @@ from dataclasses import replace
 from typing import Any
 
 from ..errors import ConfigError
+from ..io.sequences import SEQUENCE_FILE
 from ..trainer import Control
-from ..trainer.sequence import (
-    INDEX,
-    SequenceOptions,
-    SequenceResult,
-    read_index,
-    train_sequence,
-)
+from ..trainer.sequence import SequenceOptions, SequenceResult, read_options, train_sequence
 from . import train as train_command
 from .attend import Show, attend
 
@@ -70,8 +65,7 @@ def _train(args: argparse.Namespace, show: Show, control: Control) -> SequenceRe
     for name, (option, instead) in _ONE_FRAME.items():
         if getattr(args, name) is not None:
             raise ConfigError(f"{option} is for one frame: {instead}.")
-    stored = read_index(args.output) if args.resume else None
-    options = stored[0] if stored else SequenceOptions()
+    stored = read_options(args.output) if args.resume else None
     names = ("frames", "next_iterations", "warm_start", "fixed_rig", "keep_checkpoints")
     given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
     data, config = train_command.configs(args)
@@ -81,7 +75,7 @@ def _train(args: argparse.Namespace, show: Show, control: Control) -> SequenceRe
         args.output,
         show,
         control,
-        options=replace(options, **given),
+        options=replace(stored or SequenceOptions(), **given),
         resume=args.resume,
         overwrite=args.overwrite,
     )
@@ -100,7 +94,7 @@ def _summary(result: SequenceResult) -> str:
             f"{split.capitalize()} views, mean of the frames: PSNR {numbers['psnr']:.2f} dB, "
             f"SSIM {numbers['ssim']:.4f}."
         )
-    lines.append(f"Results: {result.output / INDEX}, frame_*/point_cloud.ply")
+    lines.append(f"Results: {result.output / SEQUENCE_FILE}, frame_*/point_cloud.ply")
     if result.reason != "finished":
         lines.append(f"To go on: gscore sequence -o {result.output} --resume")
     return "\n".join(lines)

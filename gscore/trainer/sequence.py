@@ -14,14 +14,13 @@ from ..errors import Cancelled, ConfigError, FormatError, GsError
 from ..events import Event, FrameStarted, SequenceDone, Started
 from ..io.files import atomic_write
 from ..io.runs import clear_run, read_run
+from ..io.sequences import SEQUENCE_FILE, SequenceIndex, read_sequence, write_sequence
 from ..metrics import headline
 from . import checkpoint
 from .control import Control
 from .folder import RunFolder
 from .run import train
 
-INDEX = "sequence.json"
-"""File of a sequence's folder: its options and its frames."""
 _LONG = ("history", "evals")
 _MEANS = ("psnr", "ssim", "lpips")
 
@@ -135,22 +134,21 @@ def train_sequence(
     return run.through(control or Control(), resume=resume)
 
 
-def read_index(output: Path) -> tuple[SequenceOptions, list[dict[str, Any]]] | None:
-    """Options and complete frames of the sequence in a folder, or None if there is none.
+def read_options(output: Path) -> SequenceOptions | None:
+    """Options of the sequence in a folder, or None if there is none.
 
     Raises:
         FormatError: its sequence.json is something else.
     """
-    path = output / INDEX
-    if not path.is_file():
+    index = read_sequence(output)
+    if index is None:
         return None
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        return SequenceOptions(**content["options"]), list(content["frames"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        return SequenceOptions(**index.options)
+    except TypeError as error:
         raise FormatError(
-            f"{path} is not the list of a sequence's frames ({error}); remove it, or choose "
-            f"another output folder."
+            f"{output / SEQUENCE_FILE} was written by another gscore ({error}); give all options "
+            f"without --resume, in another folder."
         ) from error
 
 
@@ -255,14 +253,12 @@ class _Run:
         self._emit(event)
 
     def _write_index(self) -> None:
-        result = self._result("")
-        content = {
-            "gscore": __version__,
-            "options": asdict(self._options),
-            "frames": [frame.to_dict(self._output) for frame in self._complete],
-            "mean": result.headline,
-        }
-        atomic_write(self._output / INDEX, (json.dumps(content, indent=2) + "\n").encode())
+        index = SequenceIndex(
+            options=asdict(self._options),
+            frames=[frame.to_dict(self._output) for frame in self._complete],
+            mean=self._result("").headline,
+        )
+        write_sequence(self._output, index, version=__version__)
 
     def _result(self, reason: str) -> SequenceResult:
         return SequenceResult(
@@ -278,7 +274,7 @@ class _Run:
             SequenceDone(
                 reason=reason,
                 frames=len(self._complete),
-                path=str(self._output / INDEX),
+                path=str(self._output / SEQUENCE_FILE),
                 train_seconds=result.headline["train_seconds"],
                 metrics=result.headline,
             )
@@ -289,13 +285,13 @@ class _Run:
 def _open(output: Path, *, resume: bool, overwrite: bool) -> None:
     """Raise unless a sequence may be trained into `output`, and clear it for another one."""
     begun = sorted(path for path in output.glob("frame_*") if read_run(path) is not None)
-    if read_index(output) is None and not begun:
+    if read_sequence(output) is None and not begun:
         if resume:
             raise ConfigError(f"{output} holds no sequence to resume; leave --resume out.")
     elif overwrite:
         for path in begun:
             clear_run(path)
-        (output / INDEX).unlink(missing_ok=True)
+        (output / SEQUENCE_FILE).unlink(missing_ok=True)
     elif not resume:
         raise ConfigError(
             f"{output} holds another sequence ({len(begun)} frames begun); go on with it with "

@@ -18,8 +18,9 @@ from gscore.errors import Cancelled, ConfigError, DatasetError, FormatError
 from gscore.events import Done, Event, FrameStarted, SequenceDone, Started, from_line
 from gscore.io.colmap import read_model, write_model
 from gscore.io.ply import read_splats
+from gscore.io.sequences import read_sequence
 from gscore.trainer import Control
-from gscore.trainer.sequence import SequenceOptions, read_index, train_sequence
+from gscore.trainer.sequence import SequenceOptions, train_sequence
 from gscore.transforms import rotmat_to_quat
 
 CONFIG = TrainConfig(iterations=40, max_splats=200, sh_degree=1, checkpoint_seconds=0)
@@ -51,6 +52,13 @@ def frames(capture: Path, tmp_path: Path) -> Path:
 def of_kind(events: list[Event], kind: type) -> list[Any]:
     """The events of a kind."""
     return [event for event in events if isinstance(event, kind)]
+
+
+def numbers_in(folder: Path) -> list[int]:
+    """Complete frames that sequence.json lists."""
+    index = read_sequence(folder)
+    assert index is not None
+    return [entry["frame"] for entry in index.frames]
 
 
 def test_each_frame_starts_from_the_one_before(frames: Path, tmp_path: Path) -> None:
@@ -106,7 +114,7 @@ def test_without_warm_start_and_rig_frames_know_nothing_of_each_other(
     out, alone = tmp_path / "out", tmp_path / "alone"
     options = SequenceOptions(frames="5:", warm_start=False, fixed_rig=False)
     train_sequence(CONFIG, DataConfig(source=frames), out, options=options)
-    assert [entry["frame"] for entry in read_index(out)[1]] == [5, 10]
+    assert numbers_in(out) == [5, 10]
     run = ["train", str(frames / "000010"), "-o", str(alone), "--quiet", "--sh-degree", "1"]
     assert main([*run, "--iterations", "40", "--max-splats", "200"]) == 0
     both = [folder / "point_cloud.ply" for folder in (out / "frame_000010", alone)]
@@ -163,6 +171,10 @@ def test_the_command_line(frames: Path, tmp_path: Path, capsys: pytest.CaptureFi
     assert [entry["steps"] for entry in facts["per_frame"]] == [20, 5]
     assert facts["per_frame"][1]["start"] == "frame_000000"
     assert facts["psnr"] > 5
+    assert main(["info", str(out)]) == 0
+    seen = capsys.readouterr().out
+    assert "a sequence, 2 of 2 frames complete" in seen
+    assert "frame_000005: 150 splats, 5 steps" in seen
     assert main([*base, "--quiet"]) == 2
     assert "holds another sequence" in capsys.readouterr().err
     more = ["sequence", "-o", str(out), "--resume", "--frames", ":", "--events", "jsonl"]
@@ -223,7 +235,7 @@ def test_a_broken_frame_is_named_and_the_others_stay(frames: Path, tmp_path: Pat
     options = SequenceOptions(next_iterations=5)
     with pytest.raises(FormatError, match="frame_000005: "):
         train_sequence(CONFIG, data, out, options=options)
-    assert [entry["frame"] for entry in read_index(out)[1]] == [0]
+    assert numbers_in(out) == [0]
     points.write_bytes(good)
     result = train_sequence(CONFIG, data, out, options=options, resume=True)
     assert len(result.frames) == 3

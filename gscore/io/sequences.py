@@ -1,0 +1,63 @@
+"""The folder that training a sequence leaves, read without torch: its options and its frames."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..errors import FormatError
+from .files import atomic_write
+
+SEQUENCE_FILE = "sequence.json"
+"""File of a sequence's folder that lists its frames."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SequenceIndex:
+    """Content of a sequence.json."""
+
+    options: dict[str, Any]
+    """What the sequence was asked for besides the options of its frames."""
+    frames: list[dict[str, Any]]
+    """Complete frames in order: at least `frame` (number) and `folder` (below the sequence's), and
+    where known `start`, `splats`, `steps`, `train_seconds`, `psnr`, `ssim`, `lpips`, `split`."""
+    mean: dict[str, Any]
+    """Of the complete frames: `psnr`, `ssim`, `lpips`; `train_seconds` of all, `frames` and
+    `frames_total`."""
+
+
+def read_sequence(folder: Path) -> SequenceIndex | None:
+    """The list in the folder of a sequence, or None if it holds none.
+
+    Raises:
+        FormatError: it is damaged or something else.
+    """
+    path = folder / SEQUENCE_FILE
+    if not path.is_file():
+        return None
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        index = SequenceIndex(
+            options=dict(content["options"]),
+            frames=[dict(entry) for entry in content["frames"]],
+            mean=dict(content["mean"]),
+        )
+        if all(isinstance(e["frame"], int) and isinstance(e["folder"], str) for e in index.frames):
+            return index
+        reason = "a frame without number or folder"
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        reason = f"{type(error).__name__}: {error}"
+    raise FormatError(
+        f"{path} is not the list of a sequence's frames ({reason}); remove it, or choose another "
+        f"folder."
+    )
+
+
+def write_sequence(folder: Path, index: SequenceIndex, *, version: str) -> None:
+    """Write the list completely or not at all.
+
+    Raises:
+        GsError: it cannot be written.
+    """
+    content = {"gscore": version, **vars(index)}
+    atomic_write(folder / SEQUENCE_FILE, (json.dumps(content, indent=2) + "\n").encode())
