@@ -129,21 +129,36 @@ class ExportSplats(bpy.types.Operator, ExportHelper):
         description="Leave out splats that the display filters hide",
         default=False,
     )
+    collection: StringProperty(
+        name="Collection",
+        description="Export the splat objects of this collection, not the selected ones; set by "
+        "the exporters of collections",
+        options={"HIDDEN", "SKIP_SAVE"},
+    )
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Whether an object with splats is active or selected."""
-        if _chosen(context):
+        """Whether there is an object with splats; exporters of collections need none selected."""
+        if any(can_export(ob) for ob in context.scene.objects):
             return True
-        cls.poll_message_set("Select a splat object to export")
+        cls.poll_message_set("There are no splats: import a splat PLY or train some")
         return False
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Open the file browser, unless there is nothing to write."""
+        if not _chosen(context, self.collection):
+            return _failed(self, ValueError("Select the splat objects to export."))
+        return ExportHelper.invoke(self, context, event)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Write the file."""
         context.view_layer.update()
         try:
             count = splat_io.export_splats(
-                _chosen(context), self.filepath, world=self.world, filtered=self.filtered
+                _chosen(context, self.collection),
+                self.filepath,
+                world=self.world,
+                filtered=self.filtered,
             )
         except (GsError, ValueError) as error:
             return _failed(self, error)
@@ -151,10 +166,19 @@ class ExportSplats(bpy.types.Operator, ExportHelper):
         return {"FINISHED"}
 
 
-def _chosen(context: bpy.types.Context) -> list[bpy.types.Object]:
-    """Selected objects with splats, the active one first even if it is not selected."""
-    obs = [ob for ob in (context.object, *context.selected_objects) if can_export(ob)]
-    return list(dict.fromkeys(obs))
+def _chosen(context: bpy.types.Context, collection: str) -> list[bpy.types.Object]:
+    """Objects with splats of a collection, else the active one and then those selected.
+
+    Raises:
+        ValueError: there is no such collection.
+    """
+    obs = [context.object, *context.selected_objects]
+    if collection:
+        found = bpy.data.collections.get(collection)
+        if found is None:
+            raise ValueError(f"There is no collection {collection} to export.")
+        obs = list(found.all_objects)
+    return list(dict.fromkeys(ob for ob in obs if can_export(ob)))
 
 
 class ApplyFilters(_OnSplats, bpy.types.Operator):

@@ -33,7 +33,7 @@ class CapturePanel(TabPanel, bpy.types.Panel):
                 sentence(layout, context, item.text, icon=icon)
             if found.can_train:
                 layout.label(text=f"Good to train on ({found.kind})", icon="CHECKMARK")
-        layout.prop(settings, "images")
+        layout.prop(settings, "images", text="Photos in")
 
 
 CLASSES = (CapturePanel,)

@@ -14,7 +14,8 @@ def shown(context: bpy.types.Context) -> bpy.types.Object | None:
     if is_splats(context.object):
         return context.object
     result = context.scene.gscore.result
-    return result if is_splats(result) else None
+    there = is_splats(result) and context.scene.objects.get(result.name) == result
+    return result if there else None  # a deleted object is kept by the setting alone
 
 
 class ResultPanel(TabPanel, bpy.types.Panel):
@@ -80,6 +81,9 @@ class FiltersPanel(TabPanel, bpy.types.Panel):
             row = column.row(align=True)
             row.prop(settings, "crop_shape", text="")
             row.prop(settings, "crop_invert", toggle=True)
+            if not settings.crop_object.users_scene:  # Blender keeps what a setting names
+                text = "The crop object is deleted, but still crops; Reset ends that."
+                sentence(layout, context, text, icon="INFO")
         layout.prop(settings, "apply_filters_to_render")
         if ob != context.object:
             return

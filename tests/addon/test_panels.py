@@ -6,11 +6,12 @@ import bpy
 import numpy as np
 import pytest
 
-from addon import panels
+from addon import panels, splat_object
 from addon.core import PRESETS, Progress, RunInfo, Started
 from addon.job.curve import LossCurve
+from addon.job.display import EMPTY
 from addon.job.session import PAUSED, RunState
-from addon.panels import progress, train
+from addon.panels import progress, result, train
 
 
 def test_panels_come_in_the_order_of_the_work() -> None:
@@ -39,6 +40,16 @@ def test_buttons_lead_somewhere() -> None:
     for name in re.findall(r'prop\(settings, "(\w+)"', text):
         owners = (scene.gscore.bl_rna, bpy.types.Object.bl_rna.properties["gscore"].fixed_type)
         assert any(name in owner.properties for owner in owners), name
+
+
+def test_a_deleted_result_is_not_shown(scene: bpy.types.Scene) -> None:
+    """Oracle: Blender's delete, which keeps what a setting names out of the scene."""
+    ob = splat_object.create(EMPTY, "splats")
+    scene.gscore.result = ob
+    assert result.shown(bpy.context) == ob
+    ob.select_set(True)
+    bpy.ops.object.delete()
+    assert scene.gscore.result == ob and result.shown(bpy.context) is None
 
 
 def running() -> RunState:

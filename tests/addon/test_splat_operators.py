@@ -351,6 +351,24 @@ def test_reset_display(ob: bpy.types.Object) -> None:
     assert splat_edit.stats(ob, depsgraph).visible == visible_mask(ob).sum() < COUNT
 
 
+def test_exporter_of_a_collection(ob: bpy.types.Object, make_splats: Make, tmp_path: Path) -> None:
+    """Oracle: the splats in the collection, though others are active and selected."""
+    collection = bpy.data.collections.new("Some")
+    bpy.context.scene.collection.children.link(collection)
+    splat_object.create(make_splats(20, seed=1), "in it", collection=collection)
+    layer = bpy.context.view_layer.layer_collection.children["Some"]
+    bpy.context.view_layer.active_layer_collection = layer
+    bpy.ops.collection.exporter_add(name="GSCORE_FH_splats")
+    collection.exporters[0].export_properties.filepath = str(tmp_path / "some.ply")
+    for active in (ob, None):
+        bpy.context.view_layer.objects.active = active
+        bpy.ops.collection.exporter_export(index=0)
+        close(read_splats(tmp_path / "some.ply"), make_splats(20, seed=1))
+        (tmp_path / "some.ply").unlink()
+    with pytest.raises(RuntimeError, match="no collection"):
+        bpy.ops.gscore.export_splats(filepath=str(tmp_path / "some.ply"), collection="none")
+
+
 def test_only_on_splats(scene: bpy.types.Scene) -> None:
     """Oracle: no operator runs without a splat object."""
     for name in (
