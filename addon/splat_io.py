@@ -79,11 +79,16 @@ def collected_warnings() -> Iterator[list[str]]:
 
 
 def turn_up(ob: bpy.types.Object, up: str) -> None:
-    """Turn an object so that an axis of its data, a key of `UP_AXES`, points up.
+    """Turn an object so that an axis of its data, a key of `UP_AXES`, points up."""
+    place(ob, UP_AXES[up])
 
-    The turn is remembered, so that an export takes it back.
+
+def place(ob: bpy.types.Object, matrix: np.ndarray) -> None:
+    """Put an object without a capture where its data stand upright, by a similarity [4, 4].
+
+    It is remembered, so that an export takes it back.
     """
-    ob.matrix_basis = Matrix(UP_AXES[up].tolist())
+    ob.matrix_basis = Matrix(matrix.tolist())
     # As Blender keeps it, so that an object that was not moved goes back exactly.
     ob[_IMPORT_MATRIX] = matrix_to_numpy(ob.matrix_basis).ravel().tolist()
 

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
         Warn,
         from_line,
     )
+    from .io.cameras_json import read_cameras
     from .io.colmap import find_model as find_colmap
     from .io.colmap import read_model as read_colmap
     from .io.colmap import write_model as write_colmap
@@ -110,6 +111,7 @@ _HOME = {
     "load_dataset": "datasets",
     "psnr": "metrics.image",
     "rasterize": "raster.autograd",
+    "read_cameras": "io.cameras_json",
     "read_capture": "datasets",
     "read_colmap": "io.colmap:read_model",
     "read_header": "io.image_header",
@@ -179,6 +181,7 @@ __all__ = [
     "load_dataset",
     "psnr",
     "rasterize",
+    "read_cameras",
     "read_capture",
     "read_colmap",
     "read_header",

@@ -111,7 +111,8 @@ def result_object(scene: bpy.types.Scene, job: Job, loaded: Loaded) -> bpy.types
     if job.antialias:
         ob[ANTIALIAS] = True
     if root is None:
-        splat_io.turn_up(ob, "-Y")  # as COLMAP and cameras lie, near enough to upright
+        # Else as a first camera that was held level: COLMAP's own worlds have no up.
+        splat_io.place(ob, splat_io.UP_AXES["-Y"] if loaded.upright is None else loaded.upright)
     scene.gscore.result = ob
     return ob
 

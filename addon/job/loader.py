@@ -7,8 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from .. import splat_attributes
-from ..core import GsError, Splats, read_splats
+from .. import alignment, splat_attributes
+from ..core import GsError, Splats, read_cameras, read_splats
+
+_GROUND_POINTS = 20_000
+"""Splats among which the ground is looked for."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,6 +28,8 @@ class Loaded:
     """`splat_attributes.columns`; empty if there is a problem."""
     typical_size: float = 0.0
     """Median of the largest standard deviations, world units."""
+    upright: np.ndarray | None = None
+    """[4, 4] that puts up and ground right, found from the cameras of the run; None: not known."""
 
 
 class Loader:
@@ -87,12 +92,26 @@ def _load(path: Path, most: int, final: bool) -> Loaded:
             count=len(splats),
             columns=tuple(splat_attributes.columns(splats)),
             typical_size=float(np.exp(np.median(sizes))) if len(splats) else 0.0,
+            upright=_upright(path, splats),
         )
     except GsError as error:
         return Loaded(path=path, final=final, problem=str(error))
     except MemoryError:
         problem = f"{path} does not fit into memory; close other programs and import it again."
         return Loaded(path=path, final=final, problem=problem)
+
+
+def _upright(path: Path, splats: Splats) -> np.ndarray | None:
+    """By the cameras.json of the run that a PLY belongs to, if it can be read."""
+    for folder in (path.parent, path.parent.parent):
+        if (folder / "cameras.json").is_file():
+            try:
+                viewmats = read_cameras(folder / "cameras.json").viewmats
+            except GsError:
+                return None
+            every = max(1, len(splats) // _GROUND_POINTS)
+            return alignment.align(viewmats, splats.means[::every].astype(np.float64)).matrix
+    return None
 
 
 def _quick_look(splats: Splats, most: int) -> Splats:

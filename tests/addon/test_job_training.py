@@ -12,6 +12,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
+from mathutils import Matrix, Quaternion, Vector
 
 from addon import job as job_api
 from addon import preferences
@@ -107,6 +108,25 @@ def test_snapshots_then_the_result_reach_one_object(
     assert studio.gscore.result is ob
     np.testing.assert_array_equal(positions(ob), result.means)
     assert len([a for a in ob.data.attributes if a.name.startswith("radiance:sh_")]) == 3
+
+
+def test_the_result_stands_upright(studio: bpy.types.Scene, play: Play, tmp_path: Path) -> None:
+    """Oracle: the up axis of a ring of level cameras in a world that was turned anyhow."""
+    world = Quaternion((0.3, -0.5, 0.7, 0.4)).normalized().to_matrix()
+    entries = []
+    for angle in np.linspace(0, 2 * np.pi, 12, endpoint=False):
+        back = Vector((np.cos(angle), np.sin(angle), 0))
+        right = Vector((0, 0, 1)).cross(back)
+        axes = Matrix((right, Vector((0, 0, -1)), -back)).transposed()
+        pose = {"position": list(world @ (4 * back)), "rotation": [*map(list, world @ axes)]}
+        size = {"width": 64, "height": 48, "fx": 50.0, "fy": 50.0}
+        entries.append({"id": len(entries), "img_name": f"{angle:.2f}.png", **pose, **size})
+    write_splats(tmp_path / "out" / "point_cloud.ply", splats(300, 1))
+    (tmp_path / "out" / "cameras.json").write_text(json.dumps(entries))
+    play({"say": STARTED}, finish())
+    training.train(studio, overwrite=True, wait=True)
+    up = studio.gscore.result.matrix_world.to_3x3() @ (world @ Vector((0, 0, 1)))
+    np.testing.assert_allclose(up, (0, 0, 1), atol=1e-4)
 
 
 def test_the_trainer_gets_the_settings(studio: bpy.types.Scene, play: Play) -> None:
