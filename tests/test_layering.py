@@ -31,7 +31,7 @@ OUTSIDE = {
 """Layers that may import a package at all."""
 
 ADDON = ROOT / "addon"
-IN_BLENDER = {"bpy", "bpy_extras", "mathutils", "numpy"}
+IN_BLENDER = {"bpy", "bpy_extras", "gpu", "gpu_extras", "mathutils", "numpy"}
 """What the add-on may import besides the standard library and itself."""
 WITHOUT_BPY = (
     "alignment",
