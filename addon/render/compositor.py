@@ -108,6 +108,14 @@ def _follow(scene: bpy.types.Scene, other: bpy.types.Scene) -> None:
         wanted = getattr(scene.render, name)
         if getattr(other.render, name) != wanted:
             setattr(other.render, name, wanted)
+    # Markers that change the camera: the render looks for them in the scene that it draws.
+    cuts, own = (
+        {(m.frame, m.camera) for m in s.timeline_markers if m.camera} for s in (scene, other)
+    )
+    if cuts != own:
+        other.timeline_markers.clear()
+        for frame, camera in cuts:
+            other.timeline_markers.new(camera.name, frame=frame).camera = camera
 
 
 @bpy.app.handlers.persistent

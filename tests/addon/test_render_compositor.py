@@ -139,6 +139,27 @@ def test_the_view_is_followed(mixed, tmp_path):
     assert "looks through Camera" in message and "Composite Splats with Meshes" in message
 
 
+def test_markers_change_the_camera(mixed, tmp_path):
+    """Oracle: the splats' red fills less of the frame that is seen from twice as far."""
+    far = bpy.data.objects.new("far", bpy.data.cameras.new("far"))
+    mixed.collection.objects.link(far)
+    far.location = (0, 0, 8)
+    other = compositor.set_up(mixed)
+    for frame, camera in ((1, mixed.camera), (2, far)):
+        mixed.timeline_markers.new(camera.name, frame=frame).camera = camera
+    bpy.context.view_layer.update()
+    mixed.frame_end = 2
+    mixed.render.image_settings.file_format = "PNG"
+    mixed.render.filepath = str(tmp_path / "f")
+    bpy.ops.render.render(animation=True)
+    near, distant = (lab.read_image(tmp_path / f"f000{i}.png") for i in (1, 2))
+    red = [int((p[..., 0] > 0.5).sum()) for p in (near, distant)]
+    assert red[0] > 1000 and 50 < red[1] < red[0] / 2
+    mixed.timeline_markers.clear()
+    compositor.set_up(mixed)
+    assert not other.timeline_markers
+
+
 def test_nothing_happens_by_itself(scene):
     """Oracle: scene and trees after import and a render by our engine."""
     lab.prepare(scene)
