@@ -26,9 +26,11 @@ if TYPE_CHECKING:
         Eval,
         Event,
         Failed,
+        FrameStarted,
         Preview,
         Progress,
         Saved,
+        SequenceDone,
         Snapshot,
         Started,
         Warn,
@@ -44,6 +46,7 @@ if TYPE_CHECKING:
     from .io.ply import MIP_COMMENT, is_antialiased, read_splats, write_splats
     from .io.resample import downscale
     from .io.runs import RunInfo, clear_run, read_run
+    from .io.sequences import SequenceIndex, read_sequence
     from .metrics.colormap import colorize
     from .metrics.image import psnr
     from .raster.api import Rendered, render
@@ -54,6 +57,7 @@ if TYPE_CHECKING:
     from .sh import sh0_to_rgb
     from .splats import Splats
     from .trainer import train
+    from .trainer.sequence import SequenceOptions, train_sequence
     from .transforms import rotmat_to_quat, transform_splats
 
 # Where a public name lives; `module:name` where it is called differently there.
@@ -78,6 +82,7 @@ _HOME = {
     "Failed": "events",
     "Folder": "datasets",
     "FormatError": "errors",
+    "FrameStarted": "events",
     "GsError": "errors",
     "ImageInfo": "io.image_header",
     "ImageLoss": "raster.loss",
@@ -92,6 +97,9 @@ _HOME = {
     "RunInfo": "io.runs",
     "Saved": "events",
     "Scene": "scene",
+    "SequenceDone": "events",
+    "SequenceIndex": "io.sequences",
+    "SequenceOptions": "trainer.sequence",
     "ShapeError": "errors",
     "Snapshot": "events",
     "Splats": "splats",
@@ -116,11 +124,13 @@ _HOME = {
     "read_colmap": "io.colmap:read_model",
     "read_header": "io.image_header",
     "read_run": "io.runs",
+    "read_sequence": "io.sequences",
     "read_splats": "io.ply",
     "render": "raster.api",
     "rotmat_to_quat": "transforms",
     "sh0_to_rgb": "sh",
     "train": "trainer",
+    "train_sequence": "trainer.sequence",
     "transform_splats": "transforms",
     "write_colmap": "io.colmap:write_model",
     "write_splats": "io.ply",
@@ -149,6 +159,7 @@ __all__ = [
     "Failed",
     "Folder",
     "FormatError",
+    "FrameStarted",
     "GsError",
     "ImageInfo",
     "ImageLoss",
@@ -161,6 +172,9 @@ __all__ = [
     "RunInfo",
     "Saved",
     "Scene",
+    "SequenceDone",
+    "SequenceIndex",
+    "SequenceOptions",
     "ShapeError",
     "Snapshot",
     "Splats",
@@ -186,11 +200,13 @@ __all__ = [
     "read_colmap",
     "read_header",
     "read_run",
+    "read_sequence",
     "read_splats",
     "render",
     "rotmat_to_quat",
     "sh0_to_rgb",
     "train",
+    "train_sequence",
     "transform_splats",
     "write_colmap",
     "write_splats",
