@@ -34,8 +34,21 @@ def add_data_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--test-last", type=int, metavar="N", help="the last N are test views")
 
 
+def add_depth_options(parser: argparse.ArgumentParser) -> None:
+    """Declare the options that say which depth maps to read and how."""
+    group = parser.add_argument_group("depth maps")
+    group.add_argument(
+        "-d", "--depths", metavar="DIR", help="folder of inverse depth maps in SOURCE"
+    )
+    group.add_argument(
+        "--depth-align",
+        choices=("auto", "official", "robust", "none"),
+        help="how depth maps get the scale of the capture (auto: depth_params.json, else robust)",
+    )
+
+
 _SPLIT = ("test_every", "test_list", "test_first", "test_last")
-_OTHER = ("images", "masks", "mask_mode", "resolution", "frame", "rig")
+_OTHER = ("images", "masks", "mask_mode", "depths", "depth_align", "resolution", "frame", "rig")
 
 
 def with_data_options(config: DataConfig, args: argparse.Namespace) -> DataConfig:

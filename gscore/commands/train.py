@@ -11,13 +11,14 @@ from ..config import (
     Background,
     DataConfig,
     Strategy,
+    Switch,
     TrainConfig,
     load_config,
 )
 from ..errors import ConfigError
 from ..trainer import Control, TrainResult, train
 from .attend import Show, add_output_options, attend
-from .data_options import add_data_options, with_data_options
+from .data_options import add_data_options, add_depth_options, with_data_options
 
 _STEPS: dict[str, Any] = {"type": int, "nargs": "+", "metavar": "STEP"}
 _SWITCH: dict[str, Any] = {"action": argparse.BooleanOptionalAction}
@@ -35,6 +36,11 @@ _RUN: dict[str, tuple[tuple[str, ...], dict[str, Any], str]] = {
         "what lies behind the splats",
     ),
     "antialias": (("--antialias", "--antialiasing"), _SWITCH, "compensate small splats' opacity"),
+    "depth_mode": (
+        ("--depth-mode",),
+        {"choices": tuple(Switch)},
+        "supervise depth where --depths gives maps; auto: not in dense captures",
+    ),
     "near": (("--near",), {"type": float}, "near plane, world units"),
     "start_splats": (
         ("--start-splats",),
@@ -76,6 +82,13 @@ _METHOD = {
     "quats_lr": ("--quats-lr", "--rotation-lr"),
     "lr_boost": ("--lr-boost",),
     "ssim_weight": ("--ssim-weight", "--lambda-dssim"),
+    "depth_weight": ("--depth-weight", "--depth-l1-weight-init"),
+    "depth_weight_final": ("--depth-weight-final", "--depth-l1-weight-final"),
+    "depth_warmup": ("--depth-warmup",),
+    "depth_pearson": ("--depth-pearson",),
+    "depth_points": ("--depth-points",),
+    "drop_rate": ("--drop-rate",),
+    "alpha_weight": ("--alpha-weight",),
     "sh_every": ("--sh-every",),
     "coarse_factor": ("--coarse-factor",),
     "coarse_until": ("--coarse-until",),
@@ -100,7 +113,6 @@ _FEATURE_LR_SHARE = 20
 """The 3DGS option --feature-lr also sets the rate of the higher SH bands, divided by this."""
 _NOT_HERE = {
     ("--debug",): "the rasterizer has no debug dumps; see --detect-anomaly",
-    ("-d", "--depths"): "depth maps are not used in training",
     ("--position-lr-max-steps",): "the rate of positions falls until the last step",
     ("--position-lr-delay-mult",): "the rate of positions is not delayed at the start",
     ("--data-device",): "photos are always kept as bytes in main memory",
@@ -133,6 +145,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     existing.add_argument("--start-checkpoint", type=Path, help="go on from this checkpoint")
     add_data_options(parser)
+    add_depth_options(parser)
     parser.add_argument(
         "--eval",
         action=argparse.BooleanOptionalAction,
@@ -221,6 +234,8 @@ def _with_given(config: TrainConfig, args: argparse.Namespace) -> TrainConfig:
         given["strategy"] = Strategy(given["strategy"])
     if "background" in given:
         given["background"] = Background(given["background"])
+    if "depth_mode" in given:
+        given["depth_mode"] = Switch(given["depth_mode"])
     return replace(config, **given)
 
 

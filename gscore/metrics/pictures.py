@@ -82,21 +82,29 @@ def _encode_all(
     """The largest of the usual widths at which all three pictures together fit their budget."""
     encoded, size = [], (0, 0)
     for width in _WIDTHS:
-        size = _fitted(target.shape[1], target.shape[0], min(width, MAX_WIDTH))
+        size = fitted(target.shape[1], target.shape[0], min(width, MAX_WIDTH))
         # The error is averaged first and coloured then: colours cannot be averaged.
         pictures = [
-            _shrink(_bytes(target), size),
-            _shrink(_bytes(render), size),
-            colorize(_shrink(_bytes(error * ERROR_GAIN), size) / 255.0),
+            shrink(_bytes(target), size),
+            shrink(_bytes(render), size),
+            colorize(shrink(_bytes(error * ERROR_GAIN), size) / 255.0),
         ]
         encoded = [_jpeg(picture) for picture in pictures]
         if sum(map(len, encoded)) <= 3 * budget:
             break
-    uris = ["data:image/jpeg;base64," + base64.b64encode(e).decode("ascii") for e in encoded]
-    return uris, size
+    return [_uri(e) for e in encoded], size
 
 
-def _fitted(width: int, height: int, widest: int) -> tuple[int, int]:
+def data_uri(picture: np.ndarray) -> str:
+    """A picture, [H, W, 3] uint8, as `data:image/jpeg;base64,...`."""
+    return _uri(_jpeg(picture))
+
+
+def _uri(jpeg: bytes) -> str:
+    return "data:image/jpeg;base64," + base64.b64encode(jpeg).decode("ascii")
+
+
+def fitted(width: int, height: int, widest: int) -> tuple[int, int]:
     """Size within a square of `widest` pixels at the same aspect; never enlarged."""
     scale = min(1.0, widest / max(width, height))
     return max(1, round(width * scale)), max(1, round(height * scale))
@@ -116,7 +124,8 @@ def _pil() -> Any:
     return Image
 
 
-def _shrink(picture: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+def shrink(picture: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """[H, W, ...] uint8 averaged down to width and height `size`."""
     image = _pil().fromarray(picture)
     if image.size == size:
         return picture

@@ -10,6 +10,7 @@ import numpy as np
 from ..io.files import atomic_write
 from .colormap import colorize
 from .curves import Series, chart, clean_points, legend
+from .depth import depth_html
 from .pictures import ERROR_GAIN, ViewPictures
 from .words import size_words, time_words
 
@@ -27,6 +28,7 @@ def write_report(path: Path, run: dict[str, Any]) -> None:
             views: list of ViewPictures, from a `PictureCollector` given to `evaluate`.
             history, evals: curves as in `summarize`; without them those in metrics are drawn.
             warnings: list of sentences; may be missing or empty.
+            depth: a DepthSection; may be missing or None.
             config: {section: {option: value}}; may be missing or empty.
 
     Raises:
@@ -51,6 +53,7 @@ def report_html(run: dict[str, Any]) -> str:
             ),
             _view_cards(views, metrics),
             _view_table(views),
+            depth_html(run["depth"]) if run.get("depth") else "",
             _details(metrics, run.get("config") or {}),
         )
     )

@@ -37,6 +37,8 @@ FREE = frozenset(
     }
 )
 """Options that may change when a run goes on."""
+_DEPTHS = "depths"
+"""Key of the depth maps in a checkpoint's capture."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +74,7 @@ def save(path: Path, trainer: Trainer, session: dict[str, Any]) -> None:
         "gscore": __version__,
         "torch": torch.__version__,
         "config": to_dict(trainer.config),
-        "capture": fingerprint(trainer.photos),
+        "capture": fingerprint(trainer.photos) | depth_fingerprint(trainer),
         "trainer": trainer.state(),
         "session": session,
     }
@@ -124,7 +126,7 @@ def check_compatible(checkpoint: Checkpoint, config: TrainConfig, photos: Photos
     changed = differences(checkpoint.config, config, ignore=FREE)
     now = fingerprint(photos)
     for key, was in checkpoint.capture.items():
-        if was != now.get(key):
+        if key != _DEPTHS and was != now.get(key):
             changed.append(f"{key} of the capture are not the same")
     if changed:
         raise ConfigError(
@@ -136,6 +138,28 @@ def check_compatible(checkpoint: Checkpoint, config: TrainConfig, photos: Photos
             f"{checkpoint.path} is at step {checkpoint.steps}, beyond iterations = "
             f"{config.iterations}; ask for more iterations."
         )
+
+
+def check_same_depth(checkpoint: Checkpoint, trainer: Trainer) -> None:
+    """Raise ConfigError unless `trainer` supervises depth with what the checkpoint's did."""
+    was, now = checkpoint.capture.get(_DEPTHS), depth_fingerprint(trainer).get(_DEPTHS)
+    if was == now:
+        return
+    if now is None:
+        how = "with depth maps in the loss, this one has none"
+    elif was is None:
+        how = "without depth maps in the loss, this one has some"
+    else:
+        how = "with other depth maps or another alignment of them"
+    raise ConfigError(
+        f"{checkpoint.path} belongs to another run: it was trained {how}. Use the same --depths "
+        "and depth options, or start anew in another folder."
+    )
+
+
+def depth_fingerprint(trainer: Trainer) -> dict[str, str]:
+    """Short hash of the depths in the loss; nothing where there are none."""
+    return {} if trainer.depth is None else {_DEPTHS: trainer.depth.targets.content_hash()}
 
 
 def fingerprint(photos: Photos) -> dict[str, Any]:

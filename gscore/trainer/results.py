@@ -13,6 +13,7 @@ from ..io.ply import write_splats
 from ..metrics import PictureCollector, summarize, write_metrics, write_report
 from ..raster import backend
 from ..splats import Splats
+from .depth_report import DepthReport
 from .evaluation import Evaluator, unmeasured
 from .folder import RunFolder
 from .meter import Meter
@@ -83,8 +84,9 @@ class Results:
         meter: Meter,
         evals: list[dict[str, Any]],
         warnings: list[str],
+        depth: DepthReport | None = None,
     ) -> dict[str, Any]:
-        """metrics.json and report.html; `evaluation` is None if there was none."""
+        """metrics.json and report.html; `evaluation` and `depth` are None if there was none."""
         trainer, folder, photos = self._trainer, self._folder, self._trainer.photos
         names = photos.scene.cameras.names
         metrics = summarize(
@@ -102,6 +104,8 @@ class Results:
             isa=backend.isa(),
             threads=self.threads,
         ) | {"history": meter.history, "evals": evals}
+        if depth is not None:
+            metrics["depth"] = depth.numbers
         write_metrics(folder.path / "metrics.json", metrics)
         report = {
             "title": self._data.source.resolve().name,
@@ -110,6 +114,7 @@ class Results:
             "history": meter.history,
             "evals": evals,
             "warnings": warnings,
+            "depth": None if depth is None else depth.section,
             "config": {
                 "data": to_dict(self._data),
                 "train": to_dict(trainer.config),

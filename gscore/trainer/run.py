@@ -11,12 +11,13 @@ import torch
 
 from ..config import DataConfig, TrainConfig
 from ..datasets import Dataset, load_dataset
-from ..errors import BackendError, ConfigError, DatasetError
+from ..errors import BackendError, Cancelled, ConfigError, DatasetError
 from ..events import Event, Progress
 from ..io.ply import is_antialiased, read_splats
 from ..metrics import find_lpips
 from . import checkpoint
 from .control import Control
+from .depth_setup import prepare_depth
 from .folder import RunFolder, open_folder
 from .frame import Frame
 from .memory import check_memory
@@ -74,7 +75,19 @@ def train(
         _decode(photos, config, emit, control)
         empty = _check_masks(photos)
         with _memory_in_words():
-            trainer = Trainer(config, photos, frame=frame, start=start)
+            depth = prepare_depth(
+                data, config, photos, on_progress=_progress("depth maps", config, emit, control)
+            )
+            trainer = Trainer(
+                config,
+                photos,
+                frame=frame,
+                start=start,
+                depth=depth.loss_targets,
+                points=depth.points,
+            )
+            if before is not None:
+                checkpoint.check_same_depth(before, trainer)
             session = Session(
                 trainer,
                 folder,
@@ -83,6 +96,7 @@ def train(
                 control=control,
                 lpips=lpips,
                 lpips_reason=lpips_reason,
+                depth=depth,
             )
             if before is not None:
                 trainer.restore(before.trainer, before.tensors)
@@ -91,6 +105,8 @@ def train(
                 folder.clear()
             for message in (*photos.warnings, *empty, *_own_warnings(trainer)):
                 session.warn(message, "capture")
+            for message in depth.warnings:
+                session.warn(message, "depth")
             return session.run()
 
 
@@ -118,10 +134,26 @@ def _decode(
     photos: Dataset, config: TrainConfig, emit: Callable[[Event], None], control: Control
 ) -> None:
     """Decode all photos now, so that steps take even times, and tell how far it is."""
+    photos.preload(
+        threads=config.threads,
+        on_progress=_progress("photos", config, emit),
+        cancelled=lambda: control.stopping,
+    )
+
+
+def _progress(
+    what: str,
+    config: TrainConfig,
+    emit: Callable[[Event], None],
+    control: Control | None = None,
+) -> Callable[[int, int], None]:
+    """What tells now and then how much of `what` is read; with `control` it can be stopped."""
     began = last = time.monotonic()
 
     def on_progress(done: int, total: int) -> None:
         nonlocal last
+        if control is not None and control.stopping:
+            raise Cancelled(f"Reading the {what} was stopped.")
         now = time.monotonic()
         if now - last < _LOADING_PERIOD:
             return
@@ -136,13 +168,11 @@ def _decode(
                 steps_per_s=0.0,
                 eta_s=math.nan,
                 elapsed_s=now - began,
-                phase=f"reading photos {done}/{total}",
+                phase=f"reading {what} {done}/{total}",
             )
         )
 
-    photos.preload(
-        threads=config.threads, on_progress=on_progress, cancelled=lambda: control.stopping
-    )
+    return on_progress
 
 
 def _check_masks(photos: Dataset) -> list[str]:

@@ -13,6 +13,8 @@ from ..raster import backend
 from ..splats import Splats
 from . import checkpoint
 from .control import Control
+from .depth_report import DepthReport, measure_depth
+from .depth_setup import DepthSetup
 from .evaluation import Evaluator
 from .folder import RunFolder
 from .meter import Meter
@@ -58,6 +60,7 @@ class Session:
         control: Control,
         lpips: Lpips | None,
         lpips_reason: str,
+        depth: DepthSetup | None = None,
     ) -> None:
         self._trainer = trainer
         self._config = trainer.config
@@ -67,6 +70,7 @@ class Session:
         self._control = control
         self._evaluator = Evaluator(trainer, lpips=lpips, lpips_reason=lpips_reason)
         self._results = Results(trainer, folder, data)
+        self._depth = depth or DepthSetup()
         self._meter = Meter(trainer.plan)
         self._evals: list[dict[str, Any]] = []
         self._warnings: list[str] = []
@@ -203,6 +207,10 @@ class Session:
         self._emit(Eval(step=step, split=self._evaluator.split, metrics=found["mean"]))
         return found
 
+    def _depth_report(self) -> DepthReport | None:
+        """Rendered against given depth, where there are maps."""
+        return measure_depth(self._trainer, self._depth, interrupted=lambda: self._control.stopping)
+
     def _finish(self) -> TrainResult:
         trainer, finished = self._trainer, self._trainer.steps >= self._config.iterations
         self._answer()  # a snapshot asked for just before the stop
@@ -218,6 +226,7 @@ class Session:
             meter=self._meter,
             evals=self._evals,
             warnings=self._warnings,
+            depth=self._depth_report() if evaluation else None,
         )
         result = TrainResult(
             reason="finished" if finished else self._control.stop_reason,

@@ -11,12 +11,16 @@ from ..config import Background, TrainConfig
 from ..errors import ConfigError, DatasetError, GsError
 from ..raster.autograd import RasterAux, rasterize
 from ..raster.loss import image_loss
+from ..scene import PointCloud
 from ..splats import SH_REST_BY_DEGREE, Splats
 from . import guard
+from .depth_loss import DepthLoss
+from .depth_targets import DepthTargets
 from .frame import Frame
 from .model import Model
 from .params import splats_from_points, splats_from_tensors, tensors_from_splats
 from .pyramid import Pyramid
+from .regularisers import drop_rate_at, drop_splats, opacity_loss
 from .schedules import Plan
 from .strategy import Change, make_strategy, ops
 from .views import Photos, Sampler, View
@@ -53,8 +57,12 @@ class Trainer:
         *,
         frame: Frame | None = None,
         start: Splats | None = None,
+        depth: DepthTargets | None = None,
+        points: PointCloud | None = None,
     ) -> None:
-        """Start from `start`, in COLMAP world, or from the points of the capture.
+        """Start from `start` or from `points`, in COLMAP world, or from the points of the capture.
+
+        `depth` holds what to supervise depth with.
 
         Raises:
             DatasetError: nothing to train on.
@@ -68,10 +76,11 @@ class Trainer:
         self.config = config
         self.photos = photos
         self.frame = frame or Frame.of(photos.scene, near=config.near)
-        points = min(len(photos.scene.points), config.max_splats) if start is None else len(start)
+        cloud = photos.scene.points if points is None else points
+        count = min(len(cloud), config.max_splats) if start is None else len(start)
         cameras = photos.scene.cameras
         side = int(min(cameras.widths.min(), cameras.heights.min()))
-        self.plan = Plan.of(config, extent=self.frame.extent, points=points, side=side)
+        self.plan = Plan.of(config, extent=self.frame.extent, points=count, side=side)
         self.strategy = make_strategy(config, self.plan, extent=self.frame.extent)
         self.generator = torch.Generator().manual_seed(config.seed)
         self.sampler = Sampler(photos.train)
@@ -82,7 +91,11 @@ class Trainer:
         self._skipped = 0
         self._cameras = self.frame.similarity.cameras_to_training(photos.scene.cameras)
         self._pyramid = Pyramid(photos, self._cameras)
-        first = self._first_splats() if start is None else self._placed(start)
+        self.depth: DepthLoss | None = None
+        """The depth loss, where depth is supervised."""
+        if depth is not None:
+            self.depth = DepthLoss(config, depth, scale=self.frame.similarity.scale)
+        first = self._first_splats(cloud) if start is None else self._placed(start)
         self.model = Model(tensors_from_splats(first))
         self.strategy.start(self.model)
 
@@ -97,9 +110,10 @@ class Trainer:
         index = self.sampler.next(self.generator)
         view, image, mask = self._pyramid.at(index, self.plan.factor_at(step))
         background = self._step_background()
+        depth_weight = self.depth.weight(index, step) if self.depth else 0.0
         aux = RasterAux()
         picture = rasterize(
-            *model.arguments,
+            *self._step_splats(step),
             view.viewmat,
             view.K,
             view.width,
@@ -108,6 +122,7 @@ class Trainer:
             background=background,
             near=self.frame.near,
             antialias=config.antialias,
+            inverse_depth=depth_weight > 0,
             threads=config.threads,
             aux=aux,
         )
@@ -120,9 +135,15 @@ class Trainer:
             background=background,
             threads=config.threads,
         )
-        value = loss.loss.item()
+        total = loss.loss
+        if self.depth and picture.inverse_depth is not None:
+            total = total + depth_weight * self.depth(index, picture.inverse_depth)
+        if config.alpha_weight and mask is not None and self.photos.mask_mode == "composite":
+            opaque = torch.from_numpy(mask)
+            total = total + config.alpha_weight * opacity_loss(picture.alpha, opaque)
+        value = total.item()
         self.steps = step
-        loss.loss.backward()
+        total.backward()
         if config.detect_anomaly:
             guard.assert_finite(model, value, step=step, view=self._cameras.names[index])
         if not math.isfinite(value):
@@ -148,6 +169,25 @@ class Trainer:
                 antialias=self.config.antialias,
                 threads=self.config.threads,
             ).rgb
+
+    def inverse_depth(self, index: int) -> np.ndarray:
+        """Accumulated inverse depth of view `index`, [H, W] float32, 1/world unit."""
+        view = self._pyramid.view(index)
+        with torch.no_grad():
+            found = rasterize(
+                *self.model.arguments,
+                view.viewmat,
+                view.K,
+                view.width,
+                view.height,
+                raw=True,
+                near=self.frame.near,
+                antialias=self.config.antialias,
+                inverse_depth=True,
+                threads=self.config.threads,
+            ).inverse_depth
+        assert found is not None
+        return found.numpy() * np.float32(self.frame.similarity.scale)
 
     @property
     def fixed_background(self) -> tuple[float, float, float]:
@@ -198,11 +238,10 @@ class Trainer:
         self.steps, self.bad_rows = state["steps"], state["bad_rows"]
         self._skipped = state["skipped"]
 
-    def _first_splats(self) -> Splats:
-        cloud = self.photos.scene.points
+    def _first_splats(self, cloud: PointCloud) -> Splats:
         points = self.frame.similarity.points_to_training(cloud.points)
         return splats_from_points(
-            type(cloud)(points=points, colors=cloud.colors),
+            PointCloud(points=points, colors=cloud.colors),
             extent=self.frame.extent,
             opacity=self.plan.init_opacity,
             scale=self.plan.init_scale,
@@ -220,6 +259,14 @@ class Trainer:
         rest = SH_REST_BY_DEGREE[self.config.sh_degree]
         start = replace(start, shN=np.ascontiguousarray(start.shN[:, :rest]))
         return self.frame.similarity.splats_to_training(start)
+
+    def _step_splats(self, step: int) -> tuple[torch.Tensor, ...]:
+        """The splats that this step draws, as `rasterize` takes them."""
+        means, quats, scales, opacities, sh0, shN = self.model.arguments
+        rate = drop_rate_at(self.config.drop_rate, step, self.config.iterations)
+        if rate > 0:
+            opacities = drop_splats(opacities, rate, self.generator)
+        return means, quats, scales, opacities, sh0, shN
 
     def _step_background(self) -> tuple[float, float, float]:
         mode = self.config.background

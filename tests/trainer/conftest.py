@@ -121,6 +121,12 @@ def make_photos() -> Callable[..., ToyPhotos]:
 
 
 @pytest.fixture(scope="session")
+def known_splats() -> Splats:
+    """What the pictures of the toy capture show. Do not change it."""
+    return toy_splats()
+
+
+@pytest.fixture(scope="session")
 def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The toy capture as a COLMAP folder. Do not change it."""
     root = tmp_path_factory.mktemp("capture")

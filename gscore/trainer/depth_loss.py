@@ -1,0 +1,117 @@
+"""The depth loss: inverse depth as rendered against priors, in units that suit any capture.
+
+With D the accumulated inverse depth of a pixel (sum of w / z, so that it also asks for opacity), P
+the prior, c its confidence and m the median of all aligned P:
+
+    aligned views     weight / 5 * mean over all pixels of c |D - P| / max(P, m)
+    other views       weight * depth_pearson * (1 - correlation of D and P, weighted by c)
+
+The divisor makes the error of near surfaces, whose inverse depth is large, a relative one and that
+of far surfaces one in units of the median: neither do the nearest pixels rule the sum nor the
+farthest. The mean is over all pixels, so a view of which little is known counts little. With the
+fifth, a weight means what it means in 3DGS scripts, whose error is in 1/world unit, where the
+median surface is five units away; larger weights cost detail, see docs/depth.md.
+"""
+
+import math
+from typing import Any
+
+import torch
+
+from ..config import TrainConfig
+from .depth_targets import DepthTarget, DepthTargets
+
+_SHARE = 0.2
+"""The fifth of the formula."""
+_SPREAD_FLOOR = 1e-4
+"""Least variance in the correlation, of inverse depth in medians: flat maps say nothing."""
+
+
+def weight_at(config: TrainConfig, step: int) -> float:
+    """Weight of the depth loss at `step`: log-linear from first to last, faded in at the start."""
+    first, last = config.depth_weight, config.depth_weight_final
+    done = min(step / config.iterations, 1.0)
+    if first > 0 and last > 0:
+        weight = math.exp((1 - done) * math.log(first) + done * math.log(last))
+    else:
+        weight = (1 - done) * first + done * last
+    warmup = config.depth_warmup * config.iterations
+    return weight * min(step / warmup, 1.0) if warmup > 0 else weight
+
+
+class DepthLoss:
+    """The depth loss of a run."""
+
+    def __init__(self, config: TrainConfig, targets: DepthTargets, *, scale: float) -> None:
+        """`scale`: training units a world unit."""
+        self._config = config
+        self.targets = targets
+        # Lengths grow by the scale, so inverse depths shrink by it.
+        self._unit = targets.unit / scale
+
+    def weight(self, index: int, step: int) -> float:
+        """What the loss of view `index` is multiplied by; 0: no inverse depth is needed."""
+        if index not in self.targets:
+            return 0.0
+        weight = weight_at(self._config, step)
+        return weight if self.targets.is_aligned(index) else weight * self._config.depth_pearson
+
+    def __call__(self, index: int, inverse_depth: torch.Tensor) -> torch.Tensor:
+        """The loss of view `index`, without its weight.
+
+        Args:
+            index: A view with a prior.
+            inverse_depth: [H, W] float, as rendered, 1/training unit; differentiable in it.
+        """
+        height, width = inverse_depth.shape
+        target = self.targets.at(index, width, height)
+        if target is None:
+            return inverse_depth.new_zeros(())
+        if target.aligned:
+            return _SHARE * l1_loss(inverse_depth, target, unit=self._unit)
+        return pearson_loss(inverse_depth / self._unit, target)
+
+
+def l1_loss(inverse_depth: torch.Tensor, target: DepthTarget, *, unit: float) -> torch.Tensor:
+    """Mean over all pixels of c |D / unit - P| / max(P, 1), with P in units.
+
+    Args:
+        inverse_depth: D, [H, W] float, 1/training unit; differentiable in it.
+        target: P and c at that size.
+        unit: 1/training unit.
+    """
+    return _L1.apply(inverse_depth, target, 1.0 / unit)  # pyright: ignore[reportReturnType]
+
+
+class _L1(torch.autograd.Function):
+    """Three passes over the picture instead of the nine of separate operations."""
+
+    @staticmethod
+    def forward(ctx: Any, image: torch.Tensor, target: DepthTarget, scale: float) -> torch.Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
+        prior = target.inverse_depth.to(image.dtype)
+        weight = target.confidence.to(image.dtype)
+        weight.mul_(1 / (255 * image.numel())).div_(prior.clamp_min(1.0))
+        error = prior.neg_().add_(image, alpha=scale)
+        loss = torch.dot(weight.flatten(), error.abs().flatten())
+        ctx.gradient = weight.mul_(error.sign_()).mul_(scale)
+        return loss
+
+    @staticmethod
+    def backward(ctx: Any, v_loss: torch.Tensor) -> tuple[torch.Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        return ctx.gradient * v_loss, None, None
+
+
+def pearson_loss(inverse_depth: torch.Tensor, target: DepthTarget) -> torch.Tensor:
+    """1 - weighted correlation with the prior; the same for any scale > 0 and offset of the prior.
+
+    Args:
+        inverse_depth: [H, W] float in medians of the capture; differentiable in it.
+        target: The prior at that size.
+    """
+    weight = target.confidence.to(inverse_depth.dtype).flatten()
+    weight = weight / weight.sum().clamp_min(1.0)
+    x, y = inverse_depth.flatten(), target.inverse_depth.to(inverse_depth.dtype).flatten()
+    x, y = x - torch.dot(weight, x), y - torch.dot(weight, y)
+    xx, yy = torch.dot(weight, x * x), torch.dot(weight, y * y)
+    xy = torch.dot(weight, x * y)
+    return 1 - xy / ((xx + _SPREAD_FLOOR) * (yy + _SPREAD_FLOOR)).sqrt()

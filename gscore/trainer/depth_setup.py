@@ -1,0 +1,85 @@
+"""From the depth maps of a capture to what a run needs of them: targets, points, and words."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ..config import DataConfig, TrainConfig
+from ..datasets import Dataset
+from ..depth import load_priors
+from ..errors import ConfigError
+from ..scene import PointCloud
+from .depth_points import depth_points
+from .depth_rule import coverage, decide
+from .depth_targets import DepthTargets
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthSetup:
+    """The depth of a run."""
+
+    targets: DepthTargets | None = None
+    """All maps that could be read, for the report; None: there are none."""
+    supervises: bool = False
+    """Whether they enter the loss."""
+    why: str = ""
+    """A sentence that says so and why."""
+    points: PointCloud | None = None
+    """Points to start from, those of the capture and more; None: those of the capture."""
+    table: list[dict[str, Any]] = field(default_factory=list)
+    """The fit of each view, see `gscore.depth.Priors`."""
+    warnings: tuple[str, ...] = ()
+    """Sentences for the user."""
+
+    @property
+    def loss_targets(self) -> DepthTargets | None:
+        """The maps if they enter the loss."""
+        return self.targets if self.supervises else None
+
+
+def prepare_depth(
+    data: DataConfig,
+    config: TrainConfig,
+    photos: Dataset,
+    *,
+    on_progress: Callable[[int, int], None] | None = None,
+) -> DepthSetup:
+    """Read and align the maps that `data` names, and decide what to do with them.
+
+    Raises:
+        GsError: maps or their scales are missing or damaged.
+        ConfigError: depth is asked for and no maps are named.
+    """
+    if not data.depths:
+        if config.depth_mode == "on" or config.depth_points:
+            raise ConfigError(
+                "Depth is asked for, but no folder of depth maps is named: give it with --depths."
+            )
+        return DepthSetup()
+    priors = load_priors(data, photos, on_progress=on_progress)
+    usable = sum(
+        1
+        for i in photos.train
+        if (p := priors.views[i]) is not None and (p.aligned or config.depth_pearson > 0)
+    )
+    supervises, why = decide(config.depth_mode, coverage(photos.scene, photos.train), usable=usable)
+    warnings = [*priors.warnings] if supervises else [*priors.warnings, why]
+    points = None
+    if supervises and config.depth_points:
+        added = depth_points(photos, priors.views, count=config.depth_points, seed=config.seed)
+        known = photos.scene.points
+        points = PointCloud(
+            points=np.concatenate([known.points, added.points]),
+            colors=np.concatenate([known.colors, added.colors]),
+        )
+        warnings.append(f"{len(added)} points were added from depth maps to {len(known)} of SfM.")
+    return DepthSetup(
+        targets=DepthTargets(priors.views, train=photos.train),
+        supervises=supervises,
+        why=why,
+        points=points,
+        table=priors.table,
+        warnings=tuple(warnings),
+    )
