@@ -22,7 +22,7 @@ GREY_PER_INVERSE_DEPTH = 500.0
 class Planes:
     """A capture on disk, and the truth about it."""
 
-    def __init__(self, folder: Path, *, views=5, width=120, height=80, radial=0.0):
+    def __init__(self, folder: Path, *, views=5, width=120, height=80, radial=0.0, reach=(0, 9)):
         self.folder, self.width, self.height = folder, width, height
         model = "SIMPLE_RADIAL" if radial else "PINHOLE"
         params = (
@@ -46,7 +46,7 @@ class Planes:
             assert grey.max() < 255
             grey = np.rint(grey).astype(np.uint8)
             write_png(folder / "images" / name, np.repeat(grey[..., None], 3, 2))
-        self._write_model()
+        self._write_model(reach)
 
     def rays(self, pixels):
         """[..., 3] directions with z = 1 of camera pixels [..., 2]."""
@@ -75,14 +75,17 @@ class Planes:
         y = (np.arange(height) + 0.5) * self.height / height
         return self.inverse_depth(index, self.rays(np.stack(np.meshgrid(x, y), -1)))
 
-    def _write_model(self):
-        """Points seen at random pixels of the first view, and wherever else they are in front."""
+    def _write_model(self, reach):
+        """80 points for each view, seen at random pixels of it; those at inverse depths within
+        `reach` alone."""
         rng = np.random.default_rng(5)
-        xyz = []
+        xyz, self.kept = [], []
         for i in range(len(self.names)):
             pixels = rng.uniform(1, [self.width - 1, self.height - 1], (80, 2))
             rays = self.rays(pixels)
-            local = rays / self.inverse_depth(i, rays)[:, None]
+            inverse = self.inverse_depth(i, rays)
+            self.kept.append((inverse >= reach[0]) & (inverse <= reach[1]))
+            local = rays / inverse[:, None]
             rotation, translation = self.viewmats[i][:3, :3], self.viewmats[i][:3, 3]
             xyz.append((local - translation) @ rotation)
         images = []
@@ -103,7 +106,7 @@ class Planes:
                     qvec=rotmat_to_quat(rotation),
                     tvec=translation.copy(),
                     xys=flat * params[0] + center,
-                    point3D_ids=ids.astype(np.int64) + 1,
+                    point3D_ids=np.where(self.kept[i], ids + 1, -1),
                 )
             )
         points = np.concatenate(xyz)

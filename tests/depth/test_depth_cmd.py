@@ -146,7 +146,7 @@ def test_stopping_leaves_whole_files(make_planes, networks, tmp_path, number):
     """Oracle: exit code 128 + signal, every PNG readable, no temporary file, and the same command
     finishes the rest."""
     planes = make_planes(views=60)
-    model = networks["transformer"](tmp_path / "n.onnx", patch=14, shape=[1, 3, "h", "w"])
+    model = networks["midas"](tmp_path / "n.onnx", size=1024)  # large, so that it takes seconds
     command = [sys.executable, "-m", "gscore", "depth", str(planes.folder), "--model", str(model)]
     environment = dict(os.environ, PYTHONPATH=str(Path(__file__).parents[2]))
     process = subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)

@@ -281,6 +281,55 @@ def test_without_a_colmap_model(make_planes, radial):
         assert got.fit.points > 100
 
 
+def test_pixels_far_from_the_points_are_trusted_less(make_planes):
+    """Oracle: the standard error of a line through 12 points at 5 % halves the trust."""
+    planes = make_planes(reach=(0.2, 0.27))
+    waves = 0.01 * np.sin(np.arange(120) / 8.0)
+    planes.write_maps(_npy(lambda s: s + waves))
+    _, priors = _load(planes)
+    compared = 0
+    for view in priors.views:
+        if not view.aligned:  # a scale that the points hardly show
+            continue
+        values = (view.inverse_depth - view.fit.offset) / view.fit.scale
+        away = np.abs(values - view.fit.center)[4:-4, 4:-4] / view.fit.deviation
+        trust = view.confidence[4:-4, 4:-4]
+        assert np.median(trust[away < 1]) > 0.93
+        if (away > 4).any():
+            assert np.median(trust[away > 4]) < 0.8
+            compared += 1
+    assert compared >= 2
+
+
+def test_observations_of_a_view(planes):
+    """Oracle: pycolmap's points and poses; weights by track length and reprojection error."""
+    import pycolmap
+
+    from gscore.depth.observations import observed
+    from gscore.io.colmap import read_model
+
+    model = read_model(planes.folder)
+    image = model.images[2]
+    rng = np.random.default_rng(0)
+    model.points.error[:] = rng.uniform(0, 3, len(model.points))
+    model.points.error[:3] = -1  # unknown counts as one pixel
+    model.points.track_lengths[:] = rng.integers(1, 30, len(model.points))
+    seen = observed(model, image)
+    truth = pycolmap.Reconstruction(str(planes.folder / "sparse" / "0")).images[image.id]
+    cloud = pycolmap.Reconstruction(str(planes.folder / "sparse" / "0")).points3D
+    expected = [
+        1 / (truth.cam_from_world() * cloud[p.point3D_id].xyz)[2]
+        for p in truth.points2D
+        if p.has_point3D()
+    ]
+    assert seen.inverse_depth == pytest.approx(expected, rel=1e-9)
+    rows = image.point3D_ids - 1
+    error = np.where(model.points.error[rows] < 0, 1, model.points.error[rows])
+    tracks = np.minimum(np.maximum(model.points.track_lengths[rows], 2), 10)
+    assert seen.weights == pytest.approx(tracks / (1 + error**2))
+    assert (seen.width, seen.height) == (120, 80)
+
+
 @pytest.mark.parametrize("slant", [0.0, 0.02])
 def test_edges_are_not_trusted_slants_are(slant):
     """Oracle: inverse depth of a slanted plane has no second difference; a step has one."""
