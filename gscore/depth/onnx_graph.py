@@ -14,8 +14,11 @@ _ARITHMETIC = frozenset({"Sub", "Add", "Div", "Mul", "BatchNormalization"})
 _PASSING = frozenset(
     {"Cast", "Identity", "Pad", "Transpose", "Reshape", "Squeeze", "Unsqueeze", "Resize", "Slice"}
     | {"Split", "Concat", "Gather", "QuantizeLinear", "DequantizeLinear"}
+    | {"DynamicQuantizeLinear"}
 )
 """Operations that may stand between the input of a network and its first convolution."""
+_CONVOLUTIONS = {"Conv": 1, "ConvInteger": 1, "QLinearConv": 3}
+"""Convolutions, plain and of quantized networks, and which of their inputs is the kernel."""
 _ATTENTION = frozenset(
     {"Softmax", "LayerNormalization", "Attention", "MultiHeadAttention", "Erf", "Gelu"}
 )
@@ -76,8 +79,8 @@ def read_facts(path: Path, input_name: str, output_name: str) -> GraphFacts:
     waiting, met = [input_name], {input_name}
     while waiting and not kernel:
         for node in consumers.get(waiting.pop(0), []):
-            if node.op == "Conv" and len(node.inputs) > 1 and node.inputs[1] in tensors:
-                kernel = tuple(tensors[node.inputs[1]].dims[2:])
+            if node.op in _CONVOLUTIONS:
+                kernel = _kernel(node, nodes, tensors)
                 break
             if node.op in _ARITHMETIC:
                 arithmetic.append(node.op)
@@ -92,6 +95,16 @@ def read_facts(path: Path, input_name: str, output_name: str) -> GraphFacts:
         attention=any(node.op in _ATTENTION for node in nodes),
         last=_last(nodes, output_name),
     )
+
+
+def _kernel(conv: _Node, nodes: list[_Node], tensors: dict[str, _Tensor]) -> tuple[int, ...]:
+    """Sides of a convolution's kernel, which may be stored quantized; empty: not stated."""
+    name = next(iter(conv.inputs[_CONVOLUTIONS[conv.op] :]), "")
+    for node in nodes:
+        if node.op in ("DequantizeLinear", "Cast", "Identity") and name in node.outputs:
+            name = node.inputs[0]
+            break
+    return tuple(tensors[name].dims[2:]) if name in tensors else ()
 
 
 def _last(nodes: list[_Node], name: str) -> tuple[str, ...]:

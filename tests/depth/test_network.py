@@ -3,7 +3,7 @@
 import numpy as np
 import onnx
 import pytest
-from onnx import TensorProto, helper
+from onnx import TensorProto, helper, numpy_helper
 
 from gscore.depth.maps import DepthKind
 from gscore.depth.network import Network, Normalization
@@ -118,6 +118,52 @@ def test_kind_from_the_graph(tmp_path, networks):
     assert network.profile.kind is DepthKind.DEPTH
     named = networks["midas"](tmp_path / "depth_anything_metric_indoor.onnx")
     assert Network(named, threads=1).profile.kind is DepthKind.DEPTH
+
+
+def _quantized(path, style):
+    """A patch embedding of 14 px as quantizing tools store it."""
+    scale = numpy_helper.from_array(np.array(0.1, np.float32), "scale")
+    zero = numpy_helper.from_array(np.array(128, np.uint8), "zero")
+    kernel = numpy_helper.from_array(np.full((4, 3, 14, 14), 130, np.uint8), "kernel")
+    strides = {"strides": [14, 14]}
+    if style == "dynamic":
+        nodes = [
+            helper.make_node("DynamicQuantizeLinear", ["image"], ["q", "s", "z"]),
+            helper.make_node("ConvInteger", ["q", "kernel", "z", "zero"], ["sums"], **strides),
+            helper.make_node("Cast", ["sums"], ["y"], to=TensorProto.FLOAT),
+        ]
+    elif style == "dequantized":
+        nodes = [
+            helper.make_node("DequantizeLinear", ["kernel", "scale", "zero"], ["plain"]),
+            helper.make_node("Conv", ["image", "plain"], ["y"], **strides),
+        ]
+    else:
+        quantize = ["scale", "zero"]
+        nodes = [
+            helper.make_node("QuantizeLinear", ["image", *quantize], ["q"]),
+            helper.make_node(
+                "QLinearConv", ["q", *quantize, "kernel", *quantize, *quantize], ["r"], **strides
+            ),
+            helper.make_node("DequantizeLinear", ["r", *quantize], ["y"]),
+        ]
+    graph = helper.make_graph(
+        nodes,
+        "net",
+        [helper.make_tensor_value_info("image", TensorProto.FLOAT, [1, 3, 518, 518])],
+        [helper.make_tensor_value_info("y", TensorProto.FLOAT, [1, 4, 37, 37])],
+        [scale, zero, kernel],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    onnx.checker.check_model(model)
+    onnx.save(model, path)
+    return path
+
+
+@pytest.mark.parametrize("style", ["dynamic", "dequantized", "static"])
+def test_quantized_networks_are_told_by_their_kernel(tmp_path, style):
+    """Oracle: the 14 px patches of Depth Anything, however the kernel is stored."""
+    network = Network(_quantized(tmp_path / "net.onnx", style), threads=1)
+    assert (network.profile.family, network.profile.multiple) == ("Depth Anything", 14)
 
 
 def test_missing_model(tmp_path):
