@@ -144,6 +144,8 @@ def _card(view: DepthViewPictures) -> str:
 def _verdict(row: Mapping[str, Any]) -> str:
     error = row.get("depth_error")
     shown = "" if error is None else f"; rendered depth differs by {error:.1%}"
+    if row["accepted"] and not row["points"]:
+        return f"aligned as stated, no points to compare with{shown}"
     if row["accepted"]:
         return f"aligned, {row['inliers']:.0%} of {row['points']} points agree{shown}"
     return f"not aligned: {html.escape(str(row['reason']))}{shown}"

@@ -83,8 +83,11 @@ def _finite(value: Any) -> Any:
 
 
 def headline(metrics: dict[str, Any]) -> dict[str, Any]:
-    """metrics.json without the long lists: what `--json` prints."""
-    return {key: value for key, value in metrics.items() if key not in _LISTS}
+    """metrics.json without the long lists, those of depth too: what `--json` prints."""
+    short = {key: value for key, value in metrics.items() if key not in _LISTS}
+    if "depth" in short:
+        short["depth"] = {k: v for k, v in short["depth"].items() if k not in _LISTS}
+    return short
 
 
 def write_metrics(path: Path, metrics: dict[str, Any]) -> None:

@@ -1,0 +1,173 @@
+"""`gscore train -d` from photos to report; oracle: files, messages and the maps' own numbers."""
+
+import json
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gscore.commands import main
+from gscore.depth.params import FILE
+from gscore.io.images import write_png
+from gscore.raster.api import render
+
+SHORT = ["--iterations", "12", "--max-splats", "200", "--sh-degree", "0"]
+UNIT = 2.0
+
+
+@pytest.fixture(scope="module")
+def deep(capture: Path, known_splats: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The toy capture with its true inverse depth in depths/ and the scale of the maps."""
+    root = tmp_path_factory.mktemp("deep") / "capture"
+    shutil.copytree(capture, root)
+    from gscore.config import DataConfig
+    from gscore.datasets import load_dataset
+
+    cameras = load_dataset(DataConfig(source=root)).scene.cameras
+    params = {}
+    for i, name in enumerate(cameras.names):
+        view = render(known_splats, cameras.Ks[i], cameras.viewmats[i], 48, 48)
+        assert view.inverse_depth is not None
+        values = np.where(view.alpha > 0.95, view.inverse_depth, 0)
+        assert values.max() < UNIT
+        write_png(
+            root / "depths" / f"{Path(name).stem}.png",
+            (values / UNIT * 65536 + 0.5).astype(np.uint16),
+        )
+        params[Path(name).stem] = {"scale": UNIT, "offset": 0.0}
+    (root / "sparse" / "0" / FILE).write_text(json.dumps(params))
+    return root
+
+
+def test_depth_reaches_metrics_and_report(
+    deep: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Oracle: eight maps with the scale that was written; pictures and rows in the report."""
+    out = tmp_path / "o"
+    base = ["train", str(deep), "-o", str(out), *SHORT, "--test-every", "4", "--json"]
+    assert main([*base, "-d", "depths", "--depth-align", "official"]) == 0
+    printed = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert printed["depth"]["used"] is True
+    assert "views" not in printed["depth"]
+    depth = json.loads((out / "metrics.json").read_text())["depth"]
+    assert 0 < depth["depth_error"] < 1
+    assert [row["split"] for row in depth["views"]].count("test") == 2
+    assert all(row["accepted"] and row["scale"] == UNIT for row in depth["views"])
+    measured = [row["depth_error"] for row in depth["views"] if row["depth_error"] is not None]
+    assert len(measured) >= 4  # balls of 48 px are edges all over, which are not trusted
+    assert depth["depth_error"] == pytest.approx(np.mean(measured))
+    report = (out / "report.html").read_text()
+    section = report[report.index('<section id="depth">') :]
+    section = section[: section.index("</section>")]
+    assert section.count("<img ") == 5 * 8
+    assert section.count("<figcaption>aligned prior</figcaption>") == 8
+    assert "Fits: 8 of 8 views accepted" in section
+    assert len(re.findall(r"<tr><th>view_0\d\.png", section)) == 8
+
+
+def test_refused_maps_are_told_with_the_reason(deep: Path, tmp_path: Path) -> None:
+    """Oracle: one scale a hundredth of the others, which the official rule calls unreliable."""
+    root, out = tmp_path / "capture", tmp_path / "o"
+    shutil.copytree(deep, root)
+    path = root / "sparse" / "0" / FILE
+    params = json.loads(path.read_text())
+    params["view_02"]["scale"] = UNIT / 100
+    path.write_text(json.dumps(params))
+    arguments = ["train", str(root), "-o", str(out), *SHORT, "-d", "depths"]
+    assert main([*arguments, "--depth-align", "official", "--quiet"]) == 0
+    rows = json.loads((out / "metrics.json").read_text())["depth"]["views"]
+    assert [row["accepted"] for row in rows].count(False) == 1
+    refused = next(row for row in rows if not row["accepted"])
+    assert refused["view"] == "view_02.png"
+    assert refused["reason"]
+    report = (out / "report.html").read_text()
+    assert "Fits: 7 of 8 views accepted" in report
+    assert "no aligned prior" in report
+    assert f"not aligned: {refused['reason'][:20]}" in report
+
+
+def test_off_reads_maps_but_trains_without(deep: Path, tmp_path: Path) -> None:
+    """Oracle: the same splats, byte by byte, as without maps; the report says why."""
+    arguments = ["train", str(deep), *SHORT, "--quiet"]
+    assert main([*arguments, "-o", str(tmp_path / "a")]) == 0
+    off = ["-d", "depths", "--depth-align", "official", "--depth-mode", "off"]
+    assert main([*arguments, "-o", str(tmp_path / "b"), *off]) == 0
+    plain, read = ((tmp_path / name / "point_cloud.ply").read_bytes() for name in "ab")
+    assert plain == read
+    depth = json.loads((tmp_path / "b" / "metrics.json").read_text())["depth"]
+    assert depth["used"] is False
+    assert "depth_mode off" in (tmp_path / "b" / "report.html").read_text()
+    assert "depth" not in json.loads((tmp_path / "a" / "metrics.json").read_text())
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--depth-mode", "on"], "--depths"),
+        (["--depth-points", "10"], "--depths"),
+        (["-d", "nowhere"], "nowhere"),
+        (["-d", "depths", "--depth-weight", "-1"], "depth_weight must be at least 0"),
+        (["--drop-rate", "1"], "drop_rate must lie in [0, 1)"),
+    ],
+)
+def test_bad_options_are_one_sentence_and_leave_nothing(
+    deep: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    options: list[str],
+    words: str,
+) -> None:
+    """Oracle: exit code, message and an output folder that was not made."""
+    out = tmp_path / "o"
+    assert main(["train", str(deep), "-o", str(out), *SHORT, *options]) != 0
+    assert words in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_a_run_with_depth_resumes(
+    deep: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Oracle: the splats of a run that was never interrupted; another map is refused."""
+    depth = ["-d", "depths", "--depth-align", "official"]
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    short = ["train", str(deep), "--max-splats", "200", "--sh-degree", "0", "--quiet", *depth]
+    checkpoints = ["--iterations", "20", "--checkpoint-iterations", "10"]
+    assert main([*short, *checkpoints, "-o", str(whole)]) == 0
+    start = whole / "checkpoints" / "step_00000010.safetensors"
+    assert main([*short, *checkpoints, "-o", str(parts), "--start-checkpoint", str(start)]) == 0
+    ends = [(path / "point_cloud.ply").read_bytes() for path in (whole, parts)]
+    assert ends[0] == ends[1]
+    none = [*short[:6], "--quiet", *checkpoints, "-o", str(tmp_path / "c")]
+    capsys.readouterr()
+    assert main([*none, "--start-checkpoint", str(start)]) != 0
+    assert "with depth maps in the loss, this one has none" in capsys.readouterr().err
+
+
+@pytest.fixture
+def one_view_unknown(deep: Path, tmp_path: Path) -> Callable[[], Path]:
+    """A copy of the capture without the map of one view."""
+
+    def make() -> Path:
+        root = tmp_path / "capture"
+        shutil.copytree(deep, root)
+        (root / "depths" / "view_05.png").unlink()
+        return root
+
+    return make
+
+
+def test_views_without_a_map_train_without_depth(
+    one_view_unknown: Callable[[], Path], tmp_path: Path
+) -> None:
+    """Oracle: the number of views in the sentence, and the row of the missing one."""
+    arguments = ["train", str(one_view_unknown()), "-o", str(tmp_path / "o"), *SHORT, "--quiet"]
+    assert main([*arguments, "-d", "depths", "--depth-align", "official"]) == 0
+    depth = json.loads((tmp_path / "o" / "metrics.json").read_text())["depth"]
+    assert "supervises 7 training views" in depth["why"]
+    row = next(row for row in depth["views"] if row["view"] == "view_05.png")
+    assert row["map"] is None
+    assert row.get("depth_error") is None
