@@ -47,7 +47,7 @@ _PARTS = (
     _Part("PIL", "pillow", "reading photos", True),
     _Part("safetensors", "safetensors", "checkpoints", True),
     _Part("pycolmap", "pycolmap", "photos with lens distortion", True),
-    _Part("onnxruntime", "onnxruntime", "LPIPS", False),
+    _Part("onnxruntime", "onnxruntime", "LPIPS and predicting depth", False),
     _Part("av", "av", "MP4 files", False),
     _Part("bpy", "bpy", "Blender as a Python module", False),
 )
