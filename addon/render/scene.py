@@ -17,6 +17,7 @@ from .frozen import FrozenMesh, freeze
 
 ANTIALIAS = "gs_antialias"
 """Custom property of a splat object whose opacities want compensation (Mip-Splatting)."""
+_EDITED = threading.Lock()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,6 +34,25 @@ class Source:
         """The object's own data before its modifiers, as the depsgraph sees it."""
         # A mesh's evaluated object shows what modifiers made of it; the display makes instances.
         return self.ob.original.data.evaluated_get(self._depsgraph)
+
+    @property
+    def is_edited(self) -> bool:
+        """Whether `data` are in Edit Mode, where their attributes are out of reach."""
+        return bool(getattr(self.ob.original.data, "is_editmode", False))
+
+    def frozen(self) -> FrozenMesh:
+        """A copy of all splat attributes, in Edit Mode too."""
+        if not self.is_edited:
+            return freeze(self.data, self.ob.name)
+        original = self.ob.original
+        with _EDITED:  # an object has one such mesh, whoever asks for it
+            # In the program F12 draws in another thread, for which Blender has taken edits over.
+            if threading.current_thread() is threading.main_thread():
+                original.update_from_editmode()
+            try:
+                return freeze(original.to_mesh(), self.ob.name)
+            finally:
+                original.to_mesh_clear()
 
     _depsgraph: bpy.types.Depsgraph
     """Gives `data`."""
@@ -96,7 +116,7 @@ def place(source: Source, frozen: FrozenMesh | None = None) -> Placed:
         ValueError: attributes are missing; they are named.
     """
     ob = source.ob
-    frozen = freeze(source.data, ob.name) if frozen is None else frozen
+    frozen = source.frozen() if frozen is None else frozen
     settings = getattr(ob, "gscore", None)
     filtered = settings is not None and settings.apply_filters_to_render
     filters = filters_of(ob) if filtered else None

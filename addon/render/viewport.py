@@ -163,6 +163,8 @@ class Viewport:
 
     def _copy(self, source: Source, until: float) -> FrozenMesh | None:
         uid = source.ob.original.data.session_uid
+        if uid not in self._frozen and source.is_edited:
+            self._frozen[uid] = source.frozen()
         while uid not in self._frozen:
             freezer = self._freezers.setdefault(uid, Freezer())
             frozen = freezer.step(source.data, source.ob.name)

@@ -13,6 +13,8 @@ from addon import cameras, splat_object
 from addon.compat import matrix_to_numpy
 from addon.core import Cancelled, transform_splats, write_splats
 from addon.render import engine, picture
+from addon.render.scene import SplatCache
+from addon.render.viewport import Viewport
 
 from . import splat_scenes as lab
 
@@ -302,6 +304,29 @@ def test_edits_show_without_any_update_call(scene, tmp_path):
     ob.data.attributes["radiance:base"].data.foreach_set("color", base.astype(np.float32).ravel())
     after = lab.render_exr(tmp_path)[35, 45]
     assert before[2] > before[0] and after[0] > after[2]
+
+
+def test_splats_in_edit_mode(scene, tmp_path):
+    """Oracle: the picture after Edit Mode was left; also of an object that shares the mesh."""
+    lab.prepare(scene)
+    ob = lab.add(scene, lab.blob())
+    other = bpy.data.objects.new("other", ob.data)
+    other["gs_kind"], other.location = "splats", (0.5, 0.2, 0)
+    scene.collection.objects.link(other)
+    before = lab.render_exr(tmp_path)
+    ob.data.vertices.foreach_set("select", np.arange(len(ob.data.vertices)) % 2 == 0)
+    bpy.context.view_layer.objects.active = ob
+    bpy.ops.object.mode_set(mode="EDIT")
+    np.testing.assert_array_equal(lab.render_exr(tmp_path), before)
+    bpy.ops.mesh.delete(type="VERT")
+    edited = lab.render_exr(tmp_path)
+    assert ob.mode == "EDIT"
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    shown = Viewport(SplatCache()).copied(depsgraph)
+    bpy.ops.object.mode_set(mode="OBJECT")
+    assert [len(p.frozen.vertices) for p in shown] == [len(ob.data.vertices)] * 2 == [200, 200]
+    np.testing.assert_array_equal(lab.render_exr(tmp_path), edited)
+    assert np.abs(edited - before).max() > 0.1
 
 
 def test_view_layers(scene, tmp_path):
