@@ -3,14 +3,12 @@
 With D the accumulated inverse depth of a pixel (sum of w / z, so that it also asks for opacity), P
 the prior, c its confidence and m the median of all aligned P:
 
-    aligned views     weight / 5 * mean over all pixels of c |D - P| / max(P, m)
+    aligned views     weight * mean over all pixels of c |D - P| / max(P, m)
     other views       weight * depth_pearson * (1 - correlation of D and P, weighted by c)
 
 The divisor makes the error of near surfaces, whose inverse depth is large, a relative one and that
 of far surfaces one in units of the median: neither do the nearest pixels rule the sum nor the
-farthest. The mean is over all pixels, so a view of which little is known counts little. With the
-fifth, a weight means what it means in 3DGS scripts, whose error is in 1/world unit, where the
-median surface is five units away; larger weights cost detail, see docs/depth.md.
+farthest. The mean is over all pixels, so a view of which little is known counts little.
 """
 
 import math
@@ -21,8 +19,6 @@ import torch
 from ..config import TrainConfig
 from .depth_targets import DepthTarget, DepthTargets
 
-_SHARE = 0.2
-"""The fifth of the formula."""
 _SPREAD_FLOOR = 1e-4
 """Least variance in the correlation, of inverse depth in medians: flat maps say nothing."""
 
@@ -68,7 +64,7 @@ class DepthLoss:
         if target is None:
             return inverse_depth.new_zeros(())
         if target.aligned:
-            return _SHARE * l1_loss(inverse_depth, target, unit=self._unit)
+            return l1_loss(inverse_depth, target, unit=self._unit)
         return pearson_loss(inverse_depth / self._unit, target)
 
 

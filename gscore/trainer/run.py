@@ -25,6 +25,8 @@ from .session import Session, TrainResult
 from .trainer import Trainer
 
 _FAR_FROM_ORIGIN = 1e4
+_DEPTH_BYTES = 11
+"""Bytes a pixel while depth maps are read: value and confidence in float32, and the target."""
 _LOADING_PERIOD = 0.5
 """Seconds between two events while photos are read."""
 
@@ -71,7 +73,7 @@ def train(
         if before is not None:
             checkpoint.check_compatible(before, config, photos)
             frame = Frame.from_dict(before.trainer["frame"])
-        _check_fits(config, photos)
+        _check_fits(config, photos, depths=bool(data.depths))
         _decode(photos, config, emit, control)
         empty = _check_masks(photos)
         with _memory_in_words():
@@ -120,13 +122,14 @@ def _checkpoint_to_start_from(
     return checkpoint.load(folder.checkpoints()[-1]) if resume else None
 
 
-def _check_fits(config: TrainConfig, photos: Dataset) -> None:
+def _check_fits(config: TrainConfig, photos: Dataset, *, depths: bool) -> None:
     cameras = photos.scene.cameras
+    pixels = cameras.widths * cameras.heights
     check_memory(
         splats=config.max_splats,
         sh_degree=config.sh_degree,
-        pixels=int((cameras.widths * cameras.heights).max(initial=0)),
-        photos=photos.nbytes,
+        pixels=int(pixels.max(initial=0)),
+        photos=photos.nbytes + (_DEPTH_BYTES * int(pixels.sum()) if depths else 0),
     )
 
 

@@ -138,8 +138,7 @@ def test_depth_makes_depth_better(make_photos: Callable[..., Any], known_splats:
     colors = photos.scene.points.colors
     points = PointCloud(points=rng.uniform(-1.5, 1.5, (len(colors), 3)), colors=colors)
     truth = true_priors(photos, known_splats)
-    config = TrainConfig(iterations=400, max_splats=400, sh_degree=0, depth_weight=5.0)
-    config = replace(config, depth_weight_final=0.5)
+    config = TrainConfig(iterations=400, max_splats=400, sh_degree=0, depth_weight_final=0.1)
     errors = []
     for depth in (None, DepthTargets(truth, train=photos.train)):
         trainer = run(Trainer(config, photos, points=points, depth=depth), config.iterations)
