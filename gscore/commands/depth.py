@@ -82,6 +82,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="auto",
         help="composite: what masks hide is left out of the maps",
     )
+    parser.add_argument("--frame", type=int, metavar="N", help="frame of a multi-view video")
     parser.add_argument("--threads", type=int, default=0, help="0: all cores")
     parser.add_argument("--json", action="store_true", help="the results as JSON, last on stdout")
     parser.add_argument("--quiet", action="store_true", help="no progress")
@@ -105,6 +106,7 @@ def run(args: argparse.Namespace) -> int:
         masks=args.masks,
         mask_mode=args.mask_mode,
         depths=args.depths,
+        frame=args.frame,
         resolution=1,
     )
     dataset = load_dataset(config)

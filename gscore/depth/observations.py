@@ -40,14 +40,13 @@ def observations(data: DataConfig, dataset: Dataset) -> list[Observations]:
     Captures with a COLMAP model have observations; for others the points are projected, hidden ones
     too, which a robust fit has to bear.
     """
-    # Cameras taken from another capture stand in its world, which the model's points do not.
-    model = _model(data) if data.rig is None else None
-    images = {image.name: image for image in model.images} if model else {}
-    if model is None or not set(dataset.names) <= images.keys():
+    model = _model(dataset)
+    if model is None:
         # Not the dataset's points: those may be made up.
         points = read_capture(data, photos_required=False).points.points
         points = points[np.isfinite(points).all(axis=1)]
         return [_projected(dataset, points, i) for i in range(len(dataset))]
+    images = {image.name: image for image in model.images}
     order = np.argsort(model.points.ids, kind="stable")
     return [observed(model, images[name], order) for name in dataset.names]
 
@@ -79,12 +78,20 @@ def observed(
     )
 
 
-def _model(data: DataConfig) -> ColmapModel | None:
+def _model(dataset: Dataset) -> ColmapModel | None:
+    """The COLMAP model of a capture if its images are the views, and stand where these do.
+
+    A transforms.json beside it, or cameras of another capture, may be of another world.
+    """
     try:
-        find_model(data.source)
+        find_model(dataset.source)
     except DatasetError:
         return None
-    return read_model(data.source)
+    model = read_model(dataset.source)
+    poses = {image.name: image.viewmat for image in model.images}
+    views = zip(dataset.names, dataset.scene.cameras.viewmats, strict=True)
+    same = all(name in poses and np.allclose(poses[name], pose) for name, pose in views)
+    return model if same else None
 
 
 def _projected(dataset: Dataset, points: np.ndarray, index: int) -> Observations:

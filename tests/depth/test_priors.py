@@ -1,6 +1,7 @@
 """Priors at training resolution against two planes whose inverse depth is known everywhere."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import OpenEXR
@@ -11,6 +12,7 @@ from gscore.config import DataConfig
 from gscore.datasets import load_dataset
 from gscore.depth import load_priors
 from gscore.depth.maps import DepthKind
+from gscore.depth.observations import observations, observed
 from gscore.errors import ConfigError, DatasetError, FormatError
 from gscore.io.images import write_png
 
@@ -305,7 +307,6 @@ def test_observations_of_a_view(planes):
     """Oracle: pycolmap's points and poses; weights by track length and reprojection error."""
     import pycolmap
 
-    from gscore.depth.observations import observed
     from gscore.io.colmap import read_model
 
     model = read_model(planes.folder)
@@ -328,6 +329,19 @@ def test_observations_of_a_view(planes):
     tracks = np.minimum(np.maximum(model.points.track_lengths[rows], 2), 10)
     assert seen.weights == pytest.approx(tracks / (1 + error**2))
     assert (seen.width, seen.height) == (120, 80)
+
+
+def test_a_model_of_another_world_is_not_asked(planes):
+    """Oracle: cameras that stand elsewhere than the model's: its observations hold 80 points a
+    view, projecting all 400 gives more."""
+    config = DataConfig(source=planes.folder, resolution=1)
+    dataset = load_dataset(config)
+    assert {len(seen) for seen in observations(config, dataset)} == {80}
+    cameras = dataset.scene.cameras
+    viewmats = cameras.viewmats.copy()
+    viewmats[2, 0, 3] += 0.1
+    dataset.scene = replace(dataset.scene, cameras=replace(cameras, viewmats=viewmats))
+    assert min(len(seen) for seen in observations(config, dataset)) > 150
 
 
 @pytest.mark.parametrize("slant", [0.0, 0.02])
