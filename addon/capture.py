@@ -26,6 +26,8 @@ FEW_POINTS = 200
 """Fewer points than this leave the shape to chance."""
 NO_PINHOLE = frozenset({"EQUIRECTANGULAR"})
 """Camera models without focal length and principal point."""
+DEPTHS = "depths"
+"""Folder of the depth maps in a capture."""
 PHOTO_FOLDERS = ("images", "input", "photos", "rgb", "images_2", "images_4", "images_8")
 """Folders looked into when the one that was named does not hold the photos."""
 
@@ -118,7 +120,7 @@ def find_capture(path: str | Path) -> Path:
 
 
 def inspect(
-    path: str | Path, *, images: str = "images", masks: str = "", depths: str = "depths"
+    path: str | Path, *, images: str = "images", masks: str = "", depths: str = DEPTHS
 ) -> CaptureFacts:
     """Look into a capture; never raises on a bad one, the facts say what is wrong.
 

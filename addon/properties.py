@@ -13,7 +13,7 @@ from bpy.props import (
 )
 
 from . import compat
-from .core import PRESETS, Background, Strategy
+from .core import PRESETS, Background, Strategy, Switch
 from .job import facts
 from .job.options import AS_PRESET, BY_WIDTH
 
@@ -28,6 +28,11 @@ _BACKGROUNDS = {
     Background.BLACK: ("Black", "Black lies behind the splats"),
     Background.WHITE: ("White", "White lies behind the splats"),
     Background.RANDOM: ("Changing", "Another color at each step, so that nothing hides in it"),
+}
+_DEPTH_MODES = {
+    Switch.AUTO: ("By Itself", "Where views are few; dense captures do not need it"),
+    Switch.ON: ("Always", "Wherever there are depth maps"),
+    Switch.OFF: ("Never", "Train from the photos alone"),
 }
 _RESOLUTIONS = (
     (AS_PRESET, "As the Preset Says", "Photos are scaled down to the width of the preset"),
@@ -157,6 +162,12 @@ class SceneSettings(bpy.types.PropertyGroup):
         description="What masks are for",
         items=_MASK_MODES,
         default=_DATA.mask_mode,
+    )
+    depth_mode: EnumProperty(
+        name="Use Depth",
+        description="When the depth maps of the capture guide the training",
+        items=_items(Switch, _DEPTH_MODES),
+        default=str(_TRAIN.depth_mode),
     )
     images: StringProperty(
         name="Photo Folder",

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from ._version import __version__
 
 if TYPE_CHECKING:
-    from .config import PRESETS, Background, DataConfig, Strategy, TrainConfig
+    from .config import PRESETS, Background, DataConfig, Strategy, Switch, TrainConfig
     from .datasets import Capture, Dataset, Folder, View, load_dataset, read_capture
     from .errors import (
         BackendError,
@@ -105,6 +105,7 @@ _HOME = {
     "Splats": "splats",
     "Started": "events",
     "Strategy": "config",
+    "Switch": "config",
     "TrainConfig": "config",
     "View": "datasets",
     "Warn": "events",
@@ -180,6 +181,7 @@ __all__ = [
     "Splats",
     "Started",
     "Strategy",
+    "Switch",
     "TrainConfig",
     "View",
     "Warn",

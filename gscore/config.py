@@ -33,8 +33,8 @@ class DataConfig:
     depths: str = ""
     """Folder of inverse depth maps relative to `source`; empty: depth is not used."""
     depth_align: str = "auto"
-    """How the maps get the scale of the capture. `official`: as depth_params.json says, which must be
-    there, as for the 3DGS trainer; `robust`: RANSAC against the SfM points; `none`: they have it
+    """How the maps get the scale of the capture. `official`: as depth_params.json says, which must
+    be there, as for the 3DGS trainer; `robust`: RANSAC against the SfM points; `none`: they have it
     already; `auto`: as depth_params.json says where it is there and the points agree, else
     `robust`."""
     resolution: float = -1

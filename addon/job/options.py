@@ -4,7 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from ..core import PRESETS
+from ..capture import DEPTHS
+from ..core import PRESETS, Switch
 
 AS_PRESET, BY_WIDTH = "PRESET", "WIDTH"
 """Values of `resolution` beside the divisors 1, 2, 4 and 8."""
@@ -28,6 +29,7 @@ class Settings(Protocol):
     test_every: int
     use_masks: bool
     mask_mode: str
+    depth_mode: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +45,13 @@ class Machine:
 
 
 def new_run(
-    settings: Settings, *, source: Path, output: Path, machine: Machine, overwrite: bool = False
+    settings: Settings,
+    *,
+    source: Path,
+    output: Path,
+    machine: Machine,
+    overwrite: bool = False,
+    depths: bool = False,
 ) -> list[str]:
     """Arguments that start a run: the preset, and only what differs from it.
 
@@ -53,6 +61,7 @@ def new_run(
         output: Folder for the results.
         machine: Of the preferences.
         overwrite: Replace another run in `output`.
+        depths: Whether the capture has depth maps.
     """
     data, train = PRESETS[settings.preset](source)
     arguments = ["train", str(source), "-o", str(output), "--preset", settings.preset]
@@ -70,6 +79,10 @@ def new_run(
     mask_mode = settings.mask_mode if settings.use_masks else "none"
     if mask_mode != data.mask_mode:
         arguments += ["--mask-mode", mask_mode]
+    if depths and settings.depth_mode != Switch.OFF:
+        arguments += ["--depths", DEPTHS]
+        if settings.depth_mode != train.depth_mode:
+            arguments += ["--depth-mode", settings.depth_mode]
     if settings.resolution == BY_WIDTH:
         arguments += ["--resolution", str(settings.width)]
     elif settings.resolution != AS_PRESET:

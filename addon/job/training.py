@@ -7,6 +7,7 @@ from pathlib import Path
 import bpy
 
 from .. import lookup, preferences
+from ..capture import CaptureFacts
 from ..core import read_run
 from ..nodes import display as display_nodes
 from ..paths import absolute, capture_folder, output_folder, relative
@@ -47,14 +48,19 @@ def train(
     source = capture_folder(scene)
     output = output_folder(scene, preferences.get().output_folder)
     _check_free(output)
-    _check_capture(scene)
+    found = _check_capture(scene)
     if read_run(output) is not None and not overwrite:
         raise ValueError(
             f"{output} holds another run; press Resume to go on with it, Start Over to replace it, "
             "or choose another output folder."
         )
     arguments = options.new_run(
-        scene.gscore, source=source, output=output, machine=machine(), overwrite=overwrite
+        scene.gscore,
+        source=source,
+        output=output,
+        machine=machine(),
+        overwrite=overwrite,
+        depths=found.depths > 0,
     )
     scene.gscore.output_path = relative(output)
     return _start(arguments, source, output, resumed=False, wait=wait, python=python)
@@ -171,7 +177,7 @@ def _check_free(output: Path) -> None:
         raise ValueError(f"A training into {output} is running; stop it first.")
 
 
-def _check_capture(scene: bpy.types.Scene) -> None:
+def _check_capture(scene: bpy.types.Scene) -> CaptureFacts:
     found, problem = facts.capture(scene)
     if found is None or not found.can_train:
         found, problem = facts.look_again(scene)  # it may have been mended
@@ -180,6 +186,7 @@ def _check_capture(scene: bpy.types.Scene) -> None:
     errors = [p.text for p in found.problems if p.is_error]
     if errors or not found.can_train:
         raise ValueError(errors[0] if errors else f"{found.source} holds no capture.")
+    return found
 
 
 def _start(

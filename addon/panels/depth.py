@@ -1,17 +1,10 @@
 """Depth maps of the capture: what there is, and what becomes of it."""
 
-from dataclasses import fields
 from typing import ClassVar
 
 import bpy
 
-from ..core import DataConfig, TrainConfig
 from .widgets import TabPanel, found, rows, sentence
-
-TRAINS_WITH_DEPTH = any(
-    "depth" in f.name for kind in (DataConfig, TrainConfig) for f in fields(kind)
-)
-"""Whether this gscore has options for depth maps."""
 
 
 class DepthPanel(TabPanel, bpy.types.Panel):
@@ -31,9 +24,14 @@ class DepthPanel(TabPanel, bpy.types.Panel):
         maps = f"{facts.depths} of {facts.photos} photos" if facts.depths else "none (depths/)"
         scales = f"{facts.depth_params} entries" if facts.depth_params else "none"
         rows(layout, [("Depth maps", maps), ("Scales", scales)])
-        if not TRAINS_WITH_DEPTH:
-            text = "This version trains from the photos alone; depth maps are left as they are."
-            sentence(layout, context, text, icon="INFO")
+        if facts.depths:
+            layout.prop(context.scene.gscore, "depth_mode")
+            return
+        text = (
+            "Depth maps help where photos are few. `gscore depth` makes them with a network; see "
+            "docs/depth.md."
+        )
+        sentence(layout, context, text, icon="INFO")
 
 
 CLASSES = (DepthPanel,)

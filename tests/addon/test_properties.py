@@ -97,6 +97,17 @@ def test_a_preset_alone_is_that_preset(scene: bpy.types.Scene) -> None:
         assert (args["events"], args["output"], args["overwrite"]) == ("jsonl", "/out", "False")
 
 
+def test_depth_maps_are_used_where_there_are_some(scene: bpy.types.Scene) -> None:
+    """Oracle: gscore's parser."""
+    lines = [line(scene), line(scene, depths=True)]
+    scene.gscore.depth_mode = "on"
+    lines.append(line(scene, depths=True))
+    scene.gscore.depth_mode = "off"
+    lines.append(line(scene, depths=True))
+    told = [(data["depths"], train["depth_mode"]) for data, train, _ in parsed(*lines)]
+    assert told == [("", "auto"), ("depths", "auto"), ("depths", "on"), ("", "auto")]
+
+
 def test_every_option_arrives(scene: bpy.types.Scene, tmp_path: Path) -> None:
     """Oracle: gscore's parser, for values unlike any default."""
     settings, network = scene.gscore, tmp_path / "lpips.onnx"
