@@ -142,6 +142,8 @@ class TrainConfig:
     last one of positions by its square; 0: 1 for 30 000 steps and more, up to 4 in short runs."""
     start_splats: Path | None = None
     """PLY to start from instead of the capture's points, in the capture's world."""
+    start_opacity: float = 1.0
+    """Opacities of `start_splats` are multiplied by this; those that photos ask for come back."""
     init_opacity: float = 0.0
     """Opacity of the first splats; 0: 0.1, with mcmc 0.5."""
     init_scale: float = 0.0
@@ -247,6 +249,8 @@ class TrainConfig:
             value = getattr(self, name)
             if not 0 <= value <= (1 if name == "ssim_weight" else 0.99):
                 raise ConfigError(f"{name} must lie in [0, 1) (ssim_weight up to 1), got {value}.")
+        if not 0 < self.start_opacity <= 1:
+            raise ConfigError(f"start_opacity must lie in (0, 1], got {self.start_opacity}.")
         if self.sh_degree not in range(4):
             raise ConfigError(f"sh_degree must be 0, 1, 2 or 3, got {self.sh_degree}.")
         for name in ("test_iterations", "save_iterations", "checkpoint_iterations"):

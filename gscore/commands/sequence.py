@@ -2,7 +2,7 @@
 
 import argparse
 import json
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 from ..errors import ConfigError
@@ -40,6 +40,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--warm-start", **_SWITCH, help="start each frame from the splats of the one before (yes)"
     )
     group.add_argument(
+        "--carried-opacity",
+        type=float,
+        metavar="X",
+        help="share of its opacity that a splat takes into the next frame (0.6)",
+    )
+    group.add_argument(
         "--fixed-rig", **_SWITCH, help="the cameras do not move from frame to frame (yes)"
     )
     group.add_argument(
@@ -66,7 +72,7 @@ def _train(args: argparse.Namespace, show: Show, control: Control) -> SequenceRe
         if getattr(args, name) is not None:
             raise ConfigError(f"{option} is for one frame: {instead}.")
     stored = read_options(args.output) if args.resume else None
-    names = ("frames", "next_iterations", "warm_start", "fixed_rig", "keep_checkpoints")
+    names = [field.name for field in fields(SequenceOptions)]
     given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
     data, config = train_command.configs(args)
     return train_sequence(

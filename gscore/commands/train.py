@@ -92,6 +92,7 @@ _METHOD = {
     "sh_every": ("--sh-every",),
     "coarse_factor": ("--coarse-factor",),
     "coarse_until": ("--coarse-until",),
+    "start_opacity": ("--start-opacity",),
     "init_opacity": ("--init-opacity",),
     "init_scale": ("--init-scale",),
     "refine_start": ("--refine-start", "--densify-from-iter"),

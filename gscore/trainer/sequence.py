@@ -35,6 +35,9 @@ class SequenceOptions:
     """Steps of the frames after the first; 0: a quarter of those of the first."""
     warm_start: bool = True
     """False: every frame starts from its own points and takes as many steps as the first."""
+    carried_opacity: float = 0.6
+    """Opacities are multiplied by this from frame to frame, so that what no photo asks for fades
+    and what moved away makes room."""
     fixed_rig: bool = True
     """The cameras do not move: all frames get those of the first, in its world. False: the frames'
     own cameras, which then must be in one world already."""
@@ -44,6 +47,8 @@ class SequenceOptions:
     def __post_init__(self) -> None:
         if self.next_iterations < 0:
             raise ConfigError(f"next_iterations must be at least 0, got {self.next_iterations}.")
+        if not 0 < self.carried_opacity <= 1:
+            raise ConfigError(f"carried_opacity must lie in (0, 1], got {self.carried_opacity}.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -236,6 +241,7 @@ class _Run:
             config,
             iterations=options.next_iterations or max(1, config.iterations // 4),
             start_splats=RunFolder(self._complete[-1].folder).point_cloud.absolute(),
+            start_opacity=options.carried_opacity,
         )
 
     def _data_of(self, place: int) -> DataConfig:

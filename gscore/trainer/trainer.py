@@ -258,6 +258,10 @@ class Trainer:
             )
         rest = SH_REST_BY_DEGREE[self.config.sh_degree]
         start = replace(start, shN=np.ascontiguousarray(start.shN[:, :rest]))
+        if self.config.start_opacity < 1:
+            opacity = self.config.start_opacity / (1 + np.exp(-start.opacities.astype(np.float64)))
+            logits = np.log(opacity) - np.log1p(-opacity)
+            start = replace(start, opacities=logits.astype(np.float32))
         return self.frame.similarity.splats_to_training(start)
 
     def _step_splats(self, step: int) -> tuple[torch.Tensor, ...]:

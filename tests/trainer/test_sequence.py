@@ -3,7 +3,7 @@
 import argparse
 import json
 import shutil
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -66,7 +66,7 @@ def test_each_frame_starts_from_the_one_before(frames: Path, tmp_path: Path) -> 
     events: list[Event] = []
     out = tmp_path / "out"
     data = DataConfig(source=frames, eval=True, test_every=4)
-    options = SequenceOptions(next_iterations=12)
+    options = SequenceOptions(next_iterations=12, carried_opacity=1.0)
     result = train_sequence(CONFIG, data, out, events.append, options=options)
     assert result.reason == "finished"
     assert [frame.number for frame in result.frames] == [0, 5, 10]
@@ -99,8 +99,9 @@ def test_all_frames_are_in_the_world_of_the_first(frames: Path, tmp_path: Path) 
     cameras = [json.loads((frame.folder / "cameras.json").read_text()) for frame in result.frames]
     for entry, first in zip(cameras[2], cameras[0], strict=True):
         np.testing.assert_allclose(entry["position"], first["position"], atol=1e-6)
-    stored, _ = load_config(result.frames[2].folder / "config.json")
+    stored, how = load_config(result.frames[2].folder / "config.json")
     assert stored.rig == (frames / "000000").absolute()
+    assert how.start_opacity == SequenceOptions().carried_opacity < 1
     report = tmp_path / "again"
     assert main(["eval", str(result.frames[2].folder), "-o", str(report), "--quiet"]) == 0
     again = json.loads((report / "metrics.json").read_text())["psnr"]
@@ -203,6 +204,7 @@ def test_the_command_line(frames: Path, tmp_path: Path, capsys: pytest.CaptureFi
         (["{video}", "-o", "{out}", "--rig", "x"], "--rig is for one frame"),
         (["{video}", "-o", "{out}", "--resume"], "holds no run to resume"),
         (["{video}", "-o", "{out}", "--next-iterations", "-1"], "next_iterations must be"),
+        (["{video}", "-o", "{out}", "--carried-opacity", "0"], "carried_opacity must lie in"),
         (["{video}/{{frame:06x}}", "-o", "{out}"], "{frame:06d}"),
         (["{video}/{{number}}", "-o", "{out}"], "{frame:06d}"),
         (["{video}/{{frame}}x", "-o", "{out}"], "Nothing fits"),
@@ -313,5 +315,5 @@ def test_flags_have_the_defaults_of_the_options() -> None:
     parser = argparse.ArgumentParser()
     sequence_command.add_arguments(parser)
     args = parser.parse_args(["in", "-o", "out"])
-    for name in ("frames", "next_iterations", "warm_start", "fixed_rig", "keep_checkpoints"):
-        assert getattr(args, name) is None
+    for field in fields(SequenceOptions):
+        assert getattr(args, field.name) is None

@@ -48,6 +48,18 @@ def test_the_first_picture_is_that_of_the_given_splats(make_photos: Callable[...
         np.testing.assert_allclose(got, wanted, atol=2e-4)
 
 
+def test_opacities_may_be_carried_in_part(make_photos: Callable[..., Any]) -> None:
+    """Oracle: the activated opacities, times the share; those of opaque splats too."""
+    photos = make_photos()
+    start = first_splats(photos)
+    start.opacities[:3] = [-4, 0, 20]
+    faded = Trainer(replace(CONFIG, start_opacity=0.6), photos, start=start).splats()
+    before, after = (1 / (1 + np.exp(-s.opacities.astype(np.float64))) for s in (start, faded))
+    np.testing.assert_allclose(after, 0.6 * before, rtol=1e-5)
+    with pytest.raises(ConfigError, match="start_opacity must lie"):
+        replace(CONFIG, start_opacity=0.0)
+
+
 def test_the_config_bounds_degree_and_number(make_photos: Callable[..., Any]) -> None:
     """Oracle: the shapes that TrainConfig allows."""
     photos = make_photos()
