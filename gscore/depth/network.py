@@ -43,6 +43,10 @@ _SCALES = {
 }
 """Mean and deviation of RGB in [0, 1]."""
 _INPUT_TYPES = {"tensor(float)": np.float32, "tensor(float16)": np.float16}
+_RESHAPING = frozenset(
+    {"If", "Equal", "Gather", "Shape", "Squeeze", "Unsqueeze", "Reshape", "Identity", "Cast"}
+)
+"""Operations after the last one that changes numbers; exporters squeeze in several ways."""
 _OUTPUT_NAMES = ("predicted_depth", "depth", "inverse_depth", "disparity", "inv_depth")
 
 
@@ -107,7 +111,8 @@ def recognize(
         # The file normalises by itself. Large or tiny factors turn bytes into [0, 1] first.
         of_bytes = any(c > 100 or 0 < c < 0.01 for c in facts.constants)
         normalization = Normalization.BYTES if of_bytes else Normalization.UNIT
-    metric = "metric" in file_name.lower() or "Sigmoid" in facts.last[:3]
+    ending = [op for op in facts.last if op not in _RESHAPING][:2]
+    metric = "metric" in file_name.lower() or "Sigmoid" in ending
     return Profile(
         family=family,
         normalization=normalization,
