@@ -71,7 +71,8 @@ def read_params(path: Path) -> dict[str, Params]:
     """
     if not path.is_file():
         raise DatasetError(
-            f"There is no {path}, which says how the depth maps are scaled. {_REMAKE}"
+            f"There is no {path}, which says how the depth maps are scaled. Make it "
+            f"with: gscore depth SOURCE"
         )
     try:
         content = json.loads(read_bytes(path).decode("utf-8-sig"))
