@@ -151,13 +151,13 @@ class TrainConfig:
 
     depth_mode: Switch = Switch.AUTO
     """Supervise inverse depth where `DataConfig.depths` gives maps; auto: not in dense captures."""
-    depth_weight: float = 1.0
+    depth_weight: float = 0.3
     """Weight of the depth loss at the first step; see `trainer.depth_loss` for its unit."""
-    depth_weight_final: float = 0.01
+    depth_weight_final: float = 0.1
     """Weight of the depth loss at the last step; exponential in between."""
     depth_warmup: float = 0.02
     """Share of the run over which the depth loss fades in, from 0 to its full weight."""
-    depth_pearson: float = 0.05
+    depth_pearson: float = 0.5
     """Weight of 1 - correlation for views whose map could not be aligned, as a share of
     `depth_weight`; 0: such views get no depth loss."""
     depth_points: int = 0
