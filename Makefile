@@ -13,7 +13,7 @@ DEMO_BLENDER ?= newest
 # What `make extension` makes zips for: nothing for this machine's platform, all, or names like windows-x64.
 PLATFORMS ?=
 
-.PHONY: demo test test-slow test-blender extension test-native test-widths test-neon sanitize lint format bench wheel clean
+.PHONY: demo test test-slow test-blender extension test-native test-widths test-neon sanitize lint format bench experiment-depth wheel clean
 
 # The editable install lists packages when it is made, so a new package renews it.
 $(INSTALLED): pyproject.toml constraints.txt $(wildcard gscore/*/__init__.py gscore/*/*/__init__.py)
@@ -99,6 +99,12 @@ format: $(INSTALLED)
 
 bench: $(LIBRARY)
 	$(BIN)/gscore bench raster
+
+# Trains with and without depth, from 6 to 50 views, and leaves out/experiment-depth/{results.json,results.md,*.png}; goes
+# on where it was stopped. About ten minutes on two cores; EXPERIMENT=--quick takes one. Real captures and networks:
+# EXPERIMENT="--captures studio plush --model FILE.onnx" with GSCORE_DATA set.
+experiment-depth: $(LIBRARY)
+	$(BIN)/python tools/experiment_depth.py $(EXPERIMENT)
 
 wheel: $(INSTALLED)
 	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist .
