@@ -2,12 +2,13 @@
 
 import argparse
 import json
+import os
 import signal
 import sys
 import time
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import Any, Self
 
 from ..config import DataConfig
 from ..datasets import Dataset, load_dataset
@@ -21,7 +22,7 @@ from ..depth.params import DEFAULT_FOLDER, params_path, write_params
 from ..depth.predict import Prediction, predict_views
 from ..depth.priors import fit_table
 from ..depth.sheet import write_sheet
-from ..errors import ConfigError
+from ..errors import Cancelled, ConfigError
 from ..metrics.colormap import colorize
 from .display import clock
 from .output import check_folder
@@ -120,16 +121,17 @@ def run(args: argparse.Namespace) -> int:
     seen = observations(config, dataset)
     prediction = None
     if network is not None:
-        before = signal.signal(signal.SIGTERM, _terminate)
         progress = _Progress(quiet=args.quiet)
-        try:
-            prediction = _predict(network, dataset, seen, folder, args, progress)
-        except KeyboardInterrupt:
-            return _stopped(args, progress, 130)
-        except _Terminated:
-            return _stopped(args, progress, 143)
-        finally:
-            signal.signal(signal.SIGTERM, before)
+        with _Stop() as stop:
+            try:
+                prediction = _predict(network, dataset, seen, folder, args, progress, stop)
+            except Cancelled:
+                print(
+                    f"Stopped after {progress.done} views; the maps written so far are whole. Run "
+                    f"the same command again to go on.",
+                    file=sys.stderr,
+                )
+                return 128 + stop.received
     return _finish(args, config, dataset, seen, folder, network, prediction)
 
 
@@ -140,6 +142,7 @@ def _predict(
     folder: Path,
     args: argparse.Namespace,
     progress: "_Progress",
+    stop: "_Stop",
 ) -> Prediction:
     if not args.quiet:
         profile = network.profile
@@ -157,6 +160,7 @@ def _predict(
         kind=args.kind,
         overwrite=args.overwrite,
         on_view=progress,
+        cancelled=lambda: bool(stop.received),
     )
 
 
@@ -273,21 +277,28 @@ def _table_text(table: list[dict[str, Any]]) -> str:
     return "\n".join(line.rstrip() for line in lines)
 
 
-class _Terminated(BaseException):
-    """SIGTERM came; like KeyboardInterrupt, not an error."""
+class _Stop:
+    """SIGINT and SIGTERM for the duration of a block: the first asks to end after the view at hand,
+    the second ends at once. An exception instead could leave half a file behind."""
 
+    def __init__(self) -> None:
+        self.received = 0
+        """Number of the signal that came; 0: none."""
+        self._before: dict[int, Any] = {}
 
-def _terminate(number: int, frame: FrameType | None) -> None:
-    raise _Terminated
+    def __enter__(self) -> Self:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            self._before[number] = signal.signal(number, self._handle)
+        return self
 
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
 
-def _stopped(args: argparse.Namespace, progress: "_Progress", code: int) -> int:
-    print(
-        f"Stopped after {progress.done} views; the maps written so far are whole. Run the same "
-        f"command again to go on.",
-        file=sys.stderr,
-    )
-    return code
+    def _handle(self, number: int, frame: FrameType | None) -> None:
+        if self.received:
+            os._exit(128 + number)
+        self.received = number
 
 
 class _Progress:

@@ -102,8 +102,6 @@ def align_robust(
     scale = slope * middle / spread
     fit = judge(scale, height * middle - scale * center, m, s, w)
     inside = round(fit.inliers * len(m))
-    if not scale > 0:
-        return fit.refused("the map is larger where the points are farther: it may hold depth")
     if inside < LEAST_POINTS or fit.inliers < LEAST_SHARE:
         return fit.refused(
             f"only {inside} of {len(m)} points ({fit.inliers:.0%} by weight) agree with one scale "
@@ -111,6 +109,8 @@ def align_robust(
         )
     if not _beyond_chance(slope, height, *unit, w, near):
         return fit.refused("the map does not follow the depth of the points")
+    if not scale > 0:
+        return fit.refused("the map is larger where the points are farther: it may hold depth")
     if fit.slope_error > _MOST_SLOPE_ERROR:
         return fit.refused(
             f"its points lie too close in depth for a map of this noise: the scale is only known "

@@ -12,7 +12,7 @@ import numpy as np
 from .._version import __version__
 from ..datasets import Dataset
 from ..datasets.decode import ViewFile
-from ..errors import ConfigError, FormatError, GsError
+from ..errors import Cancelled, ConfigError, FormatError, GsError
 from ..io.files import atomic_write
 from ..io.images import read_image, read_mask, write_png
 from .fitting import find_kind, sampled
@@ -49,6 +49,7 @@ def predict_views(
     kind: DepthKind = DepthKind.AUTO,
     overwrite: bool = False,
     on_view: Callable[[int, int, str], None] | None = None,
+    cancelled: Callable[[], bool] | None = None,
 ) -> Prediction:
     """Predict every view that has no map in `folder` yet.
 
@@ -63,8 +64,10 @@ def predict_views(
         kind: What the network's output grows with.
         overwrite: Predict all views, whatever is there.
         on_view: Called with (done, total, name) after each view.
+        cancelled: Asked before each view; true ends the call.
 
     Raises:
+        Cancelled: `cancelled` said so.
         ConfigError: the folder holds maps that this network did not make.
         GsError: the network failed, or a file cannot be written.
     """
@@ -78,6 +81,8 @@ def predict_views(
         text = json.dumps(record | {"kind": kind.value}, indent=2) + "\n"
         atomic_write(folder / RECORD, text.encode("utf-8"))
     for done, index in enumerate(todo, start=1):
+        if cancelled is not None and cancelled():
+            raise Cancelled("Predicting depth was stopped.")
         name = dataset.names[index]
         output = outputs.pop(index, None)
         photo, mask = photo_of(dataset.files[index], dataset.mask_mode)
