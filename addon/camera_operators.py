@@ -95,7 +95,7 @@ class GSCORE_OT_import_cameras(CaptureOperator, bpy.types.Operator):  # noqa: N8
     set_up_views: BoolProperty(
         name="Set Up Views",
         default=True,
-        description="Let this window's 3D views show the points' colours in Solid shading, and "
+        description="Let this window's 3D views show the points' colors in Solid shading, and "
         "hide outlines and the lines from each camera to its capture",
     )
 

@@ -285,7 +285,7 @@ def _point_problems(capture: Capture) -> list[Problem]:
     if count < FEW_POINTS:
         return [_note(f"Only {count} SfM points; run COLMAP's triangulation for a better start.")]
     if not points.colors.any():
-        return [_note("All SfM points are black; training takes their colours from the photos.")]
+        return [_note("All SfM points are black; training takes their colors from the photos.")]
     return []
 
 
