@@ -42,7 +42,7 @@ def attend(
     """
     control = Control()
     show = _display(args, control)
-    with Interrupt(control) as interrupt:
+    with Interrupt(lambda: control.stop("interrupted")) as interrupt:
         try:
             if args.events:
                 listen(control, 0, on_end=lambda: control.stop("input ended"))

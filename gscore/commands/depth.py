@@ -2,13 +2,10 @@
 
 import argparse
 import json
-import os
-import signal
 import sys
 import time
 from pathlib import Path
-from types import FrameType
-from typing import Any, Self
+from typing import Any
 
 from ..config import DataConfig
 from ..datasets import Dataset, load_dataset
@@ -25,6 +22,7 @@ from ..depth.sheet import write_sheet
 from ..errors import Cancelled, ConfigError
 from ..metrics.colormap import colorize
 from .display import clock
+from .interrupt import Interrupt
 from .output import check_folder
 
 _PERIOD = 5.0
@@ -122,16 +120,16 @@ def run(args: argparse.Namespace) -> int:
     prediction = None
     if network is not None:
         progress = _Progress(quiet=args.quiet)
-        with _Stop() as stop:
+        with Interrupt() as interrupt:
             try:
-                prediction = _predict(network, dataset, seen, folder, args, progress, stop)
+                prediction = _predict(network, dataset, seen, folder, args, progress, interrupt)
             except Cancelled:
                 print(
                     f"Stopped after {progress.done} views; the maps written so far are whole. Run "
                     f"the same command again to go on.",
                     file=sys.stderr,
                 )
-                return 128 + stop.received
+                return interrupt.exit_code
     return _finish(args, config, dataset, seen, folder, network, prediction)
 
 
@@ -142,7 +140,7 @@ def _predict(
     folder: Path,
     args: argparse.Namespace,
     progress: "_Progress",
-    stop: "_Stop",
+    interrupt: Interrupt,
 ) -> Prediction:
     if not args.quiet:
         profile = network.profile
@@ -160,7 +158,7 @@ def _predict(
         kind=args.kind,
         overwrite=args.overwrite,
         on_view=progress,
-        cancelled=lambda: bool(stop.received),
+        cancelled=lambda: interrupt.received,
     )
 
 
@@ -275,30 +273,6 @@ def _table_text(table: list[dict[str, Any]]) -> str:
             f"{row['view']:{width}}  {numbers}  {row['offset']:8.3g}  {error:>6}  {row['reason']}"
         )
     return "\n".join(line.rstrip() for line in lines)
-
-
-class _Stop:
-    """SIGINT and SIGTERM for the duration of a block: the first asks to end after the view at hand,
-    the second ends at once. An exception instead could leave half a file behind."""
-
-    def __init__(self) -> None:
-        self.received = 0
-        """Number of the signal that came; 0: none."""
-        self._before: dict[int, Any] = {}
-
-    def __enter__(self) -> Self:
-        for number in (signal.SIGINT, signal.SIGTERM):
-            self._before[number] = signal.signal(number, self._handle)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
-
-    def _handle(self, number: int, frame: FrameType | None) -> None:
-        if self.received:
-            os._exit(128 + number)
-        self.received = number
 
 
 class _Progress:

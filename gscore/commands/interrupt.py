@@ -1,20 +1,19 @@
-"""Ctrl-C and SIGTERM: the first asks for a checkpoint and an end, the second ends at once."""
+"""Ctrl-C and SIGTERM: the first asks the work to end in good order, the second ends at once."""
 
 import os
 import signal
+from collections.abc import Callable
 from types import FrameType
 from typing import Any, Self
-
-from ..trainer import Control
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class Interrupt:
-    """Turns signals into requests to `control` for the duration of a block."""
+    """Remembers signals for the duration of a block; the first also calls `stop`, if given."""
 
-    def __init__(self, control: Control) -> None:
-        self._control = control
+    def __init__(self, stop: Callable[[], None] | None = None) -> None:
+        self._stop = stop
         self._before: dict[signal.Signals, Any] = {}
         self._received = 0
 
@@ -22,6 +21,11 @@ class Interrupt:
     def exit_code(self) -> int:
         """128 + the signal that came, as shells expect; 0 if none did."""
         return 128 + self._received if self._received else 0
+
+    @property
+    def received(self) -> bool:
+        """Whether a signal came."""
+        return self._received != 0
 
     def __enter__(self) -> Self:
         for number in _SIGNALS:
@@ -36,4 +40,5 @@ class Interrupt:
         if self._received:
             os._exit(128 + number)
         self._received = number
-        self._control.stop("interrupted")
+        if self._stop is not None:
+            self._stop()

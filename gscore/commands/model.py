@@ -10,10 +10,8 @@ from pathlib import Path
 
 from ..config import Background, DataConfig, TrainConfig, load_config
 from ..errors import ConfigError, DatasetError
-from ..io.ply import read_splats
+from ..io.ply import header_comments, read_splats, says_antialias
 from ..splats import Splats
-
-_HEADER_LIMIT = 1 << 16
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +36,7 @@ class Model:
     @property
     def antialias(self) -> bool:
         """Whether it was trained with opacity compensation: its header or its run says so."""
-        return header_says_antialias(self.comments) or bool(self.train and self.train.antialias)
+        return says_antialias(self.comments) or bool(self.train and self.train.antialias)
 
     @property
     def background(self) -> tuple[float, float, float]:
@@ -134,20 +132,6 @@ def find_run(ply: Path) -> Path | None:
     if ply.parent.name == "snapshots":
         folders.append(ply.parent.parent)
     return next((f for f in folders if (f / "config.json").is_file()), None)
-
-
-def header_comments(ply: Path) -> tuple[str, ...]:
-    """Comment lines of a PLY's header, without the word comment."""
-    with ply.open("rb") as file:
-        head = file.read(_HEADER_LIMIT)
-    lines = head.partition(b"end_header")[0].decode("utf-8", "replace").splitlines()
-    return tuple(line[8:].strip() for line in lines if line.startswith("comment "))
-
-
-def header_says_antialias(comments: tuple[str, ...]) -> bool:
-    """Whether a comment says that opacities were compensated, as Brush and Postshot write it."""
-    marks = ("splatrendermode: mip", "antialiased 1", "antialiased: 1")
-    return any(line.lower().startswith(marks) for line in comments)
 
 
 @contextmanager

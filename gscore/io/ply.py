@@ -77,8 +77,8 @@ def read_splats(path: str | Path) -> Splats:
     return splats.subset(good)
 
 
-def is_antialiased(path: str | Path) -> bool:
-    """Whether the header of a PLY says that its splats want the anti-aliasing compensation.
+def header_comments(path: str | Path) -> tuple[str, ...]:
+    """Comment lines of a PLY's header, without the word comment.
 
     Raises:
         DatasetError: the file is missing.
@@ -89,8 +89,23 @@ def is_antialiased(path: str | Path) -> bool:
             header = file.read(_HEADER_LIMIT).partition(b"end_header")[0]
     except OSError as error:
         raise DatasetError(f"Cannot read {path}: {error.strerror or error}.") from error
-    comments = [line[8:].strip() for line in header.splitlines() if line.startswith(b"comment ")]
-    return MIP_COMMENT.encode() in comments
+    lines = header.decode("utf-8", "replace").splitlines()
+    return tuple(line[8:].strip() for line in lines if line.startswith("comment "))
+
+
+def says_antialias(comments: tuple[str, ...]) -> bool:
+    """Whether a header comment says that opacities were compensated, as ours or Postshot's do."""
+    marks = (MIP_COMMENT.lower(), "antialiased 1", "antialiased: 1")
+    return any(line.lower().startswith(marks) for line in comments)
+
+
+def is_antialiased(path: str | Path) -> bool:
+    """Whether the header of a PLY says that its splats want the anti-aliasing compensation.
+
+    Raises:
+        DatasetError: the file is missing.
+    """
+    return says_antialias(header_comments(path))
 
 
 def write_splats(path: str | Path, splats: Splats, *, comments: tuple[str, ...] = ()) -> None:

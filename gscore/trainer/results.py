@@ -9,7 +9,7 @@ import numpy as np
 from ..config import Background, DataConfig, config_json, to_dict
 from ..io.cameras_json import write_cameras
 from ..io.images import write_png
-from ..io.ply import write_splats
+from ..io.ply import MIP_COMMENT, write_splats
 from ..metrics import PictureCollector, summarize, write_metrics, write_report
 from ..raster import backend
 from ..splats import Splats
@@ -57,7 +57,7 @@ class Results:
         """The splats as they are now, in COLMAP world."""
         splats = self._trainer.splats()
         # Viewers that know the mark compensate opacities as the training did.
-        comments = ("SplatRenderMode: mip",) if self._trainer.config.antialias else ()
+        comments = (MIP_COMMENT,) if self._trainer.config.antialias else ()
         write_splats(path, splats, comments=comments)
         return splats
 

@@ -347,5 +347,7 @@ def test_antialiasing_is_told_by_the_header(
     write_splats(tmp_path / "mip.ply", splats, comments=("made by hand", MIP_COMMENT))
     assert not is_antialiased(tmp_path / "plain.ply")
     assert is_antialiased(tmp_path / "mip.ply")
+    write_splats(tmp_path / "other.ply", splats, comments=("Antialiased: 1",))
+    assert is_antialiased(tmp_path / "other.ply")
     with pytest.raises(DatasetError, match=r"none\.ply"):
         is_antialiased(tmp_path / "none.ply")
