@@ -12,6 +12,7 @@ from ._version import __version__
 if TYPE_CHECKING:
     from .config import PRESETS, Background, DataConfig, Strategy, Switch, TrainConfig
     from .datasets import Capture, Dataset, Folder, View, load_dataset, read_capture
+    from .depth.stated import StatedDepth, stated_depth
     from .errors import (
         BackendError,
         Cancelled,
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
         ShapeError,
     )
     from .events import (
+        DepthDone,
+        DepthProgress,
         Done,
         Eval,
         Event,
@@ -76,6 +79,8 @@ _HOME = {
     "DataConfig": "config",
     "Dataset": "datasets",
     "DatasetError": "errors",
+    "DepthDone": "events",
+    "DepthProgress": "events",
     "Done": "events",
     "Eval": "events",
     "Event": "events",
@@ -104,6 +109,7 @@ _HOME = {
     "Snapshot": "events",
     "Splats": "splats",
     "Started": "events",
+    "StatedDepth": "depth.stated",
     "Strategy": "config",
     "Switch": "config",
     "TrainConfig": "config",
@@ -130,6 +136,7 @@ _HOME = {
     "render": "raster.api",
     "rotmat_to_quat": "transforms",
     "sh0_to_rgb": "sh",
+    "stated_depth": "depth.stated",
     "train": "trainer",
     "train_sequence": "trainer.sequence",
     "transform_splats": "transforms",
@@ -154,6 +161,8 @@ __all__ = [
     "DataConfig",
     "Dataset",
     "DatasetError",
+    "DepthDone",
+    "DepthProgress",
     "Done",
     "Eval",
     "Event",
@@ -180,6 +189,7 @@ __all__ = [
     "Snapshot",
     "Splats",
     "Started",
+    "StatedDepth",
     "Strategy",
     "Switch",
     "TrainConfig",
@@ -207,6 +217,7 @@ __all__ = [
     "render",
     "rotmat_to_quat",
     "sh0_to_rgb",
+    "stated_depth",
     "train",
     "train_sequence",
     "transform_splats",

@@ -119,6 +119,42 @@ class Failed(Event):
 
 
 @dataclass(frozen=True, kw_only=True)
+class DepthProgress(Event):
+    """How far the depth maps of a capture are."""
+
+    kind: ClassVar[str] = "depth_progress"
+    done: int
+    """Views."""
+    total: int
+    """Views; 0: not known yet."""
+    view: str
+    """The last one; empty before the first."""
+    eta_s: float
+    phase: str
+    """reading, predicting or aligning."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthDone(Event):
+    """Depth maps were aligned, and predicted before where a network was given."""
+
+    kind: ClassVar[str] = "depth"
+    views: int
+    accepted: int
+    predicted: int
+    kept: int
+    """Views whose map was there already."""
+    folder: str
+    """Of the maps."""
+    params: str
+    """depth_params.json that was written; empty: nothing was."""
+    sheet: str
+    """Contact sheet that was written; empty: nothing was."""
+    table: list[dict[str, Any]] = field(default_factory=list)
+    """A row a view, see `gscore.depth.Priors`."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class FrameStarted(Event):
     """A sequence goes on to a frame, whose own events follow up to its `done`."""
 
@@ -164,6 +200,8 @@ KINDS: dict[str, type[Event]] = {
         Saved,
         Done,
         Failed,
+        DepthProgress,
+        DepthDone,
         FrameStarted,
         SequenceDone,
     )

@@ -12,7 +12,17 @@ import gscore
 ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "gscore"
 
-BOTTOM = {"errors", "_version", "splats", "scene", "config", "events", "sh", "transforms"}
+BOTTOM = {
+    "errors",
+    "_version",
+    "splats",
+    "scene",
+    "config",
+    "control",
+    "events",
+    "sh",
+    "transforms",
+}
 ALLOWED = {
     **dict.fromkeys(BOTTOM, BOTTOM),
     "io": BOTTOM | {"io"},

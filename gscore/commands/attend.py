@@ -1,13 +1,13 @@
-"""A training as a command: shown to people or programs, steered by lines and signals."""
+"""Long work as a command: shown to people or programs, steered by lines and signals."""
 
 import argparse
 import sys
 from collections.abc import Callable
 from typing import TypeVar
 
+from ..control import Control, listen
 from ..errors import Cancelled
 from ..events import Event, Failed
-from ..trainer import Control, listen
 from .display import JsonLines, Lines, Silent
 from .interrupt import Interrupt
 
@@ -29,16 +29,21 @@ def add_output_options(parser: argparse.ArgumentParser) -> None:
 
 
 def attend(
-    args: argparse.Namespace, work: Callable[[Show, Control], Result]
+    args: argparse.Namespace,
+    work: Callable[[Show, Control], Result],
+    *,
+    stopped: Callable[[], str] = lambda: "Stopped before the first step.",
 ) -> tuple[Result | None, int]:
-    """Do `work`, which trains; an error is told as an event too, before it is raised again.
+    """Do `work`; an error is told as an event too, before it is raised again.
 
     Args:
-        args: With the options of `add_output_options`.
-        work: Gets where to send events and the control to obey.
+        args: With the options `quiet` and `events`.
+        work: Gets where to send events and the control to obey; raises Cancelled where it was
+            stopped without a result.
+        stopped: The sentence that then says so.
 
     Returns:
-        What `work` returned, None if it was stopped before its first step; and the exit code.
+        What `work` returned, None if it was stopped; and the exit code.
     """
     control = Control()
     show = _display(args, control)
@@ -48,7 +53,7 @@ def attend(
                 listen(control, 0, on_end=lambda: control.stop("input ended"))
             return work(show, control), interrupt.exit_code
         except Cancelled:
-            show(Failed(message="Stopped before the first step.", type="Cancelled"))
+            show(Failed(message=stopped(), type="Cancelled"))
             return None, interrupt.exit_code
         except Exception as error:
             message = str(error) or type(error).__name__

@@ -4,14 +4,16 @@ import argparse
 import json
 import sys
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from ..config import DataConfig
+from ..control import Control
 from ..datasets import Dataset, load_dataset
 from ..depth.align import align_official, reliable
 from ..depth.fit import Fit, median_scale
-from ..depth.fitting import Alignment, find_kind, robust, view_samples
+from ..depth.fitting import Alignment, Samples, align_views, find_kind, robust, view_samples
 from ..depth.maps import SHEET, DepthKind, MapFolder, read_map, stem, to_inverse
 from ..depth.network import WHERE, Network, Normalization
 from ..depth.observations import Observations, observations
@@ -20,13 +22,10 @@ from ..depth.predict import Prediction, predict_views
 from ..depth.priors import fit_table
 from ..depth.sheet import write_sheet
 from ..errors import Cancelled, ConfigError
+from ..events import DepthDone, DepthProgress, Saved, Warn
 from ..metrics.colormap import colorize
-from .display import clock
-from .interrupt import Interrupt
+from .attend import Show, attend
 from .output import check_folder
-
-_PERIOD = 5.0
-"""Seconds between two lines of progress where stderr is not a terminal."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -73,6 +72,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="pixels of the shorter side of what the network sees, where it is free",
     )
     parser.add_argument("--overwrite", action="store_true", help="predict views that have a map")
+    parser.add_argument(
+        "--check",
+        action="store_true",
+        help="say which maps a training would use and why not others; write nothing",
+    )
     parser.add_argument("-i", "--images", default="images", help="folder of the photos in SOURCE")
     parser.add_argument("--masks", default="", metavar="DIR", help="folder of masks in SOURCE")
     parser.add_argument(
@@ -84,13 +88,48 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--frame", type=int, metavar="N", help="frame of a multi-view video")
     parser.add_argument("--threads", type=int, default=0, help="0: all cores")
     parser.add_argument("--json", action="store_true", help="the results as JSON, last on stdout")
-    parser.add_argument("--quiet", action="store_true", help="no progress")
+    parser.add_argument(
+        "--events", choices=("jsonl",), help="events as JSON lines on stdout, commands on stdin"
+    )
+    parser.add_argument("--quiet", action="store_true", help="say nothing but errors")
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Result:
+    """What came out."""
+
+    done: DepthDone
+    alignment: Alignment
+    network: Network | None
+    warnings: list[str]
+    shown: int
+    """Views on the contact sheet."""
 
 
 def run(args: argparse.Namespace) -> int:
-    """Predict, align, write depth_params.json and the contact sheet."""
+    """Predict, align, write depth_params.json and the contact sheet; or check and write nothing."""
     if args.input_size < 0:
         raise ConfigError(f"--input-size is {args.input_size}, expected a positive number.")
+    if args.check and (args.model is not None or args.overwrite):
+        raise ConfigError("--check writes nothing; leave --model and --overwrite out.")
+    told = _Told()
+    result, code = attend(
+        args, lambda show, control: _work(args, show, control, told), stopped=told
+    )
+    if result is None:
+        if not args.events:
+            print(told(), file=sys.stderr)
+        return code
+    if args.json:
+        print(json.dumps(_facts(args, result), allow_nan=False))
+    elif not args.events:
+        _print(args, result)
+    return code
+
+
+def _work(args: argparse.Namespace, show: Show, control: Control, told: "_Told") -> _Result:
+    """Everything after the options; `told` hears how far it is."""
+    show(DepthProgress(done=0, total=0, view="", eta_s=float("nan"), phase="reading"))
     network = None
     if args.model is not None:
         network = Network(
@@ -115,51 +154,25 @@ def run(args: argparse.Namespace) -> int:
             f"There is no folder {folder} with depth maps to align, and no network to make them: "
             f"give one with --model FILE.onnx. {WHERE}."
         )
-    check_folder(folder)
+    if not args.check:
+        check_folder(folder)
     seen = observations(config, dataset)
     prediction = None
     if network is not None:
-        progress = _Progress(quiet=args.quiet)
-        with Interrupt() as interrupt:
-            try:
-                prediction = _predict(network, dataset, seen, folder, args, progress, interrupt)
-            except Cancelled:
-                print(
-                    f"Stopped after {progress.done} views; the maps written so far are whole. Run "
-                    f"the same command again to go on.",
-                    file=sys.stderr,
-                )
-                return interrupt.exit_code
-    return _finish(args, config, dataset, seen, folder, network, prediction)
-
-
-def _predict(
-    network: Network,
-    dataset: Dataset,
-    seen: list[Observations],
-    folder: Path,
-    args: argparse.Namespace,
-    progress: "_Progress",
-    interrupt: Interrupt,
-) -> Prediction:
-    if not args.quiet:
-        profile = network.profile
-        size = network.input_size(*dataset.files[0].photo_size)
-        print(
-            f"{network.path.name}: taken for {profile.family}, input {size[0]} x {size[1]}, "
-            f"normalization {profile.normalization}",
-            file=sys.stderr,
+        if not (args.quiet or args.events):
+            _print_network(network, dataset)
+        prediction = predict_views(
+            network,
+            dataset,
+            seen,
+            folder,
+            kind=args.kind,
+            overwrite=args.overwrite,
+            on_view=_Progress(show, control, told, "predicting"),
+            cancelled=lambda: control.stopping,
         )
-    return predict_views(
-        network,
-        dataset,
-        seen,
-        folder,
-        kind=args.kind,
-        overwrite=args.overwrite,
-        on_view=progress,
-        cancelled=lambda: interrupt.received,
-    )
+    progress = _Progress(show, control, told, "aligning")
+    return _finish(args, config, dataset, seen, folder, network, prediction, show, progress)
 
 
 def _finish(
@@ -170,8 +183,10 @@ def _finish(
     folder: Path,
     network: Network | None,
     prediction: Prediction | None,
-) -> int:
-    """Align the maps that are there, write what came out and say it."""
+    show: Show,
+    progress: "_Progress",
+) -> _Result:
+    """Align the maps that are there and write what came out."""
     found = MapFolder(folder)
     maps = [found.find(name) for name in dataset.names]
     if not any(maps):
@@ -181,53 +196,49 @@ def _finish(
         )
     # Maps that were predicted hold inverse depth, whatever the network gave.
     kind = DepthKind.INVERSE if prediction is not None else args.kind
-    alignment, fits = _align(dataset, maps, seen, kind, official=args.align == "official")
-    path = params_path(dataset.source, folder, writing=True)
-    write_params(path, fits, alignment.kind)
-    sheet = folder / SHEET
-    shown = write_sheet(sheet, dataset, maps, alignment.fits, alignment.kind, colorize)
-    table = fit_table(dataset.names, maps, alignment)
-    accepted = sum(row["accepted"] for row in table)
+    samples = view_samples(
+        maps, seen, dataset, on_view=lambda i: progress(i + 1, len(maps), dataset.names[i])
+    )
+    path = sheet = None
+    shown = 0
+    if args.check:
+        alignment = align_views(config, dataset, folder, samples, kind=kind)
+    else:
+        official = args.align == "official"
+        alignment, fits = _align(dataset, maps, seen, samples, kind, official=official)
+        path, sheet = params_path(dataset.source, folder, writing=True), folder / SHEET
+        write_params(path, fits, alignment.kind)
+        show(Saved(step=0, path=str(path)))
+        shown = write_sheet(sheet, dataset, maps, alignment.fits, alignment.kind, colorize)
+        show(Saved(step=0, path=str(sheet)))
     warnings = [*dataset.warnings, *alignment.warnings]
     for sentence in warnings:
-        print(f"Warning: {sentence}", file=sys.stderr)
-    if args.json:
-        result = {
-            "views": len(dataset),
-            "predicted": len(prediction.written) if prediction else 0,
-            "kept": len(prediction.kept) if prediction else 0,
-            "accepted": accepted,
-            "align": args.align,
-            "kind": alignment.kind.value,
-            "folder": str(folder),
-            "params": str(path),
-            "sheet": str(sheet),
-            "model": _model_facts(network) if network else None,
-            "table": table,
-            "warnings": warnings,
-        }
-        print(json.dumps(result, allow_nan=False))
-        return 0
-    what = "depth" if alignment.kind is DepthKind.DEPTH else "inverse depth"
-    print(_table_text(table))
-    print(
-        f"{accepted} of {sum(1 for m in maps if m)} maps of {what} aligned by the {args.align} "
-        f"rule: {path}"
+        show(Warn(message=sentence))
+    table = fit_table(dataset.names, maps, alignment)
+    done = DepthDone(
+        views=len(dataset),
+        accepted=sum(row["accepted"] for row in table),
+        predicted=len(prediction.written) if prediction else 0,
+        kept=len(prediction.kept) if prediction else 0,
+        folder=str(folder),
+        params=str(path or ""),
+        sheet=str(sheet or ""),
+        table=table,
     )
-    print(f"{shown} views on {sheet}")
-    return 0
+    show(done)
+    return _Result(done=done, alignment=alignment, network=network, warnings=warnings, shown=shown)
 
 
 def _align(
     dataset: Dataset,
     maps: list[Path | None],
     seen: list[Observations],
+    samples: list[Samples | None],
     kind: DepthKind,
     *,
     official: bool,
 ) -> tuple[Alignment, dict[str, Fit]]:
     """The alignment, and the fits to write: official tools judge reliability when they read."""
-    samples = view_samples(maps, seen, dataset)
     found, warnings = find_kind(samples) if kind is DepthKind.AUTO else (kind, ())
     if not official:
         alignment = robust(samples, found, warnings)
@@ -275,23 +286,70 @@ def _table_text(table: list[dict[str, Any]]) -> str:
     return "\n".join(line.rstrip() for line in lines)
 
 
-class _Progress:
-    """A line that moves on a terminal, and a line every few seconds elsewhere."""
+def _facts(args: argparse.Namespace, result: _Result) -> dict[str, Any]:
+    done = result.done
+    return {
+        "views": done.views,
+        "predicted": done.predicted,
+        "kept": done.kept,
+        "accepted": done.accepted,
+        "align": "auto" if args.check else args.align,
+        "kind": result.alignment.kind.value,
+        "folder": done.folder,
+        "params": done.params or None,
+        "sheet": done.sheet or None,
+        "model": _model_facts(result.network) if result.network else None,
+        "table": done.table,
+        "warnings": result.warnings,
+    }
 
-    def __init__(self, *, quiet: bool) -> None:
-        self.done = 0
-        self._quiet = quiet
-        self._start = self._last = time.monotonic()
+
+def _print(args: argparse.Namespace, result: _Result) -> None:
+    done = result.done
+    what = "depth" if result.alignment.kind is DepthKind.DEPTH else "inverse depth"
+    print(_table_text(done.table))
+    count = f"{done.accepted} of {sum(1 for row in done.table if row['map'])} maps of {what}"
+    if args.check:
+        print(f"{count} would be used with their scale; nothing was written")
+        return
+    print(f"{count} aligned by the {args.align} rule: {done.params}")
+    print(f"{result.shown} views on {done.sheet}")
+
+
+def _print_network(network: Network, dataset: Dataset) -> None:
+    profile = network.profile
+    size = network.input_size(*dataset.files[0].photo_size)
+    print(
+        f"{network.path.name}: taken for {profile.family}, input {size[0]} x {size[1]}, "
+        f"normalization {profile.normalization}",
+        file=sys.stderr,
+    )
+
+
+class _Told:
+    """How far the work was when it was stopped, as a sentence."""
+
+    def __init__(self) -> None:
+        self.predicted = 0
+
+    def __call__(self) -> str:
+        return (
+            f"Stopped after {self.predicted} views; the maps written so far are whole. Run the "
+            f"same command again to go on."
+        )
+
+
+class _Progress:
+    """Tells after each view how far a phase is, and ends it where that was asked for."""
+
+    def __init__(self, show: Show, control: Control, told: _Told, phase: str) -> None:
+        self._show, self._control, self._told, self._phase = show, control, told, phase
+        self._start = time.monotonic()
 
     def __call__(self, done: int, total: int, name: str) -> None:
-        self.done = done
-        now = time.monotonic()
-        moving = sys.stderr.isatty()
-        if self._quiet or not (moving or done == total or now - self._last > _PERIOD):
-            return
-        self._last = now
-        left = (now - self._start) / done * (total - done)
-        text = f"{done}/{total} {name}  {clock(left)} left"
-        print(f"\r{text:60}" if moving else text, end="" if moving else "\n", file=sys.stderr)
-        if moving and done == total:
-            print(file=sys.stderr)
+        if self._phase == "predicting":
+            self._told.predicted = done
+        elif self._control.stopping:
+            raise Cancelled("Aligning depth was stopped.")
+        left = (time.monotonic() - self._start) / done * (total - done)
+        self._show(DepthProgress(done=done, total=total, view=name, eta_s=left, phase=self._phase))

@@ -7,7 +7,17 @@ import time
 from collections.abc import Callable
 from typing import TextIO
 
-from ..events import Eval, Event, FrameStarted, Progress, Saved, Started, Warn, to_line
+from ..events import (
+    DepthProgress,
+    Eval,
+    Event,
+    FrameStarted,
+    Progress,
+    Saved,
+    Started,
+    Warn,
+    to_line,
+)
 
 _LINE_PERIOD = 10.0
 """Seconds between two lines where stderr is not a terminal."""
@@ -68,7 +78,10 @@ class Lines:
                 place = f"{event.place} of {event.frames}"
                 self._permanent(f"Frame {event.frame} ({place}): {how}")
             case Progress():
-                self._progress(event)
+                self._progress(progress_text(event), last=event.step >= event.iterations)
+            case DepthProgress(done=done, total=total) if done:
+                text = f"{done}/{total} {event.view}  {clock(event.eta_s)} left  {event.phase}"
+                self._progress(text, last=done == total)
             case Warn():
                 self._permanent(f"Warning: {event.message}")
             case Eval():
@@ -79,13 +92,11 @@ class Lines:
             case Saved():
                 self._permanent(f"Saved {event.path}")
 
-    def _progress(self, event: Progress) -> None:
+    def _progress(self, text: str, *, last: bool) -> None:
         now = time.monotonic()
-        last = event.step >= event.iterations
         if not self._moving and now - self._last < _LINE_PERIOD and not last:
             return
         self._last = now
-        text = progress_text(event)
         if self._moving:
             self._stream.write("\r" + text.ljust(self._width))
             self._width = len(text)

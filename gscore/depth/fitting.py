@@ -1,5 +1,6 @@
 """Alignment of all maps of a capture: what they hold, whose fit is taken, which are refused."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -9,10 +10,10 @@ from ..config import DataConfig
 from ..datasets import Dataset
 from ..datasets.dataset import map_threads
 from .align import align_robust, reliable
-from .fit import Fit, judge, median_scale, scale_reason
+from .fit import Fit, judge, median_scale
 from .maps import DepthKind, read_map, sample, stem
 from .observations import Observations
-from .params import Params, params_path, read_params
+from .params import Params, params_path, read_params, refusal
 
 _LEAST_SHARE = 0.3
 """Share of points that must agree with a scale from depth_params.json for it to be used."""
@@ -53,15 +54,27 @@ class Alignment:
 
 
 def view_samples(
-    maps: list[Path | None], seen: list[Observations], dataset: Dataset
+    maps: list[Path | None],
+    seen: list[Observations],
+    dataset: Dataset,
+    *,
+    on_view: Callable[[int], None] | None = None,
 ) -> list[Samples | None]:
-    """Read each map at the points seen in its view; None where there is no map."""
+    """Read each map at the points seen in its view; None where there is no map.
+
+    `on_view` is called with the index of each view when it is read.
+    """
 
     def samples(index: int) -> Samples | None:
         path = maps[index]
         return None if path is None else sampled(read_map(path), seen[index])
 
-    return list(map_threads(samples, list(range(len(dataset)))))
+    found = []
+    for index, part in enumerate(map_threads(samples, list(range(len(dataset))))):
+        found.append(part)
+        if on_view is not None:
+            on_view(index)
+    return found
 
 
 def sampled(values: np.ndarray, seen: Observations) -> Samples:
@@ -151,18 +164,16 @@ def _stated(
     kind = DepthKind.DEPTH if kinds == {DepthKind.DEPTH} else DepthKind.INVERSE
     fits: list[Fit | None] = []
     for name, part in zip(dataset.names, samples, strict=True):
-        entry = params.get(stem(name))
         if part is None:
             fits.append(None)
-        elif entry is None:
-            missing = Fit(scale=0.0, offset=0.0, points=len(part.values))
-            fits.append(missing.refused(f"{path.name} has no entry {stem(name)!r}"))
+            continue
+        entry = params.get(stem(name))
+        reason = refusal(path, stem(name), entry, median)
+        if entry is None:
+            fit = Fit(scale=0.0, offset=0.0, points=len(part.values))
         else:
             fit = _judged(entry.scale, entry.offset, part, entry.kind)
-            reason = entry.reason if not entry.accepted else scale_reason(entry.scale, median)
-            if not reason and not entry.scale > 0:
-                reason = f"{path.name} gives it no scale"
-            fits.append(fit.refused(reason) if reason else fit)
+        fits.append(fit.refused(reason) if reason else fit)
     return Alignment(fits=fits, kind=kind, warnings=_refusals(fits, median))
 
 

@@ -10,7 +10,7 @@ from typing import Any
 from ..errors import DatasetError, FormatError
 from ..io.colmap import find_model
 from ..io.files import atomic_write, read_bytes
-from .fit import Fit
+from .fit import Fit, scale_reason
 from .maps import DepthKind
 
 FILE = "depth_params.json"
@@ -33,6 +33,12 @@ class Params:
     """Whether its maker would use it. An addition of ours."""
     reason: str = ""
     """Why not. An addition of ours."""
+    inliers: float | None = None
+    """Share of the points that agree, in [0, 1]; None: not stated. An addition of ours."""
+    points: int | None = None
+    """Points that were compared; None: not stated. An addition of ours."""
+    error: float | None = None
+    """Median relative difference of inverse depths; None: not stated. An addition of ours."""
 
 
 def params_path(root: Path, maps: Path, *, writing: bool = False) -> Path:
@@ -80,6 +86,21 @@ def read_params(path: Path) -> dict[str, Params]:
         raise FormatError(f"{path} is not JSON ({error}). {_REMAKE}") from error
     _check_layout(path, content)
     return {name: _entry(f"{path}: {name}", entry) for name, entry in content.items()}
+
+
+def refusal(path: Path, key: str, entry: Params | None, median: float) -> str:
+    """Why a training does not use what the file says of a view; empty if it does.
+
+    Args:
+        path: The file.
+        key: Name of the view without ending.
+        entry: What the file says of it.
+        median: Median scale of all entries.
+    """
+    if entry is None:
+        return f"{path.name} has no entry {key!r}"
+    reason = entry.reason if not entry.accepted else scale_reason(entry.scale, median)
+    return reason or ("" if entry.scale > 0 else f"{path.name} gives it no scale")
 
 
 def write_params(path: Path, fits: Mapping[str, Fit], kind: DepthKind) -> None:
@@ -152,4 +173,13 @@ def _entry(where: str, entry: dict[str, Any]) -> Params:
         kind=DepthKind(kind),
         accepted=entry.get("accepted") is not False,
         reason=str(entry.get("reason", "")),
+        inliers=_known(entry.get("inliers")),
+        points=None if (points := _known(entry.get("points"))) is None else int(points),
+        error=_known(entry.get("error")),
     )
+
+
+def _known(value: Any) -> float | None:
+    """A finite number, or None for anything else: what is only told need not be right."""
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return float(value) if is_number and math.isfinite(value) else None

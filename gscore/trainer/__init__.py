@@ -1,6 +1,6 @@
 """Training: from a capture and options to splats, with checkpoints, events and control."""
 
-from .control import Control, listen
+from ..control import Control, listen
 from .run import train
 from .session import TrainResult
 

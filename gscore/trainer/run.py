@@ -10,13 +10,13 @@ import numpy as np
 import torch
 
 from ..config import DataConfig, TrainConfig
+from ..control import Control
 from ..datasets import Dataset, load_dataset
 from ..errors import BackendError, Cancelled, ConfigError, DatasetError
 from ..events import Event, Progress
 from ..io.ply import is_antialiased, read_splats
 from ..metrics import find_lpips
 from . import checkpoint
-from .control import Control
 from .depth_setup import prepare_depth
 from .folder import RunFolder, open_folder
 from .frame import Frame

@@ -9,6 +9,7 @@ from typing import Any
 
 from .._version import __version__
 from ..config import DataConfig, TrainConfig, config_json, differences
+from ..control import Control
 from ..datasets.frames import SequenceFrame, choose_frames, find_frames
 from ..errors import Cancelled, ConfigError, FormatError, GsError
 from ..events import Event, FrameStarted, SequenceDone, Started
@@ -17,7 +18,6 @@ from ..io.runs import clear_run, read_run
 from ..io.sequences import SEQUENCE_FILE, SequenceIndex, read_sequence, write_sequence
 from ..metrics import headline
 from . import checkpoint
-from .control import Control
 from .folder import RunFolder
 from .run import train
 

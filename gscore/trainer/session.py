@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from ..config import DataConfig, to_dict
+from ..control import Control
 from ..events import Done, Eval, Event, Preview, Saved, Snapshot, Started, Warn
 from ..metrics import Lpips, PictureCollector, headline
 from ..raster import backend
 from ..splats import Splats
 from . import checkpoint
-from .control import Control
 from .depth_report import DepthReport, measure_depth
 from .depth_setup import DepthSetup
 from .evaluation import Evaluator

@@ -16,6 +16,7 @@ from PIL import Image
 from gscore.config import DataConfig
 from gscore.datasets import load_dataset
 from gscore.depth import load_priors
+from gscore.events import DepthDone, DepthProgress, Failed, from_line
 from gscore.io.images import write_png
 
 MAKERS = {
@@ -234,3 +235,59 @@ def test_a_blind_network(planes, networks, gscore, tmp_path):
     code, _, err = gscore("depth", planes.folder, "--model", model)
     assert code == 2 and "cam/v_0.png one value everywhere" in err
     assert not list((planes.folder / "depths").rglob("*.png"))
+
+
+def test_events_tell_what_happens(planes, networks, gscore, tmp_path):
+    """Oracle: the number of views, and the result that --json prints."""
+    model = _network(networks, "midas", tmp_path)
+    code, out, _ = gscore("depth", planes.folder, "--model", model, "--events", "jsonl")
+    events = [from_line(line) for line in out.splitlines()]
+    assert code == 0 and None not in events
+    told = [(e.phase, e.done, e.total) for e in events if isinstance(e, DepthProgress)]
+    expected = [("reading", 0, 0)]
+    expected += [(phase, i, 5) for phase in ("predicting", "aligning") for i in range(1, 6)]
+    assert told == expected
+    done = events[-1]
+    assert isinstance(done, DepthDone) and (done.views, done.predicted) == (5, 5)
+    result = json.loads(gscore("depth", planes.folder, "--json")[1])
+    assert done.table == result["table"] and done.accepted == result["accepted"] == 5
+    assert Path(done.params).is_file() and Path(done.sheet).is_file()
+    code, out, _ = gscore("depth", planes.folder, "-d", "x", "--events", "jsonl")
+    failed = from_line(out.splitlines()[-1])
+    assert code == 2 and isinstance(failed, Failed) and "no folder" in failed.message
+
+
+def test_a_line_stops_it_between_views(make_planes, networks, tmp_path):
+    """Oracle: whole maps, no scales, and a last event that says that it was stopped."""
+    planes = make_planes(views=20)
+    model = networks["midas"](tmp_path / "n.onnx", size=1024)
+    command = [sys.executable, "-m", "gscore", "depth", str(planes.folder), "--model", str(model)]
+    environment = dict(os.environ, PYTHONPATH=str(Path(__file__).parents[2]))
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    with subprocess.Popen([*command, "--events", "jsonl"], env=environment, **pipes) as process:
+        for line in process.stdout:
+            event = from_line(line)
+            if isinstance(event, DepthProgress) and event.done == 2:
+                process.stdin.write("stop\n")
+                process.stdin.flush()
+        last = event
+    assert isinstance(last, Failed) and last.type == "Cancelled" and "again" in last.message
+    assert 2 <= len(list((planes.folder / "depths").rglob("*.png"))) < 20
+    assert not (planes.folder / "sparse" / "0" / "depth_params.json").exists()
+
+
+def test_checking_writes_nothing(planes, gscore):
+    """Oracle: the table of `load_priors`, and the files before and after."""
+    planes.write_maps(lambda path, s: np.save(path, 3 / s))
+    blind = planes.folder / "depths" / "cam" / "v_2.npy"
+    np.save(blind, np.ones((80, 120)))
+    before = sorted(planes.folder.rglob("*"))
+    code, out, _ = gscore("depth", planes.folder, "--check", "--json")
+    result = json.loads(out)
+    assert code == 0 and (result["accepted"], result["params"], result["sheet"]) == (4, None, None)
+    assert sorted(planes.folder.rglob("*")) == before
+    config = DataConfig(source=planes.folder, depths="depths", resolution=1)
+    assert result["table"] == load_priors(config, load_dataset(config)).table
+    code, out, _ = gscore("depth", planes.folder, "--check")
+    assert code == 0 and "nothing was written" in out
+    assert gscore("depth", planes.folder, "--check", "--overwrite")[0] == 2

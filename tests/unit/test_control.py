@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from gscore.trainer.control import Control, end_means_parent_gone, listen
+from gscore.control import Control, end_means_parent_gone, listen
 
 
 def wait_for(condition: Callable[[], bool], seconds: float = 5.0) -> bool:

@@ -1,4 +1,4 @@
-"""Requests to a running trainer, from other threads, signal handlers or lines on a pipe."""
+"""Requests to work that is running, from other threads, signal handlers or lines on a pipe."""
 
 import os
 import stat

@@ -1,0 +1,71 @@
+"""What depth_params.json says of a capture's maps, without reading a map."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ..errors import DatasetError, GsError
+from .fit import median_scale
+from .maps import MapFolder, stem
+from .params import DEFAULT_FOLDER, params_path, read_params, refusal
+
+
+@dataclass(frozen=True, kw_only=True)
+class StatedDepth:
+    """Which views have a map, and which maps a training would use as the file says."""
+
+    params: Path
+    """depth_params.json, whether it is there or not."""
+    entries: int = 0
+    """Views of which the file speaks."""
+    problem: str = ""
+    """Why it cannot be read; empty if it can, or is not there."""
+    table: list[dict[str, Any]] = field(default_factory=list)
+    """A row a view with the keys of `Priors.table`. `accepted` is None for a map of which nothing
+    is known yet, and numbers that are not stated are None."""
+
+
+def stated_depth(
+    source: Path, views: Sequence[str], *, folder: str = DEFAULT_FOLDER
+) -> StatedDepth:
+    """Read depth_params.json and list the maps; quick, and never raises on bad ones.
+
+    Whether the points agree is not looked at; `gscore depth SOURCE --check` does.
+
+    Args:
+        source: Folder of the capture.
+        views: Names of the views.
+        folder: Of the maps, in the capture.
+    """
+    root = source / folder
+    try:
+        maps = MapFolder(root)
+        found = {view: maps.find(view) for view in views}
+    except (DatasetError, OSError):
+        found = dict.fromkeys(views)
+    path, problem, params = params_path(source, root), "", {}
+    if path.is_file():
+        try:
+            params = read_params(path)
+        except (GsError, OSError) as error:
+            problem = str(error)
+    median = median_scale([entry.scale for entry in params.values()])
+    rows = []
+    for view, file in found.items():
+        entry = params.get(stem(view))
+        row: dict[str, Any] = {"view": view, "map": file.name if file else None}
+        row |= dict.fromkeys(("points", "scale", "offset", "inliers", "error"))
+        if file is None:
+            verdict = False, "there is no depth map of it"
+        elif not params:
+            verdict = None, "not compared with the points yet"
+        else:
+            reason = refusal(path, stem(view), entry, median)
+            verdict = not reason, reason
+        if file is not None and entry is not None:
+            row |= {"points": entry.points, "scale": entry.scale, "offset": entry.offset}
+            row |= {"inliers": entry.inliers, "error": entry.error}
+        rows.append(row | {"accepted": verdict[0], "reason": verdict[1]})
+    known = sum(1 for view in views if stem(view) in params)
+    return StatedDepth(params=path, entries=known, problem=problem, table=rows)
