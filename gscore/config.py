@@ -91,6 +91,27 @@ class Switch(StrEnum):
     OFF = "off"
 
 
+class Skip(StrEnum):
+    """Work that a training leaves out because the scene has no use for it. Each can be switched
+    off (`TrainConfig.without`) to prove or to measure what it brings; `gscore bench skips`
+    does. All but SMALL_PHOTOS leave every bit of the result as it is."""
+
+    EXACT_CULL = "exact-cull"
+    """Tiles and rows inside a splat's box that its ellipse does not reach."""
+    OPACITY_EXTENT = "opacity-extent"
+    """The rim that an opaque splat of the same shape would reach, but this one does not."""
+    ROW_RANGE = "row-range"
+    """Rows of a tile that the ellipse does not reach."""
+    ZERO_TILE = "zero-tile"
+    """The backward pass of tiles without an image gradient."""
+    MASKED_TILE = "masked-tile"
+    """Tiles that an `ignore` mask hides whole."""
+    SH_BANDS = "sh-bands"
+    """Storage and optimizer steps of SH degrees that are not in use yet."""
+    SMALL_PHOTOS = "small-photos"
+    """Pixels of the first steps: photos start small, see `TrainConfig.coarse_factor`."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class TrainConfig:
     """How to train. A 0 that means "by itself" says so; `trainer.schedules.Plan` holds what it
@@ -175,6 +196,9 @@ class TrainConfig:
     from the first step."""
     coarse_until: float = 0.9
     """Share of the run after which photos are used at full size."""
+
+    without: tuple[Skip, ...] = ()
+    """Skips that are switched off."""
 
     refine_start: int = 0
     """First step at which splats may be added or removed; 0: 500, sooner in short runs."""

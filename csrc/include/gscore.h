@@ -34,7 +34,7 @@ extern "C" {
 #endif
 
 /* Changes whenever a struct or a signature below changes. */
-#define GS_ABI_VERSION 2
+#define GS_ABI_VERSION 3
 
 /* A splat contributes to a pixel where its alpha is at least this. */
 #define GS_ALPHA_MIN (1.0f / 255.0f)
@@ -88,8 +88,10 @@ enum {
 
 /* Bits of gs_options.disable: each names a skip that leaves the image bit-identical, to prove and to measure it. */
 enum {
-    GS_NO_EXACT_CULL = 1, /* use each splat's bounding box instead of its ellipse for tiles and rows */
-    GS_NO_ZERO_TILE = 2   /* run the backward pass also over tiles whose image gradient is zero */
+    GS_NO_EXACT_CULL = 1,     /* use each splat's bounding box instead of its ellipse for tiles and rows */
+    GS_NO_ZERO_TILE = 2,      /* run the backward pass also over tiles whose image gradient is zero */
+    GS_NO_OPACITY_EXTENT = 4, /* let every splat reach as far as an opaque one of its shape would */
+    GS_NO_ROW_RANGE = 8       /* visit all rows of a tile that a splat reaches anywhere */
 };
 
 typedef struct gs_options {
@@ -100,6 +102,7 @@ typedef struct gs_options {
     uint32_t disable;
     int32_t threads;      /* 0: gs_default_threads() */
     const volatile int32_t *cancel; /* may be null; polled between tiles */
+    const uint8_t *tiles; /* [ceil(H / GS_TILE), ceil(W / GS_TILE)]; where 0, no splat is drawn; null: draw everywhere */
 } gs_options;
 
 /* Where gs_raster_forward writes. Pointers of outputs that were not asked for are ignored. */

@@ -28,6 +28,11 @@ static inline uint8_t pack_rows(int first, int last, int tile_first) {
     return first > last ? kNoRows : uint8_t(first | last << 4);
 }
 
+// What an extent is multiplied by to reach where an opaque splat of the same shape falls to the threshold.
+static inline float opaque_extent(const Projected &p) {
+    return __builtin_sqrtf(kLog2AlphaMin / (kLog2AlphaMin - p.log2_opacity));
+}
+
 static bool bin(const BinArgs &a, size_t begin, size_t end, InstanceBuffer *out, uint32_t *first_instance,
                 uint32_t *instance_count) {
     for (size_t i = begin; i < end; ++i) {
@@ -38,7 +43,8 @@ static bool bin(const BinArgs &a, size_t begin, size_t end, InstanceBuffer *out,
         const size_t size_before = out->size;
         if (a.cancel && *a.cancel)
             return true; // the caller looks too, and throws the lists away
-        const float ex = p.extent_x, ey = p.extent_y;
+        const float widen = a.disable & GS_NO_OPACITY_EXTENT ? opaque_extent(p) : 1.0f;
+        const float ex = p.extent_x * widen, ey = p.extent_y * widen;
         const float sx = slack_px(ex), sy = slack_px(ey);
         const int x_first = clamp_int(p.mean_x - ex - sx + 0.5f, 0, a.width);
         const int x_last = clamp_int(p.mean_x + ex + sx - 0.5f, -1, a.width - 1);
@@ -54,7 +60,7 @@ static bool bin(const BinArgs &a, size_t begin, size_t end, InstanceBuffer *out,
         // An even number of slabs at a time: whole tiles.
         for (int s0 = slab_first; s0 <= slab_last; s0 += kLanes) {
             alignas(64) int32_t first_row[kLanes], last_row[kLanes];
-            if (a.exact) {
+            if (!(a.disable & GS_NO_EXACT_CULL)) {
                 const Vec left = (iota() + float(s0)) * float(kSlab) + (0.5f - p.mean_x);
                 const Vec l = max(left, set1(-ex)), h = min(left + float(kSlab - 1), set1(ex));
                 const Vec top = min(max(set1(x_top), l), h), bottom = min(max(set1(-x_top), l), h);
@@ -91,13 +97,18 @@ static bool bin(const BinArgs &a, size_t begin, size_t end, InstanceBuffer *out,
                 if (tile_x >= a.tiles_x)
                     break;
                 for (int ty = top / kTile; ty <= end_row / kTile; ++ty) {
-                    const RowRange rows = {{none0 ? kNoRows : pack_rows(first[0], last[0], ty * kTile),
+                    const uint32_t tile = uint32_t(ty * a.tiles_x + tile_x);
+                    if (a.tiles && !a.tiles[tile])
+                        continue;
+                    RowRange rows = {{none0 ? kNoRows : pack_rows(first[0], last[0], ty * kTile),
                                             none1 ? kNoRows : pack_rows(first[1], last[1], ty * kTile)}};
                     if (rows.half[0] == kNoRows && rows.half[1] == kNoRows)
                         continue;
+                    if (a.disable & GS_NO_ROW_RANGE)
+                        rows = {{kAllRows, kAllRows}};
                     if (out->size == out->capacity && !out->grow(out))
                         return false;
-                    out->data[out->size++] = {uint32_t(ty * a.tiles_x + tile_x), slot, rows, 0};
+                    out->data[out->size++] = {tile, slot, rows, 0};
                 }
             }
         }

@@ -191,8 +191,8 @@ gs_status gs_raster::forward(const gs_splats &splats, const gs_camera &camera, c
     const int tiles_x = (camera.width + kTile - 1) / kTile, tiles_y = (camera.height + kTile - 1) / kTile;
     const uint32_t tiles = uint32_t(tiles_x) * uint32_t(tiles_y);
     const BinArgs bins = {projected_.get(), order_.get(), camera.width,
-                          camera.height,    tiles_x,      !(options.disable & GS_NO_EXACT_CULL),
-                          options.cancel};
+                          camera.height,    tiles_x,      options.disable,
+                          options.cancel,   options.tiles};
     if (const gs_status s = bin(bins, visible, tiles, threads))
         return s;
     if (cancelled(options.cancel))
@@ -218,6 +218,7 @@ gs_status gs_raster::forward(const gs_splats &splats, const gs_camera &camera, c
     });
     blend_.image = {}; // the caller's arrays may be gone by the backward call
     options_.cancel = nullptr;
+    options_.tiles = nullptr;
     if (cancelled(options.cancel))
         return GS_CANCELLED;
     stats.blend_ms = timer.lap_ms();

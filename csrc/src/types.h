@@ -41,7 +41,7 @@ static_assert(sizeof(Projected) == 64);
 struct RowRange {
     uint8_t half[2];
 };
-constexpr uint8_t kNoRows = 0x0f;
+constexpr uint8_t kNoRows = 0x0f, kAllRows = 0xf0;
 
 // A splat in a tile's list.
 struct Entry {
@@ -86,8 +86,9 @@ struct BinArgs {
     const Projected *projected;
     const uint32_t *order; // slots by depth
     int32_t width, height, tiles_x;
-    bool exact;
+    uint32_t disable; // bits of gs_options.disable
     const volatile int32_t *cancel; // may be null
+    const uint8_t *tiles;           // gs_options.tiles
 };
 
 struct BlendArgs {

@@ -129,7 +129,7 @@ def bench_raster(
         for view in views:
             width, height = int(cameras.widths[view]), int(cameras.heights[view])
             pixels += width * height
-            tiles += -(-width // 16) * -(-height // 16)
+            tiles += -(-width // _native.TILE) * -(-height // _native.TILE)
             rgb, alpha = np.zeros((height, width, 3), np.float32), np.zeros((height, width), "f4")
             v_rgb = rng.normal(size=rgb.shape).astype(np.float32)
             image = _native.ImageStruct(rgb.ctypes.data, alpha.ctypes.data)

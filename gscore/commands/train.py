@@ -10,6 +10,7 @@ from ..config import (
     PRESETS,
     Background,
     DataConfig,
+    Skip,
     Strategy,
     Switch,
     TrainConfig,
@@ -40,6 +41,11 @@ _RUN: dict[str, tuple[tuple[str, ...], dict[str, Any], str]] = {
         ("--depth-mode",),
         {"choices": tuple(Switch)},
         "supervise depth where --depths gives maps; auto: not in dense captures",
+    ),
+    "without": (
+        ("--without",),
+        {"nargs": "+", "choices": tuple(Skip), "metavar": "SKIP"},
+        "switch off skips, to prove or measure them: " + ", ".join(Skip),
     ),
     "near": (("--near",), {"type": float}, "near plane, world units"),
     "start_splats": (
@@ -231,6 +237,8 @@ def _with_given(config: TrainConfig, args: argparse.Namespace) -> TrainConfig:
     for name, value in given.items():
         if isinstance(value, list):
             given[name] = tuple(step for step in value if step != -1)  # 3DGS: -1 is never
+    if "without" in given:
+        given["without"] = tuple(Skip(name) for name in args.without)
     if "strategy" in given:
         given["strategy"] = Strategy(given["strategy"])
     if "background" in given:

@@ -17,10 +17,12 @@ import numpy as np
 
 from ..errors import BackendError, Cancelled, ShapeError
 
-ABI_VERSION = 2
+ABI_VERSION = 3
 
 OUT_INVERSE_DEPTH, OUT_DEPTH, OUT_MEDIAN_DEPTH = 1, 2, 4
-NO_EXACT_CULL, NO_ZERO_TILE = 1, 2
+NO_EXACT_CULL, NO_ZERO_TILE, NO_OPACITY_EXTENT, NO_ROW_RANGE = 1, 2, 4, 8
+TILE = 16
+"""Side of a tile, px (GS_TILE)."""
 MAX_SIDE = 65536
 MASK_MODES = {"none": 0, "composite": 1, "ignore": 2}
 
@@ -74,6 +76,7 @@ class OptionsStruct(ct.Structure):
         ("disable", ct.c_uint32),
         ("threads", ct.c_int32),
         ("cancel", ct.POINTER(ct.c_int32)),
+        ("tiles", _pointer),
     )
 
 
@@ -431,12 +434,14 @@ def options_struct(
     threads: int,
     disable: int = 0,
     cancel: CancelFlag | None = None,
+    tiles: int | None = None,
 ) -> OptionsStruct:
-    """A gs_options; `cancel` must outlive the call."""
+    """A gs_options; `cancel` and the array at the address `tiles` must outlive the call."""
     options = OptionsStruct(
         eps2d=eps2d, antialias=int(antialias), outputs=outputs, disable=disable, threads=threads
     )
     options.background = (ct.c_float * 3)(*background)
     if cancel is not None:
         options.cancel = ct.pointer(cancel.value)
+    options.tiles = tiles
     return options

@@ -65,6 +65,7 @@ class _Settings:
     disable: int
     threads: int
     cancel: _native.CancelFlag | None
+    tiles: Tensor | None
     aux: RasterAux | None
 
 
@@ -114,6 +115,7 @@ class _Rasterize(torch.autograd.Function):
             threads=s.threads,
             disable=s.disable,
             cancel=s.cancel,
+            tiles=None if s.tiles is None else s.tiles.data_ptr(),
         )
         raster = _native.pool.take()
         try:
@@ -190,6 +192,7 @@ def rasterize(
     threads: int = 0,
     disable: int = 0,
     cancel: _native.CancelFlag | None = None,
+    tiles: Tensor | None = None,
     aux: RasterAux | None = None,
 ) -> RasterOutput:
     """Render splats from one pinhole camera (Kerbl et al. 2023; EWA of Zwicker et al. 2001).
@@ -220,6 +223,8 @@ def rasterize(
         threads: 0: all cores. Results do not depend on it.
         disable: Bits of `_native.NO_*`: skips to leave out, for tests and benchmarks.
         cancel: Set it from another thread to stop this call or its backward pass.
+        tiles: [ceil(H / 16), ceil(W / 16)] uint8: no splat is drawn in tiles of 16 x 16 px that are
+            0 here; None: all are drawn.
         aux: Where radii, screen gradients and statistics go.
 
     Returns:
@@ -254,6 +259,14 @@ def rasterize(
     else:
         r, g, b = (float(c) for c in background)
         color = (r, g, b)
+    if tiles is not None:
+        expected_tiles = (-(-height // _native.TILE), -(-width // _native.TILE))
+        if tiles.dtype != torch.uint8 or tiles.shape != expected_tiles:
+            raise ShapeError(
+                f"tiles must be {list(expected_tiles)} uint8 for a picture of {width} x {height} "
+                f"px, got {list(tiles.shape)} {tiles.dtype}."
+            )
+        tiles = tiles.contiguous()
     outputs = (
         _native.OUT_INVERSE_DEPTH * inverse_depth
         | _native.OUT_DEPTH * depth
@@ -274,6 +287,7 @@ def rasterize(
         disable=disable,
         threads=threads,
         cancel=cancel,
+        tiles=tiles,
         aux=aux,
     )
     tensors = (means, quats, scales, opacities, sh0, shN)

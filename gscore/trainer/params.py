@@ -8,7 +8,7 @@ import torch
 from ..errors import DatasetError
 from ..scene import PointCloud
 from ..sh import rgb_to_sh0
-from ..splats import SH_REST_BY_DEGREE, Splats
+from ..splats import Splats
 
 NAMES = ("means", "quats", "scales", "opacities", "sh0", "shN")
 """Parameters of a splat, in the order of `Splats`."""
@@ -66,13 +66,9 @@ def tensors_from_splats(splats: Splats) -> dict[str, torch.Tensor]:
     return {name: torch.from_numpy(getattr(splats, name).copy()) for name in NAMES}
 
 
-def splats_from_tensors(params: Mapping[str, torch.Tensor], *, sh_degree: int) -> Splats:
-    """Copies of the tensors as Splats whose SH coefficients are padded with zeros to
-    `sh_degree`."""
+def splats_from_tensors(params: Mapping[str, torch.Tensor]) -> Splats:
+    """Copies of the tensors as Splats."""
     arrays = {name: params[name].detach().numpy().copy() for name in NAMES}
-    missing = SH_REST_BY_DEGREE[sh_degree] - arrays["shN"].shape[1]
-    if missing > 0:
-        arrays["shN"] = np.pad(arrays["shN"], ((0, 0), (0, missing), (0, 0)))
     return Splats(**arrays)
 
 

@@ -3,10 +3,12 @@
 from typing import NamedTuple
 
 import numpy as np
+import torch
 
 from ..datasets.resolution import scale_intrinsics
 from ..io.images import resize
 from ..scene import Cameras
+from .skips import tiles_of_mask
 from .views import Photos, View, view_of
 
 
@@ -18,6 +20,9 @@ class Sized(NamedTuple):
     """[H, W, 3] uint8."""
     mask: np.ndarray | None
     """[H, W] uint8, or None."""
+    tiles: torch.Tensor | None
+    """[ceil(H / 16), ceil(W / 16)] uint8, 0 where an `ignore` mask hides a whole tile; None where
+    every tile counts."""
 
 
 class Pyramid:
@@ -58,4 +63,7 @@ class Pyramid:
                 image = np.ascontiguousarray(both[..., :3])
                 mask = np.ascontiguousarray(both[..., 3])
         K = scale_intrinsics(cameras.Ks[index], old, new)
-        return Sized(view_of(cameras.viewmats[index], K, *new), image, mask)
+        tiles = None
+        if mask is not None and photos.mask_mode == "ignore":
+            tiles = torch.from_numpy(tiles_of_mask(mask))
+        return Sized(view_of(cameras.viewmats[index], K, *new), image, mask, tiles)

@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 
-from ..config import Strategy, TrainConfig
+from ..config import Skip, Strategy, TrainConfig
 
 _PAPER_STEPS = 30_000
 _WORK_OF_SPLATS = 0.3
@@ -75,11 +75,12 @@ class Plan:
         # Given splats hold their detail already; coarse photos would wear it off. On a video of
         # 240 x 320 px, 500 steps from the frame before ended 1.1 dB higher at full size.
         coarse = 1.0 if config.start_splats else min(max(side / _COARSE_SIDE, 1.0), 8.0)
+        coarse = 1.0 if Skip.SMALL_PHOTOS in config.without else config.coarse_factor or coarse
         return cls(
             iterations=n,
             sh_degree=config.sh_degree,
             sh_every=config.sh_every or max(1, min(1000, n // (2 * max(config.sh_degree, 1)))),
-            coarse_factor=config.coarse_factor or coarse,
+            coarse_factor=coarse,
             coarse_until=round(config.coarse_until * n),
             refine_start=start,
             refine_stop=stop,

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from ..config import Background, TrainConfig
+from ..config import Background, Skip, TrainConfig
 from ..errors import ConfigError, DatasetError, GsError
 from ..raster.autograd import RasterAux, rasterize
 from ..raster.loss import image_loss
@@ -22,6 +22,7 @@ from .params import splats_from_points, splats_from_tensors, tensors_from_splats
 from .pyramid import Pyramid
 from .regularisers import drop_rate_at, drop_splats, opacity_loss
 from .schedules import Plan
+from .skips import raster_bits
 from .strategy import Change, make_strategy, ops
 from .views import Photos, Sampler, View
 
@@ -97,6 +98,10 @@ class Trainer:
             self.depth = DepthLoss(config, depth, scale=self.frame.similarity.scale)
         first = self._first_splats(cloud) if start is None else self._placed(start)
         self.model = Model(tensors_from_splats(first))
+        self._disable = raster_bits(config.without)
+        self._given_degree = first.sh_degree
+        if Skip.SH_BANDS in config.without:
+            ops.widen_sh(self.model, config.sh_degree)
         self.strategy.start(self.model)
 
     def step(self) -> StepResult:
@@ -108,7 +113,7 @@ class Trainer:
         step, config, model = self.steps + 1, self.config, self.model
         ops.widen_sh(model, self.plan.sh_degree_at(step))
         index = self.sampler.next(self.generator)
-        view, image, mask = self._pyramid.at(index, self.plan.factor_at(step))
+        view, image, mask, tiles = self._pyramid.at(index, self.plan.factor_at(step))
         background = self._step_background()
         depth_weight = self.depth.weight(index, step) if self.depth else 0.0
         aux = RasterAux()
@@ -119,11 +124,14 @@ class Trainer:
             view.width,
             view.height,
             raw=True,
+            sh_degree=self._sh_degree_at(step),
             background=background,
             near=self.frame.near,
             antialias=config.antialias,
             inverse_depth=depth_weight > 0,
             threads=config.threads,
+            disable=self._disable,
+            tiles=None if Skip.MASKED_TILE in config.without else tiles,
             aux=aux,
         )
         loss = image_loss(
@@ -195,8 +203,8 @@ class Trainer:
         return _COLORS.get(self.config.background, _COLORS[Background.BLACK])
 
     def splats(self) -> Splats:
-        """The splats as they are now, in COLMAP world, with all SH coefficients of the config."""
-        splats = splats_from_tensors(self.model.params, sh_degree=self.config.sh_degree)
+        """The splats as they are now, in COLMAP world, with the SH degrees in use so far."""
+        splats = splats_from_tensors(self.model.params)
         return self.frame.similarity.splats_from_training(splats)
 
     def state(self) -> dict[str, Any]:
@@ -272,6 +280,10 @@ class Trainer:
             opacities = drop_splats(opacities, rate, self.generator)
         return means, quats, scales, opacities, sh0, shN
 
+    def _sh_degree_at(self, step: int) -> int:
+        """The degree in use; that of given splats from the start."""
+        return max(self.plan.sh_degree_at(step), self._given_degree)
+
     def _step_background(self) -> tuple[float, float, float]:
         mode = self.config.background
         if mode is Background.AUTO:
@@ -308,6 +320,8 @@ class Trainer:
         )
         means_lr = self.plan.means_lr_at(step)
         model.set_rates(self.plan.rates | {"means": means_lr})
+        if self._sh_degree_at(step) == 0:
+            model.params["shN"].grad = None  # no step of theirs counts, even if they are stored
         model.step()
         return self.strategy.after_step(
             model, step=step, means_lr=means_lr, generator=self.generator

@@ -1,0 +1,63 @@
+"""Oracle: the same training without the skip, bit for bit."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from gscore.config import Skip, TrainConfig
+from gscore.trainer.skips import tiles_of_mask
+from gscore.trainer.trainer import Trainer
+
+_EXACT = [skip for skip in Skip if skip is not Skip.SMALL_PHOTOS]
+
+
+def _trained(photos: Any, *without: Skip) -> Trainer:
+    config = TrainConfig(
+        iterations=40, sh_degree=2, sh_every=15, refine_start=10, refine_every=10, without=without
+    )
+    trainer = Trainer(config, photos)
+    for _ in range(40):
+        trainer.step()
+    return trainer
+
+
+@pytest.fixture
+def masked(make_photos: Callable[..., Any]) -> Any:
+    """The toy capture with `ignore` masks that hide a column of tiles."""
+    photos = make_photos()
+    photos.mask_mode = "ignore"
+    for index, image in enumerate(photos.images):
+        mask = np.full(image.shape[:2], 255, np.uint8)
+        mask[:, 20:] = 0
+        photos.masks[index] = mask
+    return photos
+
+
+@pytest.mark.parametrize("skip", _EXACT)
+def test_exact_skips_leave_every_bit(masked: Any, skip: Skip) -> None:
+    torch.set_num_threads(1)
+    fast, full = _trained(masked), _trained(masked, skip)
+    assert len(fast.model) == len(full.model) > 0
+    ours, theirs = fast.splats(), full.splats()
+    for name in ("means", "quats", "scales", "opacities", "sh0", "shN"):
+        np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
+
+
+def test_small_photos_can_be_switched_off(make_photos: Callable[..., Any]) -> None:
+    """Oracle: the size of the first step's photo."""
+    photos = make_photos()
+    config = TrainConfig(iterations=40, coarse_factor=2.0)
+    assert Trainer(config, photos).plan.factor_at(1) == 2.0
+    config = TrainConfig(iterations=40, coarse_factor=2.0, without=(Skip.SMALL_PHOTOS,))
+    assert Trainer(config, photos).plan.factor_at(1) == 1.0
+
+
+def test_tiles_of_a_mask() -> None:
+    """Oracle: by hand; one pixel keeps a tile, the rim is a tile of its own."""
+    mask = np.zeros((33, 20), np.uint8)
+    mask[15, 16] = 1
+    mask[32, 0] = 255
+    np.testing.assert_array_equal(tiles_of_mask(mask), [[0, 1], [0, 0], [1, 0]])
