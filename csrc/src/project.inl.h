@@ -26,6 +26,7 @@ static inline Vec dot3(Vec ax, Vec ay, Vec az, Vec bx, Vec by, Vec bz) { return 
 // One splat per lane, everything the forward and the backward pass both need.
 struct Lanes {
     Vec mean[3], quat[4], quat_length, scale[3], opacity;
+    Vec see_through;      // 1 - opacity without its rounding, which near 1 leaves nothing; filled where raw
     Vec cam[3], inverse_z;
     Vec ratio[2];         // x / z, y / z; not filled for parallel rays, as the next two
     Vec ratio_clamped[2]; // as the Jacobian uses it
@@ -83,7 +84,13 @@ static inline Mask project_lanes(const gs_splats &in, const gs_camera &camera, c
     }
     const Vec o = gather(in.opacities, id, 1, 0);
     poison += o * 0.0f;
-    s.opacity = in.raw ? 1.0f / (1.0f + exp(-o)) : o;
+    if (in.raw) {
+        const Vec e = exp(-o);
+        s.opacity = 1.0f / (1.0f + e);
+        s.see_through = e * s.opacity;
+    } else {
+        s.opacity = o;
+    }
     ok = both(ok, ge(poison, Vec{}));
 
     // Divided by the largest component first, so that no length over- or underflows.
@@ -223,7 +230,7 @@ static void project(const ProjectArgs &a, int64_t chunk) {
             if (!(alive >> l & 1))
                 continue;
             // Inverted comparisons, so that NaN fails.
-            if (!(color[0][l] <= 3e38f && color[1][l] <= 3e38f && color[2][l] <= 3e38f))
+            if (!(color[0][l] <= kColorMax && color[1][l] <= kColorMax && color[2][l] <= kColorMax))
                 continue;
             Projected p;
             p.mean_x = s.mean2d[0][l];
@@ -336,7 +343,13 @@ static inline void covariance_backward(const Lanes &s, float eps2d, Vec gxx, Vec
     const DVec xx = m[0][0] * m[0][0] + m[0][1] * m[0][1] + m[0][2] * m[0][2] + double(eps2d);
     const DVec yy = m[1][0] * m[1][0] + m[1][1] * m[1][1] + m[1][2] * m[1][2] + double(eps2d);
     const DVec xy = m[0][0] * m[1][0] + m[0][1] * m[1][1] + m[0][2] * m[1][2];
-    const DVec inv_det = 1.0 / (xx * yy - xy * xy);
+    // From the minors, as in float: of needles longer than 1e7 px nothing is left of xx yy - xy^2 even in double.
+    DVec det = double(eps2d) * (xx + yy - double(eps2d));
+    for (int k = 0; k < 3; ++k) {
+        const DVec minor = m[0][k] * m[1][(k + 1) % 3] - m[0][(k + 1) % 3] * m[1][k];
+        det += minor * minor;
+    }
+    const DVec inv_det = 1.0 / det;
     const DVec qa = yy * inv_det, qb = -xy * inv_det, qc = xx * inv_det;
     const DVec g00 = to_double(gxx), g01 = to_double(gxy), g11 = to_double(gyy), gain = to_double(log_gain);
     const DVec t00 = qa * g00 + qb * g01, t01 = qa * g01 + qb * g11;
@@ -404,7 +417,7 @@ static void project_backward(const ProjectBackwardArgs &a, int64_t chunk) {
         }
 
         // v_opacity: alpha is proportional to the opacity.
-        const Vec v_opacity = in.raw ? sum(kG) * (1.0f - s.opacity) : sum(kG) / s.opacity;
+        const Vec v_opacity = in.raw ? sum(kG) * s.see_through : sum(kG) / s.opacity;
         scatter<1>(grads.opacities, id, lanes, &v_opacity);
 
         Vec v_jac_diagonal[2] = {}, v_jac_offset[2] = {}, v_world_rot[3][3], v_scale[3];

@@ -14,6 +14,8 @@ constexpr float kAlphaMax = GS_ALPHA_MAX;
 constexpr float kTransmittanceMin = GS_TRANSMITTANCE_MIN;
 constexpr float kLog2AlphaMin = -7.99435343685886f; // log2(1 / 255)
 constexpr float kQuatMin = 1e-8f;
+// A splat brighter than this is broken: its light would drown in rounding, or overflow, all gradients around it.
+constexpr float kColorMax = 1e9f;
 // Gaussian exponent -d/2 in base 2: exp(-d / 2) = exp2(-kHalfLog2E * d).
 constexpr float kHalfLog2E = 0.72134752044448170f;
 

@@ -15,3 +15,5 @@ JACOBIAN_MARGIN = 0.3
 """How far beyond the image the projection's Jacobian follows a splat, in units of tan(fov / 2)."""
 QUAT_NORM2_MIN = 1e-16
 """A quaternion with a smaller squared length has no direction: the splat is dead."""
+COLOR_MAX = 1e9
+"""A splat with a channel above this is broken and not drawn."""

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from ...errors import ShapeError
 from .blending import PAIRS_PER_CHUNK, blend
-from .constants import ALPHA_MIN, QUAT_NORM2_MIN
+from .constants import ALPHA_MIN, COLOR_MAX, QUAT_NORM2_MIN
 from .geometry import (
     conic,
     covariance,
@@ -213,6 +213,7 @@ def project(
         index = alive_rows(splats, view.viewmat, near, far).nonzero()[:, 0]
         tried = chain(index)
         finite = torch.cat([tried.means2d, tried.conics, tried.colors], 1).isfinite().all(1)
+        finite &= (tried.colors <= COLOR_MAX).all(1)
         ellipse = (tried.conics[:, 0] > 0) & (tried.conics[:, 2] > 0)  # not lost to rounding
         kept = (finite & ellipse & (tried.opacities >= min_opacity)).nonzero()[:, 0]
         kept = kept[tried.depths[kept].argsort(stable=True)]
