@@ -5,13 +5,13 @@ from collections.abc import Collection
 import numpy as np
 
 from ..config import Skip
-from ..raster import _native
+from ..raster import backend
 
 _RASTER = {
-    Skip.EXACT_CULL: _native.NO_EXACT_CULL,
-    Skip.OPACITY_EXTENT: _native.NO_OPACITY_EXTENT,
-    Skip.ROW_RANGE: _native.NO_ROW_RANGE,
-    Skip.ZERO_TILE: _native.NO_ZERO_TILE,
+    Skip.EXACT_CULL: backend.NO_EXACT_CULL,
+    Skip.OPACITY_EXTENT: backend.NO_OPACITY_EXTENT,
+    Skip.ROW_RANGE: backend.NO_ROW_RANGE,
+    Skip.ZERO_TILE: backend.NO_ZERO_TILE,
 }
 
 
@@ -22,7 +22,7 @@ def raster_bits(without: Collection[Skip]) -> int:
 
 def tiles_of_mask(mask: np.ndarray) -> np.ndarray:
     """[ceil(H / 16), ceil(W / 16)] uint8, 1 where a tile has a pixel that `mask` [H, W] keeps."""
-    tile = _native.TILE
+    tile = backend.TILE
     height, width = mask.shape
     rows, columns = -(-height // tile), -(-width // tile)
     padded = np.zeros((rows * tile, columns * tile), bool)
