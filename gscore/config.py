@@ -122,7 +122,17 @@ class TrainConfig:
     """
 
     iterations: int = 10_000
-    """Optimizer steps, one view each."""
+    """Optimizer steps, one view each; with `time_budget` not used."""
+    time_budget: float = 0.0
+    """Seconds of training, without reading photos, measuring and writing; the number of steps and
+    all schedules are fitted to it while training. 0: `iterations` steps. Such a run cannot be
+    repeated bit by bit."""
+    target_psnr: float = 0.0
+    """The run ends when the held-out views (the training views, where none are held out) reach this
+    mean PSNR, dB; 0: no target."""
+    early_stop: bool = False
+    """End when the PSNR of those views no longer rises, after a short end phase in which learning
+    rates and resolution take the rest of their course."""
     max_splats: int = 400_000
     """Never more splats than this."""
     strategy: Strategy = Strategy.DEFAULT
@@ -259,7 +269,7 @@ class TrainConfig:
             self, 0.0, "scales_lr", "quats_lr", "lr_boost", "init_scale", "grow_grad", "grow_scale"
         )
         _at_least(self, 0.0, "prune_scale", "mcmc_growth", "mcmc_noise", "opacity_reg", "scale_reg")
-        _at_least(self, 0.0, "checkpoint_seconds", "preview_seconds")
+        _at_least(self, 0.0, "checkpoint_seconds", "preview_seconds", "time_budget", "target_psnr")
         _at_least(self, 0.0, "depth_weight", "depth_weight_final", "depth_pearson", "alpha_weight")
         _at_least(self, 0, "depth_points")
         if self.coarse_factor != 0:

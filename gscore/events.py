@@ -5,6 +5,11 @@ import math
 from dataclasses import asdict, dataclass, field
 from typing import Any, ClassVar
 
+FINISHED, TARGET, CONVERGED = "finished", "target", "converged"
+"""All steps were taken; a PSNR that was asked for was reached; the PSNR no longer rose."""
+ENDED = (FINISHED, TARGET, CONVERGED)
+"""Reasons of trainings that need no more steps."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Event:
@@ -98,7 +103,7 @@ class Saved(Event):
 
 @dataclass(frozen=True, kw_only=True)
 class Done(Event):
-    """Training ended; `reason` is finished, stopped or converged."""
+    """Training ended; `reason` is one of `ENDED`, or why it was stopped."""
 
     kind: ClassVar[str] = "done"
     step: int

@@ -17,6 +17,7 @@ from ..config import (
     load_config,
 )
 from ..errors import ConfigError
+from ..events import CONVERGED, ENDED, FINISHED, TARGET
 from ..trainer import Control, TrainResult, train
 from .attend import Show, add_output_options, attend
 from .data_options import add_data_options, add_depth_options, with_data_options
@@ -26,6 +27,17 @@ _SWITCH: dict[str, Any] = {"action": argparse.BooleanOptionalAction}
 
 _RUN: dict[str, tuple[tuple[str, ...], dict[str, Any], str]] = {
     "iterations": (("--iterations",), {"type": int}, "training steps"),
+    "time_budget": (
+        ("--time-budget",),
+        {"type": float, "metavar": "SECONDS"},
+        "as many steps as fit into so much training time, instead of --iterations",
+    ),
+    "target_psnr": (
+        ("--target-psnr",),
+        {"type": float, "metavar": "DB"},
+        "end when the held-out views (else training views) reach this PSNR",
+    ),
+    "early_stop": (("--early-stop",), _SWITCH, "end when that PSNR no longer rises"),
     "max_splats": (("--max-splats", "--cap-max"), {"type": int}, "never more splats than this"),
     "strategy": (("--strategy",), {"choices": tuple(Strategy)}, "how splats are added and removed"),
     "sh_degree": (("--sh-degree",), {"type": int}, "degree of view-dependent colour, 0 to 3"),
@@ -113,6 +125,11 @@ _METHOD = {
     "mcmc_noise": ("--mcmc-noise", "--noise-lr"),
     "opacity_reg": ("--opacity-reg",),
     "scale_reg": ("--scale-reg",),
+}
+_HOW = {
+    FINISHED: "Finished",
+    TARGET: "Reached the PSNR asked for",
+    CONVERGED: "Converged (the PSNR no longer rose)",
 }
 _WITHOUT_EFFECT = ("--ip", "--port", "--debug-from")
 """Of 3DGS scripts: they concern its network viewer and its debug dumps, not the result."""
@@ -264,7 +281,7 @@ def _train(args: argparse.Namespace, show: Show, control: Control) -> TrainResul
 
 def _summary(result: TrainResult) -> str:
     metrics = result.metrics
-    how = "Finished" if result.reason == "finished" else f"Stopped ({result.reason})"
+    how = _HOW.get(result.reason, f"Stopped ({result.reason})")
     lines = [
         f"{how} after {result.steps} steps, {result.train_seconds:.1f} s of training: "
         f"{len(result.splats)} splats."
@@ -282,7 +299,7 @@ def _summary(result: TrainResult) -> str:
                 "outside the masks count as equal)."
             )
     lines.append(f"Results: {result.output / 'point_cloud.ply'}, report.html")
-    if result.reason != "finished":
+    if result.reason not in ENDED:
         lines.append(f"To go on: gscore train -o {result.output} --resume")
     return "\n".join(lines)
 

@@ -7,9 +7,11 @@ import re
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from ..config import DataConfig, TrainConfig, load_config
 from ..errors import ConfigError
+from ..events import CONVERGED, FINISHED, TARGET
 
 RUN_LOCK = ".gscore.lock"
 """The file by which a training holds its folder."""
@@ -38,7 +40,8 @@ class RunInfo:
     steps: int
     """Steps taken when the last checkpoint was written; 0 without one."""
     iterations: int
-    """Steps the run was asked for; 0 if its options cannot be read."""
+    """Steps the run was asked for, or took where it ended by itself; 0 if its options cannot be
+    read."""
     checkpoint: Path | None
     """The last checkpoint."""
     splats: Path | None
@@ -76,14 +79,14 @@ def read_run(path: str | Path) -> RunInfo | None:
     except (ConfigError, OSError) as error:
         problem = str(error)
     steps, checkpoint = _last_checkpoint(path / "checkpoints")
-    splats = path / "point_cloud.ply"
+    splats, metrics = path / "point_cloud.ply", _metrics(path / "metrics.json")
     return RunInfo(
         path=path,
         steps=steps,
-        iterations=train.iterations if train else 0,
+        iterations=_length(train, steps, metrics),
         checkpoint=checkpoint,
         splats=splats if splats.is_file() else None,
-        psnr=_psnr(path / "metrics.json"),
+        psnr=_number(metrics.get("psnr")),
         data=data,
         train=train,
         problem=problem,
@@ -133,10 +136,25 @@ def _last_checkpoint(folder: Path) -> tuple[int, Path | None]:
     return max(found) if found else (0, None)
 
 
-def _psnr(path: Path) -> float | None:
+def _metrics(path: Path) -> dict[str, Any]:
+    """metrics.json, empty where it is missing or broken."""
     try:
-        value = json.loads(path.read_text(encoding="utf-8"))["psnr"]
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return content if isinstance(content, dict) else {}
+
+
+def _number(value: Any) -> float | None:
     good = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
     return float(value) if good else None
+
+
+def _length(train: TrainConfig | None, steps: int, metrics: dict[str, Any]) -> int:
+    """Steps of a run; budgets and goals leave them open until it has ended."""
+    if train is None:
+        return 0
+    early = (TARGET, CONVERGED, FINISHED) if train.time_budget else (TARGET, CONVERGED)
+    if steps and metrics.get("steps") == steps and metrics.get("reason") in early:
+        return steps
+    return 0 if train.time_budget else train.iterations

@@ -28,6 +28,7 @@ def summarize(
     storage_bytes: int,
     steps: int | None,
     train_seconds: float | None,
+    reason: str | None = None,
     isa: str,
     threads: int,
     history: Sequence[dict[str, Any]] = (),
@@ -44,6 +45,7 @@ def summarize(
         splats, sh_degree: Size of the model.
         storage_bytes: Size of its PLY.
         steps, train_seconds: Length of the training without evaluation; None if not known.
+        reason: Why the training ended, as in `events.Done`; None if not known.
         isa, threads: What the rasterizer ran with.
         history: Fields of `events.Progress` over the training; those in `HISTORY` are kept.
         evals: {"step", "elapsed_s", "psnr"} measured on the same split during the training.
@@ -61,6 +63,7 @@ def summarize(
         "storage_bytes": storage_bytes,
         "steps": steps,
         "train_seconds": train_seconds,
+        "reason": reason,
         "peak_memory_bytes": peak_memory_bytes(),
         "split": split,
         "train_views": list(train_views),

@@ -24,6 +24,9 @@ _DTYPES = {torch.float32: "F32", torch.uint8: "U8"}
 FREE = frozenset(
     {
         "iterations",
+        "time_budget",
+        "target_psnr",
+        "early_stop",
         "threads",
         "test_iterations",
         "save_iterations",
@@ -133,7 +136,7 @@ def check_compatible(checkpoint: Checkpoint, config: TrainConfig, photos: Photos
             f"{checkpoint.path} belongs to another run: {'; '.join(changed)}. Use the same options "
             "and photos, or start anew in another folder."
         )
-    if checkpoint.steps > config.iterations:
+    if checkpoint.steps > config.iterations and not config.time_budget:
         raise ConfigError(
             f"{checkpoint.path} is at step {checkpoint.steps}, beyond iterations = "
             f"{config.iterations}; ask for more iterations."

@@ -12,6 +12,7 @@ farthest. The mean is over all pixels, so a view of which little is known counts
 """
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -44,6 +45,10 @@ class DepthLoss:
         self.targets = targets
         # Lengths grow by the scale, so inverse depths shrink by it.
         self._unit = targets.unit / scale
+
+    def set_length(self, iterations: int) -> None:
+        """Fit the course of the weight to a run of this many steps."""
+        self._config = replace(self._config, iterations=iterations)
 
     def weight(self, index: int, step: int) -> float:
         """What the loss of view `index` is multiplied by; 0: no inverse depth is needed."""

@@ -3,7 +3,6 @@
 import math
 import time
 from collections import deque
-from itertools import accumulate
 from typing import Any
 
 from ..events import Progress
@@ -18,8 +17,10 @@ _WINDOW = 50
 class Meter:
     """Follows a run step by step; only time spent in steps counts."""
 
-    def __init__(self, plan: Plan) -> None:
-        self._plan = plan
+    def __init__(self, plan: Plan, *, splats: int) -> None:
+        """`splats`: how many there are before the first step."""
+        self.plan = plan
+        """What is to come; may be replaced on the way."""
         self.train_seconds = 0.0
         """Seconds spent in steps, without evaluation, files and pauses."""
         self.history: list[dict[str, Any]] = []
@@ -28,16 +29,15 @@ class Meter:
         self._mse = math.nan
         self._count = 0
         self._step = 0
-        self._splats = 0
-        self._recent: deque[float] = deque(maxlen=_WINDOW)
-        work = [plan.work_at(step) for step in range(1, plan.iterations + 1)]
-        self._work_done = [0.0, *accumulate(work)]
+        self._splats = splats
+        self._pace = 1.0
+        self._recent: deque[tuple[float, float]] = deque(maxlen=_WINDOW)
         self._last_event = -math.inf
 
     def update(self, *, step: int, loss: float, mse: float, splats: int, seconds: float) -> None:
         """Take note of a step that took `seconds`."""
         self.train_seconds += seconds
-        self._recent.append(seconds)
+        self._recent.append((seconds, self.plan.seconds_at(step, self._splats)))
         self._step, self._splats = step, splats
         if math.isfinite(loss) and math.isfinite(mse):
             # A mean over the first steps, then an exponential one over about _WINDOW.
@@ -46,8 +46,8 @@ class Meter:
             first = self._count == 1
             self._loss = loss if first else self._loss + weight * (loss - self._loss)
             self._mse = mse if first else self._mse + weight * (mse - self._mse)
-        every = max(1, self._plan.iterations // _HISTORY)
-        if step % every == 0 or step == self._plan.iterations:
+        every = max(1, self.plan.iterations // _HISTORY)
+        if step % every == 0 or step == self.plan.iterations:
             fields = vars(self.progress())
             self.history.append({key: _finite(fields[key]) for key in _HISTORY_FIELDS})
 
@@ -56,30 +56,32 @@ class Meter:
         """Of the smoothed mean squared error, dB."""
         return -10 * math.log10(max(self._mse, 1e-12))
 
+    @property
+    def pace(self) -> float:
+        """Seconds that lately passed for each second of the plan; 1 before the first step."""
+        planned = sum(planned for _, planned in self._recent)
+        return sum(seconds for seconds, _ in self._recent) / planned if planned else self._pace
+
     def progress(self, *, phase: str = "") -> Progress:
         """Where the run stands."""
-        recent = sum(self._recent)
-        rate = len(self._recent) / recent if recent > 0 else 0.0
-        # The last steps took as long as their share of the work says, and so will those to come.
-        work = self._work_done
-        lately = work[self._step] - work[max(self._step - len(self._recent), 0)]
-        left = (work[-1] - work[self._step]) / lately if lately else math.inf
+        spent = sum(seconds for seconds, _ in self._recent)
+        rate = len(self._recent) / spent if spent > 0 else 0.0
         return Progress(
             step=self._step,
-            iterations=self._plan.iterations,
+            iterations=self.plan.iterations,
             loss=self._loss,
             psnr=self.psnr,
             splats=self._splats,
             steps_per_s=rate,
-            eta_s=left * recent,
+            eta_s=self.pace * self.plan.seconds_after(self._step, self._splats),
             elapsed_s=self.train_seconds,
-            phase=phase or ("growing" if self._step <= self._plan.refine_stop else "polishing"),
+            phase=phase or ("growing" if self._step <= self.plan.refine_stop else "polishing"),
         )
 
     def due(self) -> bool:
         """Whether a progress event should be sent now; at most a few a second."""
         now = time.monotonic()
-        last = self._step >= self._plan.iterations
+        last = self._step >= self.plan.iterations
         if not last and now - self._last_event < 1 / _EVENTS_PER_SECOND:
             return False
         self._last_event = now
@@ -93,12 +95,14 @@ class Meter:
             "loss": self._loss,
             "mse": self._mse,
             "count": self._count,
+            "pace": self.pace,
         }
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from what `state` returned."""
         self.train_seconds, self.history = state["train_seconds"], list(state["history"])
         self._loss, self._mse, self._count = state["loss"], state["mse"], state["count"]
+        self._pace = state.get("pace", 1.0)
 
 
 def _finite(value: Any) -> Any:

@@ -85,8 +85,12 @@ class Results:
         evals: list[dict[str, Any]],
         warnings: list[str],
         depth: DepthReport | None = None,
+        reason: str,
     ) -> dict[str, Any]:
-        """metrics.json and report.html; `evaluation` and `depth` are None if there was none."""
+        """metrics.json and report.html; `evaluation` and `depth` are None if there was none.
+
+        `reason` is why training ended.
+        """
         trainer, folder, photos = self._trainer, self._folder, self._trainer.photos
         names = photos.scene.cameras.names
         metrics = summarize(
@@ -101,6 +105,7 @@ class Results:
             storage_bytes=folder.point_cloud.stat().st_size,
             steps=trainer.steps,
             train_seconds=meter.train_seconds,
+            reason=reason,
             isa=backend.isa(),
             threads=self.threads,
         ) | {"history": meter.history, "evals": evals}

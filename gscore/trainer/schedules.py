@@ -4,10 +4,20 @@ import math
 from dataclasses import dataclass
 
 from ..config import Skip, Strategy, TrainConfig
+from ..splats import SH_REST_BY_DEGREE
 
 _PAPER_STEPS = 30_000
-_WORK_OF_SPLATS = 0.3
-"""Share of the time of a full-size step that does not depend on the number of pixels."""
+_SECONDS_A_STEP = 0.6e-3
+_SECONDS_A_PIXEL = 8.0e-8
+_SECONDS_A_SPLAT = 9.0e-8
+_SECONDS_A_NUMBER = 1.5e-9
+"""What a step took on two cores of a Xeon with AVX-512: itself, for each pixel, for each splat and
+for each number of a splat (`tools/fit_step_time.py`)."""
+_GROWTH = 0.5
+"""Splats that `default` adds at a refinement, as a share of those there, until the cap: more on
+some captures and less on others."""
+_SAMPLES = 64
+"""Steps looked at to tell what the rest of a run takes."""
 _COARSE_SIDE = 75
 """Pixels of a photo's shorter side below which a coarse picture says too little."""
 
@@ -18,6 +28,10 @@ class Plan:
 
     iterations: int
     """Last step."""
+    max_splats: int
+    """Never more splats than this."""
+    pixels: int
+    """Of a photo at full size, on average."""
     sh_degree: int
     """Degree in use from half of the run on."""
     sh_every: int
@@ -44,11 +58,13 @@ class Plan:
     """Size of the first splats in mean distances to their neighbours."""
     grow_grad: float
     """Pull above which `default` doubles a splat."""
-    mcmc_growth: float
-    """Share of splats that `mcmc` adds at a refinement."""
+    growth: float
+    """Share of splats that a refinement adds: of `mcmc` exactly, of `default` a guess."""
 
     @classmethod
-    def of(cls, config: TrainConfig, *, extent: float, points: int, side: int) -> "Plan":
+    def of(
+        cls, config: TrainConfig, *, extent: float, points: int, side: int, pixels: int
+    ) -> "Plan":
         """Resolve `config` for a capture.
 
         Args:
@@ -56,6 +72,7 @@ class Plan:
             extent: Camera extent, training units.
             points: Number of splats at the start.
             side: Shorter side of the smallest photo, pixels.
+            pixels: Of a photo, on average.
         """
         n = config.iterations
         mcmc = config.strategy is Strategy.MCMC
@@ -78,6 +95,8 @@ class Plan:
         coarse = 1.0 if Skip.SMALL_PHOTOS in config.without else config.coarse_factor or coarse
         return cls(
             iterations=n,
+            max_splats=config.max_splats,
+            pixels=pixels,
             sh_degree=config.sh_degree,
             sh_every=config.sh_every or max(1, min(1000, n // (2 * max(config.sh_degree, 1)))),
             coarse_factor=coarse,
@@ -97,7 +116,7 @@ class Plan:
             init_opacity=config.init_opacity or (0.5 if mcmc else 0.1),
             init_scale=config.init_scale or (0.1 if mcmc else 1.0),
             grow_grad=config.grow_grad or 2e-4 / min(boost, 2.0),
-            mcmc_growth=config.mcmc_growth or min(growth, 1.0),
+            growth=(config.mcmc_growth or min(growth, 1.0)) if mcmc else _GROWTH,
         )
 
     def means_lr_at(self, step: int) -> float:
@@ -128,9 +147,37 @@ class Plan:
         pixels = least + (1 - least) * done * done
         return 2.0 ** (round(-math.log2(pixels)) / 2)
 
-    def work_at(self, step: int) -> float:
-        """Rough share of a full-size step's time that `step` takes: splats cost at any size."""
-        return _WORK_OF_SPLATS + (1 - _WORK_OF_SPLATS) / self.factor_at(step) ** 2
+    def seconds_at(self, step: int, splats: float) -> float:
+        """What `step` takes with that many splats on the machine of `_SECONDS_A_STEP`.
+
+        Other machines differ by a factor that is much the same for all steps.
+        """
+        numbers = 11 + 3 * (1 + SH_REST_BY_DEGREE[self.sh_degree_at(step)])
+        a_splat = _SECONDS_A_SPLAT + _SECONDS_A_NUMBER * numbers
+        drawn = self.pixels / self.factor_at(step) ** 2
+        return _SECONDS_A_STEP + _SECONDS_A_PIXEL * drawn + a_splat * splats
+
+    def seconds_after(self, step: int, splats: int) -> float:
+        """What the steps after `step`, at which there are `splats`, take on that machine."""
+        left = self.iterations - step
+        if left <= 0:
+            return 0.0
+        count = min(left, _SAMPLES)
+        total = 0.0
+        for i in range(count):
+            later = step + 1 + int((i + 0.5) * left / count)
+            later = min(later, self.iterations)
+            total += self.seconds_at(later, self._splats_at(later, step, splats))
+        return total * left / count
+
+    def _splats_at(self, later: int, step: int, splats: int) -> float:
+        """Splats to expect before step `later` where there are `splats` after `step`."""
+        first, last = max(step + 1, self.refine_start), min(later - 1, self.refine_stop)
+        refinements = last // self.refine_every - (first - 1) // self.refine_every
+        if refinements <= 0 or splats >= self.max_splats:
+            return splats
+        grown = math.log(max(splats, 1)) + refinements * math.log1p(self.growth)
+        return min(math.exp(min(grown, 50.0)), self.max_splats)
 
     def refines_at(self, step: int) -> bool:
         """Whether splats may be added or removed after `step`."""

@@ -12,7 +12,7 @@ from ..config import DataConfig, TrainConfig, config_json, differences
 from ..control import Control
 from ..datasets.frames import SequenceFrame, choose_frames, find_frames
 from ..errors import Cancelled, ConfigError, FormatError, GsError
-from ..events import Event, FrameStarted, SequenceDone, Started
+from ..events import ENDED, Event, FrameStarted, SequenceDone, Started
 from ..io.files import atomic_write
 from ..io.runs import clear_run, read_run
 from ..io.sequences import SEQUENCE_FILE, SequenceIndex, read_sequence, write_sequence
@@ -32,7 +32,8 @@ class SequenceOptions:
     frames: str = ":"
     """Which frames: `0,5,12`, `0:30`, `0:30:5` (first, last, step)."""
     next_iterations: int = 0
-    """Steps of the frames after the first; 0: a quarter of those of the first."""
+    """Steps of the frames after the first; 0: a quarter of those of the first. A time budget of the
+    first is a quarter for them too."""
     warm_start: bool = True
     """False: every frame starts from its own points and takes as many steps as the first."""
     carried_opacity: float = 0.6
@@ -219,7 +220,7 @@ class _Run:
             finally:
                 with contextlib.suppress(OSError):
                     self._output.rmdir()  # only if nothing was ever written
-            if result.reason != "finished":
+            if result.reason not in ENDED:
                 return result.reason
             metrics = _short(result.metrics)
         self._complete.append(
@@ -240,6 +241,7 @@ class _Run:
         return replace(
             config,
             iterations=options.next_iterations or max(1, config.iterations // 4),
+            time_budget=config.time_budget / 4,
             start_splats=RunFolder(self._complete[-1].folder).point_cloud.absolute(),
             start_opacity=options.carried_opacity,
         )
@@ -324,7 +326,8 @@ def _completed(folder: Path, config: TrainConfig, data: DataConfig) -> dict[str,
         )
     try:
         metrics = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
-        good = metrics["steps"] >= config.iterations
+        early = config.time_budget or config.target_psnr or config.early_stop
+        good = metrics["reason"] in ENDED if early else metrics["steps"] >= config.iterations
     except (OSError, ValueError, KeyError, TypeError):
         return None
     return _short(metrics) if good else None

@@ -8,7 +8,16 @@ from typing import Any
 
 from ..config import DataConfig, to_dict
 from ..control import Control
-from ..events import Done, Eval, Event, Preview, Saved, Snapshot, Started, Warn
+from ..events import (
+    Done,
+    Eval,
+    Event,
+    Preview,
+    Saved,
+    Snapshot,
+    Started,
+    Warn,
+)
 from ..metrics import Lpips, PictureCollector, headline
 from ..raster import backend
 from ..splats import Splats
@@ -19,6 +28,7 @@ from .evaluation import Evaluator
 from .folder import RunFolder
 from .meter import Meter
 from .results import Results
+from .steering import Steering
 from .trainer import StepResult, Trainer
 
 _WARN_BAD_ROWS = (1, 100, 10_000)
@@ -30,7 +40,7 @@ class TrainResult:
     """How a run ended."""
 
     reason: str
-    """`finished`, or why it was stopped."""
+    """`finished`; `target` or `converged`: it ended before its last step; or why it was stopped."""
     steps: int
     splats: Splats
     """In COLMAP world, as written to point_cloud.ply."""
@@ -71,7 +81,8 @@ class Session:
         self._evaluator = Evaluator(trainer, lpips=lpips, lpips_reason=lpips_reason)
         self._results = Results(trainer, folder, data)
         self._depth = depth or DepthSetup()
-        self._meter = Meter(trainer.plan)
+        self._meter = Meter(trainer.plan, splats=len(trainer.model))
+        self._steering = Steering(trainer, self._meter, self._evaluator)
         self._evals: list[dict[str, Any]] = []
         self._warnings: list[str] = []
         self._last_checkpoint = 0.0
@@ -81,6 +92,7 @@ class Session:
         """Go on with the clock and the history of a checkpoint."""
         self._meter.restore(state["meter"])
         self._evals, self._warnings = list(state["evals"]), list(state["warnings"])
+        self._steering.restore(state.get("steering"))
         self._last_checkpoint = self._last_preview = self._meter.train_seconds
 
     def warn(self, message: str, code: str = "") -> None:
@@ -94,7 +106,8 @@ class Session:
         self._results.write_inputs()
         self._started()
         trainer, control = self._trainer, self._control
-        while trainer.steps < self._config.iterations and not control.stopping:
+        self._steer()
+        while not (self._steering.reason or control.stopping):
             if control.paused:
                 self._emit(self._meter.progress(phase="paused"))
                 control.wait_while_paused()
@@ -112,8 +125,23 @@ class Session:
             if self._meter.due():
                 self._emit(self._meter.progress())
             self._complain(result)
+            self._steer()
             self._between_steps()
         return self._finish()
+
+    def _steer(self) -> None:
+        psnr = self._steering.steer()
+        if psnr is not None:
+            entry = self._note(psnr)
+            split = self._evaluator.split
+            self._emit(Eval(step=entry["step"], split=split, metrics={"psnr": psnr}))
+
+    def _note(self, psnr: float) -> dict[str, Any]:
+        """Keep a measurement for the report."""
+        step = self._trainer.steps
+        entry = {"step": step, "elapsed_s": self._meter.train_seconds, "psnr": psnr}
+        self._evals = [e for e in self._evals if e["step"] != step] + [entry]
+        return entry
 
     def _started(self) -> None:
         photos, cameras = self._trainer.photos, self._trainer.photos.scene.cameras
@@ -121,7 +149,7 @@ class Session:
             Started(
                 source=str(self._data.source),
                 output=str(self._folder.path),
-                iterations=self._config.iterations,
+                iterations=self._trainer.plan.iterations,
                 step=self._trainer.steps,
                 train_views=len(photos.train),
                 test_views=len(photos.test),
@@ -156,7 +184,7 @@ class Session:
 
     def _between_steps(self) -> None:
         config, step, clock = self._config, self._trainer.steps, self._meter.train_seconds
-        last = step >= config.iterations
+        last = bool(self._steering.reason)
         if config.snapshot_every and step % config.snapshot_every == 0:
             self._control.snapshot()
         self._answer()
@@ -187,6 +215,7 @@ class Session:
             "meter": self._meter.state(),
             "evals": self._evals,
             "warnings": self._warnings,
+            "steering": self._steering.state(),
         }
         checkpoint.save(path, self._trainer, state)
         self._folder.drop_checkpoints(keep=keep, protected=self._config.checkpoint_iterations)
@@ -197,14 +226,9 @@ class Session:
         found = self._evaluator.measure(collector, interrupted=lambda: self._control.stopping)
         if found is None:
             return None
-        step = self._trainer.steps
-        entry = {
-            "step": step,
-            "elapsed_s": self._meter.train_seconds,
-            "psnr": found["mean"]["psnr"],
-        }
-        self._evals = [e for e in self._evals if e["step"] != step] + [entry]
-        self._emit(Eval(step=step, split=self._evaluator.split, metrics=found["mean"]))
+        entry = self._note(found["mean"]["psnr"])
+        split = self._evaluator.split
+        self._emit(Eval(step=entry["step"], split=split, metrics=found["mean"]))
         return found
 
     def _depth_report(self) -> DepthReport | None:
@@ -212,7 +236,8 @@ class Session:
         return measure_depth(self._trainer, self._depth, interrupted=lambda: self._control.stopping)
 
     def _finish(self) -> TrainResult:
-        trainer, finished = self._trainer, self._trainer.steps >= self._config.iterations
+        trainer, reason = self._trainer, self._steering.reason
+        finished, reason = bool(reason), reason or self._control.stop_reason
         self._answer()  # a snapshot asked for just before the stop
         self._checkpoint(keep=1 if finished else _CHECKPOINTS_KEPT)
         splats = self._results.write_splats(self._folder.point_cloud)
@@ -227,9 +252,10 @@ class Session:
             evals=self._evals,
             warnings=self._warnings,
             depth=self._depth_report() if evaluation else None,
+            reason=reason,
         )
         result = TrainResult(
-            reason="finished" if finished else self._control.stop_reason,
+            reason=reason,
             steps=trainer.steps,
             splats=splats,
             train_seconds=self._meter.train_seconds,

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -80,9 +81,19 @@ class Trainer:
         cloud = photos.scene.points if points is None else points
         count = min(len(cloud), config.max_splats) if start is None else len(start)
         cameras = photos.scene.cameras
-        side = int(min(cameras.widths.min(), cameras.heights.min()))
-        self.plan = Plan.of(config, extent=self.frame.extent, points=count, side=side)
-        self.strategy = make_strategy(config, self.plan, extent=self.frame.extent)
+        self._plan_of = partial(
+            Plan.of,
+            extent=self.frame.extent,
+            points=count,
+            side=int(min(cameras.widths.min(), cameras.heights.min())),
+            pixels=int((cameras.widths * cameras.heights)[list(photos.train)].mean()),
+        )
+        self._factor = math.inf
+        self.depth: DepthLoss | None = None
+        """The depth loss, where depth is supervised."""
+        if depth is not None:
+            self.depth = DepthLoss(config, depth, scale=self.frame.similarity.scale)
+        self.replan(config.iterations)
         self.generator = torch.Generator().manual_seed(config.seed)
         self.sampler = Sampler(photos.train)
         self.steps = 0
@@ -92,10 +103,6 @@ class Trainer:
         self._skipped = 0
         self._cameras = self.frame.similarity.cameras_to_training(photos.scene.cameras)
         self._pyramid = Pyramid(photos, self._cameras)
-        self.depth: DepthLoss | None = None
-        """The depth loss, where depth is supervised."""
-        if depth is not None:
-            self.depth = DepthLoss(config, depth, scale=self.frame.similarity.scale)
         first = self._first_splats(cloud) if start is None else self._placed(start)
         self.model = Model(tensors_from_splats(first))
         self._disable = raster_bits(config.without)
@@ -103,6 +110,19 @@ class Trainer:
         if Skip.SH_BANDS in config.without:
             ops.widen_sh(self.model, config.sh_degree)
         self.strategy.start(self.model)
+
+    def plan_of(self, iterations: int) -> Plan:
+        """The plan of a run of this length; costs next to nothing."""
+        return self._plan_of(replace(self.config, iterations=iterations))
+
+    def replan(self, iterations: int) -> None:
+        """Change the length of the run: from the next step on all schedules are those of a run
+        that is `iterations` steps long."""
+        self.plan = self.plan_of(iterations)
+        """When things happen."""
+        self.strategy = make_strategy(self.config, self.plan, extent=self.frame.extent)
+        if self.depth:
+            self.depth.set_length(iterations)
 
     def step(self) -> StepResult:
         """Render a view, compare it with the photo, improve the splats.
@@ -211,6 +231,7 @@ class Trainer:
         """What is not a tensor, as JSON values."""
         return {
             "steps": self.steps,
+            "iterations": self.plan.iterations,
             "frame": self.frame.to_dict(),
             "order": self.sampler.order,
             "position": self.sampler.position,
@@ -228,7 +249,12 @@ class Trainer:
         return out | {f"row/{name}": counter for name, counter in self.model.rows.items()}
 
     def restore(self, state: dict[str, Any], tensors: dict[str, torch.Tensor]) -> None:
-        """Go on from what `state` and `tensors` of another trainer with this config returned."""
+        """Go on from what `state` and `tensors` of another trainer with this config returned.
+
+        The length of the run is that of the config, unless a time budget leaves it open.
+        """
+        if self.config.time_budget:
+            self.replan(state.get("iterations", self.config.iterations))
         names = list(self.model.params)
         self.model = Model({name: tensors[f"param/{name}"] for name in names})
         for name in names:
@@ -275,7 +301,7 @@ class Trainer:
     def _step_splats(self, step: int) -> tuple[torch.Tensor, ...]:
         """The splats that this step draws, as `rasterize` takes them."""
         means, quats, scales, opacities, sh0, shN = self.model.arguments
-        rate = drop_rate_at(self.config.drop_rate, step, self.config.iterations)
+        rate = drop_rate_at(self.config.drop_rate, step, self.plan.iterations)
         if rate > 0:
             opacities = drop_splats(opacities, rate, self.generator)
         return means, quats, scales, opacities, sh0, shN

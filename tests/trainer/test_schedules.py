@@ -10,7 +10,7 @@ from gscore.trainer.schedules import Plan
 
 
 def plan_of(config: TrainConfig, points: int = 10_000, side: int = 300) -> Plan:
-    return Plan.of(config, extent=2.0, points=points, side=side)
+    return Plan.of(config, extent=2.0, points=points, side=side, pixels=side * side)
 
 
 def test_a_run_of_30000_steps_is_that_of_the_paper() -> None:
@@ -27,7 +27,7 @@ def test_a_run_of_30000_steps_is_that_of_the_paper() -> None:
 def test_mcmc_of_30000_steps_is_that_of_the_paper() -> None:
     """Oracle: Kheradmand et al. 2024: refine until 25 000, +5 %, other initial values."""
     plan = plan_of(TrainConfig(iterations=30_000, strategy=Strategy.MCMC))
-    assert (plan.refine_stop, plan.mcmc_growth) == (25_000, 0.05)
+    assert (plan.refine_stop, plan.growth) == (25_000, 0.05)
     assert (plan.init_opacity, plan.init_scale, plan.rates["opacities"]) == (0.5, 0.1, 0.05)
 
 
@@ -38,7 +38,7 @@ def test_a_short_mcmc_run_grows_fast_enough() -> None:
     count = 5000.0
     for step in range(1, 1501):
         if plan.refines_at(step):
-            count *= 1 + plan.mcmc_growth
+            count *= 1 + plan.growth
     assert count >= 100_000
 
 

@@ -102,7 +102,9 @@ def test_given_splats_see_full_photos_from_the_first_step() -> None:
     blank = TrainConfig(iterations=500)
     warm = replace(blank, start_splats=Path("some.ply"))
     asked = replace(warm, coarse_factor=2.0)
-    plans = [Plan.of(c, extent=1.0, points=10, side=300) for c in (blank, warm, asked)]
+    plans = [
+        Plan.of(c, extent=1.0, points=10, side=300, pixels=90_000) for c in (blank, warm, asked)
+    ]
     assert [plan.factor_at(1) for plan in plans] == [4.0, 1.0, 2.0]
 
 

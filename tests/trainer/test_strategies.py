@@ -19,7 +19,7 @@ EXTENT = 1.0
 
 
 def plan_of(config: TrainConfig) -> Plan:
-    return Plan.of(config, extent=EXTENT, points=4, side=300)
+    return Plan.of(config, extent=EXTENT, points=4, side=300, pixels=90_000)
 
 
 def default(config: TrainConfig, model: Model) -> DefaultStrategy:
