@@ -18,6 +18,7 @@ from . import guard
 from .depth_loss import DepthLoss
 from .depth_targets import DepthTargets
 from .frame import Frame
+from .laps import Laps
 from .model import Model
 from .params import splats_from_points, splats_from_tensors, tensors_from_splats
 from .pyramid import Pyramid
@@ -101,6 +102,8 @@ class Trainer:
         self.bad_rows = 0
         """Gradient rows left out so far because they were not finite."""
         self._skipped = 0
+        self.laps = Laps()
+        """What the parts of the last step took."""
         self._cameras = self.frame.similarity.cameras_to_training(photos.scene.cameras)
         self._pyramid = Pyramid(photos, self._cameras)
         first = self._first_splats(cloud) if start is None else self._placed(start)
@@ -131,11 +134,14 @@ class Trainer:
             GsError: the loss was not finite for many steps, or once under `detect_anomaly`.
         """
         step, config, model = self.steps + 1, self.config, self.model
+        laps = self.laps = Laps()
         ops.widen_sh(model, self.plan.sh_degree_at(step))
         index = self.sampler.next(self.generator)
         view, image, mask, tiles = self._pyramid.at(index, self.plan.factor_at(step))
         background = self._step_background()
         depth_weight = self.depth.weight(index, step) if self.depth else 0.0
+        laps.pixels = view.width * view.height
+        laps.lap("photo")
         aux = RasterAux()
         picture = rasterize(
             *self._step_splats(step),
@@ -154,6 +160,7 @@ class Trainer:
             tiles=None if Skip.MASKED_TILE in config.without else tiles,
             aux=aux,
         )
+        laps.lap("draw")
         loss = image_loss(
             picture.rgb,
             torch.from_numpy(image),
@@ -171,7 +178,10 @@ class Trainer:
             total = total + config.alpha_weight * opacity_loss(picture.alpha, opaque)
         value = total.item()
         self.steps = step
+        laps.lap("loss")
         total.backward()
+        laps.lap("gradients")
+        laps.raster = aux.stats or {}
         if config.detect_anomaly:
             guard.assert_finite(model, value, step=step, view=self._cameras.names[index])
         if not math.isfinite(value):
@@ -179,7 +189,9 @@ class Trainer:
         self._skipped = 0
         bad_rows = guard.zero_bad_rows(model)
         self.bad_rows += bad_rows
-        return StepResult(value, loss.mse, self._learn(step, aux, view), bad_rows, False)
+        change = self._learn(step, aux, view)
+        laps.lap("learn")
+        return StepResult(value, loss.mse, change, bad_rows, False)
 
     def picture(self, index: int, *, background: tuple[float, float, float]) -> torch.Tensor:
         """The view `index` as the splats show it now, [H, W, 3] float32."""
