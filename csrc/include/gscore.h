@@ -136,6 +136,7 @@ typedef struct gs_splat_grads {
     float *shN;       /* [N, sh_rest, 3]; null where sh_rest is 0; bands above sh_degree become zero */
     float *means2d;   /* [N, 2] px; may be null */
     float *viewmat;   /* [16], last row zero; may be null */
+    int32_t add_shN;  /* 1: gradients are added to what shN holds, and only rows of visible splats are touched */
 } gs_splat_grads;
 
 /* What the last forward and backward call of a gs_raster did. A pair is one splat evaluated at one pixel. */
@@ -209,6 +210,55 @@ typedef struct gs_loss_result {
 /* Loss and, where v_image is not null, its gradient [H, W, 3] with respect to the image. The gs_raster lends its
  * workspace; its forward state stays valid. */
 GS_API gs_status gs_image_loss(gs_raster *raster, const gs_loss_args *args, gs_loss_result *result, float *v_image);
+
+/* Adam (Kingma and Ba 2015) over the parameters of N splats, one call a step. */
+#define GS_ADAM_BETA1 0.9
+#define GS_ADAM_BETA2 0.999
+#define GS_ADAM_EPS 1e-15f
+/* Rows may skip up to GS_ADAM_LAGS - 1 steps before they make up for them. */
+#define GS_ADAM_LAGS 256
+
+/* How gs_adam_step treats a tensor. */
+enum {
+    GS_ADAM_ALL = 0,  /* every row moves by its gradient, which may be zero */
+    GS_ADAM_SEEN = 1, /* rows marked in `seen` move; their gradients, marks and lags become zero. Others skip the step: they
+                         keep their values until they make up for it, here or in gs_adam_catch_up, with the outcome of
+                         steps with zero gradients (exact but for eps and rounding) */
+    GS_ADAM_WAIT = 2  /* no step for any row: gradients gather for a later call */
+};
+
+typedef struct gs_adam_tensor {
+    float *param;    /* [N, width] */
+    float *grad;     /* [N, width]; see `mode` */
+    float *moment1;  /* [N, width], zero at first */
+    float *moment2;  /* [N, width], zero at first */
+    int32_t width;   /* floats a row, at least 1 */
+    int32_t mode;
+    float lr;
+    int64_t step;    /* number of this step, from 1: counts the calls with GS_ADAM_ALL or GS_ADAM_SEEN */
+    uint8_t *seen;   /* [N], zero at first; 1: has had a gradient since its last step. Null with GS_ADAM_ALL, as below */
+    uint8_t *lag;    /* [N], zero at first; steps skipped */
+    double *drift;   /* [GS_ADAM_LAGS], zero at first; what a row that skipped k steps has to make up for */
+} gs_adam_tensor;
+
+typedef struct gs_adam {
+    int64_t count;                 /* N */
+    int32_t tensor_count;          /* at least 1 */
+    const gs_adam_tensor *tensors;
+    const int32_t *radii;          /* [N] of gs_image: rows above 0 are marked in `seen`; null: all rows are */
+    int32_t threads;               /* 0: gs_default_threads() */
+} gs_adam;
+
+/* One step. Rows with a gradient that is not finite in any GS_ADAM_ALL tensor take the step with zero gradients in all
+ * tensors; so do, in their own tensor alone, rows of others. `bad_rows` (may be null) gets their number. Gradients
+ * beyond 1e18 count as 1e18. */
+GS_API gs_status gs_adam_step(const gs_adam *adam, int64_t *bad_rows);
+/* Rows of a GS_ADAM_SEEN tensor make up for the steps they skipped: all rows, or where `camera` is not null at least
+ * those that gs_raster_forward with this camera and eps2d draws. `step` and `drift` are those after the last step.
+ * `splats` tells N, and where they are; its shN is not read. Where `out` is not null it gets the values [N, width],
+ * and nothing else changes. */
+GS_API gs_status gs_adam_catch_up(const gs_adam_tensor *tensor, const gs_splats *splats, const gs_camera *camera,
+                                  float eps2d, float *out, int32_t threads);
 
 #ifdef __cplusplus
 }

@@ -1,4 +1,5 @@
 // The C entry points: check arguments, call, turn exceptions into statuses.
+#include "adam.h"
 #include "dispatch.h"
 #include "parallel.h"
 #include "raster.h"
@@ -170,4 +171,71 @@ gs_status gs_image_loss(gs_raster *raster, const gs_loss_args *args, gs_loss_res
     if (args->threads < 0 || args->threads > 1024)
         return fail(GS_BAD_ARGUMENT, "threads must be 0 (all) to 1024, got %d", args->threads);
     return guarded("gs_image_loss", [&] { return raster->image_loss(*args, *result, v_image); });
+}
+
+namespace {
+
+gs_status check_tensor(const gs_adam_tensor &t, int64_t count) {
+    if (t.width < 1 || t.width > 4096)
+        return fail(GS_BAD_ARGUMENT, "tensor.width must be 1 to 4096, got %d", t.width);
+    if (t.mode < GS_ADAM_ALL || t.mode > GS_ADAM_WAIT)
+        return fail(GS_BAD_ARGUMENT, "tensor.mode must be 0, 1 or 2, got %d", t.mode);
+    if (t.step < 0 || (t.step < 1 && t.mode != GS_ADAM_WAIT))
+        return fail(GS_BAD_ARGUMENT, "tensor.step counts from 1, got %lld", (long long)t.step);
+    if (!std::isfinite(t.lr))
+        return fail(GS_BAD_ARGUMENT, "tensor.lr must be finite, got %g", double(t.lr));
+    if (count > 0 && (!t.param || !t.moment1 || !t.moment2))
+        return fail(GS_BAD_ARGUMENT, "an array of a tensor is null");
+    if (t.mode != GS_ADAM_ALL && (!t.drift || (count > 0 && (!t.seen || !t.lag))))
+        return fail(GS_BAD_ARGUMENT, "tensor.seen, lag and drift are needed unless every row moves");
+    return GS_OK;
+}
+
+} // namespace
+
+gs_status gs_adam_step(const gs_adam *adam, int64_t *bad_rows) {
+    if (!adam || adam->tensor_count < 1 || !adam->tensors)
+        return fail(GS_BAD_ARGUMENT, "gs_adam_step: an argument is null or there are no tensors");
+    if (adam->count < 0 || adam->count > INT32_MAX)
+        return fail(GS_BAD_ARGUMENT, "adam.count must be 0 to 2147483647, got %lld", (long long)adam->count);
+    if (adam->threads < 0 || adam->threads > 1024)
+        return fail(GS_BAD_ARGUMENT, "threads must be 0 (all) to 1024, got %d", adam->threads);
+    for (int32_t i = 0; i < adam->tensor_count; ++i) {
+        if (const gs_status s = check_tensor(adam->tensors[i], adam->count))
+            return s;
+        if (adam->count > 0 && !adam->tensors[i].grad)
+            return fail(GS_BAD_ARGUMENT, "gs_adam_step: a gradient is null");
+    }
+    return guarded("gs_adam_step", [&] {
+        const int64_t bad = gs::adam_step(*adam);
+        if (bad_rows)
+            *bad_rows = bad;
+        return GS_OK;
+    });
+}
+
+gs_status gs_adam_catch_up(const gs_adam_tensor *tensor, const gs_splats *splats, const gs_camera *camera, float eps2d,
+                           float *out, int32_t threads) {
+    if (!tensor || !splats || splats->count < 0 || splats->count > INT32_MAX)
+        return fail(GS_BAD_ARGUMENT, "gs_adam_catch_up: an argument is null or the number of splats is out of range");
+    if (const gs_status s = check_tensor(*tensor, splats->count))
+        return s;
+    if (tensor->mode == GS_ADAM_ALL)
+        return fail(GS_BAD_ARGUMENT, "gs_adam_catch_up: rows of this tensor never skip a step");
+    if (camera) {
+        if (const gs_status s = check_camera(*camera))
+            return s;
+        if (camera->orthographic)
+            return fail(GS_UNSUPPORTED, "gs_adam_catch_up: parallel rays are for pictures only");
+        if (splats->count > 0 && (!splats->means || !splats->scales))
+            return fail(GS_BAD_ARGUMENT, "gs_adam_catch_up: means or scales are null");
+        if (!(eps2d > 0 && eps2d < 1e6f))
+            return fail(GS_BAD_ARGUMENT, "eps2d must be positive, got %g", double(eps2d));
+    }
+    if (threads < 0 || threads > 1024)
+        return fail(GS_BAD_ARGUMENT, "threads must be 0 (all) to 1024, got %d", threads);
+    return guarded("gs_adam_catch_up", [&] {
+        gs::adam_catch_up(*tensor, *splats, camera, eps2d, out, threads);
+        return GS_OK;
+    });
 }

@@ -1,6 +1,7 @@
 // All kernels of one instruction set, gathered into its table.
 #pragma once
 
+#include "adam.inl.h"
 #include "bin.inl.h"
 #include "blend.inl.h"
 #include "loss.inl.h"
@@ -9,7 +10,8 @@
 namespace gs::GS_NAMESPACE {
 
 static constexpr Kernels make_kernels(const char *name) {
-    return {name, project, bin, blend, blend_backward, project_backward, loss_forward, loss_backward};
+    return {name, project, bin, blend, blend_backward, project_backward, loss_forward, loss_backward,
+            adam_step, adam_catch_up};
 }
 
 } // namespace gs::GS_NAMESPACE

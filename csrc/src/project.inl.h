@@ -294,7 +294,7 @@ static inline void zero_rows(const gs_splat_grads &g, int64_t begin, int64_t end
     std::memset(g.scales + 3 * begin, 0, 3 * n);
     std::memset(g.opacities + begin, 0, n);
     std::memset(g.sh0 + 3 * begin, 0, 3 * n);
-    if (sh_rest)
+    if (sh_rest && !g.add_shN)
         std::memset(g.shN + 3 * sh_rest * begin, 0, 3 * size_t(sh_rest) * n);
     if (g.means2d)
         std::memset(g.means2d + 2 * begin, 0, 2 * n);

@@ -122,12 +122,13 @@ static inline void sh_backward(const gs_splats &in, const gs_splat_grads &grads,
             const float *c = in.shN + row + 3 * k;
             v_basis[k + 1][l] = c[0] * g[0] + c[1] * g[1] + c[2] * g[2];
             const Vec4 v = g * basis[k + 1][l];
-            if (k < rest - 1)
-                store(grads.shN + row + 3 * k, v); // the fourth float is overwritten by the next k
+            float *const out = grads.shN + row + 3 * k;
+            if (k < rest - 1) // the fourth float is overwritten by the next k, or has zero added to it
+                store(out, grads.add_shN ? v + load<Vec4>(out) : v);
             else
-                store3(grads.shN + row + 3 * k, v);
+                store3(out, grads.add_shN ? v + load3(out) : v);
         }
-        if (rest < in.sh_rest)
+        if (rest < in.sh_rest && !grads.add_shN)
             std::memset(grads.shN + row + 3 * rest, 0, size_t(in.sh_rest - rest) * 3 * sizeof(float));
     }
     Vec s[kShMax];

@@ -130,6 +130,30 @@ struct LossArgs {
     float *v_image;   // null: no gradient
 };
 
+// A tensor under Adam with the constants of its step.
+struct AdamTensor {
+    gs_adam_tensor t;
+    float beta1, beta2, gain1, gain2; // gain = 1 - beta
+    float eps, eps_raw;               // eps_raw: for moments without bias correction
+    float rate, inverse_root;         // lr / (1 - beta1^t), 1 / sqrt(1 - beta2^t)
+    const float *drift, *decay1, *decay2; // [GS_ADAM_LAGS] of a row that is this many steps behind
+};
+
+struct AdamArgs {
+    int64_t rows;
+    const AdamTensor *tensors;
+    int count;
+    const int32_t *radii; // [rows] or null
+};
+
+struct CatchUpArgs {
+    const AdamTensor *tensor;
+    const gs_splats *splats;
+    const gs_camera *camera; // null: all rows
+    float eps2d;
+    float *out; // [rows, width], or null: in place
+};
+
 // One instruction set's kernels.
 struct Kernels {
     const char *name;
@@ -143,6 +167,9 @@ struct Kernels {
     // One band of rows; `scratch` holds loss_scratch_floats(width).
     void (*loss_forward)(const LossArgs &, int band, float *scratch);
     void (*loss_backward)(const LossArgs &, int band, float *scratch);
+    // One chunk of rows; returns how many had gradients that are not finite.
+    int64_t (*adam_step)(const AdamArgs &, int64_t chunk);
+    void (*adam_catch_up)(const CatchUpArgs &, int64_t chunk);
 };
 
 } // namespace gs

@@ -131,7 +131,7 @@ Result run(const Model &m, const gs_camera &camera, const gs_options &options) {
             at[i] = next;
             next += sizes[i];
         }
-        const gs_splat_grads out = {at[0], at[1], at[2], at[3], at[4], at[5], at[6], at[7]};
+        const gs_splat_grads out = {at[0], at[1], at[2], at[3], at[4], at[5], at[6], at[7], 0};
         const int32_t stop = 1;
         CHECK(gs_raster_backward(raster, &splats, &in, &out, &stop) == (camera.orthographic ? GS_UNSUPPORTED : GS_CANCELLED));
         r.backward = gs_raster_backward(raster, &splats, &in, &out, nullptr);
@@ -297,7 +297,7 @@ void bad_arguments_are_named() {
     const gs_splats splats = m.view();
     const gs_image_grads in = {};
     std::vector<float> g(64 * m.size());
-    const gs_splat_grads out = {g.data(), g.data(), g.data(), g.data(), g.data(), g.data(), nullptr, nullptr};
+    const gs_splat_grads out = {g.data(), g.data(), g.data(), g.data(), g.data(), g.data(), nullptr, nullptr, 0};
     CHECK(gs_raster_backward(raster, &splats, &in, &out, nullptr) == GS_BAD_ARGUMENT);
     gs_raster_destroy(raster);
 }

@@ -9,7 +9,7 @@ import os
 import sys
 import threading
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -24,6 +24,8 @@ NO_EXACT_CULL, NO_ZERO_TILE, NO_OPACITY_EXTENT, NO_ROW_RANGE = 1, 2, 4, 8
 TILE = 16
 """Side of a tile, px (GS_TILE)."""
 MAX_SIDE = 65536
+ADAM_ALL, ADAM_SEEN, ADAM_WAIT = 0, 1, 2
+ADAM_LAGS = 256
 MASK_MODES = {"none": 0, "composite": 1, "ignore": 2}
 
 _OK, _BAD_ARGUMENT, _OUT_OF_MEMORY, _CANCELLED = 0, 1, 2, 3
@@ -116,6 +118,7 @@ class SplatGradsStruct(ct.Structure):
         ("shN", _pointer),
         ("means2d", _pointer),
         ("viewmat", _pointer),
+        ("add_shN", ct.c_int32),
     )
 
 
@@ -165,6 +168,36 @@ class LossResultStruct(ct.Structure):
         ("l1", ct.c_double),
         ("ssim", ct.c_double),
         ("mse", ct.c_double),
+    )
+
+
+class AdamTensorStruct(ct.Structure):
+    """gs_adam_tensor"""
+
+    _fields_ = (
+        ("param", _pointer),
+        ("grad", _pointer),
+        ("moment1", _pointer),
+        ("moment2", _pointer),
+        ("width", ct.c_int32),
+        ("mode", ct.c_int32),
+        ("lr", ct.c_float),
+        ("step", ct.c_int64),
+        ("seen", _pointer),
+        ("lag", _pointer),
+        ("drift", _pointer),
+    )
+
+
+class AdamStruct(ct.Structure):
+    """gs_adam"""
+
+    _fields_ = (
+        ("count", ct.c_int64),
+        ("tensor_count", ct.c_int32),
+        ("tensors", ct.POINTER(AdamTensorStruct)),
+        ("radii", _pointer),
+        ("threads", ct.c_int32),
     )
 
 
@@ -223,6 +256,15 @@ def _load() -> ct.CDLL:
         ct.POINTER(LossArgsStruct),
         ct.POINTER(LossResultStruct),
         _pointer,
+    ]
+    lib.gs_adam_step.argtypes = [ct.POINTER(AdamStruct), ct.POINTER(ct.c_int64)]
+    lib.gs_adam_catch_up.argtypes = [
+        ct.POINTER(AdamTensorStruct),
+        ct.POINTER(SplatsStruct),
+        ct.POINTER(CameraStruct),
+        ct.c_float,
+        _pointer,
+        ct.c_int32,
     ]
     return lib
 
@@ -377,6 +419,38 @@ class RasterPool:
 
 
 pool = RasterPool()
+
+
+def adam_step(
+    tensors: Sequence[AdamTensorStruct], count: int, radii: int | None, threads: int
+) -> int:
+    """gs_adam_step: one step for `count` rows; `radii` is an address or None.
+
+    Returns the number of rows with gradients that were not finite.
+    """
+    array = (AdamTensorStruct * len(tensors))(*tensors)
+    args = AdamStruct(count, len(tensors), array, radii, threads)
+    bad = ct.c_int64(0)
+    check(library().gs_adam_step(ct.byref(args), ct.byref(bad)))
+    return bad.value
+
+
+def adam_catch_up(
+    tensor: AdamTensorStruct,
+    splats: SplatsStruct,
+    camera: CameraStruct | None,
+    *,
+    eps2d: float,
+    out: int | None,
+    threads: int,
+) -> None:
+    """gs_adam_catch_up; `out` is an address or None."""
+    view = None if camera is None else ct.byref(camera)
+    check(
+        library().gs_adam_catch_up(
+            ct.byref(tensor), ct.byref(splats), view, eps2d, out or None, threads
+        )
+    )
 
 
 def check_size(width: int, height: int) -> None:

@@ -1,0 +1,103 @@
+// Drives Adam: constants of a step, tables of what skipped steps come to, rows in parallel.
+#include "adam.h"
+
+#include "dispatch.h"
+#include "parallel.h"
+
+#include <atomic>
+#include <cmath>
+#include <vector>
+
+namespace gs {
+
+namespace {
+
+constexpr double kBeta1 = GS_ADAM_BETA1, kBeta2 = GS_ADAM_BETA2;
+
+int64_t chunks_of(int64_t count) { return (count + kChunk - 1) / kChunk; }
+
+// sqrt(1 - beta2^t), exact also for the first steps.
+double root(int64_t step) { return std::sqrt(-std::expm1(double(step) * std::log(kBeta2))); }
+
+double bias1(int64_t step) { return -std::expm1(double(step) * std::log(kBeta1)); }
+
+struct Tables {
+    float drift[GS_ADAM_LAGS] = {}, decay1[GS_ADAM_LAGS], decay2[GS_ADAM_LAGS];
+
+    explicit Tables(const double *sums) {
+        double d1 = 1, d2 = 1;
+        for (int k = 0; k < GS_ADAM_LAGS; ++k) {
+            if (sums)
+                drift[k] = float(sums[k]);
+            decay1[k] = float(d1);
+            decay2[k] = float(d2);
+            d1 *= kBeta1;
+            d2 *= kBeta2;
+        }
+    }
+};
+
+AdamTensor constants(const gs_adam_tensor &t, const Tables &tables) {
+    AdamTensor a = {};
+    a.t = t;
+    a.beta1 = float(kBeta1);
+    a.beta2 = float(kBeta2);
+    a.gain1 = float(1 - kBeta1);
+    a.gain2 = float(1 - kBeta2);
+    a.eps = GS_ADAM_EPS;
+    if (t.step > 0) {
+        a.rate = float(double(t.lr) / bias1(t.step));
+        a.inverse_root = float(1 / root(t.step));
+        a.eps_raw = float(double(GS_ADAM_EPS) * root(t.step));
+    }
+    a.drift = tables.drift;
+    a.decay1 = tables.decay1;
+    a.decay2 = tables.decay2;
+    return a;
+}
+
+// Rows that skipped this step too have one more term in their sums.
+void add_skipped_step(const gs_adam_tensor &t) {
+    const double ratio = kBeta1 / std::sqrt(kBeta2), first = double(t.lr) * root(t.step) / bias1(t.step);
+    double power = std::pow(ratio, kMaxLag);
+    for (int k = kMaxLag; k > 0; --k, power /= ratio)
+        t.drift[k] = t.drift[k - 1] + first * power;
+}
+
+int threads_of(int32_t wanted) { return wanted > 0 ? wanted : default_threads(); }
+
+} // namespace
+
+int64_t adam_step(const gs_adam &in) {
+    std::vector<Tables> tables;
+    std::vector<AdamTensor> tensors;
+    tables.reserve(size_t(in.tensor_count));
+    for (int i = 0; i < in.tensor_count; ++i) {
+        tables.emplace_back(in.tensors[i].mode == GS_ADAM_SEEN ? in.tensors[i].drift : nullptr);
+        tensors.push_back(constants(in.tensors[i], tables.back()));
+    }
+    const AdamArgs args = {in.count, tensors.data(), in.tensor_count, in.radii};
+    const Kernels &k = kernels();
+    std::atomic<int64_t> bad{0};
+    parallel_for(size_t(chunks_of(in.count)), threads_of(in.threads), [&](size_t chunk, int) {
+        const int64_t found = k.adam_step(args, int64_t(chunk));
+        if (found)
+            bad += found;
+    });
+    for (int i = 0; i < in.tensor_count; ++i)
+        if (in.tensors[i].mode == GS_ADAM_SEEN)
+            add_skipped_step(in.tensors[i]);
+    return bad;
+}
+
+void adam_catch_up(const gs_adam_tensor &tensor, const gs_splats &splats, const gs_camera *camera, float eps2d,
+                   float *out, int threads) {
+    const Tables tables(tensor.drift);
+    const AdamTensor constant = constants(tensor, tables);
+    const CatchUpArgs args = {&constant, &splats, camera, eps2d, out};
+    const Kernels &k = kernels();
+    parallel_for(size_t(chunks_of(splats.count)), threads_of(threads),
+                 [&](size_t chunk, int) { k.adam_catch_up(args, int64_t(chunk)); });
+}
+
+} // namespace gs

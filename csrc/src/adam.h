@@ -1,0 +1,17 @@
+// Adam over the rows of splats in training: the driver and what its kernels read.
+#pragma once
+
+#include "types.h"
+
+namespace gs {
+
+// Steps a row may be behind: what its counter, a byte, can hold.
+constexpr int kMaxLag = GS_ADAM_LAGS - 1;
+// Larger gradients count as this, so that their squares stay finite.
+constexpr float kGradientMax = 1e18f;
+
+// Returns the number of rows whose gradients were not finite.
+int64_t adam_step(const gs_adam &);
+void adam_catch_up(const gs_adam_tensor &, const gs_splats &, const gs_camera *, float eps2d, float *out, int threads);
+
+} // namespace gs

@@ -1,0 +1,258 @@
+// Adam (Kingma and Ba 2015) with rows that skip steps and make up for them later.
+//
+// A row without gradient for k steps after step t would have moved, at its j-th step, by
+//   lr sqrt(1 - beta2^(t+j)) / (1 - beta1^(t+j)) (beta1 / sqrt(beta2))^j m / (sqrt(v) + eps),
+// where m and v are those of step t: the sum over j is m / (sqrt(v) + eps) times a number that all rows of a tensor
+// share, tabulated by k. Only eps, which should shrink with the bias correction and grow with j, is approximated.
+#pragma once
+
+#include "adam.h"
+#include "simd.h"
+#include "types.h"
+
+#include <cmath>
+
+namespace gs::GS_NAMESPACE {
+
+// The first n < kLanes floats, zeros behind.
+static inline Vec load_part(const float *p, int n) {
+#if defined(GS_ISA_AVX512)
+    return _mm512_maskz_loadu_ps(__mmask16((1u << n) - 1), p);
+#else
+    Vec v = {};
+    for (int i = 0; i < n; ++i)
+        v[i] = p[i];
+    return v;
+#endif
+}
+
+static inline void store_part(float *p, Vec v, int n) {
+#if defined(GS_ISA_AVX512)
+    _mm512_mask_storeu_ps(p, __mmask16((1u << n) - 1), v);
+#else
+    for (int i = 0; i < n; ++i)
+        p[i] = v[i];
+#endif
+}
+
+struct Move {
+    Vec param, moment1, moment2;
+};
+
+// Calls body(i, n) for the vectors of `size` floats; n < kLanes floats are left for the last one.
+template <class Body> static inline void vectors(int64_t size, Body body) {
+    int64_t i = 0;
+    for (; i + kLanes <= size; i += kLanes)
+        body(i, kLanes);
+    if (i < size)
+        body(i, int(size - i));
+}
+
+template <class Body> static inline void update(const gs_adam_tensor &t, int64_t begin, int64_t size, Body body) {
+    float *const param = t.param + begin, *const m = t.moment1 + begin, *const v = t.moment2 + begin;
+    vectors(size, [&](int64_t i, int n) {
+        if (n == kLanes) {
+            Move x = {load(param + i), load(m + i), load(v + i)};
+            body(x, i, n);
+            store(param + i, x.param);
+            store(m + i, x.moment1);
+            store(v + i, x.moment2);
+        } else {
+            Move x = {load_part(param + i, n), load_part(m + i, n), load_part(v + i, n)};
+            body(x, i, n);
+            store_part(param + i, x.param, n);
+            store_part(m + i, x.moment1, n);
+            store_part(v + i, x.moment2, n);
+        }
+    });
+}
+
+static inline Vec drifted(const AdamTensor &a, const Move &x, int lag) {
+    return x.param - a.drift[lag] * (x.moment1 / (sqrt(x.moment2) + a.eps_raw));
+}
+
+static inline void catch_up(const AdamTensor &a, Move &x, int lag) {
+    x.param = drifted(a, x, lag);
+    x.moment1 *= a.decay1[lag];
+    x.moment2 *= a.decay2[lag];
+}
+
+static inline void adam(const AdamTensor &a, Move &x, Vec g) {
+    g = min(max(g, set1(-kGradientMax)), set1(kGradientMax));
+    x.moment1 = fma(set1(a.beta1), x.moment1, a.gain1 * g);
+    x.moment2 = fma(set1(a.beta2), x.moment2, a.gain2 * (g * g));
+    x.param = fnma(set1(a.rate), x.moment1 / fma(sqrt(x.moment2), a.inverse_root, set1(a.eps)), x.param);
+}
+
+// NaN in some lane where a value is not finite, else zero.
+static inline Vec poison(const float *p, int64_t size) {
+    Vec sum = {};
+    vectors(size, [&](int64_t i, int n) { sum += (n == kLanes ? load(p + i) : load_part(p + i, n)) * 0.0f; });
+    return sum;
+}
+
+static inline bool finite(Vec poison) { return bits(ge(poison, Vec{})) == (1ull << kLanes) - 1; }
+
+static inline bool finite(const float *p, int64_t size) { return finite(poison(p, size)); }
+
+static inline void zero_row(const AdamArgs &a, int64_t row) {
+    for (int i = 0; i < a.count; ++i) {
+        const gs_adam_tensor &t = a.tensors[i].t;
+        std::memset(t.grad + row * t.width, 0, size_t(t.width) * sizeof(float));
+    }
+}
+
+// Zeroes the gradients of rows with a value that is not finite; returns their number.
+static int64_t zero_bad_rows(const AdamArgs &a, int64_t begin, int64_t end) {
+    Vec sum = {};
+    for (int i = 0; i < a.count; ++i) {
+        const gs_adam_tensor &t = a.tensors[i].t;
+        if (t.mode == GS_ADAM_ALL)
+            sum += poison(t.grad + begin * t.width, (end - begin) * t.width);
+    }
+    if (finite(sum))
+        return 0;
+    int64_t bad = 0;
+    for (int64_t row = begin; row < end; ++row)
+        for (int i = 0; i < a.count; ++i) {
+            const gs_adam_tensor &t = a.tensors[i].t;
+            if (t.mode != GS_ADAM_ALL || finite(t.grad + row * t.width, t.width))
+                continue;
+            zero_row(a, row);
+            ++bad;
+            break;
+        }
+    return bad;
+}
+
+// Rows [begin, end) alike: all `lag` steps behind. Their gradients are used up.
+static int64_t move_rows(const AdamTensor &a, int64_t begin, int64_t end, int lag) {
+    const gs_adam_tensor &t = a.t;
+    const int64_t first = begin * t.width, size = (end - begin) * t.width;
+    float *const grad = t.grad + first;
+    int64_t bad = 0;
+    if (!finite(grad, size))
+        for (int64_t row = begin; row < end; ++row)
+            if (!finite(t.grad + row * t.width, t.width)) {
+                std::memset(t.grad + row * t.width, 0, size_t(t.width) * sizeof(float));
+                ++bad;
+            }
+    update(t, first, size, [&](Move &x, int64_t i, int n) {
+        if (lag)
+            catch_up(a, x, lag);
+        adam(a, x, n == kLanes ? load(grad + i) : load_part(grad + i, n));
+    });
+    std::memset(grad, 0, size_t(size) * sizeof(float));
+    std::memset(t.seen + begin, 0, size_t(end - begin));
+    std::memset(t.lag + begin, 0, size_t(end - begin));
+    return bad;
+}
+
+static int64_t move_seen_rows(const AdamTensor &a, int64_t begin, int64_t end) {
+    const gs_adam_tensor &t = a.t;
+    const auto moves = [&](int64_t row) { return t.seen[row] || t.lag[row] == kMaxLag; };
+    int64_t bad = 0;
+    for (int64_t row = begin; row < end;) {
+        if (!moves(row)) {
+            ++t.lag[row++];
+            continue;
+        }
+        const int lag = t.lag[row];
+        int64_t last = row + 1;
+        while (last < end && moves(last) && t.lag[last] == lag)
+            ++last;
+        bad += move_rows(a, row, last, lag);
+        row = last;
+    }
+    return bad;
+}
+
+static int64_t adam_step(const AdamArgs &a, int64_t chunk) {
+    const int64_t begin = chunk * kChunk, end = begin + kChunk < a.rows ? begin + kChunk : a.rows;
+    int64_t bad = zero_bad_rows(a, begin, end);
+    for (int i = 0; i < a.count; ++i) {
+        const AdamTensor &tensor = a.tensors[i];
+        const gs_adam_tensor &t = tensor.t;
+        if (t.mode == GS_ADAM_ALL) {
+            const float *const grad = t.grad + begin * t.width;
+            update(t, begin * t.width, (end - begin) * t.width, [&](Move &x, int64_t at, int n) {
+                adam(tensor, x, n == kLanes ? load(grad + at) : load_part(grad + at, n));
+            });
+            continue;
+        }
+        for (int64_t row = begin; row < end; ++row)
+            t.seen[row] |= uint8_t(!a.radii || a.radii[row] > 0);
+        if (t.mode == GS_ADAM_SEEN)
+            bad += move_seen_rows(tensor, begin, end);
+    }
+    return bad;
+}
+
+// Which of the splats [begin, begin + kLanes) may reach the picture: all that `project` draws, and some more. The
+// Jacobian's rows are at most f / z sqrt(1 + ratio^2) long, so the largest scale bounds the splat on screen, with
+// sqrt(2 ln 255) deviations to where alpha falls to 1/255.
+static inline uint32_t may_be_seen(const CatchUpArgs &a, int64_t begin, int lanes) {
+    const gs_splats &in = *a.splats;
+    const gs_camera &c = *a.camera;
+    Vec mean[3], largest = set1(-3e38f);
+    alignas(64) float columns[6][kLanes] = {};
+    for (int l = 0; l < lanes; ++l)
+        for (int k = 0; k < 3; ++k) {
+            columns[k][l] = in.means[3 * (begin + l) + k];
+            columns[3 + k][l] = in.scales[3 * (begin + l) + k];
+        }
+    for (int k = 0; k < 3; ++k) {
+        mean[k] = load(columns[k]);
+        largest = max(largest, load(columns[3 + k]));
+    }
+    if (in.raw)
+        largest = exp(largest);
+    const float *w = c.viewmat;
+    Vec cam[3];
+    for (int i = 0; i < 3; ++i)
+        cam[i] = fma(set1(w[4 * i]), mean[0],
+                     fma(set1(w[4 * i + 1]), mean[1], fma(set1(w[4 * i + 2]), mean[2], set1(w[4 * i + 3]))));
+    const Vec inverse_z = 1.0f / cam[2];
+    uint32_t inside = bits(both(gt(cam[2], set1(c.near_plane)), ge(set1(c.far_plane), cam[2])));
+    const float focal[2] = {c.fx, c.fy}, center[2] = {c.cx, c.cy}, side[2] = {float(c.width), float(c.height)};
+    for (int i = 0; i < 2; ++i) {
+        const float edge = 1.3f * (std::fabs(center[i]) + side[i]) / focal[i]; // beyond project's clamp of x / z
+        const Vec deviation = (std::sqrt(1.0f + edge * edge) * focal[i]) * largest * inverse_z;
+        const Vec reach = 3.34f * sqrt(fma(deviation, deviation, set1(a.eps2d))) + 1.0f;
+        const Vec at = fma(set1(focal[i]), cam[i] * inverse_z, set1(center[i]));
+        // Inverted comparisons: what is not a number may be seen.
+        inside &= ~(bits(gt(Vec{}, at + reach)) | bits(gt(at - reach, set1(side[i]))));
+    }
+    return inside & ((1u << lanes) - 1);
+}
+
+static void adam_catch_up(const CatchUpArgs &a, int64_t chunk) {
+    const AdamTensor &tensor = *a.tensor;
+    const gs_adam_tensor &t = tensor.t;
+    const int64_t rows = a.splats->count;
+    const int64_t begin = chunk * kChunk, end = begin + kChunk < rows ? begin + kChunk : rows;
+    for (int64_t first = begin; first < end; first += kLanes) {
+        const int lanes = end - first < kLanes ? int(end - first) : kLanes;
+        uint32_t late = 0;
+        for (int l = 0; l < lanes; ++l)
+            late |= uint32_t(t.lag[first + l] != 0) << l;
+        if (late && a.camera)
+            late &= may_be_seen(a, first, lanes);
+        for (int l = 0; l < lanes; ++l) {
+            const int64_t row = first + l, at = row * t.width;
+            const int lag = t.lag[row];
+            if (a.out) {
+                vectors(t.width, [&](int64_t i, int n) {
+                    const Move x = {load_part(t.param + at + i, n), load_part(t.moment1 + at + i, n),
+                                    load_part(t.moment2 + at + i, n)};
+                    store_part(a.out + at + i, late >> l & 1 ? drifted(tensor, x, lag) : x.param, n);
+                });
+            } else if (late >> l & 1) {
+                update(t, at, t.width, [&](Move &x, int64_t, int) { catch_up(tensor, x, lag); });
+                t.lag[row] = 0;
+            }
+        }
+    }
+}
+
+} // namespace gs::GS_NAMESPACE
