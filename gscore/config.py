@@ -162,6 +162,9 @@ class TrainConfig:
     """Learning rate of the constant colour."""
     shN_lr: float = 1.25e-4
     """Learning rate of the view-dependent colour."""
+    shN_every: int = 0
+    """Steps between two of the view-dependent colour, whose gradients add up in between and whose
+    learning rate rises; 0: by itself; 1: each step."""
     opacities_lr: float = 0.0
     """Learning rate of logit opacities; 0: 0.025, with mcmc 0.05."""
     scales_lr: float = 5e-3
@@ -259,7 +262,16 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         _at_least(self, 1, "iterations", "max_splats")
-        _at_least(self, 0, "sh_every", "threads", "refine_start", "refine_stop", "refine_every")
+        _at_least(
+            self,
+            0,
+            "sh_every",
+            "shN_every",
+            "threads",
+            "refine_start",
+            "refine_stop",
+            "refine_every",
+        )
         _at_least(self, 0, "snapshot_every", "seed")
         _at_least(self, -1, "reset_every")
         _at_least(

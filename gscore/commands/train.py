@@ -95,6 +95,7 @@ _METHOD = {
     "means_lr_final": ("--means-lr-final", "--position-lr-final"),
     "sh0_lr": ("--sh0-lr",),
     "shN_lr": ("--shN-lr",),
+    "shN_every": ("--shN-every",),
     "opacities_lr": ("--opacities-lr", "--opacity-lr"),
     "scales_lr": ("--scales-lr", "--scaling-lr"),
     "quats_lr": ("--quats-lr", "--rotation-lr"),

@@ -6,9 +6,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..errors import ShapeError
-from ..splats import SH_REST_BY_DEGREE
 from . import _native
+from .calls import PARAMETERS, Picture, Settings, backward, check_splats, check_tiles, forward
 
 
 @dataclass
@@ -40,94 +39,30 @@ class RasterOutput:
     differentiable; None unless asked for."""
 
 
-def _checked(name: str, tensor: Tensor, shape: tuple[int, ...]) -> Tensor:
-    if tensor.dtype != torch.float32 or tensor.device.type != "cpu" or tensor.shape != shape:
-        raise ShapeError(
-            f"{name} must be {list(shape)} float32 on the CPU, "
-            f"got {list(tensor.shape)} {tensor.dtype} on {tensor.device}."
-        )
-    return tensor.detach().contiguous()
-
-
-@dataclass(frozen=True)
-class _Settings:
-    raw: bool
-    sh_degree: int
-    width: int
-    height: int
-    K: Any
-    near: float
-    far: float
-    eps2d: float
-    antialias: bool
-    background: tuple[float, float, float]
-    outputs: int
-    disable: int
-    threads: int
-    cancel: _native.CancelFlag | None
-    tiles: Tensor | None
-    aux: RasterAux | None
-
-
-def _struct(tensors: tuple[Tensor, ...], settings: _Settings) -> _native.SplatsStruct:
-    means, quats, scales, opacities, sh0, shN = tensors
-    return _native.SplatsStruct(
-        means.shape[0],
-        means.data_ptr(),
-        quats.data_ptr(),
-        scales.data_ptr(),
-        opacities.data_ptr(),
-        sh0.data_ptr(),
-        shN.data_ptr(),
-        shN.shape[1],
-        settings.sh_degree,
-        int(settings.raw),
-    )
-
-
 class _Rasterize(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, *args: Any) -> tuple[Tensor, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        *tensors, viewmat, settings = args
-        s: _Settings = settings
+        *tensors, viewmat, settings, aux = args
+        s: Settings = settings
         h, w = s.height, s.width
         rgb, alpha = torch.zeros(h, w, 3), torch.zeros(h, w)
         inverse = torch.zeros(h, w) if s.outputs & _native.OUT_INVERSE_DEPTH else torch.zeros(0)
         depth = torch.zeros(h, w) if s.outputs & _native.OUT_DEPTH else torch.zeros(0)
         median = torch.zeros(h, w) if s.outputs & _native.OUT_MEDIAN_DEPTH else torch.zeros(0)
-        image = _native.ImageStruct(
-            rgb.data_ptr(),
-            alpha.data_ptr(),
-            inverse.data_ptr() or None,
-            depth.data_ptr() or None,
-            median.data_ptr() or None,
-            None,
-        )
-        if s.aux is not None:
-            s.aux.radii = torch.zeros(tensors[0].shape[0], dtype=torch.int32)
-            image.radii = s.aux.radii.data_ptr()
-        camera = _native.camera_struct(viewmat.numpy(), s.K, w, h, s.near, s.far)
-        options = _native.options_struct(
-            eps2d=s.eps2d,
-            antialias=s.antialias,
-            background=s.background,
-            outputs=s.outputs,
-            threads=s.threads,
-            disable=s.disable,
-            cancel=s.cancel,
-            tiles=None if s.tiles is None else s.tiles.data_ptr(),
-        )
+        if aux is not None:
+            aux.radii = torch.zeros(tensors[0].shape[0], dtype=torch.int32)
         raster = _native.pool.take()
         try:
-            raster.forward(_struct(tuple(tensors), s), camera, options, image)
-            if s.aux is not None:
-                s.aux.stats = raster.stats().as_dict()
+            picture = Picture(rgb, alpha, inverse, depth, median)
+            forward(raster, tensors, viewmat, s, picture, None if aux is None else aux.radii)
+            if aux is not None:
+                aux.stats = raster.stats().as_dict()
         except BaseException:
             _native.pool.give_back(raster)
             raise
         if any(ctx.needs_input_grad):
             ctx.save_for_backward(*tensors)
-            ctx.raster, ctx.settings = _Lease(raster), s
+            ctx.raster, ctx.settings, ctx.aux = _Lease(raster), s, aux
         else:
             _native.pool.give_back(raster)
         ctx.set_materialize_grads(False)
@@ -136,25 +71,20 @@ class _Rasterize(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *v_outputs: Tensor | None) -> tuple[Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        tensors = ctx.saved_tensors
-        s: _Settings = ctx.settings
+        tensors, aux = ctx.saved_tensors, ctx.aux
         kept = [None if v is None else v.to(torch.float32).contiguous() for v in v_outputs[:4]]
-        # An output nobody asked for is an empty tensor; its gradient has no address to pass on.
-        pointers = [None if v is None else v.data_ptr() or None for v in kept]
-        v_tensors = [torch.empty_like(t) for t in tensors]
+        found = {n: torch.empty_like(t) for n, t in zip(PARAMETERS, tensors, strict=True)}
+        results = list(found.values())
         v_viewmat = torch.zeros(4, 4) if ctx.needs_input_grad[6] else None
-        grads = _native.SplatGradsStruct(*(v.data_ptr() for v in v_tensors))
-        if s.aux is not None:
-            s.aux.v_means2d = torch.empty(tensors[0].shape[0], 2)
-            grads.means2d = s.aux.v_means2d.data_ptr()
+        if aux is not None:
+            found["means2d"] = aux.v_means2d = torch.empty(tensors[0].shape[0], 2)
         if v_viewmat is not None:
-            grads.viewmat = v_viewmat.data_ptr()
+            found["viewmat"] = v_viewmat
         raster = ctx.raster.raster
-        image_grads = _native.ImageGradsStruct(*pointers)
-        raster.backward(_struct(tensors, s), image_grads, grads, s.cancel)
-        if s.aux is not None:
-            s.aux.stats = raster.stats().as_dict()
-        return (*v_tensors, v_viewmat, None)
+        backward(raster, tensors, ctx.settings, kept, found)
+        if aux is not None:
+            aux.stats = raster.stats().as_dict()
+        return (*results, v_viewmat, None, None)
 
 
 class _Lease:
@@ -235,44 +165,21 @@ def rasterize(
         BackendError: The native library is missing or out of memory.
         Cancelled: `cancel` was set.
     """
-    if means.ndim != 2:
-        raise ShapeError(f"means must be [N, 3] float32 on the CPU, got {list(means.shape)}.")
-    n = means.shape[0]
-    rest = shN.shape[1] if shN.ndim == 3 else -1
-    if rest not in SH_REST_BY_DEGREE.values():
-        raise ShapeError(f"shN must be [N, 0, 3, 8 or 15, 3], got {list(shN.shape)}.")
-    stored = next(d for d, count in SH_REST_BY_DEGREE.items() if count == rest)
-    shapes = {
-        "means": (means, (n, 3)),
-        "quats": (quats, (n, 4)),
-        "scales": (scales, (n, 3)),
-        "opacities": (opacities, (n,)),
-        "sh0": (sh0, (n, 1, 3)),
-        "shN": (shN, (n, rest, 3)),
-        "viewmat": (viewmat, (4, 4)),
-    }
-    for name, (tensor, shape) in shapes.items():
-        _checked(name, tensor, shape)
+    tensors = (means, quats, scales, opacities, sh0, shN)
+    stored = check_splats(tensors, viewmat)
     _native.check_size(width, height)
     if background is None:
         color = (0.0, 0.0, 0.0)
     else:
         r, g, b = (float(c) for c in background)
         color = (r, g, b)
-    if tiles is not None:
-        expected_tiles = (-(-height // _native.TILE), -(-width // _native.TILE))
-        if tiles.dtype != torch.uint8 or tiles.shape != expected_tiles:
-            raise ShapeError(
-                f"tiles must be {list(expected_tiles)} uint8 for a picture of {width} x {height} "
-                f"px, got {list(tiles.shape)} {tiles.dtype}."
-            )
-        tiles = tiles.contiguous()
+    tiles = check_tiles(tiles, width, height)
     outputs = (
         _native.OUT_INVERSE_DEPTH * inverse_depth
         | _native.OUT_DEPTH * depth
         | _native.OUT_MEDIAN_DEPTH * median_depth
     )
-    settings = _Settings(
+    settings = Settings(
         raw=raw,
         sh_degree=stored if sh_degree is None else sh_degree,
         width=width,
@@ -288,11 +195,9 @@ def rasterize(
         threads=threads,
         cancel=cancel,
         tiles=tiles,
-        aux=aux,
     )
-    tensors = (means, quats, scales, opacities, sh0, shN)
     rgb, alpha, inverse, weighted, median = _Rasterize.apply(
-        *(t.contiguous() for t in tensors), viewmat.contiguous(), settings
+        *(t.contiguous() for t in tensors), viewmat.contiguous(), settings, aux
     )  # pyright: ignore[reportGeneralTypeIssues]
     expected = None
     if depth:

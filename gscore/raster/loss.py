@@ -22,6 +22,16 @@ class ImageLoss:
     mse: float
 
 
+@dataclass(frozen=True)
+class LossValues:
+    """The loss without a graph."""
+
+    loss: float
+    l1: float
+    ssim: float
+    mse: float
+
+
 class _Loss(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, image: Tensor, args: Any, parts: Any) -> Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
@@ -70,6 +80,53 @@ def image_loss(
     Raises:
         ShapeError: A tensor has another shape or dtype, or the mode does not exist.
     """
+    args, kept = _arguments(image, target, ssim_weight, mask, mask_mode, background, threads)
+    parts: list[_native.LossResultStruct] = []
+    loss = _Loss.apply(kept[0], args, parts)
+    return ImageLoss(loss, parts[0].l1, parts[0].ssim, parts[0].mse)  # pyright: ignore[reportArgumentType]
+
+
+def image_loss_gradient(
+    image: Tensor,
+    target: Tensor,
+    v_image: Tensor,
+    *,
+    ssim_weight: float = 0.2,
+    mask: Tensor | None = None,
+    mask_mode: str = "none",
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    threads: int = 0,
+) -> LossValues:
+    """`image_loss` and its gradient at once, without autograd.
+
+    `v_image` [H, W, 3] float32, contiguous, is overwritten with the gradient in `image`; the other
+    arguments and errors are those of `image_loss`.
+    """
+    args, _kept = _arguments(image, target, ssim_weight, mask, mask_mode, background, threads)
+    if (
+        v_image.shape != image.shape
+        or v_image.dtype != torch.float32
+        or not v_image.is_contiguous()
+    ):
+        raise ShapeError(
+            f"v_image must be {list(image.shape)} float32, contiguous, "
+            f"got {list(v_image.shape)} {v_image.dtype}."
+        )
+    with _native.pool.lend() as raster:
+        found = raster.image_loss(args, v_image.data_ptr())
+    return LossValues(found.loss, found.l1, found.ssim, found.mse)
+
+
+def _arguments(
+    image: Tensor,
+    target: Tensor,
+    ssim_weight: float,
+    mask: Tensor | None,
+    mask_mode: str,
+    background: tuple[float, float, float],
+    threads: int,
+) -> tuple[_native.LossArgsStruct, list[Tensor]]:
+    """Checked arguments, and the tensors whose memory they point at, the image first."""
     if image.ndim != 3 or image.shape[2] != 3 or image.dtype != torch.float32:
         raise ShapeError(f"image must be [H, W, 3] float32, got {list(image.shape)} {image.dtype}.")
     if target.shape != image.shape or target.dtype != torch.uint8:
@@ -97,6 +154,4 @@ def image_loss(
         threads=threads,
     )
     args.background = (ct.c_float * 3)(*background)
-    parts: list[_native.LossResultStruct] = []
-    loss = _Loss.apply(image, args, parts)
-    return ImageLoss(loss, parts[0].l1, parts[0].ssim, parts[0].mse)  # pyright: ignore[reportArgumentType]
+    return args, [image, target] if mask is None else [image, target, mask]

@@ -19,8 +19,8 @@ from ..io.files import atomic_write
 from .trainer import Trainer
 from .views import Photos
 
-FORMAT = 1
-_DTYPES = {torch.float32: "F32", torch.uint8: "U8"}
+FORMAT = 2
+_DTYPES = {torch.float32: "F32", torch.float64: "F64", torch.uint8: "U8"}
 FREE = frozenset(
     {
         "iterations",

@@ -2,13 +2,24 @@
 together."""
 
 from collections.abc import Mapping
+from enum import Enum, auto
 
 import torch
 
+from ..raster import adam
 from .params import NAMES
 
-_BETAS = (0.9, 0.999)
-_EPS = 1e-15
+_SEEN, _LAG = "shN_seen", "shN_lag"
+
+
+class ShN(Enum):
+    """What the higher SH coefficients do in a step of the others."""
+
+    STEP = auto()
+    GATHER = auto()
+    """Their gradients add up for a later step."""
+    OFF = auto()
+    """They are not in use: as if there were none."""
 
 
 class Model:
@@ -16,33 +27,35 @@ class Model:
 
     Rows are added, removed and overwritten by `strategy.ops` only, so that parameters, moments and
     counters cannot get out of step. SH coefficients are stored up to the degree in use.
+
+    Rows of shN, three quarters of all numbers, take Adam's steps late: one that got no gradient
+    waits until a view may show it or somebody asks, and then makes up for all steps at once. So
+    `params["shN"]` holds what a rasterizer should see only after `settle` or `settle_for`, or in
+    `settled`.
     """
 
     def __init__(self, tensors: Mapping[str, torch.Tensor]) -> None:
         """Start with zero moments from raw float32 tensors as in `Splats`."""
         self.params: dict[str, torch.Tensor] = {}
-        self.rows: dict[str, torch.Tensor] = {}
-        """[N] float32 counters that the strategy keeps."""
+        self.grads: dict[str, torch.Tensor] = {}
+        """Where gradients go, as `params`. Those of shN are added up until it takes a step."""
+        n = len(tensors["means"])
+        self.rows: dict[str, torch.Tensor] = {
+            name: torch.zeros(n, dtype=torch.uint8) for name in (_SEEN, _LAG)
+        }
+        """[N] counters: those of the strategy, float32, and which rows of shN wait, uint8."""
+        self.drift = torch.zeros(adam.LAGS, dtype=torch.float64)
+        """What a row of shN that waits has to make up for, by number of steps."""
+        self._moments: dict[str, tuple[torch.Tensor, torch.Tensor]] = {}
+        self._steps: dict[str, int] = dict.fromkeys(NAMES, 0)
+        self._rates: dict[str, float] = dict.fromkeys(NAMES, 0.0)
+        self._settled: dict[str, torch.Tensor] | None = None
         for name in NAMES:
-            self.params[name] = tensors[name].detach().clone().contiguous().requires_grad_()
-        # Fused is the fastest Adam of torch on a CPU (5 times foreach at 200 000 splats) and, being
-        # element by element, gives the same bits for any number of threads.
-        groups = [{"params": [self.params[name]], "name": name, "lr": 0.0} for name in NAMES]
-        self.optimizer = torch.optim.Adam(groups, betas=_BETAS, eps=_EPS, fused=True)
-        for name in NAMES:
-            p = self.params[name].detach()
-            self._set_state(name, torch.zeros_like(p), torch.zeros_like(p), steps=0)
+            value = tensors[name].detach().clone()
+            self.replace(name, value, torch.zeros_like(value), torch.zeros_like(value))
 
     def __len__(self) -> int:
         return len(self.params["means"])
-
-    @property
-    def arguments(
-        self,
-    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-        """The parameters in the order in which `rasterize` takes them."""
-        means, quats, scales, opacities, sh0, shN = (self.params[name] for name in NAMES)
-        return means, quats, scales, opacities, sh0, shN
 
     @property
     def sh_degree(self) -> int:
@@ -51,12 +64,11 @@ class Model:
 
     def moments(self, name: str) -> tuple[torch.Tensor, torch.Tensor]:
         """First and second moment of a parameter, same shape."""
-        state = self.optimizer.state[self.params[name]]
-        return state["exp_avg"], state["exp_avg_sq"]
+        return self._moments[name]
 
     def steps(self, name: str) -> int:
         """Adam steps that a parameter has taken."""
-        return int(self.optimizer.state[self.params[name]]["step"].item())
+        return self._steps[name]
 
     def replace(
         self,
@@ -65,39 +77,87 @@ class Model:
         moment1: torch.Tensor,
         moment2: torch.Tensor,
         *,
+        grad: torch.Tensor | None = None,
         steps: int | None = None,
     ) -> None:
-        """Put another tensor, with its moments, in the place of a parameter."""
-        steps = self.steps(name) if steps is None else steps
-        old = self.params[name]
-        new = value.detach().contiguous().requires_grad_()
-        del self.optimizer.state[old]
-        group = next(g for g in self.optimizer.param_groups if g["name"] == name)
-        group["params"] = [new]
-        self.params[name] = new
-        self._set_state(name, moment1, moment2, steps=steps)
+        """Put another tensor, with its moments, in the place of a parameter.
+
+        `grad` is what has gathered of its gradient; None: nothing.
+        """
+        self.params[name] = value.detach().contiguous()
+        self._moments[name] = moment1.contiguous(), moment2.contiguous()
+        self.grads[name] = torch.zeros_like(value) if grad is None else grad.contiguous()
+        self._steps[name] = self._steps[name] if steps is None else steps
+        self._settled = None
 
     def set_rates(self, rates: Mapping[str, float]) -> None:
         """Set learning rates by parameter name."""
-        for group in self.optimizer.param_groups:
-            group["lr"] = rates[group["name"]]
+        self._rates = dict(rates)
 
-    def step(self) -> None:
-        """One Adam step with the gradients in the parameters, which are dropped."""
-        if self.params["shN"].numel() == 0:
-            self.params["shN"].grad = None
-        self.optimizer.step()
-        self.drop_gradients()
+    def step(
+        self, radii: torch.Tensor | None = None, *, shN: ShN = ShN.STEP, threads: int = 0
+    ) -> int:
+        """One Adam step with `grads`; rows of those that are not finite count as zero.
 
-    def drop_gradients(self) -> None:
-        """Forget the gradients."""
-        self.optimizer.zero_grad(set_to_none=True)
+        Args:
+            radii: [N] int32, above 0 where the view showed a splat; None: everywhere.
+            shN: What the higher SH coefficients do.
+            threads: 0: all cores.
 
-    def _set_state(
-        self, name: str, moment1: torch.Tensor, moment2: torch.Tensor, *, steps: int
+        Returns:
+            Number of splats whose gradients were not finite.
+        """
+        if len(self) == 0:
+            return 0
+        slots = []
+        for name in NAMES:
+            does = shN if name == "shN" else ShN.STEP
+            if does is ShN.OFF or self.params[name].numel() == 0:
+                continue
+            self._steps[name] += does is ShN.STEP
+            slots.append(self._slot(name, wait=does is ShN.GATHER))
+        self._settled = None
+        return adam.step(slots, radii, threads=threads)
+
+    def settle_for(self, view: adam.Frustum, *, threads: int = 0) -> None:
+        """Let the rows that `view` may show make up for the steps they skipped."""
+        self._catch_up(view, threads=threads)
+
+    def settle(self, *, threads: int = 0) -> None:
+        """Let all rows make up for the steps they skipped, so that they may be moved about."""
+        self._settled = None
+        self._catch_up(None, threads=threads)
+
+    def settled(self, *, threads: int = 0) -> dict[str, torch.Tensor]:
+        """The parameters as `settle` would leave them, which this does not do: looking at a model
+        changes no bit of its training."""
+        if self._settled is None:
+            shN = self.params["shN"]
+            if self._waiting():
+                shN = torch.empty_like(shN)
+                self._catch_up(None, out=shN, threads=threads)
+            self._settled = self.params | {"shN": shN}
+        return self._settled
+
+    def _waiting(self) -> bool:
+        return bool(self.rows[_LAG].any()) and self.params["shN"].numel() > 0
+
+    def _catch_up(
+        self, view: adam.Frustum | None, *, out: torch.Tensor | None = None, threads: int
     ) -> None:
-        self.optimizer.state[self.params[name]] = {
-            "step": torch.tensor(float(steps)),
-            "exp_avg": moment1.contiguous(),
-            "exp_avg_sq": moment2.contiguous(),
-        }
+        if self._waiting():
+            slot = self._slot("shN", wait=False)
+            adam.catch_up(slot, self.params, view, out=out, threads=threads)
+
+    def _slot(self, name: str, *, wait: bool) -> adam.Slot:
+        skips = None
+        if name == "shN":
+            skips = adam.Skips(self.rows[_SEEN], self.rows[_LAG], self.drift, wait)
+        return adam.Slot(
+            self.params[name],
+            self.grads[name],
+            *self._moments[name],
+            rate=self._rates[name],
+            step=self._steps[name],
+            skips=skips,
+        )

@@ -36,6 +36,8 @@ class Plan:
     """Degree in use from half of the run on."""
     sh_every: int
     """Steps between two SH degrees."""
+    shN_every: int
+    """Steps between two of the higher SH coefficients."""
     coarse_factor: float
     """What the sides of the photos are divided by at the first step."""
     coarse_until: int
@@ -93,12 +95,14 @@ class Plan:
         # 240 x 320 px, 500 steps from the frame before ended 1.1 dB higher at full size.
         coarse = 1.0 if config.start_splats else min(max(side / _COARSE_SIDE, 1.0), 8.0)
         coarse = 1.0 if Skip.SMALL_PHOTOS in config.without else config.coarse_factor or coarse
+        every_shN = config.shN_every or 1
         return cls(
             iterations=n,
             max_splats=config.max_splats,
             pixels=pixels,
             sh_degree=config.sh_degree,
             sh_every=config.sh_every or max(1, min(1000, n // (2 * max(config.sh_degree, 1)))),
+            shN_every=every_shN,
             coarse_factor=coarse,
             coarse_until=round(config.coarse_until * n),
             refine_start=start,
@@ -111,7 +115,7 @@ class Plan:
                 "scales": config.scales_lr * boost,
                 "opacities": (config.opacities_lr or (0.05 if mcmc else 0.025)) * root,
                 "sh0": config.sh0_lr * boost,
-                "shN": config.shN_lr * boost,
+                "shN": config.shN_lr * boost * math.sqrt(every_shN),
             },
             init_opacity=config.init_opacity or (0.5 if mcmc else 0.1),
             init_scale=config.init_scale or (0.1 if mcmc else 1.0),
@@ -129,6 +133,10 @@ class Plan:
         if first <= 0 or last <= 0:
             return first
         return first * math.exp(math.log(last / first) * min(step / self.iterations, 1.0))
+
+    def rest_moves_at(self, step: int) -> bool:
+        """Whether the higher SH coefficients take a step after `step`."""
+        return step % self.shN_every == 0 or step >= self.iterations
 
     def sh_degree_at(self, step: int) -> int:
         """SH degree in use at `step`."""

@@ -10,16 +10,17 @@ import torch
 
 from ..config import Background, Skip, TrainConfig
 from ..errors import ConfigError, DatasetError, GsError
-from ..raster.autograd import RasterAux, rasterize
-from ..raster.loss import image_loss
+from ..raster.adam import Frustum
+from ..raster.autograd import RasterOutput, rasterize
+from ..raster.loss import image_loss_gradient
+from ..raster.painter import Painter
 from ..scene import PointCloud
 from ..splats import SH_REST_BY_DEGREE, Splats
 from . import guard
 from .depth_loss import DepthLoss
 from .depth_targets import DepthTargets
 from .frame import Frame
-from .laps import Laps
-from .model import Model
+from .model import Model, ShN
 from .params import splats_from_points, splats_from_tensors, tensors_from_splats
 from .pyramid import Pyramid
 from .regularisers import drop_rate_at, drop_splats, opacity_loss
@@ -102,8 +103,8 @@ class Trainer:
         self.bad_rows = 0
         """Gradient rows left out so far because they were not finite."""
         self._skipped = 0
-        self.laps = Laps()
-        """What the parts of the last step took."""
+        self._painter = Painter()
+        self._v_rgb = torch.empty(0)
         self._cameras = self.frame.similarity.cameras_to_training(photos.scene.cameras)
         self._pyramid = Pyramid(photos, self._cameras)
         first = self._first_splats(cloud) if start is None else self._placed(start)
@@ -134,22 +135,19 @@ class Trainer:
             GsError: the loss was not finite for many steps, or once under `detect_anomaly`.
         """
         step, config, model = self.steps + 1, self.config, self.model
-        laps = self.laps = Laps()
         ops.widen_sh(model, self.plan.sh_degree_at(step))
         index = self.sampler.next(self.generator)
         view, image, mask, tiles = self._pyramid.at(index, self.plan.factor_at(step))
         background = self._step_background()
         depth_weight = self.depth.weight(index, step) if self.depth else 0.0
-        laps.pixels = view.width * view.height
-        laps.lap("photo")
-        aux = RasterAux()
-        picture = rasterize(
-            *self._step_splats(step),
+        self._settle_for(view)
+        opacities, leaf = self._step_opacities(step)
+        picture = self._painter.draw(
+            tuple((model.params | {"opacities": opacities}).values()),
             view.viewmat,
             view.K,
             view.width,
             view.height,
-            raw=True,
             sh_degree=self._sh_degree_at(step),
             background=background,
             near=self.frame.near,
@@ -158,74 +156,54 @@ class Trainer:
             threads=config.threads,
             disable=self._disable,
             tiles=None if Skip.MASKED_TILE in config.without else tiles,
-            aux=aux,
         )
-        laps.lap("draw")
-        loss = image_loss(
+        if self._v_rgb.shape != picture.rgb.shape:
+            self._v_rgb = torch.empty_like(picture.rgb)
+        loss = image_loss_gradient(
             picture.rgb,
             torch.from_numpy(image),
+            self._v_rgb,
             ssim_weight=config.ssim_weight,
             mask=None if mask is None else torch.from_numpy(mask),
             mask_mode="none" if mask is None else self.photos.mask_mode,
             background=background,
             threads=config.threads,
         )
-        total = loss.loss
+        value = loss.loss
+        v_alpha, v_inverse_depth = None, None
         if self.depth and picture.inverse_depth is not None:
-            total = total + depth_weight * self.depth(index, picture.inverse_depth)
+            inverse_depth = picture.inverse_depth.detach().requires_grad_()
+            term = depth_weight * self.depth(index, inverse_depth)
+            value += term.item()
+            v_inverse_depth = _gradient(term, inverse_depth)
         if config.alpha_weight and mask is not None and self.photos.mask_mode == "composite":
-            opaque = torch.from_numpy(mask)
-            total = total + config.alpha_weight * opacity_loss(picture.alpha, opaque)
-        value = total.item()
+            alpha = picture.alpha.detach().requires_grad_()
+            term = config.alpha_weight * opacity_loss(alpha, torch.from_numpy(mask))
+            value += term.item()
+            v_alpha = _gradient(term, alpha)
         self.steps = step
-        laps.lap("loss")
-        total.backward()
-        laps.lap("gradients")
-        laps.raster = aux.stats or {}
-        if config.detect_anomaly:
-            guard.assert_finite(model, value, step=step, view=self._cameras.names[index])
         if not math.isfinite(value):
+            if config.detect_anomaly:
+                guard.assert_finite(model, value, step=step, view=self._cameras.names[index])
             return self._skip(value, loss.mse)
         self._skipped = 0
-        bad_rows = guard.zero_bad_rows(model)
+        v_means2d = self._painter.gradients(model.grads, self._v_rgb, v_alpha, v_inverse_depth)
+        if leaf is not None:
+            grad = model.grads["opacities"]
+            grad.copy_(torch.autograd.grad(opacities, leaf, grad)[0])
+        if config.detect_anomaly:
+            guard.assert_finite(model, value, step=step, view=self._cameras.names[index])
+        change, bad_rows = self._learn(step, v_means2d, view)
         self.bad_rows += bad_rows
-        change = self._learn(step, aux, view)
-        laps.lap("learn")
         return StepResult(value, loss.mse, change, bad_rows, False)
 
     def picture(self, index: int, *, background: tuple[float, float, float]) -> torch.Tensor:
         """The view `index` as the splats show it now, [H, W, 3] float32."""
-        view = self._pyramid.view(index)
-        with torch.no_grad():
-            return rasterize(
-                *self.model.arguments,
-                view.viewmat,
-                view.K,
-                view.width,
-                view.height,
-                raw=True,
-                background=background,
-                near=self.frame.near,
-                antialias=self.config.antialias,
-                threads=self.config.threads,
-            ).rgb
+        return self._show(index, background=background).rgb
 
     def inverse_depth(self, index: int) -> np.ndarray:
         """Accumulated inverse depth of view `index`, [H, W] float32, 1/world unit."""
-        view = self._pyramid.view(index)
-        with torch.no_grad():
-            found = rasterize(
-                *self.model.arguments,
-                view.viewmat,
-                view.K,
-                view.width,
-                view.height,
-                raw=True,
-                near=self.frame.near,
-                antialias=self.config.antialias,
-                inverse_depth=True,
-                threads=self.config.threads,
-            ).inverse_depth
+        found = self._show(index, inverse_depth=True).inverse_depth
         assert found is not None
         return found.numpy() * np.float32(self.frame.similarity.scale)
 
@@ -236,7 +214,7 @@ class Trainer:
 
     def splats(self) -> Splats:
         """The splats as they are now, in COLMAP world, with the SH degrees in use so far."""
-        splats = splats_from_tensors(self.model.params)
+        splats = splats_from_tensors(self.model.settled(threads=self.config.threads))
         return self.frame.similarity.splats_from_training(splats)
 
     def state(self) -> dict[str, Any]:
@@ -257,7 +235,8 @@ class Trainer:
         out = {"generator": self.generator.get_state()}
         for name, p in self.model.params.items():
             moment1, moment2 = self.model.moments(name)
-            out |= {f"param/{name}": p.detach(), f"m1/{name}": moment1, f"m2/{name}": moment2}
+            out |= {f"param/{name}": p, f"m1/{name}": moment1, f"m2/{name}": moment2}
+        out |= {"gathered/shN": self.model.grads["shN"], "drift": self.model.drift}
         return out | {f"row/{name}": counter for name, counter in self.model.rows.items()}
 
     def restore(self, state: dict[str, Any], tensors: dict[str, torch.Tensor]) -> None:
@@ -275,10 +254,12 @@ class Trainer:
                 self.model.params[name],
                 tensors[f"m1/{name}"],
                 tensors[f"m2/{name}"],
+                grad=tensors.get(f"gathered/{name}"),
                 steps=state["adam_steps"][name],
             )
         rows = {key.removeprefix("row/"): t for key, t in tensors.items() if key[:4] == "row/"}
         self.model.rows = rows
+        self.model.drift = tensors["drift"]
         self.generator.set_state(tensors["generator"])
         self.sampler.order, self.sampler.position = list(state["order"]), state["position"]
         self.steps, self.bad_rows = state["steps"], state["bad_rows"]
@@ -310,17 +291,52 @@ class Trainer:
             start = replace(start, opacities=logits.astype(np.float32))
         return self.frame.similarity.splats_to_training(start)
 
-    def _step_splats(self, step: int) -> tuple[torch.Tensor, ...]:
-        """The splats that this step draws, as `rasterize` takes them."""
-        means, quats, scales, opacities, sh0, shN = self.model.arguments
+    def _show(self, index: int, **options: Any) -> RasterOutput:
+        """The whole view `index` as the splats are now; `options` are those of `rasterize`."""
+        view, config = self._pyramid.view(index), self.config
+        settled = self.model.settled(threads=config.threads)
+        means, quats, scales, opacities, sh0, shN = settled.values()
+        with torch.no_grad():
+            return rasterize(
+                means,
+                quats,
+                scales,
+                opacities,
+                sh0,
+                shN,
+                view.viewmat,
+                view.K,
+                view.width,
+                view.height,
+                raw=True,
+                near=self.frame.near,
+                antialias=config.antialias,
+                threads=config.threads,
+                **options,
+            )
+
+    def _settle_for(self, view: View) -> None:
+        frustum = Frustum(view.viewmat, view.K, view.width, view.height, self.frame.near)
+        self.model.settle_for(frustum, threads=self.config.threads)
+
+    def _step_opacities(self, step: int) -> tuple[torch.Tensor, torch.Tensor | None]:
+        """The opacities that this step draws, and, where they are not the model's own, the leaf
+        that their gradients belong to."""
+        opacities = self.model.params["opacities"]
         rate = drop_rate_at(self.config.drop_rate, step, self.plan.iterations)
-        if rate > 0:
-            opacities = drop_splats(opacities, rate, self.generator)
-        return means, quats, scales, opacities, sh0, shN
+        if rate <= 0:
+            return opacities, None
+        leaf = opacities.detach().requires_grad_()
+        return drop_splats(leaf, rate, self.generator), leaf
 
     def _sh_degree_at(self, step: int) -> int:
         """The degree in use; that of given splats from the start."""
         return max(self.plan.sh_degree_at(step), self._given_degree)
+
+    def _rest_at(self, step: int) -> ShN:
+        if self._sh_degree_at(step) == 0:
+            return ShN.OFF
+        return ShN.STEP if self.plan.rest_moves_at(step) else ShN.GATHER
 
     def _step_background(self) -> tuple[float, float, float]:
         mode = self.config.background
@@ -333,7 +349,6 @@ class Trainer:
         return _COLORS[mode]
 
     def _skip(self, value: float, mse: float) -> StepResult:
-        self.model.drop_gradients()
         self._skipped += 1
         if self._skipped >= _MAX_SKIPPED:
             raise GsError(
@@ -343,24 +358,27 @@ class Trainer:
             )
         return StepResult(value, mse, Change(), 0, True)
 
-    def _learn(self, step: int, aux: RasterAux, view: View) -> Change:
-        model = self.model
-        if aux.radii is None or aux.v_means2d is None:
-            raise GsError("The rasterizer returned no radii; reinstall gscore.")
+    def _learn(self, step: int, v_means2d: torch.Tensor, view: View) -> tuple[Change, int]:
+        """Step with the model's gradients; what changed, and how many rows were left out."""
+        model, radii = self.model, self._painter.radii
         self.strategy.shape_gradients(model)
         self.strategy.observe(
             model,
             step=step,
-            radii=aux.radii,
-            v_means2d=aux.v_means2d,
+            radii=radii,
+            v_means2d=v_means2d,
             width=view.width,
             height=view.height,
         )
         means_lr = self.plan.means_lr_at(step)
         model.set_rates(self.plan.rates | {"means": means_lr})
-        if self._sh_degree_at(step) == 0:
-            model.params["shN"].grad = None  # no step of theirs counts, even if they are stored
-        model.step()
-        return self.strategy.after_step(
+        bad_rows = model.step(radii, shN=self._rest_at(step), threads=self.config.threads)
+        change = self.strategy.after_step(
             model, step=step, means_lr=means_lr, generator=self.generator
         )
+        return change, bad_rows
+
+
+def _gradient(term: torch.Tensor, leaf: torch.Tensor) -> torch.Tensor | None:
+    """d term / d leaf; None where the term does not depend on it."""
+    return torch.autograd.grad(term, leaf)[0] if term.requires_grad else None

@@ -13,6 +13,7 @@ from gscore.config import Background, Strategy, TrainConfig
 from gscore.depth import DepthPrior
 from gscore.errors import ConfigError
 from gscore.raster.api import render
+from gscore.raster.painter import Painter
 from gscore.scene import PointCloud
 from gscore.trainer import checkpoint
 from gscore.trainer import trainer as module
@@ -101,7 +102,11 @@ def test_true_splats_have_no_depth_loss(
             view = trainer._pyramid.at(index, factor).view
             with torch.no_grad():
                 out = module.rasterize(
-                    *trainer.model.arguments, *view, raw=True, near=0.01, inverse_depth=True
+                    *trainer.model.settled().values(),
+                    *view,
+                    raw=True,
+                    near=0.01,
+                    inverse_depth=True,
                 )
             assert out.inverse_depth is not None
             assert float(trainer.depth(index, out.inverse_depth)) < limit
@@ -114,13 +119,13 @@ def test_depth_off_is_the_training_without_depth(
 ) -> None:
     """Oracle: bit equality, and that the rasterizer is never asked for inverse depth."""
     asked = []
-    plain = module.rasterize
+    plain = Painter.draw
 
     def watched(*args: Any, **options: Any) -> Any:
         asked.append(options.get("inverse_depth", False))
         return plain(*args, **options)
 
-    monkeypatch.setattr(module, "rasterize", watched)
+    monkeypatch.setattr(Painter, "draw", watched)
     without = run(Trainer(CONFIG, photos), 30)
     weightless = replace(CONFIG, depth_weight=0.0, depth_weight_final=0.0)
     with_zero = run(Trainer(weightless, photos, depth=targets), 30)

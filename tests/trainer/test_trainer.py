@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,8 @@ import torch
 
 from gscore.config import Background, Strategy, TrainConfig
 from gscore.errors import DatasetError, GsError
+from gscore.raster.loss import LossValues
+from gscore.raster.painter import Painter
 from gscore.trainer import trainer as module
 from gscore.trainer.trainer import Trainer
 
@@ -163,7 +164,7 @@ def test_a_splat_that_is_not_finite_does_no_harm(photos: Any) -> None:
     for _ in range(9):
         assert math.isfinite(trainer.step().loss)
     for name, p in trainer.model.params.items():
-        bad = ~torch.isfinite(p.detach().reshape(before, -1)).all(dim=1)
+        bad = ~torch.isfinite(p.reshape(before, -1)).all(dim=1)
         assert set(bad.nonzero().flatten().tolist()) <= {3, 5}, name
     trainer.step()
     assert torch.isfinite(trainer.model.params["opacities"]).all()
@@ -174,24 +175,19 @@ def test_bad_gradients_are_left_out_and_counted(
 ) -> None:
     """Oracle: row 4 keeps its values although its gradient is NaN; the others move."""
     trainer = Trainer(SHORT, photos)
-    real = module.rasterize
+    real = Painter.gradients
 
-    def poisoned(*args: Any, **kwargs: Any) -> Any:
-        out = real(*args, **kwargs)
-        trainer.model.params["scales"].register_hook(_poison)
-        return out
+    def poisoned(painter: Painter, into: dict[str, torch.Tensor], *args: Any) -> torch.Tensor:
+        means2d = real(painter, into, *args)
+        into["scales"][4, 1] = math.nan
+        return means2d
 
-    def _poison(grad: torch.Tensor) -> torch.Tensor:
-        grad = grad.clone()
-        grad[4, 1] = math.nan
-        return grad
-
-    monkeypatch.setattr(module, "rasterize", poisoned)
-    before = {name: p.detach().clone() for name, p in trainer.model.params.items()}
+    monkeypatch.setattr(Painter, "gradients", poisoned)
+    before = {name: p.clone() for name, p in trainer.model.params.items()}
     result = trainer.step()
     assert (result.bad_rows, trainer.bad_rows, result.skipped) == (1, 1, False)
     for name in ("means", "quats", "scales", "opacities", "sh0"):
-        after = trainer.model.params[name].detach()
+        after = trainer.model.params[name]
         assert torch.equal(after[4], before[name][4]), name
         assert not torch.equal(after, before[name]), name
 
@@ -199,13 +195,12 @@ def test_bad_gradients_are_left_out_and_counted(
 @pytest.fixture
 def broken_loss(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every loss is NaN."""
-    real = module.image_loss
+    real = module.image_loss_gradient
 
-    def broken(image: torch.Tensor, *args: Any, **kwargs: Any) -> Any:
-        found = real(image, *args, **kwargs)
-        return SimpleNamespace(loss=found.loss * math.nan, mse=found.mse)
+    def broken(*args: Any, **kwargs: Any) -> LossValues:
+        return replace(real(*args, **kwargs), loss=math.nan)
 
-    monkeypatch.setattr(module, "image_loss", broken)
+    monkeypatch.setattr(module, "image_loss_gradient", broken)
 
 
 @pytest.mark.usefixtures("broken_loss")

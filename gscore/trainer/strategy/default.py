@@ -66,7 +66,7 @@ class DefaultStrategy:
         config = self._config
         before = len(model)
         pull = model.rows["pull"] / model.rows["seen"].clamp_min(1)
-        size = model.params["scales"].detach().amax(dim=1)  # log
+        size = model.params["scales"].amax(dim=1)  # log
         doomed = self._to_prune(model.params, step)
         large = size > _log(config.grow_scale * self._extent)
 
@@ -89,12 +89,12 @@ class DefaultStrategy:
 
     def _to_prune(self, params: dict[str, torch.Tensor], step: int) -> torch.Tensor:
         """[N] bool: too transparent, too large once opacities have been reset, or not a splat."""
-        config, opacities = self._config, params["opacities"].detach()
+        config, opacities = self._config, params["opacities"]
         doomed = ~(opacities >= ops.logit(max(config.prune_opacity, 1e-6)))  # NaN goes too
         if self._plan.reset_every and step > self._plan.reset_every:
-            size = params["scales"].detach().amax(dim=1)
+            size = params["scales"].amax(dim=1)
             doomed |= size > _log(config.prune_scale * self._extent)
-        return doomed | (params["quats"].detach().square().sum(dim=1) < 1e-8)
+        return doomed | (params["quats"].square().sum(dim=1) < 1e-8)
 
 
 def _log(value: float) -> float:

@@ -29,16 +29,15 @@ class MCMCStrategy:
 
     def shape_gradients(self, model: Model) -> None:
         """Gradients of opacity_reg * mean(opacity) + scale_reg * mean(scale)."""
-        opacities, scales = model.params["opacities"], model.params["scales"]
-        if opacities.grad is None or scales.grad is None or len(model) == 0:
+        if len(model) == 0:
             return
-        with torch.no_grad():
-            if self._config.opacity_reg:
-                opacity = torch.sigmoid(opacities)
-                slope = opacity * (1 - opacity)
-                opacities.grad.add_(slope, alpha=self._config.opacity_reg / len(model))
-            if self._config.scale_reg:
-                scales.grad.add_(scales.exp(), alpha=self._config.scale_reg / scales.numel())
+        scales, grads = model.params["scales"], model.grads
+        if self._config.opacity_reg:
+            opacity = torch.sigmoid(model.params["opacities"])
+            slope = opacity * (1 - opacity)
+            grads["opacities"].add_(slope, alpha=self._config.opacity_reg / len(model))
+        if self._config.scale_reg:
+            grads["scales"].add_(scales.exp(), alpha=self._config.scale_reg / scales.numel())
 
     def observe(
         self,
@@ -63,9 +62,9 @@ class MCMCStrategy:
 
     def _refine(self, model: Model, generator: torch.Generator) -> Change:
         floor = max(self._config.prune_opacity, 1e-6)
-        opacities = model.params["opacities"].detach()
+        opacities = model.params["opacities"]
         dead = ~(opacities > ops.logit(floor))  # NaN is dead too
-        dead |= model.params["quats"].detach().square().sum(dim=1) < 1e-8
+        dead |= model.params["quats"].square().sum(dim=1) < 1e-8
         moved = ops.relocate(model, dead, generator, min_opacity=floor)
         target = min(self._config.max_splats, int((1 + self._plan.growth) * len(model)))
         added = ops.grow(model, target - len(model), generator, min_opacity=floor)
@@ -74,16 +73,15 @@ class MCMCStrategy:
     def _add_noise(self, model: Model, means_lr: float, generator: torch.Generator) -> None:
         """Move faint splats at random, along their own shape: covariance @ normal noise."""
         weight = self._config.mcmc_noise * means_lr
-        opacities = model.params["opacities"].detach()
+        opacities = model.params["opacities"]
         faint = (opacities < ops.logit(NOISE_MAX_OPACITY)).nonzero().flatten()
         if weight <= 0 or len(faint) == 0:
             return
         opacity = torch.sigmoid(opacities[faint])
         gate = torch.sigmoid(-GATE_SHARPNESS * (opacity - GATE_OPACITY))
-        variance = (2 * model.params["scales"].detach()[faint]).exp()
-        quats = model.params["quats"].detach()[faint]
+        variance = (2 * model.params["scales"][faint]).exp()
+        quats = model.params["quats"][faint]
         noise = torch.randn((len(faint), 3), generator=generator) * (gate * weight)[:, None]
         back = quats * quats.new_tensor([1.0, -1.0, -1.0, -1.0])
         shift = ops.rotate(quats, variance * ops.rotate(back, noise))
-        with torch.no_grad():
-            model.params["means"].index_add_(0, faint, shift)
+        model.params["means"].index_add_(0, faint, shift)

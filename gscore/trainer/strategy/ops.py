@@ -50,18 +50,20 @@ def edit(
             out[kept:] = new
         return out
 
-    with torch.no_grad():
-        for name in NAMES:
-            moment1, moment2 = model.moments(name)
-            value = rebuilt(model.params[name], append[name] if append else None)
-            model.replace(name, value, rebuilt(moment1, None), rebuilt(moment2, None))
-        for name, counter in model.rows.items():
-            model.rows[name] = rebuilt(counter, None)
+    model.settle()
+    for name in NAMES:
+        moment1, moment2 = model.moments(name)
+        value = rebuilt(model.params[name], append[name] if append else None)
+        gathered = rebuilt(model.grads[name], None)
+        model.replace(name, value, rebuilt(moment1, None), rebuilt(moment2, None), grad=gathered)
+    for name, counter in model.rows.items():
+        model.rows[name] = rebuilt(counter, None)
 
 
 def duplicate(model: Model, index: torch.Tensor) -> dict[str, torch.Tensor]:
     """Parameters of copies of the rows `index` [M]."""
-    return {name: p.detach()[index] for name, p in model.params.items()}
+    model.settle()
+    return {name: p[index] for name, p in model.params.items()}
 
 
 def split(model: Model, index: torch.Tensor, generator: torch.Generator) -> dict[str, torch.Tensor]:
@@ -96,10 +98,9 @@ def rotate(quats: torch.Tensor, vectors: torch.Tensor) -> torch.Tensor:
 
 def reset_opacities(model: Model, ceiling: float) -> None:
     """Lower all opacities to at most `ceiling` and forget their moments."""
-    with torch.no_grad():
-        model.params["opacities"].clamp_(max=logit(ceiling))
-        for moment in model.moments("opacities"):
-            moment.zero_()
+    model.params["opacities"].clamp_(max=logit(ceiling))
+    for moment in model.moments("opacities"):
+        moment.zero_()
 
 
 def widen_sh(model: Model, degree: int) -> None:
@@ -107,9 +108,12 @@ def widen_sh(model: Model, degree: int) -> None:
     missing = SH_REST_BY_DEGREE[degree] - model.params["shN"].shape[1]
     if missing <= 0:
         return
-    tensors = [model.params["shN"].detach(), *model.moments("shN")]
-    wider = [torch.nn.functional.pad(t, (0, 0, 0, missing)) for t in tensors]
-    model.replace("shN", *wider)
+    model.settle()
+    tensors = (model.params["shN"], *model.moments("shN"), model.grads["shN"])
+    value, moment1, moment2, gathered = (
+        torch.nn.functional.pad(t, (0, 0, 0, missing)) for t in tensors
+    )
+    model.replace("shN", value, moment1, moment2, grad=gathered)
 
 
 def relocate(
@@ -133,15 +137,15 @@ def relocate(
     alive = (~dead).nonzero().flatten()
     if len(targets) == 0 or len(alive) == 0:
         return 0
+    model.settle()
     chosen = alive[_draw(model, alive, len(targets), generator)]
     _share(model, chosen, min_opacity)
-    with torch.no_grad():
-        for name, p in model.params.items():
-            p[targets] = p[chosen]
-            for moment in model.moments(name):
-                moment[targets] = 0
-        for counter in model.rows.values():
-            counter[targets] = 0
+    for name, p in model.params.items():
+        p[targets] = p[chosen]
+        for forgotten in (*model.moments(name), model.grads[name]):
+            forgotten[targets] = 0
+    for counter in model.rows.values():
+        counter[targets] = 0
     return len(targets)
 
 
@@ -198,7 +202,7 @@ def _draw(
     Inverse of the cumulative sum in float64: unlike torch.multinomial it knows no limit of 2^24
     categories, and one thread adds it up, so the draw does not depend on the number of threads.
     """
-    weights = _sigmoid(model.params["opacities"].detach()[among].numpy().astype(np.float64))
+    weights = _sigmoid(model.params["opacities"][among].numpy().astype(np.float64))
     weights = np.where(np.isfinite(weights), weights, 0)
     cumulative = np.cumsum(weights)
     uniform = torch.rand(count, generator=generator, dtype=torch.float64).numpy()
@@ -212,18 +216,17 @@ def _share(model: Model, chosen: torch.Tensor, min_opacity: float) -> None:
     """Give the rows `chosen` (with repetitions) what they need to stand there once more each."""
     rows, repeats = torch.unique(chosen, return_counts=True)
     opacities, scales = model.params["opacities"], model.params["scales"]
-    opacity = _sigmoid(opacities.detach()[rows].numpy().astype(np.float64))
+    opacity = _sigmoid(opacities[rows].numpy().astype(np.float64))
     copies = np.minimum(repeats.numpy() + 1, MAX_COPIES)
     opacity = np.clip(opacity, 1e-12, 1 - 1e-7)
-    scale = np.exp(scales.detach()[rows].numpy().astype(np.float64))
+    scale = np.exp(scales[rows].numpy().astype(np.float64))
     opacity, scale = shared_opacity_scale(opacity, scale, copies)
     opacity = np.clip(opacity, min_opacity, 1 - 1e-7)
-    with torch.no_grad():
-        opacities[rows] = torch.from_numpy(np.log(opacity / (1 - opacity))).float()
-        scales[rows] = torch.from_numpy(np.log(scale)).float()
-        for name in NAMES:
-            for moment in model.moments(name):
-                moment[rows] = 0
+    opacities[rows] = torch.from_numpy(np.log(opacity / (1 - opacity))).float()
+    scales[rows] = torch.from_numpy(np.log(scale)).float()
+    for name in NAMES:
+        for moment in model.moments(name):
+            moment[rows] = 0
 
 
 def _sigmoid(x: np.ndarray) -> np.ndarray:
