@@ -113,6 +113,10 @@ class Painter:
         )
         return means2d
 
+    def stats(self) -> dict[str, float]:
+        """Counts and milliseconds by stage (gs_stats) of the last view and its gradients."""
+        return self._raster.stats().as_dict()
+
     def _kept(
         self, name: str, shape: tuple[int, ...], dtype: torch.dtype = torch.float32
     ) -> Tensor:

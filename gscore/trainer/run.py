@@ -7,7 +7,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-import torch
 
 from ..config import DataConfig, TrainConfig
 from ..control import Control
@@ -22,6 +21,7 @@ from .folder import RunFolder, open_folder
 from .frame import Frame
 from .memory import check_memory
 from .session import Session, TrainResult
+from .torch_threads import one_torch_thread
 from .trainer import Trainer
 
 _FAR_FROM_ORIGIN = 1e4
@@ -64,7 +64,7 @@ def train(
         Cancelled: stopped by `control` while the photos were read; nothing was written.
     """
     emit, control = on_event or (lambda event: None), control or Control()
-    with open_folder(output, resume=resume, overwrite=overwrite) as folder, _one_torch_thread():
+    with open_folder(output, resume=resume, overwrite=overwrite) as folder, one_torch_thread():
         before = _checkpoint_to_start_from(folder, resume, start_checkpoint)
         start = None if config.start_splats is None else read_splats(config.start_splats)
         lpips, lpips_reason = find_lpips(config.lpips, threads=config.threads)
@@ -229,14 +229,3 @@ def _memory_in_words() -> Iterator[None]:
             "Out of memory; use fewer splats (--max-splats), smaller photos (-r 2), or close "
             "programs. The last checkpoint is kept."
         ) from error
-
-
-@contextmanager
-def _one_torch_thread() -> Iterator[None]:
-    """Torch does little here, and its waiting threads would take cores from the rasterizer."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)

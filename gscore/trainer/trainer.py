@@ -20,6 +20,7 @@ from . import guard
 from .depth_loss import DepthLoss
 from .depth_targets import DepthTargets
 from .frame import Frame
+from .laps import Laps
 from .model import Model, ShN
 from .params import splats_from_points, splats_from_tensors, tensors_from_splats
 from .pyramid import Pyramid
@@ -105,6 +106,8 @@ class Trainer:
         self._skipped = 0
         self._painter = Painter()
         self._v_rgb = torch.empty(0)
+        self.laps = Laps()
+        """What the parts of the last step took."""
         self._cameras = self.frame.similarity.cameras_to_training(photos.scene.cameras)
         self._pyramid = Pyramid(photos, self._cameras)
         first = self._first_splats(cloud) if start is None else self._placed(start)
@@ -135,12 +138,16 @@ class Trainer:
             GsError: the loss was not finite for many steps, or once under `detect_anomaly`.
         """
         step, config, model = self.steps + 1, self.config, self.model
+        laps = self.laps = Laps()
         ops.widen_sh(model, self.plan.sh_degree_at(step))
         index = self.sampler.next(self.generator)
         view, image, mask, tiles = self._pyramid.at(index, self.plan.factor_at(step))
         background = self._step_background()
         depth_weight = self.depth.weight(index, step) if self.depth else 0.0
+        laps.pixels = view.width * view.height
+        laps.lap("photo")
         self._settle_for(view)
+        laps.lap("settle")
         opacities, leaf = self._step_opacities(step)
         picture = self._painter.draw(
             tuple((model.params | {"opacities": opacities}).values()),
@@ -157,6 +164,7 @@ class Trainer:
             disable=self._disable,
             tiles=None if Skip.MASKED_TILE in config.without else tiles,
         )
+        laps.lap("draw")
         if self._v_rgb.shape != picture.rgb.shape:
             self._v_rgb = torch.empty_like(picture.rgb)
         loss = image_loss_gradient(
@@ -182,6 +190,7 @@ class Trainer:
             value += term.item()
             v_alpha = _gradient(term, alpha)
         self.steps = step
+        laps.lap("loss")
         if not math.isfinite(value):
             if config.detect_anomaly:
                 guard.assert_finite(model, value, step=step, view=self._cameras.names[index])
@@ -191,9 +200,12 @@ class Trainer:
         if leaf is not None:
             grad = model.grads["opacities"]
             grad.copy_(torch.autograd.grad(opacities, leaf, grad)[0])
+        laps.lap("gradients")
+        laps.raster = self._painter.stats()
         if config.detect_anomaly:
             guard.assert_finite(model, value, step=step, view=self._cameras.names[index])
         change, bad_rows = self._learn(step, v_means2d, view)
+        laps.lap("learn")
         self.bad_rows += bad_rows
         return StepResult(value, loss.mse, change, bad_rows, False)
 

@@ -1,17 +1,36 @@
 """Oracle: the promised keys, and arithmetic between them."""
 
 import json
+from pathlib import Path
 
 import pytest
 
+from gscore.bench.scaling import fit_line
+from gscore.bench.time_error import Curve, measured_steps, time_to_psnr
+from gscore.bench.training import Point
 from gscore.commands import main
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "studio"
+SMALL = ["-r", "160", "--mask-mode", "none", "--test-list", "LIST", "--iterations", "12"]
+
+
+@pytest.fixture
+def small(tmp_path: Path) -> list[str]:
+    """Options of a training that takes a moment, with one view held out."""
+    names = tmp_path / "test.txt"
+    names.write_text(sorted(p.name for p in (EXAMPLE / "images").iterdir())[0] + "\n")
+    return [str(names) if option == "LIST" else option for option in SMALL]
+
+
+def _json(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict:
+    assert main(["bench", *arguments, "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
 
 
 def test_raster_json(capsys: pytest.CaptureFixture[str]) -> None:
     """Oracle: the rate is pairs over time."""
-    options = ["--splats", "500", "--width", "80", "--height", "48", "--repeats", "1", "--json"]
-    assert main(["bench", "raster", *options]) == 0
-    found = json.loads(capsys.readouterr().out)
+    options = ["--splats", "500", "--width", "80", "--height", "48", "--repeats", "1"]
+    found = _json(capsys, "raster", *options)
     pairs = found["pairs_per_pixel"] * 80 * 48
     stages = found["stages_ms"]
     assert pairs > 0 and found["threads"] >= 1 and found["isa"]
@@ -27,3 +46,86 @@ def test_half_a_scene_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     """Oracle: the message."""
     assert main(["bench", "raster", "--ply", "a.ply"]) == 2
     assert "--ply and --cameras belong together" in capsys.readouterr().err
+    assert main(["bench", "step", "--ply", "a.ply"]) == 2
+    assert "SOURCE and --ply belong together" in capsys.readouterr().err
+
+
+def test_step_json(capsys: pytest.CaptureFixture[str]) -> None:
+    """Oracle: the parts add up to the mean step, and the rasterizer is a part of it."""
+    options = ["--splats", "300", "--width", "80", "--height", "48", "--steps", "3"]
+    found = _json(capsys, "step", *options)
+    assert sum(found["laps_ms"].values()) == pytest.approx(found["mean_ms"], rel=0.2)
+    share = sum(found["raster_ms"].values()) / found["mean_ms"]
+    assert found["raster_share"] == pytest.approx(share, rel=1e-6) and 0 < share < 1
+    assert found["pairs_per_pixel"] > 0 and found["steps"] == 3
+
+
+def test_skips_say_which_are_exact(capsys: pytest.CaptureFixture[str], small: list[str]) -> None:
+    """Oracle: culling changes no bit, small photos do; more pairs without culling."""
+    skips = ["--skips", "opacity-extent", "small-photos"]
+    found = _json(capsys, "skips", str(EXAMPLE), *small, *skips)
+    rows = {" ".join(row["without"]): row for row in found["rows"]}
+    assert list(rows) == ["", *skips[1:], "opacity-extent small-photos"]
+    assert rows["opacity-extent"]["identical"] and not rows["small-photos"]["identical"]
+    assert rows["opacity-extent"]["psnr"] == rows[""]["psnr"]
+    assert rows["opacity-extent"]["forward_gpairs"] > rows[""]["forward_gpairs"] > 0
+
+
+def test_time_error_writes_curves_and_figures(
+    capsys: pytest.CaptureFixture[str], small: list[str], tmp_path: Path
+) -> None:
+    """Oracle: its own file, read back as the curves of a peer."""
+    out = tmp_path / "out"
+    options = [str(EXAMPLE), *small, "--seeds", "0", "1", "-o", str(out)]
+    found = _json(capsys, "time-error", *options, "--ablations", "small-photos")
+    assert found == json.loads((out / "results.json").read_text())
+    curves = found["captures"]["studio"]["curves"]
+    assert [c["label"] for c in curves] == ["preview", "preview without small-photos"]
+    for curve in curves:
+        assert len(curve["seeds"]) == 2
+        steps = [point["step"] for point in curve["seeds"][0]]
+        assert steps == measured_steps(12)
+        seconds = [point["seconds"] for point in curve["seeds"][0]]
+        assert seconds == sorted(seconds) and seconds[0] > 0
+    for name in ("psnr", "1-ssim", "splats"):
+        assert (out / f"studio-{name}.svg").read_text().startswith("<svg")
+    peer = tmp_path / "peer.json"
+    peer.write_text(json.dumps({"capture": "studio", "curves": curves[:1]}))
+    again = _json(capsys, "time-error", *options, "--peers", str(peer))
+    assert again["captures"]["studio"]["curves"][1] == curves[0]
+
+
+def test_bad_peers_are_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """Oracle: the message names the file and what is missing."""
+    peer = tmp_path / "peer.json"
+    options = ["bench", "time-error", str(EXAMPLE), "-o", str(tmp_path / "o"), "--peers", str(peer)]
+    for content, word in (("{", "not a file of curves"), ('{"capture": "a"}', "'curves'")):
+        peer.write_text(content)
+        assert main(options) == 2
+        message = capsys.readouterr().err
+        assert str(peer) in message and word in message
+
+
+def test_time_to_psnr_is_read_off_the_median() -> None:
+    """Oracle: by hand. The slow curve passes 27 dB halfway between its points."""
+
+    def curve(label: str, *points: tuple[float, float]) -> Curve:
+        made = [Point(step=1, seconds=s, splats=1, psnr=p, ssim=0.9) for s, p in points]
+        return Curve(label=label, width=1, height=1, seeds=[made])
+
+    rows = time_to_psnr([curve("a", (1, 20), (2, 28)), curve("b", (10, 26.5), (20, 27.5))])
+    assert [row["label"] for row in rows] == ["a", "b"]
+    assert rows[0]["seconds"] == {"27.00": pytest.approx(1.875), "27.50": 1.9375, "28.00": 2.0}
+    assert rows[1]["seconds"] == {"27.00": pytest.approx(15), "27.50": 20, "28.00": None}
+
+
+def test_scaling_finds_the_line(capsys: pytest.CaptureFixture[str]) -> None:
+    """Oracle: points on a line; and the promised rows of a small run."""
+    line = fit_line([1, 2, 5], [5, 7, 13])
+    assert (line.base, line.slope, line.r2) == pytest.approx((3, 2, 1))
+    sizes = ["--sizes", "--threads", "1", "--splats", "50", "100", "200", "--cloud", "50"]
+    found = _json(capsys, "scaling", *sizes, "--steps", "1")
+    assert [s["quantity"] for s in found["series"]] == ["splats", "pixels", "threads"]
+    assert [row["splats"] for row in found["series"][0]["rows"]] == [50, 100, 200]
+    assert "step" in found["series"][0]["lines"] and not found["series"][1]["rows"]
+    assert all(row["peak_memory_bytes"] > 0 for s in found["series"] for row in s["rows"])

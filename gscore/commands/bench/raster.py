@@ -1,4 +1,4 @@
-"""`gscore bench`: measure speed on this machine."""
+"""`gscore bench raster`: the rasterizer alone."""
 
 import argparse
 import json
@@ -8,29 +8,26 @@ from pathlib import Path
 
 import numpy as np
 
-from ..bench.raster import RasterBench, bench_raster, synthetic_scene
-from ..config import DataConfig
-from ..datasets import load_dataset
-from ..errors import ConfigError
-from ..io.ply import read_splats
-from ..raster import backend
+from ...bench.raster import RasterBench, bench_raster, synthetic_scene
+from ...config import DataConfig
+from ...datasets import load_dataset
+from ...errors import ConfigError
+from ...io.ply import read_splats
+from ...raster import backend
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
-    what = parser.add_subparsers(dest="what", required=True, metavar="WHAT")
-    raster = what.add_parser("raster", help="forward and backward passes of the rasterizer")
-    raster.add_argument("--ply", type=Path, help="trained splats; default: a synthetic cloud")
-    raster.add_argument("--cameras", type=Path, help="the capture the splats were trained on")
-    raster.add_argument("--views", type=int, default=6, help="views, spread evenly (default 6)")
-    raster.add_argument("--repeats", type=int, default=5, help="passes per view, fastest counts")
-    raster.add_argument("--splats", type=int, default=100_000, help="size of the synthetic cloud")
-    raster.add_argument("--width", type=int, default=640, help="px, of the synthetic view")
-    raster.add_argument("--height", type=int, default=360, help="px, of the synthetic view")
-    raster.add_argument("-r", "--resolution", type=float, default=-1, help="as in `gscore train`")
-    raster.add_argument("--threads", type=int, default=0, help="0: all cores")
-    raster.add_argument("--isa", help="instruction set; `all` measures each that runs here")
-    raster.add_argument("--json", action="store_true", help="one JSON object on stdout")
+    parser.add_argument("--ply", type=Path, help="trained splats; default: a synthetic cloud")
+    parser.add_argument("--cameras", type=Path, help="the capture the splats were trained on")
+    parser.add_argument("--views", type=int, default=6, help="views, spread evenly (default 6)")
+    parser.add_argument("--repeats", type=int, default=5, help="passes per view, fastest counts")
+    parser.add_argument("--splats", type=int, default=100_000, help="size of the synthetic cloud")
+    parser.add_argument("--width", type=int, default=640, help="px, of the synthetic view")
+    parser.add_argument("--height", type=int, default=360, help="px, of the synthetic view")
+    parser.add_argument("-r", "--resolution", type=float, default=-1, help="as in `gscore train`")
+    parser.add_argument("--threads", type=int, default=0, help="0: all cores")
+    parser.add_argument("--isa", help="instruction set; `all` measures each that runs here")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -1,0 +1,132 @@
+"""Trainings in memory, measured: no files, no events, evaluation outside the clock."""
+
+import time
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..config import DataConfig, TrainConfig
+from ..datasets import Dataset, load_dataset
+from ..errors import DatasetError
+from ..metrics.evaluate import target_picture
+from ..metrics.image import psnr, ssim
+from ..splats import Splats
+from ..trainer.torch_threads import one_torch_thread
+from ..trainer.trainer import Trainer
+
+
+@dataclass(frozen=True, kw_only=True)
+class Point:
+    """The state of a training at one moment."""
+
+    step: int
+    seconds: float
+    """Spent in steps so far, without evaluation."""
+    splats: int
+    psnr: float
+    """Mean over the held-out views, dB."""
+    ssim: float
+    """Mean over the held-out views, zero padded."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trained:
+    """A training from its first to its last step."""
+
+    seconds: float
+    """Spent in steps."""
+    points: list[Point]
+    """Measurements, the last one after the last step."""
+    forward_pairs: float
+    """Pairs of splat and pixel evaluated by all forward passes."""
+    backward_pairs: float
+    """The same by all backward passes."""
+    laps: dict[str, float] = field(default_factory=dict)
+    """Seconds by part of the step."""
+    splats: Splats = field(repr=False)
+    """The result, in COLMAP world."""
+
+
+def load_for_bench(data: DataConfig) -> Dataset:
+    """A capture with all photos decoded.
+
+    Raises:
+        DatasetError: no views are held out.
+    """
+    photos = load_dataset(data)
+    if not photos.test:
+        raise DatasetError(
+            f"{data.source}: no views are held out, so there is no error to measure; hold some out "
+            "with --eval or --test-every."
+        )
+    photos.preload()
+    return photos
+
+
+def quality(trainer: Trainer) -> tuple[float, float]:
+    """Mean PSNR in dB and mean SSIM of the held-out views."""
+    photos, background = trainer.photos, trainer.fixed_background
+    values = []
+    for index in photos.test:
+        target, weights = target_picture(
+            photos.image(index), photos.mask(index), photos.mask_mode, background
+        )
+        picture = np.clip(trainer.picture(index, background=background).numpy(), 0.0, 1.0)
+        if weights is not None:
+            scale = weights[:, :, None] / 255.0
+            picture, target = picture * scale, target * scale
+        values.append((psnr(picture, target), ssim(picture, target)))
+    means = np.mean(values, axis=0)
+    return float(means[0]), float(means[1])
+
+
+def train_measured(
+    config: TrainConfig,
+    photos: Dataset,
+    *,
+    at: Collection[int] = (),
+    on_step: Callable[[int], None] | None = None,
+) -> Trained:
+    """Train and measure after the steps `at` and after the last one.
+
+    Args:
+        config: How to train.
+        photos: Decoded, with held-out views.
+        at: Steps after which quality is measured.
+        on_step: Called after each step, outside the clock.
+    """
+    points: list[Point] = []
+    laps: dict[str, float] = {}
+    seconds = forward = backward = 0.0
+    with one_torch_thread():
+        trainer = Trainer(config, photos)
+        for step in range(1, config.iterations + 1):
+            began = time.perf_counter()
+            trainer.step()
+            seconds += time.perf_counter() - began
+            forward += trainer.laps.raster.get("forward_pairs", 0)
+            backward += trainer.laps.raster.get("backward_pairs", 0)
+            for name, value in trainer.laps.seconds.items():
+                laps[name] = laps.get(name, 0.0) + value
+            if step in at or step == config.iterations:
+                found = quality(trainer)
+                points.append(
+                    Point(
+                        step=step,
+                        seconds=seconds,
+                        splats=len(trainer.model),
+                        psnr=found[0],
+                        ssim=found[1],
+                    )
+                )
+            if on_step is not None:
+                on_step(step)
+        return Trained(
+            seconds=seconds,
+            points=points,
+            forward_pairs=forward,
+            backward_pairs=backward,
+            laps=laps,
+            splats=trainer.splats(),
+        )

@@ -1,0 +1,30 @@
+"""`gscore bench WHAT`: measure speed, and error over time, on this machine."""
+
+import argparse
+from importlib import import_module
+
+WHAT = {
+    "raster": "forward and backward passes of the rasterizer",
+    "step": "a training step and its parts",
+    "skips": "what each skip brings, on a capture",
+    "time-error": "held-out error over seconds of training, for presets and variants",
+    "scaling": "cost over splats, pixels and threads",
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of the verb."""
+    what = parser.add_subparsers(dest="what", required=True, metavar="WHAT")
+    for name, text in WHAT.items():
+        one = what.add_parser(name, help=text, description=text.capitalize() + ".")
+        _module(name).add_arguments(one)
+        one.add_argument("--json", action="store_true", help="the result as JSON on stdout")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure and print."""
+    return _module(args.what).run(args)
+
+
+def _module(name: str):
+    return import_module("." + name.replace("-", "_"), __package__)

@@ -1,0 +1,75 @@
+"""`gscore bench scaling`: cost over splats, pixels and threads."""
+
+import argparse
+import json
+import sys
+from dataclasses import asdict
+from typing import Any
+
+from ...bench.scaling import SIZES, SPLATS, Series, bench_scaling
+from ...metrics.machine import cores, machine
+from ...raster import backend
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("--splats", nargs="*", type=int, default=SPLATS, help="sizes of the cloud")
+    parser.add_argument(
+        "--sizes", nargs="*", type=_size, default=SIZES, metavar="WxH", help="of the picture, px"
+    )
+    parser.add_argument("--threads", nargs="*", type=int, help="1 to all cores")
+    parser.add_argument(
+        "--cloud", type=int, default=100_000, help="splats where pixels or threads vary"
+    )
+    parser.add_argument("--steps", type=int, default=20, help="steps a point (default 20)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure and print."""
+    series = bench_scaling(
+        splats=args.splats,
+        sizes=args.sizes,
+        threads=tuple(range(1, cores() + 1)) if args.threads is None else args.threads,
+        cloud=args.cloud,
+        steps=args.steps,
+        on_row=None if args.json else _show,
+    )
+    if args.json:
+        content = {"machine": machine(), "isa": backend.isa()}
+        json.dump(content | {"series": [asdict(one) for one in series]}, sys.stdout)
+        print()
+    else:
+        for one in series:
+            sys.stdout.write(_lines(one))
+    return 0
+
+
+def _size(text: str) -> tuple[int, int]:
+    width, _, height = text.partition("x")
+    try:
+        size = int(width), int(height)
+    except ValueError:
+        size = 0, 0
+    if min(size) < 1:
+        raise argparse.ArgumentTypeError(f"a size looks like 640x400, got {text!r}")
+    return size
+
+
+def _show(quantity: str, row: dict[str, Any]) -> None:
+    stages = "  ".join(f"{name} {ms:.1f}" for name, ms in row["raster_ms"].items())
+    memory = row["peak_memory_bytes"]
+    print(
+        f"{quantity}: {row['splats']:,} splats, {row['width']} x {row['height']} px, "
+        f"{row['threads']} threads: {row['step_ms']:.1f} ms, {row['pairs_per_pixel']:.0f} pairs a "
+        f"pixel, {'-' if memory is None else round(memory / 1e6)} MB; {stages}",
+        flush=True,
+    )
+
+
+def _lines(series: Series) -> str:
+    unit, scale = ("1000 splats", 1e3) if series.quantity == "splats" else ("megapixel", 1e6)
+    return "".join(
+        f"{series.quantity}, {name}: {line.base:.2f} ms + {line.slope * scale:.4f} ms a {unit}, "
+        f"r2 {line.r2:.3f}\n"
+        for name, line in series.lines.items()
+    )

@@ -1,0 +1,66 @@
+"""`gscore bench skips`: the same training without each skip."""
+
+import argparse
+import json
+import sys
+from dataclasses import asdict
+from pathlib import Path
+
+from ...bench.skips import SkipRow, bench_skips
+from ...bench.training import load_for_bench
+from ...config import PRESETS, Skip
+from ...metrics.machine import machine
+from ...raster import backend
+from .training_options import add_training_options, training_configs
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("source", type=Path, help="capture")
+    parser.add_argument("--preset", choices=tuple(PRESETS), default="preview")
+    parser.add_argument(
+        "--skips", nargs="+", choices=tuple(Skip), default=tuple(Skip), metavar="SKIP",
+        help="which to measure (all): " + ", ".join(Skip),
+    )  # fmt: skip
+    add_training_options(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Train, again and again, and print what each skip brought."""
+    data, config = training_configs(args, args.source, args.preset)
+    photos = load_for_bench(data)
+    if not args.json:
+        print(_HEAD)
+    rows = bench_skips(
+        config,
+        photos,
+        skips=[Skip(name) for name in args.skips],
+        on_row=None if args.json else lambda row: print(_line(row), flush=True),
+    )
+    if args.json:
+        content = {
+            "source": str(args.source),
+            "preset": args.preset,
+            "iterations": config.iterations,
+            "machine": machine(),
+            "isa": backend.isa(),
+            "rows": [asdict(row) for row in rows],
+        }
+        json.dump(content, sys.stdout)
+        print()
+    return 0
+
+
+_HEAD = (
+    "| without | seconds | times | forward Gpairs | backward Gpairs | PSNR | SSIM | same bits |\n"
+    "|---|---|---|---|---|---|---|---|"
+)
+
+
+def _line(row: SkipRow) -> str:
+    name = ", ".join(row.without) if len(row.without) < 3 else "all of them"
+    return (
+        f"| {name or 'nothing'} | {row.seconds:.1f} | {row.slowdown:.2f} | "
+        f"{row.forward_gpairs:.2f} | {row.backward_gpairs:.2f} | {row.psnr:.2f} | "
+        f"{row.ssim:.4f} | {'yes' if row.identical else 'no'} |"
+    )

@@ -1,0 +1,74 @@
+"""`gscore bench step`: one training step and its parts."""
+
+import argparse
+import json
+import sys
+from dataclasses import asdict
+from pathlib import Path
+
+from ...bench.step import StepBench, SyntheticPhotos, bench_step
+from ...config import DataConfig, Skip, Strategy, TrainConfig
+from ...datasets import load_dataset
+from ...errors import ConfigError
+from ...io.ply import read_splats
+from ...raster import backend
+from ..data_options import add_data_options, with_data_options
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("source", nargs="?", type=Path, help="capture; default: a synthetic one")
+    parser.add_argument("--ply", type=Path, help="splats trained on SOURCE")
+    parser.add_argument("--steps", type=int, default=60, help="steps measured (default 60)")
+    parser.add_argument("--splats", type=int, default=100_000, help="size of the synthetic cloud")
+    parser.add_argument("--width", type=int, default=640, help="px, of the synthetic views")
+    parser.add_argument("--height", type=int, default=360, help="px, of the synthetic views")
+    parser.add_argument("--strategy", choices=tuple(Strategy), default=Strategy.DEFAULT)
+    parser.add_argument("--without", nargs="+", choices=tuple(Skip), default=(), metavar="SKIP")
+    parser.add_argument("--threads", type=int, default=0, help="0: all cores")
+    parser.add_argument("--isa", help="instruction set; `all` measures each that runs here")
+    add_data_options(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure and print."""
+    if (args.source is None) != (args.ply is None):
+        raise ConfigError("SOURCE and --ply belong together: give both, or neither.")
+    for name in ("steps", "splats", "width", "height"):
+        if getattr(args, name) < 1:
+            raise ConfigError(f"--{name} must be at least 1, got {getattr(args, name)}.")
+    if args.source is None:
+        photos = SyntheticPhotos(args.splats, args.width, args.height)
+        splats = photos.splats
+    else:
+        photos = load_dataset(with_data_options(DataConfig(source=args.source), args))
+        photos.preload()
+        splats = read_splats(args.ply)
+    config = TrainConfig(
+        strategy=Strategy(args.strategy), without=tuple(Skip(name) for name in args.without)
+    )
+    results = []
+    for isa in backend.available_isas() if args.isa == "all" else [args.isa or backend.isa()]:
+        backend.set_isa(isa)
+        found = bench_step(photos, splats, steps=args.steps, threads=args.threads, config=config)
+        results.append(found)
+        if not args.json:
+            sys.stdout.write(_table(found))
+    if args.json:
+        dicts = [asdict(found) for found in results]
+        print(json.dumps(dicts[0] if len(dicts) == 1 else dicts))
+    return 0
+
+
+def _table(r: StepBench) -> str:
+    laps = "  ".join(f"{name} {ms:.2f}" for name, ms in r.laps_ms.items())
+    raster = "  ".join(f"{name} {ms:.2f}" for name, ms in r.raster_ms.items())
+    return (
+        f"{r.isa}, {r.threads} threads, {r.splats:,} splats, {r.width} x {r.height} px, "
+        f"{r.steps} steps\n"
+        f"  a step takes {r.step_ms:.2f} ms (median; mean {r.mean_ms:.2f}), "
+        f"{100 * r.raster_share:.0f} % of it in the rasterizer; "
+        f"{r.pairs_per_pixel:.1f} pairs per pixel\n"
+        f"  ms by part: {laps}\n"
+        f"  ms in the rasterizer: {raster}\n"
+    )

@@ -1,0 +1,38 @@
+"""Options of the benches that train: which capture, and how."""
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+from ...config import PRESETS, DataConfig, Strategy, TrainConfig
+from ..data_options import add_data_options, with_data_options
+
+_EVERY = 8
+"""Every eighth view is held out where nothing else is said."""
+
+
+def add_training_options(parser: argparse.ArgumentParser) -> None:
+    """Declare the options that change a preset, and those of the capture."""
+    parser.add_argument("--iterations", type=int, help="training steps, instead of the preset's")
+    parser.add_argument("--max-splats", type=int, help="cap, instead of the preset's")
+    parser.add_argument("--strategy", choices=tuple(Strategy), help="how splats are added")
+    parser.add_argument("--threads", type=int, default=0, help="0: all cores")
+    add_data_options(parser)
+
+
+def training_configs(
+    args: argparse.Namespace, source: Path, preset: str
+) -> tuple[DataConfig, TrainConfig]:
+    """Preset `preset` for `source` with what was given; some views are always held out."""
+    data, train = PRESETS[preset](source)
+    data = with_data_options(data, args)
+    if not data.eval:
+        data = replace(data, eval=True, test_every=_EVERY)
+    given = {
+        name: getattr(args, name)
+        for name in ("iterations", "max_splats")
+        if getattr(args, name) is not None
+    }
+    if args.strategy is not None:
+        given["strategy"] = Strategy(args.strategy)
+    return data, replace(train, threads=args.threads, **given)
