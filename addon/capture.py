@@ -1,6 +1,5 @@
 """What a capture's folder holds, and what is wrong with it before any training; without bpy."""
 
-import json
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,11 +13,14 @@ from .core import (
     Folder,
     GsError,
     ImageInfo,
+    StatedDepth,
     View,
     find_colmap,
     read_capture,
     read_header,
+    stated_depth,
 )
+from .depth_report import MISSING, DepthReport, from_table
 
 FEW_PHOTOS = 15
 """Fewer photos than this seldom give a model that can be looked at from all sides."""
@@ -72,6 +74,8 @@ class CaptureFacts:
     """Photos with a depth map."""
     depth_params: int = 0
     """Photos with an entry in depth_params.json."""
+    depth_report: DepthReport = field(default=DepthReport(()))
+    """What is known of the depth maps without reading them."""
     problems: tuple[Problem, ...] = ()
     """Errors first."""
 
@@ -149,17 +153,16 @@ def _facts(source: Path, capture: Capture, images: str, masks: str, depths: str)
     is_colmap = source.is_dir() and _is_colmap(source)
     folder = Folder(capture.root / images) if is_colmap else None
     mask_files = _matching(capture.root / (masks or "masks"), there)
-    depth_files = _matching(capture.root / depths, there)
+    stated = stated_depth(capture.root, [view.name for view in there], folder=depths)
+    maps = from_table(stated.table)
     model = find_colmap(source)[0] if is_colmap else _transforms_file(source)
-    scales, scale_problems = _depth_params(model, there)
     problems = [
         *_photo_problems(source, capture, missing, images),
         *_size_problems(there, infos),
         *_camera_problems(capture.views),
         *_point_problems(capture),
         *_mask_problems(there, mask_files, infos, masks),
-        *scale_problems,
-        *_depth_problems(there, depth_files, scales),
+        *_depth_problems(stated, maps),
     ]
     return CaptureFacts(
         source=source,
@@ -173,8 +176,9 @@ def _facts(source: Path, capture: Capture, images: str, masks: str, depths: str)
         sizes=dict(Counter((v.camera.width, v.camera.height) for v in capture.views)),
         masks=len(mask_files),
         alphas=sum(1 for info in infos.values() if info and info.has_alpha),
-        depths=len(depth_files),
-        depth_params=scales,
+        depths=len(maps.rows) - maps.counts[MISSING],
+        depth_params=stated.entries,
+        depth_report=maps,
         problems=tuple(sorted(problems, key=lambda problem: not problem.is_error)),
     )
 
@@ -322,32 +326,20 @@ def _same_size(photo: ImageInfo, mask: ImageInfo) -> bool:
     return (mask.width, mask.height) in sizes
 
 
-def _depth_params(model: Path | None, views: list[View]) -> tuple[int, list[Problem]]:
-    """Number of views with a scale in depth_params.json beside the model."""
-    file = model / "depth_params.json" if model and model.is_dir() else None
-    if file is None or not file.is_file():
-        return 0, []
-    try:
-        entries = json.loads(file.read_bytes())
-        known = {name for name, entry in entries.items() if {"scale", "offset"} <= set(entry)}
-    except (OSError, ValueError, AttributeError, TypeError, RecursionError):
-        text = f"{file} is damaged; expected scale and offset by photo. Make it again or delete it."
-        return 0, [_note(text)]
-    count = sum(1 for view in views if _stem(view.name) in known)
-    return count, []
-
-
-def _depth_problems(views: list[View], files: dict[str, Path], scales: int) -> list[Problem]:
-    if files and not scales:
+def _depth_problems(stated: StatedDepth, maps: DepthReport) -> list[Problem]:
+    if stated.problem:
+        return [_note(stated.problem)]
+    views, missing = len(maps.rows), maps.counts[MISSING]
+    if missing == views:
+        return []
+    if not stated.entries:
         text = (
-            "There are depth maps but no depth_params.json beside the model; they cannot be used "
-            "until it says how they scale."
+            f"There is no {stated.params.name} for the depth maps; training finds their scales "
+            f"itself. Check Maps in the Depth panel shows them."
         )
         return [_note(text)]
-    if files and min(scales, len(files)) < len(views):
-        short = len(views) - min(scales, len(files))
-        return [_note(f"{short} of {len(views)} photos lack a depth map or its scale.")]
-    return []
+    short = views - min(stated.entries, views - missing)
+    return [_note(f"{short} of {views} photos lack a depth map or its scale.")] if short else []
 
 
 def _matching(root: Path, views: list[View]) -> dict[str, Path]:
@@ -389,10 +381,6 @@ def _transforms_file(source: Path) -> Path | None:
         return source
     names = ("transforms.json", "transforms_train.json")
     return next((source / name for name in names if (source / name).is_file()), None)
-
-
-def _stem(name: str) -> str:
-    return Path(name).stem
 
 
 def _error(text: str) -> Problem:

@@ -7,6 +7,7 @@ from typing import Generic, TypeVar
 
 from .capture import CaptureFacts, inspect
 from .core import RunInfo, read_run
+from .depth_report import DepthReport, read_run_report
 from .job.background import Task
 
 KeyT = TypeVar("KeyT", bound=Hashable)
@@ -50,6 +51,11 @@ class Lookup(Generic[KeyT, AnswerT]):
         self.collect()
         self._answers.pop(key, None)
 
+    def expire(self) -> None:
+        """Look anew for everything that is asked for next; what is known is shown meanwhile."""
+        self.collect()
+        self._answers = {key: (*known[:2], float("-inf")) for key, known in self._answers.items()}
+
     def collect(self) -> bool:
         """Take in what threads have found; whether that was anything new."""
         changed = False
@@ -74,13 +80,15 @@ captures: Lookup[tuple[str, str], CaptureFacts] = Lookup(
 """What a capture holds, by its path and the name of its photo folder."""
 runs: Lookup[Path, RunInfo | None] = Lookup(read_run, max_age=3.0)
 """How far the training in an output folder is."""
+depth_runs: Lookup[Path, DepthReport | None] = Lookup(read_run_report, max_age=10.0)
+"""What became of the depth maps in the training in an output folder."""
 
 
 def collect() -> bool:
     """Take in what was found; whether that was anything new."""
-    return any([captures.collect(), runs.collect()])
+    return any([captures.collect(), runs.collect(), depth_runs.collect()])
 
 
 def busy() -> bool:
     """Whether something is being looked up."""
-    return captures.busy or runs.busy
+    return captures.busy or runs.busy or depth_runs.busy

@@ -74,6 +74,12 @@ class Preferences(bpy.types.AddonPreferences):
         description="ONNX file of the network that measures LPIPS; empty: LPIPS is not measured",
         subtype="FILE_PATH",
     )
+    depth_model: StringProperty(
+        name="Depth Network",
+        description="ONNX file of the network that predicts depth maps, such as MiDaS or Depth "
+        "Anything; nothing is downloaded, docs/depth.md says where they are",
+        subtype="FILE_PATH",
+    )
     output_folder: StringProperty(
         name="Default Output Folder",
         description="Where results go if the scene names no folder; empty: beside the .blend file, "
@@ -89,6 +95,7 @@ class Preferences(bpy.types.AddonPreferences):
         for name in ("threads", "live_seconds", "live_most", "preview_seconds"):
             column.prop(self, name)
         column.prop(self, "lpips_path")
+        column.prop(self, "depth_model")
         column.prop(self, "output_folder")
 
 

@@ -34,6 +34,10 @@ _DEPTH_MODES = {
     Switch.ON: ("Always", "Wherever there are depth maps"),
     Switch.OFF: ("Never", "Train from the photos alone"),
 }
+_DEPTH_REPORTS = (
+    ("MAPS", "Maps", "The maps as they are now, and how they agree with the SfM points"),
+    ("RUN", "Training", "What the training in the output folder made of the maps"),
+)
 _RESOLUTIONS = (
     (AS_PRESET, "As the Preset Says", "Photos are scaled down to the width of the preset"),
     ("1", "Full", "Photos as they are"),
@@ -168,6 +172,12 @@ class SceneSettings(bpy.types.PropertyGroup):
         description="When the depth maps of the capture guide the training",
         items=_items(Switch, _DEPTH_MODES),
         default=str(_TRAIN.depth_mode),
+    )
+    depth_shown: EnumProperty(
+        name="Report",
+        description="Which report on the depth maps is shown",
+        items=_DEPTH_REPORTS,
+        default="RUN",
     )
     images: StringProperty(
         name="Photo Folder",

@@ -47,6 +47,8 @@ WITHOUT_BPY = (
     "alignment",
     "camera_math",
     "capture",
+    "depth_report",
+    "job.depth_job",
     "job.environment",
     "job.process",
     "job.session",

@@ -6,7 +6,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from .. import preferences, splat_io, splat_object, stored_paths
+from .. import preferences, splat_io, splat_object, stored_paths, undo
 from ..camera_objects import is_kind
 from ..core import Splats
 from ..paths import output_folder
@@ -140,16 +140,8 @@ def _remove_discarded(job: Job, scene: bpy.types.Scene) -> bool:
     bpy.data.objects.remove(ob)
     if mesh.users == 0:
         bpy.data.meshes.remove(mesh)
-    _push_undo("Discard Training")
+    undo.push("Discard Training")
     return True
-
-
-def _push_undo(message: str) -> None:
-    """Make what was done a step of its own: else undoing the user's next step undoes this too."""
-    window = next(iter(bpy.context.window_manager.windows), None)
-    if window is not None:
-        with bpy.context.temp_override(window=window):
-            bpy.ops.ed.undo_push(message=message)
 
 
 def _update_splats(job: Job, scene: bpy.types.Scene) -> bool:
@@ -185,7 +177,7 @@ def _update_splats(job: Job, scene: bpy.types.Scene) -> bool:
         ob[_FILLED] = _signature(ob)
         job.result_wanted = job.result_wanted and not filling.loaded.final
         if filling.loaded.final or ob != before:
-            _push_undo("Training Result" if filling.loaded.final else "Live Splats")
+            undo.push("Training Result" if filling.loaded.final else "Live Splats")
     except ValueError as error:
         bpy.data.meshes.remove(mesh)
         _give_up(job, filling.loaded, str(error))

@@ -71,7 +71,7 @@ def make(
         _run([python, *_PIP, "--upgrade", "pip"], task)
         index = ["--extra-index-url", extra_index] if extra_index else []
         task.tell("Downloading gscore's packages; torch is the largest of them")
-        packages = [f"{wheel}[train]"]
+        packages = [f"{wheel}[train,lpips]"]  # the latter brings onnxruntime, for depth too
         _run([python, *_PIP, "--progress-bar", "raw", *index, *packages], task)
         task.tell("Checking")
         verdict = check(python, task)

@@ -177,16 +177,9 @@ class ShowTestView(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> Result:
         """Show it."""
-        image = context.scene.gscore.preview
-        if show_image(context, image):
-            return {"FINISHED"}
-        if bpy.app.background:
+        if not show_image(context, context.scene.gscore.preview, new_window=True):
             self.report({"ERROR"}, "There is no window to show a picture in.")
             return {"CANCELLED"}
-        bpy.ops.wm.window_new()
-        area = context.window_manager.windows[-1].screen.areas[0]
-        area.type = "IMAGE_EDITOR"
-        area.spaces.active.image = image
         return {"FINISHED"}
 
 

@@ -109,6 +109,36 @@ def resumed_run(
     return arguments + _machine(machine)
 
 
+def depth_run(
+    settings: Settings,
+    *,
+    source: Path,
+    threads: int,
+    model: Path | None = None,
+    overwrite: bool = False,
+) -> list[str]:
+    """Arguments that predict depth maps, or compare those that are there with the points.
+
+    Args:
+        settings: Of the scene.
+        source: Folder of the capture.
+        threads: CPU threads; 0: all.
+        model: ONNX file to predict with; None: compare, and write nothing.
+        overwrite: Predict views that have a map.
+    """
+    data, _ = PRESETS[settings.preset](source)
+    arguments = ["depth", str(source), "--depths", DEPTHS]
+    arguments += ["--check"] if model is None else ["--model", str(model)]
+    if overwrite:
+        arguments.append("--overwrite")
+    if settings.images != data.images:
+        arguments += ["--images", settings.images]
+    mask_mode = settings.mask_mode if settings.use_masks else "none"
+    if mask_mode != data.mask_mode:
+        arguments += ["--mask-mode", mask_mode]
+    return [*arguments, "--threads", str(threads), "--events", "jsonl"]
+
+
 def _machine(machine: Machine) -> list[str]:
     arguments = ["--threads", str(machine.threads)]
     if machine.lpips is not None:

@@ -172,9 +172,22 @@ class RunState:
 
 
 def failure_sentence(
-    failure: Failed | None, code: int | None, stderr: Sequence[str], *, python: str
+    failure: Failed | None,
+    code: int | None,
+    stderr: Sequence[str],
+    *,
+    python: str,
+    less: str = "use fewer splats or smaller photos, then Resume",
 ) -> str:
-    """What went wrong and what to do, for a trainer that did not end by itself."""
+    """What went wrong and what to do, for work of gscore that did not end by itself.
+
+    Args:
+        failure: What it said itself, if anything.
+        code: Exit code, negative for a signal.
+        stderr: The last lines of the error output.
+        python: The Python that ran it.
+        less: What to do if memory ran out.
+    """
     text = "\n".join(stderr)
     if failure is not None:
         return _sentence(failure.message)
@@ -191,15 +204,15 @@ def failure_sentence(
         )
     if code is not None and code < 0:
         return (
-            f"The trainer was ended by signal {-code} from outside; if you did not do that, memory "
-            "ran out: use fewer splats or smaller photos, then Resume."
+            f"The process was ended by signal {-code} from outside; if you did not do that, memory "
+            f"ran out: {less}."
         )
-    if match := re.search(r"gscore train: error: (.+)", text):
+    if match := re.search(r"gscore \w+: error: (.+)", text):
         return _sentence(match[1])
     last = next((line.strip() for line in reversed(stderr) if line.strip()), "")
     said = f' It said: "{last[:200]}".' if last else ""
     return (
-        f"The trainer ended early (exit code {code}).{said} Press Check in the add-on's "
+        f"The process ended early (exit code {code}).{said} Press Check in the add-on's "
         f"preferences to test {python}."
     )
 

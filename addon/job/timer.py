@@ -7,6 +7,7 @@ timers never run: scripts call `tick`, or `training.wait_for`, themselves.
 import atexit
 import logging
 import time
+from collections.abc import Callable
 
 import bpy
 from bpy.app.handlers import persistent
@@ -20,6 +21,9 @@ FAST = 0.01
 """The same while splats are handed to Blender bit by bit."""
 REDRAW = 0.4
 """Seconds between two redraws: the viewport behind a sidebar is drawn with it."""
+
+FOLLOWERS: list[Callable[[], bool]] = []
+"""Called at each beat after all news was taken in; they say whether panels have to be redrawn."""
 
 AFTER_ERROR = 5.0
 """The same after an error of our own."""
@@ -41,13 +45,22 @@ def tick() -> bool:
             _stale = True
             if job.state.ended:
                 lookup.runs.forget(job.output)
+                lookup.depth_runs.expire()
         else:
             _stale |= display.update(job)
+    for depth in registry.depth_jobs():
+        if depth.poll():
+            _stale = True
+            if depth.ended:
+                lookup.captures.expire()
     _stale |= lookup.collect()
     _stale |= setup.collect(preferences.get())
+    for follow in FOLLOWERS:
+        _stale |= follow()
     if _stale and time.monotonic() - _drawn > REDRAW:
         redraw()
     waits = setup.busy() or lookup.busy() or any(display.waits(job) for job in registry.jobs())
+    waits |= any(not depth.ended for depth in registry.depth_jobs())
     return waits or (_stale and not bpy.app.background)
 
 
@@ -83,8 +96,8 @@ def _beat() -> float | None:
 
 @persistent
 def _file_loaded(*_: object) -> None:
-    """A training belongs to the session: the file that is open now may be its own."""
-    if registry.jobs():
+    """A job belongs to the session: the file that is open now may be its own."""
+    if registry.jobs() or registry.depth_jobs():
         ensure()
 
 
@@ -95,7 +108,7 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Let go of all trainings, each of which writes a checkpoint and ends."""
+    """Let go of all jobs, each of which ends by itself."""
     if bpy.app.timers.is_registered(_beat):
         bpy.app.timers.unregister(_beat)
     bpy.app.handlers.load_post.remove(_file_loaded)

@@ -63,6 +63,7 @@ def train(
         depths=found.depths > 0,
     )
     scene.gscore.output_path = relative(output)
+    scene.gscore.depth_shown = "RUN"  # once there is one
     return _start(arguments, source, output, resumed=False, wait=wait, python=python)
 
 

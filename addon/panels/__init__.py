@@ -2,7 +2,7 @@
 
 import bpy
 
-from . import cameras, capture, curve_icon, depth, progress, render, result, train
+from . import cameras, capture, curve_icon, depth, depth_table, progress, render, result, train
 
 CLASSES = (
     *capture.CLASSES,
@@ -18,6 +18,7 @@ CLASSES = (
 def register() -> None:
     """Register the panels."""
     curve_icon.register()
+    depth_table.register()
     for cls in CLASSES:
         bpy.utils.register_class(cls)
 
@@ -26,4 +27,5 @@ def unregister() -> None:
     """Take them back."""
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)
+    depth_table.unregister()
     curve_icon.unregister()

@@ -1,10 +1,15 @@
-"""Depth maps of the capture: what there is, and what becomes of it."""
+"""Depth maps of the capture: predict, compare with the points, and what became of each."""
 
 from typing import ClassVar
 
 import bpy
 
-from .widgets import TabPanel, found, rows, sentence
+from .. import depth_colors, preferences
+from ..capture import CaptureFacts
+from ..job import depth, depth_job, setup
+from .depth_table import draw_counts, draw_table
+from .progress import clock
+from .widgets import TabPanel, found, open_preferences, root, rows, sentence
 
 
 class DepthPanel(TabPanel, bpy.types.Panel):
@@ -26,12 +31,84 @@ class DepthPanel(TabPanel, bpy.types.Panel):
         rows(layout, [("Depth maps", maps), ("Scales", scales)])
         if facts.depths:
             layout.prop(context.scene.gscore, "depth_mode")
-            return
-        text = (
-            "Depth maps help where photos are few. `gscore depth` makes them with a network; see "
-            "docs/depth.md."
+        else:
+            text = "Depth maps help where photos are few. A network makes them from the photos."
+            sentence(layout, context, text, icon="INFO")
+        draw_work(layout, context, facts)
+        draw_report(layout, context)
+
+
+def draw_work(layout: bpy.types.UILayout, context: bpy.types.Context, facts: CaptureFacts) -> None:
+    """How far a prediction is, or what can be started."""
+    job = depth.job_of(context.scene)
+    if job is not None and not job.ended:
+        row = layout.row(align=True)
+        row.progress(factor=job.share, text=bar_text(job))
+        row.operator("gscore.cancel_depth", text="", icon="X")
+        return
+    try:
+        setup.trainer_python(preferences.get())
+    except ValueError as error:
+        sentence(layout, context, str(error), icon="ERROR")
+        open_preferences(layout)
+        return
+    if job is not None:
+        icon = "ERROR" if job.status == depth_job.FAILED else "CHECKMARK"
+        sentence(layout, context, job.sentence, icon=icon)
+        for text in job.warnings[-2:]:
+            sentence(layout, context, text, icon="ERROR")
+    column = layout.column(align=True)
+    column.prop(preferences.get(), "depth_model", text="Network")
+    row = column.row(align=True)
+    if facts.depths < facts.photos:
+        text = "Predict Rest" if facts.depths else "Predict Depth Maps"
+        row.operator("gscore.predict_depth", text=text, icon="PLAY")
+    if facts.depths:
+        again = row.operator("gscore.predict_depth", text="Predict Anew", icon="FILE_REFRESH")
+        again.overwrite = True
+        row = layout.row(align=True)
+        row.operator("gscore.check_depth", icon="VIEWZOOM")
+        row.operator("gscore.show_depth_sheet", icon="IMAGE_DATA")
+
+
+def draw_report(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """The table, and the switch of the cameras' colors."""
+    scene = context.scene
+    problem = depth.run_report(scene)[1]
+    if problem:
+        sentence(layout, context, problem, icon="ERROR")
+    known = depth.reports(scene)
+    if len(known) > 1:
+        layout.row(align=True).prop(scene.gscore, "depth_shown", expand=True)
+    report = depth.report(scene)
+    if report is None:
+        return
+    if report.why:
+        sentence(layout, context, report.why, icon="INFO")
+    draw_counts(layout, report)
+    empty = root(context)
+    if empty is None:
+        sentence(layout, context, "Import the cameras to see them in the colors of their maps.")
+    else:
+        shown = depth_colors.shown(empty)
+        button = layout.operator(
+            "gscore.color_cameras", text="Color Cameras", icon="COLOR", depress=shown
         )
-        sentence(layout, context, text, icon="INFO")
+        button.show = not shown
+    draw_table(layout, context, report)
+
+
+def bar_text(job: depth_job.DepthJob) -> str:
+    """What stands in the progress bar."""
+    told = job.progress
+    if job.status == depth_job.STOPPING:
+        return "Ending"
+    if told is None:
+        return "Starting"
+    if not told.total:
+        return told.phase.capitalize()
+    left = f", {clock(told.eta_s)} left" if told.eta_s is not None else ""
+    return f"{told.phase.capitalize()} {told.done} of {told.total}{left}"
 
 
 CLASSES = (DepthPanel,)

@@ -197,7 +197,8 @@ def main() -> None:
     """Play the script named by the environment variable FAKE_TRAINER."""
     script = Path(os.environ["FAKE_TRAINER"])
     script.with_suffix(".args").write_text(json.dumps(sys.argv[1:]))
-    output = Path(sys.argv[sys.argv.index("-o") + 1])
+    named = sys.argv.index("-o") + 1 if "-o" in sys.argv else -1  # other verbs write elsewhere
+    output = Path(sys.argv[named])
     Player(output).play(json.loads(script.read_text()))
 
 

@@ -137,13 +137,16 @@ def test_depths(capture: Path) -> None:
         write_photo(capture / "depths" / "sub" / f"v{i:03}.png", 60, 40)
     assert "no depth_params.json" in texts(inspect(capture), False)
     file = capture / "sparse" / "0" / "depth_params.json"
-    for damaged in ("{", "[]", '{"v000": 3}', '{"v000": null}'):
+    for damaged in ("{", "[]", '{"sub/v000": 3}', '{"sub/v000": null}'):
         file.write_text(damaged)
         facts = inspect(capture)
         assert facts.depth_params == 0 and facts.can_train
         assert "depth_params.json" in texts(facts, False)
-    file.write_text(json.dumps({f"v{i:03}": {"scale": 1, "offset": 0} for i in range(15)}))
+    entries = {f"sub/v{i:03}": {"scale": 1, "offset": 0} for i in range(15)}
+    file.write_text(json.dumps(entries | {"sub/v003": {"scale": 90, "offset": 0}}))
     facts = inspect(capture)
+    assert facts.depth_report.counts == {"accepted": 14, "refused": 6}
+    assert "times the median" in facts.depth_report.by_view["sub/v003.png"].reason
     assert facts.depth_params == 15 and "5 of 20 photos lack a depth map" in texts(facts, False)
 
 
