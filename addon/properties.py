@@ -7,6 +7,7 @@ import bpy
 from bpy.props import (
     BoolProperty,
     EnumProperty,
+    FloatProperty,
     IntProperty,
     PointerProperty,
     StringProperty,
@@ -207,6 +208,29 @@ class SceneSettings(bpy.types.PropertyGroup):
         description="Same seed, capture and options: the same splats",
         default=_TRAIN.seed,
         min=0,
+    )
+    time_budget: FloatProperty(
+        name="Time Budget",
+        description="As many steps as fit into so much training time, seconds, instead of Steps; "
+        "0: no budget. Reading photos and measuring come on top",
+        default=_TRAIN.time_budget,
+        min=0.0,
+        soft_max=7200.0,
+        subtype="TIME_ABSOLUTE",
+        unit="TIME_ABSOLUTE",
+    )
+    target_psnr: FloatProperty(
+        name="Target PSNR",
+        description="End when the test views reach this PSNR, dB; 0: no target. Without test "
+        "views, some training views decide",
+        default=_TRAIN.target_psnr,
+        min=0.0,
+        soft_max=40.0,
+    )
+    early_stop: BoolProperty(
+        name="Stop When Nothing Improves",
+        description="End early when the PSNR of the test views no longer rises",
+        default=_TRAIN.early_stop,
     )
     live_splats: BoolProperty(
         name="Live Splats",

@@ -1,11 +1,13 @@
 """The add-on's settings as a command line of `gscore train`; no bpy."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Protocol
 
 from ..capture import DEPTHS
-from ..core import PRESETS, Switch
+from ..core import PRESETS, RunInfo, Switch
 
 AS_PRESET, BY_WIDTH = "PRESET", "WIDTH"
 """Values of `resolution` beside the divisors 1, 2, 4 and 8."""
@@ -22,6 +24,9 @@ class Settings(Protocol):
     background: str
     antialias: bool
     seed: int
+    time_budget: float
+    target_psnr: float
+    early_stop: bool
     images: str
     resolution: str
     width: int
@@ -68,9 +73,14 @@ def new_run(
     for name in ("iterations", "max_splats", "sh_degree", "strategy", "background", "seed"):
         value = getattr(settings, name)
         if value != getattr(train, name):
-            arguments += [f"--{name.replace('_', '-')}", str(value)]
-    if settings.antialias != train.antialias:
-        arguments.append("--antialias" if settings.antialias else "--no-antialias")
+            arguments += [_flag(name), str(value)]
+    for name in ("time_budget", "target_psnr"):
+        value = getattr(settings, name)  # of single precision
+        if abs(value - getattr(train, name)) > 1e-5 * value:
+            arguments += [_flag(name), f"{value:g}"]
+    for name in ("antialias", "early_stop"):
+        if getattr(settings, name) != getattr(train, name):
+            arguments.append(_flag(name if getattr(settings, name) else f"no_{name}"))
     arguments.append("--eval" if settings.eval else "--no-eval")
     if settings.eval and settings.test_every != data.test_every:
         arguments += ["--test-every", str(settings.test_every)]
@@ -92,8 +102,35 @@ def new_run(
     return arguments + _machine(machine)
 
 
+def continuation(settings: Settings, info: RunInfo) -> dict[str, float]:
+    """Options in which a run goes on differently from how it began, because more is asked for now.
+
+    Raises:
+        ValueError: it has nothing left to do; the message says what to ask for.
+    """
+    budget = info.train.time_budget if info.train is not None else 0.0
+    if budget:
+        if settings.time_budget > budget:
+            return {"time_budget": settings.time_budget}
+        if info.finished:
+            raise ValueError(
+                f"The run has ended within its {budget:g} s; ask for a longer Time Budget to go on."
+            )
+        return {}
+    wanted = max(settings.iterations, info.iterations)
+    if info.steps >= wanted:
+        raise ValueError(
+            f"The run has taken all of its {info.steps:,} steps; ask for more Steps to go on."
+        )
+    return {"iterations": wanted} if wanted != info.iterations else {}
+
+
 def resumed_run(
-    *, source: Path | None, output: Path, machine: Machine, iterations: int | None = None
+    *,
+    source: Path | None,
+    output: Path,
+    machine: Machine,
+    changes: Mapping[str, float] = MappingProxyType({}),
 ) -> list[str]:
     """Arguments that go on with the run in `output`, with the options it was started with.
 
@@ -101,12 +138,16 @@ def resumed_run(
         source: Where the capture lies now; None: where it was.
         output: Folder of the run.
         machine: Of the preferences.
-        iterations: Train up to this step instead of the one asked for at first.
+        changes: Options other than those it was started with, see `continuation`.
     """
     arguments = ["train", *([str(source)] if source else []), "-o", str(output), "--resume"]
-    if iterations is not None:
-        arguments += ["--iterations", str(iterations)]
+    for name, value in changes.items():
+        arguments += [_flag(name), f"{value:g}" if isinstance(value, float) else str(value)]
     return arguments + _machine(machine)
+
+
+def _flag(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
 
 
 def depth_run(

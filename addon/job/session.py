@@ -25,6 +25,12 @@ from ..core import (
 from .curve import LossCurve
 
 _WARNINGS_KEPT = 50
+_ENDS = {
+    "finished": "Finished",
+    "converged": "Finished early, no more to learn,",
+    "target": "Finished early, the PSNR asked for was reached,",
+}
+"""Words for the reasons of trainings that need no more steps."""
 
 STARTING, RUNNING, PAUSED, STOPPING = "starting", "running", "paused", "stopping"
 FINISHED, STOPPED, FAILED, DISCARDED = "finished", "stopped", "failed", "discarded"
@@ -128,7 +134,7 @@ class RunState:
             return
         self.eta_s = None
         if self.done is not None and self.failure is None:
-            self.status = FINISHED if self.done.reason in ("finished", "converged") else STOPPED
+            self.status = FINISHED if self.done.reason in _ENDS else STOPPED
             self.sentence = _done_sentence(self.done)
         elif self.failure is not None and self.failure.type == "Cancelled":
             self.status, self.sentence = STOPPED, "Stopped before the first step."
@@ -223,10 +229,8 @@ def _done_sentence(done: Done) -> str:
     where = views.get(str(done.metrics.get("split")), "")
     tail = f", PSNR {quality:.2f} dB{where}" if isinstance(quality, int | float) else ""
     count = f"{done.splats:,} splats{tail}"
-    if done.reason == "finished":
-        return f"Finished after {done.step:,} steps: {count}."
-    if done.reason == "converged":
-        return f"Finished early, no more to learn, after {done.step:,} steps: {count}."
+    if done.reason in _ENDS:
+        return f"{_ENDS[done.reason]} after {done.step:,} steps: {count}."
     return f"Stopped at step {done.step:,} with a checkpoint: {count}. Resume goes on from there."
 
 

@@ -70,7 +70,8 @@ def train(
 def resume(scene: bpy.types.Scene, *, wait: bool = False, python: str | Path | None = None) -> Job:
     """Go on with the run in the scene's output folder, from its last checkpoint.
 
-    With more steps in the settings than the run was asked for, it is trained up to those.
+    With more steps, or a longer time budget, in the settings than the run was asked for, it is
+    trained up to those.
 
     Args:
         scene: Its output folder holds the run.
@@ -87,11 +88,7 @@ def resume(scene: bpy.types.Scene, *, wait: bool = False, python: str | Path | N
         raise ValueError(f"{output} holds no checkpoint to go on from; press Train instead.")
     if info.problem:
         raise ValueError(f"The run cannot go on: {info.problem} Press Start Over instead.")
-    wanted = max(scene.gscore.iterations, info.iterations)
-    if info.steps >= wanted:
-        raise ValueError(
-            f"The run has taken all of its {info.steps:,} steps; ask for more Steps to go on."
-        )
+    changes = options.continuation(scene.gscore, info)
     assert info.data is not None
     source = info.data.source
     if scene.gscore.capture_path.strip():
@@ -102,7 +99,7 @@ def resume(scene: bpy.types.Scene, *, wait: bool = False, python: str | Path | N
         source=source,
         output=output,
         machine=machine(),
-        iterations=wanted if wanted != info.iterations else None,
+        changes=changes,
     )
     return _start(arguments, source, output, resumed=True, wait=wait, python=python)
 

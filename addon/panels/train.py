@@ -8,7 +8,7 @@ import bpy
 from .. import preferences
 from ..core import PRESETS, RunInfo
 from ..job import facts, setup
-from ..job.options import AS_PRESET, BY_WIDTH
+from ..job.options import AS_PRESET, BY_WIDTH, continuation
 from ..paths import output_folder
 from .widgets import TabPanel, found, job, open_preferences, sentence
 
@@ -26,7 +26,10 @@ class TrainPanel(TabPanel, bpy.types.Panel):
         layout.row(align=True).prop(settings, "preset", expand=True)
         sentence(layout, context, preset_sentence(settings))
         column = layout.column(align=True)
-        column.prop(settings, "iterations")
+        steps = column.row(align=True)
+        steps.active = settings.time_budget == 0
+        steps.prop(settings, "iterations")
+        column.prop(settings, "time_budget")
         column.prop(settings, "max_splats")
         layout.prop(settings, "live_splats")
         layout.prop(settings, "output_path", text="Output")
@@ -54,6 +57,9 @@ class TrainOptionsPanel(TabPanel, bpy.types.Panel):
         column.prop(settings, "eval")
         if settings.eval:
             column.prop(settings, "test_every")
+        column = layout.column()
+        column.prop(settings, "target_psnr")
+        column.prop(settings, "early_stop")
         column = layout.column()
         column.prop(settings, "use_masks")
         if settings.use_masks:
@@ -109,10 +115,21 @@ def draw_buttons(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
         return
     sentence(layout, context, run_sentence(info), icon="INFO")
     row = big.row(align=True)
-    if info.resumable or (info.finished and context.scene.gscore.iterations > info.steps):
+    if can_go_on(context.scene.gscore, info):
         row.operator("gscore.resume_training", icon="PLAY")
     operator = row.operator("gscore.train", text="Start Over", icon="FILE_REFRESH")
     operator.overwrite = True
+
+
+def can_go_on(settings: bpy.types.PropertyGroup, info: RunInfo) -> bool:
+    """Whether a run has, or is asked for, steps that are left to take."""
+    if info.checkpoint is None or info.problem:
+        return False
+    try:
+        continuation(settings, info)
+    except ValueError:
+        return False
+    return True
 
 
 def run_sentence(info: RunInfo) -> str:
@@ -124,7 +141,7 @@ def run_sentence(info: RunInfo) -> str:
     quality = f", PSNR {info.psnr:.2f} dB" if info.psnr is not None else ""
     if info.finished:
         return f"The output folder holds a finished run: {info.steps:,} steps{quality}."
-    done = f"step {info.steps:,} of {info.iterations:,}"
+    done = f"step {info.steps:,}" + (f" of {info.iterations:,}" if info.iterations else "")
     return f"The output folder holds a run that was stopped at {done}{quality}."
 
 

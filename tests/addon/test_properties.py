@@ -4,7 +4,7 @@ import json
 import os
 import subprocess
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ import bpy
 import pytest
 
 from addon import lookup, paths, preferences
-from addon.core import PRESETS, Background, Strategy
+from addon.core import PRESETS, Background, RunInfo, Strategy
 from addon.job import facts, options
 
 REAL = os.environ.get("GSCORE_TRAINER_PYTHON", "")
@@ -112,9 +112,10 @@ def test_every_option_arrives(scene: bpy.types.Scene, tmp_path: Path) -> None:
     """Oracle: gscore's parser, for values unlike any default."""
     settings, network = scene.gscore, tmp_path / "lpips.onnx"
     values = {"iterations": 123, "max_splats": 4567, "sh_degree": 1, "seed": 9, "antialias": True}
-    values |= {"strategy": "mcmc", "background": "white"}
+    values |= {"strategy": "mcmc", "background": "white", "early_stop": True}
+    values |= {"time_budget": 90.5, "target_psnr": 27.3}
     for name, value in values.items():
-        setattr(settings, name, value)
+        setattr(settings, name, value)  # numbers become single precision
     settings.eval, settings.test_every, settings.images = True, 5, "photos 2"
     settings.mask_mode, settings.resolution, settings.width = "composite", "WIDTH", 333
     machine = options.Machine(threads=1, lpips=network, preview_seconds=0.0)
@@ -137,7 +138,9 @@ def test_a_resumed_run_keeps_its_options(tmp_path: Path) -> None:
 
     (tmp_path / "config.json").write_text(config_json(*PRESETS["draft"](tmp_path / "gone")))
     same = options.resumed_run(source=None, output=tmp_path, machine=MACHINE)
-    moved = options.resumed_run(source=STUDIO, output=tmp_path, machine=MACHINE, iterations=9999)
+    moved = options.resumed_run(
+        source=STUDIO, output=tmp_path, machine=MACHINE, changes={"iterations": 9999}
+    )
     (data, train, args), (data2, train2, _) = parsed(same, moved)
     _, draft = PRESETS["draft"](Path())
     assert (train["iterations"], train2["iterations"]) == (str(draft.iterations), "9999")
@@ -218,3 +221,30 @@ def test_preferences_belong_to_the_add_on() -> None:
     """Oracle: Blender's list of add-ons."""
     entry = bpy.context.preferences.addons["addon"]
     assert entry.preferences == preferences.get()
+
+
+def test_what_a_run_goes_on_to(scene: bpy.types.Scene) -> None:
+    """Oracle: by hand: what was asked for at first, and what is asked for now."""
+    data, train = PRESETS["draft"](STUDIO)
+    known = {"path": STUDIO, "checkpoint": STUDIO, "splats": None, "psnr": None, "problem": ""}
+
+    def go_on(steps: int, iterations: int, budget: float = 0.0) -> dict[str, float]:
+        run = RunInfo(
+            **known,
+            data=data,
+            train=replace(train, time_budget=budget),
+            steps=steps,
+            iterations=iterations,
+        )
+        return options.continuation(scene.gscore, run)
+
+    scene.gscore.iterations, scene.gscore.time_budget = 500, 0
+    assert go_on(100, 500) == {} and go_on(100, 200) == {"iterations": 500}
+    assert go_on(500, 900) == {}
+    with pytest.raises(ValueError, match="more Steps"):
+        go_on(500, 500)
+    assert go_on(9000, 0, budget=60.0) == {}  # stopped by the user; the budget has time left
+    with pytest.raises(ValueError, match="longer Time Budget"):
+        go_on(9000, 9000, budget=60.0)
+    scene.gscore.time_budget = 90
+    assert go_on(9000, 9000, budget=60.0) == {"time_budget": 90.0}
