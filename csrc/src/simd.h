@@ -158,20 +158,37 @@ static inline void lane_sums(const Vec *v, int count, float *out) {
 #endif
 }
 
-// 2^x of `count` vectors, stage by stage, for x in [-126, 127]; relative error 2.2e-7 (minimax polynomial of degree 5 on
-// [-0.5, 0.5]). Outside that range the result is meaningless but harmless: callers mask it.
+// Coefficients of the minimax polynomial for 2^x on [-0.5, 0.5], highest power first. Degree 5 is at the limit of float;
+// the others are there to measure what they would bring (tools/kernel_error.py).
+#ifndef GS_EXP_DEGREE
+#define GS_EXP_DEGREE 5
+#endif
+#if GS_EXP_DEGREE == 3
+constexpr float kExp2Poly[] = {0.0550089329f, 0.242210969f, 0.693282902f, 1.0f};
+#elif GS_EXP_DEGREE == 4
+constexpr float kExp2Poly[] = {0.00958538242f, 0.0559066273f, 0.24024038f, 0.693124175f, 1.0f};
+#elif GS_EXP_DEGREE == 5
+constexpr float kExp2Poly[] = {0.0013276472f, 0.009675541f, 0.05550713f, 0.2402212f, 0.69314694f, 1.0f};
+#elif GS_EXP_DEGREE == 6
+constexpr float kExp2Poly[] = {0.000152723049f, 0.00134104793f, 0.00961877499f, 0.0555029362f,
+                               0.240226448f,    0.693147242f,   1.0f};
+#else
+#error "GS_EXP_DEGREE must be 3 to 6"
+#endif
+
+// 2^x of `count` vectors, stage by stage, for x in [-126, 127]; relative error 2.2e-7. Outside that range the result is
+// meaningless but harmless: callers mask it.
 template <int count> static inline void exp2(const Vec *x, Vec *out) {
-    constexpr float kPoly[5] = {0.009675541f, 0.05550713f, 0.2402212f, 0.69314694f, 1.0f};
     const Vec magic = set1(12582912.0f); // 1.5 * 2^23: adding it rounds to an integer kept in the low mantissa bits
     Vec t[count], f[count], p[count];
     for (int j = 0; j < count; ++j) {
         t[j] = x[j] + magic;
         f[j] = x[j] - (t[j] - magic);
-        p[j] = fma(set1(0.0013276472f), f[j], set1(kPoly[0]));
+        p[j] = set1(kExp2Poly[0]);
     }
-    for (int k = 1; k < 5; ++k)
+    for (int k = 1; k <= GS_EXP_DEGREE; ++k)
         for (int j = 0; j < count; ++j)
-            p[j] = fma(p[j], f[j], set1(kPoly[k]));
+            p[j] = fma(p[j], f[j], set1(kExp2Poly[k]));
     for (int j = 0; j < count; ++j)
         out[j] = as_float(as_int(p[j]) + (as_int(t[j]) << 23));
 }
