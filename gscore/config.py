@@ -94,7 +94,7 @@ class Switch(StrEnum):
 class Skip(StrEnum):
     """Work that a training leaves out because the scene has no use for it. Each can be switched
     off (`TrainConfig.without`) to prove or to measure what it brings; `gscore bench skips`
-    does. All but SMALL_PHOTOS leave every bit of the result as it is."""
+    does. All but the last two leave every bit of the result as it is."""
 
     EXACT_CULL = "exact-cull"
     """Tiles and rows inside a splat's box that its ellipse does not reach."""
@@ -108,6 +108,9 @@ class Skip(StrEnum):
     """Tiles that an `ignore` mask hides whole."""
     SH_BANDS = "sh-bands"
     """Storage and optimizer steps of SH degrees that are not in use yet."""
+    UNSEEN_SH = "unseen-sh"
+    """Optimizer steps of the higher SH coefficients of splats that a view does not show: made up
+    for later, equal but for rounding."""
     SMALL_PHOTOS = "small-photos"
     """Pixels of the first steps: photos start small, see `TrainConfig.coarse_factor`."""
 

@@ -384,7 +384,8 @@ class Trainer:
         )
         means_lr = self.plan.means_lr_at(step)
         model.set_rates(self.plan.rates | {"means": means_lr})
-        bad_rows = model.step(radii, shN=self._rest_at(step), threads=self.config.threads)
+        shown = None if Skip.UNSEEN_SH in self.config.without else radii
+        bad_rows = model.step(shown, shN=self._rest_at(step), threads=self.config.threads)
         change = self.strategy.after_step(
             model, step=step, means_lr=means_lr, generator=self.generator
         )
