@@ -7,8 +7,11 @@ from collections.abc import Callable, Sequence
 
 from .curves import Series, log_ticks, nice_ticks, short_number
 
-_WIDTH, _HEIGHT = 640, 400
-_LEFT, _RIGHT, _TOP, _BOTTOM = 62, 190, 40, 48
+_PLOT, _HEIGHT = 450, 400
+"""Right end of the axes, and the height of it all; the names of the curves come beside."""
+_LEFT, _TOP, _BOTTOM = 62, 40, 48
+_LETTER = 7.2
+"""Mean width of a letter, px."""
 _COLORS = (
     "#2f6fde", "#d9541e", "#2a8c4a", "#8a4fc9", "#b8860b", "#008b9a", "#c2185b", "#666b76",
     "#6b8e23", "#1d1f24",
@@ -49,16 +52,16 @@ def figure(
     ys = [y for _, points in drawn for _, y in points]
     if not xs:
         raise ValueError(f"The figure {title!r} has no points.")
-    to_x, x_ticks = _axis(xs, log=log_x, start=_LEFT, end=_WIDTH - _RIGHT)
+    to_x, x_ticks = _axis(xs, log=log_x, start=_LEFT, end=_PLOT)
     to_y, y_ticks = _axis(ys, log=log_y, start=_HEIGHT - _BOTTOM, end=_TOP)
+    width = round(_PLOT + 48 + _LETTER * max(len(s.label) for s in series))
     parts = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {_HEIGHT}" '
-        f'width="{_WIDTH}" height="{_HEIGHT}"><style>{_STYLE}</style>'
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {_HEIGHT}" '
+        f'width="{width}" height="{_HEIGHT}"><style>{_STYLE}</style>'
         '<rect width="100%" height="100%" fill="#fff"/>',
         f'<text class="t" x="{_LEFT}" y="22">{html.escape(title)}</text>',
         *_grid(to_x, x_ticks, to_y, y_ticks),
-        f'<text x="{_WIDTH - _RIGHT}" y="{_HEIGHT - 10}" text-anchor="end">'
-        f"{html.escape(x_label)}</text>",
+        f'<text x="{_PLOT}" y="{_HEIGHT - 10}" text-anchor="end">{html.escape(x_label)}</text>',
         f'<text x="{_LEFT - 48}" y="{_TOP - 6}">{html.escape(y_label)}</text>',
     ]
     for number, (one, points) in enumerate(drawn):
@@ -72,7 +75,7 @@ def figure(
                 f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4" fill="{color}"/>' for x, y in places
             ]
         y = _TOP + 8 + 18 * number
-        x = _WIDTH - _RIGHT + 14
+        x = _PLOT + 14
         parts.append(f'<rect x="{x}" y="{y - 5}" width="12" height="4" fill="{color}"/>')
         parts.append(f'<text x="{x + 18}" y="{y}" dy=".1em">{html.escape(one.label)}</text>')
     return "".join(parts) + "</svg>\n"
@@ -110,7 +113,7 @@ def _axis(
 def _grid(
     to_x: _Scale, x_ticks: Sequence[float], to_y: _Scale, y_ticks: Sequence[float]
 ) -> list[str]:
-    base, right = _HEIGHT - _BOTTOM, _WIDTH - _RIGHT
+    base, right = _HEIGHT - _BOTTOM, _PLOT
     parts = []
     for tick in y_ticks:
         at = f"{to_y(tick):.1f}"
