@@ -259,6 +259,9 @@ class TrainConfig:
     """Steps between two PLY snapshots; 0: only on request."""
     lpips: Path | None = None
     """ONNX file of the LPIPS network; without it LPIPS is not measured."""
+    watchdog: bool = True
+    """Where a run diverges, go back to the last good checkpoint and on with lower learning rates,
+    a few times; without periodic checkpoints (`checkpoint_seconds` 0) end with an error."""
     detect_anomaly: bool = False
     """Stop with an error at the first number that is not finite, and say where it came from;
     slow."""

@@ -88,6 +88,11 @@ _RUN: dict[str, tuple[tuple[str, ...], dict[str, Any], str]] = {
         {"type": int},
         "steps between two PLYs in OUT/snapshots, of which two are kept; 0: none",
     ),
+    "watchdog": (
+        ("--watchdog",),
+        _SWITCH,
+        "where training diverges, go back and on at lower rates (on)",
+    ),
     "detect_anomaly": (("--detect-anomaly",), _SWITCH, "stop at the first number not finite"),
 }
 _METHOD = {

@@ -1,11 +1,15 @@
 """Checkpoints: one safetensors file with all state of a run; read without running any code.
 
-The tensors are those of `Trainer.tensors`; everything else is JSON in the file's metadata.
+The tensors are those of `Trainer.tensors`; everything else is JSON in the file's metadata. Both are
+checked by CRC-32 when a checkpoint is read, because a flipped bit would go on silently.
 """
 
 import hashlib
 import json
 import struct
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -81,15 +85,18 @@ def save(path: Path, trainer: Trainer, session: dict[str, Any]) -> None:
         "trainer": trainer.state(),
         "session": session,
     }
-    tensors = trainer.tensors()
-    atomic_write(path, lambda file: _write(file, tensors, {"gscore": json.dumps(content)}))
+    tensors = {key: tensor.contiguous() for key, tensor in trainer.tensors().items()}
+    content["tensors"] = {key: _facts(tensor) for key, tensor in tensors.items()}
+    text = json.dumps(content)
+    metadata = {"gscore": text, "crc32": str(zlib.crc32(text.encode()))}
+    atomic_write(path, lambda file: _write(file, tensors, metadata))
 
 
 def load(path: Path) -> Checkpoint:
     """Read a checkpoint.
 
     Raises:
-        FormatError: not a checkpoint, truncated, or of a later gscore.
+        FormatError: not a checkpoint, truncated, damaged, or of a later gscore.
         ConfigError: there is no such file.
     """
     from safetensors import SafetensorError, safe_open
@@ -98,10 +105,16 @@ def load(path: Path) -> Checkpoint:
         raise ConfigError(f"{path}: there is no such checkpoint.")
     try:
         with safe_open(path, framework="pt") as file:
-            content = json.loads((file.metadata() or {})["gscore"])
+            metadata = file.metadata() or {}
+            text = metadata["gscore"]
             # Cloned, because the tensors of safetensors are views of one mapped file.
             tensors = {key: file.get_tensor(key).clone() for key in file.keys()}  # noqa: SIM118
-    except (SafetensorError, KeyError, ValueError, OSError) as error:
+        content = json.loads(text)
+        if not isinstance(content, dict):
+            raise ValueError("its metadata is no object")
+        if "crc32" in metadata:  # older ones have none
+            _check_intact(text, metadata["crc32"], content, tensors)
+    except (SafetensorError, KeyError, ValueError, OSError, RecursionError, MemoryError) as error:
         raise FormatError(
             f"{path} is not a complete checkpoint of gscore ({error}); use an older one."
         ) from error
@@ -110,14 +123,27 @@ def load(path: Path) -> Checkpoint:
             f"{path} was written by gscore {content.get('gscore')} in format "
             f"{content.get('format')}; this gscore reads format {FORMAT}."
         )
-    return Checkpoint(
-        path=path,
-        config=from_dict(TrainConfig, content["config"], where=str(path)),
-        capture=content["capture"],
-        trainer=content["trainer"],
-        session=content["session"],
-        tensors=tensors,
-    )
+    with understood(path):
+        return Checkpoint(
+            path=path,
+            config=from_dict(TrainConfig, content["config"], where=str(path)),
+            capture=dict(content["capture"]),
+            trainer=dict(content["trainer"]),
+            session=dict(content["session"]),
+            tensors=tensors,
+        )
+
+
+@contextmanager
+def understood(path: Path) -> Iterator[None]:
+    """FormatError where the content of a checkpoint is not what is looked for in it."""
+    try:
+        yield
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, RuntimeError) as error:
+        raise FormatError(
+            f"{path} is not a checkpoint that this gscore understands ({type(error).__name__}: "
+            f"{error}); use an older one."
+        ) from error
 
 
 def check_compatible(checkpoint: Checkpoint, config: TrainConfig, photos: Photos) -> None:
@@ -183,9 +209,8 @@ def fingerprint(photos: Photos) -> dict[str, Any]:
 def _write(file: BinaryIO, tensors: dict[str, torch.Tensor], metadata: dict[str, str]) -> None:
     """The safetensors format, straight from the tensors' memory: its own writers copy it all."""
     header: dict[str, Any] = {"__metadata__": metadata}
-    arrays = {key: t.contiguous() for key, t in tensors.items()}
     end = 0
-    for key, tensor in arrays.items():
+    for key, tensor in tensors.items():
         start, end = end, end + tensor.numel() * tensor.element_size()
         header[key] = {
             "dtype": _DTYPES[tensor.dtype],
@@ -196,6 +221,28 @@ def _write(file: BinaryIO, tensors: dict[str, torch.Tensor], metadata: dict[str,
     encoded += b" " * (-len(encoded) % 8)
     file.write(struct.pack("<Q", len(encoded)))
     file.write(encoded)
-    for tensor in arrays.values():
-        if tensor.numel():
-            file.write(tensor.numpy().data.cast("B"))
+    for tensor in tensors.values():
+        file.write(_memory(tensor))
+
+
+def _memory(tensor: torch.Tensor) -> memoryview:
+    """The bytes of a contiguous tensor."""
+    return tensor.numpy().data.cast("B") if tensor.numel() else memoryview(b"")
+
+
+def _facts(tensor: torch.Tensor) -> list[Any]:
+    """What must come back: dtype, shape and CRC-32 of the bytes."""
+    return [_DTYPES[tensor.dtype], list(tensor.shape), zlib.crc32(_memory(tensor))]
+
+
+def _check_intact(
+    text: str, crc: str, content: dict[str, Any], tensors: dict[str, torch.Tensor]
+) -> None:
+    """ValueError unless metadata and tensors are what was written."""
+    if str(zlib.crc32(text.encode())) != crc:
+        raise ValueError("its metadata is damaged")
+    found = {key: _facts(tensor.contiguous()) for key, tensor in tensors.items()}
+    if found != content.get("tensors"):
+        stated = content.get("tensors") or {}
+        broken = sorted(k for k in found.keys() | stated.keys() if found.get(k) != stated.get(k))
+        raise ValueError(f"damaged: {', '.join(broken[:3])}")

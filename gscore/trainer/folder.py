@@ -61,6 +61,12 @@ class RunFolder:
         for path in droppable[: max(len(droppable) - keep, 0)]:
             path.unlink(missing_ok=True)
 
+    def drop_checkpoints_after(self, step: int) -> None:
+        """Remove the checkpoints of later steps, which lead where the run does not go any more."""
+        for path in self.checkpoints():
+            if path > self.checkpoint(step):
+                path.unlink(missing_ok=True)
+
     def results(self) -> list[str]:
         """Names of files and folders here that a run has written."""
         return results_in(self.path)

@@ -87,6 +87,12 @@ class Meter:
         self._last_event = now
         return True
 
+    def rewind(self, step: int) -> None:
+        """Forget the steps after `step`, which will be taken anew; their time was spent."""
+        self.history = [entry for entry in self.history if entry["step"] <= step]
+        self._step, self._count, self._pace = step, 0, self.pace
+        self._recent.clear()
+
     def state(self) -> dict[str, Any]:
         """As JSON values; see `restore`."""
         return {

@@ -11,7 +11,7 @@ import numpy as np
 from ..config import DataConfig, TrainConfig
 from ..control import Control
 from ..datasets import Dataset, load_dataset
-from ..errors import BackendError, Cancelled, ConfigError, DatasetError
+from ..errors import BackendError, Cancelled, ConfigError, DatasetError, FormatError, GsError
 from ..events import Event, Progress
 from ..io.ply import is_antialiased, read_splats
 from ..metrics import find_lpips
@@ -65,14 +65,15 @@ def train(
     """
     emit, control = on_event or (lambda event: None), control or Control()
     with open_folder(output, resume=resume, overwrite=overwrite) as folder, one_torch_thread():
-        before = _checkpoint_to_start_from(folder, resume, start_checkpoint)
+        before, damaged = _checkpoint_to_start_from(folder, resume, start_checkpoint)
         start = None if config.start_splats is None else read_splats(config.start_splats)
         lpips, lpips_reason = find_lpips(config.lpips, threads=config.threads)
         photos = load_dataset(data)
         frame = None
         if before is not None:
             checkpoint.check_compatible(before, config, photos)
-            frame = Frame.from_dict(before.trainer["frame"])
+            with checkpoint.understood(before.path):
+                frame = Frame.from_dict(before.trainer["frame"])
         _check_fits(config, photos, depths=bool(data.depths))
         _decode(photos, config, emit, control)
         empty = _check_masks(photos)
@@ -101,8 +102,11 @@ def train(
                 depth=depth,
             )
             if before is not None:
-                trainer.restore(before.trainer, before.tensors)
-                session.restore(before.session)
+                with checkpoint.understood(before.path):
+                    trainer.restore(before.trainer, before.tensors)
+                    session.restore(before.session)
+                for path in damaged:
+                    session.warn(_set_aside(path, before.steps), "damaged_checkpoint")
             elif overwrite:
                 folder.clear()
             for message in (*photos.warnings, *empty, *_own_warnings(trainer)):
@@ -114,12 +118,36 @@ def train(
 
 def _checkpoint_to_start_from(
     folder: RunFolder, resume: bool, start_checkpoint: Path | None
-) -> checkpoint.Checkpoint | None:
+) -> tuple[checkpoint.Checkpoint | None, list[Path]]:
+    """The checkpoint to go on from, and later ones in the folder that are damaged.
+
+    Raises:
+        FormatError: the checkpoint that was named, or each one in the folder, is damaged.
+    """
     if resume and start_checkpoint is not None:
         raise ConfigError("Give either --resume or --start-checkpoint, not both.")
     if start_checkpoint is not None:
-        return checkpoint.load(start_checkpoint)
-    return checkpoint.load(folder.checkpoints()[-1]) if resume else None
+        return checkpoint.load(start_checkpoint), []
+    damaged: list[Path] = []
+    paths = folder.checkpoints() if resume else []
+    for path in reversed(paths):
+        try:
+            return checkpoint.load(path), damaged
+        except FormatError:
+            damaged.append(path)
+            if len(damaged) == len(paths):
+                raise
+    return None, []
+
+
+def _set_aside(path: Path, step: int) -> str:
+    """Rename a damaged checkpoint, so that it is not looked at again; a sentence about it."""
+    aside = path.with_name(f"{path.name}.damaged")
+    try:
+        path.replace(aside)
+    except OSError as error:
+        raise GsError(f"Cannot rename the damaged {path}: {error.strerror}.") from error
+    return f"{path.name} is damaged (now {aside.name}); going on from step {step} before it."
 
 
 def _check_fits(config: TrainConfig, photos: Dataset, *, depths: bool) -> None:

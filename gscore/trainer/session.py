@@ -30,8 +30,10 @@ from .meter import Meter
 from .results import Results
 from .steering import Steering
 from .trainer import StepResult, Trainer
+from .watchdog import Watchdog
 
 _WARN_BAD_ROWS = (1, 100, 10_000)
+_WARN_LOST_ROWS = (1, 100, 10_000)
 _CHECKPOINTS_KEPT = 2
 
 
@@ -83,6 +85,7 @@ class Session:
         self._depth = depth or DepthSetup()
         self._meter = Meter(trainer.plan, splats=len(trainer.model))
         self._steering = Steering(trainer, self._meter, self._evaluator)
+        self._watchdog = Watchdog(trainer.plan)
         self._evals: list[dict[str, Any]] = []
         self._warnings: list[str] = []
         self._last_checkpoint = 0.0
@@ -94,6 +97,9 @@ class Session:
         self._evals, self._warnings = list(state["evals"]), list(state["warnings"])
         self._steering.restore(state.get("steering"))
         self._last_checkpoint = self._last_preview = self._meter.train_seconds
+        if "watchdog" in state:
+            self._watchdog.restore(state["watchdog"])
+        self._trainer.rate_factor = self._watchdog.rate_factor
 
     def warn(self, message: str, code: str = "") -> None:
         """Tell the user, now and in the report."""
@@ -106,6 +112,7 @@ class Session:
         self._results.write_inputs()
         self._started()
         trainer, control = self._trainer, self._control
+        self._watch()
         self._steer()
         while not (self._steering.reason or control.stopping):
             if control.paused:
@@ -125,6 +132,9 @@ class Session:
             if self._meter.due():
                 self._emit(self._meter.progress())
             self._complain(result)
+            if self._runs_away(result):
+                self._rescue()
+                continue
             self._steer()
             self._between_steps()
         return self._finish()
@@ -165,13 +175,58 @@ class Session:
     def _complain(self, result: StepResult) -> None:
         step, count = self._trainer.steps, self._trainer.bad_rows
         if result.skipped:
-            self.warn(f"Step {step}: the loss was not finite; the step was skipped.", "non_finite")
+            self.warn(f"Step {step}: the loss was not usable; the step was skipped.", "non_finite")
         if any(count - result.bad_rows < limit <= count for limit in _WARN_BAD_ROWS):
             self.warn(
                 f"Step {step}: gradients of splats that were not finite were left out, {count} "
                 "so far.",
                 "non_finite",
             )
+        lost = self._trainer.lost_rows
+        if any(lost - result.lost_rows < limit <= lost for limit in _WARN_LOST_ROWS):
+            self.warn(
+                f"Step {step}: splats whose numbers ran away were taken out, {lost} so far.",
+                "lost_splats",
+            )
+
+    @property
+    def _guarded(self) -> bool:
+        """Whether there is to be something to go back to."""
+        return self._config.watchdog and self._config.checkpoint_seconds > 0
+
+    def _watch(self) -> None:
+        """Begin to watch, unless this goes on with a run that is watched."""
+        good = self._watchdog.good
+        here = bool(good) and self._folder.checkpoint(good[-1]).is_file()
+        if not self._config.watchdog or here:
+            return
+        self._watchdog.start(self._trainer.error())
+        if self._guarded:
+            self._watchdog.keep(self._trainer.steps)
+            self._write_checkpoint()
+
+    def _runs_away(self, result: StepResult) -> bool:
+        self._watchdog.plan = self._trainer.plan
+        diverged = self._watchdog.observe(self._trainer.steps, result.mse, skipped=result.skipped)
+        return self._config.watchdog and diverged
+
+    def _rescue(self) -> None:
+        """Go back to a good state and on from there at lower rates; GsError if there is none."""
+        trainer, step = self._trainer, self._trainer.steps
+        back = self._watchdog.rescue(step)
+        found = checkpoint.load(self._folder.checkpoint(back))
+        trainer.restore(found.trainer, found.tensors)
+        trainer.rate_factor = self._watchdog.rate_factor
+        self._meter.rewind(back)
+        self._steering.restore(found.session.get("steering"))
+        self._evals = [entry for entry in self._evals if entry["step"] <= back]
+        # Those of the way that led astray must not be what a resume finds.
+        self._folder.drop_checkpoints_after(back)
+        self.warn(
+            f"Step {step}: training diverged. Went back to step {back}, and on with all learning "
+            f"rates times {trainer.rate_factor:.3g}.",
+            "diverged",
+        )
 
     def _answer(self) -> None:
         """Do what was asked for besides pausing and stopping."""
@@ -199,7 +254,10 @@ class Session:
             self._evaluate(None)
         period = config.checkpoint_seconds
         overdue = period > 0 and clock - self._last_checkpoint >= period
-        if not last and (overdue or step in config.checkpoint_iterations):
+        good = self._guarded and self._watchdog.worth_keeping(step)
+        if not last and (overdue or good or step in config.checkpoint_iterations):
+            if good:
+                self._watchdog.keep(step)
             self._checkpoint(keep=_CHECKPOINTS_KEPT)
 
     def _preview(self) -> None:
@@ -208,7 +266,14 @@ class Session:
         name = self._trainer.photos.scene.cameras.names[view]
         self._emit(Preview(step=self._trainer.steps, view=name, path=str(path)))
 
-    def _checkpoint(self, *, keep: int) -> None:
+    def _checkpoint(self, *, keep: int, finished: bool = False) -> None:
+        path = self._write_checkpoint()
+        good = () if finished else self._watchdog.good
+        protected = (*self._config.checkpoint_iterations, *good)
+        self._folder.drop_checkpoints(keep=keep, protected=protected)
+        self._emit(Saved(step=self._trainer.steps, path=str(path)))
+
+    def _write_checkpoint(self) -> Path:
         path = self._folder.checkpoint(self._trainer.steps)
         self._last_checkpoint = self._meter.train_seconds
         state = {
@@ -216,10 +281,10 @@ class Session:
             "evals": self._evals,
             "warnings": self._warnings,
             "steering": self._steering.state(),
+            "watchdog": self._watchdog.state(),
         }
         checkpoint.save(path, self._trainer, state)
-        self._folder.drop_checkpoints(keep=keep, protected=self._config.checkpoint_iterations)
-        self._emit(Saved(step=self._trainer.steps, path=str(path)))
+        return path
 
     def _evaluate(self, collector: PictureCollector | None) -> dict[str, Any] | None:
         self._emit(self._meter.progress(phase="evaluating"))
@@ -239,7 +304,7 @@ class Session:
         trainer, reason = self._trainer, self._steering.reason
         finished, reason = bool(reason), reason or self._control.stop_reason
         self._answer()  # a snapshot asked for just before the stop
-        self._checkpoint(keep=1 if finished else _CHECKPOINTS_KEPT)
+        self._checkpoint(keep=1 if finished else _CHECKPOINTS_KEPT, finished=finished)
         splats = self._results.write_splats(self._folder.point_cloud)
         self._emit(Saved(step=trainer.steps, path=str(self._folder.point_cloud)))
         collector = PictureCollector(count=len(self._evaluator.indices))

@@ -12,11 +12,11 @@ from ..config import Background, Skip, TrainConfig
 from ..errors import ConfigError, DatasetError, GsError
 from ..raster.adam import Frustum
 from ..raster.autograd import RasterOutput, rasterize
-from ..raster.loss import image_loss_gradient
+from ..raster.loss import image_loss, image_loss_gradient
 from ..raster.painter import Painter
 from ..scene import PointCloud
 from ..splats import SH_REST_BY_DEGREE, Splats
-from . import guard
+from . import bounds, guard
 from .depth_loss import DepthLoss
 from .depth_targets import DepthTargets
 from .frame import Frame
@@ -31,6 +31,10 @@ from .strategy import Change, make_strategy, ops
 from .views import Photos, Sampler, View
 
 _MAX_SKIPPED = 100
+_ABSURD_MSE = 1e4
+"""Pictures are 0 to 1; colours of 100 come from splats that ran away."""
+_HOLD_EVERY = 100
+"""Steps between two looks at the bounds of `bounds`."""
 _COLORS = {Background.BLACK: (0.0, 0.0, 0.0), Background.WHITE: (1.0, 1.0, 1.0)}
 
 
@@ -45,7 +49,9 @@ class StepResult(NamedTuple):
     bad_rows: int
     """Splats whose gradients were not finite and were left out."""
     skipped: bool
-    """The loss was not finite, so nothing was learnt."""
+    """The loss was not finite or came from splats that ran away, so nothing was learnt."""
+    lost_rows: int = 0
+    """Splats that ran away and were taken out."""
 
 
 class Trainer:
@@ -103,6 +109,10 @@ class Trainer:
         """Steps taken."""
         self.bad_rows = 0
         """Gradient rows left out so far because they were not finite."""
+        self.lost_rows = 0
+        """Splats taken out so far because they ran away; see `bounds`."""
+        self.rate_factor = 1.0
+        """All learning rates are multiplied by this."""
         self._skipped = 0
         self._painter = Painter()
         self._v_rgb = torch.empty(0)
@@ -191,10 +201,12 @@ class Trainer:
             v_alpha = _gradient(term, alpha)
         self.steps = step
         laps.lap("loss")
-        if not math.isfinite(value):
-            if config.detect_anomaly:
-                guard.assert_finite(model, value, step=step, view=self._cameras.names[index])
-            return self._skip(value, loss.mse)
+        if config.detect_anomaly and not math.isfinite(value):
+            guard.assert_finite(model, value, step=step, view=self._cameras.names[index])
+        # What breaks a loss is often a splat that ran away; the next views do without it.
+        lost_rows = 0 if math.isfinite(value) and loss.mse < _ABSURD_MSE else self._hold()
+        if lost_rows or not math.isfinite(value):
+            return self._skip(value, loss.mse, lost_rows)
         self._skipped = 0
         v_means2d = self._painter.gradients(model.grads, self._v_rgb, v_alpha, v_inverse_depth)
         if leaf is not None:
@@ -207,15 +219,33 @@ class Trainer:
         change, bad_rows = self._learn(step, v_means2d, view)
         laps.lap("learn")
         self.bad_rows += bad_rows
-        return StepResult(value, loss.mse, change, bad_rows, False)
+        lost_rows = self._hold() if step % _HOLD_EVERY == 0 else 0
+        return StepResult(value, loss.mse, change, bad_rows, False, lost_rows)
 
     def picture(self, index: int, *, background: tuple[float, float, float]) -> torch.Tensor:
         """The view `index` as the splats show it now, [H, W, 3] float32."""
-        return self._show(index, background=background).rgb
+        return self._show(self._pyramid.view(index), background=background).rgb
+
+    def error(self, views: int = 8) -> float:
+        """Root of the mean squared error of some training views at the next step's resolution."""
+        indices = self.sampler.indices
+        chosen = indices[:: -(-len(indices) // views)]
+        background, total = self.fixed_background, 0.0
+        for index in chosen:
+            view, image, mask, _ = self._pyramid.at(index, self.plan.factor_at(self.steps + 1))
+            total += image_loss(
+                self._show(view, background=background).rgb,
+                torch.from_numpy(image),
+                mask=None if mask is None else torch.from_numpy(mask),
+                mask_mode="none" if mask is None else self.photos.mask_mode,
+                background=background,
+                threads=self.config.threads,
+            ).mse
+        return math.sqrt(total / len(chosen))
 
     def inverse_depth(self, index: int) -> np.ndarray:
         """Accumulated inverse depth of view `index`, [H, W] float32, 1/world unit."""
-        found = self._show(index, inverse_depth=True).inverse_depth
+        found = self._show(self._pyramid.view(index), inverse_depth=True).inverse_depth
         assert found is not None
         return found.numpy() * np.float32(self.frame.similarity.scale)
 
@@ -239,6 +269,7 @@ class Trainer:
             "position": self.sampler.position,
             "adam_steps": {name: self.model.steps(name) for name in self.model.params},
             "bad_rows": self.bad_rows,
+            "lost_rows": self.lost_rows,
             "skipped": self._skipped,
         }
 
@@ -275,7 +306,7 @@ class Trainer:
         self.generator.set_state(tensors["generator"])
         self.sampler.order, self.sampler.position = list(state["order"]), state["position"]
         self.steps, self.bad_rows = state["steps"], state["bad_rows"]
-        self._skipped = state["skipped"]
+        self.lost_rows, self._skipped = state.get("lost_rows", 0), state["skipped"]
 
     def _first_splats(self, cloud: PointCloud) -> Splats:
         points = self.frame.similarity.points_to_training(cloud.points)
@@ -303,9 +334,9 @@ class Trainer:
             start = replace(start, opacities=logits.astype(np.float32))
         return self.frame.similarity.splats_to_training(start)
 
-    def _show(self, index: int, **options: Any) -> RasterOutput:
-        """The whole view `index` as the splats are now; `options` are those of `rasterize`."""
-        view, config = self._pyramid.view(index), self.config
+    def _show(self, view: View, **options: Any) -> RasterOutput:
+        """The whole view as the splats are now; `options` are those of `rasterize`."""
+        config = self.config
         settled = self.model.settled(threads=config.threads)
         means, quats, scales, opacities, sh0, shN = settled.values()
         with torch.no_grad():
@@ -360,7 +391,7 @@ class Trainer:
             return (r, g, b)
         return _COLORS[mode]
 
-    def _skip(self, value: float, mse: float) -> StepResult:
+    def _skip(self, value: float, mse: float, lost_rows: int) -> StepResult:
         self._skipped += 1
         if self._skipped >= _MAX_SKIPPED:
             raise GsError(
@@ -368,7 +399,12 @@ class Trainer:
                 f"the last one step {self.steps}. Lower the learning rates; --detect-anomaly says "
                 "where it begins."
             )
-        return StepResult(value, mse, Change(), 0, True)
+        return StepResult(value, mse, Change(), 0, True, lost_rows)
+
+    def _hold(self) -> int:
+        lost = bounds.hold(self.model, extent=self.frame.extent)
+        self.lost_rows += lost
+        return lost
 
     def _learn(self, step: int, v_means2d: torch.Tensor, view: View) -> tuple[Change, int]:
         """Step with the model's gradients; what changed, and how many rows were left out."""
@@ -382,8 +418,9 @@ class Trainer:
             width=view.width,
             height=view.height,
         )
-        means_lr = self.plan.means_lr_at(step)
-        model.set_rates(self.plan.rates | {"means": means_lr})
+        means_lr = self.rate_factor * self.plan.means_lr_at(step)
+        rates = {name: self.rate_factor * rate for name, rate in self.plan.rates.items()}
+        model.set_rates(rates | {"means": means_lr})
         shown = None if Skip.UNSEEN_SH in self.config.without else radii
         bad_rows = model.step(shown, shN=self._rest_at(step), threads=self.config.threads)
         change = self.strategy.after_step(

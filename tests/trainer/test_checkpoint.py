@@ -7,13 +7,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from safetensors.torch import load_file
 
-from gscore.config import Background, TrainConfig
+from gscore.config import Background, DataConfig, TrainConfig
 from gscore.errors import ConfigError, FormatError, GsError
-from gscore.trainer import checkpoint
+from gscore.events import Event, Warn
+from gscore.trainer import checkpoint, train
+from gscore.trainer.folder import RunFolder
 from gscore.trainer.trainer import Trainer
 
 CONFIG = TrainConfig(iterations=20, max_splats=300, lpips=Path("a/b.onnx"), save_iterations=(3, 5))
@@ -106,6 +109,62 @@ def test_a_truncated_file_is_refused(saved: tuple[Trainer, Path], keep: int) -> 
     path.write_bytes(path.read_bytes()[:keep])
     with pytest.raises(FormatError, match=r"step\.safetensors is not a complete checkpoint"):
         checkpoint.load(path)
+
+
+def test_any_flipped_bit_is_noticed(saved: tuple[Trainer, Path]) -> None:
+    """Oracle: what was saved; bits of the header and of all tensors, one at a time."""
+    trainer, path = saved
+    good = path.read_bytes()
+    header = 8 + struct.unpack("<Q", good[:8])[0]
+    rng = np.random.default_rng(1)
+    places = [*rng.integers(0, header, 150).tolist(), *rng.integers(header, len(good), 150)]
+    refused = 0
+    for at in places:
+        raw = bytearray(good)
+        raw[at] ^= 1 << int(rng.integers(8))
+        path.write_bytes(raw)
+        try:
+            found = checkpoint.load(path)
+        except FormatError as error:
+            assert "step.safetensors" in str(error)
+            refused += 1
+        else:  # padding between the header and the tensors
+            assert found.trainer == trainer.state()
+            assert all(torch.equal(found.tensors[k], t) for k, t in trainer.tensors().items())
+    assert refused > 290
+
+
+def test_the_run_goes_on_from_the_checkpoint_before_a_damaged_one(
+    capture: Path, tmp_path: Path
+) -> None:
+    """Oracle: the bytes of a run whose checkpoints were never damaged; the sentence says so."""
+    config = replace(CONFIG, iterations=30, lpips=None, checkpoint_iterations=(10, 20))
+    data = DataConfig(source=capture)
+    train(config, data, tmp_path)
+    expected = (tmp_path / "point_cloud.ply").read_bytes()
+    folder = RunFolder(tmp_path)
+    for step in (20, 30):
+        path = folder.checkpoint(step)
+        raw = bytearray(path.read_bytes())
+        raw[-5] ^= 8
+        path.write_bytes(raw)
+    (tmp_path / "point_cloud.ply").unlink()
+    events: list[Event] = []
+    train(config, data, tmp_path, events.append, resume=True)
+    told = [e.message for e in events if isinstance(e, Warn)]
+    assert [("step_00000030" in m, "step_00000020" in m) for m in told] == [
+        (True, False),
+        (False, True),
+    ]
+    assert all("going on from step 10" in message for message in told)
+    assert (tmp_path / "point_cloud.ply").read_bytes() == expected
+    assert len(list((tmp_path / "checkpoints").glob("*.damaged"))) == 2
+    for path in folder.checkpoints():
+        path.write_bytes(b"x" * 50)
+    before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
+    with pytest.raises(FormatError, match="is not a complete checkpoint"):
+        train(config, data, tmp_path, resume=True)
+    assert {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()} == before
 
 
 def test_other_safetensors_files_and_formats_are_refused(tmp_path: Path) -> None:

@@ -348,6 +348,6 @@ def test_a_write_that_fails_is_one_sentence(capture: Path, tmp_path: Path) -> No
     assert ended.returncode == 2
     assert ended.stderr.count("\n") == 1
     assert "gscore train: error: Cannot write" in ended.stderr
-    assert "checkpoints/step_00000012.safetensors" in ended.stderr
+    assert "checkpoints/step_00000000.safetensors" in ended.stderr
     left = {p.name for p in tmp_path.rglob("*") if p.is_file()}
     assert left == {"config.json", "cfg_args", "cameras.json"}

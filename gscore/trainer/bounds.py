@@ -1,0 +1,98 @@
+"""Bounds that healthy splats never meet: rows beyond them are taken out, saturated numbers held.
+
+A row that ran away (one that is not finite, or colours of 1e30) costs every view that sees it, and
+nothing in its gradients brings it back. Taken out means transparent and neutral in everything else,
+without moments: the strategy removes or relocates it as it does with other transparent splats.
+"""
+
+import math
+
+import torch
+
+from .model import Model
+
+MAX_MEAN = 1e6
+"""Farthest coordinate, in camera extents."""
+MAX_SCALE = 1e3
+"""Largest standard deviation, in camera extents."""
+MAX_VALUE = 1e4
+"""Largest quaternion component, logit and SH coefficient."""
+MAX_LOGIT = 20.0
+"""Opacities are held within this: the slope of a sigmoid beyond drowns in the optimizer's epsilon,
+so they would never come back. Trained captures reach 17."""
+MAX_RATIO = 1e5
+"""Longest against shortest axis. Thinner pancakes look the same and cost float32 its digits."""
+_LARGEST = 1e37
+"""Second moments above this are infinite after a few more steps."""
+_GONE = -MAX_LOGIT
+_NEUTRAL = {"means": 0.0, "quats": 1.0, "scales": -10.0, "opacities": _GONE, "sh0": 0.0, "shN": 0.0}
+
+
+def hold(model: Model, *, extent: float) -> int:
+    """Take out the rows that ran away and hold opacities and thin axes within their bounds.
+
+    Args:
+        model: Changed in place; the number of rows stays.
+        extent: Camera extent in training units.
+
+    Returns:
+        Number of rows taken out.
+    """
+    limits = {
+        "means": MAX_MEAN * extent,
+        "quats": MAX_VALUE,
+        "scales": math.inf,  # however small, they do no harm
+        "opacities": MAX_VALUE,
+        "sh0": MAX_VALUE,
+        "shN": MAX_VALUE,
+    }
+    top = math.log(MAX_SCALE * extent)
+    with torch.no_grad():
+        bad: torch.Tensor | None = None
+        for name, limit in limits.items():
+            p = model.params[name].detach()
+            highest = top if name == "scales" else limit
+            if p.numel() == 0 or _all_within(p, limit, highest):
+                continue
+            rows = p.reshape(len(p), -1)
+            # Inverted comparisons, so that NaN fails.
+            good = ((rows >= -limit) & (rows <= highest) & rows.isfinite()).all(dim=1)
+            bad = ~good if bad is None else bad | ~good
+        count = 0 if bad is None else int(bad.sum())
+        if bad is not None and count:
+            _take_out(model, bad)
+        model.params["opacities"].clamp_(-MAX_LOGIT, MAX_LOGIT)
+        scales = model.params["scales"]
+        floor = scales.amax(dim=1, keepdim=True) - math.log(MAX_RATIO)
+        torch.maximum(scales, floor, out=scales)
+        for name, p in model.params.items():
+            _thaw(model, name)
+            # Tells the model that its numbers are not what they were.
+            model.replace(name, p, *model.moments(name), grad=model.grads[name])
+    return count
+
+
+def _all_within(values: torch.Tensor, limit: float, highest: float) -> bool:
+    """Whether all lie in [-limit, highest] and are finite; one pass, which NaN survives."""
+    low, high = torch.aminmax(values)
+    return -limit <= float(low) and float(high) <= highest and math.isfinite(float(low))
+
+
+def _take_out(model: Model, bad: torch.Tensor) -> None:
+    for name, value in _NEUTRAL.items():
+        model.params[name][bad] = value
+        model.grads[name][bad] = 0
+        for moment in model.moments(name):
+            moment[bad] = 0
+    for counter in model.rows.values():
+        counter[bad] = 0
+
+
+def _thaw(model: Model, name: str) -> None:
+    """Clear moments that overflowed, as of one gradient of 1e20: such a row never moved again."""
+    first, second = model.moments(name)
+    if second.numel() == 0 or _all_within(second, math.inf, _LARGEST):
+        return
+    frozen = ~(second.reshape(len(second), -1) <= _LARGEST).all(dim=1)
+    first[frozen] = 0
+    second[frozen] = 0
