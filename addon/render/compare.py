@@ -136,4 +136,5 @@ def _store(kind: str, pixels: np.ndarray, camera: str) -> bpy.types.Image:
     image.pixels.foreach_set(rgba.ravel())
     image["gs_image"] = camera
     image.update()
+    image.pack()  # else Blender asks whether to save it, and a file that shows it loses it
     return image

@@ -135,10 +135,12 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
             self.report({"WARNING"}, problem)
         layer = depsgraph.view_layer_eval
         black = (0.0, 0.0, 0.0)
+        window = border_window(scene.render, self.resolution_x, self.resolution_y)
         options = picture.Options(
             background=black if transparent else background_of(light),
             depths=layer.use_pass_z,
             antialias=scene.gscore_render.antialias,
+            window=window,
         )
         self.update_progress(0.2)
         self.update_stats("", f"Drawing {len(model.splats):,} splats")
@@ -151,7 +153,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         }
         if layer.use_pass_z:
             passes["Depth"] = color.z_pass(rendered)
-        self._deliver(passes, layer.name, scene.render)
+        self._deliver(passes, layer.name, scene.render, window)
 
     def _camera(self, depsgraph: bpy.types.Depsgraph) -> RenderCamera:
         scene = depsgraph.scene
@@ -175,17 +177,24 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         return render_camera(ob, scene, depsgraph=depsgraph, **size)
 
     def _deliver(
-        self, passes: dict[str, np.ndarray], layer: str, render: bpy.types.RenderSettings
+        self,
+        passes: dict[str, np.ndarray],
+        layer: str,
+        render: bpy.types.RenderSettings,
+        window: tuple[int, int, int, int] | None,
     ) -> None:
-        """Hand full-size pictures over; with a border Blender's result is that window of them."""
+        """Hand pictures over, of the window that was drawn; Blender's own may be a little less."""
         full = self.resolution_x, self.resolution_y
-        left, bottom = border_corner(render, *full) if render.use_border else (0, 0)
+        left, bottom = 0, 0
+        if window is not None:
+            corner = border_corner(render, *full)
+            left, bottom = corner[0] - window[0], corner[1] - (full[1] - window[1] - window[3])
         result = self.begin_result(0, 0, *full, layer=layer)
         size = result.resolution_x, result.resolution_y
         for name, values in passes.items():
-            window = picture.crop(values, left, bottom, *size)
+            part = picture.crop(values, left, bottom, *size)
             # Flat, and never assigned: rect = array converts every number by itself.
-            result.layers[0].passes[name].rect.foreach_set(window.ravel())
+            result.layers[0].passes[name].rect.foreach_set(part.ravel())
         self.end_result(result)
 
 
@@ -233,6 +242,19 @@ def border_corner(render: bpy.types.RenderSettings, width: int, height: int) -> 
     left = np.float32(render.border_min_x) * np.float32(width)
     bottom = np.float32(render.border_min_y) * np.float32(height)
     return int(left), int(bottom)
+
+
+def border_window(
+    render: bpy.types.RenderSettings, width: int, height: int
+) -> tuple[int, int, int, int] | None:
+    """Left, top, width and height of a part that holds the render border; None without one."""
+    if not render.use_border:
+        return None
+    left, bottom = border_corner(render, width, height)
+    right = min(int(np.ceil(render.border_max_x * width)) + 1, width)
+    top = min(int(np.ceil(render.border_max_y * height)) + 1, height)
+    left, bottom = min(left, width - 1), min(bottom, height - 1)
+    return left, height - top, max(right - left, 1), max(top - bottom, 1)
 
 
 def register() -> None:

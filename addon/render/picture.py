@@ -25,6 +25,8 @@ class Options:
     """Make depths too."""
     antialias: str = AUTO
     """ON, OFF, or AUTO: as the objects were trained."""
+    window: tuple[int, int, int, int] | None = None
+    """Left, top, width and height of the part that is drawn, pixels; None: everything."""
 
 
 def uses_antialias(model: Model, wish: str) -> bool:
@@ -86,6 +88,7 @@ def draw(
                     antialias=antialias,
                     depths=options.depths,
                     orthographic=camera.orthographic,
+                    window=options.window,
                     cancel=flag,
                 )
             )

@@ -46,6 +46,7 @@ def render(
     antialias: bool = False,
     depths: bool = True,
     orthographic: bool = False,
+    window: tuple[int, int, int, int] | None = None,
     threads: int = 0,
     cancel: _native.CancelFlag | None = None,
 ) -> Rendered:
@@ -66,6 +67,8 @@ def render(
         depths: Make the three depths too; without them, which are then None, a fifth faster.
         orthographic: Parallel rays: K's focal lengths are pixels per world unit, x = fx X + cx,
             and colours are those seen along the camera's +z.
+        window: Left, top, width and height, pixels: only this part of the picture is drawn and
+            returned, bit for bit as in the whole one.
         threads: 0: all cores.
         cancel: Set it from another thread to stop.
 
@@ -73,7 +76,7 @@ def render(
         The picture and its depths.
 
     Raises:
-        ShapeError: K, viewmat, size or degree cannot be used.
+        ShapeError: K, viewmat, size, window or degree cannot be used.
         FormatError: The file is not a splat PLY.
         BackendError: The native library is missing or out of memory.
         Cancelled: `cancel` was set.
@@ -88,6 +91,7 @@ def render(
     _native.check_size(width, height)
     K, viewmat = np.asarray(K, np.float64), np.asarray(viewmat, np.float64)
     camera = _native.camera_struct(viewmat, K, width, height, near, far, orthographic=orthographic)
+    part, tiles = (..., None) if window is None else _window(window, width, height)
     options = _native.options_struct(
         eps2d=eps2d,
         antialias=antialias,
@@ -95,6 +99,7 @@ def render(
         outputs=_DEPTHS if depths else 0,
         threads=threads,
         cancel=cancel,
+        tiles=None if tiles is None else tiles.ctypes.data,
     )
     arrays = [
         np.ascontiguousarray(a)
@@ -122,6 +127,9 @@ def render(
         visible = raster.stats().visible
     if depth is not None:
         np.divide(depth, alpha, out=depth, where=alpha > 0)
+    drawn = (None if a is None else a[part] for a in (rgb, alpha, inverse, depth, median))
+    rgb, alpha, inverse, depth, median = drawn
+    assert rgb is not None and alpha is not None
     return Rendered(
         rgb=rgb,
         alpha=alpha,
@@ -130,3 +138,19 @@ def render(
         median_depth=median,
         visible=visible,
     )
+
+
+def _window(
+    window: tuple[int, int, int, int], width: int, height: int
+) -> tuple[tuple[slice, slice], np.ndarray]:
+    """Rows and columns of a window, and the tiles it touches, [rows, columns] uint8."""
+    left, top, wide, high = window
+    if not (0 <= left < left + wide <= width and 0 <= top < top + high <= height):
+        raise ShapeError(
+            f"window must be left, top, width and height inside {width} x {height} px, got "
+            f"{window}."
+        )
+    tiles = np.zeros((-(-height // _native.TILE), -(-width // _native.TILE)), np.uint8)
+    rows = slice(top // _native.TILE, -(-(top + high) // _native.TILE))
+    tiles[rows, left // _native.TILE : -(-(left + wide) // _native.TILE)] = 1
+    return (slice(top, top + high), slice(left, left + wide)), tiles

@@ -169,3 +169,17 @@ def test_colours_of_the_photos_in_one_click(scene):
     assert scene.view_settings.view_transform == "Standard"
     assert bpy.ops.gscore.use_engine() == {"FINISHED"}
     assert scene.render.engine == "GSCORE_SPLATS"
+
+
+def test_pictures_are_kept_and_nothing_is_unsaved(studio, scene, tmp_path):
+    """Oracle: Blender's own mark of images to be saved, and the pictures in the file after it."""
+    for camera in studio[0].cameras[9:11]:  # the second time over the same images
+        found = compare.compare(scene, camera, bpy.context.evaluated_depsgraph_get())
+        assert not any(image.is_dirty for image in bpy.data.images)
+    before = pixels(found.images["Comparison"])
+    found.images["Comparison"].use_fake_user = True  # as if an editor showed it
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "x.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "x.blend"))
+    again = bpy.data.images["GS Comparison"]
+    np.testing.assert_array_equal(pixels(again), before)
+    assert not again.is_dirty and before.std() > 0.05

@@ -138,6 +138,25 @@ def test_border(scene, tmp_path, crop):
     assert window.std() > 0.05
 
 
+@pytest.mark.parametrize(
+    "border",
+    [(0.0, 1.0, 0.0, 1.0), (0.97, 1.0, 0.98, 1.0), (0.0, 0.03, 0.0, 0.03), (0.1, 0.6, 0.5, 1)],
+)
+def test_any_border_fits_blenders_own(scene, tmp_path, border):
+    """Oracle: the same pixels of the whole picture, wherever the border lies."""
+    lab.prepare(scene, light=0.1)
+    lab.add(scene, lab.blob(size=0.6))
+    whole = lab.render_exr(tmp_path, "whole")
+    render = scene.render
+    render.use_border = render.use_crop_to_border = True
+    render.border_min_x, render.border_max_x, render.border_min_y, render.border_max_y = border
+    part = lab.render_exr(tmp_path, "part")
+    left, bottom = int(np.float32(border[0]) * 90), int(np.float32(border[2]) * 70)
+    height, width = part.shape[:2]
+    window = whole[70 - bottom - height : 70 - bottom, left : left + width]
+    np.testing.assert_array_equal(part, window)
+
+
 @pytest.mark.parametrize(("percentage", "aspect"), [(50, 1.0), (37, 1.0), (100, 1.5)])
 def test_percentage_and_pixel_aspect(scene, tmp_path, percentage, aspect):
     """Sizes are Blender's; wider pixels show the same view with fewer columns each."""

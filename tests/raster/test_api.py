@@ -54,6 +54,21 @@ def test_depths_can_be_left_out() -> None:
     assert (bare.depth, bare.inverse_depth, bare.median_depth) == (None, None, None)
 
 
+@pytest.mark.parametrize(
+    "window", [(0, 0, 160, 90), (33, 17, 50, 31), (16, 16, 16, 16), (159, 89, 1, 1)]
+)
+def test_a_window_is_a_part_of_the_picture(window: tuple[int, int, int, int]) -> None:
+    """Oracle: the same pixels of the whole picture, bit by bit."""
+    splats, _ = synthetic_scene(3000, 160, 90)
+    whole, part = _view(splats), _view(splats, window=window)
+    left, top, width, height = window
+    assert part.rgb.shape == (height, width, 3)
+    for name in ("rgb", "alpha", "inverse_depth", "depth", "median_depth"):
+        wanted = getattr(whole, name)[top : top + height, left : left + width]
+        np.testing.assert_array_equal(getattr(part, name), wanted, err_msg=name)
+    assert whole.rgb.std() > 0.05
+
+
 def test_cancel_stops_a_long_call() -> None:
     """Oracle: the clock. Uncancelled, this picture takes many times longer."""
     splats, _ = synthetic_scene(20_000, 160, 90)
@@ -112,6 +127,9 @@ def test_cancel_stops_a_long_call() -> None:
         ({"near": 0.0}, "near must be positive"),
         ({"eps2d": -1.0}, "eps2d must be positive"),
         ({"threads": -1}, "threads must be 0"),
+        ({"window": (0, 0, 33, 1)}, "window must be .* inside 32 x 32 px"),
+        ({"window": (-1, 0, 3, 1)}, "window must be"),
+        ({"window": (0, 0, 3, 0)}, "window must be"),
     ],
 )
 def test_bad_input_is_named(options: dict, message: str) -> None:
