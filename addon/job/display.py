@@ -65,6 +65,9 @@ def update(job: Job) -> bool:
     if scene is None:
         job.live_seconds = 0.0
         return False
+    if job.chores:
+        job.chores.pop(0)()
+        return True
     prefs = preferences.get()
     job.live_seconds = prefs.live_seconds if scene.gscore.live_splats else 0.0
     job.live_most = prefs.live_most

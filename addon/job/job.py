@@ -3,7 +3,7 @@
 import threading
 import time
 import uuid
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -59,6 +59,8 @@ class Job:
         """Whether the result is being read in order to be shown."""
         self.filling: Any = None
         """Splats on their way into the open file; `display` puts it here."""
+        self.chores: list[Callable[[], Any]] = []
+        """What is to be made ready in the open file, one at a beat; `training` puts it here."""
         self.preview_shown = ""
         self._discarding = False
         self._clearer: threading.Thread | None = None

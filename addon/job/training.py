@@ -207,7 +207,7 @@ def _start(
     job.live_most = preferences.get().live_most
     registry.add(job)
     lookup.runs.forget(output)
-    display_nodes.group()  # takes a fifth of a second, once a file: now, while the trainer starts
+    job.chores = display_nodes.builders()  # while the trainer starts
     timer.ensure()
     if wait:
         wait_for(job)

@@ -5,9 +5,9 @@ import bpy
 from ..core import sh0_to_rgb
 from ..splat_attributes import BASE, SCALE, SH, SH_COUNTS
 from .filters import largest, opacity
-from .graph import Graph, Socket, ensure, inputs, new_group, result, socket
+from .graph import Graph, Socket, ensure, inputs, new_group, result, socket, use_group
 
-NAME = "Splat Colors"
+NAME, ENERGY = "Splat Colors", "Splat Color Energy"
 MODES = ("COLOR", "OPACITY", "SIZE", "ANISOTROPY", "SH_ENERGY", "DEPTH")
 """By number, as the group's input Color By has them."""
 ELONGATION_DECADES = 2.0
@@ -30,7 +30,7 @@ def _build(name: str) -> bpy.types.NodeTree:
     socket(tree, "Color By", "Int", 0, min_value=0, max_value=len(MODES) - 1)
     given = inputs(graph)
     size = graph.math("LOGARITHM", largest(graph), 10.0)
-    energy = _harmonic_energy(graph)
+    energy = use_group(graph, energy_group(), {})
     measures = [
         0.0,
         opacity(graph),
@@ -75,14 +75,23 @@ def _elongation(graph: Graph) -> Socket:
     return graph.math("DIVIDE", graph.math("LOGARITHM", ratio, 10.0), ELONGATION_DECADES)
 
 
-def _harmonic_energy(graph: Graph) -> Socket:
-    """Root of the sum of squares of all view-dependent coefficients."""
+def energy_group() -> bpy.types.NodeTree:
+    """The group that gives the root of the sum of squares of all view-dependent coefficients.
+
+    Apart, because the time to build a tree grows with the square of its size.
+    """
+    return ensure(bpy.data.node_groups, ENERGY, _build_energy)
+
+
+def _build_energy(name: str) -> bpy.types.NodeTree:
+    graph, tree = new_group(name)
     total: Socket | None = None
     for k in range(SH_COUNTS[-1]):
         value = graph.attribute(f"{SH}{k}", "FLOAT_VECTOR")
         square = graph.vector("DOT_PRODUCT", value, value)
         total = square if total is None else graph.math("ADD", total, square)
-    return graph.math("SQRT", total)
+    result(graph, "Energy", "Float", graph.math("SQRT", total))
+    return tree
 
 
 def _camera_depth(graph: Graph) -> Socket:

@@ -104,12 +104,11 @@ class Graph:
     def arrange(self) -> None:
         """Place nodes in columns from the inputs to the output, for whoever opens the tree."""
         depth: dict[str, int] = {}
-        links = list(self.tree.links)
+        ends = [(link.from_node.name, link.to_node.name) for link in self.tree.links]
         for _ in self.tree.nodes:  # the longest path has no more nodes than that
             before = dict(depth)
-            for link in links:
-                at = depth.get(link.from_node.name, 0) + 1
-                depth[link.to_node.name] = max(depth.get(link.to_node.name, 0), at)
+            for start, end in ends:
+                depth[end] = max(depth.get(end, 0), depth.get(start, 0) + 1)
             if depth == before:
                 break
         rows: dict[int, int] = {}

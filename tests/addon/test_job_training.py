@@ -110,6 +110,24 @@ def test_snapshots_then_the_result_reach_one_object(
     assert len([a for a in ob.data.attributes if a.name.startswith("radiance:sh_")]) == 3
 
 
+def test_the_display_is_built_bit_by_bit(
+    studio: bpy.types.Scene, play: Play, tmp_path: Path
+) -> None:
+    """Oracle: the datablocks of the file: at most one more at each beat, all before they are used."""
+    play({"say": STARTED}, {"await": "go"}, finish())
+    job = training.train(studio, overwrite=True)
+    count = lambda: len(bpy.data.node_groups) + len(bpy.data.materials)  # noqa: E731
+    assert count() == 0
+    counts = [0]
+    until(lambda: counts.append(count()) or not job.chores)
+    assert max(np.diff(counts)) == 1
+    built = set(bpy.data.node_groups)
+    job._process.send("go")
+    write_splats(tmp_path / "out" / "point_cloud.ply", splats(10))
+    assert training.wait_for(job, timeout=20) and studio.gscore.result is not None
+    assert set(bpy.data.node_groups) == built and len(built) == 4
+
+
 def test_the_result_stands_upright(studio: bpy.types.Scene, play: Play, tmp_path: Path) -> None:
     """Oracle: the up axis of a ring of level cameras in a world that was turned anyhow."""
     world = Quaternion((0.3, -0.5, 0.7, 0.4)).normalized().to_matrix()
