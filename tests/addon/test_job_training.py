@@ -113,7 +113,7 @@ def test_snapshots_then_the_result_reach_one_object(
 def test_the_display_is_built_bit_by_bit(
     studio: bpy.types.Scene, play: Play, tmp_path: Path
 ) -> None:
-    """Oracle: the datablocks of the file: at most one more at each beat, all before they are used."""
+    """Oracle: the datablocks of the file: at most one more a beat, all before they are used."""
     play({"say": STARTED}, {"await": "go"}, finish())
     job = training.train(studio, overwrite=True)
     count = lambda: len(bpy.data.node_groups) + len(bpy.data.materials)  # noqa: E731
