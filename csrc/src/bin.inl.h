@@ -1,6 +1,6 @@
 // Which tiles, and which rows inside them, a projected splat reaches.
 // The region alpha >= 1/255 is an ellipse. Cut by a slab of pixel columns it is convex, so its rows form one interval
-// with closed-form ends; tiles and row ranges of both 8-column halves of a tile follow from these intervals alone.
+// with closed-form ends; with a slab for each strip of a tile, tiles and blocks follow from these intervals alone.
 #pragma once
 
 #include "simd.h"
@@ -8,7 +8,7 @@
 
 namespace gs::GS_NAMESPACE {
 
-constexpr int kSlab = kTile / 2;
+typedef uint8_t Bytes __attribute__((vector_size(kLanes)));
 
 // Slack in px that covers rounding of the ends: a row too many costs time, one too few would change the image.
 static inline float slack_px(float extent) { return 0.01f + 1e-4f * extent; }
@@ -22,10 +22,19 @@ static inline int clamp_int(float x, int low, int high) {
     return x < float(low) ? low : x > float(high) ? high : floor_int(x);
 }
 
-static inline uint8_t pack_rows(int first, int last, int tile_first) {
-    first = first > tile_first ? first - tile_first : 0;
-    last = last < tile_first + kTile - 1 ? last - tile_first : kTile - 1;
-    return first > last ? kNoRows : uint8_t(first | last << 4);
+// The rows first..last of a tile as blocks of a strip, a bit each; `first` up to kTile, `last` from -1 on, any lane may
+// hold none.
+static inline IVec blocks_of_rows(Vec first, Vec last) {
+    const IVec f = __builtin_convertvector(first, IVec) >> 2;
+    const IVec l = __builtin_convertvector(last, IVec) >> 2;
+    return ((IVec{} + 0xf) << f) & ((IVec{} + 0xf) >> (kStrips - 1 - l));
+}
+static_assert(kBlock == 4 && kStrips == 4);
+
+// The strips' bytes of a tile as its blocks, a bit each.
+static inline uint32_t blocks_of_strips(uint32_t bytes) {
+    bytes |= bytes >> 4;
+    return (bytes & 0xff) | (bytes >> 8 & 0xff00);
 }
 
 // What an extent is multiplied by to reach where an opaque splat of the same shape falls to the threshold.
@@ -54,61 +63,50 @@ static bool bin(const BinArgs &a, size_t begin, size_t end, InstanceBuffer *out,
         instance_count[slot] = 0;
         if (x_first > x_last || box_first > box_last)
             continue;
-        const int slab_first = x_first / kSlab & ~1, slab_last = x_last / kSlab | 1;
+        const int strip_first = x_first / kTile * kStrips, strip_last = x_last / kBlock;
+        const int tile_first = box_first / kTile, tile_last = box_last / kTile;
         // Where the ellipse is highest: its mean plus (x_top, extent_y).
         const float x_top = -p.ub / p.ua * ey;
-        // An even number of slabs at a time: whole tiles.
-        for (int s0 = slab_first; s0 <= slab_last; s0 += kLanes) {
-            alignas(64) int32_t first_row[kLanes], last_row[kLanes];
+        for (int s0 = strip_first; s0 <= strip_last; s0 += kLanes) {
+            const Vec left = (iota() + float(s0)) * float(kBlock) + (0.5f - p.mean_x);
+            const Vec l = max(left, set1(-ex)), h = min(left + float(kBlock - 1), set1(ex));
+            const Mask inside = ge(h + sx, l - sx);
+            Vec first, last;
             if (!(a.disable & GS_NO_EXACT_CULL)) {
-                const Vec left = (iota() + float(s0)) * float(kSlab) + (0.5f - p.mean_x);
-                const Vec l = max(left, set1(-ex)), h = min(left + float(kSlab - 1), set1(ex));
                 const Vec top = min(max(set1(x_top), l), h), bottom = min(max(set1(-x_top), l), h);
                 const Vec ex2 = set1(ex * ex);
                 const Vec reach_top = p.half_chord * sqrt(max(fnma(top, top, ex2), Vec{}));
                 const Vec reach_bottom = p.half_chord * sqrt(max(fnma(bottom, bottom, ex2), Vec{}));
-                const Mask inside = ge(h + sx, l - sx);
-                Vec high = fma(set1(p.slope), top, reach_top) + (p.mean_y + (sy - 0.5f));
-                Vec low = fma(set1(p.slope), bottom, -reach_bottom) + (p.mean_y + (0.5f - sy));
+                last = fma(set1(p.slope), top, reach_top) + (p.mean_y + (sy - 0.5f));
+                first = fma(set1(p.slope), bottom, -reach_bottom) + (p.mean_y + (0.5f - sy));
                 // Rounding down by truncation: both are at least zero after the shift by one.
-                high = min(max(high, set1(-1.0f)), set1(float(box_last))) + 1.0f;
-                low = min(max(low, set1(float(box_first))), set1(float(a.height))) + 1.0f;
-                high = select(inside, high, Vec{});
-                low = select(inside, low, set1(float(a.height) + 1.0f));
-                const IVec last_of = __builtin_convertvector(high, IVec) - 1;
-                const IVec first_of = __builtin_convertvector(low, IVec) - 1;
-                std::memcpy(last_row, &last_of, sizeof last_row);
-                std::memcpy(first_row, &first_of, sizeof first_row);
+                last = min(max(last, set1(-1.0f)), set1(float(box_last))) + 1.0f;
+                first = min(max(first, set1(float(box_first))), set1(float(a.height))) + 1.0f;
+                last = __builtin_convertvector(__builtin_convertvector(last, IVec) - 1, Vec);
+                first = __builtin_convertvector(__builtin_convertvector(first, IVec) - 1, Vec);
             } else {
-                for (int l = 0; l < kLanes; ++l) {
-                    first_row[l] = box_first;
-                    last_row[l] = box_last;
-                }
+                first = set1(float(box_first));
+                last = set1(float(box_last));
             }
-            const int slabs = slab_last - s0 + 1 < kLanes ? slab_last - s0 + 1 : kLanes;
-            for (int s = 0; s < slabs; s += 2) {
-                const int32_t *first = first_row + s, *last = last_row + s;
-                const bool none0 = first[0] > last[0], none1 = first[1] > last[1];
-                if (none0 && none1)
-                    continue;
-                const int top = none0 ? first[1] : none1 ? first[0] : first[0] < first[1] ? first[0] : first[1];
-                const int end_row = none0 ? last[1] : none1 ? last[0] : last[0] > last[1] ? last[0] : last[1];
-                const int tile_x = (s0 + s) / 2;
-                if (tile_x >= a.tiles_x)
-                    break;
-                for (int ty = top / kTile; ty <= end_row / kTile; ++ty) {
-                    const uint32_t tile = uint32_t(ty * a.tiles_x + tile_x);
-                    if (a.tiles && !a.tiles[tile])
-                        continue;
-                    RowRange rows = {{none0 ? kNoRows : pack_rows(first[0], last[0], ty * kTile),
-                                            none1 ? kNoRows : pack_rows(first[1], last[1], ty * kTile)}};
-                    if (rows.half[0] == kNoRows && rows.half[1] == kNoRows)
-                        continue;
-                    if (a.disable & GS_NO_ROW_RANGE)
-                        rows = {{kAllRows, kAllRows}};
-                    if (out->size == out->capacity && !out->grow(out))
-                        return false;
-                    out->data[out->size++] = {tile, slot, rows, 0};
+            // What is empty stays so in every tile.
+            first = select(inside, first, set1(float(a.height + kTile)));
+            last = select(inside, last, set1(-1.0f));
+            const int tile_x = s0 / kStrips;
+            const int tiles = a.tiles_x - tile_x < kLanes / kStrips ? a.tiles_x - tile_x : kLanes / kStrips;
+            for (int ty = tile_first; ty <= tile_last; ++ty) {
+                if (out->capacity - out->size < size_t(kLanes / kStrips) && !out->grow(out))
+                    return false;
+                const float y = float(ty * kTile);
+                const Vec from = min(max(first - y, Vec{}), set1(float(kTile)));
+                const Vec to = min(max(last - y, set1(-1.0f)), set1(float(kTile - 1)));
+                const Bytes bytes = __builtin_convertvector(blocks_of_rows(from, to), Bytes);
+                uint32_t strips[kLanes / kStrips];
+                std::memcpy(strips, &bytes, sizeof strips);
+                uint32_t tile = uint32_t(ty * a.tiles_x + tile_x);
+                for (int t = 0; t < tiles; ++t, ++tile) {
+                    const uint32_t blocks = blocks_of_strips(strips[t]);
+                    out->data[out->size] = {tile, slot, a.disable & GS_NO_ROW_RANGE ? 0xffff : blocks};
+                    out->size += blocks != 0 && (!a.tiles || a.tiles[tile]);
                 }
             }
         }

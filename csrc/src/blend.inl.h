@@ -1,6 +1,8 @@
 // Alpha blending of one tile, forward and backward (Kerbl et al. 2023, section 6).
-// A tile belongs to one thread. Per splat only the pixel rows its ellipse reaches are visited, apart for each block of
-// kLanes columns; sums over pixels stay in vector accumulators and are reduced once per (tile, splat).
+// A tile belongs to one thread. Its pixels are kept in blocks of 4 x 4, of which a splat's ellipse wastes fewer than of
+// rows. Splats are taken in batches: their blocks become a flat list of items, and each stage runs down that list. So the
+// long chains of the exponentials lie side by side, whatever splat they belong to, and only short ones remain where a
+// pixel's splats must follow each other.
 #pragma once
 
 #include "simd.h"
@@ -8,79 +10,115 @@
 
 namespace gs::GS_NAMESPACE {
 
-constexpr int kBlocks = kTile / kLanes;
-constexpr uint32_t kLaneBits = (1u << kLanes) - 1;
+// An item is a block that a splat reaches.
+constexpr int kItemVecs = kBlockPixels / kLanes;
+// Items whose exponentials are computed side by side.
+constexpr int kGroup = kLanes == 16 ? 4 : kLanes == 8 ? 2 : 1;
+constexpr int kBatchItems = 64 + kTileBlocks;
 // Records are fetched this many list entries ahead of their use.
 constexpr uint32_t kPrefetch = 8;
+constexpr uint32_t kAllPixels = (1u << kBlockPixels) - 1;
 
-// Rows the backward pass computes together, stage by stage: a row's chain of dependent operations is so long that
-// out-of-order execution alone cannot keep the arithmetic units busy. The forward pass gains nothing from it.
-constexpr int kBackwardRows = 4;
+// Columns and rows of a tile's pixels in their order in memory.
+struct PixelTable {
+    alignas(64) float x[kTilePixels], y[kTilePixels];
+};
+static constexpr PixelTable make_pixel_table() {
+    PixelTable t = {};
+    for (int i = 0; i < kTilePixels; ++i) {
+        t.x[i] = float(column_of_pixel(i));
+        t.y[i] = float(row_of_pixel(i));
+    }
+    return t;
+}
+static constexpr PixelTable kPixels = make_pixel_table();
 
-struct RowSpan {
-    int first, end;
+// The positions of the bits set in a byte.
+struct BitTable {
+    uint8_t bits[256][8];
+};
+static constexpr BitTable make_bit_table() {
+    BitTable t = {};
+    for (int i = 0; i < 256; ++i)
+        for (int bit = 0, n = 0; bit < 8; ++bit)
+            if (i >> bit & 1)
+                t.bits[i][n++] = uint8_t(bit);
+    return t;
+}
+static constexpr BitTable kBits = make_bit_table();
+
+// Splats that follow each other in a tile's list, and their items.
+struct Batch {
+    int splats, items;
+    Projected splat[kBatchItems];
+    // At column x and row y of the tile, u = u0 + ua x + ub y and v = v0 + vc y.
+    float u0[kBatchItems], v0[kBatchItems];
+    int32_t index[kBatchItems];    // in the tile's list
+    int32_t item_end[kBatchItems];
+    // Of an item; some more are written, and overwritten.
+    uint8_t splat_of[kBatchItems + kTileBlocks], block[kBatchItems + kTileBlocks];
+    alignas(64) float alpha[kBatchItems + kGroup][kBlockPixels];
+
+    bool full() const { return items > kBatchItems - kTileBlocks; }
 };
 
-// The span widened to a multiple of kBackwardRows inside the tile. Rows added are below the alpha threshold or complete,
-// so they contribute exactly nothing.
-static inline RowSpan whole_steps(RowSpan span) {
-    const int count = (span.end - span.first + kBackwardRows - 1) / kBackwardRows * kBackwardRows;
-    const int first = span.first + count > kTile ? kTile - count : span.first;
-    return {first, first + count};
-}
-
-// Rows of column block `block` in which the splat can reach its alpha threshold.
-static inline RowSpan rows_of_block(RowRange rows, int block) {
-    const auto span = [&](int half) { return RowSpan{rows.half[half] & 15, (rows.half[half] >> 4) + 1}; };
-    if constexpr (kLanes == kTile) {
-        const RowSpan a = span(0), b = span(1);
-        if (rows.half[0] == kNoRows)
-            return b;
-        if (rows.half[1] == kNoRows)
-            return a;
-        return {a.first < b.first ? a.first : b.first, a.end > b.end ? a.end : b.end};
-    } else {
-        return span(block * kLanes / (kTile / 2));
-    }
-}
-
-// What depends on the row alone: u = ux + ub_dy[row], alpha = exp2(lv[row] - u^2).
-struct RowTable {
-    alignas(64) float ub_dy[kTile], lv[kTile], dy[kTile];
+// What the backward pass keeps besides.
+struct BackwardBatch : Batch {
+    alignas(64) float u[kBatchItems + kGroup][kBlockPixels], v[kBatchItems + kGroup][kBlockPixels];
+    alignas(64) float weight[kBatchItems + kGroup][kBlockPixels];
 };
 
-static inline void fill_rows(RowTable &t, const Projected &p, float first_row_y) {
-    for (int i = 0; i < kTile; i += kLanes) {
-        const Vec dy = (iota() + (first_row_y + float(i))) - p.mean_y;
-        const Vec v = p.vc * dy;
-        store(t.dy + i, dy);
-        store(t.ub_dy + i, p.ub * dy);
-        store(t.lv + i, fnma(v, v, set1(p.log2_opacity)));
+// Appends a splat and the items that cover `blocks`, which are not none. x and y are those of the tile's first pixel.
+static inline void add_splat(Batch &b, const Projected &p, int32_t index, uint32_t blocks, float x, float y) {
+    const int s = b.splats++;
+    b.splat[s] = p;
+    // In double, since for a needle the two terms are large and their sum is small.
+    const double dx = double(x) - double(p.mean_x), dy = double(y) - double(p.mean_y);
+    b.u0[s] = float(double(p.ua) * dx + double(p.ub) * dy);
+    b.v0[s] = float(double(p.vc) * dy);
+    b.index[s] = index;
+    std::memset(b.splat_of + b.items, s, kTileBlocks);
+    for (int half = 0; half < 2; ++half) {
+        const uint32_t bits = blocks >> (8 * half) & 0xff;
+        uint64_t positions;
+        std::memcpy(&positions, kBits.bits[bits], sizeof positions);
+        positions += half * 0x0808080808080808u;
+        std::memcpy(b.block + b.items, &positions, sizeof positions);
+        b.items += __builtin_popcount(bits);
     }
+    b.item_end[s] = b.items;
 }
 
-// Alpha of `kRows` rows before the clamp, zero below the threshold. The one place that decides which splat reaches
-// which pixel.
-template <int kRows> static inline void unclamped_alpha(Vec ux, const float *ub_dy, const float *lv, Vec *alpha) {
-    Vec q[kRows];
-    for (int j = 0; j < kRows; ++j) {
-        const Vec u = ux + ub_dy[j];
-        q[j] = fnma(u, u, set1(lv[j]));
+// Alphas of all items before the clamp, zero below the threshold. The one place that decides which splat reaches which
+// pixel.
+template <bool kBackward, class B> static inline void unclamped_alphas(B &b) {
+    constexpr int kCount = kGroup * kItemVecs;
+    // The last group may be incomplete: it repeats what is there.
+    for (int i = b.items; i % kGroup; ++i)
+        b.splat_of[i] = b.block[i] = 0;
+    for (int i = 0; i < b.items; i += kGroup) {
+        Vec q[kCount], alpha[kCount];
+        for (int j = 0; j < kGroup; ++j) {
+            const int s = b.splat_of[i + j], at = b.block[i + j] * kBlockPixels;
+            const Projected &p = b.splat[s];
+            // Vectors of a block that are whole rows have their columns in common.
+            const Vec ux = fma(set1(p.ua), load(kPixels.x + at), set1(b.u0[s]));
+            for (int k = 0; k < kItemVecs; ++k) {
+                const Vec y = load(kPixels.y + at + k * kLanes);
+                const Vec u = fma(set1(p.ub), y, ux), v = fma(set1(p.vc), y, set1(b.v0[s]));
+                if constexpr (kBackward) {
+                    store(b.u[i + j] + k * kLanes, u);
+                    store(b.v[i + j] + k * kLanes, v);
+                }
+                q[j * kItemVecs + k] = fnma(v, v, fnma(u, u, set1(p.log2_opacity)));
+            }
+        }
+        exp2_above<kCount>(kLog2AlphaMin, q, alpha);
+        for (int j = 0; j < kCount; ++j)
+            store(b.alpha[i] + j * kLanes, alpha[j]);
     }
-    exp2<kRows>(q, alpha);
-    for (int j = 0; j < kRows; ++j)
-        alpha[j] = keep(ge(q[j], set1(kLog2AlphaMin)), alpha[j]);
 }
-
-template <int kChannels> static inline void channels_of(const Projected &p, uint32_t outputs, float *c) {
-    c[0] = p.color[0];
-    c[1] = p.color[1];
-    c[2] = p.color[2];
-    if constexpr (kChannels >= 4)
-        c[3] = outputs & GS_OUT_INVERSE_DEPTH ? p.inverse_z : p.z;
-    if constexpr (kChannels >= 5)
-        c[4] = p.z;
-}
+static_assert(kLanes % kBlock == 0);
 
 template <int kChannels, bool kMedian>
 static int64_t blend_tile(const BlendArgs &a, uint32_t outputs, uint32_t tile) {
@@ -95,126 +133,123 @@ static int64_t blend_tile(const BlendArgs &a, uint32_t outputs, uint32_t tile) {
     // the sum of weights and the median depth.
     constexpr int kCover = 1 + kChannels, kMedianAt = kCover + kSumAlpha, kPlanes = kMedianAt + kMedian;
     alignas(64) float state[kPlanes][kTilePixels];
-    uint32_t done[kBlocks][kTile];
-    RowSpan live[kBlocks]; // rows of a block outside of which every pixel is complete
+    uint32_t done[kTileBlocks]; // pixels of each block that are complete, a bit each; their transmittance is zero
+    uint32_t live = 0;          // blocks with an incomplete pixel
     float *final_trans = a.final_transmittance + size_t(tile) * kTilePixels;
-    uint32_t *stop = a.stop_index + size_t(tile) * kTilePixels;
-    uint8_t *stop_order = a.stop_order + size_t(tile) * kTilePixels;
-    int stops = 0;
+    int32_t *stop = a.stop_index + size_t(tile) * kTilePixels;
 
-    int open = 0;
     std::memset(state, 0, sizeof state);
-    for (int i = 0; i < kTilePixels; ++i) {
-        const bool inside = i % kTile < columns && i / kTile < rows;
-        state[0][i] = final_trans[i] = inside ? 1.0f : 0.0f;
-        stop[i] = inside ? ~0u : 0u;
-        open += inside;
-    }
-    for (int b = 0; b < kBlocks; ++b) {
-        live[b] = {0, rows};
-        for (int r = 0; r < kTile; ++r) {
-            done[b][r] = 0;
-            for (int l = 0; l < kLanes; ++l)
-                done[b][r] |= uint32_t(state[0][r * kTile + b * kLanes + l] == 0.0f) << l;
+    for (int block = 0; block < kTileBlocks; ++block) {
+        uint32_t inside = 0;
+        for (int k = 0; k < kItemVecs; ++k) {
+            const int at = block * kBlockPixels + k * kLanes;
+            const Mask in = both(gt(set1(float(columns)), load(kPixels.x + at)), gt(set1(float(rows)), load(kPixels.y + at)));
+            store(state[0] + at, keep(in, set1(1.0f)));
+            store(final_trans + at, Vec{});
+            const IVec never = as_int(keep(in, as_float(IVec{} + INT32_MAX)));
+            std::memcpy(stop + at, &never, sizeof never);
+            inside |= bits(in) << (k * kLanes);
         }
+        done[block] = inside ^ kAllPixels;
+        live |= uint32_t(inside != 0) << block;
     }
-    // The lanes `finished` of a row are complete before `entry`. `values` holds their transmittance before it, and its
-    // weights and their transmittance after it, which become zero. Rare, hence kept out of the loop below.
-    const auto complete = [&](int b, int r, uint32_t finished, uint32_t entry,
-                              float (*values)[kLanes]) __attribute__((noinline)) {
-        // Complete pixels hold a transmittance of zero, so the new ones are those not yet marked.
-        const uint32_t fresh = finished & ~done[b][r];
-        for (int l = 0; l < kLanes; ++l)
-            if (fresh >> l & 1) {
-                const int at = r * kTile + b * kLanes + l;
-                final_trans[at] = values[0][l];
-                stop[at] = entry;
-                stop_order[stops++] = uint8_t(at);
-                values[1][l] = values[2][l] = 0.0f;
-                --open;
-            }
-        done[b][r] = finished;
-        while (live[b].first < live[b].end && done[b][live[b].first] == kLaneBits)
-            ++live[b].first;
-        while (live[b].first < live[b].end && done[b][live[b].end - 1] == kLaneBits)
-            --live[b].end;
-    };
 
     const uint32_t begin = a.tile_begin[tile], end = a.tile_begin[tile + 1];
-    const Vec first_x = iota() + (float(x0) + 0.5f);
-    RowTable table;
-    int64_t vectors = 0;
-    for (uint32_t e = begin; e < end && open > 0; ++e) {
-        if (e + kPrefetch < end)
-            __builtin_prefetch(&a.projected[a.entries[e + kPrefetch].slot]);
-        const Entry entry = a.entries[e];
-        const Projected &p = a.projected[entry.slot];
-        fill_rows(table, p, float(y0) + 0.5f);
-        float c[kChannels];
-        channels_of<kChannels>(p, outputs, c);
-        for (int b = 0; b < kBlocks; ++b) {
-            RowSpan span = rows_of_block(entry.rows, b);
-            span.first = span.first > live[b].first ? span.first : live[b].first;
-            span.end = span.end < live[b].end ? span.end : live[b].end;
-            if (span.first >= span.end)
-                continue;
-            vectors += span.end - span.first;
-            const Vec ux = p.ua * ((first_x + float(b * kLanes)) - p.mean_x);
-            float *at = state[0] + span.first * kTile + b * kLanes;
-            for (int r = span.first; r < span.end; ++r, at += kTile) {
-                Vec alpha;
-                unclamped_alpha<1>(ux, table.ub_dy + r, table.lv + r, &alpha);
-                const Vec t = load(at);
-                Vec w = min(alpha, set1(kAlphaMax)) * t;
-                Vec next = t - w;
-                const uint32_t finished = bits(ge(set1(kTransmittanceMin), next));
-                if (finished != done[b][r]) [[unlikely]] {
-                    alignas(64) float values[3][kLanes];
-                    store(values[0], t);
-                    store(values[1], w);
-                    store(values[2], next);
-                    complete(b, r, finished, e - begin, values);
-                    w = load(values[1]);
-                    next = load(values[2]);
+    const float first_x = float(x0) + 0.5f, first_y = float(y0) + 0.5f;
+    const int third = outputs & GS_OUT_INVERSE_DEPTH ? kChannelInvZ : kChannelZ; // the first channel after the colours
+    Batch batch;
+    int64_t items = 0;
+    for (uint32_t e = begin; e < end && live;) {
+        batch.splats = batch.items = 0;
+        for (; e < end && !batch.full(); ++e) {
+            if (e + kPrefetch < end)
+                __builtin_prefetch(&a.projected[a.entries[e + kPrefetch].slot]);
+            const Entry entry = a.entries[e];
+            if (const uint32_t blocks = entry.blocks & live)
+                add_splat(batch, a.projected[entry.slot], int32_t(e - begin), blocks, first_x, first_y);
+        }
+        items += batch.items;
+        unclamped_alphas<false>(batch);
+        for (int i = 0; i < batch.items; ++i) {
+            const int block = batch.block[i];
+            const Projected &p = batch.splat[batch.splat_of[i]];
+            float *at = state[0] + block * kBlockPixels;
+            Vec t[kItemVecs], w[kItemVecs], next[kItemVecs];
+            uint32_t finished = 0;
+            for (int k = 0; k < kItemVecs; ++k) {
+                t[k] = load(at + k * kLanes);
+                w[k] = min(load(batch.alpha[i] + k * kLanes), set1(kAlphaMax)) * t[k];
+                next[k] = t[k] - w[k];
+                finished |= bits(ge(set1(kTransmittanceMin), next[k])) << (k * kLanes);
+            }
+            if (finished != done[block]) [[unlikely]] {
+                for (int k = 0; k < kItemVecs; ++k) {
+                    // Complete pixels hold a transmittance of zero, so the new ones are those that do not.
+                    const Mask fresh = both(ge(set1(kTransmittanceMin), next[k]), gt(t[k], Vec{}));
+                    const Mask goes_on = gt(next[k], set1(kTransmittanceMin));
+                    float *final_at = final_trans + block * kBlockPixels + k * kLanes;
+                    int32_t *stop_at = stop + block * kBlockPixels + k * kLanes;
+                    store(final_at, select(fresh, t[k], load(final_at)));
+                    Vec stops;
+                    std::memcpy(&stops, stop_at, sizeof stops);
+                    stops = select(fresh, as_float(IVec{} + batch.index[batch.splat_of[i]]), stops);
+                    std::memcpy(stop_at, &stops, sizeof stops);
+                    w[k] = keep(goes_on, w[k]);
+                    next[k] = keep(goes_on, next[k]);
                 }
-                store(at, next);
-                for (int k = 0; k < kChannels; ++k) {
-                    float *channel = at + (1 + k) * kTilePixels;
-                    store(channel, fma(w, set1(c[k]), load(channel)));
+                done[block] = finished;
+                live &= ~(uint32_t(finished == kAllPixels) << block);
+            }
+            for (int k = 0; k < kItemVecs; ++k, at += kLanes) {
+                store(at, next[k]);
+                for (int c = 0; c < kChannels; ++c) {
+                    float *channel = at + (1 + c) * kTilePixels;
+                    store(channel, fma(w[k], set1(p.channel[c < 3 ? c : third + c - 3]), load(channel)));
                 }
                 if constexpr (kSumAlpha) {
                     float *cover = at + kCover * kTilePixels;
-                    store(cover, load(cover) + w);
+                    store(cover, load(cover) + w[k]);
                 }
                 if constexpr (kMedian) {
                     // A splat leaves at least 1 - kAlphaMax, so none completes a pixel and crosses 0.5 at once.
-                    const Mask crossed = both(gt(t, set1(0.5f)), ge(set1(0.5f), next));
+                    const Mask crossed = both(gt(t[k], set1(0.5f)), ge(set1(0.5f), next[k]));
                     float *median = at + kMedianAt * kTilePixels;
-                    store(median, load(median) + keep(crossed, set1(p.z)));
+                    store(median, load(median) + keep(crossed, set1(p.channel[kChannelZ])));
                 }
             }
         }
     }
 
-    a.stop_count[tile] = uint16_t(stops);
-    for (int r = 0; r < rows; ++r)
-        for (int x = 0; x < columns; ++x) {
-            const int at = r * kTile + x;
-            if (stop[at] == ~0u)
-                final_trans[at] = state[0][at];
-            const float t = final_trans[at];
-            const size_t pixel = size_t(y0 + r) * size_t(a.width) + size_t(x0 + x);
-            for (int k = 0; k < 3; ++k)
-                a.image.rgb[3 * pixel + k] = state[1 + k][at] + t * a.background[k];
-            a.image.alpha[pixel] = kSumAlpha ? state[kCover][at] : 1.0f - t;
+    for (int i = 0; i < kTilePixels; i += kLanes)
+        store(final_trans + i, load(final_trans + i) + load(state[0] + i)); // one of the two is zero
+    for (int s = 0; s * kBlock < columns; ++s)
+        for (int r = 0; r < rows; ++r) {
+            const int first = s * kBlock * kTile + r * kBlock;
+            const int count = columns - s * kBlock < kBlock ? columns - s * kBlock : kBlock;
+            const size_t pixel = size_t(y0 + r) * size_t(a.width) + size_t(x0 + s * kBlock);
+            float rgb[3 * kBlock], alpha[kBlock];
+            for (int x = 0; x < kBlock; ++x) {
+                const float t = final_trans[first + x];
+                for (int k = 0; k < 3; ++k)
+                    rgb[3 * x + k] = state[1 + k][first + x] + t * a.background[k];
+                alpha[x] = kSumAlpha ? state[kCover][first + x] : 1.0f - t;
+            }
+            const auto write = [&](float *to, const float *from, int width) {
+                if (count == kBlock)
+                    std::memcpy(to, from, size_t(width) * kBlock * sizeof(float));
+                else
+                    std::memcpy(to, from, size_t(width) * size_t(count) * sizeof(float));
+            };
+            write(a.image.rgb + 3 * pixel, rgb, 3);
+            write(a.image.alpha + pixel, alpha, 1);
             if (kChannels >= 4 && outputs & GS_OUT_INVERSE_DEPTH)
-                a.image.inverse_depth[pixel] = state[4][at];
+                write(a.image.inverse_depth + pixel, state[4] + first, 1);
             if (kChannels >= 4 && outputs & GS_OUT_DEPTH)
-                a.image.depth[pixel] = state[kChannels][at];
+                write(a.image.depth + pixel, state[kChannels] + first, 1);
             if constexpr (kMedian)
-                a.image.median_depth[pixel] = state[kMedianAt][at];
+                write(a.image.median_depth + pixel, state[kMedianAt] + first, 1);
         }
-    return vectors * kLanes;
+    return items * kBlockPixels;
 }
 
 static int64_t blend(const BlendArgs &a, uint32_t outputs, uint32_t tile) {
@@ -242,142 +277,141 @@ static int64_t blend_tile_backward(const BlendBackwardArgs &args, uint32_t outpu
     const int x0 = tile_x * kTile, y0 = tile_y * kTile;
     const int columns = a.width - x0 < kTile ? a.width - x0 : kTile;
     const int rows = a.height - y0 < kTile ? a.height - y0 : kTile;
-    const float *final_trans = a.final_transmittance + size_t(tile) * kTilePixels;
-    const uint32_t *stop = a.stop_index + size_t(tile) * kTilePixels;
+    const int32_t *stop = a.stop_index + size_t(tile) * kTilePixels;
 
     alignas(64) float v_color[kChannels][kTilePixels];
-    alignas(64) float trans[kTilePixels], behind[kTilePixels], last[kTilePixels];
+    alignas(64) float trans[kTilePixels], behind[kTilePixels];
+    std::memcpy(trans, a.final_transmittance + size_t(tile) * kTilePixels, sizeof trans);
     std::memset(v_color, 0, sizeof v_color);
-    std::memset(last, 0, sizeof last);
+    std::memset(behind, 0, sizeof behind);
     const float *planes[2] = {nullptr, nullptr};
     if constexpr (kChannels >= 4)
         planes[0] = outputs & GS_OUT_INVERSE_DEPTH ? args.grads.inverse_depth : args.grads.depth;
     if constexpr (kChannels >= 5)
         planes[1] = args.grads.depth;
-    bool any = false;
-    for (int r = 0; r < rows; ++r)
-        for (int x = 0; x < columns; ++x) {
-            const int at = r * kTile + x;
-            const size_t pixel = size_t(y0 + r) * size_t(a.width) + size_t(x0 + x);
-            for (int k = 0; k < 3 && args.grads.rgb; ++k)
-                v_color[k][at] = args.grads.rgb[3 * pixel + k];
+    for (int s = 0; s * kBlock < columns; ++s)
+        for (int r = 0; r < rows; ++r) {
+            const int first = s * kBlock * kTile + r * kBlock;
+            const size_t count_here = size_t(columns - s * kBlock < kBlock ? columns - s * kBlock : kBlock);
+            const size_t pixel = size_t(y0 + r) * size_t(a.width) + size_t(x0 + s * kBlock);
+            if (args.grads.rgb) {
+                float rgb[3 * kBlock] = {};
+                if (count_here == kBlock)
+                    std::memcpy(rgb, args.grads.rgb + 3 * pixel, sizeof rgb);
+                else
+                    std::memcpy(rgb, args.grads.rgb + 3 * pixel, 3 * count_here * sizeof(float));
+                for (int x = 0; x < kBlock; ++x)
+                    for (int k = 0; k < 3; ++k)
+                        v_color[k][first + x] = rgb[3 * x + k];
+            }
             for (int k = 3; k < kChannels; ++k)
                 if (planes[k - 3])
-                    v_color[k][at] = planes[k - 3][pixel];
-            last[at] = v_color[0][at] * a.background[0] + v_color[1][at] * a.background[1] +
-                       v_color[2][at] * a.background[2] - (args.grads.alpha ? args.grads.alpha[pixel] : 0.0f);
-            bool nonzero = last[at] != 0.0f;
+                    std::memcpy(v_color[k] + first, planes[k - 3] + pixel, count_here * sizeof(float));
+            if (args.grads.alpha)
+                std::memcpy(behind + first, args.grads.alpha + pixel, count_here * sizeof(float));
+        }
+
+    // The first list entry that a block does not need any more; blocks without image gradient need none.
+    int32_t block_stop[kTileBlocks];
+    int32_t start = 0;
+    for (int b = 0; b < kTileBlocks; ++b) {
+        int32_t last = 0;
+        IVec any = {};
+        for (int i = b * kBlockPixels; i < (b + 1) * kBlockPixels; ++i)
+            last = stop[i] > last ? stop[i] : last;
+        for (int i = b * kBlockPixels; i < (b + 1) * kBlockPixels; i += kLanes) {
+            Vec back = -load(behind + i); // which holds the gradient of alpha
+            any |= as_int(back);
             for (int k = 0; k < kChannels; ++k)
-                nonzero |= v_color[k][at] != 0.0f;
-            any |= nonzero;
+                any |= as_int(load(v_color[k] + i));
+            for (int k = 0; k < 3; ++k)
+                back = fma(load(v_color[k] + i), set1(a.background[k]), back);
+            store(behind + i, back);
         }
-    if (!any && args.skip_zero_tiles) {
-        std::memset(moments, 0, count * sizeof(Moments));
-        return 0;
+        // Without their signs: a negative zero is one too.
+        block_stop[b] = !args.skip_zero_tiles || bits(gt_int(any & INT32_MAX, IVec{})) ? last : 0;
+        start = block_stop[b] > start ? block_stop[b] : start;
     }
+    start = start < int32_t(count) ? start : int32_t(count);
+    std::memset(moments + start, 0, size_t(int32_t(count) - start) * sizeof(Moments));
 
-    // Pixels that stopped early join when the walk reaches the splat before their stop: until then their transmittance
-    // is held at zero, which makes every contribution vanish.
-    const uint8_t *stop_order = a.stop_order + size_t(tile) * kTilePixels;
-    int waiting = a.stop_count[tile];
-    uint32_t start = waiting > 0 ? stop[stop_order[waiting - 1]] : 0;
-    RowSpan live[kBlocks];
-    for (int b = 0; b < kBlocks; ++b)
-        live[b] = {kTile, 0};
-    const auto wake = [&](int at) {
-        trans[at] = final_trans[at];
-        behind[at] = last[at];
-        RowSpan &span = live[at % kTile / kLanes];
-        const int r = at / kTile;
-        span.first = r < span.first ? r : span.first;
-        span.end = r + 1 > span.end ? r + 1 : span.end;
-    };
-    for (int i = 0; i < kTilePixels; ++i) {
-        trans[i] = behind[i] = 0.0f;
-        if (stop[i] == ~0u) {
-            wake(i);
-            start = count;
+    const float first_x = float(x0) + 0.5f, first_y = float(y0) + 0.5f;
+    const int third = outputs & GS_OUT_INVERSE_DEPTH ? kChannelInvZ : kChannelZ; // the first channel after the colours
+    BackwardBatch batch;
+    uint32_t live = 0;         // blocks that the walk has reached
+    int32_t next_stop = start; // where it reaches the next one
+    int64_t items = 0;
+    for (int32_t i = start; i > 0;) {
+        batch.splats = batch.items = 0;
+        while (i > 0 && !batch.full()) {
+            --i;
+            if (i < next_stop) {
+                next_stop = 0;
+                for (int b = 0; b < kTileBlocks; ++b)
+                    if (block_stop[b] > i)
+                        live |= 1u << b;
+                    else
+                        next_stop = block_stop[b] > next_stop ? block_stop[b] : next_stop;
+            }
+            const uint32_t e = begin + uint32_t(i);
+            if (uint32_t(i) >= kPrefetch)
+                __builtin_prefetch(&a.projected[a.entries[e - kPrefetch].slot]);
+            const Entry entry = a.entries[e];
+            if (const uint32_t blocks = entry.blocks & live)
+                add_splat(batch, a.projected[entry.slot], i, blocks, first_x, first_y);
+            else
+                moments[i] = {};
         }
-    }
-    std::memset(moments + start, 0, (count - start) * sizeof(Moments));
-
-    const Vec first_x = iota() + (float(x0) + 0.5f);
-    RowTable table;
-    int64_t vectors = 0;
-    for (uint32_t i = start; i-- > 0;) {
-        while (waiting > 0 && stop[stop_order[waiting - 1]] > i)
-            wake(stop_order[--waiting]);
-        const uint32_t e = begin + i;
-        if (i >= kPrefetch)
-            __builtin_prefetch(&a.projected[a.entries[e - kPrefetch].slot]);
-        const Entry entry = a.entries[e];
-        const Projected &p = a.projected[entry.slot];
-        fill_rows(table, p, float(y0) + 0.5f);
-        float c[kChannels];
-        channels_of<kChannels>(p, outputs, c);
-        Vec sums[kMomentCount] = {};
-        for (int b = 0; b < kBlocks; ++b) {
-            RowSpan span = rows_of_block(entry.rows, b);
-            span.first = span.first > live[b].first ? span.first : live[b].first;
-            span.end = span.end < live[b].end ? span.end : live[b].end;
-            if (span.first >= span.end)
-                continue;
-            vectors += span.end - span.first;
-            const Vec dx = (first_x + float(b * kLanes)) - p.mean_x;
-            const Vec ux = p.ua * dx;
-            // dx does not change down the rows, so its powers are applied after the row loop.
-            Vec g0 = {}, gy = {}, gyy = {}, v_c[kChannels] = {};
-            span = whole_steps(span);
-            for (int r = span.first; r < span.end; r += kBackwardRows) {
-                const int at = r * kTile + b * kLanes;
-                Vec raw[kBackwardRows], alpha[kBackwardRows], w[kBackwardRows], g[kBackwardRows];
-                unclamped_alpha<kBackwardRows>(ux, table.ub_dy + r, table.lv + r, raw);
-                for (int j = 0; j < kBackwardRows; ++j) {
-                    alpha[j] = min(raw[j], set1(kAlphaMax));
-                    const Vec t = load(trans + at + j * kTile) / (1.0f - alpha[j]);
-                    store(trans + at + j * kTile, t);
-                    w[j] = alpha[j] * t;
-                }
-                for (int j = 0; j < kBackwardRows; ++j) {
-                    const int row_at = at + j * kTile;
-                    Vec own = set1(c[0]) * load(v_color[0] + row_at);
-                    for (int k = 1; k < kChannels; ++k)
-                        own = fma(set1(c[k]), load(v_color[k] + row_at), own);
-                    const Vec back = load(behind + row_at);
-                    const Vec diff = own - back;
-                    store(behind + row_at, fma(alpha[j], diff, back));
-                    g[j] = keep(ge(set1(kAlphaMax), raw[j]), w[j] * diff);
-                }
-                for (int j = 0; j < kBackwardRows; ++j) {
-                    const Vec dy = set1(table.dy[r + j]);
-                    const Vec g_dy = g[j] * dy;
-                    g0 += g[j];
-                    gy += g_dy;
-                    gyy = fma(g_dy, dy, gyy);
+        items += batch.items;
+        unclamped_alphas<true>(batch);
+        for (int n = 0; n < batch.items; ++n) {
+            const int s = batch.splat_of[n];
+            const Projected &p = batch.splat[s];
+            for (int j = 0; j < kItemVecs; ++j) {
+                const int lane = j * kLanes, at = batch.block[n] * kBlockPixels + lane;
+                IVec stops;
+                std::memcpy(&stops, stop + at, sizeof stops);
+                // A pixel takes part in what comes before its stop.
+                const Vec raw = keep(gt_int(stops, IVec{} + batch.index[s]), load(batch.alpha[n] + lane));
+                const Vec alpha = min(raw, set1(kAlphaMax));
+                const Vec t = quotient(load(trans + at), 1.0f - alpha);
+                store(trans + at, t);
+                const Vec w = alpha * t;
+                Vec own = set1(p.channel[0]) * load(v_color[0] + at);
+                for (int k = 1; k < kChannels; ++k)
+                    own = fma(set1(p.channel[k < 3 ? k : third + k - 3]), load(v_color[k] + at), own);
+                const Vec back = load(behind + at);
+                const Vec diff = own - back;
+                store(behind + at, fma(alpha, diff, back));
+                store(batch.weight[n] + lane, w);
+                store(batch.alpha[n] + lane, keep(ge(set1(kAlphaMax), raw), w * diff));
+            }
+        }
+        for (int s = 0, n = 0; s < batch.splats; ++s) {
+            Vec sums[kMomentCount] = {};
+            for (; n < batch.item_end[s]; ++n)
+                for (int j = 0; j < kItemVecs; ++j) {
+                    const int lane = j * kLanes, at = batch.block[n] * kBlockPixels + lane;
+                    const Vec g = load(batch.alpha[n] + lane), u = load(batch.u[n] + lane), v = load(batch.v[n] + lane);
+                    const Vec gu = g * u, gv = g * v, w = load(batch.weight[n] + lane);
+                    sums[kG] += g;
+                    sums[kGu] += gu;
+                    sums[kGv] += gv;
+                    sums[kGuu] = fma(gu, u, sums[kGuu]);
+                    sums[kGuv] = fma(gu, v, sums[kGuv]);
+                    sums[kGvv] = fma(gv, v, sums[kGvv]);
                     for (int k = 0; k < kChannels; ++k)
-                        v_c[k] = fma(w[j], load(v_color[k] + at + j * kTile), v_c[k]);
+                        sums[kRed + k] = fma(w, load(v_color[k] + at), sums[kRed + k]);
                 }
-            }
-            const Vec gx = g0 * dx;
-            sums[kG] += g0;
-            sums[kGx] += gx;
-            sums[kGy] += gy;
-            sums[kGxx] = fma(gx, dx, sums[kGxx]);
-            sums[kGxy] = fma(gy, dx, sums[kGxy]);
-            sums[kGyy] += gyy;
-            sums[kRed] += v_c[0];
-            sums[kGreen] += v_c[1];
-            sums[kBlue] += v_c[2];
             if constexpr (kChannels == 4)
-                sums[outputs & GS_OUT_INVERSE_DEPTH ? kInvZ : kZ] += v_c[3];
-            if constexpr (kChannels == 5) {
-                sums[kInvZ] += v_c[3];
-                sums[kZ] += v_c[4];
-            }
+                if (!(outputs & GS_OUT_INVERSE_DEPTH)) {
+                    sums[kZ] = sums[kInvZ];
+                    sums[kInvZ] = Vec{};
+                }
+            lane_sums(sums, moments[batch.index[s]].v);
         }
-        lane_sums(sums, kMomentCount, moments[i].v);
     }
-    return vectors * kLanes;
+    return items * kBlockPixels;
 }
 
 static int64_t blend_backward(const BlendBackwardArgs &a, uint32_t outputs, uint32_t tile) {

@@ -239,17 +239,17 @@ static void project(const ProjectArgs &a, int64_t chunk) {
             p.ub = ub[l];
             p.vc = vc[l];
             p.log2_opacity = log2_opacity[l];
-            p.inverse_z = s.inverse_z[l];
-            p.z = s.cam[2][l];
             for (int k = 0; k < 3; ++k)
-                p.color[k] = color[k][l];
+                p.channel[k] = color[k][l];
+            p.channel[kChannelInvZ] = s.inverse_z[l];
+            p.channel[kChannelZ] = s.cam[2][l];
             p.extent_x = ex[l];
             p.extent_y = ey[l];
             p.slope = slope[l];
             p.half_chord = half_chord[l];
             p.id = id[l];
             out[visible] = p;
-            std::memcpy(&keys[visible], &p.z, sizeof p.z);
+            std::memcpy(&keys[visible], &p.channel[kChannelZ], sizeof(float));
             if (a.radii)
                 a.radii[id[l]] = extent[l] < 1e9f ? int32_t(extent[l]) + 1 : 1000000000;
             ++visible;
@@ -331,10 +331,11 @@ static inline void prefetch_moments(const ProjectBackwardArgs &a, size_t slot) {
         __builtin_prefetch(a.moments[entry[e]].v);
 }
 
-// Gradient with respect to M = J W R S. With G the matrix of second moments and Q the conic, that with respect to the
-// covariance is Q G Q / 2, hence (Q G Q) M. ln(compensation) = (ln det0 - ln det) / 2 adds -log_gain Q M for its second
-// half. In double: for needles entries of G are ten thousand times what is left of the product.
-static inline void covariance_backward(const Lanes &s, float eps2d, Vec gxx, Vec gxy, Vec gyy, Vec log_gain,
+// Gradient with respect to M = J W R S. With G the matrix of second moments of d and Q the conic, that with respect to
+// the covariance is Q G Q / 2, hence (Q G Q) M. G itself is not needed: Q d = (ua u, ub u + vc v) / kHalfLog2E.
+// ln(compensation) = (ln det0 - ln det) / 2 adds -log_gain Q M for its second half. In double: for needles entries of
+// Q G Q are ten thousand times what is left of the product.
+static inline void covariance_backward(const Lanes &s, float eps2d, Vec guu, Vec guv, Vec gvv, Vec log_gain,
                                        Vec v_m[2][3]) {
     DVec m[2][3];
     for (int i = 0; i < 2; ++i)
@@ -349,14 +350,15 @@ static inline void covariance_backward(const Lanes &s, float eps2d, Vec gxx, Vec
         const DVec minor = m[0][k] * m[1][(k + 1) % 3] - m[0][(k + 1) % 3] * m[1][k];
         det += minor * minor;
     }
-    const DVec inv_det = 1.0 / det;
-    const DVec qa = yy * inv_det, qb = -xy * inv_det, qc = xx * inv_det;
-    const DVec g00 = to_double(gxx), g01 = to_double(gxy), g11 = to_double(gyy), gain = to_double(log_gain);
-    const DVec t00 = qa * g00 + qb * g01, t01 = qa * g01 + qb * g11;
-    const DVec t10 = qb * g00 + qc * g01, t11 = qb * g01 + qc * g11;
-    const DVec k00 = t00 * qa + t01 * qb - gain * qa;
-    const DVec k01 = t00 * qb + t01 * qc - gain * qb;
-    const DVec k11 = t10 * qb + t11 * qc - gain * qc;
+    // Squares and products of ua, ub = -ratio ua and vc, all over kHalfLog2E.
+    const DVec inv_yy = 1.0 / yy, inv_det = 1.0 / det, ratio = xy * inv_yy;
+    const DVec aa = yy * inv_det, ac = square_root(inv_det);
+    const DVec scale = DVec{} + 1.0 / double(kHalfLog2E);
+    const DVec uu = scale * to_double(guu) * aa, uv = scale * to_double(guv) * ac, vv = scale * to_double(gvv) * inv_yy;
+    const DVec gain = to_double(log_gain);
+    const DVec k00 = uu - gain * aa;
+    const DVec k01 = uv - ratio * k00;
+    const DVec k11 = vv - gain * inv_yy - ratio * (uv + k01);
     for (int k = 0; k < 3; ++k) {
         v_m[0][k] = to_float(k00 * m[0][k] + k01 * m[1][k]);
         v_m[1][k] = to_float(k01 * m[0][k] + k11 * m[1][k]);
@@ -373,13 +375,13 @@ static void project_backward(const ProjectBackwardArgs &a, int64_t chunk) {
     const int64_t begin = chunk * kChunk;
     const int visible = a.forward.visible[chunk];
     zero_culled_rows(a, begin, begin + kChunk < in.count ? begin + kChunk : in.count, visible);
-    Vec view_sums[16] = {}; // 3 x 4 row-major, the last four stay zero
+    Vec view_sums[12] = {}; // 3 x 4 row-major
     Lanes s;
     for (int first = 0; first < visible; first += kLanes) {
         const int lanes = visible - first < kLanes ? visible - first : kLanes;
         uint32_t id[kLanes];
         alignas(64) float sums[kMomentCount][kLanes] = {};
-        alignas(64) float color[3][kLanes] = {};
+        alignas(64) float color[3][kLanes] = {}, conic[3][kLanes] = {}; // conic: ua, ub, vc
         for (int l = 0; l < kLanes; ++l) {
             const size_t slot = size_t(begin + first + (l < lanes ? l : 0));
             const Projected &p = a.forward.projected[slot];
@@ -392,18 +394,19 @@ static void project_backward(const ProjectBackwardArgs &a, int64_t chunk) {
             for (int k = 0; k < kMomentCount; ++k)
                 sums[k][l] = m.v[k];
             for (int k = 0; k < 3; ++k)
-                color[k][l] = p.color[k];
+                color[k][l] = p.channel[k];
+            conic[0][l] = p.ua;
+            conic[1][l] = p.ub;
+            conic[2][l] = p.vc;
         }
         project_lanes(in, camera, *a.forward.options, limits, id, s);
         const auto sum = [&](MomentIndex k) { return load(sums[k]); };
 
-        // Conic Q, inverse of the 2D covariance.
-        const Vec inv_det = 1.0f / s.det;
-        const Vec qa = s.cov_yy * inv_det, qb = -s.cov_xy * inv_det, qc = s.cov_xx * inv_det;
-        const Vec v_mean2d[2] = {fma(qa, sum(kGx), qb * sum(kGy)), fma(qb, sum(kGx), qc * sum(kGy))};
+        const Vec u_sum = sum(kGu) * (1.0f / kHalfLog2E), v_sum = sum(kGv) * (1.0f / kHalfLog2E);
+        const Vec v_mean2d[2] = {load(conic[0]) * u_sum, fma(load(conic[1]), u_sum, load(conic[2]) * v_sum)};
         const Vec log_gain = keep(s.compensated, sum(kG));
         Vec v_m[2][3];
-        covariance_backward(s, a.forward.options->eps2d, sum(kGxx), sum(kGxy), sum(kGyy), log_gain, v_m);
+        covariance_backward(s, a.forward.options->eps2d, sum(kGuu), sum(kGuv), sum(kGvv), log_gain, v_m);
         if (a.forward.options->antialias) {
             const Vec gain = keep(s.compensated, sum(kG) / s.det0);
             for (int k = 0; k < 3; ++k) {
@@ -497,8 +500,8 @@ static void project_backward(const ProjectBackwardArgs &a, int64_t chunk) {
         }
     }
     if (a.viewmat_partial) {
-        float out[16];
-        lane_sums(view_sums, 16, out);
+        float out[16] = {};
+        lane_sums(view_sums, out);
         for (int k = 0; k < 16; ++k)
             a.viewmat_partial[chunk * 16 + k] = double(out[k]);
     }

@@ -137,7 +137,7 @@ gs_status gs_raster::bin(const BinArgs &args, size_t count, uint32_t tiles, int 
                 return;
             const Instance &x = in.data[i];
             const uint32_t e = at[x.tile]++;
-            entries[e] = {x.slot, x.rows, 0};
+            entries[e] = {x.slot, x.blocks};
             where[base[r] + i] = e;
         }
         for (size_t i = range_begin(int(r)); i < range_begin(int(r) + 1); ++i)
@@ -209,8 +209,6 @@ gs_status gs_raster::forward(const gs_splats &splats, const gs_camera &camera, c
     blend_.image = image;
     blend_.final_transmittance = final_transmittance_.ensure(size_t(tiles) * kTilePixels);
     blend_.stop_index = stop_index_.ensure(size_t(tiles) * kTilePixels);
-    blend_.stop_order = stop_order_.ensure(size_t(tiles) * kTilePixels);
-    blend_.stop_count = stop_count_.ensure(tiles);
     std::atomic<int64_t> pairs{0};
     parallel_for(tiles, threads, [&](size_t t, int) {
         if (!cancelled(options.cancel))
@@ -323,14 +321,14 @@ gs_status gs_raster::projected(float *means2d, float *depths, float *conics, flo
                 means2d[2 * id + 1] = p.mean_y;
             }
             if (depths)
-                depths[id] = p.z;
+                depths[id] = p.channel[kChannelZ];
             if (conics) {
                 conics[3 * id] = p.ua * p.ua / kHalfLog2E;
                 conics[3 * id + 1] = p.ua * p.ub / kHalfLog2E;
                 conics[3 * id + 2] = (p.ub * p.ub + p.vc * p.vc) / kHalfLog2E;
             }
             if (colors)
-                std::copy_n(p.color, 3, colors + 3 * id);
+                std::copy_n(p.channel, 3, colors + 3 * id);
             if (opacities)
                 opacities[id] = std::exp2(p.log2_opacity);
         }
@@ -342,7 +340,7 @@ int64_t gs_raster::workspace_bytes() const {
                    instance_count_.bytes() + order_.bytes() + order_scratch_.bytes() + keys_.bytes() +
                    keys_scratch_.bytes() + tile_cursor_.bytes() + tile_begin_.bytes() + entries_.bytes() +
                    instance_entry_.bytes() + moments_.bytes() + final_transmittance_.bytes() + stop_index_.bytes() +
-                   stop_order_.bytes() + stop_count_.bytes() + viewmat_partial_.bytes() + loss_planes_.bytes() +
+                   viewmat_partial_.bytes() + loss_planes_.bytes() +
                    loss_scratch_.bytes() + loss_partial_.bytes();
     for (const GrowingInstances &i : instances_)
         bytes += i.capacity * sizeof(Instance);

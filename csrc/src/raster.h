@@ -85,9 +85,7 @@ struct gs_raster {
     gs::Buffer<gs::Moments> moments_;
     // Pixels, tile by tile.
     gs::Buffer<float> final_transmittance_;
-    gs::Buffer<uint32_t> stop_index_;
-    gs::Buffer<uint8_t> stop_order_;
-    gs::Buffer<uint16_t> stop_count_;
+    gs::Buffer<int32_t> stop_index_;
     gs::Buffer<double> viewmat_partial_;
     // The loss.
     gs::Buffer<float> loss_planes_, loss_scratch_;

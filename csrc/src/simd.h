@@ -33,6 +33,11 @@ typedef float Vec4 __attribute__((vector_size(16)));
 static inline Vec set1(float x) { return x - Vec{}; }
 static inline DVec to_double(Vec v) { return __builtin_convertvector(v, DVec); }
 static inline Vec to_float(DVec v) { return __builtin_convertvector(v, Vec); }
+static inline DVec square_root(DVec v) {
+    for (int i = 0; i < kLanes; ++i)
+        v[i] = __builtin_sqrt(v[i]);
+    return v;
+}
 static inline IVec as_int(Vec v) { return (IVec)v; }
 static inline Vec as_float(IVec v) { return (Vec)v; }
 
@@ -61,6 +66,7 @@ static inline Vec max(Vec a, Vec b) { return _mm512_max_ps(a, b); }
 static inline Vec sqrt(Vec a) { return _mm512_sqrt_ps(a); }
 static inline Mask ge(Vec a, Vec b) { return _mm512_cmp_ps_mask(a, b, _CMP_GE_OQ); }
 static inline Mask gt(Vec a, Vec b) { return _mm512_cmp_ps_mask(a, b, _CMP_GT_OQ); }
+static inline Mask gt_int(IVec a, IVec b) { return _mm512_cmpgt_epi32_mask((__m512i)a, (__m512i)b); }
 static inline Mask both(Mask a, Mask b) { return Mask(a & b); }
 static inline Vec keep(Mask m, Vec v) { return _mm512_maskz_mov_ps(m, v); }
 static inline Vec select(Mask m, Vec a, Vec b) { return _mm512_mask_mov_ps(b, m, a); }
@@ -76,6 +82,7 @@ static inline Vec max(Vec a, Vec b) { return _mm256_max_ps(a, b); }
 static inline Vec sqrt(Vec a) { return _mm256_sqrt_ps(a); }
 static inline Mask ge(Vec a, Vec b) { return (IVec)_mm256_cmp_ps(a, b, _CMP_GE_OQ); }
 static inline Mask gt(Vec a, Vec b) { return (IVec)_mm256_cmp_ps(a, b, _CMP_GT_OQ); }
+static inline Mask gt_int(IVec a, IVec b) { return (IVec)(a > b); }
 static inline Mask both(Mask a, Mask b) { return a & b; }
 static inline Vec keep(Mask m, Vec v) { return (Vec)(m & (IVec)v); }
 static inline Vec select(Mask m, Vec a, Vec b) { return _mm256_blendv_ps(b, a, (Vec)m); }
@@ -91,6 +98,7 @@ static inline Vec max(Vec a, Vec b) { return (Vec)vmaxq_f32((float32x4_t)a, (flo
 static inline Vec sqrt(Vec a) { return (Vec)vsqrtq_f32((float32x4_t)a); }
 static inline Mask ge(Vec a, Vec b) { return (IVec)(a >= b); }
 static inline Mask gt(Vec a, Vec b) { return (IVec)(a > b); }
+static inline Mask gt_int(IVec a, IVec b) { return (IVec)(a > b); }
 static inline Mask both(Mask a, Mask b) { return a & b; }
 static inline Vec keep(Mask m, Vec v) { return (Vec)(m & (IVec)v); }
 static inline Vec select(Mask m, Vec a, Vec b) { return (Vec)((m & (IVec)a) | (~m & (IVec)b)); }
@@ -106,6 +114,7 @@ static inline Vec fma(Vec a, Vec b, Vec c) { return a * b + c; }
 static inline Vec fnma(Vec a, Vec b, Vec c) { return c - a * b; }
 static inline Mask ge(Vec a, Vec b) { return (IVec)(a >= b); }
 static inline Mask gt(Vec a, Vec b) { return (IVec)(a > b); }
+static inline Mask gt_int(IVec a, IVec b) { return (IVec)(a > b); }
 static inline Mask both(Mask a, Mask b) { return a & b; }
 static inline Vec keep(Mask m, Vec v) { return (Vec)(m & (IVec)v); }
 static inline Vec select(Mask m, Vec a, Vec b) { return (Vec)((m & (IVec)a) | (~m & (IVec)b)); }
@@ -129,25 +138,37 @@ static inline Vec fma(Vec a, float b, Vec c) { return fma(a, set1(b), c); }
 static inline Vec fma(float a, Vec b, Vec c) { return fma(set1(a), b, c); }
 static inline float clamp01(float x) { return x < 0 ? 0 : x > 1 ? 1 : x; }
 
-// Sums of the lanes of `count` (a multiple of 4) vectors.
-static inline void lane_sums(const Vec *v, int count, float *out) {
-#if defined(GS_ISA_AVX512) || defined(GS_ISA_AVX2)
-    for (int i = 0; i < count; i += 4) {
-        __m256 h[4];
-        for (int j = 0; j < 4; ++j) {
+// x / y, in the fewest steps that keep float's precision: an AVX-512 division takes as long as ten multiplications.
+static inline Vec quotient(Vec x, Vec y) {
 #if defined(GS_ISA_AVX512)
-            const __m512 x = v[i + j];
-            h[j] = _mm256_add_ps(_mm512_castps512_ps256(x),
-                                 _mm256_castpd_ps(_mm512_extractf64x4_pd(_mm512_castps_pd(x), 1)));
+    const Vec r = _mm512_rcp14_ps(y);
+    return x * fma(r, fnma(y, r, set1(1.0f)), r);
 #else
-            h[j] = v[i + j];
+    return x / y;
 #endif
-        }
-        const __m256 s = _mm256_hadd_ps(_mm256_hadd_ps(h[0], h[1]), _mm256_hadd_ps(h[2], h[3]));
+}
+
+// Sums of the lanes of 12 vectors.
+static inline void lane_sums(const Vec *v, float *out) {
+#if defined(GS_ISA_AVX512)
+    __m512 q[3]; // four sums, of each quarter apart
+    for (int i = 0; i < 3; ++i) {
+        const __m512 *x = (const __m512 *)v + 4 * i;
+        const __m512d ab = (__m512d)_mm512_add_ps(_mm512_unpacklo_ps(x[0], x[1]), _mm512_unpackhi_ps(x[0], x[1]));
+        const __m512d cd = (__m512d)_mm512_add_ps(_mm512_unpacklo_ps(x[2], x[3]), _mm512_unpackhi_ps(x[2], x[3]));
+        q[i] = _mm512_add_ps((__m512)_mm512_unpacklo_pd(ab, cd), (__m512)_mm512_unpackhi_pd(ab, cd));
+    }
+    const __m512 h01 = _mm512_add_ps(_mm512_shuffle_f32x4(q[0], q[1], 0x88), _mm512_shuffle_f32x4(q[0], q[1], 0xdd));
+    const __m512 h2 = _mm512_add_ps(_mm512_shuffle_f32x4(q[2], q[2], 0x88), _mm512_shuffle_f32x4(q[2], q[2], 0xdd));
+    const __m512 s = _mm512_add_ps(_mm512_shuffle_f32x4(h01, h2, 0x88), _mm512_shuffle_f32x4(h01, h2, 0xdd));
+    _mm512_mask_storeu_ps(out, 0xfff, s);
+#elif defined(GS_ISA_AVX2)
+    for (int i = 0; i < 12; i += 4) {
+        const __m256 s = _mm256_hadd_ps(_mm256_hadd_ps(v[i], v[i + 1]), _mm256_hadd_ps(v[i + 2], v[i + 3]));
         _mm_storeu_ps(out + i, _mm_add_ps(_mm256_castps256_ps128(s), _mm256_extractf128_ps(s, 1)));
     }
 #else
-    for (int i = 0; i < count; ++i) {
+    for (int i = 0; i < 12; ++i) {
         alignas(64) float lane[kLanes];
         store(lane, v[i]);
         for (int n = kLanes / 2; n > 0; n /= 2)
@@ -176,21 +197,31 @@ constexpr float kExp2Poly[] = {0.000152723049f, 0.00134104793f, 0.00961877499f, 
 #error "GS_EXP_DEGREE must be 3 to 6"
 #endif
 
-// 2^x of `count` vectors, stage by stage, for x in [-126, 127]; relative error 2.2e-7. Outside that range the result is
-// meaningless but harmless: callers mask it.
-template <int count> static inline void exp2(const Vec *x, Vec *out) {
-    const Vec magic = set1(12582912.0f); // 1.5 * 2^23: adding it rounds to an integer kept in the low mantissa bits
+// 2^x of `count` vectors, stage by stage, zero where x < lowest, for x <= 127 and lowest >= -126; relative error 2.2e-7.
+template <int count> static inline void exp2_above(float lowest, const Vec *x, Vec *out) {
     Vec t[count], f[count], p[count];
     for (int j = 0; j < count; ++j) {
+#if defined(GS_ISA_AVX512)
+        f[j] = _mm512_reduce_ps(x[j], 0); // x less the nearest integer
+        t[j] = x[j] - f[j];
+#else
+        const Vec magic = set1(12582912.0f); // 1.5 * 2^23: adding it rounds to an integer kept in the low mantissa bits
         t[j] = x[j] + magic;
         f[j] = x[j] - (t[j] - magic);
+#endif
         p[j] = set1(kExp2Poly[0]);
     }
     for (int k = 1; k <= GS_EXP_DEGREE; ++k)
         for (int j = 0; j < count; ++j)
             p[j] = fma(p[j], f[j], set1(kExp2Poly[k]));
-    for (int j = 0; j < count; ++j)
-        out[j] = as_float(as_int(p[j]) + (as_int(t[j]) << 23));
+    for (int j = 0; j < count; ++j) {
+        const Mask reached = ge(x[j], set1(lowest));
+#if defined(GS_ISA_AVX512)
+        out[j] = _mm512_maskz_scalef_ps(reached, p[j], t[j]);
+#else
+        out[j] = keep(reached, as_float(as_int(p[j]) + (as_int(t[j]) << 23)));
+#endif
+    }
 }
 
 // e^x, relative error below 4e-7; x is clamped to [-87, 88].

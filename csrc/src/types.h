@@ -10,6 +10,15 @@ namespace gs {
 
 constexpr int kTile = GS_TILE;
 constexpr int kTilePixels = kTile * kTile;
+// A tile's pixels in memory: strips of 4 columns from left to right, each row by row. Sixteen that follow each other are
+// a block of 4 x 4.
+constexpr int kBlock = 4;
+constexpr int kBlockPixels = kBlock * kBlock;
+constexpr int kTileBlocks = kTilePixels / kBlockPixels;
+constexpr int kStrips = kTile / kBlock;
+static_assert(kTileBlocks == 16, "the blocks of a tile are the bits of 16, four a strip");
+constexpr int column_of_pixel(int i) { return i / (kBlock * kTile) * kBlock + i % kBlock; }
+constexpr int row_of_pixel(int i) { return i / kBlock % kTile; }
 constexpr float kAlphaMax = GS_ALPHA_MAX;
 constexpr float kTransmittanceMin = GS_TRANSMITTANCE_MIN;
 constexpr float kLog2AlphaMin = -7.99435343685886f; // log2(1 / 255)
@@ -22,6 +31,8 @@ constexpr float kHalfLog2E = 0.72134752044448170f;
 // Splats are projected in chunks of this many; part of the numeric definition of sums, so it never depends on threads.
 constexpr int64_t kChunk = 1024;
 
+constexpr int kChannelInvZ = 3, kChannelZ = 4;
+
 // What the blend loops read of a projected splat: one cache line.
 // With d = pixel - mean: alpha = exp2(log2_opacity - u^2 - v^2), u = ua * dx + ub * dy, v = vc * dy. This factored
 // form of the conic keeps needles accurate, where A dx^2 + 2 B dx dy + C dy^2 would cancel.
@@ -29,8 +40,7 @@ struct alignas(64) Projected {
     float mean_x, mean_y;
     float ua, ub, vc;
     float log2_opacity;
-    float inverse_z, z;
-    float color[3];
+    float channel[5]; // colour, 1 / z, z
     // What binning reads of the ellipse alpha >= 1/255: half-sides of its box in px, the slope of the line that halves
     // its vertical chords, and the half-length of the chord at distance x: half_chord * sqrt(extent_x^2 - x^2).
     float extent_x, extent_y, slope, half_chord;
@@ -38,31 +48,22 @@ struct alignas(64) Projected {
 };
 static_assert(sizeof(Projected) == 64);
 
-// Rows of a tile that a splat reaches, apart for the left and the right 8 columns: low nibble first row, high nibble
-// last row; first > last means none.
-struct RowRange {
-    uint8_t half[2];
-};
-constexpr uint8_t kNoRows = 0x0f, kAllRows = 0xf0;
-
 // A splat in a tile's list.
 struct Entry {
-    uint32_t slot; // index into Projected
-    RowRange rows;
-    uint16_t unused;
+    uint32_t slot;   // index into Projected
+    uint32_t blocks; // those that it reaches, a bit each
 };
 
 // The same before it is sorted into its tile.
 struct Instance {
     uint32_t tile;
     uint32_t slot;
-    RowRange rows;
-    uint16_t unused;
+    uint32_t blocks;
 };
 
-// Sums over the pixels of one entry, and after merging of one splat. With g = dL / d ln(alpha) and d = pixel - mean:
-// sum of g, g dx, g dy, g dx^2, g dx dy, g dy^2, then gradients of colour, inverse depth and depth.
-enum MomentIndex { kG, kGx, kGy, kGxx, kGxy, kGyy, kRed, kGreen, kBlue, kInvZ, kZ, kMomentCount = 12 };
+// Sums over the pixels of one entry, and after merging of one splat. With g = dL / d ln(alpha) and u, v as above:
+// sum of g, g u, g v, g u^2, g u v, g v^2, then gradients of colour, inverse depth and depth.
+enum MomentIndex { kG, kGu, kGv, kGuu, kGuv, kGvv, kRed, kGreen, kBlue, kInvZ, kZ, kMomentCount = 12 };
 struct alignas(16) Moments {
     float v[kMomentCount];
 };
@@ -101,9 +102,7 @@ struct BlendArgs {
     float background[3];
     gs_image image;
     float *final_transmittance; // [tiles * kTilePixels]
-    uint32_t *stop_index;       // [tiles * kTilePixels], first entry of the tile that is not blended, or ~0
-    uint8_t *stop_order;        // [tiles * kTilePixels], pixels of the tile that stopped, in the order they did
-    uint16_t *stop_count;       // [tiles]
+    int32_t *stop_index;        // [tiles * kTilePixels], first entry of the tile that is not blended, or INT32_MAX
 };
 
 struct BlendBackwardArgs {
