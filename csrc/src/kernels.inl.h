@@ -10,7 +10,7 @@
 namespace gs::GS_NAMESPACE {
 
 static constexpr Kernels make_kernels(const char *name) {
-    return {name, project, bin, blend, blend_backward, project_backward, loss_forward, loss_backward,
+    return {name, project, bin, blend, blend_backward, project_backward, image_loss,
             adam_step, adam_catch_up};
 }
 

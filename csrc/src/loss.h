@@ -12,8 +12,9 @@ constexpr int kLossBand = 64;
 constexpr int kLossMargin = 16;
 
 constexpr int loss_stride(int width) { return (width + 15) / 16 * 16 + 3 * kLossMargin; }
-constexpr size_t loss_scratch_floats(int width) { return size_t(4 + 4 * kWindow) * size_t(loss_stride(width)); }
-constexpr size_t loss_plane_floats(int width, int height) { return 9 * size_t(height) * size_t(loss_stride(width)); }
+// Rows of a thread's rings and single rows.
+constexpr int kLossRows = 9 * kWindow + 6;
+constexpr size_t loss_scratch_floats(int width) { return size_t(kLossRows) * size_t(loss_stride(width)); }
 constexpr int loss_bands(int height) { return (height + kLossBand - 1) / kLossBand; }
 
 } // namespace gs

@@ -279,11 +279,9 @@ gs_status gs_raster::image_loss(const gs_loss_args &args, gs_loss_result &result
     const int threads = threads_of(args.threads), bands = loss_bands(args.height);
     const size_t scratch = loss_scratch_floats(args.width);
     float *scratches = loss_scratch_.ensure(scratch * size_t(std::min(threads, bands)));
-    LossArgs loss = {&args, nullptr, loss_partial_.ensure(size_t(bands) * 3), v_image};
-    if (v_image)
-        loss.planes = loss_planes_.ensure(loss_plane_floats(args.width, args.height));
+    const LossArgs loss = {&args, loss_partial_.ensure(size_t(bands) * 3), v_image};
     parallel_for(size_t(bands), threads,
-                 [&](size_t b, int worker) { k.loss_forward(loss, int(b), scratches + scratch * size_t(worker)); });
+                 [&](size_t b, int worker) { k.image_loss(loss, int(b), scratches + scratch * size_t(worker)); });
     double sums[3] = {};
     for (int b = 0; b < bands; ++b)
         for (int i = 0; i < 3; ++i)
@@ -294,9 +292,6 @@ gs_status gs_raster::image_loss(const gs_loss_args &args, gs_loss_result &result
     result.mse = sums[2] / n;
     const double w = double(args.ssim_weight);
     result.loss = (1.0 - w) * result.l1 + w * (1.0 - result.ssim);
-    if (v_image)
-        parallel_for(size_t(bands), threads,
-                     [&](size_t b, int worker) { k.loss_backward(loss, int(b), scratches + scratch * size_t(worker)); });
     return GS_OK;
 }
 
@@ -340,8 +335,7 @@ int64_t gs_raster::workspace_bytes() const {
                    instance_count_.bytes() + order_.bytes() + order_scratch_.bytes() + keys_.bytes() +
                    keys_scratch_.bytes() + tile_cursor_.bytes() + tile_begin_.bytes() + entries_.bytes() +
                    instance_entry_.bytes() + moments_.bytes() + final_transmittance_.bytes() + stop_index_.bytes() +
-                   viewmat_partial_.bytes() + loss_planes_.bytes() +
-                   loss_scratch_.bytes() + loss_partial_.bytes();
+                   viewmat_partial_.bytes() + loss_scratch_.bytes() + loss_partial_.bytes();
     for (const GrowingInstances &i : instances_)
         bytes += i.capacity * sizeof(Instance);
     return int64_t(bytes);

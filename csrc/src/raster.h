@@ -88,6 +88,6 @@ struct gs_raster {
     gs::Buffer<int32_t> stop_index_;
     gs::Buffer<double> viewmat_partial_;
     // The loss.
-    gs::Buffer<float> loss_planes_, loss_scratch_;
+    gs::Buffer<float> loss_scratch_;
     gs::Buffer<double> loss_partial_;
 };

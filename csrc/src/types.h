@@ -124,7 +124,6 @@ struct ProjectBackwardArgs {
 
 struct LossArgs {
     const gs_loss_args *args;
-    float *planes;    // loss_plane_floats: derivatives with respect to E[x], E[x^2 + y^2], E[d^2]; map, channel, row
     double *partial;  // [bands * 3] l1, ssim, mse sums
     float *v_image;   // null: no gradient
 };
@@ -164,8 +163,7 @@ struct Kernels {
     int64_t (*blend_backward)(const BlendBackwardArgs &, uint32_t outputs, uint32_t tile);
     void (*project_backward)(const ProjectBackwardArgs &, int64_t chunk);
     // One band of rows; `scratch` holds loss_scratch_floats(width).
-    void (*loss_forward)(const LossArgs &, int band, float *scratch);
-    void (*loss_backward)(const LossArgs &, int band, float *scratch);
+    void (*image_loss)(const LossArgs &, int band, float *scratch);
     // One chunk of rows; returns how many had gradients that are not finite.
     int64_t (*adam_step)(const AdamArgs &, int64_t chunk);
     void (*adam_catch_up)(const CatchUpArgs &, int64_t chunk);
