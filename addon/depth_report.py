@@ -50,7 +50,7 @@ class DepthRow:
 
     def lines(self) -> list[tuple[str, str]]:
         """Label and value of each number, for a panel."""
-        pairs = [("Map", self.verdict.capitalize())]
+        pairs = [("Map", "Not compared" if self.verdict == UNKNOWN else self.verdict.capitalize())]
         if self.verdict == ACCEPTED and self.scale is not None:
             pairs += [("Scale", f"{self.scale:.5g}"), ("Offset", f"{self.offset or 0.0:.5g}")]
         elif self.verdict == REFUSED:

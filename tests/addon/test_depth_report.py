@@ -96,5 +96,5 @@ def test_the_report_of_a_run(tmp_path: Path) -> None:
 
 def test_nothing_known_of_a_row() -> None:
     """Oracle: no number is made up."""
-    assert DepthRow(view="x", verdict=UNKNOWN).lines() == [("Map", "Unknown")]
+    assert DepthRow(view="x", verdict=UNKNOWN).lines() == [("Map", "Not compared")]
     assert DepthRow(view="x", verdict=UNKNOWN).fit == "-"
