@@ -211,6 +211,11 @@ typedef struct gs_loss_result {
  * workspace; its forward state stays valid. */
 GS_API gs_status gs_image_loss(gs_raster *raster, const gs_loss_args *args, gs_loss_result *result, float *v_image);
 
+/* Take note of a view: where radii [N] is above 0, add the length of (scale_x v_x, scale_y v_y), v_means2d [N, 2], to
+ * pull [N], and 1 to seen [N]. */
+GS_API gs_status gs_add_pull(int64_t count, const float *v_means2d, const int32_t *radii, float *pull, float *seen,
+                             float scale_x, float scale_y, int32_t threads);
+
 /* Adam (Kingma and Ba 2015) over the parameters of N splats, one call a step. */
 #define GS_ADAM_BETA1 0.9
 #define GS_ADAM_BETA2 0.999

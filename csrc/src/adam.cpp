@@ -44,11 +44,10 @@ AdamTensor constants(const gs_adam_tensor &t, const Tables &tables) {
     a.beta2 = float(kBeta2);
     a.gain1 = float(1 - kBeta1);
     a.gain2 = float(1 - kBeta2);
-    a.eps = GS_ADAM_EPS;
     if (t.step > 0) {
-        a.rate = float(double(t.lr) / bias1(t.step));
-        a.inverse_root = float(1 / root(t.step));
-        a.eps_raw = float(double(GS_ADAM_EPS) * root(t.step));
+        const double eps = double(GS_ADAM_EPS) * root(t.step);
+        a.rate = float(double(t.lr) * root(t.step) / bias1(t.step));
+        a.eps2 = float(eps * eps);
     }
     a.drift = tables.drift;
     a.decay1 = tables.decay1;

@@ -4,6 +4,8 @@
 //   lr sqrt(1 - beta2^(t+j)) / (1 - beta1^(t+j)) (beta1 / sqrt(beta2))^j m / (sqrt(v) + eps),
 // where m and v are those of step t: the sum over j is m / (sqrt(v) + eps) times a number that all rows of a tensor
 // share, tabulated by k. Only eps, which should shrink with the bias correction and grow with j, is approximated.
+// It stands for 1e-15 beside roots of second moments: 1 / (sqrt(v) + eps) is computed as 1 / sqrt(v + eps^2), which
+// differs where gradients are as small as that, and takes neither a division nor a root.
 #pragma once
 
 #include "adam.h"
@@ -32,6 +34,21 @@ static inline void store_part(float *p, Vec v, int n) {
 #else
     for (int i = 0; i < n; ++i)
         p[i] = v[i];
+#endif
+}
+
+// 1 / sqrt(x) for normal positive x, relative error below 3e-7.
+static inline Vec inverse_root(Vec x) {
+#if defined(GS_ISA_AVX512)
+    const Vec y = _mm512_rsqrt14_ps(x);
+#elif defined(GS_ISA_AVX2)
+    const Vec y = _mm256_rsqrt_ps(x);
+#endif
+#if defined(GS_ISA_AVX512) || defined(GS_ISA_AVX2)
+    const Vec half = 0.5f * y; // one step of Newton: y (3 - x y^2) / 2
+    return fma(half, fnma(x * y, y, set1(1.0f)), y);
+#else
+    return 1.0f / sqrt(x);
 #endif
 }
 
@@ -68,7 +85,7 @@ template <class Body> static inline void update(const gs_adam_tensor &t, int64_t
 }
 
 static inline Vec drifted(const AdamTensor &a, const Move &x, int lag) {
-    return x.param - a.drift[lag] * (x.moment1 / (sqrt(x.moment2) + a.eps_raw));
+    return x.param - a.drift[lag] * (x.moment1 * inverse_root(x.moment2 + a.eps2));
 }
 
 static inline void catch_up(const AdamTensor &a, Move &x, int lag) {
@@ -81,7 +98,7 @@ static inline void adam(const AdamTensor &a, Move &x, Vec g) {
     g = min(max(g, set1(-kGradientMax)), set1(kGradientMax));
     x.moment1 = fma(set1(a.beta1), x.moment1, a.gain1 * g);
     x.moment2 = fma(set1(a.beta2), x.moment2, a.gain2 * (g * g));
-    x.param = fnma(set1(a.rate), x.moment1 / fma(sqrt(x.moment2), a.inverse_root, set1(a.eps)), x.param);
+    x.param = fnma(a.rate * x.moment1, inverse_root(x.moment2 + a.eps2), x.param);
 }
 
 // NaN in some lane where a value is not finite, else zero.
@@ -124,6 +141,9 @@ static int64_t zero_bad_rows(const AdamArgs &a, int64_t begin, int64_t end) {
         }
     return bad;
 }
+
+// Rows visited at a time, so that what is read twice is still in the nearest cache.
+constexpr int64_t kRows = 64;
 
 // Rows [begin, end) alike: all `lag` steps behind. Their gradients are used up.
 static int64_t move_rows(const AdamTensor &a, int64_t begin, int64_t end, int lag) {
@@ -168,22 +188,26 @@ static int64_t move_seen_rows(const AdamTensor &a, int64_t begin, int64_t end) {
 }
 
 static int64_t adam_step(const AdamArgs &a, int64_t chunk) {
-    const int64_t begin = chunk * kChunk, end = begin + kChunk < a.rows ? begin + kChunk : a.rows;
-    int64_t bad = zero_bad_rows(a, begin, end);
-    for (int i = 0; i < a.count; ++i) {
-        const AdamTensor &tensor = a.tensors[i];
-        const gs_adam_tensor &t = tensor.t;
-        if (t.mode == GS_ADAM_ALL) {
-            const float *const grad = t.grad + begin * t.width;
-            update(t, begin * t.width, (end - begin) * t.width, [&](Move &x, int64_t at, int n) {
-                adam(tensor, x, n == kLanes ? load(grad + at) : load_part(grad + at, n));
-            });
-            continue;
+    const int64_t chunk_end = chunk * kChunk + kChunk < a.rows ? chunk * kChunk + kChunk : a.rows;
+    int64_t bad = 0;
+    for (int64_t begin = chunk * kChunk; begin < chunk_end; begin += kRows) {
+        const int64_t end = begin + kRows < chunk_end ? begin + kRows : chunk_end;
+        bad += zero_bad_rows(a, begin, end);
+        for (int i = 0; i < a.count; ++i) {
+            const AdamTensor &tensor = a.tensors[i];
+            const gs_adam_tensor &t = tensor.t;
+            if (t.mode == GS_ADAM_ALL) {
+                const float *const grad = t.grad + begin * t.width;
+                update(t, begin * t.width, (end - begin) * t.width, [&](Move &x, int64_t at, int n) {
+                    adam(tensor, x, n == kLanes ? load(grad + at) : load_part(grad + at, n));
+                });
+                continue;
+            }
+            for (int64_t row = begin; row < end; ++row)
+                t.seen[row] |= uint8_t(!a.radii || a.radii[row] > 0);
+            if (t.mode == GS_ADAM_SEEN)
+                bad += move_seen_rows(tensor, begin, end);
         }
-        for (int64_t row = begin; row < end; ++row)
-            t.seen[row] |= uint8_t(!a.radii || a.radii[row] > 0);
-        if (t.mode == GS_ADAM_SEEN)
-            bad += move_seen_rows(tensor, begin, end);
     }
     return bad;
 }

@@ -2,6 +2,7 @@
 #include "adam.h"
 #include "dispatch.h"
 #include "parallel.h"
+#include "pull.h"
 #include "raster.h"
 
 #include <cmath>
@@ -236,6 +237,18 @@ gs_status gs_adam_catch_up(const gs_adam_tensor *tensor, const gs_splats *splats
         return fail(GS_BAD_ARGUMENT, "threads must be 0 (all) to 1024, got %d", threads);
     return guarded("gs_adam_catch_up", [&] {
         gs::adam_catch_up(*tensor, *splats, camera, eps2d, out, threads);
+        return GS_OK;
+    });
+}
+
+gs_status gs_add_pull(int64_t count, const float *v_means2d, const int32_t *radii, float *pull, float *seen,
+                      float scale_x, float scale_y, int32_t threads) {
+    if (count < 0 || count > INT32_MAX || threads < 0 || threads > 1024)
+        return fail(GS_BAD_ARGUMENT, "gs_add_pull: count or threads is out of range");
+    if (count > 0 && (!v_means2d || !radii || !pull || !seen))
+        return fail(GS_BAD_ARGUMENT, "gs_add_pull: an array is null");
+    return guarded("gs_add_pull", [&] {
+        gs::add_pull(count, v_means2d, radii, pull, seen, scale_x, scale_y, threads);
         return GS_OK;
     });
 }

@@ -132,8 +132,8 @@ struct LossArgs {
 struct AdamTensor {
     gs_adam_tensor t;
     float beta1, beta2, gain1, gain2; // gain = 1 - beta
-    float eps, eps_raw;               // eps_raw: for moments without bias correction
-    float rate, inverse_root;         // lr / (1 - beta1^t), 1 / sqrt(1 - beta2^t)
+    float eps2; // eps^2 (1 - beta2^t): beside second moments without bias correction
+    float rate; // lr sqrt(1 - beta2^t) / (1 - beta1^t)
     const float *drift, *decay1, *decay2; // [GS_ADAM_LAGS] of a row that is this many steps behind
 };
 

@@ -257,6 +257,13 @@ def _load() -> ct.CDLL:
         ct.POINTER(LossResultStruct),
         _pointer,
     ]
+    lib.gs_add_pull.argtypes = [
+        ct.c_int64,
+        *[_pointer] * 4,
+        ct.c_float,
+        ct.c_float,
+        ct.c_int32,
+    ]
     lib.gs_adam_step.argtypes = [ct.POINTER(AdamStruct), ct.POINTER(ct.c_int64)]
     lib.gs_adam_catch_up.argtypes = [
         ct.POINTER(AdamTensorStruct),
@@ -433,6 +440,19 @@ def adam_step(
     bad = ct.c_int64(0)
     check(library().gs_adam_step(ct.byref(args), ct.byref(bad)))
     return bad.value
+
+
+def add_pull(
+    count: int,
+    v_means2d: int,
+    radii: int,
+    pull: int,
+    seen: int,
+    scale: tuple[float, float],
+    threads: int,
+) -> None:
+    """gs_add_pull; arrays are addresses."""
+    check(library().gs_add_pull(count, v_means2d, radii, pull, seen, *scale, threads))
 
 
 def adam_catch_up(

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from ..errors import ShapeError
 from . import _native
+from .calls import check_array
 
 LAGS = _native.ADAM_LAGS
 
@@ -62,7 +62,7 @@ def step(slots: Sequence[Slot], radii: Tensor | None, *, threads: int = 0) -> in
     count = len(slots[0].value)
     structs = [_struct(slot, count) for slot in slots]
     if radii is not None:
-        _check("radii", radii, (count,), torch.int32)
+        check_array("radii", radii, (count,), torch.int32)
     address = None if radii is None else radii.data_ptr()
     return _native.adam_step(structs, count, address, threads)
 
@@ -103,10 +103,10 @@ def catch_up(
     count = len(slot.value)
     struct = _struct(slot, count)
     if out is not None:
-        _check("out", out, tuple(slot.value.shape), torch.float32)
+        check_array("out", out, tuple(slot.value.shape), torch.float32)
     means, scales = params["means"], params["scales"]
-    _check("means", means, (count, 3), torch.float32)
-    _check("scales", scales, (count, 3), torch.float32)
+    check_array("means", means, (count, 3), torch.float32)
+    check_array("scales", scales, (count, 3), torch.float32)
     splats = _native.SplatsStruct(
         count=count, means=means.data_ptr(), scales=scales.data_ptr(), raw=1
     )
@@ -128,7 +128,7 @@ def catch_up(
 def _struct(slot: Slot, count: int) -> _native.AdamTensorStruct:
     shape = tuple(slot.value.shape)
     for name in ("value", "grad", "moment1", "moment2"):
-        _check(name, getattr(slot, name), (count, *shape[1:]), torch.float32)
+        check_array(name, getattr(slot, name), (count, *shape[1:]), torch.float32)
     struct = _native.AdamTensorStruct(
         slot.value.data_ptr(),
         slot.grad.data_ptr(),
@@ -141,23 +141,10 @@ def _struct(slot: Slot, count: int) -> _native.AdamTensorStruct:
     )
     skips = slot.skips
     if skips is not None:
-        _check("seen", skips.seen, (count,), torch.uint8)
-        _check("lag", skips.lag, (count,), torch.uint8)
-        _check("drift", skips.drift, (LAGS,), torch.float64)
+        check_array("seen", skips.seen, (count,), torch.uint8)
+        check_array("lag", skips.lag, (count,), torch.uint8)
+        check_array("drift", skips.drift, (LAGS,), torch.float64)
         struct.mode = _native.ADAM_WAIT if skips.wait else _native.ADAM_SEEN
         struct.seen, struct.lag = skips.seen.data_ptr(), skips.lag.data_ptr()
         struct.drift = skips.drift.data_ptr()
     return struct
-
-
-def _check(name: str, tensor: Tensor, shape: tuple[int, ...], dtype: torch.dtype) -> None:
-    if (
-        tensor.dtype != dtype
-        or tensor.shape != shape
-        or tensor.device.type != "cpu"
-        or not tensor.is_contiguous()
-    ):
-        raise ShapeError(
-            f"{name} must be {list(shape)} {dtype}, contiguous, on the CPU, "
-            f"got {list(tensor.shape)} {tensor.dtype} on {tensor.device}."
-        )

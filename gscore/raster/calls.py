@@ -168,3 +168,17 @@ def _check(name: str, tensor: Tensor, shape: tuple[int, ...]) -> None:
             f"{name} must be {list(shape)} float32 on the CPU, "
             f"got {list(tensor.shape)} {tensor.dtype} on {tensor.device}."
         )
+
+
+def check_array(name: str, tensor: Tensor, shape: tuple[int, ...], dtype: torch.dtype) -> None:
+    """ShapeError unless the library may read `tensor` where it lies, as [shape] of `dtype`."""
+    if (
+        tensor.dtype != dtype
+        or tensor.shape != shape
+        or tensor.device.type != "cpu"
+        or not tensor.is_contiguous()
+    ):
+        raise ShapeError(
+            f"{name} must be {list(shape)} {dtype}, contiguous, on the CPU, "
+            f"got {list(tensor.shape)} {tensor.dtype} on {tensor.device}."
+        )

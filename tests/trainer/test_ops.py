@@ -61,6 +61,27 @@ def test_edit_to_zero_rows_and_back(marked_model: Make) -> None:
     assert rows_of(model, "means")[0].tolist() == [[1, 1, 1]]
 
 
+def test_rows_by_place_follow_a_morton_curve() -> None:
+    """Oracle: bits of the cells interleaved one by one; the order of equal places stays."""
+    rng = np.random.default_rng(0)
+    cells = rng.integers(0, 1024, (3000, 3))
+    cells[:50] = cells[0]
+    ends = np.repeat([[0, 0, 0], [1023, 1023, 1023]], 200, axis=0)  # so that 98 % reach that far
+    cells = np.concatenate([cells, ends])
+    codes = [
+        sum((int(c[axis]) >> bit & 1) << (3 * bit + axis) for bit in range(10) for axis in range(3))
+        for c in cells
+    ]
+    means = torch.from_numpy(cells * 0.25).float()
+    means[:3000] += 0.1  # well inside of cells of side 0.25
+    expected = np.argsort(codes, kind="stable")
+    np.testing.assert_array_equal(ops.by_place(means).numpy(), expected)
+    means[7] = math.nan
+    assert sorted(ops.by_place(means).tolist()) == list(range(len(means)))
+    assert ops.by_place(torch.zeros(0, 3)).tolist() == []
+    assert ops.by_place(torch.ones(3, 3)).tolist() == [0, 1, 2]
+
+
 def test_split_draws_from_the_splat(marked_model: Make) -> None:
     """Oracle: the covariance R S^2 R^T, estimated from many children."""
     model = marked_model(1)

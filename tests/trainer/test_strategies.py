@@ -88,6 +88,18 @@ def test_small_splats_are_cloned_large_ones_split(marked_model: Make) -> None:
     assert model.rows["pull"].tolist() == [0] * 6
 
 
+def test_a_refinement_puts_neighbours_together(marked_model: Make) -> None:
+    """Oracle: along a line the Morton order is that of the coordinates; all of a row moves."""
+    model = opaque(marked_model(6), 0.005)
+    order = torch.tensor([4, 0, 5, 2, 1, 3])
+    ops.edit(model, keep=order)
+    strategy = default(CONFIG, model)
+    see(strategy, model, [0.0] * 6)
+    assert not refine(strategy, model, 10)
+    for p in (model.params["means"], model.params["sh0"], model.moments("sh0")[0] - 1000):
+        assert p.reshape(6, -1)[:, 0].tolist() == [0, 1, 2, 3, 4, 5]
+
+
 def test_nothing_happens_between_refinements(marked_model: Make) -> None:
     """Oracle: steps off the grid, before the start and after the stop change nothing."""
     model = opaque(marked_model(2), 0.005)

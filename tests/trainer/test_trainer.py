@@ -24,7 +24,7 @@ def psnr(trainer: Trainer, index: int) -> float:
 
 
 @pytest.mark.parametrize(
-    ("strategy", "trained", "held_out"), [(Strategy.DEFAULT, 27, 15.5), (Strategy.MCMC, 38, 25)]
+    ("strategy", "trained", "held_out"), [(Strategy.DEFAULT, 27, 15.5), (Strategy.MCMC, 36, 25)]
 )
 def test_overfit(
     make_photos: Callable[..., Any], strategy: Strategy, trained: float, held_out: float
@@ -32,7 +32,8 @@ def test_overfit(
     """Oracle: the pictures were rendered from splats, so they can be matched, held-out ones too.
 
     Six views of 48 px say little about the two others, whose mean is 17 to 21 dB over seeds with
-    the default strategy; a blank picture has less than 12.
+    the default strategy; a blank picture has less than 12. With mcmc the worst of the six is 38 to
+    43 dB over seeds.
     """
     photos = make_photos(held_out=(2, 5))
     config = TrainConfig(iterations=1000, max_splats=800, sh_degree=1, strategy=strategy)

@@ -6,6 +6,7 @@ import numpy as np
 import torch
 
 from ...config import TrainConfig
+from ...raster.pull import add_pull
 from ..model import Model
 from ..schedules import Plan
 from . import ops
@@ -46,10 +47,8 @@ class DefaultStrategy:
     ) -> None:
         if step > self._plan.refine_stop:
             return
-        # Splats that were not drawn have zero gradients, so no mask is needed.
-        x, y = v_means2d[:, 0] * (0.5 * width), v_means2d[:, 1] * (0.5 * height)
-        model.rows["pull"] += (x * x + y * y).sqrt_()
-        model.rows["seen"] += radii > 0
+        rows, scale = model.rows, (0.5 * width, 0.5 * height)
+        add_pull(rows["pull"], rows["seen"], v_means2d, radii, scale, threads=self._config.threads)
 
     def after_step(
         self, model: Model, *, step: int, means_lr: float, generator: torch.Generator
@@ -81,6 +80,7 @@ class DefaultStrategy:
         keep = ~doomed
         keep[divide] = False
         kept = keep.nonzero().flatten()
+        kept = kept[ops.by_place(model.params["means"][kept])]
         if len(kept) + len(healthy) == 0:  # everything would go: a blank model cannot recover
             return Change()
         ops.edit(model, keep=kept, append=new)

@@ -60,6 +60,32 @@ def edit(
         model.rows[name] = rebuilt(counter, None)
 
 
+def by_place(means: torch.Tensor) -> torch.Tensor:
+    """[M] int64: rows in the order of a Morton curve through `means` [M, 3], so that splats that a
+    view shows together lie together in memory; equal places keep their order.
+
+    The curve has 1024 cells a side, and those beyond the middle 98 % lie in its outermost ones.
+    """
+    points = np.nan_to_num(means.numpy().astype(np.float64))
+    if len(points) == 0:
+        return torch.zeros(0, dtype=torch.int64)
+    low, high = np.percentile(points[:: max(1, len(points) // 4096)], (1, 99), axis=0)
+    cells = (points - low) / np.maximum(high - low, 1e-30) * (_CELLS - 1)
+    cells = np.clip(cells, 0, _CELLS - 1).astype(np.uint32)
+    x, y, z = (_spread(cells[:, axis]) for axis in range(3))
+    return torch.from_numpy(np.argsort(x | y << 1 | z << 2, kind="stable"))
+
+
+_CELLS = 1024
+
+
+def _spread(x: np.ndarray) -> np.ndarray:
+    """Numbers below 1024 with two zero bits after each of theirs."""
+    for shift, mask in ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
+        x = (x | x << shift) & mask
+    return x
+
+
 def duplicate(model: Model, index: torch.Tensor) -> dict[str, torch.Tensor]:
     """Parameters of copies of the rows `index` [M]."""
     model.settle()

@@ -1,0 +1,11 @@
+// How hard views pull at splats.
+#pragma once
+
+#include <cstdint>
+
+namespace gs {
+
+void add_pull(int64_t count, const float *v_means2d, const int32_t *radii, float *pull, float *seen, float scale_x,
+              float scale_y, int threads);
+
+} // namespace gs

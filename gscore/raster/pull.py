@@ -1,0 +1,39 @@
+"""How hard views pull at splats: sums of screen gradients, natively on torch tensors."""
+
+from torch import Tensor
+from torch import float32 as f32
+from torch import int32 as i32
+
+from . import _native
+from .calls import check_array
+
+
+def add_pull(
+    pull: Tensor,
+    seen: Tensor,
+    v_means2d: Tensor,
+    radii: Tensor,
+    scale: tuple[float, float],
+    *,
+    threads: int = 0,
+) -> None:
+    """Add a view to sums: |v * scale| to `pull`, and 1 to `seen`, where the view drew a splat.
+
+    Args:
+        pull: [N] float32, changed in place.
+        seen: [N] float32, changed in place.
+        v_means2d: [N, 2] float32, gradient in projected positions.
+        radii: [N] int32, 0 where a splat was not drawn.
+        scale: What x and y of the gradients are multiplied by.
+        threads: 0: all cores; results do not depend on it.
+
+    Raises:
+        ShapeError: a tensor has another shape, dtype or layout than it should.
+    """
+    n = len(pull)
+    check_array("pull", pull, (n,), f32)
+    check_array("seen", seen, (n,), f32)
+    check_array("v_means2d", v_means2d, (n, 2), f32)
+    check_array("radii", radii, (n,), i32)
+    found, drawn = v_means2d.data_ptr(), radii.data_ptr()
+    _native.add_pull(n, found, drawn, pull.data_ptr(), seen.data_ptr(), scale, threads)
