@@ -94,7 +94,7 @@ class Switch(StrEnum):
 class Skip(StrEnum):
     """Work that a training leaves out because the scene has no use for it. Each can be switched
     off (`TrainConfig.without`) to prove or to measure what it brings; `gscore bench skips`
-    does. All but the last two leave every bit of the result as it is."""
+    does. All but the last three leave every bit of the result as it is."""
 
     EXACT_CULL = "exact-cull"
     """Tiles and rows inside a splat's box that its ellipse does not reach."""
@@ -111,6 +111,9 @@ class Skip(StrEnum):
     UNSEEN_SH = "unseen-sh"
     """Optimizer steps of the higher SH coefficients of splats that a view does not show: made up
     for later, equal but for rounding."""
+    RARE_SH = "rare-sh"
+    """Optimizer steps of the higher SH coefficients: one for the gradients of several views, see
+    `TrainConfig.shN_every`; another training, as good."""
     SMALL_PHOTOS = "small-photos"
     """Pixels of the first steps: photos start small, see `TrainConfig.coarse_factor`."""
 
@@ -167,7 +170,7 @@ class TrainConfig:
     """Learning rate of the view-dependent colour."""
     shN_every: int = 0
     """Steps between two of the view-dependent colour, whose gradients add up in between and whose
-    learning rate rises; 0: by itself; 1: each step."""
+    learning rate rises by the root of this; 0: 8, fewer in runs under 1000 steps; 1: each step."""
     opacities_lr: float = 0.0
     """Learning rate of logit opacities; 0: 0.025, with mcmc 0.05."""
     scales_lr: float = 5e-3

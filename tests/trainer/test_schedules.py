@@ -61,16 +61,30 @@ def test_any_length_gives_a_sane_plan(iterations: int, strategy: Strategy) -> No
 
 def test_short_runs_learn_faster() -> None:
     """Oracle: 1 for the paper's length and beyond, rising to 4; roots and squares as documented."""
-    paper, short = (plan_of(TrainConfig(iterations=n)) for n in (30_000, 100))
-    assert plan_of(TrainConfig(iterations=90_000)).rates == paper.rates
+    paper, short = (plan_of(TrainConfig(iterations=n, shN_every=1)) for n in (30_000, 100))
+    assert plan_of(TrainConfig(iterations=90_000, shN_every=1)).rates == paper.rates
     for name in ("quats", "scales", "sh0", "shN"):
         assert short.rates[name] == pytest.approx(4 * paper.rates[name])
     assert short.rates["opacities"] == pytest.approx(2 * paper.rates["opacities"])
     assert short.means_lr_at(0) == pytest.approx(2 * paper.means_lr_at(0))
     assert short.means_lr_at(100) == pytest.approx(16 * paper.means_lr_at(30_000))
     assert (paper.grow_grad, short.grow_grad) == (2e-4, 1e-4)
-    scales = [plan_of(TrainConfig(iterations=n)).rates["scales"] for n in (500, 2000, 9000, 29_000)]
+    scales = [
+        plan_of(TrainConfig(iterations=n, shN_every=1)).rates["scales"]
+        for n in (500, 2000, 9000, 29_000)
+    ]
     assert scales == sorted(scales, reverse=True)
+
+
+def test_higher_coefficients_step_rarely_and_further() -> None:
+    """Oracle: every eighth step, in runs under 1000 steps a 125th of them; the
+    rate rises by the root; the last step is always one."""
+    for n, every in ((30_000, 8), (1000, 8), (500, 4), (100, 1)):
+        plan, each = (plan_of(TrainConfig(iterations=n, shN_every=e)) for e in (0, 1))
+        assert plan.shN_every == every
+        assert plan.rates["shN"] == pytest.approx(each.rates["shN"] * every**0.5)
+        assert [s for s in range(1, 17) if plan.rest_moves_at(s)] == [*range(every, 17, every)]
+        assert plan.rest_moves_at(n)
 
 
 def test_options_win_over_what_is_derived() -> None:
