@@ -396,7 +396,7 @@ def load_config(path: Path) -> tuple[DataConfig, TrainConfig]:
         content = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise ConfigError(f"{path}: there is no such config file.") from None
-    except (UnicodeDecodeError, ValueError) as error:
+    except (ValueError, RecursionError) as error:
         raise ConfigError(f"{path}: not a JSON config file ({error}).") from None
     if not isinstance(content, dict) or not {"data", "train"} <= content.keys():
         raise ConfigError(f"{path}: expected an object with 'data' and 'train', as runs write it.")

@@ -232,11 +232,12 @@ def from_line(line: str) -> Event | None:
     """The event in `line`, or None for a line that is no event (other programs print too)."""
     try:
         data = json.loads(line)
-    except ValueError:
+    except (ValueError, RecursionError):
         return None
     if not isinstance(data, dict):
         return None
-    cls = KINDS.get(data.pop("event", None))
+    kind = data.pop("event", None)
+    cls = KINDS.get(kind) if isinstance(kind, str) else None
     if cls is None:
         return None
     known = {name: data[name] for name in cls.__dataclass_fields__ if name in data}

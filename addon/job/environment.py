@@ -173,6 +173,6 @@ def _facts(line: str) -> dict[str, Any] | None:
     """The object that `gscore doctor --json` printed, if the line is that."""
     try:
         facts = json.loads(line)
-    except ValueError:
+    except (ValueError, RecursionError):
         return None
     return facts if isinstance(facts, dict) and "can_train" in facts else None

@@ -184,7 +184,7 @@ def _of_the_training(model: Model) -> dict[str, Any]:
     try:
         old = json.loads((model.run / "metrics.json").read_text(encoding="utf-8"))
         return {key: old[key] for key in _KEPT if old.get(key) is not None}
-    except (OSError, ValueError, AttributeError):
+    except (OSError, ValueError, AttributeError, RecursionError):
         return {}
 
 

@@ -99,7 +99,7 @@ def _run_facts(folder: Path) -> dict[str, Any]:
         metrics = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
         keys = ("psnr", "ssim", "lpips", "lpips_net", "split", "steps", "train_seconds", "gscore")
         facts["metrics"] = {key: metrics.get(key) for key in keys}
-    except (OSError, ValueError, AttributeError):
+    except (OSError, ValueError, AttributeError, RecursionError):
         facts["metrics"] = None
     try:
         find_ply(folder)

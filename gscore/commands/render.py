@@ -260,7 +260,7 @@ def _test_views(model: Model, names: tuple[str, ...]) -> list[int]:
     try:
         text = ((model.run or model.ply.parent) / "metrics.json").read_text(encoding="utf-8")
         held_out = set(json.loads(text)["test_views"])
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return []
     return [i for i, name in enumerate(names) if name in held_out]
 

@@ -1,5 +1,6 @@
 """Frames of a multi-view video in the layout of NeuS: projection matrices in an npz."""
 
+import re
 import zipfile
 from pathlib import Path
 
@@ -8,12 +9,14 @@ import numpy as np
 from ..config import DataConfig
 from ..errors import DatasetError, FormatError
 from ..io.images import read_info
+from ..io.npy import read_npy
 from ..scene import PointCloud
 from .capture import Capture, View, listing
 from .pku_photos import by_camera, mattes, photo_folder
 from .poses import pinhole_camera, rigid_matrix
 
 _FILE = "cameras_sphere.npz"
+_MATRIX_BYTES = 1 << 16
 
 
 def read_neus(
@@ -61,11 +64,11 @@ def _projections(path: Path) -> list[np.ndarray]:
     if not path.is_file():
         raise DatasetError(f"There is no {path} with the cameras. Copy the frame again.")
     try:
-        with np.load(path, allow_pickle=False) as stored:
-            count = sum(1 for name in stored.files if name.startswith("world_mat_"))
-            count -= sum(1 for name in stored.files if name.startswith("world_mat_inv"))
-            found = [np.asarray(stored[f"world_mat_{i}"], np.float64) for i in range(count)]
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        with zipfile.ZipFile(path) as stored:
+            matrices = re.compile(r"world_mat_\d+\.npy")
+            count = sum(1 for name in stored.namelist() if matrices.fullmatch(name))
+            found = [_matrix(stored, f"world_mat_{i}.npy") for i in range(count)]
+    except Exception as error:  # damaged archives raise some ten kinds
         raise FormatError(
             f"{path} cannot be read as an npz with world_mat_0, world_mat_1, ...: {error}. Copy "
             f"the frame again."
@@ -79,6 +82,12 @@ def _projections(path: Path) -> list[np.ndarray]:
     if not found:
         raise FormatError(f"{path} has no world_mat_0. Copy the frame again.")
     return [matrix[:3] for matrix in found]
+
+
+def _matrix(stored: zipfile.ZipFile, name: str) -> np.ndarray:
+    with stored.open(name) as file:
+        raw = file.read(_MATRIX_BYTES)  # not more, whatever it would unpack to
+    return read_npy(raw).astype(np.float64)
 
 
 def _decompose(projection: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -8,7 +8,10 @@ from typing import Any
 import numpy as np
 
 from ..errors import BackendError, DatasetError, FormatError
+from ..io.exr_header import check_exr_size
+from ..io.files import read_bytes
 from ..io.images import read_info
+from ..io.npy import read_npy
 
 ENDINGS = (".png", ".npy", ".exr", ".tif", ".tiff")
 """Kinds of depth maps, in the order in which they are preferred."""
@@ -149,14 +152,12 @@ def sample(values: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 def _read_npy(path: Path) -> np.ndarray:
     try:
-        values = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError, TypeError, MemoryError) as error:
+        values = read_npy(read_bytes(path))
+    except ValueError as error:
         raise FormatError(
             f"{path} cannot be read as a NumPy array: {str(error).rstrip('.')}. Save it again with "
             f"numpy.save."
         ) from error
-    if not isinstance(values, np.ndarray) or values.dtype.kind not in "fiu":
-        raise FormatError(f"{path} holds no array of numbers. Save it with numpy.save.")
     return values.squeeze()
 
 
@@ -211,6 +212,7 @@ def _read_exr(path: Path) -> np.ndarray:
             f"the depth maps as NPY or 16-bit PNG."
         ) from error
     try:
+        check_exr_size(path)
         with OpenEXR.File(str(path), separate_channels=True) as file:
             channels = {name: channel.pixels for name, channel in file.channels().items()}
     except Exception as error:  # the package has no common base for its errors

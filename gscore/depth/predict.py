@@ -162,7 +162,7 @@ def _kept(folder: Path, record: dict[str, Any], names: tuple[str, ...]) -> list[
         try:
             before = json.loads(path.read_text(encoding="utf-8"))
             changed = [k for k in record if k != "gscore" and before.get(k) != record[k]]
-        except (OSError, ValueError, AttributeError) as error:
+        except (OSError, ValueError, AttributeError, RecursionError) as error:
             raise FormatError(
                 f"{path} is damaged ({error}). Remove the folder or give --overwrite."
             ) from error

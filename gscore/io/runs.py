@@ -140,7 +140,7 @@ def _metrics(path: Path) -> dict[str, Any]:
     """metrics.json, empty where it is missing or broken."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return {}
     return content if isinstance(content, dict) else {}
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import FormatError
+from .colmap import is_safe_name
 from .files import atomic_write
 
 SEQUENCE_FILE = "sequence.json"
@@ -42,15 +43,21 @@ def read_sequence(folder: Path) -> SequenceIndex | None:
             frames=[dict(entry) for entry in content["frames"]],
             mean=dict(content["mean"]),
         )
-        if all(isinstance(e["frame"], int) and isinstance(e["folder"], str) for e in index.frames):
+        if all(_is_sound(entry) for entry in index.frames):
             return index
-        reason = "a frame without number or folder"
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        reason = "a frame without number, count of splats or folder below the sequence's"
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         reason = f"{type(error).__name__}: {error}"
     raise FormatError(
         f"{path} is not the list of a sequence's frames ({reason}); remove it, or choose another "
         f"folder."
     )
+
+
+def _is_sound(entry: dict[str, Any]) -> bool:
+    folder, splats = entry["folder"], entry.get("splats", 0)
+    inside = isinstance(folder, str) and is_safe_name(folder)
+    return inside and isinstance(entry["frame"], int) and isinstance(splats, int)
 
 
 def write_sequence(folder: Path, index: SequenceIndex, *, version: str) -> None:

@@ -125,7 +125,7 @@ def _lock(path: Path) -> IO[str]:
         if not _try_lock(file):
             file.seek(0)
             holder = ""
-            with contextlib.suppress(ValueError, KeyError, TypeError):
+            with contextlib.suppress(ValueError, KeyError, TypeError, RecursionError):
                 holder = f" (process {json.loads(file.read())['pid']})"
             file.close()
             raise GsError(

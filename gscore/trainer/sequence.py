@@ -328,7 +328,7 @@ def _completed(folder: Path, config: TrainConfig, data: DataConfig) -> dict[str,
         metrics = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
         early = config.time_budget or config.target_psnr or config.early_stop
         good = metrics["reason"] in ENDED if early else metrics["steps"] >= config.iterations
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None
     return _short(metrics) if good else None
 

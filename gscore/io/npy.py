@@ -1,0 +1,42 @@
+"""Arrays of NumPy's own format from bytes that may be anything."""
+
+import ast
+import math
+import struct
+
+import numpy as np
+
+_MAGIC = b"\x93NUMPY"
+_LONGEST_HEADER = 1 << 16
+
+
+def read_npy(raw: bytes) -> np.ndarray:
+    """The array of numbers in the bytes of an .npy file.
+
+    `numpy.load` takes memory for what a header announces before it looks for it, evaluates headers
+    with Python's own parser, whose errors are many, and knows pickled objects.
+
+    Raises:
+        ValueError: no such file, truncated, or of something else than real numbers.
+    """
+    if len(raw) < 10 or not raw.startswith(_MAGIC):
+        raise ValueError("it does not start as such files do")
+    long = raw[6] >= 2
+    (length,) = struct.unpack_from("<I" if long else "<H", raw, 8) if len(raw) >= 12 else (0,)
+    at = (12 if long else 10) + length
+    if length > _LONGEST_HEADER or at > len(raw):
+        raise ValueError("its header is damaged")
+    try:
+        header = ast.literal_eval(raw[12 if long else 10 : at].decode("latin-1").strip())
+        kind, shape = np.dtype(header["descr"]), tuple(header["shape"])
+        fortran = bool(header["fortran_order"])
+    except Exception as error:  # the parser and numpy raise many kinds
+        raise ValueError("its header is damaged") from error
+    if kind.kind not in "fiu":
+        raise ValueError(f"it is no array of numbers but of {kind}")
+    if not all(type(side) is int and side >= 0 for side in shape):
+        raise ValueError(f"its header states the shape {shape}")
+    count = math.prod(shape)
+    if count * kind.itemsize > len(raw) - at:
+        raise ValueError(f"it is truncated: {len(raw) - at} bytes for the shape {shape}")
+    return np.frombuffer(raw, kind, count, at).reshape(shape, order="F" if fortran else "C")

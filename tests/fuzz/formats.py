@@ -1,0 +1,357 @@
+"""Every format that gscore reads: a valid file of each, its reader, and what a good result is."""
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from gscore.config import DataConfig, TrainConfig, config_json, load_config
+from gscore.datasets.pku_neus import _projections
+from gscore.datasets.transforms_json import read_transforms
+from gscore.depth.maps import read_map
+from gscore.depth.params import read_params
+from gscore.events import Event, Progress, from_line, to_line
+from gscore.io.cameras_json import read_cameras, write_cameras
+from gscore.io.cams_txt import read_cam
+from gscore.io.colmap import read_model, write_model
+from gscore.io.colmap_model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
+from gscore.io.images import read_image, read_info, read_mask, write_png
+from gscore.io.ply import read_splats, write_splats
+from gscore.io.ply_points import read_point_cloud
+from gscore.io.runs import read_run
+from gscore.io.sequences import read_sequence
+from gscore.scene import Cameras
+from gscore.splats import Splats
+
+
+@dataclass(frozen=True)
+class Format:
+    """A kind of file."""
+
+    name: str
+    file: str
+    """Where it lies in a folder; what is damaged."""
+    write: Callable[[Path], Any]
+    """Makes a valid folder."""
+    read: Callable[[Path], Any]
+    """Reads the folder; raises GsError or checks its result."""
+    structured: bool = False
+    """JSON, whose values are damaged too."""
+
+
+def _model() -> ColmapModel:
+    rng = np.random.default_rng(1)
+    camera = ColmapCamera(
+        model="OPENCV", width=64, height=48, params=np.array([60, 61, 32, 24, 0.1, 0, 0, 0.0])
+    )
+    ids = np.arange(5, dtype=np.int64) + 3
+    images = [
+        ColmapImage(
+            id=i + 1,
+            name=f"view_{i}.png",
+            camera_id=1,
+            qvec=np.array([1.0, 0, 0, 0]),
+            tvec=rng.normal(size=3),
+            xys=rng.uniform(0, 48, (5, 2)),
+            point3D_ids=ids,
+        )
+        for i in range(3)
+    ]
+    points = ColmapPoints(
+        ids=ids,
+        xyz=rng.normal(size=(5, 3)),
+        rgb=rng.integers(0, 255, (5, 3)).astype(np.uint8),
+        error=np.full(5, 0.5),
+        track_lengths=np.full(5, 3, np.int32),
+    )
+    return ColmapModel(cameras={1: camera}, images=images, points=points)
+
+
+def _read_model(root: Path) -> None:
+    model = read_model(root)
+    for image in model.images:
+        assert ".." not in image.name and not Path(image.name).is_absolute()
+        assert np.isfinite(image.viewmat).all()
+        assert image.camera_id in model.cameras
+
+
+def _splats(count: int = 4, rest: int = 3) -> Splats:
+    rng = np.random.default_rng(2)
+    f = lambda *shape: rng.normal(size=shape).astype(np.float32)  # noqa: E731
+    return Splats(
+        means=f(count, 3),
+        quats=f(count, 4),
+        scales=f(count, 3),
+        opacities=f(count),
+        sh0=f(count, 1, 3),
+        shN=f(count, rest, 3),
+    )
+
+
+def _read_splats(root: Path) -> None:
+    splats = read_splats(root / "a.ply")
+    for array in vars(splats).values():
+        assert np.isfinite(array).all()
+
+
+def _write_compressed(root: Path) -> None:
+    ends = [
+        f"{end}_{what}{axis}" for what in ("", "scale_") for end in ("min", "max") for axis in "xyz"
+    ]
+    ends += [f"{end}_{axis}" for end in ("min", "max") for axis in "rgb"]
+    packed = [f"packed_{what}" for what in ("position", "rotation", "scale", "color")]
+    header = ["ply", "format binary_little_endian 1.0", "element chunk 1"]
+    header += [f"property float {name}" for name in ends]
+    header += ["element vertex 4", *(f"property uint {name}" for name in packed)]
+    header += ["element sh 4", *(f"property uchar f_rest_{k}" for k in range(9)), "end_header\n"]
+    rng = np.random.default_rng(3)
+    body = rng.normal(size=len(ends)).astype("<f4").tobytes()
+    body += rng.integers(0, 2**32, (4, 4)).astype("<u4").tobytes()
+    body += rng.integers(0, 255, (4, 9)).astype(np.uint8).tobytes()
+    (root / "a.ply").write_bytes("\n".join(header).encode() + body)
+
+
+def _write_ascii_ply(root: Path) -> None:
+    splats = _splats(3, 0)
+    names = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity"]
+    names += ["scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
+    columns = np.concatenate(
+        [splats.means, splats.sh0[:, 0], splats.opacities[:, None], splats.scales, splats.quats], 1
+    )
+    lines = ["ply", "format ascii 1.0", "element vertex 3"]
+    lines += [f"property float {name}" for name in names] + ["end_header"]
+    lines += [" ".join(f"{v:.5f}" for v in row) for row in columns]
+    (root / "a.ply").write_text("\n".join(lines) + "\n")
+
+
+def _read_points(root: Path) -> None:
+    cloud = read_point_cloud(root / "a.ply")
+    assert cloud.points.shape == cloud.colors.shape
+
+
+def _write_points(root: Path) -> None:
+    header = "ply\nformat binary_big_endian 1.0\nelement vertex 3\n"
+    header += "".join(f"property double {a}\n" for a in "xyz")
+    header += "".join(f"property uchar {a}\n" for a in ("red", "green", "blue"))
+    header += "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    kind = np.dtype([("xyz", ">f8", 3), ("rgb", "u1", 3)])
+    body = np.zeros(3, kind).tobytes() + b"\x03" + np.arange(3, dtype=">i4").tobytes()
+    (root / "a.ply").write_bytes(header.encode() + body)
+
+
+def _picture(seed: int = 5) -> np.ndarray:
+    return np.random.default_rng(seed).integers(0, 255, (12, 16, 3)).astype(np.uint8)
+
+
+def _write_picture(ending: str, mode: str = "RGB") -> Callable[[Path], Any]:
+    def write(root: Path) -> None:
+        Image.fromarray(_picture()).convert(mode).save(root / f"a{ending}")
+
+    return write
+
+
+def _read_picture(ending: str) -> Callable[[Path], Any]:
+    def read(root: Path) -> None:
+        path = root / f"a{ending}"
+        info = read_info(path)
+        assert info.width > 0 and info.height > 0
+        image = read_image(path, upright=True)
+        assert image.dtype == np.uint8 and image.ndim == 3 and image.shape[2] in (3, 4)
+        assert read_mask(path).dtype == np.uint8
+
+    return read
+
+
+def _write_transforms(root: Path) -> None:
+    pose = np.eye(4)
+    pose[2, 3] = 3
+    frames = [
+        {"file_path": f"images/{i}.png", "transform_matrix": pose.tolist(), "mask_path": "m.png"}
+        for i in range(3)
+    ]
+    content = {"w": 64, "h": 48, "fl_x": 60.0, "fl_y": 60.0, "cx": 32, "cy": 24, "k1": 0.1}
+    content |= {"camera_model": "OPENCV", "frames": frames, "ply_file_path": "a.ply"}
+    content |= {"test_filenames": ["images/1.png"], "aabb_scale": 4}
+    (root / "transforms.json").write_text(json.dumps(content))
+    for i in range(3):
+        write_png(root / f"images/{i}.png", _picture(i))
+    _write_points(root)
+
+
+def _read_transforms(root: Path) -> None:
+    capture = read_transforms(DataConfig(source=root))
+    for view in capture.views:
+        assert root.resolve() in view.image.resolve().parents
+        assert view.mask is None or root.resolve() in view.mask.resolve().parents
+        assert np.isfinite(view.viewmat).all()
+        assert np.isfinite(view.camera.params).all()
+
+
+def _write_cameras(root: Path) -> None:
+    K = np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]])
+    write_cameras(
+        root / "cameras.json",
+        Cameras(
+            viewmats=np.tile(np.eye(4), (2, 1, 1)),
+            Ks=np.tile(K, (2, 1, 1)),
+            widths=np.array([64, 64]),
+            heights=np.array([48, 48]),
+            names=("a.png", "b.png"),
+        ),
+    )
+
+
+def _read_cameras(root: Path) -> None:
+    cameras = read_cameras(root / "cameras.json")
+    assert np.isfinite(cameras.viewmats).all() and np.isfinite(cameras.Ks).all()
+
+
+def _write_params(root: Path) -> None:
+    entry = {"scale": 0.5, "offset": 0.1, "accepted": True, "kind": "inverse"}
+    (root / "depth_params.json").write_text(json.dumps({"a": entry, "b": entry}))
+
+
+def _write_config(root: Path) -> None:
+    (root / "config.json").write_text(config_json(DataConfig(source=root), TrainConfig()))
+
+
+def _read_config(root: Path) -> None:
+    assert read_run(root) is not None  # never raises: it looks at what others left
+    load_config(root / "config.json")
+
+
+def _write_sequence(root: Path) -> None:
+    frame = {"frame": 3, "folder": "frame_000003", "psnr": 20.5, "steps": 100}
+    content = {"gscore": "0", "options": {"frames": [3, 4]}, "frames": [frame], "mean": {"psnr": 1}}
+    (root / "sequence.json").write_text(json.dumps(content))
+
+
+def _read_sequence(root: Path) -> None:
+    index = read_sequence(root)
+    for entry in index.frames if index else ():
+        place = (root / entry["folder"]).resolve()
+        assert root.resolve() in place.parents
+
+
+def _write_event(root: Path) -> None:
+    event = Progress(
+        step=1,
+        iterations=9,
+        loss=0.1,
+        psnr=20.0,
+        splats=5,
+        steps_per_s=2.0,
+        eta_s=4.0,
+        elapsed_s=0.5,
+        phase="growing",
+    )
+    (root / "events.jsonl").write_text(to_line(event))
+
+
+def _read_event(root: Path) -> None:
+    line = (root / "events.jsonl").read_bytes().decode("utf-8", "replace")
+    found = from_line(line)
+    assert found is None or isinstance(found, Event)
+
+
+def _write_depth_png(root: Path) -> None:
+    values = np.random.default_rng(6).integers(0, 65535, (12, 16)).astype(np.uint16)
+    write_png(root / "a.png", values)
+
+
+def _write_npy(root: Path) -> None:
+    np.save(root / "a.npy", np.random.default_rng(6).random((12, 16)).astype(np.float32))
+
+
+def _write_exr(root: Path) -> None:
+    import OpenEXR
+
+    values = np.random.default_rng(6).random((12, 16)).astype(np.float32)
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with OpenEXR.File(header, {"Z": values}) as file:
+        file.write(str(root / "a.exr"))
+
+
+def _write_tiff(root: Path) -> None:
+    Image.fromarray(np.random.default_rng(6).random((12, 16)).astype(np.float32)).save(
+        root / "a.tif"
+    )
+
+
+def _read_depth(name: str) -> Callable[[Path], Any]:
+    def read(root: Path) -> None:
+        values = read_map(root / name)
+        assert values.dtype == np.float32 and values.ndim == 2
+        assert not np.isinf(values).any()
+
+    return read
+
+
+def _write_npz(root: Path) -> None:
+    np.savez(root / "cameras_sphere.npz", world_mat_0=np.eye(4), world_mat_1=np.eye(4))
+
+
+def _write_cam(root: Path) -> None:
+    rows = "\n".join(" ".join(str(v) for v in row) for row in np.eye(4))
+    (root / "0_cam.txt").write_text(
+        f"extrinsic\n{rows}\n\nintrinsic\n60 0 32\n0 60 24\n0 0 1\n\n1 2\n"
+    )
+
+
+def _colmap(name: str, binary: bool) -> Format:
+    ending = "bin" if binary else "txt"
+    return Format(
+        f"colmap_{name}_{ending}",
+        f"{name}.{ending}",
+        lambda root: write_model(_model(), root, binary=binary),
+        _read_model,
+    )
+
+
+def _plain_ply(root: Path) -> None:
+    write_splats(root / "a.ply", _splats())
+
+
+FORMATS = [
+    *(
+        _colmap(name, binary)
+        for name in ("cameras", "images", "points3D")
+        for binary in (True, False)
+    ),
+    Format("ply", "a.ply", _plain_ply, _read_splats),
+    Format("ply_ascii", "a.ply", _write_ascii_ply, _read_splats),
+    Format("ply_compressed", "a.ply", _write_compressed, _read_splats),
+    Format("ply_points", "a.ply", _write_points, _read_points),
+    *(
+        Format(f"image_{ending[1:]}", f"a{ending}", _write_picture(ending), _read_picture(ending))
+        for ending in (".png", ".jpg", ".webp", ".tif", ".bmp", ".tga")
+    ),
+    Format("transforms", "transforms.json", _write_transforms, _read_transforms, True),
+    Format("cameras_json", "cameras.json", _write_cameras, _read_cameras, True),
+    Format(
+        "depth_params",
+        "depth_params.json",
+        _write_params,
+        lambda root: read_params(root / "depth_params.json"),
+        True,
+    ),
+    Format("config", "config.json", _write_config, _read_config, True),
+    Format("sequence", "sequence.json", _write_sequence, _read_sequence, True),
+    Format("event", "events.jsonl", _write_event, _read_event, True),
+    Format("depth_png", "a.png", _write_depth_png, _read_depth("a.png")),
+    Format("depth_npy", "a.npy", _write_npy, _read_depth("a.npy")),
+    Format("depth_exr", "a.exr", _write_exr, _read_depth("a.exr")),
+    Format("depth_tiff", "a.tif", _write_tiff, _read_depth("a.tif")),
+    Format(
+        "npz",
+        "cameras_sphere.npz",
+        _write_npz,
+        lambda root: _projections(root / "cameras_sphere.npz"),
+    ),
+    Format("cam_txt", "0_cam.txt", _write_cam, lambda root: read_cam(root / "0_cam.txt")),
+]
+BY_NAME = {one.name: one for one in FORMATS}

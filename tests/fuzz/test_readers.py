@@ -1,0 +1,106 @@
+"""Damaged files of every format; oracle: one of our errors or a good result, soon, in little
+memory.
+
+`FUZZ_SECONDS` gives each format that long with new damage each time; without it a few fixed ones.
+"""
+
+import contextlib
+import hashlib
+import os
+import tempfile
+import time
+import warnings
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+
+from gscore.errors import GsError
+
+from .damage import damaged, damaged_json
+from .formats import BY_NAME, FORMATS, Format
+
+SECONDS = float(os.environ.get("FUZZ_SECONDS", "0"))
+CASES = Path(__file__).parent / "cases"
+FOUND = Path(__file__).parents[2] / "build" / "fuzz" / "found"
+MOST_SECONDS, MOST_BYTES = 5.0, 400e6
+"""CPU time and growth of memory that no file of a few kilobytes may take."""
+
+
+def peak_bytes(*, restart: bool) -> float:
+    """Largest memory of this process since it was last asked to restart; 0 where unknown."""
+    try:
+        if restart:
+            Path("/proc/self/clear_refs").write_text("5")
+        status = Path("/proc/self/status").read_text()
+    except OSError:
+        return 0.0
+    key = "VmRSS:" if restart else "VmHWM:"
+    return 1024.0 * int(status.split(key)[1].split()[0])
+
+
+def check(kind: Format, root: Path, raw: bytes) -> None:
+    """Read the folder with `raw` in place of the file."""
+    (root / kind.file).write_bytes(raw)
+    before, began = peak_bytes(restart=True), time.process_time()
+    with warnings.catch_warnings(), contextlib.suppress(GsError):
+        warnings.simplefilter("ignore")
+        kind.read(root)
+    took, grew = time.process_time() - began, peak_bytes(restart=False) - before
+    assert took < MOST_SECONDS, f"{took:.1f} s for {len(raw)} bytes"
+    assert grew < MOST_BYTES, f"{grew / 1e6:.0f} MB for {len(raw)} bytes"
+
+
+@pytest.mark.parametrize("kind", FORMATS, ids=lambda kind: kind.name)
+def test_damaged_files(kind: Format) -> None:
+    """Oracle: see the module."""
+    with tempfile.TemporaryDirectory() as folder:
+        root = Path(folder)
+        kind.write(root)
+        kind.read(root)
+        good = (root / kind.file).read_bytes()
+        examples = damaged_json(good) if kind.structured else damaged(good)
+
+        @settings(
+            max_examples=300 if SECONDS else 25,
+            deadline=None,
+            database=None,
+            derandomize=not SECONDS,
+            suppress_health_check=list(HealthCheck),
+        )
+        @given(raw=examples)
+        def tried(raw: bytes) -> None:
+            nonlocal count
+            count += 1
+            try:
+                check(kind, root, raw)
+            except BaseException:
+                # The last one kept is the smallest that hypothesis finds.
+                FOUND.mkdir(parents=True, exist_ok=True)
+                (FOUND / kind.name).write_bytes(raw)
+                raise
+
+        count, began = 0, time.monotonic()
+        while True:
+            tried()
+            if time.monotonic() - began >= SECONDS:
+                break
+        print(f"{kind.name}: {count} files")  # noqa: T201
+
+
+def _cases() -> list[Path]:
+    return sorted(path for name in BY_NAME for path in (CASES / name).glob("*"))
+
+
+@pytest.mark.parametrize("path", _cases(), ids=lambda p: f"{p.parent.name}/{p.name}")
+def test_what_was_found(path: Path, tmp_path: Path) -> None:
+    """Oracle: the same, for files that once failed."""
+    kind = BY_NAME[path.parent.name]
+    kind.write(tmp_path)
+    check(kind, tmp_path, path.read_bytes())
+
+
+def test_cases_are_named_by_their_content() -> None:
+    """Oracle: SHA-1; so that none is there twice."""
+    for path in _cases():
+        assert path.name == hashlib.sha1(path.read_bytes()).hexdigest()[:12]
