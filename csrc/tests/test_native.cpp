@@ -369,6 +369,121 @@ void loss_gradient_matches_differences() {
     gs_raster_destroy(raster);
 }
 
+// A tensor under Adam; odd sizes, so that ends of vectors and chunks are met.
+struct Learner {
+    int64_t rows;
+    int width;
+    std::vector<float> param, grad, moment1, moment2;
+    std::vector<uint8_t> seen, lag;
+    std::vector<double> drift;
+
+    Learner(int64_t n, int w)
+        : rows(n), width(w), param(size_t(n * w), 1.0f), grad(size_t(n * w)), moment1(size_t(n * w)),
+          moment2(size_t(n * w)), seen(size_t(n)), lag(size_t(n)), drift(GS_ADAM_LAGS) {}
+
+    gs_adam_tensor view(int mode, int64_t step) {
+        return {param.data(), grad.data(), moment1.data(), moment2.data(), width, mode,
+                0.01f,        step,        seen.data(),    lag.data(),     drift.data()};
+    }
+};
+
+// 300 steps of two tensors, the second of which skips rows that are not shown; values, then bad rows.
+std::vector<float> learn(int threads) {
+    Learner all(2503, 3), late(2503, 9);
+    std::mt19937 rng(5);
+    std::normal_distribution<float> normal;
+    std::vector<int32_t> radii(2503);
+    int64_t bad = 0;
+    for (int step = 1; step <= 300; ++step) {
+        for (size_t row = 0; row < radii.size(); ++row) {
+            radii[row] = row % 97 == 0 ? step == 1 : int32_t(rng() % 4 == 0);
+            for (size_t k = 0; k < 3; ++k)
+                all.grad[3 * row + k] = radii[row] ? normal(rng) : 0.0f;
+            for (size_t k = 0; k < 9; ++k)
+                late.grad[9 * row + k] = radii[row] ? normal(rng) : 0.0f;
+        }
+        if (step % 50 == 0)
+            all.grad[size_t(step) * 7] = std::numeric_limits<float>::quiet_NaN();
+        const gs_adam_tensor tensors[2] = {all.view(GS_ADAM_ALL, step), late.view(GS_ADAM_SEEN, step)};
+        const gs_adam args = {2503, 2, tensors, radii.data(), threads};
+        int64_t found = 0;
+        CHECK(gs_adam_step(&args, &found) == GS_OK);
+        bad += found;
+    }
+    std::vector<float> shown(late.param.size(), -777.0f);
+    gs_splats splats = {};
+    splats.count = 2503;
+    const gs_adam_tensor tensor = late.view(GS_ADAM_SEEN, 300);
+    CHECK(gs_adam_catch_up(&tensor, &splats, nullptr, 0.3f, shown.data(), threads) == GS_OK);
+    CHECK(gs_adam_catch_up(&tensor, &splats, nullptr, 0.3f, nullptr, threads) == GS_OK);
+    CHECK(same_bits(shown, late.param));
+    for (const uint8_t l : late.lag)
+        CHECK(l == 0);
+    all.param.insert(all.param.end(), late.param.begin(), late.param.end());
+    all.param.push_back(float(bad));
+    return all.param;
+}
+
+void adam_skips_rows_for_any_number_of_threads() {
+    const std::vector<float> one = learn(1);
+    CHECK(one.back() == 6);
+    for (const float v : one)
+        CHECK(std::isfinite(v));
+    for (const int threads : {2, 7, 64})
+        CHECK(same_bits(one, learn(threads)));
+    // A row that has skipped a step ends where zero gradients would have taken it.
+    Learner late(1, 1), dense(1, 1);
+    for (int step = 1; step <= 600; ++step) {
+        const int32_t radius = step <= 2 || step == 580;
+        late.grad[0] = dense.grad[0] = radius ? 0.5f : 0.0f;
+        for (Learner *x : {&late, &dense}) {
+            const gs_adam_tensor tensor = x->view(x == &late ? GS_ADAM_SEEN : GS_ADAM_ALL, step);
+            const gs_adam args = {1, 1, &tensor, &radius, 1};
+            CHECK(gs_adam_step(&args, nullptr) == GS_OK);
+        }
+    }
+    CHECK(late.lag[0] == 20);
+    gs_splats splats = {};
+    splats.count = 1;
+    const gs_adam_tensor tensor = late.view(GS_ADAM_SEEN, 600);
+    CHECK(gs_adam_catch_up(&tensor, &splats, nullptr, 0.3f, nullptr, 1) == GS_OK);
+    CHECK(std::fabs(late.param[0] / dense.param[0] - 1) < 2e-6f);
+    CHECK(std::fabs(dense.param[0] - 1) > 0.05f);
+}
+
+void adam_names_bad_arguments() {
+    Learner x(4, 3);
+    const auto step = [&](gs_adam_tensor t, int64_t count = 4, int threads = 0) {
+        const gs_adam args = {count, 1, &t, nullptr, threads};
+        return gs_adam_step(&args, nullptr);
+    };
+    gs_adam_tensor t = x.view(GS_ADAM_SEEN, 1);
+    CHECK(step(t) == GS_OK);
+    CHECK(step(t, -1) == GS_BAD_ARGUMENT);
+    CHECK(step(t, 4, -1) == GS_BAD_ARGUMENT);
+    CHECK(step(x.view(3, 1)) == GS_BAD_ARGUMENT);
+    CHECK(step(x.view(GS_ADAM_ALL, 0)) == GS_BAD_ARGUMENT);
+    t.lag = nullptr;
+    CHECK(step(t) == GS_BAD_ARGUMENT);
+    t = x.view(GS_ADAM_ALL, 1);
+    t.lr = std::numeric_limits<float>::infinity();
+    CHECK(step(t) == GS_BAD_ARGUMENT);
+    t.lr = 0.1f;
+    t.grad = nullptr;
+    CHECK(step(t) == GS_BAD_ARGUMENT);
+    CHECK(gs_adam_step(nullptr, nullptr) == GS_BAD_ARGUMENT);
+    gs_splats splats = {};
+    splats.count = 4;
+    t = x.view(GS_ADAM_SEEN, 1);
+    const gs_camera camera = make_camera(8, 8);
+    CHECK(gs_adam_catch_up(&t, &splats, &camera, 0.3f, nullptr, 0) == GS_BAD_ARGUMENT); // without means
+    CHECK(gs_adam_catch_up(&t, nullptr, nullptr, 0.3f, nullptr, 0) == GS_BAD_ARGUMENT);
+    t.mode = GS_ADAM_ALL;
+    CHECK(gs_adam_catch_up(&t, &splats, nullptr, 0.3f, nullptr, 0) == GS_BAD_ARGUMENT);
+    CHECK(gs_add_pull(1, nullptr, nullptr, nullptr, nullptr, 1, 1, 0) == GS_BAD_ARGUMENT);
+    CHECK(gs_add_pull(0, nullptr, nullptr, nullptr, nullptr, 1, 1, 0) == GS_OK);
+}
+
 } // namespace
 
 int main() {
@@ -388,6 +503,8 @@ int main() {
         parallel_rays_have_no_gradients();
         cancelling_stops();
         loss_gradient_matches_differences();
+        adam_skips_rows_for_any_number_of_threads();
+        adam_names_bad_arguments();
         std::printf("%s: %s\n", isa.c_str(), failures == before ? "passed" : "FAILED");
     }
     return failures == 0 && count > 0 ? 0 : 1;
