@@ -4,7 +4,7 @@ import argparse
 import json
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +12,15 @@ from ..config import DataConfig
 from ..control import Control
 from ..datasets import Dataset, load_dataset
 from ..depth.align import align_official, reliable
-from ..depth.fit import Fit, median_scale
-from ..depth.fitting import Alignment, Samples, align_views, find_kind, robust, view_samples
+from ..depth.fit import NO_FIT, Fit, median_scale
+from ..depth.fitting import Alignment, align_views, find_kind, robust
 from ..depth.maps import SHEET, DepthKind, MapFolder, read_map, stem, to_inverse
 from ..depth.network import WHERE, Network, Normalization
 from ..depth.observations import Observations, observations
 from ..depth.params import DEFAULT_FOLDER, params_path, write_params
 from ..depth.predict import Prediction, predict_views
 from ..depth.priors import fit_table
+from ..depth.samples import Samples, unusable, view_samples
 from ..depth.sheet import write_sheet
 from ..errors import Cancelled, ConfigError
 from ..events import DepthDone, DepthProgress, Saved, Warn
@@ -203,6 +204,7 @@ def _finish(
     shown = 0
     if args.check:
         alignment = align_views(config, dataset, folder, samples, kind=kind)
+        alignment = replace(alignment, warnings=(*unusable(samples), *alignment.warnings))
     else:
         official = args.align == "official"
         alignment, fits = _align(dataset, maps, seen, samples, kind, official=official)
@@ -240,13 +242,17 @@ def _align(
 ) -> tuple[Alignment, dict[str, Fit]]:
     """The alignment, and the fits to write: official tools judge reliability when they read."""
     found, warnings = find_kind(samples) if kind is DepthKind.AUTO else (kind, ())
+    warnings = (*unusable(samples), *warnings)
     if not official:
-        alignment = robust(samples, found, warnings)
+        alignment = robust(samples, found, dataset.scene.cameras, warnings)
         return alignment, _by_stem(dataset, alignment.fits)
     fits: list[Fit | None] = []
-    for path, view in zip(maps, seen, strict=True):
-        if path is None:
+    for path, part, view in zip(maps, samples, seen, strict=True):
+        if path is None or part is None:
             fits.append(None)
+            continue
+        if part.trouble:
+            fits.append(NO_FIT.refused(part.trouble))
             continue
         values = read_map(path)
         if found is DepthKind.DEPTH:

@@ -76,6 +76,20 @@ def fit_map(file: ViewFile, values: np.ndarray) -> np.ndarray:
     Raises:
         ShapeError: the map has other proportions than the photo.
     """
+    check_proportions(file, values)
+    if file.plan is not None:
+        height, width = values.shape
+        pixels = (width / file.plan.camera.width, height / file.plan.camera.height)
+        full = (
+            max(file.size[0], round(file.plan.width * pixels[0])),
+            max(file.size[1], round(file.plan.height * pixels[1])),
+        )
+        values = file.plan.remap(values, full, pixels=pixels)
+    return resize_map(values, *file.size)
+
+
+def check_proportions(file: ViewFile, values: np.ndarray) -> None:
+    """Raise ShapeError if a map [h, w] cannot show the whole photo, whatever its resolution."""
     height, width = values.shape
     photo_width, photo_height = file.photo_size
     # Networks and exporters round sizes; a pixel of the map and 1 % are not a crop.
@@ -85,14 +99,6 @@ def fit_map(file: ViewFile, values: np.ndarray) -> np.ndarray:
             f"it is {width} x {height} pixels, which does not have the proportions of the photo, "
             f"{photo_width} x {photo_height}"
         )
-    if file.plan is not None:
-        pixels = (width / file.plan.camera.width, height / file.plan.camera.height)
-        full = (
-            max(file.size[0], round(file.plan.width * pixels[0])),
-            max(file.size[1], round(file.plan.height * pixels[1])),
-        )
-        values = file.plan.remap(values, full, pixels=pixels)
-    return resize_map(values, *file.size)
 
 
 def _check_size(file: ViewFile, path: Path, image: np.ndarray) -> None:

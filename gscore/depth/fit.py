@@ -51,7 +51,7 @@ class Fit:
         """
         with np.errstate(divide="ignore", invalid="ignore"):
             away = (values - np.float32(self.center)) / np.float32(self.deviation or 1.0)
-            error = np.sqrt((1 + away**2) / _INDEPENDENT) * np.float32(self.noise)
+            error = np.sqrt((1 + away**2) / _INDEPENDENT) * np.float32(_UNDERSTATED * self.noise)
             inverse = np.float32(self.scale) * values + np.float32(self.offset)
             return np.where(inverse > 0, error / inverse, np.float32(np.inf))
 
@@ -63,6 +63,11 @@ class Fit:
 _INDEPENDENT = 12
 """Points counted as independent: errors of a map are alike over large parts of it, so thousands of
 points fix its scale no better than a dozen."""
+
+_UNDERSTATED = 4.0
+"""Errors of fits among the points and far from them, in those that scatter and number of the
+inliers suggest. Inliers are chosen for agreeing, and a map's error grows away from them: simulated
+maps of the studio capture are off by 0.6 to 10 times as much, 2.8 in the median."""
 
 NO_FIT = Fit(scale=0.0, offset=0.0)
 """A view about which nothing is known."""

@@ -1,6 +1,5 @@
 """Alignment of all maps of a capture: what they hold, whose fit is taken, which are refused."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -8,37 +7,18 @@ import numpy as np
 
 from ..config import DataConfig
 from ..datasets import Dataset
-from ..datasets.dataset import map_threads
+from ..scene import Cameras
 from .align import align_robust, reliable
-from .fit import Fit, judge, median_scale
-from .maps import DepthKind, read_map, sample, stem
-from .observations import Observations
+from .consensus import agreed
+from .fit import NO_FIT, Fit, judge, median_scale
+from .maps import DepthKind, stem
 from .params import Params, params_path, read_params, refusal
+from .samples import Samples
 
 _LEAST_SHARE = 0.3
 """Share of points that must agree with a scale from depth_params.json for it to be used."""
 _LEAST_CORRELATION = 0.1
 """Mean rank correlation below which the points do not say what a map holds."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Samples:
-    """The values of one view's map at its points."""
-
-    values: np.ndarray
-    """[M] float64, as the map states them; NaN: unknown."""
-    inverse_depth: np.ndarray
-    """[M] float64, 1/world unit."""
-    weights: np.ndarray
-    """[M] float64, positive."""
-
-    def inverse(self, kind: DepthKind) -> np.ndarray:
-        """[M] float64, affine in inverse depth."""
-        if kind is DepthKind.DEPTH:
-            return np.divide(
-                1, self.values, out=np.full_like(self.values, np.nan), where=self.values > 0
-            )
-        return self.values
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,44 +31,6 @@ class Alignment:
     """What the maps' numbers grow with; never AUTO."""
     warnings: tuple[str, ...] = ()
     """Sentences for the user."""
-
-
-def view_samples(
-    maps: list[Path | None],
-    seen: list[Observations],
-    dataset: Dataset,
-    *,
-    on_view: Callable[[int], None] | None = None,
-) -> list[Samples | None]:
-    """Read each map at the points seen in its view; None where there is no map.
-
-    `on_view` is called with the index of each view when it is read.
-    """
-
-    def samples(index: int) -> Samples | None:
-        path = maps[index]
-        return None if path is None else sampled(read_map(path), seen[index])
-
-    found = []
-    for index, part in enumerate(map_threads(samples, list(range(len(dataset))))):
-        found.append(part)
-        if on_view is not None:
-            on_view(index)
-    return found
-
-
-def sampled(values: np.ndarray, seen: Observations) -> Samples:
-    """A map's values at the points seen in its view, pixel centres at +0.5 in both."""
-    height, width = values.shape
-    known = np.where(values == 0, np.float32(np.nan), values)
-    x, y = seen.x * (width / seen.width) - 0.5, seen.y * (height / seen.height) - 0.5
-    inside = (x >= -0.5) & (y >= -0.5) & (x <= width - 0.5) & (y <= height - 0.5)
-    inside &= seen.inverse_depth > 0
-    return Samples(
-        values=sample(known, x[inside], y[inside]),
-        inverse_depth=seen.inverse_depth[inside],
-        weights=seen.weights[inside],
-    )
 
 
 def align_views(
@@ -108,26 +50,42 @@ def align_views(
     path = params_path(dataset.source, folder)
     if data.depth_align == "official" or (data.depth_align == "auto" and path.is_file()):
         stated = _stated(path, read_params(path), dataset, samples)
-        return stated if data.depth_align == "official" else _checked(stated, path, samples)
+        if data.depth_align == "official":
+            return stated
+        return _checked(stated, path, samples, dataset.scene.cameras)
     found, warnings = find_kind(samples) if kind is DepthKind.AUTO else (kind, ())
     if data.depth_align == "none":
         fits = [None if part is None else _judged(1.0, 0.0, part, found) for part in samples]
         return Alignment(fits=fits, kind=found, warnings=warnings)
-    return robust(samples, found, warnings)
+    return robust(samples, found, dataset.scene.cameras, warnings)
 
 
 def robust(
-    samples: list[Samples | None], kind: DepthKind, warnings: tuple[str, ...] = ()
+    samples: list[Samples | None],
+    kind: DepthKind,
+    cameras: Cameras,
+    warnings: tuple[str, ...] = (),
 ) -> Alignment:
-    """Our own fits, refused where their scale stands alone among the views."""
-    fits = [
-        None if part is None else align_robust(part.inverse(kind), part.inverse_depth, part.weights)
-        for part in samples
-    ]
+    """Our own fits: to the points, then to each other; refused where their scale stands alone.
+
+    Args:
+        samples: Of the maps.
+        kind: What they grow with.
+        cameras: Of the views, at the size of their photos in training.
+        warnings: What to say besides.
+    """
+    parts = [None if part is None else part.inverse(kind) for part in samples]
+    fits = agreed([None if part is None else _robust(part) for part in parts], parts, cameras)
     median = median_scale([fit.scale for fit in fits if fit is not None and fit.accepted])
     return Alignment(
         fits=reliable(fits, median), kind=kind, warnings=(*warnings, *_refusals(fits, median))
     )
+
+
+def _robust(part: Samples) -> Fit:
+    if part.trouble:
+        return NO_FIT.refused(part.trouble)
+    return align_robust(part.values, part.inverse_depth, part.weights)
 
 
 def find_kind(samples: list[Samples | None]) -> tuple[DepthKind, tuple[str, ...]]:
@@ -167,6 +125,9 @@ def _stated(
         if part is None:
             fits.append(None)
             continue
+        if part.trouble:
+            fits.append(NO_FIT.refused(part.trouble))
+            continue
         entry = params.get(stem(name))
         reason = refusal(path, stem(name), entry, median)
         if entry is None:
@@ -177,19 +138,21 @@ def _stated(
     return Alignment(fits=fits, kind=kind, warnings=_refusals(fits, median))
 
 
-def _checked(stated: Alignment, path: Path, samples: list[Samples | None]) -> Alignment:
+def _checked(
+    stated: Alignment, path: Path, samples: list[Samples | None], cameras: Cameras
+) -> Alignment:
     """The fits of a file; where most points of a view contradict it, our own in their place."""
-    ours = robust(samples, stated.kind).fits
     fits = list(stated.fits)
     wrong = [
         i
         for i, fit in enumerate(fits)
         if fit is not None and fit.accepted and fit.points and fit.inliers < _LEAST_SHARE
     ]
-    for i in wrong:
-        fits[i] = ours[i]
     if not wrong:
         return stated
+    ours = robust(samples, stated.kind, cameras).fits
+    for i in wrong:
+        fits[i] = ours[i]
     sentence = (
         f"{path} contradicts the points of {len(wrong)} views, as if it belonged to other maps; "
         f"these are aligned anew. Make it again: gscore depth SOURCE"
@@ -199,7 +162,9 @@ def _checked(stated: Alignment, path: Path, samples: list[Samples | None]) -> Al
 
 def _judged(scale: float, offset: float, part: Samples, kind: DepthKind) -> Fit:
     """A given scale and offset, with what the points say to it."""
-    values = part.inverse(kind)
+    if part.trouble:
+        return NO_FIT.refused(part.trouble)
+    values = part.inverse(kind).values
     use = np.isfinite(values)
     return judge(scale, offset, values[use], part.inverse_depth[use], part.weights[use])
 

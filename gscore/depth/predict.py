@@ -15,10 +15,11 @@ from ..datasets.decode import ViewFile
 from ..errors import Cancelled, ConfigError, FormatError, GsError
 from ..io.files import atomic_write
 from ..io.images import read_image, read_mask, write_png
-from .fitting import find_kind, sampled
+from .fitting import find_kind
 from .maps import DepthKind, MapFolder, stem, to_inverse
 from .network import Network
 from .observations import Observations
+from .samples import sampled
 
 RECORD = "prediction.json"
 """File beside the maps that says which network made them."""

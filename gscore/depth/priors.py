@@ -11,19 +11,18 @@ from ..config import DataConfig
 from ..datasets import Dataset
 from ..datasets.dataset import map_threads
 from ..datasets.decode import fit_map
-from ..errors import ConfigError, DatasetError, ShapeError
+from ..errors import ConfigError, DatasetError
 from .confidence import confidence
 from .fit import NO_FIT, Fit
-from .fitting import Alignment, align_views, view_samples
+from .fitting import Alignment, align_views
 from .maps import DepthKind, MapFolder, read_map, to_inverse
 from .observations import observations
 from .params import DEFAULT_FOLDER
+from .samples import unusable, view_samples
 
 ALIGNMENTS = ("auto", "official", "robust", "none")
 """Values of the option `depth_align`."""
-
-
-_TOLERABLE = 0.05
+_TOLERABLE = 0.2
 """Expected relative error of an aligned inverse depth at which a pixel counts half."""
 
 
@@ -75,9 +74,9 @@ def load_priors(
         on_progress: Called with (done, total) while the maps are read.
 
     Raises:
-        DatasetError: the folder is missing or has no map of any view, or, with `official`, there
-            is no depth_params.json.
-        FormatError: a map or depth_params.json is damaged.
+        DatasetError: the folder is missing or has no usable map of any view, or, with `official`,
+            there is no depth_params.json.
+        FormatError: depth_params.json is damaged.
         ConfigError: `depth_align` is unknown.
     """
     if data.depth_align not in ALIGNMENTS:
@@ -94,8 +93,8 @@ def load_priors(
     views: list[DepthPrior | None] = []
 
     def prior(index: int) -> DepthPrior | None:
-        path, fit = maps[index], alignment.fits[index]
-        if path is None:
+        path, fit, part = maps[index], alignment.fits[index], samples[index]
+        if path is None or part is None or part.trouble:
             return None
         return _prior(dataset, index, to_inverse(read_map(path), alignment.kind), fit)
 
@@ -107,7 +106,7 @@ def load_priors(
         views=views,
         kind=alignment.kind,
         folder=folder.root,
-        warnings=(*warnings, *alignment.warnings),
+        warnings=(*warnings, *unusable(samples), *alignment.warnings),
         table=fit_table(dataset.names, maps, alignment),
     )
 
@@ -152,13 +151,7 @@ def _missing(folder: MapFolder, maps: list[Path | None], names: tuple[str, ...])
 def _prior(dataset: Dataset, index: int, values: np.ndarray, fit: Fit | None) -> DepthPrior:
     """The map of a view at training resolution, aligned where the fit allows it."""
     file = dataset.files[index]
-    try:
-        values = fit_map(file, values)
-    except ShapeError as error:
-        raise DatasetError(
-            f"The depth map of {dataset.names[index]} cannot be used: {error}. Make it from the "
-            f"whole photo: gscore depth"
-        ) from error
+    values = fit_map(file, values)
     trust = confidence(values, dataset.mask(index) if dataset.mask_mode != "none" else None)
     aligned = fit is not None and fit.accepted
     if fit is not None and fit.accepted:

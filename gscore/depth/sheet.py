@@ -8,7 +8,7 @@ import numpy as np
 
 from ..datasets import Dataset
 from ..datasets.decode import fit_map
-from ..errors import ShapeError
+from ..errors import GsError
 from ..io.images import resize, resize_map, write_png
 from .fit import Fit
 from .maps import DepthKind, read_map, to_inverse
@@ -44,7 +44,7 @@ def write_sheet(
         The number of views on it.
 
     Raises:
-        GsError: a map is damaged, or the file cannot be written.
+        GsError: the file cannot be written.
     """
     there = [i for i, file in enumerate(maps) if file is not None]
     shown = there[:: -(-len(there) // MOST_VIEWS)] if there else []
@@ -94,8 +94,8 @@ def _tile(
     note = _words(fit)
     try:
         values = fit_map(dataset.files[index], to_inverse(read_map(path), kind)) if path else None
-    except ShapeError as error:
-        values, note = None, (f"refused: {error}", _BAD)
+    except GsError:  # the fit says why
+        values = None
     if values is not None:
         picture = map_picture(resize_map(values, width, height), colorize)
         tile[:height, _TILE : _TILE + width] = picture

@@ -219,11 +219,12 @@ def test_shallow_points_under_a_noisy_map_are_refused():
 
 
 def test_expected_error_of_a_fit():
-    """Oracle: the standard error of a line through 12 points, in closed form."""
+    """Oracle: four times the standard error of a line through 12 points, in closed form."""
     fit = Fit(scale=2.0, offset=0.1, center=0.2, deviation=0.05, noise=0.012, accepted=True)
     assert fit.slope_error == pytest.approx(0.012 / (2 * 0.05 * 12**0.5))
     values = np.array([0.2, 0.25, 0.45, -0.05, -0.2], np.float32)
-    expected = 0.012 * np.sqrt((1 + np.array([0, 1, 25]) ** 1.0) / 12) / (2 * values[:3] + 0.1)
+    error = 4 * 0.012 * np.sqrt((1 + np.array([0, 1, 25]) ** 1.0) / 12)
+    expected = error / (2 * values[:3] + 0.1)
     assert fit.relative_error(values)[:3] == pytest.approx(expected, rel=1e-5)
     assert np.isinf(fit.relative_error(values)[3:]).all()
 

@@ -147,10 +147,31 @@ def test_no_maps_and_some_maps(planes):
 
 
 def test_cropped_maps_are_refused(planes):
-    """Oracle: an error that names the view and both sizes."""
+    """Oracle: an error that names the first map and both sizes."""
     planes.write_maps(_npy(lambda s: s[:, 20:]))
-    with pytest.raises(DatasetError, match=r"cam/v_0\.png.*100 x 80.*120 x 80"):
+    with pytest.raises(DatasetError, match=r"None of the 5.*v_0\.npy.*100 x 80.*120 x 80"):
         _load(planes)
+
+
+@pytest.mark.parametrize("align", ["auto", "none"])
+def test_a_file_that_cannot_be_used_costs_its_view_alone(planes, align):
+    """Oracle: the other views' priors as without it, and the reader's own words."""
+    planes.write_maps(_npy(lambda s: s))
+    _, whole = _load(planes, depth_align=align)
+    folder = planes.folder / "depths" / "cam"
+    (folder / "v_1.npy").write_bytes(b"no array")
+    np.save(folder / "v_3.npy", np.ones((80, 50), np.float32))
+    _, priors = _load(planes, depth_align=align)
+    assert [view is None for view in priors.views] == [False, True, False, True, False]
+    for i in (0, 2, 4):
+        expected = whole.views[i].inverse_depth
+        assert priors.views[i].inverse_depth == pytest.approx(expected, rel=1e-4)
+        assert priors.views[i].confidence == pytest.approx(whole.views[i].confidence, abs=1e-4)
+    assert [row["accepted"] for row in priors.table] == [True, False, True, False, True]
+    assert "v_1.npy cannot be read as a NumPy array" in priors.table[1]["reason"]
+    assert "50 x 80 pixels" in priors.table[3]["reason"]
+    assert "2 depth maps are left out" in priors.warnings[0] and "v_1.npy" in priors.warnings[0]
+    json.dumps(priors.table, allow_nan=False)
 
 
 def test_one_bad_map_among_good_ones(planes):

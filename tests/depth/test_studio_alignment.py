@@ -8,9 +8,9 @@ import pytest
 from gscore.config import DataConfig
 from gscore.datasets import load_dataset
 from gscore.depth.align import align_official, align_robust
-from gscore.depth.fitting import sampled
 from gscore.depth.maps import read_map
 from gscore.depth.observations import observations
+from gscore.depth.samples import sampled
 
 STUDIO = Path(__file__).parents[2] / "examples" / "studio"
 VIEWS = range(0, 60, 5)

@@ -1,0 +1,132 @@
+"""What depth maps say where structure from motion saw points, and on a coarse grid."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+
+from ..datasets import Dataset
+from ..datasets.dataset import map_threads
+from ..datasets.decode import ViewFile, check_proportions, fit_map
+from ..errors import DatasetError, FormatError, ShapeError
+from .maps import DepthKind, read_map, sample
+from .observations import Observations
+
+_SIDE = 64
+"""Columns of the grid, about."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Samples:
+    """The values of one view's map at its points, and on a coarse grid."""
+
+    values: np.ndarray
+    """[M] float64, as the map states them; NaN: unknown."""
+    inverse_depth: np.ndarray
+    """[M] float64, 1/world unit."""
+    weights: np.ndarray
+    """[M] float64, positive."""
+    grid: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), np.float32))
+    """[h, w] float32, every n-th pixel of the map at the size of the photo in training; NaN:
+    unknown."""
+    trouble: str = ""
+    """Why the file cannot be used at all; M is 0 then."""
+
+    def inverse(self, kind: DepthKind) -> Self:
+        """The same with values that are affine in inverse depth."""
+        if kind is not DepthKind.DEPTH:
+            return self
+        return replace(self, values=_inverse(self.values), grid=_inverse(self.grid))
+
+
+def view_samples(
+    maps: list[Path | None],
+    seen: list[Observations],
+    dataset: Dataset,
+    *,
+    on_view: Callable[[int], None] | None = None,
+) -> list[Samples | None]:
+    """Read each map at the points seen in its view; None where there is no map.
+
+    `on_view` is called with the index of each view when it is read.
+
+    Raises:
+        DatasetError: no map of all that are there can be used.
+    """
+
+    def samples(index: int) -> Samples | None:
+        path = maps[index]
+        return None if path is None else _samples(path, dataset.files[index], seen[index])
+
+    found = []
+    for index, part in enumerate(map_threads(samples, list(range(len(dataset))))):
+        found.append(part)
+        if on_view is not None:
+            on_view(index)
+    there = [part for part in found if part is not None]
+    if there and all(part.trouble for part in there):
+        raise DatasetError(
+            f"None of the {len(there)} depth maps can be used. The first: {there[0].trouble}. Make "
+            f"them again: gscore depth"
+        )
+    return found
+
+
+def _samples(path: Path, file: ViewFile, seen: Observations) -> Samples:
+    """A map at the points of its view, or why it is unusable: one bad file stops no training."""
+    try:
+        values = read_map(path)
+        check_proportions(file, values)
+    except (FormatError, DatasetError) as error:
+        trouble = str(error).rstrip(".")
+    except ShapeError as error:
+        trouble = f"{path} cannot be used: {error}. It has to show the whole photo"
+    else:
+        grid = thinned(fit_map(file, np.where(values == 0, np.float32(np.nan), values)))
+        return replace(sampled(values, seen), grid=grid)
+    none = np.zeros(0)
+    return Samples(values=none, inverse_depth=none, weights=none, trouble=trouble)
+
+
+def unusable(samples: list[Samples | None]) -> tuple[str, ...]:
+    """One sentence about the maps whose files cannot be used."""
+    troubles = [part.trouble for part in samples if part is not None and part.trouble]
+    if not troubles:
+        return ()
+    if len(troubles) == 1:
+        return (f"One depth map is left out, because its file cannot be used: {troubles[0]}.",)
+    return (
+        f"{len(troubles)} depth maps are left out, because their files cannot be used, the first: "
+        f"{troubles[0]}.",
+    )
+
+
+def sampled(values: np.ndarray, seen: Observations) -> Samples:
+    """A map's values at the points seen in its view, pixel centres at +0.5 in both."""
+    height, width = values.shape
+    known = np.where(values == 0, np.float32(np.nan), values)
+    x, y = seen.x * (width / seen.width) - 0.5, seen.y * (height / seen.height) - 0.5
+    inside = (x >= -0.5) & (y >= -0.5) & (x <= width - 0.5) & (y <= height - 0.5)
+    inside &= seen.inverse_depth > 0
+    return Samples(
+        values=sample(known, x[inside], y[inside]),
+        inverse_depth=seen.inverse_depth[inside],
+        weights=seen.weights[inside],
+    )
+
+
+def thinned(values: np.ndarray) -> np.ndarray:
+    """Every n-th pixel of [H, W], n = `grid_step(W)`, from n // 2 on."""
+    step = grid_step(values.shape[1])
+    return np.ascontiguousarray(values[step // 2 :: step, step // 2 :: step])
+
+
+def grid_step(width: int) -> int:
+    """Pixels between two columns, and two rows, of the grid of a picture that is so wide."""
+    return max(1, width // _SIDE)
+
+
+def _inverse(values: np.ndarray) -> np.ndarray:
+    return np.divide(1, values, out=np.full_like(values, np.nan), where=values > 0)

@@ -1,0 +1,83 @@
+"""Fits by what maps say of each other; oracle: two planes with known inverse depth everywhere."""
+
+import numpy as np
+import pytest
+
+from gscore.config import DataConfig
+from gscore.datasets import load_dataset
+from gscore.depth import consensus, load_priors
+
+NEAR = (0.25, 0.3)
+"""Inverse depths at which structure from motion saw points; the planes are farther and nearer."""
+
+
+def load(planes):
+    config = DataConfig(source=planes.folder, depths="depths", resolution=1)
+    return load_dataset(config), load_priors(config, load_dataset(config))
+
+
+def waves(seed: int, size: float):
+    """Slow errors of another shape in each map, and another scale and offset."""
+    count = iter(range(99))
+
+    def save(path, inverse):
+        rng = np.random.default_rng([seed, next(count)])
+        rows, columns = np.mgrid[: inverse.shape[0], : inverse.shape[1]]
+        angle, phase = rng.uniform(0, 6.3, 2)
+        turns = (np.cos(angle) * rows + np.sin(angle) * columns) / rng.uniform(8, 14)
+        values = inverse * (1 + size * np.sin(turns + phase))
+        np.save(path, (rng.uniform(0.5, 3) * values + rng.uniform(-0.2, 0.2)).astype(np.float32))
+
+    return save
+
+
+def far_errors(planes, priors) -> list[float]:
+    """Mean relative error of each aligned map beyond the points; 1 for a refused one."""
+    errors = []
+    for i, view in enumerate(priors.views):
+        truth = planes.truth(i)
+        far = truth < NEAR[0]
+        off = np.abs(view.inverse_depth / truth - 1)[far]
+        errors.append(float(np.minimum(off, 1).mean()) if view.aligned else 1.0)
+    return errors
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_what_points_leave_open_other_maps_settle(make_planes, monkeypatch, seed):
+    """Oracle: the planes. A map that its points alone cannot place is placed right, also where no
+    point was seen; what its fit says of the points still speaks of its own points."""
+    planes = make_planes(reach=NEAR)
+    planes.write_maps(waves(seed, 0.03))
+    with monkeypatch.context() as alone:
+        alone.setattr(consensus, "_ROUNDS", 0)
+        _, before = load(planes)
+    refused = [i for i, view in enumerate(before.views) if not view.aligned]
+    assert refused and max(far_errors(planes, before)) == 1
+    _, priors = load(planes)
+    assert all(view.aligned for view in priors.views)
+    assert max(far_errors(planes, priors)) < 0.06 and np.mean(far_errors(planes, priors)) < 0.04
+    for row, old in zip(priors.table, before.table, strict=True):
+        assert row["points"] == old["points"] > 20
+        assert row["inliers"] > 0.7 * old["inliers"]
+
+
+def test_exact_maps_stay_exact(make_planes):
+    """Oracle: the planes."""
+    planes = make_planes(reach=NEAR)
+    planes.write_maps(lambda path, s: np.save(path, (17 * s + 3).astype(np.float32)))
+    _, priors = load(planes)
+    for i, view in enumerate(priors.views):
+        inner = np.s_[2:-2, 2:-2]
+        assert view.inverse_depth[inner] == pytest.approx(planes.truth(i)[inner], rel=3e-3)
+
+
+def test_a_map_of_noise_is_not_talked_into_a_scale(make_planes):
+    """Oracle: noise has no scale; and it spoils none of the others."""
+    planes = make_planes(reach=NEAR)
+    planes.write_maps(waves(5, 0.01))
+    rng = np.random.default_rng(0)
+    np.save(planes.folder / "depths" / "cam" / "v_2.npy", rng.random((80, 120), np.float32))
+    _, priors = load(planes)
+    assert [view.aligned for view in priors.views] == [True, True, False, True, True]
+    errors = far_errors(planes, priors)
+    assert max(errors[i] for i in (0, 1, 3, 4)) < 0.04
