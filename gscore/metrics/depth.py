@@ -43,14 +43,16 @@ class DepthSection:
 
 
 def depth_errors(
-    rendered: np.ndarray, prior: np.ndarray, confidence: np.ndarray
+    rendered: np.ndarray, alpha: np.ndarray, prior: np.ndarray, confidence: np.ndarray
 ) -> dict[str, float | None]:
     """Mean relative difference of inverse depths where the prior is sure.
 
-    A pixel counts at most 1: a faint splat just before the camera has a huge inverse depth.
+    What is missing of a pixel's opacity counts as error, or haze before a surface could pass for
+    it. A pixel counts at most 1: a faint splat just before the camera has a huge inverse depth.
 
     Args:
         rendered: [H, W] accumulated inverse depth.
+        alpha: [H, W] accumulated opacity.
         prior: [H, W] in the same unit.
         confidence: [H, W] in [0, 1].
 
@@ -60,7 +62,7 @@ def depth_errors(
     sure = (confidence >= _SURE) & (prior > 0)
     if not sure.any():
         return {"depth_error": None}
-    relative = np.abs(rendered[sure] - prior[sure]) / prior[sure]
+    relative = np.abs(rendered[sure] - prior[sure]) / prior[sure] + (1 - alpha[sure])
     return {"depth_error": float(np.minimum(relative, 1.0).mean(dtype=np.float64))}
 
 

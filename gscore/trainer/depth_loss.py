@@ -1,10 +1,14 @@
 """The depth loss: inverse depth as rendered against priors, in units that suit any capture.
 
-With D the accumulated inverse depth of a pixel (sum of w / z, so that it also asks for opacity), P
-the prior, c its confidence and m the median of all aligned P:
+With D the accumulated inverse depth of a pixel (sum of w / z), A its opacity (sum of w), P the
+prior, c its confidence and m the median of all aligned P:
 
-    aligned views     weight * mean over all pixels of c |D - P| / max(P, m)
+    aligned views     weight * mean over all pixels of c (|D - P| + (1 - A) P / 2) / max(P, m)
     other views       weight * depth_pearson * (1 - correlation of D and P, weighted by c)
+
+D alone cannot tell a wall from a haze of opacity 0.4 at 0.4 of its distance, and haze is what a
+training finds first. The second term can: where the depth is known there is a surface, so what is
+missing of its opacity is an error too.
 
 The divisor makes the error of near surfaces, whose inverse depth is large, a relative one and that
 of far surfaces one in units of the median: neither do the nearest pixels rule the sum nor the
@@ -22,6 +26,8 @@ from .depth_targets import DepthTarget, DepthTargets
 
 _SPREAD_FLOOR = 1e-4
 """Least variance in the correlation, of inverse depth in medians: flat maps say nothing."""
+_OPAQUE = 0.5
+"""Weight of missing opacity next to wrong inverse depth."""
 
 
 def weight_at(config: TrainConfig, step: int) -> float:
@@ -57,49 +63,59 @@ class DepthLoss:
         weight = weight_at(self._config, step)
         return weight if self.targets.is_aligned(index) else weight * self._config.depth_pearson
 
-    def __call__(self, index: int, inverse_depth: torch.Tensor) -> torch.Tensor:
+    def __call__(
+        self, index: int, inverse_depth: torch.Tensor, alpha: torch.Tensor
+    ) -> torch.Tensor:
         """The loss of view `index`, without its weight.
 
         Args:
             index: A view with a prior.
             inverse_depth: [H, W] float, as rendered, 1/training unit; differentiable in it.
+            alpha: [H, W] float, opacity as rendered; differentiable in it.
         """
         height, width = inverse_depth.shape
         target = self.targets.at(index, width, height)
         if target is None:
             return inverse_depth.new_zeros(())
         if target.aligned:
-            return l1_loss(inverse_depth, target, unit=self._unit)
+            return l1_loss(inverse_depth, alpha, target, unit=self._unit)
         return pearson_loss(inverse_depth / self._unit, target)
 
 
-def l1_loss(inverse_depth: torch.Tensor, target: DepthTarget, *, unit: float) -> torch.Tensor:
-    """Mean over all pixels of c |D / unit - P| / max(P, 1), with P in units.
+def l1_loss(
+    inverse_depth: torch.Tensor, alpha: torch.Tensor, target: DepthTarget, *, unit: float
+) -> torch.Tensor:
+    """Mean over all pixels of c (|D / unit - P| + (1 - A) P / 2) / max(P, 1), with P in units.
 
     Args:
         inverse_depth: D, [H, W] float, 1/training unit; differentiable in it.
+        alpha: A, [H, W] float, opacity; differentiable in it.
         target: P and c at that size.
         unit: 1/training unit.
     """
-    return _L1.apply(inverse_depth, target, 1.0 / unit)  # pyright: ignore[reportReturnType]
+    return _L1.apply(inverse_depth, alpha, target, 1.0 / unit)  # pyright: ignore[reportReturnType]
 
 
 class _L1(torch.autograd.Function):
-    """Three passes over the picture instead of the nine of separate operations."""
+    """A few passes over the picture instead of the many of separate operations."""
 
     @staticmethod
-    def forward(ctx: Any, image: torch.Tensor, target: DepthTarget, scale: float) -> torch.Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def forward(  # pyright: ignore[reportIncompatibleMethodOverride]
+        ctx: Any, image: torch.Tensor, alpha: torch.Tensor, target: DepthTarget, scale: float
+    ) -> torch.Tensor:
         prior = target.inverse_depth.to(image.dtype)
         weight = target.confidence.to(image.dtype)
         weight.mul_(1 / (255 * image.numel())).div_(prior.clamp_min(1.0))
-        error = prior.neg_().add_(image, alpha=scale)
+        error = image.mul(scale).sub_(prior)
         loss = torch.dot(weight.flatten(), error.abs().flatten())
-        ctx.gradient = weight.mul_(error.sign_()).mul_(scale)
-        return loss
+        ctx.inverse_depth = error.sign_().mul_(weight).mul_(scale)
+        hollow = weight.mul_(prior).mul_(_OPAQUE)
+        ctx.alpha = -hollow
+        return loss + torch.dot(hollow.flatten(), (1 - alpha).flatten())
 
     @staticmethod
     def backward(ctx: Any, v_loss: torch.Tensor) -> tuple[torch.Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        return ctx.gradient * v_loss, None, None
+        return ctx.inverse_depth * v_loss, ctx.alpha * v_loss, None, None
 
 
 def pearson_loss(inverse_depth: torch.Tensor, target: DepthTarget) -> torch.Tensor:

@@ -43,10 +43,11 @@ def measure_depth(
         image = photos.image(i)
         target = targets.at(i, image.shape[1], image.shape[0])
         assert target is not None
-        rendered = trainer.inverse_depth(i) / np.float32(targets.unit)
+        rendered, alpha = trainer.inverse_depth(i)
+        rendered /= np.float32(targets.unit)
         prior = target.inverse_depth.numpy().astype(np.float32)
         confidence = target.confidence.numpy().astype(np.float32) / 255
-        errors = depth_errors(rendered, prior, confidence) if target.aligned else {}
+        errors = depth_errors(rendered, alpha, prior, confidence) if target.aligned else {}
         rows[i] |= errors
         pictures.add(
             names[i], image, prior, confidence, rendered, aligned=target.aligned, numbers=rows[i]

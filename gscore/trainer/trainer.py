@@ -191,14 +191,16 @@ class Trainer:
         v_alpha, v_inverse_depth = None, None
         if self.depth and picture.inverse_depth is not None:
             inverse_depth = picture.inverse_depth.detach().requires_grad_()
-            term = depth_weight * self.depth(index, inverse_depth)
+            alpha = picture.alpha.detach().requires_grad_()
+            term = depth_weight * self.depth(index, inverse_depth, alpha)
             value += term.item()
-            v_inverse_depth = _gradient(term, inverse_depth)
+            v_inverse_depth, v_alpha = _gradients(term, inverse_depth, alpha)
         if config.alpha_weight and mask is not None and self.photos.mask_mode == "composite":
             alpha = picture.alpha.detach().requires_grad_()
             term = config.alpha_weight * opacity_loss(alpha, torch.from_numpy(mask))
             value += term.item()
-            v_alpha = _gradient(term, alpha)
+            (more,) = _gradients(term, alpha)
+            v_alpha = more if v_alpha is None or more is None else v_alpha + more
         self.steps = step
         laps.lap("loss")
         if config.detect_anomaly and not math.isfinite(value):
@@ -243,11 +245,12 @@ class Trainer:
             ).mse
         return math.sqrt(total / len(chosen))
 
-    def inverse_depth(self, index: int) -> np.ndarray:
-        """Accumulated inverse depth of view `index`, [H, W] float32, 1/world unit."""
-        found = self._show(self._pyramid.view(index), inverse_depth=True).inverse_depth
-        assert found is not None
-        return found.numpy() * np.float32(self.frame.similarity.scale)
+    def inverse_depth(self, index: int) -> tuple[np.ndarray, np.ndarray]:
+        """Accumulated inverse depth of view `index`, [H, W] float32, 1/world unit, and opacity."""
+        found = self._show(self._pyramid.view(index), inverse_depth=True)
+        assert found.inverse_depth is not None
+        scale = np.float32(self.frame.similarity.scale)
+        return found.inverse_depth.numpy() * scale, found.alpha.numpy()
 
     @property
     def fixed_background(self) -> tuple[float, float, float]:
@@ -429,6 +432,8 @@ class Trainer:
         return change, bad_rows
 
 
-def _gradient(term: torch.Tensor, leaf: torch.Tensor) -> torch.Tensor | None:
+def _gradients(term: torch.Tensor, *leaves: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
     """d term / d leaf; None where the term does not depend on it."""
-    return torch.autograd.grad(term, leaf)[0] if term.requires_grad else None
+    if not term.requires_grad:
+        return (None,) * len(leaves)
+    return torch.autograd.grad(term, leaves, allow_unused=True)

@@ -43,13 +43,14 @@ def camera() -> dict[str, torch.Tensor]:
     return {"viewmat": torch.eye(4), "K": K}
 
 
-def drawn(values: dict[str, torch.Tensor]) -> torch.Tensor:
+def drawn(values: dict[str, torch.Tensor]) -> tuple[torch.Tensor, torch.Tensor]:
+    """Inverse depth and opacity, as the reference draws them."""
     view = {name: t.double() for name, t in camera().items()}
     out = rasterize_reference(
         **values, **view, width=SIZE[0], height=SIZE[1], raw=True, inverse_depth=True
-    ).inverse_depth
-    assert out is not None
-    return out
+    )
+    assert out.inverse_depth is not None
+    return out.inverse_depth, out.alpha
 
 
 def target_for(picture: torch.Tensor, *, aligned: bool) -> DepthTarget:
@@ -64,15 +65,31 @@ def target_for(picture: torch.Tensor, *, aligned: bool) -> DepthTarget:
 
 
 def test_l1_is_its_formula() -> None:
-    """Oracle: mean of c |D / unit - P| / max(P, 1) in numpy, float64."""
+    """Oracle: mean of c (|D / unit - P| + (1 - A) P / 2) / max(P, 1) in numpy, float64."""
     rng = np.random.default_rng(0)
     image, prior = rng.uniform(0, 3, (7, 5)), rng.uniform(0, 3, (7, 5)).astype(np.float16)
+    alpha = rng.uniform(0, 1, (7, 5))
     confidence = rng.integers(0, 256, (7, 5)).astype(np.uint8)
     target = DepthTarget(torch.from_numpy(prior), torch.from_numpy(confidence), True)
-    found = l1_loss(torch.from_numpy(image), target, unit=UNIT)
+    found = l1_loss(torch.from_numpy(image), torch.from_numpy(alpha), target, unit=UNIT)
     p = prior.astype(np.float64)
-    expected = (confidence / 255 * np.abs(image / UNIT - p) / np.maximum(p, 1)).mean()
-    assert float(found) == pytest.approx(expected, rel=1e-12)
+    off = np.abs(image / UNIT - p) + (1 - alpha) * p / 2
+    expected = confidence / 255 * off / np.maximum(p, 1)
+    assert float(found) == pytest.approx(expected.mean(), rel=1e-12)
+
+
+@pytest.mark.parametrize("opacity", [0.2, 0.4, 0.7])
+def test_haze_is_no_surface(opacity: float) -> None:
+    """Oracle: by hand. Haze of opacity a at a times the depth has the surface's inverse depth; it
+    costs half of what is missing of its opacity, and a surface at the right depth nothing."""
+    prior = torch.full((3, 3), 0.8).half()
+    sure = torch.full((3, 3), 255).to(torch.uint8)
+    target = DepthTarget(prior, sure, True)
+    right = prior.double() * UNIT
+    haze = l1_loss(right, torch.full((3, 3), opacity).double(), target, unit=UNIT)
+    surface = l1_loss(right, torch.ones(3, 3).double(), target, unit=UNIT)
+    assert float(haze) == pytest.approx(0.8 * (1 - opacity) / 2, rel=1e-3)
+    assert float(surface) == pytest.approx(0, abs=1e-12)
 
 
 def test_near_surfaces_count_relatively() -> None:
@@ -82,7 +99,8 @@ def test_near_surfaces_count_relatively() -> None:
         target = DepthTarget(
             torch.full((2, 2), inverse).half(), torch.full((2, 2), 255).to(torch.uint8), True
         )
-        costs.append(float(l1_loss(torch.full((2, 2), 1.1 * inverse * UNIT), target, unit=UNIT)))
+        near = torch.full((2, 2), 1.1 * inverse * UNIT)
+        costs.append(float(l1_loss(near, torch.ones(2, 2), target, unit=UNIT)))
     assert costs == pytest.approx([0.1, 0.1], rel=1e-3)
 
 
@@ -112,12 +130,12 @@ def test_pearson_knows_no_scale_and_no_offset() -> None:
 def test_gradients_through_the_reference_are_finite_differences(aligned: bool) -> None:
     """Oracle: central differences in float64 of the loss of what the reference draws."""
     values = scene()
-    target = target_for(drawn(values), aligned=aligned)
+    target = target_for(drawn(values)[0], aligned=aligned)
 
     def loss_of(splats: dict[str, torch.Tensor]) -> torch.Tensor:
-        picture = drawn(splats)
+        picture, alpha = drawn(splats)
         if aligned:
-            return l1_loss(picture, target, unit=UNIT)
+            return l1_loss(picture, alpha, target, unit=UNIT)
         return pearson_loss(picture / UNIT, target)
 
     leaves = {name: value.clone().requires_grad_() for name, value in values.items()}
@@ -140,21 +158,22 @@ def test_gradients_through_the_reference_are_finite_differences(aligned: bool) -
 def test_native_gradients_are_the_references(aligned: bool) -> None:
     """Oracle: the float64 reference, through the same loss; float32 leaves five digits."""
     values = scene()
-    target = target_for(drawn(values), aligned=aligned)
+    target = target_for(drawn(values)[0], aligned=aligned)
     gradients = []
     for native in (True, False):
         dtype = torch.float32 if native else torch.float64
         leaves = {name: v.to(dtype).clone().requires_grad_() for name, v in values.items()}
         if native:
             view = camera()
-            picture = rasterize(
+            out = rasterize(
                 **leaves, **view, width=SIZE[0], height=SIZE[1], raw=True, inverse_depth=True
-            ).inverse_depth
+            )
+            picture, alpha = out.inverse_depth, out.alpha
         else:
-            picture = drawn(leaves)
+            picture, alpha = drawn(leaves)
         assert picture is not None
         if aligned:
-            loss = l1_loss(picture, target, unit=UNIT)
+            loss = l1_loss(picture, alpha, target, unit=UNIT)
         else:
             loss = pearson_loss(picture / UNIT, target)
         loss.backward()
@@ -210,5 +229,6 @@ def test_lengths_of_the_training_world_are_undone() -> None:
     targets = DepthTargets([prior], train=[0])
     loss = DepthLoss(TrainConfig(), targets, scale=0.25)
     right = torch.from_numpy(prior.inverse_depth / 0.25)
-    assert float(loss(0, right)) < 1e-3
-    assert float(loss(0, right * 0.25)) > 0.1
+    opaque = torch.ones(right.shape)
+    assert float(loss(0, right, opaque)) < 1e-3
+    assert float(loss(0, right * 0.25, opaque)) > 0.1

@@ -88,7 +88,7 @@ def test_inverse_depth_is_that_of_the_world(photos: Any, known_splats: Any) -> N
     cameras = photos.scene.cameras
     view = render(known_splats, cameras.Ks[3], cameras.viewmats[3], 48, 48)
     assert view.inverse_depth is not None and view.inverse_depth.max() > 0.3
-    np.testing.assert_allclose(trainer.inverse_depth(3), view.inverse_depth, atol=2e-4)
+    np.testing.assert_allclose(trainer.inverse_depth(3)[0], view.inverse_depth, atol=2e-4)
 
 
 def test_true_splats_have_no_depth_loss(
@@ -109,9 +109,10 @@ def test_true_splats_have_no_depth_loss(
                     inverse_depth=True,
                 )
             assert out.inverse_depth is not None
-            assert float(trainer.depth(index, out.inverse_depth)) < limit
+            opaque = torch.ones_like(out.alpha)
+            assert float(trainer.depth(index, out.inverse_depth, opaque)) < limit
             nothing = torch.zeros_like(out.inverse_depth)
-            assert float(trainer.depth(index, nothing)) > 0.05
+            assert float(trainer.depth(index, nothing, opaque)) > 0.05
 
 
 def test_depth_off_is_the_training_without_depth(
@@ -150,7 +151,7 @@ def test_depth_makes_depth_better(make_photos: Callable[..., Any], known_splats:
         found = []
         for i in photos.train:
             sure = truth[i].confidence > 0
-            difference = trainer.inverse_depth(i)[sure] / truth[i].inverse_depth[sure] - 1
+            difference = trainer.inverse_depth(i)[0][sure] / truth[i].inverse_depth[sure] - 1
             found.append(float(np.median(np.abs(difference))))
         errors.append(np.mean(found))
     assert errors[1] < 0.75 * errors[0], errors
