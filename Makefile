@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 LIBRARY := build/native/.built
-SOURCES := $(wildcard csrc/CMakeLists.txt csrc/include/*.h csrc/src/* csrc/tests/*)
+SOURCES := $(wildcard csrc/CMakeLists.txt csrc/include/*.h csrc/src/* csrc/tests/* csrc/fuzz/*)
 
 # Which Blenders `make test` runs the add-on in: newest, oldest, all, versions, or none.
 BLENDER ?= newest
@@ -13,7 +13,7 @@ DEMO_BLENDER ?= newest
 # What `make extension` makes zips for: nothing for this machine's platform, all, or names like windows-x64.
 PLATFORMS ?=
 
-.PHONY: demo test test-slow test-blender extension test-native test-widths test-neon sanitize lint format bench experiment-depth wheel clean
+.PHONY: demo test test-slow test-blender extension test-native test-widths test-neon sanitize fuzz faults lint format bench experiment-depth wheel clean
 
 # The editable install lists packages when it is made, so a new package renews it.
 $(INSTALLED): pyproject.toml constraints.txt $(wildcard gscore/*/__init__.py gscore/*/*/__init__.py)
@@ -87,6 +87,16 @@ sanitize: $(INSTALLED)
 			-DCMAKE_BUILD_TYPE=Release -DGS_TESTS=ON -DGS_SANITIZE=$$s > /dev/null && \
 		$(BIN)/cmake --build $$d && $(BIN)/ctest --test-dir $$d --output-on-failure || exit 1; \
 	done
+
+# Hunts for crashes in the C entry points (libFuzzer, needs clang), the readers and the rasterizer.
+FUZZ_SECONDS ?= 60
+fuzz: $(LIBRARY)
+	$(BIN)/python tools/fuzz.py $(FUZZ_SECONDS)
+
+# Kills, full disks, vanishing photos, clock jumps and more, done to trainings; about ten minutes on two cores.
+KILLS ?= 50
+faults: $(LIBRARY)
+	$(BIN)/python tools/faults.py --kills $(KILLS)
 
 lint: $(INSTALLED)
 	$(BIN)/ruff check .

@@ -10,7 +10,7 @@ import numpy as np
 from ..errors import BackendError, DatasetError, FormatError
 from ..io.exr_header import check_exr_size
 from ..io.files import read_bytes
-from ..io.images import read_info
+from ..io.images import BROKEN, read_info
 from ..io.npy import read_npy
 
 ENDINGS = (".png", ".npy", ".exr", ".tif", ".tiff")
@@ -171,7 +171,7 @@ def _read_picture(path: Path) -> np.ndarray:
             mode = image.mode
             deep = path.suffix.lower() == ".png" and _is_deep_colour_png(path)
             values = np.array(image)
-    except (OSError, ValueError, SyntaxError, MemoryError) as error:
+    except (*BROKEN, Image.DecompressionBombError) as error:
         raise FormatError(
             f"{path} cannot be read as an image: {str(error).rstrip('.')}. Make the map again."
         ) from error

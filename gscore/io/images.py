@@ -31,7 +31,7 @@ def read_info(path: str | Path) -> ImageInfo:
         has_alpha = image.mode in _ALPHA or "transparency" in image.info
         try:
             sideways = image.getexif().get(0x0112, 1) in (5, 6, 7, 8)
-        except _BROKEN:  # damaged EXIF does not make the picture unusable
+        except BROKEN:  # damaged EXIF does not make the picture unusable
             sideways = False
         return ImageInfo(image.width, image.height, has_alpha, sideways)
 
@@ -64,7 +64,7 @@ def read_image(path: str | Path, *, upright: bool = False) -> np.ndarray:
                 grey = _bytes_of_16_bit(np.asarray(image))
                 return np.repeat(grey[..., None], 3, axis=2)
             return np.array(image.convert("RGBA" if has_alpha else "RGB"))
-        except _BROKEN as error:
+        except BROKEN as error:
             raise _broken(path, error) from error
 
 
@@ -200,8 +200,7 @@ def write_png(path: str | Path, image: np.ndarray) -> None:
 
 _ALPHA = frozenset({"RGBA", "LA", "PA", "RGBa", "La"})
 
-# What Pillow's decoders raise on damaged files; DecompressionBombError is added when it is loaded.
-_BROKEN: tuple[type[Exception], ...] = (
+BROKEN: tuple[type[Exception], ...] = (
     OSError,
     ValueError,
     SyntaxError,
@@ -215,6 +214,7 @@ _BROKEN: tuple[type[Exception], ...] = (
     struct.error,
     zlib.error,
 )
+"""What Pillow's decoders raise on damaged files; besides, once loaded, DecompressionBombError."""
 
 
 def _pillow() -> Any:
@@ -232,7 +232,7 @@ def _open(path: Path) -> Any:
         return pil.open(path)
     except FileNotFoundError as error:
         raise DatasetError(f"There is no image {path}.") from error
-    except (*_BROKEN, pil.DecompressionBombError) as error:
+    except (*BROKEN, pil.DecompressionBombError) as error:
         raise _broken(path, error) from error
 
 

@@ -30,6 +30,8 @@ RUN_FOLDERS = ("checkpoints", "point_cloud", "previews", "snapshots")
 _CHECKPOINT = re.compile(r"step_(\d+)\.safetensors")
 _UNFINISHED = tuple(f".{name}.*.tmp" for name in RUN_FILES)
 """What `atomic_write` leaves of a file when its process is killed."""
+_UNFINISHED_BELOW = (".*.safetensors.????????.tmp", ".*.ply.????????.tmp", ".*.png.????????.tmp")
+"""The same in the folders of a run."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,12 +120,22 @@ def clear_run(path: str | Path) -> None:
     path = Path(path)
     with contextlib.suppress(OSError):
         remove_results(path)
-    leftovers = [file for pattern in _UNFINISHED for file in path.glob(pattern)]
-    for file in (path / RUN_LOCK, *leftovers):
-        with contextlib.suppress(OSError):
-            file.unlink(missing_ok=True)
+    clear_unfinished(path)
+    with contextlib.suppress(OSError):
+        (path / RUN_LOCK).unlink(missing_ok=True)
     with contextlib.suppress(OSError):
         path.rmdir()  # only an empty folder can be removed
+
+
+def clear_unfinished(path: Path) -> None:
+    """Remove what a killed training was just writing; only while no other one is running there."""
+    leftovers = [file for pattern in _UNFINISHED for file in path.glob(pattern)]
+    for name in RUN_FOLDERS:
+        for pattern in _UNFINISHED_BELOW:
+            leftovers += (path / name).rglob(pattern)
+    for file in leftovers:
+        with contextlib.suppress(OSError):
+            file.unlink(missing_ok=True)
 
 
 def _last_checkpoint(folder: Path) -> tuple[int, Path | None]:

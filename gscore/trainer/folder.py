@@ -12,7 +12,7 @@ from typing import IO
 
 from ..errors import ConfigError, GsError
 from ..io.files import atomic_write
-from ..io.runs import RUN_LOCK, remove_results, results_in
+from ..io.runs import RUN_LOCK, clear_unfinished, remove_results, results_in
 
 _FAR = 1 << 20
 _PREFIX, _SUFFIX = "step_", ".safetensors"
@@ -105,6 +105,7 @@ def open_folder(path: Path, *, resume: bool, overwrite: bool) -> Iterator[RunFol
                 f"{path} holds another run ({names}); go on with it with --resume, replace it with "
                 "--overwrite, or choose another folder."
             )
+        clear_unfinished(path)
         yield folder
     finally:
         _release(lock, path, remove_folder=new)

@@ -124,3 +124,17 @@ def test_old_checkpoints_are_dropped_except_those_asked_for(tmp_path: Path) -> N
             path.write_text("")
         folder.drop_checkpoints(keep=2, protected=(5,))
         assert folder.checkpoints() == [folder.checkpoint(s) for s in (5, 100, 1000)]
+
+
+def test_what_a_killed_run_was_writing_is_removed(tmp_path: Path) -> None:
+    """Oracle: the names that atomic_write gives; foreign files stay."""
+    junk = (".config.json.0a1b2c3d.tmp", "checkpoints/.step_00000004.safetensors.0a1b2c3d.tmp")
+    kept = (".mine.tmp", "checkpoints/.note.tmp", "checkpoints/step_00000003.safetensors")
+    for name in (*junk, *kept):
+        path = tmp_path / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_text("x")
+    with open_folder(tmp_path, resume=True, overwrite=False):
+        pass
+    assert not any((tmp_path / name).exists() for name in junk)
+    assert all((tmp_path / name).exists() for name in kept)
