@@ -13,7 +13,7 @@ DEMO_BLENDER ?= newest
 # What `make extension` makes zips for: nothing for this machine's platform, all, or names like windows-x64.
 PLATFORMS ?=
 
-.PHONY: demo test test-slow test-blender extension test-native test-widths test-neon sanitize fuzz faults lint format bench experiment-depth wheel clean
+.PHONY: demo test test-slow stress test-blender extension test-native test-widths test-neon sanitize fuzz faults lint format bench experiment-depth wheel clean
 
 # The editable install lists packages when it is made, so a new package renews it.
 $(INSTALLED): pyproject.toml constraints.txt $(wildcard gscore/*/__init__.py gscore/*/*/__init__.py)
@@ -78,6 +78,12 @@ test-neon: $(INSTALLED)
 		-DCMAKE_CXX_COMPILER=aarch64-linux-gnu-g++ > /dev/null
 	$(BIN)/cmake --build build/neon
 	qemu-aarch64-static -L /usr/aarch64-linux-gnu -E LD_LIBRARY_PATH=build/neon build/neon/test_native
+
+# Every numerical stress test in its long version, with every instruction set: about an hour on two quiet cores, half of it
+# for S30's 200 000 steps. STRESS="--only S06" and the like choose.
+stress: $(LIBRARY)
+	$(BIN)/gscore stress --full --isa all $(STRESS)
+	$(BIN)/python -m pytest -q -m slow tests/stress/test_determinism.py
 
 # The native tests under the address, undefined-behaviour and thread sanitizers.
 sanitize: $(INSTALLED)

@@ -31,10 +31,11 @@ ALLOWED = {
     "raster": BOTTOM | {"io", "raster"},
     "metrics": BOTTOM | {"io", "datasets", "depth", "raster", "metrics"},
     "trainer": BOTTOM | {"io", "datasets", "depth", "raster", "metrics", "trainer"},
+    "stress": BOTTOM | {"io", "datasets", "depth", "raster", "metrics", "trainer", "stress"},
     "bench": BOTTOM | {"io", "datasets", "depth", "raster", "metrics", "trainer", "bench"},
 }
 OUTSIDE = {
-    "torch": {"raster", "metrics", "trainer", "bench", "commands"},
+    "torch": {"raster", "metrics", "trainer", "stress", "bench", "commands"},
     "bpy": set(),
     "addon": set(),
 }
@@ -92,7 +93,9 @@ def test_imports_point_down(path: Path) -> None:
             target = name.split(".")[1]
             assert target in ALLOWED[layer], f"{path.name} ({layer}) imports {name}"
             if "_native" in name.split("."):
-                assert layer in {"raster", "bench"}, f"{path.name}: only raster sees the library"
+                assert layer in {"raster", "bench", "stress"}, (
+                    f"{path.name}: only raster sees the library"
+                )
         else:
             package = name.split(".")[0]
             assert layer in OUTSIDE.get(package, {layer}), f"{path.name} ({layer}) imports {name}"

@@ -182,6 +182,8 @@ GS_API gs_status gs_raster_stats(const gs_raster *raster, gs_stats *out);
  * means2d [N, 2] px, depths [N] z, conics [N, 3] (xx, xy, yy), colors [N, 3], opacities [N] after compensation. */
 GS_API gs_status gs_raster_projected(const gs_raster *raster, float *means2d, float *depths, float *conics,
                                      float *colors, float *opacities);
+/* The exponential that alphas are made with, for tests and tools: y[i] = 2^x[i] for `count` floats in [-126, 127]. */
+GS_API gs_status gs_exp2(const float *x, float *y, int64_t count);
 
 /* How gs_image_loss treats the mask. */
 enum {

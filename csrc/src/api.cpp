@@ -159,6 +159,13 @@ gs_status gs_raster_projected(const gs_raster *raster, float *means2d, float *de
     return GS_OK;
 }
 
+gs_status gs_exp2(const float *x, float *y, int64_t count) {
+    if (count < 0 || (count > 0 && (!x || !y)))
+        return fail(GS_BAD_ARGUMENT, "gs_exp2: an array is null or its length negative");
+    gs::kernels().exp2(x, y, count);
+    return GS_OK;
+}
+
 gs_status gs_image_loss(gs_raster *raster, const gs_loss_args *args, gs_loss_result *result, float *v_image) {
     if (!raster || !args || !result || !args->image || !args->target)
         return fail(GS_BAD_ARGUMENT, "gs_image_loss: an argument is null");

@@ -4,6 +4,7 @@
 #include "adam.inl.h"
 #include "bin.inl.h"
 #include "blend.inl.h"
+#include "exp2.inl.h"
 #include "loss.inl.h"
 #include "project.inl.h"
 
@@ -11,7 +12,7 @@ namespace gs::GS_NAMESPACE {
 
 static constexpr Kernels make_kernels(const char *name) {
     return {name, project, bin, blend, blend_backward, project_backward, image_loss,
-            adam_step, adam_catch_up};
+            adam_step, adam_catch_up, exp2_array};
 }
 
 } // namespace gs::GS_NAMESPACE

@@ -167,6 +167,7 @@ struct Kernels {
     // One chunk of rows; returns how many had gradients that are not finite.
     int64_t (*adam_step)(const AdamArgs &, int64_t chunk);
     void (*adam_catch_up)(const CatchUpArgs &, int64_t chunk);
+    void (*exp2)(const float *x, float *y, int64_t count);
 };
 
 } // namespace gs

@@ -316,6 +316,20 @@ void parallel_rays_have_no_gradients() {
     CHECK(run(m, c, make_options()).forward == GS_BAD_ARGUMENT);
 }
 
+// Oracle: the C library's, in double.
+void exponentials_are_close() {
+    std::vector<float> x, y;
+    for (float v = -40; v <= 0; v += 0.00371f)
+        x.push_back(v);
+    y.resize(x.size());
+    CHECK(gs_exp2(x.data(), y.data(), int64_t(x.size())) == GS_OK);
+    double worst = 0;
+    for (size_t i = 0; i < x.size(); ++i)
+        worst = std::fmax(worst, std::fabs(double(y[i]) / std::exp2(double(x[i])) - 1));
+    CHECK(worst > 0 && worst < 2.5e-7);
+    CHECK(gs_exp2(nullptr, y.data(), 3) == GS_BAD_ARGUMENT);
+}
+
 void cancelling_stops() {
     const Model m = random_model(5000, 1);
     gs_options o = make_options(2);
@@ -502,6 +516,7 @@ int main() {
         bad_arguments_are_named();
         parallel_rays_have_no_gradients();
         cancelling_stops();
+        exponentials_are_close();
         loss_gradient_matches_differences();
         adam_skips_rows_for_any_number_of_threads();
         adam_names_bad_arguments();

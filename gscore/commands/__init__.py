@@ -28,6 +28,7 @@ VERBS = {
     "info": "say what a capture, a PLY or a run holds",
     "doctor": "say what this machine can do and what is missing",
     "bench": "measure speed",
+    "stress": "measure numerical errors",
 }
 
 _OPTIONAL = {name: name for name in ("torch", "safetensors", "scipy", "pycolmap", "onnxruntime")}

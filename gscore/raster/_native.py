@@ -251,6 +251,7 @@ def _load() -> ct.CDLL:
     ]
     lib.gs_raster_stats.argtypes = [_pointer, ct.POINTER(StatsStruct)]
     lib.gs_raster_projected.argtypes = [_pointer] * 6
+    lib.gs_exp2.argtypes = [_pointer, _pointer, ct.c_int64]
     lib.gs_image_loss.argtypes = [
         _pointer,
         ct.POINTER(LossArgsStruct),
@@ -323,6 +324,13 @@ def set_isa(name: str) -> None:
 def default_threads() -> int:
     """Threads used where none are asked for."""
     return library().gs_default_threads()
+
+
+def exp2(x: np.ndarray) -> np.ndarray:
+    """gs_exp2: 2^x of C-contiguous float32 values in [-126, 127], as the blend loops compute it."""
+    y = np.empty_like(x)
+    check(library().gs_exp2(x.ctypes.data, y.ctypes.data, x.size))
+    return y
 
 
 class Raster:

@@ -14,11 +14,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
 from gscore.raster import reference
+from gscore.stress import derivatives, scenes
 
 PARAMETERS = ("means", "quats", "scales", "opacities", "sh0", "shN")
 
@@ -74,128 +76,32 @@ class RasterScene:
         return replace(self, **changed)
 
 
-def draw_scene(
-    seed: int,
-    *,
-    count: int = 10,
-    width: int = 24,
-    height: int = 20,
-    sh_degree: int = 3,
-    focal: tuple[float, float] = (30.0, 30.0),
-    center: tuple[float, float] | None = None,
-    sigma_px: tuple[float, float] = (1.5, 5.0),
-    logits: tuple[float, float] = (-1.5, 2.0),
-    depths: tuple[float, float] = (1.5, 6.0),
-    overscan: float = 0.0,
-    elongation: float = 0.0,
-) -> RasterScene:
-    """Draw splats in front of a camera that stands anywhere.
-
-    Args:
-        seed: seed of the scene.
-        count: number of splats.
-        width: pixels.
-        height: pixels.
-        sh_degree: degree of the stored SH coefficients.
-        focal: fx, fy, pixels.
-        center: cx, cy, pixels; None is the middle.
-        sigma_px: range of the standard deviations, pixels (log-uniform).
-        logits: range of the opacity logits.
-        depths: range of camera z, world units.
-        overscan: how far beyond the image centres may lie, in image sizes.
-        elongation: e-folds by which one axis of each splat is stretched.
-
-    Returns:
-        The scene.
-    """
-    rng = torch.Generator().manual_seed(seed)
-
-    def uniform(low: float, high: float, *shape: int) -> Tensor:
-        return low + (high - low) * torch.rand(*shape, generator=rng, dtype=torch.float64)
-
-    def normal(*shape: int) -> Tensor:
-        return torch.randn(*shape, generator=rng, dtype=torch.float64)
-
-    fx, fy = focal
-    cx, cy = center if center is not None else (width / 2, height / 2)
-    z = uniform(*depths, count)
-    x = (uniform(-overscan, 1 + overscan, count) * width - cx) / fx * z
-    y = (uniform(-overscan, 1 + overscan, count) * height - cy) / fy * z
-    log_sigma = torch.tensor(sigma_px).double().log()
-    scales = uniform(float(log_sigma[0]), float(log_sigma[1]), count, 3)
-    scales = scales + (z / fx).log()[:, None]
-    scales[:, 0] += elongation
-
-    rotation = torch.linalg.qr(normal(3, 3)).Q
-    rotation = rotation * torch.linalg.det(rotation)  # a proper rotation
-    viewmat = torch.eye(4, dtype=torch.float64)
-    viewmat[:3, :3], viewmat[:3, 3] = rotation, normal(3)
-    means = (torch.stack([x, y, z], 1) - viewmat[:3, 3]) @ rotation
-
-    exact = {
-        "means": means,
-        "quats": normal(count, 4) * uniform(0.3, 3.0, count, 1),
-        "scales": scales,
-        "opacities": uniform(*logits, count),
-        "sh0": 0.8 * normal(count, 1, 3),
-        "shN": 0.25 * normal(count, (sh_degree + 1) ** 2 - 1, 3),
-        "viewmat": viewmat,
-        "K": torch.tensor([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], dtype=torch.float64),
+def to_torch(scene: scenes.Scene) -> RasterScene:
+    """The same scene as float64 tensors."""
+    fields = {
+        name: torch.from_numpy(getattr(scene, name).astype(np.float64))
+        for name in (*PARAMETERS, "viewmat", "K")
     }
-    exact = {name: value.float().double() for name, value in exact.items()}
-    return RasterScene(**exact, width=width, height=height)
+    return RasterScene(**fields, width=scene.width, height=scene.height)
 
 
-def near_a_kink(scene: RasterScene, *, eps2d: float = 0.3, margin: float = 1e-3) -> bool:
-    """Whether a clamped quantity of a splat (colour, slope, compensation) is near its limit."""
-    cam = reference.means_to_camera(scene.means, scene.viewmat)
-    slopes = cam[:, :2] / cam[:, 2:]
-    focal, center = scene.K.diagonal()[:2], scene.K[:2, 2]
-    size = torch.tensor([scene.width, scene.height]).double()
-    extra = 0.3 * 0.5 * size / focal
-    limits = torch.stack([-(center / focal + extra), (size - center) / focal + extra])  # [2, 2]
-    covars = reference.covariance(scene.quats, scene.scales.exp())
-    jacobian = reference.projection_jacobian(cam, scene.K, scene.width, scene.height)
-    _, compensation = reference.conic(
-        reference.project_covariance(
-            reference.covariance_to_camera(covars, scene.viewmat), jacobian
-        ),
-        eps2d,
-    )
-    offsets = scene.means + scene.viewmat[:3, :3].T @ scene.viewmat[:3, 3]
-    basis = reference.sh_basis(offsets / offsets.norm(dim=1, keepdim=True), 3)
-    kinked = (slopes[None] - limits[:, None]).abs().min() < margin
-    kinked |= bool(((compensation - 0.005).abs() < 1e-5).any() and (compensation > 0.005).any())
-    for degree in range(4):
-        count = (degree + 1) ** 2
-        stored = torch.cat([scene.sh0, scene.shN], 1)[:, :count]
-        color = 0.5 + torch.einsum("nk,nkc->nc", basis[:, : stored.shape[1]], stored)
-        kinked |= color.abs().min() < margin
-    return bool(kinked)
+def to_numpy(scene: RasterScene) -> scenes.Scene:
+    """The same scene as float32 arrays."""
+    fields = {name: getattr(scene, name).float().numpy() for name in (*PARAMETERS, "viewmat", "K")}
+    return scenes.Scene(**fields, width=scene.width, height=scene.height)
 
 
-def settle_scene(seed: int, *, edit: Callable[[RasterScene], RasterScene] | None = None, **options):
-    """The first scene from `seed` on without kinks, its band empty both plain and antialiased.
+def draw_scene(seed: int, **options: Any) -> RasterScene:
+    """`gscore.stress.scenes.draw_scene` as tensors."""
+    return to_torch(scenes.draw_scene(seed, **options))
 
-    Args:
-        seed: first seed tried.
-        edit: changes each drawn scene before it is judged.
-        **options: of `draw_scene`.
 
-    Returns:
-        The scene.
-    """
-    for attempt in range(seed, seed + 400):
-        scene = draw_scene(attempt, **options)
-        scene = edit(scene) if edit else scene
-        inputs = scene.inputs()
-        if near_a_kink(scene) or any(
-            reference.boundary_band(**inputs, raw=True, antialias=antialias).any()
-            for antialias in (False, True)
-        ):
-            continue
-        return scene
-    raise AssertionError(f"no scene without discontinuities within 400 seeds of {seed}")
+def settle_scene(
+    seed: int, *, edit: Callable[[RasterScene], RasterScene] | None = None, **options: Any
+) -> RasterScene:
+    """`gscore.stress.derivatives.smooth_scene` as tensors; `edit` changes each scene drawn."""
+    change = None if edit is None else lambda scene: to_numpy(edit(to_torch(scene)))
+    return to_torch(derivatives.smooth_scene(seed, edit=change, **options))
 
 
 def numerical_gradient(

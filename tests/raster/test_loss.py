@@ -4,11 +4,11 @@ from collections.abc import Iterator
 
 import pytest
 import torch
-from torch.nn import functional
 
 from gscore.errors import ShapeError
 from gscore.raster import backend
 from gscore.raster.loss import image_loss
+from gscore.raster.reference import image_loss_reference
 
 BACKGROUND = (0.2, 0.5, 0.9)
 
@@ -16,26 +16,10 @@ BACKGROUND = (0.2, 0.5, 0.9)
 def twin(
     image: torch.Tensor, target: torch.Tensor, mask: torch.Tensor, mode: str, weight: float
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Loss and SSIM of [H, W, 3] float64: (1 - w) L1 + w (1 - SSIM), zero padding."""
-    y, m = target.double() / 255, mask.double()[..., None] / 255
-    if mode == "composite":
-        y = y * m + torch.tensor(BACKGROUND, dtype=torch.float64) * (1 - m)
-    elif mode == "ignore":
-        image, y = image * m, y * m
-    taps = torch.exp(-((torch.arange(11, dtype=torch.float64) - 5) ** 2) / (2 * 1.5**2))
-    taps = taps / taps.sum()
-    window = torch.outer(taps, taps)[None, None]
-
-    def blur(x: torch.Tensor) -> torch.Tensor:
-        return functional.conv2d(x.permute(2, 0, 1)[:, None], window, padding=5)
-
-    mx, my = blur(image), blur(y)
-    sx, sy = blur(image * image) - mx * mx, blur(y * y) - my * my
-    sxy = blur(image * y) - mx * my
-    c1, c2 = 0.01**2, 0.03**2
-    ssim = ((2 * mx * my + c1) * (2 * sxy + c2)) / ((mx * mx + my * my + c1) * (sx + sy + c2))
-    l1 = (image - y).abs().mean()
-    return (1 - weight) * l1 + weight * (1 - ssim.mean()), ssim.mean()
+    """Loss and SSIM of [H, W, 3] float64 by the reference."""
+    return image_loss_reference(
+        image, target, mask=mask, mask_mode=mode, ssim_weight=weight, background=BACKGROUND
+    )
 
 
 def pictures(height: int, width: int, seed: int = 0) -> tuple[torch.Tensor, ...]:

@@ -19,6 +19,7 @@ from .geometry import (
     quat_to_rotmat,
 )
 from .harmonics import sh_basis, sh_colors
+from .loss import image_loss_reference
 from .rasterize import (
     PinholeView,
     ProjectedSplats,
@@ -43,6 +44,7 @@ __all__ = [
     "covariance",
     "covariance_to_camera",
     "gaussian_alpha",
+    "image_loss_reference",
     "means_to_camera",
     "parallel_jacobian",
     "pixel_centers",

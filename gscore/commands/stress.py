@@ -1,0 +1,60 @@
+"""`gscore stress`: compare what this machine computes with what it should."""
+
+import argparse
+import json
+import sys
+
+from ..raster import backend
+from ..stress import Outcome, run_cases, select
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of the verb."""
+    parser.add_argument(
+        "--json", action="store_true", help="a JSON list on stdout, one object a test"
+    )
+    parser.add_argument(
+        "--only", metavar="NAME", action="append", default=[], help="tests with this in their name"
+    )
+    parser.add_argument(
+        "--isa", help="instruction set; `all` runs each that this machine has (default: the best)"
+    )
+    parser.add_argument("--full", action="store_true", help="the long versions too: half an hour")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run, print, and return 1 if a test failed."""
+    before = backend.isa()
+    isas = backend.available_isas() if args.isa == "all" else [args.isa or before]
+    backend.set_isa(isas[0])
+    backend.set_isa(before)
+    cases = select(args.only, full=args.full)
+    found: list[Outcome] = []
+
+    def report(outcome: Outcome) -> None:
+        found.append(outcome)
+        if not args.json:
+            sys.stdout.write(_line(outcome))
+            sys.stdout.flush()
+
+    if not args.json:
+        sys.stdout.write(f"{'':8}{'error':>9} {'allowed':>9}  {'isa':8}test\n")
+    run_cases(cases, isas=isas, full=args.full, report=report)
+    failed = sum(o.passed is False for o in found)
+    if args.json:
+        sys.stdout.write(json.dumps([o.to_dict() for o in found], allow_nan=False) + "\n")
+    else:
+        skipped = sum(o.passed is None for o in found)
+        passed = len(found) - failed - skipped
+        sys.stdout.write(f"{passed} passed, {failed} failed, {skipped} skipped\n")
+    return 1 if failed else 0
+
+
+def _line(o: Outcome) -> str:
+    if o.passed is None:
+        return (
+            f"{'skipped':8}{'':9} {'':9}  {o.isa:8}{o.test}: {o.note.removeprefix('skipped: ')}\n"
+        )
+    verdict = "ok" if o.passed else "FAILED"
+    note = f"  ({o.note})" if o.note else ""
+    return f"{verdict:8}{o.error:9.1e} {o.tolerance:9.1e}  {o.isa:8}{o.test}{note}\n"

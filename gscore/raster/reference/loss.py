@@ -1,0 +1,57 @@
+"""The image loss written out: (1 - w) L1 + w (1 - SSIM), with masks, differentiable by autograd.
+
+Sources: Kerbl et al. 2023, equation 7; Wang et al. 2004, equation 13.
+"""
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+WINDOW, SIGMA = 11, 1.5
+C1, C2 = 0.01**2, 0.03**2
+
+
+def image_loss_reference(
+    image: Tensor,
+    target: Tensor,
+    *,
+    ssim_weight: float = 0.2,
+    mask: Tensor | None = None,
+    mask_mode: str = "none",
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> tuple[Tensor, Tensor]:
+    """Loss and SSIM of a picture, in the picture's dtype.
+
+    Args:
+        image: [H, W, 3] float64.
+        target: [H, W, 3] uint8, the photo.
+        ssim_weight: w.
+        mask: [H, W] uint8.
+        mask_mode: "none", "composite" (target = photo * mask + background * (1 - mask)) or
+            "ignore" (image and photo are both multiplied by the mask).
+        background: RGB used by "composite".
+
+    Returns:
+        The scalar loss and the mean SSIM, zero padded.
+    """
+    y = target.to(image.dtype) / 255
+    if mask is not None and mask_mode != "none":
+        m = mask.to(image.dtype)[..., None] / 255
+        if mask_mode == "composite":
+            y = y * m + torch.tensor(background, dtype=image.dtype) * (1 - m)
+        else:
+            image, y = image * m, y * m
+    taps = torch.arange(WINDOW, dtype=image.dtype) - WINDOW // 2
+    taps = torch.exp(-(taps**2) / (2 * SIGMA**2))
+    taps = taps / taps.sum()
+    window = torch.outer(taps, taps)[None, None]
+
+    def blur(x: Tensor) -> Tensor:
+        return functional.conv2d(x.permute(2, 0, 1)[:, None], window, padding=WINDOW // 2)
+
+    mx, my = blur(image), blur(y)
+    sx, sy = blur(image * image) - mx * mx, blur(y * y) - my * my
+    sxy = blur(image * y) - mx * my
+    ssim = ((2 * mx * my + C1) * (2 * sxy + C2)) / ((mx * mx + my * my + C1) * (sx + sy + C2))
+    l1 = (image - y).abs().mean()
+    return (1 - ssim_weight) * l1 + ssim_weight * (1 - ssim.mean()), ssim.mean()

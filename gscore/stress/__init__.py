@@ -1,0 +1,9 @@
+"""Numerical stress: what the library computes against what it should, on the user's own machine.
+
+A case is a function that draws its own input, asks an oracle, and returns errors with tolerances;
+`gscore stress` and the tests run the same cases. docs/accuracy.md lists them.
+"""
+
+from .run import Outcome, run_cases, select
+
+__all__ = ["Outcome", "run_cases", "select"]

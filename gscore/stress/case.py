@@ -1,0 +1,69 @@
+"""What a stress test is: a named function that measures errors, and the list of all of them."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+
+class EmptyTestError(AssertionError):
+    """A case compared nothing with nothing: its scene does not show what it is about."""
+
+
+class NotHereError(Exception):
+    """Raised by a case that cannot run here, with the reason."""
+
+
+@dataclass(frozen=True)
+class Measure:
+    """One error of a case."""
+
+    what: str
+    """What was measured, a few words."""
+    error: float
+    """Passed if at most `tolerance`; NaN fails. Counts of what should not be have tolerance 0."""
+    tolerance: float
+    note: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """One stress test."""
+
+    key: str
+    """S01 to S36, in the order of docs/accuracy.md."""
+    title: str
+    run: Callable[[bool], Iterable[Measure]]
+    """Takes whether the long version is wanted."""
+    per_isa: bool
+    """Whether the instruction set matters: run once for each."""
+    needs: tuple[str, ...]
+    """Packages without which it is skipped."""
+    slow: bool
+    """Run in the full suite only."""
+
+    @property
+    def name(self) -> str:
+        """Key and title."""
+        return f"{self.key} {self.title}"
+
+
+CASES: list[Case] = []
+"""All cases, filled as their modules are imported; see `catalogue`."""
+
+
+def case(
+    key: str,
+    title: str,
+    *,
+    per_isa: bool = True,
+    needs: tuple[str, ...] = ("torch",),
+    slow: bool = False,
+) -> Callable[[Callable[[bool], Iterable[Measure]]], Callable[[bool], Iterable[Measure]]]:
+    """Enter a function into the list of cases."""
+
+    def enter(function: Callable[[bool], Iterable[Measure]]):
+        CASES.append(
+            Case(key=key, title=title, run=function, per_isa=per_isa, needs=needs, slow=slow)
+        )
+        return function
+
+    return enter

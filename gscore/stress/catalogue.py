@@ -1,0 +1,41 @@
+"""Imports every module with cases, so that `case.CASES` is complete, and puts them in order."""
+
+from . import (
+    antialias,
+    cameras,
+    chain,
+    depth,
+    exponential,
+    files,
+    harmonics,
+    optimizer,
+    order,
+    pictures,
+    poison,
+    sizes,
+    ssim,
+    threads,
+    training,
+)
+from .case import CASES
+
+__all__ = [
+    "CASES",
+    "antialias",
+    "cameras",
+    "chain",
+    "depth",
+    "exponential",
+    "files",
+    "harmonics",
+    "optimizer",
+    "order",
+    "pictures",
+    "poison",
+    "sizes",
+    "ssim",
+    "threads",
+    "training",
+]
+
+CASES.sort(key=lambda c: c.name)

@@ -1,0 +1,164 @@
+"""The native rasterizer's answer to a scene, with numpy alone: pictures, gradients, counts."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..raster import _native
+from .scenes import PARAMETERS, Scene
+
+BACKGROUND = (0.25, 0.5, 0.125)
+"""Exact in float32."""
+PICTURES = ("rgb", "alpha", "inverse_depth", "depth")
+ALL_DEPTHS = _native.OUT_INVERSE_DEPTH | _native.OUT_DEPTH | _native.OUT_MEDIAN_DEPTH
+_GUARD = np.float32(-777.25)
+_GUARD_WORDS = 64
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drawn:
+    """One forward call, and a backward call where weights were given."""
+
+    pictures: dict[str, np.ndarray]
+    """rgb [H, W, 3], alpha, inverse_depth, depth (undivided sum of w z), median_depth [H, W]."""
+    radii: np.ndarray
+    """[N] int32, 0 = culled."""
+    projected: dict[str, np.ndarray]
+    """means2d, depths, conics, colors, opacities; zero rows where culled."""
+    gradients: dict[str, np.ndarray]
+    """By parameter, and means2d [N, 2], viewmat [4, 4]; empty without weights."""
+    stats: dict[str, float]
+    guards_broken: int
+    """Words changed beside the arrays that the library writes."""
+
+    def bits(self) -> bytes:
+        """All pictures and gradients as they lie in memory."""
+        arrays = [*self.pictures.values(), *self.gradients.values(), self.radii]
+        return b"".join(a.tobytes() for a in arrays)
+
+    def finite(self) -> bool:
+        """Whether every number of the pictures and gradients is."""
+        return all(
+            np.isfinite(a).all() for a in (*self.pictures.values(), *self.gradients.values())
+        )
+
+
+class _Guarded:
+    """Hands out arrays that lie between words nobody may touch."""
+
+    def __init__(self) -> None:
+        self._whole: list[np.ndarray] = []
+
+    def array(self, *shape: int) -> np.ndarray:
+        size = int(np.prod(shape))
+        whole = np.full(size + 2 * _GUARD_WORDS, _GUARD, np.float32)
+        self._whole.append(whole)
+        return whole[_GUARD_WORDS : _GUARD_WORDS + size].reshape(shape)
+
+    def broken(self) -> int:
+        return sum(
+            int((w[:_GUARD_WORDS] != _GUARD).sum() + (w[-_GUARD_WORDS:] != _GUARD).sum())
+            for w in self._whole
+        )
+
+
+def draw(
+    scene: Scene,
+    weights: dict[str, np.ndarray] | None = None,
+    *,
+    raw: bool = True,
+    sh_degree: int | None = None,
+    antialias: bool = False,
+    near: float = 0.01,
+    far: float = 1e10,
+    eps2d: float = 0.3,
+    orthographic: bool = False,
+    outputs: int = ALL_DEPTHS,
+    disable: int = 0,
+    threads: int = 2,
+    background: tuple[float, float, float] = BACKGROUND,
+) -> Drawn:
+    """Draw a scene, and differentiate sum(weights * pictures) where weights are given.
+
+    Args:
+        scene: Splats and camera.
+        weights: By name of `PICTURES`; float32 arrays of the pictures' shapes.
+        raw, sh_degree, antialias, near, far, eps2d, orthographic: as `gscore.render`.
+        outputs: Bits of `_native.OUT_*`.
+        disable: Bits of `_native.NO_*`.
+        threads: Threads.
+        background: RGB behind the splats.
+    """
+    n, h, w = len(scene), scene.height, scene.width
+    arrays = [np.ascontiguousarray(getattr(scene, name), np.float32) for name in PARAMETERS]
+    rest = arrays[5].shape[1]
+    degree = round((rest + 1) ** 0.5) - 1 if sh_degree is None else sh_degree
+    struct = _native.SplatsStruct(n, *(a.ctypes.data for a in arrays), rest, degree, int(raw))
+    memory = _Guarded()
+    pictures = {"rgb": memory.array(h, w, 3)}
+    pictures |= {k: memory.array(h, w) for k in ("alpha", "inverse_depth", "depth", "median_depth")}
+    radii = np.zeros(n, np.int32)
+    camera = _native.camera_struct(
+        scene.viewmat, scene.K, w, h, near, far, orthographic=orthographic
+    )
+    options = _native.options_struct(
+        eps2d=eps2d,
+        antialias=antialias,
+        background=background,
+        outputs=outputs,
+        threads=threads,
+        disable=disable,
+    )
+    image = _native.ImageStruct(*(p.ctypes.data for p in pictures.values()), radii.ctypes.data)
+    raster = _native.Raster()
+    raster.forward(struct, camera, options, image)
+    gradients: dict[str, np.ndarray] = {}
+    if weights is not None:
+        gradients = {
+            name: memory.array(*a.shape) for name, a in zip(PARAMETERS, arrays, strict=True)
+        }
+        gradients |= {"means2d": memory.array(n, 2), "viewmat": memory.array(4, 4)}
+        kept = [
+            np.ascontiguousarray(weights[k], np.float32) if k in weights else None for k in PICTURES
+        ]
+        raster.backward(
+            struct,
+            _native.ImageGradsStruct(*(None if a is None else a.ctypes.data for a in kept)),
+            _native.SplatGradsStruct(*(g.ctypes.data for g in gradients.values())),
+        )
+    kept_names = ["rgb", "alpha"]
+    kept_names += ["inverse_depth"] if outputs & _native.OUT_INVERSE_DEPTH else []
+    kept_names += ["depth"] if outputs & _native.OUT_DEPTH else []
+    kept_names += ["median_depth"] if outputs & _native.OUT_MEDIAN_DEPTH else []
+    return Drawn(
+        pictures={name: pictures[name] for name in kept_names},
+        radii=radii,
+        projected=raster.projected(n),
+        gradients=gradients,
+        stats=raster.stats().as_dict(),
+        guards_broken=memory.broken(),
+    )
+
+
+def random_weights(scene: Scene, seed: int, *names: str) -> dict[str, np.ndarray]:
+    """Weights of standard normal numbers for `draw`, for all pictures or those named."""
+    rng = np.random.default_rng(seed)
+    size = (scene.height, scene.width)
+    made = {
+        name: rng.normal(size=(*size, 3) if name == "rgb" else size).astype(np.float32)
+        for name in PICTURES
+    }
+    return {name: made[name] for name in names or PICTURES}
+
+
+@contextmanager
+def with_isa(name: str) -> Iterator[None]:
+    """Let the library use an instruction set for the duration of a block."""
+    before = _native.isa()
+    _native.set_isa(name)
+    try:
+        yield
+    finally:
+        _native.set_isa(before)

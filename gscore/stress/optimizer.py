@@ -1,0 +1,114 @@
+"""S23: the optimizer over a thousand steps in which few splats are seen."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from .case import EmptyTestError, Measure, case
+
+BETA1, BETA2, EPS = 0.9, 0.999, 1e-15
+_ROWS = 120
+_SHAPES = {"means": 3, "quats": 4, "scales": 3, "opacities": 1, "sh0": 3, "shN": 45}
+_RATES = {"means": 1e-3, "quats": 1e-3, "scales": 5e-3, "opacities": 0.02, "sh0": 2.5e-3}
+
+
+class _Dense:
+    """Adam (Kingma and Ba 2015) in float64, every row at every step."""
+
+    def __init__(self, values: dict[str, np.ndarray]) -> None:
+        self.values = {k: v.astype(np.float64) for k, v in values.items()}
+        self.first = {k: np.zeros_like(v) for k, v in self.values.items()}
+        self.second = {k: np.zeros_like(v) for k, v in self.values.items()}
+        self.steps = 0
+
+    def step(self, gradients: dict[str, np.ndarray], rates: dict[str, float]) -> None:
+        self.steps += 1
+        for name, g in gradients.items():
+            m, v = self.first[name], self.second[name]
+            m += (1 - BETA1) * (g - m)
+            v += (1 - BETA2) * (g.astype(np.float64) ** 2 - v)
+            size = np.sqrt(v / (1 - BETA2**self.steps)) + EPS
+            self.values[name] -= rates[name] * (m / (1 - BETA1**self.steps)) / size
+
+    def edit(self, keep: np.ndarray, copied: np.ndarray) -> None:
+        for values, new in ((self.values, True), (self.first, False), (self.second, False)):
+            for name, array in values.items():
+                more = array[copied] if new else np.zeros_like(array[copied])
+                values[name] = np.concatenate([array[keep], more])
+
+
+def _model(values: dict[str, np.ndarray]) -> Any:
+    import torch
+
+    from ..trainer.model import Model
+
+    return Model({name: torch.from_numpy(v.copy()) for name, v in values.items()})
+
+
+def _step(
+    model: Any, gradients: dict[str, np.ndarray], seen: np.ndarray, rates: dict[str, float]
+) -> None:
+    import torch
+
+    for name, g in gradients.items():
+        model.grads[name].copy_(torch.from_numpy(g))
+    model.set_rates(rates)
+    model.step(torch.from_numpy(seen.astype(np.int32)), threads=2)
+
+
+@case("S23", "optimizer, splats seen now and then")
+def adam(full: bool) -> Iterator[Measure]:
+    """Oracle: dense Adam in float64, through pruning, copying, reordering and resets."""
+    import torch
+
+    from ..trainer.strategy import ops
+
+    steps = 1000 if full else 300
+    rng = np.random.default_rng(2300)
+    values = {
+        name: rng.normal(size=(_ROWS, width)).astype(np.float32) for name, width in _SHAPES.items()
+    }
+    values["opacities"] = values["opacities"][:, 0]
+    values["sh0"], values["shN"] = values["sh0"][:, None], values["shN"].reshape(_ROWS, 15, 3)
+    start = values["means"][0].copy()
+    model, dense = _model(values), _Dense(values)
+    unseen = 10
+    for step in range(steps):
+        seen = rng.random(len(model)) < 0.3
+        seen[:unseen] = False
+        gradients = {}
+        for name, array in dense.values.items():
+            g = rng.normal(size=array.shape).astype(np.float32) * np.float32(
+                10.0 ** rng.uniform(-6, 1)
+            )
+            g[~seen] = 0
+            gradients[name] = g
+        decay = 0.01 ** (step / steps)
+        rates = {name: rate * decay for name, rate in _RATES.items()} | {"shN": 1.25e-4}
+        _step(model, gradients, seen, rates)
+        dense.step(gradients, rates)
+        if step % 97 == 50:
+            model.settle()
+            rest = unseen + rng.permutation(len(model) - unseen)
+            keep = np.concatenate([np.arange(unseen), rest[: _ROWS - 30 - unseen]])
+            copied = rest[:20]
+            copies = ops.duplicate(model, torch.from_numpy(copied))
+            ops.edit(model, keep=torch.from_numpy(keep), append=copies)
+            dense.edit(keep, copied)
+        if step % 131 == 100:
+            model.settle()
+            ops.reset_opacities(model, 0.01)
+            ceiling = np.log(0.01 / 0.99)
+            dense.values["opacities"] = np.minimum(dense.values["opacities"], ceiling)
+            dense.first["opacities"][:] = dense.second["opacities"][:] = 0
+    moved, settled = 0.0, model.settled()
+    for name, true in dense.values.items():
+        found = settled[name].detach().numpy()
+        error = np.abs(found - true) / np.maximum(np.abs(true), 1.0)
+        moved = max(moved, float(np.abs(true[unseen:]).std()))
+        yield Measure(name, float(error.max()), 2e-6)
+    if not moved > 0.5 or (dense.values["means"][unseen] == start).all():
+        raise EmptyTestError("the parameters did not move")
+    still = np.abs(settled["means"].numpy()[0] - start).max()
+    yield Measure("a row never seen, movement", float(still), 0)

@@ -1,0 +1,119 @@
+"""Run cases, once for each instruction set where that matters, and collect what they measured."""
+
+import importlib.util
+import math
+import time
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from ..errors import ConfigError
+from ..raster import backend
+from .case import CASES, Case, NotHereError
+from .compare import merge
+from .native import with_isa
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """One line of the table."""
+
+    test: str
+    isa: str
+    """Empty where the instruction set does not matter."""
+    error: float
+    tolerance: float
+    passed: bool | None
+    """None: skipped."""
+    note: str
+    seconds: float
+    """Of the whole case."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON values; numbers that are not finite become null."""
+        return {
+            "test": self.test,
+            "isa": self.isa,
+            "error": self.error if math.isfinite(self.error) else None,
+            "tolerance": self.tolerance if math.isfinite(self.tolerance) else None,
+            "passed": self.passed,
+            "note": self.note,
+        }
+
+
+def select(only: Sequence[str] = (), *, full: bool = False) -> list[Case]:
+    """Cases whose name contains one of `only`, in order; slow ones if `full` or named by key.
+
+    Raises:
+        ConfigError: a word of `only` fits no case.
+    """
+    _load()
+    for word in only:
+        if not any(word.lower() in c.name.lower() for c in CASES):
+            raise ConfigError(
+                f"--only {word}: no case has that in its name; leave it out to see all."
+            )
+    keys = {word.lower() for word in only}
+    return [
+        c
+        for c in CASES
+        if (not only or any(word in c.name.lower() for word in keys))
+        and (full or not c.slow or c.key.lower() in keys)
+    ]
+
+
+def run_cases(
+    cases: Sequence[Case],
+    *,
+    isas: Sequence[str] = (),
+    full: bool = False,
+    report: Callable[[Outcome], None] = lambda _: None,
+) -> list[Outcome]:
+    """Run cases with each of `isas` (default: the one in use), telling `report` as they end."""
+    found = []
+    for one in cases:
+        for isa in (isas or [backend.isa()]) if one.per_isa else [""]:
+            for outcome in _outcomes(one, isa, full):
+                found.append(outcome)
+                report(outcome)
+    return found
+
+
+def _outcomes(one: Case, isa: str, full: bool) -> Iterator[Outcome]:
+    began = time.perf_counter()
+
+    def outcome(what: str, error: float, tolerance: float, passed: bool | None, note: str):
+        return Outcome(
+            test=f"{one.name}: {what}" if what else one.name,
+            isa=isa,
+            error=error,
+            tolerance=tolerance,
+            passed=passed,
+            note=note,
+            seconds=time.perf_counter() - began,
+        )
+
+    missing = [name for name in one.needs if importlib.util.find_spec(name) is None]
+    if missing:
+        yield outcome("", math.nan, math.nan, None, f"skipped: needs {', '.join(missing)}")
+        return
+    try:
+        with with_isa(isa or backend.isa()):
+            measures = merge(list(one.run(full)))
+    except NotHereError as reason:
+        yield outcome("", math.nan, math.nan, None, f"skipped: {reason}")
+        return
+    except Exception as error:  # whatever breaks a case must not hide the others
+        where = traceback.extract_tb(error.__traceback__)[-1]
+        note = f"{type(error).__name__}: {error} ({where.name}, line {where.lineno})"
+        yield outcome("", math.nan, math.nan, False, note)
+        return
+    if not measures:
+        yield outcome("", math.nan, math.nan, False, "it measured nothing")
+    for m in measures:
+        yield outcome(m.what, m.error, m.tolerance, bool(m.error <= m.tolerance), m.note)
+
+
+def _load() -> None:
+    from . import catalogue  # noqa: F401

@@ -1,0 +1,149 @@
+"""S13, S14, S16, S17, S29: as much, as many, as small and as little as can be asked for."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from ..raster import _native
+from . import native, truth
+from .case import EmptyTestError, Measure, case
+from .compare import gradient_measures, picture_measures, require_covered
+from .scenes import draw_scene
+
+_TILE = 16
+_ENTRY_BYTES = 512
+"""What the workspace may take a (tile, splat) entry with gradients: its lists, copies and sums."""
+
+
+@case("S13", "screen-filling splats")
+def screen_filling(full: bool) -> Iterator[Measure]:
+    """Oracle: every splat in every tile and no more; the reference for the picture."""
+    count, width, height = 1000, 64, 48
+    scene = draw_scene(
+        1300, count=count, width=width, height=height, sigma_px=(100.0, 400.0), logits=(-5.4, -5.2)
+    )
+    weights = native.random_weights(scene, 1)
+    drawn = native.draw(scene, weights)
+    tiles = width // _TILE * (height // _TILE)
+    seen = int(drawn.stats["visible"])
+    if seen < 900:
+        raise EmptyTestError(f"only {seen} of {count} splats fill the picture")
+    # Opacity .0045 to .0055 against the cut of .0039: not each fills the whole picture.
+    yield Measure(
+        "entries beyond tiles x splats", max(0.0, drawn.stats["entries"] - tiles * seen), 0
+    )
+    size = drawn.stats["workspace_bytes"] / (tiles * count)
+    yield Measure("workspace bytes an entry", size, _ENTRY_BYTES)
+    few = scene.rows(slice(0, count if full else 150))
+    true = truth.ask(few, gradients=False)
+    # So faint and so wide that the cut at 1/255 runs through large parts of the picture.
+    yield from picture_measures(native.draw(few), true, most_band=0.9)
+
+    big = draw_scene(1301, count=1, width=3840, height=2160, focal=(3000.0, 3000.0), posed=False)
+    big = big.with_row(0, means=[0, 0, 2.0], scales=[2.0] * 3, opacities=2.0)
+    one = native.draw(big, {"rgb": np.ones((2160, 3840, 3), np.float32)})
+    require_covered(one.pictures["alpha"])
+    tiles = 3840 // _TILE * (2160 // _TILE)
+    yield Measure("one splat over 4K, entries", abs(one.stats["entries"] - tiles), 0)
+    yield Measure("numbers not finite", float(not (drawn.finite() and one.finite())), 0)
+
+
+@case("S14", "a tile with thousands of splats")
+def crowded_tile(full: bool) -> Iterator[Measure]:
+    """Oracle: the reference; more splats in one tile than 11 and than 16 bits count."""
+    for count in (3000, 70_000) if full else (3000,):
+        scene = draw_scene(
+            1400,
+            count=count,
+            width=16,
+            height=16,
+            focal=(20.0, 20.0),
+            sigma_px=(0.02, 0.1),
+            logits=(-5.2, -4.8) if count > 10_000 else (-4.4, -3.5),
+            sh_degree=0,
+        )
+        true = truth.ask(scene)
+        drawn = native.draw(scene, true.weights)
+        if drawn.stats["entries"] < 0.7 * count:
+            raise EmptyTestError(
+                f"only {drawn.stats['entries']:.0f} of {count} splats are in the tile"
+            )
+        stopped = 1 - true.pictures["alpha"] < 2e-4
+        if stopped.any():
+            raise EmptyTestError("light does not reach the last splats")
+        for m in (
+            # With thousands of splats at a pixel one is always near its cut.
+            *picture_measures(drawn, true, most_band=0.999 if count > 10_000 else 0.5),
+            *gradient_measures(drawn, true),
+        ):
+            yield Measure(f"{count} splats, {m.what}", m.error, m.tolerance, m.note)
+
+
+@case("S16", "pictures of all sizes")
+def picture_sizes(full: bool) -> Iterator[Measure]:
+    """Oracle: the reference."""
+    sizes = [(1, 1), (1, 37), (37, 1), (15, 17), (16, 16), (17, 33), (32, 31), (513, 16)]
+    for width, height in [*sizes, (4096, 16), (16, 4096)] if full else sizes:
+        scene = draw_scene(
+            1600 + width,
+            count=60 if max(width, height) < 100 else 400,
+            width=width,
+            height=height,
+            focal=(0.8 * width + 8, 0.8 * width + 8),
+            overscan=0.3,
+            sh_degree=1,
+            sigma_px=(2.0, 5.0) if max(width, height) < 100 else (5.0, 40.0),
+        )
+        true = truth.ask(scene)
+        drawn = native.draw(scene, true.weights)
+        yield from picture_measures(drawn, true, most_band=0.5)
+        yield from gradient_measures(drawn, true)
+
+
+@case("S17", "nothing to draw", needs=())
+def empty(full: bool) -> Iterator[Measure]:
+    """Oracle: the background, exactly, and gradients of zero."""
+    scene = draw_scene(1700, count=5)
+    behind = draw_scene(1700, count=5, depths=(-6.0, -1.0))
+    faint = scene.with_row(slice(None), opacities=-8.0)
+    aside = scene.with_row(slice(None), means=scene.means + np.float32(1e6))
+    changed = 0
+    for one in (scene.rows(slice(0, 0)), behind, faint, aside):
+        drawn = native.draw(one, native.random_weights(one, 1))
+        changed += int((drawn.pictures["rgb"] != np.array(native.BACKGROUND, np.float32)).sum())
+        changed += sum(np.count_nonzero(drawn.pictures[k]) for k in ("alpha", "depth"))
+        changed += sum(np.count_nonzero(g) for g in drawn.gradients.values())
+        changed += int(drawn.stats["visible"] != 0)
+    full_picture = native.draw(scene, native.random_weights(scene, 1))
+    require_covered(full_picture.pictures["alpha"])  # else the above proves nothing
+    yield Measure("pixels and gradients that are not empty", float(changed), 0)
+
+
+@case("S29", "nothing written beside the arrays, skips exact", needs=())
+def guards(full: bool) -> Iterator[Measure]:
+    """Oracle: guard words; the same call with every skip turned off, bit for bit."""
+    broken = changed = fewer = 0
+    for seed in range(30 if full else 6):
+        scene = draw_scene(
+            2900 + seed,
+            count=50 * (seed + 1),
+            width=17 + 13 * seed,
+            height=40 - seed,
+            overscan=0.4,
+            elongation=float(seed % 3) * 1.5,
+            sigma_px=(0.5, 6.0),
+        )
+        weights = native.random_weights(scene, 1)
+        drawn = native.draw(scene, weights)
+        require_covered(drawn.pictures["alpha"])
+        broken += drawn.guards_broken
+        off = _native.NO_EXACT_CULL | _native.NO_ZERO_TILE
+        off |= _native.NO_OPACITY_EXTENT | _native.NO_ROW_RANGE
+        plain = native.draw(scene, weights, disable=off)
+        broken += plain.guards_broken
+        changed += sum(int((drawn.pictures[k] != plain.pictures[k]).sum()) for k in drawn.pictures)
+        fewer += drawn.stats["forward_pairs"] < plain.stats["forward_pairs"]
+    if not fewer:
+        raise EmptyTestError("nothing was skipped")
+    yield Measure("guard words overwritten", float(broken), 0)
+    yield Measure("pixels changed by skipping", float(changed), 0)

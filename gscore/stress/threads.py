@@ -1,0 +1,145 @@
+"""S18 to S20: threads, instruction sets and the state of the host's floating point unit."""
+
+import ctypes
+import ctypes.util
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+from ..raster import _native, backend
+from . import native
+from .case import EmptyTestError, Measure, NotHereError, case
+from .compare import different_bits, require_covered
+from .native import Drawn, with_isa
+from .scenes import Scene, draw_scene
+
+_THREADS = (2, 3, 8, 64)
+
+
+def _scene(seed: int, full: bool) -> Scene:
+    return draw_scene(
+        seed,
+        count=6000 if full else 3000,
+        width=150,
+        height=100,
+        focal=(120.0, 120.0),
+        sigma_px=(0.8, 5.0),
+        overscan=0.1,
+    )
+
+
+@case("S18", "any number of threads", needs=())
+def thread_counts(full: bool) -> Iterator[Measure]:
+    """Oracle: one thread; pictures and gradients bit for bit, twice over."""
+    scene = _scene(1800, full)
+    weights = native.random_weights(scene, 1)
+    one = native.draw(scene, weights, threads=1)
+    require_covered(one.pictures["alpha"])
+    changed = 0
+    for threads in (*_THREADS, *(range(1, 65) if full else ()), 1, 2):
+        many = native.draw(scene, weights, threads=threads)
+        changed += different_bits(one.pictures, many.pictures)
+        changed += different_bits(one.gradients, many.gradients)
+    yield Measure("bits changed", float(changed), 0)
+
+
+@case("S19", "instruction sets against each other", per_isa=False)
+def instruction_sets(full: bool) -> Iterator[Measure]:
+    """Oracle: the best instruction set here; outside the band of the reference."""
+    from . import truth
+
+    isas = backend.available_isas()
+    if len(isas) < 2:
+        raise NotHereError(f"this machine has one instruction set, {isas[0]}")
+    for seed in range(1900, 1905 if full else 1902):
+        scene = draw_scene(seed, count=500, width=64, height=48, overscan=0.1)
+        true = truth.ask(scene)
+        require_covered(true.pictures["alpha"])
+        drawn: dict[str, Drawn] = {}
+        for isa in isas:
+            with with_isa(isa):
+                drawn[isa] = native.draw(scene, true.weights)
+        best = drawn[isas[0]]
+        for isa in isas[1:]:
+            for name, picture in drawn[isa].pictures.items():
+                if name == "median_depth":
+                    continue  # chooses one splat, by a comparison that rounding can turn over
+                scale = max(1.0, float(np.abs(true.pictures[name]).max()))
+                error = np.abs(picture - best.pictures[name])[~true.band].max() / scale
+                yield Measure(f"{isas[0]} and {isa}, picture", float(error), 1e-6)
+            errors = [
+                np.abs(g - best.gradients[k]).max() / np.abs(best.gradients[k]).max()
+                for k, g in drawn[isa].gradients.items()
+            ]
+            yield Measure(f"{isas[0]} and {isa}, gradient", float(max(errors)), 1e-5)
+
+
+_THIRD = np.float32(1) / np.float32(3)
+"""Rounded to nearest, as the interpreter starts."""
+_ROUNDINGS = {"x86_64": (0x000, 0x400, 0x800, 0xC00), "aarch64": (0, 0x800000, 0x400000, 0xC00000)}
+"""Rounding to nearest first; then down, up and to zero as glibc numbers them, in any order."""
+
+
+@contextmanager
+def _rounding_calls(libm: ctypes.CDLL, mode: int, seen: list[tuple[bool, bool]]) -> Iterator[None]:
+    """Set the mode around calls of the library alone: preparing its arguments rounds, too.
+
+    `seen` gets, for each call, whether the mode had an effect before it and was lost after it.
+    """
+
+    def wrapped(call: Any) -> Any:
+        def inside(*args: Any) -> None:
+            if libm.fesetround(mode) != 0:
+                raise NotHereError("the rounding mode cannot be set")
+            try:
+                effect = bool(np.float32(1) / np.float32(3) != _THIRD)
+                call(*args)
+                seen.append((effect, libm.fegetround() != mode))
+            finally:
+                libm.fesetround(0)
+
+        return inside
+
+    kept = _native.Raster.forward, _native.Raster.backward
+    _native.Raster.forward, _native.Raster.backward = (wrapped(call) for call in kept)
+    try:
+        yield
+    finally:
+        _native.Raster.forward, _native.Raster.backward = kept
+
+
+@case("S20", "the host's rounding mode", needs=())
+def rounding(full: bool) -> Iterator[Measure]:
+    """Oracle: the default environment; and the mode that was set must be set afterwards."""
+    import platform
+
+    modes = _ROUNDINGS.get(platform.machine())
+    if not sys.platform.startswith("linux") or modes is None:
+        raise NotHereError("setting the rounding mode is known for Linux on x86-64 and ARM64 only")
+    libm = ctypes.CDLL(ctypes.util.find_library("m") or "libm.so.6")
+    scene = _scene(2000, full=False)
+    weights = native.random_weights(scene, 1)
+    plain = native.draw(scene, weights)
+    require_covered(plain.pictures["alpha"])
+    picture = gradient = lost = differs = 0
+    for mode in modes[1:]:
+        seen: list[tuple[bool, bool]] = []
+        with _rounding_calls(libm, mode, seen):
+            drawn = native.draw(scene, weights)
+        if len(seen) != 2:
+            raise EmptyTestError("the library was not called")
+        differs += seen[0][0]  # down and to zero move a third, up does not
+        lost += sum(bad for _, bad in seen)
+        for name, p in plain.pictures.items():
+            picture = max(picture, float(np.abs(drawn.pictures[name] - p).max()))
+        for name, g in plain.gradients.items():
+            error = np.abs(drawn.gradients[name] - g).max() / np.abs(g).max()
+            gradient = max(gradient, float(error))
+    if not differs:
+        raise EmptyTestError("the rounding mode has no effect here")
+    yield Measure("picture", picture, 1e-7)
+    yield Measure("gradient", gradient, 1e-7)
+    yield Measure("modes not restored", float(lost), 0)

@@ -1,0 +1,124 @@
+"""What a scene should look like: the float64 reference, its gradients, and where it is undecided.
+
+torch is imported when something is asked, so that the list of cases can be read without it.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from .native import BACKGROUND, PICTURES, random_weights
+from .scenes import PARAMETERS, Scene
+
+
+@dataclass(frozen=True, kw_only=True)
+class Truth:
+    """The reference's answer, as float64 arrays named like those of `native.Drawn`."""
+
+    pictures: dict[str, np.ndarray]
+    band: np.ndarray
+    """[H, W] bool, pixels that hinge on a comparison which rounding could turn over."""
+    weights: dict[str, np.ndarray]
+    """What the gradients belong to: sum(weights * pictures); zero in the band."""
+    gradients: dict[str, np.ndarray]
+    projected: dict[str, np.ndarray]
+    """Zero rows where culled."""
+
+
+def tensors(scene: Scene, *, grad: bool = False) -> dict[str, Any]:
+    """Arguments of the reference: float64 tensors, leaves where `grad`."""
+    import torch
+
+    leaves = {
+        name: torch.from_numpy(getattr(scene, name).astype(np.float64)).requires_grad_(grad)
+        for name in (*PARAMETERS, "viewmat")
+    }
+    K = torch.from_numpy(scene.K.astype(np.float64))
+    return {**leaves, "K": K, "width": scene.width, "height": scene.height}
+
+
+def ask(
+    scene: Scene,
+    *,
+    seed: int = 5,
+    gradients: bool = True,
+    weigh: tuple[str, ...] = PICTURES,
+    orthographic: bool = False,
+    **options: Any,
+) -> Truth:
+    """Pictures, band and gradients of a scene.
+
+    Args:
+        scene: Splats and camera.
+        seed: Seed of the weights.
+        gradients: Whether they are wanted.
+        weigh: Pictures that enter the differentiated sum.
+        orthographic: Parallel rays.
+        **options: raw, sh_degree, antialias, near, far, eps2d, as `native.draw`.
+    """
+    import torch
+
+    from ..raster import reference
+
+    options = {"raw": True, **options}
+    inputs = tensors(scene, grad=gradients)
+    arguments = [inputs[name] for name in PARAMETERS]
+    view = reference.PinholeView(
+        inputs["viewmat"], inputs["K"], scene.width, scene.height, orthographic
+    )
+    with torch.set_grad_enabled(gradients):
+        splats = reference.project(reference.SplatTensors(*arguments), view, **options)
+        if gradients:
+            splats.means2d.retain_grad()
+        out = reference.composite(
+            splats,
+            scene.width,
+            scene.height,
+            background=torch.tensor(BACKGROUND, dtype=torch.float64),
+            inverse_depth=True,
+            depth=True,
+        )
+        assert out.inverse_depth is not None and out.depth is not None
+        assert out.median_depth is not None
+        pictures = {
+            "rgb": out.rgb,
+            "alpha": out.alpha,
+            "inverse_depth": out.inverse_depth,
+            "depth": out.depth * out.alpha,  # the undivided sum
+            "median_depth": out.median_depth,
+        }
+        band = reference.boundary_band(**inputs, orthographic=orthographic, **options)
+        weights = random_weights(scene, seed, *weigh)
+        for name in weights:
+            weights[name][band.numpy()] = 0
+        grads: dict[str, np.ndarray] = {}
+        if gradients:
+            total = sum((pictures[k] * torch.from_numpy(weights[k])).sum() for k in weights)
+            total.backward()  # pyright: ignore[reportAttributeAccessIssue]
+            grads = {name: _grad(inputs[name]) for name in PARAMETERS}
+            grads["means2d"] = _rows(scene, splats.index, splats.means2d.grad)
+            grads["viewmat"] = _grad(inputs["viewmat"])
+    projected = {
+        name: _rows(scene, splats.index, getattr(splats, name).detach())
+        for name in ("means2d", "depths", "conics", "colors", "opacities")
+    }
+    return Truth(
+        pictures={name: p.detach().numpy() for name, p in pictures.items()},
+        band=band.numpy(),
+        weights=weights,
+        gradients=grads,
+        projected=projected,
+    )
+
+
+def _grad(leaf: Any) -> np.ndarray:
+    return np.zeros(leaf.shape) if leaf.grad is None else leaf.grad.numpy()
+
+
+def _rows(scene: Scene, index: Any, values: Any) -> np.ndarray:
+    if values is None:
+        return np.zeros((len(scene), 2))
+    whole = np.zeros((len(scene), *values.shape[1:]))
+    whole[index.numpy()] = values.numpy()
+    return whole
