@@ -1,4 +1,4 @@
-"""The table of docs/accuracy.md from `gscore stress --json`: the worst error of each test.
+"""The table of docs/accuracy.md from `gscore stress --json`: worst errors of tests and tolerances.
 
 `gscore stress --json --isa all > found.json; python tools/accuracy_table.py found.json`
 """
@@ -9,33 +9,33 @@ from pathlib import Path
 
 
 def main() -> int:
-    """Print one row a test: tolerance, worst error, instruction set."""
-    worst: dict[str, dict] = {}
-    for file in sys.argv[1:]:
-        for row in json.loads(Path(file).read_text()):
-            old = worst.get(row["test"])
-            if old is None or (row["error"] or 0) > (old["error"] or 0):
-                worst[row["test"]] = row
-    groups: dict[str, list[dict]] = {}
-    for row in worst.values():
+    """Print a row for each test and tolerance, with the worst of its measures."""
+    rows = [row for file in sys.argv[1:] for row in json.loads(Path(file).read_text())]
+    groups: dict[tuple[str, float | None], list[dict]] = {}
+    for row in rows:
         title, _, what = row["test"].partition(": ")
-        groups.setdefault(title, []).append({**row, "what": what})
-    print("| test | what | tolerance | worst error |")
+        groups.setdefault((title, row["tolerance"]), []).append({**row, "what": what})
+    print("| test | worst of | tolerance | error |")
     print("|---|---|---|---|")
-    for title in sorted(groups):
-        for number, row in enumerate(groups[title]):
-            exact = row["tolerance"] == 0
-            error = "0" if row["error"] == 0 else _short(row["error"])
-            mark = "" if row["passed"] else " **failed**" if row["passed"] is False else " skipped"
-            tolerance = "0" if exact else _short(row["tolerance"])
-            print(
-                f"| {title if number == 0 else ''} | {row['what']} | {tolerance} | {error}{mark} |"
-            )
+    before = ""
+    for (title, tolerance), found in groups.items():
+        worst = max(found, key=lambda row: float("inf") if row["error"] is None else row["error"])
+        count = len({row["what"] for row in found})
+        what = worst["what"] if count == 1 else f"{count} measures: {worst['what']}"
+        if tolerance == 0 and worst["error"] == 0:
+            what = worst["what"] if count == 1 else f"{count} counts"
+        bad = [row for row in found if row["passed"] is False]
+        state = f" **{len(bad)} failed**" if bad else "" if worst["passed"] else " skipped"
+        name = "" if title == before else title
+        print(f"| {name} | {what} | {_short(tolerance)} | {_short(worst['error'])}{state} |")
+        before = title
     return 0
 
 
 def _short(value: float | None) -> str:
-    return "" if value is None else f"{value:.1e}".replace("e-0", "e-").replace("e+0", "e")
+    if value is None:
+        return ""
+    return f"{value:g}" if value == 0 or 0.01 < value < 1e4 else f"{value:.1e}".replace("e-0", "e-")
 
 
 if __name__ == "__main__":
