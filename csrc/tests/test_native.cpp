@@ -10,6 +10,10 @@
 #include <string>
 #include <vector>
 
+#if defined(__x86_64__)
+#include <xmmintrin.h>
+#endif
+
 namespace {
 
 int failures = 0;
@@ -316,6 +320,26 @@ void parallel_rays_have_no_gradients() {
     CHECK(run(m, c, make_options()).forward == GS_BAD_ARGUMENT);
 }
 
+// Oracle: the default state. A host may trap exceptions, keep or flush subnormals, and round as it likes.
+void the_hosts_arithmetic_stays_its_own() {
+#if defined(__x86_64__)
+    const Model m = random_model(2000, 9);
+    const gs_camera c = make_camera(64, 48);
+    const Result expected = run(m, c, make_options(2));
+    CHECK(mean_alpha(expected, c) > 0.1);
+    const unsigned before = _mm_getcsr();
+    // Traps for invalid, division by zero and overflow; subnormals flushed or not; rounding to zero.
+    for (const unsigned state : {0x1f80u & ~0x0680u, 0x1f80u | 0x8040u, 0x1f80u | 0x6000u}) {
+        _mm_setcsr(state);
+        const Result found = run(m, c, make_options(2));
+        const unsigned after = _mm_getcsr();
+        _mm_setcsr(before);
+        CHECK((after & ~0x3fu) == (state & ~0x3fu)); // flags of what happened aside
+        CHECK(same_bits(expected.image, found.image));
+    }
+#endif
+}
+
 // Oracle: the C library's, in double.
 void exponentials_are_close() {
     std::vector<float> x, y;
@@ -516,6 +540,7 @@ int main() {
         bad_arguments_are_named();
         parallel_rays_have_no_gradients();
         cancelling_stops();
+        the_hosts_arithmetic_stays_its_own();
         exponentials_are_close();
         loss_gradient_matches_differences();
         adam_skips_rows_for_any_number_of_threads();
