@@ -42,8 +42,7 @@ static inline float opaque_extent(const Projected &p) {
     return __builtin_sqrtf(kLog2AlphaMin / (kLog2AlphaMin - p.log2_opacity));
 }
 
-static bool bin(const BinArgs &a, size_t begin, size_t end, InstanceBuffer *out, uint32_t *first_instance,
-                uint32_t *instance_count) {
+static bool bin(const BinArgs &a, size_t begin, size_t end, InstanceBuffer *out, uint32_t *instance_count) {
     for (size_t i = begin; i < end; ++i) {
         const uint32_t slot = a.order[i];
         const Projected &p = a.projected[slot];
@@ -59,7 +58,6 @@ static bool bin(const BinArgs &a, size_t begin, size_t end, InstanceBuffer *out,
         const int x_last = clamp_int(p.mean_x + ex + sx - 0.5f, -1, a.width - 1);
         const int box_first = clamp_int(p.mean_y - ey - sy + 0.5f, 0, a.height);
         const int box_last = clamp_int(p.mean_y + ey + sy - 0.5f, -1, a.height - 1);
-        first_instance[slot] = 0; // the caller adds the start of this range
         instance_count[slot] = 0;
         if (x_first > x_last || box_first > box_last)
             continue;
@@ -110,7 +108,6 @@ static bool bin(const BinArgs &a, size_t begin, size_t end, InstanceBuffer *out,
                 }
             }
         }
-        first_instance[slot] = uint32_t(size_before);
         instance_count[slot] = uint32_t(out->size - size_before);
     }
     return true;

@@ -66,6 +66,7 @@ struct Batch {
 struct BackwardBatch : Batch {
     alignas(64) float u[kBatchItems + kGroup][kBlockPixels], v[kBatchItems + kGroup][kBlockPixels];
     alignas(64) float weight[kBatchItems + kGroup][kBlockPixels];
+    Moments *moments[kBatchItems]; // where the sums of a splat go
 };
 
 // Appends a splat and the items that cover `blocks`, which are not none. x and y are those of the tile's first pixel.
@@ -272,7 +273,6 @@ static int64_t blend_tile_backward(const BlendBackwardArgs &args, uint32_t outpu
     const uint32_t begin = a.tile_begin[tile], count = a.tile_begin[tile + 1] - begin;
     if (count == 0)
         return 0;
-    Moments *moments = args.moments + begin;
     const int tile_x = int(tile) % a.tiles_x, tile_y = int(tile) / a.tiles_x;
     const int x0 = tile_x * kTile, y0 = tile_y * kTile;
     const int columns = a.width - x0 < kTile ? a.width - x0 : kTile;
@@ -333,7 +333,8 @@ static int64_t blend_tile_backward(const BlendBackwardArgs &args, uint32_t outpu
         start = block_stop[b] > start ? block_stop[b] : start;
     }
     start = start < int32_t(count) ? start : int32_t(count);
-    std::memset(moments + start, 0, size_t(int32_t(count) - start) * sizeof(Moments));
+    for (int32_t i = start; i < int32_t(count); ++i)
+        args.moments[a.entries[begin + uint32_t(i)].moment] = {};
 
     const float first_x = float(x0) + 0.5f, first_y = float(y0) + 0.5f;
     const int third = outputs & GS_OUT_INVERSE_DEPTH ? kChannelInvZ : kChannelZ; // the first channel after the colours
@@ -357,10 +358,16 @@ static int64_t blend_tile_backward(const BlendBackwardArgs &args, uint32_t outpu
             if (uint32_t(i) >= kPrefetch)
                 __builtin_prefetch(&a.projected[a.entries[e - kPrefetch].slot]);
             const Entry entry = a.entries[e];
-            if (const uint32_t blocks = entry.blocks & live)
+            Moments *const moments = args.moments + entry.moment;
+            if (const uint32_t blocks = entry.blocks & live) {
+                // Written when the batch is done; they lie anywhere in memory.
+                __builtin_prefetch(moments, 1);
+                __builtin_prefetch(moments->v + kMomentCount - 1, 1);
+                batch.moments[batch.splats] = moments;
                 add_splat(batch, a.projected[entry.slot], i, blocks, first_x, first_y);
-            else
-                moments[i] = {};
+            } else {
+                *moments = {};
+            }
         }
         items += batch.items;
         unclamped_alphas<true>(batch);
@@ -408,7 +415,7 @@ static int64_t blend_tile_backward(const BlendBackwardArgs &args, uint32_t outpu
                     sums[kZ] = sums[kInvZ];
                     sums[kInvZ] = Vec{};
                 }
-            lane_sums(sums, moments[batch.index[s]].v);
+            lane_sums(sums, batch.moments[s]->v);
         }
     }
     return items * kBlockPixels;

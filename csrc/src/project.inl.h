@@ -315,20 +315,14 @@ static inline void zero_culled_rows(const ProjectBackwardArgs &a, int64_t begin,
 
 // The moments of a splat: those of its entries, always added in the order of its tiles, whatever thread drew them.
 static inline Moments merge_moments(const ProjectBackwardArgs &a, size_t slot) {
-    const uint32_t *entry = a.instance_entry + a.instance_begin[slot];
+    const Moments *moments = a.moments + a.moment_begin[slot];
     Vec4 sum[kMomentCount / 4] = {};
-    for (uint32_t e = 0; e < a.instance_count[slot]; ++e)
+    for (uint32_t e = 0; e < a.moment_count[slot]; ++e)
         for (int k = 0; k < kMomentCount / 4; ++k)
-            sum[k] += load<Vec4>(a.moments[entry[e]].v + 4 * k);
+            sum[k] += load<Vec4>(moments[e].v + 4 * k);
     Moments m;
     std::memcpy(m.v, sum, sizeof m.v);
     return m;
-}
-
-static inline void prefetch_moments(const ProjectBackwardArgs &a, size_t slot) {
-    const uint32_t *entry = a.instance_entry + a.instance_begin[slot];
-    for (uint32_t e = 0; e < a.instance_count[slot] && e < 8; ++e)
-        __builtin_prefetch(a.moments[entry[e]].v);
 }
 
 // Gradient with respect to M = J W R S. With G the matrix of second moments of d and Q the conic, that with respect to
@@ -388,8 +382,6 @@ static void project_backward(const ProjectBackwardArgs &a, int64_t chunk) {
             id[l] = p.id;
             if (l >= lanes)
                 continue;
-            if (first + l + kLanes < visible)
-                prefetch_moments(a, slot + kLanes);
             const Moments m = merge_moments(a, slot);
             for (int k = 0; k < kMomentCount; ++k)
                 sums[k][l] = m.v[k];

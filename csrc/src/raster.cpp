@@ -86,7 +86,7 @@ gs_status gs_raster::bin(const BinArgs &args, size_t count, uint32_t tiles, int 
     // Ranges of splats in depth order are listed independently, then scattered to their tiles with one cursor per
     // (range, tile), which keeps depth order whatever the number of ranges.
     const int ranges = int(std::clamp<size_t>(count / 2048, 1, size_t(std::min(kMaxRanges, 2 * threads))));
-    uint32_t *first = instance_begin_.get(), *number = instance_count_.get();
+    uint32_t *first = moment_begin_.get(), *number = moment_count_.get();
     const auto range_begin = [&](int r) { return count * size_t(r) / size_t(ranges); };
     std::atomic<bool> out_of_memory{false};
     const Kernels &k = kernels();
@@ -94,7 +94,7 @@ gs_status gs_raster::bin(const BinArgs &args, size_t count, uint32_t tiles, int 
     parallel_for(size_t(ranges), threads, [&](size_t r, int) {
         GrowingInstances &out = instances_[r];
         out.size = 0;
-        if (!k.bin(args, range_begin(int(r)), range_begin(int(r) + 1), &out, first, number)) {
+        if (!k.bin(args, range_begin(int(r)), range_begin(int(r) + 1), &out, number)) {
             out_of_memory = true;
             return;
         }
@@ -108,11 +108,8 @@ gs_status gs_raster::bin(const BinArgs &args, size_t count, uint32_t tiles, int 
     if (cancelled(args.cancel))
         return GS_CANCELLED;
     size_t total = 0;
-    size_t base[kMaxRanges];
-    for (int r = 0; r < ranges; ++r) {
-        base[r] = total;
+    for (int r = 0; r < ranges; ++r)
         total += instances_[r].size;
-    }
     if (total > size_t(INT32_MAX))
         return GS_TOO_MANY;
     entry_count_ = total;
@@ -127,21 +124,24 @@ gs_status gs_raster::bin(const BinArgs &args, size_t count, uint32_t tiles, int 
         }
     }
     begin[tiles] = running;
+    // Moments lie in the order of the slots: the pass back reads them one after the other.
+    uint32_t moment = 0;
+    for (int64_t c = 0; c < chunks_of(splat_count_); ++c)
+        for (int64_t slot = c * kChunk; slot < c * kChunk + visible_.get()[c]; ++slot) {
+            first[slot] = moment;
+            moment += number[slot];
+        }
     Entry *entries = entries_.ensure(total);
-    uint32_t *where = instance_entry_.ensure(total);
     parallel_for(size_t(ranges), threads, [&](size_t r, int) {
-        const GrowingInstances &in = instances_[r];
+        const Instance *in = instances_[r].data;
         uint32_t *at = cursor + r * tiles;
-        for (size_t i = 0; i < in.size; ++i) {
+        for (size_t i = range_begin(int(r)); i < range_begin(int(r) + 1); ++i) {
             if (i % kCancelEvery == 0 && cancelled(args.cancel))
                 return;
-            const Instance &x = in.data[i];
-            const uint32_t e = at[x.tile]++;
-            entries[e] = {x.slot, x.blocks};
-            where[base[r] + i] = e;
+            const uint32_t slot = args.order[i];
+            for (uint32_t k = 0; k < number[slot]; ++k, ++in)
+                entries[at[in->tile]++] = {slot, in->blocks, first[slot] + k};
         }
-        for (size_t i = range_begin(int(r)); i < range_begin(int(r) + 1); ++i)
-            first[args.order[i]] += uint32_t(base[r]);
     });
     return GS_OK;
 }
@@ -163,8 +163,8 @@ gs_status gs_raster::forward(const gs_splats &splats, const gs_camera &camera, c
     projected_.ensure(slots);
     depth_keys_.ensure(slots);
     visible_.ensure(size_t(chunks));
-    instance_begin_.ensure(slots);
-    instance_count_.ensure(slots);
+    moment_begin_.ensure(slots);
+    moment_count_.ensure(slots);
     ProjectArgs project = project_args(splats);
     project.radii = image.radii;
     parallel_for(size_t(chunks), threads, [&](size_t c, int) {
@@ -251,9 +251,8 @@ gs_status gs_raster::backward(const gs_splats &splats, const gs_image_grads &ima
     stats.blend_backward_ms = timer.lap_ms();
 
     const int64_t chunks = chunks_of(splats.count);
-    ProjectBackwardArgs project = {project_args(splats), instance_begin_.get(), instance_count_.get(),
-                                   instance_entry_.get(), moments_.get(),       grads,
-                                   nullptr};
+    ProjectBackwardArgs project = {project_args(splats), moment_begin_.get(), moment_count_.get(),
+                                   moments_.get(),       grads,               nullptr};
     if (grads.viewmat)
         project.viewmat_partial = viewmat_partial_.ensure(size_t(chunks) * 16);
     parallel_for(size_t(chunks), threads, [&](size_t c, int) {
@@ -331,10 +330,9 @@ gs_status gs_raster::projected(float *means2d, float *depths, float *conics, flo
 }
 
 int64_t gs_raster::workspace_bytes() const {
-    size_t bytes = projected_.bytes() + depth_keys_.bytes() + visible_.bytes() + instance_begin_.bytes() +
-                   instance_count_.bytes() + order_.bytes() + order_scratch_.bytes() + keys_.bytes() +
-                   keys_scratch_.bytes() + tile_cursor_.bytes() + tile_begin_.bytes() + entries_.bytes() +
-                   instance_entry_.bytes() + moments_.bytes() + final_transmittance_.bytes() + stop_index_.bytes() +
+    size_t bytes = projected_.bytes() + depth_keys_.bytes() + visible_.bytes() + moment_begin_.bytes() +
+                   moment_count_.bytes() + order_.bytes() + order_scratch_.bytes() + keys_.bytes() +
+                   keys_scratch_.bytes() + tile_cursor_.bytes() + tile_begin_.bytes() + entries_.bytes() +  moments_.bytes() + final_transmittance_.bytes() + stop_index_.bytes() +
                    viewmat_partial_.bytes() + loss_scratch_.bytes() + loss_partial_.bytes();
     for (const GrowingInstances &i : instances_)
         bytes += i.capacity * sizeof(Instance);

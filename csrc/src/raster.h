@@ -73,7 +73,7 @@ struct gs_raster {
     gs::Buffer<gs::Projected> projected_;
     gs::Buffer<uint32_t> depth_keys_;
     gs::Buffer<int32_t> visible_;
-    gs::Buffer<uint32_t> instance_begin_, instance_count_;
+    gs::Buffer<uint32_t> moment_begin_, moment_count_;
     // Visible splats, near to far.
     gs::Buffer<uint32_t> order_, order_scratch_, keys_, keys_scratch_;
     // Splats times tiles.
@@ -81,7 +81,6 @@ struct gs_raster {
     gs::GrowingInstances instances_[kMaxRanges];
     gs::Buffer<uint32_t> tile_cursor_, tile_begin_;
     gs::Buffer<gs::Entry> entries_;
-    gs::Buffer<uint32_t> instance_entry_;
     gs::Buffer<gs::Moments> moments_;
     // Pixels, tile by tile.
     gs::Buffer<float> final_transmittance_;

@@ -52,6 +52,7 @@ static_assert(sizeof(Projected) == 64);
 struct Entry {
     uint32_t slot;   // index into Projected
     uint32_t blocks; // those that it reaches, a bit each
+    uint32_t moment; // index into the moments, where all entries of a splat lie together
 };
 
 // The same before it is sorted into its tile.
@@ -108,15 +109,14 @@ struct BlendArgs {
 struct BlendBackwardArgs {
     const BlendArgs *forward;
     gs_image_grads grads;
-    Moments *moments; // [entries]
+    Moments *moments; // [entries], splat by splat
     bool skip_zero_tiles;
 };
 
 struct ProjectBackwardArgs {
     ProjectArgs forward;
-    const uint32_t *instance_begin; // [slots]
-    const uint32_t *instance_count; // [slots]
-    const uint32_t *instance_entry; // [entries] in depth order
+    const uint32_t *moment_begin; // [slots]
+    const uint32_t *moment_count; // [slots]
     const Moments *moments;
     gs_splat_grads grads;
     double *viewmat_partial; // [chunks * 16] or null
@@ -157,7 +157,7 @@ struct Kernels {
     const char *name;
     void (*project)(const ProjectArgs &, int64_t chunk);
     // Entries of the splats order[begin, end) appended to `out`; false: out of memory.
-    bool (*bin)(const BinArgs &, size_t begin, size_t end, InstanceBuffer *out, uint32_t *first, uint32_t *count);
+    bool (*bin)(const BinArgs &, size_t begin, size_t end, InstanceBuffer *out, uint32_t *count);
     // Returns the number of pairs evaluated.
     int64_t (*blend)(const BlendArgs &, uint32_t outputs, uint32_t tile);
     int64_t (*blend_backward)(const BlendBackwardArgs &, uint32_t outputs, uint32_t tile);
