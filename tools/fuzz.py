@@ -14,7 +14,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 BUILD = ROOT / "build" / "fuzz"
-TARGETS = {"raster": 0.35, "loss": 0.05}
+TARGETS = {"raster": 0.3, "loss": 0.05, "adam": 0.05}
 """Shares of the time."""
 READERS, SCENES_A_SECOND = 0.3, 15
 FORMATS = 29
