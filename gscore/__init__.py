@@ -12,6 +12,7 @@ from ._version import __version__
 if TYPE_CHECKING:
     from .config import PRESETS, Background, DataConfig, Strategy, Switch, TrainConfig
     from .datasets import Capture, Dataset, Folder, View, load_dataset, read_capture
+    from .datasets.resolution import target_size
     from .depth.stated import StatedDepth, stated_depth
     from .errors import (
         BackendError,
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
         DepthDone,
         DepthProgress,
         Done,
+        Estimated,
         Eval,
         Event,
         Failed,
@@ -59,7 +61,7 @@ if TYPE_CHECKING:
     from .scene import Cameras, PointCloud, Scene
     from .sh import sh0_to_rgb
     from .splats import Splats
-    from .trainer import train
+    from .trainer import Estimate, estimate, train
     from .trainer.sequence import SequenceOptions, train_sequence
     from .transforms import rotmat_to_quat, transform_splats
 
@@ -82,6 +84,8 @@ _HOME = {
     "DepthDone": "events",
     "DepthProgress": "events",
     "Done": "events",
+    "Estimate": "trainer",
+    "Estimated": "events",
     "Eval": "events",
     "Event": "events",
     "Failed": "events",
@@ -119,6 +123,7 @@ _HOME = {
     "clear_run": "io.runs",
     "colorize": "metrics.colormap",
     "downscale": "io.resample",
+    "estimate": "trainer",
     "find_colmap": "io.colmap:find_model",
     "from_line": "events",
     "image_loss": "raster.loss",
@@ -137,6 +142,7 @@ _HOME = {
     "rotmat_to_quat": "transforms",
     "sh0_to_rgb": "sh",
     "stated_depth": "depth.stated",
+    "target_size": "datasets.resolution",
     "train": "trainer",
     "train_sequence": "trainer.sequence",
     "transform_splats": "transforms",
@@ -164,6 +170,8 @@ __all__ = [
     "DepthDone",
     "DepthProgress",
     "Done",
+    "Estimate",
+    "Estimated",
     "Eval",
     "Event",
     "Failed",
@@ -200,6 +208,7 @@ __all__ = [
     "clear_run",
     "colorize",
     "downscale",
+    "estimate",
     "find_colmap",
     "from_line",
     "image_loss",
@@ -218,6 +227,7 @@ __all__ = [
     "rotmat_to_quat",
     "sh0_to_rgb",
     "stated_depth",
+    "target_size",
     "train",
     "train_sequence",
     "transform_splats",

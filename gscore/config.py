@@ -253,6 +253,9 @@ class TrainConfig:
     """Steps after which the splats are written to `point_cloud/iteration_N/`; the end always is."""
     checkpoint_iterations: tuple[int, ...] = ()
     """Steps after which a checkpoint is written that is never cleaned up."""
+    cache_mb: int = 0
+    """Megabytes of decoded photos to keep in memory; the others are decoded again when their turn
+    comes. 0: all, or as many as fit. The result is the same."""
     checkpoint_seconds: float = 300.0
     """Seconds of training between two checkpoints, of which the last two are kept; 0: only at the
     end."""
@@ -281,7 +284,7 @@ class TrainConfig:
             "refine_stop",
             "refine_every",
         )
-        _at_least(self, 0, "snapshot_every", "seed")
+        _at_least(self, 0, "snapshot_every", "seed", "cache_mb")
         _at_least(self, -1, "reset_every")
         _at_least(
             self, 0.0, "near", "means_lr", "means_lr_final", "sh0_lr", "shN_lr", "opacities_lr"

@@ -38,6 +38,25 @@ class Started(Event):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Estimated(Event):
+    """What a training will take, told before photos are read; not where it is resumed."""
+
+    kind: ClassVar[str] = "estimate"
+    seconds: float
+    """Of training, without reading photos, measuring and writing."""
+    peak_bytes: int
+    """Largest resident memory."""
+    free_bytes: int | None
+    """Memory that is free; null where the system does not tell."""
+    photos_kept: bool
+    """Whether all photos stay in memory; else some are read again and again."""
+    photo_bytes: int
+    """Memory of photos."""
+    max_splats: int
+    """The number of splats that this is for."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Progress(Event):
     """Where training stands; at most a few a second."""
 
@@ -196,6 +215,7 @@ class SequenceDone(Event):
 KINDS: dict[str, type[Event]] = {
     cls.kind: cls
     for cls in (
+        Estimated,
         Started,
         Progress,
         Preview,

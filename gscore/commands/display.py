@@ -9,6 +9,7 @@ from typing import TextIO
 
 from ..events import (
     DepthProgress,
+    Estimated,
     Eval,
     Event,
     FrameStarted,
@@ -66,6 +67,8 @@ class Lines:
     def __call__(self, event: Event) -> None:
         """Show the event."""
         match event:
+            case Estimated():
+                self._permanent(estimate_text(event))
             case Started():
                 self._permanent(
                     f"{event.train_views} training views, {event.test_views} test views, "
@@ -119,6 +122,14 @@ def progress_text(event: Progress) -> str:
         parts += [f"loss {event.loss:.4f}", f"PSNR {event.psnr:5.2f}", f"{event.splats} splats"]
         parts += [f"{event.steps_per_s:.1f} steps/s", f"{clock(event.eta_s)} left"]
     return "  ".join([*parts, event.phase])
+
+
+def estimate_text(event: Estimated) -> str:
+    """What a training will take, for people."""
+    text = f"About {clock(event.seconds)} of training and {event.peak_bytes / 1e9:.1f} GB of memory"
+    if event.photos_kept:
+        return text
+    return f"{text}; {event.photo_bytes / 1e9:.2g} GB of photos are kept, the others read again"
 
 
 def clock(seconds: float) -> str:

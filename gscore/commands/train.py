@@ -43,6 +43,11 @@ _RUN: dict[str, tuple[tuple[str, ...], dict[str, Any], str]] = {
     "sh_degree": (("--sh-degree",), {"type": int}, "degree of view-dependent colour, 0 to 3"),
     "seed": (("--seed",), {"type": int}, "same seed, same result, bit for bit"),
     "threads": (("--threads",), {"type": int}, "CPU threads; 0: all cores"),
+    "cache_mb": (
+        ("--cache-mb",),
+        {"type": int, "metavar": "MB"},
+        "memory for decoded photos; 0: all, or as many as fit",
+    ),
     "background": (
         ("--background",),
         {"choices": tuple(Background)},

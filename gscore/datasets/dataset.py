@@ -5,6 +5,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
+from threading import Lock
 from typing import TypeVar
 
 import numpy as np
@@ -16,8 +17,13 @@ from .decode import ViewFile, decode_view
 T = TypeVar("T")
 
 
+_FEW = 4
+"""Views kept after `keep_few`: photo and mask are asked for one after the other."""
+
+
 class Dataset:
-    """Views by index, as in `scene.cameras`; each photo is decoded once and kept as bytes."""
+    """Views by index, as in `scene.cameras`; each photo is decoded once and kept as bytes, or,
+    after `keep_few`, decoded whenever it is needed."""
 
     def __init__(
         self,
@@ -42,6 +48,8 @@ class Dataset:
         self._files = files
         self._views: dict[int, tuple[np.ndarray, np.ndarray | None]] = {}
         self._content_hash: str | None = None
+        self._keep_all = True
+        self._lock = Lock()
 
     def __len__(self) -> int:
         return len(self._files)
@@ -92,6 +100,12 @@ class Dataset:
         """[H, W] uint8, 255 = keep, or None for a view without mask. Do not write to it."""
         return self._view(index)[1]
 
+    def keep_few(self) -> None:
+        """From now on keep only the views decoded last, for captures larger than memory."""
+        with self._lock:
+            self._keep_all = False
+            self._views.clear()
+
     def preload(
         self,
         indices: Iterable[int] | None = None,
@@ -123,7 +137,11 @@ class Dataset:
         # Two threads may decode the same view at the same time; both get the same bytes.
         view = self._views.get(i)
         if view is None:
-            view = self._views.setdefault(i, decode_view(self._files[i]))
+            view = decode_view(self._files[i])
+            with self._lock:
+                view = self._views.setdefault(i, view)
+                while not self._keep_all and len(self._views) > _FEW:
+                    del self._views[next(iter(self._views))]
         return view
 
 

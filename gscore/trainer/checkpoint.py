@@ -32,6 +32,7 @@ FREE = frozenset(
         "target_psnr",
         "early_stop",
         "threads",
+        "cache_mb",
         "test_iterations",
         "save_iterations",
         "checkpoint_iterations",

@@ -1,5 +1,7 @@
 """The views of a capture at the size that a step of the training wants."""
 
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +12,11 @@ from ..io.images import resize
 from ..scene import Cameras
 from .skips import tiles_of_mask
 from .views import Photos, View, view_of
+
+AHEAD = 3
+"""Views that are made before they are needed."""
+_WORKERS = 2
+"""Threads that make them."""
 
 
 class Sized(NamedTuple):
@@ -26,23 +33,50 @@ class Sized(NamedTuple):
 
 
 class Pyramid:
-    """Photos scaled down on first use; those of one factor are kept at a time."""
+    """Photos scaled down on first use; those of one factor are kept at a time.
 
-    def __init__(self, photos: Photos, cameras: Cameras) -> None:
-        """`cameras` are those of `photos` in the training world."""
+    Where not all may be kept, the first ones to come are, which of all choices wastes least when
+    each is used once an epoch, and the next ones are made in the background. The pixels are the
+    same either way.
+    """
+
+    def __init__(self, photos: Photos, cameras: Cameras, *, limit: int | None = None) -> None:
+        """`cameras` are those of `photos` in the training world; `limit`: bytes to keep."""
         self._photos = photos
         self._cameras = cameras
+        self._limit = limit
         self._factor = 1.0
         self._kept: dict[int, Sized] = {}
+        self._nbytes = 0
+        self._coming: dict[int, Future[Sized]] = {}
+        self._pool = None if limit is None else ThreadPoolExecutor(_WORKERS, "gscore-photos")
 
-    def at(self, index: int, factor: float) -> Sized:
-        """View `index` with sides divided by `factor` >= 1, K exact for the rounded size."""
+    def at(self, index: int, factor: float, *, upcoming: Sequence[int] = ()) -> Sized:
+        """View `index` with sides divided by `factor` >= 1, K exact for the rounded size.
+
+        `upcoming`: views that will be asked for next.
+        """
         if factor != self._factor:
-            self._factor, self._kept = factor, {}
+            self._factor, self._kept, self._nbytes = factor, {}, 0
+            for future in self._coming.values():
+                future.cancel()
+            self._coming = {}
         found = self._kept.get(index)
         if found is None:
-            found = self._kept[index] = self._scaled(index, factor)
+            future = self._coming.pop(index, None)
+            found = self._scaled(index, factor) if future is None else future.result()
+            self._keep(index, found)
+        if self._pool is not None:
+            for i in upcoming[:AHEAD]:
+                if i not in self._kept and i not in self._coming:
+                    self._coming[i] = self._pool.submit(self._scaled, i, factor)
         return found
+
+    def _keep(self, index: int, found: Sized) -> None:
+        nbytes = found.image.nbytes + (0 if found.mask is None else found.mask.nbytes)
+        if self._limit is None or self._nbytes + nbytes <= self._limit:
+            self._kept[index] = found
+            self._nbytes += nbytes
 
     def view(self, index: int) -> View:
         """View `index` at full size."""

@@ -1,7 +1,5 @@
 """`train`: everything that must be right before the first step, then a session."""
 
-import math
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,25 +8,21 @@ import numpy as np
 
 from ..config import DataConfig, TrainConfig
 from ..control import Control
-from ..datasets import Dataset, load_dataset
-from ..errors import BackendError, Cancelled, ConfigError, DatasetError, FormatError, GsError
-from ..events import Event, Progress
+from ..datasets import load_dataset
+from ..errors import BackendError, ConfigError, FormatError, GsError
+from ..events import Event
 from ..io.ply import is_antialiased, read_splats
 from ..metrics import find_lpips
 from . import checkpoint
 from .depth_setup import prepare_depth
 from .folder import RunFolder, open_folder
 from .frame import Frame
-from .memory import check_memory
+from .loading import load_photos, progress_of
 from .session import Session, TrainResult
 from .torch_threads import one_torch_thread
 from .trainer import Trainer
 
 _FAR_FROM_ORIGIN = 1e4
-_DEPTH_BYTES = 11
-"""Bytes a pixel while depth maps are read: value and confidence in float32, and the target."""
-_LOADING_PERIOD = 0.5
-"""Seconds between two events while photos are read."""
 
 
 def train(
@@ -74,12 +68,18 @@ def train(
             checkpoint.check_compatible(before, config, photos)
             with checkpoint.understood(before.path):
                 frame = Frame.from_dict(before.trainer["frame"])
-        _check_fits(config, photos, depths=bool(data.depths))
-        _decode(photos, config, emit, control)
-        empty = _check_masks(photos)
+        loaded = load_photos(
+            photos,
+            config,
+            splats=start,
+            depths=bool(data.depths),
+            announce=before is None,
+            emit=emit,
+            control=control,
+        )
         with _memory_in_words():
             depth = prepare_depth(
-                data, config, photos, on_progress=_progress("depth maps", config, emit, control)
+                data, config, photos, on_progress=progress_of("depth maps", config, emit, control)
             )
             trainer = Trainer(
                 config,
@@ -88,6 +88,7 @@ def train(
                 start=start,
                 depth=depth.loss_targets,
                 points=depth.points,
+                photo_cache=loaded.cache,
             )
             if before is not None:
                 checkpoint.check_same_depth(before, trainer)
@@ -109,7 +110,7 @@ def train(
                     session.warn(_set_aside(path, before.steps), "damaged_checkpoint")
             elif overwrite:
                 folder.clear()
-            for message in (*photos.warnings, *empty, *_own_warnings(trainer)):
+            for message in (*photos.warnings, *loaded.warnings, *_own_warnings(trainer)):
                 session.warn(message, "capture")
             for message in depth.warnings:
                 session.warn(message, "depth")
@@ -148,78 +149,6 @@ def _set_aside(path: Path, step: int) -> str:
     except OSError as error:
         raise GsError(f"Cannot rename the damaged {path}: {error.strerror}.") from error
     return f"{path.name} is damaged (now {aside.name}); going on from step {step} before it."
-
-
-def _check_fits(config: TrainConfig, photos: Dataset, *, depths: bool) -> None:
-    cameras = photos.scene.cameras
-    pixels = cameras.widths * cameras.heights
-    check_memory(
-        splats=config.max_splats,
-        sh_degree=config.sh_degree,
-        pixels=int(pixels.max(initial=0)),
-        photos=photos.nbytes + (_DEPTH_BYTES * int(pixels.sum()) if depths else 0),
-    )
-
-
-def _decode(
-    photos: Dataset, config: TrainConfig, emit: Callable[[Event], None], control: Control
-) -> None:
-    """Decode all photos now, so that steps take even times, and tell how far it is."""
-    photos.preload(
-        threads=config.threads,
-        on_progress=_progress("photos", config, emit),
-        cancelled=lambda: control.stopping,
-    )
-
-
-def _progress(
-    what: str,
-    config: TrainConfig,
-    emit: Callable[[Event], None],
-    control: Control | None = None,
-) -> Callable[[int, int], None]:
-    """What tells now and then how much of `what` is read; with `control` it can be stopped."""
-    began = last = time.monotonic()
-
-    def on_progress(done: int, total: int) -> None:
-        nonlocal last
-        if control is not None and control.stopping:
-            raise Cancelled(f"Reading the {what} was stopped.")
-        now = time.monotonic()
-        if now - last < _LOADING_PERIOD:
-            return
-        last = now
-        emit(
-            Progress(
-                step=0,
-                iterations=config.iterations,
-                loss=math.nan,
-                psnr=math.nan,
-                splats=0,
-                steps_per_s=0.0,
-                eta_s=math.nan,
-                elapsed_s=now - began,
-                phase=f"reading {what} {done}/{total}",
-            )
-        )
-
-    return on_progress
-
-
-def _check_masks(photos: Dataset) -> list[str]:
-    """Sentences about masks that leave nothing to train on; DatasetError if all do."""
-    if photos.mask_mode == "none":
-        return []
-    masks = {i: photos.mask(i) for i in photos.train}
-    empty = [photos.names[i] for i, mask in masks.items() if mask is not None and not mask.any()]
-    if len(empty) == len(masks):
-        raise DatasetError(
-            f"The masks of all {len(empty)} training views in {photos.source} are black, so there "
-            "is nothing to train on. White is what counts: invert them, or choose --mask-mode none."
-        )
-    if empty:
-        return [f"The masks of {len(empty)} training views are black, for example {empty[0]}."]
-    return []
 
 
 def _own_warnings(trainer: Trainer) -> Iterator[str]:

@@ -23,7 +23,7 @@ from .frame import Frame
 from .laps import Laps
 from .model import Model, ShN
 from .params import splats_from_points, splats_from_tensors, tensors_from_splats
-from .pyramid import Pyramid
+from .pyramid import AHEAD, Pyramid
 from .regularisers import drop_rate_at, drop_splats, opacity_loss
 from .schedules import Plan
 from .skips import raster_bits
@@ -70,10 +70,12 @@ class Trainer:
         start: Splats | None = None,
         depth: DepthTargets | None = None,
         points: PointCloud | None = None,
+        photo_cache: int | None = None,
     ) -> None:
         """Start from `start` or from `points`, in COLMAP world, or from the points of the capture.
 
-        `depth` holds what to supervise depth with.
+        `depth` holds what to supervise depth with; `photo_cache` is how many bytes of photos may
+        be kept, None: all.
 
         Raises:
             DatasetError: nothing to train on.
@@ -119,7 +121,7 @@ class Trainer:
         self.laps = Laps()
         """What the parts of the last step took."""
         self._cameras = self.frame.similarity.cameras_to_training(photos.scene.cameras)
-        self._pyramid = Pyramid(photos, self._cameras)
+        self._pyramid = Pyramid(photos, self._cameras, limit=photo_cache)
         first = self._first_splats(cloud) if start is None else self._placed(start)
         self.model = Model(tensors_from_splats(first))
         self._disable = raster_bits(config.without)
@@ -151,7 +153,11 @@ class Trainer:
         laps = self.laps = Laps()
         ops.widen_sh(model, self.plan.sh_degree_at(step))
         index = self.sampler.next(self.generator)
-        view, image, mask, tiles = self._pyramid.at(index, self.plan.factor_at(step))
+        # A run that becomes longer does not go back to smaller photos.
+        self._factor = min(self._factor, self.plan.factor_at(step))
+        view, image, mask, tiles = self._pyramid.at(
+            index, self._factor, upcoming=self.sampler.upcoming(AHEAD)
+        )
         background = self._step_background()
         depth_weight = self.depth.weight(index, step) if self.depth else 0.0
         laps.pixels = view.width * view.height

@@ -76,6 +76,10 @@ class Sampler:
         self.position = 0
         """Next place in `order`."""
 
+    def upcoming(self, count: int) -> list[int]:
+        """The next views as far as they are drawn already, at most `count`."""
+        return self.order[self.position : self.position + count]
+
     def next(self, generator: torch.Generator) -> int:
         """The next view; draws an order where an epoch begins."""
         if self.position >= len(self.order):

@@ -17,7 +17,7 @@ import pytest
 from gscore.commands import main
 from gscore.commands import train as train_command
 from gscore.config import Background, Strategy, load_config
-from gscore.events import Done, Event, Failed, Progress, Saved, Started, from_line
+from gscore.events import Done, Estimated, Event, Failed, Progress, Saved, from_line
 from gscore.io.images import read_image, write_png
 from gscore.trainer.folder import RunFolder
 
@@ -257,7 +257,7 @@ def test_stop_on_stdin_ends_well(job: Callable[..., Job], tmp_path: Path) -> Non
     run.process.stdin.write("stop\n")
     run.process.stdin.flush()
     assert run.end() == 0
-    assert isinstance(run.events[0], Started | Progress)
+    assert isinstance(run.events[0], Estimated)
     assert isinstance(run.events[-1], Done)
     assert run.events[-1].reason == "stopped"
     assert any(isinstance(e, Saved) for e in run.events)

@@ -30,7 +30,7 @@ from gscore.events import (
 from gscore.io.cameras_json import read_cameras
 from gscore.io.images import read_image
 from gscore.io.ply import read_splats
-from gscore.trainer import Control, memory, train
+from gscore.trainer import Control, estimate, memory, train
 from gscore.trainer.folder import RunFolder
 from gscore.trainer.trainer import Trainer
 
@@ -244,7 +244,8 @@ def test_too_little_memory_is_told_before_the_start(
     words = str(error.value).split()
     offered = int(words[words.index("--max-splats") + 1].rstrip(","))
     assert offered > 100_000
-    memory.check_memory(splats=offered, sh_degree=3, pixels=48 * 48)
+    found = estimate(replace(config, max_splats=offered), [(48, 48)] * 8, points=150, pace=1.0)
+    assert found.fits
 
 
 def test_running_out_of_memory_is_one_sentence(

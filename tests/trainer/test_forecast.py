@@ -1,0 +1,90 @@
+"""What a run is said to take; oracles: sums over its steps, and memory that was measured."""
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from gscore.config import PRESETS, TrainConfig
+from gscore.errors import GsError
+from gscore.trainer.forecast import check_fits, estimate, machine_pace
+from gscore.trainer.memory import cache_bytes, training_bytes
+from gscore.trainer.schedules import Plan
+
+SIZES = [(640, 480)] * 60
+GB = 1_000_000_000
+
+
+def test_seconds_are_those_of_the_plan() -> None:
+    """Oracle: the sum over all steps of a run whose count stays; twice as slow, twice as long."""
+    config = TrainConfig(iterations=400, max_splats=7000)
+    plan = Plan.of(config, extent=1.0, points=7000, side=480, pixels=640 * 480)
+    whole = sum(plan.seconds_at(step, 7000) for step in range(1, 401))
+    found = estimate(config, SIZES, points=7000, pace=2.0)
+    assert found.seconds == pytest.approx(2 * whole, rel=0.02)
+    budget = estimate(replace(config, time_budget=12.0), SIZES, points=7000, pace=2.0)
+    assert budget.seconds == 12.0
+
+
+def test_presets_take_more_and_more() -> None:
+    """Oracle: their order."""
+    configs = [preset(Path("photos"))[1] for preset in PRESETS.values()]
+    found = [estimate(c, SIZES, points=7000, pace=1.0) for c in configs]
+    assert [e.seconds for e in found] == sorted(e.seconds for e in found)
+    assert [e.peak_bytes for e in found] == sorted(e.peak_bytes for e in found)
+
+
+def test_what_does_not_fit_is_told_with_what_would() -> None:
+    """Oracle: what is proposed fits when it is asked for."""
+    config = TrainConfig(max_splats=1_000_000)
+    big = [(2000, 1500)] * 200
+    found = estimate(config, big, points=7000, free=5 * GB // 2, pace=1.0)
+    assert not found.fits
+    with pytest.raises(GsError, match=rf"--max-splats {found.fitting_splats} or .*-r \d+"):
+        check_fits(found, config)
+    fewer = replace(config, max_splats=found.fitting_splats)
+    assert estimate(fewer, big, points=7000, free=5 * GB // 2, pace=1.0).fits
+    width = found.fitting_width
+    assert 0 < width < 2000
+    small = [(width, width * 3 // 4)] * 200
+    assert estimate(config, small, points=7000, free=5 * GB // 2, pace=1.0).fits
+    nothing = estimate(config, big, points=7000, free=GB // 10, pace=1.0)
+    assert (nothing.fitting_splats, nothing.fitting_width) == (0, 0)
+    with pytest.raises(GsError, match="close programs"):
+        check_fits(nothing, config)
+
+
+def test_photos_that_do_not_fit_are_kept_in_part() -> None:
+    """Oracle: the definition; the whole stays below what is free."""
+    config = TrainConfig(max_splats=10_000)
+    many = [(4000, 3000)] * 500
+    found = estimate(config, many, points=7000, free=10 * GB, pace=1.0)
+    assert found.fits
+    assert not found.photos_kept
+    assert found.peak_bytes - 230_000_000 <= 10 * GB
+    assert estimate(config, many, points=7000, free=100 * GB, pace=1.0).photos_kept
+    asked = estimate(replace(config, cache_mb=500), many, points=7000, free=100 * GB, pace=1.0)
+    assert (asked.photos_kept, asked.photo_bytes) == (False, 500_000_000)
+    assert cache_bytes(replace(config, cache_mb=500), 400_000_000, rest=0, free=0) is None
+
+
+def test_memory_of_a_million_splats() -> None:
+    """Oracle: peak of 1.9 GB measured for 10 steps with 59 photos of 640 x 480 px."""
+    found = training_bytes(splats=1_000_000, sh_degree=3, pixels=640 * 480)
+    assert found + 230e6 + 54e6 == pytest.approx(1.95e9, rel=0.15)
+
+
+def test_the_machine_is_measured_quickly_and_without_torch() -> None:
+    """Oracle: the modules of a fresh interpreter."""
+    code = (
+        "import sys; sys.modules['torch'] = None\n"
+        "import gscore\n"
+        "size = gscore.target_size(4000, 3000, -1, max_width=400)\n"
+        "found = gscore.estimate(gscore.TrainConfig(), [size] * 3, points=9)\n"
+        "print(size, found.seconds > 0, found.fits)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split("\n")[0] == "(400, 300) True True"
+    assert machine_pace(1) > 0
