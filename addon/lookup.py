@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Generic, TypeVar
 
 from .capture import CaptureFacts, inspect
-from .core import RunInfo, read_run
+from .core import Estimate, RunInfo, read_run
 from .depth_report import DepthReport, read_run_report
+from .job import forecast
 from .job.background import Task
 
 KeyT = TypeVar("KeyT", bound=Hashable)
@@ -82,13 +83,16 @@ runs: Lookup[Path, RunInfo | None] = Lookup(read_run, max_age=3.0)
 """How far the training in an output folder is."""
 depth_runs: Lookup[Path, DepthReport | None] = Lookup(read_run_report, max_age=10.0)
 """What became of the depth maps in the training in an output folder."""
+forecasts: Lookup[forecast.Question, Estimate] = Lookup(forecast.answer, max_age=20.0)
+"""What a training would take."""
+_ALL = (captures, runs, depth_runs, forecasts)
 
 
 def collect() -> bool:
     """Take in what was found; whether that was anything new."""
-    return any([captures.collect(), runs.collect(), depth_runs.collect()])
+    return sum(found.collect() for found in _ALL) > 0  # any() would stop at the first
 
 
 def busy() -> bool:
     """Whether something is being looked up."""
-    return captures.busy or runs.busy or depth_runs.busy
+    return any(found.busy for found in _ALL)

@@ -4,9 +4,9 @@ import bpy
 
 from .. import lookup, preferences
 from ..capture import CaptureFacts
-from ..core import RunInfo
+from ..core import Estimate, RunInfo
 from ..paths import absolute, output_folder
-from . import timer
+from . import forecast, timer
 
 
 def capture(scene: bpy.types.Scene) -> tuple[CaptureFacts | None, str]:
@@ -27,6 +27,17 @@ def look_again(scene: bpy.types.Scene) -> tuple[CaptureFacts | None, str]:
     """As `capture`, but looks now and waits; for scripts and before a training."""
     path = absolute(scene.gscore.capture_path, "Capture")
     return lookup.captures.wait((str(path), scene.gscore.images))
+
+
+def forecast_of(scene: bpy.types.Scene) -> tuple[Estimate | None, str]:
+    """What the training that the settings ask for would take; (None, "") while not known."""
+    found = capture(scene)[0]
+    if found is None or not found.can_train:
+        return None, ""
+    asked = forecast.question(scene.gscore, found, threads=preferences.get().threads)
+    answer = lookup.forecasts.get(asked)
+    timer.ensure()
+    return answer
 
 
 def run(scene: bpy.types.Scene) -> tuple[RunInfo | None, str]:

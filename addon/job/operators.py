@@ -4,12 +4,13 @@ from pathlib import Path
 from typing import ClassVar
 
 import bpy
-from bpy.props import BoolProperty, StringProperty
+from bpy.props import BoolProperty, EnumProperty, StringProperty
 
 from .. import preferences
 from ..render.operators import show_image
-from . import registry, session, setup, timer, training
+from . import facts, registry, session, setup, timer, training
 from .job import Job
+from .options import BY_WIDTH
 
 Result = set[str]
 
@@ -76,6 +77,38 @@ class Train(bpy.types.Operator):
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         return _told(self, job)
+
+
+class FitTraining(bpy.types.Operator):
+    """Take the number of splats, or the width of the photos, that fits into the free memory"""
+
+    bl_idname = "gscore.fit_training"
+    bl_label = "Fit into Memory"
+    bl_options: ClassVar = {"REGISTER", "UNDO"}
+
+    which: EnumProperty(
+        name="Change",
+        description="What to make smaller",
+        items=(
+            ("SPLATS", "Splats", "Fewer splats"),
+            ("WIDTH", "Photos", "Smaller photos"),
+        ),
+    )
+
+    def execute(self, context: bpy.types.Context) -> Result:
+        """Change the settings."""
+        settings = context.scene.gscore
+        found, problem = facts.forecast_of(context.scene)
+        splats = self.which == "SPLATS"
+        value = 0 if found is None else found.fitting_splats if splats else found.fitting_width
+        if not value:
+            self.report({"ERROR"}, problem or "There is nothing to make smaller; see the panel.")
+            return {"CANCELLED"}
+        if splats:
+            settings.max_splats = value
+        else:
+            settings.resolution, settings.width = BY_WIDTH, value
+        return {"FINISHED"}
 
 
 class ResumeTraining(bpy.types.Operator):
@@ -304,6 +337,7 @@ def _told(operator: bpy.types.Operator, job: Job) -> Result:
 
 CLASSES = (
     Train,
+    FitTraining,
     ResumeTraining,
     PauseTraining,
     ContinueTraining,

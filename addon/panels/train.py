@@ -6,11 +6,14 @@ from typing import ClassVar
 import bpy
 
 from .. import preferences
-from ..core import PRESETS, RunInfo
-from ..job import facts, setup
+from ..core import PRESETS, Estimate, RunInfo
+from ..job import facts, forecast, setup
 from ..job.options import AS_PRESET, BY_WIDTH, continuation
 from ..paths import output_folder
 from .widgets import TabPanel, found, job, open_preferences, sentence
+
+_shown: Estimate | None = None
+"""The last estimate."""
 
 
 class TrainPanel(TabPanel, bpy.types.Panel):
@@ -25,6 +28,7 @@ class TrainPanel(TabPanel, bpy.types.Panel):
         layout, settings = self.layout, context.scene.gscore
         layout.row(align=True).prop(settings, "preset", expand=True)
         sentence(layout, context, preset_sentence(settings))
+        draw_forecast(layout, context)
         column = layout.column(align=True)
         steps = column.row(align=True)
         steps.active = settings.time_budget == 0
@@ -76,6 +80,29 @@ def preset_sentence(settings: bpy.types.PropertyGroup) -> str:
     if settings.resolution == AS_PRESET:
         text += f" Photos up to {preset(Path())[0].max_width} px wide."
     return text
+
+
+def draw_forecast(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """What the training would take, and what to do where it does not fit."""
+    global _shown
+    known, problem = facts.forecast_of(context.scene)
+    if problem:
+        sentence(layout, context, problem, icon="ERROR")
+        return
+    if known is None and (found(context) is None or _shown is None):
+        return
+    # The answer to the setting before stands until the next one is there.
+    current = _shown = known or _shown
+    text = forecast.warning(current)
+    if not text:
+        sentence(layout, context, forecast.words(current), icon="TIME")
+        return
+    sentence(layout, context, text, icon="ERROR")
+    row = layout.row(align=True)
+    for which, value in (("SPLATS", current.fitting_splats), ("WIDTH", current.fitting_width)):
+        if value:
+            label = f"Use {value:,} Splats" if which == "SPLATS" else f"Use {value} px Photos"
+            row.operator("gscore.fit_training", text=label).which = which
 
 
 def draw_output(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
