@@ -106,12 +106,10 @@ def _setting(args: argparse.Namespace) -> str:
 
 
 def _sources(args: argparse.Namespace) -> list[Source]:
-    return [
-        _studio() if name == "studio" else _with_reference(args, name) for name in args.captures
-    ]
+    return [studio() if name == "studio" else _with_reference(args, name) for name in args.captures]
 
 
-def _studio() -> Source:
+def studio() -> Source:
     folder = ROOT / "examples" / "studio"
     return Source(
         name="studio",

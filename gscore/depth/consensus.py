@@ -25,7 +25,8 @@ _DOUBT = 1.0
 """Expected relative error of a fit from which on its word is not taken."""
 _MAP_ERROR = 0.2
 """Relative error that a map has at a pixel even where its fit is sure."""
-_ROUNDS = 3
+ROUNDS = 3
+"""Times that all views are fitted again; 0: to their points alone."""
 _KEPT = 0.7
 """Share of the agreement with the view's own points that a new fit has to keep."""
 
@@ -45,7 +46,7 @@ def agreed(
         only replaced by one that these do not contradict.
     """
     found = list(fits)
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         before = list(found)
         for index, fit in enumerate(before):
             mine = maps[index]

@@ -49,7 +49,7 @@ def test_what_points_leave_open_other_maps_settle(make_planes, monkeypatch, seed
     planes = make_planes(reach=NEAR)
     planes.write_maps(waves(seed, 0.03))
     with monkeypatch.context() as alone:
-        alone.setattr(consensus, "_ROUNDS", 0)
+        alone.setattr(consensus, "ROUNDS", 0)
         _, before = load(planes)
     refused = [i for i, view in enumerate(before.views) if not view.aligned]
     assert refused and max(far_errors(planes, before)) == 1
