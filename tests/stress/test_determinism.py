@@ -131,22 +131,23 @@ def test_five_hundred_steps(kind, photos, masked, tmp_path):
     check(kind, photos, masked, tmp_path, steps=500, threads=(1, 2, 4, 8, 64), stops=stops)
 
 
-ISA_BOUND = 0.5
-"""dB. One last bit more or less in a sum moves the PSNR of this capture by up to 0.2 dB after 500
-steps, as chaotic as any difference: see docs/accuracy.md."""
+@pytest.mark.parametrize(
+    ("steps", "bound"), [(30, 0.1), (60, 0.5), pytest.param(500, 2.0, marks=pytest.mark.slow)]
+)
+def test_instruction_sets_train_alike(photos, steps, bound):
+    """Oracle: the other sets, in dB; bit equality is promised within one set alone.
 
-
-@pytest.mark.parametrize("steps", [60, pytest.param(500, marks=pytest.mark.slow)])
-def test_instruction_sets_train_alike(photos, steps):
-    """Oracle: the best instruction set; bit equality is promised within one set alone."""
+    Training amplifies a last bit like any other difference: moving the points by 1e-7 to 4e-7 of
+    themselves gives 33.2 to 34.9 dB after 500 steps here, three instruction sets 34.5 to 35.3.
+    """
     # Without resets and coloured backgrounds, which make the PSNR of a step an accident.
     config = replace(config_of("default", steps), reset_every=-1, background=Background.BLACK)
     found = {}
     for isa in backend.available_isas():
         with with_isa(isa):
             found[isa] = mean_psnr(run(Trainer(config, photos), steps), photos)
-    assert max(found.values()) - min(found.values()) < ISA_BOUND, found
-    assert min(found.values()) > 15
+    assert max(found.values()) - min(found.values()) < bound, found
+    assert min(found.values()) > 12
 
 
 def test_another_seed_gives_other_bits(photos):
