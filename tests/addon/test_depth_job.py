@@ -199,20 +199,20 @@ def test_the_training_has_a_report_of_its_own(studio: bpy.types.Scene, tmp_path:
 
 
 def test_a_beat_with_a_thousand_views_is_short(studio: bpy.types.Scene, play) -> None:
-    """Oracle: a clock, with room for a busy machine; the table is complete at once."""
+    """Oracle: this thread's processor time, whatever else runs; the table is complete at once."""
     table = [ACCEPTED | {"view": f"v{i:04}.jpg"} for i in range(1000)]
     play({"say": DONE | {"table": table}})
     job = depth.check(studio)
-    longest, end = 0.0, time.monotonic() + 20
+    longest, end = 0.0, time.monotonic() + 60
     while depth_table.table_of(bpy.context) is None or not job.ended:
         assert time.monotonic() < end
-        start = time.perf_counter()
+        start = time.thread_time()
         timer.tick()
-        longest = max(longest, time.perf_counter() - start)
+        longest = max(longest, time.thread_time() - start)
         time.sleep(0.01)
     timer.tick()
     assert len(depth_table.table_of(bpy.context).views) == 1000
-    assert longest < 0.25
+    assert longest < 0.05
 
 
 @needs_trainer
