@@ -84,7 +84,8 @@ typedef struct gs_camera {
 enum {
     GS_OUT_INVERSE_DEPTH = 1, /* sum of w / z, not divided by alpha */
     GS_OUT_DEPTH = 2,         /* sum of w * z, not divided by alpha */
-    GS_OUT_MEDIAN_DEPTH = 4   /* z of the splat at which transmittance falls to 0.5 or less; 0 where it never does */
+    GS_OUT_MEDIAN_DEPTH = 4,  /* z of the splat at which transmittance falls to 0.5 or less; 0 where it never does */
+    GS_COUNT_USEFUL = 8       /* no picture: fills gs_stats.useful_pairs */
 };
 
 /* Bits of gs_options.disable: each names a skip that leaves the image bit-identical, to prove and to measure it. */
@@ -144,6 +145,7 @@ typedef struct gs_stats {
     int64_t visible;        /* splats that reach the image */
     int64_t entries;        /* (tile, splat) entries */
     int64_t forward_pairs;
+    int64_t useful_pairs; /* forward pairs that added to their pixel; 0 unless GS_COUNT_USEFUL was set */
     int64_t backward_pairs;
     double project_ms, sort_ms, bin_ms, blend_ms;
     double blend_backward_ms, project_backward_ms;

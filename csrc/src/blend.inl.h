@@ -122,7 +122,7 @@ template <bool kBackward, class B> static inline void unclamped_alphas(B &b) {
 static_assert(kLanes % kBlock == 0);
 
 template <int kChannels, bool kMedian>
-static int64_t blend_tile(const BlendArgs &a, uint32_t outputs, uint32_t tile) {
+static PairCount blend_tile(const BlendArgs &a, uint32_t outputs, uint32_t tile) {
     const int tile_x = int(tile) % a.tiles_x, tile_y = int(tile) / a.tiles_x;
     const int x0 = tile_x * kTile, y0 = tile_y * kTile;
     const int columns = a.width - x0 < kTile ? a.width - x0 : kTile;
@@ -159,7 +159,7 @@ static int64_t blend_tile(const BlendArgs &a, uint32_t outputs, uint32_t tile) {
     const float first_x = float(x0) + 0.5f, first_y = float(y0) + 0.5f;
     const int third = outputs & GS_OUT_INVERSE_DEPTH ? kChannelInvZ : kChannelZ; // the first channel after the colours
     Batch batch;
-    int64_t items = 0;
+    int64_t items = 0, useful = 0;
     for (uint32_t e = begin; e < end && live;) {
         batch.splats = batch.items = 0;
         for (; e < end && !batch.full(); ++e) {
@@ -201,6 +201,9 @@ static int64_t blend_tile(const BlendArgs &a, uint32_t outputs, uint32_t tile) {
                 done[block] = finished;
                 live &= ~(uint32_t(finished == kAllPixels) << block);
             }
+            if (outputs & GS_COUNT_USEFUL) [[unlikely]]
+                for (const Vec weight : w)
+                    useful += __builtin_popcount(bits(gt(weight, Vec{})));
             for (int k = 0; k < kItemVecs; ++k, at += kLanes) {
                 store(at, next[k]);
                 for (int c = 0; c < kChannels; ++c) {
@@ -250,10 +253,10 @@ static int64_t blend_tile(const BlendArgs &a, uint32_t outputs, uint32_t tile) {
             if constexpr (kMedian)
                 write(a.image.median_depth + pixel, state[kMedianAt] + first, 1);
         }
-    return items * kBlockPixels;
+    return {items * kBlockPixels, useful};
 }
 
-static int64_t blend(const BlendArgs &a, uint32_t outputs, uint32_t tile) {
+static PairCount blend(const BlendArgs &a, uint32_t outputs, uint32_t tile) {
     const int extra = bool(outputs & GS_OUT_INVERSE_DEPTH) + bool(outputs & GS_OUT_DEPTH);
     if (outputs & GS_OUT_MEDIAN_DEPTH)
         return extra == 0   ? blend_tile<3, true>(a, outputs, tile)

@@ -209,10 +209,13 @@ gs_status gs_raster::forward(const gs_splats &splats, const gs_camera &camera, c
     blend_.image = image;
     blend_.final_transmittance = final_transmittance_.ensure(size_t(tiles) * kTilePixels);
     blend_.stop_index = stop_index_.ensure(size_t(tiles) * kTilePixels);
-    std::atomic<int64_t> pairs{0};
+    std::atomic<int64_t> pairs{0}, useful{0};
     parallel_for(tiles, threads, [&](size_t t, int) {
-        if (!cancelled(options.cancel))
-            pairs += k.blend(blend_, options.outputs, uint32_t(t));
+        if (cancelled(options.cancel))
+            return;
+        const PairCount found = k.blend(blend_, options.outputs, uint32_t(t));
+        pairs += found.evaluated;
+        useful += found.useful;
     });
     blend_.image = {}; // the caller's arrays may be gone by the backward call
     options_.cancel = nullptr;
@@ -223,6 +226,7 @@ gs_status gs_raster::forward(const gs_splats &splats, const gs_camera &camera, c
     stats.visible = int64_t(visible);
     stats.entries = int64_t(entry_count_);
     stats.forward_pairs = pairs;
+    stats.useful_pairs = useful;
     stats.workspace_bytes = workspace_bytes();
     valid_ = true;
     return GS_OK;

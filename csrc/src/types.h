@@ -106,6 +106,10 @@ struct BlendArgs {
     int32_t *stop_index;        // [tiles * kTilePixels], first entry of the tile that is not blended, or INT32_MAX
 };
 
+struct PairCount {
+    int64_t evaluated, useful; // useful: counted where asked for
+};
+
 struct BlendBackwardArgs {
     const BlendArgs *forward;
     gs_image_grads grads;
@@ -158,8 +162,8 @@ struct Kernels {
     void (*project)(const ProjectArgs &, int64_t chunk);
     // Entries of the splats order[begin, end) appended to `out`; false: out of memory.
     bool (*bin)(const BinArgs &, size_t begin, size_t end, InstanceBuffer *out, uint32_t *count);
+    PairCount (*blend)(const BlendArgs &, uint32_t outputs, uint32_t tile);
     // Returns the number of pairs evaluated.
-    int64_t (*blend)(const BlendArgs &, uint32_t outputs, uint32_t tile);
     int64_t (*blend_backward)(const BlendBackwardArgs &, uint32_t outputs, uint32_t tile);
     void (*project_backward)(const ProjectBackwardArgs &, int64_t chunk);
     // One band of rows; `scratch` holds loss_scratch_floats(width).

@@ -205,14 +205,18 @@ void skips_do_not_change_a_bit() {
                 m.scales[3 * i] += 3.0f;
         const gs_camera c = make_camera(90 + int(seed) * 7, 70 + int(seed) * 3);
         gs_options o = make_options(2);
+        o.outputs |= GS_COUNT_USEFUL;
         const Result fast = run(m, c, o);
         CHECK(mean_alpha(fast, c) > 0.1);
+        CHECK(fast.stats.useful_pairs > c.width * c.height);
         const uint32_t all = GS_NO_EXACT_CULL | GS_NO_ZERO_TILE | GS_NO_OPACITY_EXTENT | GS_NO_ROW_RANGE;
         for (const uint32_t off : {uint32_t(GS_NO_EXACT_CULL), uint32_t(GS_NO_OPACITY_EXTENT), uint32_t(GS_NO_ROW_RANGE), all}) {
             o.disable = off;
             const Result full = run(m, c, o);
             CHECK(same_bits(fast.image, full.image));
             CHECK(fast.stats.forward_pairs < full.stats.forward_pairs);
+            CHECK(fast.stats.useful_pairs == full.stats.useful_pairs);
+            CHECK(fast.stats.useful_pairs < fast.stats.forward_pairs);
         }
     }
 }

@@ -40,6 +40,8 @@ class RasterBench:
     """Blending alone."""
     pairs_per_pixel: float
     """Splats evaluated at a pixel after culling and early termination."""
+    useful_share: float
+    """Of these pairs, those that add to their pixel; the others fill up blocks of 4 x 4."""
     entries_per_tile: float
     visible: float
     forward_ms: float
@@ -123,8 +125,16 @@ def bench_raster(
         disable=disable,
     )
     rng = np.random.default_rng(image_gradient_seed)
+    counting = _native.options_struct(
+        eps2d=0.3,
+        antialias=False,
+        background=(0, 0, 0),
+        outputs=_native.COUNT_USEFUL,
+        threads=threads,
+        disable=disable,
+    )
     best = []
-    pixels = tiles = 0
+    pixels = tiles = useful = 0
     with _native.pool.lend() as raster:
         for view in views:
             width, height = int(cameras.widths[view]), int(cameras.heights[view])
@@ -136,6 +146,8 @@ def bench_raster(
             camera = _native.camera_struct(
                 cameras.viewmats[view], cameras.Ks[view], width, height, 0.01, 1e10
             )
+            raster.forward(struct, camera, counting, image)
+            useful += raster.stats().as_dict()["useful_pairs"]
             passes = []
             for _ in range(repeats + 1):  # the first one warms buffers up
                 raster.forward(struct, camera, options, image)
@@ -159,6 +171,7 @@ def bench_raster(
         forward_gpairs_per_s=total["forward_pairs"] / total["blend_ms"] / 1e6,
         backward_gpairs_per_s=total["backward_pairs"] / total["blend_backward_ms"] / 1e6,
         pairs_per_pixel=total["forward_pairs"] / pixels,
+        useful_share=useful / total["forward_pairs"],
         entries_per_tile=total["entries"] / tiles,
         visible=total["visible"] / n,
         forward_ms=forward / n,

@@ -19,7 +19,7 @@ from ..errors import BackendError, Cancelled, ShapeError
 
 ABI_VERSION = 3
 
-OUT_INVERSE_DEPTH, OUT_DEPTH, OUT_MEDIAN_DEPTH = 1, 2, 4
+OUT_INVERSE_DEPTH, OUT_DEPTH, OUT_MEDIAN_DEPTH, COUNT_USEFUL = 1, 2, 4, 8
 NO_EXACT_CULL, NO_ZERO_TILE, NO_OPACITY_EXTENT, NO_ROW_RANGE = 1, 2, 4, 8
 TILE = 16
 """Side of a tile, px (GS_TILE)."""
@@ -129,6 +129,7 @@ class StatsStruct(ct.Structure):
         ("visible", ct.c_int64),
         ("entries", ct.c_int64),
         ("forward_pairs", ct.c_int64),
+        ("useful_pairs", ct.c_int64),
         ("backward_pairs", ct.c_int64),
         ("project_ms", ct.c_double),
         ("sort_ms", ct.c_double),

@@ -67,8 +67,8 @@ def _table(r: RasterBench) -> str:
         f"  {r.gpairs_per_s:.2f} Gpair/s forward + backward blending "
         f"({r.gpairs_per_s_all_stages:.2f} with all stages), "
         f"forward {r.forward_gpairs_per_s:.2f}, backward {r.backward_gpairs_per_s:.2f}\n"
-        f"  {r.pairs_per_pixel:.1f} pairs per pixel, {r.entries_per_tile:.0f} splats per tile, "
-        f"{r.visible:,.0f} visible\n"
+        f"  {r.pairs_per_pixel:.1f} pairs per pixel ({100 * r.useful_share:.0f} % useful), "
+        f"{r.entries_per_tile:.0f} splats per tile, {r.visible:,.0f} visible\n"
         f"  forward {r.forward_ms:.2f} ms ({r.forward_fps:.0f} fps), "
         f"backward {r.backward_ms:.2f} ms; ms: {stages}\n"
     )
