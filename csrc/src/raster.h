@@ -9,6 +9,11 @@
 
 namespace gs {
 
+// Memory aligned to 64 bytes at least, large pieces on huge pages where the system has them: splats are looked up in no
+// order of memory, and on small pages every other look-up waits for its address. Throws std::bad_alloc.
+void *allocate_pages(size_t bytes);
+void free_pages(void *p, size_t bytes);
+
 // Uninitialised storage that only grows; contents are lost when it does.
 template <class T> class Buffer {
   public:
@@ -17,7 +22,8 @@ template <class T> class Buffer {
             const size_t wanted = count + count / 4;
             data_.reset();
             capacity_ = 0;
-            data_.reset(static_cast<T *>(::operator new(wanted * sizeof(T), std::align_val_t(64))));
+            const size_t bytes = wanted * sizeof(T);
+            data_ = {static_cast<T *>(allocate_pages(bytes)), Free{bytes}};
             capacity_ = wanted;
         }
         return data_.get();
@@ -27,7 +33,8 @@ template <class T> class Buffer {
 
   private:
     struct Free {
-        void operator()(T *p) const { ::operator delete(p, std::align_val_t(64)); }
+        size_t bytes = 0;
+        void operator()(T *p) const { free_pages(p, bytes); }
     };
     std::unique_ptr<T, Free> data_;
     size_t capacity_ = 0;
