@@ -65,7 +65,12 @@ static bool bin(const BinArgs &a, size_t begin, size_t end, InstanceBuffer *out,
         const int tile_first = box_first / kTile, tile_last = box_last / kTile;
         // Where the ellipse is highest: its mean plus (x_top, extent_y).
         const float x_top = -p.ub / p.ua * ey;
-        for (int s0 = strip_first; s0 <= strip_last; s0 += kLanes) {
+        // Vectors of strips start where they do for the splat's own extent, so that its tiles keep their order, and sums
+        // over them their rounding.
+        int start = clamp_int(p.mean_x - p.extent_x - slack_px(p.extent_x) + 0.5f, 0, a.width) / kTile * kStrips;
+        while (start > strip_first)
+            start -= kLanes;
+        for (int s0 = start; s0 <= strip_last; s0 += kLanes) {
             const Vec left = (iota() + float(s0)) * float(kBlock) + (0.5f - p.mean_x);
             const Vec l = max(left, set1(-ex)), h = min(left + float(kBlock - 1), set1(ex));
             const Mask inside = ge(h + sx, l - sx);
@@ -100,8 +105,8 @@ static bool bin(const BinArgs &a, size_t begin, size_t end, InstanceBuffer *out,
                 const Bytes bytes = __builtin_convertvector(blocks_of_rows(from, to), Bytes);
                 uint32_t strips[kLanes / kStrips];
                 std::memcpy(strips, &bytes, sizeof strips);
-                uint32_t tile = uint32_t(ty * a.tiles_x + tile_x);
-                for (int t = 0; t < tiles; ++t, ++tile) {
+                for (int t = tile_x < 0 ? -tile_x : 0; t < tiles; ++t) {
+                    const uint32_t tile = uint32_t(ty * a.tiles_x + tile_x + t);
                     const uint32_t blocks = blocks_of_strips(strips[t]);
                     out->data[out->size] = {tile, slot, a.disable & GS_NO_ROW_RANGE ? 0xffff : blocks};
                     out->size += blocks != 0 && (!a.tiles || a.tiles[tile]);

@@ -163,8 +163,8 @@ gs_status gs_raster::bin(const BinArgs &args, size_t count, uint32_t tiles, int 
             if (i % kCancelEvery == 0 && cancelled(args.cancel))
                 return;
             const uint32_t slot = args.order[i];
-            for (uint32_t k = 0; k < number[slot]; ++k, ++in)
-                entries[at[in->tile]++] = {slot, in->blocks, first[slot] + k};
+            for (uint32_t n = 0; n < number[slot]; ++n, ++in)
+                entries[at[in->tile]++] = {slot, in->blocks, first[slot] + n};
         }
     });
     return GS_OK;

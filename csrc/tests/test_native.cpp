@@ -214,6 +214,7 @@ void skips_do_not_change_a_bit() {
             o.disable = off;
             const Result full = run(m, c, o);
             CHECK(same_bits(fast.image, full.image));
+            CHECK(same_bits(fast.grads, full.grads));
             CHECK(fast.stats.forward_pairs < full.stats.forward_pairs);
             CHECK(fast.stats.useful_pairs == full.stats.useful_pairs);
             CHECK(fast.stats.useful_pairs < fast.stats.forward_pairs);
