@@ -40,6 +40,11 @@ static inline DVec square_root(DVec v) {
 }
 static inline IVec as_int(Vec v) { return (IVec)v; }
 static inline Vec as_float(IVec v) { return (Vec)v; }
+// p times 2^n, where the low bits of `t` hold n; without the signs, whose overflow C++ does not define.
+static inline Vec scale_by_power(Vec p, Vec t) {
+    typedef uint32_t UVec __attribute__((vector_size(4 * kLanes)));
+    return (Vec)((UVec)p + ((UVec)t << 23));
+}
 
 template <class V> static inline V load(const float *p) {
     V v;
@@ -219,7 +224,7 @@ template <int count> static inline void exp2_above(float lowest, const Vec *x, V
 #if defined(GS_ISA_AVX512)
         out[j] = _mm512_maskz_scalef_ps(reached, p[j], t[j]);
 #else
-        out[j] = keep(reached, as_float(as_int(p[j]) + (as_int(t[j]) << 23)));
+        out[j] = keep(reached, scale_by_power(p[j], t[j]));
 #endif
     }
 }
@@ -238,7 +243,7 @@ static inline Vec exp(Vec x) {
     p = fma(p, f, set1(0.2402212f));
     p = fma(p, f, set1(0.69314694f));
     p = fma(p, f, set1(1.0f));
-    return as_float(as_int(p) + (as_int(t) << 23));
+    return scale_by_power(p, t);
 }
 
 // log2(x) for normal positive x: x = m 2^e with m in [sqrt(1/2), sqrt(2)), then 2 atanh((m - 1) / (m + 1)) / ln 2.
