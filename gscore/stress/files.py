@@ -53,7 +53,7 @@ def golden(full: bool) -> Iterator[Measure]:
     """Oracle: gsplat's published formulas in plain numpy float64, stored with the tests."""
     if not _GOLDEN.is_file():
         raise NotHereError("the stored values come with the source, not with the installed package")
-    with np.load(_GOLDEN) as stored:
+    with np.load(_GOLDEN, allow_pickle=False) as stored:
         values = {name: stored[name] for name in stored}
     height, width = values["alpha"].shape
     scene = Scene(
