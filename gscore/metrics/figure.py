@@ -95,6 +95,8 @@ def _axis(
         ticks = log_ticks(low, high)
         if len(ticks) > 9:
             ticks = [t for t in ticks if math.isclose(math.log10(t) % 1, 0, abs_tol=1e-9)] or ticks
+        if len(ticks) < 3:  # less than a factor of ten or so
+            ticks = nice_ticks(low, high)
     else:
         spare = 0.04 * (high - low) or 0.1 * abs(high) or 1.0
         low, high = low - spare, high + spare
