@@ -257,8 +257,8 @@ class TrainConfig:
     """Megabytes of decoded photos to keep in memory; the others are decoded again when their turn
     comes. 0: all, or as many as fit. The result is the same."""
     checkpoint_seconds: float = 300.0
-    """Seconds of training between two checkpoints, of which the last two are kept; 0: only at the
-    end."""
+    """Seconds of training between two checkpoints, of which the last two are kept, and at most two
+    more that the watchdog may go back to; 0: only at the end."""
     preview_seconds: float = 0.0
     """Seconds between two pictures of one view; 0: none."""
     snapshot_every: int = 0

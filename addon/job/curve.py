@@ -23,9 +23,17 @@ class LossCurve:
         self._waiting: list[float] = []
 
     def add(self, step: int, loss: float) -> None:
-        """Take a loss; one that is no finite number is left out."""
+        """Take a loss; one that is no finite number is left out.
+
+        A step that is not later than the last one means that the run went back: what came after
+        it is forgotten.
+        """
         if not math.isfinite(loss):
             return
+        if self.steps and step <= self.steps[-1]:
+            kept = sum(known < step for known in self.steps)
+            del self.steps[kept:], self.losses[kept:]
+            self._waiting.clear()
         self._waiting.append(loss)
         if len(self._waiting) < self._per_point:
             return

@@ -7,7 +7,6 @@ import numpy as np
 
 from ..errors import BackendError, DatasetError, FormatError
 from ..io.colmap_model import ColmapCamera
-from .resolution import scale_intrinsics
 
 _ROWS_A_STRIP = 32
 _MOST_BLANK = 0.05
@@ -118,11 +117,6 @@ def plan_undistortion(camera: ColmapCamera) -> Undistortion | None:
     )
     _check_plan(plan)
     return plan
-
-
-def undistorted_intrinsics(plan: Undistortion, size: tuple[int, int]) -> np.ndarray:
-    """[3, 3] float64 K of the pinhole camera at a size in pixels."""
-    return scale_intrinsics(plan.K, (plan.width, plan.height), size)
 
 
 def pycolmap_camera(pycolmap: Any, camera: ColmapCamera) -> Any:

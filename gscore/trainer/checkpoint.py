@@ -40,6 +40,7 @@ FREE = frozenset(
         "preview_seconds",
         "snapshot_every",
         "lpips",
+        "watchdog",
         "detect_anomaly",
         "start_splats",
     }

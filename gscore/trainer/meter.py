@@ -87,10 +87,11 @@ class Meter:
         self._last_event = now
         return True
 
-    def rewind(self, step: int) -> None:
-        """Forget the steps after `step`, which will be taken anew; their time was spent."""
+    def rewind(self, step: int, *, splats: int) -> None:
+        """Forget the steps after `step`, at which there were `splats`: they will be taken anew.
+        Their time was spent."""
         self.history = [entry for entry in self.history if entry["step"] <= step]
-        self._step, self._count, self._pace = step, 0, self.pace
+        self._step, self._splats, self._count, self._pace = step, splats, 0, self.pace
         self._recent.clear()
 
     def state(self) -> dict[str, Any]:
@@ -101,6 +102,8 @@ class Meter:
             "loss": self._loss,
             "mse": self._mse,
             "count": self._count,
+            "step": self._step,
+            "splats": self._splats,
             "pace": self.pace,
         }
 
@@ -108,6 +111,7 @@ class Meter:
         """Go on from what `state` returned."""
         self.train_seconds, self.history = state["train_seconds"], list(state["history"])
         self._loss, self._mse, self._count = state["loss"], state["mse"], state["count"]
+        self._step, self._splats = state.get("step", 0), state.get("splats", self._splats)
         self._pace = state.get("pace", 1.0)
 
 

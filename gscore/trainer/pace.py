@@ -6,7 +6,7 @@ from collections.abc import Callable
 from .schedules import Plan
 
 _MOST_STEPS = 1_000_000
-_FIRST_STEPS = 10
+FIRST_STEPS = 10
 """Steps after which the speed of the machine is known for the first time."""
 _SHARE = 0.01
 """Of the budget: how often the number of steps is fitted to what is left of it."""
@@ -28,7 +28,7 @@ class Pace:
 
     def due(self, step: int, elapsed: float) -> bool:
         """Whether the length should be fitted after `step`, `elapsed` seconds into the run."""
-        if step < _FIRST_STEPS:
+        if step < FIRST_STEPS:
             return elapsed >= self._budget
         return elapsed >= self._budget or elapsed - self._last >= _SHARE * self._budget
 

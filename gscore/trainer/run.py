@@ -108,7 +108,7 @@ def train(
                     session.restore(before.session)
                 for path in damaged:
                     session.warn(_set_aside(path, before.steps), "damaged_checkpoint")
-            elif overwrite:
+            if overwrite:
                 folder.clear()
             for message in (*photos.warnings, *loaded.warnings, *_own_warnings(trainer)):
                 session.warn(message, "capture")

@@ -137,7 +137,10 @@ class Plan:
         return first * math.exp(math.log(last / first) * min(step / self.iterations, 1.0))
 
     def rest_moves_at(self, step: int) -> bool:
-        """Whether the higher SH coefficients take a step after `step`."""
+        """Whether the higher SH coefficients take a step after `step`.
+
+        The last step is one; a run that ends before the end it planned loses what has gathered.
+        """
         return step % self.shN_every == 0 or step >= self.iterations
 
     def sh_degree_at(self, step: int) -> int:

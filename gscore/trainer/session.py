@@ -217,7 +217,7 @@ class Session:
         found = checkpoint.load(self._folder.checkpoint(back))
         trainer.restore(found.trainer, found.tensors)
         trainer.rate_factor = self._watchdog.rate_factor
-        self._meter.rewind(back)
+        self._meter.rewind(back, splats=len(trainer.model))
         self._steering.restore(found.session.get("steering"))
         self._evals = [entry for entry in self._evals if entry["step"] <= back]
         # Those of the way that led astray must not be what a resume finds.

@@ -6,7 +6,7 @@ from ..events import CONVERGED, FINISHED, TARGET
 from .evaluation import Evaluator
 from .goals import Goals
 from .meter import Meter
-from .pace import Pace
+from .pace import FIRST_STEPS, Pace
 from .trainer import Trainer
 
 
@@ -18,6 +18,8 @@ class Steering:
         self._meter = meter
         budget = trainer.config.time_budget
         self._pace = Pace(budget, trainer.plan_of) if budget else None
+        if budget and trainer.plan.iterations < FIRST_STEPS:
+            trainer.replan(FIRST_STEPS)  # a budget knows no number of steps before these
         self._goals = Goals(trainer.config, trainer, evaluator)
         self._reached = False
 
@@ -58,6 +60,7 @@ class Steering:
         """Go on from what `state` returned; None: from a run that had none."""
         if state is not None:
             self._goals.restore(state)
+        self._reached = self._goals.reached()
         if self._goals.length:
             self._trainer.replan(self._goals.length)
         self._meter.plan = self._trainer.plan

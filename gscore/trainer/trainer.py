@@ -280,6 +280,7 @@ class Trainer:
             "bad_rows": self.bad_rows,
             "lost_rows": self.lost_rows,
             "skipped": self._skipped,
+            "factor": self._factor if math.isfinite(self._factor) else None,
         }
 
     def tensors(self) -> dict[str, torch.Tensor]:
@@ -296,8 +297,10 @@ class Trainer:
 
         The length of the run is that of the config, unless a time budget leaves it open.
         """
-        if self.config.time_budget:
-            self.replan(state.get("iterations", self.config.iterations))
+        length = self.config.iterations
+        self.replan(state.get("iterations", length) if self.config.time_budget else length)
+        factor = state.get("factor")
+        self._factor = math.inf if factor is None else factor
         names = list(self.model.params)
         self.model = Model({name: tensors[f"param/{name}"] for name in names})
         for name in names:

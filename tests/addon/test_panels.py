@@ -141,6 +141,15 @@ def test_the_curve_is_thinned_out_evenly() -> None:
     assert np.mean(curve.losses) == pytest.approx(losses[:covered].mean(), rel=1e-9)
 
 
+def test_the_curve_forgets_what_a_run_took_back() -> None:
+    """Oracle: the points of a run that went back from step 9 to step 5."""
+    curve = LossCurve()
+    for step in (1, 3, 5, 7, 9, 6, 8):
+        curve.add(step, 1.0 / step)
+    assert curve.steps == [1, 3, 5, 6, 8]
+    assert curve.losses == [pytest.approx(1 / step) for step in curve.steps]
+
+
 def test_the_curve_as_a_picture() -> None:
     """Oracle: a loss that falls exponentially is a straight line from upper left to the middle."""
     curve = LossCurve()

@@ -39,6 +39,8 @@ def test_a_target_ends_the_run(capture: Path, tmp_path: Path) -> None:
     result, events = run(capture, tmp_path / "goal", replace(CONFIG, target_psnr=target))
     assert (result.reason, result.steps) == ("target", end)
     assert result.metrics["reason"] == "target"
+    same, _ = run(capture, tmp_path / "goal", replace(CONFIG, target_psnr=target), resume=True)
+    assert (same.reason, same.steps) == ("target", end), "there is nothing left to do"
     assert result.metrics["psnr"] == pytest.approx(course[end], abs=1e-6)
     measured = {e.step: e.metrics["psnr"] for e in events if isinstance(e, Eval)}
     assert sorted(measured) == list(range(25, end + 1, 25))
@@ -120,3 +122,5 @@ def test_time_budget_of_a_run(
     longer, _ = run(capture, tmp_path / "out", replace(config, time_budget=1.5), resume=True)
     assert longer.train_seconds == pytest.approx(1.5, abs=0.05)
     assert longer.steps == round(longer.train_seconds / 0.005)
+    few, _ = run(capture, tmp_path / "few", replace(config, iterations=3))
+    assert few.train_seconds == pytest.approx(1.0, abs=0.05), "a budget knows no number of steps"

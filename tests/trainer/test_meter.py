@@ -20,3 +20,18 @@ def test_the_time_left_holds_while_photos_grow() -> None:
     assert meter.train_seconds == pytest.approx(sum(seconds))
     assert meter.progress().psnr == pytest.approx(20)
     assert seconds[0] < 0.35 * seconds[-1], "else the time left would be easy to tell"
+
+
+def test_a_resumed_run_stands_where_it_stood() -> None:
+    """Oracle: the same meter, not stopped."""
+    config = TrainConfig(iterations=2000, max_splats=5000)
+    plan = Plan.of(config, extent=1.0, points=100, side=600, pixels=360_000)
+    meter, resumed = Meter(plan, splats=100), Meter(plan, splats=100)
+    for step in range(1, 61):
+        meter.update(step=step, loss=0.1, mse=0.01, splats=100 + step, seconds=0.01)
+    resumed.restore(meter.state())
+    there, here = meter.progress(), resumed.progress()
+    assert (here.step, here.splats) == (there.step, there.splats) == (60, 160)
+    assert here.eta_s == pytest.approx(there.eta_s)
+    resumed.rewind(40, splats=140)
+    assert (resumed.progress().step, resumed.progress().splats) == (40, 140)

@@ -138,26 +138,36 @@ def test_a_run_at_absurd_rates_is_rescued(capture: Path, tmp_path: Path) -> None
 
 
 @pytest.mark.usefixtures("often")
+@pytest.mark.parametrize("coarse", [1.0, 4.0])
 def test_a_rescued_run_that_is_stopped_goes_on_to_the_same_bits(
-    capture: Path, tmp_path: Path
+    capture: Path, tmp_path: Path, coarse: float
 ) -> None:
-    """Oracle: the bytes of point_cloud.ply of a run that was not stopped, for stops before and
-    after the rescues."""
-    events = run(ABSURD, capture, tmp_path / "whole")
+    """Oracle: the bytes of point_cloud.ply of a run that was not stopped, for stops before, right
+    after and long after the rescues; with photos of one size, and of sizes that a rescue takes
+    back."""
+    absurd = replace(ABSURD, coarse_factor=coarse)
+    events = run(absurd, capture, tmp_path / "whole")
     assert any(isinstance(e, Warn) and e.code == "diverged" for e in events)
     expected = (tmp_path / "whole" / "point_cloud.ply").read_bytes()
-    for stop in (30, 45, 70, 200):
-        control, output = Control(), tmp_path / str(stop)
-        config = replace(ABSURD, snapshot_every=stop)
-        train(
-            config,
-            DataConfig(source=capture),
-            output,
-            lambda e, control=control: control.stop() if e.kind == "snapshot" else None,
-            control,
-        )
+    for stop, rescues in ((30, 0), (70, 0), (200, 0), (10, 1), (10, 2)):
+        output = tmp_path / f"{stop}-{rescues}"
+        config = replace(absurd, snapshot_every=stop)
+        _stopped(config, capture, output, rescues=rescues)
         run(config, capture, output, resume=True)
-        assert (output / "point_cloud.ply").read_bytes() == expected, stop
+        assert (output / "point_cloud.ply").read_bytes() == expected, (stop, rescues)
+
+
+def _stopped(config: TrainConfig, capture: Path, output: Path, *, rescues: int) -> None:
+    """A run that is stopped at its first snapshot after so many rescues."""
+    control, seen = Control(), 0
+
+    def watch(event: Event) -> None:
+        nonlocal seen
+        seen += isinstance(event, Warn) and event.code == "diverged"
+        if event.kind == "snapshot" and seen >= rescues:
+            control.stop()
+
+    train(config, DataConfig(source=capture), output, watch, control)
 
 
 def test_a_run_that_cannot_be_rescued_ends_with_an_error(capture: Path, tmp_path: Path) -> None:
