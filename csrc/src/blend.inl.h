@@ -116,7 +116,7 @@ template <bool kBackward, class B> static inline void unclamped_alphas(B &b) {
         }
         exp2_above<kCount>(kLog2AlphaMin, q, alpha);
         for (int j = 0; j < kCount; ++j)
-            store(b.alpha[i] + j * kLanes, alpha[j]);
+            store(reinterpret_cast<float *>(b.alpha + i) + j * kLanes, alpha[j]); // across rows of the array
     }
 }
 static_assert(kLanes % kBlock == 0);

@@ -104,7 +104,7 @@ def damaged_json(draw: st.DrawFn, good: bytes) -> bytes:
     content = copy.deepcopy(json.loads(good))
     for _ in range(draw(st.integers(1, 3))):
         path = draw(st.sampled_from(_places(content)))
-        value = draw(st.sampled_from(_VALUES))
+        value = copy.deepcopy(draw(st.sampled_from(_VALUES)))
         if not path:
             content = value
             break
