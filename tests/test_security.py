@@ -32,6 +32,7 @@ UNSAFE_NAMES = (
     ".",
     "a\x00b.png",
     "a\nb.png",
+    "a\ud800.png",
 )
 
 

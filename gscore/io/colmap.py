@@ -138,7 +138,7 @@ def is_safe_name(name: str) -> bool:
         and not windows.drive
         and not windows.root
         and ".." not in windows.parts
-        and not any(ord(letter) < 32 for letter in name)
+        and not any(ord(letter) < 32 or 0xD800 <= ord(letter) < 0xE000 for letter in name)
     )
 
 
