@@ -17,7 +17,7 @@ BUILD = ROOT / "build" / "fuzz"
 TARGETS = {"raster": 0.3, "loss": 0.05, "adam": 0.05}
 """Shares of the time."""
 READERS, SCENES_A_SECOND = 0.3, 15
-FORMATS = 29
+FORMATS = 28
 
 
 def run(*command: str, **environment: str) -> int:
