@@ -15,7 +15,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -32,6 +33,19 @@ class HarmError(Exception):
 
 class CannotError(Exception):
     """A fault that cannot be made here."""
+
+
+@contextmanager
+def file_system(place: Path, options: str) -> Iterator[Path]:
+    """A new file system in memory at `place`, with these options of mount."""
+    place.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(place)]
+    if subprocess.run(mount, capture_output=True).returncode:
+        raise CannotError("mounting takes rights that this user does not have")
+    try:
+        yield place
+    finally:
+        subprocess.run(["umount", "-l", str(place)], check=False)
 
 
 def command(output: Path, *extra: str, capture: Path = CAPTURE) -> list[str]:
@@ -147,14 +161,7 @@ class Faults:
 
     def full_disk(self) -> str:
         """A file system of 1 MB."""
-        place = self.work / "small"
-        place.mkdir()
-        mounted = subprocess.run(
-            ["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", str(place)], capture_output=True
-        )
-        if mounted.returncode:
-            raise CannotError("mounting takes rights that this user does not have")
-        try:
+        with file_system(self.work / "small", "size=1m") as place:
             output = place / "out"
             ended = finish(command(output))
             said = sentence(ended)
@@ -166,25 +173,14 @@ class Faults:
             if kept:
                 self.resumed(output)
             return f"“{said[:60]}...”, {kept} checkpoints kept; resumed after making room"
-        finally:
-            subprocess.run(["umount", "-l", str(place)], check=False)
 
     def read_only_output(self) -> str:
         """A read-only file system."""
-        place = self.work / "fixed"
-        place.mkdir()
-        mounted = subprocess.run(
-            ["mount", "-t", "tmpfs", "-o", "ro", "tmpfs", str(place)], capture_output=True
-        )
-        if mounted.returncode:
-            raise CannotError("mounting takes rights that this user does not have")
-        try:
+        with file_system(self.work / "fixed", "ro") as place:
             ended = finish(command(place / "out"))
             said = sentence(ended)
             expect(ended.returncode == 2 and "Read-only" in said, said)
             return f"“{said}”"
-        finally:
-            subprocess.run(["umount", "-l", str(place)], check=False)
 
     def photos_deleted_or_changed(self) -> str:
         """Photos vanish while a run goes on; then one comes back changed."""

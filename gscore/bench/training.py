@@ -9,7 +9,7 @@ import numpy as np
 from ..config import DataConfig, TrainConfig
 from ..datasets import Dataset, load_dataset
 from ..errors import DatasetError
-from ..metrics.evaluate import target_picture
+from ..metrics.evaluate import masked_pair, target_picture
 from ..metrics.image import psnr, ssim
 from ..splats import Splats
 from ..trainer.torch_threads import one_torch_thread
@@ -72,10 +72,9 @@ def quality(trainer: Trainer) -> tuple[float, float]:
         target, weights = target_picture(
             photos.image(index), photos.mask(index), photos.mask_mode, background
         )
-        picture = np.clip(trainer.picture(index, background=background).numpy(), 0.0, 1.0)
+        picture = trainer.picture(index, background=background).numpy()
         if weights is not None:
-            scale = weights[:, :, None] / 255.0
-            picture, target = picture * scale, target * scale
+            picture, target = masked_pair(picture, target, weights)
         values.append((psnr(picture, target), ssim(picture, target)))
     means = np.mean(values, axis=0)
     return float(means[0]), float(means[1])

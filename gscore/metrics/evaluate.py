@@ -47,6 +47,20 @@ def target_picture(
     return target * alpha + np.asarray(background, dtype=np.float64) * (1.0 - alpha), None
 
 
+def masked_pair(
+    picture: np.ndarray, target: np.ndarray, weights: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Both pictures with the pixels outside a mask black, so that they count as equal there.
+
+    Args:
+        picture: [H, W, 3] float, clipped to [0, 1] first.
+        target: [H, W, 3] float in [0, 1].
+        weights: [H, W] uint8, as `target_picture` gives them.
+    """
+    scale = weights[:, :, None] / 255.0
+    return np.clip(picture, 0.0, 1.0) * scale, target * scale
+
+
 def evaluate(
     render: Callable[[int], np.ndarray],
     dataset: Any,
@@ -122,8 +136,7 @@ def _put_lpips(
     elif weights is None:
         values["lpips"] = lpips(picture, target)
     else:
-        scale = weights[:, :, None] / 255.0
-        values["lpips"] = lpips(np.clip(picture, 0.0, 1.0) * scale, target * scale)
+        values["lpips"] = lpips(*masked_pair(picture, target, weights))
     values[lpips.key] = values["lpips"]
 
 

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from ..config import TrainConfig
-from ..metrics.evaluate import target_picture
+from ..metrics.evaluate import masked_pair, target_picture
 from ..metrics.image import psnr
 from .evaluation import Evaluator
 from .trainer import Trainer
@@ -55,8 +55,7 @@ class Goals:
             target, weights = target_picture(photo, mask, photos.mask_mode, background)
             picture = self._evaluator.picture(view)
             if weights is not None:  # as `image_metrics`: outside the mask pixels count as equal
-                keep = weights[:, :, None] / 255.0
-                picture, target = np.clip(picture, 0, 1) * keep, target * keep
+                picture, target = masked_pair(picture, target, weights)
             values.append(psnr(picture, target))
         found = float(np.mean(values))
         self._found.append((trainer.steps, found))
