@@ -8,6 +8,8 @@
 namespace gs::GS_NAMESPACE {
 
 constexpr int kShMax = 16;
+// Largest gradient of a basis function that is passed on to the viewing direction.
+constexpr float kSlopeMax = 1e30f;
 
 // Constants: sqrt of rational multiples of 1/pi, see e.g. Sloan 2013, "Efficient spherical harmonic evaluation".
 constexpr float kSh0 = 0.28209479177387814f;
@@ -131,9 +133,14 @@ static inline void sh_backward(const gs_splats &in, const gs_splat_grads &grads,
         if (rest < in.sh_rest && !grads.add_shN)
             std::memset(grads.shN + row + 3 * rest, 0, size_t(in.sh_rest - rest) * 3 * sizeof(float));
     }
+    // Coefficients that all but overflow leave a colour alone where their basis function is zero, but not its slope:
+    // such a slope is dropped, NaN failing the comparisons.
+    const Vec most = set1(kSlopeMax);
     Vec s[kShMax];
-    for (int k = 0; k <= rest; ++k)
+    for (int k = 0; k <= rest; ++k) {
         s[k] = load(v_basis[k]);
+        s[k] = keep(both(ge(most, s[k]), ge(s[k], -most)), s[k]);
+    }
     sh_basis_backward(in.sh_degree, x, y, z, s, v_dir);
 }
 

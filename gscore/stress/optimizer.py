@@ -14,28 +14,35 @@ _RATES = {"means": 1e-3, "quats": 1e-3, "scales": 5e-3, "opacities": 0.02, "sh0"
 
 
 class _Dense:
-    """Adam (Kingma and Ba 2015) in float64, every row at every step."""
+    """Adam (Kingma and Ba 2015), every row at every step."""
 
-    def __init__(self, values: dict[str, np.ndarray]) -> None:
-        self.values = {k: v.astype(np.float64) for k, v in values.items()}
+    def __init__(self, values: dict[str, np.ndarray], dtype: type[np.floating]) -> None:
+        self.dtype = dtype
+        self.values = {k: v.astype(dtype) for k, v in values.items()}
         self.first = {k: np.zeros_like(v) for k, v in self.values.items()}
         self.second = {k: np.zeros_like(v) for k, v in self.values.items()}
         self.steps = 0
 
     def step(self, gradients: dict[str, np.ndarray], rates: dict[str, float]) -> None:
         self.steps += 1
-        for name, g in gradients.items():
-            m, v = self.first[name], self.second[name]
-            m += (1 - BETA1) * (g - m)
-            v += (1 - BETA2) * (g.astype(np.float64) ** 2 - v)
-            size = np.sqrt(v / (1 - BETA2**self.steps)) + EPS
-            self.values[name] -= rates[name] * (m / (1 - BETA1**self.steps)) / size
+        c = self.dtype  # numbers of Python would not, arrays of NumPy do, raise float32 to float64
+        unbias = c(1 / (1 - BETA1**self.steps)), c(1 / (1 - BETA2**self.steps))
+        for name, gradient in gradients.items():
+            m, v, g = self.first[name], self.second[name], gradient.astype(c)
+            m += c(1 - BETA1) * (g - m)
+            v += c(1 - BETA2) * (g * g - v)
+            size = np.sqrt(v * unbias[1]) + c(EPS)
+            self.values[name] -= c(rates[name]) * (m * unbias[0]) / size
 
     def edit(self, keep: np.ndarray, copied: np.ndarray) -> None:
         for values, new in ((self.values, True), (self.first, False), (self.second, False)):
             for name, array in values.items():
                 more = array[copied] if new else np.zeros_like(array[copied])
                 values[name] = np.concatenate([array[keep], more])
+
+    def reset_opacities(self, ceiling: float) -> None:
+        self.values["opacities"] = np.minimum(self.values["opacities"], self.dtype(ceiling))
+        self.first["opacities"][:] = self.second["opacities"][:] = 0
 
 
 def _model(values: dict[str, np.ndarray]) -> Any:
@@ -59,7 +66,7 @@ def _step(
 
 @case("S23", "optimizer, splats seen now and then")
 def adam(full: bool) -> Iterator[Measure]:
-    """Oracle: dense Adam in float64, through pruning, copying, reordering and resets."""
+    """Oracle: dense Adam, float32 and float64, through pruning, copying, reordering and resets."""
     import torch
 
     from ..trainer.strategy import ops
@@ -72,13 +79,14 @@ def adam(full: bool) -> Iterator[Measure]:
     values["opacities"] = values["opacities"][:, 0]
     values["sh0"], values["shN"] = values["sh0"][:, None], values["shN"].reshape(_ROWS, 15, 3)
     start = values["means"][0].copy()
-    model, dense = _model(values), _Dense(values)
+    model = _model(values)
+    twin, true = _Dense(values, np.float32), _Dense(values, np.float64)
     unseen = 10
     for step in range(steps):
         seen = rng.random(len(model)) < 0.3
         seen[:unseen] = False
         gradients = {}
-        for name, array in dense.values.items():
+        for name, array in true.values.items():
             g = rng.normal(size=array.shape).astype(np.float32) * np.float32(
                 10.0 ** rng.uniform(-6, 1)
             )
@@ -87,7 +95,8 @@ def adam(full: bool) -> Iterator[Measure]:
         decay = 0.01 ** (step / steps)
         rates = {name: rate * decay for name, rate in _RATES.items()} | {"shN": 1.25e-4}
         _step(model, gradients, seen, rates)
-        dense.step(gradients, rates)
+        twin.step(gradients, rates)
+        true.step(gradients, rates)
         if step % 97 == 50:
             model.settle()
             rest = unseen + rng.permutation(len(model) - unseen)
@@ -95,20 +104,30 @@ def adam(full: bool) -> Iterator[Measure]:
             copied = rest[:20]
             copies = ops.duplicate(model, torch.from_numpy(copied))
             ops.edit(model, keep=torch.from_numpy(keep), append=copies)
-            dense.edit(keep, copied)
+            twin.edit(keep, copied)
+            true.edit(keep, copied)
         if step % 131 == 100:
             model.settle()
             ops.reset_opacities(model, 0.01)
             ceiling = np.log(0.01 / 0.99)
-            dense.values["opacities"] = np.minimum(dense.values["opacities"], ceiling)
-            dense.first["opacities"][:] = dense.second["opacities"][:] = 0
+            twin.reset_opacities(ceiling)
+            true.reset_opacities(ceiling)
     moved, settled = 0.0, model.settled()
-    for name, true in dense.values.items():
+    # A thousand steps round a thousand times: two trainings in float32 part by 2.4e-6, both 2.7e-6
+    # from float64.
+    tolerance = 4e-6 if full else 2e-6
+    for name, values64 in true.values.items():
         found = settled[name].detach().numpy()
-        error = np.abs(found - true) / np.maximum(np.abs(true), 1.0)
-        moved = max(moved, float(np.abs(true[unseen:]).std()))
-        yield Measure(name, float(error.max()), 2e-6)
-    if not moved > 0.5 or (dense.values["means"][unseen] == start).all():
+        size = np.maximum(np.abs(values64), 1.0)
+        moved = max(moved, float(np.abs(values64[unseen:]).std()))
+        # The rows of shN that wait are caught up in one sum, not step by step.
+        same_steps = tolerance if name == "shN" else 5e-7
+        for other, dense, limit in (
+            ("float32", twin.values[name], same_steps),
+            ("float64", values64, tolerance),
+        ):
+            yield Measure(f"{name}, {other}", float((np.abs(found - dense) / size).max()), limit)
+    if not moved > 0.5 or (true.values["means"][unseen] == start).all():
         raise EmptyTestError("the parameters did not move")
     still = np.abs(settled["means"].numpy()[0] - start).max()
     yield Measure("a row never seen, movement", float(still), 0)

@@ -137,7 +137,8 @@ def all_extreme(full: bool) -> Iterator[Measure]:
     """Oracle: finiteness. Each number of each splat from the list of extremes, at random."""
     values = np.array(_BROKEN + _EXTREME + (1.0, -1.0, 0.5, 2.0), np.float32)
     bad = visible = 0
-    for seed in range(200 if full else 20):
+    # The latter: coefficients of 3e38 where the basis function is zero and its slope is not.
+    for seed in range(200) if full else (*range(16), 116, 136, 150, 162):
         rng = np.random.default_rng(1250 + seed)
         scene = draw_scene(seed, count=60, width=24, height=20, posed=bool(seed % 2))
         changed = {}

@@ -64,12 +64,14 @@ def instruction_sets(full: bool) -> Iterator[Measure]:
                 drawn[isa] = native.draw(scene, true.weights)
         best = drawn[isas[0]]
         for isa in isas[1:]:
+            # Without fused multiply-add each set has errors of its own, of 1e-6 against the truth.
+            tolerance = 2e-6 if isa == "scalar" else 1e-6
             for name, picture in drawn[isa].pictures.items():
                 if name == "median_depth":
                     continue  # chooses one splat, by a comparison that rounding can turn over
                 scale = max(1.0, float(np.abs(true.pictures[name]).max()))
                 error = np.abs(picture - best.pictures[name])[~true.band].max() / scale
-                yield Measure(f"{isas[0]} and {isa}, picture", float(error), 1e-6)
+                yield Measure(f"{isas[0]} and {isa}, picture", float(error), tolerance)
             errors = [
                 np.abs(g - best.gradients[k]).max() / np.abs(best.gradients[k]).max()
                 for k, g in drawn[isa].gradients.items()
