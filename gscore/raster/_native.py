@@ -229,6 +229,18 @@ def _load() -> ct.CDLL:
             f"The native library {path} has interface version {version}, this gscore needs "
             f"{ABI_VERSION}. Reinstall gscore so that both come from one version."
         )
+    try:
+        _declare(lib)
+    except AttributeError as error:  # a build from before a function was added
+        raise BackendError(
+            f"The native library {path} is another build than this gscore: {error}. "
+            "Reinstall gscore so that both come from one version."
+        ) from None
+    return lib
+
+
+def _declare(lib: ct.CDLL) -> None:
+    """Tell ctypes what the functions take and give."""
     for name in ("gs_last_error", "gs_isas", "gs_isa"):
         getattr(lib, name).restype = ct.c_char_p
     lib.gs_default_threads.restype = ct.c_int32
@@ -275,7 +287,6 @@ def _load() -> ct.CDLL:
         _pointer,
         ct.c_int32,
     ]
-    return lib
 
 
 _lock = threading.Lock()

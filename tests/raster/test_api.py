@@ -1,5 +1,6 @@
 """Oracles: the torch wrapper for the numpy one, wall time for cancelling, messages for errors."""
 
+import ctypes
 import threading
 import time
 from pathlib import Path
@@ -167,4 +168,25 @@ def test_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("GSCORE_LIBRARY", "/nowhere/libgscore.so")
     monkeypatch.setattr(_native, "_library", None)
     with pytest.raises(gscore.BackendError, match="native library is missing"):
+        _native.library()
+
+
+def test_an_older_build_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: the message. A build of the same interface version may lack its newest function."""
+    from gscore.raster import _native
+
+    load = ctypes.CDLL
+
+    class Older:
+        def __init__(self, path: str) -> None:
+            self.real = load(path)
+
+        def __getattr__(self, name: str) -> object:
+            if name == "gs_adam_step":
+                raise AttributeError(f"undefined symbol: {name}")
+            return getattr(self.real, name)
+
+    monkeypatch.setattr(_native.ct, "CDLL", Older)
+    monkeypatch.setattr(_native, "_library", None)
+    with pytest.raises(gscore.BackendError, match=r"another build.*gs_adam_step"):
         _native.library()
