@@ -1,18 +1,27 @@
-"""How cost grows with splats, pixels and threads: each point in a process of its own, and the
-straight line through the points."""
+"""How cost grows with splats, pixels, threads and views: each point in a process of its own, and
+the straight line through the points."""
 
 import json
+import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ..io.ply import write_splats
+from .synthetic import SyntheticPhotos
+
 SPLATS = (10_000, 30_000, 100_000, 300_000, 1_000_000, 2_000_000)
 SIZES = ((400, 250), (640, 400), (1280, 800), (1920, 1200), (2560, 1600), (3584, 2240))
 """0.1 to 8 megapixels."""
+VIEWS = (10, 30, 100, 300, 1000)
+CACHE_MB = 64
+"""Photos that stay in memory in the second row of each number of views."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,11 +40,11 @@ class Series:
     """Costs over one quantity."""
 
     quantity: str
-    """`splats`, `pixels` or `threads`."""
+    """`splats`, `pixels`, `threads` or `views`."""
     rows: list[dict[str, Any]]
-    """What `gscore bench step --json` says of each point."""
+    """What `gscore bench step --json` says of each point; of views, with `cache_mb`."""
     lines: dict[str, Line]
-    """Lines of step_ms and of each part over the quantity; empty for threads."""
+    """Lines of step_ms and of each part over splats or pixels; empty for the others."""
 
 
 def fit_line(xs: Sequence[float], ys: Sequence[float]) -> Line:
@@ -55,40 +64,44 @@ def bench_scaling(
     splats: Sequence[int] = SPLATS,
     sizes: Sequence[tuple[int, int]] = SIZES,
     threads: Sequence[int],
+    views: Sequence[int] = VIEWS,
     cloud: int = 100_000,
     steps: int = 20,
     on_row: Callable[[str, dict[str, Any]], None] | None = None,
 ) -> list[Series]:
-    """Measure steps of the synthetic cloud: over splats at 640 x 400 px, over pixels and over
-    threads with `cloud` splats.
+    """Measure steps of the synthetic cloud: over splats at 640 x 400 px; over pixels, threads and
+    views with `cloud` splats. Views are JPEG files; each number of them is measured with all photos
+    in memory and with no more than CACHE_MB of them, at least a step a view.
 
     Args:
         splats: Sizes of the cloud.
         sizes: Widths and heights, px.
         threads: Numbers of threads.
+        views: Numbers of views.
         cloud: Splats where another quantity varies.
         steps: Steps a point.
         on_row: Called with the quantity and each row as it is done.
     """
-    plans: list[tuple[str, list[tuple[int, int, int, int]]]] = [
-        ("splats", [(count, 640, 400, 0) for count in splats]),
-        ("pixels", [(cloud, width, height, 0) for width, height in sizes]),
-        ("threads", [(cloud, 640, 400, count) for count in threads]),
-    ]
     found = []
-    for quantity, points in plans:
+
+    def series(quantity: str, points: Iterable[dict[str, Any]]) -> None:
         rows = []
         for point in points:
-            row = _measure(*point, steps=steps)
-            rows.append(row)
+            rows.append(point)
             if on_row is not None:
-                on_row(quantity, row)
+                on_row(quantity, point)
         found.append(Series(quantity=quantity, rows=rows, lines=_lines(quantity, rows)))
+
+    series("splats", (_cloud(count, 640, 400, 0, steps) for count in splats))
+    series("pixels", (_cloud(cloud, width, height, 0, steps) for width, height in sizes))
+    series("threads", (_cloud(cloud, 640, 400, count, steps) for count in threads))
+    with tempfile.TemporaryDirectory(prefix="gscore-") as folder:
+        series("views", _views(Path(folder), views, cloud, steps))
     return found
 
 
 def _lines(quantity: str, rows: list[dict[str, Any]]) -> dict[str, Line]:
-    if quantity == "threads" or len(rows) < 3:
+    if quantity not in ("splats", "pixels") or len(rows) < 3:
         return {}
     xs = [r["splats"] if quantity == "splats" else r["width"] * r["height"] for r in rows]
     parts = {"step": [r["step_ms"] for r in rows]}
@@ -97,9 +110,32 @@ def _lines(quantity: str, rows: list[dict[str, Any]]) -> dict[str, Line]:
     return {name: fit_line(xs, ys) for name, ys in parts.items()}
 
 
-def _measure(count: int, width: int, height: int, threads: int, *, steps: int) -> dict[str, Any]:
-    command = [sys.executable, "-m", "gscore", "bench", "step", "--json"]
-    command += ["--splats", str(count), "--width", str(width), "--height", str(height)]
-    command += ["--threads", str(threads), "--steps", str(steps)]
+def _cloud(count: int, width: int, height: int, threads: int, steps: int) -> dict[str, Any]:
+    size = ["--splats", str(count), "--width", str(width), "--height", str(height)]
+    return _measure([*size, "--threads", str(threads), "--steps", str(steps)])
+
+
+def _views(folder: Path, counts: Sequence[int], cloud: int, steps: int) -> Iterator[dict[str, Any]]:
+    if not counts:
+        return
+    photos = SyntheticPhotos(cloud, 640, 400)
+    write_splats(folder / "splats.ply", photos.splats)
+    for count in counts:
+        capture = folder / str(count)
+        photos.write(capture, count)
+        given = [
+            str(capture),
+            "--ply",
+            str(folder / "splats.ply"),
+            "--steps",
+            str(max(steps, count)),
+        ]
+        yield _measure(given) | {"cache_mb": None}
+        yield _measure([*given, "--cache-mb", str(CACHE_MB)]) | {"cache_mb": CACHE_MB}
+        shutil.rmtree(capture)
+
+
+def _measure(options: list[str]) -> dict[str, Any]:
+    command = [sys.executable, "-m", "gscore", "bench", "step", "--json", *options]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     return json.loads(done.stdout)

@@ -1,27 +1,20 @@
 """How long a training step takes, and what its parts take."""
 
-import hashlib
 import statistics
 import time
 from dataclasses import dataclass
 
-import numpy as np
-
 from ..config import TrainConfig
 from ..metrics.machine import peak_memory_bytes
 from ..raster import backend
-from ..raster.api import render
-from ..scene import Cameras, PointCloud, Scene
 from ..splats import Splats
 from ..trainer.torch_threads import one_torch_thread
 from ..trainer.trainer import Trainer
 from ..trainer.views import Photos
-from .raster import STAGES, synthetic_scene
+from .raster import STAGES
 
 _WARM_UP = 5
 """Steps that are not counted: the first ones allocate."""
-_VIEWS = 6
-"""Views of the synthetic scene."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,6 +24,8 @@ class StepBench:
     isa: str
     threads: int
     splats: int
+    views: int
+    """To train on."""
     width: int
     """Of the first view, px."""
     height: int
@@ -51,51 +46,14 @@ class StepBench:
     """Of the whole process so far."""
 
 
-class SyntheticPhotos:
-    """Pictures of a synthetic cloud from a few places, as a trainer takes them."""
-
-    def __init__(self, count: int, width: int, height: int) -> None:
-        self.splats, first = synthetic_scene(count, width, height)
-        viewmats = np.repeat(first.viewmats, _VIEWS, axis=0)
-        viewmats[:, 0, 3] = np.linspace(-0.1, 0.1, _VIEWS)
-        cameras = Cameras(
-            viewmats=viewmats,
-            Ks=np.repeat(first.Ks, _VIEWS, axis=0),
-            widths=np.repeat(first.widths, _VIEWS),
-            heights=np.repeat(first.heights, _VIEWS),
-            names=tuple(f"synthetic_{i}" for i in range(_VIEWS)),
-        )
-        points = PointCloud(
-            points=self.splats.means.astype(np.float64), colors=np.zeros((count, 3), np.uint8)
-        )
-        self.scene = Scene(cameras=cameras, points=points)
-        self.train = list(range(_VIEWS))
-        self.test: list[int] = []
-        self.mask_mode = "none"
-        self._images = [self._photo(i, width, height) for i in self.train]
-
-    def content_hash(self) -> str:
-        """Of the pictures."""
-        return hashlib.sha256(b"".join(i.tobytes() for i in self._images)).hexdigest()[:16]
-
-    def image(self, index: int) -> np.ndarray:
-        """[H, W, 3] uint8."""
-        return self._images[index]
-
-    def mask(self, index: int) -> None:
-        """There is none."""
-
-    def _photo(self, index: int, width: int, height: int) -> np.ndarray:
-        cameras = self.scene.cameras
-        rgb = render(
-            self.splats, cameras.Ks[index], cameras.viewmats[index], width, height, depths=False
-        ).rgb
-        # Half as bright, so that the gradients are those of a picture that does not fit yet.
-        return (np.clip(rgb, 0, 1) * 127 + 0.5).astype(np.uint8)
-
-
 def bench_step(
-    photos: Photos, splats: Splats, *, steps: int = 60, threads: int = 0, config: TrainConfig
+    photos: Photos,
+    splats: Splats,
+    *,
+    steps: int = 60,
+    threads: int = 0,
+    config: TrainConfig,
+    photo_cache: int | None = None,
 ) -> StepBench:
     """Train for some steps from given splats, without adding or removing any.
 
@@ -105,6 +63,8 @@ def bench_step(
         steps: Steps to measure.
         threads: 0: all cores.
         config: Method; its length, size and schedules are set here.
+        photo_cache: Bytes of photos that may stay in memory, the others being decoded again and
+            again; None: all of them do.
     """
     total = steps + _WARM_UP
     given = {name: getattr(config, name) for name in ("strategy", "without", "ssim_weight")}
@@ -122,7 +82,7 @@ def bench_step(
     stages = dict.fromkeys(STAGES, 0.0)
     pairs = pixels = 0.0
     with one_torch_thread():
-        trainer = Trainer(config, photos, start=splats)
+        trainer = Trainer(config, photos, start=splats, photo_cache=photo_cache)
         for step in range(total):
             began = time.perf_counter()
             trainer.step()
@@ -142,6 +102,7 @@ def bench_step(
         isa=backend.isa(),
         threads=threads or backend.default_threads(),
         splats=len(splats),
+        views=len(photos.train),
         width=int(cameras.widths[0]),
         height=int(cameras.heights[0]),
         steps=steps,

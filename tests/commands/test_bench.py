@@ -124,8 +124,11 @@ def test_scaling_finds_the_line(capsys: pytest.CaptureFixture[str]) -> None:
     line = fit_line([1, 2, 5], [5, 7, 13])
     assert (line.base, line.slope, line.r2) == pytest.approx((3, 2, 1))
     sizes = ["--sizes", "--threads", "1", "--splats", "50", "100", "200", "--cloud", "50"]
-    found = _json(capsys, "scaling", *sizes, "--steps", "1")
-    assert [s["quantity"] for s in found["series"]] == ["splats", "pixels", "threads"]
+    found = _json(capsys, "scaling", *sizes, "--views", "3", "--steps", "1")
+    assert [s["quantity"] for s in found["series"]] == ["splats", "pixels", "threads", "views"]
+    views = found["series"][3]["rows"]
+    assert [(r["views"], r["steps"], r["cache_mb"]) for r in views] == [(3, 3, None), (3, 3, 64)]
+    assert views[0]["pairs_per_pixel"] == views[1]["pairs_per_pixel"] > 0
     assert [row["splats"] for row in found["series"][0]["rows"]] == [50, 100, 200]
     assert "step" in found["series"][0]["lines"] and not found["series"][1]["rows"]
     assert all(row["peak_memory_bytes"] > 0 for s in found["series"] for row in s["rows"])

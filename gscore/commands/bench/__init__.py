@@ -8,7 +8,7 @@ WHAT = {
     "step": "a training step and its parts",
     "skips": "what each skip brings, on a capture",
     "time-error": "held-out error over seconds of training, for presets and variants",
-    "scaling": "cost over splats, pixels and threads",
+    "scaling": "cost over splats, pixels, threads and views",
 }
 
 

@@ -1,4 +1,4 @@
-"""`gscore bench scaling`: cost over splats, pixels and threads."""
+"""`gscore bench scaling`: cost over splats, pixels, threads and views."""
 
 import argparse
 import json
@@ -6,7 +6,7 @@ import sys
 from dataclasses import asdict
 from typing import Any
 
-from ...bench.scaling import SIZES, SPLATS, Series, bench_scaling
+from ...bench.scaling import SIZES, SPLATS, VIEWS, Series, bench_scaling
 from ...metrics.machine import cores, machine
 from ...raster import backend
 
@@ -18,9 +18,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--sizes", nargs="*", type=_size, default=SIZES, metavar="WxH", help="of the picture, px"
     )
     parser.add_argument("--threads", nargs="*", type=int, help="1 to all cores")
-    parser.add_argument(
-        "--cloud", type=int, default=100_000, help="splats where pixels or threads vary"
-    )
+    parser.add_argument("--views", nargs="*", type=int, default=VIEWS, help="numbers of photos")
+    parser.add_argument("--cloud", type=int, default=100_000, help="splats where others vary")
     parser.add_argument("--steps", type=int, default=20, help="steps a point (default 20)")
 
 
@@ -30,6 +29,7 @@ def run(args: argparse.Namespace) -> int:
         splats=args.splats,
         sizes=args.sizes,
         threads=tuple(range(1, cores() + 1)) if args.threads is None else args.threads,
+        views=args.views,
         cloud=args.cloud,
         steps=args.steps,
         on_row=None if args.json else _show,
@@ -57,11 +57,14 @@ def _size(text: str) -> tuple[int, int]:
 
 def _show(quantity: str, row: dict[str, Any]) -> None:
     stages = "  ".join(f"{name} {ms:.1f}" for name, ms in row["raster_ms"].items())
-    memory = row["peak_memory_bytes"]
+    memory, cache = row["peak_memory_bytes"], row.get("cache_mb")
+    kept = "" if quantity != "views" else f", {row['views']} views"
+    kept += "" if cache is None else f", {cache} MB of photos kept"
     print(
         f"{quantity}: {row['splats']:,} splats, {row['width']} x {row['height']} px, "
-        f"{row['threads']} threads: {row['step_ms']:.1f} ms, {row['pairs_per_pixel']:.0f} pairs a "
-        f"pixel, {'-' if memory is None else round(memory / 1e6)} MB; {stages}",
+        f"{row['threads']} threads{kept}: {row['step_ms']:.1f} ms, "
+        f"{row['pairs_per_pixel']:.0f} pairs a pixel, "
+        f"{'-' if memory is None else round(memory / 1e6)} MB; {stages}",
         flush=True,
     )
 

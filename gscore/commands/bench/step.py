@@ -6,7 +6,8 @@ import sys
 from dataclasses import asdict
 from pathlib import Path
 
-from ...bench.step import StepBench, SyntheticPhotos, bench_step
+from ...bench.step import StepBench, bench_step
+from ...bench.synthetic import SyntheticPhotos
 from ...config import DataConfig, Skip, Strategy, TrainConfig
 from ...datasets import load_dataset
 from ...errors import ConfigError
@@ -26,6 +27,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--strategy", choices=tuple(Strategy), default=Strategy.DEFAULT)
     parser.add_argument("--without", nargs="+", choices=tuple(Skip), default=(), metavar="SKIP")
     parser.add_argument("--threads", type=int, default=0, help="0: all cores")
+    parser.add_argument(
+        "--cache-mb",
+        type=int,
+        metavar="MB",
+        help="photos of SOURCE that stay decoded, the others being decoded again when their turn "
+        "comes (default: all stay)",
+    )
     parser.add_argument("--isa", help="instruction set; `all` measures each that runs here")
     add_data_options(parser)
 
@@ -34,15 +42,21 @@ def run(args: argparse.Namespace) -> int:
     """Measure and print."""
     if (args.source is None) != (args.ply is None):
         raise ConfigError("SOURCE and --ply belong together: give both, or neither.")
+    if args.cache_mb is not None and (args.source is None or args.cache_mb < 1):
+        raise ConfigError("--cache-mb is at least 1 and takes a SOURCE: synthetic photos stay.")
     for name in ("steps", "splats", "width", "height"):
         if getattr(args, name) < 1:
             raise ConfigError(f"--{name} must be at least 1, got {getattr(args, name)}.")
+    cache = None if args.cache_mb is None else args.cache_mb * 1_000_000
     if args.source is None:
         photos = SyntheticPhotos(args.splats, args.width, args.height)
         splats = photos.splats
     else:
         photos = load_dataset(with_data_options(DataConfig(source=args.source), args))
-        photos.preload()
+        if cache is None:
+            photos.preload()
+        else:
+            photos.keep_few()
         splats = read_splats(args.ply)
     config = TrainConfig(
         strategy=Strategy(args.strategy), without=tuple(Skip(name) for name in args.without)
@@ -50,7 +64,14 @@ def run(args: argparse.Namespace) -> int:
     results = []
     for isa in backend.available_isas() if args.isa == "all" else [args.isa or backend.isa()]:
         backend.set_isa(isa)
-        found = bench_step(photos, splats, steps=args.steps, threads=args.threads, config=config)
+        found = bench_step(
+            photos,
+            splats,
+            steps=args.steps,
+            threads=args.threads,
+            config=config,
+            photo_cache=cache,
+        )
         results.append(found)
         if not args.json:
             sys.stdout.write(_table(found))
@@ -64,8 +85,8 @@ def _table(r: StepBench) -> str:
     laps = "  ".join(f"{name} {ms:.2f}" for name, ms in r.laps_ms.items())
     raster = "  ".join(f"{name} {ms:.2f}" for name, ms in r.raster_ms.items())
     return (
-        f"{r.isa}, {r.threads} threads, {r.splats:,} splats, {r.width} x {r.height} px, "
-        f"{r.steps} steps\n"
+        f"{r.isa}, {r.threads} threads, {r.splats:,} splats, {r.views} views, "
+        f"{r.width} x {r.height} px, {r.steps} steps\n"
         f"  a step takes {r.step_ms:.2f} ms (median; mean {r.mean_ms:.2f}), "
         f"{100 * r.raster_share:.0f} % of it in the rasterizer; "
         f"{r.pairs_per_pixel:.1f} pairs per pixel\n"
