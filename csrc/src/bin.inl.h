@@ -1,6 +1,7 @@
 // Which tiles, and which rows inside them, a projected splat reaches.
 // The region alpha >= 1/255 is an ellipse. Cut by a slab of pixel columns it is convex, so its rows form one interval
 // with closed-form ends; with a slab for each strip of a tile, tiles and blocks follow from these intervals alone.
+// Splats within two columns of tiles are cut a splat a lane, wider ones a strip a lane.
 #pragma once
 
 #include "simd.h"
@@ -13,6 +14,8 @@ typedef uint8_t Bytes __attribute__((vector_size(kLanes)));
 // Slack in px that covers rounding of the ends: a row too many costs time, one too few would change the image.
 static inline float slack_px(float extent) { return 0.01f + 1e-4f * extent; }
 
+static inline Vec slack_px(Vec extent) { return 0.01f + 1e-4f * extent; }
+
 static inline int floor_int(float x) {
     const int i = int(x);
     return i - (float(i) > x);
@@ -21,6 +24,15 @@ static inline int floor_int(float x) {
 static inline int clamp_int(float x, int low, int high) {
     return x < float(low) ? low : x > float(high) ? high : floor_int(x);
 }
+
+static inline IVec clamp_int(Vec x, Vec low, Vec high) {
+    x = min(max(x, low), high);
+    const IVec i = __builtin_convertvector(x, IVec);
+    return i + (IVec)(__builtin_convertvector(i, Vec) > x);
+}
+
+// x rounded down, for x >= -1.
+static inline IVec floor_by_truncation(Vec x) { return __builtin_convertvector(x + 1.0f, IVec) - 1; }
 
 // The rows first..last of a tile as blocks of a strip, a bit each; `first` up to kTile, `last` from -1 on, any lane may
 // hold none.
@@ -42,80 +54,222 @@ static inline float opaque_extent(const Projected &p) {
     return __builtin_sqrtf(kLog2AlphaMin / (kLog2AlphaMin - p.log2_opacity));
 }
 
-static bool bin(const BinArgs &a, size_t begin, size_t end, InstanceBuffer *out, uint32_t *instance_count) {
-    for (size_t i = begin; i < end; ++i) {
-        const uint32_t slot = a.order[i];
-        const Projected &p = a.projected[slot];
-        if (i + 8 < end)
-            __builtin_prefetch(&a.projected[a.order[i + 8]]);
-        const size_t size_before = out->size;
-        if (a.cancel && *a.cancel)
-            return true; // the caller looks too, and throws the lists away
-        const float widen = a.disable & GS_NO_OPACITY_EXTENT ? opaque_extent(p) : 1.0f;
-        const float ex = p.extent_x * widen, ey = p.extent_y * widen;
-        const float sx = slack_px(ex), sy = slack_px(ey);
-        const int x_first = clamp_int(p.mean_x - ex - sx + 0.5f, 0, a.width);
-        const int x_last = clamp_int(p.mean_x + ex + sx - 0.5f, -1, a.width - 1);
-        const int box_first = clamp_int(p.mean_y - ey - sy + 0.5f, 0, a.height);
-        const int box_last = clamp_int(p.mean_y + ey + sy - 0.5f, -1, a.height - 1);
-        instance_count[slot] = 0;
-        if (x_first > x_last || box_first > box_last)
-            continue;
-        const int strip_first = x_first / kTile * kStrips, strip_last = x_last / kBlock;
-        const int tile_first = box_first / kTile, tile_last = box_last / kTile;
-        // Where the ellipse is highest: its mean plus (x_top, extent_y).
-        const float x_top = -p.ub / p.ua * ey;
-        // Vectors of strips start where they do for the splat's own extent, so that its tiles keep their order, and sums
-        // over them their rounding.
-        int start = clamp_int(p.mean_x - p.extent_x - slack_px(p.extent_x) + 0.5f, 0, a.width) / kTile * kStrips;
-        while (start > strip_first)
-            start -= kLanes;
-        for (int s0 = start; s0 <= strip_last; s0 += kLanes) {
-            const Vec left = (iota() + float(s0)) * float(kBlock) + (0.5f - p.mean_x);
-            const Vec l = max(left, set1(-ex)), h = min(left + float(kBlock - 1), set1(ex));
-            const Mask inside = ge(h + sx, l - sx);
-            Vec first, last;
-            if (!(a.disable & GS_NO_EXACT_CULL)) {
-                const Vec top = min(max(set1(x_top), l), h), bottom = min(max(set1(-x_top), l), h);
-                const Vec ex2 = set1(ex * ex);
-                const Vec reach_top = p.half_chord * sqrt(max(fnma(top, top, ex2), Vec{}));
-                const Vec reach_bottom = p.half_chord * sqrt(max(fnma(bottom, bottom, ex2), Vec{}));
-                last = fma(set1(p.slope), top, reach_top) + (p.mean_y + (sy - 0.5f));
-                first = fma(set1(p.slope), bottom, -reach_bottom) + (p.mean_y + (0.5f - sy));
-                // Rounding down by truncation: both are at least zero after the shift by one.
-                last = min(max(last, set1(-1.0f)), set1(float(box_last))) + 1.0f;
-                first = min(max(first, set1(float(box_first))), set1(float(a.height))) + 1.0f;
-                last = __builtin_convertvector(__builtin_convertvector(last, IVec) - 1, Vec);
-                first = __builtin_convertvector(__builtin_convertvector(first, IVec) - 1, Vec);
-            } else {
-                first = set1(float(box_first));
-                last = set1(float(box_last));
-            }
-            // What is empty stays so in every tile.
-            first = select(inside, first, set1(float(a.height + kTile)));
-            last = select(inside, last, set1(-1.0f));
-            const int tile_x = s0 / kStrips;
-            const int tiles = a.tiles_x - tile_x < kLanes / kStrips ? a.tiles_x - tile_x : kLanes / kStrips;
-            for (int ty = tile_first; ty <= tile_last; ++ty) {
-                if (out->capacity - out->size < size_t(kLanes / kStrips) && !out->grow(out))
-                    return false;
-                const float y = float(ty * kTile);
-                const Vec from = min(max(first - y, Vec{}), set1(float(kTile)));
-                const Vec to = min(max(last - y, set1(-1.0f)), set1(float(kTile - 1)));
-                const Bytes bytes = __builtin_convertvector(blocks_of_rows(from, to), Bytes);
-                uint32_t strips[kLanes / kStrips];
-                std::memcpy(strips, &bytes, sizeof strips);
-                for (int t = tile_x < 0 ? -tile_x : 0; t < tiles; ++t) {
-                    const uint32_t tile = uint32_t(ty * a.tiles_x + tile_x + t);
-                    const uint32_t blocks = blocks_of_strips(strips[t]);
-                    out->data[out->size] = {tile, slot, a.disable & GS_NO_ROW_RANGE ? 0xffff : blocks};
-                    out->size += blocks != 0 && (!a.tiles || a.tiles[tile]);
-                }
-            }
+// Slabs of a strip's columns, cut out of ellipses around the origin of half-widths ex.
+struct Slab {
+    Vec left, right;
+    Mask inside;
+};
+static inline Slab slab_at(Vec left, Vec ex, Vec sx) {
+    const Vec l = max(left, -ex), h = min(left + float(kBlock - 1), ex);
+    return {l, h, ge(h + sx, l - sx)};
+}
+
+// The first and the last row of what was cut out, not rounded.
+static inline void rows_of_slab(const Slab &slab, Vec ex, Vec x_top, Vec slope, Vec half_chord, Vec mean_y, Vec sy,
+                                Vec &first, Vec &last) {
+    const Vec top = min(max(x_top, slab.left), slab.right), bottom = min(max(-x_top, slab.left), slab.right);
+    const Vec ex2 = ex * ex;
+    const Vec reach_top = half_chord * sqrt(max(fnma(top, top, ex2), Vec{}));
+    const Vec reach_bottom = half_chord * sqrt(max(fnma(bottom, bottom, ex2), Vec{}));
+    last = fma(slope, top, reach_top) + (mean_y + (sy - 0.5f));
+    first = fma(slope, bottom, -reach_bottom) + (mean_y + (0.5f - sy));
+}
+
+// Appends instances; kPlain: all of them, and with the blocks that they have.
+template <bool kPlain> class Appender {
+  public:
+    Appender(const BinArgs &a, InstanceBuffer *out)
+        : tiles_(a.tiles), at_(out->data + out->size), all_rows_(a.disable & GS_NO_ROW_RANGE) {}
+
+    // Where there are blocks; there is room.
+    void add(uint32_t tile, uint32_t blocks) {
+        if constexpr (kPlain) {
+            *at_ = {tile, blocks};
+            at_ += blocks != 0;
+        } else {
+            *at_ = {tile, all_rows_ ? 0xffff : blocks};
+            at_ += blocks != 0 && (!tiles_ || tiles_[tile]);
         }
-        instance_count[slot] = uint32_t(out->size - size_before);
+    }
+    void finish(InstanceBuffer *out) const { out->size = size_t(at_ - out->data); }
+
+  private:
+    const uint8_t *const tiles_;
+    Instance *at_;
+    const bool all_rows_;
+};
+
+// Appends the instances of a splat of any size; false: out of memory.
+template <bool kPlain> static bool bin_wide(const BinArgs &a, const Projected &p, InstanceBuffer *out) {
+    const float widen = a.disable & GS_NO_OPACITY_EXTENT ? opaque_extent(p) : 1.0f;
+    const float ex = p.extent_x * widen, ey = p.extent_y * widen;
+    const float sx = slack_px(ex), sy = slack_px(ey);
+    const int x_first = clamp_int(p.mean_x - ex - sx + 0.5f, 0, a.width);
+    const int x_last = clamp_int(p.mean_x + ex + sx - 0.5f, -1, a.width - 1);
+    const int box_first = clamp_int(p.mean_y - ey - sy + 0.5f, 0, a.height);
+    const int box_last = clamp_int(p.mean_y + ey + sy - 0.5f, -1, a.height - 1);
+    if (x_first > x_last || box_first > box_last)
+        return true;
+    const int strip_first = x_first / kTile * kStrips, strip_last = x_last / kBlock;
+    const int tile_first = box_first / kTile, tile_last = box_last / kTile;
+    // Where the ellipse is highest: its mean plus (x_top, extent_y).
+    const float x_top = -p.ub / p.ua * ey;
+    // Vectors of strips start where they do for the splat's own extent, so that its tiles keep their order, and sums
+    // over them their rounding.
+    int start = clamp_int(p.mean_x - p.extent_x - slack_px(p.extent_x) + 0.5f, 0, a.width) / kTile * kStrips;
+    while (start > strip_first)
+        start -= kLanes;
+    for (int s0 = start; s0 <= strip_last; s0 += kLanes) {
+        const Slab slab = slab_at((iota() + float(s0)) * float(kBlock) + (0.5f - p.mean_x), set1(ex), set1(sx));
+        Vec first, last;
+        if (!(a.disable & GS_NO_EXACT_CULL)) {
+            rows_of_slab(slab, set1(ex), set1(x_top), set1(p.slope), set1(p.half_chord), set1(p.mean_y), set1(sy), first,
+                         last);
+            last = min(max(last, set1(-1.0f)), set1(float(box_last)));
+            first = min(max(first, set1(float(box_first))), set1(float(a.height)));
+            last = __builtin_convertvector(floor_by_truncation(last), Vec);
+            first = __builtin_convertvector(floor_by_truncation(first), Vec);
+        } else {
+            first = set1(float(box_first));
+            last = set1(float(box_last));
+        }
+        // What is empty stays so in every tile.
+        first = select(slab.inside, first, set1(float(a.height + kTile)));
+        last = select(slab.inside, last, set1(-1.0f));
+        const int tile_x = s0 / kStrips;
+        const int tiles = a.tiles_x - tile_x < kLanes / kStrips ? a.tiles_x - tile_x : kLanes / kStrips;
+        for (int ty = tile_first; ty <= tile_last; ++ty) {
+            if (out->capacity - out->size < size_t(kLanes / kStrips) && !out->grow(out))
+                return false;
+            const float y = float(ty * kTile);
+            const Vec from = min(max(first - y, Vec{}), set1(float(kTile)));
+            const Vec to = min(max(last - y, set1(-1.0f)), set1(float(kTile - 1)));
+            const Bytes bytes = __builtin_convertvector(blocks_of_rows(from, to), Bytes);
+            uint32_t strips[kLanes / kStrips];
+            std::memcpy(strips, &bytes, sizeof strips);
+            Appender<kPlain> to_list(a, out);
+            for (int t = tile_x < 0 ? -tile_x : 0; t < tiles; ++t)
+                to_list.add(uint32_t(ty * a.tiles_x + tile_x + t), blocks_of_strips(strips[t]));
+            to_list.finish(out);
+        }
     }
     return true;
+}
+
+// What `bin_narrow` takes: splats within so many tiles. A row's blocks are the bits of a word, 16 a tile.
+constexpr int kNarrowColumns = 2, kNarrowRows = 4;
+
+// The tiles of kLanes splats.
+struct Narrow {
+    alignas(64) int32_t tile[kLanes], rows[kLanes]; // the first tile and the number of rows; kWide: too many
+    alignas(64) uint32_t blocks[kNarrowRows][kLanes];
+
+    static constexpr int kWide = -1;
+};
+
+static inline void bin_narrow(const BinArgs &a, const Projected *p, int lanes, Narrow &out) {
+    enum { kMeanX, kMeanY, kUa, kUb, kEx, kEy, kSlope, kHalfChord, kColumns };
+    alignas(64) float columns[kColumns][kLanes];
+    for (int l = 0; l < kLanes; ++l) {
+        const Projected &q = p[l < lanes ? l : 0];
+        columns[kMeanX][l] = q.mean_x;
+        columns[kMeanY][l] = q.mean_y;
+        columns[kUa][l] = q.ua;
+        columns[kUb][l] = q.ub;
+        columns[kEx][l] = q.extent_x;
+        columns[kEy][l] = q.extent_y;
+        columns[kSlope][l] = q.slope;
+        columns[kHalfChord][l] = q.half_chord;
+    }
+    const Vec mean_x = load(columns[kMeanX]), mean_y = load(columns[kMeanY]);
+    const Vec ex = load(columns[kEx]), ey = load(columns[kEy]), sx = slack_px(ex), sy = slack_px(ey);
+    const Vec slope = load(columns[kSlope]), half_chord = load(columns[kHalfChord]);
+    const Vec x_top = -load(columns[kUb]) / load(columns[kUa]) * ey;
+    const Vec none = set1(-1.0f), width = set1(float(a.width)), height = set1(float(a.height));
+    const IVec x_first = clamp_int(mean_x - ex - sx + 0.5f, Vec{}, width);
+    const IVec x_last = clamp_int(mean_x + ex + sx - 0.5f, none, width - 1.0f);
+    const IVec box_first = clamp_int(mean_y - ey - sy + 0.5f, Vec{}, height);
+    const IVec box_last = clamp_int(mean_y + ey + sy - 0.5f, none, height - 1.0f);
+    // -1 where so, in every lane apart.
+    const IVec empty = (IVec)(x_first > x_last) | (IVec)(box_first > box_last);
+    const IVec tile_x = x_first >> 4, tile_y = box_first >> 4;
+    const IVec more_columns = (x_last >> 4) - tile_x, more_rows = (box_last >> 4) - tile_y;
+    const IVec wide = ~empty & ((IVec)(more_columns >= kNarrowColumns) | (IVec)(more_rows >= kNarrowRows));
+    const IVec tile = tile_y * a.tiles_x + tile_x, rows = ((more_rows + 1) & ~empty) | wide;
+    std::memcpy(out.tile, &tile, sizeof out.tile);
+    std::memcpy(out.rows, &rows, sizeof out.rows);
+
+    const IVec strip_first = x_first >> 2, strip_last = x_last >> 2;
+    const IVec strips = (strip_last - strip_first + 1) & ~(empty | wide);
+    alignas(64) int32_t strips_of[kLanes];
+    std::memcpy(strips_of, &strips, sizeof strips_of);
+    int most_strips = 0, most_rows = 0;
+    for (int l = 0; l < kLanes; ++l) {
+        most_strips = strips_of[l] > most_strips ? strips_of[l] : most_strips;
+        most_rows = out.rows[l] > most_rows ? out.rows[l] : most_rows;
+    }
+    const Vec low = __builtin_convertvector(box_first, Vec), high = __builtin_convertvector(box_last, Vec);
+    const Vec y = __builtin_convertvector(tile_y << 4, Vec);
+    IVec blocks[kNarrowRows] = {};
+    for (int s = 0; s < most_strips; ++s) {
+        const IVec strip = strip_first + s;
+        const Slab slab = slab_at(__builtin_convertvector(strip, Vec) * float(kBlock) + (0.5f - mean_x), ex, sx);
+        Vec first, last;
+        rows_of_slab(slab, ex, x_top, slope, half_chord, mean_y, sy, first, last);
+        last = __builtin_convertvector(floor_by_truncation(min(max(last, none), high)), Vec);
+        first = __builtin_convertvector(floor_by_truncation(min(max(first, low), height)), Vec);
+        first = select(slab.inside, first, set1(float(a.height + kTile)));
+        last = select(slab.inside, last, none);
+        // Rows of blocks, from the first tile's on: a bit each, four a tile.
+        const Vec from = min(max(first - y, Vec{}), set1(float(kNarrowRows * kTile)));
+        const Vec to = min(max(last - y, none), set1(float(kNarrowRows * kTile - 1)));
+        const IVec f = __builtin_convertvector(from, IVec) >> 2, t = __builtin_convertvector(to, IVec) >> 2;
+        const IVec bits = ((IVec{} + 0xffff) << f) & ((IVec{} + 0xffff) >> (15 - t)) & (IVec)(strip <= strip_last);
+        const IVec place = ((strip - (tile_x << 2)) & (kNarrowColumns * kStrips - 1)) << 2;
+        for (int r = 0; r < most_rows; ++r)
+            blocks[r] |= ((bits >> (4 * r)) & 0xf) << place;
+    }
+    std::memcpy(out.blocks, blocks, sizeof out.blocks);
+}
+static_assert(kTile == 16 && kBlock == 4 && kNarrowColumns * kTileBlocks == 32 && kNarrowRows * kStrips == 16);
+
+template <bool kPlain> static bool bin_chunk(const BinArgs &a, int64_t chunk, InstanceBuffer *out) {
+    // All at once, or one after the other, as `bin_wide` has them.
+    constexpr int kColumnsAtOnce = kLanes / kStrips < kNarrowColumns ? kLanes / kStrips : kNarrowColumns;
+    const bool all_wide = !kPlain && a.disable & (GS_NO_OPACITY_EXTENT | GS_NO_EXACT_CULL);
+    const int64_t begin = chunk * kChunk, end = begin + a.visible[chunk];
+    const int tiles_x = a.tiles_x;
+    Narrow narrow;
+    for (int64_t first = begin; first < end; first += kLanes) {
+        if (a.cancel && *a.cancel)
+            return true; // the caller looks too, and throws the lists away
+        const int lanes = end - first < kLanes ? int(end - first) : kLanes;
+        if (!all_wide)
+            bin_narrow(a, a.projected + first, lanes, narrow);
+        for (int l = 0; l < lanes; ++l) {
+            const size_t size_before = out->size;
+            if (all_wide || narrow.rows[l] == Narrow::kWide) {
+                if (!bin_wide<kPlain>(a, a.projected[first + l], out))
+                    return false;
+            } else {
+                if (out->capacity - out->size < size_t(kNarrowColumns * kNarrowRows) && !out->grow(out))
+                    return false;
+                Appender<kPlain> to_list(a, out);
+                for (int c0 = 0; c0 < kNarrowColumns; c0 += kColumnsAtOnce)
+                    for (int r = 0; r < narrow.rows[l]; ++r)
+                        for (int c = c0; c < c0 + kColumnsAtOnce; ++c)
+                            to_list.add(uint32_t(narrow.tile[l] + r * tiles_x + c),
+                                        narrow.blocks[r][l] >> (kTileBlocks * c) & 0xffff);
+                to_list.finish(out);
+            }
+            a.spans[first + l] = {uint32_t(size_before), uint32_t(out->size - size_before)};
+        }
+    }
+    return true;
+}
+
+static bool bin(const BinArgs &a, int64_t chunk, InstanceBuffer *out) {
+    return a.tiles || a.disable ? bin_chunk<false>(a, chunk, out) : bin_chunk<true>(a, chunk, out);
 }
 
 } // namespace gs::GS_NAMESPACE

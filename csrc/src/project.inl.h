@@ -192,6 +192,7 @@ static void project(const ProjectArgs &a, int64_t chunk) {
     Projected *out = a.projected + begin;
     uint32_t *keys = a.depth_keys + begin;
     int visible = 0;
+    KeyRange range = {UINT32_MAX, 0};
     Lanes s;
     for (int64_t i0 = begin; i0 < end; i0 += kLanes) {
         const int lanes = end - i0 < kLanes ? int(end - i0) : kLanes;
@@ -249,13 +250,18 @@ static void project(const ProjectArgs &a, int64_t chunk) {
             p.half_chord = half_chord[l];
             p.id = id[l];
             out[visible] = p;
-            std::memcpy(&keys[visible], &p.channel[kChannelZ], sizeof(float));
+            uint32_t key; // z is positive: its bits order like its values
+            std::memcpy(&key, &p.channel[kChannelZ], sizeof key);
+            keys[visible] = key;
+            range.low = key < range.low ? key : range.low;
+            range.high = key > range.high ? key : range.high;
             if (a.radii)
                 a.radii[id[l]] = extent[l] < 1e9f ? int32_t(extent[l]) + 1 : 1000000000;
             ++visible;
         }
     }
     a.visible[chunk] = visible;
+    a.key_range[chunk] = range;
 }
 
 // Gradient of the normalised quaternion and the rotation matrix it makes, per lane.
@@ -314,10 +320,10 @@ static inline void zero_culled_rows(const ProjectBackwardArgs &a, int64_t begin,
 }
 
 // The moments of a splat: those of its entries, always added in the order of its tiles, whatever thread drew them.
-static inline Moments merge_moments(const ProjectBackwardArgs &a, size_t slot) {
-    const Moments *moments = a.moments + a.moment_begin[slot];
+static inline Moments merge_moments(const Moments *of_list, Span span) {
+    const Moments *moments = of_list + span.begin;
     Vec4 sum[kMomentCount / 4] = {};
-    for (uint32_t e = 0; e < a.moment_count[slot]; ++e)
+    for (uint32_t e = 0; e < span.count; ++e)
         for (int k = 0; k < kMomentCount / 4; ++k)
             sum[k] += load<Vec4>(moments[e].v + 4 * k);
     Moments m;
@@ -369,6 +375,7 @@ static void project_backward(const ProjectBackwardArgs &a, int64_t chunk) {
     const int64_t begin = chunk * kChunk;
     const int visible = a.forward.visible[chunk];
     zero_culled_rows(a, begin, begin + kChunk < in.count ? begin + kChunk : in.count, visible);
+    const Moments *const moments = a.moments + a.moment_begin[chunk];
     Vec view_sums[12] = {}; // 3 x 4 row-major
     Lanes s;
     for (int first = 0; first < visible; first += kLanes) {
@@ -382,7 +389,7 @@ static void project_backward(const ProjectBackwardArgs &a, int64_t chunk) {
             id[l] = p.id;
             if (l >= lanes)
                 continue;
-            const Moments m = merge_moments(a, slot);
+            const Moments m = merge_moments(moments, a.spans[slot]);
             for (int k = 0; k < kMomentCount; ++k)
                 sums[k][l] = m.v[k];
             for (int k = 0; k < 3; ++k)

@@ -10,32 +10,9 @@
 #include <chrono>
 #include <cmath>
 #include <cstring>
-
-#if defined(__linux__)
-#include <sys/mman.h>
-#endif
+#include <new>
 
 using namespace gs;
-
-namespace {
-
-constexpr size_t kHugePage = size_t(2) << 20;
-
-std::align_val_t alignment_of(size_t bytes) { return std::align_val_t(bytes < kHugePage ? 64 : kHugePage); }
-
-} // namespace
-
-void *gs::allocate_pages(size_t bytes) {
-    void *const p = ::operator new(bytes, alignment_of(bytes));
-#if defined(__linux__)
-    // The last page only where it is ours to the end. Where this fails, small pages do.
-    if (bytes >= kHugePage)
-        madvise(p, bytes / kHugePage * kHugePage, MADV_HUGEPAGE);
-#endif
-    return p;
-}
-
-void gs::free_pages(void *p, size_t bytes) { ::operator delete(p, alignment_of(bytes)); }
 
 namespace {
 
@@ -56,116 +33,124 @@ int threads_of(int32_t wanted) { return wanted > 0 ? wanted : default_threads();
 
 int64_t chunks_of(int64_t count) { return (count + kChunk - 1) / kChunk; }
 
-constexpr size_t kCancelEvery = 1 << 16; // entries scattered between two looks at the flag
+constexpr size_t kCancelEvery = 1 << 16; // splats scattered between two looks at the flag
+constexpr size_t kFetchAhead = 16;       // splats fetched before they are scattered
+
+void prefetch(const void *p) { __builtin_prefetch(p); }
 
 bool cancelled(const volatile int32_t *cancel) { return cancel && *cancel; }
 
 } // namespace
 
+GrowingInstances::~GrowingInstances() {
+    if (data)
+        free_pages(data, capacity * sizeof(Instance));
+}
+
 bool GrowingInstances::grow_more(InstanceBuffer *self) {
-    const size_t wanted = self->capacity ? self->capacity * 2 : 4096;
-    void *p = std::realloc(self->data, wanted * sizeof(Instance));
-    if (!p)
+    const size_t wanted = self->capacity ? self->capacity / 2 * 3 : size_t(1) << 13;
+    Instance *p;
+    try {
+        p = static_cast<Instance *>(allocate_pages(wanted * sizeof(Instance)));
+    } catch (const std::bad_alloc &) {
         return false;
-    self->data = static_cast<Instance *>(p);
+    }
+    if (self->data) {
+        std::memcpy(p, self->data, self->size * sizeof(Instance));
+        free_pages(self->data, self->capacity * sizeof(Instance));
+    }
+    self->data = p;
     self->capacity = wanted;
     return true;
 }
 
 ProjectArgs gs_raster::project_args(const gs_splats &splats) const {
-    return {&splats, &camera_, &options_, projected_.get(), depth_keys_.get(), nullptr, visible_.get()};
+    return {&splats, &camera_, &options_, projected_.get(), depth_keys_.get(), nullptr, visible_.get(),
+            key_range_.get()};
 }
 
-// Stable radix sort of the visible splats by the bits of z, which is positive, so bits order like values; ties keep the
-// order of ids.
-void gs_raster::sort_by_depth(size_t count, int) {
-    constexpr int kBits = 11, kBuckets = 1 << kBits, kPasses = 3;
-    uint32_t *keys = keys_.get(), *order = order_.get();
-    uint32_t *keys_to = keys_scratch_.ensure(count), *order_to = order_scratch_.ensure(count);
-    uint32_t histogram[kPasses][kBuckets] = {};
-    for (size_t i = 0; i < count; ++i)
-        for (int p = 0; p < kPasses; ++p)
-            ++histogram[p][keys[i] >> (p * kBits) & (kBuckets - 1)];
-    for (int p = 0; p < kPasses; ++p) {
-        uint32_t start = 0;
-        for (uint32_t &h : histogram[p]) {
-            const uint32_t n = h;
-            h = start;
-            start += n;
-        }
-        for (size_t i = 0; i < count; ++i) {
-            const uint32_t at = histogram[p][keys[i] >> (p * kBits) & (kBuckets - 1)]++;
-            keys_to[at] = keys[i];
-            order_to[at] = order[i];
-        }
-        std::swap(keys, keys_to);
-        std::swap(order, order_to);
-    }
-    // An odd number of passes ends in the scratch buffers.
-    std::swap(order_, order_scratch_);
-    std::swap(keys_, keys_scratch_);
-}
-
-gs_status gs_raster::bin(const BinArgs &args, size_t count, uint32_t tiles, int threads) {
-    // Ranges of splats in depth order are listed independently, then scattered to their tiles with one cursor per
-    // (range, tile), which keeps depth order whatever the number of ranges.
-    const int ranges = int(std::clamp<size_t>(count / 2048, 1, size_t(std::min(kMaxRanges, 2 * threads))));
-    uint32_t *first = moment_begin_.get(), *number = moment_count_.get();
-    const auto range_begin = [&](int r) { return count * size_t(r) / size_t(ranges); };
-    std::atomic<bool> out_of_memory{false};
+gs_status gs_raster::bin(const BinArgs &args, const uint32_t *order, size_t count, uint32_t tiles, int threads) {
     const Kernels &k = kernels();
-    uint32_t *cursor = tile_cursor_.ensure(size_t(ranges) * tiles);
-    parallel_for(size_t(ranges), threads, [&](size_t r, int) {
-        GrowingInstances &out = instances_[r];
-        out.size = 0;
-        if (!k.bin(args, range_begin(int(r)), range_begin(int(r) + 1), &out, number)) {
+    const int64_t chunks = chunks_of(splat_count_);
+    while (instances_.size() < size_t(threads))
+        instances_.push_back(std::make_unique<GrowingInstances>());
+    for (const auto &list : instances_)
+        list->size = 0;
+    uint32_t *const list_of_chunk = list_of_chunk_.ensure(size_t(chunks));
+    std::atomic<bool> out_of_memory{false};
+    parallel_for(size_t(chunks), threads, [&](size_t chunk, int worker) {
+        list_of_chunk[chunk] = uint32_t(worker);
+        if (!out_of_memory && !cancelled(args.cancel) && !k.bin(args, int64_t(chunk), instances_[size_t(worker)].get()))
             out_of_memory = true;
-            return;
-        }
-        uint32_t *counts = cursor + r * tiles;
-        std::memset(counts, 0, tiles * sizeof(uint32_t));
-        for (size_t i = 0; i < out.size; ++i)
-            ++counts[out.data[i].tile];
     });
     if (out_of_memory)
         throw std::bad_alloc();
     if (cancelled(args.cancel))
         return GS_CANCELLED;
     size_t total = 0;
-    for (int r = 0; r < ranges; ++r)
-        total += instances_[r].size;
+    for (const auto &list : instances_)
+        total += list->size;
     if (total > size_t(INT32_MAX))
         return GS_TOO_MANY;
     entry_count_ = total;
-    uint32_t *begin = tile_begin_.ensure(size_t(tiles) + 1);
+    uint32_t *const moment_begin = moment_begin_.ensure(size_t(chunks));
+    for (int64_t c = 0; c < chunks; ++c) {
+        moment_begin[c] = 0;
+        for (uint32_t i = 0; i < list_of_chunk[c]; ++i)
+            moment_begin[c] += uint32_t(instances_[i]->size);
+    }
+
+    // Ranges of splats in depth order are counted independently, then scattered to their tiles with one cursor per
+    // (range, tile), which keeps depth order whatever the number of ranges.
+    const int ranges = int(std::clamp<size_t>(count / 2048, 1, size_t(std::min(64, 2 * threads))));
+    uint32_t *const cursor = tile_cursor_.ensure(size_t(ranges) * tiles);
+    const Span *const spans = spans_.get();
+    const auto instances_of = [&](uint32_t slot) {
+        return instances_[list_of_chunk[slot / uint32_t(kChunk)]]->data + spans[slot].begin;
+    };
+    // Calls f(slot) for the splats of a range. Their instances lie anywhere in memory, so they are fetched beforehand.
+    const auto each = [&](size_t range, const auto &f) {
+        const size_t begin = count * range / size_t(ranges), end = count * (range + 1) / size_t(ranges);
+        for (size_t i = begin; i < end; ++i) {
+            if (i % kCancelEvery == 0 && cancelled(args.cancel))
+                return;
+            if (i + 2 * kFetchAhead < end)
+                prefetch(&spans[order[i + 2 * kFetchAhead]]);
+            if (i + kFetchAhead < end)
+                prefetch(instances_of(order[i + kFetchAhead]));
+            f(order[i]);
+        }
+    };
+    parallel_for(size_t(ranges), threads, [&](size_t r, int) {
+        uint32_t *const counts = cursor + r * tiles;
+        std::memset(counts, 0, tiles * sizeof(uint32_t));
+        each(r, [&](uint32_t slot) {
+            const Instance *const in = instances_of(slot);
+            for (uint32_t n = 0; n < spans[slot].count; ++n)
+                ++counts[in[n].tile];
+        });
+    });
+    uint32_t *const begin = tile_begin_.ensure(size_t(tiles) + 1);
     uint32_t running = 0;
     for (uint32_t t = 0; t < tiles; ++t) {
         begin[t] = running;
         for (int r = 0; r < ranges; ++r) {
-            const uint32_t n = cursor[size_t(r) * tiles + t];
-            cursor[size_t(r) * tiles + t] = running;
+            uint32_t &at = cursor[size_t(r) * tiles + t];
+            const uint32_t n = at;
+            at = running;
             running += n;
         }
     }
     begin[tiles] = running;
-    // Moments lie in the order of the slots: the pass back reads them one after the other.
-    uint32_t moment = 0;
-    for (int64_t c = 0; c < chunks_of(splat_count_); ++c)
-        for (int64_t slot = c * kChunk; slot < c * kChunk + visible_.get()[c]; ++slot) {
-            first[slot] = moment;
-            moment += number[slot];
-        }
-    Entry *entries = entries_.ensure(total);
+    Entry *const entries = entries_.ensure(total);
     parallel_for(size_t(ranges), threads, [&](size_t r, int) {
-        const Instance *in = instances_[r].data;
-        uint32_t *at = cursor + r * tiles;
-        for (size_t i = range_begin(int(r)); i < range_begin(int(r) + 1); ++i) {
-            if (i % kCancelEvery == 0 && cancelled(args.cancel))
-                return;
-            const uint32_t slot = args.order[i];
-            for (uint32_t n = 0; n < number[slot]; ++n, ++in)
-                entries[at[in->tile]++] = {slot, in->blocks, first[slot] + n};
-        }
+        uint32_t *const at = cursor + r * tiles;
+        each(r, [&](uint32_t slot) {
+            const Instance *const in = instances_of(slot);
+            const uint32_t moment = moment_begin[slot / uint32_t(kChunk)] + spans[slot].begin;
+            for (uint32_t n = 0; n < spans[slot].count; ++n)
+                entries[at[in[n].tile]++] = {slot, in[n].blocks, moment + n};
+        });
     });
     return GS_OK;
 }
@@ -187,8 +172,8 @@ gs_status gs_raster::forward(const gs_splats &splats, const gs_camera &camera, c
     projected_.ensure(slots);
     depth_keys_.ensure(slots);
     visible_.ensure(size_t(chunks));
-    moment_begin_.ensure(slots);
-    moment_count_.ensure(slots);
+    key_range_.ensure(size_t(chunks));
+    spans_.ensure(slots);
     ProjectArgs project = project_args(splats);
     project.radii = image.radii;
     parallel_for(size_t(chunks), threads, [&](size_t c, int) {
@@ -201,23 +186,16 @@ gs_status gs_raster::forward(const gs_splats &splats, const gs_camera &camera, c
     size_t visible = 0;
     for (int64_t c = 0; c < chunks; ++c)
         visible += size_t(visible_.get()[c]);
-    uint32_t *order = order_.ensure(visible), *keys = keys_.ensure(visible);
-    size_t at = 0;
-    for (int64_t c = 0; c < chunks; ++c)
-        for (int32_t i = 0; i < visible_.get()[c]; ++i, ++at) {
-            order[at] = uint32_t(c * kChunk + i);
-            keys[at] = depth_keys_.get()[c * kChunk + i];
-        }
     stats.project_ms = timer.lap_ms();
-    sort_by_depth(visible, threads);
+    const uint32_t *const order =
+        sort_.run(depth_keys_.get(), visible_.get(), key_range_.get(), chunks, visible, threads);
     stats.sort_ms = timer.lap_ms();
 
     const int tiles_x = (camera.width + kTile - 1) / kTile, tiles_y = (camera.height + kTile - 1) / kTile;
     const uint32_t tiles = uint32_t(tiles_x) * uint32_t(tiles_y);
-    const BinArgs bins = {projected_.get(), order_.get(), camera.width,
-                          camera.height,    tiles_x,      options.disable,
-                          options.cancel,   options.tiles};
-    if (const gs_status s = bin(bins, visible, tiles, threads))
+    const BinArgs bins = {projected_.get(), visible_.get(), spans_.get(),    camera.width,  camera.height,
+                          tiles_x,          options.disable, options.cancel, options.tiles};
+    if (const gs_status s = bin(bins, order, visible, tiles, threads))
         return s;
     if (cancelled(options.cancel))
         return GS_CANCELLED;
@@ -279,8 +257,8 @@ gs_status gs_raster::backward(const gs_splats &splats, const gs_image_grads &ima
     stats.blend_backward_ms = timer.lap_ms();
 
     const int64_t chunks = chunks_of(splats.count);
-    ProjectBackwardArgs project = {project_args(splats), moment_begin_.get(), moment_count_.get(),
-                                   moments_.get(),       grads,               nullptr};
+    ProjectBackwardArgs project = {project_args(splats), spans_.get(), moment_begin_.get(),
+                                   moments_.get(),       grads,        nullptr};
     if (grads.viewmat)
         project.viewmat_partial = viewmat_partial_.ensure(size_t(chunks) * 16);
     parallel_for(size_t(chunks), threads, [&](size_t c, int) {
@@ -358,11 +336,11 @@ gs_status gs_raster::projected(float *means2d, float *depths, float *conics, flo
 }
 
 int64_t gs_raster::workspace_bytes() const {
-    size_t bytes = projected_.bytes() + depth_keys_.bytes() + visible_.bytes() + moment_begin_.bytes() +
-                   moment_count_.bytes() + order_.bytes() + order_scratch_.bytes() + keys_.bytes() +
-                   keys_scratch_.bytes() + tile_cursor_.bytes() + tile_begin_.bytes() + entries_.bytes() +  moments_.bytes() + final_transmittance_.bytes() + stop_index_.bytes() +
-                   viewmat_partial_.bytes() + loss_scratch_.bytes() + loss_partial_.bytes();
-    for (const GrowingInstances &i : instances_)
-        bytes += i.capacity * sizeof(Instance);
+    size_t bytes = projected_.bytes() + depth_keys_.bytes() + visible_.bytes() + key_range_.bytes() + spans_.bytes() +
+                   list_of_chunk_.bytes() + moment_begin_.bytes() +
+                   sort_.bytes() + tile_cursor_.bytes() + tile_begin_.bytes() + entries_.bytes() + moments_.bytes() +
+                   final_transmittance_.bytes() + stop_index_.bytes() + viewmat_partial_.bytes() + loss_scratch_.bytes() + loss_partial_.bytes();
+    for (const auto &list : instances_)
+        bytes += list->capacity * sizeof(Instance);
     return int64_t(bytes);
 }

@@ -1,49 +1,19 @@
 // The workspace behind gs_raster and the stages that fill it.
 #pragma once
 
+#include "buffer.h"
+#include "depth_sort.h"
 #include "types.h"
 
-#include <cstdlib>
 #include <memory>
-#include <new>
+#include <vector>
 
 namespace gs {
 
-// Memory aligned to 64 bytes at least, large pieces on huge pages where the system has them: splats are looked up in no
-// order of memory, and on small pages every other look-up waits for its address. Throws std::bad_alloc.
-void *allocate_pages(size_t bytes);
-void free_pages(void *p, size_t bytes);
-
-// Uninitialised storage that only grows; contents are lost when it does.
-template <class T> class Buffer {
-  public:
-    T *ensure(size_t count) {
-        if (count > capacity_) {
-            const size_t wanted = count + count / 4;
-            data_.reset();
-            capacity_ = 0;
-            const size_t bytes = wanted * sizeof(T);
-            data_ = {static_cast<T *>(allocate_pages(bytes)), Free{bytes}};
-            capacity_ = wanted;
-        }
-        return data_.get();
-    }
-    T *get() const { return data_.get(); }
-    size_t bytes() const { return capacity_ * sizeof(T); }
-
-  private:
-    struct Free {
-        size_t bytes = 0;
-        void operator()(T *p) const { free_pages(p, bytes); }
-    };
-    std::unique_ptr<T, Free> data_;
-    size_t capacity_ = 0;
-};
-
 class GrowingInstances : public InstanceBuffer {
   public:
-    GrowingInstances() : InstanceBuffer{nullptr, 0, 0, &GrowingInstances::grow_more, nullptr} {}
-    ~GrowingInstances() { std::free(data); }
+    GrowingInstances() : InstanceBuffer{nullptr, 0, 0, &GrowingInstances::grow_more} {}
+    ~GrowingInstances();
     GrowingInstances(const GrowingInstances &) = delete;
     GrowingInstances &operator=(const GrowingInstances &) = delete;
 
@@ -64,8 +34,7 @@ struct gs_raster {
     gs_stats stats = {};
 
   private:
-    void sort_by_depth(size_t count, int threads);
-    gs_status bin(const gs::BinArgs &, size_t count, uint32_t tiles, int threads);
+    gs_status bin(const gs::BinArgs &, const uint32_t *order, size_t count, uint32_t tiles, int threads);
     gs::ProjectArgs project_args(const gs_splats &) const;
 
     // State of the last forward call.
@@ -80,12 +49,12 @@ struct gs_raster {
     gs::Buffer<gs::Projected> projected_;
     gs::Buffer<uint32_t> depth_keys_;
     gs::Buffer<int32_t> visible_;
-    gs::Buffer<uint32_t> moment_begin_, moment_count_;
-    // Visible splats, near to far.
-    gs::Buffer<uint32_t> order_, order_scratch_, keys_, keys_scratch_;
-    // Splats times tiles.
-    static constexpr int kMaxRanges = 64;
-    gs::GrowingInstances instances_[kMaxRanges];
+    gs::Buffer<gs::KeyRange> key_range_;
+    gs::Buffer<gs::Span> spans_;
+    gs::DepthSort sort_;
+    // Splats times tiles: a list for each worker, and for each chunk whose list it went to.
+    std::vector<std::unique_ptr<gs::GrowingInstances>> instances_;
+    gs::Buffer<uint32_t> list_of_chunk_, moment_begin_;
     gs::Buffer<uint32_t> tile_cursor_, tile_begin_;
     gs::Buffer<gs::Entry> entries_;
     gs::Buffer<gs::Moments> moments_;

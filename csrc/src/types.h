@@ -55,11 +55,20 @@ struct Entry {
     uint32_t moment; // index into the moments, where all entries of a splat lie together
 };
 
-// The same before it is sorted into its tile.
+// The same before it is sorted into its tile, slot by slot of a chunk.
 struct Instance {
     uint32_t tile;
-    uint32_t slot;
     uint32_t blocks;
+};
+
+// A splat's instances in the list of its chunk.
+struct Span {
+    uint32_t begin, count;
+};
+
+// Smallest and largest depth key of a chunk; low > high: none.
+struct KeyRange {
+    uint32_t low, high;
 };
 
 // Sums over the pixels of one entry, and after merging of one splat. With g = dL / d ln(alpha) and u, v as above:
@@ -72,8 +81,7 @@ struct alignas(16) Moments {
 struct InstanceBuffer {
     Instance *data;
     size_t size, capacity;
-    bool (*grow)(InstanceBuffer *self); // makes room for at least one image row of tiles more; false: out of memory
-    void *owner;
+    bool (*grow)(InstanceBuffer *self); // makes room for at least 4096 more; false: out of memory
 };
 
 struct ProjectArgs {
@@ -84,11 +92,13 @@ struct ProjectArgs {
     uint32_t *depth_keys;    // same layout: bits of z
     int32_t *radii;          // [N] or null
     int32_t *visible;        // [chunks]
+    KeyRange *key_range;     // [chunks]
 };
 
 struct BinArgs {
     const Projected *projected;
-    const uint32_t *order; // slots by depth
+    const int32_t *visible; // [chunks]
+    Span *spans;            // [slots]
     int32_t width, height, tiles_x;
     uint32_t disable; // bits of gs_options.disable
     const volatile int32_t *cancel; // may be null
@@ -119,8 +129,8 @@ struct BlendBackwardArgs {
 
 struct ProjectBackwardArgs {
     ProjectArgs forward;
-    const uint32_t *moment_begin; // [slots]
-    const uint32_t *moment_count; // [slots]
+    const Span *spans;            // [slots]: a splat's moments, counted from
+    const uint32_t *moment_begin; // [chunks]
     const Moments *moments;
     gs_splat_grads grads;
     double *viewmat_partial; // [chunks * 16] or null
@@ -160,8 +170,8 @@ struct CatchUpArgs {
 struct Kernels {
     const char *name;
     void (*project)(const ProjectArgs &, int64_t chunk);
-    // Entries of the splats order[begin, end) appended to `out`; false: out of memory.
-    bool (*bin)(const BinArgs &, size_t begin, size_t end, InstanceBuffer *out, uint32_t *count);
+    // Instances of a chunk's splats appended to `out`; false: out of memory.
+    bool (*bin)(const BinArgs &, int64_t chunk, InstanceBuffer *out);
     PairCount (*blend)(const BlendArgs &, uint32_t outputs, uint32_t tile);
     // Returns the number of pairs evaluated.
     int64_t (*blend_backward)(const BlendBackwardArgs &, uint32_t outputs, uint32_t tile);
