@@ -237,6 +237,9 @@ class TrainConfig:
     """Splats with a lower opacity are removed, with mcmc relocated."""
     prune_scale: float = 0.1
     """`default`: larger splats are removed after the first opacity reset; in extents."""
+    prune_share: float = 0.0
+    """Share of the splats that is removed when refinements are over (`refine_stop`): those that add
+    least to the training photos. 0: none."""
     mcmc_growth: float = 0.0
     """`mcmc`: splats added at each refinement, as a share of those there; 0: 0.05, more in runs
     that would not reach `max_splats` otherwise."""
@@ -301,8 +304,9 @@ class TrainConfig:
         for name in ("coarse_until", "depth_warmup"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ConfigError(f"{name} must lie in [0, 1], got {getattr(self, name)}.")
-        if not 0 <= self.drop_rate < 1:
-            raise ConfigError(f"drop_rate must lie in [0, 1), got {self.drop_rate}.")
+        for name in ("drop_rate", "prune_share"):
+            if not 0 <= getattr(self, name) < 1:
+                raise ConfigError(f"{name} must lie in [0, 1), got {getattr(self, name)}.")
         for name in ("ssim_weight", "init_opacity", "prune_opacity"):
             value = getattr(self, name)
             if not 0 <= value <= (1 if name == "ssim_weight" else 0.99):

@@ -132,6 +132,7 @@ _METHOD = {
     "grow_scale": ("--grow-scale", "--percent-dense"),
     "prune_opacity": ("--prune-opacity",),
     "prune_scale": ("--prune-scale",),
+    "prune_share": ("--prune-share",),
     "mcmc_growth": ("--mcmc-growth",),
     "mcmc_noise": ("--mcmc-noise", "--noise-lr"),
     "opacity_reg": ("--opacity-reg",),

@@ -62,6 +62,8 @@ class Plan:
     """Pull above which `default` doubles a splat."""
     growth: float
     """Share of splats that a refinement adds: of `mcmc` exactly, of `default` a guess."""
+    kept: float
+    """Share of the splats that stay when refinements are over."""
 
     @classmethod
     def of(
@@ -123,6 +125,7 @@ class Plan:
             init_scale=config.init_scale or (0.1 if mcmc else 1.0),
             grow_grad=config.grow_grad or 2e-4 / min(boost, 2.0),
             growth=(config.mcmc_growth or min(growth, 1.0)) if mcmc else _GROWTH,
+            kept=1.0 - config.prune_share,
         )
 
     def means_lr_at(self, step: int) -> float:
@@ -185,17 +188,28 @@ class Plan:
 
     def _splats_at(self, later: int, step: int, splats: int) -> float:
         """Splats to expect before step `later` where there are `splats` after `step`."""
+        kept = self.kept if step < self.refine_stop < later else 1.0
         first, last = max(step + 1, self.refine_start), min(later - 1, self.refine_stop)
         refinements = last // self.refine_every - (first - 1) // self.refine_every
         if refinements <= 0 or splats >= self.max_splats:
-            return splats
+            return kept * splats
         grown = math.log(max(splats, 1)) + refinements * math.log1p(self.growth)
-        return min(math.exp(min(grown, 50.0)), self.max_splats)
+        return kept * min(math.exp(min(grown, 50.0)), self.max_splats)
 
     def refines_at(self, step: int) -> bool:
         """Whether splats may be added or removed after `step`."""
         inside = self.refine_start <= step <= min(self.refine_stop, self.iterations - 1)
         return inside and step % self.refine_every == 0
+
+    def surplus_at(self, step: int, splats: int, most: int) -> int:
+        """How many of `splats` are one too many after `step`, where there have been `most`.
+
+        Counted from the most there have been, so that a plan whose refinements end later than was
+        thought, or sooner, does not prune what is pruned already.
+        """
+        if step < min(self.refine_stop, self.iterations - 1):
+            return 0
+        return max(splats - max(round(self.kept * most), 1), 0)
 
     def resets_at(self, step: int) -> bool:
         """Whether opacities are reset after `step`."""

@@ -244,6 +244,7 @@ class _Run:
             time_budget=config.time_budget / 4,
             start_splats=RunFolder(self._complete[-1].folder).point_cloud.absolute(),
             start_opacity=options.carried_opacity,
+            prune_share=0.0,  # else each frame would have fewer than the one before
         )
 
     def _data_of(self, place: int) -> DataConfig:

@@ -17,6 +17,7 @@ from ..raster.painter import Painter
 from ..scene import PointCloud
 from ..splats import SH_REST_BY_DEGREE, Splats
 from . import bounds, guard
+from .contribution import blending_weights, least
 from .depth_loss import DepthLoss
 from .depth_targets import DepthTargets
 from .frame import Frame
@@ -116,6 +117,7 @@ class Trainer:
         self.rate_factor = 1.0
         """All learning rates are multiplied by this."""
         self._skipped = 0
+        self._most_splats = 0
         self._painter = Painter()
         self._v_rgb = torch.empty(0)
         self.laps = Laps()
@@ -225,8 +227,9 @@ class Trainer:
         if config.detect_anomaly:
             guard.assert_finite(model, value, step=step, view=self._cameras.names[index])
         change, bad_rows = self._learn(step, v_means2d, view)
-        laps.lap("learn")
         self.bad_rows += bad_rows
+        change = self._prune(change)
+        laps.lap("learn")
         lost_rows = self._hold() if step % _HOLD_EVERY == 0 else 0
         return StepResult(value, loss.mse, change, bad_rows, False, lost_rows)
 
@@ -281,6 +284,7 @@ class Trainer:
             "lost_rows": self.lost_rows,
             "skipped": self._skipped,
             "factor": self._factor if math.isfinite(self._factor) else None,
+            "most_splats": self._most_splats,
         }
 
     def tensors(self) -> dict[str, torch.Tensor]:
@@ -319,6 +323,7 @@ class Trainer:
         self.sampler.order, self.sampler.position = list(state["order"]), state["position"]
         self.steps, self.bad_rows = state["steps"], state["bad_rows"]
         self.lost_rows, self._skipped = state.get("lost_rows", 0), state["skipped"]
+        self._most_splats = state.get("most_splats", len(self.model))
 
     def _first_splats(self, cloud: PointCloud) -> Splats:
         points = self.frame.similarity.points_to_training(cloud.points)
@@ -439,6 +444,31 @@ class Trainer:
             model, step=step, means_lr=means_lr, generator=self.generator
         )
         return change, bad_rows
+
+    def _prune(self, change: Change) -> Change:
+        """Take out what adds least to the photos, once there are to be fewer splats; `change` with
+        those."""
+        model, config = self.model, self.config
+        self._most_splats = max(self._most_splats, len(model))
+        count = self.plan.surplus_at(self.steps, len(model), self._most_splats)
+        if count == 0:
+            return change
+        indices = self.sampler.indices
+        weights = blending_weights(
+            self._painter,
+            model.params,
+            (
+                self._pyramid.at(index, self._factor, upcoming=indices[i + 1 :])
+                for i, index in enumerate(indices)
+            ),
+            near=self.frame.near,
+            antialias=config.antialias,
+            masks_hide=self.photos.mask_mode == "ignore",
+            scratch=model.grads,  # they were for the step that is done
+            threads=config.threads,
+        )
+        ops.edit(model, keep=(~least(weights, count)).nonzero().flatten())
+        return replace(change, removed=change.removed + count)
 
 
 def _gradients(term: torch.Tensor, *leaves: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
