@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from gscore.config import Background, Strategy, TrainConfig
+from gscore.config import Strategy, TrainConfig
 from gscore.depth import DepthPrior
 from gscore.errors import ConfigError
 from gscore.raster.api import render
@@ -19,18 +19,8 @@ from gscore.trainer import checkpoint
 from gscore.trainer import trainer as module
 from gscore.trainer.depth_targets import DepthTargets
 from gscore.trainer.trainer import Trainer
+from tests.trainer.short_run import CONFIG
 
-CONFIG = TrainConfig(
-    iterations=60,
-    max_splats=300,
-    sh_every=12,
-    refine_start=10,
-    refine_stop=55,
-    refine_every=10,
-    reset_every=25,
-    grow_grad=1e-5,
-    background=Background.RANDOM,
-)
 EVERYTHING = replace(CONFIG, drop_rate=0.3, alpha_weight=0.1, coarse_factor=2.0)
 
 

@@ -6,21 +6,11 @@ from typing import Any
 
 import pytest
 
-from gscore.config import Background, Strategy, TrainConfig
+from gscore.config import Strategy
 from gscore.trainer import checkpoint
 from gscore.trainer.trainer import Trainer
+from tests.trainer.short_run import CONFIG
 
-CONFIG = TrainConfig(
-    iterations=60,
-    max_splats=300,
-    sh_every=12,
-    refine_start=10,
-    refine_stop=55,
-    refine_every=10,
-    reset_every=25,
-    grow_grad=1e-5,
-    background=Background.RANDOM,
-)
 STOPS = (1, 5, 8, 9, 10, 12, 13, 19, 20, 21, 25, 26, 33, 59)
 """Before and after refinements (10, 20), resets (25), SH degrees (12) and epochs (8)."""
 
