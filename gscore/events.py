@@ -34,6 +34,9 @@ class Started(Event):
     height: int
     isa: str
     threads: int
+    depth: str = ""
+    """A sentence on the depth that supervises; empty: none, and a warning says why if there are
+    maps."""
     config: dict[str, Any] = field(default_factory=dict)
 
 
@@ -176,6 +179,8 @@ class DepthDone(Event):
     """Contact sheet that was written; empty: nothing was."""
     table: list[dict[str, Any]] = field(default_factory=list)
     """A row a view, see `gscore.depth.Priors`."""
+    why: str = ""
+    """A sentence: whether a training on all views would use depth by itself, and why."""
 
 
 @dataclass(frozen=True, kw_only=True)

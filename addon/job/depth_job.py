@@ -103,7 +103,7 @@ class DepthJob:
         done, asked = self.done, self.status == STOPPING
         if done is not None:
             try:
-                self.report = depth_report.from_table(done.table)
+                self.report = depth_report.from_table(done.table, why=done.why)
             except ValueError as error:
                 self.status, self.sentence = FAILED, str(error)
                 return

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from ..config import DataConfig
+from ..config import DataConfig, Switch
 from ..control import Control
 from ..datasets import Dataset, load_dataset
 from ..depth.align import align_official, reliable
@@ -25,6 +25,7 @@ from ..depth.sheet import write_sheet
 from ..errors import Cancelled, ConfigError
 from ..events import DepthDone, DepthProgress, Saved, Warn
 from ..metrics.colormap import colorize
+from ..trainer.depth_rule import coverage, decide
 from .attend import Show, attend
 from .output import check_folder
 
@@ -226,9 +227,17 @@ def _finish(
         params=str(path or ""),
         sheet=str(sheet or ""),
         table=table,
+        why=_why(dataset, samples),
     )
     show(done)
     return _Result(done=done, alignment=alignment, network=network, warnings=warnings, shown=shown)
+
+
+def _why(dataset: Dataset, samples: list[Samples | None]) -> str:
+    """What the automatic rule of a training on all views says of these maps."""
+    usable = sum(part is not None and not part.trouble for part in samples)
+    facts = coverage(dataset.scene, range(len(dataset)))
+    return decide(Switch.AUTO, facts, usable=usable)[1]
 
 
 def _align(
@@ -305,6 +314,7 @@ def _facts(args: argparse.Namespace, result: _Result) -> dict[str, Any]:
         "params": done.params or None,
         "sheet": done.sheet or None,
         "model": _model_facts(result.network) if result.network else None,
+        "why": done.why,
         "table": done.table,
         "warnings": result.warnings,
     }
@@ -317,9 +327,11 @@ def _print(args: argparse.Namespace, result: _Result) -> None:
     count = f"{done.accepted} of {sum(1 for row in done.table if row['map'])} maps of {what}"
     if args.check:
         print(f"{count} would be used with their scale; nothing was written")
+        print(done.why)
         return
     print(f"{count} aligned by the {args.align} rule: {done.params}")
     print(f"{result.shown} views on {done.sheet}")
+    print(done.why)
 
 
 def _print_network(network: Network, dataset: Dataset) -> None:

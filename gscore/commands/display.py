@@ -75,6 +75,8 @@ class Lines:
                     f"{event.width} x {event.height} px; {event.splats} splats to start with; "
                     f"{event.threads} threads, {event.isa}"
                 )
+                if event.depth:
+                    self._permanent(event.depth)
             case FrameStarted():
                 how = "complete already" if event.complete else f"{event.iterations} steps"
                 how += ", from the frame before" if event.start and not event.complete else ""

@@ -168,6 +168,7 @@ class Session:
                 height=int(cameras.heights.max()),
                 isa=backend.isa(),
                 threads=self._results.threads,
+                depth=self._depth.why if self._depth.supervises else "",
                 config={"data": to_dict(self._data), "train": to_dict(self._config)},
             )
         )

@@ -35,6 +35,7 @@ DONE = {
     "params": "p",
     "sheet": "s",
     "table": [REFUSED, ACCEPTED],
+    "why": "Depth supervises 2 training views.",
 }
 
 
@@ -98,6 +99,7 @@ def test_a_prediction_from_click_to_table(studio: bpy.types.Scene, play) -> None
     report = depth.report(studio)
     assert report is job.report
     assert [row.view for row in report.rows] == ["view_000.jpg", "view_001.jpg"]
+    assert report.why == DONE["why"]
     table = depth_table.table_of(bpy.context)
     assert [(i.name, i.verdict) for i in table.views] == [
         ("view_000.jpg", "accepted"),

@@ -13,11 +13,12 @@ import pycolmap
 import pytest
 from PIL import Image
 
-from gscore.config import DataConfig
+from gscore.config import DataConfig, Switch
 from gscore.datasets import load_dataset
 from gscore.depth import load_priors
 from gscore.events import DepthDone, DepthProgress, Failed, from_line
 from gscore.io.images import write_png
+from gscore.trainer.depth_rule import coverage, decide
 
 MAKERS = {
     "midas": ("midas", {"size": 256}),
@@ -287,7 +288,10 @@ def test_checking_writes_nothing(planes, gscore):
     assert code == 0 and (result["accepted"], result["params"], result["sheet"]) == (4, None, None)
     assert sorted(planes.folder.rglob("*")) == before
     config = DataConfig(source=planes.folder, depths="depths", resolution=1)
-    assert result["table"] == load_priors(config, load_dataset(config)).table
+    dataset = load_dataset(config)
+    assert result["table"] == load_priors(config, dataset).table
+    facts = coverage(dataset.scene, range(5))
+    assert result["why"] == decide(Switch.AUTO, facts, usable=5)[1]
     code, out, _ = gscore("depth", planes.folder, "--check")
-    assert code == 0 and "nothing was written" in out
+    assert code == 0 and "nothing was written" in out and result["why"] in out
     assert gscore("depth", planes.folder, "--check", "--overwrite")[0] == 2
