@@ -191,17 +191,19 @@ class TrainConfig:
 
     depth_mode: Switch = Switch.AUTO
     """Supervise inverse depth where `DataConfig.depths` gives maps; auto: not in dense captures."""
-    depth_weight: float = 0.3
-    """Weight of the depth loss at the first step; see `trainer.depth_loss` for its unit."""
-    depth_weight_final: float = 0.1
-    """Weight of the depth loss at the last step; exponential in between."""
+    depth_weight: float = -1.0
+    """Weight of the depth loss at the first step, see `trainer.depth_loss` for its unit; -1: 1, and
+    where more than 12 training views show a median point, 12 / their number."""
+    depth_weight_final: float = -1.0
+    """Weight of the depth loss at the last step, exponential in between; -1: that of the first."""
     depth_warmup: float = 0.02
     """Share of the run over which the depth loss fades in, from 0 to its full weight."""
     depth_pearson: float = 0.5
     """Weight of 1 - correlation for views whose map could not be aligned, as a share of
     `depth_weight`; 0: such views get no depth loss."""
-    depth_points: int = 0
-    """Points added at the start from aligned maps where SfM left holes, at most; 0: none."""
+    depth_points: int = -1
+    """Points added at the start from aligned maps where SfM left holes, at most; -1: 10 000 where
+    depth supervises; 0: none."""
     drop_rate: float = 0.0
     """Share of splats left out of a step at random, rising from 0 to this at the last step (Park et
     al. 2025, DropGaussian), against overfitting to few views; 0: none."""
@@ -297,8 +299,13 @@ class TrainConfig:
         )
         _at_least(self, 0.0, "prune_scale", "mcmc_growth", "mcmc_noise", "opacity_reg", "scale_reg")
         _at_least(self, 0.0, "checkpoint_seconds", "preview_seconds", "time_budget", "target_psnr")
-        _at_least(self, 0.0, "depth_weight", "depth_weight_final", "depth_pearson", "alpha_weight")
-        _at_least(self, 0, "depth_points")
+        _at_least(self, 0.0, "depth_pearson", "alpha_weight")
+        for name in ("depth_weight", "depth_weight_final"):
+            if not getattr(self, name) >= 0 and getattr(self, name) != -1:
+                raise ConfigError(
+                    f"{name} must be at least 0, or -1 for what suits, got {getattr(self, name)}."
+                )
+        _at_least(self, -1, "depth_points")
         if self.coarse_factor != 0:
             _at_least(self, 1.0, "coarse_factor")
         for name in ("coarse_until", "depth_warmup"):

@@ -28,6 +28,24 @@ _SPREAD_FLOOR = 1e-4
 """Least variance in the correlation, of inverse depth in medians: flat maps say nothing."""
 _OPAQUE = 0.5
 """Weight of missing opacity next to wrong inverse depth."""
+_FEW = 12
+"""Views of a point up to which maps count in full."""
+
+
+def with_weights(config: TrainConfig, views: float) -> TrainConfig:
+    """The options with the weights of the depth loss, where they leave them open.
+
+    Photos settle more of the geometry the more of them show it, while a map errs as it did: from
+    few views it counts as much as they do, then less.
+
+    Args:
+        config: The options.
+        views: Training views that show a median point, see `depth_rule.Coverage`.
+    """
+    first, last = config.depth_weight, config.depth_weight_final
+    if first < 0:
+        first = min(1.0, _FEW / views) if views else 1.0
+    return replace(config, depth_weight=first, depth_weight_final=first if last < 0 else last)
 
 
 def weight_at(config: TrainConfig, step: int) -> float:
@@ -45,9 +63,11 @@ def weight_at(config: TrainConfig, step: int) -> float:
 class DepthLoss:
     """The depth loss of a run."""
 
-    def __init__(self, config: TrainConfig, targets: DepthTargets, *, scale: float) -> None:
-        """`scale`: training units a world unit."""
-        self._config = config
+    def __init__(
+        self, config: TrainConfig, targets: DepthTargets, *, scale: float, views: float
+    ) -> None:
+        """`scale`: training units a world unit; `views`: that show a median point."""
+        self._config = with_weights(config, views)
         self.targets = targets
         # Lengths grow by the scale, so inverse depths shrink by it.
         self._unit = targets.unit / scale

@@ -11,9 +11,13 @@ from ..datasets import Dataset
 from ..depth import load_priors
 from ..errors import ConfigError
 from ..scene import PointCloud
+from .depth_loss import with_weights
 from .depth_points import depth_points
 from .depth_rule import coverage, decide
 from .depth_targets import DepthTargets
+
+_POINTS = 10_000
+"""Most points that are added where the option leaves it open."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +57,7 @@ def prepare_depth(
         ConfigError: depth is asked for and no maps are named.
     """
     if not data.depths:
-        if config.depth_mode == "on" or config.depth_points:
+        if config.depth_mode == "on" or config.depth_points > 0:
             raise ConfigError(
                 "Depth is asked for, but no folder of depth maps is named: give it with --depths."
             )
@@ -64,17 +68,18 @@ def prepare_depth(
         for i in photos.train
         if (p := priors.views[i]) is not None and (p.aligned or config.depth_pearson > 0)
     )
-    supervises, why = decide(config.depth_mode, coverage(photos.scene, photos.train), usable=usable)
+    facts = coverage(photos.scene, photos.train)
+    supervises, why = decide(config.depth_mode, facts, usable=usable)
     warnings = [*priors.warnings] if supervises else [*priors.warnings, why]
     points = None
-    if supervises and config.depth_points:
-        added = depth_points(photos, priors.views, count=config.depth_points, seed=config.seed)
+    if supervises and (count := _points_wanted(config, facts.views_of_point)):
+        added = depth_points(photos, priors.views, count=count, seed=config.seed)
         known = photos.scene.points
         points = PointCloud(
             points=np.concatenate([known.points, added.points]),
             colors=np.concatenate([known.colors, added.colors]),
         )
-        warnings.append(f"{len(added)} points were added from depth maps to {len(known)} of SfM.")
+        why += f" {len(added)} points were added from the maps to {len(known)} of SfM."
     return DepthSetup(
         targets=DepthTargets(priors.views, train=photos.train),
         supervises=supervises,
@@ -83,3 +88,13 @@ def prepare_depth(
         table=priors.table,
         warnings=tuple(warnings),
     )
+
+
+def _points_wanted(config: TrainConfig, views: float) -> int:
+    """Most points to add: none to splats that are there already, nor by itself without a loss."""
+    if config.start_splats is not None:
+        return 0
+    if config.depth_points >= 0:
+        return config.depth_points
+    config = with_weights(config, views)
+    return _POINTS if max(config.depth_weight, config.depth_weight_final) > 0 else 0

@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +12,13 @@ import numpy as np
 import pytest
 
 from gscore.commands import main
+from gscore.config import DataConfig, Switch, TrainConfig
+from gscore.datasets import load_dataset
 from gscore.depth.params import FILE
 from gscore.io.images import write_png
 from gscore.raster.api import render
+from gscore.scene import PointCloud
+from gscore.trainer.depth_setup import prepare_depth
 
 SHORT = ["--iterations", "12", "--max-splats", "200", "--sh-degree", "0"]
 UNIT = 2.0
@@ -24,9 +29,6 @@ def deep(capture: Path, known_splats: Any, tmp_path_factory: pytest.TempPathFact
     """The toy capture with its true inverse depth in depths/ and the scale of the maps."""
     root = tmp_path_factory.mktemp("deep") / "capture"
     shutil.copytree(capture, root)
-    from gscore.config import DataConfig
-    from gscore.datasets import load_dataset
-
     cameras = load_dataset(DataConfig(source=root)).scene.cameras
     params = {}
     for i, name in enumerate(cameras.names):
@@ -50,8 +52,10 @@ def test_depth_reaches_metrics_and_report(
     out = tmp_path / "o"
     base = ["train", str(deep), "-o", str(out), *SHORT, "--test-every", "4", "--json"]
     assert main([*base, "-d", "depths", "--depth-align", "official"]) == 0
-    printed = json.loads(capsys.readouterr().out.splitlines()[-1])
+    told = capsys.readouterr()
+    printed = json.loads(told.out.splitlines()[-1])
     assert printed["depth"]["used"] is True
+    assert printed["depth"]["why"] in told.err.splitlines()[:8]
     assert "views" not in printed["depth"]
     depth = json.loads((out / "metrics.json").read_text())["depth"]
     assert 0 < depth["depth_error"] < 1
@@ -90,6 +94,31 @@ def test_refused_maps_are_told_with_the_reason(deep: Path, tmp_path: Path) -> No
     assert f"not aligned: {refused['reason'][:20]}" in report
 
 
+def test_maps_add_points_where_they_supervise(deep: Path) -> None:
+    """Oracle: the points of SfM, which all stay, and the number in the sentence."""
+    data = DataConfig(source=deep, depths="depths", depth_align="official")
+    photos = load_dataset(data)
+    known = photos.scene.points.points[::40]
+    few = PointCloud(points=known, colors=photos.scene.points.colors[::40])
+    photos.scene = replace(photos.scene, points=few)
+    found = prepare_depth(data, TrainConfig(), photos)
+    assert found.points is not None
+    np.testing.assert_array_equal(found.points.points[: len(known)], known)
+    added = len(found.points) - len(known)
+    assert added > 0
+    assert found.why.endswith(f" {added} points were added from the maps to {len(known)} of SfM.")
+    for config in (
+        TrainConfig(depth_points=0),
+        TrainConfig(depth_weight=0.0, depth_weight_final=0.0),
+        TrainConfig(start_splats=deep / "some.ply"),
+        TrainConfig(depth_mode=Switch.OFF),
+    ):
+        found = prepare_depth(data, config, photos)
+        assert found.points is None and "added" not in found.why
+    fewer = prepare_depth(data, TrainConfig(depth_points=added // 2), photos).points
+    assert fewer is not None and len(fewer) - len(known) <= added // 2
+
+
 def test_off_reads_maps_but_trains_without(deep: Path, tmp_path: Path) -> None:
     """Oracle: the same splats, byte by byte, as without maps; the report says why."""
     arguments = ["train", str(deep), *SHORT, "--quiet"]
@@ -110,7 +139,7 @@ def test_off_reads_maps_but_trains_without(deep: Path, tmp_path: Path) -> None:
         (["--depth-mode", "on"], "--depths"),
         (["--depth-points", "10"], "--depths"),
         (["-d", "nowhere"], "nowhere"),
-        (["-d", "depths", "--depth-weight", "-1"], "depth_weight must be at least 0"),
+        (["-d", "depths", "--depth-weight", "-2"], "depth_weight must be at least 0"),
         (["--drop-rate", "1"], "drop_rate must lie in [0, 1)"),
     ],
 )

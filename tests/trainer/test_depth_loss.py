@@ -10,7 +10,7 @@ import torch
 from gscore.config import TrainConfig
 from gscore.raster.autograd import rasterize
 from gscore.raster.reference import rasterize_reference
-from gscore.trainer.depth_loss import DepthLoss, l1_loss, pearson_loss, weight_at
+from gscore.trainer.depth_loss import DepthLoss, l1_loss, pearson_loss, weight_at, with_weights
 from gscore.trainer.depth_targets import DepthTarget, DepthTargets
 
 NAMES = ("means", "quats", "scales", "opacities", "sh0", "shN")
@@ -201,6 +201,26 @@ def test_weights_fall_log_linearly_after_a_warmup() -> None:
     assert weight_at(to_nothing, 500) == pytest.approx(0.5)
 
 
+@pytest.mark.parametrize(
+    ("given", "views", "expected"),
+    [
+        ((-1, -1), 0, (1, 1)),
+        ((-1, -1), 12, (1, 1)),
+        ((-1, -1), 48, (0.25, 0.25)),
+        ((0.6, -1), 48, (0.6, 0.6)),
+        ((-1, 0.01), 24, (0.5, 0.01)),
+        ((0, 0), 6, (0, 0)),
+    ],
+)
+def test_weights_fall_with_the_number_of_views(
+    given: tuple[float, float], views: float, expected: tuple[float, float]
+) -> None:
+    """Oracle: 12 / views, at most 1, where the options leave them open."""
+    first, last = given
+    found = with_weights(TrainConfig(depth_weight=first, depth_weight_final=last), views)
+    assert (found.depth_weight, found.depth_weight_final) == pytest.approx(expected)
+
+
 class Prior:
     def __init__(self, value: float, *, aligned: bool) -> None:
         self.inverse_depth = np.full((4, 6), value, np.float32)
@@ -215,10 +235,10 @@ def test_views_without_a_usable_prior_need_no_inverse_depth() -> None:
         [Prior(0.5, aligned=True), None, Prior(9.0, aligned=False)], train=[0, 1, 2]
     )
     config = TrainConfig(iterations=10, depth_warmup=0.0, depth_pearson=0.5)
-    loss = DepthLoss(config, targets, scale=0.25)
+    loss = DepthLoss(config, targets, scale=0.25, views=6)
     assert loss.weight(1, 5) == 0
     assert loss.weight(2, 5) == pytest.approx(0.5 * loss.weight(0, 5))
-    unaligned_off = DepthLoss(replace(config, depth_pearson=0.0), targets, scale=0.25)
+    unaligned_off = DepthLoss(replace(config, depth_pearson=0.0), targets, scale=0.25, views=6)
     assert unaligned_off.weight(2, 5) == 0
     assert unaligned_off.weight(0, 5) > 0
 
@@ -227,7 +247,7 @@ def test_lengths_of_the_training_world_are_undone() -> None:
     """Oracle: where lengths shrink to a quarter, inverse depths grow fourfold."""
     prior = Prior(0.5, aligned=True)
     targets = DepthTargets([prior], train=[0])
-    loss = DepthLoss(TrainConfig(), targets, scale=0.25)
+    loss = DepthLoss(TrainConfig(), targets, scale=0.25, views=6)
     right = torch.from_numpy(prior.inverse_depth / 0.25)
     opaque = torch.ones(right.shape)
     assert float(loss(0, right, opaque)) < 1e-3
