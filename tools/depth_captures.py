@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from gscore.io.colmap import read_model, write_model
-from gscore.io.colmap_model import ColmapModel
+from gscore.io.colmap_model import ColmapImage, ColmapModel
 from gscore.io.images import read_image, write_png
 
 FULL = 65536
@@ -41,7 +41,7 @@ def few_views(source: Source, count: int, folder: Path) -> list[str]:
         Names of the training views.
     """
     model = read_model(source.folder)
-    train = _spread([i for i in model.images if i.name not in source.test], count)
+    train = _spread(training_views(source), count)
     names = {image.name for image in train}
     ids, times = np.unique(
         np.concatenate([np.unique(image.point3D_ids) for image in train]), return_counts=True
@@ -78,6 +78,11 @@ def few_views(source: Source, count: int, folder: Path) -> list[str]:
             shutil.copy(mask, folder / "masks" / mask.name)
     (folder / "test.txt").write_text("".join(f"{name}\n" for name in source.test))
     return sorted(names)
+
+
+def training_views(source: Source) -> list[ColmapImage]:
+    """All views that are not held out."""
+    return [i for i in read_model(source.folder).images if i.name not in source.test]
 
 
 def write_depths(source: Source, names: list[str], folder: Path) -> None:
@@ -146,7 +151,7 @@ def photo(source: Source, name: str) -> np.ndarray:
     return read_image(source.folder / "images" / name)[..., :3]
 
 
-def _spread(images: list, count: int) -> list:
+def _spread(images: list[ColmapImage], count: int) -> list[ColmapImage]:
     """`count` images, each as far as possible from those before; the first is the first by name."""
     images = sorted(images, key=lambda image: image.name)
     centers = np.stack([-image.viewmat[:3, :3].T @ image.viewmat[:3, 3] for image in images])

@@ -1,25 +1,35 @@
 """Does depth help? Trains with and without it, from few and from many views, and writes a table.
 
 python tools/experiment_depth.py --quick
+python tools/experiment_depth.py --table switches
 python tools/experiment_depth.py --views 6 12 24 50 --arms none exact mono --seeds 0 1 2
 
-Runs that are in results.json already are not repeated, so it can be stopped and goes on.
+Every run keeps its figures in a folder of its own, named after the code that made it: what is there
+already is not repeated, several of these may run at once, and results of other code are left out.
 """
 
 import argparse
+import hashlib
 import json
 import os
+import resource
+import shutil
 import statistics
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
-from depth_captures import Source, exact, few_views, photo, write_depths, write_mono
+from depth_captures import Source, few_views, photo, training_views, write_depths, write_mono
+from depth_measures import inverse, measure, pinhole, test_views
 
 from gscore.io.images import resize, write_png
 from gscore.io.ply import read_splats
@@ -35,14 +45,22 @@ ARMS: dict[str, list[str]] = {
     "onnx": ["--depths", "depths-onnx", "--depth-mode", "on"],
     "drop": ["--drop-rate", "0.2"],
     "mono+drop": ["--depths", "depths-mono-{seed}", "--depth-mode", "on", "--drop-rate", "0.2"],
-    "mono+points": [
+    "mono-points": [
         *("--depths", "depths-mono-{seed}", "--depth-mode", "on"),
-        *("--depth-points", "10000"),
+        *("--depth-points", "0"),
+    ],
+    "mono+falling": [
+        *("--depths", "depths-mono-{seed}", "--depth-mode", "on"),
+        *("--depth-weight", "0.3", "--depth-weight-final", "0.1"),
     ],
     "random": ["--background", "random"],
     "masked": ["--mask-mode", "composite"],
     "masked+alpha": ["--mask-mode", "composite", "--alpha-weight", "0.1"],
     "masked+black": ["--mask-mode", "composite", "--background", "black"],
+    "masked+exact": [
+        *("--mask-mode", "composite"),
+        *("--depths", "depths-exact", "--depth-mode", "on"),
+    ],
     "masked+mono": [
         *("--mask-mode", "composite"),
         *("--depths", "depths-mono-{seed}", "--depth-mode", "on"),
@@ -50,25 +68,75 @@ ARMS: dict[str, list[str]] = {
 }
 """What is trained with: options of `gscore train`."""
 STUDIO_UNIT = 4.0
+TABLES: dict[str, dict[str, Any]] = {
+    "views": {},
+    "auto": {"views": ["50"], "arms": ["none", "mono-auto"], "seeds": [0]},
+    "switches": {
+        "views": ["6", "12"],
+        "arms": [
+            *("none", "drop", "random"),
+            *("mono", "mono+drop", "mono-points", "mono+falling"),
+            *("masked", "masked+alpha", "masked+black", "masked+mono"),
+        ],
+    },
+    "real": {"captures": ["plush", "stone_horse"], "views": ["6", "12", "24", "all"]},
+    "study": {
+        "views": ["50"],
+        "arms": ["none", "mono", "exact", "masked", "masked+mono", "masked+exact"],
+        "width": 480,
+        "iterations": 3000,
+        "max_splats": 60_000,
+        "sh_degree": 3,
+    },
+}
+"""What is trained for each table of docs/depth.md, where it is not the default."""
+REFERENCE = {"width": 400, "iterations": 3000, "max_splats": 80_000, "sh_degree": 2}
+"""The training on all views that stands for the exact depth of real captures."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Setting:
+    """How large and how long all trainings of a table are."""
+
+    width: int
+    iterations: int
+    max_splats: int
+    sh_degree: int
+    threads: int
+
+    def __str__(self) -> str:
+        return (
+            f"{self.width} px, {self.iterations} steps, {self.max_splats} splats, "
+            f"SH degree {self.sh_degree}"
+        )
+
+    @property
+    def folder(self) -> str:
+        return f"{self.width}px-{self.iterations}-{self.max_splats}-sh{self.sh_degree}"
 
 
 def main() -> int:
     """Run what is missing, then write results.json, the table and the pictures."""
     args = _arguments()
-    args.output.mkdir(parents=True, exist_ok=True)
-    path = args.output / "results.json"
-    results = json.loads(path.read_text()) if path.is_file() else {}
-    for source in _sources(args):
-        for count in args.views:
+    setting = Setting(**{key: getattr(args, key) for key in Setting.__dataclass_fields__})
+    runs = args.output / "runs" / code_version()
+    for source in [_source(args, name) for name in args.captures]:
+        for count in [_count(source, views) for views in args.views]:
             for seed in args.seeds:
                 for arm in args.arms:
-                    key = "/".join((source.name, _setting(args), str(count), arm, str(seed)))
-                    if key not in results:
-                        results[key] = _run(args, source, count, arm, seed)
-                        _write(path, json.dumps(results, indent=1) + "\n")
-                        print(key, _line(results[key]), flush=True)
-            _pictures(args, source, count)
-    table = _tables(results, _setting(args))
+                    out = runs / f"{source.name}-{count}-{arm}-{setting.folder}-{seed}"
+                    if not (out / "row.json").is_file():
+                        row = _run(args, setting, source, count, arm, seed, out)
+                        _write(out / "row.json", json.dumps(row, indent=1) + "\n")
+                        print(out.name, _line(row), flush=True)
+            found = [
+                (arm, runs / f"{source.name}-{count}-{arm}-{setting.folder}-{args.seeds[0]}")
+                for arm in args.arms
+            ]
+            _pictures(source, found, args.output / f"{source.name}-{count}-{setting.folder}.png")
+    rows = [json.loads(path.read_text()) for path in sorted(runs.glob("*/row.json"))]
+    _write(args.output / "results.json", json.dumps(rows, indent=1) + "\n")
+    table = tables(rows)
     _write(args.output / "results.md", table)
     print(table)
     return 0
@@ -80,33 +148,53 @@ def _arguments() -> argparse.Namespace:
     )
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "out" / "experiment-depth")
     parser.add_argument(
+        "--table", choices=tuple(TABLES), default="views", help="of docs/depth.md; sets the others"
+    )
+    parser.add_argument(
         "--captures", nargs="+", default=["studio"], help="studio, or of GSCORE_DATA"
     )
-    parser.add_argument("--views", type=int, nargs="+", default=[6, 12, 24, 50])
-    parser.add_argument("--arms", nargs="+", choices=tuple(ARMS), default=["none", "exact", "mono"])
+    parser.add_argument(
+        "--views", nargs="+", default=["6", "12", "24", "50"], help="to train on; all: all"
+    )
+    parser.add_argument("--arms", nargs="+", choices=tuple(ARMS), default=["none", "mono", "exact"])
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
-    parser.add_argument("--width", type=int, default=160, help="of the photos, pixels")
-    parser.add_argument("--iterations", type=int, default=800)
-    parser.add_argument("--max-splats", type=int, default=30_000)
+    parser.add_argument("--width", type=int, default=120, help="of the photos, pixels")
+    parser.add_argument("--iterations", type=int, default=500)
+    parser.add_argument("--max-splats", type=int, default=15_000)
+    parser.add_argument("--sh-degree", type=int, default=1)
+    parser.add_argument("--threads", type=int, default=0, help="of each training; 0: all cores")
     parser.add_argument("--model", type=Path, help="network for the arm onnx, FILE.onnx")
-    parser.add_argument("--quick", action="store_true", help="12 views, one seed, a minute or two")
+    parser.add_argument("--quick", action="store_true", help="12 views, one seed, a minute")
+    parser.set_defaults(**TABLES[parser.parse_known_args()[0].table])
     args = parser.parse_args()
     if args.quick:
-        args.views, args.seeds, args.width = [12], [0], 120
-        args.iterations, args.max_splats = 500, 15_000
+        args.views, args.seeds = ["12"], [0]
     if args.model and "onnx" not in args.arms:
-        args.arms.append("onnx")
+        args.arms = [*args.arms, "onnx"]
     if "onnx" in args.arms and not args.model:
         parser.error("the arm onnx takes a network: --model FILE.onnx")
+    if any(not views.isdecimal() and views != "all" for views in args.views):
+        parser.error(f"--views takes numbers and all, not {' '.join(args.views)}")
     return args
 
 
-def _setting(args: argparse.Namespace) -> str:
-    return f"{args.width} px, {args.iterations} steps, {args.max_splats} splats"
+@cache
+def code_version() -> str:
+    """Short hash of all that a training and these captures are made by."""
+    files = [*(ROOT / "gscore").rglob("*.py"), *(ROOT / "csrc" / "src").iterdir()]
+    digest = hashlib.sha256()
+    for path in sorted([*files, Path(__file__).with_name("depth_captures.py")]):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:12]
 
 
-def _sources(args: argparse.Namespace) -> list[Source]:
-    return [studio() if name == "studio" else _with_reference(args, name) for name in args.captures]
+def _source(args: argparse.Namespace, name: str) -> Source:
+    return studio() if name == "studio" else _with_reference(args, name)
+
+
+def _count(source: Source, views: str) -> int:
+    available = len(training_views(source))
+    return available if views == "all" else min(int(views), available)
 
 
 def studio() -> Source:
@@ -128,19 +216,19 @@ def _with_reference(args: argparse.Namespace, name: str) -> Source:
     out = args.output / "reference" / name
     done = out / "source.json"
     if not done.is_file():
-        _train(folder, out / "run", args, ["--eval", "--mask-mode", "none"], seed=0)
+        setting = Setting(**REFERENCE, threads=args.threads)
+        _train(folder, out / "run", setting, ["--eval", "--mask-mode", "none"], seed=0)
         cameras = json.loads((out / "run" / "cameras.json").read_text())
         metrics = json.loads((out / "run" / "metrics.json").read_text())
         splats = read_splats(out / "run" / "point_cloud.ply")
-        inverse = {}
+        maps = {}
         for camera in cameras:
-            K, viewmat = _pinhole(camera)
+            K, viewmat = pinhole(camera)
             shown = render(splats, K, viewmat, camera["width"], camera["height"])
             assert shown.median_depth is not None
-            z = shown.median_depth
-            inverse[camera["img_name"]] = np.where(z > 0, 1 / np.where(z > 0, z, 1), 0)
-        unit = float(np.quantile(np.concatenate([v.ravel() for v in inverse.values()]), 0.999))
-        for view, values in inverse.items():
+            maps[camera["img_name"]] = inverse(shown.median_depth)
+        unit = float(np.quantile(np.concatenate([v.ravel() for v in maps.values()]), 0.999))
+        for view, values in maps.items():
             levels = np.clip(values / unit * 65536, 0, 65535)
             write_png(out / "depths" / f"{Path(view).stem}.png", levels.astype(np.uint16))
         _write(done, json.dumps({"unit": unit, "test": metrics["test_views"]}))
@@ -154,154 +242,137 @@ def _with_reference(args: argparse.Namespace, name: str) -> Source:
     )
 
 
-def _pinhole(camera: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:
-    """K and viewmat of an entry of cameras.json."""
-    K = np.array(
-        [
-            [camera["fx"], 0, camera.get("cx", camera["width"] / 2)],
-            [0, camera["fy"], camera.get("cy", camera["height"] / 2)],
-            [0, 0, 1],
-        ],
-        np.float64,
-    )
-    viewmat = np.eye(4)
-    viewmat[:3, :3] = np.array(camera["rotation"]).T
-    viewmat[:3, 3] = -viewmat[:3, :3] @ np.array(camera["position"])
-    return K, viewmat
-
-
 def _capture(args: argparse.Namespace, source: Source, count: int, arm: str, seed: int) -> Path:
     """The folder to train on, made on first use."""
     folder = args.output / "captures" / f"{source.name}-{count}"
-    listed = folder / "train.json"
-    if not listed.is_file():
-        names = few_views(source, count, folder)
-        write_depths(source, names, folder)
-        _write(listed, json.dumps(names))
-    names = json.loads(listed.read_text())
+    if not folder.is_dir():
+        with _whole(folder) as part:
+            names = few_views(source, count, part)
+            write_depths(source, names, part)
+            _write(part / "train.json", json.dumps(names))
+    names = json.loads((folder / "train.json").read_text())
     mono = folder / f"depths-mono-{seed}"
     if "mono" in arm and not mono.is_dir():
-        write_mono(source, names, mono, seed=seed)
+        with _whole(mono) as part:
+            write_mono(source, names, part, seed=seed)
     if arm == "onnx" and not (folder / "depths-onnx").is_dir():
         command = [sys.executable, "-m", "gscore", "depth", folder, "--model", args.model]
-        subprocess.run([*command, "-o", "depths-onnx"], check=True, cwd=ROOT)
+        subprocess.run([*command, "-d", "depths-onnx"], check=True, cwd=ROOT)
     return folder
 
 
+@contextmanager
+def _whole(folder: Path) -> Iterator[Path]:
+    """A folder to fill that becomes `folder` once it is full, unless another process was sooner."""
+    part = folder.with_name(f"{folder.name}.part{os.getpid()}")
+    shutil.rmtree(part, ignore_errors=True)
+    part.mkdir(parents=True)
+    yield part
+    if folder.is_dir():
+        shutil.rmtree(part)
+    else:
+        part.rename(folder)
+
+
 def _run(
-    args: argparse.Namespace, source: Source, count: int, arm: str, seed: int
+    args: argparse.Namespace,
+    setting: Setting,
+    source: Source,
+    count: int,
+    arm: str,
+    seed: int,
+    out: Path,
 ) -> dict[str, Any]:
     """Train once and measure pictures and depth of the test views."""
     folder = _capture(args, source, count, arm, seed)
-    out = args.output / "runs" / f"{source.name}-{args.width}-{count}-{arm}-{seed}"
     options = [option.format(seed=seed) for option in ARMS[arm]]
+    masked = "composite" in options
     if "--mask-mode" not in options:
         options += ["--mask-mode", "none"]
     options += ["--test-list", str(folder / "test.txt")]
-    measured = _train(folder, out, args, options, seed=seed)
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    measured = _train(folder, out, setting, options, seed=seed)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return {
+        "capture": source.name,
+        "setting": str(setting),
+        "views": count,
+        "arm": arm,
+        "seed": seed,
         **{key: measured[key] for key in ("psnr", "ssim", "lpips", "train_seconds", "splats")},
-        "depth_error": _depth_error(source, out, masked="composite" in options),
+        "cpu_seconds": after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime,
+        "splats_sha256": hashlib.sha256((out / "point_cloud.ply").read_bytes()).hexdigest(),
+        **measure(source, out, masked=masked),
     }
 
 
 def _train(
-    folder: Path, out: Path, args: argparse.Namespace, options: list[str], *, seed: int
+    folder: Path, out: Path, setting: Setting, options: list[str], *, seed: int
 ) -> dict[str, Any]:
     command = [sys.executable, "-m", "gscore", "train", folder, "-o", out, "--overwrite"]
-    command += ["--quiet", "--json", "--seed", str(seed), "--sh-degree", "1"]
-    command += ["--resolution", str(args.width), "--iterations", str(args.iterations)]
-    command += ["--max-splats", str(args.max_splats), "--checkpoint-seconds", "0", *options]
+    command += ["--quiet", "--json", "--seed", str(seed), "--sh-degree", str(setting.sh_degree)]
+    command += ["--resolution", str(setting.width), "--iterations", str(setting.iterations)]
+    command += ["--max-splats", str(setting.max_splats), "--threads", str(setting.threads)]
+    command += ["--checkpoint-seconds", "0", *options]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         raise SystemExit(f"{' '.join(map(str, command))}\n{done.stderr}")
     return json.loads(done.stdout.splitlines()[-1])
 
 
-def _views(source: Source, out: Path) -> list[tuple[str, Any, np.ndarray]]:
-    """Name, render and exact inverse depth at its size, for each test view."""
-    splats, found = read_splats(out / "point_cloud.ply"), []
-    for camera in json.loads((out / "cameras.json").read_text()):
-        name = camera["img_name"]
-        names = {Path(test).stem: test for test in source.test} | {t: t for t in source.test}
-        if name not in names:
-            continue
-        K, viewmat = _pinhole(camera)
-        width, height = camera["width"], camera["height"]
-        truth = exact(source, name)
-        rows = ((np.arange(height) + 0.5) * truth.shape[0] / height).astype(int)
-        columns = ((np.arange(width) + 0.5) * truth.shape[1] / width).astype(int)
-        shown = render(splats, K, viewmat, width, height)
-        found.append((names[name], shown, truth[np.ix_(rows, columns)]))
-    return found
-
-
-def _depth_error(source: Source, out: Path, *, masked: bool) -> float:
-    """Mean over pixels and test views of |z / exact z - 1|, at most 1; z is the median depth.
-
-    With masks only pixels that are the figure's count.
-    """
-    errors = []
-    for name, shown, truth in _views(source, out):
-        known = truth > 0
-        if masked:
-            mask = source.folder / "masks" / f"{Path(name).stem}.png"
-            known &= _mask(mask, truth.shape) == 255
-        errors.append(np.minimum(np.abs(shown.median_depth[known] * truth[known] - 1), 1).mean())
-    return float(np.mean(errors))
-
-
-def _mask(path: Path, shape: tuple[int, ...]) -> np.ndarray:
-    from gscore.io.images import read_mask
-
-    return resize(read_mask(path), shape[1], shape[0])
-
-
-def _pictures(args: argparse.Namespace, source: Source, count: int) -> None:
-    """One test view: photo and exact depth over what each arm shows, with the first seed."""
+def _pictures(source: Source, found: list[tuple[str, Path]], path: Path) -> None:
+    """One test view: photo and exact depth, then what each arm shows; the first seed."""
     columns = []
-    for arm in args.arms:
-        run = f"{source.name}-{args.width}-{count}-{arm}-{args.seeds[0]}"
-        views = _views(source, args.output / "runs" / run)
-        name, shown, truth = views[len(views) // 2]
-        top = float(np.quantile(truth, 0.99))
-        z = shown.median_depth
-        inverse = np.where(z > 0, 1 / np.where(z > 0, z, 1), 0)
+    for _, out in found:
+        views = test_views(source, out)
+        view = views[len(views) // 2]
+        height, width = view.truth.shape
+        top = float(np.quantile(view.truth, 0.99))
         if not columns:
-            original = resize(photo(source, name), truth.shape[1], truth.shape[0])
-            columns.append(np.concatenate([original, colorize(truth / top)]))
-        rgb = (np.clip(shown.rgb, 0, 1) * 255 + 0.5).astype(np.uint8)
-        columns.append(np.concatenate([rgb, colorize(inverse / top)]))
-    write_png(args.output / f"{source.name}-{count}.png", np.concatenate(columns, axis=1))
+            original = resize(photo(source, view.name), width, height)
+            columns.append(np.concatenate([original, colorize(view.truth / top)]))
+        rgb = (np.clip(view.shown.rgb, 0, 1) * 255 + 0.5).astype(np.uint8)
+        assert view.shown.median_depth is not None
+        columns.append(np.concatenate([rgb, colorize(inverse(view.shown.median_depth) / top)]))
+    write_png(path, np.concatenate(columns, axis=1))
 
 
-def _tables(results: dict[str, dict[str, Any]], setting: str) -> str:
-    """Markdown: mean and standard deviation over seeds, and the gain over `none` seed by seed."""
-    groups: dict[tuple[str, int], dict[str, dict[int, dict[str, Any]]]] = {}
-    for key, row in results.items():
-        capture, wanted, count, arm, seed = key.split("/")
-        if wanted == setting:
-            group = groups.setdefault((capture, int(count)), {})
-            group.setdefault(arm, {})[int(seed)] = row
-    lines = [
-        f"{setting}; mean and standard deviation over seeds.",
-        "",
-        "| capture | views | depth | PSNR | gain in PSNR | SSIM | LPIPS | depth error | seconds |",
-        "|---|---|---|---|---|---|---|---|---|",
-    ]
-    for (capture, count), arms in sorted(groups.items()):
-        for arm, rows in arms.items():
+def tables(rows: list[dict[str, Any]]) -> str:
+    """Markdown: mean and standard deviation over seeds, and the gain over no depth seed by seed."""
+    groups: dict[tuple[str, str, int], dict[str, dict[int, dict[str, Any]]]] = {}
+    for row in rows:
+        group = groups.setdefault((row["setting"], row["capture"], row["views"]), {})
+        group.setdefault(row["arm"], {})[row["seed"]] = row
+    lines: list[str] = []
+    previous = ""
+    for (setting, capture, count), arms in sorted(groups.items()):
+        if setting != previous:
+            lines += ["", f"{setting}:", "", *_HEAD]
+            previous = setting
+        for arm in sorted(arms, key=list(ARMS).index):
+            found = arms[arm]
             base = arms.get("masked" if arm.startswith("masked") else "none", {})
-            gains = [row["psnr"] - base[s]["psnr"] for s, row in rows.items() if s in base]
-            cells = [capture, str(count), arm, _spread_words(rows, "psnr", 2)]
-            cells += ["" if base is rows else _mean_words(gains, 2, sign="+")]
-            cells += [_spread_words(rows, "ssim", 4), _spread_words(rows, "lpips", 3)]
-            cells += [
-                _spread_words(rows, "depth_error", 3),
-                _spread_words(rows, "train_seconds", 0),
+            gains = [row["psnr"] - base[s]["psnr"] for s, row in found.items() if s in base]
+            same = [
+                row["splats_sha256"] == base[s]["splats_sha256"]
+                for s, row in found.items()
+                if s in base
             ]
+            gain = "same splats" if same and all(same) else _mean_words(gains, 2, sign="+")
+            cells = [capture, str(count), arm, str(len(found)), _spread_words(found, "psnr", 2)]
+            cells += ["" if base is found else gain]
+            cells += [_spread_words(found, "ssim", 3), _spread_words(found, "lpips", 3)]
+            cells += [_spread_words(found, key, 3) for key in ("depth_error", "depth_error_seen")]
+            cells += [_spread_words(found, "cpu_seconds", 0)]
             lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines).strip() + "\n"
+
+
+_HEAD = (
+    "| capture | views | arm | seeds | PSNR | gain in PSNR | SSIM | LPIPS | depth error "
+    "| where seen | CPU s |",
+    "|---|---|---|---|---|---|---|---|---|---|---|",
+)
 
 
 def _spread_words(rows: dict[int, dict[str, Any]], key: str, digits: int) -> str:
@@ -316,7 +387,10 @@ def _mean_words(values: list[float], digits: int, *, sign: str = "") -> str:
 
 
 def _line(row: dict[str, Any]) -> str:
-    return f"PSNR {row['psnr']:.2f} depth {row['depth_error']:.3f} {row['train_seconds']:.0f} s"
+    return (
+        f"PSNR {row['psnr']:.2f} depth {row['depth_error']:.3f} "
+        f"seen {row['depth_error_seen']:.3f} {row['train_seconds']:.0f} s"
+    )
 
 
 def _write(path: Path, text: str) -> None:

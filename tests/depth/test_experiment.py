@@ -1,0 +1,103 @@
+"""What tools/experiment_depth.py measures; oracles: two planes whose shadows are known, counts."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+TOOLS = Path(__file__).parent.parent.parent / "tools"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _tools() -> Any:
+    sys.path.insert(0, str(TOOLS))
+    yield
+    sys.path.remove(str(TOOLS))
+
+
+def test_seen_is_what_lies_at_its_depth_in_another_frame() -> None:
+    """Oracle: geometry. A wall at z = 4, and before it in column 20 and beyond a board at z = 2."""
+    from depth_measures import is_seen
+
+    K = np.array([[20.0, 0, 20], [0, 20.0, 10], [0, 0, 1]])
+    wall = np.full((20, 40), 0.25)
+    with_board = wall.copy()
+    with_board[:, 20:] = 0.5
+    here, right = np.eye(4), np.eye(4)
+    right[0, 3] = -1.0  # camera one unit to the right: the wall moves 5 px to the left
+    seen = is_seen(wall, K, here, [(K, right, wall)])
+    assert not seen[:, :5].any() and seen[:, 5:].all()
+    # Pixels that land on the board in the other view are hidden there.
+    hidden = is_seen(wall, K, here, [(K, right, with_board)])
+    assert hidden[:, 5:25].all() and not hidden[:, 25:].any()
+    assert is_seen(wall, K, here, [(K, right, with_board), (K, here, wall)]).all()
+    behind = np.diag([-1.0, 1, -1, 1])
+    assert not is_seen(wall, K, here, [(K, behind, wall)]).any()
+    nothing = np.zeros((20, 40))
+    assert not is_seen(nothing, K, here, [(K, here, nothing)]).any()
+
+
+def _row(arm: str, seed: int, psnr: float, splats: str = "") -> dict[str, Any]:
+    return {
+        "capture": "c",
+        "setting": "120 px",
+        "views": 6,
+        "arm": arm,
+        "seed": seed,
+        "psnr": psnr,
+        "ssim": 0.5,
+        "lpips": None,
+        "depth_error": 0.5,
+        "depth_error_seen": 0.25,
+        "cpu_seconds": 3.0,
+        "splats_sha256": splats or arm,
+    }
+
+
+def test_gains_are_of_the_same_seed() -> None:
+    """Oracle: 2 and 4 dB, 3 in the mean with a deviation of root two; a seed without its pair."""
+    from experiment_depth import tables
+
+    rows = [_row("none", 0, 20), _row("none", 1, 10), _row("mono", 0, 22), _row("mono", 1, 14)]
+    rows += [_row("mono", 2, 18), _row("mono-auto", 0, 20, "none"), _row("masked", 0, 30)]
+    lines = [line.strip("| ").split(" | ") for line in tables(rows).splitlines()]
+    found = {cells[2]: cells for cells in lines if cells[0] == "c"}
+    assert found["none"][3:6] == ["2", "15.00 ± 7.07", ""]
+    assert found["mono"][3:6] == ["3", "18.00 ± 4.00", "+3.00 ± 1.41"]
+    assert found["mono-auto"][5] == "same splats"
+    assert found["masked"][5] == ""
+
+
+def test_options_of_a_table_can_be_overruled(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: the table's own entries, and the one that is given."""
+    import experiment_depth
+
+    given = ["x", "--table", "study", "--seeds", "4", "--arms", "none"]
+    monkeypatch.setattr(sys, "argv", given)
+    args = experiment_depth._arguments()
+    assert (args.width, args.iterations, args.seeds) == (480, 3000, [4])
+    assert (args.views, args.arms) == (["50"], ["none"])
+    monkeypatch.setattr(sys, "argv", ["x", "--views", "few"])
+    with pytest.raises(SystemExit):
+        experiment_depth._arguments()
+
+
+def test_a_folder_appears_whole_or_not_at_all(tmp_path: Path) -> None:
+    """Oracle: the files there while it is filled, after an error, and when another was sooner."""
+    from experiment_depth import _whole
+
+    target = tmp_path / "a"
+    with pytest.raises(ValueError, match="stop"), _whole(target) as part:
+        (part / "x").write_text("1")
+        raise ValueError("stop")
+    assert not target.exists()
+    with _whole(target) as part:
+        (part / "x").write_text("2")
+        assert not target.exists()
+    with _whole(target) as part:
+        (part / "x").write_text("3")
+    assert (target / "x").read_text() == "2"
+    assert json.loads((target / "x").read_text()) == 2 and len(list(tmp_path.iterdir())) == 1
