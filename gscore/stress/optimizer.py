@@ -93,7 +93,7 @@ def adam(full: bool) -> Iterator[Measure]:
             g[~seen] = 0
             gradients[name] = g
         decay = 0.01 ** (step / steps)
-        rates = {name: rate * decay for name, rate in _RATES.items()} | {"shN": 1.25e-4}
+        rates = {name: rate * decay for name, rate in _RATES.items()} | {"shN": 1.25e-4 * decay}
         _step(model, gradients, seen, rates)
         twin.step(gradients, rates)
         true.step(gradients, rates)

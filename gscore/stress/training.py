@@ -69,11 +69,15 @@ def coordinates(full: bool) -> Iterator[Measure]:
 
 @case("S30", "a long training", per_isa=False, slow=True)
 def long_training(full: bool) -> Iterator[Measure]:
-    """Oracle: 100 000 steps leave finite splats without runaway shapes, and do not unlearn."""
+    """Oracle: 100 000 steps leave finite splats without runaway shapes, and do not unlearn.
+
+    There are fewer splats than the capture was drawn with. What is left of the error is then what
+    they cannot say; with enough of them it is how far the last steps jump, by 1 dB about 52.
+    """
     photos = toy_photos(held_out=(3,))
     for strategy in Strategy:
         config = TrainConfig(
-            iterations=100_000, max_splats=300, sh_degree=2, strategy=strategy, coarse_factor=1
+            iterations=100_000, max_splats=60, sh_degree=2, strategy=strategy, coarse_factor=1
         )
         trainer = trainer_of(config, photos)
         best = fall = 0.0
@@ -101,7 +105,7 @@ def long_training(full: bool) -> Iterator[Measure]:
         yield Measure(f"{strategy}: numbers not finite", bad, 0, note)
         yield Measure(f"{strategy}: longest axis over shortest", float(ratios.max()), 1e6)
         yield Measure(f"{strategy}: PSNR lost, dB", fall, 0.2)
-        if not best > 20:
+        if not best > 15:
             raise EmptyTestError(f"{strategy}: only {best:.1f} dB; nothing was learnt")
 
 
