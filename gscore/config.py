@@ -180,6 +180,9 @@ class TrainConfig:
     lr_boost: float = 0.0
     """Learning rates are multiplied by this, those of positions and opacities by its root, and the
     last one of positions by its square; 0: 1 for 30 000 steps and more, up to 4 in short runs."""
+    lr_final: float = 0.2
+    """What is left of the learning rates, those of positions apart, at the last step: they fall
+    exponentially over the last tenth of the run. 1: they stay as they are."""
     start_splats: Path | None = None
     """PLY to start from instead of the capture's points, in the capture's world."""
     start_opacity: float = 1.0
@@ -318,8 +321,9 @@ class TrainConfig:
             value = getattr(self, name)
             if not 0 <= value <= (1 if name == "ssim_weight" else 0.99):
                 raise ConfigError(f"{name} must lie in [0, 1) (ssim_weight up to 1), got {value}.")
-        if not 0 < self.start_opacity <= 1:
-            raise ConfigError(f"start_opacity must lie in (0, 1], got {self.start_opacity}.")
+        for name in ("start_opacity", "lr_final"):
+            if not 0 < getattr(self, name) <= 1:
+                raise ConfigError(f"{name} must lie in (0, 1], got {getattr(self, name)}.")
         if self.sh_degree not in range(4):
             raise ConfigError(f"sh_degree must be 0, 1, 2 or 3, got {self.sh_degree}.")
         for name in ("test_iterations", "save_iterations", "checkpoint_iterations"):

@@ -110,6 +110,7 @@ _METHOD = {
     "scales_lr": ("--scales-lr", "--scaling-lr"),
     "quats_lr": ("--quats-lr", "--rotation-lr"),
     "lr_boost": ("--lr-boost",),
+    "lr_final": ("--lr-final",),
     "ssim_weight": ("--ssim-weight", "--lambda-dssim"),
     "depth_weight": ("--depth-weight", "--depth-l1-weight-init"),
     "depth_weight_final": ("--depth-weight-final", "--depth-l1-weight-final"),

@@ -16,6 +16,8 @@ for each number of a splat (`tools/fit_step_time.py`)."""
 _GROWTH = 0.5
 """Splats that `default` adds at a refinement, as a share of those there, until the cap: more on
 some captures and less on others."""
+_SETTLES = 0.9
+"""Share of a run after which learning rates fall."""
 _SAMPLES = 64
 """Steps looked at to tell what the rest of a run takes."""
 _COARSE_SIDE = 75
@@ -53,7 +55,9 @@ class Plan:
     means_lr: tuple[float, float]
     """Learning rate of positions at the first and after the last step, training units."""
     rates: dict[str, float]
-    """Learning rates of the other parameters."""
+    """Learning rates of the other parameters, until they fall."""
+    lr_final: float
+    """What is left of these at the last step."""
     init_opacity: float
     """Opacity of the first splats."""
     init_scale: float
@@ -121,6 +125,7 @@ class Plan:
                 "sh0": config.sh0_lr * boost,
                 "shN": config.shN_lr * boost * math.sqrt(every_shN),
             },
+            lr_final=config.lr_final,
             init_opacity=config.init_opacity or (0.5 if mcmc else 0.1),
             init_scale=config.init_scale or (0.1 if mcmc else 1.0),
             grow_grad=config.grow_grad or 2e-4 / min(boost, 2.0),
@@ -138,6 +143,15 @@ class Plan:
         if first <= 0 or last <= 0:
             return first
         return first * math.exp(math.log(last / first) * min(step / self.iterations, 1.0))
+
+    def rates_at(self, step: int) -> dict[str, float]:
+        """Of the other parameters: constant, then exponential over the last tenth of the run.
+
+        Constant rates leave the parameters jumping about their best by as much as a step.
+        """
+        done = (step / self.iterations - _SETTLES) / (1 - _SETTLES)
+        share = self.lr_final ** min(max(done, 0.0), 1.0)
+        return {name: share * rate for name, rate in self.rates.items()}
 
     def rest_moves_at(self, step: int) -> bool:
         """Whether the higher SH coefficients take a step after `step`.

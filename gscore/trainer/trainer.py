@@ -442,7 +442,7 @@ class Trainer:
             height=view.height,
         )
         means_lr = self.rate_factor * self.plan.means_lr_at(step)
-        rates = {name: self.rate_factor * rate for name, rate in self.plan.rates.items()}
+        rates = {name: self.rate_factor * rate for name, rate in self.plan.rates_at(step).items()}
         model.set_rates(rates | {"means": means_lr})
         shown = None if Skip.UNSEEN_SH in self.config.without else radii
         bad_rows = model.step(shown, shN=self._rest_at(step), threads=self.config.threads)

@@ -24,6 +24,19 @@ def test_a_run_of_30000_steps_is_that_of_the_paper() -> None:
     assert plan.means_lr_at(15_000) == pytest.approx(2 * 1.6e-5)
 
 
+def test_rates_fall_over_the_last_tenth() -> None:
+    """Oracle: a fifth of the rate at the last step, its root half of the way there."""
+    plan = plan_of(TrainConfig(iterations=1000))
+    assert plan.rates_at(1) == plan.rates_at(900) == plan.rates
+    for name, rate in plan.rates.items():
+        assert plan.rates_at(950)[name] == pytest.approx(rate * 0.2**0.5)
+        assert plan.rates_at(1000)[name] == pytest.approx(0.2 * rate)
+        # A run that goes on beyond the end it planned stays there.
+        assert plan.rates_at(1100)[name] == plan.rates_at(1000)[name]
+    flat = plan_of(TrainConfig(iterations=1000, lr_final=1))
+    assert flat.rates_at(1000) == flat.rates
+
+
 def test_mcmc_of_30000_steps_is_that_of_the_paper() -> None:
     """Oracle: Kheradmand et al. 2024: refine until 25 000, +5 %, other initial values."""
     plan = plan_of(TrainConfig(iterations=30_000, strategy=Strategy.MCMC))
