@@ -13,7 +13,7 @@ namespace gs {
 namespace {
 
 constexpr int kBitsMax = 13;                  // buckets whose cursors the nearer caches hold
-constexpr size_t kRangeMin = size_t(1) << 16; // splats worth the wait for another thread
+constexpr size_t kRangeMin = size_t(1) << 15; // splats worth the wait for another thread
 
 } // namespace
 

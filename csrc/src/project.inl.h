@@ -4,6 +4,7 @@
 // (Cauchy-Binet), which does not cancel for needles.
 #pragma once
 
+#include "rows.h"
 #include "sh.inl.h"
 #include "simd.h"
 #include "types.h"
@@ -13,13 +14,6 @@ namespace gs::GS_NAMESPACE {
 struct Row3 {
     Vec x, y, z;
 };
-
-static inline Vec gather(const float *base, const uint32_t *id, int stride, int offset) {
-    Vec v;
-    for (int l = 0; l < kLanes; ++l)
-        v[l] = base[size_t(id[l]) * size_t(stride) + size_t(offset)];
-    return v;
-}
 
 static inline Vec dot3(Vec ax, Vec ay, Vec az, Vec bx, Vec by, Vec bz) { return fma(ax, bx, fma(ay, by, az * bz)); }
 
@@ -62,8 +56,7 @@ struct Limits {
 static inline Mask project_lanes(const gs_splats &in, const gs_camera &camera, const gs_options &options,
                                  const Limits &limits, const uint32_t *id, Lanes &s) {
     const float *w = camera.viewmat;
-    for (int k = 0; k < 3; ++k)
-        s.mean[k] = gather(in.means, id, 3, k);
+    gather<3>(in.means, in.count, id, s.mean);
     for (int i = 0; i < 3; ++i)
         s.cam[i] = fma(set1(w[4 * i]), s.mean[0],
                        fma(set1(w[4 * i + 1]), s.mean[1], fma(set1(w[4 * i + 2]), s.mean[2], set1(w[4 * i + 3]))));
@@ -73,16 +66,16 @@ static inline Mask project_lanes(const gs_splats &in, const gs_camera &camera, c
         return ok;
 
     Vec poison = {};
-    for (int k = 0; k < 4; ++k) {
-        s.quat[k] = gather(in.quats, id, 4, k);
-        poison += s.quat[k] * 0.0f;
+    gather<4>(in.quats, in.count, id, s.quat);
+    for (const Vec q : s.quat)
+        poison += q * 0.0f;
+    gather<3>(in.scales, in.count, id, s.scale);
+    for (Vec &scale : s.scale) {
+        poison += scale * 0.0f;
+        if (in.raw)
+            scale = exp(scale);
     }
-    for (int k = 0; k < 3; ++k) {
-        const Vec v = gather(in.scales, id, 3, k);
-        s.scale[k] = in.raw ? exp(v) : v;
-        poison += v * 0.0f;
-    }
-    const Vec o = gather(in.opacities, id, 1, 0);
+    const Vec o = gather_one(in.opacities, id);
     poison += o * 0.0f;
     if (in.raw) {
         const Vec e = exp(-o);
@@ -214,10 +207,12 @@ static void project(const ProjectArgs &a, int64_t chunk) {
         if (!alive)
             continue;
 
+        // Neighbours in memory are mostly neighbours in space: the next ones will be visible too.
+        fetch_floats(in.shN, (i0 + kLanes) * 3 * in.sh_rest, end * 3 * in.sh_rest, kLanes * 3 * in.sh_rest);
         Row3 d;
         Vec length;
         direction(camera, s, d, length);
-        alignas(64) float color[3][kLanes];
+        Vec color[3];
         sh_colors(in, id, alive, d.x, d.y, d.z, color);
 
         const Vec inv_yy = 1.0f / s.cov_yy;
@@ -227,31 +222,26 @@ static void project(const ProjectArgs &a, int64_t chunk) {
         const Vec extent = max(ex, ey);
         const Vec slope = s.cov_xy / s.cov_xx;
         const Vec half_chord = sqrt(s.det) / s.cov_xx;
+        for (const Vec c : color)
+            alive &= bits(ge(set1(kColorMax), c)); // NaN fails
+        IVec ids;
+        std::memcpy(&ids, id, sizeof ids);
+        // As Projected has them.
+        const Vec columns[4][4] = {{s.mean2d[0], s.mean2d[1], ua, ub},
+                                   {vc, log2_opacity, color[0], color[1]},
+                                   {color[2], s.inverse_z, s.cam[2], ex},
+                                   {ey, slope, half_chord, as_float(ids)}};
+        Vec4 rows[4][kLanes];
+        for (int k = 0; k < 4; ++k)
+            rows_of_columns(columns[k], rows[k]);
         for (int l = 0; l < lanes; ++l) {
             if (!(alive >> l & 1))
                 continue;
-            // Inverted comparisons, so that NaN fails.
-            if (!(color[0][l] <= kColorMax && color[1][l] <= kColorMax && color[2][l] <= kColorMax))
-                continue;
-            Projected p;
-            p.mean_x = s.mean2d[0][l];
-            p.mean_y = s.mean2d[1][l];
-            p.ua = ua[l];
-            p.ub = ub[l];
-            p.vc = vc[l];
-            p.log2_opacity = log2_opacity[l];
-            for (int k = 0; k < 3; ++k)
-                p.channel[k] = color[k][l];
-            p.channel[kChannelInvZ] = s.inverse_z[l];
-            p.channel[kChannelZ] = s.cam[2][l];
-            p.extent_x = ex[l];
-            p.extent_y = ey[l];
-            p.slope = slope[l];
-            p.half_chord = half_chord[l];
-            p.id = id[l];
-            out[visible] = p;
+            for (int k = 0; k < 4; ++k)
+                std::memcpy(reinterpret_cast<char *>(out + visible) + k * sizeof(Vec4), &rows[k][l], sizeof(Vec4));
+            const float z = out[visible].channel[kChannelZ];
             uint32_t key; // z is positive: its bits order like its values
-            std::memcpy(&key, &p.channel[kChannelZ], sizeof key);
+            std::memcpy(&key, &z, sizeof key);
             keys[visible] = key;
             range.low = key < range.low ? key : range.low;
             range.high = key > range.high ? key : range.high;
@@ -281,16 +271,6 @@ static inline void quat_backward(const Lanes &s, const Vec v_rot[3][3], Vec v_qu
         along = fma(v[k], s.quat[k], along);
     for (int k = 0; k < 4; ++k)
         v_quat[k] = fnma(along, s.quat[k], v[k]) / s.quat_length;
-}
-
-// Writes kWidth values of each of the first `lanes` lanes to the rows `id`.
-template <int kWidth> static inline void scatter(float *base, const uint32_t *id, int lanes, const Vec *v) {
-    alignas(64) float columns[kWidth][kLanes];
-    for (int k = 0; k < kWidth; ++k)
-        store(columns[k], v[k]);
-    for (int l = 0; l < lanes; ++l)
-        for (int k = 0; k < kWidth; ++k)
-            base[size_t(id[l]) * size_t(kWidth) + size_t(k)] = columns[k][l];
 }
 
 static inline void zero_rows(const gs_splat_grads &g, int64_t begin, int64_t end, int sh_rest) {
@@ -379,6 +359,8 @@ static void project_backward(const ProjectBackwardArgs &a, int64_t chunk) {
     Vec view_sums[12] = {}; // 3 x 4 row-major
     Lanes s;
     for (int first = 0; first < visible; first += kLanes) {
+        for (int i = first + kLanes; i < first + 2 * kLanes && i < visible; ++i)
+            fetch_coefficients(in, grads, a.forward.projected[begin + i].id);
         const int lanes = visible - first < kLanes ? visible - first : kLanes;
         uint32_t id[kLanes];
         alignas(64) float sums[kMomentCount][kLanes] = {};
@@ -420,7 +402,7 @@ static void project_backward(const ProjectBackwardArgs &a, int64_t chunk) {
 
         // v_opacity: alpha is proportional to the opacity.
         const Vec v_opacity = in.raw ? sum(kG) * s.see_through : sum(kG) / s.opacity;
-        scatter<1>(grads.opacities, id, lanes, &v_opacity);
+        scatter_one(grads.opacities, id, lanes, v_opacity);
 
         Vec v_jac_diagonal[2] = {}, v_jac_offset[2] = {}, v_world_rot[3][3], v_scale[3];
         for (int k = 0; k < 3; ++k) {

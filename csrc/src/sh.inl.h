@@ -2,6 +2,7 @@
 // Signs and order are those of 3D Gaussian Splatting: bands in ascending order, within a band m = -l..l.
 #pragma once
 
+#include "rows.h"
 #include "simd.h"
 #include "types.h"
 
@@ -74,73 +75,88 @@ static inline void sh_basis_backward(int degree, Vec x, Vec y, Vec z, const Vec 
             c14 * (xx - yy);
 }
 
-// Reads or writes three floats as a vector of four; the fourth is only touched where it belongs to the same row.
-static inline Vec4 load3(const float *p) { return Vec4{p[0], p[1], p[2], 0.0f}; }
-static inline void store3(float *p, Vec4 v) {
-    p[0] = v[0];
-    p[1] = v[1];
-    p[2] = v[2];
+// Rows of the higher coefficients; lanes beyond those in `alive` repeat one of them.
+static inline void coefficient_rows(const gs_splats &in, const uint32_t *id, uint32_t alive, const float *row[kLanes]) {
+    const int some = __builtin_ctz(alive);
+    for (int l = 0; l < kLanes; ++l)
+        row[l] = in.shN + size_t(id[alive >> l & 1 ? l : some]) * size_t(in.sh_rest) * 3;
 }
 
-// colour = max(0, 0.5 + sum of b_k c_k) of the lanes in `alive`; NaN where that is not finite.
+// colour = max(0, 0.5 + sum of b_k c_k) of the lanes in `alive`, which are not none; NaN where that is not finite.
 static inline void sh_colors(const gs_splats &in, const uint32_t *id, uint32_t alive, Vec x, Vec y, Vec z,
-                             float color[3][kLanes]) {
+                             Vec color[3]) {
     Vec b[kShMax] = {};
     sh_basis(in.sh_degree, x, y, z, b);
-    alignas(64) float basis[kShMax][kLanes];
     const int rest = sh_count(in.sh_degree) - 1;
-    for (int k = 0; k <= rest; ++k)
-        store(basis[k], b[k]);
-    for (int l = 0; l < kLanes; ++l) {
-        if (!(alive >> l & 1))
-            continue;
-        const float *row = in.shN + size_t(id[l]) * size_t(in.sh_rest) * 3;
-        Vec4 c = load3(in.sh0 + size_t(id[l]) * 3) * kSh0 + 0.5f;
-        for (int k = 0; k < rest - 1; ++k)
-            c += load<Vec4>(row + 3 * k) * basis[k + 1][l];
-        if (rest > 0)
-            c += load3(row + 3 * (rest - 1)) * basis[rest][l];
-        for (int k = 0; k < 3; ++k)
-            color[k][l] = c[k] > 0.0f ? c[k] : c[k] >= -3e38f ? 0.0f : __builtin_nanf("");
+    gather<3>(in.sh0, in.count, id, color);
+    for (int c = 0; c < 3; ++c)
+        color[c] = color[c] * kSh0 + 0.5f;
+    if (rest > 0) {
+        const float *row[kLanes];
+        coefficient_rows(in, id, alive, row);
+        Vec coefficients[3 * kShMax];
+        by_four(3 * rest, [&](int at) { load_columns(row, size_t(at), coefficients + at); });
+        for (int k = 0; k < rest; ++k)
+            for (int c = 0; c < 3; ++c)
+                color[c] += coefficients[3 * k + c] * b[k + 1];
+    }
+    for (int c = 0; c < 3; ++c)
+        color[c] = select(gt(color[c], Vec{}), color[c],
+                          select(ge(color[c], set1(-3e38f)), Vec{}, set1(__builtin_nanf(""))));
+}
+
+// Fetches what `sh_backward` reads and writes of a row: it takes pieces of many rows at a time, which hides from the
+// processor in which order memory is wanted.
+static inline void fetch_coefficients(const gs_splats &in, const gs_splat_grads &grads, uint32_t id) {
+    const size_t row = size_t(id) * size_t(in.sh_rest) * 3;
+    for (int i = 0; i < 3 * in.sh_rest; i += 16) {
+        __builtin_prefetch(in.shN + row + i);
+        __builtin_prefetch(grads.shN + row + i, 1);
     }
 }
 
 // Writes gradients of the coefficients of the first `lanes` lanes and returns dL/d(x, y, z) of the unit direction.
 static inline void sh_backward(const gs_splats &in, const gs_splat_grads &grads, const uint32_t *id, int lanes, Vec x,
                                Vec y, Vec z, const Vec v_color[3], Vec v_dir[3]) {
-    Vec b[kShMax] = {};
+    Vec b[kShMax] = {}, s[kShMax] = {};
     sh_basis(in.sh_degree, x, y, z, b);
-    alignas(64) float basis[kShMax][kLanes], v_basis[kShMax][kLanes] = {}, v_rgb[3][kLanes];
     const int rest = sh_count(in.sh_degree) - 1;
-    for (int k = 0; k <= rest; ++k)
-        store(basis[k], b[k]);
-    for (int k = 0; k < 3; ++k)
-        store(v_rgb[k], v_color[k]);
-    for (int l = 0; l < lanes; ++l) {
-        const Vec4 g = {v_rgb[0][l], v_rgb[1][l], v_rgb[2][l], 0.0f};
-        store3(grads.sh0 + size_t(id[l]) * 3, g * kSh0);
-        const size_t row = size_t(id[l]) * size_t(in.sh_rest) * 3;
+    const Vec v_sh0[3] = {v_color[0] * kSh0, v_color[1] * kSh0, v_color[2] * kSh0};
+    scatter<3>(grads.sh0, id, lanes, v_sh0);
+    if (rest > 0) {
+        const float *row[kLanes];
+        coefficient_rows(in, id, (1u << lanes) - 1, row);
+        Vec coefficients[3 * kShMax], gradients[3 * kShMax];
+        by_four(3 * rest, [&](int at) { load_columns(row, size_t(at), coefficients + at); });
         for (int k = 0; k < rest; ++k) {
-            const float *c = in.shN + row + 3 * k;
-            v_basis[k + 1][l] = c[0] * g[0] + c[1] * g[1] + c[2] * g[2];
-            const Vec4 v = g * basis[k + 1][l];
-            float *const out = grads.shN + row + 3 * k;
-            if (k < rest - 1) // the fourth float is overwritten by the next k, or has zero added to it
-                store(out, grads.add_shN ? v + load<Vec4>(out) : v);
-            else
-                store3(out, grads.add_shN ? v + load3(out) : v);
+            const Vec *const c = coefficients + 3 * k;
+            s[k + 1] = c[0] * v_color[0] + c[1] * v_color[1] + c[2] * v_color[2];
+            for (int i = 0; i < 3; ++i)
+                gradients[3 * k + i] = v_color[i] * b[k + 1];
         }
-        if (rest < in.sh_rest && !grads.add_shN)
-            std::memset(grads.shN + row + 3 * rest, 0, size_t(in.sh_rest - rest) * 3 * sizeof(float));
+        int written = 0;
+        by_four(3 * rest, [&](int at) {
+            if (grads.add_shN)
+                for (int i = at; i < written; ++i)
+                    gradients[i] = Vec{}; // added before
+            written = at + 4;
+            Vec4 rows[kLanes];
+            rows_of_columns(gradients + at, rows);
+            for (int l = 0; l < lanes; ++l) {
+                float *const out = grads.shN + (row[l] - in.shN) + at;
+                store(out, grads.add_shN ? rows[l] + load<Vec4>(out) : rows[l]);
+            }
+        });
     }
+    if (rest < in.sh_rest && !grads.add_shN)
+        for (int l = 0; l < lanes; ++l)
+            std::memset(grads.shN + (size_t(id[l]) * size_t(in.sh_rest) + size_t(rest)) * 3, 0,
+                        size_t(in.sh_rest - rest) * 3 * sizeof(float));
     // Coefficients that all but overflow leave a colour alone where their basis function is zero, but not its slope:
     // such a slope is dropped, NaN failing the comparisons.
     const Vec most = set1(kSlopeMax);
-    Vec s[kShMax];
-    for (int k = 0; k <= rest; ++k) {
-        s[k] = load(v_basis[k]);
+    for (int k = 1; k <= rest; ++k)
         s[k] = keep(both(ge(most, s[k]), ge(s[k], -most)), s[k]);
-    }
     sh_basis_backward(in.sh_degree, x, y, z, s, v_dir);
 }
 

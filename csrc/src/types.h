@@ -46,7 +46,8 @@ struct alignas(64) Projected {
     float extent_x, extent_y, slope, half_chord;
     uint32_t id;
 };
-static_assert(sizeof(Projected) == 64);
+static_assert(sizeof(Projected) == 64 && offsetof(Projected, vc) == 16 && offsetof(Projected, channel) == 24 &&
+              offsetof(Projected, extent_y) == 48 && offsetof(Projected, id) == 60);
 
 // A splat in a tile's list.
 struct Entry {
