@@ -19,7 +19,8 @@ class Measure:
     what: str
     """What was measured, a few words."""
     error: float
-    """Passed if at most `tolerance`; NaN fails. Counts of what should not be have tolerance 0."""
+    """Passed if at most `tolerance`; NaN fails (join errors with np.max, because max may lose it).
+    Counts of what should not be have tolerance 0."""
     tolerance: float
     note: str = ""
 

@@ -1,5 +1,7 @@
 """Errors of a drawn scene against the truth, and the refusal to compare empty pictures."""
 
+import math
+
 import numpy as np
 
 from .case import EmptyTestError, Measure
@@ -100,10 +102,12 @@ def gradient_measures(
 
 
 def merge(measures: list[Measure]) -> list[Measure]:
-    """The worst of the measures of each name, in the order in which the names appear."""
+    """The worst of the measures of each name, NaN above all, in the order of the names."""
     worst: dict[str, Measure] = {}
     for m in measures:
         old = worst.get(m.what)
+        if old is not None and math.isnan(old.error):
+            continue
         if old is None or not m.error / (m.tolerance or 1) <= old.error / (old.tolerance or 1):
             worst[m.what] = m
     return list(worst.values())

@@ -24,22 +24,22 @@ def exponential(full: bool) -> Iterator[Measure]:
         bits = np.arange(start, min(start + _BLOCK * step, last + 1), step, dtype=np.int64)
         x = bits.astype(np.uint32).view(np.float32)
         y = _native.exp2(x)
-        worst = max(worst, float(np.abs(y / np.exp2(x.astype(np.float64)) - 1).max()))
-        disorder = max(disorder, _disorder(y))
+        worst = np.maximum(worst, np.abs(y / np.exp2(x.astype(np.float64)) - 1).max())
+        disorder = np.maximum(disorder, _disorder(y))
         count += len(x)
     for seam in np.arange(-39.5, 0, 0.5):
         near = np.array(seam, np.float32).view(np.int32) + np.arange(-2000, 2000, dtype=np.int32)
         x = near.astype(np.uint32).view(np.float32)
         y = _native.exp2(x)
-        worst = max(worst, float(np.abs(y / np.exp2(x.astype(np.float64)) - 1).max()))
-        disorder = max(disorder, _disorder(y))
+        worst = np.maximum(worst, np.abs(y / np.exp2(x.astype(np.float64)) - 1).max())
+        disorder = np.maximum(disorder, _disorder(y))
     if not worst > 0 or count < 1_000_000:
         raise EmptyTestError("nothing was measured")
-    yield Measure("relative error", worst, 2.5e-7, f"{count:,} values")
-    yield Measure("order, ulp", disorder, 1.0)
+    yield Measure("relative error", float(worst), 2.5e-7, f"{count:,} values")
+    yield Measure("order, ulp", float(disorder), 1.0)
 
 
 def _disorder(y: np.ndarray) -> float:
     """Largest rise, in units of the last place, of values that should fall."""
     rise = y[1:] - y[:-1]
-    return float(max(0.0, (rise / np.spacing(y[:-1])).max()))
+    return float(np.maximum(0.0, (rise / np.spacing(y[:-1])).max()))

@@ -1,6 +1,7 @@
 """S24: spherical harmonics of degrees 0 to 3, at the poles and at the clamp."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -23,8 +24,6 @@ def _around(seed: int) -> Scene:
     cam = scene.means @ scene.viewmat[:3, :3].T + scene.viewmat[:3, 3]
     cam[0] = [0, 0, 2.5]
     means = (cam @ view[:3, :3]).astype(np.float32)
-    from dataclasses import replace
-
     return replace(scene, means=means, viewmat=view)
 
 
@@ -46,8 +45,6 @@ def harmonics(full: bool) -> Iterator[Measure]:
             yield Measure("colours", float(error.max()), 1e-6)
             yield from picture_measures(drawn, true)
             yield from gradient_measures(drawn, true)
-            from dataclasses import replace
-
             rest = (degree + 1) ** 2 - 1
             less = replace(scene, shN=scene.shN[:, :rest])
             short = native.draw(less, true.weights)

@@ -44,10 +44,8 @@ def quaternions(full: bool) -> Iterator[Measure]:
     for name, factor in (("x 10", 10.0), ("x 1e-6", 1e-6), ("x 1e20", 1e20), ("x 1e37", 1e37)):
         longer = scene.with_row(slice(None), quats=scene.quats * np.float32(factor))
         drawn = native.draw(longer, weights)
-        error = max(
-            float(np.abs(drawn.pictures[k] - plain.pictures[k]).max()) for k in ("rgb", "alpha")
-        )
-        yield Measure(f"{name}, picture", error, 1e-6)
+        errors = [np.abs(drawn.pictures[k] - plain.pictures[k]).max() for k in ("rgb", "alpha")]
+        yield Measure(f"{name}, picture", float(np.max(errors)), 1e-6)
         yield Measure("numbers not finite", float(not drawn.finite()), 0)
 
 

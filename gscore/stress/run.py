@@ -112,7 +112,8 @@ def _outcomes(one: Case, isa: str, full: bool) -> Iterator[Outcome]:
     if not measures:
         yield outcome("", math.nan, math.nan, False, "it measured nothing")
     for m in measures:
-        yield outcome(m.what, m.error, m.tolerance, bool(m.error <= m.tolerance), m.note)
+        error, tolerance = float(m.error), float(m.tolerance)
+        yield outcome(m.what, error, tolerance, error <= tolerance, m.note)
 
 
 def _load() -> None:

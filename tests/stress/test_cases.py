@@ -40,7 +40,7 @@ def invented():
 
     @case("S97", "an error too large", per_isa=False, needs=())
     def _(full):
-        return [Measure("this", 2.0, 1.0), Measure("that", 1.0, 1.0)]
+        return [Measure("this", 2, 1), Measure("that", 1.0, 1.0)]
 
     @case("S98", "an empty picture", per_isa=False, needs=())
     def _(full):
@@ -48,7 +48,7 @@ def invented():
 
     @case("S99", "not a number", per_isa=False, needs=())
     def _(full):
-        return [Measure("nan", float("nan"), 1.0)]
+        return [Measure("nan", float("nan"), 1.0), Measure("nan", 0.5, 1.0)]
 
     @case("S99b", "no measure", per_isa=False, needs=())
     def _(full):
@@ -74,6 +74,7 @@ def test_failures_fail(invented, capsys):
         ("S99b no measure", False),
         ("S99c no package", None),
     ]
+    assert isinstance(rows[0]["error"], float)
     assert "nothing to see" in rows[2]["note"]
     assert rows[5]["note"] == "skipped: needs no_such_package"
 
