@@ -34,12 +34,13 @@ def main() -> None:
     args = parser.parse_args()
     splats = read_splats(args.splats)
     data = DataConfig(source=STUDIO, mask_mode="none", depths="depths")
-    # Full size, and no refinement: all steps do the same work.
+    # Full size, no refinement and next to no learning: all steps of both do the same work.
     config = TrainConfig(
         iterations=100_000,
         max_splats=len(splats),
         coarse_factor=1.0,
         refine_start=100_000,
+        lr_boost=1e-12,
         threads=args.threads,
         depth_mode=Switch.ON,
         depth_points=0,

@@ -128,14 +128,17 @@ class _L1(torch.autograd.Function):
         weight.mul_(1 / (255 * image.numel())).div_(prior.clamp_min(1.0))
         error = image.mul(scale).sub_(prior)
         loss = torch.dot(weight.flatten(), error.abs().flatten())
-        ctx.inverse_depth = error.sign_().mul_(weight).mul_(scale)
+        inverse_depth = error.sign_().mul_(weight).mul_(scale)
         hollow = weight.mul_(prior).mul_(_OPAQUE)
-        ctx.alpha = -hollow
-        return loss + torch.dot(hollow.flatten(), (1 - alpha).flatten())
+        loss += hollow.sum() - torch.dot(hollow.flatten(), alpha.flatten())
+        ctx.gradients = [inverse_depth, hollow.neg_()]
+        return loss
 
     @staticmethod
     def backward(ctx: Any, v_loss: torch.Tensor) -> tuple[torch.Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        return ctx.inverse_depth * v_loss, ctx.alpha * v_loss, None, None
+        # In place and therefore once: a new picture costs as much as three passes over one.
+        alpha, inverse_depth = ctx.gradients.pop(), ctx.gradients.pop()
+        return inverse_depth.mul_(v_loss), alpha.mul_(v_loss), None, None
 
 
 def pearson_loss(inverse_depth: torch.Tensor, target: DepthTarget) -> torch.Tensor:
