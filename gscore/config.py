@@ -196,7 +196,7 @@ class TrainConfig:
     """Supervise inverse depth where `DataConfig.depths` gives maps; auto: not in dense captures."""
     depth_weight: float = -1.0
     """Weight of the depth loss at the first step, see `trainer.depth_loss` for its unit; -1: 1, and
-    where more than 12 training views show a median point, 12 / their number."""
+    where more than 6 training views show a median point, 6 / their number."""
     depth_weight_final: float = -1.0
     """Weight of the depth loss at the last step, exponential in between; -1: that of the first."""
     depth_warmup: float = 0.02
@@ -206,7 +206,7 @@ class TrainConfig:
     `depth_weight`; 0: such views get no depth loss."""
     depth_points: int = -1
     """Points added at the start from aligned maps where SfM left holes, at most; -1: 10 000 where
-    depth supervises; 0: none."""
+    depth supervises, and a fifth of `max_splats`; 0: none."""
     drop_rate: float = 0.0
     """Share of splats left out of a step at random, rising from 0 to this at the last step (Park et
     al. 2025, DropGaussian), against overfitting to few views; 0: none."""

@@ -28,7 +28,7 @@ _SPREAD_FLOOR = 1e-4
 """Least variance in the correlation, of inverse depth in medians: flat maps say nothing."""
 _OPAQUE = 0.5
 """Weight of missing opacity next to wrong inverse depth."""
-_FEW = 12
+_FEW = 6
 """Views of a point up to which maps count in full."""
 
 

@@ -19,7 +19,12 @@ _HOLE = 2.0
 
 
 def depth_points(
-    photos: Photos, priors: Sequence[Prior | None], *, count: int, seed: int
+    photos: Photos,
+    priors: Sequence[Prior | None],
+    *,
+    count: int,
+    seed: int,
+    most: int | None = None,
 ) -> PointCloud:
     """Points where SfM has none, seen alike by two aligned depth maps.
 
@@ -30,8 +35,9 @@ def depth_points(
     Args:
         photos: The capture; colours come from its photos.
         priors: By index of the view; only aligned ones are used.
-        count: At most so many, thinned at random.
+        count: Sets how fine the grid is; at most so many, thinned at random.
         seed: Of the thinning.
+        most: At most so many on the same grid; None: `count`.
 
     Returns:
         0 to `count` points in COLMAP world.
@@ -46,6 +52,7 @@ def depth_points(
     parts = [_from_view(photos, priors, used, i, stride) for i in used]
     points = np.concatenate([part[0] for part in parts])
     colors = np.concatenate([part[1] for part in parts])
+    count = count if most is None else min(count, most)
     if len(points) > count:
         chosen = np.sort(np.random.default_rng(seed).choice(len(points), count, replace=False))
         points, colors = points[chosen], colors[chosen]

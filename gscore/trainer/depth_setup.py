@@ -18,6 +18,8 @@ from .depth_targets import DepthTargets
 
 _POINTS = 10_000
 """Most points that are added where the option leaves it open."""
+_SHARE = 5
+"""And at most one of so many splats."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,7 +75,9 @@ def prepare_depth(
     warnings = [*priors.warnings] if supervises else [*priors.warnings, why]
     points = None
     if supervises and (count := _points_wanted(config, facts.views_of_point)):
-        added = depth_points(photos, priors.views, count=count, seed=config.seed)
+        # Splats that start on walls are missing on the subject where few are allowed.
+        most = config.max_splats // _SHARE if config.depth_points < 0 else None
+        added = depth_points(photos, priors.views, count=count, seed=config.seed, most=most)
         known = photos.scene.points
         points = PointCloud(
             points=np.concatenate([known.points, added.points]),

@@ -115,6 +115,8 @@ def test_maps_add_points_where_they_supervise(deep: Path) -> None:
     ):
         found = prepare_depth(data, config, photos)
         assert found.points is None and "added" not in found.why
+    tight = prepare_depth(data, TrainConfig(max_splats=5 * (added // 2)), photos).points
+    assert tight is not None and len(tight) - len(known) == added // 2
     fewer = prepare_depth(data, TrainConfig(depth_points=added // 2), photos).points
     assert fewer is not None and len(fewer) - len(known) <= added // 2
 

@@ -205,17 +205,17 @@ def test_weights_fall_log_linearly_after_a_warmup() -> None:
     ("given", "views", "expected"),
     [
         ((-1, -1), 0, (1, 1)),
-        ((-1, -1), 12, (1, 1)),
-        ((-1, -1), 48, (0.25, 0.25)),
+        ((-1, -1), 6, (1, 1)),
+        ((-1, -1), 48, (0.125, 0.125)),
         ((0.6, -1), 48, (0.6, 0.6)),
-        ((-1, 0.01), 24, (0.5, 0.01)),
+        ((-1, 0.01), 12, (0.5, 0.01)),
         ((0, 0), 6, (0, 0)),
     ],
 )
 def test_weights_fall_with_the_number_of_views(
     given: tuple[float, float], views: float, expected: tuple[float, float]
 ) -> None:
-    """Oracle: 12 / views, at most 1, where the options leave them open."""
+    """Oracle: 6 / views, at most 1, where the options leave them open."""
     first, last = given
     found = with_weights(TrainConfig(depth_weight=first, depth_weight_final=last), views)
     assert (found.depth_weight, found.depth_weight_final) == pytest.approx(expected)
