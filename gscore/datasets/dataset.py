@@ -11,6 +11,7 @@ from typing import TypeVar
 import numpy as np
 
 from ..errors import Cancelled, DatasetError
+from ..io.files import open_regular
 from ..scene import Scene
 from .decode import ViewFile, decode_view
 
@@ -147,7 +148,7 @@ class Dataset:
 
 def _file_hash(path: Path) -> bytes:
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             return hashlib.file_digest(file, "sha256").digest()
     except OSError as error:
         raise DatasetError(f"{path} cannot be read ({error.strerror}); restore it.") from error

@@ -1,11 +1,12 @@
 """A capture folder read into a Dataset: layout, sizes, masks, points and split."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from ..config import DataConfig
-from ..errors import DatasetError
+from ..errors import Cancelled, DatasetError
 from ..io.images import ImageInfo, read_info
 from ..scene import Cameras, PointCloud, Scene
 from .capture import View, listing
@@ -24,13 +25,18 @@ RANDOM_SEED = 0
 """Of those points."""
 
 
-def load_dataset(config: DataConfig) -> Dataset:
+def load_dataset(config: DataConfig, *, cancelled: Callable[[], bool] = lambda: False) -> Dataset:
     """Read a capture: a COLMAP model or a transforms.json, with photos and masks.
 
     Photos are not decoded yet (except to colour black points): `Dataset.nbytes` says what they will
     take, `Dataset.preload` decodes them.
 
+    Args:
+        config: Which capture, and how to use it.
+        cancelled: Asked between photos; true ends the call.
+
     Raises:
+        Cancelled: `cancelled` said so.
         DatasetError: something is missing, does not match, or leaves nothing to train on.
         FormatError: a file is truncated, corrupt or of an unknown kind.
         ConfigError: an option has a value that cannot work.
@@ -39,7 +45,10 @@ def load_dataset(config: DataConfig) -> Dataset:
     check_resolution(config.resolution)
     capture = read_capture(config)
     views = sorted(capture.views, key=lambda view: view.name)
-    infos = [read_info(view.image) for view in views]
+    infos = []
+    for view in views:
+        _go_on(cancelled)
+        infos.append(read_info(view.image))
     warnings = list(capture.warnings)
     upright = [_is_upright(view, info) for view, info in zip(views, infos, strict=True)]
     sizes = [
@@ -64,7 +73,7 @@ def load_dataset(config: DataConfig) -> Dataset:
         names=tuple(view.name for view in views),
     )
     train, test = split_views(cameras.names, config, stated=capture.test_names)
-    points = _points(capture.points, cameras, views, files, warnings)
+    points = _points(capture.points, cameras, views, files, warnings, cancelled)
     return Dataset(
         scene=Scene(cameras=cameras, points=points, warnings=tuple(warnings)),
         files=files,
@@ -73,6 +82,11 @@ def load_dataset(config: DataConfig) -> Dataset:
         mask_mode=masks.mode,
         source=capture.root,
     )
+
+
+def _go_on(cancelled: Callable[[], bool]) -> None:
+    if cancelled():
+        raise Cancelled("Reading the photos was stopped.")
 
 
 def _is_upright(view: View, info: ImageInfo) -> bool:
@@ -148,6 +162,7 @@ def _points(
     views: list[View],
     files: list[ViewFile],
     warnings: list[str],
+    cancelled: Callable[[], bool],
 ) -> PointCloud:
     """The capture's points mended: finite, at least some, coloured."""
     finite = np.array(np.isfinite(points.points).all(axis=1))
@@ -173,6 +188,11 @@ def _points(
         f"All {len(points)} points are black (COLMAP was run without extracting colours); they are "
         f"coloured from the photos."
     )
+
     # Not kept: whoever calls decides by `nbytes` whether all photos fit into memory.
-    colors = colors_from_photos(points.points, cameras, seen, lambda i: decode_view(files[i]))
+    def load(i: int) -> tuple[np.ndarray, np.ndarray | None]:
+        _go_on(cancelled)
+        return decode_view(files[i])
+
+    colors = colors_from_photos(points.points, cameras, seen, load)
     return replace(points, colors=colors)

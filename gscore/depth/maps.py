@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import BackendError, DatasetError, FormatError
 from ..io.exr_header import check_exr_size
-from ..io.files import read_bytes
+from ..io.files import check_regular, open_regular, read_bytes
 from ..io.images import BROKEN, read_info
 from ..io.npy import read_npy
 
@@ -86,10 +86,11 @@ def read_map(path: Path) -> np.ndarray:
         holds no finite number or 1e9 and more.
 
     Raises:
-        DatasetError: there is no such file.
+        DatasetError: there is no such file, or it is no regular one.
         FormatError: it is damaged, or no map of one number a pixel.
         BackendError: the package OpenEXR is needed and not installed.
     """
+    check_regular(path)
     if not path.is_file():
         raise DatasetError(f"There is no depth map {path}.")
     kind = path.suffix.lower()
@@ -197,7 +198,7 @@ def _read_picture(path: Path) -> np.ndarray:
 
 def _is_deep_colour_png(path: Path) -> bool:
     """Whether a PNG has 16 bits a channel and more than one channel."""
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         head = file.read(26)
     return len(head) == 26 and head[24] == 16 and head[25] != 0
 

@@ -8,7 +8,7 @@ import numpy as np
 from ..errors import FormatError
 from .camera_models import MODELS_BY_ID, MODELS_BY_NAME
 from .colmap_model import ColmapCamera, ColmapImage, ColmapPoints
-from .files import read_bytes
+from .files import open_regular, read_bytes
 
 _COUNT = struct.Struct("<Q")
 _CAMERA = struct.Struct("<IiQQ")
@@ -84,7 +84,7 @@ def read_cameras(path: Path) -> dict[int, ColmapCamera]:
 
 def count_images(path: Path) -> int:
     """Number of images an images.bin says it holds, without reading on."""
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         head = file.read(_COUNT.size)
     return _COUNT.unpack(head)[0] if len(head) == _COUNT.size else 0
 

@@ -3,6 +3,8 @@
 import struct
 from pathlib import Path
 
+from .files import open_regular
+
 _MAGIC = 0x01312F76
 _LONGEST = 1 << 20
 _MOST_PIXELS = 1 << 28
@@ -11,7 +13,7 @@ _MOST_CHANNELS = 256
 
 def check_exr_size(path: Path) -> None:
     """Raise ValueError where the header is damaged or announces more than fits a depth map."""
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         raw = file.read(_LONGEST)
     if len(raw) < 8 or struct.unpack_from("<I", raw)[0] != _MAGIC:
         raise ValueError("it does not start as such files do")

@@ -4,7 +4,9 @@ import contextlib
 import errno
 import os
 import secrets
+import stat
 from collections.abc import Callable
+from io import BufferedReader
 from pathlib import Path
 from typing import BinaryIO
 
@@ -47,17 +49,54 @@ def atomic_write(path: str | Path, content: bytes | Callable[[BinaryIO], None]) 
                 temporary.unlink()
 
 
+def check_regular(path: str | Path) -> None:
+    """Refuse what is there and is no regular file: opening a named pipe waits for a writer, perhaps
+    for ever, and a device need not end. Missing files are left to whoever opens them.
+
+    Raises:
+        DatasetError: a named pipe, a device, a socket or a folder.
+    """
+    try:
+        mode = Path(path).stat().st_mode
+    except (OSError, ValueError):
+        return
+    if stat.S_ISREG(mode):
+        return
+    kind = _KINDS.get(stat.S_IFMT(mode), "no regular file")
+    raise DatasetError(f"{path} is {kind}, a file was expected. Put a copy of the file there.")
+
+
+def open_regular(path: str | Path) -> BufferedReader:
+    """Open a regular file for reading.
+
+    Raises:
+        OSError: it is missing or must not be read.
+        DatasetError: it is no regular file.
+    """
+    check_regular(path)
+    return Path(path).open("rb")
+
+
 def read_bytes(path: str | Path) -> bytes:
     """All bytes of a file.
 
     Raises:
-        DatasetError: the file is missing or cannot be read.
+        DatasetError: the file is missing, cannot be read or is no regular file.
     """
     try:
-        return Path(path).read_bytes()
+        with open_regular(path) as file:
+            return file.read()
     except OSError as error:
         raise DatasetError(f"Cannot read {path}: {_reason(error)}") from error
 
+
+_KINDS = {
+    stat.S_IFIFO: "a named pipe",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFDIR: "a folder",
+}
 
 _REASONS = {
     errno.ENOSPC: "the disk is full. Free some space or choose another output folder.",

@@ -5,6 +5,8 @@ import struct
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
+from .files import open_regular
+
 
 class ImageInfo(NamedTuple):
     """What the header of an image file says."""
@@ -31,9 +33,13 @@ _LONE = frozenset({0x01, *range(0xD0, 0xD8)})
 
 
 def read_header(path: str | Path) -> ImageInfo | None:
-    """What the header of a PNG or JPEG says; None for other, missing and damaged files."""
+    """What the header of a PNG or JPEG says; None for other, missing and damaged files.
+
+    Raises:
+        DatasetError: it is no regular file.
+    """
     try:
-        with Path(path).open("rb") as file:
+        with open_regular(path) as file:
             head = file.read(8)
             if head == _PNG:
                 return _png(file)

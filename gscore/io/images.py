@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import BackendError, DatasetError, FormatError, ShapeError
-from .files import atomic_write
+from .files import atomic_write, check_regular
 from .image_header import ImageInfo, read_header
 
 IMAGE_ENDINGS = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp", ".tga")
@@ -21,7 +21,7 @@ def read_info(path: str | Path) -> ImageInfo:
     PNG and JPEG take the standard library alone, other kinds take Pillow.
 
     Raises:
-        DatasetError: the file is missing.
+        DatasetError: the file is missing or no regular one.
         FormatError: it is no image.
         BackendError: Pillow is needed and not installed.
     """
@@ -47,7 +47,7 @@ def read_image(path: str | Path, *, upright: bool = False) -> np.ndarray:
         [H, W, 3] uint8 sRGB, or [H, W, 4] if the file has transparency (not premultiplied).
 
     Raises:
-        DatasetError: the file is missing.
+        DatasetError: the file is missing or no regular one.
         FormatError: it is no image, or truncated or corrupt.
         BackendError: Pillow is not installed.
     """
@@ -228,6 +228,7 @@ def _pillow() -> Any:
 
 def _open(path: Path) -> Any:
     pil = _pillow()
+    check_regular(path)
     try:
         return pil.open(path)
     except FileNotFoundError as error:

@@ -9,7 +9,7 @@ import numpy as np
 from ..errors import DatasetError, FormatError
 from ..sh import rgb_to_sh0
 from ..splats import SH_REST_BY_DEGREE, Splats
-from .files import atomic_write
+from .files import atomic_write, open_regular
 from .ply_compressed import decompress, is_compressed
 from .ply_elements import columns, read_elements
 
@@ -85,7 +85,7 @@ def header_comments(path: str | Path) -> tuple[str, ...]:
     """
     path = Path(path)
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             header = file.read(_HEADER_LIMIT).partition(b"end_header")[0]
     except OSError as error:
         raise DatasetError(f"Cannot read {path}: {error.strerror or error}.") from error

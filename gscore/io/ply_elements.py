@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import BackendError, DatasetError, FormatError
+from .files import open_regular
 
 _HEADER_LIMIT = 1 << 20
 
@@ -80,7 +81,7 @@ def columns(table: np.ndarray, names: list[str]) -> np.ndarray:
 def _check_header(path: Path) -> None:
     """Refuse what is no PLY, and counts that the file cannot hold, before anything is allocated."""
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             head = file.read(_HEADER_LIMIT)
         size = path.stat().st_size
     except OSError as error:

@@ -19,7 +19,7 @@ import torch
 from .._version import __version__
 from ..config import TrainConfig, differences, from_dict, to_dict
 from ..errors import ConfigError, FormatError
-from ..io.files import atomic_write
+from ..io.files import atomic_write, check_regular
 from .trainer import Trainer
 from .views import Photos
 
@@ -103,6 +103,7 @@ def load(path: Path) -> Checkpoint:
     """
     from safetensors import SafetensorError, safe_open
 
+    check_regular(path)
     if not path.is_file():
         raise ConfigError(f"{path}: there is no such checkpoint.")
     try:

@@ -62,7 +62,7 @@ def train(
         before, damaged = _checkpoint_to_start_from(folder, resume, start_checkpoint)
         start = None if config.start_splats is None else read_splats(config.start_splats)
         lpips, lpips_reason = find_lpips(config.lpips, threads=config.threads)
-        photos = load_dataset(data)
+        photos = load_dataset(data, cancelled=lambda: control.stopping)
         frame = None
         if before is not None:
             checkpoint.check_compatible(before, config, photos)
