@@ -7,6 +7,10 @@ import numpy as np
 from .errors import ShapeError
 from .splats import check_array
 
+FARTHEST = 1e30
+"""Largest coordinate of a camera or point, world units: beyond it squares leave float64 sooner or
+later, and no capture is measured in such units."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Cameras:

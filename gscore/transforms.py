@@ -6,13 +6,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .errors import ShapeError
-from .scene import Cameras
+from .scene import FARTHEST, Cameras
 from .sh import sh_rotation
 from .splats import Splats, check_array
 
 CAMERA_FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 """From OpenCV camera axes (+y down, +z forward) to OpenGL/Blender ones (+y up), and back."""
 
+SMALLEST = 1e-30
+"""World units; less is no length to go by. Its inverse is still far from overflowing."""
 _UNEVEN = 1e-4
 """Relative deviation from a similarity that float32 object matrices may show."""
 _BLOCK = 1 << 13
@@ -115,14 +117,21 @@ class Similarity:
         """Put camera centres [C, 3] float64 around the origin, within a radius of 1.
 
         The scale is a power of two: multiplying by it is exact in floating point, both ways.
+
+        Raises:
+            ShapeError: a coordinate is not finite or beyond `FARTHEST`.
         """
         check_array("centers", centers, ("C", 3), np.float64)
+        if not (np.abs(centers) <= FARTHEST).all():
+            raise ShapeError(
+                f"centers must be finite and within {FARTHEST:g}, got {np.abs(centers).max():g}."
+            )
         if len(centers) == 0:
             return cls(scale=1.0, shift=np.zeros(3))
         shift = centers.mean(axis=0)
         radius = float(np.linalg.norm(centers - shift, axis=1).max())
         # One camera, or all in one place: no length to go by.
-        if not radius > 1e-12 * float(np.abs(centers).max() + 1e-300):
+        if not radius > max(SMALLEST, 1e-12 * float(np.abs(centers).max())):
             return cls(scale=1.0, shift=shift)
         return cls(scale=2.0 ** -math.ceil(math.log2(radius)), shift=shift)
 

@@ -8,7 +8,7 @@ import numpy as np
 from ..config import DataConfig
 from ..errors import Cancelled, DatasetError
 from ..io.images import ImageInfo, read_info
-from ..scene import Cameras, PointCloud, Scene
+from ..scene import FARTHEST, Cameras, PointCloud, Scene
 from .capture import View, listing
 from .dataset import Dataset
 from .decode import ViewFile, decode_view
@@ -164,24 +164,28 @@ def _points(
     warnings: list[str],
     cancelled: Callable[[], bool],
 ) -> PointCloud:
-    """The capture's points mended: finite, at least some, coloured."""
-    finite = np.array(np.isfinite(points.points).all(axis=1))
-    if not finite.any():
+    """The capture's points mended: in bounds, at least some, coloured."""
+    usable = np.array((np.abs(points.points) <= FARTHEST).all(axis=1))  # NaN is not
+    if not usable.any():
         warnings.append(
-            f"The capture has no points; starting from {RANDOM_POINTS} random ones, which takes "
-            f"longer and gives floaters. Run COLMAP's triangulation for better results."
+            f"The capture has no {'usable ' if len(usable) else ''}points; "
+            f"starting from {RANDOM_POINTS} random ones, which takes longer and gives floaters. Run COLMAP's triangulation for better results."
         )
         return random_points(cameras, RANDOM_POINTS, seed=RANDOM_SEED)
-    if points.colors[finite].any() and finite.all():
+    if points.colors[usable].any() and usable.all():
         return points
     seen: list[np.ndarray | None] = [view.seen for view in views]
-    if not finite.all():
-        warnings.append(f"{int((~finite).sum())} points are not finite; left out.")
-        new_index = np.cumsum(finite) - 1
+    if not usable.all():
+        first = int(np.flatnonzero(~usable)[0])
+        warnings.append(
+            f"{int((~usable).sum())} points are not finite or beyond {FARTHEST:g}, the first of "
+            f"them number {first} at {points.points[first].tolist()}; left out."
+        )
+        new_index = np.cumsum(usable) - 1
         for i, index in enumerate(seen):
             if index is not None:
-                seen[i] = new_index[index[finite[index]]]
-        points = PointCloud(points=points.points[finite], colors=points.colors[finite])
+                seen[i] = new_index[index[usable[index]]]
+        points = PointCloud(points=points.points[usable], colors=points.colors[usable])
     if points.colors.any():
         return points
     warnings.append(

@@ -10,7 +10,7 @@ from ..config import DataConfig
 from ..errors import DatasetError, FormatError
 from ..io.images import read_info
 from ..io.npy import read_npy
-from ..scene import PointCloud
+from ..scene import FARTHEST, PointCloud
 from .capture import Capture, View, listing
 from .pku_photos import by_camera, mattes, photo_folder
 from .poses import pinhole_camera, rigid_matrix
@@ -74,10 +74,10 @@ def _projections(path: Path) -> list[np.ndarray]:
             f"the frame again."
         ) from error
     for i, matrix in enumerate(found):
-        if matrix.shape not in ((3, 4), (4, 4)) or not np.isfinite(matrix).all():
+        if matrix.shape not in ((3, 4), (4, 4)) or not (np.abs(matrix) <= FARTHEST).all():
             raise FormatError(
-                f"{path}: world_mat_{i} is {matrix.tolist()}, expected 4 x 4 finite numbers. Copy "
-                f"the frame again."
+                f"{path}: world_mat_{i} is {matrix.tolist()}, expected 4 x 4 numbers up to "
+                f"{FARTHEST:g}. Copy the frame again."
             )
     if not found:
         raise FormatError(f"{path} has no world_mat_0. Copy the frame again.")

@@ -6,6 +6,7 @@ import numpy as np
 
 from ..errors import FormatError
 from ..io.colmap_model import ColmapCamera
+from ..scene import FARTHEST
 
 _SKEW = 1e-3
 """Of the focal length; what decomposing a float32 projection matrix leaves behind."""
@@ -19,12 +20,12 @@ def rigid_matrix(where: str, key: str, value: Any) -> np.ndarray:
     """
     matrix = _numbers(value)
     rotation = matrix[:3, :3] if matrix.shape in ((4, 4), (3, 4)) else np.zeros((3, 3))
-    finite = np.isfinite(matrix).all()
+    usable = (np.abs(matrix) <= FARTHEST).all()  # NaN is not
     # Exporters round to 6 digits or so; more than 1e-2 off is a scaled or sheared camera.
-    if not finite or np.abs(rotation.T @ rotation - np.eye(3)).max() > 1e-2:
+    if not usable or np.abs(rotation.T @ rotation - np.eye(3)).max() > 1e-2:
         raise FormatError(
-            f"{where}: {key} is {value!r}, expected 4 x 4 finite numbers, a rotation "
-            f"and a position. Remove the scale from the cameras and export it again."
+            f"{where}: {key} is {value!r}, expected 4 x 4 numbers up to {FARTHEST:g}, a "
+            f"rotation and a position. Remove the scale from the cameras and export it again."
         )
     if np.linalg.det(rotation) < 0:
         raise FormatError(f"{where}: {key} mirrors the camera. Export it again.")
@@ -45,7 +46,7 @@ def pinhole_camera(where: str, key: str, value: Any, width: int, height: int) ->
     matrix = _numbers(value)
     K = matrix[:3, :3] if matrix.shape in ((3, 3), (4, 4)) else np.zeros((3, 3))
     fx, skew, cx, fy, cy = K[0, 0], K[0, 1], K[0, 2], K[1, 1], K[1, 2]
-    good = np.isfinite(K).all() and fx > 0 and fy > 0 and np.allclose(K[2], [0, 0, 1])
+    good = (np.abs(K) <= FARTHEST).all() and fx > 0 and fy > 0 and np.allclose(K[2], [0, 0, 1])
     if not (good and K[1, 0] == 0 and abs(skew) <= _SKEW * fx):
         raise FormatError(
             f"{where}: {key} is {value!r}, expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in "
@@ -64,5 +65,5 @@ def pinhole_camera(where: str, key: str, value: Any, width: int, height: int) ->
 def _numbers(value: Any) -> np.ndarray:
     try:
         return np.array(value, np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return np.zeros(0)

@@ -16,7 +16,7 @@ from ..io.colmap_model import ColmapCamera
 from ..io.files import read_bytes
 from ..io.images import IMAGE_ENDINGS, read_info
 from ..io.ply_points import read_point_cloud
-from ..scene import PointCloud
+from ..scene import FARTHEST, PointCloud
 from ..transforms import viewmat_from_opengl
 from .capture import Capture, View, listing
 from .poses import rigid_matrix
@@ -190,10 +190,11 @@ def _camera(where: str, data: dict[str, Any], image: Path) -> ColmapCamera:
         if (
             isinstance(value, bool)
             or not isinstance(value, int | float)
-            or not math.isfinite(value)
+            or not abs(value) <= FARTHEST  # NaN is not
         ):
             raise FormatError(
-                f"{where}: {key} is {value!r}, expected a number. Export the capture again."
+                f"{where}: {key} is {value!r}, expected a number up to {FARTHEST:g}. "
+                f"Export the capture again."
             )
         return float(value)
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import FormatError
-from ..scene import Cameras
+from ..scene import FARTHEST, Cameras
 from ..transforms import invert_rigid
 from .files import atomic_write, read_bytes
 
@@ -102,6 +102,6 @@ def _numbers(entry: Any, key: str, shape: tuple[int, ...]) -> np.ndarray:
         values = np.array(entry[key], np.float64)
     except (TypeError, ValueError) as error:
         raise ValueError(key) from error
-    if values.shape != shape or not np.isfinite(values).all():
+    if values.shape != shape or not (np.abs(values) <= FARTHEST).all():
         raise ValueError(key)
     return values

@@ -7,6 +7,7 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 import numpy as np
 
 from ..errors import DatasetError, FormatError
+from ..scene import FARTHEST
 from . import colmap_binary, colmap_text
 from .colmap_model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
 from .files import atomic_write
@@ -166,14 +167,14 @@ def _check_camera(path: Path, camera_id: int, camera: ColmapCamera) -> None:
     if (
         not 0 <= camera_id < 2**32
         or not size_ok
-        or not np.isfinite(camera.params).all()
+        or not (np.abs(camera.params) <= FARTHEST).all()
         or any(v <= 0 for v in focal)
     ):
         raise FormatError(
             f"{path}: camera {camera_id} ({camera.model}) has the size "
             f"{camera.width} x {camera.height} and the parameters {camera.params.tolist()}; "
-            f"expected a positive size, positive focal lengths and finite numbers. Run COLMAP"
-            f" again."
+            f"expected a positive size, positive focal lengths and numbers up to {FARTHEST:g}. "
+            f"Run COLMAP again."
         )
 
 
@@ -188,10 +189,12 @@ def _check_image(path: Path, image: ColmapImage, cameras: dict[int, ColmapCamera
             f"have. The files of the model do not belong together; export it anew."
         )
     pose = np.concatenate([image.qvec, image.tvec])
-    if not np.isfinite(pose).all() or not 1e-6 < np.abs(image.qvec).max() < 1e6:
+    # NaN is within no limit.
+    if not (np.abs(pose) <= FARTHEST).all() or not 1e-6 < np.abs(image.qvec).max() < 1e6:
         raise FormatError(
-            f"{path}: image {image.name!r} has the pose {pose.tolist()}; expected finite "
-            f"numbers and a quaternion that is not zero. Export the model anew from COLMAP."
+            f"{path}: image {image.name!r} has the pose {pose.tolist()}; expected "
+            f"numbers up to {FARTHEST:g} and a quaternion that is not zero. "
+            f"Export the model anew from COLMAP."
         )
     if not is_safe_name(image.name):
         raise FormatError(

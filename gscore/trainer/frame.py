@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from ..scene import Scene
-from ..transforms import Similarity
+from ..scene import FARTHEST, Scene
+from ..transforms import SMALLEST, Similarity
 
 _MARGIN = 1.1
 _DEGENERATE = 1e-3
@@ -32,16 +32,21 @@ class Frame:
         Args:
             scene: Cameras and points in COLMAP world.
             near: Near plane, world units; lowered where it is more than a hundredth of the extent.
+
+        Raises:
+            ShapeError: a camera is farther than `FARTHEST`; such points are not counted.
         """
         centers = scene.cameras.centers
         similarity = Similarity.fit(centers)
         middle = centers.mean(axis=0)
         radius = float(np.linalg.norm(centers - middle, axis=1).max(initial=0.0))
-        points = scene.points.points[np.isfinite(scene.points.points).all(axis=1)]
+        radius = radius if radius > SMALLEST else 0.0
+        points = scene.points.points
+        points = points[(np.abs(points) <= FARTHEST).all(axis=1)]
         if len(points):
             # One camera, or all in one place: only the points tell a length.
             distance = float(np.median(np.linalg.norm(points - middle, axis=1)))
-            if radius < _DEGENERATE * distance:
+            if distance > SMALLEST and radius < _DEGENERATE * distance:
                 radius = distance
                 scale = 2.0 ** -math.ceil(math.log2(distance))
                 similarity = Similarity(scale=scale, shift=middle)

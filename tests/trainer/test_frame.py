@@ -52,3 +52,19 @@ def test_a_frame_survives_json(photos) -> None:
     back = Frame.from_dict(frame.to_dict())
     assert back.to_dict() == frame.to_dict()
     assert (back.extent, back.near) == (frame.extent, frame.near)
+
+
+@pytest.mark.parametrize(
+    ("place", "size"), [(1e300, 1.0), (np.inf, 1.0), (np.nan, 1.0), (0, 1e-310)]
+)
+def test_points_out_of_bounds_are_not_counted(photos, place: float, size: float) -> None:
+    """Oracle: the frame of the same capture without them; nothing overflows."""
+    viewmats = photos.scene.cameras.viewmats.copy()
+    viewmats[:, :3, 3] *= size if size < 1 else 0
+    cameras = replace(photos.scene.cameras, viewmats=viewmats)
+    near = np.full((2, 3), 10.0) * size
+    far = np.vstack([near, np.full((3, 3), place)])
+    clouds = [PointCloud(points=p, colors=np.zeros((len(p), 3), np.uint8)) for p in (near, far)]
+    frames = [Frame.of(Scene(cameras=cameras, points=cloud), near=0.01) for cloud in clouds]
+    assert frames[0].to_dict() == frames[1].to_dict()
+    assert 0.5 < frames[0].extent < 1.2

@@ -76,6 +76,8 @@ def test_official_files_have_no_principal_point(cameras: Cameras, tmp_path: Path
         ("position", [1, 2, "x"]),
         ("rotation", [[1, 0, 0], [0, 2, 0], [0, 0, 1]]),
         ("rotation", [[1, 0, 0], [0, 1, 0], [0, 0, -1]]),
+        ("position", [1, 1e300, 2]),
+        ("rotation", [[1, 0, 0], [0, 1e300, 0], [0, 0, 1]]),
         ("fx", None),
         ("fy", [1]),
         ("img_name", 3),

@@ -484,17 +484,20 @@ class TestPoints:
         np.testing.assert_array_equal(first.scene.points.points, second.scene.points.points)
         assert any("no points; starting from 100000 random" in w for w in first.warnings)
 
-    @pytest.mark.parametrize("black", [False, True])
-    def test_points_that_are_not_finite(self, black: bool, make_capture: Callable) -> None:
+    @pytest.mark.parametrize(("black", "far"), [(False, np.nan), (True, np.nan), (False, -1e300)])
+    def test_points_that_are_not_finite(
+        self, black: bool, far: float, make_capture: Callable
+    ) -> None:
         """Oracle: they are left out; the others keep their colours."""
         capture = make_capture()
         xyz = capture.model.points.xyz.copy()
-        xyz[[1, 3], 0] = [np.nan, np.inf]
+        xyz[[1, 3], 0] = [far, np.inf]
         rgb = capture.model.points.rgb * np.uint8(not black)
         points = replace(capture.model.points, xyz=xyz, rgb=rgb)
         write_model(replace(capture.model, points=points), capture.root / "sparse" / "0")
         data = _load(capture.root)
-        assert "2 points are not finite" in data.warnings[0]
+        assert "2 points are not finite or beyond 1e+30, the first of" in data.warnings[0]
+        assert f"number 1 at [{far}, " in data.warnings[0]
         np.testing.assert_array_equal(data.scene.points.points, xyz[[0, 2, 4, 5]])
         shown = capture.model.points.rgb[[0, 2, 4, 5]]
         if not black:

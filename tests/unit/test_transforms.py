@@ -154,6 +154,21 @@ def test_similarity_without_extent(centers: np.ndarray) -> None:
     np.testing.assert_array_equal(similarity.points_to_training(centers), np.zeros(centers.shape))
 
 
+@pytest.mark.parametrize("far", [1e200, 1e308, np.inf, np.nan])
+def test_similarity_refuses_what_would_overflow(far: float) -> None:
+    """Oracle: one error of ours, no other and no warning of numpy."""
+    with pytest.raises(ShapeError, match="centers must be finite and within 1e"):
+        Similarity.fit(np.array([[0.0, 0, 0], [far, 0, 0]]))
+
+
+@pytest.mark.parametrize("size", [1e-310, 1e-31, 1e-29, 1.0, 1e29])
+def test_similarity_of_any_size(size: float) -> None:
+    """Oracle: within a radius of 1, and more than half of it unless there is no length."""
+    centers = np.array([[0.0, 0, 0], [size, 0, 0]])
+    radius = np.abs(Similarity.fit(centers).points_to_training(centers)).max()
+    assert radius < 1e-29 if size < 1e-30 else 0.5 <= radius <= 1
+
+
 @pytest.mark.parametrize("scale", [0.0, -1.0, np.nan, np.inf])
 def test_similarity_refuses(scale: float) -> None:
     """Oracle: a similarity has a positive finite scale."""
