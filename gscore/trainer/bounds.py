@@ -13,8 +13,9 @@ from .model import Model
 
 MAX_MEAN = 1e6
 """Farthest coordinate, in camera extents."""
-MAX_SCALE = 1e3
-"""Largest standard deviation, in camera extents."""
+MAX_SPREAD = 5.0
+"""Largest standard deviation, in camera extents plus the distance from the middle of the cameras.
+Such a splat is one colour all over every picture. Trained captures reach 1.4, sky and walls."""
 MAX_VALUE = 1e4
 """Largest quaternion component, logit and SH coefficient."""
 MAX_LOGIT = 20.0
@@ -41,26 +42,20 @@ def hold(model: Model, *, extent: float) -> int:
     limits = {
         "means": MAX_MEAN * extent,
         "quats": MAX_VALUE,
-        "scales": math.inf,  # however small, they do no harm
         "opacities": MAX_VALUE,
         "sh0": MAX_VALUE,
         "shN": MAX_VALUE,
     }
-    top = math.log(MAX_SCALE * extent)
     with torch.no_grad():
-        bad: torch.Tensor | None = None
+        good = _sane_sizes(model, extent)
         for name, limit in limits.items():
             p = model.params[name].detach()
-            highest = top if name == "scales" else limit
-            if p.numel() == 0 or _all_within(p, limit, highest):
-                continue
-            rows = p.reshape(len(p), -1)
-            # Inverted comparisons, so that NaN fails.
-            good = ((rows >= -limit) & (rows <= highest) & rows.isfinite()).all(dim=1)
-            bad = ~good if bad is None else bad | ~good
-        count = 0 if bad is None else int(bad.sum())
-        if bad is not None and count:
-            _take_out(model, bad)
+            if p.numel() > 0 and not _all_within(p, limit):
+                # Comparisons that NaN fails.
+                good = good & (p.reshape(len(p), -1).abs() <= limit).all(dim=1)
+        count = len(model) - int(good.sum())
+        if count:
+            _take_out(model, ~good)
         model.params["opacities"].clamp_(-MAX_LOGIT, MAX_LOGIT)
         scales = model.params["scales"]
         floor = scales.amax(dim=1, keepdim=True) - math.log(MAX_RATIO)
@@ -72,10 +67,21 @@ def hold(model: Model, *, extent: float) -> int:
     return count
 
 
-def _all_within(values: torch.Tensor, limit: float, highest: float) -> bool:
-    """Whether all lie in [-limit, highest] and are finite; one pass, which NaN survives."""
+def _sane_sizes(model: Model, extent: float) -> torch.Tensor:
+    """[N] bool: no axis is infinite or too long for its place; however short, it does no harm."""
+    scales = model.params["scales"]
+    largest = scales.amax(dim=1)  # NaN stays
+    good = scales.isfinite().all(dim=1)
+    if bool((largest <= math.log(MAX_SPREAD * extent)).all()):
+        return good
+    distance = model.params["means"].norm(dim=1)  # the middle of the cameras is the origin
+    return good & (largest <= torch.log(MAX_SPREAD * (extent + distance)))
+
+
+def _all_within(values: torch.Tensor, limit: float) -> bool:
+    """Whether all lie in [-limit, limit] and are finite; one pass, which NaN survives."""
     low, high = torch.aminmax(values)
-    return -limit <= float(low) and float(high) <= highest and math.isfinite(float(low))
+    return -limit <= float(low) and float(high) <= limit and math.isfinite(float(low))
 
 
 def _take_out(model: Model, bad: torch.Tensor) -> None:
@@ -91,7 +97,7 @@ def _take_out(model: Model, bad: torch.Tensor) -> None:
 def _thaw(model: Model, name: str) -> None:
     """Clear moments that overflowed, as of one gradient of 1e20: such a row never moved again."""
     first, second = model.moments(name)
-    if second.numel() == 0 or _all_within(second, math.inf, _LARGEST):
+    if second.numel() == 0 or _all_within(second, _LARGEST):
         return
     frozen = ~(second.reshape(len(second), -1) <= _LARGEST).all(dim=1)
     first[frozen] = 0

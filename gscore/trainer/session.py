@@ -208,7 +208,12 @@ class Session:
 
     def _runs_away(self, result: StepResult) -> bool:
         self._watchdog.plan = self._trainer.plan
-        diverged = self._watchdog.observe(self._trainer.steps, result.mse, skipped=result.skipped)
+        diverged = self._watchdog.observe(
+            self._trainer.steps,
+            result.mse,
+            skipped=result.skipped,
+            lost=result.lost_rows / max(len(self._trainer.model), 1),
+        )
         return self._config.watchdog and diverged
 
     def _rescue(self) -> None:

@@ -22,6 +22,8 @@ _RATIO, _MARGIN = 1.7, 0.05
 black). Healthy runs stay below 1.2 times, with photos that get sharper on the way."""
 _SPOILT = 0.5
 """Diverged: more than this share of the last steps had no finite loss."""
+_LOST = 0.5
+"""Diverged: as many splats ran away, as a share of those there were, as this."""
 _HEALTHY = 1.2
 """A state is worth going back to while the error is at most this times its best."""
 _GOOD_KEPT = 2
@@ -55,8 +57,16 @@ class Watchdog:
         self._good = []
         self._begin(error)
 
-    def observe(self, step: int, mse: float, *, skipped: bool) -> bool:
-        """Take note of a step, whose loss was not finite if `skipped`; whether the run diverged."""
+    def observe(self, step: int, mse: float, *, skipped: bool, lost: float = 0.0) -> bool:
+        """Take note of a step; whether the run diverged.
+
+        Args:
+            step: The step just taken.
+            mse: Mean squared error of its view.
+            skipped: Whether its loss was not finite.
+            lost: Share of the splats that were taken out because they ran away.
+        """
+        self._lost += lost
         self._spoilt += (float(skipped) - self._spoilt) / _WINDOW
         if not skipped and math.isfinite(mse):
             error = math.sqrt(max(mse, 0.0))
@@ -69,7 +79,7 @@ class Watchdog:
             # Lowered opacities darken the picture; what counts begins anew once they are back.
             self._quiet_until = step + self.plan.reset_every // 2
             self._best = math.inf
-        if self._spoilt > _SPOILT:
+        if self._spoilt > _SPOILT or self._lost > _LOST:
             return True
         if self._count < _WINDOW or step < self._quiet_until:
             return False
@@ -98,9 +108,11 @@ class Watchdog:
         """
         if self.rescues >= MAX_RESCUES or not self._good:
             again = f" again, after {self.rescues} times at lower rates" if self.rescues else ""
+            sign = f"the error of pictures was {self._error:.3g}, {self._best:.3g} at best"
+            if self._lost > _LOST:
+                sign = f"the numbers of {self._lost:.0%} of the splats ran away"
             raise GsError(
-                f"Training diverged{again}: the error of pictures was {self._error:.3g} at "
-                f"step {step}, {self._best:.3g} at best. Lower the learning rates (--lr-boost 1, "
+                f"Training diverged{again}: at step {step} {sign}. Lower the learning rates (--lr-boost 1, "
                 "--means-lr), and look whether the photos and cameras belong together. "
                 "--detect-anomaly says where numbers stop being finite, --no-watchdog goes on."
             )
@@ -118,6 +130,7 @@ class Watchdog:
             "best": None if math.isinf(self._best) else self._best,
             "count": self._count,
             "spoilt": self._spoilt,
+            "lost": self._lost,
             "quiet_until": self._quiet_until,
         }
 
@@ -128,7 +141,9 @@ class Watchdog:
         self._error, self._count = state["error"], state["count"]
         self._best = math.inf if state["best"] is None else state["best"]
         self._spoilt, self._quiet_until = state["spoilt"], state["quiet_until"]
+        self._lost = state["lost"]
 
     def _begin(self, best: float) -> None:
         self._error, self._best, self._count = 0.0, best, 0
+        self._lost = 0.0
         self._spoilt, self._quiet_until = 0.0, 0

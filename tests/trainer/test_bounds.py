@@ -111,6 +111,30 @@ def test_saturated_opacities_and_thin_axes_are_held(marked_model: Callable[..., 
     assert model.params["scales"][1].tolist() == pytest.approx([0.0, -math.log(1e5), -1.0])
 
 
+def test_sizes_are_bounded_by_the_distance(marked_model: Callable[..., Model]) -> None:
+    """Oracle: 5 x (extent + distance): the sky may be large, what fills every picture may not."""
+    model = marked_model(4)
+    model.params["means"].data[:] = torch.tensor([[0.0, 0, 1], [0, 0, 40], [0, 0, 40], [0, 1, 0]])
+    largest = torch.tensor([10.0, 200.0, 206.0, 10.1])
+    model.params["scales"].data[:, 1] = largest.log() - 1e-3
+    assert bounds.hold(model, extent=1.0) == 2
+    gone = model.params["opacities"] == -bounds.MAX_LOGIT
+    assert gone.tolist() == [False, False, True, True]
+
+
+def test_screen_filling_splats_do_not_outlive_a_short_run(photos: Any) -> None:
+    """Oracle: the size that is allowed, in a run too short for opacity resets."""
+    trainer = Trainer(CONFIG, photos)
+    assert not trainer.plan.reset_every
+    trainer.model.params["scales"].data[:10] = math.log(50.0 * trainer.frame.extent)
+    for _ in range(CONFIG.iterations):
+        trainer.step()
+    seen = trainer.model.params["opacities"] > -19
+    sizes = trainer.model.params["scales"][seen].amax(dim=1).exp()
+    assert seen.sum() > 50
+    assert float(sizes.max()) < 10 * trainer.frame.extent
+
+
 @pytest.mark.parametrize("value", [1e5, 1e8])
 def test_an_exploded_colour_costs_one_step_not_the_run(photos: Any, value: float) -> None:
     """Oracle: the first view that shows it teaches nothing, all others do; the row is counted."""

@@ -63,6 +63,18 @@ def test_worse_than_the_start_is_noticed_even_if_it_was_never_better() -> None:
     assert feed(dog(), [0.45] * 500) is None
 
 
+def test_a_model_that_loses_half_of_its_splats_is_noticed() -> None:
+    """Oracle: a tenth at a look; the sixth look makes it more than half. A few are no reason."""
+    watching = dog()
+    assert [watching.observe(s, 0.01, skipped=False, lost=0.1) for s in range(1, 7)].index(True) == 5
+    with pytest.raises(GsError, match="60% of the splats ran away"):
+        for _ in range(MAX_RESCUES + 1):
+            watching.rescue(6)
+            watching.observe(7, 0.01, skipped=False, lost=0.6)
+    watching = dog()
+    assert not any(watching.observe(s, 0.01, skipped=False, lost=1e-4) for s in range(1, 3000))
+
+
 def test_losses_that_are_not_finite_are_noticed_while_single_ones_pass() -> None:
     """Oracle: one in three for long, then all."""
     errors = [math.nan if step % 3 == 0 else 0.1 for step in range(600)]
@@ -181,7 +193,7 @@ def test_a_run_that_cannot_be_rescued_ends_with_an_error(capture: Path, tmp_path
 def test_without_checkpoints_a_diverged_run_ends_at_once(capture: Path, tmp_path: Path) -> None:
     """Oracle: nothing to go back to; with the watchdog off it goes on."""
     config = replace(ABSURD, checkpoint_seconds=0.0)
-    with pytest.raises(GsError, match=r"Training diverged: the error of pictures was"):
+    with pytest.raises(GsError, match=r"Training diverged: at step \d+ the error of pictures was"):
         run(config, capture, tmp_path)
     events = run(replace(config, watchdog=False), capture, tmp_path, overwrite=True)
     assert events[-1].kind == "done"
