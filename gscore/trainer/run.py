@@ -4,25 +4,22 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import numpy as np
-
 from ..config import DataConfig, TrainConfig
 from ..control import Control
 from ..datasets import load_dataset
 from ..errors import BackendError, ConfigError, FormatError, GsError
 from ..events import Event
-from ..io.ply import is_antialiased, read_splats
+from ..io.ply import read_splats
 from ..metrics import find_lpips
 from . import checkpoint
 from .depth_setup import prepare_depth
 from .folder import RunFolder, open_folder
 from .frame import Frame
 from .loading import load_photos, progress_of
+from .premises import look_over
 from .session import Session, TrainResult
 from .torch_threads import one_torch_thread
 from .trainer import Trainer
-
-_FAR_FROM_ORIGIN = 1e4
 
 
 def train(
@@ -110,7 +107,7 @@ def train(
                     session.warn(_set_aside(path, before.steps), "damaged_checkpoint")
             if overwrite:
                 folder.clear()
-            for message in (*photos.warnings, *loaded.warnings, *_own_warnings(trainer)):
+            for message in (*photos.warnings, *loaded.warnings, *look_over(trainer)):
                 session.warn(message, "capture")
             for message in depth.warnings:
                 session.warn(message, "depth")
@@ -149,28 +146,6 @@ def _set_aside(path: Path, step: int) -> str:
     except OSError as error:
         raise GsError(f"Cannot rename the damaged {path}: {error.strerror}.") from error
     return f"{path.name} is damaged (now {aside.name}); going on from step {step} before it."
-
-
-def _own_warnings(trainer: Trainer) -> Iterator[str]:
-    """Sentences about what the training world implies for the results."""
-    frame, config = trainer.frame, trainer.config
-    near = frame.near / frame.similarity.scale
-    if near < 0.999 * config.near:
-        yield (
-            f"The capture is small in its own units, so the near plane was lowered from "
-            f"{config.near:g} to {near:.3g}; use the same when rendering (--near {near:.3g})."
-        )
-    if config.start_splats and is_antialiased(config.start_splats) != config.antialias:
-        yield (
-            f"{config.start_splats} was trained {'without' if config.antialias else 'with'} "
-            "antialiasing, unlike this run; small splats change their opacity at first."
-        )
-    offset = float(np.abs(frame.similarity.shift).max()) * frame.similarity.scale / frame.extent
-    if offset > _FAR_FROM_ORIGIN:
-        yield (
-            f"The capture lies {offset:.0f} times its own size from the origin; the float32 "
-            "numbers of a PLY are coarse there. Move its origin near the cameras before exporting."
-        )
 
 
 @contextmanager

@@ -35,6 +35,8 @@ from .views import Photos, Sampler, View
 _MAX_SKIPPED = 100
 _ABSURD_MSE = 1e4
 """Pictures are 0 to 1; colours of 100 come from splats that ran away."""
+_GLANCE = 8
+"""Sides of photos are divided by this to see whether a view shows anything."""
 _HOLD_EVERY = 100
 """Steps between two looks at the bounds of `bounds`."""
 _COLORS = {Background.BLACK: (0.0, 0.0, 0.0), Background.WHITE: (1.0, 1.0, 1.0)}
@@ -238,6 +240,14 @@ class Trainer:
         laps.lap("learn")
         lost_rows = self._hold() if step % _HOLD_EVERY == 0 else 0
         return StepResult(value, loss.mse, change, bad_rows, False, lost_rows)
+
+    def shows_splats(self, index: int) -> bool:
+        """Whether any splat is drawn in view `index`; looked at in an eighth of its size."""
+        view = self._pyramid.view(index)
+        factor = min(_GLANCE, view.width, view.height)
+        width, height = view.width // factor, view.height // factor
+        K = view.K / torch.tensor([[factor], [factor], [1]])
+        return bool((self._show(View(view.viewmat, K, width, height)).alpha > 0).any())
 
     def picture(self, index: int, *, background: tuple[float, float, float]) -> torch.Tensor:
         """The view `index` as the splats show it now, [H, W, 3] float32."""

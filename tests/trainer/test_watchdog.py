@@ -66,7 +66,9 @@ def test_worse_than_the_start_is_noticed_even_if_it_was_never_better() -> None:
 def test_a_model_that_loses_half_of_its_splats_is_noticed() -> None:
     """Oracle: a tenth at a look; the sixth look makes it more than half. A few are no reason."""
     watching = dog()
-    assert [watching.observe(s, 0.01, skipped=False, lost=0.1) for s in range(1, 7)].index(True) == 5
+    assert [watching.observe(s, 0.01, skipped=False, lost=0.1) for s in range(1, 7)].index(
+        True
+    ) == 5
     with pytest.raises(GsError, match="60% of the splats ran away"):
         for _ in range(MAX_RESCUES + 1):
             watching.rescue(6)

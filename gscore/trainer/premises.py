@@ -1,0 +1,98 @@
+"""What is looked over before the first step: whether cameras and splats can be trained at all."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from ..errors import DatasetError
+from ..io.ply import is_antialiased
+from .trainer import Trainer
+
+_FAR_FROM_ORIGIN = 1e4
+_STRAY = 100.0
+"""Distance from the middle of the cameras, as a multiple of the median, that is told."""
+_LOOKED_AT = 64
+"""Training views, spread evenly, of which is told that they show nothing."""
+_NAMED = 3
+"""Views named in a sentence."""
+
+
+def look_over(trainer: Trainer) -> list[str]:
+    """Sentences for the user about a training that is about to begin or go on.
+
+    Raises:
+        DatasetError: no training view shows any splat, so that nothing could be learnt.
+    """
+    return [*_world(trainer), *_stray(trainer), *_unseen(trainer)]
+
+
+def _world(trainer: Trainer) -> Iterator[str]:
+    frame, config = trainer.frame, trainer.config
+    near = frame.near / frame.similarity.scale
+    if near < 0.999 * config.near:
+        yield (
+            f"The capture is small in its own units, so the near plane was lowered from "
+            f"{config.near:g} to {near:.3g}; use the same when rendering (--near {near:.3g})."
+        )
+    if config.start_splats and is_antialiased(config.start_splats) != config.antialias:
+        yield (
+            f"{config.start_splats} was trained {'without' if config.antialias else 'with'} "
+            "antialiasing, unlike this run; small splats change their opacity at first."
+        )
+    offset = float(np.abs(frame.similarity.shift).max()) * frame.similarity.scale / frame.extent
+    if offset > _FAR_FROM_ORIGIN:
+        yield (
+            f"The capture lies {offset:.0f} times its own size from the origin; the float32 "
+            "numbers of a PLY are coarse there. Move its origin near the cameras before exporting."
+        )
+
+
+def _stray(trainer: Trainer) -> Iterator[str]:
+    """Cameras and points far outside all others, by which the whole is measured."""
+    scene = trainer.photos.scene
+    centers = scene.cameras.centers
+    middle = np.median(centers, axis=0)
+    far, times = _far(centers, middle)
+    if len(far):
+        names = ", ".join(scene.cameras.names[i] for i in far[:_NAMED])
+        more = f" and {len(far) - _NAMED} more" if len(far) > _NAMED else ""
+        yield (
+            f"{names}{more}: {times:.0f} times farther from the other cameras than these from each "
+            "other. Sizes and learning rates follow the farthest camera; leave such views out."
+        )
+    far, times = _far(scene.points.points, middle)
+    if len(far) > 0.001 * len(scene.points):
+        yield (
+            f"{len(far)} of {len(scene.points)} points lie more than {_STRAY:.0f} times farther "
+            "from the cameras than half of the points do."
+        )
+
+
+def _far(places: np.ndarray, middle: np.ndarray) -> tuple[np.ndarray, float]:
+    """Indices of places beyond _STRAY median distances, and how many the farthest lies away."""
+    with np.errstate(over="ignore"):
+        distance = np.linalg.norm(places - middle, axis=1)
+    median = float(np.median(distance)) if len(distance) else 0.0
+    if len(distance) < 4 or not median > 0:
+        return np.zeros(0, np.intp), 0.0
+    return np.flatnonzero(distance > _STRAY * median), float(distance.max()) / median
+
+
+def _unseen(trainer: Trainer) -> Iterator[str]:
+    """Views that show no splat at the start; DatasetError if none shows any."""
+    views = trainer.photos.train
+    looked_at = views[:: -(-len(views) // _LOOKED_AT)]
+    empty = [index for index in looked_at if not trainer.shows_splats(index)]
+    if len(empty) == len(looked_at) and not any(map(trainer.shows_splats, views)):
+        raise DatasetError(
+            f"None of the {len(views)} training views shows any of the {len(trainer.model)} splats "
+            "to start with, so nothing can be learnt. Do the cameras and the points, or the PLY of "
+            "--start-splats, belong to one capture?"
+        )
+    if empty:
+        names = ", ".join(trainer.photos.scene.cameras.names[i] for i in empty[:_NAMED])
+        more = f" and {len(empty) - _NAMED} more" if len(empty) > _NAMED else ""
+        yield (
+            f"{len(empty)} of {len(looked_at)} training views looked at show no splat at the start "
+            f"and may stay empty: {names}{more}."
+        )

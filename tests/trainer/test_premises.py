@@ -1,0 +1,67 @@
+"""What is looked over before a training; oracle: captures damaged by hand."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gscore.config import TrainConfig
+from gscore.errors import DatasetError
+from gscore.scene import PointCloud
+from gscore.trainer.premises import look_over
+from gscore.trainer.trainer import Trainer
+
+CONFIG = TrainConfig(iterations=10, max_splats=500, sh_degree=0)
+
+
+def warnings(photos: Any) -> list[str]:
+    return look_over(Trainer(CONFIG, photos))
+
+
+def with_points(photos: Any, points: np.ndarray) -> Any:
+    cloud = PointCloud(points=points, colors=photos.scene.points.colors)
+    return replace(photos, scene=replace(photos.scene, points=cloud))
+
+
+def test_a_sound_capture_has_no_warning(photos: Any) -> None:
+    """Oracle: none is expected."""
+    assert warnings(photos) == []
+
+
+def test_points_that_no_view_shows_are_an_error(photos: Any) -> None:
+    """Oracle: all points 1e4 aside."""
+    aside = photos.scene.points.points + np.array([0.0, 1e4, 0.0])
+    with pytest.raises(DatasetError, match=r"None of the \d+ training views shows any"):
+        warnings(with_points(photos, aside))
+
+
+def test_a_view_that_looks_away_is_named(photos: Any) -> None:
+    """Oracle: one camera turned about; the others see the points."""
+    cameras = photos.scene.cameras
+    viewmats = cameras.viewmats.copy()
+    index = photos.train[2]
+    viewmats[index] = np.diag([-1.0, 1.0, -1.0, 1.0]) @ viewmats[index]
+    turned = replace(photos.scene, cameras=replace(cameras, viewmats=viewmats))
+    (told,) = warnings(replace(photos, scene=turned))
+    assert told.startswith("1 of ") and cameras.names[index] in told
+
+
+def test_a_stray_camera_is_named(photos: Any) -> None:
+    """Oracle: one camera 1e6 away from the others."""
+    cameras = photos.scene.cameras
+    viewmats = cameras.viewmats.copy()
+    viewmats[1, :3, 3] += 1e6
+    stray = replace(photos.scene, cameras=replace(cameras, viewmats=viewmats))
+    told = warnings(replace(photos, scene=stray))
+    assert (
+        told[0].startswith(f"{cameras.names[1]}: ") and "farther from the other cameras" in told[0]
+    )
+
+
+def test_stray_points_are_counted(photos: Any) -> None:
+    """Oracle: five points 1e5 times as far as they were."""
+    points = photos.scene.points.points.copy()
+    points[:5] *= 1e5
+    told = [w for w in warnings(with_points(photos, points)) if "points lie" in w]
+    assert len(told) == 1 and told[0].startswith(f"5 of {len(points)} points")
