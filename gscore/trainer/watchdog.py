@@ -113,7 +113,7 @@ class Watchdog:
                 sign = f"the numbers of {self._lost:.0%} of the splats ran away"
             raise GsError(
                 f"Training diverged{again}: at step {step} {sign}. Lower the learning rates "
-                "(--lr-boost 1, --means-lr), and look whether the photos and cameras belong together. "
+                "(--lr-boost 1, --means-lr), and look whether photos and cameras belong together. "
                 "--detect-anomaly says where numbers stop being finite, --no-watchdog goes on."
             )
         self.rescues += 1
