@@ -244,7 +244,7 @@ class TrainConfig:
     """`default`: larger splats are removed after the first opacity reset; in extents."""
     prune_share: float = 0.0
     """Share of the splats that is removed when refinements are over (`refine_stop`): those that add
-    least to the training photos. 0: none."""
+    least to any training photo. 0: none."""
     mcmc_growth: float = 0.0
     """`mcmc`: splats added at each refinement, as a share of those there; 0: 0.05, more in runs
     that would not reach `max_splats` otherwise."""

@@ -1,4 +1,4 @@
-"""What each splat adds to the photos: its blending weights, summed over pixels and views."""
+"""What each splat adds to the photos: its blending weights, summed over pixels."""
 
 from collections.abc import Iterable, Mapping
 
@@ -20,7 +20,11 @@ def blending_weights(
     scratch: Mapping[str, torch.Tensor],
     threads: int = 0,
 ) -> torch.Tensor:
-    """Sum over all pixels of the weight with which each splat was blended there.
+    """Sum over the pixels of a view of the weight with which each splat was blended there, of the
+    view in which that is most.
+
+    A splat that one view needs is needed; the sum over all views would favour the background, which
+    all show. Of half of the splats pruned that cost 0.1 to 0.2 dB more on plush.
 
     The backward pass knows it: it is the gradient of the sum of a picture in the splat's colour.
     Colours are made grey for that, since one that is clamped at zero passes no gradient.
@@ -36,10 +40,10 @@ def blending_weights(
         threads: 0: all cores; the result does not depend on it.
 
     Returns:
-        [N] float64, px.
+        [N] float32, px.
     """
     count = len(params["means"])
-    total = torch.zeros(count, dtype=torch.float64)
+    most = torch.zeros(count)
     no_rest = torch.zeros(count, 0, 3)
     grey = {**params, "sh0": torch.zeros_like(params["sh0"]), "shN": no_rest}
     into = {**scratch, "shN": no_rest}
@@ -59,8 +63,8 @@ def blending_weights(
         if masks_hide and mask is not None:
             counts *= torch.from_numpy(mask)[..., None] / 255
         painter.gradients(into, counts)
-        total += into["sh0"][:, 0, 0].double() / SH_C0
-    return total
+        torch.maximum(most, into["sh0"][:, 0, 0] / SH_C0, out=most)
+    return most
 
 
 def least(weights: torch.Tensor, count: int) -> torch.Tensor:

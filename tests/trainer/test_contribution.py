@@ -53,7 +53,7 @@ def weights_of(
 
 def slowly(splats: Splats, cameras: Cameras, masks: list[Any] | None = None) -> np.ndarray:
     """Each splat in turn white among black ones: what is seen of it is its weight."""
-    out = np.zeros(len(splats))
+    out = np.zeros((len(splats), len(cameras.names)))
     for row in range(len(splats)):
         colors = np.zeros((len(splats), 1, 3))
         colors[row] = 1
@@ -62,8 +62,8 @@ def slowly(splats: Splats, cameras: Cameras, masks: list[Any] | None = None) -> 
             size = int(cameras.widths[i]), int(cameras.heights[i])
             rgb = render(lone, cameras.Ks[i], cameras.viewmats[i], *size, sh_degree=0).rgb
             seen = 1 if masks is None else masks[i] / 255
-            out[row] += (rgb[..., 0].astype(np.float64) * seen).sum()
-    return out
+            out[row, i] = (rgb[..., 0].astype(np.float64) * seen).sum()
+    return out.max(axis=1)
 
 
 def first_views(cameras: Cameras, count: int) -> Cameras:
@@ -109,7 +109,7 @@ def test_weights_do_not_depend_on_threads(photos: Any, known_splats: Splats) -> 
 
 def test_least_takes_the_first_of_equals() -> None:
     """Oracle: by hand."""
-    weights = torch.tensor([3.0, 0.0, 1.0, 0.0, 1.0], dtype=torch.float64)
+    weights = torch.tensor([3.0, 0.0, 1.0, 0.0, 1.0])
     taken = [least(weights, n).nonzero().flatten().tolist() for n in range(6)]
     assert taken == [[], [1], [1, 3], [1, 2, 3], [1, 2, 3, 4], [0, 1, 2, 3, 4]]
 
