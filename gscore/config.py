@@ -221,6 +221,10 @@ class TrainConfig:
     coarse_until: float = 0.9
     """Share of the run after which photos are used at full size."""
 
+    coarse_by_detail: bool = False
+    """Photos stay at each size in proportion to the detail that it adds, which their frequencies
+    tell; soft photos train faster. Else the number of pixels rises with the square of the step."""
+
     without: tuple[Skip, ...] = ()
     """Skips that are switched off."""
 

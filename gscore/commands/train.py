@@ -59,6 +59,11 @@ _RUN: dict[str, tuple[tuple[str, ...], dict[str, Any], str]] = {
         {"choices": tuple(Switch)},
         "supervise depth where --depths gives maps; auto: not in dense captures",
     ),
+    "coarse_by_detail": (
+        ("--coarse-by-detail",),
+        _SWITCH,
+        "choose from the photos' frequencies how long they stay small",
+    ),
     "without": (
         ("--without",),
         {"nargs": "+", "choices": tuple(Skip), "metavar": "SKIP"},

@@ -1,10 +1,12 @@
 """What a TrainConfig means for a run of its length: the numbers behind every "0: by itself"."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ..config import Skip, Strategy, TrainConfig
 from ..splats import SH_REST_BY_DEGREE
+from .sizes import stages
 
 _PAPER_STEPS = 30_000
 _SECONDS_A_STEP = 1.3e-3
@@ -44,6 +46,8 @@ class Plan:
     """What the sides of the photos are divided by at the first step."""
     coarse_until: int
     """From this step on photos are used at full size."""
+    stages: tuple[float, ...]
+    """Shares of `coarse_until` at which photos become larger; see `sizes.stages`."""
     refine_start: int
     """First step that may refine."""
     refine_stop: int
@@ -71,7 +75,14 @@ class Plan:
 
     @classmethod
     def of(
-        cls, config: TrainConfig, *, extent: float, points: int, side: int, pixels: int
+        cls,
+        config: TrainConfig,
+        *,
+        extent: float,
+        points: int,
+        side: int,
+        pixels: int,
+        detail: Sequence[float] | None = None,
     ) -> "Plan":
         """Resolve `config` for a capture.
 
@@ -81,6 +92,7 @@ class Plan:
             points: Number of splats at the start.
             side: Shorter side of the smallest photo, pixels.
             pixels: Of a photo, on average.
+            detail: What `spectrum.detail` found in the photos; None: does not matter.
         """
         n = config.iterations
         mcmc = config.strategy is Strategy.MCMC
@@ -113,6 +125,7 @@ class Plan:
             shN_every=every_shN,
             coarse_factor=coarse,
             coarse_until=round(config.coarse_until * n),
+            stages=stages(coarse, detail),
             refine_start=start,
             refine_stop=stop,
             refine_every=every,
@@ -167,15 +180,12 @@ class Plan:
     def factor_at(self, step: int) -> float:
         """What the sides of the photos are divided by at `step`: a power of the root of 2, or 1.
 
-        The number of pixels rises with the square of the step, so that most steps are cheap and
-        coarse structure settles first (after Chen et al. 2025, DashGaussian).
+        Most steps are cheap and coarse structure settles first.
         """
         done = step / max(self.coarse_until, 1)
-        if done >= 1:
-            return 1.0
-        least = self.coarse_factor**-2
-        pixels = least + (1 - least) * done * done
-        return 2.0 ** (round(-math.log2(pixels)) / 2)
+        count = len(self.stages)
+        smaller = next((k for k, share in enumerate(self.stages) if done >= share), count)
+        return 1.0 if done >= 1 else 2.0 ** (smaller / 2)
 
     def seconds_at(self, step: int, splats: float) -> float:
         """What `step` takes with that many splats on the machine of `_SECONDS_A_STEP`.

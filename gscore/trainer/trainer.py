@@ -29,6 +29,7 @@ from .pyramid import AHEAD, Pyramid
 from .regularisers import drop_rate_at, drop_splats, opacity_loss
 from .schedules import Plan
 from .skips import raster_bits
+from .spectrum import detail
 from .strategy import Change, make_strategy, ops
 from .views import Photos, Sampler, View
 
@@ -103,6 +104,8 @@ class Trainer:
             side=int(min(cameras.widths.min(), cameras.heights.min())),
             pixels=int((cameras.widths * cameras.heights)[list(photos.train)].mean()),
         )
+        if config.coarse_by_detail:
+            self._plan_of = partial(self._plan_of, detail=detail(photos, photos.train))
         self._factor = math.inf
         self.depth: DepthLoss | None = None
         """The depth loss, where depth is supervised."""
