@@ -117,8 +117,8 @@ bench: $(LIBRARY)
 	$(BIN)/gscore bench raster
 
 # Trains with and without depth, from 6 to 50 views, and leaves out/experiment-depth/{results.json,results.md,*.png}; goes
-# on where it was stopped. About ten minutes on two cores; EXPERIMENT=--quick takes one. Real captures and networks:
-# EXPERIMENT="--captures studio plush --model FILE.onnx" with GSCORE_DATA set.
+# on where it was stopped. About eight minutes on two cores; EXPERIMENT=--quick takes one. Other tables of docs/depth.md:
+# EXPERIMENT="--table study" (auto, switches, real with GSCORE_DATA set); a network: EXPERIMENT="--model FILE.onnx".
 experiment-depth: $(LIBRARY)
 	$(BIN)/python tools/experiment_depth.py $(EXPERIMENT)
 

@@ -34,21 +34,29 @@ def test_views(source: Source, out: Path) -> list[TestView]:
     for camera in json.loads((out / "cameras.json").read_text()):
         cameras[Path(camera["img_name"]).stem] = camera
     names = {Path(name).stem: name for name in source.test}
-    train = [
-        (*pinhole(camera), at_size(exact(source, stem), camera["width"], camera["height"]))
-        for stem, camera in cameras.items()
-        if stem not in names
-    ]
-    found = []
+    train = [camera for stem, camera in cameras.items() if stem not in names]
+    key = (str(source.depths), *(f"{c['img_name']} {c['width']} {c['height']}" for c in train))
+    others, found = None, []
     for stem, camera in cameras.items():
         if stem in names:
             K, viewmat = pinhole(camera)
             width, height = camera["width"], camera["height"]
-            truth = at_size(exact(source, stem), width, height)
+            truth = _exact_at(source, camera)
             shown = render(splats, K, viewmat, width, height)
-            seen = is_seen(truth, K, viewmat, train)
+            if (*key, stem) not in _SEEN:
+                others = others or [(*pinhole(c), _exact_at(source, c)) for c in train]
+                _SEEN[*key, stem] = is_seen(truth, K, viewmat, others)
+            seen = _SEEN[*key, stem]
             found.append(TestView(name=names[stem], shown=shown, truth=truth, seen=seen))
     return found
+
+
+_SEEN: dict[tuple[str, ...], np.ndarray] = {}
+"""What of a test view the training views show: the same for all trainings on them."""
+
+
+def _exact_at(source: Source, camera: dict[str, Any]) -> np.ndarray:
+    return at_size(exact(source, camera["img_name"]), camera["width"], camera["height"])
 
 
 def measure(source: Source, out: Path, *, masked: bool) -> dict[str, float | None]:
