@@ -65,7 +65,6 @@ struct Batch {
 // What the backward pass keeps besides.
 struct BackwardBatch : Batch {
     alignas(64) float u[kBatchItems + kGroup][kBlockPixels], v[kBatchItems + kGroup][kBlockPixels];
-    alignas(64) float weight[kBatchItems + kGroup][kBlockPixels];
     Moments *moments[kBatchItems]; // where the sums of a splat go
 };
 
@@ -374,36 +373,31 @@ static int64_t blend_tile_backward(const BlendBackwardArgs &args, uint32_t outpu
         }
         items += batch.items;
         unclamped_alphas<true>(batch);
-        for (int n = 0; n < batch.items; ++n) {
-            const int s = batch.splat_of[n];
-            const Projected &p = batch.splat[s];
-            for (int j = 0; j < kItemVecs; ++j) {
-                const int lane = j * kLanes, at = batch.block[n] * kBlockPixels + lane;
-                IVec stops;
-                std::memcpy(&stops, stop + at, sizeof stops);
-                // A pixel takes part in what comes before its stop.
-                const Vec raw = keep(gt_int(stops, IVec{} + batch.index[s]), load(batch.alpha[n] + lane));
-                const Vec alpha = min(raw, set1(kAlphaMax));
-                const Vec t = quotient(load(trans + at), 1.0f - alpha);
-                store(trans + at, t);
-                const Vec w = alpha * t;
-                Vec own = set1(p.channel[0]) * load(v_color[0] + at);
-                for (int k = 1; k < kChannels; ++k)
-                    own = fma(set1(p.channel[k < 3 ? k : third + k - 3]), load(v_color[k] + at), own);
-                const Vec back = load(behind + at);
-                const Vec diff = own - back;
-                store(behind + at, fma(alpha, diff, back));
-                store(batch.weight[n] + lane, w);
-                store(batch.alpha[n] + lane, keep(ge(set1(kAlphaMax), raw), w * diff));
-            }
-        }
         for (int s = 0, n = 0; s < batch.splats; ++s) {
+            const Projected &p = batch.splat[s];
+            const IVec index = IVec{} + batch.index[s];
             Vec sums[kMomentCount] = {};
             for (; n < batch.item_end[s]; ++n)
                 for (int j = 0; j < kItemVecs; ++j) {
                     const int lane = j * kLanes, at = batch.block[n] * kBlockPixels + lane;
-                    const Vec g = load(batch.alpha[n] + lane), u = load(batch.u[n] + lane), v = load(batch.v[n] + lane);
-                    const Vec gu = g * u, gv = g * v, w = load(batch.weight[n] + lane);
+                    IVec stops;
+                    std::memcpy(&stops, stop + at, sizeof stops);
+                    // A pixel takes part in what comes before its stop.
+                    const Vec raw = keep(gt_int(stops, index), load(batch.alpha[n] + lane));
+                    const Vec alpha = min(raw, set1(kAlphaMax));
+                    const Vec t = quotient(load(trans + at), 1.0f - alpha);
+                    store(trans + at, t);
+                    const Vec w = alpha * t;
+                    Vec own = set1(p.channel[0]) * load(v_color[0] + at);
+                    for (int k = 1; k < kChannels; ++k)
+                        own = fma(set1(p.channel[k < 3 ? k : third + k - 3]), load(v_color[k] + at), own);
+                    const Vec back = load(behind + at);
+                    const Vec diff = own - back;
+                    store(behind + at, fma(alpha, diff, back));
+
+                    const Vec g = keep(ge(set1(kAlphaMax), raw), w * diff);
+                    const Vec u = load(batch.u[n] + lane), v = load(batch.v[n] + lane);
+                    const Vec gu = g * u, gv = g * v;
                     sums[kG] += g;
                     sums[kGu] += gu;
                     sums[kGv] += gv;
