@@ -99,7 +99,7 @@ FUZZ_SECONDS ?= 60
 fuzz: $(LIBRARY)
 	$(BIN)/python tools/fuzz.py $(FUZZ_SECONDS)
 
-# Kills, full disks, vanishing photos, clock jumps and more, done to trainings; about ten minutes on two cores.
+# Kills, full disks, vanishing photos, clock jumps and more, done to trainings; 15 to 30 minutes on two cores.
 KILLS ?= 50
 faults: $(LIBRARY)
 	$(BIN)/python tools/faults.py --kills $(KILLS)

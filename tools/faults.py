@@ -1,7 +1,8 @@
 """Does to trainings what happens to them, and says what came of it: make faults [KILLS=50].
 
 Each fault is done to real processes in a folder of their own. What counts: the end has the bits of
-an undisturbed run, nothing written before is lost, and errors are one sentence.
+an undisturbed run (splats, losses of all steps, evaluation), nothing written before is lost, and
+errors are one sentence.
 """
 
 import argparse
@@ -15,9 +16,12 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+from gscore.trainer.checkpoint import load
 
 ROOT = Path(__file__).resolve().parents[1]
 CAPTURE = ROOT / "examples" / "studio"
@@ -25,6 +29,9 @@ OPTIONS = ["--preset", "preview", "--iterations", "120", "--max-splats", "3000",
 OPTIONS += ["--mask-mode", "none", "--threads", "1", "--checkpoint-seconds", "0.05"]
 LIMIT = 600
 """Seconds a process may take on a busy machine."""
+LAST = Path("checkpoints") / "step_00000120.safetensors"
+"""What is written after the last step, before the results."""
+RESULTS = ("point_cloud.ply", "metrics.json", "report.html")
 
 
 class HarmError(Exception):
@@ -73,9 +80,21 @@ def expect(good: bool, what: str) -> None:
         raise HarmError(what)
 
 
-def digest(output: Path) -> str:
-    """Of the splats at the end."""
-    return hashlib.sha256((output / "point_cloud.ply").read_bytes()).hexdigest()[:16]
+def outcome(output: Path) -> dict[str, str]:
+    """What a run must leave: digests of the splats, and of the metrics without times and memory."""
+    lacking = [name for name in RESULTS if not (output / name).is_file()]
+    expect(not lacking, f"not written: {', '.join(lacking)}")
+    metrics = json.loads((output / "metrics.json").read_text())
+    views = [{k: v for k, v in view.items() if k != "render_seconds"} for view in metrics["views"]]
+    history = [[entry[key] for key in ("step", "loss", "splats")] for entry in metrics["history"]]
+    judged = [views, metrics["psnr"], metrics["ssim"], metrics["reason"], history]
+    whole = (output / "report.html").read_text().rstrip().endswith("</html>")
+    found = {"point_cloud.ply": (output / "point_cloud.ply").read_bytes()}
+    found["metrics.json"] = json.dumps(judged).encode()
+    found["report.html"] = b"whole" if whole else b"cut"
+    names = sorted(path.name for path in output.rglob("*") if path.suffix != ".damaged")
+    found["names of files"] = " ".join(names).encode()
+    return {name: hashlib.sha256(raw).hexdigest()[:16] for name, raw in found.items()}
 
 
 def checkpoints(output: Path) -> list[Path]:
@@ -88,6 +107,21 @@ def is_writing(output: Path, before: int) -> bool:
     return len(checkpoints(output)) != before and any(folder.glob(".*.tmp"))
 
 
+def written(path: Path) -> int:
+    """When, in ns; 0 if it is not there."""
+    try:
+        return path.stat().st_mtime_ns
+    except FileNotFoundError:
+        return 0
+
+
+def stage(output: Path) -> str:
+    """Where a killed run goes on: at the beginning, between two steps, or after the last."""
+    if (output / LAST).exists():
+        return "results"
+    return "steps" if checkpoints(output) else "begin"
+
+
 def wait_for(process: subprocess.Popen, ready: Callable[[], bool]) -> bool:
     """Whether it came about before the process ended."""
     end = time.monotonic() + LIMIT
@@ -96,6 +130,12 @@ def wait_for(process: subprocess.Popen, ready: Callable[[], bool]) -> bool:
             return True
         time.sleep(0.002)
     return False
+
+
+def pause(process: subprocess.Popen, seconds: float) -> None:
+    """Wait so long, or until the process ends."""
+    end = time.monotonic() + seconds
+    wait_for(process, lambda: time.monotonic() > end)
 
 
 def sentence(ended: subprocess.CompletedProcess) -> str:
@@ -108,71 +148,118 @@ def sentence(ended: subprocess.CompletedProcess) -> str:
 
 
 class Faults:
-    """The faults, each a method; `sound` is the digest of an undisturbed run."""
+    """The faults, each a method; `sound` is the outcome of an undisturbed run."""
 
     def __init__(self, work: Path, *, kills: int, seed: int) -> None:
         self.work = work
         self.kills = kills
         self.random = random.Random(seed)
-        ended = finish(command(work / "sound"))
-        expect(ended.returncode == 0, f"the undisturbed run failed: {ended.stderr[-500:]}")
-        self.sound = digest(work / "sound")
+        output = work / "sound"
+        process = start(command(output), stdout=subprocess.DEVNULL)
+        wait_for(process, lambda: (output / ".gscore.lock").exists())
+        began = time.monotonic()
+        _, err = process.communicate(timeout=LIMIT)
+        self.seconds = time.monotonic() - began
+        expect(process.returncode == 0, f"the undisturbed run failed: {err[-500:]}")
+        self.results_seconds = (written(output / "report.html") - written(output / LAST)) / 1e9
+        self.sound = outcome(output)
+
+    def compare(self, output: Path) -> None:
+        """The outcome must be that of the undisturbed run, with nothing unfinished beside it."""
+        found = outcome(output)
+        others = [name for name, value in self.sound.items() if found[name] != value]
+        expect(not others, f"{', '.join(others)} differ from an undisturbed run")
+        expect(not list(output.rglob(".*.tmp")), "temporary files are left")
 
     def resumed(self, output: Path, *extra: str) -> subprocess.CompletedProcess:
-        """Go on to the end, which must have the bits of the undisturbed run."""
+        """Go on to the end, which must be that of the undisturbed run."""
         ended = finish(command(output, "--resume", *extra))
         expect(ended.returncode == 0, f"resume failed: {ended.stderr[-500:]}")
-        expect(digest(output) == self.sound, "the end differs from an undisturbed run")
-        expect(not list(output.rglob(".*.tmp")), "temporary files are left")
+        self.compare(output)
         return ended
 
+    def again(self, output: Path) -> None:
+        """Go on, or begin again where there is no checkpoint; the end must be the same."""
+        if checkpoints(output):
+            self.resumed(output)
+            return
+        ended = finish(command(output, "--overwrite"))
+        expect(ended.returncode == 0, f"beginning again failed: {ended.stderr[-500:]}")
+        self.compare(output)
+
     def kill_at_random_moments(self) -> str:
-        """kill -9, half of them while a checkpoint is being written; then resume, to the end."""
-        done, writing, before_first = 0, 0, 0
-        output = self.work / "killed"
-        while done < self.kills:
+        """kill -9, at any moment, while a checkpoint or while the results are written.
+
+        After each kill a copy of the folder goes on to the end, which is compared; the next kill
+        then hits the folder itself, as it was left. A folder that has all steps is thrown away one
+        time in two, so that runs that only write results again are killed as well.
+        """
+        output, copy = self.work / "killed", self.work / "copy"
+        moments = [self._any_moment, self._checkpoint_moment, self._results_moment]
+        kills, tally = 0, Counter()
+        while kills < self.kills:
             extra = ["--resume"] if checkpoints(output) else ["--overwrite"]
-            before_first += extra == ["--overwrite"]
             process = start(
                 command(output, *extra), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
             )
-            number = len(checkpoints(output))
-            if done % 2 and wait_for(process, lambda n=number: is_writing(output, n)):
-                writing += 1
-            else:
-                wait_for(process, lambda: (output / ".gscore.lock").exists())
-                end = time.monotonic() + self.random.uniform(0, 4)
-                wait_for(process, lambda end=end: time.monotonic() > end)
-            alive = process.poll() is None
+            moments[kills % len(moments)](process, output)
             process.kill()
-            process.wait()
-            if alive:
-                done += 1
-            if (output / "point_cloud.ply").exists():  # it came to its end: the next chain
-                if not alive:
-                    self.resumed(output)
+            if process.wait() != -signal.SIGKILL:  # it came to its end before: no kill
+                expect(process.returncode == 0, f"a run ended with {process.returncode}")
+                self.compare(output)
                 shutil.rmtree(output)
-            elif done % 5 == 0 and checkpoints(output):  # and now and then all the way
-                self.resumed(output)
+                continue
+            kills += 1
+            tally[stage(output)] += 1
+            tally["half a checkpoint"] += any((output / "checkpoints").glob(".*.tmp"))
+            if output.exists():
+                shutil.copytree(output, copy)
+            self.again(copy)
+            tally["same"] += 1
+            shutil.rmtree(copy)
+            if stage(output) == "results" and self.random.random() < 0.5:
                 shutil.rmtree(output)
-        if checkpoints(output):
-            self.resumed(output)
-        return f"{done} kills, {writing} while writing a checkpoint; each chain ended bit-equal"
+        return (
+            f"{tally['same']} of {kills} ended with the same splats and metrics: "
+            f"{tally['begin']} were begun again, having no checkpoint, {tally['steps']} resumed in "
+            f"the middle and {tally['results']} after the last step; "
+            f"{tally['half a checkpoint']} kills left half a checkpoint"
+        )
+
+    def _any_moment(self, process: subprocess.Popen, output: Path) -> None:
+        wait_for(process, lambda: (output / ".gscore.lock").exists())
+        pause(process, self.random.uniform(0, self.seconds))
+
+    def _checkpoint_moment(self, process: subprocess.Popen, output: Path) -> None:
+        number = len(checkpoints(output))
+        wait_for(process, lambda: is_writing(output, number))
+
+    def _results_moment(self, process: subprocess.Popen, output: Path) -> None:
+        """Between the last checkpoint and the end of the process."""
+        before = written(output / LAST)
+        wait_for(process, lambda: written(output / LAST) != before)
+        pause(process, self.random.uniform(0, self.results_seconds))
 
     def full_disk(self) -> str:
-        """A file system of 1 MB."""
-        with file_system(self.work / "small", "size=1m") as place:
-            output = place / "out"
-            ended = finish(command(output))
-            said = sentence(ended)
-            expect(ended.returncode == 2 and "disk is full" in said, said)
-            for path in checkpoints(output):
-                path.read_bytes()
-            kept = len(checkpoints(output))
-            subprocess.run(["mount", "-o", "remount,size=200m", str(place)], check=True)
-            if kept:
-                self.resumed(output)
-            return f"“{said[:60]}...”, {kept} checkpoints kept; resumed after making room"
+        """Too small for a checkpoint, for a second one, for the splats after the last."""
+        told = []
+        for size, extra, steps in (
+            ("400k", [], []),
+            ("1500k", [], None),
+            ("1200k", ["--checkpoint-seconds", "0"], [120]),
+        ):
+            with file_system(self.work / size, f"size={size}") as place:
+                output = place / "out"
+                ended = finish(command(output, *extra))
+                said = sentence(ended)
+                expect(ended.returncode == 2 and "disk is full" in said, said)
+                kept = [load(path).steps for path in checkpoints(output)]
+                good = len(kept) > 0 if steps is None else kept == steps
+                expect(good, f"with {size} the checkpoints of these steps are kept: {kept}")
+                told.append(f"{size}: {len(kept)} kept")
+                subprocess.run(["mount", "-o", "remount,size=200m", str(place)], check=True)
+                self.again(output)
+        return f"“{said[:60]}...”; {', '.join(told)} and whole; the same end after making room"
 
     def read_only_output(self) -> str:
         """A read-only file system."""
@@ -246,7 +333,8 @@ class Faults:
         closed = self.work / "closed"
         line = " ".join(f"'{word}'" for word in command(closed, "--quiet")) + " <&- >&-"
         ended = finish(["sh", "-c", line])
-        expect(ended.returncode == 0 and digest(closed) == self.sound, ended.stderr[-500:])
+        expect(ended.returncode == 0, ended.stderr[-500:])
+        self.compare(closed)
         return "end of stdin: checkpoint, resumed bit-equal; closed from the start: bit-equal"
 
     def clock_jumps(self) -> str:
@@ -258,7 +346,8 @@ class Faults:
             "from gscore.commands import main; sys.exit(main(sys.argv[1:]))"
         )
         ended = finish([sys.executable, "-c", code, *command(output)[3:]])
-        expect(ended.returncode == 0 and digest(output) == self.sound, ended.stderr[-500:])
+        expect(ended.returncode == 0, ended.stderr[-500:])
+        self.compare(output)
         spent = json.loads((output / "metrics.json").read_text())["train_seconds"]
         expect(0 < spent < LIMIT, f"it says that {spent} s were spent")
         return f"bit-equal, {spent:.1f} s of training reported"
@@ -289,24 +378,25 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--kills", type=int, default=50)
     parser.add_argument("--seed", type=int, default=0)
-    names = [name for name in vars(Faults) if not name.startswith("_") and name != "resumed"]
+    helpers = {"compare", "resumed", "again"}
+    names = [name for name in vars(Faults) if not name.startswith("_") and name not in helpers]
     parser.add_argument("faults", nargs="*", metavar="FAULT", help=", ".join(names))
     args = parser.parse_args()
     os.environ["PYTHONPATH"] = str(ROOT)
     harm = 0
     with tempfile.TemporaryDirectory(prefix="gscore-faults-") as folder:
         faults = Faults(Path(folder), kills=args.kills, seed=args.seed)
-        print(f"undisturbed run: {faults.sound}", flush=True)
+        print(f"undisturbed run: splats {faults.sound['point_cloud.ply']}", flush=True)
         for name in args.faults or names:
             began = time.monotonic()
             try:
-                outcome, word = getattr(faults, name)(), "passed"
+                said, word = getattr(faults, name)(), "passed"
             except CannotError as reason:
-                outcome, word = str(reason), "skipped"
+                said, word = str(reason), "skipped"
             except (HarmError, subprocess.TimeoutExpired) as error:
-                outcome, word, harm = str(error), "FAILED", harm + 1
+                said, word, harm = str(error), "FAILED", harm + 1
             took = time.monotonic() - began
-            print(f"{word:8} {name.replace('_', ' ')}: {outcome} ({took:.0f} s)", flush=True)
+            print(f"{word:8} {name.replace('_', ' ')}: {said} ({took:.0f} s)", flush=True)
     return 1 if harm else 0
 
 
