@@ -20,6 +20,7 @@ from .._version import __version__
 from ..config import TrainConfig, differences, from_dict, to_dict
 from ..errors import ConfigError, FormatError
 from ..io.files import atomic_write, check_regular
+from .stored import whole
 from .trainer import Trainer
 from .views import Photos
 
@@ -127,6 +128,7 @@ def load(path: Path) -> Checkpoint:
             f"{content.get('format')}; this gscore reads format {FORMAT}."
         )
     with understood(path):
+        whole("steps", content["trainer"]["steps"])
         return Checkpoint(
             path=path,
             config=from_dict(TrainConfig, content["config"], where=str(path)),
@@ -142,7 +144,14 @@ def understood(path: Path) -> Iterator[None]:
     """FormatError where the content of a checkpoint is not what is looked for in it."""
     try:
         yield
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError, RuntimeError) as error:
+    except (
+        LookupError,
+        TypeError,
+        ValueError,
+        ArithmeticError,
+        AttributeError,
+        RuntimeError,
+    ) as error:
         raise FormatError(
             f"{path} is not a checkpoint that this gscore understands ({type(error).__name__}: "
             f"{error}); use an older one."

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..scene import FARTHEST, Scene
 from ..transforms import SMALLEST, Similarity
+from .stored import number
 
 _MARGIN = 1.1
 _DEGENERATE = 1e-3
@@ -69,7 +70,9 @@ class Frame:
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> "Frame":
-        """The frame that `to_dict` described."""
+        """The frame that `to_dict` described; ValueError or KeyError where it did not."""
         shift = np.array(data["shift"], np.float64)
-        similarity = Similarity(scale=data["scale"], shift=shift)
-        return cls(similarity=similarity, extent=data["extent"], near=data["near"])
+        scale, extent, near = (number(key, data[key]) for key in ("scale", "extent", "near"))
+        if not (extent > 0 and near > 0):
+            raise ValueError(f"extent and near must be positive, got {extent} and {near}")
+        return cls(similarity=Similarity(scale=scale, shift=shift), extent=extent, near=near)

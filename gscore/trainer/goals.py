@@ -8,6 +8,7 @@ from ..config import TrainConfig
 from ..metrics.evaluate import masked_pair, target_picture
 from ..metrics.image import psnr
 from .evaluation import Evaluator
+from .stored import measurements, whole
 from .trainer import Trainer
 
 _MEASURES = 40
@@ -84,6 +85,6 @@ class Goals:
         return {"found": self._found, "length": self.length}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on from what `state` returned."""
-        self._found = [(step, value) for step, value in state["found"]]
-        self.length = state["length"] if self._config.early_stop else 0
+        """Go on from what `state` returned; ValueError or KeyError where it did not."""
+        self._found = measurements("found", state["found"])
+        self.length = whole("length", state["length"]) if self._config.early_stop else 0

@@ -7,6 +7,7 @@ from typing import Any
 
 from ..events import Progress
 from .schedules import Plan
+from .stored import number, rows, whole
 
 _EVENTS_PER_SECOND = 5.0
 _HISTORY = 500
@@ -108,11 +109,15 @@ class Meter:
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on from what `state` returned."""
-        self.train_seconds, self.history = state["train_seconds"], list(state["history"])
-        self._loss, self._mse, self._count = state["loss"], state["mse"], state["count"]
-        self._step, self._splats = state.get("step", 0), state.get("splats", self._splats)
-        self._pace = state.get("pace", 1.0)
+        """Go on from what `state` returned; ValueError or KeyError where it did not."""
+        self.train_seconds = number("train_seconds", state["train_seconds"], low=0)
+        self.history = rows("history", state["history"])
+        self._loss = number("loss", state["loss"], finite=False)
+        self._mse = number("mse", state["mse"], finite=False)
+        self._count = whole("count", state["count"])
+        self._step = whole("step", state.get("step", 0))
+        self._splats = whole("splats", state.get("splats", self._splats))
+        self._pace = number("pace", state.get("pace", 1.0), low=0)
 
 
 def _finite(value: Any) -> Any:

@@ -29,6 +29,7 @@ from .folder import RunFolder
 from .meter import Meter
 from .results import Results
 from .steering import Steering
+from .stored import rows, texts
 from .trainer import StepResult, Trainer
 from .watchdog import Watchdog
 
@@ -92,9 +93,14 @@ class Session:
         self._last_preview = 0.0
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on with the clock and the history of a checkpoint."""
+        """Go on with the clock and the history of a checkpoint.
+
+        Raises:
+            ValueError, KeyError, TypeError: it states something that no session writes.
+        """
         self._meter.restore(state["meter"])
-        self._evals, self._warnings = list(state["evals"]), list(state["warnings"])
+        self._evals = rows("evals", state["evals"])
+        self._warnings = texts("warnings", state["warnings"])
         self._steering.restore(state.get("steering"))
         self._last_checkpoint = self._last_preview = self._meter.train_seconds
         if "watchdog" in state:

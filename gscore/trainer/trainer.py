@@ -30,6 +30,7 @@ from .regularisers import drop_rate_at, drop_splats, opacity_loss
 from .schedules import Plan
 from .skips import raster_bits
 from .spectrum import detail
+from .stored import check_tensors, choices, number, whole
 from .strategy import Change, make_strategy, ops
 from .views import Photos, Sampler, View
 
@@ -319,11 +320,17 @@ class Trainer:
         """Go on from what `state` and `tensors` of another trainer with this config returned.
 
         The length of the run is that of the config, unless a time budget leaves it open.
+
+        Raises:
+            ValueError, KeyError: they are not what those return.
         """
+        check_tensors(tensors, self.model)
         length = self.config.iterations
-        self.replan(state.get("iterations", length) if self.config.time_budget else length)
+        if self.config.time_budget:
+            length = whole("iterations", state.get("iterations", length), low=1)
+        self.replan(length)
         factor = state.get("factor")
-        self._factor = math.inf if factor is None else factor
+        self._factor = math.inf if factor is None else number("factor", factor, low=0)
         names = list(self.model.params)
         self.model = Model({name: tensors[f"param/{name}"] for name in names})
         for name in names:
@@ -333,16 +340,19 @@ class Trainer:
                 tensors[f"m1/{name}"],
                 tensors[f"m2/{name}"],
                 grad=tensors.get(f"gathered/{name}"),
-                steps=state["adam_steps"][name],
+                steps=whole(f"adam_steps of {name}", state["adam_steps"][name]),
             )
         rows = {key.removeprefix("row/"): t for key, t in tensors.items() if key[:4] == "row/"}
         self.model.rows = rows
         self.model.drift = tensors["drift"]
         self.generator.set_state(tensors["generator"])
-        self.sampler.order, self.sampler.position = list(state["order"]), state["position"]
-        self.steps, self.bad_rows = state["steps"], state["bad_rows"]
-        self.lost_rows, self._skipped = state.get("lost_rows", 0), state["skipped"]
-        self._most_splats = state.get("most_splats", len(self.model))
+        self.sampler.order = choices("order", state["order"], set(self.sampler.indices))
+        self.sampler.position = whole("position", state["position"], high=len(state["order"]))
+        self.steps = whole("steps", state["steps"])
+        self.bad_rows = whole("bad_rows", state["bad_rows"])
+        self.lost_rows = whole("lost_rows", state.get("lost_rows", 0))
+        self._skipped = whole("skipped", state["skipped"])
+        self._most_splats = whole("most_splats", state.get("most_splats", len(self.model)))
 
     def _first_splats(self, cloud: PointCloud) -> Splats:
         points = self.frame.similarity.points_to_training(cloud.points)

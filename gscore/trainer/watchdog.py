@@ -10,6 +10,7 @@ from typing import Any
 
 from ..errors import GsError
 from .schedules import Plan
+from .stored import measurements, number, whole
 
 MAX_RESCUES = 3
 """A run that runs away once more ends with an error."""
@@ -135,13 +136,14 @@ class Watchdog:
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on from what `state` returned."""
-        self.rescues = state["rescues"]
-        self._good = [(step, best) for step, best in state["good"]]
-        self._error, self._count = state["error"], state["count"]
-        self._best = math.inf if state["best"] is None else state["best"]
-        self._spoilt, self._quiet_until = state["spoilt"], state["quiet_until"]
-        self._lost = state["lost"]
+        """Go on from what `state` returned; ValueError or KeyError where it did not."""
+        self.rescues = whole("rescues", state["rescues"], high=MAX_RESCUES)
+        self._good = measurements("good", state["good"])
+        self._error, self._count = number("error", state["error"]), whole("count", state["count"])
+        self._best = math.inf if state["best"] is None else number("best", state["best"])
+        self._spoilt = number("spoilt", state["spoilt"])
+        self._quiet_until = whole("quiet_until", state["quiet_until"])
+        self._lost = number("lost", state["lost"])
 
     def _begin(self, best: float) -> None:
         self._error, self._best, self._count = 0.0, best, 0

@@ -1,6 +1,8 @@
 """Every format that gscore reads: a valid file of each, its reader, and what a good result is."""
 
 import json
+import struct
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +12,7 @@ import numpy as np
 from PIL import Image
 
 from gscore.config import DataConfig, TrainConfig, config_json, load_config
+from gscore.control import Control
 from gscore.datasets.pku_neus import _projections
 from gscore.datasets.transforms_json import read_transforms
 from gscore.depth.maps import read_map
@@ -26,6 +29,12 @@ from gscore.io.runs import read_run
 from gscore.io.sequences import read_sequence
 from gscore.scene import Cameras
 from gscore.splats import Splats
+from gscore.stress.capture import toy_photos
+from gscore.trainer import checkpoint
+from gscore.trainer.folder import RunFolder
+from gscore.trainer.frame import Frame
+from gscore.trainer.session import Session
+from gscore.trainer.trainer import Trainer
 
 
 @dataclass(frozen=True)
@@ -41,6 +50,10 @@ class Format:
     """Reads the folder; raises GsError or checks its result."""
     structured: bool = False
     """JSON, whose values are damaged too."""
+    json_in: Callable[[bytes], bytes] = lambda raw: raw
+    """The JSON in the file."""
+    put_json: Callable[[bytes, bytes], bytes] = lambda raw, text: text
+    """The file with other JSON in it, its checksum right."""
 
 
 def _model() -> ColmapModel:
@@ -302,6 +315,67 @@ def _write_cam(root: Path) -> None:
     )
 
 
+_TRAIN = TrainConfig(iterations=20, max_splats=60, sh_degree=1)
+_PHOTOS = toy_photos()
+
+
+def _session(trainer: Trainer, root: Path) -> Session:
+    return Session(
+        trainer,
+        RunFolder(root),
+        DataConfig(source=root),
+        emit=lambda event: None,
+        control=Control(),
+        lpips=None,
+        lpips_reason="",
+    )
+
+
+def _write_checkpoint(root: Path) -> None:
+    trainer = Trainer(_TRAIN, _PHOTOS)
+    session = _session(trainer, root)
+    for _ in range(2):
+        trainer.step()
+    path = session._write_checkpoint()
+    path.replace(root / "a.safetensors")
+
+
+def _metadata(raw: bytes) -> tuple[dict[str, Any], int]:
+    """Header of a safetensors file and where it ends."""
+    end = 8 + struct.unpack("<Q", raw[:8])[0]
+    return json.loads(raw[8:end]), end
+
+
+def _checkpoint_json(raw: bytes) -> bytes:
+    return _metadata(raw)[0]["__metadata__"]["gscore"].encode()
+
+
+def _with_checkpoint_json(raw: bytes, text: bytes) -> bytes:
+    header, end = _metadata(raw)
+    words = text.decode("utf-8", "replace")
+    header["__metadata__"] = {"gscore": words, "crc32": str(zlib.crc32(words.encode()))}
+    encoded = json.dumps(header).encode()
+    encoded += b" " * (-len(encoded) % 8)
+    return struct.pack("<Q", len(encoded)) + encoded + raw[end:]
+
+
+def _read_checkpoint(root: Path) -> None:
+    """As `train` goes on with one, for one step."""
+    found = checkpoint.load(root / "a.safetensors")
+    checkpoint.check_compatible(found, _TRAIN, _PHOTOS)
+    with checkpoint.understood(found.path):
+        frame = Frame.from_dict(found.trainer["frame"])
+    trainer = Trainer(_TRAIN, _PHOTOS, frame=frame)
+    checkpoint.check_same_depth(found, trainer)
+    session = _session(trainer, root)
+    with checkpoint.understood(found.path):
+        trainer.restore(found.trainer, found.tensors)
+        session.restore(found.session)
+    trainer.step()
+    session._watch()
+    session._checkpoint(keep=1)
+
+
 def _colmap(name: str, binary: bool) -> Format:
     ending = "bin" if binary else "txt"
     return Format(
@@ -351,6 +425,15 @@ FORMATS = [
         "cameras_sphere.npz",
         _write_npz,
         lambda root: _projections(root / "cameras_sphere.npz"),
+    ),
+    Format(
+        "checkpoint",
+        "a.safetensors",
+        _write_checkpoint,
+        _read_checkpoint,
+        True,
+        _checkpoint_json,
+        _with_checkpoint_json,
     ),
     Format("cam_txt", "0_cam.txt", _write_cam, lambda root: read_cam(root / "0_cam.txt")),
 ]

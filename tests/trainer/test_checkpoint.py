@@ -2,6 +2,7 @@
 
 import json
 import struct
+import zlib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -194,3 +195,63 @@ def test_a_failed_write_leaves_the_old_file(
         checkpoint.save(path, trainer, {})
     assert path.read_bytes() == before
     assert [p.name for p in path.parent.iterdir()] == [path.name]
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "told"),
+    [
+        (("trainer", "order"), [10**6] * 12, "order is .*expected views of the capture"),
+        (("trainer", "position"), -(10**9), "position is -1000000000"),
+        (("trainer", "steps"), "3", "steps is '3'"),
+        (("trainer", "adam_steps", "means"), 1.5, "adam_steps of means is 1.5"),
+        (("trainer", "frame", "extent"), 0, "extent and near must be positive"),
+        (("trainer", "frame", "scale"), 10**400, "scale is 10+"),
+        (("session", "watchdog", "good"), [["a", "b"]], "good is 'a'"),
+        (("session", "watchdog", "rescues"), -(10**9), "rescues is -1000000000"),
+        (("session", "meter", "history"), [{"step": 1, "loss": []}], "loss of history is"),
+        (("session", "evals"), [{"psnr": 1.0}], "a step of evals is None"),
+        (("session", "warnings"), [3], "warnings is"),
+        (("session", "steering"), {"found": [[1]], "length": 0}, "found is"),
+    ],
+)
+def test_content_that_no_run_writes_is_refused(
+    place: tuple[str, ...], value: Any, told: str, capture: Path, tmp_path: Path
+) -> None:
+    """Oracle: a file whose checksums are right; the sentence says what is odd in it."""
+    config = replace(CONFIG, iterations=3, lpips=None)
+    train(config, DataConfig(source=capture), tmp_path / "first")
+    path = RunFolder(tmp_path / "first").checkpoints()[-1]
+    raw = path.read_bytes()
+    end = 8 + struct.unpack("<Q", raw[:8])[0]
+    header = json.loads(raw[8:end])
+    content = json.loads(header["__metadata__"]["gscore"])
+    inner = content
+    for key in place[:-1]:
+        inner = inner[key]
+    inner[place[-1]] = value
+    text = json.dumps(content)
+    header["__metadata__"] = {"gscore": text, "crc32": str(zlib.crc32(text.encode()))}
+    encoded = json.dumps(header).encode()
+    path.write_bytes(struct.pack("<Q", len(encoded)) + encoded + raw[end:])
+    with pytest.raises(FormatError, match=f"understands .*{told}"):
+        train(
+            replace(config, iterations=6),
+            DataConfig(source=capture),
+            tmp_path / "second",
+            start_checkpoint=path,
+        )
+
+
+def test_tensors_that_do_not_fit_each_other_are_refused(
+    saved: tuple[Trainer, Path], photos: Any
+) -> None:
+    """Oracle: each tensor in turn cut by a row, or of another kind, or missing."""
+    trainer, path = saved
+    found = checkpoint.load(path)
+    for name, tensor in found.tensors.items():
+        if name == "generator" or (name == "gathered/shN" and tensor.numel() == 0):
+            continue
+        other = torch.float64 if tensor.dtype == torch.float32 else torch.float32
+        for odd in (tensor[:-1], tensor.to(other)):
+            with pytest.raises(ValueError):
+                trainer.restore(found.trainer, found.tensors | {name: odd})
