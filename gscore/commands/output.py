@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 
 from ..errors import ConfigError
+from ..io.files import reason, shown
 
 
 def check_folder(folder: Path) -> None:
@@ -12,6 +13,12 @@ def check_folder(folder: Path) -> None:
     Raises:
         ConfigError: A part of the path is a file, or the nearest folder that exists is read-only.
     """
+    try:
+        folder.stat()
+    except (FileNotFoundError, NotADirectoryError, PermissionError):
+        pass
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"Cannot use {shown(folder)}: {reason(error)}") from error
     existing = folder
     while not existing.exists() and existing != existing.parent:
         existing = existing.parent

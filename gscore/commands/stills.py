@@ -28,8 +28,13 @@ def still_names(names: Sequence[str]) -> list[str]:
 
 def _inside(name: str) -> str:
     parts = [p for p in name.replace("\\", "/").split("/") if p not in ("", ".", "..")]
-    cleaned = ["".join("_" if c in '<>:"|?*' or ord(c) < 32 else c for c in p) for p in parts]
+    cleaned = ["".join("_" if _is_odd(c) else c for c in p) for p in parts]
     return "/".join(cleaned) or "view"
+
+
+def _is_odd(letter: str) -> bool:
+    """Whether some system takes the letter in no file name; halves of surrogate pairs are such."""
+    return letter in '<>:"|?*' or ord(letter) < 32 or 0xD800 <= ord(letter) < 0xE000
 
 
 def to_rgb(rendered: Rendered) -> np.ndarray:

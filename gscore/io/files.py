@@ -41,8 +41,10 @@ def atomic_write(path: str | Path, content: bytes | Callable[[BinaryIO], None]) 
             os.fsync(file.fileno())
         candidate.replace(path)
         temporary = None
-    except OSError as error:
-        raise GsError(f"Cannot write {path}: {_reason(error)}") from error
+    except (OSError, ValueError) as error:
+        if isinstance(error, ValueError) and temporary is not None:
+            raise  # of whoever writes the content
+        raise GsError(f"Cannot write {shown(path)}: {reason(error)}") from error
     finally:
         if temporary is not None:
             with contextlib.suppress(OSError):
@@ -86,10 +88,11 @@ def read_bytes(path: str | Path) -> bytes:
     try:
         with open_regular(path) as file:
             return file.read()
-    except OSError as error:
-        raise DatasetError(f"Cannot read {path}: {_reason(error)}") from error
+    except (OSError, ValueError) as error:
+        raise DatasetError(f"Cannot read {shown(path)}: {reason(error)}") from error
 
 
+_LONGEST_SHOWN = 200
 _KINDS = {
     stat.S_IFIFO: "a named pipe",
     stat.S_IFCHR: "a device",
@@ -108,9 +111,22 @@ _REASONS = {
     errno.EEXIST: "a file stands where a folder is needed.",
     errno.EISDIR: "it is a folder, a file was expected.",
     errno.ENOENT: "there is no such file.",
+    errno.ENAMETOOLONG: "the name is too long for the file system. Choose a shorter one.",
     errno.EFBIG: "the file system does not take files of this size.",
 }
 
 
-def _reason(error: OSError) -> str:
-    return _REASONS.get(error.errno or 0, f"{error.strerror or error}.")
+def shown(path: str | Path) -> str:
+    """A path for a message: shortened, and with what no output can print replaced."""
+    text = str(path).encode("utf-8", "replace").decode("utf-8").replace("\0", "?")
+    return text if len(text) <= _LONGEST_SHOWN else f"{text[: _LONGEST_SHOWN - 3]}..."
+
+
+def reason(error: OSError | ValueError) -> str:
+    """Why the system refused a path, and what to do, as the end of a sentence.
+
+    Names that hold a zero byte or half of a surrogate pair are ValueErrors of Python.
+    """
+    if isinstance(error, OSError):
+        return _REASONS.get(error.errno or 0, f"{error.strerror or error}.")
+    return "the name holds letters that no file name can hold. Choose another one."

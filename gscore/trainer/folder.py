@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import IO
 
 from ..errors import ConfigError, GsError
-from ..io.files import atomic_write
+from ..io.files import atomic_write, reason, shown
 from ..io.runs import RUN_LOCK, clear_unfinished, remove_results, results_in
 
 _FAR = 1 << 20
@@ -94,6 +94,12 @@ def open_folder(path: Path, *, resume: bool, overwrite: bool) -> Iterator[RunFol
         GsError: another process trains into it, or it cannot be written.
     """
     folder = RunFolder(path)
+    try:
+        path.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        pass
+    except (OSError, ValueError) as error:  # others answer otherwise to `exists` and `glob`
+        raise GsError(f"Cannot use {shown(path)}: {reason(error)}") from error
     if resume and not folder.checkpoints():
         raise ConfigError(f"{path} holds no checkpoint to resume from; leave --resume out.")
     new = not path.exists()
@@ -119,10 +125,8 @@ def _lock(path: Path) -> IO[str]:
             file = (path / RUN_LOCK).open("a+", encoding="utf-8")
         except FileExistsError:
             raise ConfigError(f"{path} is a file; an output folder is needed.") from None
-        except OSError as error:
-            raise GsError(
-                f"Cannot write into {path}: {error.strerror}; choose another output."
-            ) from error
+        except (OSError, ValueError) as error:
+            raise GsError(f"Cannot write into {shown(path)}: {reason(error)}") from error
         if not _try_lock(file):
             file.seek(0)
             holder = ""

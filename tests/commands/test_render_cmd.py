@@ -229,6 +229,7 @@ def test_names_of_pictures_stay_inside_and_apart():
     """Oracle: names as captures have them, with sub-folders, same stems and hostile paths."""
     assert still_names(["a/b.jpg", "c.JPG"]) == ["a/b", "c"]
     assert still_names(["x.jpg", "x.png"]) == ["x_jpg", "x_png"]
+    assert still_names(["a\ud800b.png"]) == ["a_b"]
     assert still_names(["../../etc/x.jpg", "/abs/y.jpg", "C:\\z.jpg"]) == ["etc/x", "abs/y", "C_/z"]
     odd = still_names(["", "..", "a.b.jpg", "same", "same"])
     assert len(set(odd)) == 5 and all(name and ".." not in name.split("/") for name in odd)

@@ -10,6 +10,7 @@ import pytest
 
 from gscore.errors import ConfigError, GsError
 from gscore.io.runs import RUN_LOCK
+from gscore.trainer import folder as folder_module
 from gscore.trainer.folder import open_folder
 
 
@@ -138,3 +139,16 @@ def test_what_a_killed_run_was_writing_is_removed(tmp_path: Path) -> None:
         pass
     assert not any((tmp_path / name).exists() for name in junk)
     assert all((tmp_path / name).exists() for name in kept)
+
+
+@pytest.mark.parametrize("name", ["n" * 300, "a\0b", "a\ud800b"])
+@pytest.mark.parametrize("resume", [False, True])
+def test_names_that_cannot_be_are_refused(tmp_path: Path, name: str, resume: bool) -> None:
+    """Oracle: one sentence that can be printed; nothing made."""
+    with (
+        pytest.raises(GsError, match="Cannot use .*the name (is too long|holds letters)") as error,
+        open_folder(tmp_path / name, resume=resume, overwrite=False),
+    ):
+        pass
+    assert len(str(error.value).encode()) < 400
+    assert names(tmp_path) == set()

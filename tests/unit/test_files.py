@@ -102,3 +102,29 @@ def test_missing_file(tmp_path: Path) -> None:
     """Oracle: the sentence names the file."""
     with pytest.raises(DatasetError, match=r"Cannot read .*none\.bin: there is no such file"):
         read_bytes(tmp_path / "none.bin")
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [("n" * 300, "the name is too long"), ("a\0b", "holds letters"), ("a\ud800b", "holds letters")],
+)
+def test_names_that_cannot_be(tmp_path: Path, name: str, told: str) -> None:
+    """Oracle: one sentence that can be printed, writing and reading."""
+    with pytest.raises(GsError, match=f"Cannot write .*: .*{told}") as error:
+        atomic_write(tmp_path / name, b"1")
+    str(error.value).encode()
+    with pytest.raises(DatasetError, match=f"Cannot read .*: .*{told}") as error:
+        read_bytes(tmp_path / name)
+    str(error.value).encode()
+    assert _listing(tmp_path) == []
+
+
+def test_errors_of_the_writer_stay_its_own(tmp_path: Path) -> None:
+    """Oracle: a ValueError that has nothing to do with the name."""
+
+    def fail(file: BinaryIO) -> None:
+        raise ValueError("mine")
+
+    with pytest.raises(ValueError, match="mine"):
+        atomic_write(tmp_path / "x", fail)
+    assert _listing(tmp_path) == []
