@@ -170,10 +170,13 @@ def _try_lock(file: IO[str]) -> bool:
 
 def _release(file: IO[str], path: Path, *, remove_folder: bool) -> None:
     with contextlib.suppress(OSError):
-        # Removed while it is still held, so that nobody can be holding it.
-        if sys.platform != "win32":
+        if sys.platform == "win32":
+            # An open file cannot be removed there; nor one that another run has opened since.
+            file.close()
             (path / RUN_LOCK).unlink(missing_ok=True)
-        file.close()
-        (path / RUN_LOCK).unlink(missing_ok=True)
+        else:
+            # While it is still held: the moment it is not, the file there may be another run's.
+            (path / RUN_LOCK).unlink(missing_ok=True)
+            file.close()
         if remove_folder:
             path.rmdir()  # only an empty folder can be removed

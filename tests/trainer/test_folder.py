@@ -152,3 +152,24 @@ def test_names_that_cannot_be_are_refused(tmp_path: Path, name: str, resume: boo
         pass
     assert len(str(error.value).encode()) < 400
     assert names(tmp_path) == set()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="an open file cannot be removed there")
+def test_giving_up_the_lock_never_takes_that_of_the_next(tmp_path: Path) -> None:
+    """Oracle: another run takes the lock the moment it is free, and a third is refused."""
+    (tmp_path / "kept").write_text("")
+    held = folder_module._lock(tmp_path)
+    taken = []
+
+    class Closing:
+        """The file; the next run comes right after it was closed."""
+
+        def close(self) -> None:
+            held.close()
+            taken.append(folder_module._lock(tmp_path))
+
+    folder_module._release(Closing(), tmp_path, remove_folder=False)  # type: ignore[arg-type]
+    with pytest.raises(GsError, match="in use by another training"):
+        folder_module._lock(tmp_path)
+    folder_module._release(taken[0], tmp_path, remove_folder=False)
+    assert names(tmp_path) == {"kept"}
