@@ -4,6 +4,7 @@ import contextlib
 import errno
 import json
 import os
+import re
 import sys
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
@@ -16,6 +17,7 @@ from ..io.runs import RUN_LOCK, clear_unfinished, remove_results, results_in
 
 _FAR = 1 << 20
 _PREFIX, _SUFFIX = "step_", ".safetensors"
+_CHECKPOINT = re.compile(rf"{_PREFIX}\d{{8,}}{re.escape(_SUFFIX)}")
 
 
 class RunFolder:
@@ -52,7 +54,8 @@ class RunFolder:
 
     def checkpoints(self) -> list[Path]:
         """All checkpoints, the latest last."""
-        return sorted((self.path / "checkpoints").glob(f"{_PREFIX}*{_SUFFIX}"))
+        found = (self.path / "checkpoints").glob(f"{_PREFIX}*{_SUFFIX}")
+        return sorted(p for p in found if _CHECKPOINT.fullmatch(p.name) and p.is_file())
 
     def drop_checkpoints(self, *, keep: int, protected: Collection[int]) -> None:
         """Remove all but the last `keep` checkpoints and those of the steps in `protected`."""

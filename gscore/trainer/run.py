@@ -131,10 +131,15 @@ def _checkpoint_to_start_from(
     for path in reversed(paths):
         try:
             return checkpoint.load(path), damaged
-        except FormatError:
+        except FormatError as error:
             damaged.append(path)
+            if len(damaged) == len(paths) > 1:
+                raise FormatError(
+                    f"All {len(paths)} checkpoints in {path.parent} are damaged, the oldest: "
+                    f"{error} Start anew with --overwrite."
+                ) from error
             if len(damaged) == len(paths):
-                raise
+                raise FormatError(f"{error} Or start anew with --overwrite.") from error
     return None, []
 
 

@@ -146,7 +146,7 @@ def test_what_a_killed_run_was_writing_is_removed(tmp_path: Path) -> None:
 def test_names_that_cannot_be_are_refused(tmp_path: Path, name: str, resume: bool) -> None:
     """Oracle: one sentence that can be printed; nothing made."""
     with (
-        pytest.raises(GsError, match="Cannot use .*the name (is too long|holds letters)") as error,
+        pytest.raises(GsError, match=r"Cannot use .*the name (is too long|holds letters)") as error,
         open_folder(tmp_path / name, resume=resume, overwrite=False),
     ):
         pass
@@ -173,3 +173,14 @@ def test_giving_up_the_lock_never_takes_that_of_the_next(tmp_path: Path) -> None
         folder_module._lock(tmp_path)
     folder_module._release(taken[0], tmp_path, remove_folder=False)
     assert names(tmp_path) == {"kept"}
+
+
+def test_other_names_are_no_checkpoints(tmp_path: Path) -> None:
+    """Oracle: files of the names that runs write, alone."""
+    folder = folder_module.RunFolder(tmp_path)
+    good = folder.checkpoint(12)
+    for stray in ("step_zzz", "step_00000013", "step_1"):
+        (good.parent / f"{stray}.safetensors").mkdir(parents=True)
+    (good.parent / "step_x.safetensors").write_text("")
+    good.write_text("")
+    assert folder.checkpoints() == [good]
