@@ -223,8 +223,8 @@ def _camera(where: str, data: dict[str, Any], image: Path) -> ColmapCamera:
         fy = fx
     if not (fx > 0 and fy > 0 and 0 < width < 2**31 and 0 < height < 2**31):
         raise FormatError(
-            f"{where}: focal lengths {fx} and {fy} and size {width} x {height} must be positive. "
-            f"Export the capture again."
+            f"{where}: focal lengths {fx} and {fy} and size {width} x {height} must be positive, "
+            f"and sides below 2^31 pixels. Export the capture again."
         )
     values = {
         "fx": fx,

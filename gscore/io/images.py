@@ -1,6 +1,8 @@
 """Photos as bytes: decoding, size without decoding, downscaling, PNG out."""
 
+import functools
 import struct
+import warnings
 import zlib
 from pathlib import Path
 from typing import Any
@@ -217,12 +219,16 @@ BROKEN: tuple[type[Exception], ...] = (
 """What Pillow's decoders raise on damaged files; besides, once loaded, DecompressionBombError."""
 
 
+@functools.cache
 def _pillow() -> Any:
     """PIL.Image, loaded when first needed: the numpy-only parts of gscore do without."""
     try:
         from PIL import Image
     except ImportError as error:
         raise BackendError("Reading photos takes the package Pillow: pip install pillow") from error
+    # From half of its limit on Pillow warns with a line of source; large photos are no mistake.
+    # Once for the process, because filters for a block are not safe among threads.
+    warnings.filterwarnings("ignore", category=Image.DecompressionBombWarning)
     return Image
 
 

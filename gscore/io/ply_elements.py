@@ -1,12 +1,16 @@
 """Any PLY file as named numpy tables, with every broken file turned into one sentence."""
 
+import logging
 import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ..errors import BackendError, DatasetError, FormatError
 from .files import open_regular
+
+_log = logging.getLogger(__name__)
 
 _HEADER_LIMIT = 1 << 20
 
@@ -33,6 +37,7 @@ def read_elements(path: Path) -> dict[str, np.ndarray]:
         ) from error
     try:
         data = plyfile.PlyData.read(str(path), mmap="c")
+        _warn_of_rest(path, data)
         return {element.name: np.asarray(element.data) for element in data.elements}
     # What plyfile, numpy and mmap raise on damaged input, by experiment with mutated files.
     except (
@@ -96,11 +101,33 @@ def _check_header(path: Path) -> None:
         raise _corrupt(path, "its header has no end_header")
     for line in head[:end].splitlines():
         words = line.split()
-        is_element = len(words) == 3 and words[0] == b"element" and words[2].isdigit()
+        is_element = len(words) == 3 and words[0] == b"element"
+        if is_element and not words[2].isdigit():
+            stated = words[2].decode("ascii", "replace")
+            raise _corrupt(path, f"its header announces {stated!r} rows")
         if is_element and int(words[2]) > size:  # every row takes at least one byte
             name = words[1].decode("ascii", "replace")
             rows = int(words[2])
             raise _corrupt(path, f"its header announces {rows} rows of {name} in {size} bytes")
+
+
+def _warn_of_rest(path: Path, data: Any) -> None:
+    """Tell of bytes that belong to no row; text, and rows of lists, have no fixed size."""
+    tables = [np.asarray(element.data) for element in data.elements]
+    if data.text or any(table.dtype.hasobject for table in tables):
+        return
+    with path.open("rb") as file:
+        head = file.read(_HEADER_LIMIT)
+    at = head.index(b"end_header") + len(b"end_header")
+    at += 2 if head[at : at + 2] == b"\r\n" else 1
+    rest = path.stat().st_size - at - sum(table.nbytes for table in tables)
+    if rest > 0:
+        _log.warning(
+            "%s: %d bytes after the last row its header announces are not read; if the file was "
+            "cut or joined, export it again.",
+            path,
+            rest,
+        )
 
 
 def _corrupt(path: Path, reason: str) -> FormatError:

@@ -2,6 +2,7 @@
 
 import io
 import struct
+import warnings
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 from PIL import Image
 
 from gscore.errors import DatasetError, FormatError, GsError, ShapeError
+from gscore.io import images
 from gscore.io.images import read_image, read_info, read_mask, reduce, resize, write_png
 
 
@@ -176,6 +178,20 @@ def test_huge_size_is_refused(tmp_path: Path) -> None:
     (tmp_path / "x.png").write_bytes(b"\x89PNG\r\n\x1a\n" + chunk)
     with pytest.raises(FormatError, match="cannot be read as an image"):
         read_image(tmp_path / "x.png")
+
+
+def test_large_photos_are_no_reason_to_warn(tmp_path: Path) -> None:
+    """Oracle: 175 megapixels are within Pillow's limit, above the half from which it warns."""
+    head = struct.pack(">IIBBBBB", 14000, 12500, 8, 2, 0, 0, 0)
+    chunk = struct.pack(">I", 13) + b"IHDR" + head + struct.pack(">I", zlib.crc32(b"IHDR" + head))
+    (tmp_path / "x.png").write_bytes(b"\x89PNG\r\n\x1a\n" + chunk)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        images._pillow.cache_clear()
+        with pytest.raises(FormatError, match="cannot be read as an image"):
+            read_image(tmp_path / "x.png")
+    images._pillow.cache_clear()
+    assert not told
 
 
 def test_messages(tmp_path: Path) -> None:

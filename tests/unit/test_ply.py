@@ -351,3 +351,32 @@ def test_antialiasing_is_told_by_the_header(
     assert is_antialiased(tmp_path / "other.ply")
     with pytest.raises(DatasetError, match=r"none\.ply"):
         is_antialiased(tmp_path / "none.ply")
+
+
+def test_a_negative_count_is_told(make_splats: Callable, tmp_path: Path) -> None:
+    """Oracle: the sentence names the count, not what an array library says of it."""
+    path = tmp_path / "a.ply"
+    write_splats(path, make_splats())
+    raw = path.read_bytes()
+    at = raw.index(b"element vertex ")
+    end = raw.index(b"\n", at)
+    path.write_bytes(raw[:at] + b"element vertex -5" + raw[end:])
+    with pytest.raises(FormatError, match="its header announces '-5' rows"):
+        read_splats(path)
+
+
+def test_bytes_after_the_last_row_are_told(
+    make_splats: Callable, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Oracle: a header that states a row less than the file holds."""
+    path = tmp_path / "a.ply"
+    splats = make_splats()
+    write_splats(path, splats)
+    assert len(read_splats(path)) == len(splats)
+    assert not caplog.records
+    raw = path.read_bytes()
+    fewer = f"element vertex {len(splats) - 1}".encode()
+    path.write_bytes(raw.replace(f"element vertex {len(splats)}".encode(), fewer, 1))
+    assert len(read_splats(path)) == len(splats) - 1
+    width = 4 * (17 + splats.shN.shape[1] * 3)
+    assert f"{width} bytes after the last row its header announces" in caplog.text

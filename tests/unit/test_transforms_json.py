@@ -211,6 +211,7 @@ def test_unusable_files(change: dict, message: str, nerfstudio: tuple[Path, Any]
         ({"transform_matrix": (np.eye(4) + 1e200).tolist()}, "expected 4 x 4 numbers up to 1e"),
         ({"transform_matrix": [[10**400] * 4] * 4}, "expected 4 x 4 numbers"),
         ({"fl_x": 1e200}, "fl_x is 1e\\+200, expected a number up to 1e"),
+        ({"w": 2**40}, "size 1099511627776 x 48 must be positive, and sides below 2\\^31"),
         ({"fl_x": 10**400}, "fl_x is 10+, expected a number up to"),
         ({"transform_matrix": (2 * np.eye(4)).tolist()}, "Remove the scale"),
         ({"transform_matrix": np.diag([1.0, 1, -1, 1]).tolist()}, "mirrors the camera"),
