@@ -223,7 +223,8 @@ static inline uint32_t may_be_seen(const CatchUpArgs &a, int64_t begin, int lane
     for (int l = 0; l < lanes; ++l)
         for (int k = 0; k < 3; ++k) {
             columns[k][l] = in.means[3 * (begin + l) + k];
-            columns[3 + k][l] = in.scales[3 * (begin + l) + k];
+            const float scale = in.scales[3 * (begin + l) + k];
+            columns[3 + k][l] = in.raw ? scale : std::fabs(scale); // a negative one draws like a positive one
         }
     for (int k = 0; k < 3; ++k) {
         mean[k] = load(columns[k]);

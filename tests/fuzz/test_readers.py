@@ -67,7 +67,7 @@ def test_damaged_files(kind: Format) -> None:
             examples = damaged(good)
 
         @settings(
-            max_examples=300 if SECONDS else 25,
+            max_examples=50 if SECONDS else 25,
             deadline=None,
             database=None,
             derandomize=not SECONDS,
