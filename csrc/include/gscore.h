@@ -263,9 +263,9 @@ typedef struct gs_adam {
  * beyond 1e18 count as 1e18. */
 GS_API gs_status gs_adam_step(const gs_adam *adam, int64_t *bad_rows);
 /* Rows of a GS_ADAM_SEEN tensor make up for the steps they skipped: all rows, or where `camera` is not null at least
- * those that gs_raster_forward with this camera and eps2d draws. `step` and `drift` are those after the last step.
- * `splats` tells N, and where they are; its shN is not read. Where `out` is not null it gets the values [N, width],
- * and nothing else changes. */
+ * those that gs_raster_forward with this camera and eps2d draws, if it is rigid and its numbers are below 1e5. `step`
+ * and `drift` are those after the last step. `splats` tells N, and where they are; its shN is not read. Where `out` is
+ * not null it gets the values [N, width], and nothing else changes. */
 GS_API gs_status gs_adam_catch_up(const gs_adam_tensor *tensor, const gs_splats *splats, const gs_camera *camera,
                                   float eps2d, float *out, int32_t threads);
 

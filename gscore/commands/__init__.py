@@ -95,7 +95,7 @@ def _guarded(prog: str, verb: str, arguments: list[str]) -> int:
     except KeyboardInterrupt:
         return 130
     except MemoryError:
-        return _complain(prog, "out of memory; try fewer splats or smaller photos (-r 2).")
+        return _complain(prog, "out of memory; try fewer splats or smaller pictures.")
     except BrokenPipeError:  # the reader of our output is gone, e.g. `| head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1

@@ -169,8 +169,8 @@ def _points(
     if not usable.any():
         warnings.append(
             f"The capture has no {'usable ' if len(usable) else ''}points; starting from "
-            f"{RANDOM_POINTS} random ones, which takes longer and gives floaters. Run COLMAP's "
-            f"triangulation for better results."
+            "random ones, which takes longer and gives floaters. Run COLMAP's triangulation for "
+            "better results."
         )
         return random_points(cameras, RANDOM_POINTS, seed=RANDOM_SEED)
     if points.colors[usable].any() and usable.all():

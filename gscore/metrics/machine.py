@@ -7,6 +7,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from .cgroup import memory_groups
+
 
 def peak_memory_bytes() -> int | None:
     """Largest resident memory of this process so far, or None where the system does not say.
@@ -28,8 +30,8 @@ def total_memory_bytes() -> int | None:
     """Physical memory, less where a container is limited to less, or None if unknown."""
     if sys.platform == "linux":
         total = _proc_bytes(Path("/proc/meminfo"), "MemTotal")
-        limit = _cgroup_limit()
-        return min(total, limit) if total and limit else total
+        groups = memory_groups()
+        return min([total, *(group.limit for group in groups)]) if total else total
     if sys.platform == "win32":
         return _windows_memory()[0]
     return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
@@ -39,8 +41,8 @@ def available_memory_bytes() -> int | None:
     """Memory a new program could use now without swapping, or None if unknown."""
     if sys.platform == "linux":
         free = _proc_bytes(Path("/proc/meminfo"), "MemAvailable")
-        limit, used = _cgroup_limit(), _cgroup_value("memory.current")
-        return max(0, min(free, limit - used)) if free and limit and used else free
+        groups = memory_groups()
+        return max(0, min([free, *(group.free for group in groups)])) if free else free
     if sys.platform == "win32":
         return _windows_memory()[1]
     return None
@@ -108,18 +110,6 @@ def _proc_bytes(path: Path, key: str) -> int | None:
         if name == key:
             return int(value.split()[0]) * 1024
     return None
-
-
-def _cgroup_value(name: str) -> int | None:
-    """A number of the container's memory controller (cgroup v2), None where there is no limit."""
-    try:
-        return int((Path("/sys/fs/cgroup") / name).read_text(encoding="ascii"))
-    except (OSError, ValueError):  # no such file, or the word "max"
-        return None
-
-
-def _cgroup_limit() -> int | None:
-    return _cgroup_value("memory.max")
 
 
 def _windows_peak() -> int | None:
