@@ -5,6 +5,7 @@ import math
 import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import Any
 
@@ -99,7 +100,7 @@ def _outcomes(one: Case, isa: str, full: bool) -> Iterator[Outcome]:
         yield outcome("", math.nan, math.nan, None, f"skipped: needs {', '.join(missing)}")
         return
     try:
-        with with_isa(isa or backend.isa()):
+        with with_isa(isa or backend.isa()), _quiet_torch():
             measures = merge(list(one.run(full)))
     except NotHereError as reason:
         yield outcome("", math.nan, math.nan, None, f"skipped: {reason}")
@@ -114,6 +115,16 @@ def _outcomes(one: Case, isa: str, full: bool) -> Iterator[Outcome]:
     for m in measures:
         error, tolerance = float(m.error), float(m.tolerance)
         yield outcome(m.what, error, tolerance, error <= tolerance, m.note)
+
+
+def _quiet_torch() -> AbstractContextManager[None]:
+    """One thread of torch, where it is there: its tensors are small here, and threads that wait
+    for each other take minutes for seconds of work on a machine that does other things."""
+    if importlib.util.find_spec("torch") is None:
+        return nullcontext()
+    from ..trainer.torch_threads import one_torch_thread
+
+    return one_torch_thread()
 
 
 def _load() -> None:
