@@ -337,9 +337,9 @@ gs_status gs_raster::projected(float *means2d, float *depths, float *conics, flo
 
 int64_t gs_raster::workspace_bytes() const {
     size_t bytes = projected_.bytes() + depth_keys_.bytes() + visible_.bytes() + key_range_.bytes() + spans_.bytes() +
-                   list_of_chunk_.bytes() + moment_begin_.bytes() +
-                   sort_.bytes() + tile_cursor_.bytes() + tile_begin_.bytes() + entries_.bytes() + moments_.bytes() +
-                   final_transmittance_.bytes() + stop_index_.bytes() + viewmat_partial_.bytes() + loss_scratch_.bytes() + loss_partial_.bytes();
+                   list_of_chunk_.bytes() + moment_begin_.bytes() + sort_.bytes() + tile_cursor_.bytes() +
+                   tile_begin_.bytes() + entries_.bytes() + moments_.bytes() + final_transmittance_.bytes() +
+                   stop_index_.bytes() + viewmat_partial_.bytes() + loss_scratch_.bytes() + loss_partial_.bytes();
     for (const auto &list : instances_)
         bytes += list->capacity * sizeof(Instance);
     return int64_t(bytes);

@@ -206,7 +206,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group(
         "method",
         "Also under their 3DGS names; gscore.TrainConfig explains them. Learning rates are raised "
-        "in runs of less than 30 000 steps; --lr-boost 1 takes them exactly as given.",
+        "in runs of less than 30 000 steps and fall over the last tenth of any; --lr-boost 1 "
+        "--lr-final 1 takes them exactly as given.",
     )
     kinds = {f.name: type(f.default) for f in fields(TrainConfig)}
     for name, flags in _METHOD.items():

@@ -24,7 +24,7 @@ from .stored import whole
 from .trainer import Trainer
 from .views import Photos
 
-FORMAT = 2
+FORMAT = 3
 _DTYPES = {torch.float32: "F32", torch.float64: "F64", torch.uint8: "U8"}
 FREE = frozenset(
     {

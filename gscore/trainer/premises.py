@@ -80,6 +80,8 @@ def _far(places: np.ndarray, middle: np.ndarray) -> tuple[np.ndarray, float]:
 
 def _unseen(trainer: Trainer) -> Iterator[str]:
     """Views that show no splat at the start; DatasetError if none shows any."""
+    if trainer.steps:
+        return
     views = trainer.photos.train
     looked_at = views[:: -(-len(views) // _LOOKED_AT)]
     empty = [index for index in looked_at if not trainer.shows_splats(index)]

@@ -123,7 +123,7 @@ class Results:
             "config": {
                 "data": to_dict(self._data),
                 "train": to_dict(trainer.config),
-                "what 0 (by itself) became in train": _resolved(trainer),
+                "what was left open became": _resolved(trainer),
             },
         }
         write_report(folder.path / "report.html", report)
@@ -133,5 +133,6 @@ class Results:
 def _resolved(trainer: Trainer) -> dict[str, Any]:
     """The trainer's plan under the names of the options, rates as they are applied."""
     values = asdict(trainer.plan)
+    del values["stages"], values["kept"]  # made of several options
     values["means_lr"], values["means_lr_final"] = values["means_lr"]
     return values | {f"{name}_lr": rate for name, rate in values.pop("rates").items()}

@@ -105,9 +105,10 @@ def train(
                     session.restore(before.session)
                 for path in damaged:
                     session.warn(_set_aside(path, before.steps), "damaged_checkpoint")
+            notes = (*photos.warnings, *loaded.warnings, *look_over(trainer))
             if overwrite:
                 folder.clear()
-            for message in (*photos.warnings, *loaded.warnings, *look_over(trainer)):
+            for message in notes:
                 session.warn(message, "capture")
             for message in depth.warnings:
                 session.warn(message, "depth")

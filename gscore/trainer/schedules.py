@@ -225,15 +225,15 @@ class Plan:
         inside = self.refine_start <= step <= min(self.refine_stop, self.iterations - 1)
         return inside and step % self.refine_every == 0
 
-    def surplus_at(self, step: int, splats: int, most: int) -> int:
-        """How many of `splats` are one too many after `step`, where there have been `most`.
+    def surplus_at(self, step: int, splats: int, pruned: int) -> int:
+        """How many of `splats` are one too many after `step`, where `pruned` went as such before.
 
-        Counted from the most there have been, so that a plan whose refinements end later than was
-        thought, or sooner, does not prune what is pruned already.
+        Those are counted in, so that a plan whose refinements end later than was thought, or
+        sooner, does not prune again.
         """
         if step < min(self.refine_stop, self.iterations - 1):
             return 0
-        return max(splats - max(round(self.kept * most), 1), 0)
+        return max(splats - max(round(self.kept * (splats + pruned)), 1), 0)
 
     def resets_at(self, step: int) -> bool:
         """Whether opacities are reset after `step`."""

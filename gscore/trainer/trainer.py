@@ -129,7 +129,7 @@ class Trainer:
         self.rate_factor = 1.0
         """All learning rates are multiplied by this."""
         self._skipped = 0
-        self._most_splats = 0
+        self._pruned = 0
         self._painter = Painter()
         self._v_rgb = torch.empty(0)
         self.laps = Laps()
@@ -304,7 +304,7 @@ class Trainer:
             "lost_rows": self.lost_rows,
             "skipped": self._skipped,
             "factor": self._factor if math.isfinite(self._factor) else None,
-            "most_splats": self._most_splats,
+            "pruned": self._pruned,
         }
 
     def tensors(self) -> dict[str, torch.Tensor]:
@@ -330,7 +330,7 @@ class Trainer:
             length = whole("iterations", state.get("iterations", length), low=1)
         self.replan(length)
         factor = state.get("factor")
-        self._factor = math.inf if factor is None else number("factor", factor, low=0)
+        self._factor = math.inf if factor is None else number("factor", factor, low=1)
         names = list(self.model.params)
         self.model = Model({name: tensors[f"param/{name}"] for name in names})
         for name in names:
@@ -352,7 +352,7 @@ class Trainer:
         self.bad_rows = whole("bad_rows", state["bad_rows"])
         self.lost_rows = whole("lost_rows", state.get("lost_rows", 0))
         self._skipped = whole("skipped", state["skipped"])
-        self._most_splats = whole("most_splats", state.get("most_splats", len(self.model)))
+        self._pruned = whole("pruned", state["pruned"])
 
     def _first_splats(self, cloud: PointCloud) -> Splats:
         points = self.frame.similarity.points_to_training(cloud.points)
@@ -478,8 +478,7 @@ class Trainer:
         """Take out what adds least to the photos, once there are to be fewer splats; `change` with
         those."""
         model, config = self.model, self.config
-        self._most_splats = max(self._most_splats, len(model))
-        count = self.plan.surplus_at(self.steps, len(model), self._most_splats)
+        count = self.plan.surplus_at(self.steps, len(model), self._pruned)
         if count == 0:
             return change
         indices = self.sampler.indices
@@ -497,6 +496,7 @@ class Trainer:
             threads=config.threads,
         )
         ops.edit(model, keep=(~least(weights, count)).nonzero().flatten())
+        self._pruned += count
         return replace(change, removed=change.removed + count)
 
 

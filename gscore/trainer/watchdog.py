@@ -25,6 +25,8 @@ _SPOILT = 0.5
 """Diverged: more than this share of the last steps had no finite loss."""
 _LOST = 0.5
 """Diverged: as many splats ran away, as a share of those there were, as this."""
+_FADES = 1000
+"""Steps after which splats that ran away count a third."""
 _HEALTHY = 1.2
 """A state is worth going back to while the error is at most this times its best."""
 _GOOD_KEPT = 2
@@ -67,7 +69,7 @@ class Watchdog:
             skipped: Whether its loss was not finite.
             lost: Share of the splats that were taken out because they ran away.
         """
-        self._lost += lost
+        self._lost += lost - self._lost / _FADES
         self._spoilt += (float(skipped) - self._spoilt) / _WINDOW
         if not skipped and math.isfinite(mse):
             error = math.sqrt(max(mse, 0.0))

@@ -186,11 +186,11 @@ def plan_of(share: float, iterations: int = 100) -> Plan:
 def test_surplus() -> None:
     """Oracle: the definition; what is pruned already is not pruned again."""
     plan = plan_of(0.4)
-    assert [plan.surplus_at(step, 1000, 1000) for step in (1, 49, 50, 70)] == [0, 0, 400, 400]
-    assert [plan.surplus_at(60, n, 1000) for n in (601, 600, 10)] == [1, 0, 0]
-    assert plan_of(0.0).surplus_at(60, 1000, 1000) == 0
-    assert plan_of(0.999).surplus_at(60, 3, 3) == 2, "one is left"
-    assert plan_of(0.4, iterations=40).surplus_at(39, 10, 10) == 4, "a run that ends before"
+    assert [plan.surplus_at(step, 1000, 0) for step in (1, 49, 50, 70)] == [0, 0, 400, 400]
+    assert [plan.surplus_at(60, n, 1000 - n) for n in (601, 600, 10)] == [1, 0, 0]
+    assert plan_of(0.0).surplus_at(60, 1000, 0) == 0
+    assert plan_of(0.999).surplus_at(60, 3, 0) == 2, "one is left"
+    assert plan_of(0.4, iterations=40).surplus_at(39, 10, 0) == 4, "a run that ends before"
 
 
 def test_the_forecast_knows_that_fewer_remain() -> None:

@@ -29,7 +29,7 @@ from gscore.events import (
 )
 from gscore.io.cameras_json import read_cameras
 from gscore.io.images import read_image
-from gscore.io.ply import read_splats
+from gscore.io.ply import read_splats, write_splats
 from gscore.trainer import Control, estimate, memory, train
 from gscore.trainer.folder import RunFolder
 from gscore.trainer.trainer import Trainer
@@ -228,6 +228,11 @@ def test_bad_input_leaves_the_other_run_alone(capture: Path, tmp_path: Path) -> 
     with pytest.raises(ConfigError, match="LPIPS"):
         bad = replace(CONFIG, lpips=capture / "no.onnx")
         train(bad, data_of(capture), tmp_path, overwrite=True)
+    aside = tmp_path.parent / f"{tmp_path.name}-aside.ply"
+    splats = read_splats(tmp_path / "point_cloud.ply")
+    write_splats(aside, replace(splats, means=splats.means + np.float32(1e5)))
+    with pytest.raises(DatasetError, match="None of the"):
+        train(replace(CONFIG, start_splats=aside), data_of(capture), tmp_path, overwrite=True)
     assert {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()} == before
     train(CONFIG, data_of(capture), tmp_path, overwrite=True)
 

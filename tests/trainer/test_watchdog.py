@@ -75,6 +75,8 @@ def test_a_model_that_loses_half_of_its_splats_is_noticed() -> None:
             watching.observe(7, 0.01, skipped=False, lost=0.6)
     watching = dog()
     assert not any(watching.observe(s, 0.01, skipped=False, lost=1e-4) for s in range(1, 3000))
+    looks = ((s, 0.002 if s % 100 == 0 else 0.0) for s in range(1, 30_000))
+    assert not any(watching.observe(s, 0.01, skipped=False, lost=lost) for s, lost in looks)
 
 
 def test_losses_that_are_not_finite_are_noticed_while_single_ones_pass() -> None:
