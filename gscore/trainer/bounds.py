@@ -13,8 +13,10 @@ from .model import Model
 
 MAX_MEAN = 1e6
 """Farthest coordinate, in camera extents."""
+MAX_SCALE = 1e3
+"""Largest standard deviation, in camera extents."""
 MAX_SPREAD = 5.0
-"""Largest standard deviation, in camera extents plus the distance from the middle of the cameras.
+"""Axes are held below this, in camera extents plus the distance from the middle of the cameras.
 Such a splat is one colour all over every picture. Trained captures reach 1.4, sky and walls."""
 MAX_VALUE = 1e4
 """Largest quaternion component, logit and SH coefficient."""
@@ -47,7 +49,9 @@ def hold(model: Model, *, extent: float) -> int:
         "shN": MAX_VALUE,
     }
     with torch.no_grad():
-        good = _sane_sizes(model, extent)
+        scales = model.params["scales"]
+        # However short, an axis does no harm.
+        good = ((scales <= math.log(MAX_SCALE * extent)) & scales.isfinite()).all(dim=1)
         for name, limit in limits.items():
             p = model.params[name].detach()
             if p.numel() > 0 and not _all_within(p, limit):
@@ -57,7 +61,7 @@ def hold(model: Model, *, extent: float) -> int:
         if count:
             _take_out(model, ~good)
         model.params["opacities"].clamp_(-MAX_LOGIT, MAX_LOGIT)
-        scales = model.params["scales"]
+        _hold_spread(model, extent)
         floor = scales.amax(dim=1, keepdim=True) - math.log(MAX_RATIO)
         torch.maximum(scales, floor, out=scales)
         for name, p in model.params.items():
@@ -67,15 +71,12 @@ def hold(model: Model, *, extent: float) -> int:
     return count
 
 
-def _sane_sizes(model: Model, extent: float) -> torch.Tensor:
-    """[N] bool: no axis is infinite or too long for its place; however short, it does no harm."""
+def _hold_spread(model: Model, extent: float) -> None:
     scales = model.params["scales"]
-    largest = scales.amax(dim=1)  # NaN stays
-    good = scales.isfinite().all(dim=1)
-    if bool((largest <= math.log(MAX_SPREAD * extent)).all()):
-        return good
-    distance = model.params["means"].norm(dim=1)  # the middle of the cameras is the origin
-    return good & (largest <= torch.log(MAX_SPREAD * (extent + distance)))
+    if scales.numel() == 0 or float(scales.max()) <= math.log(MAX_SPREAD * extent):
+        return
+    distance = model.params["means"].norm(dim=1, keepdim=True)  # cameras lie about the origin
+    torch.minimum(scales, torch.log(MAX_SPREAD * (extent + distance)), out=scales)
 
 
 def _all_within(values: torch.Tensor, limit: float) -> bool:
