@@ -183,7 +183,8 @@ def code_version() -> str:
     """Short hash of all that a training and these captures are made by."""
     files = [*(ROOT / "gscore").rglob("*.py"), *(ROOT / "csrc" / "src").iterdir()]
     digest = hashlib.sha256()
-    for path in sorted([*files, Path(__file__).with_name("depth_captures.py")]):
+    own = [Path(__file__).with_name(name) for name in ("depth_captures.py", "depth_measures.py")]
+    for path in sorted([*files, *own]):
         digest.update(path.read_bytes())
     return digest.hexdigest()[:12]
 
@@ -244,7 +245,7 @@ def _with_reference(args: argparse.Namespace, name: str) -> Source:
 
 def _capture(args: argparse.Namespace, source: Source, count: int, arm: str, seed: int) -> Path:
     """The folder to train on, made on first use."""
-    folder = args.output / "captures" / f"{source.name}-{count}"
+    folder = args.output / "captures" / code_version() / f"{source.name}-{count}"
     if not folder.is_dir():
         with _whole(folder) as part:
             names = few_views(source, count, part)
