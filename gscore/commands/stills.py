@@ -7,7 +7,7 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from ..io.files import atomic_write
+from ..io.files import atomic_write, is_unnameable
 from ..raster.api import Rendered
 
 
@@ -33,8 +33,8 @@ def _inside(name: str) -> str:
 
 
 def _is_odd(letter: str) -> bool:
-    """Whether some system takes the letter in no file name; halves of surrogate pairs are such."""
-    return letter in '<>:"|?*' or ord(letter) < 32 or 0xD800 <= ord(letter) < 0xE000
+    """Whether some system takes the letter in no file name."""
+    return letter in '<>:"|?*' or is_unnameable(letter)
 
 
 def to_rgb(rendered: Rendered) -> np.ndarray:

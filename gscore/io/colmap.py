@@ -10,7 +10,7 @@ from ..errors import DatasetError, FormatError
 from ..scene import FARTHEST
 from . import colmap_binary, colmap_text
 from .colmap_model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
-from .files import atomic_write
+from .files import atomic_write, is_unnameable
 
 __all__ = [
     "ColmapCamera",
@@ -139,7 +139,7 @@ def is_safe_name(name: str) -> bool:
         and not windows.drive
         and not windows.root
         and ".." not in windows.parts
-        and not any(ord(letter) < 32 or 0xD800 <= ord(letter) < 0xE000 for letter in name)
+        and not any(map(is_unnameable, name))
     )
 
 

@@ -116,6 +116,11 @@ _REASONS = {
 }
 
 
+def is_unnameable(letter: str) -> bool:
+    """Whether no file should have the letter in its name: control codes, halves of surrogates."""
+    return ord(letter) < 32 or 0xD800 <= ord(letter) < 0xE000
+
+
 def shown(path: str | Path) -> str:
     """A path for a message: shortened, and with what no output can print replaced."""
     text = str(path).encode("utf-8", "replace").decode("utf-8").replace("\0", "?")

@@ -18,12 +18,9 @@ _BLACK = (0.0, 0.0, 0.0)
 
 
 def trainer_of(config: TrainConfig, photos: ToyPhotos) -> Any:
-    """A trainer, with torch held to one thread as in a run."""
-    import torch
-
+    """A trainer; imported late, as it takes torch."""
     from ..trainer.trainer import Trainer
 
-    torch.set_num_threads(1)
     return Trainer(config, photos)
 
 

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ..datasets.capture import listing
 from ..errors import DatasetError
 from ..io.ply import is_antialiased
 from .trainer import Trainer
@@ -13,8 +14,6 @@ _STRAY = 100.0
 """Distance from the middle of the cameras, as a multiple of the median, that is told."""
 _LOOKED_AT = 64
 """Training views, spread evenly, of which is told that they show nothing."""
-_NAMED = 3
-"""Views named in a sentence."""
 
 
 def look_over(trainer: Trainer) -> list[str]:
@@ -54,10 +53,9 @@ def _stray(trainer: Trainer) -> Iterator[str]:
     middle = np.median(centers, axis=0)
     far, times = _far(centers, middle)
     if len(far):
-        names = ", ".join(scene.cameras.names[i] for i in far[:_NAMED])
-        more = f" and {len(far) - _NAMED} more" if len(far) > _NAMED else ""
+        names = listing([scene.cameras.names[i] for i in far])
         yield (
-            f"{names}{more}: {times:.0f} times farther from the other cameras than these from each "
+            f"{names}: {times:.0f} times farther from the other cameras than these from each "
             "other. Sizes and learning rates follow the farthest camera; leave such views out."
         )
     far, times = _far(scene.points.points, middle)
@@ -92,9 +90,8 @@ def _unseen(trainer: Trainer) -> Iterator[str]:
             "--start-splats, belong to one capture?"
         )
     if empty:
-        names = ", ".join(trainer.photos.scene.cameras.names[i] for i in empty[:_NAMED])
-        more = f" and {len(empty) - _NAMED} more" if len(empty) > _NAMED else ""
+        names = listing([trainer.photos.scene.cameras.names[i] for i in empty])
         yield (
             f"{len(empty)} of {len(looked_at)} training views looked at show no splat at the start "
-            f"and may stay empty: {names}{more}."
+            f"and may stay empty: {names}."
         )

@@ -3,7 +3,12 @@
 import math
 from collections.abc import Sequence
 
-SIDES = tuple(2.0 ** -(k / 2 + 0.25) for k in range(7))
+
+def _side(stage: int) -> float:
+    return 2.0 ** -(stage / 2 + 0.25)
+
+
+SIDES = tuple(map(_side, range(7)))
 """Sides, as shares of the full ones, at which the next larger photos come: those between two powers
 of the root of 2, in between which the sides lie."""
 
@@ -26,10 +31,10 @@ def stages(coarse: float, detail: Sequence[float] | None = None) -> tuple[float,
         return ()
     if detail is None:
         least = coarse**-2
-        sides = [2.0 ** -(k / 2 + 0.25) for k in range(count)]
+        sides = map(_side, range(count))
         return tuple(math.sqrt(max(side**2 - least, 0.0) / (1 - least)) for side in sides)
     first = _at(1 / coarse, detail)
-    shares = [_at(2.0 ** -(k / 2 + 0.25), detail) for k in range(count)]
+    shares = [_at(_side(k), detail) for k in range(count)]
     return tuple(max(share - first, 0.0) / max(1 - first, 1e-9) for share in shares)
 
 
