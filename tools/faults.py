@@ -266,7 +266,7 @@ class Faults:
         with file_system(self.work / "fixed", "ro") as place:
             ended = finish(command(place / "out"))
             said = sentence(ended)
-            expect(ended.returncode == 2 and "Read-only" in said, said)
+            expect(ended.returncode == 2 and "the disk is read-only" in said, said)
             return f"“{said}”"
 
     def photos_deleted_or_changed(self) -> str:
