@@ -415,9 +415,13 @@ def load_config(path: Path) -> tuple[DataConfig, TrainConfig]:
         ConfigError: no such file, not JSON, an unknown option or a bad value.
     """
     try:
+        if path.exists() and not path.is_file():  # opening a named pipe would wait for its writer
+            raise ConfigError(f"{path}: a config file was expected, and this is none.")
         content = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise ConfigError(f"{path}: there is no such config file.") from None
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror or error}).") from None
     except (ValueError, RecursionError) as error:
         raise ConfigError(f"{path}: not a JSON config file ({error}).") from None
     if not isinstance(content, dict) or not {"data", "train"} <= content.keys():

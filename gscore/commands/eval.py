@@ -9,6 +9,7 @@ from typing import Any
 from ..config import DataConfig, to_dict
 from ..datasets import Dataset, load_dataset
 from ..errors import ConfigError, DatasetError
+from ..io.runs import read_metrics
 from ..metrics import (
     PictureCollector,
     evaluate,
@@ -181,11 +182,8 @@ def _of_the_training(model: Model) -> dict[str, Any]:
     """Time, length, curves and memory of the training from the metrics.json that it wrote."""
     if model.run is None or model.ply != model.run / "point_cloud.ply":
         return {}
-    try:
-        old = json.loads((model.run / "metrics.json").read_text(encoding="utf-8"))
-        return {key: old[key] for key in _KEPT if old.get(key) is not None}
-    except (OSError, ValueError, AttributeError, RecursionError):
-        return {}
+    old = read_metrics(model.run)
+    return {key: old[key] for key in _KEPT if old.get(key) is not None}
 
 
 def _summary(metrics: dict[str, Any], output: Path) -> str:

@@ -13,6 +13,7 @@ from ..errors import DatasetError
 from ..io.colmap import find_model, read_model
 from ..io.ply_compressed import is_compressed
 from ..io.ply_elements import read_elements
+from ..io.runs import checkpoints_in, read_metrics
 from ..io.sequences import read_sequence
 from ..metrics.words import size_words, time_words
 from ..splats import Splats
@@ -93,14 +94,11 @@ def _statistics(splats: Splats) -> dict[str, Any]:
 
 
 def _run_facts(folder: Path) -> dict[str, Any]:
-    checkpoints = sorted(folder.glob("checkpoints/*.safetensors"))
+    checkpoints = checkpoints_in(folder)
     facts: dict[str, Any] = {"kind": "run", "path": str(folder), "checkpoints": len(checkpoints)}
-    try:
-        metrics = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
-        keys = ("psnr", "ssim", "lpips", "lpips_net", "split", "steps", "train_seconds", "gscore")
-        facts["metrics"] = {key: metrics.get(key) for key in keys}
-    except (OSError, ValueError, AttributeError, RecursionError):
-        facts["metrics"] = None
+    metrics = read_metrics(folder)
+    keys = ("psnr", "ssim", "lpips", "lpips_net", "split", "steps", "train_seconds", "gscore")
+    facts["metrics"] = {key: metrics.get(key) for key in keys} if metrics else None
     try:
         find_ply(folder)
     except DatasetError:

@@ -17,6 +17,7 @@ from ..datasets.resolution import check_resolution, scale_intrinsics, target_siz
 from ..errors import ConfigError, DatasetError
 from ..io.cameras_json import read_cameras
 from ..io.images import write_png
+from ..io.runs import read_metrics
 from ..raster.api import Rendered
 from ..raster.api import render as render_view
 from ..scene import Cameras
@@ -257,10 +258,8 @@ def _captured(args: argparse.Namespace, model: Model) -> _Captured:
 
 def _test_views(model: Model, names: tuple[str, ...]) -> list[int]:
     """Indices of the views the run's metrics.json calls test views."""
-    try:
-        text = ((model.run or model.ply.parent) / "metrics.json").read_text(encoding="utf-8")
-        held_out = set(json.loads(text)["test_views"])
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+    held_out = read_metrics(model.run or model.ply.parent).get("test_views")
+    if not isinstance(held_out, list):
         return []
     return [i for i, name in enumerate(names) if name in held_out]
 

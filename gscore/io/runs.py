@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from ..config import DataConfig, TrainConfig, load_config
-from ..errors import ConfigError
+from ..errors import ConfigError, DatasetError
 from ..events import CONVERGED, FINISHED, TARGET
+from .files import read_bytes
 
 RUN_LOCK = ".gscore.lock"
 """The file by which a training holds its folder."""
@@ -27,7 +28,7 @@ RUN_FILES = (
 RUN_FOLDERS = ("checkpoints", "point_cloud", "previews", "snapshots")
 """Folders that a training writes."""
 
-_CHECKPOINT = re.compile(r"step_(\d+)\.safetensors")
+_CHECKPOINT = re.compile(r"step_(\d{8,})\.safetensors")
 _UNFINISHED = tuple(f".{name}.*.tmp" for name in RUN_FILES)
 """What `atomic_write` leaves of a file when its process is killed."""
 _UNFINISHED_BELOW = (".*.safetensors.????????.tmp", ".*.ply.????????.tmp", ".*.png.????????.tmp")
@@ -80,8 +81,8 @@ def read_run(path: str | Path) -> RunInfo | None:
         data, train = load_config(path / "config.json")
     except (ConfigError, OSError) as error:
         problem = str(error)
-    steps, checkpoint = _last_checkpoint(path / "checkpoints")
-    splats, metrics = path / "point_cloud.ply", _metrics(path / "metrics.json")
+    steps, checkpoint = max(checkpoints_in(path).items(), default=(0, None))
+    splats, metrics = path / "point_cloud.ply", read_metrics(path)
     return RunInfo(
         path=path,
         steps=steps,
@@ -93,6 +94,34 @@ def read_run(path: str | Path) -> RunInfo | None:
         train=train,
         problem=problem,
     )
+
+
+def checkpoint_path(path: Path, step: int) -> Path:
+    """Where the run in a folder keeps its checkpoint after `step`."""
+    return path / "checkpoints" / f"step_{step:08d}.safetensors"
+
+
+def checkpoints_in(path: Path) -> dict[int, Path]:
+    """The checkpoints of the run in a folder by their steps, the latest last; none is opened."""
+    found = {
+        int(match[1]): file
+        for file in (path / "checkpoints").glob("*.safetensors")
+        if (match := _CHECKPOINT.fullmatch(file.name)) and file.is_file()
+    }
+    return dict(sorted(found.items()))
+
+
+def read_metrics(path: Path) -> dict[str, Any]:
+    """The metrics.json that a training or an evaluation left in a folder.
+
+    Returns:
+        Its content; empty where it is missing, broken or no regular file.
+    """
+    try:
+        content = json.loads(read_bytes(path / "metrics.json"))
+    except (DatasetError, ValueError, RecursionError):
+        return {}
+    return content if isinstance(content, dict) else {}
 
 
 def results_in(path: Path) -> list[str]:
@@ -136,25 +165,6 @@ def clear_unfinished(path: Path) -> None:
     for file in leftovers:
         with contextlib.suppress(OSError):
             file.unlink(missing_ok=True)
-
-
-def _last_checkpoint(folder: Path) -> tuple[int, Path | None]:
-    """Step and path of the latest checkpoint; (0, None) if there is none."""
-    found = [
-        (int(match[1]), path)
-        for path in folder.glob("*.safetensors")
-        if (match := _CHECKPOINT.fullmatch(path.name))
-    ]
-    return max(found) if found else (0, None)
-
-
-def _metrics(path: Path) -> dict[str, Any]:
-    """metrics.json, empty where it is missing or broken."""
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return {}
-    return content if isinstance(content, dict) else {}
 
 
 def _number(value: Any) -> float | None:

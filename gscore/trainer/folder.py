@@ -4,7 +4,6 @@ import contextlib
 import errno
 import json
 import os
-import re
 import sys
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
@@ -13,11 +12,16 @@ from typing import IO
 
 from ..errors import ConfigError, GsError
 from ..io.files import atomic_write, reason, shown
-from ..io.runs import RUN_LOCK, clear_unfinished, remove_results, results_in
+from ..io.runs import (
+    RUN_LOCK,
+    checkpoint_path,
+    checkpoints_in,
+    clear_unfinished,
+    remove_results,
+    results_in,
+)
 
 _FAR = 1 << 20
-_PREFIX, _SUFFIX = "step_", ".safetensors"
-_CHECKPOINT = re.compile(rf"{_PREFIX}\d{{8,}}{re.escape(_SUFFIX)}")
 
 
 class RunFolder:
@@ -50,12 +54,11 @@ class RunFolder:
 
     def checkpoint(self, step: int) -> Path:
         """The checkpoint after `step`."""
-        return self.path / "checkpoints" / f"{_PREFIX}{step:08d}{_SUFFIX}"
+        return checkpoint_path(self.path, step)
 
     def checkpoints(self) -> list[Path]:
         """All checkpoints, the latest last."""
-        found = (self.path / "checkpoints").glob(f"{_PREFIX}*{_SUFFIX}")
-        return sorted(p for p in found if _CHECKPOINT.fullmatch(p.name) and p.is_file())
+        return list(checkpoints_in(self.path).values())
 
     def drop_checkpoints(self, *, keep: int, protected: Collection[int]) -> None:
         """Remove all but the last `keep` checkpoints and those of the steps in `protected`."""

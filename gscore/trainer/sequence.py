@@ -1,7 +1,6 @@
 """Trains the frames of a sequence one after another, each from the splats of the one before."""
 
 import contextlib
-import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -14,7 +13,7 @@ from ..datasets.frames import SequenceFrame, choose_frames, find_frames
 from ..errors import Cancelled, ConfigError, FormatError, GsError
 from ..events import ENDED, Event, FrameStarted, SequenceDone, Started
 from ..io.files import atomic_write
-from ..io.runs import clear_run, read_run
+from ..io.runs import clear_run, read_metrics, read_run
 from ..io.sequences import SEQUENCE_FILE, SequenceIndex, read_sequence, write_sequence
 from ..metrics import headline
 from . import checkpoint
@@ -325,11 +324,11 @@ def _completed(folder: Path, config: TrainConfig, data: DataConfig) -> dict[str,
             f"{folder} was trained with other options: {'; '.join(changed)}. Use the same options, "
             "or replace the sequence with --overwrite."
         )
+    metrics = read_metrics(folder)
+    early = config.time_budget or config.target_psnr or config.early_stop
     try:
-        metrics = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
-        early = config.time_budget or config.target_psnr or config.early_stop
         good = metrics["reason"] in ENDED if early else metrics["steps"] >= config.iterations
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+    except (KeyError, TypeError):
         return None
     return _short(metrics) if good else None
 

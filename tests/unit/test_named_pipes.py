@@ -10,17 +10,18 @@ from typing import Any
 
 import pytest
 
-from gscore.config import DataConfig
+from gscore.config import DataConfig, load_config
 from gscore.datasets import load_dataset
 from gscore.datasets.dataset import _file_hash
 from gscore.depth.maps import MapFolder, read_map
-from gscore.errors import Cancelled, DatasetError
+from gscore.errors import Cancelled, ConfigError, DatasetError
 from gscore.io.cameras_json import read_cameras
 from gscore.io.colmap_binary import count_images
 from gscore.io.exr_header import check_exr_size
 from gscore.io.files import read_bytes
 from gscore.io.images import read_image, read_info, read_mask
 from gscore.io.ply import is_antialiased, read_splats
+from gscore.io.runs import read_metrics
 from gscore.trainer import checkpoint
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="named pipes in folders are POSIX's")
@@ -67,6 +68,19 @@ def test_every_reader_refuses_a_named_pipe(
     os.mkfifo(tmp_path / name)
     with pytest.raises(DatasetError, match=rf"{name} is a named pipe, a file was expected\. Put"):
         read(tmp_path / name)
+
+
+def test_a_config_that_is_a_pipe_is_refused(tmp_path: Path) -> None:
+    """Oracle: nothing waits for a writer."""
+    os.mkfifo(tmp_path / "config.json")
+    with pytest.raises(ConfigError, match=r"config\.json: a config file was expected"):
+        load_config(tmp_path / "config.json")
+
+
+def test_metrics_that_are_a_pipe_count_as_missing(tmp_path: Path) -> None:
+    """Oracle: nothing waits for a writer."""
+    os.mkfifo(tmp_path / "metrics.json")
+    assert read_metrics(tmp_path) == {}
 
 
 def test_other_kinds_are_named() -> None:
