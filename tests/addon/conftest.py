@@ -25,6 +25,7 @@ collect_ignore_glob = [] if find_spec("bpy") else ["*"]
 
 if TYPE_CHECKING:
     from addon.core import Splats
+    from tests.addon.writes import Writes
 
 if find_spec("bpy"):
     if str(ROOT) not in sys.path:
@@ -75,6 +76,26 @@ def enabled() -> Iterator[None]:
     profile = Path(os.environ.get("BLENDER_USER_RESOURCES", ""))
     if profile.name.startswith("blender-profile-"):
         shutil.rmtree(profile, ignore_errors=True)
+
+
+@pytest.fixture(scope="session")
+def writes() -> "Writes":
+    """What the add-on has written since the test began; the watch cannot be taken off again."""
+    from tests.addon.writes import Writes
+
+    return Writes()
+
+
+@pytest.fixture(autouse=True)
+def writes_where_it_may(
+    writes: "Writes", tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[None]:
+    """The add-on writes into folders that a test chose, as a user would, and into Blender's own."""
+    yield
+    own = Path(bpy.utils.resource_path("USER")), Path(bpy.app.tempdir)
+    outside = writes.outside(tmp_path_factory.getbasetemp(), *own)
+    writes.paths.clear()
+    assert not outside, f"the add-on wrote to {outside}"
 
 
 @pytest.fixture
