@@ -36,7 +36,7 @@ inline bool all_finite(const std::vector<float> &values) {
 
 inline bool equal(const AdamState &a, const AdamState &b) {
     const auto same = [](const auto &x, const auto &y) {
-        return std::memcmp(x.data(), y.data(), x.size() * sizeof x[0]) == 0;
+        return x.empty() || std::memcmp(x.data(), y.data(), x.size() * sizeof x[0]) == 0;
     };
     return same(a.param, b.param) && same(a.moment1, b.moment1) && same(a.moment2, b.moment2) && same(a.seen, b.seen) &&
            same(a.lag, b.lag) && same(a.drift, b.drift);

@@ -214,24 +214,28 @@ static int64_t adam_step(const AdamArgs &a, int64_t chunk) {
 
 // Which of the splats [begin, begin + kLanes) may reach the picture: all that `project` draws, and some more. The
 // Jacobian's rows are at most f / z sqrt(1 + ratio^2) long, so the largest scale bounds the splat on screen, with
-// sqrt(2 ln 255) deviations to where alpha falls to 1/255.
+// sqrt(2 ln 255) deviations to where alpha falls to 1/255, and more where an opacity that is given as it is exceeds 1.
 static inline uint32_t may_be_seen(const CatchUpArgs &a, int64_t begin, int lanes) {
     const gs_splats &in = *a.splats;
     const gs_camera &c = *a.camera;
     Vec mean[3], largest = set1(-3e38f);
-    alignas(64) float columns[6][kLanes] = {};
-    for (int l = 0; l < lanes; ++l)
+    alignas(64) float columns[7][kLanes] = {};
+    for (int l = 0; l < lanes; ++l) {
         for (int k = 0; k < 3; ++k) {
             columns[k][l] = in.means[3 * (begin + l) + k];
             const float scale = in.scales[3 * (begin + l) + k];
             columns[3 + k][l] = in.raw ? scale : std::fabs(scale); // a negative one draws like a positive one
         }
+        columns[6][l] = in.raw ? 1.0f : in.opacities[begin + l];
+    }
     for (int k = 0; k < 3; ++k) {
         mean[k] = load(columns[k]);
         largest = max(largest, load(columns[3 + k]));
     }
     if (in.raw)
         largest = exp(largest);
+    const Vec above_one = log2(max(load(columns[6]), set1(1.0f)));
+    const Vec deviations = 1.004f * sqrt((above_one - kLog2AlphaMin) * (1.0f / kHalfLog2E));
     const float *w = c.viewmat;
     Vec cam[3];
     for (int i = 0; i < 3; ++i)
@@ -243,7 +247,7 @@ static inline uint32_t may_be_seen(const CatchUpArgs &a, int64_t begin, int lane
     for (int i = 0; i < 2; ++i) {
         const float edge = 1.3f * (std::fabs(center[i]) + side[i]) / focal[i]; // beyond project's clamp of x / z
         const Vec deviation = (std::sqrt(1.0f + edge * edge) * focal[i]) * largest * inverse_z;
-        const Vec reach = 3.34f * sqrt(fma(deviation, deviation, set1(a.eps2d))) + 1.0f;
+        const Vec reach = deviations * sqrt(fma(deviation, deviation, set1(a.eps2d))) + 1.0f;
         const Vec at = fma(set1(focal[i]), cam[i] * inverse_z, set1(center[i]));
         // Inverted comparisons: what is not a number may be seen.
         inside &= ~(bits(gt(Vec{}, at + reach)) | bits(gt(at - reach, set1(side[i]))));
