@@ -93,6 +93,7 @@ def _guarded(prog: str, verb: str, arguments: list[str]) -> int:
         need = f"needs the package {package}; install it with: pip install {package}"
         return _complain(prog, f"`{prog}` {need}")
     except KeyboardInterrupt:
+        print("Stopped.", file=sys.stderr)
         return 130
     except MemoryError:
         return _complain(prog, "out of memory; try fewer splats or smaller pictures.")

@@ -40,7 +40,7 @@ def attend(
         args: With the options `quiet` and `events`.
         work: Gets where to send events and the control to obey; raises Cancelled where it was
             stopped without a result.
-        stopped: The sentence that then says so.
+        stopped: The sentence that then says so, to programs as an event, to people on stderr.
 
     Returns:
         What `work` returned, None if it was stopped; and the exit code.
@@ -54,6 +54,8 @@ def attend(
             return work(show, control), interrupt.exit_code
         except Cancelled:
             show(Failed(message=stopped(), type="Cancelled"))
+            if not (args.events or args.quiet):
+                print(stopped(), file=sys.stderr)
             return None, interrupt.exit_code
         except Exception as error:
             message = str(error) or type(error).__name__

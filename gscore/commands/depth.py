@@ -17,12 +17,12 @@ from ..depth.fitting import Alignment, align_views, find_kind, robust
 from ..depth.maps import SHEET, DepthKind, MapFolder, read_map, stem, to_inverse
 from ..depth.network import WHERE, Network, Normalization
 from ..depth.observations import Observations, observations
-from ..depth.params import DEFAULT_FOLDER, params_path, write_params
+from ..depth.params import DEFAULT_FOLDER, params_path, read_params, write_params
 from ..depth.predict import Prediction, predict_views
 from ..depth.priors import fit_table
 from ..depth.samples import Samples, unusable, view_samples
 from ..depth.sheet import write_sheet
-from ..errors import Cancelled, ConfigError
+from ..errors import Cancelled, ConfigError, FormatError
 from ..events import DepthDone, DepthProgress, Saved, Warn
 from ..metrics.colormap import colorize
 from ..trainer.depth_rule import coverage, decide
@@ -73,7 +73,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="pixels of the shorter side of what the network sees, where it is free",
     )
-    parser.add_argument("--overwrite", action="store_true", help="predict views that have a map")
+    parser.add_argument(
+        "--overwrite",
+        action="store_true",
+        help="predict views that have a map, and replace a depth_params.json by another program",
+    )
     parser.add_argument(
         "--check",
         action="store_true",
@@ -119,12 +123,10 @@ def run(args: argparse.Namespace) -> int:
         args, lambda show, control: _work(args, show, control, told), stopped=told
     )
     if result is None:
-        if not args.events:
-            print(told(), file=sys.stderr)
         return code
     if args.json:
         print(json.dumps(_facts(args, result), allow_nan=False))
-    elif not args.events:
+    elif not (args.events or args.quiet):
         _print(args, result)
     return code
 
@@ -158,6 +160,7 @@ def _work(args: argparse.Namespace, show: Show, control: Control, told: "_Told")
         )
     if not args.check:
         check_folder(folder)
+        _check_scales(params_path(dataset.source, folder, writing=True), args.overwrite, show)
     seen = observations(config, dataset)
     prediction = None
     if network is not None:
@@ -175,6 +178,32 @@ def _work(args: argparse.Namespace, show: Show, control: Control, told: "_Told")
         )
     progress = _Progress(show, control, told, "aligning")
     return _finish(args, config, dataset, seen, folder, network, prediction, show, progress)
+
+
+def _check_scales(path: Path, overwrite: bool, show: Show) -> None:
+    """Look at the scales that would be replaced: those of another program, or typed by hand, may be
+    exact, which what the points tell never is.
+
+    Raises:
+        ConfigError: gscore did not write them, and they are not to be overwritten.
+        DatasetError: the file has another layout.
+    """
+    if not path.is_file():
+        return
+    try:
+        # Only gscore states how many points it compared.
+        ours = all(entry.points is not None for entry in read_params(path).values())
+    except FormatError as error:
+        show(Warn(message=f"{error} It is replaced now."))
+        return
+    if ours:
+        return
+    if not overwrite:
+        raise ConfigError(
+            f"{path} was not written by gscore depth, so its scales stay as they are. --check says "
+            "what a training makes of them, --overwrite replaces them."
+        )
+    show(Warn(message=f"The scales in {path}, which gscore had not written, are replaced."))
 
 
 def _finish(

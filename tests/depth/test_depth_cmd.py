@@ -208,6 +208,38 @@ def test_aligning_what_is_there(planes, gscore):
     assert priors.views[0].inverse_depth == pytest.approx(planes.truth(0), rel=2e-3)
 
 
+def test_scales_of_others_are_not_overwritten(planes, gscore):
+    """Oracle: the file's bytes: exact scales by hand stay, those that gscore wrote are renewed,
+    and a file that says nothing is replaced with a word."""
+    planes.write_maps(lambda path, s: np.save(path, s / 4))
+    path = planes.folder / "sparse" / "0" / "depth_params.json"
+    entries = {f"cam/v_{i}": {"scale": 4.0, "offset": 0.0} for i in range(5)}
+    path.write_text(json.dumps(entries))
+    before = path.read_bytes()
+    code, _, err = gscore("depth", planes.folder)
+    assert code == 2 and "not written by gscore depth" in err and "--overwrite" in err
+    assert path.read_bytes() == before
+    assert gscore("depth", planes.folder, "--check", "--quiet") == (0, "", "")
+    assert path.read_bytes() == before
+    code, _, err = gscore("depth", planes.folder, "--overwrite")
+    assert code == 0 and "which gscore had not written, are replaced" in err
+    own = path.read_bytes()
+    path.write_bytes(own.replace(b'"offset": ', b'"offset": 9'))
+    assert gscore("depth", planes.folder, "--quiet") == (0, "", "")
+    assert path.read_bytes() == own
+    path.write_text("{")
+    code, _, err = gscore("depth", planes.folder)
+    assert code == 0 and "not JSON" in err and "replaced now" in err
+    assert path.read_bytes() == own
+
+
+def test_quiet_means_errors_alone(planes, gscore):
+    """Oracle: nothing on either stream, and the file is there."""
+    planes.write_maps(lambda path, s: np.save(path, s))
+    assert gscore("depth", planes.folder, "--quiet") == (0, "", "")
+    assert (planes.folder / "sparse" / "0" / "depth_params.json").is_file()
+
+
 def test_wrong_kind_is_refused_with_the_reason(planes, gscore):
     """Oracle: depth said to be inverse depth: no view is accepted, the table says why."""
     planes.write_maps(lambda path, s: np.save(path, 3 / s))

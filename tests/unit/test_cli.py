@@ -1,5 +1,6 @@
 """The dispatcher; oracle: exit codes and single sentences on stderr."""
 
+import argparse
 import errno
 import subprocess
 import sys
@@ -11,7 +12,8 @@ import pytest
 
 from gscore import commands
 from gscore._version import __version__
-from gscore.errors import DatasetError
+from gscore.commands.attend import attend
+from gscore.errors import Cancelled, DatasetError
 
 
 def test_no_verb_shows_the_verbs(capsys: pytest.CaptureFixture[str]) -> None:
@@ -91,10 +93,31 @@ def test_failures_become_a_code_and_a_sentence(
         assert err.count("\n") == 1
 
 
-def test_ctrl_c_outside_of_training(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Oracle: the shell's code for SIGINT."""
+def test_ctrl_c_outside_of_training(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Oracle: the shell's code for SIGINT, and a word."""
     fake(monkeypatch, KeyboardInterrupt())
     assert commands.main(["info"]) == 130
+    assert capsys.readouterr().err == "Stopped.\n"
+
+
+@pytest.mark.parametrize(
+    ("quiet", "events", "err"),
+    [(False, None, "Stopped before the first step.\n"), (True, None, ""), (False, "jsonl", "")],
+)
+def test_stopped_before_there_was_anything(
+    quiet: bool, events: str | None, err: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Oracle: a sentence for people, an event for programs, nothing where nothing is wanted."""
+
+    def work(show: Any, control: Any) -> None:
+        raise Cancelled("while reading")
+
+    result, _ = attend(argparse.Namespace(quiet=quiet, events=events), work)
+    told = capsys.readouterr()
+    assert (result, told.err) == (None, err)
+    assert ("Stopped before the first step." in told.out) == bool(events)
 
 
 def test_a_bad_option_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
