@@ -8,6 +8,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from ._version import __version__
+from .extras import how_to_install, missing
 
 if TYPE_CHECKING:
     from .config import PRESETS, Background, DataConfig, Strategy, Switch, TrainConfig
@@ -241,7 +242,14 @@ def __getattr__(name: str) -> Any:
     if home is None:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     module, _, inner = home.partition(":")
-    return getattr(import_module(f".{module}", __name__), inner or name)
+    try:
+        return getattr(import_module(f".{module}", __name__), inner or name)
+    except ModuleNotFoundError as error:
+        needed = error.name or ""
+        if not how_to_install(needed):
+            raise
+        sentence = missing(needed, f"gscore.{name}")
+        raise ModuleNotFoundError(sentence, name=error.name) from error
 
 
 def __dir__() -> list[str]:

@@ -20,6 +20,7 @@ BOTTOM = {
     "config",
     "control",
     "events",
+    "extras",
     "sh",
     "transforms",
 }

@@ -18,6 +18,7 @@ from typing import NoReturn
 
 from .._version import __version__
 from ..errors import GsError
+from ..extras import how_to_install, missing
 
 VERBS = {
     "train": "train splats from photos with COLMAP cameras",
@@ -31,9 +32,6 @@ VERBS = {
     "stress": "measure numerical errors",
 }
 
-_OPTIONAL = {name: name for name in ("torch", "safetensors", "scipy", "pycolmap", "onnxruntime")}
-_OPTIONAL |= {"PIL": "pillow", "av": "av"}
-"""Packages that a verb may lack: module name to what pip calls it."""
 _DISK_ERRORS = {
     errno.ENOSPC: "the disk is full; free some space or choose another output",
     errno.EDQUOT: "your disk quota is used up; free some space or choose another output",
@@ -87,11 +85,10 @@ def _guarded(prog: str, verb: str, arguments: list[str]) -> int:
     except GsError as error:
         return _complain(prog, str(error))
     except ModuleNotFoundError as error:
-        package = _OPTIONAL.get((error.name or "").partition(".")[0])
-        if package is None:
+        module = error.name or ""
+        if not how_to_install(module):
             return _internal(prog)
-        need = f"needs the package {package}; install it with: pip install {package}"
-        return _complain(prog, f"`{prog}` {need}")
+        return _complain(prog, missing(module, f"`{prog}`"))
     except KeyboardInterrupt:
         print("Stopped.", file=sys.stderr)
         return 130

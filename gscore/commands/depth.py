@@ -24,6 +24,7 @@ from ..depth.samples import Samples, unusable, view_samples
 from ..depth.sheet import write_sheet
 from ..errors import Cancelled, ConfigError, FormatError
 from ..events import DepthDone, DepthProgress, Saved, Warn
+from ..extras import need
 from ..metrics.colormap import colorize
 from ..trainer.depth_rule import coverage, decide
 from .attend import Show, attend
@@ -136,6 +137,7 @@ def _work(args: argparse.Namespace, show: Show, control: Control, told: "_Told")
     show(DepthProgress(done=0, total=0, view="", eta_s=float("nan"), phase="reading"))
     network = None
     if args.model is not None:
+        need("onnxruntime", "Predicting depth")
         network = Network(
             args.model,
             normalization=args.normalization,

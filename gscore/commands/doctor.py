@@ -13,6 +13,7 @@ import numpy as np
 
 from .._version import __version__
 from ..errors import GsError
+from ..extras import how_to_install
 from ..metrics.machine import (
     available_memory_bytes,
     cores,
@@ -95,7 +96,7 @@ def _package_facts(part: _Part) -> dict[str, Any]:
     try:
         module = importlib.import_module(part.module)
     except ModuleNotFoundError:
-        command = f"pip install {part.distribution}"
+        command = how_to_install(part.module) or f"pip install {part.distribution}"
         return {"version": None, "use": part.use, "problem": f"not installed: {command}"}
     except Exception as error:  # a broken wheel may raise anything while it loads
         reason = (str(error).splitlines() or [type(error).__name__])[0]

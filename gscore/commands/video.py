@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import BackendError, GsError
+from ..extras import missing
 
 _ENCODERS = ("libx264", "libopenh264", "h264_videotoolbox", "mpeg4")
 """Tried in this order; the first two and the last are software."""
@@ -24,8 +25,7 @@ def need_video() -> Any:
         import av
     except ImportError as error:
         raise BackendError(
-            "Writing a video needs the package av, which is not installed: "
-            "pip install av. Or give a folder with -o to get PNG files."
+            f"{missing('av', 'Writing a video')}. Or give a folder with -o to get PNG files."
         ) from error
     return av
 

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import BackendError, DatasetError, FormatError
+from ..extras import missing
 from ..io.colmap_model import ColmapCamera
 
 _ROWS_A_STRIP = 32
@@ -135,8 +136,7 @@ def _pycolmap() -> Any:
         import pycolmap
     except ImportError as error:
         raise BackendError(
-            "The cameras are distorted, and undistorting takes the package pycolmap: pip install "
-            "pycolmap, or undistort the capture with COLMAP first."
+            f"{missing('pycolmap', 'Undistorting the photos')}. Or undistort them with COLMAP."
         ) from error
     if not hasattr(pycolmap, "undistort_camera"):
         raise BackendError(

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import BackendError, DatasetError, FormatError, ShapeError
+from ..errors import DatasetError, FormatError, ShapeError
+from ..extras import need
 from .files import atomic_write, check_regular
 from .image_header import ImageInfo, read_header
 
@@ -222,10 +223,7 @@ BROKEN: tuple[type[Exception], ...] = (
 @functools.cache
 def _pillow() -> Any:
     """PIL.Image, loaded when first needed: the numpy-only parts of gscore do without."""
-    try:
-        from PIL import Image
-    except ImportError as error:
-        raise BackendError("Reading photos takes the package Pillow: pip install pillow") from error
+    Image = need("PIL.Image", "Reading photos")
     # From half of its limit on Pillow warns with a line of source; large photos are no mistake.
     # Once for the process, because filters for a block are not safe among threads.
     warnings.filterwarnings("ignore", category=Image.DecompressionBombWarning)

@@ -63,7 +63,7 @@ def test_missing_packages(gscore, monkeypatch, package, trains):
     code, out, _ = gscore("doctor", "--json")
     facts = json.loads(out)
     assert code == (0 if trains else 2) and facts["can_train"] is trains
-    assert "pip install" in facts["packages"][package]["problem"]
+    assert 'pip install "gscore[' in facts["packages"][package]["problem"]
     assert bool(facts["missing"]) is not trains
 
 

@@ -162,7 +162,7 @@ def test_video_without_pyav(gscore, run_folder, tmp_path, monkeypatch):
     """Oracle: one sentence with the command that helps, before any work."""
     monkeypatch.setitem(sys.modules, "av", None)
     code, _, err = gscore("render", run_folder(), "-o", tmp_path / "v.mp4", "--path", "orbit")
-    assert code == 2 and "pip install av" in err and not (tmp_path / "v.mp4").exists()
+    assert code == 2 and 'pip install "gscore[video]"' in err and not (tmp_path / "v.mp4").exists()
 
 
 def test_broken_video_leaves_nothing(gscore, run_folder, tmp_path, monkeypatch):

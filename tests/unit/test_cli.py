@@ -2,8 +2,10 @@
 
 import argparse
 import errno
+import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,6 +16,7 @@ from gscore import commands
 from gscore._version import __version__
 from gscore.commands.attend import attend
 from gscore.errors import Cancelled, DatasetError
+from gscore.extras import how_to_install
 
 
 def test_no_verb_shows_the_verbs(capsys: pytest.CaptureFixture[str]) -> None:
@@ -69,8 +72,8 @@ def fake(monkeypatch: pytest.MonkeyPatch, error: BaseException) -> None:
         (OSError(errno.EROFS, "ro", "out/a.ply"), 2, "the file system is read-only"),
         (OSError(errno.EACCES, "no", "out/a.ply"), 2, "permission denied"),
         (MemoryError(), 2, "out of memory; try fewer splats"),
-        (ModuleNotFoundError("no", name="torch"), 2, "pip install torch"),
-        (ModuleNotFoundError("no", name="av.video"), 2, "pip install av"),
+        (ModuleNotFoundError("no", name="torch"), 2, 'pip install "gscore[train]"'),
+        (ModuleNotFoundError("no", name="av.video"), 2, 'pip install "gscore[video]"'),
         (ModuleNotFoundError("no", name="nonsense"), 1, "this is an error in gscore"),
         (RuntimeError("bug"), 1, "this is an error in gscore"),
         (OSError(errno.EIO, "io"), 1, "this is an error in gscore"),
@@ -126,6 +129,33 @@ def test_a_bad_option_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> Non
     err = capsys.readouterr().err
     assert err.count("\n") == 1
     assert "--iterations: invalid int value: 'many'. See gscore train --help." in err
+
+
+def test_extras_bring_what_is_said_to_be_missing() -> None:
+    """Oracle: pyproject.toml; every package of the extras people install is known."""
+    path = Path(__file__).parents[2] / "pyproject.toml"
+    extras = tomllib.loads(path.read_text(encoding="utf-8"))["project"]["optional-dependencies"]
+    modules = {"pillow": "PIL"}
+    for extra in ("train", "depth", "video", "blender"):
+        for requirement in extras[extra]:
+            package = re.split("[>=<]", requirement)[0]
+            command = how_to_install(modules.get(package, package))
+            assert command.startswith(f'pip install "gscore[{extra}]"')
+    assert how_to_install("nonsense") == ""
+
+
+def test_python_without_torch() -> None:
+    """Oracle: a fresh interpreter in which torch cannot be imported: a sentence, and still the type
+    that programs look for."""
+    code = (
+        "import sys; sys.modules['torch'] = None\nimport gscore\n"
+        "try: gscore.rasterize\nexcept ImportError as error: print(error, error.name)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert done.stdout.startswith(
+        'gscore.rasterize needs the package torch; install it with: pip install "gscore[train]"'
+    )
+    assert done.stdout.endswith(" torch\n")
 
 
 def test_python_dash_m(tmp_path: Path) -> None:

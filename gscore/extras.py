@@ -1,0 +1,59 @@
+"""Packages that parts of gscore need: which extra brings each, and the words that say so."""
+
+import sys
+from importlib import import_module
+from typing import Any
+
+from .errors import BackendError
+
+_TRAIN = "train"
+_EXTRAS = {
+    "torch": _TRAIN,
+    "pycolmap": _TRAIN,
+    "PIL": _TRAIN,
+    "scipy": _TRAIN,
+    "safetensors": _TRAIN,
+    "onnxruntime": "depth",
+    "OpenEXR": "depth",
+    "av": "video",
+    "bpy": "blender",
+}
+"""Name of the module to name of the extra in pyproject.toml."""
+_CPU_INDEX = "https://download.pytorch.org/whl/cpu"
+"""Packages of torch without CUDA, for Linux, where the usual one brings gigabytes of it."""
+
+
+def how_to_install(module: str) -> str:
+    """The command that brings an optional package, with all that the same work needs besides; empty
+    for a module that is none of them."""
+    extra = _EXTRAS.get(module.partition(".")[0])
+    if extra is None:
+        return ""
+    command = f'pip install "gscore[{extra}]"'
+    if extra == _TRAIN and sys.platform.startswith("linux"):
+        command += f" --extra-index-url {_CPU_INDEX}"
+    return command
+
+
+def missing(module: str, purpose: str) -> str:
+    """The sentence for a package that is not installed.
+
+    Args:
+        module: Its name in an import.
+        purpose: What needs it, the beginning of a sentence.
+    """
+    package = module.partition(".")[0]
+    package = {"PIL": "pillow"}.get(package, package)
+    return f"{purpose} needs the package {package}; install it with: {how_to_install(module)}"
+
+
+def need(module: str, purpose: str) -> Any:
+    """The module, loaded; `purpose` as in `missing`.
+
+    Raises:
+        BackendError: It is not installed.
+    """
+    try:
+        return import_module(module)
+    except ImportError as error:
+        raise BackendError(f"{missing(module, purpose)}.") from error
