@@ -41,6 +41,7 @@ if TYPE_CHECKING:
         Started,
         Warn,
         from_line,
+        judged_psnr,
     )
     from .io.cameras_json import read_cameras
     from .io.colmap import find_model as find_colmap
@@ -127,6 +128,7 @@ _HOME = {
     "estimate": "trainer",
     "find_colmap": "io.colmap:find_model",
     "from_line": "events",
+    "judged_psnr": "events",
     "image_loss": "raster.loss",
     "is_antialiased": "io.ply",
     "load_dataset": "datasets",
@@ -214,6 +216,7 @@ __all__ = [
     "from_line",
     "image_loss",
     "is_antialiased",
+    "judged_psnr",
     "load_dataset",
     "psnr",
     "rasterize",

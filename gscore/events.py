@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, ClassVar
 
@@ -37,6 +38,8 @@ class Started(Event):
     depth: str = ""
     """A sentence on the depth that supervises; empty: none, and a warning says why if there are
     maps."""
+    mask_mode: str = "none"
+    """What masks are for, where the capture has some: `composite`, `ignore` or `none`."""
     config: dict[str, Any] = field(default_factory=dict)
 
 
@@ -68,6 +71,7 @@ class Progress(Event):
     iterations: int
     loss: float
     psnr: float
+    """Of the training views' pixels that count, smoothed, dB."""
     splats: int
     steps_per_s: float
     eta_s: float
@@ -103,6 +107,7 @@ class Eval(Event):
     step: int
     split: str
     metrics: dict[str, Any]
+    """As in metrics.json; only the PSNR where a goal is watched. See `judged_psnr`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -246,6 +251,12 @@ def _finite(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_finite(v) for v in value]
     return value
+
+
+def judged_psnr(metrics: Mapping[str, Any]) -> float | None:
+    """The PSNR that a model is judged by, dB: of the pixels inside the masks where those outside do
+    not count (`psnr_masked` of metrics.json), else of all (`psnr`); None where there is none."""
+    return metrics.get("psnr_masked", metrics.get("psnr"))
 
 
 def to_line(event: Event) -> str:

@@ -21,6 +21,7 @@ from ..core import (
     Started,
     Warn,
     from_line,
+    judged_psnr,
 )
 from .curve import LossCurve
 
@@ -224,7 +225,7 @@ def failure_sentence(
 
 
 def _done_sentence(done: Done) -> str:
-    quality = done.metrics.get("psnr")
+    quality = judged_psnr(done.metrics)
     views = {"test": " on test views", "train": " on training views"}
     where = views.get(str(done.metrics.get("split")), "")
     tail = f", PSNR {quality:.2f} dB{where}" if isinstance(quality, int | float) else ""

@@ -4,6 +4,7 @@ import sys
 
 import bpy
 
+from ..core import judged_psnr
 from ..job import session
 from ..job.job import Job
 from . import curve_icon
@@ -96,7 +97,7 @@ def numbers(state: session.RunState) -> list[tuple[str, str]]:
     pairs = [("Step", f"{state.step:,} / {state.iterations:,}")]
     if state.loss is not None:
         pairs.append(("Loss", f"{state.loss:.4f}"))
-    if (psnr := state.metrics.get("psnr")) is not None:
+    if (psnr := judged_psnr(state.metrics)) is not None:
         pairs.append(("PSNR", f"{psnr:.2f} dB"))
     elif state.psnr is not None:
         pairs.append(("PSNR", f"{state.psnr:.2f} dB"))

@@ -19,7 +19,14 @@ from ..events import (
     Warn,
     to_line,
 )
+from ..metrics.words import quality_words
 
+_MASKS = {
+    "ignore": "Masks are used: what they hide is not trained and not measured. --mask-mode none "
+    "trains whole photos, composite the subject alone.",
+    "composite": "Masks are used: they are the opacity of the photos.",
+}
+"""By `mask_mode`."""
 _LINE_PERIOD = 10.0
 """Seconds between two lines where stderr is not a terminal."""
 
@@ -75,6 +82,8 @@ class Lines:
                     f"{event.width} x {event.height} px; {event.splats} splats to start with; "
                     f"{event.threads} threads, {event.isa}"
                 )
+                if sentence := _MASKS.get(event.mask_mode):
+                    self._permanent(sentence)
                 if event.depth:
                     self._permanent(event.depth)
             case FrameStarted():
@@ -90,10 +99,9 @@ class Lines:
             case Warn():
                 self._permanent(f"Warning: {event.message}")
             case Eval():
-                psnr, ssim = event.metrics.get("psnr"), event.metrics.get("ssim")
-                if psnr is not None and ssim is not None:
-                    text = f"PSNR {psnr:.2f} dB, SSIM {ssim:.4f}"
-                    self._permanent(f"Step {event.step}, {event.split} views: {text}")
+                if event.metrics.get("ssim") is not None:
+                    worth = quality_words(event.metrics)
+                    self._permanent(f"Step {event.step}, {event.split} views: {worth}")
             case Saved():
                 self._permanent(f"Saved {event.path}")
 

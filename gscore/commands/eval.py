@@ -9,6 +9,7 @@ from typing import Any
 from ..config import DataConfig, to_dict
 from ..datasets import Dataset, load_dataset
 from ..errors import ConfigError, DatasetError
+from ..events import judged_psnr
 from ..io.runs import read_metrics
 from ..metrics import (
     PictureCollector,
@@ -19,6 +20,7 @@ from ..metrics import (
     write_metrics,
     write_report,
 )
+from ..metrics.words import quality_words
 from ..raster import backend
 from ..raster.api import render
 from .data_options import add_data_options, with_data_options
@@ -91,10 +93,12 @@ def run(args: argparse.Namespace) -> int:
             threads=args.threads,
         ).rgb
 
-    def on_view(place: int, target: Any, rendered: Any, values: dict[str, Any]) -> None:
-        collector(place, target, rendered, values)
+    def on_view(
+        place: int, target: Any, rendered: Any, weights: Any, values: dict[str, Any]
+    ) -> None:
+        collector(place, target, rendered, weights, values)
         if not args.quiet:
-            psnr = values["psnr"]
+            psnr = judged_psnr(values)
             worth = "identical" if psnr is None else f"PSNR {psnr:.2f} dB"
             print(f"{place + 1}/{len(indices)} {values['name']}: {worth}", file=sys.stderr)
 
@@ -187,12 +191,7 @@ def _of_the_training(model: Model) -> dict[str, Any]:
 
 
 def _summary(metrics: dict[str, Any], output: Path) -> str:
-    parts = []
-    for key, label, form in (("psnr", "PSNR", ".2f"), ("ssim", "SSIM", ".4f")):
-        if metrics[key] is not None:
-            parts.append(f"{label} {metrics[key]:{form}}")
-    if metrics["lpips"] is not None:
-        parts.append(f"LPIPS ({metrics['lpips_net']}) {metrics['lpips']:.4f}")
     held = {"test": "test views", "train": "training views", "all": "views"}[metrics["split"]]
     views = f"{len(metrics['views'])} {held}"
-    return f"{views}: {', '.join(parts)}\nResults: {output / 'metrics.json'}, report.html"
+    worth = quality_words(metrics) or f"no PSNR ({metrics['psnr_reason']})"
+    return f"{views}: {worth}\nResults: {output / 'metrics.json'}, report.html"

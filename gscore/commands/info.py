@@ -15,7 +15,7 @@ from ..io.ply_compressed import is_compressed
 from ..io.ply_elements import read_elements
 from ..io.runs import checkpoints_in, read_metrics
 from ..io.sequences import read_sequence
-from ..metrics.words import size_words, time_words
+from ..metrics.words import quality_words, size_words, time_words
 from ..splats import Splats
 from .model import Model, find_ply, open_model
 
@@ -98,7 +98,8 @@ def _run_facts(folder: Path) -> dict[str, Any]:
     facts: dict[str, Any] = {"kind": "run", "path": str(folder), "checkpoints": len(checkpoints)}
     metrics = read_metrics(folder)
     keys = ("psnr", "ssim", "lpips", "lpips_net", "split", "steps", "train_seconds", "gscore")
-    facts["metrics"] = {key: metrics.get(key) for key in keys} if metrics else None
+    known = {key: metrics[key] for key in ("psnr_masked",) if key in metrics}
+    facts["metrics"] = {key: metrics.get(key) for key in keys} | known if metrics else None
     try:
         find_ply(folder)
     except DatasetError:
@@ -191,11 +192,10 @@ def _splats_text(facts: dict[str, Any]) -> list[str]:
 def _run_text(facts: dict[str, Any]) -> list[str]:
     lines = [f"{facts['path']}: a run" + (f" on {facts['source']}" if facts["source"] else "")]
     metrics = facts["metrics"]
-    if metrics and metrics["psnr"] is not None:
-        lpips = "" if metrics["lpips"] is None else f", LPIPS {metrics['lpips']:.4f}"
+    if metrics and (worth := quality_words(metrics)):
         lines.append(
-            f"  {metrics['split']} views: PSNR {metrics['psnr']:.2f}, SSIM {metrics['ssim']:.4f}"
-            f"{lpips}; {metrics['steps']} steps in {time_words(metrics['train_seconds'])}"
+            f"  {metrics['split']} views: {worth}; {metrics['steps']} steps in "
+            f"{time_words(metrics['train_seconds'])}"
         )
     count = facts["checkpoints"]
     lines.append(f"  {count} checkpoint{'' if count == 1 else 's'}")

@@ -18,6 +18,7 @@ from ..config import (
 )
 from ..errors import ConfigError
 from ..events import CONVERGED, ENDED, FINISHED, TARGET
+from ..metrics.words import quality_words
 from ..trainer import Control, TrainResult, train
 from .attend import Show, add_output_options, attend
 from .data_options import add_data_options, add_depth_options, with_data_options
@@ -305,18 +306,9 @@ def _summary(result: TrainResult) -> str:
         f"{how} after {result.steps} steps, {result.train_seconds:.1f} s of training: "
         f"{len(result.splats)} splats."
     ]
-    if metrics["psnr"] is not None:
+    if worth := quality_words(metrics):
         views = "test views" if metrics["split"] == "test" else "training views"
-        lpips = metrics.get("lpips")
-        lines.append(
-            f"{len(metrics['views'])} {views}: PSNR {metrics['psnr']:.2f} dB, "
-            f"SSIM {metrics['ssim']:.4f}" + (f", LPIPS {lpips:.4f}" if lpips is not None else "")
-        )
-        if metrics.get("psnr_masked") is not None:
-            lines.append(
-                f"Inside the masks alone: PSNR {metrics['psnr_masked']:.2f} dB (above, pixels "
-                "outside the masks count as equal)."
-            )
+        lines.append(f"{len(metrics['views'])} {views}: {worth}")
     lines.append(f"Results: {result.output / 'point_cloud.ply'}, report.html")
     if result.reason not in ENDED:
         lines.append(f"To go on: gscore train -o {result.output} --resume")

@@ -11,7 +11,7 @@ from typing import Any
 
 from ..config import DataConfig, TrainConfig, load_config
 from ..errors import ConfigError, DatasetError
-from ..events import CONVERGED, FINISHED, TARGET
+from ..events import CONVERGED, FINISHED, TARGET, judged_psnr
 from .files import read_bytes
 
 RUN_LOCK = ".gscore.lock"
@@ -50,7 +50,7 @@ class RunInfo:
     splats: Path | None
     """point_cloud.ply, where it is written already."""
     psnr: float | None
-    """Of the last evaluation, dB."""
+    """Of the last evaluation, dB; see `gscore.judged_psnr`."""
     data: DataConfig | None
     """Options of the run, None where config.json is missing or broken."""
     train: TrainConfig | None
@@ -89,7 +89,7 @@ def read_run(path: str | Path) -> RunInfo | None:
         iterations=_length(train, steps, metrics),
         checkpoint=checkpoint,
         splats=splats if splats.is_file() else None,
-        psnr=_number(metrics.get("psnr")),
+        psnr=_number(judged_psnr(metrics)),
         data=data,
         train=train,
         problem=problem,

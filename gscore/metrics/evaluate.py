@@ -16,8 +16,9 @@ METRICS = ("psnr", "psnr_u8", "psnr_masked", "ssim", "ssim_valid", "d_ssim", "ms
 """Keys of the metrics of a view and of their means, in the order tables show them."""
 
 
-ViewHook = Callable[[int, np.ndarray, np.ndarray, dict[str, Any]], None]
-"""Called with the place in `indices`, the target, the render ([H, W, 3] float) and the numbers."""
+ViewHook = Callable[[int, np.ndarray, np.ndarray, np.ndarray | None, dict[str, Any]], None]
+"""Called with the place in `indices`, the target, the render ([H, W, 3] float), the [H, W] uint8
+weights of its pixels or None, and the numbers."""
 
 
 def target_picture(
@@ -115,7 +116,7 @@ def evaluate(
         view |= values | {"render_seconds": seconds}
         views.append(view)
         if on_view is not None:
-            on_view(place, target, np.asarray(picture), view)
+            on_view(place, target, np.asarray(picture), weights, view)
     return {"mean": _means(views, lpips), "views": views}
 
 

@@ -63,10 +63,16 @@ def _to_levels(image: np.ndarray) -> np.ndarray:
     return np.floor(image * 255.0 + 0.5) / 255.0
 
 
-def psnr(image: Any, target: Any) -> float:
-    """Peak signal-to-noise ratio in dB of [H, W, 3] pictures clamped to [0, 1]; inf if equal."""
+def psnr(image: Any, target: Any, *, mask: np.ndarray | None = None) -> float:
+    """Peak signal-to-noise ratio in dB of [H, W, 3] pictures clamped to [0, 1]; inf if equal.
+
+    `mask`, [H, W] float in [0, 1] or uint8, weights the errors; NaN where it hides everything.
+    """
     a, b = _pair(image, target)
-    return _decibels(float(np.mean((a - b) ** 2)))
+    if mask is None:
+        return _decibels(float(np.mean((a - b) ** 2)))
+    mse = _masked_mse(a, b, _mask_weight(mask, a.shape))
+    return math.nan if mse is None else _decibels(mse)
 
 
 def psnr_u8(image: Any, target: Any) -> float:
@@ -219,9 +225,7 @@ def image_metrics(image: Any, target: Any, *, mask: np.ndarray | None = None) ->
     values: dict[str, Any] = {}
     if mask is not None:
         weight = _mask_weight(mask, a.shape)
-        total = 3 * float(weight.sum())
-        squares = float((weight * (a - b) ** 2).sum())
-        _put_psnr(values, "psnr_masked", squares / total if total > 0 else None)
+        _put_psnr(values, "psnr_masked", _masked_mse(a, b, weight))
         a, b = a * weight, b * weight
     _put_psnr(values, "psnr", float(np.mean((a - b) ** 2)))
     _put_psnr(values, "psnr_u8", float(np.mean((_to_levels(a) - _to_levels(b)) ** 2)))
@@ -252,6 +256,12 @@ def _mask_weight(mask: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
         raise ShapeError(f"mask must be {list(shape[:2])}, got {list(mask.shape)}.")
     scale = 255.0 if mask.dtype == np.uint8 else 1.0
     return mask.astype(np.float64)[:, :, None] / scale
+
+
+def _masked_mse(a: np.ndarray, b: np.ndarray, weight: np.ndarray) -> float | None:
+    """Mean squared error weighted by [H, W, 1]; None where all weights are zero."""
+    total = 3 * float(weight.sum())
+    return float((weight * (a - b) ** 2).sum()) / total if total > 0 else None
 
 
 def _put_psnr(values: dict[str, Any], key: str, mse: float | None) -> None:

@@ -51,9 +51,15 @@ class PictureCollector:
     """What `write_report` shows, in the order of the views."""
 
     def __call__(
-        self, place: int, target: np.ndarray, render: np.ndarray, numbers: dict[str, Any]
+        self,
+        place: int,
+        target: np.ndarray,
+        render: np.ndarray,
+        weights: np.ndarray | None,
+        numbers: dict[str, Any],
     ) -> None:
-        """Take the pictures of one view, [H, W, 3] float in [0, 1] each."""
+        """Take the pictures of one view, [H, W, 3] float in [0, 1] each; `weights`, [H, W] uint8,
+        hides errors that do not count."""
         shown = min(self.count, MAX_VIEWS)
         # Exactly `shown` of `count` places satisfy this, the first among them.
         if place * shown % self.count >= shown:
@@ -61,6 +67,8 @@ class PictureCollector:
             return
         render = np.clip(render, 0.0, 1.0)
         error = np.abs(render - target).mean(axis=2)
+        if weights is not None:
+            error *= weights / 255.0
         budget = min(BYTES_EACH, BYTES_IN_ALL // (3 * shown)) * 3 // 4  # base64 adds a third
         uris, size = _encode_all(target, render, error, budget)
         self.views.append(

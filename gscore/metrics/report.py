@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ..events import judged_psnr
 from ..io.files import atomic_write
 from .colormap import colorize
 from .curves import Series, chart, clean_points, legend
@@ -110,12 +111,14 @@ def _warnings(sentences: Sequence[str]) -> str:
 def _tiles(metrics: dict[str, Any]) -> str:
     net = metrics.get("lpips_net")
     lpips_note = f"net: {net}, lower is better" if net else metrics.get("lpips_reason", "")
+    masked = "psnr_masked" in metrics
+    meaning = "masked-out pixels as equal" if masked else "higher is better"
     tiles = [
         (
             "PSNR",
             _number(metrics.get("psnr"), 2),
             "dB",
-            _reason(metrics, "psnr", "higher is better"),
+            _reason(metrics, "psnr", meaning),
         ),
         ("SSIM", _number(metrics.get("ssim"), 4), "", "1 is identical"),
         ("D-SSIM", _number(metrics.get("d_ssim"), 4), "", "(1 - SSIM) / 2"),
@@ -132,6 +135,10 @@ def _tiles(metrics: dict[str, Any]) -> str:
         ("Storage", size_words(metrics["storage_bytes"]), "", "PLY file"),
         ("Peak memory", size_words(metrics["peak_memory_bytes"]), "", "resident"),
     ]
+    if masked:
+        value = _number(metrics["psnr_masked"], 2)
+        note = _reason(metrics, "psnr_masked", "of the pixels that count")
+        tiles.insert(0, ("PSNR in the masks", value, "dB", note))
     cells = "".join(
         f'<div class="tile"><dt>{name}</dt><dd>{value}<small>{f" {unit}" if unit else ""}</small>'
         f'</dd><p title="{html.escape(note, quote=True)}">{html.escape(note)}</p></div>'
@@ -200,7 +207,8 @@ def _view_cards(views: Sequence[ViewPictures], metrics: dict[str, Any]) -> str:
         f'<div class="scale"><span>0</span><i style="background:linear-gradient(90deg,{stops})">'
         "</i>"
         f"<span>{1 / ERROR_GAIN:g} or more</span> <em>error: mean absolute difference of the "
-        f"channels in [0, 1], brightened {TIMES} {ERROR_GAIN:g}</em></div>"
+        f"channels in [0, 1], brightened {TIMES} {ERROR_GAIN:g}"
+        f"{'; none outside the masks' if 'psnr_masked' in metrics else ''}</em></div>"
     )
     left_out = len(views) - len(pictured)
     note = f" Pictures of {len(pictured)} of {len(views)} views." if left_out else ""
@@ -232,7 +240,7 @@ def _card(view: ViewPictures, number: int, photo: str) -> str:
             ("error", "error", view.error),
         )
     )
-    worth = view.numbers.get("psnr")
+    worth = judged_psnr(view.numbers)
     return (
         f'<article data-number="{number}" data-psnr="{"" if worth is None else f"{worth:.6f}"}" '
         f'data-name="{name}"><h3>{name}</h3><p>{_numbers_words(view.numbers)}</p>'
@@ -241,7 +249,9 @@ def _card(view: ViewPictures, number: int, photo: str) -> str:
 
 
 def _numbers_words(numbers: dict[str, Any]) -> str:
-    parts = [f"PSNR <b>{_number(numbers.get('psnr'), 2)}</b>"]
+    parts = [f"PSNR <b>{_number(judged_psnr(numbers), 2)}</b>"]
+    if "psnr_masked" in numbers:
+        parts = [f"PSNR in the mask <b>{_number(numbers['psnr_masked'], 2)}</b>"]
     parts += [f"SSIM <b>{_number(numbers.get('ssim'), 4)}</b>"]
     if numbers.get("lpips") is not None:
         parts.append(f"LPIPS <b>{_number(numbers['lpips'], 4)}</b>")

@@ -1,4 +1,7 @@
-"""Sizes and durations as people write them."""
+"""Sizes, durations and what a model is worth, as people write them."""
+
+from collections.abc import Mapping
+from typing import Any
 
 
 def size_words(count: int | None) -> str:
@@ -21,3 +24,18 @@ def time_words(seconds: float | None) -> str:
     if minutes < 60:
         return f"{minutes} min {rest:02d} s"
     return f"{minutes // 60} h {minutes % 60:02d} min"
+
+
+def quality_words(metrics: Mapping[str, Any]) -> str:
+    """PSNR, SSIM and LPIPS of a metrics.json, what a model is judged by first; empty: no PSNR."""
+    if metrics.get("psnr") is None:
+        return ""
+    parts = [f"PSNR {metrics['psnr']:.2f} dB"]
+    if metrics.get("psnr_masked") is not None:
+        whole = f"{metrics['psnr']:.2f} dB with the pixels outside counted as equal"
+        parts = [f"PSNR {metrics['psnr_masked']:.2f} dB inside the masks ({whole})"]
+    if metrics.get("ssim") is not None:
+        parts.append(f"SSIM {metrics['ssim']:.4f}")
+    if metrics.get("lpips") is not None:
+        parts.append(f"LPIPS ({metrics.get('lpips_net') or 'network'}) {metrics['lpips']:.4f}")
+    return ", ".join(parts)

@@ -47,7 +47,7 @@ def blending_weights(
     no_rest = torch.zeros(count, 0, 3)
     grey = {**params, "sh0": torch.zeros_like(params["sh0"]), "shN": no_rest}
     into = {**scratch, "shN": no_rest}
-    for view, _, mask, tiles in shown:
+    for view, _, mask, tiles, _ in shown:
         painter.draw(
             tuple(grey.values()),
             view.viewmat,

@@ -48,12 +48,16 @@ class Evaluator:
         """
 
         def on_view(
-            place: int, target: np.ndarray, render: np.ndarray, values: dict[str, Any]
+            place: int,
+            target: np.ndarray,
+            render: np.ndarray,
+            weights: np.ndarray | None,
+            values: dict[str, Any],
         ) -> None:
             if interrupted():
                 raise Cancelled("The evaluation was interrupted.")
             if collector:
-                collector(place, target, render, values)
+                collector(place, target, render, weights, values)
 
         try:
             return evaluate(

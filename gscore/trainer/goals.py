@@ -1,11 +1,12 @@
 """Ends of a run other than its last step: a PSNR that is reached, or one that no longer rises."""
 
+import math
 from typing import Any
 
 import numpy as np
 
 from ..config import TrainConfig
-from ..metrics.evaluate import masked_pair, target_picture
+from ..metrics.evaluate import target_picture
 from ..metrics.image import psnr
 from .evaluation import Evaluator
 from .stored import measurements, whole
@@ -48,17 +49,15 @@ class Goals:
         return self._trainer.steps - (self._found[-1][0] if self._found else 0) >= every
 
     def measure(self) -> float:
-        """Mean PSNR of the measured views as they are now, dB."""
+        """Mean PSNR of the measured views as they are now, dB, of the pixels that count."""
         trainer, values = self._trainer, []
         photos, background = trainer.photos, trainer.fixed_background
         for view in self._views:
             photo, mask = photos.image(view), photos.mask(view)
             target, weights = target_picture(photo, mask, photos.mask_mode, background)
-            picture = self._evaluator.picture(view)
-            if weights is not None:  # as `image_metrics`: outside the mask pixels count as equal
-                picture, target = masked_pair(picture, target, weights)
-            values.append(psnr(picture, target))
-        found = float(np.mean(values))
+            if weights is None or weights.any():
+                values.append(psnr(self._evaluator.picture(view), target, mask=weights))
+        found = float(np.mean(values)) if values else math.nan
         self._found.append((trainer.steps, found))
         return found
 

@@ -30,6 +30,8 @@ class Sized(NamedTuple):
     tiles: torch.Tensor | None
     """[ceil(H / 16), ceil(W / 16)] uint8, 0 where an `ignore` mask hides a whole tile; None where
     every tile counts."""
+    counted: float = 1.0
+    """Share of the pixels that count: less than 1 where an `ignore` mask hides some."""
 
 
 class Pyramid:
@@ -97,7 +99,9 @@ class Pyramid:
                 image = np.ascontiguousarray(both[..., :3])
                 mask = np.ascontiguousarray(both[..., 3])
         K = scale_intrinsics(cameras.Ks[index], old, new)
-        tiles = None
+        tiles, counted = None, 1.0
         if mask is not None and photos.mask_mode == "ignore":
             tiles = torch.from_numpy(tiles_of_mask(mask))
-        return Sized(view_of(cameras.viewmats[index], K, *new), image, mask, tiles)
+            counted = float(mask.mean()) / 255
+        view = view_of(cameras.viewmats[index], K, *new)
+        return Sized(view, image, mask, tiles, counted)

@@ -17,6 +17,7 @@ from ..events import (
     Snapshot,
     Started,
     Warn,
+    judged_psnr,
 )
 from ..metrics import Lpips, PictureCollector, headline
 from ..raster import backend
@@ -150,9 +151,10 @@ class Session:
         if psnr is not None:
             entry = self._note(psnr)
             split = self._evaluator.split
-            self._emit(Eval(step=entry["step"], split=split, metrics={"psnr": psnr}))
+            key = "psnr_masked" if self._trainer.photos.mask_mode == "ignore" else "psnr"
+            self._emit(Eval(step=entry["step"], split=split, metrics={key: psnr}))
 
-    def _note(self, psnr: float) -> dict[str, Any]:
+    def _note(self, psnr: float | None) -> dict[str, Any]:
         """Keep a measurement for the report."""
         step = self._trainer.steps
         entry = {"step": step, "elapsed_s": self._meter.train_seconds, "psnr": psnr}
@@ -175,6 +177,7 @@ class Session:
                 isa=backend.isa(),
                 threads=self._results.threads,
                 depth=self._depth.why if self._depth.supervises else "",
+                mask_mode=photos.mask_mode,
                 config={"data": to_dict(self._data), "train": to_dict(self._config)},
             )
         )
@@ -303,7 +306,7 @@ class Session:
         found = self._evaluator.measure(collector, interrupted=lambda: self._control.stopping)
         if found is None:
             return None
-        entry = self._note(found["mean"]["psnr"])
+        entry = self._note(judged_psnr(found["mean"]))
         split = self._evaluator.split
         self._emit(Eval(step=entry["step"], split=split, metrics=found["mean"]))
         return found

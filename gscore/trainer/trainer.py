@@ -49,7 +49,7 @@ class StepResult(NamedTuple):
 
     loss: float
     mse: float
-    """Mean squared error of the view before the step."""
+    """Mean squared error of the view's pixels that count, before the step."""
     change: Change
     """What the strategy did."""
     bad_rows: int
@@ -169,7 +169,7 @@ class Trainer:
         index = self.sampler.next(self.generator)
         # A run that becomes longer does not go back to smaller photos.
         self._factor = min(self._factor, self.plan.factor_at(step))
-        view, image, mask, tiles = self._pyramid.at(
+        view, image, mask, tiles, counted = self._pyramid.at(
             index, self._factor, upcoming=self.sampler.upcoming(AHEAD)
         )
         background = self._step_background()
@@ -207,7 +207,7 @@ class Trainer:
             background=background,
             threads=config.threads,
         )
-        value = loss.loss
+        value, mse = loss.loss, _of_counted(loss.mse, counted)
         v_alpha, v_inverse_depth = None, None
         if self.depth and picture.inverse_depth is not None:
             inverse_depth = picture.inverse_depth.detach().requires_grad_()
@@ -226,9 +226,9 @@ class Trainer:
         if config.detect_anomaly and not math.isfinite(value):
             guard.assert_finite(model, value, step=step, view=self._cameras.names[index])
         # What breaks a loss is often a splat that ran away; the next views do without it.
-        lost_rows = 0 if math.isfinite(value) and loss.mse < _ABSURD_MSE else self._hold()
+        lost_rows = 0 if math.isfinite(value) and mse < _ABSURD_MSE else self._hold()
         if lost_rows or not math.isfinite(value):
-            return self._skip(value, loss.mse, lost_rows)
+            return self._skip(value, mse, lost_rows)
         self._skipped = 0
         v_means2d = self._painter.gradients(model.grads, self._v_rgb, v_alpha, v_inverse_depth)
         if leaf is not None:
@@ -243,7 +243,7 @@ class Trainer:
         change = self._prune(change)
         laps.lap("learn")
         lost_rows = self._hold() if step % _HOLD_EVERY == 0 else 0
-        return StepResult(value, loss.mse, change, bad_rows, False, lost_rows)
+        return StepResult(value, mse, change, bad_rows, False, lost_rows)
 
     def shows_splats(self, index: int) -> bool:
         """Whether any splat is drawn in view `index`; looked at in an eighth of its size."""
@@ -258,20 +258,24 @@ class Trainer:
         return self._show(self._pyramid.view(index), background=background).rgb
 
     def error(self, views: int = 8) -> float:
-        """Root of the mean squared error of some training views at the next step's resolution."""
+        """Root of the mean squared error of the pixels that count, in some training views at the
+        next step's resolution."""
         indices = self.sampler.indices
         chosen = indices[:: -(-len(indices) // views)]
         background, total = self.fixed_background, 0.0
         for index in chosen:
-            view, image, mask, _ = self._pyramid.at(index, self.plan.factor_at(self.steps + 1))
-            total += image_loss(
+            view, image, mask, _, counted = self._pyramid.at(
+                index, self.plan.factor_at(self.steps + 1)
+            )
+            loss = image_loss(
                 self._show(view, background=background).rgb,
                 torch.from_numpy(image),
                 mask=None if mask is None else torch.from_numpy(mask),
                 mask_mode="none" if mask is None else self.photos.mask_mode,
                 background=background,
                 threads=self.config.threads,
-            ).mse
+            )
+            total += _of_counted(loss.mse, counted)
         return math.sqrt(total / len(chosen))
 
     def inverse_depth(self, index: int) -> tuple[np.ndarray, np.ndarray]:
@@ -498,6 +502,11 @@ class Trainer:
         ops.edit(model, keep=(~least(weights, count)).nonzero().flatten())
         self._pruned += count
         return replace(change, removed=change.removed + count)
+
+
+def _of_counted(mse: float, counted: float) -> float:
+    """The mean squared error of the pixels that count, where the others are equal; 0: none do."""
+    return mse / counted if counted > 0 else 0.0
 
 
 def _gradients(term: torch.Tensor, *leaves: torch.Tensor) -> tuple[torch.Tensor | None, ...]:

@@ -1,14 +1,17 @@
 """Scores of a dataset's views: means, masks, reasons, timing and metrics.json."""
 
 import json
+import math
 import time
 
 import numpy as np
 import pytest
 
 from gscore.errors import ShapeError
+from gscore.events import judged_psnr
 from gscore.metrics import evaluate, headline, psnr, write_metrics
 from gscore.metrics.evaluate import target_picture
+from gscore.metrics.words import quality_words
 
 
 class FakeLpips:
@@ -75,11 +78,17 @@ def test_ignored_pixels_do_not_count(fake_dataset):
     first, second = result["views"]
     assert first["psnr_masked"] == pytest.approx(psnr(renders[0][10:], pictures[0][10:]))
     assert first["psnr"] > first["psnr_masked"]
+    assert psnr(renders[0], pictures[0], mask=mask) == pytest.approx(first["psnr_masked"])
+    assert math.isnan(psnr(renders[0], pictures[0], mask=np.zeros_like(mask)))
+    assert judged_psnr(result["mean"]) == result["mean"]["psnr_masked"]
+    assert f"PSNR {result['mean']['psnr_masked']:.2f} dB inside" in quality_words(result["mean"])
     assert second["psnr_masked"] == pytest.approx(second["psnr"])
     kept = np.abs(renders[0][10:] - pictures[0][10:] / 255).sum()
     assert first["lpips"] == pytest.approx(kept / (40 * 50 * 3))
     ignoring_nothing = evaluate(lambda i: renders[i], fake_dataset(pictures, [mask, None]), [0])
     assert ignoring_nothing["mean"]["psnr"] < first["psnr_masked"]
+    assert judged_psnr(ignoring_nothing["mean"]) == ignoring_nothing["mean"]["psnr"]
+    assert "masks" not in quality_words(ignoring_nothing["mean"])
 
 
 def test_only_rendering_is_timed_and_warm(fake_dataset):

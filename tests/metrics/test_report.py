@@ -97,6 +97,17 @@ def test_numbers_are_shown(run):
     assert "1 held-out view " in shown
 
 
+def test_where_pixels_are_ignored_those_that_count_come_first(run):
+    """Oracle: both numbers with their names, in the order of the page."""
+    content = run()
+    content["metrics"] |= {"psnr_masked": 25.4321, "mask_mode": "ignore"}
+    content["views"][0].numbers["psnr_masked"] = 25.25
+    words = Page(report_html(content)).words
+    first = words.index("PSNR in the masks")
+    assert words[first + 1] == "25.43" and first < words.index("PSNR")
+    assert "25.25" in words and "masked-out pixels as equal" in words
+
+
 def test_scores_on_training_views_say_so(run):
     """Oracle: the sentence under the title."""
     shown = " ".join(Page(report_html(run(split="train", test_views=[]))).words)
@@ -141,7 +152,9 @@ def test_pictures_are_what_they_claim():
     target[:16] = (0.1, 0.9, 0.4)
     ramp = np.broadcast_to(np.linspace(0, 1, 256)[None, :, None], target.shape)
     collector = PictureCollector(count=1)
-    collector(0, target, target - ramp / ERROR_GAIN, {"name": "a"})
+    counted = np.full(target.shape[:2], 255, np.uint8)
+    counted[40:] = 0
+    collector(0, target, target - ramp / ERROR_GAIN, counted, {"name": "a"})
     decoded = {}
     for kind in ("photo", "render", "error"):
         data = base64.b64decode(getattr(collector.views[0], kind).partition(",")[2])
@@ -149,7 +162,8 @@ def test_pictures_are_what_they_claim():
         assert decoded[kind].shape == (64, 256, 3)
     assert np.abs(decoded["photo"] - target * 255).mean() < 2
     assert np.abs(decoded["render"] - (target - ramp / ERROR_GAIN).clip(0) * 255).mean() < 2
-    assert np.abs(decoded["error"][20:] - colorize(ramp[20:, :, 0])).mean() < 4
+    assert np.abs(decoded["error"][20:38] - colorize(ramp[20:38, :, 0])).mean() < 4
+    assert np.abs(decoded["error"][44:] - colorize(np.zeros((20, 256)))).mean() < 4
 
 
 @pytest.mark.parametrize("shape", [(600, 800, 3), (1000, 300, 3)])
@@ -159,7 +173,7 @@ def test_sixty_noisy_views_stay_within_the_budget(shape):
     collector = PictureCollector(count=60)
     for place in range(4):
         pair = rng.random(shape), rng.random(shape)
-        collector(place, *pair, {"name": str(place), "psnr": 8.0})
+        collector(place, *pair, None, {"name": str(place), "psnr": 8.0})
     sizes = [len(v.photo) + len(v.render) + len(v.error) for v in collector.views]
     assert max(sizes) * 60 <= BYTES_IN_ALL * 1.01
     assert all(max(v.width, v.height) <= 640 and v.width > 0 for v in collector.views)
@@ -171,7 +185,7 @@ def test_of_many_views_some_get_pictures():
     """Oracle: at most MAX_VIEWS, evenly spread, the first among them; all keep their numbers."""
     collector = PictureCollector(count=150)
     for place in range(150):
-        collector(place, *[np.zeros((8, 9, 3))] * 2, {"name": str(place)})
+        collector(place, *[np.zeros((8, 9, 3))] * 2, None, {"name": str(place)})
     pictured = [i for i, v in enumerate(collector.views) if v.width]
     assert len(collector.views) == 150 and len(pictured) == MAX_VIEWS and pictured[0] == 0
     assert max(np.diff(pictured)) <= 3

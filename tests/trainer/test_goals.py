@@ -13,6 +13,7 @@ import pytest
 from gscore.config import DataConfig, TrainConfig
 from gscore.events import Done, Eval, Event
 from gscore.io.runs import read_run
+from gscore.metrics.image import psnr
 from gscore.trainer.evaluation import Evaluator
 from gscore.trainer.goals import Goals
 from gscore.trainer.run import train
@@ -67,6 +68,25 @@ def goals_of(photos: Any, course: Callable[[int], float], config: TrainConfig) -
             if goals.converged():
                 break
     return goals
+
+
+def test_only_pixels_that_count_are_measured(make_photos: Callable[..., Any]) -> None:
+    """Oracle: PSNR of the counted columns of the first pictures; a view that is all hidden."""
+    photos = make_photos()
+    photos.mask_mode = "ignore"
+    photos.masks = [np.zeros((48, 48), np.uint8) for _ in photos.images]
+    for mask in photos.masks[:-1]:
+        mask[:, 10:] = 255
+    trainer = Trainer(CONFIG, photos)
+    evaluator = Evaluator(trainer, lpips=None, lpips_reason="")
+    found = Goals(CONFIG, trainer, evaluator).measure()
+    seen = [i for i in evaluator.indices if photos.masks[i].any()]
+    want = [psnr(evaluator.picture(i)[:, 10:], photos.images[i][:, 10:]) for i in seen]
+    assert len(seen) < len(evaluator.indices)
+    assert found == pytest.approx(np.mean(want), abs=1e-9)
+    squares = [10 ** (-value / 10) for value in want] + [0.0]
+    assert len(trainer.sampler.indices) == len(squares), "so all views are looked at"
+    assert trainer.error() ** 2 == pytest.approx(np.mean(squares), rel=1e-5)
 
 
 def test_converged_means_flat(photos: Any) -> None:
