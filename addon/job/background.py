@@ -5,6 +5,8 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
+from .. import threads
+
 
 class Cancelled(Exception):  # noqa: N818 - nothing went wrong
     """Raised inside a task that was asked to end."""
@@ -26,8 +28,7 @@ class Task:
         self.cancelled = False
         self._function = function
         self._cancel = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="gscore-task", daemon=True)
-        self._thread.start()
+        self._thread = threads.start(self._run, "gscore-task", cancel=self.cancel)
 
     @property
     def running(self) -> bool:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from .. import threads
 from ..core import Snapshot, clear_run
 from . import session
 from .loader import Loaded, Loader
@@ -189,8 +190,7 @@ class Job:
         if not self._discarding or self.resumed or self.state.started is None:
             return False
         if self._clearer is None:
-            self._clearer = threading.Thread(target=clear_run, args=(self.output,), daemon=True)
-            self._clearer.start()
+            self._clearer = threads.start(lambda: clear_run(self.output), "gscore-clearer")
         return self._clearer.is_alive()
 
     def _ask_for_live(self) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .. import alignment, splat_attributes
+from .. import alignment, splat_attributes, threads
 from ..core import GsError, Splats, read_cameras, read_splats
 
 _GROUND_POINTS = 20_000
@@ -61,7 +61,7 @@ class Loader:
             if self._busy:
                 return
             self._busy = True
-        threading.Thread(target=self._work, name="gscore-loader", daemon=True).start()
+        threads.start(self._work, "gscore-loader")
 
     def take(self) -> Loaded | None:
         """The last file that was read since the last call."""

@@ -65,7 +65,7 @@ class Process:
         self._lines: SimpleQueue[str | None] = SimpleQueue()
         self._errors: deque[str] = deque(maxlen=_STDERR_KEPT)
         self._orders: SimpleQueue[bytes | None] = SimpleQueue()
-        self._output_ended = False
+        self._output_ended = self._errors_ended = False
         self._ended_at: float | None = None
         self.last_line_at = time.monotonic()
         """`time.monotonic()` of the last output, or of the start."""
@@ -107,12 +107,13 @@ class Process:
 
     @property
     def ended(self) -> bool:
-        """Whether the process is gone and all of its output was taken from `lines`."""
+        """Whether the process is gone, its errors are read, and all of its output was taken from
+        `lines`."""
         if self.returncode is None or self._ended_at is None:
             return False
         # A child of it may hold the pipe open for longer.
         orphaned = time.monotonic() - self._ended_at > _ORPHANED_PIPE and self._lines.empty()
-        return self._output_ended or orphaned
+        return (self._output_ended and self._errors_ended) or orphaned
 
     def send(self, line: str) -> None:
         """Hand a line to the program; never waits, and does nothing if it is gone."""
@@ -162,6 +163,7 @@ class Process:
         for line in _read_lines(stream):
             self.last_line_at = time.monotonic()
             self._errors.append(line)
+        self._errors_ended = True
 
     def _write_orders(self) -> None:
         """A pipe that is full blocks this thread, not Blender."""

@@ -9,6 +9,7 @@ import gpu
 import numpy as np
 from gpu_extras.presets import draw_texture_2d
 
+from .. import threads
 from ..camera_math import FLIP
 from ..cameras import RenderCamera
 from ..core import CancelFlag, Cancelled, GsError
@@ -79,10 +80,7 @@ class Painter:
             self._request, self.busy = request, True
             self._cancel.set()
             if self._thread is None:
-                self._thread = threading.Thread(
-                    target=self._run, name="gscore viewport", daemon=True
-                )
-                self._thread.start()
+                self._thread = threads.start(self._run, "gscore-viewport", cancel=self.close)
             self._wish.notify()
 
     def close(self) -> None:

@@ -299,3 +299,13 @@ def test_a_pipe_held_by_a_grandchild_does_not_hang(tmp_path: Path) -> None:
         time.sleep(0.05)
     assert (process.returncode, process.ended, len(lines)) == (4, True, 1)
     os.kill(int(lines[0]), 9)
+
+
+def test_errors_are_waited_for(tmp_path: Path) -> None:
+    """Oracle: what is written after the process is gone and its output has ended."""
+    process = Process(["/bin/sh", "-c", "(sleep 0.5; echo late >&2) >/dev/null & exit 4"])
+    until = time.monotonic() + 15
+    while not process.ended and time.monotonic() < until:
+        assert not list(process.lines(0.01))
+        time.sleep(0.01)
+    assert process.stderr_tail == ["late"]

@@ -1,0 +1,45 @@
+"""Threads that the end of the process waits for; no bpy.
+
+Python lets daemon threads run on while it is being taken down. One that then comes back from numpy
+or from the rasterizer ends in the middle of foreign code, which aborts the whole process.
+"""
+
+import atexit
+import threading
+import time
+import weakref
+from collections.abc import Callable
+
+_PATIENCE = 10.0
+"""Seconds that the end of the process waits for all threads together."""
+
+_started: "weakref.WeakKeyDictionary[threading.Thread, Callable[[], object]]" = (
+    weakref.WeakKeyDictionary()
+)
+
+
+def start(
+    target: Callable[[], object], name: str, *, cancel: Callable[[], object] = lambda: None
+) -> threading.Thread:
+    """Run a function in a thread of its own.
+
+    Args:
+        target: The function.
+        name: Of the thread.
+        cancel: Called when the process ends, to make the function end soon.
+    """
+    thread = threading.Thread(target=target, name=name, daemon=True)
+    _started[thread] = cancel
+    thread.start()
+    return thread
+
+
+@atexit.register
+def finish() -> None:
+    """Ask all of them to end, and wait for a while."""
+    under_way = [(thread, cancel) for thread, cancel in _started.items() if thread.is_alive()]
+    for _, cancel in under_way:
+        cancel()
+    until = time.monotonic() + _PATIENCE
+    for thread, _ in under_way:
+        thread.join(max(until - time.monotonic(), 0.0))
