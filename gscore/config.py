@@ -435,10 +435,19 @@ def load_config(path: Path) -> tuple[DataConfig, TrainConfig]:
 def differences(old: Any, new: Any, *, ignore: Collection[str] = ()) -> list[str]:
     """Sentences like "max_splats was 100, is 200", one for each option that differs."""
     return [
-        f"{f.name} was {_to_json(getattr(old, f.name))}, is {_to_json(getattr(new, f.name))}"
+        f"{f.name} was {_shown(getattr(old, f.name))}, is {_shown(getattr(new, f.name))}"
         for f in fields(old)
         if f.name not in ignore and getattr(old, f.name) != getattr(new, f.name)
     ]
+
+
+def flag_of(name: str) -> str:
+    """How the command line calls an option."""
+    return {"resolution": "-r"}.get(name, "--" + name.replace("_", "-"))
+
+
+def _shown(value: Any) -> Any:
+    return f"{value:g}" if isinstance(value, float) else _to_json(value)
 
 
 def _absolute(config: ConfigT) -> ConfigT:

@@ -77,6 +77,8 @@ class Lines:
             case Estimated():
                 self._permanent(estimate_text(event))
             case Started():
+                if event.step:
+                    self._permanent(f"Going on from step {event.step} of {event.iterations}")
                 self._permanent(
                     f"{event.train_views} training views, {event.test_views} test views, "
                     f"{event.width} x {event.height} px; {event.splats} splats to start with; "
@@ -130,7 +132,8 @@ def progress_text(event: Progress) -> str:
     parts = [f"step {event.step}/{event.iterations} {share:4.0%}"]
     if event.splats:
         parts += [f"loss {event.loss:.4f}", f"PSNR {event.psnr:5.2f}", f"{event.splats} splats"]
-        parts += [f"{event.steps_per_s:.1f} steps/s", f"{clock(event.eta_s)} left"]
+        if event.steps_per_s:
+            parts += [f"{event.steps_per_s:.1f} steps/s", f"{clock(event.eta_s)} left"]
     return "  ".join([*parts, event.phase])
 
 

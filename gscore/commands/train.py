@@ -20,6 +20,7 @@ from ..errors import ConfigError
 from ..events import CONVERGED, ENDED, FINISHED, TARGET
 from ..metrics.words import quality_words
 from ..trainer import Control, TrainResult, train
+from ..trainer.folder import check_free
 from .attend import Show, add_output_options, attend
 from .data_options import add_data_options, add_depth_options, with_data_options
 
@@ -243,11 +244,15 @@ def configs(args: argparse.Namespace) -> tuple[DataConfig, TrainConfig]:
     if args.config and args.preset:
         raise ConfigError("Give either --preset or --config: a config file holds all options.")
     stored = args.config
-    if args.resume and not (args.config or args.preset):
+    if args.resume and not (args.config or (args.preset and source)):
         stored = args.output / "config.json"
         if not stored.is_file():
+            check_free(args.output)  # a run that has only just begun has written nothing yet
             raise ConfigError(f"{args.output} holds no run to resume; leave --resume out.")
-    if stored:
+    if args.preset and stored:
+        source = load_config(stored)[0].source
+        data, config = PRESETS[args.preset](source)
+    elif stored:
         data, config = load_config(stored)
         data = replace(data, source=source or data.source)
     elif source is None:
@@ -301,6 +306,8 @@ def _train(args: argparse.Namespace, show: Show, control: Control) -> TrainResul
 
 def _summary(result: TrainResult) -> str:
     metrics = result.metrics
+    if result.ended_before:
+        return _nothing_to_do(result)
     how = _HOW.get(result.reason, f"Stopped ({result.reason})")
     lines = [
         f"{how} after {result.steps} steps, {result.train_seconds:.1f} s of training: "
@@ -313,6 +320,15 @@ def _summary(result: TrainResult) -> str:
     if result.reason not in ENDED:
         lines.append(f"To go on: gscore train -o {result.output} --resume")
     return "\n".join(lines)
+
+
+def _nothing_to_do(result: TrainResult) -> str:
+    how = _HOW[result.reason]
+    return (
+        f"{result.output} was complete already: {how[0].lower()}{how[1:]} after {result.steps} "
+        f"steps. Give a larger --iterations or --time-budget to go on, or measure it again with: "
+        f"gscore eval {result.output}"
+    )
 
 
 class _Refuse(argparse.Action):

@@ -8,7 +8,7 @@ import hashlib
 import json
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +17,7 @@ from typing import Any, BinaryIO
 import torch
 
 from .._version import __version__
-from ..config import TrainConfig, differences, from_dict, to_dict
+from ..config import TrainConfig, differences, flag_of, from_dict, to_dict
 from ..errors import ConfigError, FormatError
 from ..io.files import atomic_write, check_regular
 from .stored import whole
@@ -47,6 +47,8 @@ FREE = frozenset(
     }
 )
 """Options that may change when a run goes on."""
+_OFTEN_CHANGED = ("iterations", "time_budget", "target_psnr", "early_stop", "threads")
+"""The most wanted of them, for messages."""
 _DEPTHS = "depths"
 """Key of the depth maps in a checkpoint's capture."""
 
@@ -158,21 +160,32 @@ def understood(path: Path) -> Iterator[None]:
         ) from error
 
 
-def check_compatible(checkpoint: Checkpoint, config: TrainConfig, photos: Photos) -> None:
+def check_compatible(
+    checkpoint: Checkpoint, config: TrainConfig, photos: Photos, *, changed: Sequence[str] = ()
+) -> None:
     """Raise ConfigError, and say what differs, unless the run can go on with these inputs.
 
     `iterations` may change: schedules belong to the length of a run, so an extended run goes on
     with the learning rates and refinements that a run of the new length has at this step.
+
+    Args:
+        checkpoint: To go on from.
+        config: How to train.
+        photos: What to train on.
+        changed: Sentences on options of the capture that are not what they were; told instead of
+            what comes of them.
     """
-    changed = differences(checkpoint.config, config, ignore=FREE)
+    different = differences(checkpoint.config, config, ignore=FREE)
     now = fingerprint(photos)
-    for key, was in checkpoint.capture.items():
-        if key != _DEPTHS and was != now.get(key):
-            changed.append(f"{key} of the capture are not the same")
-    if changed:
+    unlike = [k for k, was in checkpoint.capture.items() if k != _DEPTHS and was != now.get(k)]
+    if unlike:
+        different += changed or [f"{key} of the capture are not the same" for key in unlike]
+    if different:
+        free = ", ".join(flag_of(name) for name in _OFTEN_CHANGED)
         raise ConfigError(
-            f"{checkpoint.path} belongs to another run: {'; '.join(changed)}. Use the same options "
-            "and photos, or start anew in another folder."
+            f"{checkpoint.path} belongs to another run: {'; '.join(different)}. A run that goes on "
+            f"takes its options from its config.json, so leave them out; {free} and what is "
+            "written may change. For anything else start anew in another folder."
         )
     if checkpoint.steps > config.iterations and not config.time_budget:
         raise ConfigError(

@@ -107,6 +107,7 @@ def open_folder(path: Path, *, resume: bool, overwrite: bool) -> Iterator[RunFol
     except (OSError, ValueError) as error:  # others answer otherwise to `exists` and `glob`
         raise GsError(f"Cannot use {shown(path)}: {reason(error)}") from error
     if resume and not folder.checkpoints():
+        check_free(path)
         raise ConfigError(f"{path} holds no checkpoint to resume from; leave --resume out.")
     new = not path.exists()
     lock = _lock(path)
@@ -123,6 +124,33 @@ def open_folder(path: Path, *, resume: bool, overwrite: bool) -> Iterator[RunFol
         _release(lock, path, remove_folder=new)
 
 
+def check_free(path: Path) -> None:
+    """Raise unless nobody trains into a folder now.
+
+    Raises:
+        GsError: another process does.
+    """
+    try:
+        file = (path / RUN_LOCK).open("r+", encoding="utf-8")
+    except (OSError, ValueError):  # no folder, no lock
+        return
+    with file:
+        if not _try_lock(file):
+            raise _in_use(path, file)
+
+
+def _in_use(path: Path, file: IO[str]) -> GsError:
+    """The error for a lock that another process has."""
+    file.seek(0)
+    holder = ""
+    with contextlib.suppress(ValueError, KeyError, TypeError, RecursionError):
+        holder = f" (process {json.loads(file.read())['pid']})"
+    return GsError(
+        f"{path} is in use by another training{holder}; wait for it, stop it, or choose "
+        "another output folder."
+    )
+
+
 def _lock(path: Path) -> IO[str]:
     """Take the lock, which the system drops when this process ends, however it ends."""
     while True:
@@ -134,15 +162,8 @@ def _lock(path: Path) -> IO[str]:
         except (OSError, ValueError) as error:
             raise GsError(f"Cannot write into {shown(path)}: {reason(error)}") from error
         if not _try_lock(file):
-            file.seek(0)
-            holder = ""
-            with contextlib.suppress(ValueError, KeyError, TypeError, RecursionError):
-                holder = f" (process {json.loads(file.read())['pid']})"
-            file.close()
-            raise GsError(
-                f"{path} is in use by another training{holder}; wait for it, stop it, or choose "
-                "another output folder."
-            )
+            with file:
+                raise _in_use(path, file)
         try:
             current = os.path.samestat(os.fstat(file.fileno()), (path / RUN_LOCK).stat())
         except OSError:

@@ -1,10 +1,11 @@
 """`train`: everything that must be right before the first step, then a session."""
 
+import contextlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from ..config import DataConfig, TrainConfig
+from ..config import DataConfig, TrainConfig, differences, flag_of, load_config
 from ..control import Control
 from ..datasets import load_dataset
 from ..errors import BackendError, ConfigError, FormatError, GsError
@@ -13,6 +14,7 @@ from ..io.ply import read_splats
 from ..metrics import find_lpips
 from . import checkpoint
 from .depth_setup import prepare_depth
+from .ended import ended_run
 from .folder import RunFolder, open_folder
 from .frame import Frame
 from .loading import load_photos, progress_of
@@ -57,12 +59,18 @@ def train(
     emit, control = on_event or (lambda event: None), control or Control()
     with open_folder(output, resume=resume, overwrite=overwrite) as folder, one_torch_thread():
         before, damaged = _checkpoint_to_start_from(folder, resume, start_checkpoint)
+        if resume and before is not None and not damaged:
+            ended = ended_run(folder, before, config, data)
+            if ended is not None:
+                emit(ended.event())
+                return ended
         start = None if config.start_splats is None else read_splats(config.start_splats)
         lpips, lpips_reason = find_lpips(config.lpips, threads=config.threads)
         photos = load_dataset(data, cancelled=lambda: control.stopping)
         frame = None
         if before is not None:
-            checkpoint.check_compatible(before, config, photos)
+            changed = _other_capture_options(folder, data) if resume else []
+            checkpoint.check_compatible(before, config, photos, changed=changed)
             with checkpoint.understood(before.path):
                 frame = Frame.from_dict(before.trainer["frame"])
         loaded = load_photos(
@@ -142,6 +150,16 @@ def _checkpoint_to_start_from(
             if len(damaged) == len(paths):
                 raise FormatError(f"{error} Or start anew with --overwrite.") from error
     return None, []
+
+
+def _other_capture_options(folder: RunFolder, data: DataConfig) -> list[str]:
+    """How `data` differs from the capture's options of the run in a folder, as they are given."""
+    with contextlib.suppress(ConfigError):
+        stored, _ = load_config(folder.config)
+        found = differences(stored, data, ignore=("source", "rig", "test_list"))
+        pairs = [change.partition(" ") for change in found]
+        return [f"{flag_of(name)} {rest}" for name, _, rest in pairs]
+    return []
 
 
 def _set_aside(path: Path, step: int) -> str:

@@ -53,12 +53,25 @@ class TrainResult:
     metrics: dict[str, Any]
     """Content of metrics.json."""
     output: Path
+    ended_before: bool = False
+    """It was to go on but had ended already, so that nothing was done."""
 
     @property
     def headline(self) -> dict[str, Any]:
         """The metrics without what is long: what `--json` prints and `Done` tells."""
         long = ("history", "evals")
         return {k: v for k, v in headline(self.metrics).items() if k not in long}
+
+    def event(self) -> Done:
+        """The last event of a run."""
+        return Done(
+            step=self.steps,
+            reason=self.reason,
+            splats=len(self.splats),
+            train_seconds=self.train_seconds,
+            path=str(RunFolder(self.output).point_cloud),
+            metrics=self.headline,
+        )
 
 
 class Session:
@@ -342,14 +355,5 @@ class Session:
             metrics=metrics,
             output=self._folder.path,
         )
-        self._emit(
-            Done(
-                step=result.steps,
-                reason=result.reason,
-                splats=len(splats),
-                train_seconds=result.train_seconds,
-                path=str(self._folder.point_cloud),
-                metrics=result.headline,
-            )
-        )
+        self._emit(result.event())
         return result

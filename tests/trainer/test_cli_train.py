@@ -104,6 +104,49 @@ def test_resume_needs_no_options(capture: Path, tmp_path: Path) -> None:
     assert json.loads((tmp_path / "metrics.json").read_text())["steps"] == 20
 
 
+def test_resuming_says_from_where_and_that_nothing_is_left(
+    capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Oracle: the lines; the files' bytes and times where there was nothing to do."""
+    assert main(["train", str(capture), "-o", str(tmp_path), *SHORT, "--quiet"]) == 0
+    again = ["train", "-o", str(tmp_path), "--resume"]
+    assert main([*again, "--iterations", "15"]) == 0
+    assert "Going on from step 12 of 15" in capsys.readouterr().err
+    state = {p: (p.read_bytes(), p.stat().st_mtime_ns) for p in tmp_path.rglob("*") if p.is_file()}
+    assert main(again) == 0
+    told = capsys.readouterr()
+    assert "was complete already: finished after 15 steps" in told.out
+    assert told.err == ""
+    after = {p: (p.read_bytes(), p.stat().st_mtime_ns) for p in tmp_path.rglob("*") if p.is_file()}
+    assert after == state
+    assert main([*again, "--events", "jsonl"]) == 0
+    (line,) = capsys.readouterr().out.splitlines()
+    done = from_line(line)
+    assert isinstance(done, Done)
+    assert (done.reason, done.step, done.splats) == ("finished", 15, 150)
+    (tmp_path / "point_cloud.ply").unlink()
+    assert main([*again, "--quiet"]) == 0, "results that are missing are made"
+    assert (tmp_path / "point_cloud.ply").read_bytes() == state[tmp_path / "point_cloud.ply"][0]
+
+
+def test_resuming_with_other_options_says_which(
+    capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Oracle: each option that differs once, under its name, and what may be changed."""
+    assert main(["train", str(capture), "-o", str(tmp_path), *SHORT, "--quiet"]) == 0
+    again = ["train", "-o", str(tmp_path), "--resume", "--quiet"]
+    assert main([*again, "-r", "20"]) == 2
+    err = capsys.readouterr().err
+    assert "another run: -r was -1, is 20. A run that goes on takes its options from" in err
+    assert "--iterations, --time-budget" in err
+    assert "cameras" not in err
+    assert main([*again, "--preset", "draft"]) == 2
+    err = capsys.readouterr().err
+    assert "another run: max_splats was 200, is 150000; sh_degree was 0, is 2. A run" in err
+    same = ["--preset", "normal", *SHORT]
+    assert main([*again, *same, "--iterations", "14"]) == 0
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

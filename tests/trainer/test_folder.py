@@ -91,6 +91,20 @@ def test_resume_needs_a_checkpoint(tmp_path: Path) -> None:
     assert not path.exists()
 
 
+def test_a_run_that_has_only_begun_is_in_use(tmp_path: Path) -> None:
+    """Oracle: resuming it names the process, not a missing checkpoint; check_free makes nothing."""
+    with open_folder(tmp_path / "a", resume=False, overwrite=False):
+        with (
+            pytest.raises(GsError, match=rf"in use by another training \(process {os.getpid()}\)"),
+            open_folder(tmp_path / "a", resume=True, overwrite=False),
+        ):
+            pass
+        with pytest.raises(GsError, match="in use by another training"):
+            folder_module.check_free(tmp_path / "a")
+    folder_module.check_free(tmp_path / "a")
+    assert names(tmp_path) == set()
+
+
 @pytest.mark.skipif(os.name == "nt" or os.geteuid() == 0, reason="root may write anywhere")
 def test_a_read_only_place_is_refused(tmp_path: Path) -> None:
     """Oracle: one sentence."""
