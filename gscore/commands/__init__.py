@@ -6,7 +6,6 @@ verb does not break the others. Exit codes: 0 done, 1 an error inside gscore, 2 
 143 for SIGINT and SIGTERM.
 """
 
-import argparse
 import difflib
 import errno
 import os
@@ -14,11 +13,11 @@ import sys
 import traceback
 from collections.abc import Sequence
 from importlib import import_module
-from typing import NoReturn
 
 from .._version import __version__
 from ..errors import GsError
 from ..extras import how_to_install, missing
+from .parser import Parser
 
 VERBS = {
     "train": "train splats from photos with COLMAP cameras",
@@ -67,17 +66,11 @@ def dashed(arguments: Sequence[str]) -> list[str]:
     return result
 
 
-class _Parser(argparse.ArgumentParser):
-    """Says what is wrong in a sentence, without the page of usage before it."""
-
-    def error(self, message: str) -> NoReturn:
-        self.exit(2, f"{self.prog}: error: {message.rstrip('.')}. See {self.prog} --help.\n")
-
-
 def _guarded(prog: str, verb: str, arguments: list[str]) -> int:
     try:
         module = import_module(f".{verb}", __package__)
-        parser = _Parser(prog=prog, description=VERBS[verb].capitalize() + ".", allow_abbrev=False)
+        text = VERBS[verb]
+        parser = Parser(prog=prog, description=f"{text[0].upper()}{text[1:]}.", allow_abbrev=False)
         module.add_arguments(parser)
         return module.run(parser.parse_args(dashed(arguments)))
     except SystemExit as stop:  # argparse has already said what is wrong

@@ -23,12 +23,24 @@ from ..trainer import Control, TrainResult, train
 from ..trainer.folder import check_free
 from .attend import Show, add_output_options, attend
 from .data_options import add_data_options, add_depth_options, with_data_options
+from .option_help import option_help
 
 _STEPS: dict[str, Any] = {"type": int, "nargs": "+", "metavar": "STEP"}
 _SWITCH: dict[str, Any] = {"action": argparse.BooleanOptionalAction}
 
+
+def _of_presets(name: str) -> str:
+    """The values of an option in the presets."""
+    values = ((key, getattr(make(Path())[1], name)) for key, make in PRESETS.items())
+    return ", ".join(f"{key} {value:,}" for key, value in values)
+
+
 _RUN: dict[str, tuple[tuple[str, ...], dict[str, Any], str]] = {
-    "iterations": (("--iterations",), {"type": int}, "training steps"),
+    "iterations": (
+        ("--iterations",),
+        {"type": int, "metavar": "N"},
+        f"training steps ({_of_presets('iterations')})",
+    ),
     "time_budget": (
         ("--time-budget",),
         {"type": float, "metavar": "SECONDS"},
@@ -40,11 +52,24 @@ _RUN: dict[str, tuple[tuple[str, ...], dict[str, Any], str]] = {
         "end when the held-out views (else training views) reach this PSNR",
     ),
     "early_stop": (("--early-stop",), _SWITCH, "end when that PSNR no longer rises"),
-    "max_splats": (("--max-splats", "--cap-max"), {"type": int}, "never more splats than this"),
-    "strategy": (("--strategy",), {"choices": tuple(Strategy)}, "how splats are added and removed"),
-    "sh_degree": (("--sh-degree",), {"type": int}, "degree of view-dependent colour, 0 to 3"),
-    "seed": (("--seed",), {"type": int}, "same seed, same result, bit for bit"),
-    "threads": (("--threads",), {"type": int}, "CPU threads; 0: all cores"),
+    "max_splats": (
+        ("--max-splats", "--cap-max"),
+        {"type": int, "metavar": "N"},
+        f"never more splats than this ({_of_presets('max_splats')})",
+    ),
+    "strategy": (
+        ("--strategy",),
+        {"choices": tuple(Strategy)},
+        "how splats are added and removed (default); mcmc is for long runs, with a few hundred "
+        "steps it is far behind",
+    ),
+    "sh_degree": (
+        ("--sh-degree",),
+        {"type": int, "metavar": "N"},
+        f"degree of view-dependent colour, 0 to 3 ({_of_presets('sh_degree')})",
+    ),
+    "seed": (("--seed",), {"type": int, "metavar": "N"}, "same seed, same result, bit for bit"),
+    "threads": (("--threads",), {"type": int, "metavar": "N"}, "CPU threads; 0: all cores (0)"),
     "cache_mb": (
         ("--cache-mb",),
         {"type": int, "metavar": "MB"},
@@ -175,7 +200,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "-o", "-m", "--output", "--model-path", required=True, type=Path, help="folder for results"
     )
     parser.add_argument(
-        "--preset", choices=tuple(PRESETS), help="how much effort to spend (normal)"
+        "--preset",
+        choices=tuple(PRESETS),
+        help="how much effort to spend (normal): sets --iterations, --max-splats, --sh-degree and "
+        "the width of the photos",
     )
     parser.add_argument(
         "--config", type=Path, metavar="FILE.json", help="options of another run, its config.json"
@@ -207,15 +235,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     group = parser.add_argument_group(
         "method",
-        "Also under their 3DGS names; gscore.TrainConfig explains them. Learning rates are raised "
-        "in runs of less than 30 000 steps and fall over the last tenth of any; --lr-boost 1 "
-        "--lr-final 1 takes them exactly as given.",
+        "Also under their 3DGS names; gscore.TrainConfig says more on each. Learning rates are "
+        "raised in runs of less than 30 000 steps and fall over the last tenth of any; "
+        "--lr-boost 1 --lr-final 1 takes them exactly as given.",
     )
     kinds = {f.name: type(f.default) for f in fields(TrainConfig)}
     for name, flags in _METHOD.items():
         kind = kinds[name]
-        group.add_argument(*flags, dest=name, default=None, type=kind, metavar=kind.__name__)
-    group.add_argument("--feature-lr", type=float, metavar="float", help="sh0-lr, 20 times shN-lr")
+        group.add_argument(
+            *flags,
+            dest=name,
+            default=None,
+            type=kind,
+            metavar="N" if kind is int else "X",
+            help=option_help(TrainConfig, name),
+        )
+    group.add_argument("--feature-lr", type=float, metavar="X", help="sh0-lr, 20 times shN-lr")
     add_output_options(parser)
     for name in _WITHOUT_EFFECT:
         parser.add_argument(name, help=argparse.SUPPRESS)

@@ -14,6 +14,7 @@ import pytest
 
 from gscore import commands
 from gscore._version import __version__
+from gscore.commands import train
 from gscore.commands.attend import attend
 from gscore.errors import Cancelled, DatasetError
 from gscore.extras import how_to_install
@@ -129,6 +130,49 @@ def test_a_bad_option_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> Non
     err = capsys.readouterr().err
     assert err.count("\n") == 1
     assert "--iterations: invalid int value: 'many'. See gscore train --help." in err
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("train x -o y --itertions 5", "--itertions: did you mean --iterations? See gscore train"),
+        ("train x -o y --max_splat=5", "--max-splat: did you mean --max-splats? See"),
+        ("train x -o y --seeed 1 --qiet", "did you mean --seed; --qiet: did you mean --quiet?"),
+        ("bench step --thread 1", "--thread: did you mean --threads?"),
+        ("train x -o y --zzz 1", "unrecognized arguments: --zzz 1. See"),
+    ],
+)
+def test_a_mistyped_option(line: str, words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Oracle: the nearest option in one line, as for verbs."""
+    assert commands.main(line.split()) == 2
+    err = capsys.readouterr().err
+    assert words in err
+    assert err.count("\n") == 1
+
+
+def test_names_keep_their_capitals(capsys: pytest.CaptureFixture[str]) -> None:
+    """Oracle: COLMAP and PLY are written so, also where a sentence is made of a phrase."""
+    for line in ("train --help", "info --help"):
+        assert commands.main(line.split()) == 0
+    out = capsys.readouterr().out
+    assert "Train splats from photos with COLMAP cameras." in out
+    assert "Say what a capture, a PLY or a run holds." in out
+
+
+def test_every_option_of_a_training_is_explained() -> None:
+    """Oracle: the words of TrainConfig's docstrings, and the defaults of its fields."""
+    parser = argparse.ArgumentParser()
+    train.add_arguments(parser)
+    texts = {action.dest: action.help for action in parser._actions}
+    assert all(texts.values())
+    assert texts["prune_scale"] == (
+        "default: larger splats are removed after the first opacity reset; in extents (0.1)"
+    )
+    assert texts["drop_rate"].endswith(
+        "(Park et al. 2025, DropGaussian), against overfitting to few views; 0: none (0)"
+    )
+    assert texts["shN_lr"] == "learning rate of the view-dependent colour (0.000125)"
+    assert "preview 1,500, draft 4,000, normal 7,000, high 15,000" in texts["iterations"]
 
 
 def test_extras_bring_what_is_said_to_be_missing() -> None:

@@ -16,7 +16,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
     what = parser.add_subparsers(dest="what", required=True, metavar="WHAT")
     for name, text in WHAT.items():
-        one = what.add_parser(name, help=text, description=text.capitalize() + ".")
+        sentence = f"{text[0].upper()}{text[1:]}."
+        one = what.add_parser(name, help=text, description=sentence, allow_abbrev=False)
         _module(name).add_arguments(one)
         one.add_argument("--json", action="store_true", help="the result as JSON on stdout")
 
