@@ -185,7 +185,6 @@ static void project(const ProjectArgs &a, int64_t chunk) {
     Projected *out = a.projected + begin;
     uint32_t *keys = a.depth_keys + begin;
     int visible = 0;
-    KeyRange range = {UINT32_MAX, 0};
     Lanes s;
     for (int64_t i0 = begin; i0 < end; i0 += kLanes) {
         const int lanes = end - i0 < kLanes ? int(end - i0) : kLanes;
@@ -243,15 +242,12 @@ static void project(const ProjectArgs &a, int64_t chunk) {
             uint32_t key; // z is positive: its bits order like its values
             std::memcpy(&key, &z, sizeof key);
             keys[visible] = key;
-            range.low = key < range.low ? key : range.low;
-            range.high = key > range.high ? key : range.high;
             if (a.radii)
                 a.radii[id[l]] = extent[l] < 1e9f ? int32_t(extent[l]) + 1 : 1000000000;
             ++visible;
         }
     }
     a.visible[chunk] = visible;
-    a.key_range[chunk] = range;
 }
 
 // Gradient of the normalised quaternion and the rotation matrix it makes, per lane.

@@ -33,11 +33,6 @@ int threads_of(int32_t wanted) { return wanted > 0 ? wanted : default_threads();
 
 int64_t chunks_of(int64_t count) { return (count + kChunk - 1) / kChunk; }
 
-constexpr size_t kCancelEvery = 1 << 16; // splats scattered between two looks at the flag
-constexpr size_t kFetchAhead = 16;       // splats fetched before they are scattered
-
-void prefetch(const void *p) { __builtin_prefetch(p); }
-
 bool cancelled(const volatile int32_t *cancel) { return cancel && *cancel; }
 
 } // namespace
@@ -65,11 +60,10 @@ bool GrowingInstances::grow_more(InstanceBuffer *self) {
 }
 
 ProjectArgs gs_raster::project_args(const gs_splats &splats) const {
-    return {&splats, &camera_, &options_, projected_.get(), depth_keys_.get(), nullptr, visible_.get(),
-            key_range_.get()};
+    return {&splats, &camera_, &options_, projected_.get(), depth_keys_.get(), nullptr, visible_.get()};
 }
 
-gs_status gs_raster::bin(const BinArgs &args, const uint32_t *order, size_t count, uint32_t tiles, int threads) {
+gs_status gs_raster::bin(const BinArgs &args, uint32_t tiles, int threads) {
     const Kernels &k = kernels();
     const int64_t chunks = chunks_of(splat_count_);
     while (instances_.size() < size_t(threads))
@@ -100,34 +94,24 @@ gs_status gs_raster::bin(const BinArgs &args, const uint32_t *order, size_t coun
             moment_begin[c] += uint32_t(instances_[i]->size);
     }
 
-    // Ranges of splats in depth order are counted independently, then scattered to their tiles with one cursor per
-    // (range, tile), which keeps depth order whatever the number of ranges.
-    const int ranges = int(std::clamp<size_t>(count / 2048, 1, size_t(std::min(64, 2 * threads))));
+    // Ranges of chunks are counted independently, then scattered to their tiles with one cursor per (range, tile), which
+    // keeps the order of memory whatever the number of ranges.
+    const int ranges = int(std::clamp<int64_t>(chunks / 2, 1, std::min(64, 2 * threads)));
     uint32_t *const cursor = tile_cursor_.ensure(size_t(ranges) * tiles);
     const Span *const spans = spans_.get();
-    const auto instances_of = [&](uint32_t slot) {
-        return instances_[list_of_chunk[slot / uint32_t(kChunk)]]->data + spans[slot].begin;
-    };
-    // Calls f(slot) for the splats of a range. Their instances lie anywhere in memory, so they are fetched beforehand.
+    // Calls f(chunk, its list) for the chunks of a range.
     const auto each = [&](size_t range, const auto &f) {
-        const size_t begin = count * range / size_t(ranges), end = count * (range + 1) / size_t(ranges);
-        for (size_t i = begin; i < end; ++i) {
-            if (i % kCancelEvery == 0 && cancelled(args.cancel))
-                return;
-            if (i + 2 * kFetchAhead < end)
-                prefetch(&spans[order[i + 2 * kFetchAhead]]);
-            if (i + kFetchAhead < end)
-                prefetch(instances_of(order[i + kFetchAhead]));
-            f(order[i]);
-        }
+        for (int64_t c = chunks * int64_t(range) / ranges; c < chunks * int64_t(range + 1) / ranges; ++c)
+            if (visible_.get()[c] && !cancelled(args.cancel))
+                f(c, instances_[list_of_chunk[c]]->data);
     };
     parallel_for(size_t(ranges), threads, [&](size_t r, int) {
         uint32_t *const counts = cursor + r * tiles;
         std::memset(counts, 0, tiles * sizeof(uint32_t));
-        each(r, [&](uint32_t slot) {
-            const Instance *const in = instances_of(slot);
-            for (uint32_t n = 0; n < spans[slot].count; ++n)
-                ++counts[in[n].tile];
+        each(r, [&](int64_t c, const Instance *list) {
+            const Span &last = spans[c * kChunk + visible_.get()[c] - 1];
+            for (uint32_t n = spans[c * kChunk].begin; n < last.begin + last.count; ++n)
+                ++counts[list[n].tile];
         });
     });
     uint32_t *const begin = tile_begin_.ensure(size_t(tiles) + 1);
@@ -145,11 +129,13 @@ gs_status gs_raster::bin(const BinArgs &args, const uint32_t *order, size_t coun
     Entry *const entries = entries_.ensure(total);
     parallel_for(size_t(ranges), threads, [&](size_t r, int) {
         uint32_t *const at = cursor + r * tiles;
-        each(r, [&](uint32_t slot) {
-            const Instance *const in = instances_of(slot);
-            const uint32_t moment = moment_begin[slot / uint32_t(kChunk)] + spans[slot].begin;
-            for (uint32_t n = 0; n < spans[slot].count; ++n)
-                entries[at[in[n].tile]++] = {slot, in[n].blocks, moment + n};
+        each(r, [&](int64_t c, const Instance *list) {
+            for (int64_t slot = c * kChunk; slot < c * kChunk + visible_.get()[c]; ++slot) {
+                const Span span = spans[slot];
+                const uint32_t key = depth_keys_.get()[slot];
+                for (uint32_t n = span.begin; n < span.begin + span.count; ++n)
+                    entries[at[list[n].tile]++] = {uint32_t(slot), list[n].blocks, moment_begin[c] + n, key};
+            }
         });
     });
     return GS_OK;
@@ -172,7 +158,6 @@ gs_status gs_raster::forward(const gs_splats &splats, const gs_camera &camera, c
     projected_.ensure(slots);
     depth_keys_.ensure(slots);
     visible_.ensure(size_t(chunks));
-    key_range_.ensure(size_t(chunks));
     spans_.ensure(slots);
     ProjectArgs project = project_args(splats);
     project.radii = image.radii;
@@ -187,19 +172,31 @@ gs_status gs_raster::forward(const gs_splats &splats, const gs_camera &camera, c
     for (int64_t c = 0; c < chunks; ++c)
         visible += size_t(visible_.get()[c]);
     stats.project_ms = timer.lap_ms();
-    const uint32_t *const order =
-        sort_.run(depth_keys_.get(), visible_.get(), key_range_.get(), chunks, visible, threads);
-    stats.sort_ms = timer.lap_ms();
 
     const int tiles_x = (camera.width + kTile - 1) / kTile, tiles_y = (camera.height + kTile - 1) / kTile;
     const uint32_t tiles = uint32_t(tiles_x) * uint32_t(tiles_y);
     const BinArgs bins = {projected_.get(), visible_.get(), spans_.get(),    camera.width,  camera.height,
                           tiles_x,          options.disable, options.cancel, options.tiles};
-    if (const gs_status s = bin(bins, order, visible, tiles, threads))
+    if (const gs_status s = bin(bins, tiles, threads))
         return s;
     if (cancelled(options.cancel))
         return GS_CANCELLED;
     stats.bin_ms = timer.lap_ms();
+    const uint32_t *const tile_begin = tile_begin_.get();
+    uint32_t longest = 0;
+    for (uint32_t t = 0; t < tiles; ++t)
+        longest = std::max(longest, tile_begin[t + 1] - tile_begin[t]);
+    if (sorts_.size() < size_t(threads))
+        sorts_.resize(size_t(threads));
+    for (TileSort &sort : sorts_)
+        sort.reserve(longest);
+    parallel_for(tiles, threads, [&](size_t t, int worker) {
+        if (!cancelled(options.cancel))
+            sorts_[size_t(worker)].run(entries_.get() + tile_begin[t], tile_begin[t + 1] - tile_begin[t]);
+    });
+    if (cancelled(options.cancel))
+        return GS_CANCELLED;
+    stats.sort_ms = timer.lap_ms();
 
     blend_.projected = projected_.get();
     blend_.entries = entries_.get();
@@ -336,11 +333,13 @@ gs_status gs_raster::projected(float *means2d, float *depths, float *conics, flo
 }
 
 int64_t gs_raster::workspace_bytes() const {
-    size_t bytes = projected_.bytes() + depth_keys_.bytes() + visible_.bytes() + key_range_.bytes() + spans_.bytes() +
-                   list_of_chunk_.bytes() + moment_begin_.bytes() + sort_.bytes() + tile_cursor_.bytes() +
+    size_t bytes = projected_.bytes() + depth_keys_.bytes() + visible_.bytes() + spans_.bytes() +
+                   list_of_chunk_.bytes() + moment_begin_.bytes() + tile_cursor_.bytes() +
                    tile_begin_.bytes() + entries_.bytes() + moments_.bytes() + final_transmittance_.bytes() +
                    stop_index_.bytes() + viewmat_partial_.bytes() + loss_scratch_.bytes() + loss_partial_.bytes();
     for (const auto &list : instances_)
         bytes += list->capacity * sizeof(Instance);
+    for (const TileSort &sort : sorts_)
+        bytes += sort.bytes();
     return int64_t(bytes);
 }

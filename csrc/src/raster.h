@@ -2,7 +2,7 @@
 #pragma once
 
 #include "buffer.h"
-#include "depth_sort.h"
+#include "tile_sort.h"
 #include "types.h"
 
 #include <memory>
@@ -34,7 +34,7 @@ struct gs_raster {
     gs_stats stats = {};
 
   private:
-    gs_status bin(const gs::BinArgs &, const uint32_t *order, size_t count, uint32_t tiles, int threads);
+    gs_status bin(const gs::BinArgs &, uint32_t tiles, int threads);
     gs::ProjectArgs project_args(const gs_splats &) const;
 
     // State of the last forward call.
@@ -49,14 +49,13 @@ struct gs_raster {
     gs::Buffer<gs::Projected> projected_;
     gs::Buffer<uint32_t> depth_keys_;
     gs::Buffer<int32_t> visible_;
-    gs::Buffer<gs::KeyRange> key_range_;
     gs::Buffer<gs::Span> spans_;
-    gs::DepthSort sort_;
     // Splats times tiles: a list for each worker, and for each chunk whose list it went to.
     std::vector<std::unique_ptr<gs::GrowingInstances>> instances_;
     gs::Buffer<uint32_t> list_of_chunk_, moment_begin_;
     gs::Buffer<uint32_t> tile_cursor_, tile_begin_;
     gs::Buffer<gs::Entry> entries_;
+    std::vector<gs::TileSort> sorts_; // of each worker
     gs::Buffer<gs::Moments> moments_;
     // Pixels, tile by tile.
     gs::Buffer<float> final_transmittance_;

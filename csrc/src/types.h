@@ -54,6 +54,7 @@ struct Entry {
     uint32_t slot;   // index into Projected
     uint32_t blocks; // those that it reaches, a bit each
     uint32_t moment; // index into the moments, where all entries of a splat lie together
+    uint32_t key;    // which sorts by depth
 };
 
 // The same before it is sorted into its tile, slot by slot of a chunk.
@@ -65,11 +66,6 @@ struct Instance {
 // A splat's instances in the list of its chunk.
 struct Span {
     uint32_t begin, count;
-};
-
-// Smallest and largest depth key of a chunk; low > high: none.
-struct KeyRange {
-    uint32_t low, high;
 };
 
 // Sums over the pixels of one entry, and after merging of one splat. With g = dL / d ln(alpha) and u, v as above:
@@ -93,7 +89,6 @@ struct ProjectArgs {
     uint32_t *depth_keys;    // same layout: bits of z
     int32_t *radii;          // [N] or null
     int32_t *visible;        // [chunks]
-    KeyRange *key_range;     // [chunks]
 };
 
 struct BinArgs {
