@@ -1,5 +1,6 @@
 #include "buffer.h"
 
+#include <cstdint>
 #include <new>
 
 #if defined(__linux__)
@@ -10,18 +11,44 @@ namespace {
 
 constexpr size_t kHugePage = size_t(2) << 20;
 
-std::align_val_t alignment_of(size_t bytes) { return std::align_val_t(bytes < kHugePage ? 64 : kHugePage); }
+#if defined(__linux__)
+// What is mapped for a piece of memory.
+size_t mapped_bytes(size_t bytes) {
+    constexpr size_t page = size_t(64) << 10; // of any system
+    return (bytes + page - 1) / page * page;
+}
+#endif
 
 } // namespace
 
 void *gs::allocate_pages(size_t bytes) {
-    void *const p = ::operator new(bytes, alignment_of(bytes));
 #if defined(__linux__)
-    // The last page only where it is ours to the end. Where this fails, small pages do.
-    if (bytes >= kHugePage)
-        madvise(p, bytes / kHugePage * kHugePage, MADV_HUGEPAGE);
+    // Mapped by ourselves: the C library takes pieces up to 32 MB from its heap, where they leave holes as they grow.
+    if (bytes >= kHugePage) {
+        const size_t size = mapped_bytes(bytes);
+        void *const found = mmap(nullptr, size + kHugePage, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
+        if (found == MAP_FAILED)
+            throw std::bad_alloc();
+        char *const begin = static_cast<char *>(found);
+        const size_t before = (kHugePage - reinterpret_cast<uintptr_t>(begin) % kHugePage) % kHugePage;
+        if (before)
+            munmap(begin, before);
+        munmap(begin + before + size, kHugePage - before);
+        // The last page only where it is ours to the end. Where this fails, small pages do.
+        madvise(begin + before, bytes / kHugePage * kHugePage, MADV_HUGEPAGE);
+        return begin + before;
+    }
 #endif
-    return p;
+    return ::operator new(bytes, std::align_val_t(64));
 }
 
-void gs::free_pages(void *p, size_t bytes) { ::operator delete(p, alignment_of(bytes)); }
+void gs::free_pages(void *p, size_t bytes) {
+#if defined(__linux__)
+    if (bytes >= kHugePage) {
+        munmap(p, mapped_bytes(bytes));
+        return;
+    }
+#endif
+    (void)bytes;
+    ::operator delete(p, std::align_val_t(64));
+}

@@ -8,6 +8,7 @@ from ..config import TrainConfig
 from ..metrics.machine import peak_memory_bytes
 from ..raster import backend
 from ..splats import Splats
+from ..trainer.heap import large_pieces_apart
 from ..trainer.torch_threads import one_torch_thread
 from ..trainer.trainer import Trainer
 from ..trainer.views import Photos
@@ -81,6 +82,7 @@ def bench_step(
     laps: dict[str, float] = {}
     stages = dict.fromkeys(STAGES, 0.0)
     pairs = pixels = 0.0
+    large_pieces_apart()
     with one_torch_thread():
         trainer = Trainer(config, photos, start=splats, photo_cache=photo_cache)
         for step in range(total):

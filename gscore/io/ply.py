@@ -1,6 +1,7 @@
 """Splat models as PLY: every dialect in, the official 3DGS layout out."""
 
 import logging
+from collections.abc import Iterable
 from pathlib import Path
 from typing import BinaryIO
 
@@ -13,7 +14,7 @@ from .files import atomic_write, open_regular
 from .ply_compressed import decompress, is_compressed
 from .ply_elements import columns, read_elements
 
-__all__ = ["MIP_COMMENT", "is_antialiased", "read_splats", "write_splats"]
+__all__ = ["MIP_COMMENT", "is_antialiased", "read_splats", "write_splat_parts", "write_splats"]
 
 _log = logging.getLogger(__name__)
 
@@ -122,29 +123,49 @@ def write_splats(path: str | Path, splats: Splats, *, comments: tuple[str, ...] 
     Raises:
         GsError: the file cannot be written.
     """
-    rest = 3 * splats.shN.shape[1]
+    write_splat_parts(
+        path, [splats], count=len(splats), sh_degree=splats.sh_degree, comments=comments
+    )
+
+
+def write_splat_parts(
+    path: str | Path,
+    parts: Iterable[Splats],
+    *,
+    count: int,
+    sh_degree: int,
+    comments: tuple[str, ...] = (),
+) -> None:
+    """As `write_splats`, for a model that comes in parts: `count` splats of one degree in all."""
+    rest = 3 * SH_REST_BY_DEGREE[sh_degree]
     names = [*_POSITION, "nx", "ny", "nz", *_DC, *(f"f_rest_{k}" for k in range(rest))]
     names += ["opacity", *_SCALE, *_QUAT]
     header = ["ply", "format binary_little_endian 1.0", *(f"comment {line}" for line in comments)]
-    header += [f"element vertex {len(splats)}", *(f"property float {name}" for name in names)]
+    header += [f"element vertex {count}", *(f"property float {name}" for name in names)]
 
     def write(file: BinaryIO) -> None:
         file.write("\n".join([*header, "end_header\n"]).encode("ascii"))
-        # Blocks keep the memory small and the transposition in cache.
-        for at in range(0, len(splats), _ROWS_A_BLOCK):
-            part = slice(at, at + _ROWS_A_BLOCK)
-            means = splats.means[part]
-            rows = np.zeros((len(means), len(names)), "<f4")
-            rows[:, 0:3] = means
-            rows[:, 6:9] = splats.sh0[part, 0]
-            by_channel = splats.shN[part].transpose(0, 2, 1)  # [n, 3, K-1]
-            rows[:, 9 : 9 + rest] = by_channel.reshape(len(means), rest)
-            rows[:, 9 + rest] = splats.opacities[part]
-            rows[:, 10 + rest : 13 + rest] = splats.scales[part]
-            rows[:, 13 + rest :] = splats.quats[part]
-            file.write(rows.data)
+        for splats in parts:
+            # Blocks keep the memory small and the transposition in cache.
+            for at in range(0, len(splats), _ROWS_A_BLOCK):
+                file.write(_table(splats, slice(at, at + _ROWS_A_BLOCK)).data)
 
     atomic_write(path, write)
+
+
+def _table(splats: Splats, part: slice) -> np.ndarray:
+    """[n, 17 + rest] rows of the official layout."""
+    means = splats.means[part]
+    rest = 3 * splats.shN.shape[1]
+    rows = np.zeros((len(means), 17 + rest), "<f4")
+    rows[:, 0:3] = means
+    rows[:, 6:9] = splats.sh0[part, 0]
+    by_channel = splats.shN[part].transpose(0, 2, 1)  # [n, 3, K-1]
+    rows[:, 9 : 9 + rest] = by_channel.reshape(len(means), rest)
+    rows[:, 9 + rest] = splats.opacities[part]
+    rows[:, 10 + rest : 13 + rest] = splats.scales[part]
+    rows[:, 13 + rest :] = splats.quats[part]
+    return rows
 
 
 def _plain(path: Path, table: np.ndarray) -> dict[str, np.ndarray]:

@@ -112,13 +112,15 @@ def _ssim_terms(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     Returns:
         [3, H, W] luminance, [3, H, W] contrast times structure (Wang et al. 2004, eq. 6 and 13).
     """
-    # Variances are needed only as a sum, so four pictures are blurred and not five.
-    mu_a, mu_b, square, product = (_blur(x) for x in (a, b, a * a + b * b, a * b))
-    mu_ab = mu_a * mu_b
-    mu_square = mu_a * mu_a
-    mu_square += mu_b * mu_b
-    contrast = (2 * (product - mu_ab) + C2) / (square - mu_square + C2)
-    luminance = (2 * mu_ab + C1) / (mu_square + C1)
+    luminance, contrast = np.empty_like(a), np.empty_like(a)
+    for k, (x, y) in enumerate(zip(a, b, strict=True)):  # one at a time: there are many arrays
+        # Variances are needed only as a sum, so four pictures are blurred and not five.
+        mu_x, mu_y, square, product = (_blur(p) for p in (x, y, x * x + y * y, x * y))
+        mu_xy = mu_x * mu_y
+        mu_square = mu_x * mu_x
+        mu_square += mu_y * mu_y
+        contrast[k] = (2 * (product - mu_xy) + C2) / (square - mu_square + C2)
+        luminance[k] = (2 * mu_xy + C1) / (mu_square + C1)
     return luminance, contrast
 
 

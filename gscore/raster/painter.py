@@ -113,6 +113,11 @@ class Painter:
         )
         return means2d
 
+    def release(self) -> None:
+        """Give memory back: that of the library, which the next `draw` takes again, and the splats
+        that were drawn, which may be about to be replaced."""
+        self._drawn, self._raster = None, _native.Raster()
+
     def stats(self) -> dict[str, float]:
         """Counts and milliseconds by stage (gs_stats) of the last view and its gradients."""
         return self._raster.stats().as_dict()

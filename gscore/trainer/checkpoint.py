@@ -111,10 +111,14 @@ def load(path: Path) -> Checkpoint:
         raise ConfigError(f"{path}: there is no such checkpoint.")
     try:
         with safe_open(path, framework="pt") as file:
-            metadata = file.metadata() or {}
+            metadata, keys = file.metadata() or {}, list(file.keys())
             text = metadata["gscore"]
-            # Cloned, because the tensors of safetensors are views of one mapped file.
-            tensors = {key: file.get_tensor(key).clone() for key in file.keys()}  # noqa: SIM118
+        tensors = {}
+        for key in keys:
+            # Tensors of safetensors are views of the mapped file, which counts as memory once it
+            # was read: so each is copied, and the file let go.
+            with safe_open(path, framework="pt") as file:
+                tensors[key] = file.get_tensor(key).clone()
         content = json.loads(text)
         if not isinstance(content, dict):
             raise ValueError("its metadata is no object")

@@ -1,7 +1,7 @@
 """What a training will take, told before it starts: seconds and memory. Needs no torch."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -13,8 +13,8 @@ from ..raster.api import render
 from ..splats import Splats
 from .memory import (
     RUNTIME,
-    bytes_per_splat,
     cache_bytes,
+    decoded_anew,
     depth_bytes,
     free_memory,
     photo_bytes,
@@ -46,6 +46,8 @@ class Estimate:
     """Memory of decoded photos."""
     photos_kept: bool
     """Whether all photos stay in memory; else some are decoded again and again."""
+    photos_anew: bool = False
+    """Whether those that are kept are decoded once for each size they are trained at."""
     fits: bool
     """Whether the memory will do."""
     fitting_splats: int
@@ -98,20 +100,25 @@ def estimate(
     rest = maps + training_bytes(
         splats=config.max_splats, sh_degree=config.sh_degree, pixels=largest
     )
-    kept = cache_bytes(config, photos, rest=rest, free=free)
-    held = photo_bytes(photos, config) if kept is None else kept
+    anew = decoded_anew(config, photos, views=len(sizes), rest=rest)
+    held = photo_bytes(photos, config, anew=anew)
+    kept = cache_bytes(config, photos, all_of_them=held, rest=rest, free=free)
+    held = held if kept is None else kept
     fits = free is None or rest + held <= free
     fitting_splats, fitting_width = 0, 0
     if not fits and free is not None:
-        fixed = rest - config.max_splats * bytes_per_splat(config.sh_degree)
-        most = int((0.9 * free - fixed - held) / bytes_per_splat(config.sh_degree)) // 1000 * 1000
-        fitting_splats = most if most >= _FEWEST_SPLATS else 0
-        # Photos that do not fit are decoded again and again: what must fit is the largest view.
-        state = training_bytes(splats=config.max_splats, sh_degree=config.sh_degree, pixels=0)
-        a_pixel = (rest - state) / largest
-        share = (0.9 * free - state - held) / (a_pixel * largest)
-        width = int(widths.max(initial=1) * min(max(share, 0.0), 1.0) ** 0.5)
-        fitting_width = width if width >= _SMALLEST_WIDTH else 0
+        widest, room = int(widths.max(initial=1)), 0.9 * free - held - maps
+
+        def fit(splats: int, width: int) -> bool:
+            # Photos that do not fit are decoded again and again: what must fit is the largest view.
+            view = largest * (width / widest) ** 2
+            needed = training_bytes(splats=splats, sh_degree=config.sh_degree, pixels=int(view))
+            return needed <= room
+
+        fitting_splats = 1000 * _most(lambda k: fit(1000 * k, widest), config.max_splats // 1000)
+        fitting_splats = fitting_splats if fitting_splats >= _FEWEST_SPLATS else 0
+        fitting_width = _most(lambda width: fit(config.max_splats, width), widest)
+        fitting_width = fitting_width if fitting_width >= _SMALLEST_WIDTH else 0
     plan = Plan.of(
         config,
         extent=1.0,
@@ -129,10 +136,20 @@ def estimate(
         free_bytes=free,
         photo_bytes=held,
         photos_kept=kept is None,
+        photos_anew=anew and kept is None,
         fits=fits,
         fitting_splats=fitting_splats,
         fitting_width=fitting_width,
     )
+
+
+def _most(fits: Callable[[int], bool], high: int) -> int:
+    """The largest of 1 to `high` that fits, where smaller ones do too; 0: none."""
+    low = 0
+    while low < high:
+        middle = (low + high + 1) // 2
+        low, high = (middle, high) if fits(middle) else (low, middle - 1)
+    return low
 
 
 def check_fits(found: Estimate, config: TrainConfig) -> None:

@@ -51,6 +51,7 @@ class Goals:
     def measure(self) -> float:
         """Mean PSNR of the measured views as they are now, dB, of the pixels that count."""
         trainer, values = self._trainer, []
+        trainer.make_room()
         photos, background = trainer.photos, trainer.fixed_background
         for view in self._views:
             photo, mask = photos.image(view), photos.mask(view)

@@ -59,8 +59,7 @@ def load_photos(
     check_fits(found, config)
     if announce:
         emit(_event(found, config))
-    cache = None if found.photos_kept else found.photo_bytes
-    if cache is None:
+    if found.photos_kept:
         photos.preload(
             threads=config.threads,
             on_progress=progress_of("photos", config, emit),
@@ -68,7 +67,11 @@ def load_photos(
         )
     else:
         photos.keep_few()
-    return Loaded(cache=cache, warnings=_check_masks(photos, config.threads))
+    warnings = _check_masks(photos, config.threads)
+    if found.photos_anew:  # all of them were good
+        photos.keep_few()
+    all_there = found.photos_kept and not found.photos_anew
+    return Loaded(cache=None if all_there else found.photo_bytes, warnings=warnings)
 
 
 def _estimate(

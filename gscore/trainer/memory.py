@@ -1,33 +1,37 @@
 """How much memory a training needs, and what of it is there."""
 
-from ..config import TrainConfig
+from ..config import Skip, TrainConfig
 from ..metrics.machine import available_memory_bytes, total_memory_bytes
 from ..splats import SH_REST_BY_DEGREE
 
 RUNTIME = 230_000_000
 """Bytes of Python with torch before a training begins."""
-_BASE = 150_000_000
+_BASE = 80_000_000
 """Bytes of everything else that does not grow."""
 _NUMBER = 16
-"""Bytes a number of a splat takes: itself, its gradient and two moments, float32."""
-_WORKSPACE_PER_SPLAT = 600
-"""Bytes the rasterizer and the strategy keep for a splat: projection, tile lists, counters."""
-_BYTES_PER_PIXEL = 550
-"""Bytes of pictures, their gradients, the loss and the evaluation, for a pixel of the largest
-view."""
+"""Bytes a number of a splat takes in a step: itself, its gradient and two moments, float32."""
+_STEP_PER_SPLAT = 420
+"""Bytes the rasterizer and the strategy keep for a splat: projection, tile lists, sums over tiles,
+counters."""
+_STEP_PER_PIXEL = 60
+"""Bytes of the picture, its gradient and the loss, for a pixel of the largest view."""
+_LOOK_NUMBER = 4
+"""Bytes a number of a splat takes at the end, when moments and gradients are gone."""
+_LOOK_PER_SPLAT = 220
+"""Bytes of the rasterizer where no gradients are wanted."""
+_LOOK_PER_PIXEL = 300
+"""Bytes of a picture that is measured."""
 _SMALLER_COPIES = 0.5
 """Bytes of scaled-down photos, as a share of the photos: half the pixels is the largest size but
 the full one."""
+_WORTH_DECODING = 0.05
+"""Share of the rest of the memory that photos decoded anew must save."""
+_STEPS_A_PHOTO = 50
+"""Steps a photo from which on decoding it a few times more does not matter."""
 _FEWEST_PHOTOS = 64_000_000
 """Bytes of photos that are kept at least where not all fit."""
 _DEPTH_BYTES = 11
 """Bytes a pixel while depth maps are read: value and confidence in float32, and the target."""
-
-
-def bytes_per_splat(sh_degree: int) -> int:
-    """Memory that grows with the number of splats."""
-    numbers = 11 + 3 * (1 + SH_REST_BY_DEGREE[sh_degree])
-    return _NUMBER * numbers + _WORKSPACE_PER_SPLAT
 
 
 def training_bytes(*, splats: int, sh_degree: int, pixels: int) -> int:
@@ -38,12 +42,41 @@ def training_bytes(*, splats: int, sh_degree: int, pixels: int) -> int:
         sh_degree: Highest degree.
         pixels: Of the largest view.
     """
-    return splats * bytes_per_splat(sh_degree) + pixels * _BYTES_PER_PIXEL + _BASE
+    numbers = 11 + 3 * (1 + SH_REST_BY_DEGREE[sh_degree])
+    step = splats * (_NUMBER * numbers + _STEP_PER_SPLAT) + pixels * _STEP_PER_PIXEL
+    look = splats * (_LOOK_NUMBER * numbers + _LOOK_PER_SPLAT) + pixels * _LOOK_PER_PIXEL
+    return max(step, look) + _BASE
 
 
-def photo_bytes(photos: int, config: TrainConfig) -> int:
-    """Memory of photos that take `photos` bytes and of the scaled copies that training makes."""
-    return photos if config.coarse_factor == 1 else round(photos * (1 + _SMALLER_COPIES))
+def photo_bytes(photos: int, config: TrainConfig, *, anew: bool) -> int:
+    """Memory of photos that take `photos` bytes and of the scaled copies that training makes;
+    `anew`: see `decoded_anew`."""
+    copies = _SMALLER_COPIES if _starts_small(config) and not anew else 0
+    return round(photos * (1 + copies))
+
+
+def decoded_anew(config: TrainConfig, photos: int, *, views: int, rest: int) -> bool:
+    """Whether full-size photos are let go while smaller ones are trained on, and decoded once more
+    for each size: where that saves much and is little beside the steps of the run.
+
+    Args:
+        config: How to train.
+        photos: Bytes of all photos, decoded.
+        views: Number of photos.
+        rest: Bytes that the training needs besides.
+    """
+    saved = photos * _SMALLER_COPIES
+    return (
+        _starts_small(config)
+        and saved > _WORTH_DECODING * rest
+        and config.iterations >= _STEPS_A_PHOTO * views
+    )
+
+
+def _starts_small(config: TrainConfig) -> bool:
+    """Whether photos are scaled down at first."""
+    full = config.coarse_factor == 1 or (config.coarse_factor == 0 and config.start_splats)
+    return not full and Skip.SMALL_PHOTOS not in config.without
 
 
 def depth_bytes(pixels: int) -> int:
@@ -59,18 +92,21 @@ def free_memory() -> int | None:
     return free
 
 
-def cache_bytes(config: TrainConfig, photos: int, *, rest: int, free: int | None) -> int | None:
+def cache_bytes(
+    config: TrainConfig, photos: int, *, all_of_them: int, rest: int, free: int | None
+) -> int | None:
     """Bytes of decoded photos to keep; None: all of them.
 
     Args:
         config: `cache_mb` says how much where it is not 0.
         photos: Bytes of all photos, decoded.
+        all_of_them: Bytes they take in training, with their copies.
         rest: Bytes that the training needs besides.
         free: Bytes there are; None: unknown, as many as are needed.
     """
     if config.cache_mb:
         asked = config.cache_mb * 1_000_000
         return None if photos <= asked else asked
-    if free is None or photo_bytes(photos, config) + rest <= free:
+    if free is None or all_of_them + rest <= free:
         return None
     return max(int(0.8 * (free - rest)), _FEWEST_PHOTOS)

@@ -1,8 +1,9 @@
 """The model in training: parameters, Adam moments and per-splat counters, whose rows move
 together."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from enum import Enum, auto
+from typing import NamedTuple
 
 import torch
 
@@ -22,6 +23,17 @@ class ShN(Enum):
     """They are not in use: as if there were none."""
 
 
+class Moments(NamedTuple):
+    """What Adam keeps for a parameter."""
+
+    first: torch.Tensor
+    second: torch.Tensor
+    steps: int
+    """Taken so far."""
+    gathered: torch.Tensor | None = None
+    """Gradients that have added up for its next step; None: none."""
+
+
 class Model:
     """N splats with everything that is kept for each of them.
 
@@ -34,8 +46,10 @@ class Model:
     `settled`.
     """
 
-    def __init__(self, tensors: Mapping[str, torch.Tensor]) -> None:
-        """Start with zero moments from raw float32 tensors as in `Splats`."""
+    def __init__(
+        self, tensors: Mapping[str, torch.Tensor], moments: Mapping[str, Moments] | None = None
+    ) -> None:
+        """Take over raw float32 tensors as in `Splats` and their moments; None: zero ones."""
         self.params: dict[str, torch.Tensor] = {}
         self.grads: dict[str, torch.Tensor] = {}
         """Where gradients go, as `params`. Those of shN are added up until it takes a step."""
@@ -51,8 +65,12 @@ class Model:
         self._rates: dict[str, float] = dict.fromkeys(NAMES, 0.0)
         self._settled: dict[str, torch.Tensor] | None = None
         for name in NAMES:
-            value = tensors[name].detach().clone()
-            self.replace(name, value, torch.zeros_like(value), torch.zeros_like(value))
+            value = tensors[name].detach()
+            if moments is None:
+                self.replace(name, value, torch.zeros_like(value), torch.zeros_like(value))
+            else:
+                first, second, steps, gathered = moments[name]
+                self.replace(name, value, first, second, grad=gathered, steps=steps)
 
     def __len__(self) -> int:
         return len(self.params["means"])
@@ -90,6 +108,22 @@ class Model:
         self._steps[name] = self._steps[name] if steps is None else steps
         self._settled = None
 
+    def rebuild(
+        self,
+        name: str,
+        of_value: Callable[[torch.Tensor], torch.Tensor],
+        of_rest: Callable[[torch.Tensor], torch.Tensor],
+    ) -> None:
+        """Put what functions make of them in the places of a parameter and of its moments and
+        gathered gradient: one after the other, so that no more than one is there twice."""
+        self.params[name] = of_value(self.params[name]).contiguous()
+        first, second = self._moments.pop(name)
+        first = of_rest(first).contiguous()
+        second = of_rest(second).contiguous()
+        self._moments[name] = first, second
+        self.grads[name] = of_rest(self.grads[name]).contiguous()
+        self._settled = None
+
     def set_rates(self, rates: Mapping[str, float]) -> None:
         """Set learning rates by parameter name."""
         self._rates = dict(rates)
@@ -121,6 +155,7 @@ class Model:
 
     def settle_for(self, view: adam.Frustum, *, threads: int = 0) -> None:
         """Let the rows that `view` may show make up for the steps they skipped."""
+        self._settled = None  # a step follows: nobody looks at them again
         self._catch_up(view, threads=threads)
 
     def settle(self, *, threads: int = 0) -> None:
@@ -139,6 +174,23 @@ class Model:
             self._settled = self.params | {"shN": shN}
         return self._settled
 
+    def settled_rows(self, rows: slice, *, threads: int = 0) -> dict[str, torch.Tensor]:
+        """Some rows of what `settled` returns, without the memory that all of them take."""
+        if self._settled is not None:
+            return {name: p[rows] for name, p in self._settled.items()}
+        params = {name: p[rows] for name, p in self.params.items()}
+        if self._waiting():
+            out = torch.empty_like(params["shN"])
+            slot = self._slot("shN", wait=False, rows=rows)
+            adam.catch_up(slot, params, None, out=out, threads=threads)
+            params["shN"] = out
+        return params
+
+    def drop_moments(self) -> None:
+        """Forget what only further steps need: moments and gradients. Settle before."""
+        self._moments.clear()
+        self.grads.clear()
+
     def _waiting(self) -> bool:
         return bool(self.rows[_LAG].any()) and self.params["shN"].numel() > 0
 
@@ -149,14 +201,16 @@ class Model:
             slot = self._slot("shN", wait=False)
             adam.catch_up(slot, self.params, view, out=out, threads=threads)
 
-    def _slot(self, name: str, *, wait: bool) -> adam.Slot:
+    def _slot(self, name: str, *, wait: bool, rows: slice = slice(None)) -> adam.Slot:
         skips = None
         if name == "shN":
-            skips = adam.Skips(self.rows[_SEEN], self.rows[_LAG], self.drift, wait)
+            skips = adam.Skips(self.rows[_SEEN][rows], self.rows[_LAG][rows], self.drift, wait)
+        first, second = self._moments[name]
         return adam.Slot(
-            self.params[name],
-            self.grads[name],
-            *self._moments[name],
+            self.params[name][rows],
+            self.grads[name][rows],
+            first[rows],
+            second[rows],
             rate=self._rates[name],
             step=self._steps[name],
             skips=skips,

@@ -66,10 +66,9 @@ def tensors_from_splats(splats: Splats) -> dict[str, torch.Tensor]:
     return {name: torch.from_numpy(getattr(splats, name).copy()) for name in NAMES}
 
 
-def splats_from_tensors(params: Mapping[str, torch.Tensor]) -> Splats:
-    """Copies of the tensors as Splats."""
-    arrays = {name: params[name].detach().numpy().copy() for name in NAMES}
-    return Splats(**arrays)
+def splats_of_tensors(params: Mapping[str, torch.Tensor]) -> Splats:
+    """The tensors as Splats, which share their memory."""
+    return Splats(**{name: params[name].detach().numpy() for name in NAMES})
 
 
 def _neighbour_distance(points: np.ndarray, *, lone: float) -> np.ndarray:

@@ -9,10 +9,9 @@ import numpy as np
 from ..config import Background, DataConfig, config_json, to_dict
 from ..io.cameras_json import write_cameras
 from ..io.images import write_png
-from ..io.ply import MIP_COMMENT, write_splats
+from ..io.ply import MIP_COMMENT, write_splat_parts
 from ..metrics import PictureCollector, summarize, write_metrics, write_report
 from ..raster import backend
-from ..splats import Splats
 from .depth_report import DepthReport
 from .evaluation import Evaluator, unmeasured
 from .folder import RunFolder
@@ -53,13 +52,18 @@ class Results:
         )
         folder.write_text("cfg_args", repr(arguments))
 
-    def write_splats(self, path: Any) -> Splats:
+    def write_splats(self, path: Any) -> None:
         """The splats as they are now, in COLMAP world."""
-        splats = self._trainer.splats()
+        trainer = self._trainer
         # Viewers that know the mark compensate opacities as the training did.
-        comments = (MIP_COMMENT,) if self._trainer.config.antialias else ()
-        write_splats(path, splats, comments=comments)
-        return splats
+        comments = (MIP_COMMENT,) if trainer.config.antialias else ()
+        write_splat_parts(
+            path,
+            trainer.parts(),
+            count=len(trainer.model),
+            sh_degree=trainer.model.sh_degree,
+            comments=comments,
+        )
 
     def write_snapshot(self) -> Any:
         """The splats as they are now for a front end to show; the last two are kept."""

@@ -17,6 +17,7 @@ from .depth_setup import prepare_depth
 from .ended import ended_run
 from .folder import RunFolder, open_folder
 from .frame import Frame
+from .heap import large_pieces_apart
 from .loading import load_photos, progress_of
 from .premises import look_over
 from .session import Session, TrainResult
@@ -57,6 +58,7 @@ def train(
         Cancelled: stopped by `control` while the photos were read; nothing was written.
     """
     emit, control = on_event or (lambda event: None), control or Control()
+    large_pieces_apart()
     with open_folder(output, resume=resume, overwrite=overwrite) as folder, one_torch_thread():
         before, damaged = _checkpoint_to_start_from(folder, resume, start_checkpoint)
         if resume and before is not None and not damaged:
@@ -107,10 +109,12 @@ def train(
                 lpips_reason=lpips_reason,
                 depth=depth,
             )
+            del start  # of no more use, and as large as the parameters
             if before is not None:
                 with checkpoint.understood(before.path):
                     trainer.restore(before.trainer, before.tensors)
                     session.restore(before.session)
+                before.tensors.clear()  # the model replaces them as it grows
                 for path in damaged:
                     session.warn(_set_aside(path, before.steps), "damaged_checkpoint")
             notes = (*photos.warnings, *loaded.warnings, *look_over(trainer))

@@ -242,6 +242,7 @@ class Session:
         """Go back to a good state and on from there at lower rates; GsError if there is none."""
         trainer, step = self._trainer, self._trainer.steps
         back = self._watchdog.rescue(step)
+        trainer.release()
         found = checkpoint.load(self._folder.checkpoint(back))
         trainer.restore(found.trainer, found.tensors)
         trainer.rate_factor = self._watchdog.rate_factor
@@ -289,6 +290,7 @@ class Session:
             self._checkpoint(keep=_CHECKPOINTS_KEPT)
 
     def _preview(self) -> None:
+        self._trainer.make_room()
         view = self._evaluator.indices[0]
         path = self._results.write_preview(self._evaluator.picture(view))
         name = self._trainer.photos.scene.cameras.names[view]
@@ -316,6 +318,7 @@ class Session:
 
     def _evaluate(self, collector: PictureCollector | None) -> dict[str, Any] | None:
         self._emit(self._meter.progress(phase="evaluating"))
+        self._trainer.make_room()
         found = self._evaluator.measure(collector, interrupted=lambda: self._control.stopping)
         if found is None:
             return None
@@ -333,7 +336,8 @@ class Session:
         finished, reason = bool(reason), reason or self._control.stop_reason
         self._answer()  # a snapshot asked for just before the stop
         self._checkpoint(keep=1 if finished else _CHECKPOINTS_KEPT, finished=finished)
-        splats = self._results.write_splats(self._folder.point_cloud)
+        splats = trainer.finish()
+        self._results.write_splats(self._folder.point_cloud)
         self._emit(Saved(step=trainer.steps, path=str(self._folder.point_cloud)))
         collector = PictureCollector(count=len(self._evaluator.indices))
         evaluation = None if self._control.stopping else self._evaluate(collector)

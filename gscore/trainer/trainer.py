@@ -1,6 +1,7 @@
 """The training step and all state it depends on; no files, no events, no clock."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -11,7 +12,7 @@ import torch
 from ..config import Background, Skip, TrainConfig
 from ..errors import ConfigError, DatasetError, GsError
 from ..raster.adam import Frustum
-from ..raster.autograd import RasterOutput, rasterize
+from ..raster.calls import Picture
 from ..raster.loss import image_loss, image_loss_gradient
 from ..raster.painter import Painter
 from ..scene import PointCloud
@@ -23,8 +24,8 @@ from .depth_rule import coverage
 from .depth_targets import DepthTargets
 from .frame import Frame
 from .laps import Laps
-from .model import Model, ShN
-from .params import splats_from_points, splats_from_tensors, tensors_from_splats
+from .model import Model, Moments, ShN
+from .params import splats_from_points, splats_of_tensors, tensors_from_splats
 from .pyramid import AHEAD, Pyramid
 from .regularisers import drop_rate_at, drop_splats, opacity_loss
 from .schedules import Plan
@@ -41,6 +42,8 @@ _GLANCE = 8
 """Sides of photos are divided by this to see whether a view shows anything."""
 _HOLD_EVERY = 100
 """Steps between two looks at the bounds of `bounds`."""
+_ROWS_A_PART = 1 << 16
+"""Splats that are looked at together where not all need be."""
 _COLORS = {Background.BLACK: (0.0, 0.0, 0.0), Background.WHITE: (1.0, 1.0, 1.0)}
 
 
@@ -165,7 +168,7 @@ class Trainer:
         """
         step, config, model = self.steps + 1, self.config, self.model
         laps = self.laps = Laps()
-        ops.widen_sh(model, self.plan.sh_degree_at(step))
+        self._widen_to(self.plan.sh_degree_at(step))
         index = self.sampler.next(self.generator)
         # A run that becomes longer does not go back to smaller photos.
         self._factor = min(self._factor, self.plan.factor_at(step))
@@ -255,7 +258,7 @@ class Trainer:
 
     def picture(self, index: int, *, background: tuple[float, float, float]) -> torch.Tensor:
         """The view `index` as the splats show it now, [H, W, 3] float32."""
-        return self._show(self._pyramid.view(index), background=background).rgb
+        return self._show(self._pyramid.view(index), background=background).rgb.clone()
 
     def error(self, views: int = 8) -> float:
         """Root of the mean squared error of the pixels that count, in some training views at the
@@ -283,7 +286,7 @@ class Trainer:
         found = self._show(self._pyramid.view(index), inverse_depth=True)
         assert found.inverse_depth is not None
         scale = np.float32(self.frame.similarity.scale)
-        return found.inverse_depth.numpy() * scale, found.alpha.numpy()
+        return found.inverse_depth.numpy() * scale, found.alpha.numpy().copy()
 
     @property
     def fixed_background(self) -> tuple[float, float, float]:
@@ -292,8 +295,32 @@ class Trainer:
 
     def splats(self) -> Splats:
         """The splats as they are now, in COLMAP world, with the SH degrees in use so far."""
-        splats = splats_from_tensors(self.model.settled(threads=self.config.threads))
-        return self.frame.similarity.splats_from_training(splats)
+        settled = self.model.settled(threads=self.config.threads)
+        return self._in_world({name: p.clone() for name, p in settled.items()})
+
+    def parts(self) -> Iterator[Splats]:
+        """As `splats`, some rows at a time, which are only good until the next step."""
+        for at in range(0, len(self.model), _ROWS_A_PART):
+            rows = slice(at, at + _ROWS_A_PART)
+            yield self._in_world(self.model.settled_rows(rows, threads=self.config.threads))
+
+    def make_room(self) -> None:
+        """Give back what the rasterizer keeps from step to step, before something else takes
+        memory."""
+        self._painter.release()
+
+    def finish(self) -> Splats:
+        """As `splats`, when no step will follow: without a copy, and the memory that only steps
+        need is given back. Views can still be drawn."""
+        self.make_room()
+        self.model.settle(threads=self.config.threads)
+        self.model.drop_moments()
+        return self._in_world(self.model.params)
+
+    def release(self) -> None:
+        """Give back what `restore` will replace; until then nothing else may be asked for."""
+        self.make_room()
+        self.model.drop_moments()
 
     def state(self) -> dict[str, Any]:
         """What is not a tensor, as JSON values."""
@@ -321,7 +348,8 @@ class Trainer:
         return out | {f"row/{name}": counter for name, counter in self.model.rows.items()}
 
     def restore(self, state: dict[str, Any], tensors: dict[str, torch.Tensor]) -> None:
-        """Go on from what `state` and `tensors` of another trainer with this config returned.
+        """Go on from what `state` and `tensors` of another trainer with this config returned; the
+        tensors are taken over.
 
         The length of the run is that of the config, unless a time budget leaves it open.
 
@@ -336,16 +364,17 @@ class Trainer:
         factor = state.get("factor")
         self._factor = math.inf if factor is None else number("factor", factor, low=1)
         names = list(self.model.params)
-        self.model = Model({name: tensors[f"param/{name}"] for name in names})
-        for name in names:
-            self.model.replace(
-                name,
-                self.model.params[name],
+        moments = {
+            name: Moments(
                 tensors[f"m1/{name}"],
                 tensors[f"m2/{name}"],
-                grad=tensors.get(f"gathered/{name}"),
-                steps=whole(f"adam_steps of {name}", state["adam_steps"][name]),
+                whole(f"adam_steps of {name}", state["adam_steps"][name]),
+                tensors.get(f"gathered/{name}"),
             )
+            for name in names
+        }
+        self._painter.release()
+        self.model = Model({name: tensors[f"param/{name}"] for name in names}, moments)
         rows = {key.removeprefix("row/"): t for key, t in tensors.items() if key[:4] == "row/"}
         self.model.rows = rows
         self.model.drift = tensors["drift"]
@@ -384,29 +413,29 @@ class Trainer:
             start = replace(start, opacities=logits.astype(np.float32))
         return self.frame.similarity.splats_to_training(start)
 
-    def _show(self, view: View, **options: Any) -> RasterOutput:
-        """The whole view as the splats are now; `options` are those of `rasterize`."""
+    def _in_world(self, params: dict[str, torch.Tensor]) -> Splats:
+        return self.frame.similarity.splats_from_training(splats_of_tensors(params))
+
+    def _widen_to(self, degree: int) -> None:
+        if self.model.sh_degree < degree:
+            self._painter.release()
+            ops.widen_sh(self.model, degree)
+
+    def _show(self, view: View, **options: Any) -> Picture:
+        """The whole view as the splats are now, good until the next one; `options` are those of
+        `Painter.draw`."""
         config = self.config
-        settled = self.model.settled(threads=config.threads)
-        means, quats, scales, opacities, sh0, shN = settled.values()
-        with torch.no_grad():
-            return rasterize(
-                means,
-                quats,
-                scales,
-                opacities,
-                sh0,
-                shN,
-                view.viewmat,
-                view.K,
-                view.width,
-                view.height,
-                raw=True,
-                near=self.frame.near,
-                antialias=config.antialias,
-                threads=config.threads,
-                **options,
-            )
+        return self._painter.draw(
+            tuple(self.model.settled(threads=config.threads).values()),
+            view.viewmat,
+            view.K,
+            view.width,
+            view.height,
+            near=self.frame.near,
+            antialias=config.antialias,
+            threads=config.threads,
+            **options,
+        )
 
     def _settle_for(self, view: View) -> None:
         frustum = Frustum(view.viewmat, view.K, view.width, view.height, self.frame.near)
@@ -473,6 +502,8 @@ class Trainer:
         model.set_rates(rates | {"means": means_lr})
         shown = None if Skip.UNSEEN_SH in self.config.without else radii
         bad_rows = model.step(shown, shN=self._rest_at(step), threads=self.config.threads)
+        if self.plan.refines_at(step):
+            self._painter.release()
         change = self.strategy.after_step(
             model, step=step, means_lr=means_lr, generator=self.generator
         )
@@ -499,6 +530,7 @@ class Trainer:
             scratch=model.grads,  # they were for the step that is done
             threads=config.threads,
         )
+        self._painter.release()
         ops.edit(model, keep=(~least(weights, count)).nonzero().flatten())
         self._pruned += count
         return replace(change, removed=change.removed + count)

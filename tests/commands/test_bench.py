@@ -50,6 +50,17 @@ def test_half_a_scene_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert "SOURCE and --ply belong together" in capsys.readouterr().err
 
 
+@pytest.mark.slow
+def test_memory_json(capsys: pytest.CaptureFixture[str]) -> None:
+    """Oracle: the parts add up to the peak, which is what was said but for what pytest holds."""
+    options = ["--splats", "300", "--views", "9", "--size", "64x48", "--steps", "10"]
+    found = _json(capsys, "memory", *options)
+    assert sum(found["parts"].values()) == found["peak_bytes"]
+    assert found["parts"]["photos"] == 9 * 64 * 48 * 3
+    assert found["parts"]["moments"] == 2 * 4 * 59 * 300
+    assert found["said_bytes"] > 2e8 and found["steps"] == 10
+
+
 def test_step_json(capsys: pytest.CaptureFixture[str]) -> None:
     """Oracle: the parts add up to the mean step, and the rasterizer is a part of it."""
     options = ["--splats", "300", "--width", "80", "--height", "48", "--steps", "3"]

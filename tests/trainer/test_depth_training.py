@@ -13,10 +13,10 @@ from gscore.config import Strategy, TrainConfig
 from gscore.depth import DepthPrior
 from gscore.errors import ConfigError
 from gscore.raster.api import render
+from gscore.raster.autograd import rasterize
 from gscore.raster.painter import Painter
 from gscore.scene import PointCloud
 from gscore.trainer import checkpoint
-from gscore.trainer import trainer as module
 from gscore.trainer.depth_targets import DepthTargets
 from gscore.trainer.trainer import Trainer
 from tests.trainer.short_run import CONFIG
@@ -91,7 +91,7 @@ def test_true_splats_have_no_depth_loss(
         for factor, limit in ((1.0, 4e-3), (2.0, 0.03)):
             view = trainer._pyramid.at(index, factor).view
             with torch.no_grad():
-                out = module.rasterize(
+                out = rasterize(
                     *trainer.model.settled().values(),
                     *view,
                     raw=True,

@@ -174,7 +174,10 @@ def test_looking_at_a_model_changes_no_bit() -> None:
                 grad[radii == 0] = 0
             model.step(radii)
             if looks:
+                parts = [model.settled_rows(slice(at, at + 15))["shN"] for at in (0, 15, 30)]
                 shown = model.settled()["shN"].clone()
+                assert torch.equal(torch.cat(parts), shown)
+                assert torch.equal(model.settled_rows(slice(7, 9))["shN"], shown[7:9])
         results.append({name: p.clone() for name, p in model.params.items()})
         if looks:
             assert not torch.equal(shown, model.params["shN"])

@@ -7,7 +7,7 @@ from gscore.errors import DatasetError
 from gscore.scene import PointCloud
 from gscore.trainer.params import (
     splats_from_points,
-    splats_from_tensors,
+    splats_of_tensors,
     tensors_from_splats,
 )
 
@@ -78,6 +78,6 @@ def test_points_that_are_not_finite_are_left_out() -> None:
 def test_tensors_and_back() -> None:
     """Oracle: the same bits, and no coefficients but those that were stored."""
     made = splats_from_points(cloud(np.random.default_rng(0).normal(size=(5, 3))), **OPTIONS)
-    back = splats_from_tensors(tensors_from_splats(made))
+    back = splats_of_tensors(tensors_from_splats(made))
     for name in ("means", "quats", "scales", "opacities", "sh0", "shN"):
         np.testing.assert_array_equal(getattr(back, name), getattr(made, name))

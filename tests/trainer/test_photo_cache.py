@@ -87,7 +87,11 @@ def test_a_run_with_a_small_cache_ends_alike(capture: Path, tmp_path: Path) -> N
         step = few / "checkpoints" / "step_00000015.safetensors"
         again = train(CONFIG, data, tmp_path / "again", start_checkpoint=step)
     assert isinstance(next(e for e in reversed(events) if isinstance(e, Estimated)), Estimated)
-    for other in (part, again):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gscore.trainer.forecast.decoded_anew", lambda *_, **__: True)
+        anew = train(CONFIG, data, tmp_path / "anew", events.append)
+    assert next(e for e in reversed(events) if isinstance(e, Estimated)).photos_kept
+    for other in (part, again, anew):
         assert np.array_equal(whole.splats.means, other.splats.means)
         assert np.array_equal(whole.splats.sh0, other.splats.sh0)
         assert whole.metrics["psnr"] == other.metrics["psnr"]

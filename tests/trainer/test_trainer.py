@@ -14,7 +14,9 @@ from gscore.errors import DatasetError, GsError
 from gscore.raster.loss import LossValues
 from gscore.raster.painter import Painter
 from gscore.trainer import trainer as module
+from gscore.trainer.params import NAMES
 from gscore.trainer.trainer import Trainer
+from tests.trainer.short_run import CONFIG
 
 
 def psnr(trainer: Trainer, index: int) -> float:
@@ -104,6 +106,30 @@ def test_splats_come_back_in_the_world_of_the_capture(make_photos: Callable[...,
     splats = trainer.splats()
     np.testing.assert_allclose(splats.means, photos.scene.points.points, atol=1e-5)
     assert splats.sh_degree == 0, "no degree that is not in use yet"
+
+
+def test_a_model_is_told_in_parts_and_as_a_whole_alike(
+    photos: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: `splats` before the end; steps after looking are those of one that did not look."""
+    monkeypatch.setattr("gscore.trainer.trainer._ROWS_A_PART", 40)
+    ours, theirs = Trainer(CONFIG, photos), Trainer(CONFIG, photos)
+    for step in range(50):
+        for trainer in (ours, theirs):
+            trainer.step()
+        if step % 10 == 5:
+            parts, whole = list(ours.parts()), ours.splats()
+            assert len(parts) > 1
+            for name in NAMES:
+                joined = np.concatenate([getattr(part, name) for part in parts])
+                assert np.array_equal(joined, getattr(whole, name)), name
+            ours.make_room()
+    last, picture = theirs.splats(), theirs.picture(0, background=(0, 0, 0))
+    ended = ours.finish()
+    for name in NAMES:
+        assert np.array_equal(getattr(ended, name), getattr(last, name)), name
+    assert torch.equal(ours.picture(0, background=(0, 0, 0)), picture)
+    assert not ours.model.grads
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ WHAT = {
     "step": "a training step and its parts",
     "skips": "what each skip brings, on a capture",
     "time-error": "held-out error over seconds of training, for presets and variants",
+    "memory": "memory of a training of many splats",
     "scaling": "cost over splats, pixels, threads and views",
 }
 

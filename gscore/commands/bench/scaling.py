@@ -15,7 +15,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("--splats", nargs="*", type=int, default=SPLATS, help="sizes of the cloud")
     parser.add_argument(
-        "--sizes", nargs="*", type=_size, default=SIZES, metavar="WxH", help="of the picture, px"
+        "--sizes", nargs="*", type=size, default=SIZES, metavar="WxH", help="of the picture, px"
     )
     parser.add_argument("--threads", nargs="*", type=int, help="1 to all cores")
     parser.add_argument("--views", nargs="*", type=int, default=VIEWS, help="numbers of photos")
@@ -44,15 +44,16 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _size(text: str) -> tuple[int, int]:
+def size(text: str) -> tuple[int, int]:
+    """A size on the command line, px."""
     width, _, height = text.partition("x")
     try:
-        size = int(width), int(height)
+        found = int(width), int(height)
     except ValueError:
-        size = 0, 0
-    if min(size) < 1:
+        found = 0, 0
+    if min(found) < 1:
         raise argparse.ArgumentTypeError(f"a size looks like 640x400, got {text!r}")
-    return size
+    return found
 
 
 def _show(quantity: str, row: dict[str, Any]) -> None:

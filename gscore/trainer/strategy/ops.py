@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from functools import partial
 
 import numpy as np
 import torch
@@ -40,24 +41,21 @@ def edit(
     kept = n if keep is None else len(keep)
     added = len(append["means"]) if append else 0
 
-    def rebuilt(old: torch.Tensor, new: torch.Tensor | None) -> torch.Tensor:
-        out = old.new_zeros((kept + added, *old.shape[1:]))
+    def rebuilt(old: torch.Tensor, new: torch.Tensor | None = None) -> torch.Tensor:
+        out = old.new_empty((kept + added, *old.shape[1:]))
         if keep is None:
             out[:kept] = old
         else:
             torch.index_select(old, 0, keep, out=out[:kept])
-        if new is not None:
-            out[kept:] = new
+        out[kept:] = 0 if new is None else new
         return out
 
     model.settle()
     for name in NAMES:
-        moment1, moment2 = model.moments(name)
-        value = rebuilt(model.params[name], append[name] if append else None)
-        gathered = rebuilt(model.grads[name], None)
-        model.replace(name, value, rebuilt(moment1, None), rebuilt(moment2, None), grad=gathered)
+        new = append[name] if append else None
+        model.rebuild(name, partial(rebuilt, new=new), rebuilt)
     for name, counter in model.rows.items():
-        model.rows[name] = rebuilt(counter, None)
+        model.rows[name] = rebuilt(counter)
 
 
 def by_place(means: torch.Tensor) -> torch.Tensor:
@@ -135,11 +133,8 @@ def widen_sh(model: Model, degree: int) -> None:
     if missing <= 0:
         return
     model.settle()
-    tensors = (model.params["shN"], *model.moments("shN"), model.grads["shN"])
-    value, moment1, moment2, gathered = (
-        torch.nn.functional.pad(t, (0, 0, 0, missing)) for t in tensors
-    )
-    model.replace("shN", value, moment1, moment2, grad=gathered)
+    wider = partial(torch.nn.functional.pad, pad=(0, 0, 0, missing))
+    model.rebuild("shN", wider, wider)
 
 
 def relocate(

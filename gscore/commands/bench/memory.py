@@ -1,0 +1,52 @@
+"""`gscore bench memory`: the memory of a training."""
+
+import argparse
+import json
+import sys
+from dataclasses import asdict
+
+from ...bench.memory import MemoryBench, bench_memory
+from ...errors import BackendError
+from ...metrics.machine import machine
+from ...raster import backend
+from .scaling import size
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("--splats", type=int, default=1_000_000, help="of SH degree 3")
+    parser.add_argument("--views", type=int, default=100, help="number of photos (default 100)")
+    parser.add_argument(
+        "--size", type=size, default=(1216, 832), metavar="WxH", help="of each (default 1216x832)"
+    )
+    parser.add_argument("--steps", type=int, default=40, help="steps (default 40)")
+    parser.add_argument("--threads", type=int, default=0, help="CPU threads; 0: all cores")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure and print."""
+    width, height = args.size
+    found = bench_memory(
+        splats=args.splats,
+        views=args.views,
+        width=width,
+        height=height,
+        steps=args.steps,
+        threads=args.threads,
+    )
+    if found is None:
+        raise BackendError("This system does not tell how much memory a process takes.")
+    if args.json:
+        json.dump({"machine": machine(), "isa": backend.isa()} | asdict(found), sys.stdout)
+        print()
+    else:
+        sys.stdout.write(_table(found))
+    return 0
+
+
+def _table(r: MemoryBench) -> str:
+    parts = "".join(f"  {bytes_ / 1e6:8,.0f} MB  {name}\n" for name, bytes_ in r.parts.items())
+    return (
+        f"{r.splats:,} splats, {r.views} views of {r.width} x {r.height} px, {r.steps} steps\n"
+        f"  said {r.said_bytes / 1e9:.2f} GB, took {r.peak_bytes / 1e9:.2f} GB\n{parts}"
+    )
