@@ -63,11 +63,9 @@ def weight_at(config: TrainConfig, step: int) -> float:
 class DepthLoss:
     """The depth loss of a run."""
 
-    def __init__(
-        self, config: TrainConfig, targets: DepthTargets, *, scale: float, views: float
-    ) -> None:
-        """`scale`: training units a world unit; `views`: that show a median point."""
-        self._config = with_weights(config, views)
+    def __init__(self, config: TrainConfig, targets: DepthTargets, *, scale: float) -> None:
+        """`scale`: training units a world unit."""
+        self._config = with_weights(config, targets.views)
         self.targets = targets
         # Lengths grow by the scale, so inverse depths shrink by it.
         self._unit = targets.unit / scale

@@ -19,7 +19,7 @@ class DepthReport:
     """Depth after a training."""
 
     numbers: dict[str, Any]
-    """For metrics.json: used, why, error, and fits and errors by view."""
+    """For metrics.json: used, why, weights, error, and fits and errors by view."""
     section: DepthSection
     """For report.html."""
 
@@ -56,6 +56,7 @@ def measure_depth(
     numbers = {
         "used": setup.supervises,
         "why": setup.why,
+        "weights": list(setup.weights),
         "unit": targets.unit,
         "depth_error": float(np.mean(found)) if found else None,
         "views": rows,

@@ -31,7 +31,10 @@ class DepthSetup:
     supervises: bool = False
     """Whether they enter the loss."""
     why: str = ""
-    """A sentence that says so and why."""
+    """Sentences that say so, why, and how much."""
+    weights: tuple[float, float] = (0.0, 0.0)
+    """Of the depth loss at the first and the last step, as options or `auto` have them; 0, 0: it
+    is not used."""
     points: PointCloud | None = None
     """Points to start from, those of the capture and more; None: those of the capture."""
     table: list[dict[str, Any]] = field(default_factory=list)
@@ -74,7 +77,16 @@ def prepare_depth(
     supervises, why = decide(config.depth_mode, facts, usable=usable)
     warnings = [*priors.warnings] if supervises else [*priors.warnings, why]
     points = None
-    if supervises and (count := _points_wanted(config, facts.views_of_point)):
+    resolved = with_weights(config, facts.views_of_point)
+    weights = (resolved.depth_weight, resolved.depth_weight_final) if supervises else (0.0, 0.0)
+    if supervises:
+        why += f" {_weight_words(*weights)}"
+        if config.start_splats is not None and config.depth_points > 0:
+            warnings.append(
+                "No points are added from depth maps (depth_points), because the run starts from "
+                "splats that are there already (start_splats)."
+            )
+    if supervises and (count := _points_wanted(resolved)):
         # Splats that start on walls are missing on the subject where few are allowed.
         most = config.max_splats // _SHARE if config.depth_points < 0 else None
         added = depth_points(photos, priors.views, count=count, seed=config.seed, most=most)
@@ -85,8 +97,9 @@ def prepare_depth(
         )
         why += f" {len(added)} points were added from the maps to {len(known)} of SfM."
     return DepthSetup(
-        targets=DepthTargets(priors.views, train=photos.train),
+        targets=DepthTargets(priors.views, train=photos.train, views=facts.views_of_point),
         supervises=supervises,
+        weights=weights,
         why=why,
         points=points,
         table=priors.table,
@@ -94,11 +107,16 @@ def prepare_depth(
     )
 
 
-def _points_wanted(config: TrainConfig, views: float) -> int:
+def _weight_words(first: float, last: float) -> str:
+    if first == last:
+        return f"The depth loss has a weight of {first:.3g}."
+    return f"The depth loss has a weight of {first:.3g} at first and {last:.3g} at the end."
+
+
+def _points_wanted(config: TrainConfig) -> int:
     """Most points to add: none to splats that are there already, nor by itself without a loss."""
     if config.start_splats is not None:
         return 0
     if config.depth_points >= 0:
         return config.depth_points
-    config = with_weights(config, views)
     return _POINTS if max(config.depth_weight, config.depth_weight_final) > 0 else 0

@@ -45,13 +45,18 @@ class DepthTarget(NamedTuple):
 class DepthTargets:
     """The priors of a capture, three bytes a pixel; those of one size are kept besides."""
 
-    def __init__(self, priors: Sequence[Prior | None], *, train: Sequence[int]) -> None:
+    def __init__(
+        self, priors: Sequence[Prior | None], *, train: Sequence[int], views: float
+    ) -> None:
         """Take the priors over.
 
         Args:
             priors: By index of the view; None: it has none.
             train: Training views; the unit comes from them alone.
+            views: Training views that show a median point, see `depth_rule.Coverage`.
         """
+        self.views = views
+        """Training views that show a median point."""
         self.unit = _median([priors[i] for i in train]) or 1.0
         """Median inverse depth of the aligned priors, 1/world unit."""
         self._full = [

@@ -20,7 +20,6 @@ from ..splats import SH_REST_BY_DEGREE, Splats
 from . import bounds, guard
 from .contribution import blending_weights, least
 from .depth_loss import DepthLoss
-from .depth_rule import coverage
 from .depth_targets import DepthTargets
 from .frame import Frame
 from .laps import Laps
@@ -114,12 +113,7 @@ class Trainer:
         self.depth: DepthLoss | None = None
         """The depth loss, where depth is supervised."""
         if depth is not None:
-            self.depth = DepthLoss(
-                config,
-                depth,
-                scale=self.frame.similarity.scale,
-                views=coverage(photos.scene, photos.train).views_of_point,
-            )
+            self.depth = DepthLoss(config, depth, scale=self.frame.similarity.scale)
         self.replan(config.iterations)
         self.generator = torch.Generator().manual_seed(config.seed)
         self.sampler = Sampler(photos.train)

@@ -70,7 +70,7 @@ def masked(photos: Any) -> tuple[Any, DepthTargets]:
             )
         )
     composite = replace(photos, masks=masks, mask_mode="composite")
-    return composite, DepthTargets(priors, train=photos.train)
+    return composite, DepthTargets(priors, train=photos.train, views=6)
 
 
 def trainer_of(kind: str, config: TrainConfig, photos: Any, masked: Any) -> Trainer:

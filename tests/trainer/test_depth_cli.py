@@ -56,6 +56,10 @@ def test_depth_reaches_metrics_and_report(
     printed = json.loads(told.out.splitlines()[-1])
     assert printed["depth"]["used"] is True
     assert printed["depth"]["why"] in told.err.splitlines()[:8]
+    views = float(re.search(r"(\d+) of them on a median point", printed["depth"]["why"])[1])
+    weight = min(1, 6 / views)
+    assert printed["depth"]["weights"] == pytest.approx([weight, weight])
+    assert f"The depth loss has a weight of {weight:.3g}." in printed["depth"]["why"]
     assert "views" not in printed["depth"]
     depth = json.loads((out / "metrics.json").read_text())["depth"]
     assert 0 < depth["depth_error"] < 1
@@ -70,6 +74,7 @@ def test_depth_reaches_metrics_and_report(
     assert section.count("<img ") == 5 * 8
     assert section.count("<figcaption>aligned prior</figcaption>") == 8
     assert "Fits: 8 of 8 views accepted" in section
+    assert f"The depth loss has a weight of {weight:.3g}." in section
     assert len(re.findall(r"<tr><th>view_0\d\.png", section)) == 8
 
 
@@ -121,6 +126,28 @@ def test_maps_add_points_where_they_supervise(deep: Path) -> None:
     assert fewer is not None and len(fewer) - len(known) <= added // 2
 
 
+def test_points_wanted_and_splats_given(deep: Path) -> None:
+    """Oracle: who asks for points and starts from splats is told that there will be none."""
+    data = DataConfig(source=deep, depths="depths", depth_align="official")
+    photos = load_dataset(data)
+    splats = TrainConfig(start_splats=deep / "some.ply")
+    both = prepare_depth(data, replace(splats, depth_points=50), photos)
+    told = [w for w in both.warnings if "No points are added" in w]
+    assert len(told) == 1 and "depth_points" in told[0] and "start_splats" in told[0]
+    for config in (splats, TrainConfig(depth_points=50), replace(splats, depth_points=0)):
+        found = prepare_depth(data, config, photos)
+        assert not [w for w in found.warnings if "No points are added" in w]
+
+
+def test_weights_that_fall_are_told(deep: Path) -> None:
+    """Oracle: the options."""
+    data = DataConfig(source=deep, depths="depths", depth_align="official")
+    config = TrainConfig(depth_weight=0.3, depth_weight_final=0.01)
+    found = prepare_depth(data, config, load_dataset(data))
+    assert found.weights == (0.3, 0.01)
+    assert "a weight of 0.3 at first and 0.01 at the end" in found.why
+
+
 def test_off_reads_maps_but_trains_without(deep: Path, tmp_path: Path) -> None:
     """Oracle: the same splats, byte by byte, as without maps; the report says why."""
     arguments = ["train", str(deep), *SHORT, "--quiet"]
@@ -130,7 +157,7 @@ def test_off_reads_maps_but_trains_without(deep: Path, tmp_path: Path) -> None:
     plain, read = ((tmp_path / name / "point_cloud.ply").read_bytes() for name in "ab")
     assert plain == read
     depth = json.loads((tmp_path / "b" / "metrics.json").read_text())["depth"]
-    assert depth["used"] is False
+    assert depth["used"] is False and depth["weights"] == [0, 0]
     assert "depth_mode off" in (tmp_path / "b" / "report.html").read_text()
     assert "depth" not in json.loads((tmp_path / "a" / "metrics.json").read_text())
 

@@ -232,13 +232,13 @@ class Prior:
 def test_views_without_a_usable_prior_need_no_inverse_depth() -> None:
     """Oracle: a weight of zero, which is what the trainer asks for first."""
     targets = DepthTargets(
-        [Prior(0.5, aligned=True), None, Prior(9.0, aligned=False)], train=[0, 1, 2]
+        [Prior(0.5, aligned=True), None, Prior(9.0, aligned=False)], train=[0, 1, 2], views=6
     )
     config = TrainConfig(iterations=10, depth_warmup=0.0, depth_pearson=0.5)
-    loss = DepthLoss(config, targets, scale=0.25, views=6)
+    loss = DepthLoss(config, targets, scale=0.25)
     assert loss.weight(1, 5) == 0
     assert loss.weight(2, 5) == pytest.approx(0.5 * loss.weight(0, 5))
-    unaligned_off = DepthLoss(replace(config, depth_pearson=0.0), targets, scale=0.25, views=6)
+    unaligned_off = DepthLoss(replace(config, depth_pearson=0.0), targets, scale=0.25)
     assert unaligned_off.weight(2, 5) == 0
     assert unaligned_off.weight(0, 5) > 0
 
@@ -246,8 +246,8 @@ def test_views_without_a_usable_prior_need_no_inverse_depth() -> None:
 def test_lengths_of_the_training_world_are_undone() -> None:
     """Oracle: where lengths shrink to a quarter, inverse depths grow fourfold."""
     prior = Prior(0.5, aligned=True)
-    targets = DepthTargets([prior], train=[0])
-    loss = DepthLoss(TrainConfig(), targets, scale=0.25, views=6)
+    targets = DepthTargets([prior], train=[0], views=6)
+    loss = DepthLoss(TrainConfig(), targets, scale=0.25)
     right = torch.from_numpy(prior.inverse_depth / 0.25)
     opaque = torch.ones(right.shape)
     assert float(loss(0, right, opaque)) < 1e-3

@@ -46,7 +46,7 @@ def test_a_plane_stays_where_the_scaled_camera_sees_it() -> None:
         rays = np.stack([*np.meshgrid(x, y), np.ones(size[::-1])], -1) @ np.linalg.inv(matrix).T
         return rays @ np.array([0.1, -0.2, 0.5])
 
-    target = DepthTargets([prior(inverse_depth(K, old))], train=[0])
+    target = DepthTargets([prior(inverse_depth(K, old))], train=[0], views=1)
     small = target.at(0, *new)
     assert small is not None
     expected = inverse_depth(scale_intrinsics(K, old, new), new)
@@ -62,7 +62,7 @@ def test_what_is_not_known_does_not_bleed_in() -> None:
     confidence = np.ones((4, 4))
     values[:, 1], confidence[:, 1] = 99.0, 0.0
     values[:, 2:], confidence[:, 2:] = np.nan, 1.0
-    targets = DepthTargets([prior(values, confidence)], train=[0])
+    targets = DepthTargets([prior(values, confidence)], train=[0], views=1)
     small = targets.at(0, 2, 2)
     assert small is not None
     assert targets.unit == pytest.approx(0.5)
@@ -80,7 +80,7 @@ def test_the_unit_comes_from_aligned_training_views_alone() -> None:
         prior(np.full((9, 9), 70.0), aligned=False),
         None,
     ]
-    targets = DepthTargets(views, train=[1, 2, 3, 4])
+    targets = DepthTargets(views, train=[1, 2, 3, 4], views=4)
     assert targets.unit == pytest.approx(0.2)
     assert 0 in targets
     assert 4 not in targets
@@ -90,7 +90,7 @@ def test_the_unit_comes_from_aligned_training_views_alone() -> None:
 
 def test_three_bytes_a_pixel() -> None:
     """Oracle: the sizes of the tensors."""
-    target = DepthTargets([prior(np.full((10, 20), 0.3))], train=[0]).at(0, 20, 10)
+    target = DepthTargets([prior(np.full((10, 20), 0.3))], train=[0], views=1).at(0, 20, 10)
     assert target is not None
     assert target.inverse_depth.nbytes + target.confidence.nbytes == 3 * 200
 
@@ -99,7 +99,7 @@ def test_the_hash_tells_maps_and_alignments_apart() -> None:
     """Oracle: equality of hashes for equal input only."""
 
     def hash_of(*views: Prior | None) -> str:
-        return DepthTargets(views, train=range(len(views))).content_hash()
+        return DepthTargets(views, train=range(len(views)), views=1).content_hash()
 
     ramp = np.linspace(0.2, 0.4, 12).reshape(3, 4)
     same = hash_of(prior(ramp), None)

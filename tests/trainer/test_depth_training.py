@@ -58,7 +58,9 @@ def masked(make_photos: Callable[..., Any], known_splats: Any) -> Any:
 @pytest.fixture
 def targets(photos: Any, known_splats: Any) -> DepthTargets:
     """Exact depth of the toy capture, two views not aligned."""
-    return DepthTargets(true_priors(photos, known_splats, unaligned=(1, 4)), train=photos.train)
+    return DepthTargets(
+        true_priors(photos, known_splats, unaligned=(1, 4)), train=photos.train, views=8
+    )
 
 
 def bits(trainer: Trainer) -> dict[str, bytes]:
@@ -136,7 +138,7 @@ def test_depth_makes_depth_better(make_photos: Callable[..., Any], known_splats:
     truth = true_priors(photos, known_splats)
     config = TrainConfig(iterations=400, max_splats=400, sh_degree=0, depth_weight_final=0.1)
     errors = []
-    for depth in (None, DepthTargets(truth, train=photos.train)):
+    for depth in (None, DepthTargets(truth, train=photos.train, views=8)):
         trainer = run(Trainer(config, photos, points=points, depth=depth), config.iterations)
         found = []
         for i in photos.train:
@@ -178,7 +180,7 @@ def test_other_depths_cannot_go_on(
     checkpoint.save(path, run(Trainer(CONFIG, photos, depth=targets), 2), {})
     found = checkpoint.load(path)
     checkpoint.check_compatible(found, CONFIG, photos)
-    other = DepthTargets(true_priors(photos, known_splats), train=photos.train)
+    other = DepthTargets(true_priors(photos, known_splats), train=photos.train, views=8)
     with pytest.raises(ConfigError, match="other depth maps"):
         checkpoint.check_same_depth(found, Trainer(CONFIG, photos, depth=other))
     with pytest.raises(ConfigError, match="with depth maps"):
