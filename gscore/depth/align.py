@@ -6,6 +6,8 @@ from .fit import NO_FIT, Fit, judge, scale_reason, tolerance
 from .maps import sample
 from .observations import Observations
 
+REVERSED = "the map is larger where the points are farther: it may hold depth"
+"""Why a map that falls where it should rise is refused."""
 OFFICIAL_POINTS = 10
 """The official rule wants more points than this."""
 OFFICIAL_RANGE = 1e-3
@@ -107,10 +109,10 @@ def align_robust(
             f"only {inside} of {len(m)} points ({fit.inliers:.0%} by weight) agree with one scale "
             f"and offset"
         )
-    if not _beyond_chance(slope, height, *unit, w, near):
+    if not beyond_chance(slope * unit[0] + height, unit[1], w, near):
         return fit.refused("the map does not follow the depth of the points")
     if not scale > 0:
-        return fit.refused("the map is larger where the points are farther: it may hold depth")
+        return fit.refused(REVERSED)
     if fit.slope_error > _MOST_SLOPE_ERROR:
         return fit.refused(
             f"its points lie too close in depth for a map of this noise: the scale is only known "
@@ -184,14 +186,17 @@ def _misfit(
     return float((w * np.minimum((slope * m + height - s) ** 2, near**2)).sum())
 
 
-def _beyond_chance(
-    slope: float, height: float, m: np.ndarray, s: np.ndarray, w: np.ndarray, near: float
-) -> bool:
+def beyond_chance(line: np.ndarray, s: np.ndarray, w: np.ndarray, near: float) -> bool:
     """Whether more points agree than would if each had the map's value of any other point.
 
     Where most points lie at one depth a flat line agrees with them whatever the map says.
+
+    Args:
+        line: [M] what the map says at the points.
+        s: [M] what the points say.
+        w: [M] positive weights.
+        near: Difference up to which they agree.
     """
-    line = slope * m + height
     weight = w / w.sum()
     share = float(weight[np.abs(line - s) <= near].sum())
     order = np.argsort(s)

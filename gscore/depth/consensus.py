@@ -2,8 +2,7 @@
 
 Points of structure from motion often lie on the subject alone, so that a map's scale is known there
 and guessed for the floor and the walls behind it. Where two views show the same floor, their maps
-must place it alike: each view is fitted again to its points and to what the maps of the others,
-placed by their own fits, say along its rays. A few rounds settle it.
+must place it alike. So all maps are placed together, by their points and by each other (`joint`).
 """
 
 from collections.abc import Sequence
@@ -12,129 +11,173 @@ from dataclasses import replace
 import numpy as np
 
 from ..scene import Cameras
-from .align import LEAST_SHARE, align_robust
+from .align import LEAST_SHARE, REVERSED, beyond_chance
+from .chart import Chart, chart, inverse_depth
 from .fit import Fit, judge
-from .maps import sample
-from .samples import Samples, grid_step
+from .joint import Web, covariances, place
+from .samples import Samples
 
 _MOST_VIEWS = 12
-"""Other views that are asked: those that look most alike."""
-_MOST_POINTS = 2000
-"""Points of other views that are used, thinned at random."""
-_DOUBT = 1.0
-"""Expected relative error of a fit from which on its word is not taken."""
-_MAP_ERROR = 0.2
-"""Relative error that a map has at a pixel even where its fit is sure."""
-ROUNDS = 3
-"""Times that all views are fitted again; 0: to their points alone."""
-_KEPT = 0.7
-"""Share of the agreement with the view's own points that a new fit has to keep."""
+"""Other views that a map is compared with: those that look most alike."""
+_PIXELS = 400
+"""Sampled pixels of a map."""
+_MOST_PIXELS = 5000
+"""And no more than these of all maps, but for _LEAST_PIXELS each."""
+_LEAST_PIXELS = 100
+_RATIOS = (2.0, 3.5, 7.0)
+"""Between the inverse depths of the ends of all maps, to start from."""
+_ROUGH_PIXELS = 5000
+"""Sampled pixels of all maps that the best start is found with, about."""
+_FACTORS = (4.0, 2.0, 1.0)
+"""How wide penalties are on the way, see `place`."""
+_SETTLED = 0.03
+"""Expected relative error at both ends of a map that needs no others."""
+_NEAR = 0.15
+"""Log of the ratio of inverse depths up to which a map agrees with a point or another map."""
+_HEARD = 0.05
+"""Pixels of others in a map's frame, as a share of its own, from which on they are heard."""
 
 
 def agreed(
     fits: Sequence[Fit | None], maps: Sequence[Samples | None], cameras: Cameras
 ) -> list[Fit | None]:
-    """Fits that agree with the points of their views and with each other.
+    """Fits that agree with the points of all views and with each other.
 
     Args:
-        fits: Of each view by its points alone; accepted ones speak for their maps.
+        fits: Of each view by its points alone.
         maps: By view, affine in inverse depth; None: there is none.
         cameras: Of the views, at the size that the grids were thinned from.
 
     Returns:
-        The fits. `points`, `inliers` and `error` still speak of the view's own points; a fit is
-        only replaced by one that these do not contradict.
+        The fits, with the errors to be expected of them. `points`, `inliers` and `error` speak of
+        the view's own points. A map that contradicts points and others is refused, and does not
+        count for the others; one that meets no other, or whose points alone say where it lies,
+        keeps its fit.
     """
-    found = list(fits)
-    for _ in range(ROUNDS):
-        before = list(found)
-        for index, fit in enumerate(before):
-            mine = maps[index]
-            if fit is not None and mine is not None and not mine.trouble:
-                found[index] = _again(index, fit, mine, before, maps, cameras)
+    usable = [
+        part if fit is not None and fit.reason != REVERSED else None
+        for part, fit in zip(maps, fits, strict=True)
+    ]
+    found, (views, web) = list(fits), _web(usable, cameras)
+    settled = {i for k, i in enumerate(views) if _settled(web.charts[k], fits[i])}
+    if len(views) < 2 or len(settled) == len(views):
+        return found
+    logs = _placed(web, [fits[i] for i in views])
+    reasons = [_refusal(web, k, logs) for k in range(len(views))]
+    good = [k for k, reason in enumerate(reasons) if reason == ""]
+    if 2 <= len(good) < len(views):
+        logs[good] = place(web.only(good), logs[good])[1]
+    for k, i in enumerate(views):
+        reason = reasons[k]
+        if reason is not None and i not in settled:
+            fit = judge(*web.charts[k].line(np.exp(logs[k])), *_own_points(maps[i]))
+            found[i] = fit.refused(reason) if reason else fit
+    return with_errors(found, maps, cameras)
+
+
+def with_errors(
+    fits: Sequence[Fit | None], maps: Sequence[Samples | None], cameras: Cameras
+) -> list[Fit | None]:
+    """The same fits with the errors to be expected of them, by what points and other maps say."""
+    found, (views, web) = list(fits), _web(maps, cameras)
+    known = {
+        k: (fit, ends)
+        for k, i in enumerate(views)
+        if (fit := fits[i]) is not None
+        and fit.accepted
+        and (ends := web.charts[k].ends(fit)) is not None
+    }
+    if len(known) < 2 or all(_settled(web.charts[k], fit) for k, (fit, _) in known.items()):
+        return found
+    errors = covariances(web.only(list(known)), np.log([ends for _, ends in known.values()]))
+    for (k, (fit, ends)), covariance in zip(known.items(), errors, strict=True):
+        if not _settled(web.charts[k], fit):
+            found[views[k]] = replace(fit, **web.charts[k].uncertainty(ends, covariance))
     return found
 
 
-def _again(
-    index: int,
-    fit: Fit,
-    mine: Samples,
-    fits: Sequence[Fit | None],
-    maps: Sequence[Samples | None],
-    cameras: Cameras,
-) -> Fit:
-    """The fit of one view to its points and to the other maps; as it was if they do not help."""
-    heard = [
-        part
-        for i in _alike(cameras, index, fits)
-        if (other := fits[i]) is not None
-        and (theirs := maps[i]) is not None
-        and (part := _said(i, other, theirs, index, mine, cameras)) is not None
+def _web(maps: Sequence[Samples | None], cameras: Cameras) -> tuple[list[int], Web]:
+    """Indices of the views whose maps can be compared, and these maps."""
+    there = sum(samples is not None for samples in maps)
+    count = min(_PIXELS, max(_LEAST_PIXELS, _MOST_PIXELS // max(there, 1)))
+    charts = {
+        i: found
+        for i, samples in enumerate(maps)
+        if samples is not None and (found := chart(samples, cameras, i, count=count)) is not None
+    }
+    axes = cameras.viewmats[list(charts), 2, :3]
+    alike = axes @ axes.T - 3 * np.eye(len(axes))  # itself comes last
+    order = np.argsort(-alike, axis=1, kind="stable")[:, : min(_MOST_VIEWS, len(axes) - 1)]
+    return list(charts), Web(charts=list(charts.values()), asked=order.tolist())
+
+
+def _placed(web: Web, fits: Sequence[Fit | None]) -> np.ndarray:
+    """[V, 2] logs of the ends that contradict each other least, of those found from several starts:
+    the fits that points alone give, and ends of one ratio for all maps."""
+    every = [chart.point_inverse for chart in web.charts if len(chart.point_inverse)]
+    middle = float(np.median(np.concatenate(every))) if every else 1.0
+    starts = [
+        np.stack([_through_points(c, middle, ratio) for c in web.charts]) for ratio in _RATIOS
     ]
-    if not heard:
-        return fit
-    values, inverse_depth, weights = (np.concatenate(parts) for parts in zip(*heard, strict=True))
-    if len(values) > _MOST_POINTS:
-        chosen = np.random.default_rng(index).choice(len(values), _MOST_POINTS, replace=False)
-        values, inverse_depth, weights = values[chosen], inverse_depth[chosen], weights[chosen]
-    own = np.isfinite(mine.values)
-    share = mine.weights[own].sum() or 1.0
-    candidate = align_robust(
-        np.concatenate([mine.values[own], values]),
-        np.concatenate([mine.inverse_depth[own], inverse_depth]),
-        # The view's own points and all others count alike.
-        np.concatenate([mine.weights[own] / share, weights / weights.sum()]),
-    )
-    if not candidate.accepted:
-        return fit
-    told = judge(
-        candidate.scale,
-        candidate.offset,
-        mine.values[own],
-        mine.inverse_depth[own],
-        mine.weights[own],
-    )
-    if told.points and told.inliers < max(LEAST_SHARE, _KEPT * fit.inliers):
-        return fit
-    return replace(candidate, points=told.points, inliers=told.inliers, error=told.error)
+    stated = [
+        other if fit is None or not fit.accepted or (ends := chart.ends(fit)) is None else ends
+        for chart, fit, other in zip(web.charts, fits, starts[0], strict=True)
+    ]
+    pixels = sum(len(chart.tones) for chart in web.charts)
+    rough = web.thinned(max(1, pixels // _MOST_PIXELS))
+    tried = [place(rough, np.log(ends), factors=_FACTORS) for ends in [np.stack(stated), *starts]]
+    return place(web, min(tried, key=lambda found: found[0])[1])[1]
 
 
-def _said(
-    i: int, fit: Fit, theirs: Samples, index: int, mine: Samples, cameras: Cameras
-) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """The map of view `index` where view `i` places surfaces: values, inverse depths, weights."""
-    if not fit.accepted:
+def _settled(chart: Chart, fit: Fit | None) -> bool:
+    """Whether the points alone say where the map lies, better than maps say it of each other."""
+    if fit is None or not fit.accepted:
+        return False
+    return bool((fit.relative_error(np.array([chart.low, chart.high])) < _SETTLED).all())
+
+
+def _through_points(chart: Chart, middle: float, ratio: float) -> np.ndarray:
+    """[2] ends of that ratio with the median point between them, or `middle` without points."""
+    tone, level = 0.5, middle
+    if len(chart.point_inverse):
+        tone = float(np.clip(np.median(chart.point_tones), 0, 1))
+        level = float(np.median(chart.point_inverse))
+    far = level / (1 - tone + ratio * tone)
+    return np.array([far, far * ratio])
+
+
+def _own_points(samples: Samples | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    assert samples is not None
+    use = np.isfinite(samples.values)
+    return samples.values[use], samples.inverse_depth[use], samples.weights[use]
+
+
+def _refusal(web: Web, index: int, logs: np.ndarray) -> str | None:
+    """Why a map is not to be used, by what points and other maps say; empty if it is, None if no
+    other map is heard.
+
+    Points weigh as much as all maps.
+    """
+    chart = web.charts[index]
+    tones, stated = [], []
+    for i in web.asking(index):
+        other = web.charts[i]
+        seen, inverse = chart.look_up(other.points(inverse_depth(np.exp(logs[i]), other.tones)))
+        tones.append(seen[np.isfinite(seen)])
+        stated.append(inverse[np.isfinite(seen)])
+    heard = sum(len(part) for part in tones)
+    if heard < _HEARD * len(chart.tones):
         return None
-    inverse = fit.scale * theirs.grid + fit.offset
-    doubt = fit.relative_error(theirs.grid)
-    with np.errstate(invalid="ignore"):
-        row, column = np.nonzero((inverse > 0) & (doubt < _DOUBT))
-    if len(row) == 0:
-        return None
-    depth = 1 / inverse[row, column].astype(np.float64)
-    step = grid_step(int(cameras.widths[i]))
-    pixels = np.stack([column, row], 1) * step + step // 2 + 0.5
-    rays = np.concatenate([pixels, np.ones((len(row), 1))], 1) @ np.linalg.inv(cameras.Ks[i]).T
-    viewmat = cameras.viewmats[i]
-    points = (rays * depth[:, None] - viewmat[:3, 3]) @ viewmat[:3, :3]
-    viewmat = cameras.viewmats[index]
-    local = points @ viewmat[:3, :3].T + viewmat[:3, 3]
-    front = local[:, 2] > 0
-    local, weight = local[front], 1 / (doubt[row, column][front] ** 2 + _MAP_ERROR**2)
-    pixels = (local @ cameras.Ks[index].T)[:, :2] / local[:, 2:]
-    size = (int(cameras.widths[index]), int(cameras.heights[index]))
-    inside = ((pixels >= 0) & (pixels < size)).all(axis=1)
-    step = grid_step(size[0])
-    x, y = ((pixels[inside] - 0.5 - step // 2) / step).T
-    values = sample(mine.grid, x, y)
-    known = np.isfinite(values)
-    if not known.any():
-        return None
-    return values[known], 1 / local[inside, 2][known], weight[inside][known].astype(np.float64)
-
-
-def _alike(cameras: Cameras, index: int, fits: Sequence[Fit | None]) -> list[int]:
-    """Other views with accepted fits, those with the nearest optical axes first."""
-    axes = cameras.viewmats[:, 2, :3]
-    others = [i for i, fit in enumerate(fits) if i != index and fit is not None and fit.accepted]
-    return sorted(others, key=lambda i: -float(axes[i] @ axes[index]))[:_MOST_VIEWS]
+    weights = np.concatenate([chart.point_weights, np.full(heard, 1 / heard)])
+    own = np.log(inverse_depth(np.exp(logs[index]), np.concatenate([chart.point_tones, *tones])))
+    told = np.log(np.concatenate([chart.point_inverse, *stated]))
+    low, high = np.quantile(told, (0.05, 0.95))
+    near = min(_NEAR, 0.3 * float(high - low))
+    share = float(weights[np.abs(own - told) <= near].sum() / weights.sum())
+    if share < LEAST_SHARE:
+        return (
+            f"only {share:.0%} of what points and other maps say agrees with one scale and offset"
+        )
+    if not beyond_chance(own, told, weights, near):
+        return "the map does not follow the depth of points and other maps"
+    return ""

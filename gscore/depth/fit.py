@@ -76,6 +76,11 @@ LOW, HIGH = 0.2, 5.0
 """A scale outside these multiples of the median scale of all views is unreliable."""
 
 
+def noise_of(error: float) -> float:
+    """The scatter about a fit of which this error would be expected among the points."""
+    return error * _INDEPENDENT**0.5 / _UNDERSTATED
+
+
 def median_scale(scales: list[float]) -> float:
     """Median of the positive scales; 0 if there is none."""
     positive = [scale for scale in scales if scale > 0]

@@ -9,7 +9,7 @@ from ..config import DataConfig
 from ..datasets import Dataset
 from ..scene import Cameras
 from .align import align_robust, reliable
-from .consensus import agreed
+from .consensus import agreed, with_errors
 from .fit import NO_FIT, Fit, judge, median_scale
 from .maps import DepthKind, stem
 from .params import Params, params_path, read_params, refusal
@@ -17,6 +17,9 @@ from .samples import Samples
 
 _LEAST_SHARE = 0.3
 """Share of points that must agree with a scale from depth_params.json for it to be used."""
+_MOST_ERROR = 0.1
+"""Median relative error up to which it is used all the same: maps are bent, and points that lie at
+much the same depth may all be off by that."""
 _LEAST_CORRELATION = 0.1
 """Mean rank correlation below which the points do not say what a map holds."""
 
@@ -50,13 +53,15 @@ def align_views(
     path = params_path(dataset.source, folder)
     if data.depth_align == "official" or (data.depth_align == "auto" and path.is_file()):
         stated = _stated(path, read_params(path), dataset, samples)
+        stated = _with_errors(stated, samples, dataset.scene.cameras)
         if data.depth_align == "official":
             return stated
         return _checked(stated, path, samples, dataset.scene.cameras)
     found, warnings = find_kind(samples) if kind is DepthKind.AUTO else (kind, ())
     if data.depth_align == "none":
         fits = [None if part is None else _judged(1.0, 0.0, part, found) for part in samples]
-        return Alignment(fits=fits, kind=found, warnings=warnings)
+        alignment = Alignment(fits=fits, kind=found, warnings=warnings)
+        return _with_errors(alignment, samples, dataset.scene.cameras)
     return robust(samples, found, dataset.scene.cameras, warnings)
 
 
@@ -80,6 +85,14 @@ def robust(
     return Alignment(
         fits=reliable(fits, median), kind=kind, warnings=(*warnings, *_refusals(fits, median))
     )
+
+
+def _with_errors(
+    alignment: Alignment, samples: list[Samples | None], cameras: Cameras
+) -> Alignment:
+    """The same scales and offsets with the errors to be expected of them."""
+    parts = [None if part is None else part.inverse(alignment.kind) for part in samples]
+    return replace(alignment, fits=with_errors(alignment.fits, parts, cameras))
 
 
 def _robust(part: Samples) -> Fit:
@@ -146,7 +159,10 @@ def _checked(
     wrong = [
         i
         for i, fit in enumerate(fits)
-        if fit is not None and fit.accepted and fit.points and fit.inliers < _LEAST_SHARE
+        if fit is not None
+        and fit.accepted
+        and fit.inliers < _LEAST_SHARE
+        and fit.error > _MOST_ERROR
     ]
     if not wrong:
         return stated

@@ -5,7 +5,7 @@ import pytest
 
 from gscore.config import DataConfig
 from gscore.datasets import load_dataset
-from gscore.depth import consensus, load_priors
+from gscore.depth import fitting, load_priors
 
 NEAR = (0.25, 0.3)
 """Inverse depths at which structure from motion saw points; the planes are farther and nearer."""
@@ -49,7 +49,7 @@ def test_what_points_leave_open_other_maps_settle(make_planes, monkeypatch, seed
     planes = make_planes(reach=NEAR)
     planes.write_maps(waves(seed, 0.03))
     with monkeypatch.context() as alone:
-        alone.setattr(consensus, "ROUNDS", 0)
+        alone.setattr(fitting, "agreed", lambda fits, maps, cameras: fits)
         _, before = load(planes)
     refused = [i for i, view in enumerate(before.views) if not view.aligned]
     assert refused and max(far_errors(planes, before)) == 1
@@ -59,6 +59,21 @@ def test_what_points_leave_open_other_maps_settle(make_planes, monkeypatch, seed
     for row, old in zip(priors.table, before.table, strict=True):
         assert row["points"] == old["points"] > 20
         assert row["inliers"] > 0.7 * old["inliers"]
+
+
+def test_what_was_settled_is_read_again(make_planes, gscore):
+    """Oracle: the alignment itself. depth_params.json holds scale and offset alone; how far they
+    are to be trusted comes from points and other maps again, and nothing is aligned anew."""
+    planes = make_planes(reach=NEAR)
+    planes.write_maps(waves(0, 0.03))
+    _, aligned = load(planes)
+    code, _, _ = gscore("depth", planes.folder)
+    assert code == 0 and (planes.folder / "sparse" / "0" / "depth_params.json").is_file()
+    _, again = load(planes)
+    assert again.warnings == ()
+    for old, new in zip(aligned.views, again.views, strict=True):
+        assert new.fit.scale == pytest.approx(old.fit.scale, rel=0.05)
+        assert abs(float(new.confidence.mean()) - float(old.confidence.mean())) < 0.05
 
 
 def test_exact_maps_stay_exact(make_planes):

@@ -1,0 +1,164 @@
+"""A depth map with its camera: where its pixels lie, and what it says of points in the world.
+
+Values of a map become tones, 0 at its far end and 1 at its near end, so that two positive numbers,
+the inverse depths at the ends, place it in the world whatever its own numbers are.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..scene import Cameras
+from .confidence import confidence
+from .fit import Fit, noise_of
+from .maps import sample
+from .samples import Samples, grid_step
+
+_ENDS = (0.02, 0.98)
+"""Quantiles of a map's values at its ends."""
+_LEAST_PIXELS = 50
+"""Sure pixels of the grid that a map needs to be compared with others."""
+_SURE = 0.5
+"""Confidence from which a pixel lies on a surface and not on an edge."""
+_LEAST_POINTS = 8
+"""Points of a view that say something of where its map lies."""
+_FLOOR = 1e-3
+"""No inverse depth is smaller than this part of that at the near end."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Chart:
+    """A map ready to be compared with others. P sampled pixels, M points."""
+
+    low: float
+    """The map's value at tone 0."""
+    high: float
+    """The map's value at tone 1, larger."""
+    grid: np.ndarray
+    """[h, w] float64 tones; NaN: unknown."""
+    step: int
+    """Pixels between two columns of the grid, and two rows."""
+    size: tuple[int, int]
+    """Of the camera, width and height in pixels."""
+    K: np.ndarray
+    """[3, 3], pixels."""
+    viewmat: np.ndarray
+    """[4, 4], world to camera."""
+    tones: np.ndarray
+    """[P] float64 at sure pixels."""
+    directions: np.ndarray
+    """[P, 3] world vectors of these pixels, as long as one unit of camera z."""
+    point_tones: np.ndarray
+    """[M] float64 where the view's own points are seen."""
+    point_inverse: np.ndarray
+    """[M] float64 positive, 1/world unit."""
+    point_weights: np.ndarray
+    """[M] float64, their sum is 1; empty if there are too few points."""
+
+    @property
+    def center(self) -> np.ndarray:
+        """[3] place of the camera, world."""
+        return -self.viewmat[:3, :3].T @ self.viewmat[:3, 3]
+
+    def points(self, inverse_depth: np.ndarray) -> np.ndarray:
+        """[..., P, 3] in the world, of the sampled pixels at inverse depths [..., P]."""
+        return self.center + self.directions / inverse_depth[..., None]
+
+    def look_up(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What the map shows where points lie: tones, NaN outside, and inverse camera z.
+
+        Args:
+            points: [..., 3], world.
+
+        Returns:
+            [...] and [...] float64; the latter 1 behind the camera.
+        """
+        local = points @ self.viewmat[:3, :3].T + self.viewmat[:3, 3]
+        front = local[..., 2] > 0
+        z = np.where(front, local[..., 2], 1.0)
+        pixels = (local @ self.K.T)[..., :2] / z[..., None]
+        inside = front & ((pixels >= 0) & (pixels < self.size)).all(axis=-1)
+        x, y = ((pixels[inside] - 0.5 - self.step // 2) / self.step).T
+        tones = np.full(z.shape, np.nan)
+        tones[inside] = sample(self.grid, x, y)
+        return tones, 1 / z
+
+    def ends(self, fit: Fit) -> np.ndarray | None:
+        """[2] inverse depths at tones 0 and 1 as a fit has them; None where one is not positive."""
+        ends = fit.scale * np.array([self.low, self.high]) + fit.offset
+        return ends if ends[0] > _FLOOR * ends[1] > 0 else None
+
+    def line(self, ends: np.ndarray) -> tuple[float, float]:
+        """Scale and offset of a map whose ends have inverse depths [2]."""
+        scale = (ends[1] - ends[0]) / (self.high - self.low)
+        return float(scale), float(ends[0] - scale * self.low)
+
+    def uncertainty(self, ends: np.ndarray, covariance: np.ndarray) -> dict[str, float]:
+        """`center`, `deviation` and `noise` of a Fit whose expected error is that of these ends.
+
+        Args:
+            ends: [2] inverse depths at tones 0 and 1.
+            covariance: [2, 2] of their logs.
+        """
+        # Inverse depth = constant + tone * slope, both linear in the ends.
+        constant, slope = np.array([ends[0], 0.0]), np.array([-ends[0], ends[1]])
+        least = -(constant @ covariance @ slope) / (slope @ covariance @ slope)
+        at = constant + least * slope
+        error = float(at @ covariance @ at) ** 0.5
+        spread = error / float(slope @ covariance @ slope) ** 0.5
+        return {
+            "center": float(self.low + least * (self.high - self.low)),
+            "deviation": spread * (self.high - self.low),
+            "noise": noise_of(error),
+        }
+
+
+def chart(samples: Samples, cameras: Cameras, index: int, *, count: int) -> Chart | None:
+    """The map of view `index` at `count` of its pixels; None if it shows too little.
+
+    Args:
+        samples: Of a map that is affine in inverse depth.
+        cameras: At the size that the grid was thinned from.
+        index: Of the view.
+        count: P; pixels are drawn at random, with repetition if there are fewer.
+    """
+    known = np.isfinite(samples.grid)
+    sure = known & (confidence(samples.grid, None) >= _SURE)
+    row, column = np.nonzero(sure)
+    if samples.trouble or len(row) < _LEAST_PIXELS:
+        return None
+    low, high = (float(v) for v in np.quantile(samples.grid[known], _ENDS))
+    if not high > low:
+        return None
+    rng = np.random.default_rng(index)
+    chosen = rng.choice(len(row), count, replace=len(row) < count)
+    row, column = row[chosen], column[chosen]
+    step = grid_step(int(cameras.widths[index]))
+    pixels = np.stack([column, row, np.zeros(count)], 1) * step + step // 2 + 0.5
+    pixels[:, 2] = 1
+    grid = (samples.grid.astype(np.float64) - low) / (high - low)
+    seen = np.isfinite(samples.values) & (samples.inverse_depth > 0)
+    if int(seen.sum()) < _LEAST_POINTS:
+        seen[:] = False
+    weights = samples.weights[seen]
+    viewmat = cameras.viewmats[index]
+    return Chart(
+        low=low,
+        high=high,
+        grid=grid,
+        step=step,
+        size=(int(cameras.widths[index]), int(cameras.heights[index])),
+        K=cameras.Ks[index],
+        viewmat=viewmat,
+        tones=grid[row, column],
+        directions=pixels @ np.linalg.inv(cameras.Ks[index]).T @ viewmat[:3, :3],
+        point_tones=(samples.values[seen] - low) / (high - low),
+        point_inverse=samples.inverse_depth[seen],
+        point_weights=weights / (weights.sum() or 1.0),
+    )
+
+
+def inverse_depth(ends: np.ndarray, tones: np.ndarray) -> np.ndarray:
+    """[..., N] inverse depths at tones [..., N] of maps with `ends` [..., 2]."""
+    far, near = ends[..., :1], ends[..., 1:]
+    return np.maximum(far + (near - far) * tones, _FLOOR * near)
