@@ -83,8 +83,8 @@ def make(options: argparse.Namespace, addon: str) -> None:
     print(f"Wrote {options.output} and {options.render}")
 
 
-def main() -> None:
-    """Make the file in an empty scene."""
+def main() -> int:
+    """Make the file in an empty scene; the exit code."""
     import addon_utils
 
     options = parse()
@@ -92,12 +92,17 @@ def main() -> None:
     addon = enable_addon()
     try:
         make(options, addon)
+    except RuntimeError:  # an operator that failed; Blender has printed its sentence
+        return 1
     finally:
         addon_utils.disable(addon)  # bpy 4.5 hangs at exit with an add-on enabled
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    code = main()
     if bpy.app.version < (4, 5) and not bpy.app.binary_path:
         sys.stdout.flush()
-        os._exit(0)  # else bpy 4.2 frees its panels when there is no Python any more, and crashes
+        os._exit(code)  # else bpy 4.2 frees its panels when there is no Python, and crashes
+    if code:
+        sys.exit(code)

@@ -72,6 +72,8 @@ def new_run(
     arguments = ["train", str(source), "-o", str(output), "--preset", settings.preset]
     for name in ("iterations", "max_splats", "sh_degree", "strategy", "background", "seed"):
         value = getattr(settings, name)
+        if name == "iterations" and settings.time_budget:
+            continue  # a budget finds the number of steps itself
         if value != getattr(train, name):
             arguments += [_flag(name), str(value)]
     for name in ("time_budget", "target_psnr"):

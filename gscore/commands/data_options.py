@@ -5,7 +5,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ..config import DataConfig
+from ..config import DataConfig, flag_of
+from ..errors import ConfigError
 
 
 def add_data_options(parser: argparse.ArgumentParser) -> None:
@@ -58,6 +59,13 @@ def with_data_options(config: DataConfig, args: argparse.Namespace) -> DataConfi
         for name in (*_SPLIT, *_OTHER)
         if getattr(args, name, None) is not None
     }
-    if any(name in given for name in _SPLIT):
-        given["eval"] = True
+    split = [name for name in _SPLIT if name in given]
+    if len(split) > 1 and set(split) != {"test_first", "test_last"}:
+        flags = [flag_of(name) for name in split]
+        raise ConfigError(
+            f"{' and '.join(flags)} are different ways to choose test views; give one of them."
+        )
+    if split:
+        plain = DataConfig(source=config.source)
+        given = {name: getattr(plain, name) for name in _SPLIT} | given | {"eval": True}
     return replace(config, **given)

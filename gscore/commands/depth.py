@@ -26,6 +26,7 @@ from ..errors import Cancelled, ConfigError, FormatError
 from ..events import DepthDone, DepthProgress, Saved, Warn
 from ..extras import need
 from ..metrics.colormap import colorize
+from ..metrics.words import count_words
 from ..trainer.depth_rule import coverage, decide
 from .attend import Show, attend
 from .output import check_folder
@@ -361,7 +362,7 @@ def _print(args: argparse.Namespace, result: _Result) -> None:
         print(done.why)
         return
     print(f"{count} aligned by the {args.align} rule: {done.params}")
-    print(f"{result.shown} views on {done.sheet}")
+    print(f"{count_words(result.shown, 'view')} on {done.sheet}")
     print(done.why)
 
 
@@ -383,8 +384,8 @@ class _Told:
 
     def __call__(self) -> str:
         return (
-            f"Stopped after {self.predicted} views; the maps written so far are whole. Run the "
-            f"same command again to go on."
+            f"Stopped after {count_words(self.predicted, 'view')}; the maps written so far are "
+            "whole. Run the same command again to go on."
         )
 
 

@@ -19,7 +19,7 @@ from ..events import (
     Warn,
     to_line,
 )
-from ..metrics.words import quality_words
+from ..metrics.words import count_words, quality_words
 
 _MASKS = {
     "ignore": "Masks are used: what they hide is not trained and not measured. --mask-mode none "
@@ -80,9 +80,10 @@ class Lines:
                 if event.step:
                     self._permanent(f"Going on from step {event.step} of {event.iterations}")
                 self._permanent(
-                    f"{event.train_views} training views, {event.test_views} test views, "
+                    f"{count_words(event.train_views, 'training view')}, "
+                    f"{count_words(event.test_views, 'test view')}, "
                     f"{event.width} x {event.height} px; {event.splats} splats to start with; "
-                    f"{event.threads} threads, {event.isa}"
+                    f"{count_words(event.threads, 'thread')}, {event.isa}"
                 )
                 if sentence := _MASKS.get(event.mask_mode):
                     self._permanent(sentence)

@@ -21,7 +21,7 @@ from ..metrics.machine import (
     total_memory_bytes,
     version_of,
 )
-from ..metrics.words import size_words
+from ..metrics.words import count_words, size_words
 from ..sh import rgb_to_sh0
 from ..splats import Splats
 
@@ -189,7 +189,7 @@ def _text(facts: dict[str, Any]) -> str:
     if "isa" in native:
         others = ", ".join(i for i in native["isas"] if i != native["isa"])
         also = f" (also here: {others})" if others else ""
-        rows.append(("uses", f"{native['isa']}{also}, {native['threads']} threads"))
+        rows.append(("uses", f"{native['isa']}{also}, {count_words(native['threads'], 'thread')}"))
     for isa, found in native.get("self_test", {}).items():
         verdict = "ok" if found["error"] <= _TOLERANCE else "WRONG"
         rows.append(("self-test", f"{isa}: {verdict}, error {found['error']:.1e}"))

@@ -3,6 +3,7 @@
 import argparse
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from ..metrics import (
     write_metrics,
     write_report,
 )
-from ..metrics.words import quality_words
+from ..metrics.words import count_words, quality_words
 from ..raster import backend
 from ..raster.api import render
 from .data_options import add_data_options, with_data_options
@@ -156,9 +157,17 @@ def _data_config(args: argparse.Namespace, model: Model) -> DataConfig:
             config = DataConfig(
                 source=args.source, resolution=config.resolution, max_width=config.max_width
             )
-            # Another capture: the names and folders of the old one mean nothing there.
+            # Another capture: the names and folders of the old one mean nothing there. Where the
+            # old one is gone, this is it in another place.
             if args.source.resolve() == model.data.source.resolve():
                 config = model.data
+            elif not model.data.source.exists():
+                config = replace(model.data, source=args.source)
+        elif not config.source.exists():
+            raise DatasetError(
+                f"The capture {config.source}, on which {model.run} was trained, is not there any "
+                "more; say with -s SOURCE where it is now."
+            )
     elif args.source is None:
         raise ConfigError(
             f"{model.ply} does not say what it was trained on; give the capture with -s SOURCE."
@@ -191,7 +200,7 @@ def _of_the_training(model: Model) -> dict[str, Any]:
 
 
 def _summary(metrics: dict[str, Any], output: Path) -> str:
-    held = {"test": "test views", "train": "training views", "all": "views"}[metrics["split"]]
-    views = f"{len(metrics['views'])} {held}"
+    held = {"test": "test view", "train": "training view", "all": "view"}[metrics["split"]]
+    views = count_words(len(metrics["views"]), held)
     worth = quality_words(metrics) or f"no PSNR ({metrics['psnr_reason']})"
-    return f"{views}: {worth}\nResults: {output / 'metrics.json'}, report.html"
+    return f"{views}: {worth}\nResults: {output / 'metrics.json'}, {output / 'report.html'}"

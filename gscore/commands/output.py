@@ -1,6 +1,8 @@
 """Where a verb may write, asked before the work and not after it."""
 
+import contextlib
 import os
+from collections.abc import Collection
 from pathlib import Path
 
 from ..errors import ConfigError
@@ -28,3 +30,16 @@ def check_folder(folder: Path) -> None:
         raise ConfigError(
             f"Cannot write into {existing}: permission denied; choose another output."
         )
+
+
+def others_in(folder: Path, known: Collection[str], most: int = 3) -> str:
+    """The first few names in a folder, without those that are `known`, for a message; or nothing.
+
+    Hidden files are left out.
+    """
+    names: list[str] = []
+    with contextlib.suppress(OSError, ValueError):  # whoever writes there says why it cannot be
+        names = sorted(p.name for p in folder.iterdir() if not p.name.startswith("."))
+    other = [name for name in names if name not in known]
+    more = f" and {len(other) - most} more" if len(other) > most else ""
+    return ", ".join(shown(name) for name in other[:most]) + more

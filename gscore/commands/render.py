@@ -18,12 +18,13 @@ from ..errors import ConfigError, DatasetError
 from ..io.cameras_json import read_cameras
 from ..io.images import write_png
 from ..io.runs import read_metrics
+from ..metrics.words import count_words
 from ..raster.api import Rendered
 from ..raster.api import render as render_view
 from ..scene import Cameras
 from .camera_path import orbit_path, spline_path
 from .model import Model, add_model_argument, model_path, open_model
-from .output import check_folder
+from .output import check_folder, others_in
 from .stills import still_names, to_rgb, to_rgba, write_depth_npy, write_depth_png
 from .video import need_video, write_video
 
@@ -122,10 +123,18 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps(result, allow_nan=False))
     else:
-        count = len(shots.names)
-        plural = "s" if count != 1 else ""
-        print(f"Wrote {args.output}: {count} picture{plural}, rendered at {work.fps:.1f} fps.")
+        count = count_words(len(shots.names), "picture")
+        print(f"Wrote {args.output}: {count}, rendered at {work.fps:.1f} fps.")
+        if others := _older(args.output, result):
+            print(f"Files that were there before stay: {others}")
     return 0
+
+
+def _older(output: Path, result: dict[str, Any]) -> str:
+    """What else lies in the folder of the stills, so that nobody takes it for what was written."""
+    written = [*result["files"], *result.get("depth_files", [])]
+    parts = {Path(path).relative_to(output).parts[0] for path in written if output.is_dir()}
+    return others_in(output, parts)
 
 
 class _Work:
@@ -155,7 +164,8 @@ class _Work:
             self._seconds.append(time.perf_counter() - began)
             if not self._quiet and (sys.stderr.isatty() or (i + 1) % 10 == 0 or i + 1 == count):
                 end = "\r" if sys.stderr.isatty() and i + 1 < count else "\n"
-                print(f"{i + 1}/{count} {shots.names[i]}", end=end, file=sys.stderr, flush=True)
+                name = PurePosixPath(shots.names[i]).with_suffix("") if shots.names[i] else "view"
+                print(f"{i + 1}/{count} {name}", end=end, file=sys.stderr, flush=True)
             yield rendered
 
 

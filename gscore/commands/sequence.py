@@ -100,7 +100,8 @@ def _summary(result: SequenceResult) -> str:
             f"{split.capitalize()} views, mean of the frames: PSNR {numbers['psnr']:.2f} dB, "
             f"SSIM {numbers['ssim']:.4f}."
         )
-    lines.append(f"Results: {result.output / SEQUENCE_FILE}, frame_*/point_cloud.ply")
+    output = result.output
+    lines.append(f"Results: {output / SEQUENCE_FILE}, {output / 'frame_*' / 'point_cloud.ply'}")
     if result.reason != "finished":
         lines.append(f"To go on: gscore sequence -o {result.output} --resume")
     return "\n".join(lines)

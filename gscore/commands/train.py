@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import sys
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -18,12 +19,14 @@ from ..config import (
 )
 from ..errors import ConfigError
 from ..events import CONVERGED, ENDED, FINISHED, TARGET
-from ..metrics.words import quality_words
+from ..io.runs import RUN_FILES, RUN_FOLDERS, RUN_LOCK
+from ..metrics.words import count_words, quality_words
 from ..trainer import Control, TrainResult, train
 from ..trainer.folder import check_free
 from .attend import Show, add_output_options, attend
 from .data_options import add_data_options, add_depth_options, with_data_options
 from .option_help import option_help
+from .output import others_in
 
 _STEPS: dict[str, Any] = {"type": int, "nargs": "+", "metavar": "STEP"}
 _SWITCH: dict[str, Any] = {"action": argparse.BooleanOptionalAction}
@@ -305,7 +308,13 @@ def configs(args: argparse.Namespace) -> tuple[DataConfig, TrainConfig]:
     data = with_data_options(data, args)
     if args.eval is not None:
         data = replace(data, eval=args.eval)
-    return data, _with_given(config, args)
+    config = _with_given(config, args)
+    if args.iterations is not None and config.time_budget > 0:
+        raise ConfigError(
+            f"A time budget ({config.time_budget:g} s) finds the number of steps itself; leave "
+            "--iterations out, or give --time-budget 0."
+        )
+    return data, config
 
 
 def _with_given(config: TrainConfig, args: argparse.Namespace) -> TrainConfig:
@@ -327,6 +336,9 @@ def _with_given(config: TrainConfig, args: argparse.Namespace) -> TrainConfig:
 
 def _train(args: argparse.Namespace, show: Show, control: Control) -> TrainResult:
     data, config = configs(args)
+    others = others_in(args.output, (RUN_LOCK, *RUN_FILES, *RUN_FOLDERS))
+    if others and not (args.quiet or args.events):
+        print(f"{args.output} holds other files too; they stay: {others}", file=sys.stderr)
     return train(
         config,
         data,
@@ -349,9 +361,10 @@ def _summary(result: TrainResult) -> str:
         f"{len(result.splats)} splats."
     ]
     if worth := quality_words(metrics):
-        views = "test views" if metrics["split"] == "test" else "training views"
-        lines.append(f"{len(metrics['views'])} {views}: {worth}")
-    lines.append(f"Results: {result.output / 'point_cloud.ply'}, report.html")
+        view = "test view" if metrics["split"] == "test" else "training view"
+        lines.append(f"{count_words(len(metrics['views']), view)}: {worth}")
+    output = result.output
+    lines.append(f"Results: {output / 'point_cloud.ply'}, {output / 'report.html'}")
     if result.reason not in ENDED:
         lines.append(f"To go on: gscore train -o {result.output} --resume")
     return "\n".join(lines)

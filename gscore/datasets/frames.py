@@ -15,6 +15,8 @@ from .transforms_json import find_transforms
 
 _PATTERNS = ("source", "images", "masks", "depths")
 """Options that may hold `{frame}`."""
+_LISTED = 5
+"""Numbers of frames that a message names."""
 _NUMBERED = re.compile(r"\D*(\d+)")
 
 
@@ -103,9 +105,11 @@ def choose_frames(frames: list[SequenceFrame], wanted: str) -> list[SequenceFram
             last = int(match[3]) if match[3] else max(numbers)
             picked = numbers & set(range(first, last + 1, int(match[4] or 1)))
         if not picked:
+            there = sorted(numbers)
             raise DatasetError(
-                f"There is no frame {part.strip()}: the sequence has {len(numbers)} frames, "
-                f"{listing([str(n) for n in sorted(numbers)])} up to {max(numbers)}."
+                f"There is no frame {part.strip()}: the sequence has {len(there)} frames, "
+                f"{listing([str(n) for n in there], _LISTED)}"
+                f"{f' up to {there[-1]}' if len(there) > _LISTED else ''}."
             )
         chosen |= picked
     return [frame for frame in frames if frame.number in chosen]

@@ -14,6 +14,9 @@ _FARTHEST = 0.02
 """Median distance of cameras, in radii of the rig, up to which two rigs are the same."""
 _TURNED = np.deg2rad(2.0)
 """Median angle between the cameras of the same rig, at most."""
+_TOLD = 2e-3
+"""Distance of the farthest one, the same, from which it is worth a word: fits of one rig to photos
+differ by less."""
 _OUTLIER = 3.0
 """Cameras farther off than this many medians do not take part in the fit."""
 
@@ -86,11 +89,13 @@ def with_rig(capture: Capture, rig: Capture, *, where: Path, rig_at: Path) -> Ca
             views.append(replace(view, viewmat=fit.move_viewmat(view.viewmat)))
         else:
             views.append(replace(view, viewmat=place.viewmat, camera=place.camera))
-    warnings = [
-        f"The cameras of {len(pairs)} views are those of {rig_at}, and the points were moved into "
-        f"its world; the cameras' own places differ by {100 * distance:.2f} % of the rig's radius "
-        f"in the median, {100 * float(fit.distances.max()):.2f} % at most."
-    ]
+    warnings, farthest = [], float(fit.distances.max())
+    if farthest > _TOLD:
+        warnings.append(
+            f"The cameras of {len(pairs)} views are those of {rig_at}, and the points were moved "
+            f"into its world; the cameras' own places differ by {100 * distance:.2f} % of the "
+            f"rig's radius in the median, {100 * farthest:.2f} % at most."
+        )
     lone = [view.name for view in capture.views if _key(view.name) not in places]
     if lone:
         warnings.append(f"{len(lone)} views are not in {rig_at}: {listing(lone)}.")

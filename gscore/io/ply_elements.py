@@ -93,7 +93,7 @@ def _check_header(path: Path) -> None:
         raise DatasetError(f"Cannot read {path}: {error.strerror or error}.") from error
     if not head.startswith((b"ply\n", b"ply\r")):
         raise FormatError(
-            f"{path} is not a PLY file: it starts with {head[:8]!r}, expected 'ply'. Choose the "
+            f"{path} is not a PLY file: it does not start with the word 'ply'. Choose the "
             f"point_cloud.ply that a 3D Gaussian Splatting trainer wrote."
         )
     end = head.find(b"end_header")

@@ -39,3 +39,8 @@ def quality_words(metrics: Mapping[str, Any]) -> str:
     if metrics.get("lpips") is not None:
         parts.append(f"LPIPS ({metrics.get('lpips_net') or 'network'}) {metrics['lpips']:.4f}")
     return ", ".join(parts)
+
+
+def count_words(count: int, noun: str) -> str:
+    """1 view, 2 views."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"

@@ -52,9 +52,8 @@ def select(only: Sequence[str] = (), *, full: bool = False) -> list[Case]:
     _load()
     for word in only:
         if not any(word.lower() in c.name.lower() for c in CASES):
-            raise ConfigError(
-                f"--only {word}: no case has that in its name; leave it out to see all."
-            )
+            names = "; ".join(c.name for c in CASES)
+            raise ConfigError(f"--only {word}: no test has that in its name. They are: {names}.")
     keys = {word.lower() for word in only}
     return [
         c

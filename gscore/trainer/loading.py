@@ -12,6 +12,7 @@ from ..datasets import Dataset
 from ..datasets.dataset import map_threads
 from ..errors import Cancelled, DatasetError
 from ..events import Estimated, Event, Progress
+from ..metrics.words import count_words
 from ..splats import Splats
 from .forecast import Estimate, check_fits, estimate
 
@@ -151,5 +152,6 @@ def _check_masks(photos: Dataset, threads: int) -> list[str]:
             "is nothing to train on. White is what counts: invert them, or choose --mask-mode none."
         )
     if empty:
-        return [f"The masks of {len(empty)} training views are black, for example {empty[0]}."]
+        views = count_words(len(empty), "training view")
+        return [f"The masks of {views} are black, for example {empty[0]}."]
     return []

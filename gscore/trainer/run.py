@@ -8,6 +8,7 @@ from pathlib import Path
 from ..config import DataConfig, TrainConfig, differences, flag_of, load_config
 from ..control import Control
 from ..datasets import load_dataset
+from ..depth.maps import MapFolder
 from ..errors import BackendError, ConfigError, FormatError, GsError
 from ..events import Event
 from ..io.ply import read_splats
@@ -75,6 +76,8 @@ def train(
             checkpoint.check_compatible(before, config, photos, changed=changed)
             with checkpoint.understood(before.path):
                 frame = Frame.from_dict(before.trainer["frame"])
+        if data.depths:
+            MapFolder(photos.source / data.depths)  # refuses a folder that is not there
         loaded = load_photos(
             photos,
             config,

@@ -113,7 +113,7 @@ def test_every_option_arrives(scene: bpy.types.Scene, tmp_path: Path) -> None:
     settings, network = scene.gscore, tmp_path / "lpips.onnx"
     values = {"iterations": 123, "max_splats": 4567, "sh_degree": 1, "seed": 9, "antialias": True}
     values |= {"strategy": "mcmc", "background": "white", "early_stop": True}
-    values |= {"time_budget": 90.5, "target_psnr": 27.3}
+    values |= {"target_psnr": 27.3}
     for name, value in values.items():
         setattr(settings, name, value)  # numbers become single precision
     settings.eval, settings.test_every, settings.images = True, 5, "photos 2"
@@ -121,7 +121,12 @@ def test_every_option_arrives(scene: bpy.types.Scene, tmp_path: Path) -> None:
     machine = options.Machine(threads=1, lpips=network, preview_seconds=0.0)
     first = line(scene, machine=machine, overwrite=True)
     settings.use_masks, settings.eval, settings.resolution = False, False, "2"
-    (data, train, args), (data2, _, _) = parsed(first, line(scene))
+    second = line(scene)
+    settings.time_budget = 90.5
+    (data, train, args), (data2, _, _), (_, train3, _) = parsed(first, second, line(scene))
+    # A budget takes the place of the steps.
+    normal = PRESETS["normal"](Path())[1].iterations
+    assert (train3["time_budget"], train3["iterations"]) == ("90.5", str(normal))
     for name, value in values.items():
         assert train[name] == str(value), name
     assert (train["threads"], train["lpips"]) == ("1", str(network))

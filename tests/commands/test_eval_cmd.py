@@ -100,3 +100,16 @@ def test_bad_input(gscore, capture, run_folder, splats, tmp_path):
     (folder / "config.json").write_text("{")
     code, _, err = gscore("eval", folder)
     assert code == 2 and "config.json" in err
+
+
+def test_a_capture_that_moved(gscore, capture, run_folder, tmp_path):
+    """Oracle: the sentence names -s; with it, two of nine views are measured, the run's split."""
+    folder = run_folder()
+    config = json.loads((folder / "config.json").read_text())
+    config["data"]["source"] = str(tmp_path / "gone")
+    (folder / "config.json").write_text(json.dumps(config))
+    code, _, err = gscore("eval", folder)
+    assert code == 2 and "gone" in err and "say with -s SOURCE where it is now" in err
+    code, out, _ = gscore("eval", folder, "-s", capture, "--quiet")
+    assert code == 0 and out.startswith("2 test views: PSNR")
+    assert f"{folder / 'metrics.json'}, {folder / 'report.html'}" in out

@@ -114,6 +114,17 @@ def test_depth(gscore, run_folder, tmp_path, picture):
     assert 3 < wanted.max() < 8 and (wanted == 0).any()
 
 
+def test_older_files_are_told(gscore, run_folder, tmp_path):
+    """Oracle: a depth map of a rendering before, which is no part of this one, and still there."""
+    folder, out = run_folder(), tmp_path / "a"
+    code, told, _ = gscore("render", folder, "-o", out, "--depth", "png", "--view", "4")
+    assert code == 0 and "were there before" not in told
+    code, told, err = gscore("render", folder, "-o", out, "--view", "4")
+    assert code == 0 and "Files that were there before stay: a_4_depth.png" in told
+    assert "1/1 a_4\n" in err
+    assert (out / "a_4_depth.png").is_file()
+
+
 def test_depth_beyond_the_range_is_kept_apart_from_nothing(tmp_path):
     """Oracle: 0 is nothing, tiny depths are 1, too large ones 65535."""
     depth = np.array([[0.0, 1e-9, 2.0], [3.0, 1e9, 0.0]], np.float32)

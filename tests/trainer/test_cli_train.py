@@ -162,6 +162,9 @@ def test_resuming_with_other_options_says_which(
         (["{capture}", "-o", "{out}", "--lpips", "{out}/x.onnx"], "No LPIPS network at"),
         (["{capture}", "-o", "{out}", "-r", "0.5"], "resolution is 0.5"),
         (["{capture}", "-o", "{out}", "--debug"], "no debug dumps"),
+        (["{capture}", "-o", "{out}", "--test-every", "6", "--test-last", "3"], "give one of them"),
+        (["{capture}", "-o", "{out}", "--time-budget", "5", "--iterations", "9"], "budget (5 s)"),
+        (["{capture}", "-o", "{out}", "-d", "nodepth"], "There is no folder {capture}/nodepth"),
         (["{capture}", "-o", "{out}", "-w", "--random-background"], "Give either"),
         (["{capture}", "-o", "{out}", "--nonsense"], "unrecognized arguments: --nonsense"),
         (["{capture}", "-o", "{capture}/images/view_00.png"], "is a file"),
@@ -179,9 +182,45 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(
     filled = [a.format(capture=capture, out=out) for a in arguments]
     assert main(["train", *filled, "--quiet"]) == 2
     err = capsys.readouterr().err
-    assert message in err
+    assert message.format(capture=capture) in err
     assert err.count("\n") == 1
     assert not out.exists()
+
+
+def test_depth_maps_are_missed_before_photos_are_read(
+    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: no photo is decoded."""
+    monkeypatch.setattr("gscore.trainer.run.load_photos", lambda *a, **k: pytest.fail("read"))
+    line = ["train", str(capture), "-o", str(tmp_path / "o"), "-d", "nodepth", "--quiet"]
+    assert main(line) == 2
+
+
+def test_a_way_to_split_takes_the_place_of_another(capture: Path, tmp_path: Path) -> None:
+    """Oracle: the later one alone, over a config file that had another."""
+    line = ["train", str(capture), "-o", str(tmp_path / "a"), *SHORT, "--quiet"]
+    assert main([*line, "--test-first", "1", "--test-last", "2"]) == 0
+    config = tmp_path / "a" / "config.json"
+    data, _ = load_config(config)
+    assert (data.eval, data.test_first, data.test_last) == (True, 1, 2)
+    parser = argparse.ArgumentParser()
+    train_command.add_arguments(parser)
+    other = f"-o out --config {config} --test-every 3"
+    data, _ = train_command.configs(parser.parse_args(other.split()))
+    assert (data.eval, data.test_first, data.test_last, data.test_every) == (True, 0, 0, 3)
+
+
+def test_other_files_in_the_output_folder_are_told(
+    capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Oracle: their names, and that they stay."""
+    for name in "dcba":
+        (tmp_path / f"{name}.jpg").write_text(name)
+    assert main(["train", str(capture), "-o", str(tmp_path), *SHORT]) == 0
+    told = capsys.readouterr()
+    assert "holds other files too; they stay: a.jpg, b.jpg, c.jpg and 1 more" in told.err
+    assert f"Results: {tmp_path}/point_cloud.ply, {tmp_path}/report.html" in told.out
+    assert (tmp_path / "d.jpg").read_text() == "d"
 
 
 def test_flags_of_3dgs_scripts_mean_what_they_mean_there() -> None:
@@ -216,7 +255,7 @@ def test_black_masks_are_refused_and_some_are_warned_about(
         write_png(masks / photo.name, mask)
     assert main(run) == 0
     told = capsys.readouterr()
-    assert "The masks of 1 training views are black" in told.err
+    assert "The masks of 1 training view are black" in told.err
     assert "dB inside the masks" in told.out
     assert "what they hide is not trained and not measured" in told.err
 

@@ -197,7 +197,7 @@ def test_the_command_line(frames: Path, tmp_path: Path, capsys: pytest.CaptureFi
     [
         (["{video}/none", "-o", "{out}"], "There is no folder"),
         (["{video}/000000", "-o", "{out}"], "holds no frames; expected a numbered folder"),
-        (["{video}", "-o", "{out}", "--frames", "3"], "There is no frame 3: the sequence has 3"),
+        (["{video}", "-o", "{out}", "--frames", "3"], "the sequence has 3 frames, 0, 5, 10."),
         (["{video}", "-o", "{out}", "--frames", "a-b"], "frames is 'a-b'; expected numbers"),
         (["{video}", "-o", "{out}", "--frames", "0:10:0"], "expected numbers such as"),
         (["{video}", "-o", "{out}", "--frame", "3"], "--frame is for one frame"),
