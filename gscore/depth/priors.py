@@ -22,7 +22,7 @@ from .samples import unusable, view_samples
 
 ALIGNMENTS = ("auto", "official", "robust", "none")
 """Values of the option `depth_align`."""
-_TOLERABLE = 0.2
+_TOLERABLE = 1.0
 """Expected relative error of an aligned inverse depth at which a pixel counts half."""
 
 
