@@ -38,6 +38,7 @@ UNSAFE_NAMES = (
 
 
 STARTS = {
+    "gscore/bench/memory.py:bench_memory",
     "gscore/bench/scaling.py:_measure",
     "gscore/metrics/machine.py:cpu_name",
     "addon/job/process.py:Process.__init__",

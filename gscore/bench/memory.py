@@ -1,6 +1,7 @@
 """How much memory a training takes: a whole run on a synthetic capture, in this process."""
 
-import multiprocessing
+import subprocess
+import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -76,13 +77,13 @@ def bench_memory(
     with tempfile.TemporaryDirectory(prefix="gscore-") as name:
         folder = Path(name)
         # In another process, whose memory does not count.
-        writer = multiprocessing.get_context("spawn").Process(
-            target=_write, args=(folder, splats, views, width, height)
-        )
-        writer.start()
-        writer.join()
-        if writer.exitcode:
-            raise RuntimeError(f"The process that writes the capture ended with {writer.exitcode}.")
+        arguments = f"Path({str(folder)!r}), {splats}, {views}, {width}, {height}"
+        code = f"from gscore.bench.memory import *; write_capture({arguments})"
+        writer = subprocess.run([sys.executable, "-c", code], check=False)
+        if writer.returncode:
+            raise RuntimeError(
+                f"The process that writes the capture ended with {writer.returncode}."
+            )
         config = TrainConfig(
             iterations=steps,
             max_splats=splats,
@@ -121,7 +122,7 @@ def bench_memory(
     )
 
 
-def _write(folder: Path, splats: int, views: int, width: int, height: int) -> None:
+def write_capture(folder: Path, splats: int, views: int, width: int, height: int) -> None:
     photos = SyntheticPhotos(splats, width, height)
     write_splats(folder / "splats.ply", photos.splats)
     photos.write(folder / "capture", views)

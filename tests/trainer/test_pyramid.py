@@ -14,7 +14,7 @@ def test_photos_are_averaged_and_cameras_keep_pointing(make_photos: Callable[...
     cameras = photos.scene.cameras
     pyramid = Pyramid(photos, cameras)
     for index in (0, 3):
-        view, image, mask, _ = pyramid.at(index, 2.0)
+        view, image, mask, *_ = pyramid.at(index, 2.0)
         full = photos.image(index).astype(np.float64)
         means = full.reshape(24, 2, 24, 2, 3).mean(axis=(1, 3))
         assert image.shape == (24, 24, 3)
@@ -45,7 +45,7 @@ def test_what_a_mask_hides_does_not_bleed_in(make_photos: Callable[..., Any]) ->
     photos.images[0][:, 25:, 1] = 200
     photos.masks[0] = np.zeros((48, 48), np.uint8)
     photos.masks[0][:, :25] = 255
-    _, image, mask, _ = Pyramid(photos, photos.scene.cameras).at(0, 2.0)
+    _, image, mask, *_ = Pyramid(photos, photos.scene.cameras).at(0, 2.0)
     assert mask is not None
     assert np.abs(image[:, 12].astype(int) - (200, 0, 0)).max() <= 1
     assert (mask[:, 12] == 128).all() or (mask[:, 12] == 127).all()
