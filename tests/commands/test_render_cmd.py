@@ -32,7 +32,7 @@ def test_all_views_of_a_run(gscore, run_folder, tmp_path, picture, capture):
         assert made.max() > 100
         np.testing.assert_array_equal(made, as_bytes(picture(i).rgb))
         np.testing.assert_array_equal(made, read(capture / "images" / f"a_{i}.png"))
-    assert "9/9 a_8.png" in err
+    assert "9/9 a_8\n" in err
 
 
 @pytest.mark.parametrize(
