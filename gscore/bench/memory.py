@@ -18,6 +18,13 @@ from .synthetic import SyntheticPhotos
 _REFINEMENTS = 3
 """One after the other in the middle of the run: each moves all rows about."""
 
+_WRITER = """
+import sys
+from pathlib import Path
+from gscore.bench.memory import write_capture
+write_capture(Path(sys.argv[1]), *map(int, sys.argv[2:]))
+"""
+
 
 @dataclass(frozen=True, kw_only=True)
 class MemoryBench:
@@ -77,9 +84,8 @@ def bench_memory(
     with tempfile.TemporaryDirectory(prefix="gscore-") as name:
         folder = Path(name)
         # In another process, whose memory does not count.
-        arguments = f"Path({str(folder)!r}), {splats}, {views}, {width}, {height}"
-        code = f"from gscore.bench.memory import *; write_capture({arguments})"
-        writer = subprocess.run([sys.executable, "-c", code], check=False)
+        values = [str(value) for value in (folder, splats, views, width, height)]
+        writer = subprocess.run([sys.executable, "-c", _WRITER, *values], check=False)
         if writer.returncode:
             raise RuntimeError(
                 f"The process that writes the capture ended with {writer.returncode}."
@@ -123,6 +129,8 @@ def bench_memory(
 
 
 def write_capture(folder: Path, splats: int, views: int, width: int, height: int) -> None:
+    """Write `splats.ply` and `capture` with photos of it into a folder; arguments as those of
+    `bench_memory`."""
     photos = SyntheticPhotos(splats, width, height)
     write_splats(folder / "splats.ply", photos.splats)
     photos.write(folder / "capture", views)

@@ -17,7 +17,7 @@ from importlib import import_module
 from .._version import __version__
 from ..errors import GsError
 from ..extras import how_to_install, missing
-from .parser import Parser
+from .parser import Parser, sentence
 
 VERBS = {
     "train": "train splats from photos with COLMAP cameras",
@@ -69,8 +69,7 @@ def dashed(arguments: Sequence[str]) -> list[str]:
 def _guarded(prog: str, verb: str, arguments: list[str]) -> int:
     try:
         module = import_module(f".{verb}", __package__)
-        text = VERBS[verb]
-        parser = Parser(prog=prog, description=f"{text[0].upper()}{text[1:]}.", allow_abbrev=False)
+        parser = Parser(prog=prog, description=sentence(VERBS[verb]), allow_abbrev=False)
         module.add_arguments(parser)
         return module.run(parser.parse_args(dashed(arguments)))
     except SystemExit as stop:  # argparse has already said what is wrong

@@ -15,7 +15,7 @@ from ..io.ply_compressed import is_compressed
 from ..io.ply_elements import read_elements
 from ..io.runs import checkpoints_in, read_metrics
 from ..io.sequences import read_sequence
-from ..metrics.words import quality_words, size_words, time_words
+from ..metrics.words import count_words, quality_words, size_words, time_words
 from ..splats import Splats
 from .model import Model, find_ply, open_model
 
@@ -98,8 +98,11 @@ def _run_facts(folder: Path) -> dict[str, Any]:
     facts: dict[str, Any] = {"kind": "run", "path": str(folder), "checkpoints": len(checkpoints)}
     metrics = read_metrics(folder)
     keys = ("psnr", "ssim", "lpips", "lpips_net", "split", "steps", "train_seconds", "gscore")
-    known = {key: metrics[key] for key in ("psnr_masked",) if key in metrics}
-    facts["metrics"] = {key: metrics.get(key) for key in keys} | known if metrics else None
+    facts["metrics"] = None
+    if metrics:
+        facts["metrics"] = {key: metrics.get(key) for key in keys}
+        if "psnr_masked" in metrics:
+            facts["metrics"]["psnr_masked"] = metrics["psnr_masked"]
     try:
         find_ply(folder)
     except DatasetError:
@@ -198,7 +201,7 @@ def _run_text(facts: dict[str, Any]) -> list[str]:
             f"{time_words(metrics['train_seconds'])}"
         )
     count = facts["checkpoints"]
-    lines.append(f"  {count} checkpoint{'' if count == 1 else 's'}")
+    lines.append(f"  {count_words(count, 'checkpoint')}")
     if facts["model"] is None:
         hint = f"; go on with: gscore train -o {facts['path']} --resume" if count else ""
         return [*lines, f"  no point_cloud.ply yet{hint}"]

@@ -6,6 +6,11 @@ from collections.abc import Iterator, Sequence
 from typing import Any, NoReturn
 
 
+def sentence(text: str) -> str:
+    """The text with a capital and a full stop."""
+    return f"{text[0].upper()}{text[1:]}."
+
+
 class Parser(argparse.ArgumentParser):
     """Says what is wrong in a sentence, without the page of usage before it."""
 

@@ -124,7 +124,7 @@ def _placed(web: Web, fits: Sequence[Fit | None]) -> np.ndarray:
         for chart, fit, other in zip(web.charts, fits, starts[0], strict=True)
     ]
     pixels = sum(len(chart.tones) for chart in web.charts)
-    rough = web.thinned(max(1, pixels // _MOST_PIXELS))
+    rough = web.thinned(max(1, pixels // _ROUGH_PIXELS))
     tried = [place(rough, np.log(ends), factors=_FACTORS) for ends in [np.stack(stated), *starts]]
     return place(web, min(tried, key=lambda found: found[0])[1])[1]
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import BackendError, DatasetError, FormatError
+from ..extras import need
 from ..io.exr_header import check_exr_size
 from ..io.files import check_regular, open_regular, read_bytes
 from ..io.images import BROKEN, read_info
@@ -206,12 +207,9 @@ def _is_deep_colour_png(path: Path) -> bool:
 def _read_exr(path: Path) -> np.ndarray:
     """[H, W] of the channel that holds depth."""
     try:
-        import OpenEXR
-    except ImportError as error:
-        raise BackendError(
-            f"{path}: reading EXR files takes the package OpenEXR: pip install OpenEXR, or save "
-            f"the depth maps as NPY or 16-bit PNG."
-        ) from error
+        OpenEXR = need("OpenEXR", f"{path}: reading EXR files")
+    except BackendError as error:
+        raise BackendError(f"{error} Or save the depth maps as NPY or 16-bit PNG.") from error
     try:
         check_exr_size(path)
         with OpenEXR.File(str(path), separate_channels=True) as file:

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import BackendError, ConfigError, FormatError, GsError
+from ..errors import ConfigError, FormatError, GsError
+from ..extras import need
 from ..io.images import resize_map
 from .maps import DepthKind
 from .onnx_graph import GraphFacts, read_facts
@@ -231,12 +232,7 @@ class Network:
 
 
 def _load(path: Path, threads: int) -> Any:
-    try:
-        import onnxruntime
-    except ImportError as error:
-        raise BackendError(
-            "Predicting depth takes onnxruntime, which is not installed: pip install onnxruntime"
-        ) from error
+    onnxruntime = need("onnxruntime", "Predicting depth")
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads
     options.log_severity_level = 4

@@ -5,7 +5,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ..errors import BackendError, ShapeError
+from ..errors import ShapeError
+from ..extras import need
 
 EMPTY_MASK = "the mask leaves no pixel"
 """Reason of a view that says nothing about a model."""
@@ -89,12 +90,7 @@ def _gaussian_window() -> np.ndarray:
 
 def _blur(planes: np.ndarray) -> np.ndarray:
     """Gaussian window over the last two axes; zeros outside the picture, float64."""
-    try:
-        from scipy.ndimage import correlate1d
-    except ImportError as error:
-        raise BackendError(
-            "SSIM needs scipy, which is not installed: pip install scipy."
-        ) from error
+    correlate1d = need("scipy.ndimage", "SSIM").correlate1d
     window = _gaussian_window()
     rows = correlate1d(planes, window, axis=-2, mode="constant")
     return correlate1d(rows, window, axis=-1, mode="constant", output=rows)

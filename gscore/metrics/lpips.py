@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import BackendError, ConfigError, FormatError, ShapeError
+from ..extras import need
 from .image import as_float
 
 SHORTEST_SIDE = 32
@@ -33,12 +34,7 @@ class Lpips:
             ConfigError: There is no such file.
             FormatError: The file is no ONNX graph or does not take two pictures.
         """
-        try:
-            import onnxruntime
-        except ImportError as error:
-            raise BackendError(
-                "LPIPS needs onnxruntime, which is not installed: pip install onnxruntime."
-            ) from error
+        onnxruntime = need("onnxruntime", "LPIPS")
         if not path.is_file():
             raise ConfigError(
                 f"No LPIPS network at {path}: expected a file such as lpips_squeeze.onnx."

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import BackendError
+from ..extras import need
 from .colormap import colorize
 
 MAX_WIDTH = 640
@@ -123,13 +123,7 @@ def _bytes(picture: np.ndarray) -> np.ndarray:
 
 
 def _pil() -> Any:
-    try:
-        from PIL import Image
-    except ImportError as error:
-        raise BackendError(
-            "Pictures in the report need Pillow, which is not installed: pip install pillow."
-        ) from error
-    return Image
+    return need("PIL.Image", "Every picture in the report")
 
 
 def shrink(picture: np.ndarray, size: tuple[int, int]) -> np.ndarray:

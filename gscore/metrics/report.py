@@ -13,7 +13,7 @@ from .colormap import colorize
 from .curves import Series, chart, clean_points, legend
 from .depth import depth_html
 from .pictures import ERROR_GAIN, ViewPictures
-from .words import size_words, time_words
+from .words import count_words, size_words, time_words
 
 TIMES = "\u00d7"
 
@@ -81,14 +81,13 @@ def _count(value: int | None) -> str:
 
 def _split_words(metrics: dict[str, Any]) -> str:
     count, split = len(metrics["views"]), metrics["split"]
-    plural = "s" if count != 1 else ""
     if not count:
         return "no views: " + metrics.get("psnr_reason", "")
     if split == "test":
-        return f"{count} held-out view{plural}"
+        return count_words(count, "held-out view")
     if split == "all":
-        return f"all {count} view{plural}, {len(metrics['test_views'])} of them held out"
-    return f"{count} training view{plural} (not held out, so this is no test)"
+        return f"all {count_words(count, 'view')}, {len(metrics['test_views'])} of them held out"
+    return f"{count_words(count, 'training view')} (not held out, so this is no test)"
 
 
 def _header(title: str, metrics: dict[str, Any]) -> str:
@@ -249,10 +248,11 @@ def _card(view: ViewPictures, number: int, photo: str) -> str:
 
 
 def _numbers_words(numbers: dict[str, Any]) -> str:
-    parts = [f"PSNR <b>{_number(judged_psnr(numbers), 2)}</b>"]
-    if "psnr_masked" in numbers:
-        parts = [f"PSNR in the mask <b>{_number(numbers['psnr_masked'], 2)}</b>"]
-    parts += [f"SSIM <b>{_number(numbers.get('ssim'), 4)}</b>"]
+    where = " in the mask" if numbers.get("psnr_masked") is not None else ""
+    parts = [
+        f"PSNR{where} <b>{_number(judged_psnr(numbers), 2)}</b>",
+        f"SSIM <b>{_number(numbers.get('ssim'), 4)}</b>",
+    ]
     if numbers.get("lpips") is not None:
         parts.append(f"LPIPS <b>{_number(numbers['lpips'], 4)}</b>")
     return " · ".join(parts)

@@ -99,6 +99,6 @@ def test_without_onnxruntime_there_is_a_reason(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
     monkeypatch.setenv("GSCORE_LPIPS", str(tmp_path / "lpips_squeeze.onnx"))
     found, reason = find_lpips()
-    assert found is None and "pip install onnxruntime" in reason
+    assert found is None and 'pip install "gscore[depth]"' in reason
     with pytest.raises(BackendError, match="onnxruntime"):
         find_lpips(tmp_path / "lpips_squeeze.onnx")

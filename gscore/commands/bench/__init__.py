@@ -3,6 +3,8 @@
 import argparse
 from importlib import import_module
 
+from ..parser import sentence
+
 WHAT = {
     "raster": "forward and backward passes of the rasterizer",
     "step": "a training step and its parts",
@@ -17,8 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
     what = parser.add_subparsers(dest="what", required=True, metavar="WHAT")
     for name, text in WHAT.items():
-        sentence = f"{text[0].upper()}{text[1:]}."
-        one = what.add_parser(name, help=text, description=sentence, allow_abbrev=False)
+        one = what.add_parser(name, help=text, description=sentence(text), allow_abbrev=False)
         _module(name).add_arguments(one)
         one.add_argument("--json", action="store_true", help="the result as JSON on stdout")
 
