@@ -66,22 +66,22 @@ def measure_variant(
     variant: Variant,
     seeds: Sequence[int],
     *,
-    on_point: Callable[[str, int, int], None] | None = None,
+    on_step: Callable[[str, int, int, int], None] | None = None,
 ) -> Curve:
     """Train a variant once a seed.
 
     Args:
         variant: What to train.
         seeds: Seeds, at least one.
-        on_point: Called with label, seed and step after each step.
+        on_step: Called with label, seed, step and number of steps after each step.
     """
     at = measured_steps(variant.config.iterations)
     runs = []
     for seed in seeds:
 
         def stepped(step: int, seed: int = seed) -> None:
-            if on_point is not None:
-                on_point(variant.label, seed, step)
+            if on_step is not None:
+                on_step(variant.label, seed, step, variant.config.iterations)
 
         found = train_measured(
             replace(variant.config, seed=seed), variant.photos, at=at, on_step=stepped

@@ -11,9 +11,11 @@ from ..datasets import Dataset, load_dataset
 from ..errors import DatasetError
 from ..metrics.evaluate import masked_pair, target_picture
 from ..metrics.image import psnr, ssim
+from ..raster.api import render
 from ..splats import Splats
 from ..trainer.torch_threads import one_torch_thread
 from ..trainer.trainer import Trainer
+from ..trainer.views import Photos
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,18 +66,28 @@ def load_for_bench(data: DataConfig) -> Dataset:
     return photos
 
 
-def quality(trainer: Trainer) -> tuple[float, float]:
-    """Mean PSNR in dB and mean SSIM of the held-out views."""
-    photos, background = trainer.photos, trainer.fixed_background
+def quality(
+    photos: Photos,
+    picture_of: Callable[[int], np.ndarray],
+    background: tuple[float, float, float],
+) -> tuple[float, float]:
+    """Mean PSNR in dB, of the pixels that count, and mean SSIM of the held-out views.
+
+    Args:
+        photos: What pictures are compared with.
+        picture_of: The picture of a view of `photos` over `background`, [H, W, 3] float.
+        background: RGB in [0, 1].
+    """
     values = []
     for index in photos.test:
         target, weights = target_picture(
             photos.image(index), photos.mask(index), photos.mask_mode, background
         )
-        picture = trainer.picture(index, background=background).numpy()
+        picture = picture_of(index)
+        worth = psnr(picture, target, mask=weights)
         if weights is not None:
             picture, target = masked_pair(picture, target, weights)
-        values.append((psnr(picture, target), ssim(picture, target)))
+        values.append((worth, ssim(picture, target)))
     means = np.mean(values, axis=0)
     return float(means[0]), float(means[1])
 
@@ -85,6 +97,7 @@ def train_measured(
     photos: Dataset,
     *,
     at: Collection[int] = (),
+    judged: Dataset | None = None,
     on_step: Callable[[int], None] | None = None,
 ) -> Trained:
     """Train and measure after the steps `at` and after the last one.
@@ -93,6 +106,7 @@ def train_measured(
         config: How to train.
         photos: Decoded, with held-out views.
         at: Steps after which quality is measured.
+        judged: The same views at another size, for quality to be measured on; None: `photos`.
         on_step: Called after each step, outside the clock.
     """
     points: list[Point] = []
@@ -109,7 +123,7 @@ def train_measured(
             for name, value in trainer.laps.seconds.items():
                 laps[name] = laps.get(name, 0.0) + value
             if step in at or step == config.iterations:
-                found = quality(trainer)
+                found = _quality_of(trainer, judged)
                 points.append(
                     Point(
                         step=step,
@@ -129,3 +143,30 @@ def train_measured(
             laps=laps,
             splats=trainer.splats(),
         )
+
+
+def _quality_of(trainer: Trainer, judged: Dataset | None) -> tuple[float, float]:
+    background = trainer.fixed_background
+    if judged is None:
+        return quality(
+            trainer.photos,
+            lambda index: trainer.picture(index, background=background).numpy(),
+            background,
+        )
+    cameras, splats = judged.scene.cameras, trainer.splats()
+
+    def picture_of(index: int) -> np.ndarray:
+        return render(
+            splats,
+            cameras.Ks[index],
+            cameras.viewmats[index],
+            int(cameras.widths[index]),
+            int(cameras.heights[index]),
+            background=background,
+            near=trainer.frame.near / trainer.frame.similarity.scale,
+            antialias=trainer.config.antialias,
+            depths=False,
+            threads=trainer.config.threads,
+        ).rgb
+
+    return quality(judged, picture_of, background)

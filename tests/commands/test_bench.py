@@ -1,14 +1,17 @@
 """Oracle: the promised keys, and arithmetic between them."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from gscore.bench.pareto import Outcome, Size, unbeaten
 from gscore.bench.scaling import fit_line
 from gscore.bench.time_error import Curve, measured_steps, time_to_psnr
-from gscore.bench.training import Point
+from gscore.bench.training import Point, load_for_bench, train_measured
 from gscore.commands import main
+from gscore.config import PRESETS
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "studio"
 SMALL = ["-r", "160", "--mask-mode", "none", "--test-list", "LIST", "--iterations", "12"]
@@ -104,6 +107,58 @@ def test_time_error_writes_curves_and_figures(
     peer.write_text(json.dumps({"capture": "studio", "curves": curves[:1]}))
     again = _json(capsys, "time-error", *options, "--peers", str(peer))
     assert again["captures"]["studio"]["curves"][1] == curves[0]
+
+
+def test_sizes_are_judged_alike(
+    capsys: pytest.CaptureFixture[str], small: list[str], tmp_path: Path
+) -> None:
+    """Oracle: the size that is the preset's own is the last point of its curve; fronts by hand."""
+    out = tmp_path / "out"
+    options = [str(EXAMPLE), *small[2:], "--seeds", "0", "-o", str(out)]
+    sizes = ["--sweep-splats", "2000", "50000", "--sweep-widths", "120", "400"]
+    capture = _json(capsys, "time-error", *options, *sizes)["captures"]["studio"]
+    end = capture["curves"][0]["seeds"][0][-1]
+    rows = {
+        (row["size"]["max_splats"], row["size"]["width"]): row
+        for row in capture["sizes"]["outcomes"]
+    }
+    assert list(rows) == [(2000, 120), (50000, 120), (2000, 400), (50000, 400)]
+    assert capture["sizes"]["judged_on"] == [400, 533]
+    own = rows[50_000, 400]
+    assert (own["psnr"], own["ssim"], own["splats"]) == (end["psnr"], end["ssim"], end["splats"])
+    # Small photos are judged at the large size too: by pictures of the same splats.
+    assert rows[50_000, 120]["psnr"] != own["psnr"]
+    fastest = min(rows.values(), key=lambda row: row["seconds"])
+    assert fastest["best_for_its_time"]
+    assert (out / "studio-sizes.svg").read_text().startswith("<svg")
+    assert main(["bench", "time-error", *options, "-r", "200", "--sweep-splats", "9"]) == 2
+    assert "--sweep-widths" in capsys.readouterr().err
+
+
+def test_photos_of_another_size_measure_the_same_splats() -> None:
+    """Oracle: judged on a second copy of its own photos, a training reaches the same figures."""
+    data, config = PRESETS["preview"](EXAMPLE)
+    data = replace(data, mask_mode="none", test_every=20, eval=True, resolution=120)
+    config = replace(config, iterations=3)
+    own, again = (
+        train_measured(config, load_for_bench(data), judged=judged).points[-1]
+        for judged in (None, load_for_bench(data))
+    )
+    assert again.psnr == pytest.approx(own.psnr, abs=2e-3)
+    assert again.ssim == pytest.approx(own.ssim, abs=2e-4)
+
+
+def test_fronts() -> None:
+    """Oracle: by hand. c costs more than b and is worse; d costs what a does and is worse."""
+
+    def outcome(seconds: float, psnr: float) -> Outcome:
+        size = Size(preset="p", max_splats=1, width=1, iterations=1)
+        return Outcome(size=size, seconds=seconds, splats=1, psnr=psnr, ssim=0.5, seeds=[psnr])
+
+    a, b, c, d = (outcome(*pair) for pair in ((1, 20), (2, 25), (3, 24), (1, 19)))
+    unknown = outcome(0.5, float("nan"))
+    assert unbeaten([c, d, unknown, b, a], lambda o: o.seconds) == [a, b]
+    assert unbeaten([c, d, b, a], lambda o: o.splats) == [b]
 
 
 def test_bad_peers_are_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

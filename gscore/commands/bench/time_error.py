@@ -26,6 +26,7 @@ from ...metrics.figure import figure
 from ...metrics.machine import machine
 from ...raster import backend
 from ..output import check_folder
+from .sweeps import add_sweep_options, check_sweeps, sweep
 from .training_options import add_training_options, training_configs
 
 
@@ -47,11 +48,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--peers", nargs="*", type=Path, default=(), metavar="FILE.json",
         help="curves of other programs, see docs/benchmarks.md",
     )  # fmt: skip
+    add_sweep_options(parser)
     add_training_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Train all variants of all captures; write results.json and a figure a capture and metric."""
+    check_sweeps(args)
     check_folder(args.output)
     ablations = [_ablation(name) for name in args.ablations]
     peers = [read_curves(path) for path in args.peers]
@@ -61,8 +64,8 @@ def run(args: argparse.Namespace) -> int:
         if name in captures:
             raise ConfigError(f"Two captures are called {name!r}; give each a name of its own.")
         curves: list[Curve] = []
-        for preset in args.presets:
-            data, config = training_configs(args, source, preset)
+        presets = [(preset, *training_configs(args, source, preset)) for preset in args.presets]
+        for preset, data, config in presets:
             photos = load_for_bench(data)
             for label, change in [("", {}), *ablations]:
                 variant = Variant(
@@ -70,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
                     config=replace(config, **change),
                     photos=photos,
                 )
-                curve = measure_variant(variant, args.seeds, on_point=_Ticker(name, variant))
+                curve = measure_variant(variant, args.seeds, on_step=_Ticker(name))
                 curves.append(curve)
                 _say(args, name, curve)
         curves += [c for capture, found in peers if capture == name for c in found]
@@ -81,6 +84,9 @@ def run(args: argparse.Namespace) -> int:
         _draw(args.output, name, curves)
         if not args.json:
             print(_table(name, curves), flush=True)
+        sizes = sweep(args, name, presets, on_step=_Ticker(name))
+        if sizes is not None:
+            captures[name]["sizes"] = sizes
     content = {
         "machine": machine(),
         "isa": backend.isa(),
@@ -107,15 +113,15 @@ def _ablation(name: str) -> tuple[str, dict[str, Any]]:
 class _Ticker:
     """Says on stderr how far a training is, now and then."""
 
-    def __init__(self, capture: str, variant: Variant) -> None:
-        self._capture, self._iterations = capture, variant.config.iterations
+    def __init__(self, capture: str) -> None:
+        self._capture = capture
         self._last = time.monotonic()
 
-    def __call__(self, label: str, seed: int, step: int) -> None:
+    def __call__(self, label: str, seed: int, step: int, iterations: int) -> None:
         if time.monotonic() - self._last > 10:
             self._last = time.monotonic()
             print(
-                f"{self._capture}, {label}, seed {seed}: step {step} of {self._iterations}",
+                f"{self._capture}, {label}, seed {seed}: step {step} of {iterations}",
                 file=sys.stderr,
                 flush=True,
             )

@@ -1,0 +1,144 @@
+"""What size buys: trainings with several numbers of splats, photo widths and numbers of steps, all
+measured on photos of one size, and which of them no other beats."""
+
+import itertools
+import math
+import statistics
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from ..config import DataConfig, TrainConfig
+from ..datasets import Dataset
+from .training import load_for_bench, train_measured
+
+
+@dataclass(frozen=True, kw_only=True)
+class Size:
+    """How large and how long a training is."""
+
+    preset: str
+    """Where everything else comes from."""
+    max_splats: int
+    width: int
+    """Photos are at most so wide, px."""
+    iterations: int
+
+    def __str__(self) -> str:
+        return (
+            f"{self.preset}, {self.width} px, {self.max_splats:,} splats, {self.iterations:,} steps"
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What a training of some size took and reached; medians over seeds."""
+
+    size: Size
+    seconds: float
+    """Spent in steps."""
+    splats: int
+    """At the end."""
+    psnr: float
+    """Mean over the held-out views at the common size, dB."""
+    ssim: float
+    seeds: list[float]
+    """PSNR of each seed."""
+
+
+def measure_sizes(
+    runs: Sequence[tuple[Size, DataConfig, TrainConfig]],
+    seeds: Sequence[int],
+    *,
+    on_step: Callable[[Size, int, int], None] | None = None,
+    on_outcome: Callable[[Outcome], None] | None = None,
+) -> tuple[tuple[int, int], list[Outcome]]:
+    """Train each size once a seed and measure all of them on the largest photos of them all.
+
+    Args:
+        runs: Sizes of one capture, with the preset's configs; sizes overrule these.
+        seeds: At least one.
+        on_step: Called with size, seed and step after each step, outside the clock.
+        on_outcome: Called with each outcome.
+
+    Returns:
+        Width and height of the first photo that was measured on, px, and the outcomes.
+
+    Raises:
+        DatasetError: no views are held out.
+    """
+    photos: dict[int, Dataset] = {}
+    for size, data, _ in runs:
+        if size.width not in photos:
+            photos[size.width] = load_for_bench(replace(data, max_width=size.width))
+    judged = photos[max(photos)]
+    outcomes = []
+    for size, _, config in runs:
+        own = photos[size.width]
+        asked = replace(config, max_splats=size.max_splats, iterations=size.iterations)
+        ends, seconds = [], []
+        for seed in seeds:
+
+            def stepped(step: int, size: Size = size, seed: int = seed) -> None:
+                if on_step is not None:
+                    on_step(size, seed, step)
+
+            found = train_measured(
+                replace(asked, seed=seed),
+                own,
+                judged=None if own is judged else judged,
+                on_step=stepped,
+            )
+            ends.append(found.points[-1])
+            seconds.append(found.seconds)
+        outcomes.append(
+            Outcome(
+                size=size,
+                seconds=statistics.median(seconds),
+                splats=round(statistics.median(end.splats for end in ends)),
+                psnr=statistics.median(end.psnr for end in ends),
+                ssim=statistics.median(end.ssim for end in ends),
+                seeds=[end.psnr for end in ends],
+            )
+        )
+        if on_outcome is not None:
+            on_outcome(outcomes[-1])
+    cameras = judged.scene.cameras
+    return (int(cameras.widths[0]), int(cameras.heights[0])), outcomes
+
+
+def sizes_of(
+    preset: str,
+    data: DataConfig,
+    config: TrainConfig,
+    *,
+    splats: Sequence[int],
+    widths: Sequence[int],
+    iterations: Sequence[int],
+) -> list[tuple[Size, DataConfig, TrainConfig]]:
+    """All combinations of the given numbers; what is empty is as the preset has it."""
+    combinations = itertools.product(
+        widths or (data.max_width,),
+        splats or (config.max_splats,),
+        iterations or (config.iterations,),
+    )
+    return [
+        (Size(preset=preset, max_splats=n, width=width, iterations=steps), data, config)
+        for width, n, steps in combinations
+    ]
+
+
+def unbeaten(outcomes: Sequence[Outcome], cost: Callable[[Outcome], float]) -> list[Outcome]:
+    """Those of which no other costs at most as much and is better, by rising cost (Pareto's front
+    of cost and PSNR)."""
+    front: list[Outcome] = []
+    known = [o for o in outcomes if math.isfinite(o.psnr)]
+    for outcome in sorted(known, key=lambda o: (cost(o), -o.psnr)):
+        if not front or outcome.psnr > front[-1].psnr:
+            front.append(outcome)
+    return front
+
+
+def outcome_json(outcome: Outcome) -> dict[str, Any]:
+    """An outcome as JSON values."""
+    return asdict(outcome)

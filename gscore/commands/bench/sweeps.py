@@ -1,0 +1,146 @@
+"""The part of `gscore bench time-error` that trains several sizes: options, figure and table."""
+
+import argparse
+from collections.abc import Callable, Sequence
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+from ...bench.pareto import (
+    Outcome,
+    Size,
+    measure_sizes,
+    outcome_json,
+    sizes_of,
+    unbeaten,
+)
+from ...config import DataConfig, TrainConfig
+from ...datasets.resolution import SMALLEST_WIDTH
+from ...errors import ConfigError
+from ...io.files import atomic_write
+from ...metrics.curves import Series
+from ...metrics.figure import figure
+
+_QUANTITIES = ("splats", "widths", "iterations")
+
+
+def add_sweep_options(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    group = parser.add_argument_group(
+        "sizes",
+        "Also train all combinations of these, measured on the largest photos of them all, and "
+        "tell which no other beats; what is not given is as the preset has it.",
+    )
+    group.add_argument("--sweep-splats", nargs="+", type=int, metavar="N", help="caps")
+    group.add_argument("--sweep-widths", nargs="+", type=int, metavar="PX", help="of the photos")
+    group.add_argument("--sweep-iterations", nargs="+", type=int, metavar="N", help="steps")
+
+
+def check_sweeps(args: argparse.Namespace) -> None:
+    """Raise ConfigError for numbers that no training has, and for options that contradict."""
+    for name in _QUANTITIES:
+        least = SMALLEST_WIDTH if name == "widths" else 1
+        if any(value < least for value in _given(args, name)):
+            raise ConfigError(f"--sweep-{name} takes numbers of at least {least}.")
+    if args.resolution is not None and any(_given(args, name) for name in _QUANTITIES):
+        raise ConfigError("Sizes are told by --sweep-widths, not by -r.")
+    if args.sweep_splats and args.max_splats is not None:
+        raise ConfigError("Give either --sweep-splats or --max-splats.")
+    if args.sweep_iterations and args.iterations is not None:
+        raise ConfigError("Give either --sweep-iterations or --iterations.")
+
+
+def sweep(
+    args: argparse.Namespace,
+    name: str,
+    presets: Sequence[tuple[str, DataConfig, TrainConfig]],
+    *,
+    on_step: Callable[[str, int, int, int], None],
+) -> dict[str, Any] | None:
+    """Train the sizes of a capture, draw them and print them; None where none were asked for.
+
+    Args:
+        args: The command's options.
+        name: Of the capture.
+        presets: Their names and configs.
+        on_step: Called with size, seed, step and number of steps after each step.
+
+    Returns:
+        `judged_on` (px) and `outcomes`, each with `best_for_its_time` and `best_for_its_splats`.
+    """
+    if not any(_given(args, quantity) for quantity in _QUANTITIES):
+        return None
+    numbers = {quantity: _given(args, quantity) for quantity in _QUANTITIES}
+    runs = [run for preset in presets for run in sizes_of(*preset, **numbers)]
+
+    def stepped(size: Size, seed: int, step: int) -> None:
+        on_step(str(size), seed, step, size.iterations)
+
+    def tell(o: Outcome) -> None:
+        if not args.json:
+            print(f"{name}, {o.size}: {o.seconds:.1f} s, PSNR {o.psnr:.2f} dB", flush=True)
+
+    judged_on, outcomes = measure_sizes(runs, args.seeds, on_step=stepped, on_outcome=tell)
+    fast, small = unbeaten(outcomes, _seconds), unbeaten(outcomes, _splats)
+    _draw(args.output / f"{name}-sizes.svg", name, outcomes, fast, judged_on)
+    if not args.json:
+        print(_table(name, outcomes, fast, small), flush=True)
+    rows = [
+        outcome_json(o) | {"best_for_its_time": o in fast, "best_for_its_splats": o in small}
+        for o in outcomes
+    ]
+    return {"judged_on": judged_on, "outcomes": rows}
+
+
+def _given(args: argparse.Namespace, quantity: str) -> list[int]:
+    return getattr(args, f"sweep_{quantity}") or []
+
+
+def _seconds(outcome: Outcome) -> float:
+    return outcome.seconds
+
+
+def _splats(outcome: Outcome) -> float:
+    return outcome.splats
+
+
+def _draw(
+    path: Path,
+    name: str,
+    outcomes: Sequence[Outcome],
+    fast: Sequence[Outcome],
+    judged_on: tuple[int, int],
+) -> None:
+    def family(outcome: Outcome) -> str:
+        size = outcome.size
+        return f"{size.preset}, {size.width} px, {size.max_splats:,} splats"
+
+    series = [
+        Series(label=label, points=sorted((o.seconds, o.psnr) for o in group), dots=True)
+        for label, group in groupby(outcomes, key=family)
+    ]
+    front = [(o.seconds, o.psnr) for o in fast]
+    text = figure(
+        [Series(label="no other is as fast and as good", points=front), *series],
+        title=f"{name}: held-out PSNR at {judged_on[0]} x {judged_on[1]} px over training time",
+        x_label="seconds in training steps",
+        y_label="PSNR, dB",
+        log_x=True,
+    )
+    atomic_write(path, text.encode())
+
+
+def _table(
+    name: str, outcomes: Sequence[Outcome], fast: Sequence[Outcome], small: Sequence[Outcome]
+) -> str:
+    lines = [
+        f"| {name} | photos | splats | steps | seconds | PSNR | SSIM | no other is as good and |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for o in sorted(outcomes, key=_seconds):
+        best = [word for word, front in (("as fast", fast), ("as small", small)) if o in front]
+        lines.append(
+            f"| {o.size.preset} | {o.size.width} px | {o.splats:,} | {o.size.iterations:,} | "
+            f"{o.seconds:.1f} | {o.psnr:.2f} | {o.ssim:.4f} | {', '.join(best)} |"
+        )
+    return "\n".join(lines)
