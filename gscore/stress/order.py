@@ -8,33 +8,47 @@ from ..raster import _native
 from . import native, truth
 from .case import EmptyTestError, Measure, case
 from .compare import different_bits, picture_errors, require_covered
-from .scenes import PARAMETERS, draw_scene
+from .scenes import PARAMETERS, Scene, draw_scene
+
+
+def _layers(count: int, depths: int, sigma_px: tuple[float, float]) -> Scene:
+    """Splats at so many depths in all, about 3, which the camera finds without rounding."""
+    scene = draw_scene(
+        1500, count=count, posed=False, width=48, height=40, sh_degree=0, sigma_px=sigma_px
+    )
+    means = scene.means.copy()
+    z = 3 + np.random.default_rng(2).integers(depths, size=(count, 1)).astype(np.float32) / 256
+    means[:, :2] *= z / means[:, 2:]
+    means[:, 2:] = z
+    return scene.with_row(slice(None), means=means)
 
 
 @case("S15", "splats at one depth")
 def ties(full: bool) -> Iterator[Measure]:
     """Oracle: the reference, which sorts stably: at one depth, the order of the rows decides."""
-    scene = draw_scene(1500, count=1000, posed=False, width=48, height=40, sh_degree=0)
-    flat = scene.means.copy()
-    flat[:, :2] *= 3 / flat[:, 2:]
-    flat[:, 2] = 3
-    scene = scene.with_row(slice(None), means=flat)
-    shuffled = np.random.default_rng(1).permutation(1000)
-    pictures = []
-    for one in (scene, scene.rows(shuffled)):
-        # All splats tie, so the band covers everything; without rounding in z it need not.
-        true = truth.ask(one, gradients=False)
-        drawn = native.draw(one)
-        require_covered(true.pictures["alpha"])
-        errors = picture_errors(drawn, true)
-        rough = float(np.quantile(errors, 0.99))
-        yield Measure("picture, 99 % of the pixels", rough, 1e-5, "all pixels tie")
-        pictures.append(drawn.pictures["rgb"])
-    if not np.abs(pictures[0] - pictures[1]).max() > 0.05:
-        raise EmptyTestError("the order of the rows makes no difference here")
+    # Lists are sorted in different ways: a few splats, many, and many of which only some tie.
+    for name, count, depths, sigmas in (
+        ("all", 1000, 1, (1.5, 5.0)),
+        ("a short list", 20, 1, (5.0, 12.0)),
+        ("in layers", 1000, 100, (1.5, 5.0)),
+    ):
+        scene = _layers(count, depths, sigmas)
+        pictures = []
+        for one in (scene, scene.rows(np.random.default_rng(1).permutation(count))):
+            # Splats that tie put a pixel into the band; without rounding in z it need not.
+            true = truth.ask(one, gradients=False)
+            drawn = native.draw(one)
+            require_covered(true.pictures["alpha"])
+            errors = picture_errors(drawn, true)
+            rough = float(np.quantile(errors, 0.99))
+            yield Measure(f"{name}, picture, 99 % of the pixels", rough, 1e-5, "all pixels tie")
+            pictures.append(drawn.pictures["rgb"])
+        if not np.abs(pictures[0] - pictures[1]).max() > 0.05:
+            raise EmptyTestError(f"{name}: the order of the rows makes no difference here")
     apart = draw_scene(1501, count=1000, width=48, height=40, sh_degree=0)
     if len(np.unique(native.draw(apart).projected["depths"])) < 990:
         raise EmptyTestError("depths repeat")
+    shuffled = np.random.default_rng(1).permutation(1000)
     one, other = native.draw(apart), native.draw(apart.rows(shuffled))
     yield Measure(
         "distinct depths shuffled, bits changed",
