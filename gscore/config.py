@@ -14,6 +14,13 @@ from .errors import ConfigError
 
 ConfigT = TypeVar("ConfigT", "DataConfig", "TrainConfig")
 
+_MOST_THREADS = 1024
+"""Most that the library takes."""
+_LARGEST = 1e9
+"""Of every number that is no count: products of several must not leave float32."""
+_LARGEST_SEED = 2**63 - 1
+"""Of generators of torch."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class DataConfig:
@@ -308,10 +315,14 @@ class TrainConfig:
         _at_least(self, 0.0, "checkpoint_seconds", "preview_seconds", "time_budget", "target_psnr")
         _at_least(self, 0.0, "depth_pearson", "alpha_weight")
         for name in ("depth_weight", "depth_weight_final"):
-            if not getattr(self, name) >= 0 and getattr(self, name) != -1:
+            if not 0 <= getattr(self, name) <= _LARGEST and getattr(self, name) != -1:
                 raise ConfigError(
-                    f"{name} must be at least 0, or -1 for what suits, got {getattr(self, name)}."
+                    f"{name} must be 0 to {_LARGEST:g}, or -1 for what suits, got "
+                    f"{getattr(self, name)}."
                 )
+        for name, most in (("threads", _MOST_THREADS), ("seed", _LARGEST_SEED)):
+            if getattr(self, name) > most:
+                raise ConfigError(f"{name} must be at most {most}, got {getattr(self, name)}.")
         _at_least(self, -1, "depth_points")
         if self.coarse_factor != 0:
             _at_least(self, 1.0, "coarse_factor")
@@ -460,8 +471,11 @@ def _absolute(config: ConfigT) -> ConfigT:
 def _at_least(config: TrainConfig, low: float, *names: str) -> None:
     for name in names:
         value = getattr(config, name)
-        if not low <= value < math.inf:
+        if not low <= value:
             raise ConfigError(f"{name} must be at least {low:g}, got {value}.")
+        # Integers may be as large as they like: a step that never comes is one.
+        if isinstance(value, float) and value > _LARGEST:
+            raise ConfigError(f"{name} must be {low:g} to {_LARGEST:g}, got {value}.")
 
 
 def _to_json(value: Any) -> Any:
@@ -487,7 +501,10 @@ def _from_json(value: Any, kind: Any, where: str) -> Any:
         except ValueError:
             raise ConfigError(f"{where} must be one of {', '.join(kind)}, got {value!r}.") from None
     if kind is float and isinstance(value, int | float) and not isinstance(value, bool):
-        return float(value)
+        try:
+            return float(value)
+        except OverflowError:
+            return math.inf if value > 0 else -math.inf  # which the ranges refuse
     if kind in (int, bool, str) and type(value) is kind:
         return value
     name = "list of numbers" if options else getattr(kind, "__name__", str(kind)).lower()

@@ -80,6 +80,12 @@ def test_missing_options_keep_their_defaults() -> None:
         ({"means_lr": "fast"}, "x: means_lr must be a float, got 'fast'."),
         ({"means_lr": -1}, "x: means_lr must be at least 0, got -1.0."),
         ({"means_lr": float("nan")}, "x: means_lr must be at least 0, got nan."),
+        ({"means_lr": float("inf")}, "x: means_lr must be 0 to 1e+09, got inf."),
+        ({"means_lr": 10**400}, "x: means_lr must be 0 to 1e+09, got inf."),
+        ({"lr_boost": 1e308}, "x: lr_boost must be 0 to 1e+09, got 1e+308."),
+        ({"depth_weight": float("inf")}, "x: depth_weight must be 0 to 1e+09, or -1"),
+        ({"threads": 1025}, "x: threads must be at most 1024, got 1025."),
+        ({"seed": 2**63}, "x: seed must be at most 9223372036854775807, got"),
         ({"strategy": "magic"}, "x: strategy must be one of default, mcmc, got 'magic'."),
         ({"test_iterations": 5}, "x: test_iterations must be a list of numbers, got 5."),
         ({"test_iterations": ["5"]}, "x: test_iterations must be a int, got '5'."),
@@ -95,6 +101,12 @@ def test_bad_options_are_named(values: Any, message: str) -> None:
     with pytest.raises(ConfigError) as error:
         from_dict(TrainConfig, values, where="x")
     assert str(error.value).startswith(message)
+
+
+def test_the_largest_seed_and_steps_that_never_come_are_taken() -> None:
+    """Oracle: the options as given."""
+    values = {"seed": 2**63 - 1, "refine_every": 10**20, "threads": 1024}
+    assert to_dict(from_dict(TrainConfig, values, where="x")).items() >= values.items()
 
 
 @pytest.mark.parametrize(
