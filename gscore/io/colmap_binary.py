@@ -1,5 +1,6 @@
 """COLMAP's binary files: cameras.bin, images.bin, points3D.bin (little endian)."""
 
+import logging
 import struct
 from pathlib import Path
 
@@ -9,6 +10,8 @@ from ..errors import FormatError
 from .camera_models import MODELS_BY_ID, MODELS_BY_NAME
 from .colmap_model import ColmapCamera, ColmapImage, ColmapPoints
 from .files import open_regular, read_bytes
+
+_log = logging.getLogger(__name__)
 
 _COUNT = struct.Struct("<Q")
 _CAMERA = struct.Struct("<IiQQ")
@@ -62,6 +65,16 @@ class _Reader:
                 f"Rename the photos to plain letters and run COLMAP again, or repair the file."
             ) from error
 
+    def end(self) -> None:
+        """Tell of bytes that belong to no record: a count that is too small loses the rest."""
+        if left := len(self.data) - self.at:
+            _log.warning(
+                "%s: %d bytes after the last record it announces are not read; if the file was "
+                "cut or joined, export the model anew from COLMAP.",
+                self.path,
+                left,
+            )
+
 
 def read_cameras(path: Path) -> dict[int, ColmapCamera]:
     """Cameras of a cameras.bin by id."""
@@ -79,6 +92,7 @@ def read_cameras(path: Path) -> dict[int, ColmapCamera]:
         cameras[camera_id] = ColmapCamera(
             model=model.name, width=width, height=height, params=np.array(params)
         )
+    reader.end()
     return cameras
 
 
@@ -110,6 +124,7 @@ def read_images(path: Path) -> list[ColmapImage]:
                 point3D_ids=seen["id"].astype(np.int64),
             )
         )
+    reader.end()
     return images
 
 
@@ -132,6 +147,8 @@ def read_points(path: Path) -> ColmapPoints:
     if number:
         reader.at = int(starts[-1])
         reader.need(at - reader.at, f"the track of point {number - 1} of {number}")
+        reader.at = at
+    reader.end()
     raw = np.frombuffer(reader.data, np.uint8)
     rows = raw[starts[:, None] + np.arange(_POINT.itemsize)]  # [P, 51]
     points = np.ascontiguousarray(rows).view(_POINT)[:, 0] if number else np.zeros(0, _POINT)

@@ -55,6 +55,20 @@ def test_huge_counts_allocate_nothing(name: str, make_capture: Callable, tmp_pat
         read_model(tmp_path)
 
 
+@pytest.mark.parametrize("name", _FILES)
+def test_bytes_beyond_the_count_are_told(
+    name: str, make_capture: Callable, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Oracle: the number of bytes that were appended; silence about the file as it was."""
+    write_model(make_capture(write=False).model, tmp_path)
+    read_model(tmp_path)
+    assert not caplog.text
+    path = tmp_path / f"{name}.bin"
+    path.write_bytes(path.read_bytes() + bytes(7))
+    read_model(tmp_path)
+    assert f"{name}.bin: 7 bytes after the last record it announces" in caplog.text
+
+
 def test_unknown_binary_camera_model(make_capture: Callable, tmp_path: Path) -> None:
     """Oracle: the sentence names the id and what is known."""
     write_model(make_capture(write=False).model, tmp_path)
