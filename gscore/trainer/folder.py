@@ -112,6 +112,7 @@ def open_folder(path: Path, *, resume: bool, overwrite: bool) -> Iterator[RunFol
     new = not path.exists()
     lock = _lock(path)
     try:
+        _sign(lock, path)
         if folder.results() and not resume and not overwrite:
             names = ", ".join(folder.results())
             raise ConfigError(
@@ -171,11 +172,17 @@ def _lock(path: Path) -> IO[str]:
         if current:
             break
         file.close()  # its last owner has removed it since it was opened
-    file.seek(0)
-    file.truncate()
-    file.write(json.dumps({"pid": os.getpid()}))
-    file.flush()
     return file
+
+
+def _sign(file: IO[str], path: Path) -> None:
+    """Say in the lock whose it is."""
+    try:
+        file.truncate(0)
+        # Not through its buffer, which would try again when the file is closed.
+        os.write(file.fileno(), json.dumps({"pid": os.getpid()}).encode())
+    except OSError as error:
+        raise GsError(f"Cannot write into {shown(path)}: {reason(error)}") from error
 
 
 def _try_lock(file: IO[str]) -> bool:

@@ -1,5 +1,6 @@
 """The output folder; oracle: what lies in it before and after."""
 
+import errno
 import json
 import os
 import subprocess
@@ -117,6 +118,27 @@ def test_a_read_only_place_is_refused(tmp_path: Path) -> None:
             pass
     finally:
         tmp_path.chmod(0o755)
+
+
+@pytest.mark.parametrize("there", [False, True])
+def test_a_disk_without_a_byte_left_is_named(
+    there: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: the sentence; the folder is as it was. Such a disk takes an empty lock, no more."""
+
+    def full(*_: object) -> int:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    path = tmp_path / "out"
+    if there:
+        path.mkdir()
+    monkeypatch.setattr(folder_module.os, "write", full)
+    with (
+        pytest.raises(GsError, match=r"Cannot write into .*out: the disk is full"),
+        open_folder(path, resume=False, overwrite=False),
+    ):
+        pass
+    assert names(tmp_path) == ({"out"} if there else set())
 
 
 def test_a_file_is_no_folder(tmp_path: Path) -> None:
