@@ -71,7 +71,9 @@ def prepare_depth(
     usable = sum(
         1
         for i in photos.train
-        if (p := priors.views[i]) is not None and (p.aligned or config.depth_pearson > 0)
+        if (p := priors.views[i]) is not None
+        and (p.aligned or config.depth_pearson > 0)
+        and (np.isfinite(p.inverse_depth) & (p.confidence > 0)).any()
     )
     facts = coverage(photos.scene, photos.train)
     supervises, why = decide(config.depth_mode, facts, usable=usable)

@@ -126,6 +126,30 @@ def test_maps_add_points_where_they_supervise(deep: Path) -> None:
     assert fewer is not None and len(fewer) - len(known) <= added // 2
 
 
+@pytest.mark.parametrize("align", ["robust", "none"])
+def test_maps_that_say_nothing_do_not_supervise(deep: Path, tmp_path: Path, align: str) -> None:
+    """Oracle: maps without a number, one of which is then a true one."""
+    root = tmp_path / "capture"
+    shutil.copytree(deep, root)
+    blank = root / "blank"
+    blank.mkdir()
+    names = [Path(name).stem for name in load_dataset(DataConfig(source=root)).scene.cameras.names]
+    for name in names:
+        np.save(blank / f"{name}.npy", np.full((48, 48), np.nan, np.float32))
+    data = DataConfig(source=root, depths="blank", depth_align=align)
+    config = TrainConfig(depth_mode=Switch.ON)
+    photos = load_dataset(data)
+    found = prepare_depth(data, config, photos)
+    assert not found.supervises and found.loss_targets is None
+    assert "No training view has a depth map that can be used" in found.why
+    assert found.why in found.warnings
+    np.save(
+        blank / f"{names[0]}.npy", np.linspace(0.3, 0.4, 48 * 48, dtype=np.float32).reshape(48, 48)
+    )
+    one = prepare_depth(data, config, photos)
+    assert one.supervises and "supervises 1 " in one.why
+
+
 def test_points_wanted_and_splats_given(deep: Path) -> None:
     """Oracle: who asks for points and starts from splats is told that there will be none."""
     data = DataConfig(source=deep, depths="depths", depth_align="official")
