@@ -17,9 +17,10 @@ from ..io.runs import checkpoints_in, read_metrics
 from ..io.sequences import read_sequence
 from ..metrics.words import count_words, quality_words, size_words, time_words
 from ..splats import Splats
-from .model import Model, find_ply, open_model
+from .model import Model, collected_warnings, find_ply, open_model
 
 _QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
+_EXPONENT = 350.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -58,7 +59,8 @@ def _holds_model(folder: Path) -> bool:
 
 def _model_facts(model: Model) -> dict[str, Any]:
     splats = model.splats
-    elements = read_elements(model.ply)
+    with collected_warnings():  # `model` has them
+        elements = read_elements(model.ply)
     size = model.ply.stat().st_size
     return {
         "kind": "splats",
@@ -78,8 +80,12 @@ def _model_facts(model: Model) -> dict[str, Any]:
 def _statistics(splats: Splats) -> dict[str, Any]:
     """Where the splats are, and how large and opaque; of finite values, in float64."""
     means = splats.means.astype(np.float64)
-    opacity = 1.0 / (1.0 + np.exp(-splats.opacities.astype(np.float64)))
-    scales = np.exp(splats.scales.astype(np.float64))
+    # Exponents of any float32, 3e38 too, as far as float64 takes them and their quotients.
+    logits, logs = (
+        np.clip(a.astype(np.float64), -_EXPONENT, _EXPONENT)
+        for a in (splats.opacities, splats.scales)
+    )
+    opacity, scales = 1.0 / (1.0 + np.exp(-logits)), np.exp(logs)
     largest, smallest = scales.max(axis=1), scales.min(axis=1)
     return {
         "bounds": [means.min(axis=0).tolist(), means.max(axis=0).tolist()],

@@ -60,6 +60,23 @@ def test_ply_with_broken_rows(gscore, splats, tmp_path):
     assert "Warning: " in gscore("info", tmp_path / "m.ply")[1]
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("value", [3e38, -3e38])
+def test_ply_of_numbers_beyond_reason(gscore, splats, tmp_path, value):
+    """Oracle: JSON, which has no word for NaN."""
+    wild = splats.subset(np.arange(60))
+    wild.scales[0, 0] = wild.scales[1] = wild.opacities[0] = value
+    write_splats(tmp_path / "m.ply", wild)
+    code, out, err = gscore("info", tmp_path / "m.ply", "--json")
+
+    def refused(word):
+        raise AssertionError(word)
+
+    facts = json.loads(out, parse_constant=refused)
+    assert code == 0 and err == "" and facts["splats"] == 60
+    assert facts["elongation"][-1] > 1e100 and facts["opacity"][-1] <= 1
+
+
 def test_empty_ply(gscore, splats, tmp_path):
     """Oracle: no splats, no statistics, no error."""
     write_splats(tmp_path / "m.ply", splats.subset(np.zeros(60, bool)))
