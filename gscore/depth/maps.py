@@ -106,8 +106,8 @@ def read_map(path: Path) -> np.ndarray:
             f"{path} has the shape {list(values.shape)}, expected [height, width] with one number "
             f"a pixel. Save it without channels."
         )
-    values = values.astype(np.float32)
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", over="ignore"):
+        values = values.astype(np.float32)
         values[~(np.abs(values) < FARTHEST)] = np.nan
     return values / np.float32(PNG_UNIT) if kind == ".png" else values
 

@@ -216,3 +216,11 @@ def test_finding_maps(tmp_path):
     assert stem("x/y.z.png") == "x/y.z"
     with pytest.raises(DatasetError, match=r"no folder .*gscore depth.*--depths"):
         MapFolder(tmp_path / "nowhere")
+
+
+@pytest.mark.filterwarnings("error")
+def test_numbers_beyond_float32_are_unknown(tmp_path):
+    """Oracle: NaN, without a word of numpy."""
+    np.save(tmp_path / "a.npy", np.array([[1e200, -1e200], [2.0, np.inf]]))
+    back = read_map(tmp_path / "a.npy")
+    assert back[1, 0] == 2 and np.isnan(back).sum() == 3
