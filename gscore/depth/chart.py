@@ -78,7 +78,7 @@ class Chart:
         z = np.where(front, local[..., 2], 1.0)
         pixels = (local @ self.K.T)[..., :2] / z[..., None]
         inside = front & ((pixels >= 0) & (pixels < self.size)).all(axis=-1)
-        x, y = ((pixels[inside] - 0.5 - self.step // 2) / self.step).T
+        x, y = (pixels[inside] / self.step - 0.5).T
         tones = np.full(z.shape, np.nan)
         tones[inside] = sample(self.grid, x, y)
         return tones, 1 / z
@@ -118,7 +118,7 @@ def chart(samples: Samples, cameras: Cameras, index: int, *, count: int) -> Char
 
     Args:
         samples: Of a map that is affine in inverse depth.
-        cameras: At the size that the grid was thinned from.
+        cameras: At the size that the grid was made from.
         index: Of the view.
         count: P; pixels are drawn at random, with repetition if there are fewer.
     """
@@ -134,8 +134,7 @@ def chart(samples: Samples, cameras: Cameras, index: int, *, count: int) -> Char
     chosen = rng.choice(len(row), count, replace=len(row) < count)
     row, column = row[chosen], column[chosen]
     step = grid_step(int(cameras.widths[index]))
-    pixels = np.stack([column, row, np.zeros(count)], 1) * step + step // 2 + 0.5
-    pixels[:, 2] = 1
+    pixels = np.stack([step * (column + 0.5), step * (row + 0.5), np.ones(count)], 1)
     grid = (samples.grid.astype(np.float64) - low) / (high - low)
     seen = np.isfinite(samples.values) & (samples.inverse_depth > 0)
     if int(seen.sum()) < _LEAST_POINTS:

@@ -46,7 +46,7 @@ def agreed(
     Args:
         fits: Of each view by its points alone.
         maps: By view, affine in inverse depth; None: there is none.
-        cameras: Of the views, at the size that the grids were thinned from.
+        cameras: Of the views, at the size that the grids were made from.
 
     Returns:
         The fits, with the errors to be expected of them. `points`, `inliers` and `error` speak of

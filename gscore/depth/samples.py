@@ -14,8 +14,8 @@ from ..errors import DatasetError, FormatError, ShapeError
 from .maps import DepthKind, read_map, sample
 from .observations import Observations
 
-_SIDE = 64
-"""Columns of the grid, about."""
+_SIDE = 120
+"""Columns of the grid, up to twice as many; fewer where the photo is smaller."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,7 +29,7 @@ class Samples:
     weights: np.ndarray
     """[M] float64, positive."""
     grid: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), np.float32))
-    """[h, w] float32, every n-th pixel of the map at the size of the photo in training; NaN:
+    """[h, w] float32, means over n x n pixels of the map at the size of the photo in training; NaN:
     unknown."""
     trouble: str = ""
     """Why the file cannot be used at all; M is 0 then."""
@@ -84,7 +84,7 @@ def _samples(path: Path, file: ViewFile, seen: Observations) -> Samples:
     except ShapeError as error:
         trouble = f"{path} cannot be used: {error}. It has to show the whole photo"
     else:
-        grid = thinned(fit_map(file, np.where(values == 0, np.float32(np.nan), values)))
+        grid = averaged(fit_map(file, np.where(values == 0, np.float32(np.nan), values)))
         return replace(sampled(values, seen), grid=grid)
     none = np.zeros(0)
     return Samples(values=none, inverse_depth=none, weights=none, trouble=trouble)
@@ -117,10 +117,20 @@ def sampled(values: np.ndarray, seen: Observations) -> Samples:
     )
 
 
-def thinned(values: np.ndarray) -> np.ndarray:
-    """Every n-th pixel of [H, W], n = `grid_step(W)`, from n // 2 on."""
+def averaged(values: np.ndarray) -> np.ndarray:
+    """Means of [H, W] float32 over squares of n = `grid_step(W)` pixels; NaN where less than half
+    of the square is known. What is left over at the right and below is in none.
+
+    Single pixels would not do: at that distance fine noise looks like edges.
+    """
     step = grid_step(values.shape[1])
-    return np.ascontiguousarray(values[step // 2 :: step, step // 2 :: step])
+    height, width = (side // step for side in values.shape)
+    squares = values[: height * step, : width * step].reshape(height, step, width, step)
+    known = np.isfinite(squares)
+    count = known.sum(axis=(1, 3))
+    total = np.where(known, squares, 0).sum(axis=(1, 3), dtype=np.float64)
+    means = np.divide(total, count, out=np.full(count.shape, np.nan), where=2 * count >= step**2)
+    return means.astype(np.float32)
 
 
 def grid_step(width: int) -> int:
