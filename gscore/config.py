@@ -20,6 +20,8 @@ _LARGEST = 1e9
 """Of every number that is no count: products of several must not leave float32."""
 _LARGEST_SEED = 2**63 - 1
 """Of generators of torch."""
+_RAREST = 1000
+"""Steps between two steps of the higher colour coefficients, whose rate grows by the root."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -320,7 +322,11 @@ class TrainConfig:
                     f"{name} must be 0 to {_LARGEST:g}, or -1 for what suits, got "
                     f"{getattr(self, name)}."
                 )
-        for name, most in (("threads", _MOST_THREADS), ("seed", _LARGEST_SEED)):
+        for name, most in (
+            ("threads", _MOST_THREADS),
+            ("seed", _LARGEST_SEED),
+            ("shN_every", _RAREST),
+        ):
             if getattr(self, name) > most:
                 raise ConfigError(f"{name} must be at most {most}, got {getattr(self, name)}.")
         _at_least(self, -1, "depth_points")

@@ -7,6 +7,7 @@ kept in build/fuzz/found; with its mending it becomes a case under tests/fuzz/ca
 """
 
 import os
+import random
 import shutil
 import subprocess
 import sys
@@ -65,6 +66,8 @@ def main() -> int:
     """1 if something was found."""
     seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 60.0
     pytest = [sys.executable, "-m", "pytest", "-q", "-s"]
+    os.environ.setdefault("FUZZ_SEED", str(random.randrange(2**31)))
+    print(f"FUZZ_SEED={os.environ['FUZZ_SEED']} repeats the random scenes and bytes.", flush=True)
     failed = native(seconds)
     each = str(READERS * seconds / FORMATS)
     failed += run(*pytest, "tests/fuzz/test_readers.py", FUZZ_SECONDS=each) != 0

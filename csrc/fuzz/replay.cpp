@@ -1,6 +1,7 @@
-// Runs a fuzz target on files and on bytes from a fixed seed: every compiler can do this, in tests and under sanitizers.
+// Runs a fuzz target on files and on bytes from a seed, FUZZ_SEED or a fixed one: every compiler can do this, in tests and under sanitizers.
 #include <cstdint>
 #include <cstdio>
+#include <cstdlib>
 #include <filesystem>
 #include <fstream>
 #include <iterator>
@@ -29,7 +30,8 @@ int main(int argc, char **argv) {
             ++files;
         }
     }
-    std::mt19937 rng(1);
+    const char *seed = std::getenv("FUZZ_SEED");
+    std::mt19937 rng(seed ? uint32_t(std::strtoul(seed, nullptr, 10)) : 1u);
     const int rounds = std::atoi(argv[1]);
     for (int i = 0; i < rounds; ++i) {
         std::vector<uint8_t> bytes(rng() % 200);

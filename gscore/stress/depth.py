@@ -48,6 +48,25 @@ def rendered_depths(full: bool) -> Iterator[Measure]:
                 )
 
 
+@case("S26b", "faint pixels", needs=())
+def faint_pixels(full: bool) -> Iterator[Measure]:
+    """Oracle: the reference. Alpha is a sum of weights; taken from what light is left, it would
+    keep no more of a faint pixel than the digits of a number near one."""
+    for seed in range(2650, 2656 if full else 2652):
+        scene = draw_scene(
+            seed, count=6, width=48, height=40, sh_degree=0, sigma_px=(8.0, 20.0), logits=(-5.2, -4)
+        )
+        true = truth.ask(scene, gradients=False)
+        alpha = true.pictures["alpha"]
+        faint = (alpha > 0) & ~true.band
+        if faint.sum() < 200 or alpha.max() > 0.1:
+            raise EmptyTestError(f"{faint.sum()} pixels are faint, the largest {alpha.max():.2g}")
+        drawn = native.draw(scene)
+        for name in ("alpha", "inverse_depth"):
+            off = np.abs(drawn.pictures[name] / np.where(faint, true.pictures[name], 1) - 1)[faint]
+            yield Measure(f"{name}, mean", float(off.mean()), 6e-7)
+
+
 @case("S27", "alignment of depth maps", per_isa=False, needs=())
 def alignment(full: bool) -> Iterator[Measure]:
     """Oracle: the scale and offset the map was made with; refusals where there is none to find."""

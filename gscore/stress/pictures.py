@@ -7,7 +7,7 @@ import numpy as np
 
 from . import native, truth
 from .case import EmptyTestError, Measure, case
-from .compare import gradient_measures, picture_measures, row_errors
+from .compare import gradient_measures, picture_measures, require_covered, row_errors
 from .scenes import Scene, draw_scene
 from .truth import Truth
 
@@ -108,3 +108,11 @@ def needles(full: bool) -> Iterator[Measure]:
         pictures = picture_measures(drawn, true, mean=1e-6)
         for m in (*pictures, *gradient_measures(drawn, true)):
             yield Measure(f"1 : {ratio:.0e}, {m.what}", m.error, m.tolerance, m.note)
+    # Longer than the squares of float32 can tell from the width: nothing but finite.
+    for pixels in (1e6, 1e8, 1e10):
+        scene = _needles(1e4)[0]
+        longer = np.float32([np.log(pixels / 20), 0, 0])
+        scene = scene.with_row(slice(None), scales=scene.scales + longer)
+        drawn = native.draw(scene, native.random_weights(scene, 0))
+        require_covered(drawn.pictures["alpha"])
+        yield Measure(f"{pixels:.0e} px long, not finite", float(not drawn.finite()), 0)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..config import Switch
+from ..metrics.words import count_words
 from ..scene import Scene
 
 DENSE_VIEWS = 30
@@ -79,4 +80,4 @@ def decide(mode: Switch, facts: Coverage, *, usable: int) -> tuple[bool, str]:
             f"The capture is dense ({facts}), so the photos settle the geometry and depth is not "
             f"used; --depth-mode on uses it all the same."
         )
-    return True, f"Depth supervises {usable} training views ({facts})."
+    return True, f"Depth supervises {count_words(usable, 'training view')} ({facts})."

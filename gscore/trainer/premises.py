@@ -12,6 +12,8 @@ from .trainer import Trainer
 _FAR_FROM_ORIGIN = 1e4
 _STRAY = 100.0
 """Distance from the middle of the cameras, as a multiple of the median, that is told."""
+_OFF_AXIS = 10.0
+"""Distance of the principal point from the middle, in sizes of the picture, that is told."""
 _LOOKED_AT = 64
 """Training views, spread evenly, of which is told that they show nothing."""
 
@@ -22,7 +24,7 @@ def look_over(trainer: Trainer) -> list[str]:
     Raises:
         DatasetError: no training view shows any splat, so that nothing could be learnt.
     """
-    return [*_world(trainer), *_stray(trainer), *_unseen(trainer)]
+    return [*_world(trainer), *_stray(trainer), *_off_axis(trainer), *_unseen(trainer)]
 
 
 def _world(trainer: Trainer) -> Iterator[str]:
@@ -74,6 +76,20 @@ def _far(places: np.ndarray, middle: np.ndarray) -> tuple[np.ndarray, float]:
     if len(distance) < 4 or not median > 0:
         return np.zeros(0, np.intp), 0.0
     return np.flatnonzero(distance > _STRAY * median), float(distance.max()) / median
+
+
+def _off_axis(trainer: Trainer) -> Iterator[str]:
+    """Cameras whose axis passes far outside their picture: shifted lenses never are so much."""
+    cameras = trainer.photos.scene.cameras
+    sizes = np.stack([cameras.widths, cameras.heights], axis=1)
+    off = np.abs(cameras.Ks[:, :2, 2] / sizes - 0.5).max(axis=1)
+    wrong = np.flatnonzero(off > _OFF_AXIS)
+    if len(wrong):
+        names = listing([cameras.names[i] for i in wrong])
+        yield (
+            f"{names}: the principal point lies {off.max():.0f} times the picture's size from its "
+            "middle; no lens does that. Check the intrinsics."
+        )
 
 
 def _unseen(trainer: Trainer) -> Iterator[str]:

@@ -59,6 +59,16 @@ def test_a_stray_camera_is_named(photos: Any) -> None:
     )
 
 
+def test_an_impossible_principal_point_is_named(photos: Any) -> None:
+    """Oracle: one camera's moved by twenty widths."""
+    cameras = photos.scene.cameras
+    Ks = cameras.Ks.copy()
+    Ks[2, 0, 2] += 20 * cameras.widths[2]
+    moved = replace(photos.scene, cameras=replace(cameras, Ks=Ks))
+    told = warnings(replace(photos, scene=moved))
+    assert told[0].startswith(f"{cameras.names[2]}: the principal point lies 20 times")
+
+
 def test_stray_points_are_counted(photos: Any) -> None:
     """Oracle: five points 1e5 times as far as they were."""
     points = photos.scene.points.points.copy()
