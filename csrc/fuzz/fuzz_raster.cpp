@@ -63,10 +63,11 @@ void check_image(const Drawn &d, const Scene &s) {
         REQUIRE(r >= 0);
         reached += r > 0;
     }
-    const int64_t tiles = int64_t((s.camera.width + GS_TILE - 1) / GS_TILE) * ((s.camera.height + GS_TILE - 1) / GS_TILE);
+    const int64_t wide = GS_LIST_TILE_WIDTH, high = GS_LIST_TILE_HEIGHT;
+    const int64_t tiles = (s.camera.width + wide - 1) / wide * ((s.camera.height + high - 1) / high);
     REQUIRE(d.stats.visible == reached);
     REQUIRE(d.stats.entries >= 0 && d.stats.entries <= d.stats.visible * tiles);
-    REQUIRE(d.stats.forward_pairs >= 0 && d.stats.forward_pairs <= d.stats.entries * GS_TILE * GS_TILE);
+    REQUIRE(d.stats.forward_pairs >= 0 && d.stats.forward_pairs <= d.stats.entries * wide * high);
 }
 
 struct Gradients {

@@ -45,15 +45,18 @@ extern "C" {
 #define GS_TRANSMITTANCE_MIN 1e-4f
 /* Smallest opacity factor of the anti-aliasing compensation. */
 #define GS_COMPENSATION_MIN 0.005f
-/* Side of a tile in pixels. */
+/* Side in pixels of the tiles of gs_options.tiles. */
 #define GS_TILE 16
+/* Splats are listed by tiles of this size, in pixels. */
+#define GS_LIST_TILE_WIDTH GS_TILE
+#define GS_LIST_TILE_HEIGHT (2 * GS_TILE)
 
 typedef enum gs_status {
     GS_OK = 0,
     GS_BAD_ARGUMENT = 1,  /* a size, pointer or option that cannot work */
     GS_OUT_OF_MEMORY = 2, /* an allocation failed; the gs_raster stays usable */
     GS_CANCELLED = 3,     /* *cancel became non-zero */
-    GS_TOO_MANY = 4,      /* more than 2^31 - 1 (tile, splat) entries */
+    GS_TOO_MANY = 4,      /* more than 2^31 - 1 (list tile, splat) entries */
     GS_UNSUPPORTED = 5,   /* an instruction set this machine does not have */
     GS_INTERNAL = 6       /* an error of the library */
 } gs_status;
@@ -143,7 +146,7 @@ typedef struct gs_splat_grads {
 /* What the last forward and backward call of a gs_raster did. A pair is one splat evaluated at one pixel. */
 typedef struct gs_stats {
     int64_t visible;        /* splats that reach the image */
-    int64_t entries;        /* (tile, splat) entries */
+    int64_t entries;        /* (list tile, splat) entries */
     int64_t forward_pairs;
     int64_t useful_pairs; /* forward pairs that added to their pixel; 0 unless GS_COUNT_USEFUL was set */
     int64_t backward_pairs;

@@ -39,15 +39,9 @@ static inline IVec floor_by_truncation(Vec x) { return __builtin_convertvector(x
 static inline IVec blocks_of_rows(Vec first, Vec last) {
     const IVec f = __builtin_convertvector(first, IVec) >> 2;
     const IVec l = __builtin_convertvector(last, IVec) >> 2;
-    return ((IVec{} + 0xf) << f) & ((IVec{} + 0xf) >> (kStrips - 1 - l));
+    return ((IVec{} + 0xff) << f) & ((IVec{} + 0xff) >> (kStripBlocks - 1 - l));
 }
-static_assert(kBlock == 4 && kStrips == 4);
-
-// The strips' bytes of a tile as its blocks, a bit each.
-static inline uint32_t blocks_of_strips(uint32_t bytes) {
-    bytes |= bytes >> 4;
-    return (bytes & 0xff) | (bytes >> 8 & 0xff00);
-}
+static_assert(kBlock == 4 && kStripBlocks == 8);
 
 // What an extent is multiplied by to reach where an opaque splat of the same shape falls to the threshold.
 static inline float opaque_extent(const Projected &p) {
@@ -79,22 +73,31 @@ static inline void rows_of_slab(const Slab &slab, Vec ex, Vec x_top, Vec slope, 
 template <bool kPlain> class Appender {
   public:
     Appender(const BinArgs &a, InstanceBuffer *out)
-        : tiles_(a.tiles), at_(out->data + out->size), all_rows_(a.disable & GS_NO_ROW_RANGE) {}
+        : a_(a), at_(out->data + out->size), all_rows_(a.disable & GS_NO_ROW_RANGE) {}
 
     // Where there are blocks; there is room.
     void add(uint32_t tile, uint32_t blocks) {
-        if constexpr (kPlain) {
-            *at_ = {tile, blocks};
-            at_ += blocks != 0;
-        } else {
-            *at_ = {tile, all_rows_ ? 0xffff : blocks};
-            at_ += blocks != 0 && (!tiles_ || tiles_[tile]);
+        if constexpr (!kPlain) {
+            blocks = all_rows_ && blocks ? ~0u : blocks;
+            if (a_.tiles)
+                blocks &= blocks_drawn(tile);
         }
+        *at_ = {tile, blocks};
+        at_ += blocks != 0;
     }
     void finish(InstanceBuffer *out) const { out->size = size_t(at_ - out->data); }
 
   private:
-    const uint8_t *const tiles_;
+    // The blocks of a tile that gs_options.tiles leaves to draw: upper and lower half of each strip.
+    uint32_t blocks_drawn(uint32_t tile) const {
+        static_assert(kTileWidth == GS_TILE && kTileHeight == 2 * GS_TILE);
+        const uint32_t columns = uint32_t(a_.tiles_x), row = 2 * (tile / columns), column = tile % columns;
+        const uint8_t *const upper = a_.tiles + size_t(row) * columns + column;
+        const bool has_lower = (row + 1) * GS_TILE < uint32_t(a_.height);
+        return (upper[0] ? 0x0f0f0f0f : 0) | (has_lower && upper[columns] ? 0xf0f0f0f0 : 0);
+    }
+
+    const BinArgs &a_;
     Instance *at_;
     const bool all_rows_;
 };
@@ -110,13 +113,13 @@ template <bool kPlain> static bool bin_wide(const BinArgs &a, const Projected &p
     const int box_last = clamp_int(p.mean_y + ey + sy - 0.5f, -1, a.height - 1);
     if (x_first > x_last || box_first > box_last)
         return true;
-    const int strip_first = x_first / kTile * kStrips, strip_last = x_last / kBlock;
-    const int tile_first = box_first / kTile, tile_last = box_last / kTile;
+    const int strip_first = x_first / kTileWidth * kStrips, strip_last = x_last / kBlock;
+    const int tile_first = box_first / kTileHeight, tile_last = box_last / kTileHeight;
     // Where the ellipse is highest: its mean plus (x_top, extent_y).
     const float x_top = -p.ub / p.ua * ey;
     // Vectors of strips start where they do for the splat's own extent, so that its tiles keep their order, and sums
     // over them their rounding.
-    int start = clamp_int(p.mean_x - p.extent_x - slack_px(p.extent_x) + 0.5f, 0, a.width) / kTile * kStrips;
+    int start = clamp_int(p.mean_x - p.extent_x - slack_px(p.extent_x) + 0.5f, 0, a.width) / kTileWidth * kStrips;
     while (start > strip_first)
         start -= kLanes;
     for (int s0 = start; s0 <= strip_last; s0 += kLanes) {
@@ -134,35 +137,35 @@ template <bool kPlain> static bool bin_wide(const BinArgs &a, const Projected &p
             last = set1(float(box_last));
         }
         // What is empty stays so in every tile.
-        first = select(slab.inside, first, set1(float(a.height + kTile)));
+        first = select(slab.inside, first, set1(float(a.height + kTileHeight)));
         last = select(slab.inside, last, set1(-1.0f));
         const int tile_x = s0 / kStrips;
         const int tiles = a.tiles_x - tile_x < kLanes / kStrips ? a.tiles_x - tile_x : kLanes / kStrips;
         for (int ty = tile_first; ty <= tile_last; ++ty) {
             if (out->capacity - out->size < size_t(kLanes / kStrips) && !out->grow(out))
                 return false;
-            const float y = float(ty * kTile);
-            const Vec from = min(max(first - y, Vec{}), set1(float(kTile)));
-            const Vec to = min(max(last - y, set1(-1.0f)), set1(float(kTile - 1)));
+            const float y = float(ty * kTileHeight);
+            const Vec from = min(max(first - y, Vec{}), set1(float(kTileHeight)));
+            const Vec to = min(max(last - y, set1(-1.0f)), set1(float(kTileHeight - 1)));
             const Bytes bytes = __builtin_convertvector(blocks_of_rows(from, to), Bytes);
             uint32_t strips[kLanes / kStrips];
             std::memcpy(strips, &bytes, sizeof strips);
             Appender<kPlain> to_list(a, out);
             for (int t = tile_x < 0 ? -tile_x : 0; t < tiles; ++t)
-                to_list.add(uint32_t(ty * a.tiles_x + tile_x + t), blocks_of_strips(strips[t]));
+                to_list.add(uint32_t(ty * a.tiles_x + tile_x + t), strips[t]);
             to_list.finish(out);
         }
     }
     return true;
 }
 
-// What `bin_narrow` takes: splats within so many tiles. A row's blocks are the bits of a word, 16 a tile.
-constexpr int kNarrowColumns = 2, kNarrowRows = 4;
+// What `bin_narrow` takes: splats within so many tiles. A tile's blocks are the bits of a word.
+constexpr int kNarrowColumns = 2, kNarrowRows = 3;
 
 // The tiles of kLanes splats.
 struct Narrow {
     alignas(64) int32_t tile[kLanes], rows[kLanes]; // the first tile and the number of rows; kWide: too many
-    alignas(64) uint32_t blocks[kNarrowRows][kLanes];
+    alignas(64) uint32_t blocks[kNarrowRows][kNarrowColumns][kLanes];
 
     static constexpr int kWide = -1;
 };
@@ -192,8 +195,8 @@ static inline void bin_narrow(const BinArgs &a, const Projected *p, int lanes, N
     const IVec box_last = clamp_int(mean_y + ey + sy - 0.5f, none, height - 1.0f);
     // -1 where so, in every lane apart.
     const IVec empty = (IVec)(x_first > x_last) | (IVec)(box_first > box_last);
-    const IVec tile_x = x_first >> 4, tile_y = box_first >> 4;
-    const IVec more_columns = (x_last >> 4) - tile_x, more_rows = (box_last >> 4) - tile_y;
+    const IVec tile_x = x_first >> 4, tile_y = box_first >> 5;
+    const IVec more_columns = (x_last >> 4) - tile_x, more_rows = (box_last >> 5) - tile_y;
     const IVec wide = ~empty & ((IVec)(more_columns >= kNarrowColumns) | (IVec)(more_rows >= kNarrowRows));
     const IVec tile = tile_y * a.tiles_x + tile_x, rows = ((more_rows + 1) & ~empty) | wide;
     std::memcpy(out.tile, &tile, sizeof out.tile);
@@ -209,8 +212,8 @@ static inline void bin_narrow(const BinArgs &a, const Projected *p, int lanes, N
         most_rows = out.rows[l] > most_rows ? out.rows[l] : most_rows;
     }
     const Vec low = __builtin_convertvector(box_first, Vec), high = __builtin_convertvector(box_last, Vec);
-    const Vec y = __builtin_convertvector(tile_y << 4, Vec);
-    IVec blocks[kNarrowRows] = {};
+    const Vec y = __builtin_convertvector(tile_y << 5, Vec);
+    IVec blocks[kNarrowRows][kNarrowColumns] = {};
     for (int s = 0; s < most_strips; ++s) {
         const IVec strip = strip_first + s;
         const Slab slab = slab_at(__builtin_convertvector(strip, Vec) * float(kBlock) + (0.5f - mean_x), ex, sx);
@@ -218,20 +221,25 @@ static inline void bin_narrow(const BinArgs &a, const Projected *p, int lanes, N
         rows_of_slab(slab, ex, x_top, slope, half_chord, mean_y, sy, first, last);
         last = __builtin_convertvector(floor_by_truncation(min(max(last, none), high)), Vec);
         first = __builtin_convertvector(floor_by_truncation(min(max(first, low), height)), Vec);
-        first = select(slab.inside, first, set1(float(a.height + kTile)));
+        first = select(slab.inside, first, set1(float(a.height + kTileHeight)));
         last = select(slab.inside, last, none);
-        // Rows of blocks, from the first tile's on: a bit each, four a tile.
-        const Vec from = min(max(first - y, Vec{}), set1(float(kNarrowRows * kTile)));
-        const Vec to = min(max(last - y, none), set1(float(kNarrowRows * kTile - 1)));
+        // Rows of blocks, from the first tile's on: a bit each, eight a tile.
+        const Vec from = min(max(first - y, Vec{}), set1(float(kNarrowRows * kTileHeight)));
+        const Vec to = min(max(last - y, none), set1(float(kNarrowRows * kTileHeight - 1)));
         const IVec f = __builtin_convertvector(from, IVec) >> 2, t = __builtin_convertvector(to, IVec) >> 2;
-        const IVec bits = ((IVec{} + 0xffff) << f) & ((IVec{} + 0xffff) >> (15 - t)) & (IVec)(strip <= strip_last);
-        const IVec place = ((strip - (tile_x << 2)) & (kNarrowColumns * kStrips - 1)) << 2;
-        for (int r = 0; r < most_rows; ++r)
-            blocks[r] |= ((bits >> (4 * r)) & 0xf) << place;
+        const IVec bits = ((IVec{} + 0xffffff) << f) & ((IVec{} + 0xffffff) >> (23 - t)) & (IVec)(strip <= strip_last);
+        const IVec place = strip - (tile_x << 2), at = (place & (kStrips - 1)) << 3;
+        const IVec left = (IVec)(place < kStrips);
+        for (int r = 0; r < most_rows; ++r) {
+            const IVec here = ((bits >> (8 * r)) & 0xff) << at;
+            blocks[r][0] |= here & left;
+            blocks[r][1] |= here & ~left;
+        }
     }
     std::memcpy(out.blocks, blocks, sizeof out.blocks);
 }
-static_assert(kTile == 16 && kBlock == 4 && kNarrowColumns * kTileBlocks == 32 && kNarrowRows * kStrips == 16);
+static_assert(kTileWidth == 16 && kTileHeight == 32 && kBlock == 4 && kNarrowColumns == 2 &&
+              kNarrowRows * kStripBlocks == 24);
 
 template <bool kPlain> static bool bin_chunk(const BinArgs &a, int64_t chunk, InstanceBuffer *out) {
     // All at once, or one after the other, as `bin_wide` has them.
@@ -259,7 +267,7 @@ template <bool kPlain> static bool bin_chunk(const BinArgs &a, int64_t chunk, In
                     for (int r = 0; r < narrow.rows[l]; ++r)
                         for (int c = c0; c < c0 + kColumnsAtOnce; ++c)
                             to_list.add(uint32_t(narrow.tile[l] + r * tiles_x + c),
-                                        narrow.blocks[r][l] >> (kTileBlocks * c) & 0xffff);
+                                        narrow.blocks[r][c][l]);
                 to_list.finish(out);
             }
             a.spans[first + l] = {uint32_t(size_before), uint32_t(out->size - size_before)};

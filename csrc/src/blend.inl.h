@@ -1,8 +1,8 @@
 // Alpha blending of one tile, forward and backward (Kerbl et al. 2023, section 6).
 // A tile belongs to one thread. Its pixels are kept in blocks of 4 x 4, of which a splat's ellipse wastes fewer than of
-// rows. Splats are taken in batches: their blocks become a flat list of items, and each stage runs down that list. So the
-// long chains of the exponentials lie side by side, whatever splat they belong to, and only short ones remain where a
-// pixel's splats must follow each other.
+// rows. Splats are taken in batches, whose exponentials are computed several at a time, for their chains are long.
+// Forward, block follows block: one's pixels stay in registers while all splats of the batch that reach it pass.
+// Backward, splat follows splat: its sums over pixels stay there, and the exponentials of all its blocks come before.
 #pragma once
 
 #include "simd.h"
@@ -10,13 +10,9 @@
 
 namespace gs::GS_NAMESPACE {
 
-// An item is a block that a splat reaches.
-constexpr int kItemVecs = kBlockPixels / kLanes;
-// Items whose exponentials are computed side by side.
+constexpr int kBlockVecs = kBlockPixels / kLanes;
+// Blocks whose exponentials are computed side by side.
 constexpr int kGroup = kLanes == 16 ? 4 : kLanes == 8 ? 2 : 1;
-constexpr int kBatchItems = 64 + kTileBlocks;
-// Records are fetched this many list entries ahead of their use.
-constexpr uint32_t kPrefetch = 8;
 constexpr uint32_t kAllPixels = (1u << kBlockPixels) - 1;
 
 // Columns and rows of a tile's pixels in their order in memory.
@@ -47,75 +43,158 @@ static constexpr BitTable make_bit_table() {
 }
 static constexpr BitTable kBits = make_bit_table();
 
-// Splats that follow each other in a tile's list, and their items.
-struct Batch {
-    int splats, items;
-    Projected splat[kBatchItems];
+// Writes the positions of a byte's bits, counted from `first`, and returns how many; eight bytes are written.
+static inline int write_positions(uint32_t byte, int first, uint8_t *to) {
+    uint64_t positions;
+    std::memcpy(&positions, kBits.bits[byte], sizeof positions);
+    positions += uint64_t(first) * 0x0101010101010101u;
+    std::memcpy(to, &positions, sizeof positions);
+    return __builtin_popcount(byte);
+}
+
+// Splats that follow each other in a tile's list.
+template <int kCapacity> struct Batch {
+    int splats;
+    Projected splat[kCapacity];
     // At column x and row y of the tile, u = u0 + ua x + ub y and v = v0 + vc y.
-    float u0[kBatchItems], v0[kBatchItems];
-    int32_t index[kBatchItems];    // in the tile's list
+    float u0[kCapacity], v0[kCapacity];
+    int32_t index[kCapacity]; // in the tile's list
+
+    // x and y are those of the tile's first pixel.
+    void add(const Projected &p, int32_t index_in_list, float x, float y) {
+        const int s = splats++;
+        splat[s] = p;
+        // In double, since for a needle the two terms are large and their sum is small.
+        const double dx = double(x) - double(p.mean_x), dy = double(y) - double(p.mean_y);
+        u0[s] = float(double(p.ua) * dx + double(p.ub) * dy);
+        v0[s] = float(double(p.vc) * dy);
+        index[s] = index_in_list;
+    }
+};
+
+// The coordinates u and v of pixels, and the logarithm to base 2 of the alpha that splat `s` has there, not clamped. With
+// `exp2_above` the one place that decides which splat reaches which pixel.
+struct Reach {
+    Vec u, v, log2_alpha;
+};
+template <class B> static inline Reach reach(const B &b, int s, Vec x, Vec y) {
+    const Projected &p = b.splat[s];
+    const Vec u = fma(set1(p.ub), y, fma(set1(p.ua), x, set1(b.u0[s]))), v = fma(set1(p.vc), y, set1(b.v0[s]));
+    return {u, v, fnma(v, v, fnma(u, u, set1(p.log2_opacity)))};
+}
+
+// Fetches a tile's pixels of a picture that is `stride` pixels wide and has `width` floats a pixel.
+static inline void fetch_pixels(const float *picture, int width, int stride, int x0, int y0, int columns, int rows) {
+    constexpr int kLine = 64 / sizeof(float);
+    for (int r = 0; picture && r < rows; ++r) {
+        const float *const first = picture + (size_t(y0 + r) * size_t(stride) + size_t(x0)) * size_t(width);
+        const float *const last = first + columns * width - 1;
+        for (const float *p = first; p < last; p += kLine)
+            __builtin_prefetch(p, 1);
+        __builtin_prefetch(last, 1);
+    }
+}
+
+// Forward: splats, and for each block a list of those that reach it.
+constexpr int kForwardSplats = 128;
+// Splats whose exponentials come before they are blended: one group where it fits into the registers beside the pixels.
+constexpr int kRun = kLanes >= 8 ? kGroup : 32;
+static_assert(kRun % kGroup == 0);
+struct ForwardBatch : Batch<kForwardSplats + 1> {
+    // The splat behind the last: it reaches nothing, and fills up groups.
+    static constexpr int kNobody = kForwardSplats;
+    static_assert(kNobody < 256 && kForwardSplats % 8 == 0);
+
+    uint8_t strips[kStrips][kForwardSplats]; // the blocks that a splat reaches, strip by strip
+    uint8_t list[kTileBlocks][kForwardSplats + 8];
+    int count[kTileBlocks];
+
+    ForwardBatch() {
+        splat[kNobody] = {};
+        splat[kNobody].log2_opacity = 2 * kLog2AlphaMin;
+        u0[kNobody] = v0[kNobody] = 0;
+    }
+    bool full() const { return splats == kForwardSplats; }
+    void add_reaching(uint32_t blocks, const Projected &p, int32_t index_in_list, float x, float y) {
+        for (int k = 0; k < kStrips; ++k)
+            strips[k][splats] = uint8_t(blocks >> (8 * k));
+        add(p, index_in_list, x, y);
+    }
+    void make_lists();
+};
+
+// Eight bytes as a matrix of bits, transposed (Warren, Hacker's Delight, section 7-3).
+static inline uint64_t transposed_bits(uint64_t x) {
+    uint64_t t = (x ^ (x >> 7)) & 0x00aa00aa00aa00aau;
+    x ^= t ^ (t << 7);
+    t = (x ^ (x >> 14)) & 0x0000cccc0000ccccu;
+    x ^= t ^ (t << 14);
+    t = (x ^ (x >> 28)) & 0x00000000f0f0f0f0u;
+    return x ^ t ^ (t << 28);
+}
+
+inline void ForwardBatch::make_lists() {
+    static_assert(kStripBlocks == 8);
+    for (int strip = 0; strip < kStrips; ++strip) {
+        int n[kStripBlocks] = {};
+        std::memset(strips[strip] + splats, 0, size_t(-splats & 7));
+        for (int s = 0; s < splats; s += 8) {
+            uint64_t blocks_of_splats;
+            std::memcpy(&blocks_of_splats, strips[strip] + s, sizeof blocks_of_splats);
+            const uint64_t splats_of_blocks = transposed_bits(blocks_of_splats);
+            for (int k = 0; k < kStripBlocks; ++k)
+                n[k] += write_positions(splats_of_blocks >> (8 * k) & 0xff, s, list[strip * kStripBlocks + k] + n[k]);
+        }
+        for (int k = 0; k < kStripBlocks; ++k) {
+            count[strip * kStripBlocks + k] = n[k];
+            std::memset(list[strip * kStripBlocks + k] + n[k], kNobody, kGroup);
+        }
+    }
+}
+
+// Backward: splats and items, which are the blocks that each reaches.
+constexpr int kBatchItems = 64 + kTileBlocks;
+struct BackwardBatch : Batch<kBatchItems> {
+    int items;
     int32_t item_end[kBatchItems];
+    Moments *moments[kBatchItems]; // where the sums of a splat go
     // Of an item; some more are written, and overwritten.
     uint8_t splat_of[kBatchItems + kTileBlocks], block[kBatchItems + kTileBlocks];
     alignas(64) float alpha[kBatchItems + kGroup][kBlockPixels];
+    alignas(64) float u[kBatchItems + kGroup][kBlockPixels], v[kBatchItems + kGroup][kBlockPixels];
 
     bool full() const { return items > kBatchItems - kTileBlocks; }
-};
-
-// What the backward pass keeps besides.
-struct BackwardBatch : Batch {
-    alignas(64) float u[kBatchItems + kGroup][kBlockPixels], v[kBatchItems + kGroup][kBlockPixels];
-    Moments *moments[kBatchItems]; // where the sums of a splat go
-};
-
-// Appends a splat and the items that cover `blocks`, which are not none. x and y are those of the tile's first pixel.
-static inline void add_splat(Batch &b, const Projected &p, int32_t index, uint32_t blocks, float x, float y) {
-    const int s = b.splats++;
-    b.splat[s] = p;
-    // In double, since for a needle the two terms are large and their sum is small.
-    const double dx = double(x) - double(p.mean_x), dy = double(y) - double(p.mean_y);
-    b.u0[s] = float(double(p.ua) * dx + double(p.ub) * dy);
-    b.v0[s] = float(double(p.vc) * dy);
-    b.index[s] = index;
-    std::memset(b.splat_of + b.items, s, kTileBlocks);
-    for (int half = 0; half < 2; ++half) {
-        const uint32_t bits = blocks >> (8 * half) & 0xff;
-        uint64_t positions;
-        std::memcpy(&positions, kBits.bits[bits], sizeof positions);
-        positions += half * 0x0808080808080808u;
-        std::memcpy(b.block + b.items, &positions, sizeof positions);
-        b.items += __builtin_popcount(bits);
+    // `blocks` are not none.
+    void add_reaching(uint32_t blocks, const Projected &p, int32_t index_in_list, float x, float y) {
+        std::memset(splat_of + items, splats, kTileBlocks);
+        for (int k = 0; k < kStrips; ++k)
+            items += write_positions(blocks >> (8 * k) & 0xff, k * kStripBlocks, block + items);
+        item_end[splats] = items;
+        add(p, index_in_list, x, y);
     }
-    b.item_end[s] = b.items;
-}
+    void find_alphas();
+};
 
-// Alphas of all items before the clamp, zero below the threshold. The one place that decides which splat reaches which
-// pixel.
-template <bool kBackward, class B> static inline void unclamped_alphas(B &b) {
-    constexpr int kCount = kGroup * kItemVecs;
+// Alphas of all items before the clamp, zero below the threshold.
+inline void BackwardBatch::find_alphas() {
+    constexpr int kCount = kGroup * kBlockVecs;
     // The last group may be incomplete: it repeats what is there.
-    for (int i = b.items; i % kGroup; ++i)
-        b.splat_of[i] = b.block[i] = 0;
-    for (int i = 0; i < b.items; i += kGroup) {
-        Vec q[kCount], alpha[kCount];
-        for (int j = 0; j < kGroup; ++j) {
-            const int s = b.splat_of[i + j], at = b.block[i + j] * kBlockPixels;
-            const Projected &p = b.splat[s];
-            // Vectors of a block that are whole rows have their columns in common.
-            const Vec ux = fma(set1(p.ua), load(kPixels.x + at), set1(b.u0[s]));
-            for (int k = 0; k < kItemVecs; ++k) {
-                const Vec y = load(kPixels.y + at + k * kLanes);
-                const Vec u = fma(set1(p.ub), y, ux), v = fma(set1(p.vc), y, set1(b.v0[s]));
-                if constexpr (kBackward) {
-                    store(b.u[i + j] + k * kLanes, u);
-                    store(b.v[i + j] + k * kLanes, v);
-                }
-                q[j * kItemVecs + k] = fnma(v, v, fnma(u, u, set1(p.log2_opacity)));
+    for (int i = items; i % kGroup; ++i)
+        splat_of[i] = block[i] = 0;
+    for (int i = 0; i < items; i += kGroup) {
+        Vec q[kCount], found[kCount];
+        for (int j = 0; j < kGroup; ++j)
+            for (int k = 0; k < kBlockVecs; ++k) {
+                const int at = block[i + j] * kBlockPixels, lane = k * kLanes;
+                // Vectors of a block are whole rows, and have their columns in common.
+                const Reach r = reach(*this, splat_of[i + j], load(kPixels.x + at), load(kPixels.y + at + lane));
+                store(u[i + j] + lane, r.u);
+                store(v[i + j] + lane, r.v);
+                q[j * kBlockVecs + k] = r.log2_alpha;
             }
-        }
-        exp2_above<kCount>(kLog2AlphaMin, q, alpha);
+        exp2_above<kCount>(kLog2AlphaMin, q, found);
         for (int j = 0; j < kCount; ++j)
-            store(reinterpret_cast<float *>(b.alpha + i) + j * kLanes, alpha[j]); // across rows of the array
+            store(reinterpret_cast<float *>(alpha + i) + j * kLanes, found[j]); // across rows of the array
     }
 }
 static_assert(kLanes % kBlock == 0);
@@ -123,14 +202,13 @@ static_assert(kLanes % kBlock == 0);
 template <int kChannels, bool kMedian>
 static PairCount blend_tile(const BlendArgs &a, uint32_t outputs, uint32_t tile) {
     const int tile_x = int(tile) % a.tiles_x, tile_y = int(tile) / a.tiles_x;
-    const int x0 = tile_x * kTile, y0 = tile_y * kTile;
-    const int columns = a.width - x0 < kTile ? a.width - x0 : kTile;
-    const int rows = a.height - y0 < kTile ? a.height - y0 : kTile;
+    const int x0 = tile_x * kTileWidth, y0 = tile_y * kTileHeight;
+    const int columns = a.width - x0 < kTileWidth ? a.width - x0 : kTileWidth;
+    const int rows = a.height - y0 < kTileHeight ? a.height - y0 : kTileHeight;
 
     // With depths, alpha is summed: depths are divided by it, and 1 - T has lost the digits of faint pixels.
     constexpr bool kSumAlpha = kChannels >= 4;
-    // One block, so that the inner loop addresses all of it from one pointer: transmittance, channels, and where needed
-    // the sum of weights and the median depth.
+    // Transmittance, channels, and where needed the sum of weights and the median depth.
     constexpr int kCover = 1 + kChannels, kMedianAt = kCover + kSumAlpha, kPlanes = kMedianAt + kMedian;
     alignas(64) float state[kPlanes][kTilePixels];
     uint32_t done[kTileBlocks]; // pixels of each block that are complete, a bit each; their transmittance is zero
@@ -138,10 +216,12 @@ static PairCount blend_tile(const BlendArgs &a, uint32_t outputs, uint32_t tile)
     float *final_trans = a.final_transmittance + size_t(tile) * kTilePixels;
     int32_t *stop = a.stop_index + size_t(tile) * kTilePixels;
 
+    fetch_pixels(a.image.rgb, 3, a.width, x0, y0, columns, rows);
+    fetch_pixels(a.image.alpha, 1, a.width, x0, y0, columns, rows);
     std::memset(state, 0, sizeof state);
     for (int block = 0; block < kTileBlocks; ++block) {
         uint32_t inside = 0;
-        for (int k = 0; k < kItemVecs; ++k) {
+        for (int k = 0; k < kBlockVecs; ++k) {
             const int at = block * kBlockPixels + k * kLanes;
             const Mask in = both(gt(set1(float(columns)), load(kPixels.x + at)), gt(set1(float(rows)), load(kPixels.y + at)));
             store(state[0] + at, keep(in, set1(1.0f)));
@@ -157,69 +237,102 @@ static PairCount blend_tile(const BlendArgs &a, uint32_t outputs, uint32_t tile)
     const uint32_t begin = a.tile_begin[tile], end = a.tile_begin[tile + 1];
     const float first_x = float(x0) + 0.5f, first_y = float(y0) + 0.5f;
     const int third = outputs & GS_OUT_INVERSE_DEPTH ? kChannelInvZ : kChannelZ; // the first channel after the colours
-    Batch batch;
-    int64_t items = 0, useful = 0;
+    // Records are fetched this many list entries ahead of their use.
+    constexpr uint32_t kPrefetch = 64;
+    ForwardBatch batch;
+    int64_t evaluated = 0, useful = 0;
     for (uint32_t e = begin; e < end && live;) {
-        batch.splats = batch.items = 0;
+        batch.splats = 0;
         for (; e < end && !batch.full(); ++e) {
             if (e + kPrefetch < end)
                 __builtin_prefetch(&a.projected[a.entries[e + kPrefetch].slot]);
             const Entry entry = a.entries[e];
             if (const uint32_t blocks = entry.blocks & live)
-                add_splat(batch, a.projected[entry.slot], int32_t(e - begin), blocks, first_x, first_y);
+                batch.add_reaching(blocks, a.projected[entry.slot], int32_t(e - begin), first_x, first_y);
         }
-        items += batch.items;
-        unclamped_alphas<false>(batch);
-        for (int i = 0; i < batch.items; ++i) {
-            const int block = batch.block[i];
-            const Projected &p = batch.splat[batch.splat_of[i]];
-            float *at = state[0] + block * kBlockPixels;
-            Vec t[kItemVecs], w[kItemVecs], next[kItemVecs];
-            uint32_t finished = 0;
-            for (int k = 0; k < kItemVecs; ++k) {
-                t[k] = load(at + k * kLanes);
-                w[k] = min(load(batch.alpha[i] + k * kLanes), set1(kAlphaMax)) * t[k];
-                next[k] = t[k] - w[k];
-                finished |= bits(ge(set1(kTransmittanceMin), next[k])) << (k * kLanes);
+        batch.make_lists();
+        for (uint32_t left = live; left; left &= left - 1) {
+            const int block = __builtin_ctz(left), at = block * kBlockPixels;
+            const int count = batch.count[block];
+            if (count == 0)
+                continue;
+            const uint8_t *const list = batch.list[block];
+            Vec pixels[kPlanes][kBlockVecs];
+            for (int c = 0; c < kPlanes; ++c)
+                for (int k = 0; k < kBlockVecs; ++k)
+                    pixels[c][k] = load(state[c] + at + k * kLanes);
+            const Vec x = load(kPixels.x + at); // of all vectors of a block, for they are whole rows
+            Vec y[kBlockVecs];
+            for (int k = 0; k < kBlockVecs; ++k)
+                y[k] = load(kPixels.y + at + k * kLanes);
+            uint32_t complete = done[block];
+            int passed = count; // splats until the block was complete
+            for (int i = 0; i < count; i += kRun) {
+                const int run = kRun == kGroup || count - i > kRun ? kRun : count - i;
+                Vec alpha[kRun * kBlockVecs];
+                for (int first = 0; first < run; first += kGroup) {
+                    Vec q[kGroup * kBlockVecs];
+                    for (int j = 0; j < kGroup; ++j)
+                        for (int k = 0; k < kBlockVecs; ++k)
+                            q[j * kBlockVecs + k] = reach(batch, list[i + first + j], x, y[k]).log2_alpha;
+                    exp2_above<kGroup * kBlockVecs>(kLog2AlphaMin, q, alpha + first * kBlockVecs);
+                }
+                for (int j = 0; j < run; ++j) {
+                    const int s = list[i + j];
+                    const Projected &p = batch.splat[s];
+                    Vec *const t = pixels[0];
+                    Vec w[kBlockVecs], next[kBlockVecs];
+                    uint32_t finished = 0;
+                    for (int k = 0; k < kBlockVecs; ++k) {
+                        w[k] = min(alpha[j * kBlockVecs + k], set1(kAlphaMax)) * t[k];
+                        next[k] = t[k] - w[k];
+                        finished |= bits(ge(set1(kTransmittanceMin), next[k])) << (k * kLanes);
+                    }
+                    if (finished != complete) [[unlikely]] {
+                        for (int k = 0; k < kBlockVecs; ++k) {
+                            // Complete pixels hold a transmittance of zero, so the new ones are those that do not.
+                            const Mask fresh = both(ge(set1(kTransmittanceMin), next[k]), gt(t[k], Vec{}));
+                            const Mask goes_on = gt(next[k], set1(kTransmittanceMin));
+                            float *final_at = final_trans + at + k * kLanes;
+                            int32_t *stop_at = stop + at + k * kLanes;
+                            store(final_at, select(fresh, t[k], load(final_at)));
+                            Vec stops;
+                            std::memcpy(&stops, stop_at, sizeof stops);
+                            stops = select(fresh, as_float(IVec{} + batch.index[s]), stops);
+                            std::memcpy(stop_at, &stops, sizeof stops);
+                            w[k] = keep(goes_on, w[k]);
+                            next[k] = keep(goes_on, next[k]);
+                        }
+                        complete = finished;
+                        if (complete == kAllPixels)
+                            passed = i + j + 1;
+                    }
+                    if (outputs & GS_COUNT_USEFUL) [[unlikely]]
+                        for (const Vec weight : w)
+                            useful += __builtin_popcount(bits(gt(weight, Vec{})));
+                    for (int k = 0; k < kBlockVecs; ++k) {
+                        for (int c = 0; c < kChannels; ++c)
+                            pixels[1 + c][k] =
+                                fma(w[k], set1(p.channel[c < 3 ? c : third + c - 3]), pixels[1 + c][k]);
+                        if constexpr (kSumAlpha)
+                            pixels[kCover][k] += w[k];
+                        if constexpr (kMedian) {
+                            // A splat leaves at least 1 - kAlphaMax, so none completes a pixel and crosses 0.5 at once.
+                            const Mask crossed = both(gt(t[k], set1(0.5f)), ge(set1(0.5f), next[k]));
+                            pixels[kMedianAt][k] += keep(crossed, set1(p.channel[kChannelZ]));
+                        }
+                        t[k] = next[k];
+                    }
+                }
+                if (complete == kAllPixels)
+                    break;
             }
-            if (finished != done[block]) [[unlikely]] {
-                for (int k = 0; k < kItemVecs; ++k) {
-                    // Complete pixels hold a transmittance of zero, so the new ones are those that do not.
-                    const Mask fresh = both(ge(set1(kTransmittanceMin), next[k]), gt(t[k], Vec{}));
-                    const Mask goes_on = gt(next[k], set1(kTransmittanceMin));
-                    float *final_at = final_trans + block * kBlockPixels + k * kLanes;
-                    int32_t *stop_at = stop + block * kBlockPixels + k * kLanes;
-                    store(final_at, select(fresh, t[k], load(final_at)));
-                    Vec stops;
-                    std::memcpy(&stops, stop_at, sizeof stops);
-                    stops = select(fresh, as_float(IVec{} + batch.index[batch.splat_of[i]]), stops);
-                    std::memcpy(stop_at, &stops, sizeof stops);
-                    w[k] = keep(goes_on, w[k]);
-                    next[k] = keep(goes_on, next[k]);
-                }
-                done[block] = finished;
-                live &= ~(uint32_t(finished == kAllPixels) << block);
-            }
-            if (outputs & GS_COUNT_USEFUL) [[unlikely]]
-                for (const Vec weight : w)
-                    useful += __builtin_popcount(bits(gt(weight, Vec{})));
-            for (int k = 0; k < kItemVecs; ++k, at += kLanes) {
-                store(at, next[k]);
-                for (int c = 0; c < kChannels; ++c) {
-                    float *channel = at + (1 + c) * kTilePixels;
-                    store(channel, fma(w[k], set1(p.channel[c < 3 ? c : third + c - 3]), load(channel)));
-                }
-                if constexpr (kSumAlpha) {
-                    float *cover = at + kCover * kTilePixels;
-                    store(cover, load(cover) + w[k]);
-                }
-                if constexpr (kMedian) {
-                    // A splat leaves at least 1 - kAlphaMax, so none completes a pixel and crosses 0.5 at once.
-                    const Mask crossed = both(gt(t[k], set1(0.5f)), ge(set1(0.5f), next[k]));
-                    float *median = at + kMedianAt * kTilePixels;
-                    store(median, load(median) + keep(crossed, set1(p.channel[kChannelZ])));
-                }
-            }
+            for (int c = 0; c < kPlanes; ++c)
+                for (int k = 0; k < kBlockVecs; ++k)
+                    store(state[c] + at + k * kLanes, pixels[c][k]);
+            done[block] = complete;
+            live &= ~(uint32_t(complete == kAllPixels) << block);
+            evaluated += passed;
         }
     }
 
@@ -227,7 +340,7 @@ static PairCount blend_tile(const BlendArgs &a, uint32_t outputs, uint32_t tile)
         store(final_trans + i, load(final_trans + i) + load(state[0] + i)); // one of the two is zero
     for (int s = 0; s * kBlock < columns; ++s)
         for (int r = 0; r < rows; ++r) {
-            const int first = s * kBlock * kTile + r * kBlock;
+            const int first = s * kBlock * kTileHeight + r * kBlock;
             const int count = columns - s * kBlock < kBlock ? columns - s * kBlock : kBlock;
             const size_t pixel = size_t(y0 + r) * size_t(a.width) + size_t(x0 + s * kBlock);
             float rgb[3 * kBlock], alpha[kBlock];
@@ -252,7 +365,7 @@ static PairCount blend_tile(const BlendArgs &a, uint32_t outputs, uint32_t tile)
             if constexpr (kMedian)
                 write(a.image.median_depth + pixel, state[kMedianAt] + first, 1);
         }
-    return {items * kBlockPixels, useful};
+    return {evaluated * kBlockPixels, useful};
 }
 
 static PairCount blend(const BlendArgs &a, uint32_t outputs, uint32_t tile) {
@@ -276,11 +389,13 @@ static int64_t blend_tile_backward(const BlendBackwardArgs &args, uint32_t outpu
     if (count == 0)
         return 0;
     const int tile_x = int(tile) % a.tiles_x, tile_y = int(tile) / a.tiles_x;
-    const int x0 = tile_x * kTile, y0 = tile_y * kTile;
-    const int columns = a.width - x0 < kTile ? a.width - x0 : kTile;
-    const int rows = a.height - y0 < kTile ? a.height - y0 : kTile;
+    const int x0 = tile_x * kTileWidth, y0 = tile_y * kTileHeight;
+    const int columns = a.width - x0 < kTileWidth ? a.width - x0 : kTileWidth;
+    const int rows = a.height - y0 < kTileHeight ? a.height - y0 : kTileHeight;
     const int32_t *stop = a.stop_index + size_t(tile) * kTilePixels;
 
+    fetch_pixels(args.grads.rgb, 3, a.width, x0, y0, columns, rows);
+    fetch_pixels(args.grads.alpha, 1, a.width, x0, y0, columns, rows);
     alignas(64) float v_color[kChannels][kTilePixels];
     alignas(64) float trans[kTilePixels], behind[kTilePixels];
     std::memcpy(trans, a.final_transmittance + size_t(tile) * kTilePixels, sizeof trans);
@@ -293,7 +408,7 @@ static int64_t blend_tile_backward(const BlendBackwardArgs &args, uint32_t outpu
         planes[1] = args.grads.depth;
     for (int s = 0; s * kBlock < columns; ++s)
         for (int r = 0; r < rows; ++r) {
-            const int first = s * kBlock * kTile + r * kBlock;
+            const int first = s * kBlock * kTileHeight + r * kBlock;
             const size_t count_here = size_t(columns - s * kBlock < kBlock ? columns - s * kBlock : kBlock);
             const size_t pixel = size_t(y0 + r) * size_t(a.width) + size_t(x0 + s * kBlock);
             if (args.grads.rgb) {
@@ -340,6 +455,8 @@ static int64_t blend_tile_backward(const BlendBackwardArgs &args, uint32_t outpu
 
     const float first_x = float(x0) + 0.5f, first_y = float(y0) + 0.5f;
     const int third = outputs & GS_OUT_INVERSE_DEPTH ? kChannelInvZ : kChannelZ; // the first channel after the colours
+    // Records are fetched this many list entries ahead of their use.
+    constexpr uint32_t kPrefetch = 8;
     BackwardBatch batch;
     uint32_t live = 0;         // blocks that the walk has reached
     int32_t next_stop = start; // where it reaches the next one
@@ -366,19 +483,19 @@ static int64_t blend_tile_backward(const BlendBackwardArgs &args, uint32_t outpu
                 __builtin_prefetch(moments, 1);
                 __builtin_prefetch(moments->v + kMomentCount - 1, 1);
                 batch.moments[batch.splats] = moments;
-                add_splat(batch, a.projected[entry.slot], i, blocks, first_x, first_y);
+                batch.add_reaching(blocks, a.projected[entry.slot], i, first_x, first_y);
             } else {
                 *moments = {};
             }
         }
         items += batch.items;
-        unclamped_alphas<true>(batch);
+        batch.find_alphas();
         for (int s = 0, n = 0; s < batch.splats; ++s) {
             const Projected &p = batch.splat[s];
             const IVec index = IVec{} + batch.index[s];
             Vec sums[kMomentCount] = {};
             for (; n < batch.item_end[s]; ++n)
-                for (int j = 0; j < kItemVecs; ++j) {
+                for (int j = 0; j < kBlockVecs; ++j) {
                     const int lane = j * kLanes, at = batch.block[n] * kBlockPixels + lane;
                     IVec stops;
                     std::memcpy(&stops, stop + at, sizeof stops);

@@ -8,17 +8,17 @@
 
 namespace gs {
 
-constexpr int kTile = GS_TILE;
-constexpr int kTilePixels = kTile * kTile;
+constexpr int kTileWidth = GS_LIST_TILE_WIDTH, kTileHeight = GS_LIST_TILE_HEIGHT;
+constexpr int kTilePixels = kTileWidth * kTileHeight;
 // A tile's pixels in memory: strips of 4 columns from left to right, each row by row. Sixteen that follow each other are
 // a block of 4 x 4.
 constexpr int kBlock = 4;
 constexpr int kBlockPixels = kBlock * kBlock;
 constexpr int kTileBlocks = kTilePixels / kBlockPixels;
-constexpr int kStrips = kTile / kBlock;
-static_assert(kTileBlocks == 16, "the blocks of a tile are the bits of 16, four a strip");
-constexpr int column_of_pixel(int i) { return i / (kBlock * kTile) * kBlock + i % kBlock; }
-constexpr int row_of_pixel(int i) { return i / kBlock % kTile; }
+constexpr int kStrips = kTileWidth / kBlock, kStripBlocks = kTileHeight / kBlock;
+static_assert(kTileBlocks == 32 && kStripBlocks == 8, "the blocks of a tile are the bits of a word, a byte a strip");
+constexpr int column_of_pixel(int i) { return i / (kBlock * kTileHeight) * kBlock + i % kBlock; }
+constexpr int row_of_pixel(int i) { return i / kBlock % kTileHeight; }
 constexpr float kAlphaMax = GS_ALPHA_MAX;
 constexpr float kTransmittanceMin = GS_TRANSMITTANCE_MIN;
 constexpr float kLog2AlphaMin = -7.99435343685886f; // log2(1 / 255)

@@ -43,6 +43,7 @@ class RasterBench:
     useful_share: float
     """Of these pairs, those that add to their pixel; the others fill up blocks of 4 x 4."""
     entries_per_tile: float
+    """Splats in a tile of `_native.LIST_TILE`."""
     visible: float
     forward_ms: float
     """All stages of a forward pass."""
@@ -139,7 +140,8 @@ def bench_raster(
         for view in views:
             width, height = int(cameras.widths[view]), int(cameras.heights[view])
             pixels += width * height
-            tiles += -(-width // _native.TILE) * -(-height // _native.TILE)
+            wide, high = _native.LIST_TILE
+            tiles += -(-width // wide) * -(-height // high)
             rgb, alpha = np.zeros((height, width, 3), np.float32), np.zeros((height, width), "f4")
             v_rgb = rng.normal(size=rgb.shape).astype(np.float32)
             image = _native.ImageStruct(rgb.ctypes.data, alpha.ctypes.data)

@@ -22,7 +22,9 @@ ABI_VERSION = 3
 OUT_INVERSE_DEPTH, OUT_DEPTH, OUT_MEDIAN_DEPTH, COUNT_USEFUL = 1, 2, 4, 8
 NO_EXACT_CULL, NO_ZERO_TILE, NO_OPACITY_EXTENT, NO_ROW_RANGE = 1, 2, 4, 8
 TILE = 16
-"""Side of a tile, px (GS_TILE)."""
+"""Side of the tiles of `tiles`, px (GS_TILE)."""
+LIST_TILE = 16, 32
+"""Width and height of the tiles by which splats are listed, px (GS_LIST_TILE_*)."""
 MAX_SIDE = 65536
 ADAM_ALL, ADAM_SEEN, ADAM_WAIT = 0, 1, 2
 ADAM_LAGS = 256

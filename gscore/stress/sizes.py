@@ -10,9 +10,13 @@ from .case import EmptyTestError, Measure, case
 from .compare import INTERIOR, gradient_measures, picture_measures, require_covered
 from .scenes import draw_scene
 
-_TILE = 16
 _ENTRY_BYTES = 512
 """What the workspace may take a (tile, splat) entry with gradients: its lists, copies and sums."""
+
+
+def _list_tiles(width: int, height: int) -> int:
+    wide, high = _native.LIST_TILE
+    return -(-width // wide) * -(-height // high)
 
 
 @case("S13", "screen-filling splats")
@@ -24,7 +28,7 @@ def screen_filling(full: bool) -> Iterator[Measure]:
     )
     weights = native.random_weights(scene, 1)
     drawn = native.draw(scene, weights)
-    tiles = width // _TILE * (height // _TILE)
+    tiles = _list_tiles(width, height)
     seen = int(drawn.stats["visible"])
     if seen < 900:
         raise EmptyTestError(f"only {seen} of {count} splats fill the picture")
@@ -45,7 +49,7 @@ def screen_filling(full: bool) -> Iterator[Measure]:
     big = big.with_row(0, means=[0, 0, 2.0], scales=[2.0] * 3, opacities=2.0)
     one = native.draw(big, {"rgb": np.ones((2160, 3840, 3), np.float32)})
     require_covered(one.pictures["alpha"])
-    tiles = 3840 // _TILE * (2160 // _TILE)
+    tiles = _list_tiles(3840, 2160)
     yield Measure("one splat over 4K, entries", abs(one.stats["entries"] - tiles), 0)
     yield Measure("numbers not finite", float(not (drawn.finite() and one.finite())), 0)
 
@@ -88,7 +92,7 @@ def picture_sizes(full: bool) -> Iterator[Measure]:
     Float32 has steps of 2.4e-4 px at 4096 px, and splats of 5 px a slope of 0.1 a px: sides beyond
     1024 px have tolerances in proportion.
     """
-    sizes = [(1, 1), (1, 37), (37, 1), (15, 17), (16, 16), (17, 33), (32, 31), (513, 16)]
+    sizes = [(1, 1), (1, 37), (37, 1), (15, 17), (16, 32), (17, 33), (32, 31), (513, 16)]
     for width, height in [*sizes, (4096, 16), (16, 4096)] if full else sizes:
         scene = draw_scene(
             1600 + width,
