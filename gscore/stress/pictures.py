@@ -111,7 +111,7 @@ def needles(full: bool) -> Iterator[Measure]:
     # Longer than the squares of float32 can tell from the width: nothing but finite.
     for pixels in (1e6, 1e8, 1e10):
         scene = _needles(1e4)[0]
-        longer = np.float32([np.log(pixels / 20), 0, 0])
+        longer = np.array([np.log(pixels / 20), 0, 0], np.float32)
         scene = scene.with_row(slice(None), scales=scene.scales + longer)
         drawn = native.draw(scene, native.random_weights(scene, 0))
         require_covered(drawn.pictures["alpha"])

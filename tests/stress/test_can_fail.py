@@ -18,6 +18,13 @@ def pixel(drawn):
     return dataclasses.replace(drawn, pictures=pictures)
 
 
+def light_left(drawn):
+    """Alpha is taken from the light that is left."""
+    one = np.float32(1)
+    rounded = one - (one - drawn.pictures["alpha"])
+    return dataclasses.replace(drawn, pictures={**drawn.pictures, "alpha": rounded})
+
+
 def slope(drawn):
     """Gradients are one per cent too long."""
     longer = {name: g * np.float32(1.01) for name, g in drawn.gradients.items()}
@@ -67,6 +74,7 @@ DRAWN = {
     "S24": pixel,
     "S25": pixel,
     "S26": slope,
+    "S26b": light_left,
     "S28": slope,
     "S35": pixel,
     "S36": pixel,
