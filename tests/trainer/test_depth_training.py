@@ -129,6 +129,30 @@ def test_depth_off_is_the_training_without_depth(
     assert asked[60:] == [True] * 30
 
 
+def test_weights_scale_the_gradients_and_terms_add_up(
+    masked: Any, known_splats: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: the loss is linear in its weights, so gradients of the first picture are, too."""
+    given = []
+    plain = Painter.gradients
+
+    def watched(self: Painter, *args: Any, **options: Any) -> Any:
+        given.append([None if v is None else v.clone() for v in args[2:4]])
+        return plain(self, *args, **options)
+
+    monkeypatch.setattr(Painter, "gradients", watched)
+    targets = DepthTargets(true_priors(masked, known_splats), train=masked.train, views=8)
+    for depth, alpha in ((1.0, 0.0), (0.25, 0.0), (0.0, 0.5), (0.25, 0.5)):
+        config = replace(CONFIG, depth_weight=depth, depth_weight_final=depth, depth_warmup=0.0)
+        run(Trainer(replace(config, alpha_weight=alpha), masked, depth=targets), 1)
+    (full_alpha, full), (quarter_alpha, quarter), (mask_alpha, nothing), (both_alpha, both) = given
+    assert nothing is None and full.abs().max() > 0 and mask_alpha.abs().max() > 0
+    torch.testing.assert_close(quarter, 0.25 * full)
+    torch.testing.assert_close(quarter_alpha, 0.25 * full_alpha)
+    torch.testing.assert_close(both, quarter)
+    torch.testing.assert_close(both_alpha, quarter_alpha + mask_alpha)
+
+
 def test_depth_makes_depth_better(make_photos: Callable[..., Any], known_splats: Any) -> None:
     """Oracle: the true inverse depth; four views, and points that say nothing about the shape."""
     photos = make_photos(held_out=(1, 3, 5, 7))
