@@ -163,7 +163,11 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--max-splats", type=int, default=15_000)
     parser.add_argument("--sh-degree", type=int, default=1)
     parser.add_argument("--threads", type=int, default=0, help="of each training; 0: all cores")
-    parser.add_argument("--model", type=Path, help="network for the arm onnx, FILE.onnx")
+    parser.add_argument(
+        "--model",
+        type=Path,
+        help="network for the arm onnx, FILE.onnx; for another one give another --output",
+    )
     parser.add_argument("--quick", action="store_true", help="12 views, one seed, a minute")
     parser.set_defaults(**TABLES[parser.parse_known_args()[0].table])
     args = parser.parse_args()
@@ -258,7 +262,8 @@ def _capture(args: argparse.Namespace, source: Source, count: int, arm: str, see
             write_mono(source, names, part, seed=seed)
     if arm == "onnx" and not (folder / "depths-onnx").is_dir():
         command = [sys.executable, "-m", "gscore", "depth", folder, "--model", args.model]
-        subprocess.run([*command, "-d", "depths-onnx"], check=True, cwd=ROOT)
+        command += ["-d", "depths-onnx", "--test-list", folder / "test.txt"]
+        subprocess.run(command, check=True, cwd=ROOT)
     return folder
 
 

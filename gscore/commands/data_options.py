@@ -25,13 +25,18 @@ def add_data_options(parser: argparse.ArgumentParser) -> None:
         type=float,
         help="1, 2, 4, 8: divide by it; larger: width in pixels; -1: as is, at most 1600 px wide",
     )
-    group.add_argument("--test-every", type=int, metavar="N", help="every N-th view is a test view")
-    group.add_argument("--test-list", type=Path, metavar="FILE", help="names of the test views")
-    group.add_argument("--test-first", type=int, metavar="N", help="the first N are test views")
+    add_split_options(group)
     group.add_argument("--frame", type=int, metavar="N", help="frame of a multi-view video")
     group.add_argument(
         "--rig", type=Path, metavar="DIR", help="take the cameras and the world of that capture"
     )
+
+
+def add_split_options(group: argparse._ActionsContainer) -> None:
+    """Declare the options that choose test views."""
+    group.add_argument("--test-every", type=int, metavar="N", help="every N-th view is a test view")
+    group.add_argument("--test-list", type=Path, metavar="FILE", help="names of the test views")
+    group.add_argument("--test-first", type=int, metavar="N", help="the first N are test views")
     group.add_argument("--test-last", type=int, metavar="N", help="the last N are test views")
 
 

@@ -13,7 +13,7 @@ from ..control import Control
 from ..datasets import Dataset, load_dataset
 from ..depth.align import align_official, reliable
 from ..depth.fit import NO_FIT, Fit, median_scale
-from ..depth.fitting import Alignment, align_views, find_kind, robust
+from ..depth.fitting import Alignment, align_views, find_kind, of_training, robust
 from ..depth.maps import SHEET, DepthKind, MapFolder, read_map, stem, to_inverse
 from ..depth.network import WHERE, Network, Normalization
 from ..depth.observations import Observations, observations
@@ -29,6 +29,7 @@ from ..metrics.colormap import colorize
 from ..metrics.words import count_words
 from ..trainer.depth_rule import coverage, decide
 from .attend import Show, attend
+from .data_options import add_split_options, with_data_options
 from .output import check_folder
 
 
@@ -94,6 +95,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="composite: what masks hide is left out of the maps",
     )
     parser.add_argument("--frame", type=int, metavar="N", help="frame of a multi-view video")
+    held_out = parser.add_argument_group(
+        "test views",
+        "Those that a training is to hold out: their maps are fitted to their own points alone and "
+        "have no part in placing the others.",
+    )
+    add_split_options(held_out)
     parser.add_argument("--threads", type=int, default=0, help="0: all cores")
     parser.add_argument("--json", action="store_true", help="the results as JSON, last on stdout")
     parser.add_argument(
@@ -145,15 +152,7 @@ def _work(args: argparse.Namespace, show: Show, control: Control, told: "_Told")
             size=args.input_size,
             threads=args.threads,
         )
-    config = DataConfig(
-        source=args.source,
-        images=args.images,
-        masks=args.masks,
-        mask_mode=args.mask_mode,
-        depths=args.depths,
-        frame=args.frame,
-        resolution=1,
-    )
+    config = with_data_options(DataConfig(source=args.source, resolution=1), args)
     dataset = load_dataset(config)
     folder = dataset.source / args.depths
     if network is None and not folder.is_dir():
@@ -282,10 +281,11 @@ def _align(
     official: bool,
 ) -> tuple[Alignment, dict[str, Fit]]:
     """The alignment, and the fits to write: official tools judge reliability when they read."""
-    found, warnings = find_kind(samples) if kind is DepthKind.AUTO else (kind, ())
+    heard = of_training(samples, dataset)
+    found, warnings = find_kind(heard) if kind is DepthKind.AUTO else (kind, ())
     warnings = (*unusable(samples), *warnings)
     if not official:
-        alignment = robust(samples, found, dataset.scene.cameras, warnings)
+        alignment = robust(samples, found, dataset, warnings)
         return alignment, _by_stem(dataset, alignment.fits)
     fits: list[Fit | None] = []
     for path, part, view in zip(maps, samples, seen, strict=True):

@@ -7,7 +7,6 @@ import numpy as np
 
 from ..config import DataConfig
 from ..datasets import Dataset
-from ..scene import Cameras
 from .align import align_robust, reliable
 from .consensus import agreed, with_errors
 from .fit import NO_FIT, Fit, judge, median_scale
@@ -43,8 +42,22 @@ def align_views(
     samples: list[Samples | None],
     *,
     kind: DepthKind,
+    together: bool = True,
 ) -> Alignment:
     """Scale and offset of every map in `folder` as `data.depth_align` asks.
+
+    What others are held against, and what maps hold, is told by the maps of training views alone:
+    those of held-out views are fitted to their points, so that nothing of their photos reaches a
+    training.
+
+    Args:
+        data: Where `depth_align` is.
+        dataset: The capture.
+        folder: Of the maps.
+        samples: Of the maps, by view.
+        kind: What the maps' numbers grow with.
+        together: Place maps by each other too, and say what error to expect; else by points alone,
+            which takes next to no time.
 
     Raises:
         DatasetError: `official`, and there is no depth_params.json.
@@ -53,46 +66,61 @@ def align_views(
     path = params_path(dataset.source, folder)
     if data.depth_align == "official" or (data.depth_align == "auto" and path.is_file()):
         stated = _stated(path, read_params(path), dataset, samples)
-        stated = _with_errors(stated, samples, dataset.scene.cameras)
+        if together:
+            stated = _with_errors(stated, samples, dataset)
         if data.depth_align == "official":
             return stated
-        return _checked(stated, path, samples, dataset.scene.cameras)
-    found, warnings = find_kind(samples) if kind is DepthKind.AUTO else (kind, ())
+        return _checked(stated, path, samples, dataset, together=together)
+    heard = of_training(samples, dataset)
+    found, warnings = find_kind(heard) if kind is DepthKind.AUTO else (kind, ())
     if data.depth_align == "none":
         fits = [None if part is None else _judged(1.0, 0.0, part, found) for part in samples]
         alignment = Alignment(fits=fits, kind=found, warnings=warnings)
-        return _with_errors(alignment, samples, dataset.scene.cameras)
-    return robust(samples, found, dataset.scene.cameras, warnings)
+        return _with_errors(alignment, samples, dataset) if together else alignment
+    return robust(samples, found, dataset, warnings, together=together)
 
 
 def robust(
     samples: list[Samples | None],
     kind: DepthKind,
-    cameras: Cameras,
+    dataset: Dataset,
     warnings: tuple[str, ...] = (),
+    *,
+    together: bool = True,
 ) -> Alignment:
     """Our own fits: to the points, then to each other; refused where their scale stands alone.
 
     Args:
         samples: Of the maps.
         kind: What they grow with.
-        cameras: Of the views, at the size of their photos in training.
+        dataset: The capture, at the size of its photos in training.
         warnings: What to say besides.
+        together: As for `align_views`.
     """
     parts = [None if part is None else part.inverse(kind) for part in samples]
-    fits = agreed([None if part is None else _robust(part) for part in parts], parts, cameras)
-    median = median_scale([fit.scale for fit in fits if fit is not None and fit.accepted])
+    fits = [None if part is None else _robust(part) for part in parts]
+    if together:
+        fits = agreed(fits, of_training(parts, dataset), dataset.scene.cameras)
+    trained = (fits[i] for i in dataset.train)
+    median = median_scale([fit.scale for fit in trained if fit is not None and fit.accepted])
     return Alignment(
         fits=reliable(fits, median), kind=kind, warnings=(*warnings, *_refusals(fits, median))
     )
 
 
+def of_training(samples: list[Samples | None], dataset: Dataset) -> list[Samples | None]:
+    """The same without those of held-out views."""
+    train = set(dataset.train)
+    return [part if i in train else None for i, part in enumerate(samples)]
+
+
 def _with_errors(
-    alignment: Alignment, samples: list[Samples | None], cameras: Cameras
+    alignment: Alignment, samples: list[Samples | None], dataset: Dataset
 ) -> Alignment:
     """The same scales and offsets with the errors to be expected of them."""
     parts = [None if part is None else part.inverse(alignment.kind) for part in samples]
-    return replace(alignment, fits=with_errors(alignment.fits, parts, cameras))
+    parts = of_training(parts, dataset)
+    return replace(alignment, fits=with_errors(alignment.fits, parts, dataset.scene.cameras))
 
 
 def _robust(part: Samples) -> Fit:
@@ -152,7 +180,12 @@ def _stated(
 
 
 def _checked(
-    stated: Alignment, path: Path, samples: list[Samples | None], cameras: Cameras
+    stated: Alignment,
+    path: Path,
+    samples: list[Samples | None],
+    dataset: Dataset,
+    *,
+    together: bool,
 ) -> Alignment:
     """The fits of a file; where most points of a view contradict it, our own in their place."""
     fits = list(stated.fits)
@@ -166,7 +199,7 @@ def _checked(
     ]
     if not wrong:
         return stated
-    ours = robust(samples, stated.kind, cameras).fits
+    ours = robust(samples, stated.kind, dataset, together=together).fits
     for i in wrong:
         fits[i] = ours[i]
     sentence = (

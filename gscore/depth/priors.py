@@ -63,6 +63,7 @@ def load_priors(
     dataset: Dataset,
     *,
     kind: DepthKind = DepthKind.AUTO,
+    together: bool = True,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> Priors:
     """Read the depth maps of a capture and give them the scale of its world.
@@ -71,6 +72,8 @@ def load_priors(
         data: Options `depths` (empty: `depths`) and `depth_align`.
         dataset: The capture at training resolution.
         kind: What the maps' numbers grow with; AUTO: found out from the points.
+        together: Place maps by each other too, not by points alone: seconds of work that pay where
+            maps steer a training. Maps of held-out views neither steer nor are steered.
         on_progress: Called with (done, total) while the maps are read.
 
     Raises:
@@ -88,7 +91,7 @@ def load_priors(
     warnings = _missing(folder, maps, dataset.names)
     seen = observations(data, dataset)
     samples = view_samples(maps, seen, dataset)
-    alignment = align_views(data, dataset, folder.root, samples, kind=kind)
+    alignment = align_views(data, dataset, folder.root, samples, kind=kind, together=together)
     total = len(dataset)
     views: list[DepthPrior | None] = []
 

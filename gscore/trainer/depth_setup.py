@@ -67,7 +67,9 @@ def prepare_depth(
                 "Depth is asked for, but no folder of depth maps is named: give it with --depths."
             )
         return DepthSetup()
-    priors = load_priors(data, photos, on_progress=on_progress)
+    facts = coverage(photos.scene, photos.train)
+    wanted, _ = decide(config.depth_mode, facts, usable=len(photos.train))
+    priors = load_priors(data, photos, together=wanted, on_progress=on_progress)
     usable = sum(
         1
         for i in photos.train
@@ -75,7 +77,6 @@ def prepare_depth(
         and (p.aligned or config.depth_pearson > 0)
         and (np.isfinite(p.inverse_depth) & (p.confidence > 0)).any()
     )
-    facts = coverage(photos.scene, photos.train)
     supervises, why = decide(config.depth_mode, facts, usable=usable)
     warnings = [*priors.warnings] if supervises else [*priors.warnings, why]
     points = None

@@ -79,7 +79,8 @@ def test_film_transparent(scene, tmp_path):
     lab.add(scene, splats)
     want = lab.truth(camera, splats, SIZE)
     exr = lab.render_exr(tmp_path)
-    np.testing.assert_allclose(exr[..., 3], want.alpha, atol=1e-6)
+    # Blender's matrices are float32, as the places of splats in the two pictures are.
+    np.testing.assert_allclose(exr[..., 3], want.alpha, atol=5e-6)
     assert 0.02 < (want.alpha > 0.5).mean() < 0.9
     seen = want.alpha > 0.05
     straight = want.rgb[seen] / want.alpha[seen][:, None]

@@ -1,11 +1,15 @@
 """Fits by what maps say of each other; oracle: two planes with known inverse depth everywhere."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from gscore.config import DataConfig
+from gscore.config import DataConfig, Switch, TrainConfig
 from gscore.datasets import load_dataset
 from gscore.depth import fitting, load_priors
+from gscore.trainer import depth_rule
+from gscore.trainer.depth_setup import prepare_depth
 
 NEAR = (0.25, 0.3)
 """Inverse depths at which structure from motion saw points; the planes are farther and nearer."""
@@ -59,6 +63,49 @@ def test_what_points_leave_open_other_maps_settle(make_planes, monkeypatch, seed
     for row, old in zip(priors.table, before.table, strict=True):
         assert row["points"] == old["points"] > 20
         assert row["inliers"] > 0.7 * old["inliers"]
+
+
+def test_held_out_maps_have_no_say(make_planes):
+    """Oracle: the same training maps beside other maps of the held-out view, bit for bit."""
+    planes = make_planes()
+    planes.write_maps(waves(0, 0.03))
+    config = DataConfig(
+        source=planes.folder, depths="depths", resolution=1, eval=True, test_every=5
+    )
+    dataset = load_dataset(config)
+    (held_out,) = dataset.test
+    before = load_priors(config, dataset)
+    path = (before.folder / dataset.names[held_out]).with_suffix(".npy")
+    np.save(path, 0.2 + 0.6 * np.load(path)[:, ::-1])
+    after = load_priors(config, dataset)
+    assert before.views[held_out].fit != after.views[held_out].fit
+    for i in dataset.train:
+        np.testing.assert_array_equal(before.views[i].inverse_depth, after.views[i].inverse_depth)
+        np.testing.assert_array_equal(before.views[i].confidence, after.views[i].confidence)
+    # Beside a training that uses it, it would have one.
+    everything = replace(config, eval=False)
+    shared = load_priors(everything, load_dataset(everything))
+    assert any(shared.views[i].fit != after.views[i].fit for i in dataset.train)
+
+
+@pytest.mark.parametrize("mode", ["off", "auto"])
+def test_what_is_not_used_is_not_placed(make_planes, monkeypatch, mode):
+    """Oracle: the function that places maps, which ends the test where it is called."""
+
+    def called(*_):
+        raise AssertionError("maps were placed")
+
+    planes = make_planes()
+    planes.write_maps(waves(0, 0.03))
+    config = DataConfig(source=planes.folder, depths="depths", resolution=1)
+    dataset = load_dataset(config)
+    monkeypatch.setattr(fitting, "agreed", called)
+    monkeypatch.setattr(depth_rule, "DENSE_VIEWS", 3)
+    monkeypatch.setattr(depth_rule, "DENSE_POINTS", 3)
+    found = prepare_depth(config, TrainConfig(depth_mode=Switch(mode)), dataset)
+    assert not found.supervises and len(found.table) == len(dataset) and found.targets is not None
+    with pytest.raises(AssertionError, match="placed"):
+        prepare_depth(config, TrainConfig(depth_mode=Switch.ON), dataset)
 
 
 def test_what_was_settled_is_read_again(make_planes, gscore):
