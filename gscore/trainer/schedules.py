@@ -9,10 +9,10 @@ from ..splats import SH_REST_BY_DEGREE
 from .sizes import stages
 
 _PAPER_STEPS = 30_000
-_SECONDS_A_STEP = 1.3e-3
-_SECONDS_A_PIXEL = 7.3e-8
-_SECONDS_A_SPLAT = 9.4e-8
-_SECONDS_A_NUMBER = 5.1e-9
+_SECONDS_A_STEP = 1.49e-3
+_SECONDS_A_PIXEL = 6.5e-8
+_SECONDS_A_SPLAT = 6.0e-8
+_SECONDS_A_NUMBER = 1.5e-9
 """What a step took on two cores of a Xeon with AVX-512: itself, for each pixel, for each splat and
 for each number of a splat (`tools/fit_step_time.py`)."""
 _GROWTH = 0.5
