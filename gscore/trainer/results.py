@@ -91,7 +91,7 @@ class Results:
         depth: DepthReport | None = None,
         reason: str,
     ) -> dict[str, Any]:
-        """metrics.json and report.html; `evaluation` and `depth` are None if there was none.
+        """report.html and metrics.json; `evaluation` and `depth` are None if there was none.
 
         `reason` is why training ended.
         """
@@ -115,7 +115,6 @@ class Results:
         ) | {"history": meter.history, "evals": evals}
         if depth is not None:
             metrics["depth"] = depth.numbers
-        write_metrics(folder.path / "metrics.json", metrics)
         report = {
             "title": self._data.source.resolve().name,
             "metrics": metrics,
@@ -131,6 +130,8 @@ class Results:
             },
         }
         write_report(folder.path / "report.html", report)
+        # The last file: by it a run that is to go on knows that everything is there.
+        write_metrics(folder.path / "metrics.json", metrics)
         return metrics
 
 

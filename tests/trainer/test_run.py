@@ -30,7 +30,7 @@ from gscore.events import (
 from gscore.io.cameras_json import read_cameras
 from gscore.io.images import read_image
 from gscore.io.ply import read_splats, write_splats
-from gscore.trainer import Control, estimate, memory, train
+from gscore.trainer import Control, estimate, memory, results, train
 from gscore.trainer.folder import RunFolder
 from gscore.trainer.trainer import Trainer
 
@@ -138,6 +138,29 @@ def test_a_run_in_two_parts_gives_the_same_file(capture: Path, tmp_path: Path) -
     assert whole.read_bytes() == parts.read_bytes()
     steps = [entry["step"] for entry in second.metrics["history"]]
     assert steps == list(range(1, 41))
+
+
+def test_a_run_killed_before_its_report_writes_it_later(
+    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: the files. A process may end at any of them; without its last one, metrics.json, a
+    run has not ended."""
+
+    class Killed(BaseException):
+        pass
+
+    def killed(*_: Any) -> None:
+        raise Killed
+
+    with monkeypatch.context() as patch:
+        patch.setattr(results, "write_report", killed)
+        with pytest.raises(Killed):
+            train(CONFIG, data_of(capture), tmp_path)
+    assert (tmp_path / "point_cloud.ply").is_file()
+    again = train(CONFIG, data_of(capture), tmp_path, resume=True)
+    assert not again.ended_before
+    assert (tmp_path / "report.html").is_file() and (tmp_path / "metrics.json").is_file()
+    assert train(CONFIG, data_of(capture), tmp_path, resume=True).ended_before
 
 
 def test_start_checkpoint_goes_on_in_another_folder(capture: Path, tmp_path: Path) -> None:
