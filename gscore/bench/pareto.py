@@ -5,8 +5,7 @@ import itertools
 import math
 import statistics
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 from ..config import DataConfig, TrainConfig
 from ..datasets import Dataset
@@ -137,8 +136,3 @@ def unbeaten(outcomes: Sequence[Outcome], cost: Callable[[Outcome], float]) -> l
         if not front or outcome.psnr > front[-1].psnr:
             front.append(outcome)
     return front
-
-
-def outcome_json(outcome: Outcome) -> dict[str, Any]:
-    """An outcome as JSON values."""
-    return asdict(outcome)

@@ -13,7 +13,7 @@ from ..control import Control
 from ..datasets import Dataset, load_dataset
 from ..depth.align import align_official, reliable
 from ..depth.fit import NO_FIT, Fit, median_scale
-from ..depth.fitting import Alignment, align_views, find_kind, of_training, robust
+from ..depth.fitting import Alignment, align_views, robust, settled_kind
 from ..depth.maps import SHEET, DepthKind, MapFolder, read_map, stem, to_inverse
 from ..depth.network import WHERE, Network, Normalization
 from ..depth.observations import Observations, observations
@@ -281,8 +281,7 @@ def _align(
     official: bool,
 ) -> tuple[Alignment, dict[str, Fit]]:
     """The alignment, and the fits to write: official tools judge reliability when they read."""
-    heard = of_training(samples, dataset)
-    found, warnings = find_kind(heard) if kind is DepthKind.AUTO else (kind, ())
+    found, warnings = settled_kind(kind, samples, dataset)
     warnings = (*unusable(samples), *warnings)
     if not official:
         alignment = robust(samples, found, dataset, warnings)

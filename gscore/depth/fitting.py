@@ -71,8 +71,7 @@ def align_views(
         if data.depth_align == "official":
             return stated
         return _checked(stated, path, samples, dataset, together=together)
-    heard = of_training(samples, dataset)
-    found, warnings = find_kind(heard) if kind is DepthKind.AUTO else (kind, ())
+    found, warnings = settled_kind(kind, samples, dataset)
     if data.depth_align == "none":
         fits = [None if part is None else _judged(1.0, 0.0, part, found) for part in samples]
         alignment = Alignment(fits=fits, kind=found, warnings=warnings)
@@ -100,7 +99,7 @@ def robust(
     parts = [None if part is None else part.inverse(kind) for part in samples]
     fits = [None if part is None else _robust(part) for part in parts]
     if together:
-        fits = agreed(fits, of_training(parts, dataset), dataset.scene.cameras)
+        fits = agreed(fits, _of_training(parts, dataset), dataset.scene.cameras)
     trained = (fits[i] for i in dataset.train)
     median = median_scale([fit.scale for fit in trained if fit is not None and fit.accepted])
     return Alignment(
@@ -108,7 +107,15 @@ def robust(
     )
 
 
-def of_training(samples: list[Samples | None], dataset: Dataset) -> list[Samples | None]:
+def settled_kind(
+    kind: DepthKind, samples: list[Samples | None], dataset: Dataset
+) -> tuple[DepthKind, tuple[str, ...]]:
+    """What maps hold, never AUTO, and sentences for the user; AUTO is found out from training
+    views."""
+    return find_kind(_of_training(samples, dataset)) if kind is DepthKind.AUTO else (kind, ())
+
+
+def _of_training(samples: list[Samples | None], dataset: Dataset) -> list[Samples | None]:
     """The same without those of held-out views."""
     train = set(dataset.train)
     return [part if i in train else None for i, part in enumerate(samples)]
@@ -119,7 +126,7 @@ def _with_errors(
 ) -> Alignment:
     """The same scales and offsets with the errors to be expected of them."""
     parts = [None if part is None else part.inverse(alignment.kind) for part in samples]
-    parts = of_training(parts, dataset)
+    parts = _of_training(parts, dataset)
     return replace(alignment, fits=with_errors(alignment.fits, parts, dataset.scene.cameras))
 
 

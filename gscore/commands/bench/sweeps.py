@@ -2,6 +2,7 @@
 
 import argparse
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,6 @@ from ...bench.pareto import (
     Outcome,
     Size,
     measure_sizes,
-    outcome_json,
     sizes_of,
     unbeaten,
 )
@@ -38,11 +38,12 @@ def add_sweep_options(parser: argparse.ArgumentParser) -> None:
 
 def check_sweeps(args: argparse.Namespace) -> None:
     """Raise ConfigError for numbers that no training has, and for options that contradict."""
-    for name in _QUANTITIES:
+    numbers = _given(args)
+    for name, values in numbers.items():
         least = SMALLEST_WIDTH if name == "widths" else 1
-        if any(value < least for value in _given(args, name)):
+        if any(value < least for value in values):
             raise ConfigError(f"--sweep-{name} takes numbers of at least {least}.")
-    if args.resolution is not None and any(_given(args, name) for name in _QUANTITIES):
+    if args.resolution is not None and any(numbers.values()):
         raise ConfigError("Sizes are told by --sweep-widths, not by -r.")
     if args.sweep_splats and args.max_splats is not None:
         raise ConfigError("Give either --sweep-splats or --max-splats.")
@@ -68,9 +69,9 @@ def sweep(
     Returns:
         `judged_on` (px) and `outcomes`, each with `best_for_its_time` and `best_for_its_splats`.
     """
-    if not any(_given(args, quantity) for quantity in _QUANTITIES):
+    numbers = _given(args)
+    if not any(numbers.values()):
         return None
-    numbers = {quantity: _given(args, quantity) for quantity in _QUANTITIES}
     runs = [run for preset in presets for run in sizes_of(*preset, **numbers)]
 
     def stepped(size: Size, seed: int, step: int) -> None:
@@ -86,14 +87,15 @@ def sweep(
     if not args.json:
         print(_table(name, outcomes, fast, small), flush=True)
     rows = [
-        outcome_json(o) | {"best_for_its_time": o in fast, "best_for_its_splats": o in small}
+        asdict(o) | {"best_for_its_time": o in fast, "best_for_its_splats": o in small}
         for o in outcomes
     ]
     return {"judged_on": judged_on, "outcomes": rows}
 
 
-def _given(args: argparse.Namespace, quantity: str) -> list[int]:
-    return getattr(args, f"sweep_{quantity}") or []
+def _given(args: argparse.Namespace) -> dict[str, list[int]]:
+    """The numbers asked for; none of a quantity that stays as the preset has it."""
+    return {name: getattr(args, f"sweep_{name}") or [] for name in _QUANTITIES}
 
 
 def _seconds(outcome: Outcome) -> float:
