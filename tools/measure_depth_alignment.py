@@ -1,11 +1,13 @@
 """How far aligned depth maps are from the truth, fitted to their points alone and to each other.
 
 python tools/measure_depth_alignment.py
+python tools/measure_depth_alignment.py --views 24 50 --seeds 0 --width 480
 
 Simulated network depth of the studio capture, as in experiment_depth.py: mean relative error of the
 aligned inverse depth over the pixels of the training views, at most 1 a pixel.
 """
 
+import argparse
 import sys
 import tempfile
 from pathlib import Path
@@ -21,33 +23,39 @@ from gscore.datasets import load_dataset
 from gscore.datasets.decode import fit_map
 from gscore.depth import fitting, load_priors
 
-COUNTS, SEEDS = (6, 12, 24), range(6)
 FAR = 0.6
 """Inverse depths below this share of the nearest tenth's are far."""
 
 
 def main() -> None:
     """Print a table."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--views", nargs="+", type=int, default=[6, 12, 24], help="to train on")
+    parser.add_argument("--seeds", nargs="+", type=int, default=list(range(6)), help="of the maps")
+    parser.add_argument("--width", type=int, default=160, help="of the photos in training, px")
+    args = parser.parse_args()
     print("| views | fitted to | accepted | error | error of what is far |\n|---|---|---|---|---|")
     together = fitting.agreed
     with tempfile.TemporaryDirectory() as folder:
-        for count in COUNTS:
+        for count in args.views:
             source, capture = studio(), Path(folder) / str(count)
             names = few_views(source, count, capture)
-            for seed in SEEDS:
+            for seed in args.seeds:
                 write_mono(source, names, capture / f"depths-{seed}", seed=seed)
             for words, agreed in (
                 ("their points", lambda fits, maps, cameras: fits),
                 ("their points and each other", together),
             ):
                 fitting.agreed = agreed
-                found = np.array([_errors(capture, seed) for seed in SEEDS]).mean(axis=0)
+                found = np.mean([_errors(capture, seed, args.width) for seed in args.seeds], axis=0)
                 print(f"| {count} | {words} | {found[0]:.0%} | {found[1]:.3f} | {found[2]:.3f} |")
 
 
-def _errors(capture: Path, seed: int) -> tuple[float, float, float]:
+def _errors(capture: Path, seed: int, width: int) -> tuple[float, float, float]:
     """Share of accepted maps, mean error of all pixels, and of far ones."""
-    config = DataConfig(source=capture, resolution=160, depths=f"depths-{seed}", mask_mode="none")
+    config = DataConfig(source=capture, resolution=width, depths=f"depths-{seed}", mask_mode="none")
     dataset = load_dataset(config)
     accepted, errors, far_errors = [], [], []
     for index, view in enumerate(load_priors(config, dataset).views):
