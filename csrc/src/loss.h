@@ -6,15 +6,38 @@
 namespace gs {
 
 constexpr int kWindow = 11;
-// Rows a thread takes at once; sums are per band, so it is part of the numeric definition.
-constexpr int kLossBand = 64;
-// Floats before a row and after it: the window's reach and a vector's overhang.
+constexpr int kReach = kWindow / 2;
+// Rows that are filtered together: as many as the window reaches, so that each stage is a group behind the one before.
+constexpr int kLossGroup = kReach;
+// Groups of rows that the windows over a group of rows touch.
+constexpr int kLossRing = 3;
+// Floats beside a tile, or between two stages of it, that hold what the window reaches along a row.
 constexpr int kLossMargin = 16;
+// Maps that SSIM is made of, and derivatives with respect to them that its gradient is made of.
+constexpr int kLossMaps = 4, kLossDerivatives = 3;
 
-constexpr int loss_stride(int width) { return (width + 15) / 16 * 16 + 3 * kLossMargin; }
-// Rows of a thread's rings and single rows.
-constexpr int kLossRows = 9 * kWindow + 6;
-constexpr size_t loss_scratch_floats(int width) { return size_t(kLossRows) * size_t(loss_stride(width)); }
-constexpr int loss_bands(int height) { return (height + kLossBand - 1) / kLossBand; }
+constexpr int ceil_div(int a, int b) { return (a + b - 1) / b; }
+
+// The tiles a picture is cut into: a thread takes one at once. Sums are per tile, so they are part of the numeric
+// definition. An even number of bands, so that two threads have the same to do; wide strips, for what lies beside a tile
+// is computed twice, but not wider than the rows in use fit into the second cache.
+struct LossGrid {
+    int bands, strips; // tiles from top to bottom, and from left to right
+    int rows, columns; // of a tile, px
+
+    LossGrid(int width, int height) {
+        rows = ceil_div(ceil_div(height, 2 * ceil_div(height, 192)), kLossGroup) * kLossGroup;
+        bands = ceil_div(height, rows);
+        columns = ceil_div(width, ceil_div(width, 512));
+        strips = ceil_div(width, columns);
+    }
+    int tiles() const { return bands * strips; }
+    // Floats of a row: the tile, two margins at both sides and what vectors hang over.
+    size_t stride() const { return size_t(ceil_div(3 * columns, 16) * 16 + 5 * kLossMargin); }
+    // Floats that a thread needs.
+    size_t scratch_floats() const {
+        return size_t(((2 + kLossDerivatives) * kLossRing + kLossMaps) * kLossGroup) * stride();
+    }
+};
 
 } // namespace gs

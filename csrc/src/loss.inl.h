@@ -1,7 +1,8 @@
-// Fused L1 + SSIM loss of one band of rows, and its gradient (Wang et al. 2004; zero padding as in 3DGS).
-// Gaussian windows are separable: rows are filtered once into a ring of 11 and combined downwards. The gradient filters
-// the derivatives once more, and follows the loss ten rows behind, from a second ring: nothing as large as the image is
-// written but the gradient itself.
+// Fused L1 + SSIM loss of one tile of the picture, and its gradient (Wang et al. 2004; zero padding as in 3DGS).
+// Gaussian windows are separable: what is filtered lies in rings of rows, is combined downwards, five rows at once, which
+// reads each row three times instead of eleven, and then along the rows. The gradient filters the derivatives once more,
+// five rows behind, from rings of its own: nothing as large as the image is written but the gradient itself.
+// Rows hold red, green and blue side by side, as pictures do, so a tap along them is three floats wide.
 // SSIM is computed from d = x - y: with D = E[d] and V = Var(d),
 //   SSIM = (1 - D^2 / (mx^2 + my^2 + C1)) (1 - V / (sx^2 + sy^2 + C2)),
 // the usual formula rearranged. Its variances would cancel in bright flat regions; here the small quantities D and V are
@@ -13,7 +14,6 @@
 
 namespace gs::GS_NAMESPACE {
 
-constexpr int kReach = kWindow / 2;
 constexpr float kShift = 0.5f;
 constexpr float kC1 = 0.01f * 0.01f, kC2 = 0.03f * 0.03f;
 
@@ -21,51 +21,80 @@ constexpr float kC1 = 0.01f * 0.01f, kC2 = 0.03f * 0.03f;
 constexpr float kTap[kReach + 1] = {0.26601172486179436f,  0.21300553771125370f, 0.10936068950970002f,
                                     0.036000773310661005f, 0.007598758135239183f, 0.0010283801057925797f};
 
-// dst[i] = sum over k of tap[|k|] * src[i + k]; src is readable from -kReach to n + kReach + kLanes.
-static inline void filter_row(const float *src, float *dst, int n) {
-    for (int i = 0; i < n; i += kLanes) {
-        Vec s = kTap[0] * load(src + i);
-        for (int k = 1; k <= kReach; ++k)
-            s = fma(set1(kTap[k]), load(src + i - k) + load(src + i + k), s);
-        store(dst + i, s);
+// A few rows of one kind for as long as windows need them.
+struct LossRing {
+    float *rows;
+    size_t stride;
+
+    float *row(int group, int j) const { return rows + size_t(group % kLossRing * kLossGroup + j) * stride; }
+};
+
+// The rows of a ring that the windows over the rows of `group - 1` cover, in order.
+struct LossWindow {
+    const float *row[kLossRing * kLossGroup];
+
+    LossWindow(const LossRing &ring, int group) {
+        for (int j = 0; j < kLossRing * kLossGroup; ++j)
+            row[j] = ring.row(group - 2 + j / kLossGroup, j % kLossGroup);
     }
+};
+
+// Filters `maps` values down the columns: value(k, v) sets those of row k of the window; row j of the group gets
+// out[map * kLossGroup + j].
+template <int maps, class F> static inline void filter_down(Vec *out, F value) {
+    Vec sums[maps * kLossGroup] = {};
+#pragma GCC unroll 15
+    for (int k = 0; k < kLossRing * kLossGroup; ++k) {
+        Vec v[maps];
+        value(k, v);
+#pragma GCC unroll 5
+        for (int j = 0; j < kLossGroup; ++j) {
+            const int tap = k - kReach - j;
+            if (-kReach <= tap && tap <= kReach)
+                for (int m = 0; m < maps; ++m)
+                    sums[m * kLossGroup + j] = fma(set1(kTap[tap < 0 ? -tap : tap]), v[m], sums[m * kLossGroup + j]);
+        }
+    }
+    for (int i = 0; i < maps * kLossGroup; ++i)
+        out[i] = sums[i];
 }
 
-// The same down the columns: rows[0..10] are the ring in order.
-static inline Vec filter_column(const float *const *rows, int i) {
-    Vec s = kTap[0] * load(rows[kReach] + i);
+// Filters along a row around the float one margin behind `row`.
+static inline Vec filter_along(const float *row) {
+    const float *const centre = row + kLossMargin;
+    Vec s = kTap[0] * load(centre);
+#pragma GCC unroll 5
     for (int k = 1; k <= kReach; ++k)
-        s = fma(set1(kTap[k]), load(rows[kReach - k] + i) + load(rows[kReach + k] + i), s);
+        s = fma(set1(kTap[k]), load(centre - 3 * k) + load(centre + 3 * k), s);
     return s;
 }
 
-// x and y of one row and channel as they enter the loss, shifted; the margins hold the padding value.
-static inline void read_row(const gs_loss_args &a, int row, int channel, float *x, float *y) {
-    const size_t begin = size_t(row) * size_t(a.width);
-    const float *image = a.image + 3 * begin + channel;
-    const uint8_t *target = a.target + 3 * begin + channel;
+// Pixels [begin, end) of a row as they enter the loss, shifted.
+static inline void read_row(const gs_loss_args &a, int row, int begin, int end, float *x, float *y) {
+    const size_t at = size_t(row) * size_t(a.width) + size_t(begin);
+    const float *image = a.image + 3 * at;
+    const uint8_t *target = a.target + 3 * at;
     constexpr float kByte = 1.0f / 255.0f;
-    const float background = a.background[channel];
-    for (int i = 0; i < a.width; ++i) {
-        x[i] = image[3 * i];
-        y[i] = float(target[3 * i]) * kByte;
-    }
-    if (a.mask_mode != GS_MASK_NONE) {
-        const uint8_t *mask = a.mask + begin;
-        for (int i = 0; i < a.width; ++i) {
-            const float m = float(mask[i]) * kByte;
-            if (a.mask_mode == GS_MASK_COMPOSITE) {
-                y[i] = y[i] * m + background * (1.0f - m);
-            } else {
-                x[i] *= m;
-                y[i] *= m;
-            }
+    const int n = 3 * (end - begin);
+    if (a.mask_mode == GS_MASK_NONE) {
+        for (int i = 0; i < n; ++i) {
+            x[i] = image[i] - kShift;
+            y[i] = float(target[i]) * kByte - kShift;
         }
+        return;
     }
-    for (int i = 0; i < a.width; ++i) {
-        x[i] -= kShift;
-        y[i] -= kShift;
+    const bool composite = a.mask_mode == GS_MASK_COMPOSITE;
+    const uint8_t *mask = a.mask + at;
+    for (int i = 0; i < n; ++i) {
+        const float m = float(mask[i / 3]) * kByte, v = float(target[i]) * kByte;
+        x[i] = (composite ? image[i] : image[i] * m) - kShift;
+        y[i] = (composite ? v * m + a.background[i % 3] * (1.0f - m) : v * m) - kShift;
     }
+}
+
+static inline void fill(float *row, int begin, int end, float value) {
+    for (int i = begin; i < end; ++i)
+        row[i] = value;
 }
 
 static inline double lane_total(Vec v) {
@@ -75,150 +104,213 @@ static inline double lane_total(Vec v) {
     return sum;
 }
 
-static void image_loss(const LossArgs &a, int band, float *scratch) {
-    const gs_loss_args &in = *a.args;
-    const int w = in.width, h = in.height, stride = loss_stride(w);
-    const int first = band * kLossBand, end = first + kLossBand < h ? first + kLossBand : h;
-    const bool gradient = a.v_image != nullptr;
-    constexpr int kMaps = 4;        // x, y, x^2 + y^2, d^2
-    constexpr int kDerivatives = 3; // with respect to E[x], E[x^2 + y^2], E[d^2]
-    static_assert(kLossRows == (2 + kMaps + kDerivatives) * kWindow + (kMaps - 2) + kDerivatives + 1);
-    float *next_row = scratch + kLossMargin;
-    const auto take_rows = [&](int count) {
-        float *const p = next_row;
-        next_row += size_t(count) * size_t(stride);
-        return p;
-    };
-    // Rings of rows: what entered the loss, its filtered maps, filtered derivatives. Then single rows.
-    float *const values[2] = {take_rows(kWindow), take_rows(kWindow)};
-    float *const filtered = take_rows(kMaps * kWindow), *const filtered_back = take_rows(kDerivatives * kWindow);
-    float *const squares = take_rows(1), *const distances = take_rows(1);
-    float *derivatives[kDerivatives];
-    for (float *&row : derivatives)
-        row = take_rows(1);
-    float *const out = take_rows(1);
+// SSIM of x and y from E[x], E[y], E[x^2 + y^2] and E[d^2], and its derivatives.
+struct Similarity {
+    Vec value;
+    Vec by_mean, by_squares, by_distances; // with respect to E[x], E[x^2 + y^2], E[d^2]
 
-    const auto fill = [](float *row, int begin, int stop, float value) {
-        for (int i = begin; i < stop; ++i)
-            row[i] = value;
-    };
-    // Everything beyond the picture's sides is padding, and stays so.
-    for (int k = 0; k < kWindow; ++k)
-        for (float *ring : values)
-            fill(ring + size_t(k) * size_t(stride), -kLossMargin, stride - kLossMargin, -kShift);
-    fill(squares, -kLossMargin, stride - kLossMargin, 2.0f * kShift * kShift);
-    fill(distances, -kLossMargin, stride - kLossMargin, 0.0f);
-    for (float *row : derivatives)
-        fill(row, -kLossMargin, stride - kLossMargin, 0.0f);
-    // Vectors that hang over the end of a row count only with the lanes inside.
-    const int last = (w - 1) / kLanes * kLanes;
-    const Mask last_lanes = gt(set1(float(w - last)), iota());
-    const auto inside = [&](int i, Vec v) { return i < last ? v : keep(last_lanes, v); };
-    const double n = 3.0 * double(w) * double(h);
-    const float l1_weight = float((1.0 - double(in.ssim_weight)) / n), ssim_weight = float(double(in.ssim_weight) / n);
-    // Rows that the first and the last row of the band need besides.
-    const int reach = gradient ? 2 * kReach : kReach;
-    double l1 = 0, ssim = 0, mse = 0;
-    for (int channel = 0; channel < 3; ++channel)
-        for (int row = first - reach; row < end + reach; ++row) {
-            const auto ring_row = [&](float *ring, int r) {
-                return ring + size_t((r - (first - reach)) % kWindow) * size_t(stride);
-            };
-            const auto in_order = [&](float *ring, int newest, const float *rows[kWindow]) {
-                for (int j = 0; j < kWindow; ++j)
-                    rows[j] = ring_row(ring, newest - (kWindow - 1) + j);
-            };
-            const auto map_ring = [&](int k) { return filtered + size_t(k * kWindow) * size_t(stride); };
-            const auto back_ring = [&](int k) { return filtered_back + size_t(k * kWindow) * size_t(stride); };
+    Similarity(Vec mx, Vec my, Vec squares, Vec distances) {
+        const Vec diff = mx - my;
+        const Vec spread = squares - fma(mx, mx, my * my);
+        const Vec v = max(fnma(diff, diff, distances), Vec{});
+        const Vec ux = mx + kShift, uy = my + kShift;
+        const Vec inv_b1 = quotient(set1(1.0f), fma(ux, ux, uy * uy) + kC1);
+        const Vec inv_b2 = quotient(set1(1.0f), max(spread, Vec{}) + kC2);
+        const Vec v_share = v * inv_b2, diff_share = diff * diff * inv_b1;
+        const Vec luminance = 1.0f - diff_share, contrast = 1.0f - v_share;
+        value = luminance * contrast;
+        by_squares = luminance * v_share * inv_b2;
+        by_mean = 2.0f * (contrast * inv_b1 * (ux * diff_share - diff) + luminance * inv_b2 * diff - by_squares * mx);
+        by_distances = -luminance * inv_b2;
+    }
+};
 
-            float *const x = ring_row(values[0], row), *const y = ring_row(values[1], row);
-            if (row < 0 || row >= h) {
-                fill(x, 0, w, -kShift);
-                fill(y, 0, w, -kShift);
-            } else {
-                read_row(in, row, channel, x, y);
-            }
-            Vec row_l1 = {}, row_mse = {};
-            for (int i = 0; i < w; i += kLanes) {
-                const Vec vx = load(x + i), vy = load(y + i), d = vx - vy;
-                const Vec d2 = d * d;
-                store(squares + i, fma(vx, vx, vy * vy)); // beyond the side: of padding, which it remains
-                store(distances + i, d2);
-                row_l1 += inside(i, max(d, -d));
-                row_mse += inside(i, d2);
-            }
-            if (row >= first && row < end) {
-                l1 += lane_total(row_l1);
-                mse += lane_total(row_mse);
-            }
-            const float *const maps[kMaps] = {x, y, squares, distances};
-            for (int k = 0; k < kMaps; ++k)
-                filter_row(maps[k], ring_row(map_ring(k), row), w);
+// A tile on its way through three stages, of which each is a group of rows behind the one before.
+class LossTile {
+  public:
+    LossTile(const LossArgs &a, int tile, float *scratch) : a_(a), in_(*a.args), w_(in_.width), h_(in_.height) {
+        const LossGrid grid(w_, h_);
+        top_ = tile / grid.strips * grid.rows;
+        bottom_ = top_ + grid.rows < h_ ? top_ + grid.rows : h_;
+        left_ = tile % grid.strips * grid.columns;
+        right_ = left_ + grid.columns < w_ ? left_ + grid.columns : w_;
+        n_ = 3 * (right_ - left_);
+        last_ = (n_ - 1) / kLanes * kLanes;
+        last_lanes_ = gt(set1(float(n_ - last_)), iota());
+        stride_ = grid.stride();
+        const auto take_ring = [&] {
+            float *const rows = scratch;
+            scratch += size_t(kLossRing * kLossGroup) * stride_;
+            return LossRing{rows, stride_};
+        };
+        x_ = take_ring();
+        y_ = take_ring();
+        for (LossRing &ring : derivatives_)
+            ring = take_ring();
+        down_ = scratch;
+    }
 
-            const int at = row - kReach;
-            if (at < first - reach + kReach)
-                continue;
-            if (at < 0 || at >= h) {
-                for (int k = 0; k < kDerivatives; ++k)
-                    fill(ring_row(back_ring(k), at), 0, last + kLanes, 0.0f);
-            } else {
-                const float *window[kMaps][kWindow];
-                for (int k = 0; k < kMaps; ++k)
-                    in_order(map_ring(k), row, window[k]);
-                Vec row_ssim = {};
-                for (int i = 0; i < w; i += kLanes) {
-                    const Vec mx = filter_column(window[0], i), my = filter_column(window[1], i);
-                    const Vec diff = mx - my;
-                    const Vec spread = filter_column(window[2], i) - fma(mx, mx, my * my);
-                    const Vec v = max(fnma(diff, diff, filter_column(window[3], i)), Vec{});
-                    const Vec ux = mx + kShift, uy = my + kShift;
-                    const Vec inv_b1 = 1.0f / (fma(ux, ux, uy * uy) + kC1);
-                    const Vec inv_b2 = 1.0f / (max(spread, Vec{}) + kC2);
-                    const Vec v_share = v * inv_b2, diff_share = diff * diff * inv_b1;
-                    const Vec luminance = 1.0f - diff_share, contrast = 1.0f - v_share;
-                    row_ssim += inside(i, luminance * contrast);
-                    if (!gradient)
-                        continue;
-                    const Vec v_sum = luminance * v_share * inv_b2; // with respect to E[x^2 + y^2]
-                    const Vec v_mean = 2.0f * (contrast * inv_b1 * (ux * diff_share - diff) +
-                                               luminance * inv_b2 * diff - v_sum * mx);
-                    store(derivatives[0] + i, inside(i, v_mean));
-                    store(derivatives[1] + i, inside(i, v_sum));
-                    store(derivatives[2] + i, inside(i, -luminance * inv_b2));
-                }
-                if (at >= first && at < end)
-                    ssim += lane_total(row_ssim);
-                if (gradient)
-                    for (int k = 0; k < kDerivatives; ++k)
-                        filter_row(derivatives[k], ring_row(back_ring(k), at), w);
+    void run(double *sums) {
+        // Everything beyond the picture's sides is padding, and stays so.
+        for (int k = 0; k < kLossRing; ++k)
+            for (int j = 0; j < kLossGroup; ++j) {
+                fill(x_.row(k, j), 0, int(stride_), -kShift);
+                fill(y_.row(k, j), 0, int(stride_), -kShift);
             }
-
-            const int target = at - kReach;
-            if (!gradient || target < first)
-                continue;
-            const float *window[kDerivatives][kWindow];
-            for (int k = 0; k < kDerivatives; ++k)
-                in_order(back_ring(k), at, window[k]);
-            const float *const x_there = ring_row(values[0], target), *const y_there = ring_row(values[1], target);
-            for (int i = 0; i < w; i += kLanes) {
-                const Vec vx = load(x_there + i), vy = load(y_there + i);
-                const Vec g = filter_column(window[0], i) + 2.0f * (vx * filter_column(window[1], i) +
-                                                                    (vx - vy) * filter_column(window[2], i));
-                const Vec sign = keep(gt(vx, vy), set1(l1_weight)) - keep(gt(vy, vx), set1(l1_weight));
-                store(out + i, fnma(set1(ssim_weight), g, sign));
-            }
-            const size_t begin = size_t(target) * size_t(w);
-            float *v = a.v_image + 3 * begin + channel;
-            if (in.mask_mode == GS_MASK_IGNORE)
-                for (int i = 0; i < w; ++i)
-                    v[3 * i] = out[i] * (float(in.mask[begin + size_t(i)]) * (1.0f / 255.0f));
-            else
-                for (int i = 0; i < w; ++i)
-                    v[3 * i] = out[i];
+        const bool gradient = a_.v_image != nullptr;
+        const int around = gradient ? 2 : 1; // groups that the tile needs above it and below
+        const int groups = ceil_div(bottom_ - top_, kLossGroup) + 2 * around;
+        for (int group = 0; group < groups; ++group) {
+            const int row = top_ + (group - around) * kLossGroup;
+            take_in(group, row);
+            if (group >= 2)
+                compare(group, row - kLossGroup);
+            if (group >= 4 && gradient)
+                write_gradient(group, row - 2 * kLossGroup);
         }
-    a.partial[3 * band] = l1;
-    a.partial[3 * band + 1] = ssim;
-    a.partial[3 * band + 2] = mse;
+        sums[0] = l1_;
+        sums[1] = ssim_;
+        sums[2] = mse_;
+    }
+
+  private:
+    bool counts(int row) const { return top_ <= row && row < bottom_; }
+    bool in_picture(int row) const { return 0 <= row && row < h_; }
+    // `v`, `i` floats into the tile's row, without lanes that hang over its end.
+    Vec inside(int i, Vec v) const { return i < last_ ? v : keep(last_lanes_, v); }
+    float *down(int map, int j) const { return down_ + size_t(map * kLossGroup + j) * stride_; }
+    // Floats of a row that SSIM needs, and of one of its derivatives that the gradient needs.
+    int entering() const { return 2 * kLossMargin + n_ + 2 * 3 * kReach; }
+    int compared() const { return kLossMargin + n_ + 3 * kReach; }
+
+    // Reads the rows from `begin` on.
+    void take_in(int group, int begin) {
+        const int from = left_ < 2 * kReach ? 0 : left_ - 2 * kReach;
+        const int to = w_ - right_ < 2 * kReach ? w_ : right_ + 2 * kReach;
+        const int at = 2 * kLossMargin + 3 * (from - left_);
+        for (int j = 0; j < kLossGroup; ++j) {
+            const int row = begin + j;
+            float *const x = x_.row(group, j), *const y = y_.row(group, j);
+            if (in_picture(row)) {
+                read_row(in_, row, from, to, x + at, y + at);
+            } else {
+                fill(x, at, at + 3 * (to - from), -kShift);
+                fill(y, at, at + 3 * (to - from), -kShift);
+            }
+            if (counts(row))
+                add_differences(x + 2 * kLossMargin, y + 2 * kLossMargin);
+        }
+    }
+
+    void add_differences(const float *x, const float *y) {
+        Vec l1 = {}, mse = {};
+        for (int i = 0; i < n_; i += kLanes) {
+            const Vec d = inside(i, load(x + i) - load(y + i));
+            l1 += max(d, -d);
+            mse += d * d;
+        }
+        l1_ += lane_total(l1);
+        mse_ += lane_total(mse);
+    }
+
+    // SSIM of the rows from `begin` on, and its derivatives.
+    void compare(int group, int begin) {
+        const LossWindow x(x_, group), y(y_, group);
+        for (int i = 0; i < entering(); i += kLanes) {
+            Vec sums[2 * kLossGroup];
+            filter_down<2>(sums, [&](int k, Vec *v) {
+                v[0] = load(x.row[k] + i);
+                v[1] = load(y.row[k] + i);
+            });
+            for (int j = 0; j < 2 * kLossGroup; ++j)
+                store(down(0, j) + i, sums[j]);
+            filter_down<2>(sums, [&](int k, Vec *v) {
+                const Vec vx = load(x.row[k] + i), vy = load(y.row[k] + i), d = vx - vy;
+                v[0] = fma(vx, vx, vy * vy);
+                v[1] = d * d;
+            });
+            for (int j = 0; j < 2 * kLossGroup; ++j)
+                store(down(2, j) + i, sums[j]);
+        }
+        const int picture_begin = kLossMargin - 3 * left_, picture_end = kLossMargin + 3 * (w_ - left_);
+        for (int j = 0; j < kLossGroup; ++j) {
+            float *const by_mean = derivatives_[0].row(group, j), *const by_squares = derivatives_[1].row(group, j);
+            float *const by_distances = derivatives_[2].row(group, j);
+            const int row = begin + j;
+            Vec sum = {};
+            for (int i = 0; i < compared(); i += kLanes) {
+                const Similarity found(filter_along(down(0, j) + i), filter_along(down(1, j) + i),
+                                       filter_along(down(2, j) + i), filter_along(down(3, j) + i));
+                const int at = i - kLossMargin;
+                if (0 <= at && at < n_)
+                    sum += inside(at, found.value);
+                store(by_mean + i, found.by_mean);
+                store(by_squares + i, found.by_squares);
+                store(by_distances + i, found.by_distances);
+            }
+            if (counts(row))
+                ssim_ += lane_total(sum);
+            for (const LossRing &ring : derivatives_) { // padding has none
+                fill(ring.row(group, j), 0, in_picture(row) ? picture_begin : int(stride_), 0.0f);
+                fill(ring.row(group, j), picture_end, int(stride_), 0.0f);
+            }
+        }
+    }
+
+    // The gradient of the rows from `begin` on.
+    void write_gradient(int group, int begin) {
+        for (int m = 0; m < kLossDerivatives; ++m) {
+            const LossWindow window(derivatives_[m], group);
+            for (int i = 0; i < compared(); i += kLanes) {
+                Vec sums[kLossGroup];
+                filter_down<1>(sums, [&](int k, Vec *v) { v[0] = load(window.row[k] + i); });
+                for (int j = 0; j < kLossGroup; ++j)
+                    store(down(m, j) + i, sums[j]);
+            }
+        }
+        const double values = 3.0 * double(w_) * double(h_);
+        const Vec l1_weight = set1(float((1.0 - double(in_.ssim_weight)) / values));
+        const Vec ssim_weight = set1(float(double(in_.ssim_weight) / values));
+        for (int j = 0; j < kLossGroup; ++j) {
+            if (!counts(begin + j))
+                continue;
+            const float *const xs = x_.row(group - 2, j) + 2 * kLossMargin;
+            const float *const ys = y_.row(group - 2, j) + 2 * kLossMargin;
+            static_assert(kLossDerivatives < kLossMaps);
+            float *const out = down(kLossDerivatives, j);
+            for (int i = 0; i < n_; i += kLanes) {
+                const Vec x = load(xs + i), y = load(ys + i);
+                const Vec v = filter_along(down(0, j) + i) +
+                              2.0f * (x * filter_along(down(1, j) + i) + (x - y) * filter_along(down(2, j) + i));
+                const Vec sign = keep(gt(x, y), l1_weight) - keep(gt(y, x), l1_weight);
+                store(out + i, fnma(ssim_weight, v, sign));
+            }
+            const size_t at = size_t(begin + j) * size_t(w_) + size_t(left_);
+            float *const v = a_.v_image + 3 * at;
+            if (in_.mask_mode == GS_MASK_IGNORE)
+                for (int i = 0; i < n_; ++i)
+                    v[i] = out[i] * (float(in_.mask[at + size_t(i / 3)]) * (1.0f / 255.0f));
+            else
+                std::memcpy(v, out, size_t(n_) * sizeof(float));
+        }
+    }
+
+    const LossArgs &a_;
+    const gs_loss_args &in_;
+    const int w_, h_;
+    int top_, bottom_, left_, right_;
+    int n_;    // floats of a row of the tile
+    int last_; // where its last vector begins
+    Mask last_lanes_;
+    size_t stride_;
+    // What entered the loss, two margins before the tile, and the derivatives, one margin before it.
+    LossRing x_, y_, derivatives_[kLossDerivatives];
+    float *down_; // a group of rows of each map, filtered downwards
+    double l1_ = 0, ssim_ = 0, mse_ = 0;
+};
+
+static void image_loss(const LossArgs &a, int tile, float *scratch) {
+    LossTile(a, tile, scratch).run(a.partial + 3 * tile);
 }
 
 } // namespace gs::GS_NAMESPACE

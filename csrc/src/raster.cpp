@@ -279,16 +279,17 @@ gs_status gs_raster::backward(const gs_splats &splats, const gs_image_grads &ima
 
 gs_status gs_raster::image_loss(const gs_loss_args &args, gs_loss_result &result, float *v_image) {
     const Kernels &k = kernels();
-    const int threads = threads_of(args.threads), bands = loss_bands(args.height);
-    const size_t scratch = loss_scratch_floats(args.width);
-    float *scratches = loss_scratch_.ensure(scratch * size_t(std::min(threads, bands)));
-    const LossArgs loss = {&args, loss_partial_.ensure(size_t(bands) * 3), v_image};
-    parallel_for(size_t(bands), threads,
-                 [&](size_t b, int worker) { k.image_loss(loss, int(b), scratches + scratch * size_t(worker)); });
+    const LossGrid grid(args.width, args.height);
+    const int threads = threads_of(args.threads), tiles = grid.tiles();
+    const size_t scratch = grid.scratch_floats();
+    float *scratches = loss_scratch_.ensure(scratch * size_t(std::min(threads, tiles)));
+    const LossArgs loss = {&args, loss_partial_.ensure(size_t(tiles) * 3), v_image};
+    parallel_for(size_t(tiles), threads,
+                 [&](size_t t, int worker) { k.image_loss(loss, int(t), scratches + scratch * size_t(worker)); });
     double sums[3] = {};
-    for (int b = 0; b < bands; ++b)
+    for (int t = 0; t < tiles; ++t)
         for (int i = 0; i < 3; ++i)
-            sums[i] += loss.partial[3 * b + i];
+            sums[i] += loss.partial[3 * t + i];
     const double n = 3.0 * args.width * args.height;
     result.l1 = sums[0] / n;
     result.ssim = sums[1] / n;

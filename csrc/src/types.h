@@ -134,8 +134,8 @@ struct ProjectBackwardArgs {
 
 struct LossArgs {
     const gs_loss_args *args;
-    double *partial;  // [bands * 3] l1, ssim, mse sums
-    float *v_image;   // null: no gradient
+    double *partial; // [tiles * 3] l1, ssim, mse sums
+    float *v_image;  // null: no gradient
 };
 
 // A tensor under Adam with the constants of its step.
@@ -172,8 +172,8 @@ struct Kernels {
     // Returns the number of pairs evaluated.
     int64_t (*blend_backward)(const BlendBackwardArgs &, uint32_t outputs, uint32_t tile);
     void (*project_backward)(const ProjectBackwardArgs &, int64_t chunk);
-    // One band of rows; `scratch` holds loss_scratch_floats(width).
-    void (*image_loss)(const LossArgs &, int band, float *scratch);
+    // One tile of `loss_grid`; `scratch` holds its scratch_floats().
+    void (*image_loss)(const LossArgs &, int tile, float *scratch);
     // One chunk of rows; returns how many had gradients that are not finite.
     int64_t (*adam_step)(const AdamArgs &, int64_t chunk);
     void (*adam_catch_up)(const CatchUpArgs &, int64_t chunk);
