@@ -82,14 +82,25 @@ class Lpips:
         return float(np.asarray(self._session.run(None, feed)[0]).reshape(-1)[0])
 
 
+def lpips_file(path: Path | None = None) -> Path | None:
+    """Where the LPIPS network to use is looked for; None: nowhere.
+
+    In this order: `path`, the file named by GSCORE_LPIPS, and
+    models/lpips_squeeze/lpips_squeeze.onnx in the folder named by GSCORE_DATA.
+    """
+    if path is not None:
+        return path
+    named, data = os.environ.get("GSCORE_LPIPS"), os.environ.get("GSCORE_DATA")
+    if named:
+        return Path(named)
+    return Path(data) / "models" / "lpips_squeeze" / "lpips_squeeze.onnx" if data else None
+
+
 def find_lpips(path: Path | None = None, *, threads: int = 0) -> tuple[Lpips | None, str]:
     """The LPIPS network to use, or None and the reason why there is none.
 
-    Looked for in this order: `path`, the file named by GSCORE_LPIPS, and
-    models/lpips_squeeze/lpips_squeeze.onnx in the folder named by GSCORE_DATA.
-
     Args:
-        path: A file the user named, or None.
+        path: A file the user named, or None: see `lpips_file`.
         threads: As in `Lpips`.
 
     Returns:
@@ -98,16 +109,12 @@ def find_lpips(path: Path | None = None, *, threads: int = 0) -> tuple[Lpips | N
     Raises:
         GsError: `path` does not work. What was not asked for may be absent.
     """
-    if path is not None:
-        return Lpips(path, threads=threads), ""
-    named, data = os.environ.get("GSCORE_LPIPS"), os.environ.get("GSCORE_DATA")
-    if named:
-        found = Path(named)
-    elif data:
-        found = Path(data) / "models" / "lpips_squeeze" / "lpips_squeeze.onnx"
-    else:
+    found = lpips_file(path)
+    if found is None:
         return None, "no LPIPS network: name an ONNX file with --lpips or GSCORE_LPIPS"
     try:
         return Lpips(found, threads=threads), ""
     except (BackendError, ConfigError, FormatError) as error:
+        if path is not None:
+            raise
         return None, str(error)

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..config import TrainConfig
 from ..errors import GsError
+from ..metrics.lpips import lpips_file
 from ..raster.api import render
 from ..splats import Splats
 from .memory import (
@@ -97,9 +98,13 @@ def estimate(
     largest, total = int(pixels.max(initial=1)), int(pixels.sum())
     maps = depth_bytes(total) if depths else 0
     photos = total * (4 if masks else 3)
-    rest = maps + training_bytes(
-        splats=config.max_splats, sh_degree=config.sh_degree, pixels=largest
-    )
+    network = lpips_file(config.lpips)
+    lpips = network is not None and network.is_file()
+
+    def needed(splats: int, pixels: int) -> int:
+        return training_bytes(splats=splats, sh_degree=config.sh_degree, pixels=pixels, lpips=lpips)
+
+    rest = maps + needed(config.max_splats, largest)
     anew = decoded_anew(config, photos, views=len(sizes), rest=rest)
     held = photo_bytes(photos, config, anew=anew)
     kept = cache_bytes(config, photos, all_of_them=held, rest=rest, free=free)
@@ -112,8 +117,7 @@ def estimate(
         def fit(splats: int, width: int) -> bool:
             # Photos that do not fit are decoded again and again: what must fit is the largest view.
             view = largest * (width / widest) ** 2
-            needed = training_bytes(splats=splats, sh_degree=config.sh_degree, pixels=int(view))
-            return needed <= room
+            return needed(splats, int(view)) <= room
 
         fitting_splats = 1000 * _most(lambda k: fit(1000 * k, widest), config.max_splats // 1000)
         fitting_splats = fitting_splats if fitting_splats >= _FEWEST_SPLATS else 0

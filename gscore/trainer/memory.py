@@ -21,6 +21,9 @@ _LOOK_PER_SPLAT = 220
 """Bytes of the rasterizer where no gradients are wanted."""
 _LOOK_PER_PIXEL = 300
 """Bytes of a picture that is measured."""
+_LPIPS, _LPIPS_PER_PIXEL = 80_000_000, 900
+"""Bytes of the network that measures LPIPS and what runs it, and of a picture in it, for a pixel;
+other metrics are done by then."""
 _SMALLER_COPIES = 0.5
 """Bytes of scaled-down photos, as a share of the photos: half the pixels is the largest size but
 the full one."""
@@ -34,17 +37,19 @@ _DEPTH_BYTES = 11
 """Bytes a pixel while depth maps are read: value and confidence in float32, and the target."""
 
 
-def training_bytes(*, splats: int, sh_degree: int, pixels: int) -> int:
+def training_bytes(*, splats: int, sh_degree: int, pixels: int, lpips: bool = False) -> int:
     """Memory that training needs at most, without photos and what Python and torch take.
 
     Args:
         splats: Largest number of splats.
         sh_degree: Highest degree.
         pixels: Of the largest view.
+        lpips: Whether LPIPS is measured at the end.
     """
     numbers = 11 + 3 * (1 + SH_REST_BY_DEGREE[sh_degree])
     step = splats * (_NUMBER * numbers + _STEP_PER_SPLAT) + pixels * _STEP_PER_PIXEL
-    look = splats * (_LOOK_NUMBER * numbers + _LOOK_PER_SPLAT) + pixels * _LOOK_PER_PIXEL
+    look = splats * (_LOOK_NUMBER * numbers + _LOOK_PER_SPLAT)
+    look += _LPIPS + pixels * _LPIPS_PER_PIXEL if lpips else pixels * _LOOK_PER_PIXEL
     return max(step, look) + _BASE
 
 
