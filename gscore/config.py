@@ -353,25 +353,25 @@ class TrainConfig:
 
 
 def preview(source: Path) -> tuple[DataConfig, TrainConfig]:
-    """A first look within about 30 seconds on two cores."""
+    """A first look, in about a quarter of a minute on two cores."""
     train = TrainConfig(iterations=1500, max_splats=50_000, sh_degree=1)
     return DataConfig(source=source, max_width=400), train
 
 
 def draft(source: Path) -> tuple[DataConfig, TrainConfig]:
-    """Good enough to judge a capture, in about three minutes on two cores."""
+    """Good enough to judge a capture, in about a minute and a half on two cores."""
     train = TrainConfig(iterations=4000, max_splats=150_000, sh_degree=2)
     return DataConfig(source=source, max_width=640), train
 
 
 def normal(source: Path) -> tuple[DataConfig, TrainConfig]:
-    """The everyday choice, about twelve minutes on two cores."""
+    """The everyday choice, about six minutes on two cores."""
     train = TrainConfig(iterations=7000, max_splats=300_000)
     return DataConfig(source=source, max_width=1000), train
 
 
 def high(source: Path) -> tuple[DataConfig, TrainConfig]:
-    """Everything the method gives, about an hour on two cores."""
+    """Everything the method gives, about half an hour on two cores."""
     train = TrainConfig(iterations=15_000, max_splats=600_000)
     return DataConfig(source=source, max_width=1600), train
 

@@ -13,13 +13,17 @@ _EVENTS_PER_SECOND = 5.0
 _HISTORY = 500
 _HISTORY_FIELDS = ("step", "elapsed_s", "loss", "psnr", "splats", "steps_per_s", "phase")
 _WINDOW = 50
+_TRUSTED = 0.1
+"""Share of the planned time from which on the speed of the steps alone tells what is left: the
+first ones are small, and among them are some that warm up."""
 
 
 class Meter:
     """Follows a run step by step; only time spent in steps counts."""
 
-    def __init__(self, plan: Plan, *, splats: int) -> None:
-        """`splats`: how many there are before the first step."""
+    def __init__(self, plan: Plan, *, splats: int, pace: float = 1.0) -> None:
+        """`splats`: how many there are before the first step; `pace`: seconds expected for each
+        second of the plan, before steps tell."""
         self.plan = plan
         """What is to come; may be replaced on the way."""
         self.train_seconds = 0.0
@@ -31,14 +35,17 @@ class Meter:
         self._count = 0
         self._step = 0
         self._splats = splats
-        self._pace = 1.0
+        self._pace = pace
+        self._planned = 0.0
         self._recent: deque[tuple[float, float]] = deque(maxlen=_WINDOW)
         self._last_event = -math.inf
 
     def update(self, *, step: int, loss: float, mse: float, splats: int, seconds: float) -> None:
         """Take note of a step that took `seconds`."""
         self.train_seconds += seconds
-        self._recent.append((seconds, self.plan.seconds_at(step, self._splats)))
+        planned = self.plan.seconds_at(step, self._splats)
+        self._planned += planned
+        self._recent.append((seconds, planned))
         self._step, self._splats = step, splats
         if math.isfinite(loss) and math.isfinite(mse):
             # A mean over the first steps, then an exponential one over about _WINDOW.
@@ -59,13 +66,25 @@ class Meter:
 
     @property
     def pace(self) -> float:
-        """Seconds that lately passed for each second of the plan; 1 before the first step."""
+        """Seconds to expect for each second of the plan: what was expected before, at first, and
+        more and more what the last steps took."""
+        return self._pace_before(self._planned_left())
+
+    def _planned_left(self) -> float:
+        return self.plan.seconds_after(self._step, self._splats)
+
+    def _pace_before(self, left: float) -> float:
         planned = sum(planned for _, planned in self._recent)
-        return sum(seconds for seconds, _ in self._recent) / planned if planned else self._pace
+        if not planned:
+            return self._pace
+        found = sum(seconds for seconds, _ in self._recent) / planned
+        trust = min(self._planned / (_TRUSTED * (self._planned + left)), 1.0)
+        return self._pace + trust * (found - self._pace)
 
     def progress(self, *, phase: str = "") -> Progress:
         """Where the run stands."""
         spent = sum(seconds for seconds, _ in self._recent)
+        left = self._planned_left()
         rate = len(self._recent) / spent if spent > 0 else 0.0
         return Progress(
             step=self._step,
@@ -74,7 +93,7 @@ class Meter:
             psnr=self.psnr,
             splats=self._splats,
             steps_per_s=rate,
-            eta_s=self.pace * self.plan.seconds_after(self._step, self._splats),
+            eta_s=self._pace_before(left) * left,
             elapsed_s=self.train_seconds,
             phase=phase or ("growing" if self._step <= self.plan.refine_stop else "polishing"),
         )
@@ -93,6 +112,7 @@ class Meter:
         Their time was spent."""
         self.history = [entry for entry in self.history if entry["step"] <= step]
         self._step, self._splats, self._count, self._pace = step, splats, 0, self.pace
+        self._planned = 0.0
         self._recent.clear()
 
     def state(self) -> dict[str, Any]:

@@ -3,21 +3,25 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import accumulate
 
 from ..config import Skip, Strategy, TrainConfig
 from ..splats import SH_REST_BY_DEGREE
 from .sizes import stages
 
 _PAPER_STEPS = 30_000
-_SECONDS_A_STEP = 1.49e-3
-_SECONDS_A_PIXEL = 6.5e-8
-_SECONDS_A_SPLAT = 6.0e-8
-_SECONDS_A_NUMBER = 1.5e-9
+_SECONDS_A_STEP = 6.3e-4
+_SECONDS_A_PIXEL = 7.1e-8
+_SECONDS_A_SPLAT = 7.7e-8
+_SECONDS_A_NUMBER = 5.7e-10
 """What a step took on two cores of a Xeon with AVX-512: itself, for each pixel, for each splat and
 for each number of a splat (`tools/fit_step_time.py`)."""
 _GROWTH = 0.5
-"""Splats that `default` adds at a refinement, as a share of those there, until the cap: more on
-some captures and less on others."""
+"""Most splats that `default` is expected to add at a refinement, as a share of those there."""
+_LATER_GROWTH = 2.2e-4
+"""What it is expected to add at the first refinement, times `grow_grad`; at the k-th k^-1.15 of
+that. Fitted to trainings with all presets (docs/benchmarks.md, "Budgets")."""
 _SETTLES = 0.9
 """Share of a run after which learning rates fall."""
 _SAMPLES = 64
@@ -68,8 +72,8 @@ class Plan:
     """Size of the first splats in mean distances to their neighbours."""
     grow_grad: float
     """Pull above which `default` doubles a splat."""
-    growth: float
-    """Share of splats that a refinement adds: of `mcmc` exactly, of `default` a guess."""
+    mcmc_growth: float
+    """Share of splats that a refinement of `mcmc` adds; 0 with `default`, where pulls decide."""
     kept: float
     """Share of the splats that stay when refinements are over."""
 
@@ -142,7 +146,7 @@ class Plan:
             init_opacity=config.init_opacity or (0.5 if mcmc else 0.1),
             init_scale=config.init_scale or (0.1 if mcmc else 1.0),
             grow_grad=config.grow_grad or 2e-4 / min(boost, 2.0),
-            growth=(config.mcmc_growth or min(growth, 1.0)) if mcmc else _GROWTH,
+            mcmc_growth=(config.mcmc_growth or min(growth, 1.0)) if mcmc else 0.0,
             kept=1.0 - config.prune_share,
         )
 
@@ -214,11 +218,24 @@ class Plan:
         """Splats to expect before step `later` where there are `splats` after `step`."""
         kept = self.kept if step < self.refine_stop < later else 1.0
         first, last = max(step + 1, self.refine_start), min(later - 1, self.refine_stop)
-        refinements = last // self.refine_every - (first - 1) // self.refine_every
-        if refinements <= 0 or splats >= self.max_splats:
+        if last < first or splats >= self.max_splats:
             return kept * splats
-        grown = math.log(max(splats, 1)) + refinements * math.log1p(self.growth)
+        before, there = self._refinements(first - 1), self._refinements(last)
+        grown = math.log(max(splats, 1)) + self._growths[there] - self._growths[before]
         return kept * min(math.exp(min(grown, 50.0)), self.max_splats)
+
+    def _refinements(self, step: int) -> int:
+        """How many there have been after `step`."""
+        return max(step // self.refine_every - (self.refine_start - 1) // self.refine_every, 0)
+
+    @cached_property
+    def _growths(self) -> list[float]:
+        """By how much splats are expected to have multiplied after each number of refinements,
+        without a cap; its logarithm."""
+        count = self._refinements(min(self.refine_stop, self.iterations))
+        later = _LATER_GROWTH / self.grow_grad if self.grow_grad else _GROWTH
+        growths = (self.mcmc_growth or min(_GROWTH, later * k**-1.15) for k in range(1, count + 1))
+        return [0.0, *accumulate(math.log1p(growth) for growth in growths)]
 
     def refines_at(self, step: int) -> bool:
         """Whether splats may be added or removed after `step`."""

@@ -27,6 +27,7 @@ from .depth_report import DepthReport, measure_depth
 from .depth_setup import DepthSetup
 from .evaluation import Evaluator
 from .folder import RunFolder
+from .forecast import machine_pace
 from .meter import Meter
 from .results import Results
 from .steering import Steering
@@ -98,7 +99,8 @@ class Session:
         self._evaluator = Evaluator(trainer, lpips=lpips, lpips_reason=lpips_reason)
         self._results = Results(trainer, folder, data)
         self._depth = depth or DepthSetup()
-        self._meter = Meter(trainer.plan, splats=len(trainer.model))
+        pace = machine_pace(self._config.threads)
+        self._meter = Meter(trainer.plan, splats=len(trainer.model), pace=pace)
         self._steering = Steering(trainer, self._meter, self._evaluator)
         self._watchdog = Watchdog(trainer.plan)
         self._evals: list[dict[str, Any]] = []

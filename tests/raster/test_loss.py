@@ -42,7 +42,9 @@ def isa(request: pytest.FixtureRequest) -> Iterator[str]:
 
 
 @pytest.mark.parametrize("mode", ["none", "composite", "ignore"])
-@pytest.mark.parametrize("size", [(1, 1), (8, 8), (11, 5), (33, 47), (130, 96), (65, 17), (12, 530)])
+@pytest.mark.parametrize(
+    "size", [(1, 1), (8, 8), (11, 5), (33, 47), (130, 96), (65, 17), (12, 530)]
+)
 def test_value_and_gradient(isa: str, size: tuple[int, int], mode: str) -> None:
     """Oracle: `twin`; values to 1e-6, gradients to 1e-5 of the largest."""
     image, target, mask = pictures(*size)

@@ -128,3 +128,20 @@ def test_the_machine_is_measured_quickly_and_without_torch() -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split("\n")[0] == "(400, 300) True True"
     assert machine_pace(1) > 0
+
+
+@pytest.mark.parametrize(
+    ("preset", "size", "taken"),
+    [
+        ("preview", (400, 300), 13.0),
+        ("draft", (640, 480), 94.0),
+        ("normal", (800, 600), 268.0),
+        ("high", (800, 600), 546.0),
+    ],
+)
+def test_seconds_said_for_the_presets(preset: str, size: tuple[int, int], taken: float) -> None:
+    """Oracle: what trainings of plush took on the machine whose step times the plan holds
+    (docs/benchmarks.md, "Budgets")."""
+    config = PRESETS[preset](Path("plush"))[1]
+    found = estimate(config, [size] * 51, points=6903, pace=1.0)
+    assert found.seconds == pytest.approx(taken, rel=0.25)

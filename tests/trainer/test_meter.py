@@ -12,7 +12,7 @@ def test_the_time_left_holds_while_photos_grow() -> None:
     config = TrainConfig(iterations=2000, max_splats=100)
     plan = Plan.of(config, extent=1.0, points=100, side=600, pixels=360_000)
     seconds = [3 * plan.seconds_at(step, 100) for step in range(1, 2001)]
-    meter = Meter(plan, splats=100)
+    meter = Meter(plan, splats=100, pace=3.0)
     for step, spent in enumerate(seconds, start=1):
         meter.update(step=step, loss=0.1, mse=0.01, splats=100, seconds=spent)
         left = sum(seconds[step:])
@@ -20,6 +20,22 @@ def test_the_time_left_holds_while_photos_grow() -> None:
     assert meter.train_seconds == pytest.approx(sum(seconds))
     assert meter.progress().psnr == pytest.approx(20)
     assert seconds[0] < 0.35 * seconds[-1], "else the time left would be easy to tell"
+
+
+def test_what_was_expected_gives_way_to_what_steps_take() -> None:
+    """Oracle: a machine twice as slow as it seemed, whose first step takes a hundred times as long;
+    the time left is known once a tenth of the work is done, and never told tenfold."""
+    config = TrainConfig(iterations=2000, max_splats=100)
+    plan = Plan.of(config, extent=1.0, points=100, side=600, pixels=360_000)
+    planned = [plan.seconds_at(step, 100) for step in range(1, 2001)]
+    seconds = [2 * planned[0] * 100, *(2 * each for each in planned[1:])]
+    meter = Meter(plan, splats=100, pace=1.0)
+    for step, spent in enumerate(seconds, start=1):
+        meter.update(step=step, loss=0.1, mse=0.01, splats=100, seconds=spent)
+        left, told = sum(seconds[step:]), meter.progress().eta_s
+        assert 0.5 * left <= told * (1 + 1e-9) and told <= 2 * left + 1e-9
+        if sum(planned[:step]) > 0.1 * sum(planned):
+            assert told == pytest.approx(left, rel=0.05, abs=1e-9)
 
 
 def test_a_resumed_run_stands_where_it_stood() -> None:

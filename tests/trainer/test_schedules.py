@@ -40,7 +40,7 @@ def test_rates_fall_over_the_last_tenth() -> None:
 def test_mcmc_of_30000_steps_is_that_of_the_paper() -> None:
     """Oracle: Kheradmand et al. 2024: refine until 25 000, +5 %, other initial values."""
     plan = plan_of(TrainConfig(iterations=30_000, strategy=Strategy.MCMC))
-    assert (plan.refine_stop, plan.growth) == (25_000, 0.05)
+    assert (plan.refine_stop, plan.mcmc_growth) == (25_000, 0.05)
     assert (plan.init_opacity, plan.init_scale, plan.rates["opacities"]) == (0.5, 0.1, 0.05)
 
 
@@ -51,7 +51,7 @@ def test_a_short_mcmc_run_grows_fast_enough() -> None:
     count = 5000.0
     for step in range(1, 1501):
         if plan.refines_at(step):
-            count *= 1 + plan.growth
+            count *= 1 + plan.mcmc_growth
     assert count >= 100_000
 
 

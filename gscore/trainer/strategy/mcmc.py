@@ -66,7 +66,7 @@ class MCMCStrategy:
         dead = ~(opacities > ops.logit(floor))  # NaN is dead too
         dead |= model.params["quats"].square().sum(dim=1) < 1e-8
         moved = ops.relocate(model, dead, generator, min_opacity=floor)
-        target = min(self._config.max_splats, int((1 + self._plan.growth) * len(model)))
+        target = min(self._config.max_splats, int((1 + self._plan.mcmc_growth) * len(model)))
         added = ops.grow(model, target - len(model), generator, min_opacity=floor)
         return Change(added=added, moved=moved)
 
