@@ -6,6 +6,8 @@ import numpy as np
 
 from .errors import ShapeError
 
+PARAMETERS = ("means", "quats", "scales", "opacities", "sh0", "shN")
+"""Of a splat, in the order in which `Splats` holds them and functions take them."""
 SH_REST_BY_DEGREE = {0: 0, 1: 3, 2: 8, 3: 15}
 """Number of SH coefficients per channel beyond the constant one, by degree."""
 

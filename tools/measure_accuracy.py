@@ -16,9 +16,10 @@ from gscore.config import DataConfig
 from gscore.datasets import load_dataset
 from gscore.io.ply import read_splats
 from gscore.raster import backend
+from gscore.splats import PARAMETERS
 from gscore.stress import native, truth
 from gscore.stress.compare import ROW_FLOOR
-from gscore.stress.scenes import PARAMETERS, Scene, draw_scene
+from gscore.stress.scenes import Scene, draw_scene
 
 STAGES = {
     "projected mean": ("projected", "means2d"),

@@ -1,13 +1,15 @@
-"""How fast the rasterizer is, forward and backward apart; numpy and the native library only."""
+"""How fast the rasterizer is, forward and backward apart."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
 
 from ..raster import _native
+from ..raster.calls import Picture, Settings, backward, forward
 from ..scene import Cameras
-from ..splats import SH_REST_BY_DEGREE, Splats
+from ..splats import PARAMETERS, Splats
 
 STAGES = (
     "project_ms",
@@ -104,36 +106,9 @@ def bench_raster(
         disable: Bits of `_native.NO_*`.
         image_gradient_seed: Seed of the image gradients, which are dense and random.
     """
-    arrays = [
-        np.ascontiguousarray(getattr(splats, name))
-        for name in ("means", "quats", "scales", "opacities", "sh0", "shN")
-    ]
-    grads = [np.zeros_like(a) for a in arrays]
-    struct = _native.SplatsStruct(
-        len(splats),
-        *(a.ctypes.data for a in arrays),
-        SH_REST_BY_DEGREE[splats.sh_degree],
-        splats.sh_degree,
-        1,
-    )
-    grads_struct = _native.SplatGradsStruct(*(g.ctypes.data for g in grads))
-    options = _native.options_struct(
-        eps2d=0.3,
-        antialias=False,
-        background=(0, 0, 0),
-        outputs=0,
-        threads=threads,
-        disable=disable,
-    )
+    arrays = [torch.from_numpy(np.ascontiguousarray(getattr(splats, n))) for n in PARAMETERS]
+    grads = {name: torch.zeros_like(a) for name, a in zip(PARAMETERS, arrays, strict=True)}
     rng = np.random.default_rng(image_gradient_seed)
-    counting = _native.options_struct(
-        eps2d=0.3,
-        antialias=False,
-        background=(0, 0, 0),
-        outputs=_native.COUNT_USEFUL,
-        threads=threads,
-        disable=disable,
-    )
     best = []
     pixels = tiles = useful = 0
     with _native.pool.lend() as raster:
@@ -142,23 +117,30 @@ def bench_raster(
             pixels += width * height
             wide, high = _native.LIST_TILE
             tiles += -(-width // wide) * -(-height // high)
-            rgb, alpha = np.zeros((height, width, 3), np.float32), np.zeros((height, width), "f4")
-            v_rgb = rng.normal(size=rgb.shape).astype(np.float32)
-            image = _native.ImageStruct(rgb.ctypes.data, alpha.ctypes.data)
-            camera = _native.camera_struct(
-                cameras.viewmats[view], cameras.Ks[view], width, height, 0.01, 1e10
+            picture = Picture(torch.zeros(height, width, 3), torch.zeros(height, width))
+            v_rgb = torch.from_numpy(rng.normal(size=(height, width, 3)).astype(np.float32))
+            viewmat = torch.from_numpy(cameras.viewmats[view])
+            settings = Settings(
+                raw=True,
+                sh_degree=splats.sh_degree,
+                width=width,
+                height=height,
+                K=cameras.Ks[view],
+                threads=threads,
+                disable=disable,
             )
-            raster.forward(struct, camera, counting, image)
+            counting = replace(settings, outputs=_native.COUNT_USEFUL)
+            forward(raster, arrays, viewmat, counting, picture, None)
             useful += raster.stats().as_dict()["useful_pairs"]
             passes = []
             for _ in range(repeats + 1):  # the first one warms buffers up
-                raster.forward(struct, camera, options, image)
-                raster.backward(struct, _native.ImageGradsStruct(v_rgb.ctypes.data), grads_struct)
+                forward(raster, arrays, viewmat, settings, picture, None)
+                backward(raster, arrays, settings, (v_rgb,), grads)
                 passes.append(raster.stats().as_dict())
             best.append(min(passes[1:], key=lambda p: sum(p[key] for key in STAGES)))
     total = {key: sum(b[key] for b in best) for key in best[0]}
-    forward = sum(total[key] for key in STAGES[:4])
-    backward = sum(total[key] for key in STAGES[4:])
+    forward_ms = sum(total[key] for key in STAGES[:4])
+    backward_ms = sum(total[key] for key in STAGES[4:])
     blending = total["blend_ms"] + total["blend_backward_ms"]
     n = len(best)
     return RasterBench(
@@ -169,16 +151,16 @@ def bench_raster(
         width=int(cameras.widths[views[0]]),
         height=int(cameras.heights[views[0]]),
         gpairs_per_s=total["forward_pairs"] / blending / 1e6,
-        gpairs_per_s_all_stages=total["forward_pairs"] / (forward + backward) / 1e6,
+        gpairs_per_s_all_stages=total["forward_pairs"] / (forward_ms + backward_ms) / 1e6,
         forward_gpairs_per_s=total["forward_pairs"] / total["blend_ms"] / 1e6,
         backward_gpairs_per_s=total["backward_pairs"] / total["blend_backward_ms"] / 1e6,
         pairs_per_pixel=total["forward_pairs"] / pixels,
         useful_share=useful / total["forward_pairs"],
         entries_per_tile=total["entries"] / tiles,
         visible=total["visible"] / n,
-        forward_ms=forward / n,
-        backward_ms=backward / n,
-        forward_fps=1000 * n / forward,
+        forward_ms=forward_ms / n,
+        backward_ms=backward_ms / n,
+        forward_fps=1000 * n / forward_ms,
         stages_ms={key.removesuffix("_ms"): total[key] / n for key in STAGES},
         workspace_bytes=int(max(b["workspace_bytes"] for b in best)),
     )

@@ -7,10 +7,8 @@ import numpy as np
 
 from ..config import Skip, TrainConfig
 from ..datasets import Dataset
-from ..splats import Splats
+from ..splats import PARAMETERS, Splats
 from .training import Trained, train_measured
-
-_FIELDS = ("means", "quats", "scales", "opacities", "sh0", "shN")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,4 +76,4 @@ def bench_skips(
 
 
 def _same_bits(a: Splats, b: Splats) -> bool:
-    return all(np.array_equal(getattr(a, name), getattr(b, name)) for name in _FIELDS)
+    return all(np.array_equal(getattr(a, name), getattr(b, name)) for name in PARAMETERS)

@@ -44,8 +44,6 @@ class Trained:
     """Pairs of splat and pixel evaluated by all forward passes."""
     backward_pairs: float
     """The same by all backward passes."""
-    laps: dict[str, float] = field(default_factory=dict)
-    """Seconds by part of the step."""
     splats: Splats = field(repr=False)
     """The result, in COLMAP world."""
 
@@ -110,7 +108,6 @@ def train_measured(
         on_step: Called after each step, outside the clock.
     """
     points: list[Point] = []
-    laps: dict[str, float] = {}
     seconds = forward = backward = 0.0
     with one_torch_thread():
         trainer = Trainer(config, photos)
@@ -120,8 +117,6 @@ def train_measured(
             seconds += time.perf_counter() - began
             forward += trainer.laps.raster.get("forward_pairs", 0)
             backward += trainer.laps.raster.get("backward_pairs", 0)
-            for name, value in trainer.laps.seconds.items():
-                laps[name] = laps.get(name, 0.0) + value
             if step in at or step == config.iterations:
                 found = _quality_of(trainer, judged)
                 points.append(
@@ -140,7 +135,6 @@ def train_measured(
             points=points,
             forward_pairs=forward,
             backward_pairs=backward,
-            laps=laps,
             splats=trainer.splats(),
         )
 

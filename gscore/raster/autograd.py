@@ -6,8 +6,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from ..splats import PARAMETERS
 from . import _native
-from .calls import PARAMETERS, Picture, Settings, backward, check_splats, check_tiles, forward
+from .calls import Picture, Settings, backward, check_splats, check_tiles, forward
 
 
 @dataclass

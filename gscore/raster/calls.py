@@ -9,11 +9,8 @@ import torch
 from torch import Tensor
 
 from ..errors import ShapeError
-from ..splats import SH_REST_BY_DEGREE
+from ..splats import PARAMETERS, SH_REST_BY_DEGREE
 from . import _native
-
-PARAMETERS = ("means", "quats", "scales", "opacities", "sh0", "shN")
-"""Tensors of splats in the order in which functions take them."""
 
 
 @dataclass(frozen=True)

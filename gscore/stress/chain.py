@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from ..splats import PARAMETERS
 from . import native, truth
 from .case import Measure, case
 from .compare import require_covered, row_errors
 from .derivatives import five_point, relative, smooth_scene
 from .native import BACKGROUND
-from .scenes import PARAMETERS, Scene
+from .scenes import Scene
 
 _SCENE: dict[str, Any] = {"count": 6, "width": 24, "height": 20, "sigma_px": (2.0, 6.0)}
 _STEP = 1e-5

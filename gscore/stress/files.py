@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from ..io.ply import read_splats, write_splats
-from ..splats import Splats
+from ..splats import PARAMETERS, Splats
 from . import native
 from .case import EmptyTestError, Measure, NotHereError, case
 from .compare import different_bits, require_covered
-from .scenes import PARAMETERS, Scene, draw_scene
+from .scenes import Scene, draw_scene
 
 _GOLDEN = Path(__file__).parents[2] / "tests" / "raster" / "golden" / "gsplat_formulas.npz"
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..raster import _native
-from .scenes import PARAMETERS, Scene
+from ..splats import PARAMETERS
+from .scenes import Scene
 
 BACKGROUND = (0.25, 0.5, 0.125)
 """Exact in float32."""

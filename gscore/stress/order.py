@@ -5,10 +5,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..raster import _native
+from ..splats import PARAMETERS
 from . import native, truth
 from .case import EmptyTestError, Measure, case
 from .compare import different_bits, picture_errors, require_covered
-from .scenes import PARAMETERS, Scene, draw_scene
+from .scenes import Scene, draw_scene
 
 
 def _layers(count: int, depths: int, sigma_px: tuple[float, float]) -> Scene:

@@ -4,10 +4,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ..splats import PARAMETERS
 from . import native, truth
 from .case import EmptyTestError, Measure, case
 from .compare import different_bits, gradient_measures, picture_measures, require_covered
-from .scenes import PARAMETERS, Scene, draw_scene
+from .scenes import Scene, draw_scene
 
 _FIELDS = ("means", "quats", "scales", "opacities", "sh0", "shN")
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-PARAMETERS = ("means", "quats", "scales", "opacities", "sh0", "shN")
+from ..splats import PARAMETERS
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -73,8 +73,8 @@ def long_training(full: bool) -> Iterator[Measure]:
     There are fewer splats than the capture was drawn with. What is left of the error is then what
     they cannot say; with enough of them it is how far the last steps jump, by 1 dB about 52.
     """
+    from ..splats import PARAMETERS
     from ..trainer import bounds
-    from ..trainer.params import NAMES
 
     photos = toy_photos(held_out=(3,))
     for strategy in Strategy:
@@ -93,7 +93,7 @@ def long_training(full: bool) -> Iterator[Measure]:
                     fall = np.maximum(fall, best - psnr)
                     best = np.maximum(best, psnr)
         splats = trainer.splats()
-        numbers = np.concatenate([np.ravel(getattr(splats, name)) for name in NAMES])
+        numbers = np.concatenate([np.ravel(getattr(splats, name)) for name in PARAMETERS])
         ratios = np.exp(np.ptp(splats.scales, axis=1))
         opacity = 1 / (1 + np.exp(-splats.opacities.astype(np.float64)))
         note = (

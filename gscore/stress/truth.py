@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from ..splats import PARAMETERS
 from .native import BACKGROUND, PICTURES, random_weights
-from .scenes import PARAMETERS, Scene
+from .scenes import Scene
 
 
 @dataclass(frozen=True, kw_only=True)

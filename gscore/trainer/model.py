@@ -8,7 +8,7 @@ from typing import NamedTuple
 import torch
 
 from ..raster import adam
-from .params import NAMES
+from ..splats import PARAMETERS
 
 _SEEN, _LAG = "shN_seen", "shN_lag"
 
@@ -61,10 +61,10 @@ class Model:
         self.drift = torch.zeros(adam.LAGS, dtype=torch.float64)
         """What a row of shN that waits has to make up for, by number of steps."""
         self._moments: dict[str, tuple[torch.Tensor, torch.Tensor]] = {}
-        self._steps: dict[str, int] = dict.fromkeys(NAMES, 0)
-        self._rates: dict[str, float] = dict.fromkeys(NAMES, 0.0)
+        self._steps: dict[str, int] = dict.fromkeys(PARAMETERS, 0)
+        self._rates: dict[str, float] = dict.fromkeys(PARAMETERS, 0.0)
         self._settled: dict[str, torch.Tensor] | None = None
-        for name in NAMES:
+        for name in PARAMETERS:
             value = tensors[name].detach()
             if moments is None:
                 self.replace(name, value, torch.zeros_like(value), torch.zeros_like(value))
@@ -144,7 +144,7 @@ class Model:
         if len(self) == 0:
             return 0
         slots = []
-        for name in NAMES:
+        for name in PARAMETERS:
             does = shN if name == "shN" else ShN.STEP
             if does is ShN.OFF or self.params[name].numel() == 0:
                 continue

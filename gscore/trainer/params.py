@@ -8,10 +8,7 @@ import torch
 from ..errors import DatasetError
 from ..scene import PointCloud
 from ..sh import rgb_to_sh0
-from ..splats import Splats
-
-NAMES = ("means", "quats", "scales", "opacities", "sh0", "shN")
-"""Parameters of a splat, in the order of `Splats`."""
+from ..splats import PARAMETERS, Splats
 
 
 def splats_from_points(
@@ -63,12 +60,12 @@ def splats_from_points(
 
 def tensors_from_splats(splats: Splats) -> dict[str, torch.Tensor]:
     """Copies of the arrays as float32 CPU tensors."""
-    return {name: torch.from_numpy(getattr(splats, name).copy()) for name in NAMES}
+    return {name: torch.from_numpy(getattr(splats, name).copy()) for name in PARAMETERS}
 
 
 def splats_of_tensors(params: Mapping[str, torch.Tensor]) -> Splats:
     """The tensors as Splats, which share their memory."""
-    return Splats(**{name: params[name].detach().numpy() for name in NAMES})
+    return Splats(**{name: params[name].detach().numpy() for name in PARAMETERS})
 
 
 def _neighbour_distance(points: np.ndarray, *, lone: float) -> np.ndarray:

@@ -8,9 +8,9 @@ import torch
 
 from gscore.errors import GsError, ShapeError
 from gscore.raster.autograd import RasterAux, rasterize
-from gscore.raster.calls import PARAMETERS
 from gscore.raster.loss import image_loss, image_loss_gradient
 from gscore.raster.painter import Painter
+from gscore.splats import PARAMETERS
 
 Make = Callable[..., Any]
 

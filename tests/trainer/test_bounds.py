@@ -13,9 +13,9 @@ from gscore.config import TrainConfig
 from gscore.errors import GsError
 from gscore.raster.autograd import RasterAux, rasterize
 from gscore.raster.loss import image_loss
+from gscore.splats import PARAMETERS
 from gscore.trainer import bounds
 from gscore.trainer.model import Model
-from gscore.trainer.params import NAMES
 from gscore.trainer.trainer import Trainer
 
 CONFIG = TrainConfig(iterations=200, max_splats=300, sh_degree=1, refine_start=150)
@@ -28,7 +28,7 @@ def gradients(params: dict[str, torch.Tensor], target: torch.Tensor) -> dict[str
     leaves = {name: p.detach().clone().requires_grad_() for name, p in params.items()}
     aux = RasterAux()
     K = torch.tensor([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]])
-    means, quats, scales, opacities, sh0, shN = (leaves[name] for name in NAMES)
+    means, quats, scales, opacities, sh0, shN = (leaves[name] for name in PARAMETERS)
     out = rasterize(
         means, quats, scales, opacities, sh0, shN, torch.eye(4), K, 64, 48, raw=True, aux=aux
     )
@@ -75,7 +75,7 @@ def test_a_poisoned_row_of_a_thousand_leaves_all_others_alone(
                 assert not g[row].any(), (name, field, key)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", PARAMETERS)
 @pytest.mark.parametrize("value", [*POISON, 1e30, -1e30])
 def test_what_ran_away_is_taken_out(
     marked_model: Callable[..., Model], name: str, value: float

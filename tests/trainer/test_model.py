@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import torch
 
+from gscore.splats import PARAMETERS
 from gscore.trainer.model import Model, ShN
-from gscore.trainer.params import NAMES
 from gscore.trainer.strategy import ops
 
 
@@ -16,7 +16,7 @@ def test_steps_are_those_of_adam(marked_model: Callable[..., Model]) -> None:
     """Oracle: the update rule written out, with bias correction, beta 0.9 and 0.999, eps 1e-15."""
     model = Model(marked_model(50).params)
     rng = np.random.default_rng(0)
-    rates = {name: 1e-3 * (i + 1) for i, name in enumerate(NAMES)}
+    rates = {name: 1e-3 * (i + 1) for i, name in enumerate(PARAMETERS)}
     expected = {name: p.double().numpy().copy() for name, p in model.params.items()}
     m = {name: np.zeros_like(x) for name, x in expected.items()}
     v = {name: np.zeros_like(x) for name, x in expected.items()}
@@ -41,7 +41,7 @@ def test_missing_sh_coefficients_take_no_step(marked_model: Callable[..., Model]
     before = model.params["sh0"].clone()
     for grad in model.grads.values():
         grad.fill_(1)
-    model.set_rates(dict.fromkeys(NAMES, 0.1))
+    model.set_rates(dict.fromkeys(PARAMETERS, 0.1))
     model.step()
     assert model.sh_degree == 0
     assert model.steps("shN") == 7
@@ -110,7 +110,7 @@ def test_late_rows_end_where_dense_adam_takes_them(every: int) -> None:
             model.grads[name] += torch.from_numpy(g).float() if name == "shN" else 0
             if name != "shN":
                 model.grads[name].copy_(torch.from_numpy(g))
-        rates = dict.fromkeys(NAMES, 0.002 * 0.998**step)
+        rates = dict.fromkeys(PARAMETERS, 0.002 * 0.998**step)
         model.set_rates(rates)
         radii = torch.from_numpy(shown.astype(np.int32))
         moves = step % every == 0
@@ -143,7 +143,7 @@ def test_late_rows_end_where_dense_adam_takes_them(every: int) -> None:
             assert ops.relocate(model, dead, generator, min_opacity=0.005) == 4
             parents = (model.params["sh0"][:4, None] == before[None, 4:]).all(dim=(2, 3))
             chosen = parents.int().argmax(dim=1).numpy() + 4
-            for name in NAMES:
+            for name in PARAMETERS:
                 for moments in (twin.m, twin.v):
                     moments[name][:4], moments[name][chosen] = 0, 0
                 twin.params[name][:4] = twin.params[name][chosen]
@@ -164,9 +164,9 @@ def test_looking_at_a_model_changes_no_bit() -> None:
     for looks in (True, False):
         rng = np.random.default_rng(0)
         shapes = [(40, 3), (40, 4), (40, 3), (40,), (40, 1, 3), (40, 8, 3)]
-        first = {k: rng.normal(size=s) for k, s in zip(NAMES, shapes, strict=True)}
+        first = {k: rng.normal(size=s) for k, s in zip(PARAMETERS, shapes, strict=True)}
         model = Model({k: torch.from_numpy(x).float() for k, x in first.items()})
-        model.set_rates(dict.fromkeys(NAMES, 1e-2))
+        model.set_rates(dict.fromkeys(PARAMETERS, 1e-2))
         for _ in range(30):
             radii = torch.from_numpy((rng.random(40) < 0.3).astype(np.int32))
             for grad in model.grads.values():
@@ -183,4 +183,4 @@ def test_looking_at_a_model_changes_no_bit() -> None:
             assert not torch.equal(shown, model.params["shN"])
             model.settle()
             assert torch.equal(shown, model.params["shN"])
-    assert all(torch.equal(results[0][name], results[1][name]) for name in NAMES)
+    assert all(torch.equal(results[0][name], results[1][name]) for name in PARAMETERS)

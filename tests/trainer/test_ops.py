@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import torch
 
+from gscore.splats import PARAMETERS
 from gscore.trainer.model import Model
-from gscore.trainer.params import NAMES
 from gscore.trainer.strategy import ops
 
 Make = Callable[..., Model]
@@ -27,7 +27,7 @@ def test_edit_keeps_and_appends_in_every_tensor(marked_model: Make) -> None:
     keep = torch.tensor([4, 0, 5])
     ops.edit(model, keep=keep, append=ops.duplicate(before, torch.tensor([1, 3])))
     assert len(model) == 5
-    for name in NAMES:
+    for name in PARAMETERS:
         got, was = rows_of(model, name), rows_of(before, name)
         np.testing.assert_array_equal(got[0], was[0][[4, 0, 5, 1, 3]], err_msg=name)
         for i in (1, 2):
@@ -42,11 +42,11 @@ def test_edited_parameters_are_those_that_the_optimizer_steps(marked_model: Make
     model = marked_model(4)
     ops.edit(model, keep=torch.tensor([2, 3]))
     before = {name: p.clone() for name, p in model.params.items()}
-    for name in NAMES:
+    for name in PARAMETERS:
         model.moments(name)[0].zero_()
         model.moments(name)[1].zero_()
         model.grads[name].fill_(1)
-    model.set_rates(dict.fromkeys(NAMES, 0.5))
+    model.set_rates(dict.fromkeys(PARAMETERS, 0.5))
     model.step()
     for name, p in model.params.items():
         assert (p < before[name]).all(), name
@@ -155,7 +155,7 @@ def test_relocate_moves_the_dead_onto_the_living(marked_model: Make) -> None:
     dead = opacity < 0.005
     moved = ops.relocate(model, dead, torch.Generator().manual_seed(0), min_opacity=0.005)
     assert moved == 3
-    for name in NAMES:
+    for name in PARAMETERS:
         value, first, second = rows_of(model, name)
         assert (value == value[1]).all(), name
         assert not first.any(), name
@@ -171,7 +171,7 @@ def test_relocate_without_work_changes_nothing(marked_model: Make, dead: list[bo
     model, before = marked_model(2), marked_model(2)
     generator = torch.Generator().manual_seed(0)
     assert ops.relocate(model, torch.tensor(dead), generator, min_opacity=0.005) == 0
-    for name in NAMES:
+    for name in PARAMETERS:
         for got, was in zip(rows_of(model, name), rows_of(before, name), strict=True):
             np.testing.assert_array_equal(got, was)
 

@@ -13,8 +13,8 @@ from gscore.config import Background, Strategy, TrainConfig
 from gscore.errors import DatasetError, GsError
 from gscore.raster.loss import LossValues
 from gscore.raster.painter import Painter
+from gscore.splats import PARAMETERS
 from gscore.trainer import trainer as module
-from gscore.trainer.params import NAMES
 from gscore.trainer.trainer import Trainer
 from tests.trainer.short_run import CONFIG
 
@@ -120,13 +120,13 @@ def test_a_model_is_told_in_parts_and_as_a_whole_alike(
         if step % 10 == 5:
             parts, whole = list(ours.parts()), ours.splats()
             assert len(parts) > 1
-            for name in NAMES:
+            for name in PARAMETERS:
                 joined = np.concatenate([getattr(part, name) for part in parts])
                 assert np.array_equal(joined, getattr(whole, name)), name
             ours.make_room()
     last, picture = theirs.splats(), theirs.picture(0, background=(0, 0, 0))
     ended = ours.finish()
-    for name in NAMES:
+    for name in PARAMETERS:
         assert np.array_equal(getattr(ended, name), getattr(last, name)), name
     assert torch.equal(ours.picture(0, background=(0, 0, 0)), picture)
     assert not ours.model.grads

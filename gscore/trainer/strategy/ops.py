@@ -7,9 +7,8 @@ from functools import partial
 import numpy as np
 import torch
 
-from ...splats import SH_REST_BY_DEGREE
+from ...splats import PARAMETERS, SH_REST_BY_DEGREE
 from ..model import Model
-from ..params import NAMES
 
 SPLIT_COUNT = 2
 """Splats that replace one that is split (Kerbl et al. 2023, section 5.2)."""
@@ -51,7 +50,7 @@ def edit(
         return out
 
     model.settle()
-    for name in NAMES:
+    for name in PARAMETERS:
         new = append[name] if append else None
         model.rebuild(name, partial(rebuilt, new=new), rebuilt)
     for name, counter in model.rows.items():
@@ -108,7 +107,7 @@ def split(model: Model, index: torch.Tensor, generator: torch.Generator) -> dict
 
 def join(*parts: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
     """Rows of several dictionaries, one after the other."""
-    return {name: torch.cat([part[name] for part in parts]) for name in NAMES}
+    return {name: torch.cat([part[name] for part in parts]) for name in PARAMETERS}
 
 
 def rotate(quats: torch.Tensor, vectors: torch.Tensor) -> torch.Tensor:
@@ -245,7 +244,7 @@ def _share(model: Model, chosen: torch.Tensor, min_opacity: float) -> None:
     opacity = np.clip(opacity, min_opacity, 1 - 1e-7)
     opacities[rows] = torch.from_numpy(np.log(opacity / (1 - opacity))).float()
     scales[rows] = torch.from_numpy(np.log(scale)).float()
-    for name in NAMES:
+    for name in PARAMETERS:
         for moment in model.moments(name):
             moment[rows] = 0
 
