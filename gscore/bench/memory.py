@@ -1,7 +1,5 @@
 """How much memory a training takes: a whole run on a synthetic capture, in this process."""
 
-import subprocess
-import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,8 +11,11 @@ from ..io.ply import write_splats
 from ..metrics.machine import peak_memory_bytes
 from ..splats import SH_REST_BY_DEGREE
 from ..trainer.run import train
+from .child import run_child
 from .synthetic import SyntheticPhotos
 
+MIN_STEPS = 10
+"""So that refinements, a snapshot and a checkpoint each have a step of their own."""
 _REFINEMENTS = 3
 """One after the other in the middle of the run: each moves all rows about."""
 
@@ -65,7 +66,7 @@ def bench_memory(
         views: Photos of it, of which every eighth is held out.
         width: Of each, px.
         height: Of each, px.
-        steps: Of the training, at least 10.
+        steps: Of the training, at least MIN_STEPS.
         threads: 0: all cores.
         on_event: Told of the run.
 
@@ -85,11 +86,7 @@ def bench_memory(
         folder = Path(name)
         # In another process, whose memory does not count.
         values = [str(value) for value in (folder, splats, views, width, height)]
-        writer = subprocess.run([sys.executable, "-c", _WRITER, *values], check=False)
-        if writer.returncode:
-            raise RuntimeError(
-                f"The process that writes the capture ended with {writer.returncode}."
-            )
+        run_child(["-c", _WRITER, *values], what="writes the capture")
         config = TrainConfig(
             iterations=steps,
             max_splats=splats,

@@ -3,8 +3,6 @@ the straight line through the points."""
 
 import json
 import shutil
-import subprocess
-import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -14,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..io.ply import write_splats
+from .child import run_child
 from .synthetic import SyntheticPhotos
 
 SPLATS = (10_000, 30_000, 100_000, 300_000, 1_000_000, 2_000_000)
@@ -42,7 +41,8 @@ class Series:
     quantity: str
     """`splats`, `pixels`, `threads` or `views`."""
     rows: list[dict[str, Any]]
-    """What `gscore bench step --json` says of each point; of views, with `cache_mb`."""
+    """What `gscore bench step --json` says of each point, but for the machine; of views, with
+    `cache_mb`."""
     lines: dict[str, Line]
     """Lines of step_ms and of each part over splats or pixels; empty for the others."""
 
@@ -136,6 +136,7 @@ def _views(folder: Path, counts: Sequence[int], cloud: int, steps: int) -> Itera
 
 
 def _measure(options: list[str]) -> dict[str, Any]:
-    command = [sys.executable, "-m", "gscore", "bench", "step", "--json", *options]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    return json.loads(done.stdout)
+    command = ["-m", "gscore", "bench", "step", "--json", *options]
+    row = json.loads(run_child(command, what="measures a step"))
+    del row["machine"]  # the same for all
+    return row

@@ -1,4 +1,4 @@
-"""What each skip brings: the same training without it, alone and all together."""
+"""What each skip brings: the same training without it, and without several together."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -39,7 +39,7 @@ def bench_skips(
     skips: Sequence[Skip] = tuple(Skip),
     on_row: Callable[[SkipRow], None] | None = None,
 ) -> list[SkipRow]:
-    """Train with all skips, without each of `skips` alone, and without all of them.
+    """Train with all skips, without each of `skips` alone, and without these together.
 
     Args:
         config: How to train; what its `without` names stays off in every row.
@@ -48,7 +48,7 @@ def bench_skips(
         on_row: Called with each row as it is done.
 
     Returns:
-        The row with all skips, one a skip, and if there are several the one without any.
+        The row with all skips, one a skip, and if there are several one without these together.
     """
     tried: list[tuple[Skip, ...]] = [(), *((skip,) for skip in skips)]
     if len(skips) > 1:

@@ -6,12 +6,16 @@ from pathlib import Path
 
 import pytest
 
+from gscore.bench.child import run_child
 from gscore.bench.pareto import Outcome, Size, unbeaten
+from gscore.bench.raster import synthetic_scene
 from gscore.bench.scaling import fit_line
 from gscore.bench.time_error import Curve, measured_steps, time_to_psnr
-from gscore.bench.training import Point, load_for_bench, train_measured
+from gscore.bench.training import Point, Trained, load_for_bench, train_measured
 from gscore.commands import main
-from gscore.config import PRESETS
+from gscore.config import PRESETS, Skip
+from gscore.errors import BackendError
+from gscore.metrics.machine import machine
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "studio"
 SMALL = ["-r", "160", "--mask-mode", "none", "--test-list", "LIST", "--iterations", "12"]
@@ -37,6 +41,7 @@ def test_raster_json(capsys: pytest.CaptureFixture[str]) -> None:
     pairs = found["pairs_per_pixel"] * 80 * 48
     stages = found["stages_ms"]
     assert pairs > 0 and found["threads"] >= 1 and found["isa"]
+    assert found["machine"] == machine()
     blending = stages["blend"] + stages["blend_backward"]
     assert found["gpairs_per_s"] == pytest.approx(pairs / blending / 1e6)
     assert found["forward_gpairs_per_s"] == pytest.approx(pairs / stages["blend"] / 1e6)
@@ -51,6 +56,33 @@ def test_half_a_scene_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert "--ply and --cameras belong together" in capsys.readouterr().err
     assert main(["bench", "step", "--ply", "a.ply"]) == 2
     assert "SOURCE and --ply belong together" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        *("scaling --splats 0", "scaling --threads -1", "scaling --views 0", "scaling --steps 0"),
+        *("scaling --splats 5 -3", "memory --steps 9", "memory --views 1", "raster --threads -1"),
+    ],
+)
+def test_numbers_of_nothing_are_refused(capsys: pytest.CaptureFixture[str], command: str) -> None:
+    """Oracle: the message names the option and the number."""
+    assert main(["bench", *command.split()]) == 2
+    message = capsys.readouterr().err
+    option, *_, number = command.split()[1:]
+    assert f"{option} must be at least" in message and f"got {number}." in message
+    assert len(message.splitlines()) == 1
+
+
+def test_a_child_tells_why_it_failed(capsys: pytest.CaptureFixture[str]) -> None:
+    """Oracle: the words of the process itself: a verb's, a traceback's, none."""
+    with pytest.raises(BackendError, match="that counts failed: threads must be at most 1024"):
+        run_child(["-m", "gscore", "bench", "step", "--threads", "2000"], what="counts")
+    with pytest.raises(BackendError, match=r"(?s)that counts failed: Traceback.*by zero"):
+        run_child(["-c", "1 / 0"], what="counts")
+    with pytest.raises(BackendError, match="that counts was ended by signal 6"):
+        run_child(["-c", "import os; os.abort()"], what="counts")
+    assert run_child(["-c", "print(7)"], what="counts") == "7\n"
 
 
 @pytest.mark.slow
@@ -72,6 +104,7 @@ def test_step_json(capsys: pytest.CaptureFixture[str]) -> None:
     share = sum(found["raster_ms"].values()) / found["mean_ms"]
     assert found["raster_share"] == pytest.approx(share, rel=1e-6) and 0 < share < 1
     assert found["pairs_per_pixel"] > 0 and found["steps"] == 3
+    assert found["machine"] == machine()
 
 
 def test_skips_say_which_are_exact(capsys: pytest.CaptureFixture[str], small: list[str]) -> None:
@@ -83,6 +116,30 @@ def test_skips_say_which_are_exact(capsys: pytest.CaptureFixture[str], small: li
     assert rows["opacity-extent"]["identical"] and not rows["small-photos"]["identical"]
     assert rows["opacity-extent"]["psnr"] == rows[""]["psnr"]
     assert rows["opacity-extent"]["forward_gpairs"] > rows[""]["forward_gpairs"] > 0
+
+
+def test_skips_are_trained_once_each_and_named(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: the skips given, without repetition; "all of them" only where all are off."""
+    trained = Trained(
+        seconds=1.0,
+        points=[Point(step=1, seconds=1.0, splats=1, psnr=20.0, ssim=0.5)],
+        forward_pairs=1.0,
+        backward_pairs=1.0,
+        splats=synthetic_scene(1)[0],
+    )
+    monkeypatch.setattr("gscore.bench.skips.train_measured", lambda config, photos: trained)
+    monkeypatch.setattr("gscore.commands.bench.skips.load_for_bench", lambda data: None)
+
+    def names(*options: str) -> list[str]:
+        assert main(["bench", "skips", "anywhere", *options]) == 0
+        return [line.split("|")[1].strip() for line in capsys.readouterr().out.splitlines()[2:]]
+
+    three = ["exact-cull", "row-range", "zero-tile"]
+    assert names("--skips", *three, three[1]) == ["nothing", *three, ", ".join(three)]
+    assert names("--skips", "row-range", "row-range") == ["nothing", "row-range"]
+    assert names() == ["nothing", *Skip, "all of them"]
 
 
 def test_time_error_writes_curves_and_figures(

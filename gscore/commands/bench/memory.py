@@ -5,10 +5,11 @@ import json
 import sys
 from dataclasses import asdict
 
-from ...bench.memory import MemoryBench, bench_memory
+from ...bench.memory import MIN_STEPS, MemoryBench, bench_memory
 from ...errors import BackendError
 from ...metrics.machine import machine
 from ...raster import backend
+from .numbers import check_numbers
 from .scaling import size
 
 
@@ -19,12 +20,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--size", type=size, default=(1216, 832), metavar="WxH", help="of each (default 1216x832)"
     )
-    parser.add_argument("--steps", type=int, default=40, help="steps (default 40)")
+    parser.add_argument("--steps", type=int, default=40, help=f"at least {MIN_STEPS} (default 40)")
     parser.add_argument("--threads", type=int, default=0, help="CPU threads; 0: all cores")
 
 
 def run(args: argparse.Namespace) -> int:
     """Measure and print."""
+    check_numbers(args, 1, "splats")
+    check_numbers(args, 2, "views")
+    check_numbers(args, MIN_STEPS, "steps")
+    check_numbers(args, 0, "threads")
     width, height = args.size
     found = bench_memory(
         splats=args.splats,

@@ -13,7 +13,9 @@ from ...config import DataConfig
 from ...datasets import load_dataset
 from ...errors import ConfigError
 from ...io.ply import read_splats
+from ...metrics.machine import machine
 from ...raster import backend
+from .numbers import check_numbers
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -34,9 +36,8 @@ def run(args: argparse.Namespace) -> int:
     """Measure and print."""
     if (args.ply is None) != (args.cameras is None):
         raise ConfigError("--ply and --cameras belong together: give both, or neither.")
-    for name in ("views", "repeats", "splats", "width", "height"):
-        if getattr(args, name) < 1:
-            raise ConfigError(f"--{name} must be at least 1, got {getattr(args, name)}.")
+    check_numbers(args, 1, "views", "repeats", "splats", "width", "height")
+    check_numbers(args, 0, "threads")
     if args.ply is None:
         splats, cameras = synthetic_scene(args.splats, args.width, args.height)
     else:
@@ -54,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
         if not args.json:
             sys.stdout.write(_table(result))
     if args.json:
-        found = [asdict(r) for r in results]
+        found = [{"machine": machine()} | asdict(r) for r in results]
         sys.stdout.write(json.dumps(found[0] if len(found) == 1 else found) + "\n")
     return 0
 

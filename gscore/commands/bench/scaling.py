@@ -9,6 +9,7 @@ from typing import Any
 from ...bench.scaling import SIZES, SPLATS, VIEWS, Series, bench_scaling
 from ...metrics.machine import cores, machine
 from ...raster import backend
+from .numbers import check_numbers
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -25,10 +26,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Measure and print."""
+    if args.threads is None:
+        args.threads = range(1, cores() + 1)
+    check_numbers(args, 1, "splats", "threads", "views", "cloud", "steps")
     series = bench_scaling(
         splats=args.splats,
         sizes=args.sizes,
-        threads=tuple(range(1, cores() + 1)) if args.threads is None else args.threads,
+        threads=args.threads,
         views=args.views,
         cloud=args.cloud,
         steps=args.steps,

@@ -34,7 +34,7 @@ def run(args: argparse.Namespace) -> int:
     rows = bench_skips(
         config,
         photos,
-        skips=[Skip(name) for name in args.skips],
+        skips=[Skip(name) for name in dict.fromkeys(args.skips)],
         on_row=None if args.json else lambda row: print(_line(row), flush=True),
     )
     if args.json:
@@ -58,9 +58,10 @@ _HEAD = (
 
 
 def _line(row: SkipRow) -> str:
-    name = ", ".join(row.without) if len(row.without) < 3 else "all of them"
+    all_off = len(row.without) == len(Skip)
+    name = "all of them" if all_off else ", ".join(row.without) or "nothing"
     return (
-        f"| {name or 'nothing'} | {row.seconds:.1f} | {row.slowdown:.2f} | "
+        f"| {name} | {row.seconds:.1f} | {row.slowdown:.2f} | "
         f"{row.forward_gpairs:.2f} | {row.backward_gpairs:.2f} | {row.psnr:.2f} | "
         f"{row.ssim:.4f} | {'yes' if row.identical else 'no'} |"
     )

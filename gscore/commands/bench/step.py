@@ -12,8 +12,10 @@ from ...config import DataConfig, Skip, Strategy, TrainConfig
 from ...datasets import load_dataset
 from ...errors import ConfigError
 from ...io.ply import read_splats
+from ...metrics.machine import machine
 from ...raster import backend
 from ..data_options import add_data_options, with_data_options
+from .numbers import check_numbers
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -44,9 +46,8 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError("SOURCE and --ply belong together: give both, or neither.")
     if args.cache_mb is not None and (args.source is None or args.cache_mb < 1):
         raise ConfigError("--cache-mb is at least 1 and takes a SOURCE: synthetic photos stay.")
-    for name in ("steps", "splats", "width", "height"):
-        if getattr(args, name) < 1:
-            raise ConfigError(f"--{name} must be at least 1, got {getattr(args, name)}.")
+    check_numbers(args, 1, "steps", "splats", "width", "height")
+    check_numbers(args, 0, "threads")
     cache = None if args.cache_mb is None else args.cache_mb * 1_000_000
     if args.source is None:
         photos = SyntheticPhotos(args.splats, args.width, args.height)
@@ -76,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
         if not args.json:
             sys.stdout.write(_table(found))
     if args.json:
-        dicts = [asdict(found) for found in results]
+        dicts = [{"machine": machine()} | asdict(found) for found in results]
         print(json.dumps(dicts[0] if len(dicts) == 1 else dicts))
     return 0
 
