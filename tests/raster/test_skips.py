@@ -1,12 +1,14 @@
 """Oracle: the same pass without the skip, bit for bit."""
 
+from collections.abc import Iterator
+
 import pytest
 import torch
 
 import gscore
 from gscore.bench.raster import synthetic_scene
 from gscore.errors import ShapeError
-from gscore.raster import _native
+from gscore.raster import _native, backend
 
 WIDTH, HEIGHT = 150, 90
 _NAMES = ("means", "quats", "scales", "opacities", "sh0", "shN")
@@ -16,6 +18,14 @@ _BITS = {
     "row range": _native.NO_ROW_RANGE,
     "zero tile": _native.NO_ZERO_TILE,
 }
+
+
+@pytest.fixture(params=backend.available_isas())
+def isa(request: pytest.FixtureRequest) -> Iterator[str]:
+    before = backend.isa()
+    backend.set_isa(request.param)
+    yield request.param
+    backend.set_isa(before)
 
 
 def _pass(v_rgb: torch.Tensor, **options: object) -> tuple[torch.Tensor, list[torch.Tensor], dict]:
@@ -50,7 +60,7 @@ def _half() -> tuple[torch.Tensor, torch.Tensor]:
 
 
 @pytest.mark.parametrize("name", _BITS)
-def test_a_skip_changes_work_but_no_bit(name: str) -> None:
+def test_a_skip_changes_work_but_no_bit(isa: str, name: str) -> None:
     v_rgb, _ = _half()
     rgb, grads, stats = _pass(v_rgb)
     full_rgb, full_grads, full_stats = _pass(v_rgb, disable=_BITS[name])
@@ -61,7 +71,7 @@ def test_a_skip_changes_work_but_no_bit(name: str) -> None:
     assert stats[work] < full_stats[work]
 
 
-def test_tiles_left_out_show_the_background_and_change_no_gradient_of_the_others() -> None:
+def test_tiles_left_out_show_the_background_and_change_no_gradient_of_the_others(isa: str) -> None:
     v_rgb, tiles = _half()
     rgb, grads, stats = _pass(v_rgb)
     part_rgb, part_grads, part_stats = _pass(v_rgb, tiles=tiles)

@@ -51,3 +51,23 @@ def test_what_a_mask_hides_does_not_bleed_in(make_photos: Callable[..., Any]) ->
     assert (mask[:, 12] == 128).all() or (mask[:, 12] == 127).all()
     assert (mask[:, :12] == 255).all()
     assert (mask[:, 13:] == 0).all()
+
+
+def test_tiles_that_a_mask_hides_are_left_out_where_it_says_ignore(
+    make_photos: Callable[..., Any],
+) -> None:
+    """Oracle: by hand: of 48 columns 20 are kept, and of 24 the first ten."""
+    photos = make_photos()
+    photos.masks[0] = np.zeros((48, 48), np.uint8)
+    photos.masks[0][:, :20] = 255
+    for mode, full, half, share in (
+        ("ignore", [[1, 1, 0]] * 3, [[1, 0]] * 2, 20 / 48),
+        ("composite", None, None, 1.0),
+    ):
+        photos.mask_mode = mode
+        pyramid = Pyramid(photos, photos.scene.cameras)
+        for factor, tiles in ((1.0, full), (2.0, half)):
+            found = pyramid.at(0, factor)
+            assert (None if found.tiles is None else found.tiles.tolist()) == tiles
+            assert abs(found.counted - share) < 1e-6
+            assert pyramid.at(1, factor)[3:] == (None, 1.0)
