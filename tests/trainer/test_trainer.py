@@ -11,6 +11,7 @@ import torch
 
 from gscore.config import Background, Strategy, TrainConfig
 from gscore.errors import DatasetError, GsError
+from gscore.raster.api import render
 from gscore.raster.loss import LossValues
 from gscore.raster.painter import Painter
 from gscore.splats import PARAMETERS
@@ -163,6 +164,30 @@ def test_masks_of_opacity_are_learnt_over_changing_backgrounds(
     cover = 1 - (white - black).numpy()
     assert cover[outside].mean() < 0.1
     assert cover[~outside].mean() > 0.8
+
+
+def test_pictures_show_rows_that_wait_as_they_will_be(make_photos: Callable[..., Any]) -> None:
+    """Oracle: `render` of the splats that are told; of those rows as they are, it is another."""
+    photos = make_photos()
+    cameras = photos.scene.cameras
+    cameras.Ks[:, :2, :2] *= 4  # no view shows all, so that rows wait
+    config = TrainConfig(iterations=60, max_splats=300, sh_degree=1, sh_every=1, shN_lr=0.05)
+    trainer = Trainer(config, photos)
+    for _ in range(20):
+        trainer.step()
+    assert trainer.model.rows["shN_lag"].any()
+    late = {name: p.clone() for name, p in trainer.model.params.items()}
+    shown = [trainer.picture(i, background=(0, 0, 0)).numpy() for i in range(8)]
+    splats = trainer.splats()
+    stale = replace(splats, shN=late["shN"].numpy())
+    difference = 0.0
+    for i, picture in enumerate(shown):
+        K, viewmat = cameras.Ks[i], cameras.viewmats[i]
+        np.testing.assert_allclose(picture, render(splats, K, viewmat, 48, 48).rgb, atol=1e-5)
+        wrong = render(stale, K, viewmat, 48, 48).rgb
+        difference = max(difference, float(np.abs(wrong - picture).max()))
+    assert difference > 1e-4
+    assert all(torch.equal(p, late[name]) for name, p in trainer.model.params.items())
 
 
 def test_ignored_pixels_do_not_teach(make_photos: Callable[..., Any]) -> None:
