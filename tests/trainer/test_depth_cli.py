@@ -15,10 +15,12 @@ from gscore.commands import main
 from gscore.config import DataConfig, Switch, TrainConfig
 from gscore.datasets import load_dataset
 from gscore.depth.params import FILE
+from gscore.events import Estimated, Event
 from gscore.io.images import write_png
 from gscore.raster.api import render
 from gscore.scene import PointCloud
 from gscore.trainer.depth_setup import prepare_depth
+from gscore.trainer.run import train
 
 SHORT = ["--iterations", "12", "--max-splats", "200", "--sh-degree", "0"]
 UNIT = 2.0
@@ -170,6 +172,18 @@ def test_weights_that_fall_are_told(deep: Path) -> None:
     found = prepare_depth(data, config, load_dataset(data))
     assert found.weights == (0.3, 0.01)
     assert "a weight of 0.3 at first and 0.01 at the end" in found.why
+
+
+def test_maps_are_in_the_memory_that_is_told(deep: Path, tmp_path: Path) -> None:
+    """Oracle: 11 bytes a pixel of eight maps of 48 x 48 px more than without."""
+    config = TrainConfig(iterations=2, max_splats=200, sh_degree=0)
+    peaks = []
+    for depths in ("", "depths"):
+        events: list[Event] = []
+        data = DataConfig(source=deep, depths=depths, depth_align="official")
+        train(config, data, tmp_path / f"o{depths}", events.append)
+        peaks.append(next(e for e in events if isinstance(e, Estimated)).peak_bytes)
+    assert peaks[1] - peaks[0] == 11 * 8 * 48 * 48
 
 
 def test_off_reads_maps_but_trains_without(deep: Path, tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from gscore.config import PRESETS, TrainConfig
 from gscore.errors import GsError
-from gscore.trainer.forecast import check_fits, estimate, machine_pace
+from gscore.trainer.forecast import Estimate, check_fits, estimate, machine_pace
 from gscore.trainer.memory import cache_bytes
 from gscore.trainer.schedules import Plan
 
@@ -100,6 +100,26 @@ def test_memory_of_measuring_counts_where_it_is_more(
     within = peaks()
     assert without[0] < 0.42e9 < within[0] == pytest.approx(0.55e9, rel=0.1)
     assert without[1] < 0.9e9 < within[1] == pytest.approx(1.02e9, rel=0.1)
+
+
+def test_masks_and_depth_maps_take_memory() -> None:
+    """Oracle: by hand: a mask has a byte where a photo has three; of a depth map are there, while
+    it is read, value and confidence in float32 and three bytes of the target."""
+    config = TrainConfig(max_splats=300_000, coarse_factor=1.0)
+    pixels, views = 1200 * 1000, [(1200, 1000)] * 100
+
+    def found(free: int = 100 * GB, **what: bool) -> Estimate:
+        return estimate(config, views, points=7000, free=free, pace=1.0, **what)
+
+    plain, masks, depths = found(), found(masks=True), found(depths=True)
+    assert plain.photo_bytes == 300 * pixels
+    assert masks.photo_bytes == 400 * pixels
+    assert masks.peak_bytes - plain.peak_bytes == 100 * pixels
+    assert depths.photo_bytes == 300 * pixels
+    assert depths.peak_bytes - plain.peak_bytes == 1100 * pixels
+    free = plain.peak_bytes - 230_000_000
+    assert found(free).photos_kept and not found(free, masks=True).photos_kept
+    assert found(free).fits and not found(free, depths=True).fits
 
 
 def test_photos_are_decoded_for_each_size_where_that_saves_much() -> None:

@@ -1,5 +1,6 @@
 """Photos that do not fit into memory; oracle: the bits of a training that keeps them all."""
 
+import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -9,8 +10,11 @@ import numpy as np
 import pytest
 
 from gscore.config import DataConfig, TrainConfig
+from gscore.control import Control
 from gscore.datasets import load_dataset
 from gscore.events import Estimated, Event
+from gscore.io.images import write_png
+from gscore.trainer.loading import load_photos
 from gscore.trainer.pyramid import Pyramid
 from gscore.trainer.run import train
 from gscore.trainer.trainer import Trainer
@@ -27,6 +31,34 @@ def test_a_small_cache_gives_the_same_bits(photos: Any) -> None:
     ours, theirs = (trainer.tensors() for trainer in trainers)
     assert ours.keys() == theirs.keys()
     assert all(np.array_equal(ours[name].numpy(), theirs[name].numpy()) for name in ours)
+
+
+def test_masks_and_depth_maps_are_counted(capture: Path, tmp_path: Path) -> None:
+    """Oracle: by hand: masks of eight photos of 48 x 48 px are a byte a pixel, their depth maps 11
+    bytes."""
+    bare, masked = capture, tmp_path / "in"
+    shutil.copytree(capture, masked)
+    for photo in (capture / "images").iterdir():
+        write_png(masked / "masks" / photo.name, np.full((48, 48), 255, np.uint8))
+
+    def told(root: Path, depths: bool) -> Estimated:
+        events, config = list[Event](), replace(CONFIG, coarse_factor=1)
+        load_photos(
+            load_dataset(DataConfig(source=root)),
+            config,
+            splats=None,
+            depths=depths,
+            announce=True,
+            emit=events.append,
+            control=Control(),
+        )
+        return next(e for e in events if isinstance(e, Estimated))
+
+    pixels = 8 * 48 * 48
+    plain, masks, maps = told(bare, False), told(masked, False), told(bare, True)
+    assert (plain.photo_bytes, masks.photo_bytes) == (3 * pixels, 4 * pixels)
+    assert masks.peak_bytes - plain.peak_bytes == pixels
+    assert maps.peak_bytes - plain.peak_bytes == 11 * pixels
 
 
 @pytest.fixture
