@@ -43,7 +43,8 @@ def isa(request: pytest.FixtureRequest) -> Iterator[str]:
 
 @pytest.mark.parametrize("mode", ["none", "composite", "ignore"])
 @pytest.mark.parametrize(
-    "size", [(1, 1), (8, 8), (11, 5), (33, 47), (130, 96), (65, 17), (12, 530)]
+    "size",
+    [(1, 1), (8, 8), (11, 5), (33, 47), (130, 96), (65, 17), (12, 530), (23, 1030), (389, 7)],
 )
 def test_value_and_gradient(isa: str, size: tuple[int, int], mode: str) -> None:
     """Oracle: `twin`; values to 1e-6, gradients to 1e-5 of the largest."""
@@ -62,6 +63,24 @@ def test_value_and_gradient(isa: str, size: tuple[int, int], mode: str) -> None:
     largest = exact.grad.abs().max()
     assert largest > 0
     assert (image.grad - exact.grad).abs().max() < 1e-5 * largest + 1e-7
+
+
+def test_a_dot_teaches_as_far_as_two_windows_reach(isa: str) -> None:
+    """Oracle: `twin`, of a dot in a flat picture ten pixels before and behind where tiles meet: of
+    what reaches across, a millionth is left, which other pictures drown."""
+    for row, column in ((10, 255), (29, 274)):
+        target = torch.full((40, 530, 3), 128, dtype=torch.uint8)
+        image = target.float() * (1 / 255)
+        image[row, column] += 0.5
+        exact = image.double().requires_grad_()
+        twin(exact, target, torch.zeros(40, 530), "none", 1.0)[0].backward()
+        image.requires_grad_()
+        image_loss(image, target, ssim_weight=1.0).loss.backward()
+        assert exact.grad is not None and image.grad is not None
+        beyond = exact.grad[row, 265 if column < 265 else 264]
+        below = exact.grad[20 if row < 20 else 19, column]
+        assert min(beyond.abs().min(), below.abs().min()) > 2e-9
+        assert (image.grad - exact.grad).abs().max() < 1e-10
 
 
 def test_bright_flat_pictures_keep_their_digits(isa: str) -> None:
