@@ -243,13 +243,13 @@ KINDS: dict[str, type[Event]] = {
 }
 
 
-def _finite(value: Any) -> Any:
+def finite(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     if isinstance(value, dict):
-        return {k: _finite(v) for k, v in value.items()}
+        return {k: finite(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(v) for v in value]
+        return [finite(v) for v in value]
     return value
 
 
@@ -261,7 +261,7 @@ def judged_psnr(metrics: Mapping[str, Any]) -> float | None:
 
 def to_line(event: Event) -> str:
     """One line of strict JSON without the newline; NaN and infinities become null."""
-    return json.dumps({"event": event.kind} | _finite(asdict(event)), allow_nan=False)
+    return json.dumps({"event": event.kind} | finite(asdict(event)), allow_nan=False)
 
 
 def from_line(line: str) -> Event | None:

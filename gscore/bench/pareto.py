@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 from ..config import DataConfig, TrainConfig
 from ..datasets import Dataset
-from .training import load_for_bench, train_measured
+from .training import train_measured
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,35 +46,25 @@ class Outcome:
 
 
 def measure_sizes(
-    runs: Sequence[tuple[Size, DataConfig, TrainConfig]],
+    runs: Sequence[tuple[Size, TrainConfig, Dataset]],
+    judged: Dataset,
     seeds: Sequence[int],
     *,
     on_step: Callable[[Size, int, int], None] | None = None,
     on_outcome: Callable[[Outcome], None] | None = None,
-) -> tuple[tuple[int, int], list[Outcome]]:
-    """Train each size once a seed and measure all of them on the largest photos of them all.
+) -> list[Outcome]:
+    """Train each size once a seed and measure all of them on the same photos.
 
     Args:
-        runs: Sizes of one capture, with the preset's configs; sizes overrule these.
+        runs: Sizes of one capture, each with its config and photos, as `sizes_of` and `open_sizes`
+            give them.
+        judged: Photos to measure on.
         seeds: At least one.
         on_step: Called with size, seed and step after each step, outside the clock.
         on_outcome: Called with each outcome.
-
-    Returns:
-        Width and height of the first photo that was measured on, px, and the outcomes.
-
-    Raises:
-        DatasetError: no views are held out.
     """
-    photos: dict[int, Dataset] = {}
-    for size, data, _ in runs:
-        if size.width not in photos:
-            photos[size.width] = load_for_bench(replace(data, max_width=size.width))
-    judged = photos[max(photos)]
     outcomes = []
-    for size, _, config in runs:
-        own = photos[size.width]
-        asked = replace(config, max_splats=size.max_splats, iterations=size.iterations)
+    for size, config, photos in runs:
         ends, seconds = [], []
         for seed in seeds:
 
@@ -83,10 +73,7 @@ def measure_sizes(
                     on_step(size, seed, step)
 
             found = train_measured(
-                replace(asked, seed=seed),
-                own,
-                judged=None if own is judged else judged,
-                on_step=stepped,
+                replace(config, seed=seed), photos, judged=judged, on_step=stepped
             )
             ends.append(found.points[-1])
             seconds.append(found.seconds)
@@ -102,8 +89,7 @@ def measure_sizes(
         )
         if on_outcome is not None:
             on_outcome(outcomes[-1])
-    cameras = judged.scene.cameras
-    return (int(cameras.widths[0]), int(cameras.heights[0])), outcomes
+    return outcomes
 
 
 def sizes_of(
@@ -115,14 +101,22 @@ def sizes_of(
     widths: Sequence[int],
     iterations: Sequence[int],
 ) -> list[tuple[Size, DataConfig, TrainConfig]]:
-    """All combinations of the given numbers; what is empty is as the preset has it."""
+    """All combinations of the given numbers; what is empty is as the preset has it.
+
+    Raises:
+        ConfigError: no training has such a number.
+    """
     combinations = itertools.product(
         widths or (data.max_width,),
         splats or (config.max_splats,),
         iterations or (config.iterations,),
     )
     return [
-        (Size(preset=preset, max_splats=n, width=width, iterations=steps), data, config)
+        (
+            Size(preset=preset, max_splats=n, width=width, iterations=steps),
+            replace(data, max_width=width),
+            replace(config, max_splats=n, iterations=steps),
+        )
         for width, n, steps in combinations
     ]
 

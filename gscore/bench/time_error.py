@@ -1,18 +1,17 @@
 """Run time against error: held-out quality over seconds of training, for variants and seeds."""
 
-import json
+import math
 import statistics
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..config import TrainConfig
 from ..datasets import Dataset
-from ..errors import FormatError
-from .training import Point, train_measured
+from ..events import finite
+from .training import Point, first_size, train_measured
 
 _POINTS = 12
 """Measurements along a training, evenly spread over the logarithm of the step."""
@@ -27,6 +26,8 @@ class Variant:
     label: str
     config: TrainConfig
     photos: Dataset
+    judged: Dataset
+    """The views at the size on which they are measured; may be `photos`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,25 +36,43 @@ class Curve:
 
     label: str
     width: int
-    """Of the first photo, px."""
+    """Of the first picture measured on, px."""
     height: int
     seeds: list[list[Point]]
-    """Measurements of each seed."""
+    """Measurements of each seed, as many of each."""
+    trained_width: int | None = None
+    """Of the first photo trained on, px; as those below None where nobody told."""
+    iterations: int | None = None
+    max_splats: int | None = None
 
     def median(self) -> list[Point]:
         """The median over seeds of every measurement."""
-        count = min(len(points) for points in self.seeds)
-        columns = [[points[i] for points in self.seeds] for i in range(count)]
         return [
             Point(
                 step=column[0].step,
                 seconds=statistics.median(p.seconds for p in column),
-                splats=round(statistics.median(p.splats for p in column)),
+                splats=_median_splats([p.splats for p in column]),
                 psnr=statistics.median(p.psnr for p in column),
-                ssim=statistics.median(p.ssim for p in column),
+                ssim=_median([p.ssim for p in column]),
             )
-            for column in columns
+            for column in zip(*self.seeds, strict=True)
         ]
+
+
+def _median_splats(values: Sequence[int]) -> int:
+    return round(statistics.median(values)) if all(values) else 0
+
+
+def _median(values: Sequence[float]) -> float:
+    """NaN if any is."""
+    return math.nan if any(map(math.isnan, values)) else statistics.median(values)
+
+
+def labels(curves: Sequence[Curve]) -> list[str]:
+    """Names of the curves, with the width of the pictures where not all have the same."""
+    if len({curve.width for curve in curves}) < 2:
+        return [curve.label for curve in curves]
+    return [f"{curve.label}, {curve.width} px" for curve in curves]
 
 
 def measured_steps(iterations: int, count: int = _POINTS) -> list[int]:
@@ -84,31 +103,51 @@ def measure_variant(
                 on_step(variant.label, seed, step, variant.config.iterations)
 
         found = train_measured(
-            replace(variant.config, seed=seed), variant.photos, at=at, on_step=stepped
+            replace(variant.config, seed=seed),
+            variant.photos,
+            at=at,
+            judged=variant.judged,
+            on_step=stepped,
         )
         runs.append(found.points)
-    cameras = variant.photos.scene.cameras
+    width, height = first_size(variant.judged)
     return Curve(
         label=variant.label,
-        width=int(cameras.widths[0]),
-        height=int(cameras.heights[0]),
+        width=width,
+        height=height,
         seeds=runs,
+        trained_width=first_size(variant.photos)[0],
+        iterations=variant.config.iterations,
+        max_splats=variant.config.max_splats,
     )
 
 
 def time_to_psnr(curves: Sequence[Curve]) -> list[dict[str, Any]]:
-    """When each curve first reached the best final PSNR less 1, 0.5 and 0 dB.
+    """When each curve first reached the best final PSNR less 1, 0.5 and 0 dB; only curves measured
+    on pictures of the same width are compared.
 
     Returns:
-        One row a curve: `label`, `psnr` (final, dB) and `seconds`, a mapping from the PSNR aimed at
-        to seconds, interpolated between measurements, or None where it was not reached.
+        One row a curve: `label`, `width`, `psnr` (final, dB) and `seconds`, a mapping from the PSNR
+        aimed at to seconds, interpolated between measurements, or None where it was not reached.
     """
-    best = max(curve.median()[-1].psnr for curve in curves)
+    best: dict[int, float] = {}
+    for curve in curves:
+        end = curve.median()[-1].psnr
+        if math.isfinite(end):
+            best[curve.width] = max(end, best.get(curve.width, end))
     rows = []
     for curve in curves:
         points = curve.median()
-        seconds = {f"{best - below:.2f}": _when(points, best - below) for below in _BELOW}
-        rows.append({"label": curve.label, "psnr": points[-1].psnr, "seconds": seconds})
+        top = best.get(curve.width)
+        aims = [] if top is None else [top - below for below in _BELOW]
+        rows.append(
+            {
+                "label": curve.label,
+                "width": curve.width,
+                "psnr": points[-1].psnr,
+                "seconds": {f"{aim:.2f}": _when(points, aim) for aim in aims},
+            }
+        )
     return rows
 
 
@@ -124,47 +163,8 @@ def _when(points: Sequence[Point], aim: float) -> float | None:
 
 
 def curve_json(curve: Curve) -> dict[str, Any]:
-    """A curve as JSON values; `read_curves` reads them."""
-    return asdict(curve)
-
-
-def read_curves(path: Path) -> tuple[str, list[Curve]]:
-    """Curves of another program for one capture, from the small JSON that docs/benchmarks.md
-    describes.
-
-    Returns:
-        The capture's name and the curves.
-
-    Raises:
-        FormatError: not such a file; says which value is missing or wrong.
-    """
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        curves = [
-            Curve(
-                label=str(entry["label"]),
-                width=int(entry["width"]),
-                height=int(entry["height"]),
-                seeds=[[_point(point) for point in points] for points in entry["seeds"]],
-            )
-            for entry in content["curves"]
-        ]
-        if not curves or not all(points for curve in curves for points in curve.seeds):
-            raise ValueError("a curve has no points")
-        return str(content["capture"]), curves
-    except OSError as error:
-        raise FormatError(f"{path} cannot be read ({error.strerror}).") from error
-    except KeyError as error:
-        raise FormatError(f"{path}: the value {error} is missing.") from error
-    except (TypeError, ValueError) as error:
-        raise FormatError(f"{path}: not a file of curves ({error}).") from error
-
-
-def _point(value: dict[str, Any]) -> Point:
-    return Point(
-        step=int(value.get("step", 0)),
-        seconds=float(value["seconds"]),
-        splats=int(value.get("splats", 0)),
-        psnr=float(value["psnr"]),
-        ssim=float(value.get("ssim", float("nan"))),
-    )
+    """A curve as JSON values, None for what nobody measured; `read_peers` reads them."""
+    content = finite(asdict(curve))
+    for point in (point for points in content["seeds"] for point in points):
+        point["splats"] = point["splats"] or None
+    return content

@@ -1,7 +1,7 @@
 """Trainings in memory, measured: no files, no events, evaluation outside the clock."""
 
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -26,10 +26,11 @@ class Point:
     seconds: float
     """Spent in steps so far, without evaluation."""
     splats: int
+    """0: another program did not tell."""
     psnr: float
     """Mean over the held-out views, dB."""
     ssim: float
-    """Mean over the held-out views, zero padded."""
+    """Mean over the held-out views, zero padded; NaN: another program did not tell."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,8 +49,8 @@ class Trained:
     """The result, in COLMAP world."""
 
 
-def load_for_bench(data: DataConfig) -> Dataset:
-    """A capture with all photos decoded.
+def open_for_bench(data: DataConfig) -> Dataset:
+    """A capture whose photos are not decoded yet.
 
     Raises:
         DatasetError: no views are held out.
@@ -60,8 +61,48 @@ def load_for_bench(data: DataConfig) -> Dataset:
             f"{data.source}: no views are held out, so there is no error to measure; hold some out "
             "with --eval or --test-every."
         )
+    return photos
+
+
+def load_for_bench(data: DataConfig) -> Dataset:
+    """A capture with all photos decoded; errors as those of `open_for_bench`."""
+    photos = open_for_bench(data)
     photos.preload()
     return photos
+
+
+def open_sizes(datas: Sequence[DataConfig]) -> tuple[list[Dataset], Dataset]:
+    """The photos of one capture at several sizes, not decoded yet.
+
+    Returns:
+        Those of each config, the same object where sizes are the same, and the largest of them all:
+        what all are to be judged on.
+
+    Raises:
+        DatasetError: no views are held out.
+    """
+    opened: dict[DataConfig, Dataset] = {}
+    sizes: dict[bytes, Dataset] = {}
+    for data in datas:
+        if data not in opened:
+            photos = open_for_bench(data)
+            cameras = photos.scene.cameras
+            opened[data] = sizes.setdefault(
+                np.stack([cameras.widths, cameras.heights]).tobytes(), photos
+            )
+    found = [opened[data] for data in datas]
+    return found, max(found, key=_pixels)
+
+
+def first_size(photos: Dataset) -> tuple[int, int]:
+    """Width and height of the first photo, px."""
+    cameras = photos.scene.cameras
+    return int(cameras.widths[0]), int(cameras.heights[0])
+
+
+def _pixels(photos: Dataset) -> int:
+    cameras = photos.scene.cameras
+    return int((cameras.widths * cameras.heights).sum())
 
 
 def quality(
@@ -102,12 +143,18 @@ def train_measured(
 
     Args:
         config: How to train.
-        photos: Decoded, with held-out views.
+        photos: With held-out views; decoded before the clock runs.
         at: Steps after which quality is measured.
-        judged: The same views at another size, for quality to be measured on; None: `photos`.
+        judged: The same views, perhaps at another size, for quality to be measured on; None:
+            `photos`.
         on_step: Called after each step, outside the clock.
     """
     points: list[Point] = []
+    if judged is photos:
+        judged = None
+    photos.preload()
+    if judged is not None:
+        judged.preload(judged.test)
     seconds = forward = backward = 0.0
     with one_torch_thread():
         trainer = Trainer(config, photos)

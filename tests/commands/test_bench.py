@@ -1,19 +1,16 @@
 """Oracle: the promised keys, and arithmetic between them."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from gscore.bench.child import run_child
-from gscore.bench.pareto import Outcome, Size, unbeaten
 from gscore.bench.raster import synthetic_scene
 from gscore.bench.scaling import fit_line
-from gscore.bench.time_error import Curve, measured_steps, time_to_psnr
-from gscore.bench.training import Point, Trained, load_for_bench, train_measured
+from gscore.bench.training import Point, Trained
 from gscore.commands import main
-from gscore.config import PRESETS, Skip
+from gscore.config import Skip
 from gscore.errors import BackendError
 from gscore.metrics.machine import machine
 
@@ -140,106 +137,6 @@ def test_skips_are_trained_once_each_and_named(
     assert names("--skips", *three, three[1]) == ["nothing", *three, ", ".join(three)]
     assert names("--skips", "row-range", "row-range") == ["nothing", "row-range"]
     assert names() == ["nothing", *Skip, "all of them"]
-
-
-def test_time_error_writes_curves_and_figures(
-    capsys: pytest.CaptureFixture[str], small: list[str], tmp_path: Path
-) -> None:
-    """Oracle: its own file, read back as the curves of a peer."""
-    out = tmp_path / "out"
-    options = [str(EXAMPLE), *small, "--seeds", "0", "1", "-o", str(out)]
-    found = _json(capsys, "time-error", *options, "--ablations", "small-photos")
-    assert found == json.loads((out / "results.json").read_text())
-    curves = found["captures"]["studio"]["curves"]
-    assert [c["label"] for c in curves] == ["preview", "preview without small-photos"]
-    for curve in curves:
-        assert len(curve["seeds"]) == 2
-        steps = [point["step"] for point in curve["seeds"][0]]
-        assert steps == measured_steps(12)
-        seconds = [point["seconds"] for point in curve["seeds"][0]]
-        assert seconds == sorted(seconds) and seconds[0] > 0
-    for name in ("psnr", "1-ssim", "splats"):
-        assert (out / f"studio-{name}.svg").read_text().startswith("<svg")
-    peer = tmp_path / "peer.json"
-    peer.write_text(json.dumps({"capture": "studio", "curves": curves[:1]}))
-    again = _json(capsys, "time-error", *options, "--peers", str(peer))
-    assert again["captures"]["studio"]["curves"][1] == curves[0]
-
-
-def test_sizes_are_judged_alike(
-    capsys: pytest.CaptureFixture[str], small: list[str], tmp_path: Path
-) -> None:
-    """Oracle: the size that is the preset's own is the last point of its curve; fronts by hand."""
-    out = tmp_path / "out"
-    options = [str(EXAMPLE), *small[2:], "--seeds", "0", "-o", str(out)]
-    sizes = ["--sweep-splats", "2000", "50000", "--sweep-widths", "120", "400"]
-    capture = _json(capsys, "time-error", *options, *sizes)["captures"]["studio"]
-    end = capture["curves"][0]["seeds"][0][-1]
-    rows = {
-        (row["size"]["max_splats"], row["size"]["width"]): row
-        for row in capture["sizes"]["outcomes"]
-    }
-    assert list(rows) == [(2000, 120), (50000, 120), (2000, 400), (50000, 400)]
-    assert capture["sizes"]["judged_on"] == [400, 533]
-    own = rows[50_000, 400]
-    assert (own["psnr"], own["ssim"], own["splats"]) == (end["psnr"], end["ssim"], end["splats"])
-    # Small photos are judged at the large size too: by pictures of the same splats.
-    assert rows[50_000, 120]["psnr"] != own["psnr"]
-    fastest = min(rows.values(), key=lambda row: row["seconds"])
-    assert fastest["best_for_its_time"]
-    assert (out / "studio-sizes.svg").read_text().startswith("<svg")
-    assert main(["bench", "time-error", *options, "-r", "200", "--sweep-splats", "9"]) == 2
-    assert "--sweep-widths" in capsys.readouterr().err
-
-
-def test_photos_of_another_size_measure_the_same_splats() -> None:
-    """Oracle: judged on a second copy of its own photos, a training reaches the same figures."""
-    data, config = PRESETS["preview"](EXAMPLE)
-    data = replace(data, mask_mode="none", test_every=20, eval=True, resolution=120)
-    config = replace(config, iterations=3)
-    own, again = (
-        train_measured(config, load_for_bench(data), judged=judged).points[-1]
-        for judged in (None, load_for_bench(data))
-    )
-    assert again.psnr == pytest.approx(own.psnr, abs=2e-3)
-    assert again.ssim == pytest.approx(own.ssim, abs=2e-4)
-
-
-def test_fronts() -> None:
-    """Oracle: by hand. c costs more than b and is worse; d costs what a does and is worse."""
-
-    def outcome(seconds: float, psnr: float) -> Outcome:
-        size = Size(preset="p", max_splats=1, width=1, iterations=1)
-        return Outcome(size=size, seconds=seconds, splats=1, psnr=psnr, ssim=0.5, seeds=[psnr])
-
-    a, b, c, d = (outcome(*pair) for pair in ((1, 20), (2, 25), (3, 24), (1, 19)))
-    unknown = outcome(0.5, float("nan"))
-    assert unbeaten([c, d, unknown, b, a], lambda o: o.seconds) == [a, b]
-    assert unbeaten([c, d, b, a], lambda o: o.splats) == [b]
-
-
-def test_bad_peers_are_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    """Oracle: the message names the file and what is missing."""
-    peer = tmp_path / "peer.json"
-    options = ["bench", "time-error", str(EXAMPLE), "-o", str(tmp_path / "o"), "--peers", str(peer)]
-    for content, word in (("{", "not a file of curves"), ('{"capture": "a"}', "'curves'")):
-        peer.write_text(content)
-        assert main(options) == 2
-        message = capsys.readouterr().err
-        assert str(peer) in message and word in message
-
-
-def test_time_to_psnr_is_read_off_the_median() -> None:
-    """Oracle: by hand. The slow curve passes 27 dB halfway between its points."""
-
-    def curve(label: str, *points: tuple[float, float]) -> Curve:
-        made = [Point(step=1, seconds=s, splats=1, psnr=p, ssim=0.9) for s, p in points]
-        return Curve(label=label, width=1, height=1, seeds=[made])
-
-    rows = time_to_psnr([curve("a", (1, 20), (2, 28)), curve("b", (10, 26.5), (20, 27.5))])
-    assert [row["label"] for row in rows] == ["a", "b"]
-    assert rows[0]["seconds"] == {"27.00": pytest.approx(1.875), "27.50": 1.9375, "28.00": 2.0}
-    assert rows[1]["seconds"] == {"27.00": pytest.approx(15), "27.50": 20, "28.00": None}
 
 
 def test_scaling_finds_the_line(capsys: pytest.CaptureFixture[str]) -> None:

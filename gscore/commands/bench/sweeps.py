@@ -2,7 +2,7 @@
 
 import argparse
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,9 @@ from ...bench.pareto import (
     sizes_of,
     unbeaten,
 )
+from ...bench.training import first_size, open_sizes
 from ...config import DataConfig, TrainConfig
+from ...datasets import Dataset
 from ...datasets.resolution import SMALLEST_WIDTH
 from ...errors import ConfigError
 from ...io.files import atomic_write
@@ -51,51 +53,78 @@ def check_sweeps(args: argparse.Namespace) -> None:
         raise ConfigError("Give either --sweep-iterations or --iterations.")
 
 
+@dataclass(frozen=True, kw_only=True)
+class SizesPlan:
+    """Sizes of one capture to train, and the photos on which all are measured."""
+
+    runs: list[tuple[Size, TrainConfig, Dataset]]
+    judged: Dataset
+
+
+def plan_sizes(
+    args: argparse.Namespace, presets: Sequence[tuple[str, DataConfig, TrainConfig]]
+) -> SizesPlan | None:
+    """The sizes asked for of these presets; None where none were. No photo is decoded yet."""
+    numbers = _given(args)
+    if not any(numbers.values()):
+        return None
+    asked = [run for preset in presets for run in sizes_of(*preset, **numbers)]
+    photos, judged = open_sizes([data for _, data, _ in asked])
+    runs = [(size, config, own) for (size, _, config), own in zip(asked, photos, strict=True)]
+    return SizesPlan(runs=runs, judged=judged)
+
+
 def sweep(
     args: argparse.Namespace,
     name: str,
-    presets: Sequence[tuple[str, DataConfig, TrainConfig]],
+    plan: SizesPlan,
     *,
     on_step: Callable[[str, int, int, int], None],
-) -> dict[str, Any] | None:
-    """Train the sizes of a capture, draw them and print them; None where none were asked for.
+    on_found: Callable[[dict[str, Any]], None],
+) -> None:
+    """Train the sizes of a capture, draw them and print them.
 
     Args:
         args: The command's options.
         name: Of the capture.
-        presets: Their names and configs.
+        plan: The sizes.
         on_step: Called with size, seed, step and number of steps after each step.
-
-    Returns:
-        `judged_on` (px) and `outcomes`, each with `best_for_its_time` and `best_for_its_splats`.
+        on_found: Called after each size with `judged_on` (px) and `outcomes` so far, each with
+            `best_for_its_time` and `best_for_its_splats`.
     """
-    numbers = _given(args)
-    if not any(numbers.values()):
-        return None
-    runs = [run for preset in presets for run in sizes_of(*preset, **numbers)]
+    judged_on = first_size(plan.judged)
+    outcomes: list[Outcome] = []
 
     def stepped(size: Size, seed: int, step: int) -> None:
         on_step(str(size), seed, step, size.iterations)
 
-    def tell(o: Outcome) -> None:
+    def tell(outcome: Outcome) -> None:
+        outcomes.append(outcome)
+        fast, small = _fronts(outcomes)
+        rows = [
+            asdict(o) | {"best_for_its_time": o in fast, "best_for_its_splats": o in small}
+            for o in outcomes
+        ]
+        on_found({"judged_on": judged_on, "outcomes": rows})
         if not args.json:
+            o = outcome
             print(f"{name}, {o.size}: {o.seconds:.1f} s, PSNR {o.psnr:.2f} dB", flush=True)
 
-    judged_on, outcomes = measure_sizes(runs, args.seeds, on_step=stepped, on_outcome=tell)
-    fast, small = unbeaten(outcomes, _seconds), unbeaten(outcomes, _splats)
+    measure_sizes(plan.runs, plan.judged, args.seeds, on_step=stepped, on_outcome=tell)
+    fast, small = _fronts(outcomes)
     _draw(args.output / f"{name}-sizes.svg", name, outcomes, fast, judged_on)
     if not args.json:
         print(_table(name, outcomes, fast, small), flush=True)
-    rows = [
-        asdict(o) | {"best_for_its_time": o in fast, "best_for_its_splats": o in small}
-        for o in outcomes
-    ]
-    return {"judged_on": judged_on, "outcomes": rows}
+
+
+def _fronts(outcomes: Sequence[Outcome]) -> tuple[list[Outcome], list[Outcome]]:
+    """Those that no other beats in time, and in number of splats."""
+    return unbeaten(outcomes, _seconds), unbeaten(outcomes, _splats)
 
 
 def _given(args: argparse.Namespace) -> dict[str, list[int]]:
     """The numbers asked for; none of a quantity that stays as the preset has it."""
-    return {name: getattr(args, f"sweep_{name}") or [] for name in _QUANTITIES}
+    return {name: list(dict.fromkeys(getattr(args, f"sweep_{name}") or [])) for name in _QUANTITIES}
 
 
 def _seconds(outcome: Outcome) -> float:

@@ -1,33 +1,20 @@
 """`gscore bench time-error`: held-out error over seconds of training."""
 
 import argparse
-import json
 import statistics
 import sys
 import time
-from dataclasses import replace
+from collections import deque
 from pathlib import Path
-from typing import Any
 
-from ...bench.time_error import (
-    Curve,
-    Variant,
-    curve_json,
-    measure_variant,
-    read_curves,
-    time_to_psnr,
-)
-from ...bench.training import load_for_bench
-from ...config import PRESETS, Skip, Strategy
-from ...errors import ConfigError
-from ...io.files import atomic_write
-from ...metrics.curves import Series
-from ...metrics.figure import figure
-from ...metrics.machine import machine
-from ...raster import backend
+from ...bench.time_error import Curve, measure_variant
+from ...config import PRESETS, Skip
 from ..output import check_folder
+from .curve_figures import draw, table
+from .curve_plans import Plan, plans_of
+from .curve_results import Results
 from .sweeps import add_sweep_options, check_sweeps, sweep
-from .training_options import add_training_options, training_configs
+from .training_options import add_training_options
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -54,60 +41,37 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Train all variants of all captures; write results.json and a figure a capture and metric."""
+    args.seeds = list(dict.fromkeys(args.seeds))
     check_sweeps(args)
     check_folder(args.output)
-    ablations = [_ablation(name) for name in args.ablations]
-    peers = [read_curves(path) for path in args.peers]
-    captures: dict[str, Any] = {}
-    for source in args.sources:
-        name = source.resolve().name
-        if name in captures:
-            raise ConfigError(f"Two captures are called {name!r}; give each a name of its own.")
-        curves: list[Curve] = []
-        presets = [(preset, *training_configs(args, source, preset)) for preset in args.presets]
-        for preset, data, config in presets:
-            photos = load_for_bench(data)
-            for label, change in [("", {}), *ablations]:
-                variant = Variant(
-                    label=f"{preset} {label}".strip(),
-                    config=replace(config, **change),
-                    photos=photos,
-                )
-                curve = measure_variant(variant, args.seeds, on_step=_Ticker(name))
-                curves.append(curve)
-                _say(args, name, curve)
-        curves += [c for capture, found in peers if capture == name for c in found]
-        captures[name] = {
-            "curves": [curve_json(curve) for curve in curves],
-            "time_to_psnr": time_to_psnr(curves),
-        }
-        _draw(args.output, name, curves)
-        if not args.json:
-            print(_table(name, curves), flush=True)
-        sizes = sweep(args, name, presets, on_step=_Ticker(name))
-        if sizes is not None:
-            captures[name]["sizes"] = sizes
-    content = {
-        "machine": machine(),
-        "isa": backend.isa(),
-        "threads": args.threads or backend.default_threads(),
-        "seeds": args.seeds,
-        "captures": captures,
-    }
-    text = json.dumps(content)
-    atomic_write(args.output / "results.json", text.encode())
+    plans = deque(plans_of(args))
+    results = Results(args)
+    while plans:
+        _measure(args, plans.popleft(), results)  # whose photos go when it is done
+    results.finish()
     if args.json:
-        print(text)
+        print(results.text())
     return 0
 
 
-def _ablation(name: str) -> tuple[str, dict[str, Any]]:
-    if name in tuple(Strategy):
-        return name, {"strategy": Strategy(name)}
-    if name in tuple(Skip):
-        return f"without {name}", {"without": (Skip(name),)}
-    known = ", ".join((*Strategy, *Skip))
-    raise ConfigError(f"There is no ablation {name!r}; there are: {known}.")
+def _measure(args: argparse.Namespace, plan: Plan, results: Results) -> None:
+    curves: list[Curve] = []
+    for variant in plan.variants:
+        curves.append(measure_variant(variant, args.seeds, on_step=_Ticker(plan.name)))
+        results.add_curves(plan, [*curves, *plan.peers])
+        _say(args, plan.name, curves[-1])
+    curves += plan.peers
+    draw(args.output, plan.name, curves)
+    if not args.json:
+        print(table(plan.name, curves), flush=True)
+    if plan.sizes is not None:
+        sweep(
+            args,
+            plan.name,
+            plan.sizes,
+            on_step=_Ticker(plan.name),
+            on_found=lambda found: results.add_sizes(plan, found),
+        )
 
 
 class _Ticker:
@@ -137,56 +101,3 @@ def _say(args: argparse.Namespace, capture: str, curve: Curve) -> None:
             f"SSIM {statistics.median(e.ssim for e in ends):.4f}",
             flush=True,
         )
-
-
-def _draw(output: Path, name: str, curves: list[Curve]) -> None:
-    medians = [(curve.label, curve.median()) for curve in curves]
-    pictures = {
-        "psnr": ("PSNR, dB", lambda p: p.psnr, False),
-        "1-ssim": ("1 - SSIM", lambda p: 1 - p.ssim, True),
-    }
-    for key, (label, value, log_y) in pictures.items():
-        series = [
-            Series(
-                label=one,
-                points=[(p.seconds, value(p)) for p in points if value(p) == value(p)],
-                dots=True,
-            )
-            for one, points in medians
-        ]
-        text = figure(
-            [s for s in series if s.points],
-            title=f"{name}: held-out {label.split(',')[0]} over training time",
-            x_label="seconds in training steps",
-            y_label=label,
-            log_x=True,
-            log_y=log_y,
-        )
-        atomic_write(output / f"{name}-{key}.svg", text.encode())
-    ends = [
-        Series(
-            label=f"{curve.label}, {curve.width} px", points=[(p[-1].splats, p[-1].psnr)], dots=True
-        )
-        for curve, (_, p) in zip(curves, medians, strict=True)
-        if p[-1].splats
-    ]
-    if ends:
-        text = figure(
-            ends,
-            title=f"{name}: PSNR over number of splats at the end",
-            x_label="splats",
-            y_label="PSNR, dB",
-            log_x=True,
-        )
-        atomic_write(output / f"{name}-splats.svg", text.encode())
-
-
-def _table(name: str, curves: list[Curve]) -> str:
-    rows = time_to_psnr(curves)
-    aims = list(rows[0]["seconds"])
-    lines = [f"| {name} | final PSNR | " + " | ".join(f"s to {aim} dB" for aim in aims) + " |"]
-    lines.append("|---|---|" + "---|" * len(aims))
-    for row in rows:
-        cells = ["-" if s is None else f"{s:.1f}" for s in row["seconds"].values()]
-        lines.append(f"| {row['label']} | {row['psnr']:.2f} | " + " | ".join(cells) + " |")
-    return "\n".join(lines)

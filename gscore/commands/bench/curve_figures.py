@@ -1,0 +1,72 @@
+"""Figures and table of `gscore bench time-error`."""
+
+import math
+from pathlib import Path
+
+from ...bench.time_error import Curve, labels, time_to_psnr
+from ...io.files import atomic_write
+from ...metrics.curves import Series
+from ...metrics.figure import figure
+
+
+def draw(output: Path, name: str, curves: list[Curve]) -> None:
+    """Write PSNR and 1 - SSIM over time, and PSNR over splats, of the capture `name`."""
+    medians = [(label, c.median()) for label, c in zip(labels(curves), curves, strict=True)]
+    pictures = {
+        "psnr": ("PSNR, dB", lambda p: p.psnr, False),
+        "1-ssim": ("1 - SSIM", lambda p: 1 - p.ssim, True),
+    }
+    for key, (label, value, log_y) in pictures.items():
+        series = [
+            Series(
+                label=one,
+                points=[(p.seconds, value(p)) for p in points if math.isfinite(value(p))],
+                dots=True,
+            )
+            for one, points in medians
+        ]
+        series = [s for s in series if s.points]
+        if not series:
+            continue
+        text = figure(
+            series,
+            title=f"{name}: held-out {label.split(',')[0]} over training time",
+            x_label="seconds in training steps",
+            y_label=label,
+            log_x=True,
+            log_y=log_y,
+        )
+        atomic_write(output / f"{name}-{key}.svg", text.encode())
+    ends = [
+        Series(
+            label=f"{curve.label}, {curve.width} px", points=[(p[-1].splats, p[-1].psnr)], dots=True
+        )
+        for curve, (_, p) in zip(curves, medians, strict=True)
+        if p[-1].splats and math.isfinite(p[-1].psnr)
+    ]
+    if ends:
+        text = figure(
+            ends,
+            title=f"{name}: PSNR over number of splats at the end",
+            x_label="splats",
+            y_label="PSNR, dB",
+            log_x=True,
+        )
+        atomic_write(output / f"{name}-splats.svg", text.encode())
+
+
+def table(name: str, curves: list[Curve]) -> str:
+    """When each curve was how good, in Markdown: one table for each width of the pictures."""
+    rows = time_to_psnr(curves)
+    widths = list(dict.fromkeys(row["width"] for row in rows))
+    tables = []
+    for width in widths:
+        own = [row for row in rows if row["width"] == width]
+        head = name if len(widths) == 1 else f"{name}, {width} px"
+        aims = [f"s to {aim} dB" for aim in own[0]["seconds"]]
+        lines = [f"| {' | '.join([head, 'final PSNR', *aims])} |", "|---" * (2 + len(aims)) + "|"]
+        for row in own:
+            cells = ["-" if s is None else f"{s:.1f}" for s in row["seconds"].values()]
+            lines.append(f"| {' | '.join([row['label'], format(row['psnr'], '.2f'), *cells])} |")
+        tables.append("\n".join(lines))
+    return "\n\n".join(tables)

@@ -1,0 +1,60 @@
+"""The results.json of `gscore bench time-error`, written anew whenever something was measured."""
+
+import argparse
+import json
+from collections.abc import Sequence
+from typing import Any
+
+from ..._version import __version__
+from ...bench.time_error import Curve, curve_json, time_to_psnr
+from ...bench.training import first_size
+from ...events import finite
+from ...io.files import atomic_write
+from ...metrics.machine import machine
+from ...raster import backend
+from .curve_plans import Plan
+
+
+class Results:
+    """What was measured so far; docs/benchmarks.md describes the file."""
+
+    def __init__(self, args: argparse.Namespace) -> None:
+        self._path = args.output / "results.json"
+        self._captures: dict[str, dict[str, Any]] = {}
+        self._content = {
+            "gscore": __version__,
+            "finished": False,
+            "machine": machine(),
+            "isa": backend.isa(),
+            "threads": args.threads or backend.default_threads(),
+            "seeds": args.seeds,
+            "captures": self._captures,
+        }
+
+    def add_curves(self, plan: Plan, curves: Sequence[Curve]) -> None:
+        """All curves of a capture that there are so far."""
+        judged = plan.judged
+        self._captures[plan.name] = {
+            "judged_on": first_size(judged),
+            "held_out": [judged.names[index] for index in judged.test],
+            "curves": [curve_json(curve) for curve in curves],
+            "time_to_psnr": time_to_psnr(curves),
+        }
+        self._write()
+
+    def add_sizes(self, plan: Plan, found: dict[str, Any]) -> None:
+        """All sizes of a capture that there are so far."""
+        self._captures[plan.name]["sizes"] = found
+        self._write()
+
+    def finish(self) -> None:
+        """Everything was measured."""
+        self._content["finished"] = True
+        self._write()
+
+    def text(self) -> str:
+        """The content of the file."""
+        return json.dumps(finite(self._content), allow_nan=False)
+
+    def _write(self) -> None:
+        atomic_write(self._path, self.text().encode())
