@@ -13,7 +13,7 @@ DEMO_BLENDER ?= newest
 # What `make extension` makes zips for: nothing for this machine's platform, all, or names like windows-x64.
 PLATFORMS ?=
 
-.PHONY: demo test test-slow stress test-blender extension test-native test-widths test-neon sanitize fuzz faults lint format bench experiment-depth wheel clean
+.PHONY: demo install test test-slow stress test-blender extension test-native test-widths test-neon sanitize fuzz faults lint format bench experiment-depth wheel clean
 
 # The editable install lists packages when it is made, so a new package renews it.
 $(INSTALLED): pyproject.toml constraints.txt $(wildcard gscore/*/__init__.py gscore/*/*/__init__.py)
@@ -28,6 +28,9 @@ $(LIBRARY): $(INSTALLED) $(SOURCES)
 		-DCMAKE_BUILD_TYPE=Release -DGS_TESTS=ON > /dev/null
 	$(BIN)/cmake --build build/native
 	touch $@
+
+# Only that: .venv/bin/gscore, with the native library of this checkout.
+install: $(LIBRARY)
 
 # Trains the bundled capture and leaves out/demo/{point_cloud.ply,metrics.json,report.html}; then brings it into Blender
 # (the bpy module) with cameras and splats and renders it there: out/demo/{demo.blend,blender.png}.

@@ -19,7 +19,7 @@ from ..events import (
     Warn,
     to_line,
 )
-from ..metrics.words import count_words, quality_words
+from ..metrics.words import count_words, quality_words, size_words
 
 _MASKS = {
     "ignore": "Masks are used: what they hide is not trained and not measured. --mask-mode none "
@@ -143,7 +143,7 @@ def estimate_text(event: Estimated) -> str:
     text = f"About {clock(event.seconds)} of training and {event.peak_bytes / 1e9:.1f} GB of memory"
     if event.photos_kept:
         return text
-    return f"{text}; {event.photo_bytes / 1e9:.2g} GB of photos are kept, the others read again"
+    return f"{text}; {size_words(event.photo_bytes)} of photos are kept, the others read again"
 
 
 def clock(seconds: float) -> str:

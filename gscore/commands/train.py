@@ -47,12 +47,12 @@ _RUN: dict[str, tuple[tuple[str, ...], dict[str, Any], str]] = {
     "time_budget": (
         ("--time-budget",),
         {"type": float, "metavar": "SECONDS"},
-        "as many steps as fit into so much training time, instead of --iterations",
+        "as many steps as fit into so much training time, instead of --iterations (0: no budget)",
     ),
     "target_psnr": (
         ("--target-psnr",),
         {"type": float, "metavar": "DB"},
-        "end when the held-out views (else training views) reach this PSNR",
+        "end when the held-out views (else training views) reach this PSNR (0: none)",
     ),
     "early_stop": (("--early-stop",), _SWITCH, "end when that PSNR no longer rises"),
     "max_splats": (
@@ -96,7 +96,7 @@ _RUN: dict[str, tuple[tuple[str, ...], dict[str, Any], str]] = {
     ),
     "without": (
         ("--without",),
-        {"nargs": "+", "choices": tuple(Skip), "metavar": "SKIP"},
+        {"nargs": "+", "choices": [skip.value for skip in Skip], "metavar": "SKIP"},
         "switch off skips, to prove or measure them: " + ", ".join(Skip),
     ),
     "near": (("--near",), {"type": float}, "near plane, world units"),
@@ -270,7 +270,7 @@ def run(args: argparse.Namespace) -> int:
         numbers = result.headline | {"reason": result.reason, "output": str(args.output)}
         print(json.dumps(numbers, allow_nan=False), flush=True)
     elif not (args.quiet or args.events):
-        print(_summary(result))
+        print(_summary(result, configs(args)[1]))
     return code
 
 
@@ -351,11 +351,13 @@ def _train(args: argparse.Namespace, show: Show, control: Control) -> TrainResul
     )
 
 
-def _summary(result: TrainResult) -> str:
+def _summary(result: TrainResult, config: TrainConfig) -> str:
     metrics = result.metrics
     if result.ended_before:
         return _nothing_to_do(result)
     how = _HOW.get(result.reason, f"Stopped ({result.reason})")
+    if result.reason == FINISHED and config.time_budget:
+        how = "The time was used up"
     lines = [
         f"{how} after {result.steps} steps, {result.train_seconds:.1f} s of training: "
         f"{len(result.splats)} splats."
@@ -363,6 +365,8 @@ def _summary(result: TrainResult) -> str:
     if worth := quality_words(metrics):
         view = "test view" if metrics["split"] == "test" else "training view"
         lines.append(f"{count_words(len(metrics['views']), view)}: {worth}")
+    if config.target_psnr and result.reason in (FINISHED, CONVERGED):
+        lines.append(f"The {config.target_psnr:g} dB asked for were not reached.")
     output = result.output
     lines.append(f"Results: {output / 'point_cloud.ply'}, {output / 'report.html'}")
     if result.reason not in ENDED:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..events import judged_psnr
+from ..events import CONVERGED, FINISHED, TARGET, judged_psnr
 from ..io.files import atomic_write
 from .colormap import colorize
 from .curves import Series, chart, clean_points, legend
@@ -150,8 +150,14 @@ def _reason(metrics: dict[str, Any], key: str, otherwise: str) -> str:
     return otherwise if metrics.get(key) is not None else metrics.get(f"{key}_reason", "")
 
 
+_HOW_ENDED = {FINISHED: "", TARGET: "to the PSNR asked for", CONVERGED: "until it converged"}
+
+
 def _steps(metrics: dict[str, Any]) -> str:
-    return "time not known" if metrics["steps"] is None else f"{_count(metrics['steps'])} steps"
+    if metrics["steps"] is None:
+        return "time not known"
+    how = _HOW_ENDED.get(metrics["reason"], f"stopped: {metrics['reason']}")
+    return ", ".join(filter(None, (f"{_count(metrics['steps'])} steps", how)))
 
 
 def _picture_size(metrics: dict[str, Any]) -> str:

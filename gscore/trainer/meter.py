@@ -21,9 +21,11 @@ first ones are small, and among them are some that warm up."""
 class Meter:
     """Follows a run step by step; only time spent in steps counts."""
 
-    def __init__(self, plan: Plan, *, splats: int, pace: float = 1.0) -> None:
+    def __init__(
+        self, plan: Plan, *, splats: int, pace: float = 1.0, budget: float = math.inf
+    ) -> None:
         """`splats`: how many there are before the first step; `pace`: seconds expected for each
-        second of the plan, before steps tell."""
+        second of the plan, before steps tell; `budget`: seconds after which the run ends."""
         self.plan = plan
         """What is to come; may be replaced on the way."""
         self.train_seconds = 0.0
@@ -36,6 +38,7 @@ class Meter:
         self._step = 0
         self._splats = splats
         self._pace = pace
+        self._budget = budget
         self._planned = 0.0
         self._recent: deque[tuple[float, float]] = deque(maxlen=_WINDOW)
         self._last_event = -math.inf
@@ -93,7 +96,7 @@ class Meter:
             psnr=self.psnr,
             splats=self._splats,
             steps_per_s=rate,
-            eta_s=self._pace_before(left) * left,
+            eta_s=min(self._pace_before(left) * left, max(self._budget - self.train_seconds, 0.0)),
             elapsed_s=self.train_seconds,
             phase=phase or ("growing" if self._step <= self.plan.refine_stop else "polishing"),
         )

@@ -1,5 +1,6 @@
 """A run from its first step to its report: the loop, and what happens between two steps."""
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -100,7 +101,8 @@ class Session:
         self._results = Results(trainer, folder, data)
         self._depth = depth or DepthSetup()
         pace = machine_pace(self._config.threads)
-        self._meter = Meter(trainer.plan, splats=len(trainer.model), pace=pace)
+        budget = self._config.time_budget or math.inf
+        self._meter = Meter(trainer.plan, splats=len(trainer.model), pace=pace, budget=budget)
         self._steering = Steering(trainer, self._meter, self._evaluator)
         self._watchdog = Watchdog(trainer.plan)
         self._evals: list[dict[str, Any]] = []

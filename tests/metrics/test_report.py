@@ -84,6 +84,19 @@ def test_page_is_whole_and_alone(run, tmp_path):
     assert "3 photos & no camera" in page.words
 
 
+def test_how_a_training_ended_is_told(run):
+    """Oracle: the reason in metrics.json."""
+    content = run()
+    told = {}
+    for reason in ("finished", "target", "converged", "interrupted"):
+        content["metrics"]["reason"] = reason
+        told[reason] = " ".join(Page(report_html(content)).words)
+    assert "500 steps, " not in told["finished"]
+    assert "500 steps, to the PSNR asked for" in told["target"]
+    assert "500 steps, until it converged" in told["converged"]
+    assert "500 steps, stopped: interrupted" in told["interrupted"]
+
+
 def test_numbers_are_shown(run):
     """Oracle: the metrics the page was made from."""
     content = run()

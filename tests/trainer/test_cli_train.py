@@ -53,9 +53,23 @@ def test_people_get_a_summary_and_programs_silence(
     assert "Finished after 12 steps" in seen.out
     assert "8 training views: PSNR" in seen.out
     assert "step 12/12 100%" in seen.err
+    assert "asked for" not in seen.out
     assert main([*base, "--quiet"]) == 0
     seen = capsys.readouterr()
     assert (seen.out, seen.err) == ("", "")
+
+
+def test_the_summary_says_what_was_asked_for_and_not_reached(
+    capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Oracle: a target far above anything, within a budget of half a second."""
+    options = ["--preset", "preview", "--time-budget", "0.5", "--target-psnr", "90"]
+    assert main(["train", str(capture), "-o", str(tmp_path), *options]) == 0
+    seen = capsys.readouterr().out
+    assert "The time was used up after" in seen
+    assert "The 90 dB asked for were not reached." in seen
+    assert main(["train", str(capture), "-o", str(tmp_path), "--without", "foo"]) == 2
+    assert "choose from 'exact-cull'" in capsys.readouterr().err
 
 
 def test_options_reach_the_config_under_all_names(capture: Path, tmp_path: Path) -> None:

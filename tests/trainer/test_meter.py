@@ -38,6 +38,15 @@ def test_what_was_expected_gives_way_to_what_steps_take() -> None:
             assert told == pytest.approx(left, rel=0.05, abs=1e-9)
 
 
+def test_no_more_time_is_left_than_the_budget() -> None:
+    """Oracle: the definition; a plan that takes far longer."""
+    plan = Plan.of(TrainConfig(iterations=2000), extent=1.0, points=100, side=600, pixels=360_000)
+    meter = Meter(plan, splats=100, budget=1.0)
+    for step, left in ((1, 0.75), (2, 0.5), (5, 0.0)):
+        meter.update(step=step, loss=0.1, mse=0.01, splats=100, seconds=0.25 * (1 + (step == 5)))
+        assert meter.progress().eta_s == pytest.approx(left)
+
+
 def test_a_resumed_run_stands_where_it_stood() -> None:
     """Oracle: the same meter, not stopped."""
     config = TrainConfig(iterations=2000, max_splats=5000)

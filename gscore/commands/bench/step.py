@@ -27,7 +27,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--width", type=int, default=640, help="px, of the synthetic views")
     parser.add_argument("--height", type=int, default=360, help="px, of the synthetic views")
     parser.add_argument("--strategy", choices=tuple(Strategy), default=Strategy.DEFAULT)
-    parser.add_argument("--without", nargs="+", choices=tuple(Skip), default=(), metavar="SKIP")
+    skips = [skip.value for skip in Skip]
+    parser.add_argument("--without", nargs="+", choices=skips, default=(), metavar="SKIP")
     parser.add_argument("--threads", type=int, default=0, help="0: all cores")
     parser.add_argument(
         "--cache-mb",
