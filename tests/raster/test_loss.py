@@ -47,7 +47,7 @@ def isa(request: pytest.FixtureRequest) -> Iterator[str]:
     [(1, 1), (8, 8), (11, 5), (33, 47), (130, 96), (65, 17), (12, 530), (23, 1030), (389, 7)],
 )
 def test_value_and_gradient(isa: str, size: tuple[int, int], mode: str) -> None:
-    """Oracle: `twin`; values to 1e-6, gradients to 1e-5 of the largest."""
+    """Oracle: `twin`; values to 1e-6, gradients to 1e-5 of the largest. And means over pixels."""
     image, target, mask = pictures(*size)
     exact = image.double().requires_grad_()
     loss, ssim = twin(exact, target, mask, mode, 0.2)
@@ -59,6 +59,14 @@ def test_value_and_gradient(isa: str, size: tuple[int, int], mode: str) -> None:
     found.loss.backward()
     assert found.loss.item() == pytest.approx(loss.item(), abs=1e-6)
     assert found.ssim == pytest.approx(ssim.item(), abs=1e-6)
+    m = mask.double()[..., None] / 255 if mode != "none" else 1.0
+    shown, photo = exact.detach(), target.double() / 255 * m
+    if mode == "composite":
+        photo = photo + torch.tensor(BACKGROUND).double() * (1 - m)
+    elif mode == "ignore":
+        shown = shown * m
+    assert found.l1 == pytest.approx((shown - photo).abs().mean().item(), abs=1e-6)
+    assert found.mse == pytest.approx(((shown - photo) ** 2).mean().item(), abs=1e-6)
     assert exact.grad is not None and image.grad is not None
     largest = exact.grad.abs().max()
     assert largest > 0
