@@ -60,3 +60,30 @@ def test_a_resumed_run_stands_where_it_stood() -> None:
     assert here.eta_s == pytest.approx(there.eta_s)
     resumed.rewind(40, splats=140)
     assert (resumed.progress().step, resumed.progress().splats) == (40, 140)
+
+
+def test_steps_that_are_taken_anew_are_forgotten_but_not_how_fast_they_were() -> None:
+    """Oracle: by hand: steps that take three times what the plan says, one of them a hundredfold;
+    after the rewind the same pace is expected, as little trusted as at the start."""
+    config = TrainConfig(iterations=2000, max_splats=100)
+    plan = Plan.of(config, extent=1.0, points=100, side=600, pixels=360_000)
+    meter = Meter(plan, splats=100)
+
+    def take(first: int, last: int, pace: float) -> None:
+        for step in range(first, last + 1):
+            seconds = pace * plan.seconds_at(step, 100)
+            meter.update(step=step, loss=0.1, mse=0.01, splats=100, seconds=seconds)
+
+    take(1, 1000, 3.0)
+    assert meter.pace == pytest.approx(3)
+    take(1001, 1001, 300.0)
+    assert 5 < meter.pace < 20, "the mean of fifty steps"
+    take(1002, 1051, 3.0)
+    meter.rewind(40, splats=100)
+    assert meter.pace == pytest.approx(3)
+    assert meter.progress().eta_s == pytest.approx(3 * plan.seconds_after(40, 100))
+    assert [entry["step"] for entry in meter.history] == list(range(4, 41, 4))
+    assert meter.state()["pace"] == pytest.approx(3)
+    take(41, 41, 300.0)
+    done, left = plan.seconds_at(41, 100), plan.seconds_after(41, 100)
+    assert meter.pace == pytest.approx(3 + 297 * done / (0.1 * (done + left)))

@@ -2,6 +2,7 @@
 
 import math
 from itertools import pairwise
+from typing import Any
 
 import pytest
 
@@ -143,3 +144,25 @@ def test_photos_grow_to_full_size() -> None:
     assert plan_of(TrainConfig(), side=10_000).coarse_factor == 8.0
     assert plan_of(TrainConfig(coarse_factor=1)).factor_at(1) == 1.0
     assert plan_of(TrainConfig(coarse_until=0)).factor_at(1) == 1.0
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"strategy": Strategy.MCMC}, {"grow_grad": 4e-4}, {"prune_share": 0.3}],
+    ids=str,
+)
+def test_splats_to_expect_are_those_of_each_refinement(options: dict[str, Any]) -> None:
+    """Oracle: a walk from step to step: the k-th refinement adds half of the splats at most, and
+    2.2e-4 / grow_grad k^-1.15 of them; `mcmc` always as many; then some are pruned."""
+    plan = plan_of(TrainConfig(iterations=3000, max_splats=60_000, **options))
+    refinements = [s for s in range(1, 3001) if plan.refines_at(s)]
+    assert len(refinements) > 10
+    for start in (0, refinements[0] - 1, refinements[0], refinements[4], refinements[-1]):
+        splats = 5000.0
+        for step in range(start + 1, 3001):
+            kept = plan.kept if start < plan.refine_stop < step else 1.0
+            assert plan._splats_at(step, start, 5000) == pytest.approx(kept * splats), step
+            if step in refinements:
+                k = refinements.index(step) + 1
+                growth = plan.mcmc_growth or min(0.5, 2.2e-4 / plan.grow_grad * k**-1.15)
+                splats = min(splats * (1 + growth), 60_000)
