@@ -38,8 +38,7 @@ UNSAFE_NAMES = (
 
 
 STARTS = {
-    "gscore/bench/memory.py:bench_memory",
-    "gscore/bench/scaling.py:_measure",
+    "gscore/bench/child.py:run_child",
     "gscore/metrics/machine.py:cpu_name",
     "addon/job/process.py:Process.__init__",
 }
