@@ -14,8 +14,6 @@ namespace {
 
 constexpr double kBeta1 = GS_ADAM_BETA1, kBeta2 = GS_ADAM_BETA2;
 
-int64_t chunks_of(int64_t count) { return (count + kChunk - 1) / kChunk; }
-
 // sqrt(1 - beta2^t), exact also for the first steps.
 double root(int64_t step) { return std::sqrt(-std::expm1(double(step) * std::log(kBeta2))); }
 
@@ -62,8 +60,6 @@ void add_skipped_step(const gs_adam_tensor &t) {
     for (int k = kMaxLag; k > 0; --k, power /= ratio)
         t.drift[k] = t.drift[k - 1] + first * power;
 }
-
-int threads_of(int32_t wanted) { return wanted > 0 ? wanted : default_threads(); }
 
 } // namespace
 

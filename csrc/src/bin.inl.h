@@ -34,8 +34,8 @@ static inline IVec clamp_int(Vec x, Vec low, Vec high) {
 // x rounded down, for x >= -1.
 static inline IVec floor_by_truncation(Vec x) { return __builtin_convertvector(x + 1.0f, IVec) - 1; }
 
-// The rows first..last of a tile as blocks of a strip, a bit each; `first` up to kTile, `last` from -1 on, any lane may
-// hold none.
+// The rows first..last of a tile as blocks of a strip, a bit each; `first` up to kTileHeight, `last` from -1 on, any lane
+// may hold none.
 static inline IVec blocks_of_rows(Vec first, Vec last) {
     const IVec f = __builtin_convertvector(first, IVec) >> 2;
     const IVec l = __builtin_convertvector(last, IVec) >> 2;

@@ -14,4 +14,7 @@ void parallel_for(size_t count, int threads, const std::function<void(size_t, in
 // GSCORE_THREADS where set to a positive number, else the cores this process may use.
 int default_threads();
 
+// Threads to use where `wanted` were asked for; 0: all.
+inline int threads_of(int wanted) { return wanted > 0 ? wanted : default_threads(); }
+
 } // namespace gs

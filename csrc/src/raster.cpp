@@ -29,10 +29,6 @@ class Timer {
     std::chrono::steady_clock::time_point last_ = std::chrono::steady_clock::now();
 };
 
-int threads_of(int32_t wanted) { return wanted > 0 ? wanted : default_threads(); }
-
-int64_t chunks_of(int64_t count) { return (count + kChunk - 1) / kChunk; }
-
 bool cancelled(const volatile int32_t *cancel) { return cancel && *cancel; }
 
 } // namespace

@@ -30,6 +30,7 @@ constexpr float kHalfLog2E = 0.72134752044448170f;
 
 // Splats are projected in chunks of this many; part of the numeric definition of sums, so it never depends on threads.
 constexpr int64_t kChunk = 1024;
+constexpr int64_t chunks_of(int64_t rows) { return (rows + kChunk - 1) / kChunk; }
 
 constexpr int kChannelInvZ = 3, kChannelZ = 4;
 
