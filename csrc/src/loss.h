@@ -16,8 +16,6 @@ constexpr int kLossMargin = 16;
 // Maps that SSIM is made of, and derivatives with respect to them that its gradient is made of.
 constexpr int kLossMaps = 4, kLossDerivatives = 3;
 
-constexpr int ceil_div(int a, int b) { return (a + b - 1) / b; }
-
 // The tiles a picture is cut into: a thread takes one at once. Sums are per tile, so they are part of the numeric
 // definition. An even number of bands, so that two threads have the same to do; wide strips, for what lies beside a tile
 // is computed twice, but not wider than the rows in use fit into the second cache.

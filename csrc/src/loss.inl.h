@@ -152,11 +152,8 @@ class LossTile {
 
     void run(double *sums) {
         // Everything beyond the picture's sides is padding, and stays so.
-        for (int k = 0; k < kLossRing; ++k)
-            for (int j = 0; j < kLossGroup; ++j) {
-                fill(x_.row(k, j), 0, int(stride_), -kShift);
-                fill(y_.row(k, j), 0, int(stride_), -kShift);
-            }
+        fill(x_.rows, 0, kLossRing * kLossGroup * int(stride_), -kShift);
+        fill(y_.rows, 0, kLossRing * kLossGroup * int(stride_), -kShift);
         const bool gradient = a_.v_image != nullptr;
         const int around = gradient ? 2 : 1; // groups that the tile needs above it and below
         const int groups = ceil_div(bottom_ - top_, kLossGroup) + 2 * around;

@@ -16,7 +16,7 @@ constexpr int64_t kRows = 8192;
 
 void add_pull(int64_t count, const float *v_means2d, const int32_t *radii, float *pull, float *seen, float scale_x,
               float scale_y, int threads) {
-    parallel_for(size_t((count + kRows - 1) / kRows), threads > 0 ? threads : default_threads(), [&](size_t c, int) {
+    parallel_for(size_t((count + kRows - 1) / kRows), threads_of(threads), [&](size_t c, int) {
         const int64_t begin = int64_t(c) * kRows, end = std::min(begin + kRows, count);
         for (int64_t i = begin; i < end; ++i) {
             const float x = v_means2d[2 * i] * scale_x, y = v_means2d[2 * i + 1] * scale_y;

@@ -169,8 +169,8 @@ gs_status gs_raster::forward(const gs_splats &splats, const gs_camera &camera, c
         visible += size_t(visible_.get()[c]);
     stats.project_ms = timer.lap_ms();
 
-    const int tiles_x = (camera.width + kTileWidth - 1) / kTileWidth;
-    const int tiles_y = (camera.height + kTileHeight - 1) / kTileHeight;
+    const int tiles_x = ceil_div(camera.width, kTileWidth);
+    const int tiles_y = ceil_div(camera.height, kTileHeight);
     const uint32_t tiles = uint32_t(tiles_x) * uint32_t(tiles_y);
     const BinArgs bins = {projected_.get(), visible_.get(), spans_.get(),    camera.width,  camera.height,
                           tiles_x,          options.disable, options.cancel, options.tiles};
@@ -237,7 +237,7 @@ gs_status gs_raster::backward(const gs_splats &splats, const gs_image_grads &ima
     const Kernels &k = kernels();
     const int threads = options_.threads;
     Timer timer;
-    const uint32_t tiles = uint32_t(blend_.tiles_x) * uint32_t((blend_.height + kTileHeight - 1) / kTileHeight);
+    const uint32_t tiles = uint32_t(blend_.tiles_x) * uint32_t(ceil_div(blend_.height, kTileHeight));
     const BlendBackwardArgs args = {&blend_, image_grads, moments_.ensure(entry_count_),
                                     !(options_.disable & GS_NO_ZERO_TILE)};
     std::atomic<int64_t> pairs{0};

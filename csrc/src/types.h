@@ -8,6 +8,8 @@
 
 namespace gs {
 
+constexpr int ceil_div(int a, int b) { return (a + b - 1) / b; }
+
 constexpr int kTileWidth = GS_LIST_TILE_WIDTH, kTileHeight = GS_LIST_TILE_HEIGHT;
 constexpr int kTilePixels = kTileWidth * kTileHeight;
 // A tile's pixels in memory: strips of 4 columns from left to right, each row by row. Sixteen that follow each other are
