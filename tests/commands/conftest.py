@@ -16,6 +16,7 @@ from gscore.raster.api import render
 from gscore.scene import Cameras
 from gscore.splats import Splats
 from gscore.transforms import rotmat_to_quat
+from tests.commands.small_bench import small  # noqa: F401
 
 WIDTH, HEIGHT, FOCAL, VIEWS = 48, 36, 45.0, 9
 

@@ -1,8 +1,5 @@
 """Oracle: the promised keys, and arithmetic between them."""
 
-import json
-from pathlib import Path
-
 import pytest
 
 from gscore.bench.child import run_child
@@ -13,28 +10,13 @@ from gscore.commands import main
 from gscore.config import Skip
 from gscore.errors import BackendError
 from gscore.metrics.machine import machine
-
-EXAMPLE = Path(__file__).parents[2] / "examples" / "studio"
-SMALL = ["-r", "160", "--mask-mode", "none", "--test-list", "LIST", "--iterations", "12"]
-
-
-@pytest.fixture
-def small(tmp_path: Path) -> list[str]:
-    """Options of a training that takes a moment, with one view held out."""
-    names = tmp_path / "test.txt"
-    names.write_text(sorted(p.name for p in (EXAMPLE / "images").iterdir())[0] + "\n")
-    return [str(names) if option == "LIST" else option for option in SMALL]
-
-
-def _json(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict:
-    assert main(["bench", *arguments, "--json"]) == 0
-    return json.loads(capsys.readouterr().out)
+from tests.commands.small_bench import EXAMPLE, bench_json
 
 
 def test_raster_json(capsys: pytest.CaptureFixture[str]) -> None:
     """Oracle: the rate is pairs over time."""
     options = ["--splats", "500", "--width", "80", "--height", "48", "--repeats", "1"]
-    found = _json(capsys, "raster", *options)
+    found = bench_json(capsys, "raster", *options)
     pairs = found["pairs_per_pixel"] * 80 * 48
     stages = found["stages_ms"]
     assert pairs > 0 and found["threads"] >= 1 and found["isa"]
@@ -86,7 +68,7 @@ def test_a_child_tells_why_it_failed(capsys: pytest.CaptureFixture[str]) -> None
 def test_memory_json(capsys: pytest.CaptureFixture[str]) -> None:
     """Oracle: the parts add up to the peak, which is what was said but for what pytest holds."""
     options = ["--splats", "300", "--views", "9", "--size", "64x48", "--steps", "10"]
-    found = _json(capsys, "memory", *options)
+    found = bench_json(capsys, "memory", *options)
     assert sum(found["parts"].values()) == found["peak_bytes"]
     assert found["parts"]["photos"] == 9 * 64 * 48 * 3
     assert found["parts"]["moments"] == 2 * 4 * 59 * 300
@@ -96,7 +78,7 @@ def test_memory_json(capsys: pytest.CaptureFixture[str]) -> None:
 def test_step_json(capsys: pytest.CaptureFixture[str]) -> None:
     """Oracle: the parts add up to the mean step, and the rasterizer is a part of it."""
     options = ["--splats", "300", "--width", "80", "--height", "48", "--steps", "3"]
-    found = _json(capsys, "step", *options)
+    found = bench_json(capsys, "step", *options)
     assert sum(found["laps_ms"].values()) == pytest.approx(found["mean_ms"], rel=0.2)
     share = sum(found["raster_ms"].values()) / found["mean_ms"]
     assert found["raster_share"] == pytest.approx(share, rel=1e-6) and 0 < share < 1
@@ -107,7 +89,7 @@ def test_step_json(capsys: pytest.CaptureFixture[str]) -> None:
 def test_skips_say_which_are_exact(capsys: pytest.CaptureFixture[str], small: list[str]) -> None:
     """Oracle: culling changes no bit, small photos do; more pairs without culling."""
     skips = ["--skips", "opacity-extent", "small-photos"]
-    found = _json(capsys, "skips", str(EXAMPLE), *small, *skips)
+    found = bench_json(capsys, "skips", str(EXAMPLE), *small, *skips)
     rows = {" ".join(row["without"]): row for row in found["rows"]}
     assert list(rows) == ["", *skips[1:], "opacity-extent small-photos"]
     assert rows["opacity-extent"]["identical"] and not rows["small-photos"]["identical"]
@@ -144,7 +126,7 @@ def test_scaling_finds_the_line(capsys: pytest.CaptureFixture[str]) -> None:
     line = fit_line([1, 2, 5], [5, 7, 13])
     assert (line.base, line.slope, line.r2) == pytest.approx((3, 2, 1))
     sizes = ["--sizes", "--threads", "1", "--splats", "50", "100", "200", "--cloud", "50"]
-    found = _json(capsys, "scaling", *sizes, "--views", "3", "--steps", "1")
+    found = bench_json(capsys, "scaling", *sizes, "--views", "3", "--steps", "1")
     assert [s["quantity"] for s in found["series"]] == ["splats", "pixels", "threads", "views"]
     views = found["series"][3]["rows"]
     assert [(r["views"], r["steps"], r["cache_mb"]) for r in views] == [(3, 3, None), (3, 3, 64)]

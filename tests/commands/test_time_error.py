@@ -18,22 +18,7 @@ from gscore.commands import main
 from gscore.commands.bench.curve_figures import draw, table
 from gscore.config import PRESETS, TrainConfig
 from gscore.trainer.trainer import Trainer
-
-EXAMPLE = Path(__file__).parents[2] / "examples" / "studio"
-SMALL = ["-r", "160", "--mask-mode", "none", "--test-list", "LIST", "--iterations", "12"]
-
-
-@pytest.fixture
-def small(tmp_path: Path) -> list[str]:
-    """Options of a training that takes a moment, with one view held out."""
-    names = tmp_path / "test.txt"
-    names.write_text(sorted(p.name for p in (EXAMPLE / "images").iterdir())[0] + "\n")
-    return [str(names) if option == "LIST" else option for option in SMALL]
-
-
-def _json(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict:
-    assert main(["bench", *arguments, "--json"]) == 0
-    return json.loads(capsys.readouterr().out)
+from tests.commands.small_bench import EXAMPLE, bench_json
 
 
 def test_time_error_writes_curves_and_figures(
@@ -42,7 +27,7 @@ def test_time_error_writes_curves_and_figures(
     """Oracle: its own file, read back as the curves of a peer."""
     out = tmp_path / "out"
     options = [str(EXAMPLE), *small, "--seeds", "0", "1", "-o", str(out)]
-    found = _json(capsys, "time-error", *options, "--ablations", "small-photos")
+    found = bench_json(capsys, "time-error", *options, "--ablations", "small-photos")
     assert found == json.loads((out / "results.json").read_text())
     curves = found["captures"]["studio"]["curves"]
     assert [c["label"] for c in curves] == ["preview", "preview without small-photos"]
@@ -56,7 +41,7 @@ def test_time_error_writes_curves_and_figures(
         assert (out / f"studio-{name}.svg").read_text().startswith("<svg")
     peer = tmp_path / "peer.json"
     peer.write_text(json.dumps({"capture": "studio", "curves": curves[:1]}))
-    again = _json(capsys, "time-error", *options, "--peers", str(peer))
+    again = bench_json(capsys, "time-error", *options, "--peers", str(peer))
     untold = dict.fromkeys(("trained_width", "iterations", "max_splats"))
     assert again["captures"]["studio"]["curves"][1] == curves[0] | untold
     assert again["finished"]
@@ -69,7 +54,7 @@ def test_sizes_are_judged_alike(
     out = tmp_path / "out"
     options = [str(EXAMPLE), *small[2:], "--seeds", "0", "-o", str(out)]
     sizes = ["--sweep-splats", "2000", "50000", "--sweep-widths", "120", "400"]
-    capture = _json(capsys, "time-error", *options, *sizes)["captures"]["studio"]
+    capture = bench_json(capsys, "time-error", *options, *sizes)["captures"]["studio"]
     end = capture["curves"][0]["seeds"][0][-1]
     rows = {
         (row["size"]["max_splats"], row["size"]["width"]): row

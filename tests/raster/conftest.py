@@ -21,6 +21,7 @@ from torch import Tensor
 
 from gscore.raster import reference
 from gscore.stress import derivatives, scenes
+from tests.isas import isa  # noqa: F401
 
 PARAMETERS = ("means", "quats", "scales", "opacities", "sh0", "shN")
 

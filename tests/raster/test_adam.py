@@ -1,25 +1,14 @@
 """The native Adam; oracle: the update rule in float64, every row at every step."""
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
 import torch
 
 from gscore.errors import ShapeError
-from gscore.raster import adam, backend
+from gscore.raster import adam
 from gscore.raster.autograd import RasterAux, rasterize
 
 BETA1, BETA2, EPS = 0.9, 0.999, 1e-15
-
-
-@pytest.fixture(params=backend.available_isas())
-def isa(request: pytest.FixtureRequest) -> Iterator[str]:
-    """Each instruction set that runs here."""
-    before = backend.isa()
-    backend.set_isa(request.param)
-    yield request.param
-    backend.set_isa(before)
 
 
 class Twin:

@@ -1,12 +1,9 @@
 """Oracle: the loss written out in float64 torch with autograd; and facts known by hand."""
 
-from collections.abc import Iterator
-
 import pytest
 import torch
 
 from gscore.errors import ShapeError
-from gscore.raster import backend
 from gscore.raster.loss import image_loss
 from gscore.raster.reference import image_loss_reference
 
@@ -31,14 +28,6 @@ def pictures(height: int, width: int, seed: int = 0) -> tuple[torch.Tensor, ...]
     photo = (smooth + 0.05 * torch.randn(height, width, 3, generator=g)).clamp(0, 1)
     mask = (torch.rand(height, width, generator=g) * 255).byte()
     return image, (photo * 255).byte(), mask
-
-
-@pytest.fixture(params=backend.available_isas())
-def isa(request: pytest.FixtureRequest) -> Iterator[str]:
-    before = backend.isa()
-    backend.set_isa(request.param)
-    yield request.param
-    backend.set_isa(before)
 
 
 @pytest.mark.parametrize("mode", ["none", "composite", "ignore"])

@@ -18,13 +18,7 @@ OPTIONS = {"inverse_depth": True, "depth": True}
 K = torch.tensor([[20.0, 0, 8.5], [0, 20.0, 6.5], [0, 0, 1]])
 """The optical axis meets the image at the centre of pixel row 6, column 8."""
 
-
-@pytest.fixture(params=_native.available_isas(), autouse=True)
-def isa(request):
-    before = _native.isa()
-    _native.set_isa(request.param)
-    yield request.param
-    _native.set_isa(before)
+pytestmark = pytest.mark.usefixtures("isa")
 
 
 def draw(*splats, **options):

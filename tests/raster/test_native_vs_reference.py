@@ -6,7 +6,7 @@ from typing import NamedTuple
 import pytest
 import torch
 
-from gscore.raster import _native, reference
+from gscore.raster import reference
 from gscore.raster.autograd import RasterAux, rasterize
 
 PARAMETERS = ("means", "quats", "scales", "opacities", "sh0", "shN", "viewmat")
@@ -168,14 +168,6 @@ def draw(random_scene):
 def true_of(draw):
     """The reference's answer for a scene of the table, computed once for all instruction sets."""
     return cache(lambda name, antialias: ask_reference(draw(name), raw=True, antialias=antialias))
-
-
-@pytest.fixture(params=_native.available_isas())
-def isa(request):
-    before = _native.isa()
-    _native.set_isa(request.param)
-    yield request.param
-    _native.set_isa(before)
 
 
 def check_pictures(pictures, truth):

@@ -24,15 +24,6 @@ def parallel(random_scene):
     return scene, K
 
 
-@pytest.fixture(params=_native.available_isas())
-def isa(request):
-    """Every instruction set that runs here."""
-    before = _native.isa()
-    _native.set_isa(request.param)
-    yield request.param
-    _native.set_isa(before)
-
-
 def draw_reference(scene, K, **options):
     """The reference's pictures of a scene through parallel rays."""
     inputs = {**scene.inputs(), "K": K}

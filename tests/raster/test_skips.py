@@ -1,14 +1,12 @@
 """Oracle: the same pass without the skip, bit for bit."""
 
-from collections.abc import Iterator
-
 import pytest
 import torch
 
 import gscore
 from gscore.bench.raster import synthetic_scene
 from gscore.errors import ShapeError
-from gscore.raster import _native, backend
+from gscore.raster import _native
 
 WIDTH, HEIGHT = 150, 90
 _NAMES = ("means", "quats", "scales", "opacities", "sh0", "shN")
@@ -18,14 +16,6 @@ _BITS = {
     "row range": _native.NO_ROW_RANGE,
     "zero tile": _native.NO_ZERO_TILE,
 }
-
-
-@pytest.fixture(params=backend.available_isas())
-def isa(request: pytest.FixtureRequest) -> Iterator[str]:
-    before = backend.isa()
-    backend.set_isa(request.param)
-    yield request.param
-    backend.set_isa(before)
 
 
 def _pass(v_rgb: torch.Tensor, **options: object) -> tuple[torch.Tensor, list[torch.Tensor], dict]:

@@ -14,6 +14,7 @@ from gscore.splats import Splats
 from gscore.stress.capture import SIZE, VIEWS, ToyPhotos, toy_photos, toy_splats
 from gscore.trainer.model import Model
 from gscore.transforms import rotmat_to_quat
+from tests.isas import isa  # noqa: F401
 
 
 @pytest.fixture(scope="session")

@@ -1,6 +1,6 @@
 """Oracle: the same training without the skip, bit for bit."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -8,7 +8,6 @@ import pytest
 import torch
 
 from gscore.config import Skip, TrainConfig
-from gscore.raster import backend
 from gscore.trainer.skips import tiles_of_mask
 from gscore.trainer.trainer import Trainer
 
@@ -36,14 +35,6 @@ def _trained(photos: Any, *without: Skip, work: str = "forward_pairs") -> tuple[
         trainer.step()
         done += trainer.laps.raster[work]
     return trainer, done
-
-
-@pytest.fixture(params=backend.available_isas())
-def isa(request: pytest.FixtureRequest) -> Iterator[str]:
-    before = backend.isa()
-    backend.set_isa(request.param)
-    yield request.param
-    backend.set_isa(before)
 
 
 @pytest.fixture
