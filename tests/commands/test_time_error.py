@@ -12,11 +12,18 @@ from gscore.bench.pareto import Outcome, Size, measure_sizes, unbeaten
 from gscore.bench.peers import read_peers
 from gscore.bench.raster import synthetic_scene
 from gscore.bench.synthetic import SyntheticPhotos
-from gscore.bench.time_error import Curve, curve_json, labels, measured_steps, time_to_psnr
+from gscore.bench.time_error import (
+    Curve,
+    Variant,
+    curve_json,
+    labels,
+    measured_steps,
+    time_to_psnr,
+)
 from gscore.bench.training import Point, Trained, load_for_bench, open_sizes, train_measured
 from gscore.commands import main
 from gscore.commands.bench.curve_figures import draw, table
-from gscore.config import PRESETS, TrainConfig
+from gscore.config import PRESETS, Skip, Strategy, TrainConfig
 from gscore.trainer.trainer import Trainer
 from tests.commands.small_bench import EXAMPLE, bench_json
 
@@ -45,6 +52,43 @@ def test_time_error_writes_curves_and_figures(
     untold = dict.fromkeys(("trained_width", "iterations", "max_splats"))
     assert again["captures"]["studio"]["curves"][1] == curves[0] | untold
     assert again["finished"]
+
+
+def test_ablations_change_what_they_name(
+    small: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: the configs that would be trained."""
+    trained: list[TrainConfig] = []
+
+    def measured(variant: Variant, *_: object, **__: object) -> Curve:
+        trained.append(variant.config)
+        return Curve(label=variant.label, width=9, height=9, seeds=[[_point(1, 20)]])
+
+    monkeypatch.setattr("gscore.commands.bench.time_error.measure_variant", measured)
+    ablations = [
+        "mcmc",
+        "mcmc,small-photos,rare-sh",
+        "free-space=0,prune_share=0.25",
+        "antialias=on",
+    ]
+    command = ["bench", "time-error", str(EXAMPLE), *small, "--ablations", *ablations]
+    assert main([*command, "-o", str(tmp_path / "out")]) == 0
+    plain = trained[0]
+    skips = (Skip.SMALL_PHOTOS, Skip.RARE_SH)
+    assert trained[1:] == [
+        replace(plain, strategy=Strategy.MCMC),
+        replace(plain, strategy=Strategy.MCMC, without=skips),
+        replace(plain, free_space=0.0, prune_share=0.25),
+        replace(plain, antialias=True),
+    ]
+    found = json.loads((tmp_path / "out" / "results.json").read_text())
+    assert [curve["label"] for curve in found["captures"]["studio"]["curves"]] == [
+        "preview",
+        "preview mcmc",
+        "preview mcmc, without small-photos, without rare-sh",
+        "preview free-space=0, prune_share=0.25",
+        "preview antialias=on",
+    ]
 
 
 def test_sizes_are_judged_alike(
@@ -259,6 +303,10 @@ def test_only_curves_of_one_size_are_compared() -> None:
         (["--peers", "PEER"], "curves of the capture 'horse', which is not measured here; "),
         (["--sweep-splats", "9", "0"], "at least 1"),
         (["--ablations", "mcmc", "speed"], "There is no ablation 'speed'"),
+        (["--ablations", "mcmc,speed=1"], "--ablations speed=1: there is no option 'speed'"),
+        (["--ablations", "free-space=2"], "free_space must lie in [0, 1), got 2"),
+        (["--ablations", "free-space=much"], "free_space must be a float, got 'much'"),
+        (["--ablations", "early-stop=on"], "There is no ablation 'early-stop=on'"),
     ],
 )
 def test_everything_is_checked_before_training(

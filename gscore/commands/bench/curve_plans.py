@@ -1,6 +1,7 @@
 """What `gscore bench time-error` is to train: looked up and checked before anything is trained."""
 
 import argparse
+import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,11 +10,14 @@ from typing import Any
 from ...bench.peers import read_peers
 from ...bench.time_error import Curve, Variant
 from ...bench.training import open_sizes
-from ...config import Skip, Strategy, TrainConfig
+from ...config import Skip, Strategy, TrainConfig, from_dict, to_dict
 from ...datasets import Dataset
 from ...errors import ConfigError
 from .sweeps import SizesPlan, plan_sizes
 from .training_options import training_configs
+
+_NOT_HERE = ("seed", "threads", "time_budget", "target_psnr", "early_stop")
+"""Options that other options of the bench set, or that end a run, which the bench does itself."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +38,7 @@ def plans_of(args: argparse.Namespace) -> list[Plan]:
     Raises:
         GsError: a capture, a name, a seed, an ablation or a file of peers that cannot be used.
     """
-    ablations = [("", {}), *(_ablation(name) for name in dict.fromkeys(args.ablations))]
+    ablations = list(dict.fromkeys(args.ablations))
     peers = {path: read_peers(path) for path in args.peers}
     sources: dict[str, Path] = {}
     for source in args.sources:
@@ -66,18 +70,39 @@ def plans_of(args: argparse.Namespace) -> list[Plan]:
 
 
 def _changed(
-    config: TrainConfig, ablations: list[tuple[str, dict[str, Any]]], seeds: list[int]
+    config: TrainConfig, ablations: list[str], seeds: list[int]
 ) -> Iterator[tuple[str, TrainConfig]]:
+    """`config` as it is and with each ablation, with their labels."""
     for seed in seeds:
         replace(config, seed=seed)  # which refuses bad ones
-    for label, change in ablations:
-        yield label, replace(config, **change)
+    yield "", config
+    for ablation in ablations:
+        parts, changed = ablation.split(","), config
+        for part in parts:
+            changed = _ablated(changed, part)
+        yield ", ".join(f"without {p}" if p in tuple(Skip) else p for p in parts), changed
 
 
-def _ablation(name: str) -> tuple[str, dict[str, Any]]:
+def _ablated(config: TrainConfig, name: str) -> TrainConfig:
+    """`config` with one change: a strategy, a skip switched off, or OPTION=VALUE."""
     if name in tuple(Strategy):
-        return name, {"strategy": Strategy(name)}
+        return replace(config, strategy=Strategy(name))
     if name in tuple(Skip):
-        return f"without {name}", {"without": (Skip(name),)}
-    known = ", ".join((*Strategy, *Skip))
-    raise ConfigError(f"There is no ablation {name!r}; there are: {known}.")
+        return replace(config, without=(*config.without, Skip(name)))
+    option, equals, value = name.partition("=")
+    option = option.replace("-", "_")
+    if not equals or option in _NOT_HERE:
+        known = ", ".join((*Strategy, *Skip))
+        raise ConfigError(
+            f"There is no ablation {name!r}; there are: {known}, and OPTION=VALUE for options of "
+            "`gscore train` that change how it learns."
+        )
+    values = to_dict(config) | {option: _value(value)}
+    return from_dict(TrainConfig, values, where=f"--ablations {name}")
+
+
+def _value(text: str) -> Any:
+    try:
+        return {"on": True, "off": False}[text] if text in ("on", "off") else json.loads(text)
+    except ValueError:
+        return text

@@ -27,8 +27,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="*",
         default=(),
         metavar="NAME",
-        help="also train each preset with this changed: a strategy (mcmc) or a skip switched off "
-        "(" + ", ".join(Skip) + ")",
+        help="also train each preset with this changed: a strategy (mcmc), a skip switched off ("
+        + ", ".join(Skip)
+        + "), an option (free-space=0), or several joined by commas",
     )
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
     parser.add_argument(
