@@ -258,6 +258,10 @@ class TrainConfig:
     prune_share: float = 0.0
     """Share of the splats that is removed when refinements are over (`refine_stop`): those that add
     least to any training photo. 0: none."""
+    free_space: float = 0.3
+    """No splat stays nearer to a training camera than this share of its distance from the tenth
+    nearest SfM point: what stands there hides the scene from views between the photos. 0: they may
+    stand anywhere."""
     mcmc_growth: float = 0.0
     """`mcmc`: splats added at each refinement, as a share of those there; 0: 0.05, more in runs
     that would not reach `max_splats` otherwise."""
@@ -335,7 +339,7 @@ class TrainConfig:
         for name in ("coarse_until", "depth_warmup"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ConfigError(f"{name} must lie in [0, 1], got {getattr(self, name)}.")
-        for name in ("drop_rate", "prune_share"):
+        for name in ("drop_rate", "prune_share", "free_space"):
             if not 0 <= getattr(self, name) < 1:
                 raise ConfigError(f"{name} must lie in [0, 1), got {getattr(self, name)}.")
         for name in ("ssim_weight", "init_opacity", "prune_opacity"):

@@ -169,6 +169,7 @@ _METHOD = {
     "prune_opacity": ("--prune-opacity",),
     "prune_scale": ("--prune-scale",),
     "prune_share": ("--prune-share",),
+    "free_space": ("--free-space",),
     "mcmc_growth": ("--mcmc-growth",),
     "mcmc_noise": ("--mcmc-noise", "--noise-lr"),
     "opacity_reg": ("--opacity-reg",),

@@ -242,6 +242,13 @@ class Plan:
         inside = self.refine_start <= step <= min(self.refine_stop, self.iterations - 1)
         return inside and step % self.refine_every == 0
 
+    def clears_at(self, step: int) -> bool:
+        """Whether the free space around cameras is cleared after `step`: as often as splats are
+        refined, but to the end, for those that stay move."""
+        if step < self.refine_start:
+            return False
+        return step % self.refine_every == 0 or step == self.iterations
+
     def surplus_at(self, step: int, splats: int, pruned: int) -> int:
         """How many of `splats` are one too many after `step`, where `pruned` went as such before.
 

@@ -22,6 +22,7 @@ from .contribution import blending_weights, least
 from .depth_loss import DepthLoss
 from .depth_targets import DepthTargets
 from .frame import Frame
+from .free_space import FreeSpace
 from .laps import Laps
 from .model import Model, Moments, ShN
 from .params import splats_from_points, splats_of_tensors, tensors_from_splats
@@ -123,6 +124,8 @@ class Trainer:
         """Gradient rows left out so far because they were not finite."""
         self.lost_rows = 0
         """Splats taken out so far because they ran away; see `bounds`."""
+        self.cleared = 0
+        """Splats taken out so far because they stood too close before a camera."""
         self.rate_factor = 1.0
         """All learning rates are multiplied by this."""
         self._skipped = 0
@@ -133,6 +136,11 @@ class Trainer:
         """What the parts of the last step took."""
         self._cameras = self.frame.similarity.cameras_to_training(photos.scene.cameras)
         self._pyramid = Pyramid(photos, self._cameras, limit=photo_cache)
+        self._free_space = FreeSpace(
+            self._cameras.centers[list(photos.train)],
+            self.frame.similarity.points_to_training(photos.scene.points.points),
+            share=config.free_space,
+        )
         first = self._first_splats(cloud) if start is None else self._placed(start)
         self.model = Model(tensors_from_splats(first))
         self._disable = raster_bits(config.without)
@@ -327,6 +335,7 @@ class Trainer:
             "adam_steps": {name: self.model.steps(name) for name in self.model.params},
             "bad_rows": self.bad_rows,
             "lost_rows": self.lost_rows,
+            "cleared": self.cleared,
             "skipped": self._skipped,
             "factor": self._factor if math.isfinite(self._factor) else None,
             "pruned": self._pruned,
@@ -378,6 +387,7 @@ class Trainer:
         self.steps = whole("steps", state["steps"])
         self.bad_rows = whole("bad_rows", state["bad_rows"])
         self.lost_rows = whole("lost_rows", state.get("lost_rows", 0))
+        self.cleared = whole("cleared", state.get("cleared", 0))
         self._skipped = whole("skipped", state["skipped"])
         self._pruned = whole("pruned", state["pruned"])
 
@@ -498,10 +508,11 @@ class Trainer:
         bad_rows = model.step(shown, shN=self._rest_at(step), threads=self.config.threads)
         if self.plan.refines_at(step):
             self._painter.release()
+        cleared = self._clear(step)
         change = self.strategy.after_step(
             model, step=step, means_lr=means_lr, generator=self.generator
         )
-        return change, bad_rows
+        return replace(change, removed=change.removed + cleared), bad_rows
 
     def _prune(self, change: Change) -> Change:
         """Take out what adds least to the photos, once there are to be fewer splats; `change` with
@@ -528,6 +539,19 @@ class Trainer:
         ops.edit(model, keep=(~least(weights, count)).nonzero().flatten())
         self._pruned += count
         return replace(change, removed=change.removed + count)
+
+    def _clear(self, step: int) -> int:
+        """Take out what stands in the free space around cameras; how many that were."""
+        if not self.plan.clears_at(step):
+            return 0
+        inside = self._free_space.holds(self.model.params["means"])
+        count = int(inside.sum())
+        if count in (0, len(self.model)):  # a blank model cannot recover
+            return 0
+        self._painter.release()
+        ops.edit(self.model, keep=(~inside).nonzero().flatten())
+        self.cleared += count
+        return count
 
 
 def _of_counted(mse: float, counted: float) -> float:

@@ -1,0 +1,59 @@
+"""Free space around the cameras: nothing was seen there, so no splat is kept there.
+
+Splats close before one camera hide little from it and everything from a camera beside it; training
+makes them, because they explain one photo each, and as a wall for cameras across the room. Points
+of structure from motion say how far away the first surface is.
+"""
+
+import numpy as np
+import torch
+
+_NEAREST = 10
+"""The distance to the first surface is that to this nearest point: single ones are often wrong."""
+_FEWEST_POINTS = 500
+"""Fewer points are too thinly sown to say that a place between them is empty."""
+_PRODUCTS = 1 << 19
+"""Distances that are looked at together."""
+
+
+class FreeSpace:
+    """Balls around cameras; float64 inside, for a ball may be small against its distance from the
+    origin."""
+
+    def __init__(self, centers: np.ndarray, points: np.ndarray, *, share: float) -> None:
+        """Measure the balls.
+
+        Args:
+            centers: [C, 3] positions of cameras, in any unit.
+            points: [P, 3] of surfaces, in that unit; those not finite do not count. Fewer than 500
+                tell nothing, and no space is free then.
+            share: Radius of a ball as a share of the distance of its camera from the tenth nearest
+                point.
+        """
+        points = points[np.isfinite(points).all(axis=1)]
+        if share <= 0 or len(points) < _FEWEST_POINTS:
+            centers = centers[:0]
+        self.centers = centers.astype(np.float64)
+        """[M, 3], of the balls."""
+        self.radii = np.zeros(len(centers))
+        """[M], of the balls."""
+        if len(centers):
+            from scipy.spatial import KDTree
+
+            distances, _ = KDTree(points).query(centers, k=_NEAREST)
+            self.radii = share * distances[:, -1]
+        self._towards = torch.from_numpy(-2 * self.centers.T)
+        self._rest = torch.from_numpy(np.square(self.centers).sum(axis=1) - self.radii**2)
+
+    def holds(self, means: torch.Tensor) -> torch.Tensor:
+        """[N] bool: which of `means` [N, 3] lie in a ball."""
+        inside = torch.zeros(len(means), dtype=torch.bool)
+        if not len(self.centers):
+            return inside
+        # |m - c|^2 < r^2 as |m|^2 + (|c|^2 - r^2 - 2 m c) < 0.
+        rows = max(_PRODUCTS // len(self.centers), 1)
+        for at in range(0, len(means), rows):
+            part = means[at : at + rows].double()
+            least = torch.addmm(self._rest, part, self._towards).amin(dim=1)
+            inside[at : at + rows] = part.square().sum(dim=1) + least < 0
+        return inside
