@@ -234,13 +234,18 @@ class TrainConfig:
     """Photos stay at each size in proportion to the detail that it adds, which their frequencies
     tell; soft photos train faster. Else the number of pixels rises with the square of the step."""
 
+    grow_with_photos: bool = False
+    """The largest number of splats rises with the sides of the photos, from the number at the start
+    to `max_splats`, so that small photos do not grow what only large ones show."""
+
     without: tuple[Skip, ...] = ()
     """Skips that are switched off."""
 
     refine_start: int = 0
     """First step at which splats may be added or removed; 0: 500, sooner in short runs."""
     refine_stop: int = 0
-    """Last such step; 0: half of the run, with mcmc five sixths."""
+    """Last such step; 0: half of the run, with `grow_with_photos` four fifths, with mcmc five
+    sixths."""
     refine_every: int = 0
     """Steps between two refinements; 0: 100, fewer in short runs."""
     reset_every: int = 0
@@ -271,6 +276,9 @@ class TrainConfig:
     """`mcmc`: weight of the mean opacity in the loss."""
     scale_reg: float = 0.01
     """`mcmc`: weight of the mean scale in the loss."""
+    reg_final: float = 1.0
+    """`mcmc`: what is left of these weights at `refine_stop` and after it, as a share; they fall
+    evenly."""
 
     test_iterations: tuple[int, ...] = ()
     """Steps after which the test views are measured; the end of a run always is."""
@@ -336,7 +344,7 @@ class TrainConfig:
         _at_least(self, -1, "depth_points")
         if self.coarse_factor != 0:
             _at_least(self, 1.0, "coarse_factor")
-        for name in ("coarse_until", "depth_warmup"):
+        for name in ("coarse_until", "depth_warmup", "reg_final"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ConfigError(f"{name} must lie in [0, 1], got {getattr(self, name)}.")
         for name in ("drop_rate", "prune_share", "free_space"):

@@ -89,6 +89,11 @@ _RUN: dict[str, tuple[tuple[str, ...], dict[str, Any], str]] = {
         {"choices": tuple(Switch)},
         "supervise depth where --depths gives maps; auto: not in dense captures",
     ),
+    "grow_with_photos": (
+        ("--grow-with-photos",),
+        _SWITCH,
+        "grow splats as photos become larger, to the cap at full size (off)",
+    ),
     "coarse_by_detail": (
         ("--coarse-by-detail",),
         _SWITCH,
@@ -174,6 +179,7 @@ _METHOD = {
     "mcmc_noise": ("--mcmc-noise", "--noise-lr"),
     "opacity_reg": ("--opacity-reg",),
     "scale_reg": ("--scale-reg",),
+    "reg_final": ("--reg-final",),
 }
 _HOW = {
     FINISHED: "Finished",

@@ -38,6 +38,8 @@ class Plan:
     """Last step."""
     max_splats: int
     """Never more splats than this."""
+    first_splats: int
+    """Splats that small photos may grow to; `max_splats` unless the number rises with them."""
     pixels: int
     """Of a photo at full size, on average."""
     sh_degree: int
@@ -74,6 +76,8 @@ class Plan:
     """Pull above which `default` doubles a splat."""
     mcmc_growth: float
     """Share of splats that a refinement of `mcmc` adds; 0 with `default`, where pulls decide."""
+    reg_final: float
+    """What is left of the penalties of `mcmc` when refinements are over."""
     kept: float
     """Share of the splats that stay when refinements are over."""
 
@@ -104,7 +108,8 @@ class Plan:
         # enough views between two decisions: at least 100 steps at the start, 50 in between.
         every = config.refine_every or max(min(50, n), min(100, n // 50))
         start = config.refine_start or max(min(100, n), min(500, n // 20))
-        stop = config.refine_stop or (n * 5 // 6 if mcmc else n // 2)
+        coupled = config.grow_with_photos
+        stop = config.refine_stop or (n * 5 // 6 if mcmc else n * 4 // 5 if coupled else n // 2)
         # The cap is reached halfway through the refinements even if the run is short.
         growths = max((stop - start) // (2 * every), 1)
         growth = max(0.05, (config.max_splats / max(points, 1)) ** (1 / growths) - 1)
@@ -123,6 +128,7 @@ class Plan:
         return cls(
             iterations=n,
             max_splats=config.max_splats,
+            first_splats=min(points, config.max_splats) if coupled else config.max_splats,
             pixels=pixels,
             sh_degree=config.sh_degree,
             sh_every=config.sh_every or max(1, min(1000, n // (2 * max(config.sh_degree, 1)))),
@@ -147,6 +153,7 @@ class Plan:
             init_scale=config.init_scale or (0.1 if mcmc else 1.0),
             grow_grad=config.grow_grad or 2e-4 / min(boost, 2.0),
             mcmc_growth=(config.mcmc_growth or min(growth, 1.0)) if mcmc else 0.0,
+            reg_final=config.reg_final,
             kept=1.0 - config.prune_share,
         )
 
@@ -191,6 +198,18 @@ class Plan:
         smaller = next((k for k, share in enumerate(self.stages) if done >= share), count)
         return 1.0 if done >= 1 else 2.0 ** (smaller / 2)
 
+    def cap_at(self, step: int) -> int:
+        """Most splats that the refinement after `step` may lead to."""
+        first, last = 1 / self.coarse_factor, 1.0
+        share = 1.0 if first == last else (1 / self.factor_at(step) - first) / (last - first)
+        return round(
+            self.first_splats + min(max(share, 0.0), 1.0) * (self.max_splats - self.first_splats)
+        )
+
+    def penalty_at(self, step: int) -> float:
+        """What is left of the penalties of `mcmc`, as a share."""
+        return 1.0 - (1.0 - self.reg_final) * min(step / max(self.refine_stop, 1), 1.0)
+
     def seconds_at(self, step: int, splats: float) -> float:
         """What `step` takes with that many splats on the machine of `_SECONDS_A_STEP`.
 
@@ -218,11 +237,12 @@ class Plan:
         """Splats to expect before step `later` where there are `splats` after `step`."""
         kept = self.kept if step < self.refine_stop < later else 1.0
         first, last = max(step + 1, self.refine_start), min(later - 1, self.refine_stop)
-        if last < first or splats >= self.max_splats:
+        cap = self.cap_at(last)
+        if last < first or splats >= cap:
             return kept * splats
         before, there = self._refinements(first - 1), self._refinements(last)
         grown = math.log(max(splats, 1)) + self._growths[there] - self._growths[before]
-        return kept * min(math.exp(min(grown, 50.0)), self.max_splats)
+        return kept * min(math.exp(min(grown, 50.0)), cap)
 
     def _refinements(self, step: int) -> int:
         """How many there have been after `step`."""

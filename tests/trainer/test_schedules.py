@@ -1,6 +1,7 @@
 """Schedules; oracle: the values that the papers state for their run lengths."""
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -23,6 +24,45 @@ def test_a_run_of_30000_steps_is_that_of_the_paper() -> None:
     assert [plan.sh_degree_at(s) for s in (1, 1000, 1001, 2001, 3001, 30_000)] == [0, 0, 1, 2, 3, 3]
     assert plan.means_lr_at(30_000) == pytest.approx(2 * 1.6e-6)
     assert plan.means_lr_at(15_000) == pytest.approx(2 * 1.6e-5)
+
+
+def test_splats_grow_with_the_photos() -> None:
+    """Oracle: by hand, linear in the sides: 1,000 at a fourth of them, 10,000 at full size."""
+    config = TrainConfig(
+        iterations=1000, max_splats=10_000, coarse_factor=4.0, grow_with_photos=True
+    )
+    plan = plan_of(config, points=1000)
+    assert plan.refine_stop == 800
+    caps = {plan.factor_at(step): plan.cap_at(step) for step in range(1, 1001)}
+    assert caps == {
+        4.0: 1000,
+        2.0**1.5: pytest.approx(2243, abs=1),
+        2.0: 4000,
+        2.0**0.5: pytest.approx(6485, abs=1),
+        1.0: 10_000,
+    }
+    at_once = plan_of(replace(config, grow_with_photos=False, refine_stop=800), points=1000)
+    assert plan.seconds_after(0, 1000) < at_once.seconds_after(0, 1000)
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        TrainConfig(iterations=100, coarse_factor=4.0),
+        TrainConfig(iterations=100, coarse_factor=1.0, grow_with_photos=True),
+    ],
+)
+def test_else_splats_grow_to_the_cap_at_once(config: TrainConfig) -> None:
+    """Oracle: the cap, also where photos are at full size from the first step."""
+    assert {plan_of(config).cap_at(step) for step in range(1, 101)} == {config.max_splats}
+
+
+def test_penalties_of_mcmc_fall_evenly() -> None:
+    """Oracle: the line from 1 to a fifth over the refinements, five sixths of the run."""
+    config = TrainConfig(iterations=600, strategy=Strategy.MCMC, reg_final=0.2)
+    found = [plan_of(config).penalty_at(step) for step in (0, 250, 500, 600)]
+    assert found == pytest.approx([1.0, 0.6, 0.2, 0.2])
+    assert plan_of(TrainConfig(iterations=600, strategy=Strategy.MCMC)).penalty_at(600) == 1.0
 
 
 def test_rates_fall_over_the_last_tenth() -> None:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -167,6 +168,22 @@ def mcmc(**options: float) -> tuple[MCMCStrategy, Plan]:
     return strategy, plan
 
 
+@pytest.mark.parametrize("kind", list(Strategy))
+def test_growth_waits_for_larger_photos(marked_model: Make, kind: Strategy) -> None:
+    """Oracle: four splats at the start, so no more at the first size, and the cap at full size."""
+    config = replace(CONFIG, strategy=kind, refine_stop=800, max_splats=8, mcmc_growth=1)
+    config = replace(config, coarse_factor=4, grow_with_photos=True)
+    strategy = make_strategy(config, plan_of(config), extent=EXTENT)
+    model = opaque(marked_model(4), 1e-4)
+    for step, expected in ((10, 4), (500, 5), (800, 8)):
+        strategy.start(model)
+        if isinstance(strategy, DefaultStrategy):
+            see(strategy, model, [1.0] * len(model), step=step)
+        generator = torch.Generator().manual_seed(0)
+        strategy.after_step(model, step=step, means_lr=0.0, generator=generator)
+        assert len(model) == expected, step
+
+
 def test_mcmc_grows_to_the_cap_and_no_further(marked_model: Make) -> None:
     """Oracle: floor(1.5 N) at each refinement, then exactly the cap."""
     strategy, _ = mcmc(max_splats=20, mcmc_growth=0.5)
@@ -196,13 +213,14 @@ def test_mcmc_counts_broken_splats_as_dead(marked_model: Make) -> None:
 
 
 def test_mcmc_gradients_are_those_of_its_penalties(marked_model: Make) -> None:
-    """Oracle: torch autograd of 0.01 mean(opacity) + 0.02 mean(scale)."""
-    strategy, _ = mcmc(opacity_reg=0.01, scale_reg=0.02)
+    """Oracle: torch autograd of 0.01 mean(opacity) + 0.08 mean(scale), a fourth of both at the
+    end."""
+    strategy, config = mcmc(opacity_reg=0.01, scale_reg=0.08, reg_final=0.25)
     model = marked_model(5)
     opacities = model.params["opacities"].clone().requires_grad_()
     scales = model.params["scales"].clone().requires_grad_()
-    (0.01 * torch.sigmoid(opacities).mean() + 0.02 * scales.exp().mean()).backward()
-    strategy.shape_gradients(model)
+    (0.0025 * torch.sigmoid(opacities).mean() + 0.02 * scales.exp().mean()).backward()
+    strategy.shape_gradients(model, step=config.iterations)
     torch.testing.assert_close(model.grads["opacities"], opacities.grad)
     torch.testing.assert_close(model.grads["scales"], scales.grad)
 

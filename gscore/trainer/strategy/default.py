@@ -32,7 +32,7 @@ class DefaultStrategy:
         model.rows["pull"] = torch.zeros(len(model))
         model.rows["seen"] = torch.zeros(len(model))
 
-    def shape_gradients(self, model: Model) -> None:
+    def shape_gradients(self, model: Model, *, step: int) -> None:
         pass
 
     def observe(
@@ -70,7 +70,7 @@ class DefaultStrategy:
         large = size > _log(config.grow_scale * self._extent)
 
         grow = (pull >= self._plan.grow_grad) & ~doomed
-        room = config.max_splats - before + int(doomed.sum())
+        room = self._plan.cap_at(step) - before + int(doomed.sum())
         grow = _strongest(grow, pull, max(room, 0))
         clone, divide = (grow & ~large).nonzero().flatten(), (grow & large).nonzero().flatten()
         new = ops.join(ops.duplicate(model, clone), ops.split(model, divide, generator))

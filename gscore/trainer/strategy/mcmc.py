@@ -27,17 +27,20 @@ class MCMCStrategy:
     def start(self, model: Model) -> None:
         pass
 
-    def shape_gradients(self, model: Model) -> None:
-        """Gradients of opacity_reg * mean(opacity) + scale_reg * mean(scale)."""
+    def shape_gradients(self, model: Model, *, step: int) -> None:
+        """Gradients of opacity_reg * mean(opacity) + scale_reg * mean(scale), times what is left of
+        both at `step`."""
         if len(model) == 0:
             return
+        left = self._plan.penalty_at(step)
         scales, grads = model.params["scales"], model.grads
         if self._config.opacity_reg:
             opacity = torch.sigmoid(model.params["opacities"])
             slope = opacity * (1 - opacity)
-            grads["opacities"].add_(slope, alpha=self._config.opacity_reg / len(model))
+            grads["opacities"].add_(slope, alpha=left * self._config.opacity_reg / len(model))
         if self._config.scale_reg:
-            grads["scales"].add_(scales.exp(), alpha=self._config.scale_reg / scales.numel())
+            weight = left * self._config.scale_reg / scales.numel()
+            grads["scales"].add_(scales.exp(), alpha=weight)
 
     def observe(
         self,
@@ -56,17 +59,18 @@ class MCMCStrategy:
     ) -> Change:
         change = Change()
         if self._plan.refines_at(step):
-            change = self._refine(model, generator)
+            change = self._refine(model, step, generator)
         self._add_noise(model, means_lr, generator)
         return change
 
-    def _refine(self, model: Model, generator: torch.Generator) -> Change:
+    def _refine(self, model: Model, step: int, generator: torch.Generator) -> Change:
         floor = max(self._config.prune_opacity, 1e-6)
         opacities = model.params["opacities"]
         dead = ~(opacities > ops.logit(floor))  # NaN is dead too
         dead |= model.params["quats"].square().sum(dim=1) < 1e-8
         moved = ops.relocate(model, dead, generator, min_opacity=floor)
-        target = min(self._config.max_splats, int((1 + self._plan.mcmc_growth) * len(model)))
+        target = int((1 + self._plan.mcmc_growth) * len(model))
+        target = min(self._plan.cap_at(step), target)
         added = ops.grow(model, target - len(model), generator, min_opacity=floor)
         return Change(added=added, moved=moved)
 
