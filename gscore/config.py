@@ -1,18 +1,11 @@
 """Options of a run as frozen dataclasses: the same objects behind command line, JSON and add-on."""
 
-import difflib
-import json
-import math
-from collections.abc import Callable, Collection
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, TypeVar, get_args, get_type_hints
 
-from ._version import __version__
 from .errors import ConfigError
-
-ConfigT = TypeVar("ConfigT", "DataConfig", "TrainConfig")
 
 _MOST_THREADS = 1024
 """Most that the library takes."""
@@ -393,97 +386,9 @@ PRESETS: dict[str, Callable[[Path], tuple[DataConfig, TrainConfig]]] = {
 }
 
 
-def to_dict(config: DataConfig | TrainConfig) -> dict[str, Any]:
-    """The options as JSON values: paths and enums as strings, tuples as lists."""
-    return {f.name: _to_json(getattr(config, f.name)) for f in fields(config)}
-
-
-def from_dict(cls: type[ConfigT], data: Any, *, where: str) -> ConfigT:
-    """The config that `to_dict` wrote; options that are missing keep their defaults.
-
-    Args:
-        cls: DataConfig or TrainConfig.
-        data: What JSON gave.
-        where: Name of the file and section, for messages.
-
-    Raises:
-        ConfigError: an unknown option, or a value of another type or out of range.
-    """
-    if not isinstance(data, dict):
-        raise ConfigError(f"{where}: expected an object with options, got {type(data).__name__}.")
-    hints = get_type_hints(cls)
-    values = {}
-    for name, value in data.items():
-        if name not in hints:
-            guess = difflib.get_close_matches(name, hints, n=1)
-            hint = f" Did you mean {guess[0]!r}?" if guess else ""
-            raise ConfigError(f"{where}: there is no option {name!r}.{hint}")
-        values[name] = _from_json(value, hints[name], f"{where}: {name}")
-    try:
-        return cls(**values)
-    except ConfigError as error:
-        raise ConfigError(f"{where}: {error}") from None
-    except TypeError:
-        raise ConfigError(f"{where}: the option 'source' is missing.") from None
-
-
-def config_json(data: DataConfig, train: TrainConfig) -> str:
-    """Both configs as the text of the config.json that `load_config` reads, paths absolute."""
-    content = {
-        "gscore": __version__,
-        "data": to_dict(_absolute(data)),
-        "train": to_dict(_absolute(train)),
-    }
-    return json.dumps(content, indent=2) + "\n"
-
-
-def load_config(path: Path) -> tuple[DataConfig, TrainConfig]:
-    """Read a config.json: one that a run left in its output folder, or one written by hand.
-
-    Raises:
-        ConfigError: no such file, not JSON, an unknown option or a bad value.
-    """
-    try:
-        if path.exists() and not path.is_file():  # opening a named pipe would wait for its writer
-            raise ConfigError(f"{path}: a config file was expected, and this is none.")
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise ConfigError(f"{path}: there is no such config file.") from None
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror or error}).") from None
-    except (ValueError, RecursionError) as error:
-        raise ConfigError(f"{path}: not a JSON config file ({error}).") from None
-    if not isinstance(content, dict) or not {"data", "train"} <= content.keys():
-        raise ConfigError(f"{path}: expected an object with 'data' and 'train', as runs write it.")
-    return (
-        from_dict(DataConfig, content["data"], where=f"{path}: data"),
-        from_dict(TrainConfig, content["train"], where=f"{path}: train"),
-    )
-
-
-def differences(old: Any, new: Any, *, ignore: Collection[str] = ()) -> list[str]:
-    """Sentences like "max_splats was 100, is 200", one for each option that differs."""
-    return [
-        f"{f.name} was {_shown(getattr(old, f.name))}, is {_shown(getattr(new, f.name))}"
-        for f in fields(old)
-        if f.name not in ignore and getattr(old, f.name) != getattr(new, f.name)
-    ]
-
-
 def flag_of(name: str) -> str:
     """How the command line calls an option."""
     return {"resolution": "-r"}.get(name, "--" + name.replace("_", "-"))
-
-
-def _shown(value: Any) -> Any:
-    return f"{value:g}" if isinstance(value, float) else _to_json(value)
-
-
-def _absolute(config: ConfigT) -> ConfigT:
-    """The config with paths that mean the same from any folder."""
-    values = {f.name: getattr(config, f.name) for f in fields(config)}
-    paths = {name: value.absolute() for name, value in values.items() if isinstance(value, Path)}
-    return replace(config, **paths)
 
 
 def _at_least(config: TrainConfig, low: float, *names: str) -> None:
@@ -494,36 +399,3 @@ def _at_least(config: TrainConfig, low: float, *names: str) -> None:
         # Integers may be as large as they like: a step that never comes is one.
         if isinstance(value, float) and value > _LARGEST:
             raise ConfigError(f"{name} must be {low:g} to {_LARGEST:g}, got {value}.")
-
-
-def _to_json(value: Any) -> Any:
-    if isinstance(value, Path):
-        return value.as_posix()
-    if isinstance(value, StrEnum):
-        return value.value
-    return [_to_json(item) for item in value] if isinstance(value, tuple) else value
-
-
-def _from_json(value: Any, kind: Any, where: str) -> Any:
-    """`value` as the annotated type `kind`, or ConfigError."""
-    options = get_args(kind)
-    if type(None) in options:
-        return None if value is None else _from_json(value, options[0], where)
-    if options and isinstance(value, list):  # tuple[int, ...]
-        return tuple(_from_json(item, options[0], where) for item in value)
-    if kind is Path and isinstance(value, str):
-        return Path(value)
-    if isinstance(kind, type) and issubclass(kind, StrEnum):
-        try:
-            return kind(value)
-        except ValueError:
-            raise ConfigError(f"{where} must be one of {', '.join(kind)}, got {value!r}.") from None
-    if kind is float and isinstance(value, int | float) and not isinstance(value, bool):
-        try:
-            return float(value)
-        except OverflowError:
-            return math.inf if value > 0 else -math.inf  # which the ranges refuse
-    if kind in (int, bool, str) and type(value) is kind:
-        return value
-    name = "list of numbers" if options else getattr(kind, "__name__", str(kind)).lower()
-    raise ConfigError(f"{where} must be a {name}, got {value!r}.")

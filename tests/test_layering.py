@@ -18,6 +18,7 @@ BOTTOM = {
     "splats",
     "scene",
     "config",
+    "config_file",
     "control",
     "events",
     "extras",

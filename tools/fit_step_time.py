@@ -19,7 +19,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.optimize import nnls
 
-from gscore.config import TrainConfig, from_dict
+from gscore.config import TrainConfig
+from gscore.config_file import from_dict
 from gscore.splats import SH_REST_BY_DEGREE
 from gscore.trainer import forecast
 from gscore.trainer.schedules import Plan

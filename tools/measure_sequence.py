@@ -16,7 +16,7 @@ from scipy.ndimage import binary_dilation
 
 import gscore
 from gscore import DataConfig, load_dataset
-from gscore.config import load_config
+from gscore.config_file import load_config
 
 MOVES = 0.02 * 255
 """Difference between two frames above which a pixel counts as moving."""

@@ -7,7 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ..config import DataConfig, to_dict
+from ..config import DataConfig
+from ..config_file import to_dict
 from ..datasets import Dataset, load_dataset
 from ..errors import ConfigError, DatasetError
 from ..events import judged_psnr

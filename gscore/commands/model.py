@@ -8,7 +8,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..config import Background, DataConfig, TrainConfig, load_config
+from ..config import Background, DataConfig, TrainConfig
+from ..config_file import load_config
 from ..errors import ConfigError, DatasetError
 from ..io.ply import header_comments, read_splats, says_antialias
 from ..splats import Splats

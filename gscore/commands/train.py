@@ -7,16 +7,8 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
-from ..config import (
-    PRESETS,
-    Background,
-    DataConfig,
-    Skip,
-    Strategy,
-    Switch,
-    TrainConfig,
-    load_config,
-)
+from ..config import PRESETS, Background, DataConfig, Skip, Strategy, Switch, TrainConfig
+from ..config_file import load_config
 from ..errors import ConfigError
 from ..events import CONVERGED, ENDED, FINISHED, TARGET
 from ..io.runs import RUN_FILES, RUN_FOLDERS, RUN_LOCK

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..config import DataConfig, TrainConfig, load_config
+from ..config import DataConfig, TrainConfig
+from ..config_file import load_config
 from ..errors import ConfigError, DatasetError
 from ..events import CONVERGED, FINISHED, TARGET, judged_psnr
 from .files import read_bytes

@@ -17,7 +17,8 @@ from typing import Any, BinaryIO
 import torch
 
 from .._version import __version__
-from ..config import TrainConfig, differences, flag_of, from_dict, to_dict
+from ..config import TrainConfig, flag_of
+from ..config_file import differences, from_dict, to_dict
 from ..errors import ConfigError, FormatError
 from ..io.files import atomic_write, check_regular
 from .stored import whole

@@ -2,7 +2,8 @@
 
 from typing import Any
 
-from ..config import DataConfig, TrainConfig, config_json
+from ..config import DataConfig, TrainConfig
+from ..config_file import config_json
 from ..events import ENDED, FINISHED
 from ..io.files import read_bytes
 from ..io.ply import read_splats

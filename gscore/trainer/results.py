@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from ..config import Background, DataConfig, config_json, to_dict
+from ..config import Background, DataConfig
+from ..config_file import config_json, to_dict
 from ..io.cameras_json import write_cameras
 from ..io.images import write_png
 from ..io.ply import MIP_COMMENT, write_splat_parts

@@ -5,7 +5,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from ..config import DataConfig, TrainConfig, differences, flag_of, load_config
+from ..config import DataConfig, TrainConfig, flag_of
+from ..config_file import differences, load_config
 from ..control import Control
 from ..datasets import load_dataset
 from ..depth.maps import MapFolder

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from .._version import __version__
-from ..config import DataConfig, TrainConfig, config_json, differences
+from ..config import DataConfig, TrainConfig
+from ..config_file import config_json, differences
 from ..control import Control
 from ..datasets.frames import SequenceFrame, choose_frames, find_frames
 from ..errors import Cancelled, ConfigError, FormatError, GsError

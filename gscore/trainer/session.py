@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..config import DataConfig, to_dict
+from ..config import DataConfig
+from ..config_file import to_dict
 from ..control import Control
 from ..events import (
     Done,

@@ -424,7 +424,7 @@ def test_resume_needs_the_capture_of_the_run(
 ) -> None:
     """Oracle: the sentence names the folder that is gone; a chosen one is passed on."""
     from addon.core import PRESETS
-    from gscore.config import config_json
+    from gscore.config_file import config_json
 
     out, capture = tmp_path / "out", tmp_path / "moved"
     (out / "checkpoints").mkdir(parents=True)

@@ -139,7 +139,7 @@ def test_every_option_arrives(scene: bpy.types.Scene, tmp_path: Path) -> None:
 
 def test_a_resumed_run_keeps_its_options(tmp_path: Path) -> None:
     """Oracle: config.json of the run as gscore reads it, and the new place of the capture."""
-    from gscore.config import config_json
+    from gscore.config_file import config_json
 
     (tmp_path / "config.json").write_text(config_json(*PRESETS["draft"](tmp_path / "gone")))
     same = options.resumed_run(source=None, output=tmp_path, machine=MACHINE)

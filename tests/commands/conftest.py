@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from gscore.commands import main
-from gscore.config import Background, DataConfig, TrainConfig, config_json
+from gscore.config import Background, DataConfig, TrainConfig
+from gscore.config_file import config_json
 from gscore.io.cameras_json import write_cameras
 from gscore.io.colmap import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints, write_model
 from gscore.io.images import write_png

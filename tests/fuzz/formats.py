@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from gscore.config import DataConfig, TrainConfig, config_json, load_config
+from gscore.config import DataConfig, TrainConfig
+from gscore.config_file import config_json, load_config
 from gscore.control import Control
 from gscore.datasets.pku_neus import _projections
 from gscore.datasets.transforms_json import read_transforms

@@ -16,7 +16,8 @@ import pytest
 
 from gscore.commands import main
 from gscore.commands import train as train_command
-from gscore.config import Background, Strategy, load_config
+from gscore.config import Background, Strategy
+from gscore.config_file import load_config
 from gscore.events import Done, Estimated, Event, Failed, Progress, Saved, from_line
 from gscore.io.images import read_image, write_png
 from gscore.trainer.folder import RunFolder

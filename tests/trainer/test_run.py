@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 import torch
 
-from gscore.config import DataConfig, TrainConfig, load_config
+from gscore.config import DataConfig, TrainConfig
+from gscore.config_file import load_config
 from gscore.errors import BackendError, Cancelled, ConfigError, DatasetError, GsError
 from gscore.events import (
     Done,

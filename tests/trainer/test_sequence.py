@@ -12,7 +12,8 @@ import pytest
 
 from gscore.commands import main
 from gscore.commands import sequence as sequence_command
-from gscore.config import DataConfig, TrainConfig, load_config
+from gscore.config import DataConfig, TrainConfig
+from gscore.config_file import load_config
 from gscore.datasets.frames import SequenceFrame, choose_frames, find_frames
 from gscore.errors import Cancelled, ConfigError, DatasetError, FormatError
 from gscore.events import Done, Event, FrameStarted, SequenceDone, Started, from_line

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from gscore.commands import main
-from gscore.config import DataConfig, TrainConfig, load_config
+from gscore.config import DataConfig, TrainConfig
+from gscore.config_file import load_config
 from gscore.errors import ConfigError, DatasetError
 from gscore.events import Event, Started, Warn
 from gscore.io.ply import read_splats, write_splats

@@ -7,18 +7,8 @@ from typing import Any
 
 import pytest
 
-from gscore.config import (
-    PRESETS,
-    Background,
-    DataConfig,
-    Strategy,
-    TrainConfig,
-    config_json,
-    differences,
-    from_dict,
-    load_config,
-    to_dict,
-)
+from gscore.config import PRESETS, Background, DataConfig, Strategy, TrainConfig
+from gscore.config_file import config_json, differences, from_dict, load_config, to_dict
 from gscore.errors import ConfigError
 
 ODD = TrainConfig(

@@ -10,7 +10,8 @@ from typing import Any
 
 import pytest
 
-from gscore.config import DataConfig, load_config
+from gscore.config import DataConfig
+from gscore.config_file import load_config
 from gscore.datasets import load_dataset
 from gscore.datasets.dataset import _file_hash
 from gscore.depth.maps import MapFolder, read_map

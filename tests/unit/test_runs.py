@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from gscore.config import PRESETS, config_json
+from gscore.config import PRESETS
+from gscore.config_file import config_json
 from gscore.io.runs import RUN_FILES, clear_run, read_run
 
 

@@ -10,7 +10,8 @@ from typing import Any
 from ...bench.peers import read_peers
 from ...bench.time_error import Curve, Variant
 from ...bench.training import open_sizes
-from ...config import Skip, Strategy, TrainConfig, from_dict, to_dict
+from ...config import Skip, Strategy, TrainConfig
+from ...config_file import from_dict, to_dict
 from ...datasets import Dataset
 from ...errors import ConfigError
 from .sweeps import SizesPlan, plan_sizes
