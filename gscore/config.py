@@ -256,7 +256,7 @@ class TrainConfig:
     prune_share: float = 0.0
     """Share of the splats that is removed when refinements are over (`refine_stop`): those that add
     least to any training photo. 0: none."""
-    free_space: float = 0.3
+    free_space: float = 0.4
     """No splat stays nearer to a training camera than this share of its distance from the tenth
     nearest SfM point: what stands there hides the scene from views between the photos. 0: they may
     stand anywhere."""

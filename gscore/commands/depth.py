@@ -1,7 +1,6 @@
 """`gscore depth`: predict depth maps of a capture, align them with its points, show them."""
 
 import argparse
-import json
 import sys
 import time
 from dataclasses import dataclass, replace
@@ -30,7 +29,7 @@ from ..metrics.words import count_words
 from ..trainer.depth_rule import coverage, decide
 from .attend import Show, attend
 from .data_options import add_split_options, with_data_options
-from .output import check_folder
+from .output import check_folder, print_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -134,7 +133,7 @@ def run(args: argparse.Namespace) -> int:
     if result is None:
         return code
     if args.json:
-        print(json.dumps(_facts(args, result), allow_nan=False))
+        print_json(_facts(args, result))
     elif not (args.events or args.quiet):
         _print(args, result)
     return code

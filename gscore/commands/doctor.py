@@ -2,7 +2,6 @@
 
 import argparse
 import importlib
-import json
 import platform
 import sys
 import time
@@ -24,6 +23,7 @@ from ..metrics.machine import (
 from ..metrics.words import count_words, size_words
 from ..sh import rgb_to_sh0
 from ..splats import Splats
+from .output import print_json
 
 _LITTLE_MEMORY = 2_000_000_000
 _TOLERANCE = 1e-5
@@ -62,7 +62,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Look, try, say; 0 if this machine can train, 2 if something needed is missing."""
     facts = _facts()
-    print(json.dumps(facts, allow_nan=False) if args.json else _text(facts))
+    if args.json:
+        print_json(facts)
+    else:
+        print(_text(facts))
     return 0 if facts["can_train"] else 2
 
 

@@ -1,7 +1,6 @@
 """`gscore eval`: measure trained splats against the photos of a capture."""
 
 import argparse
-import json
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -27,7 +26,7 @@ from ..raster import backend
 from ..raster.api import render
 from .data_options import add_data_options, with_data_options
 from .model import Model, add_model_argument, model_path, open_model
-from .output import check_folder
+from .output import check_folder, print_json
 
 _KEPT = ("steps", "train_seconds", "history", "evals", "peak_memory_bytes")
 """What only the training knows; a run that is measured again keeps it."""
@@ -144,7 +143,7 @@ def run(args: argparse.Namespace) -> int:
     for sentence in warnings:
         print(f"Warning: {sentence}", file=sys.stderr)
     if args.json:
-        print(json.dumps(headline(metrics) | {"output": str(output)}, allow_nan=False))
+        print_json(headline(metrics) | {"output": str(output)})
     else:
         print(_summary(metrics, output))
     return 0

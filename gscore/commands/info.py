@@ -1,7 +1,6 @@
 """`gscore info`: what a capture, a PLY or the folder of a run or a sequence holds."""
 
 import argparse
-import json
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from ..io.sequences import read_sequence
 from ..metrics.words import count_words, quality_words, size_words, time_words
 from ..splats import Splats
 from .model import Model, collected_warnings, find_ply, open_model
+from .output import print_json
 
 _QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
 _EXPONENT = 350.0
@@ -45,7 +45,10 @@ def run(args: argparse.Namespace) -> int:
         facts = _run_facts(path)
     else:
         facts = _capture_facts(path, args.images)
-    print(json.dumps(facts, allow_nan=False) if args.json else _text(facts))
+    if args.json:
+        print_json(facts)
+    else:
+        print(_text(facts))
     return 0
 
 

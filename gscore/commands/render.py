@@ -1,7 +1,6 @@
 """`gscore render`: pictures of a model from a capture's cameras, or a camera path as a video."""
 
 import argparse
-import json
 import math
 import sys
 import time
@@ -24,7 +23,7 @@ from ..raster.api import render as render_view
 from ..scene import Cameras
 from .camera_path import orbit_path, spline_path
 from .model import Model, add_model_argument, model_path, open_model
-from .output import check_folder, others_in
+from .output import check_folder, others_in, print_json
 from .stills import still_names, to_rgb, to_rgba, write_depth_npy, write_depth_png
 from .video import need_video, write_video
 
@@ -121,7 +120,7 @@ def run(args: argparse.Namespace) -> int:
         "fps": work.fps,
     }
     if args.json:
-        print(json.dumps(result, allow_nan=False))
+        print_json(result)
     else:
         count = count_words(len(shots.names), "picture")
         print(f"Wrote {args.output}: {count}, rendered at {work.fps:.1f} fps.")

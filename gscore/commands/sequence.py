@@ -1,7 +1,6 @@
 """`gscore sequence`: the frames of a multi-view video, each from the splats of the one before."""
 
 import argparse
-import json
 from dataclasses import fields, replace
 from typing import Any
 
@@ -11,6 +10,7 @@ from ..trainer import Control
 from ..trainer.sequence import SequenceOptions, SequenceResult, read_options, train_sequence
 from . import train as train_command
 from .attend import Show, attend
+from .output import print_json
 
 _SWITCH: dict[str, Any] = {"action": argparse.BooleanOptionalAction, "default": None}
 _ONE_FRAME = {
@@ -61,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         facts = result.headline | {"reason": result.reason, "output": str(args.output)}
         facts["per_frame"] = [frame.to_dict(result.output) for frame in result.frames]
-        print(json.dumps(facts, allow_nan=False), flush=True)
+        print_json(facts)
     elif not (args.quiet or args.events):
         print(_summary(result))
     return code

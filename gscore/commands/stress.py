@@ -1,11 +1,11 @@
 """`gscore stress`: compare what this machine computes with what it should."""
 
 import argparse
-import json
 import sys
 
 from ..raster import backend
 from ..stress import Outcome, run_cases, select
+from .output import print_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -42,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
     run_cases(cases, isas=isas, full=args.full, report=report)
     failed = sum(o.passed is False for o in found)
     if args.json:
-        sys.stdout.write(json.dumps([o.to_dict() for o in found], allow_nan=False) + "\n")
+        print_json([o.to_dict() for o in found])
     else:
         skipped = sum(o.passed is None for o in found)
         passed = len(found) - failed - skipped

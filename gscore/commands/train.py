@@ -1,7 +1,6 @@
 """`gscore train`: options under the names 3DGS users know, and what comes out of them."""
 
 import argparse
-import json
 import sys
 from dataclasses import fields, replace
 from pathlib import Path
@@ -18,7 +17,7 @@ from ..trainer.folder import check_free
 from .attend import Show, add_output_options, attend
 from .data_options import add_data_options, add_depth_options, with_data_options
 from .option_help import option_help
-from .output import others_in
+from .output import others_in, print_json
 
 _STEPS: dict[str, Any] = {"type": int, "nargs": "+", "metavar": "STEP"}
 _SWITCH: dict[str, Any] = {"action": argparse.BooleanOptionalAction}
@@ -267,7 +266,7 @@ def run(args: argparse.Namespace) -> int:
         return code
     if args.json:
         numbers = result.headline | {"reason": result.reason, "output": str(args.output)}
-        print(json.dumps(numbers, allow_nan=False), flush=True)
+        print_json(numbers)
     elif not (args.quiet or args.events):
         print(_summary(result, configs(args)[1]))
     return code

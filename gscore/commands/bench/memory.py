@@ -1,7 +1,6 @@
 """`gscore bench memory`: the memory of a training."""
 
 import argparse
-import json
 import sys
 from dataclasses import asdict
 
@@ -9,6 +8,7 @@ from ...bench.memory import MIN_STEPS, MemoryBench, bench_memory
 from ...errors import BackendError
 from ...metrics.machine import machine
 from ...raster import backend
+from ..output import print_json
 from .numbers import check_numbers
 from .scaling import size
 
@@ -42,8 +42,7 @@ def run(args: argparse.Namespace) -> int:
     if found is None:
         raise BackendError("This system does not tell how much memory a process takes.")
     if args.json:
-        json.dump({"machine": machine(), "isa": backend.isa()} | asdict(found), sys.stdout)
-        print()
+        print_json({"machine": machine(), "isa": backend.isa()} | asdict(found))
     else:
         sys.stdout.write(_table(found))
     return 0

@@ -1,7 +1,6 @@
 """`gscore bench raster`: the rasterizer alone."""
 
 import argparse
-import json
 import sys
 from dataclasses import asdict
 from pathlib import Path
@@ -15,6 +14,7 @@ from ...errors import ConfigError
 from ...io.ply import read_splats
 from ...metrics.machine import machine
 from ...raster import backend
+from ..output import print_json
 from .numbers import check_numbers
 
 
@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
             sys.stdout.write(_table(result))
     if args.json:
         found = [{"machine": machine()} | asdict(r) for r in results]
-        sys.stdout.write(json.dumps(found[0] if len(found) == 1 else found) + "\n")
+        print_json(found[0] if len(found) == 1 else found)
     return 0
 
 

@@ -1,7 +1,6 @@
 """`gscore bench scaling`: cost over splats, pixels, threads and views."""
 
 import argparse
-import json
 import sys
 from dataclasses import asdict
 from typing import Any
@@ -9,6 +8,7 @@ from typing import Any
 from ...bench.scaling import SIZES, SPLATS, VIEWS, Series, bench_scaling
 from ...metrics.machine import cores, machine
 from ...raster import backend
+from ..output import print_json
 from .numbers import check_numbers
 
 
@@ -40,8 +40,7 @@ def run(args: argparse.Namespace) -> int:
     )
     if args.json:
         content = {"machine": machine(), "isa": backend.isa()}
-        json.dump(content | {"series": [asdict(one) for one in series]}, sys.stdout)
-        print()
+        print_json(content | {"series": [asdict(one) for one in series]})
     else:
         for one in series:
             sys.stdout.write(_lines(one))

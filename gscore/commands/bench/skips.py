@@ -1,8 +1,6 @@
 """`gscore bench skips`: the same training without each skip."""
 
 import argparse
-import json
-import sys
 from dataclasses import asdict
 from pathlib import Path
 
@@ -11,6 +9,7 @@ from ...bench.training import load_for_bench
 from ...config import PRESETS, Skip
 from ...metrics.machine import machine
 from ...raster import backend
+from ..output import print_json
 from .training_options import add_training_options, training_configs
 
 
@@ -46,8 +45,7 @@ def run(args: argparse.Namespace) -> int:
             "isa": backend.isa(),
             "rows": [asdict(row) for row in rows],
         }
-        json.dump(content, sys.stdout)
-        print()
+        print_json(content)
     return 0
 
 

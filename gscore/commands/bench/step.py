@@ -1,7 +1,6 @@
 """`gscore bench step`: one training step and its parts."""
 
 import argparse
-import json
 import sys
 from dataclasses import asdict
 from pathlib import Path
@@ -15,13 +14,16 @@ from ...io.ply import read_splats
 from ...metrics.machine import machine
 from ...raster import backend
 from ..data_options import add_data_options, with_data_options
+from ..output import print_json
 from .numbers import check_numbers
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("source", nargs="?", type=Path, help="capture; default: a synthetic one")
-    parser.add_argument("--ply", type=Path, help="splats trained on SOURCE")
+    parser.add_argument(
+        "source", nargs="?", type=Path, help="capture, with --ply (default: a synthetic one)"
+    )
+    parser.add_argument("--ply", type=Path, help="splats trained on SOURCE, which it needs")
     parser.add_argument("--steps", type=int, default=60, help="steps measured (default 60)")
     parser.add_argument("--splats", type=int, default=100_000, help="size of the synthetic cloud")
     parser.add_argument("--width", type=int, default=640, help="px, of the synthetic views")
@@ -79,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
             sys.stdout.write(_table(found))
     if args.json:
         dicts = [{"machine": machine()} | asdict(found) for found in results]
-        print(json.dumps(dicts[0] if len(dicts) == 1 else dicts))
+        print_json(dicts[0] if len(dicts) == 1 else dicts)
     return 0
 
 
