@@ -203,6 +203,14 @@ class SceneSettings(bpy.types.PropertyGroup):
         description="Make up for the widening of small splats; for renders at other distances",
         default=_TRAIN.antialias,
     )
+    free_space: FloatProperty(
+        name="Free Space",
+        description="Splats nearer to a camera than this share of its distance from the points are "
+        "taken out, for they veil views between the photos; 0: none",
+        default=_TRAIN.free_space,
+        min=0.0,
+        max=0.99,
+    )
     seed: IntProperty(
         name="Seed",
         description="Same seed, capture and options: the same splats",

@@ -229,7 +229,7 @@ class TrainConfig:
 
     grow_with_photos: bool = False
     """The largest number of splats rises with the sides of the photos, from the number at the start
-    to `max_splats`, so that small photos do not grow what only large ones show."""
+    to `max_splats` at full size, so that small photos do not grow what only large ones show."""
 
     without: tuple[Skip, ...] = ()
     """Skips that are switched off."""
@@ -237,8 +237,8 @@ class TrainConfig:
     refine_start: int = 0
     """First step at which splats may be added or removed; 0: 500, sooner in short runs."""
     refine_stop: int = 0
-    """Last such step; 0: half of the run, with `grow_with_photos` four fifths, with mcmc five
-    sixths."""
+    """Last such step; 0: half of the run, with `grow_with_photos` four fifths or a little after
+    photos are at full size, with mcmc five sixths."""
     refine_every: int = 0
     """Steps between two refinements; 0: 100, fewer in short runs."""
     reset_every: int = 0
@@ -257,9 +257,10 @@ class TrainConfig:
     """Share of the splats that is removed when refinements are over (`refine_stop`): those that add
     least to any training photo. 0: none."""
     free_space: float = 0.4
-    """No splat stays nearer to a training camera than this share of its distance from the tenth
-    nearest SfM point: what stands there hides the scene from views between the photos. 0: they may
-    stand anywhere."""
+    """Splats nearer to a training camera than this share of its distance from the tenth nearest
+    SfM point are taken out at every `refine_every`-th step and at the last: they hide the scene
+    from views between the photos. Captures of fewer than 500 points, or with more than a fifth of
+    the splats there, are left as they are. 0: splats may stand anywhere."""
     mcmc_growth: float = 0.0
     """`mcmc`: splats added at each refinement, as a share of those there; 0: 0.05, more in runs
     that would not reach `max_splats` otherwise."""

@@ -54,6 +54,8 @@ class PointCloud:
     """[P, 3] float64, world units."""
     colors: np.ndarray
     """[P, 3] uint8, sRGB."""
+    made_up: bool = False
+    """Places drawn at random for want of points: they tell nothing about surfaces."""
 
     def __post_init__(self) -> None:
         check_array("points", self.points, ("P", 3), np.float64)

@@ -69,7 +69,7 @@ class TrainOptionsPanel(TabPanel, bpy.types.Panel):
         if settings.use_masks:
             column.prop(settings, "mask_mode")
         column = layout.column()
-        for name in ("strategy", "sh_degree", "background", "antialias", "seed"):
+        for name in ("strategy", "sh_degree", "background", "antialias", "free_space", "seed"):
             column.prop(settings, name)
 
 

@@ -41,7 +41,7 @@ def random_points(cameras: Cameras, count: int, *, seed: int) -> PointCloud:
         pixels = sizes * np.column_stack([rng.uniform(0, 1, (count, 2)), np.ones(count)])
         rays = np.einsum("pij,pj->pi", np.linalg.inv(cameras.Ks)[i], pixels)
         points = centers[i] + np.einsum("pji,pj->pi", cameras.viewmats[i, :3, :3], rays * depth)
-    return PointCloud(points=points, colors=np.full((count, 3), GREY, np.uint8))
+    return PointCloud(points=points, colors=np.full((count, 3), GREY, np.uint8), made_up=True)
 
 
 def colors_from_photos(

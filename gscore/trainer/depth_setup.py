@@ -97,6 +97,7 @@ def prepare_depth(
         points = PointCloud(
             points=np.concatenate([known.points, added.points]),
             colors=np.concatenate([known.colors, added.colors]),
+            made_up=known.made_up,
         )
         why += f" {len(added)} points were added from the maps to {len(known)} of SfM."
     return DepthSetup(

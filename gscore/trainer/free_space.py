@@ -26,7 +26,7 @@ class FreeSpace:
         Args:
             centers: [C, 3] positions of cameras, in any unit.
             points: [P, 3] of surfaces, in that unit; those not finite do not count. Fewer than 500
-                tell nothing, and no space is free then.
+                tell nothing: then there are no balls.
             share: Radius of a ball as a share of the distance of its camera from the tenth nearest
                 point.
         """

@@ -38,7 +38,7 @@ class Plan:
     """Last step."""
     max_splats: int
     """Never more splats than this."""
-    first_splats: int
+    first_cap: int
     """Splats that small photos may grow to; `max_splats` unless the number rises with them."""
     pixels: int
     """Of a photo at full size, on average."""
@@ -108,11 +108,6 @@ class Plan:
         # enough views between two decisions: at least 100 steps at the start, 50 in between.
         every = config.refine_every or max(min(50, n), min(100, n // 50))
         start = config.refine_start or max(min(100, n), min(500, n // 20))
-        coupled = config.grow_with_photos
-        stop = config.refine_stop or (n * 5 // 6 if mcmc else n * 4 // 5 if coupled else n // 2)
-        # The cap is reached halfway through the refinements even if the run is short.
-        growths = max((stop - start) // (2 * every), 1)
-        growth = max(0.05, (config.max_splats / max(points, 1)) ** (1 / growths) - 1)
         # Fewer steps have to go as far. On real captures of 200 x 150 px this gained 1.1 dB on
         # held-out views in 1000 steps and 0.7 dB in 3000.
         boost = config.lr_boost or min(max((_PAPER_STEPS / n) ** 0.35, 1.0), 4.0)
@@ -122,20 +117,29 @@ class Plan:
         # 240 x 320 px, 500 steps from the frame before ended 1.1 dB higher at full size.
         coarse = 1.0 if config.start_splats else min(max(side / _COARSE_SIDE, 1.0), 8.0)
         coarse = 1.0 if Skip.SMALL_PHOTOS in config.without else config.coarse_factor or coarse
+        sizes, coarse_until = stages(coarse, detail), round(config.coarse_until * n)
+        # With the photos, splats grow until these are at full size, and a little beyond it.
+        coupled = config.grow_with_photos and bool(sizes)
+        full_size = round(max(sizes, default=0.0) * coarse_until)
+        grown = max(n * 4 // 5, full_size + 2 * every) if coupled else n // 2
+        stop = config.refine_stop or (n * 5 // 6 if mcmc else min(grown, n))
+        # The cap is reached halfway through the refinements even if the run is short.
+        growths = max((stop - start) // (2 * every), 1)
+        growth = max(0.05, (config.max_splats / max(points, 1)) ** (1 / growths) - 1)
         # Gradients of several views point the way better than one's. Held-out PSNR did not fall.
         every_shN = config.shN_every or max(1, min(8, n // 125))
         every_shN = 1 if Skip.RARE_SH in config.without else every_shN
         return cls(
             iterations=n,
             max_splats=config.max_splats,
-            first_splats=min(points, config.max_splats) if coupled else config.max_splats,
+            first_cap=min(points, config.max_splats) if coupled else config.max_splats,
             pixels=pixels,
             sh_degree=config.sh_degree,
             sh_every=config.sh_every or max(1, min(1000, n // (2 * max(config.sh_degree, 1)))),
             shN_every=every_shN,
             coarse_factor=coarse,
-            coarse_until=round(config.coarse_until * n),
-            stages=stages(coarse, detail),
+            coarse_until=coarse_until,
+            stages=sizes,
             refine_start=start,
             refine_stop=stop,
             refine_every=every,
@@ -198,12 +202,12 @@ class Plan:
         smaller = next((k for k, share in enumerate(self.stages) if done >= share), count)
         return 1.0 if done >= 1 else 2.0 ** (smaller / 2)
 
-    def cap_at(self, step: int) -> int:
-        """Most splats that the refinement after `step` may lead to."""
-        first, last = 1 / self.coarse_factor, 1.0
-        share = 1.0 if first == last else (1 / self.factor_at(step) - first) / (last - first)
+    def cap_for(self, factor: float) -> int:
+        """Most splats that photos may lead to whose sides are divided by `factor`."""
+        first = 1 / self.factor_at(1)
+        share = (1 / factor - first) / (1 - first) if first < 1 else 1.0
         return round(
-            self.first_splats + min(max(share, 0.0), 1.0) * (self.max_splats - self.first_splats)
+            self.first_cap + min(max(share, 0.0), 1.0) * (self.max_splats - self.first_cap)
         )
 
     def penalty_at(self, step: int) -> float:
@@ -237,7 +241,7 @@ class Plan:
         """Splats to expect before step `later` where there are `splats` after `step`."""
         kept = self.kept if step < self.refine_stop < later else 1.0
         first, last = max(step + 1, self.refine_start), min(later - 1, self.refine_stop)
-        cap = self.cap_at(last)
+        cap = self.cap_for(self.factor_at(last))
         if last < first or splats >= cap:
             return kept * splats
         before, there = self._refinements(first - 1), self._refinements(last)
@@ -264,9 +268,7 @@ class Plan:
 
     def clears_at(self, step: int) -> bool:
         """Whether the free space around cameras is cleared after `step`: as often as splats are
-        refined, but to the end, for those that stay move."""
-        if step < self.refine_start:
-            return False
+        refined, but all along, for those that stay move."""
         return step % self.refine_every == 0 or step == self.iterations
 
     def surplus_at(self, step: int, splats: int, pruned: int) -> int:

@@ -10,13 +10,13 @@ import numpy as np
 import torch
 
 from ..config import Background, Skip, TrainConfig
-from ..errors import ConfigError, DatasetError, GsError
+from ..errors import DatasetError, GsError
 from ..raster.adam import Frustum
 from ..raster.calls import Picture
 from ..raster.loss import image_loss, image_loss_gradient
 from ..raster.painter import Painter
 from ..scene import PointCloud
-from ..splats import SH_REST_BY_DEGREE, Splats
+from ..splats import Splats
 from . import bounds, guard
 from .contribution import blending_weights, least
 from .depth_loss import DepthLoss
@@ -25,12 +25,13 @@ from .frame import Frame
 from .free_space import FreeSpace
 from .laps import Laps
 from .model import Model, Moments, ShN
-from .params import splats_from_points, splats_of_tensors, tensors_from_splats
+from .params import splats_of_tensors, tensors_from_splats
 from .pyramid import AHEAD, Pyramid
 from .regularisers import drop_rate_at, drop_splats, opacity_loss
 from .schedules import Plan
 from .skips import raster_bits
 from .spectrum import detail
+from .start import splats_of_cloud, splats_to_go_on_with
 from .stored import check_tensors, choices, number, whole
 from .strategy import Change, make_strategy, ops
 from .views import Photos, Sampler, View
@@ -38,6 +39,8 @@ from .views import Photos, Sampler, View
 _MAX_SKIPPED = 100
 _ABSURD_MSE = 1e4
 """Pictures are 0 to 1; colours of 100 come from splats that ran away."""
+_CROWD = 0.2
+"""Share of the splats in the free space around cameras from which on it is not free."""
 _GLANCE = 8
 """Sides of photos are divided by this to see whether a view shows anything."""
 _HOLD_EVERY = 100
@@ -126,6 +129,8 @@ class Trainer:
         """Splats taken out so far because they ran away; see `bounds`."""
         self.cleared = 0
         """Splats taken out so far because they stood too close before a camera."""
+        self.crowded = False
+        """So many stood there at once that something must be there: no space is free."""
         self.rate_factor = 1.0
         """All learning rates are multiplied by this."""
         self._skipped = 0
@@ -136,12 +141,16 @@ class Trainer:
         """What the parts of the last step took."""
         self._cameras = self.frame.similarity.cameras_to_training(photos.scene.cameras)
         self._pyramid = Pyramid(photos, self._cameras, limit=photo_cache)
+        surfaces = self.frame.similarity.points_to_training(cloud.points)
         self._free_space = FreeSpace(
             self._cameras.centers[list(photos.train)],
-            self.frame.similarity.points_to_training(photos.scene.points.points),
+            surfaces[: 0 if cloud.made_up else None],
             share=config.free_space,
         )
-        first = self._first_splats(cloud) if start is None else self._placed(start)
+        if start is None:
+            first = splats_of_cloud(cloud, config, self.plan, self.frame)
+        else:
+            first = splats_to_go_on_with(start, config, self.frame)
         self.model = Model(tensors_from_splats(first))
         self._disable = raster_bits(config.without)
         self._given_degree = first.sh_degree
@@ -213,19 +222,8 @@ class Trainer:
             threads=config.threads,
         )
         value, mse = loss.loss, _of_counted(loss.mse, counted)
-        v_alpha, v_inverse_depth = None, None
-        if self.depth and picture.inverse_depth is not None:
-            inverse_depth = picture.inverse_depth.detach().requires_grad_()
-            alpha = picture.alpha.detach().requires_grad_()
-            term = depth_weight * self.depth(index, inverse_depth, alpha)
-            value += term.item()
-            v_inverse_depth, v_alpha = _gradients(term, inverse_depth, alpha)
-        if config.alpha_weight and mask is not None and self.photos.mask_mode == "composite":
-            alpha = picture.alpha.detach().requires_grad_()
-            term = config.alpha_weight * opacity_loss(alpha, torch.from_numpy(mask))
-            value += term.item()
-            (more,) = _gradients(term, alpha)
-            v_alpha = more if v_alpha is None or more is None else v_alpha + more
+        more, v_alpha, v_inverse_depth = self._further_terms(index, picture, mask, depth_weight)
+        value += more
         self.steps = step
         laps.lap("loss")
         if config.detect_anomaly and not math.isfinite(value):
@@ -336,6 +334,7 @@ class Trainer:
             "bad_rows": self.bad_rows,
             "lost_rows": self.lost_rows,
             "cleared": self.cleared,
+            "crowded": self.crowded,
             "skipped": self._skipped,
             "factor": self._factor if math.isfinite(self._factor) else None,
             "pruned": self._pruned,
@@ -388,34 +387,9 @@ class Trainer:
         self.bad_rows = whole("bad_rows", state["bad_rows"])
         self.lost_rows = whole("lost_rows", state.get("lost_rows", 0))
         self.cleared = whole("cleared", state.get("cleared", 0))
+        self.crowded = state.get("crowded", False) is True
         self._skipped = whole("skipped", state["skipped"])
         self._pruned = whole("pruned", state["pruned"])
-
-    def _first_splats(self, cloud: PointCloud) -> Splats:
-        points = self.frame.similarity.points_to_training(cloud.points)
-        return splats_from_points(
-            PointCloud(points=points, colors=cloud.colors),
-            extent=self.frame.extent,
-            opacity=self.plan.init_opacity,
-            scale=self.plan.init_scale,
-            max_splats=self.config.max_splats,
-            seed=self.config.seed,
-        )
-
-    def _placed(self, start: Splats) -> Splats:
-        """Given splats in the training world, with no higher SH degree than the config has."""
-        if not 0 < len(start) <= self.config.max_splats:
-            raise ConfigError(
-                f"The splats to start from are {len(start)}, expected 1 to max_splats = "
-                f"{self.config.max_splats}; raise --max-splats or start from fewer."
-            )
-        rest = SH_REST_BY_DEGREE[self.config.sh_degree]
-        start = replace(start, shN=np.ascontiguousarray(start.shN[:, :rest]))
-        if self.config.start_opacity < 1:
-            opacity = self.config.start_opacity / (1 + np.exp(-start.opacities.astype(np.float64)))
-            logits = np.log(opacity) - np.log1p(-opacity)
-            start = replace(start, opacities=logits.astype(np.float32))
-        return self.frame.similarity.splats_to_training(start)
 
     def _in_world(self, params: dict[str, torch.Tensor]) -> Splats:
         return self.frame.similarity.splats_from_training(splats_of_tensors(params))
@@ -474,6 +448,26 @@ class Trainer:
             return (r, g, b)
         return _COLORS[mode]
 
+    def _further_terms(
+        self, index: int, picture: Picture, mask: np.ndarray | None, depth_weight: float
+    ) -> tuple[float, torch.Tensor | None, torch.Tensor | None]:
+        """What depth and masks add to the loss of a view, and its gradients in the picture's
+        opacity and inverse depth; None: it does not depend on them."""
+        value, v_alpha, v_inverse_depth = 0.0, None, None
+        if self.depth and picture.inverse_depth is not None:
+            inverse_depth = picture.inverse_depth.detach().requires_grad_()
+            alpha = picture.alpha.detach().requires_grad_()
+            term = depth_weight * self.depth(index, inverse_depth, alpha)
+            value += term.item()
+            v_inverse_depth, v_alpha = _gradients(term, inverse_depth, alpha)
+        if self.config.alpha_weight and mask is not None and self.photos.mask_mode == "composite":
+            alpha = picture.alpha.detach().requires_grad_()
+            term = self.config.alpha_weight * opacity_loss(alpha, torch.from_numpy(mask))
+            value += term.item()
+            (more,) = _gradients(term, alpha)
+            v_alpha = more if v_alpha is None or more is None else v_alpha + more
+        return value, v_alpha, v_inverse_depth
+
     def _skip(self, value: float, mse: float, lost_rows: int) -> StepResult:
         self._skipped += 1
         if self._skipped >= _MAX_SKIPPED:
@@ -510,7 +504,11 @@ class Trainer:
             self._painter.release()
         cleared = self._clear(step)
         change = self.strategy.after_step(
-            model, step=step, means_lr=means_lr, generator=self.generator
+            model,
+            step=step,
+            means_lr=means_lr,
+            cap=self.plan.cap_for(self._factor),
+            generator=self.generator,
         )
         return replace(change, removed=change.removed + cleared), bad_rows
 
@@ -542,11 +540,12 @@ class Trainer:
 
     def _clear(self, step: int) -> int:
         """Take out what stands in the free space around cameras; how many that were."""
-        if not self.plan.clears_at(step):
+        if self.crowded or not self.plan.clears_at(step):
             return 0
         inside = self._free_space.holds(self.model.params["means"])
         count = int(inside.sum())
-        if count in (0, len(self.model)):  # a blank model cannot recover
+        self.crowded = count > _CROWD * len(self.model)
+        if count == 0 or self.crowded:
             return 0
         self._painter.release()
         ops.edit(self.model, keep=(~inside).nonzero().flatten())

@@ -113,7 +113,7 @@ def test_every_option_arrives(scene: bpy.types.Scene, tmp_path: Path) -> None:
     settings, network = scene.gscore, tmp_path / "lpips.onnx"
     values = {"iterations": 123, "max_splats": 4567, "sh_degree": 1, "seed": 9, "antialias": True}
     values |= {"strategy": "mcmc", "background": "white", "early_stop": True}
-    values |= {"target_psnr": 27.3}
+    values |= {"target_psnr": 27.3, "free_space": 0.25}
     for name, value in values.items():
         setattr(settings, name, value)  # numbers become single precision
     settings.eval, settings.test_every, settings.images = True, 5, "photos 2"

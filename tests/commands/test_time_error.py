@@ -307,6 +307,8 @@ def test_only_curves_of_one_size_are_compared() -> None:
         (["--ablations", "free-space=2"], "free_space must lie in [0, 1), got 2"),
         (["--ablations", "free-space=much"], "free_space must be a float, got 'much'"),
         (["--ablations", "early-stop=on"], "There is no ablation 'early-stop=on'"),
+        (["--ablations", "start-splats=a.ply"], "There is no ablation 'start-splats=a.ply'"),
+        (["--ablations", "depth-weight=2"], "There is no ablation 'depth-weight=2'"),
     ],
 )
 def test_everything_is_checked_before_training(

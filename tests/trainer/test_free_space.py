@@ -14,7 +14,7 @@ from gscore.events import Event, Warn
 from gscore.io.ply import write_splats
 from gscore.scene import PointCloud
 from gscore.splats import Splats
-from gscore.trainer import checkpoint, free_space
+from gscore.trainer import checkpoint, free_space, session, trainer
 from gscore.trainer.free_space import FreeSpace
 from gscore.trainer.run import train
 from gscore.trainer.schedules import Plan
@@ -133,16 +133,51 @@ def test_clearing_goes_on_to_the_end_and_after_a_resume(
         assert torch.equal(resumed.tensors()[key], tensor), key
 
 
-def test_a_model_is_never_left_blank(known: Any, known_splats: Splats) -> None:
-    """Oracle: the number of splats; all of them stand where nothing should."""
+def test_where_many_splats_stand_no_space_is_free(known: Any, known_splats: Splats) -> None:
+    """Oracle: the number of splats; all of them stand where nothing should. Then none goes later,
+    and none after a resume either."""
     start = with_walls(known_splats, known)
     walls = len(known.scene.cameras.centers)
     rows = ("means", "quats", "scales", "opacities", "sh0", "shN")
     start = replace(start, **{name: getattr(start, name)[-walls:] for name in rows})
-    trainer = Trainer(replace(CONFIG, strategy=Strategy.MCMC, max_splats=walls), known, start=start)
+    config = replace(CONFIG, strategy=Strategy.MCMC, max_splats=walls)
+    trainer = Trainer(config, known, start=start)
     for _ in range(12):
         trainer.step()
-    assert len(trainer.model) == walls and trainer.cleared == 0
+    assert len(trainer.model) == walls and trainer.cleared == 0 and trainer.crowded
+    resumed = Trainer(config, known, start=start)
+    resumed.restore(trainer.state(), dict(trainer.tensors()))
+    resumed.model.params["means"][1:] = 0.0
+    while resumed.steps < 40:
+        resumed.step()
+    assert resumed.crowded and resumed.cleared == 0
+
+
+def test_points_that_are_made_up_free_nothing(known: Any, known_splats: Splats) -> None:
+    """Oracle: the walls stay; those of depth maps count as points, so that what they show stays."""
+    start = with_walls(known_splats, known)
+    config = replace(CONFIG, max_splats=len(start), grow_grad=1e9)
+    cloud = known.scene.points
+    nearer = np.repeat(start.means[-len(known.train) :].astype(np.float64), 10, axis=0)
+    near = PointCloud(
+        points=np.concatenate([cloud.points, nearer]),
+        colors=np.concatenate([cloud.colors, np.zeros((len(nearer), 3), np.uint8)]),
+    )
+    for points, gone in ((cloud, 8), (replace(cloud, made_up=True), 0), (near, 0)):
+        trainer = Trainer(config, known, start=start, points=points)
+        for _ in range(10):
+            trainer.step()
+        assert trainer.cleared == gone
+
+
+def test_held_out_cameras_free_nothing(known: Any, known_splats: Splats) -> None:
+    """Oracle: the wall before the view that is not trained on stays."""
+    seven = replace(known, train=list(range(7)), test=[7])
+    config = replace(CONFIG, max_splats=1000, grow_grad=1e9)
+    trainer = Trainer(config, seven, start=with_walls(known_splats, known))
+    for _ in range(10):
+        trainer.step()
+    assert trainer.cleared == 7
 
 
 def test_many_cleared_splats_are_told(
@@ -154,6 +189,11 @@ def test_many_cleared_splats_are_told(
     config = replace(CONFIG, start_splats=tmp_path / "walls.ply", max_splats=158)
     (told,) = told_by(config, capture, tmp_path / "run")
     assert told.startswith("8 splats")
+    monkeypatch.setattr(session, "_MANY_CLEARED", 0.06)
+    assert not told_by(config, capture, tmp_path / "few")
+    monkeypatch.setattr(trainer, "_CROWD", 0.04)
+    (told,) = told_by(config, capture, tmp_path / "crowd")
+    assert told.startswith("Many splats stand")
     assert not told_by(replace(config, free_space=0.0), capture, tmp_path / "anywhere")
 
 
@@ -165,8 +205,8 @@ def told_by(config: TrainConfig, capture: Path, output: Path) -> list[str]:
 
 
 def test_when_it_clears() -> None:
-    """Oracle: by hand."""
-    config = replace(CONFIG, iterations=35)
+    """Oracle: by hand; refinements from step 15 to 20 only."""
+    config = replace(CONFIG, iterations=35, refine_start=15)
     plan = Plan.of(config, extent=1.0, points=100, side=100, pixels=10_000)
     assert [step for step in range(1, 36) if plan.clears_at(step)] == [10, 20, 30, 35]
 

@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -32,8 +33,9 @@ def test_splats_grow_with_the_photos() -> None:
         iterations=1000, max_splats=10_000, coarse_factor=4.0, grow_with_photos=True
     )
     plan = plan_of(config, points=1000)
-    assert plan.refine_stop == 800
-    caps = {plan.factor_at(step): plan.cap_at(step) for step in range(1, 1001)}
+    full_size = next(step for step in range(1, 1001) if plan.factor_at(step) == 1.0)
+    assert plan.refine_stop == pytest.approx(full_size + 2 * plan.refine_every, abs=1)
+    caps = {plan.factor_at(step): plan.cap_for(plan.factor_at(step)) for step in range(1, 1001)}
     assert caps == {
         4.0: 1000,
         2.0**1.5: pytest.approx(2243, abs=1),
@@ -41,8 +43,28 @@ def test_splats_grow_with_the_photos() -> None:
         2.0**0.5: pytest.approx(6485, abs=1),
         1.0: 10_000,
     }
-    at_once = plan_of(replace(config, grow_with_photos=False, refine_stop=800), points=1000)
+    at_once = plan_of(
+        replace(config, grow_with_photos=False, refine_stop=plan.refine_stop), points=1000
+    )
     assert plan.seconds_after(0, 1000) < at_once.seconds_after(0, 1000)
+
+
+DETAIL = (0.98, 0.9, 0.7, 0.5, 0.3, 0.2, 0.1)
+"""Of soft photos: nearly nothing is lost at half of the pixels."""
+
+
+@pytest.mark.parametrize(("side", "first"), [(170, 2.0), (300, 4.0), (900, 8.0)])
+def test_growth_with_photos_is_whole(side: int, first: float) -> None:
+    """Oracle: the number at the start at the first size, the cap at full size, and refinements
+    until then."""
+    config = TrainConfig(iterations=10_000, max_splats=50_000, grow_with_photos=True)
+    plan = plan_of(config, points=5000, side=side)
+    assert (plan.factor_at(1), plan.cap_for(plan.factor_at(1))) == (first, 5000)
+    assert plan.cap_for(plan.factor_at(plan.refine_stop)) == 50_000
+    soft = Plan.of(config, extent=1.0, points=9, side=side, pixels=9, detail=DETAIL)
+    assert soft.factor_at(soft.refine_stop) == 1.0 < soft.factor_at(8000)
+    given = replace(config, start_splats=Path("a.ply"))
+    assert plan_of(given).refine_stop == 5000
 
 
 @pytest.mark.parametrize(
@@ -54,7 +76,9 @@ def test_splats_grow_with_the_photos() -> None:
 )
 def test_else_splats_grow_to_the_cap_at_once(config: TrainConfig) -> None:
     """Oracle: the cap, also where photos are at full size from the first step."""
-    assert {plan_of(config).cap_at(step) for step in range(1, 101)} == {config.max_splats}
+    plan, plain = plan_of(config), plan_of(replace(config, grow_with_photos=False))
+    assert {plan.cap_for(plan.factor_at(step)) for step in range(1, 101)} == {config.max_splats}
+    assert plan.refine_stop == plain.refine_stop == 50
 
 
 def test_penalties_of_mcmc_fall_evenly() -> None:

@@ -12,6 +12,7 @@ from gscore.config import Strategy, TrainConfig
 from gscore.trainer.model import Model
 from gscore.trainer.schedules import Plan
 from gscore.trainer.strategy import Change, make_strategy, ops
+from gscore.trainer.strategy import Strategy as Policy
 from gscore.trainer.strategy.default import DefaultStrategy
 from gscore.trainer.strategy.mcmc import MCMCStrategy
 
@@ -45,9 +46,16 @@ def see(strategy: DefaultStrategy, model: Model, pulls: list[float], step: int =
     strategy.observe(model, step=step, radii=radii, v_means2d=v, width=200, height=100)
 
 
-def refine(strategy: DefaultStrategy, model: Model, step: int) -> Change:
-    generator = torch.Generator().manual_seed(0)
-    return strategy.after_step(model, step=step, means_lr=0.0, generator=generator)
+def after(
+    strategy: Policy, model: Model, step: int, cap: int, *, means_lr: float = 0.0, seed: int = 0
+) -> Change:
+    """What follows on a step of the optimizer."""
+    generator = torch.Generator().manual_seed(seed)
+    return strategy.after_step(model, step=step, means_lr=means_lr, cap=cap, generator=generator)
+
+
+def refine(strategy: Policy, model: Model, step: int, cap: int = 400_000) -> Change:
+    return after(strategy, model, step, cap)
 
 
 CONFIG = TrainConfig(
@@ -115,11 +123,11 @@ def test_nothing_happens_between_refinements(marked_model: Make) -> None:
 
 def test_the_cap_takes_those_that_are_pulled_hardest(marked_model: Make) -> None:
     """Oracle: sort by pull."""
-    config = TrainConfig(iterations=1000, refine_start=10, refine_every=10, max_splats=6)
+    config = TrainConfig(iterations=1000, refine_start=10, refine_every=10)
     model = opaque(marked_model(4), 0.005)
     strategy = default(config, model)
     see(strategy, model, [3e-4, 9e-4, 5e-4, 7e-4])
-    refine(strategy, model, 10)
+    refine(strategy, model, 10, cap=6)
     assert model.params["sh0"][:, 0, 0].tolist() == [0, 1, 2, 3, 1, 3]
 
 
@@ -169,43 +177,37 @@ def mcmc(**options: float) -> tuple[MCMCStrategy, Plan]:
 
 
 @pytest.mark.parametrize("kind", list(Strategy))
-def test_growth_waits_for_larger_photos(marked_model: Make, kind: Strategy) -> None:
-    """Oracle: four splats at the start, so no more at the first size, and the cap at full size."""
-    config = replace(CONFIG, strategy=kind, refine_stop=800, max_splats=8, mcmc_growth=1)
-    config = replace(config, coarse_factor=4, grow_with_photos=True)
+def test_nothing_is_added_beyond_the_cap(marked_model: Make, kind: Strategy) -> None:
+    """Oracle: the caps, of splats that would all double; those above one stay."""
+    config = replace(CONFIG, strategy=kind, mcmc_growth=1)
     strategy = make_strategy(config, plan_of(config), extent=EXTENT)
     model = opaque(marked_model(4), 1e-4)
-    for step, expected in ((10, 4), (500, 5), (800, 8)):
+    for step, cap, expected in ((10, 4, 4), (20, 5, 5), (30, 8, 8), (40, 5, 8)):
         strategy.start(model)
         if isinstance(strategy, DefaultStrategy):
             see(strategy, model, [1.0] * len(model), step=step)
-        generator = torch.Generator().manual_seed(0)
-        strategy.after_step(model, step=step, means_lr=0.0, generator=generator)
+        assert after(strategy, model, step, cap).removed == 0
         assert len(model) == expected, step
 
 
 def test_mcmc_grows_to_the_cap_and_no_further(marked_model: Make) -> None:
     """Oracle: floor(1.5 N) at each refinement, then exactly the cap."""
-    strategy, _ = mcmc(max_splats=20, mcmc_growth=0.5)
+    strategy, _ = mcmc(mcmc_growth=0.5)
     model = marked_model(8)
     sizes = []
     for step in (10, 20, 30, 40):
-        strategy.after_step(
-            model, step=step, means_lr=0.0, generator=torch.Generator().manual_seed(step)
-        )
+        after(strategy, model, step, 20, seed=step)
         sizes.append(len(model))
     assert sizes == [12, 18, 20, 20]
 
 
 def test_mcmc_counts_broken_splats_as_dead(marked_model: Make) -> None:
     """Oracle: after a refinement every row is finite and has a direction."""
-    strategy, _ = mcmc(max_splats=4)
+    strategy, _ = mcmc()
     model = opaque(marked_model(4), 0.01)
     model.params["opacities"].data[0] = math.nan
     model.params["quats"].data[1] = 0
-    change = strategy.after_step(
-        model, step=10, means_lr=0.0, generator=torch.Generator().manual_seed(0)
-    )
+    change = after(strategy, model, 10, 4)
     assert change == Change(moved=2)
     for name, p in model.params.items():
         assert torch.isfinite(p).all(), name
@@ -215,12 +217,12 @@ def test_mcmc_counts_broken_splats_as_dead(marked_model: Make) -> None:
 def test_mcmc_gradients_are_those_of_its_penalties(marked_model: Make) -> None:
     """Oracle: torch autograd of 0.01 mean(opacity) + 0.08 mean(scale), a fourth of both at the
     end."""
-    strategy, config = mcmc(opacity_reg=0.01, scale_reg=0.08, reg_final=0.25)
+    strategy, plan = mcmc(opacity_reg=0.01, scale_reg=0.08, reg_final=0.25)
     model = marked_model(5)
     opacities = model.params["opacities"].clone().requires_grad_()
     scales = model.params["scales"].clone().requires_grad_()
     (0.0025 * torch.sigmoid(opacities).mean() + 0.02 * scales.exp().mean()).backward()
-    strategy.shape_gradients(model, step=config.iterations)
+    strategy.shape_gradients(model, step=plan.iterations)
     torch.testing.assert_close(model.grads["opacities"], opacities.grad)
     torch.testing.assert_close(model.grads["scales"], scales.grad)
 
@@ -235,7 +237,7 @@ def test_mcmc_noise_moves_faint_splats_along_their_shape(marked_model: Make) -> 
     model.params["scales"].data[:] = torch.tensor([0.5, 0.2, 0.1]).log()
     model.params["opacities"].data[:] = ops.logit(0.01)
     model.params["opacities"].data[: n // 2] = 2.0
-    strategy.after_step(model, step=1, means_lr=0.1, generator=torch.Generator().manual_seed(0))
+    after(strategy, model, 1, n, means_lr=0.1)
     means = model.params["means"].double().numpy()
     assert not means[: n // 2].any()
     gate = 1 / (1 + math.exp(100 * (0.01 - 0.005)))
@@ -253,5 +255,5 @@ def test_both_strategies_take_a_model_of_one(marked_model: Make, strategy: Strat
     model = opaque(marked_model(1), 0.01)
     policy = make_strategy(config, plan_of(config), extent=EXTENT)
     policy.start(model)
-    policy.after_step(model, step=5, means_lr=1e-4, generator=torch.Generator().manual_seed(0))
+    after(policy, model, 5, len(model), means_lr=1e-4)
     assert len(model) >= 1

@@ -280,3 +280,32 @@ def test_no_view_to_train_on_is_an_error(make_photos: Callable[..., Any]) -> Non
     photos = make_photos(held_out=tuple(range(8)))
     with pytest.raises(DatasetError, match="hold out fewer"):
         Trainer(SHORT, photos)
+
+
+@pytest.mark.parametrize("strategy", list(Strategy))
+def test_splats_grow_with_the_photos_shown(photos: Any, strategy: Strategy) -> None:
+    """Oracle: the plan's caps at the sizes of the photos; a run that becomes longer keeps both."""
+    config = TrainConfig(
+        iterations=80,
+        strategy=strategy,
+        max_splats=300,
+        coarse_factor=4.0,
+        grow_with_photos=True,
+        refine_start=5,
+        refine_every=5,
+        refine_stop=70,
+        grow_grad=1e-7,
+        mcmc_growth=1.0,
+    )
+    trainer, counts = Trainer(config, photos), {}
+    for step in range(1, 81):
+        trainer.step()
+        counts[trainer.plan.factor_at(step)] = len(trainer.model)
+    caps = {factor: trainer.plan.cap_for(factor) for factor in counts}
+    assert len(caps) == 5 and caps[1.0] == 300
+    assert all(0.9 * caps[factor] <= counts[factor] <= caps[factor] for factor in caps)
+    trainer.replan(240)
+    assert trainer.plan.factor_at(81) > 1
+    for _ in range(20):
+        trainer.step()
+    assert len(trainer.model) > 0.9 * 300

@@ -14,11 +14,12 @@ from ...config import Skip, Strategy, TrainConfig
 from ...config_file import from_dict, to_dict
 from ...datasets import Dataset
 from ...errors import ConfigError
+from ...trainer.checkpoint import FREE
 from .sweeps import SizesPlan, plan_sizes
 from .training_options import training_configs
 
-_NOT_HERE = ("seed", "threads", "time_budget", "target_psnr", "early_stop")
-"""Options that other options of the bench set, or that end a run, which the bench does itself."""
+_NOT_HERE = ("seed", "start_opacity", *sorted(FREE - {"iterations"}))
+"""Options that the bench sets otherwise, or that change nothing in a training from points."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,18 +93,21 @@ def _ablated(config: TrainConfig, name: str) -> TrainConfig:
         return replace(config, without=(*config.without, Skip(name)))
     option, equals, value = name.partition("=")
     option = option.replace("-", "_")
-    if not equals or option in _NOT_HERE:
+    if not equals or option in _NOT_HERE or option.startswith("depth_"):
         known = ", ".join((*Strategy, *Skip))
         raise ConfigError(
             f"There is no ablation {name!r}; there are: {known}, and OPTION=VALUE for options of "
-            "`gscore train` that change how it learns."
+            "gscore.TrainConfig that change how a training without depth maps learns."
         )
-    values = to_dict(config) | {option: _value(value)}
+    values = to_dict(config) | {option: _value(value, getattr(config, option, None))}
     return from_dict(TrainConfig, values, where=f"--ablations {name}")
 
 
-def _value(text: str) -> Any:
+def _value(text: str, now: Any) -> Any:
+    """What `text` says, for an option that has the value `now`."""
+    if isinstance(now, bool) and text in ("on", "off"):
+        return text == "on"
     try:
-        return {"on": True, "off": False}[text] if text in ("on", "off") else json.loads(text)
+        return json.loads(text)
     except ValueError:
         return text

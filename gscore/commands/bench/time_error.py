@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         help="also train each preset with this changed: a strategy (mcmc), a skip switched off ("
         + ", ".join(Skip)
-        + "), an option (free-space=0), or several joined by commas",
+        + "), an option of gscore.TrainConfig (free-space=0), or several joined by commas",
     )
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
     parser.add_argument(

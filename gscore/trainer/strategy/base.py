@@ -59,8 +59,8 @@ class Strategy(Protocol):
         ...
 
     def after_step(
-        self, model: Model, *, step: int, means_lr: float, generator: torch.Generator
+        self, model: Model, *, step: int, means_lr: float, cap: int, generator: torch.Generator
     ) -> Change:
-        """Change the model after the optimizer's step `step`, which moved positions at
-        `means_lr`."""
+        """Change the model after the optimizer's step `step`, which moved positions at `means_lr`;
+        nothing is added beyond `cap` splats."""
         ...

@@ -51,17 +51,17 @@ class DefaultStrategy:
         add_pull(rows["pull"], rows["seen"], v_means2d, radii, scale, threads=self._config.threads)
 
     def after_step(
-        self, model: Model, *, step: int, means_lr: float, generator: torch.Generator
+        self, model: Model, *, step: int, means_lr: float, cap: int, generator: torch.Generator
     ) -> Change:
         change = Change()
         if self._plan.refines_at(step):
-            change = self._refine(model, step, generator)
+            change = self._refine(model, step, cap, generator)
         if self._plan.resets_at(step):
             ops.reset_opacities(model, RESET_OPACITY)
             change = Change(added=change.added, removed=change.removed, reset=True)
         return change
 
-    def _refine(self, model: Model, step: int, generator: torch.Generator) -> Change:
+    def _refine(self, model: Model, step: int, cap: int, generator: torch.Generator) -> Change:
         config = self._config
         before = len(model)
         pull = model.rows["pull"] / model.rows["seen"].clamp_min(1)
@@ -70,7 +70,7 @@ class DefaultStrategy:
         large = size > _log(config.grow_scale * self._extent)
 
         grow = (pull >= self._plan.grow_grad) & ~doomed
-        room = self._plan.cap_at(step) - before + int(doomed.sum())
+        room = cap - before + int(doomed.sum())
         grow = _strongest(grow, pull, max(room, 0))
         clone, divide = (grow & ~large).nonzero().flatten(), (grow & large).nonzero().flatten()
         new = ops.join(ops.duplicate(model, clone), ops.split(model, divide, generator))

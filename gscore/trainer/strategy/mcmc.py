@@ -55,22 +55,21 @@ class MCMCStrategy:
         pass
 
     def after_step(
-        self, model: Model, *, step: int, means_lr: float, generator: torch.Generator
+        self, model: Model, *, step: int, means_lr: float, cap: int, generator: torch.Generator
     ) -> Change:
         change = Change()
         if self._plan.refines_at(step):
-            change = self._refine(model, step, generator)
+            change = self._refine(model, cap, generator)
         self._add_noise(model, means_lr, generator)
         return change
 
-    def _refine(self, model: Model, step: int, generator: torch.Generator) -> Change:
+    def _refine(self, model: Model, cap: int, generator: torch.Generator) -> Change:
         floor = max(self._config.prune_opacity, 1e-6)
         opacities = model.params["opacities"]
         dead = ~(opacities > ops.logit(floor))  # NaN is dead too
         dead |= model.params["quats"].square().sum(dim=1) < 1e-8
         moved = ops.relocate(model, dead, generator, min_opacity=floor)
-        target = int((1 + self._plan.mcmc_growth) * len(model))
-        target = min(self._plan.cap_at(step), target)
+        target = min(cap, int((1 + self._plan.mcmc_growth) * len(model)))
         added = ops.grow(model, target - len(model), generator, min_opacity=floor)
         return Change(added=added, moved=moved)
 
