@@ -227,7 +227,7 @@ class TrainConfig:
     """Photos stay at each size in proportion to the detail that it adds, which their frequencies
     tell; soft photos train faster. Else the number of pixels rises with the square of the step."""
 
-    grow_with_photos: bool = False
+    grow_with_photos: bool = True
     """The largest number of splats rises with the sides of the photos, from the number at the start
     to `max_splats` at full size, so that small photos do not grow what only large ones show."""
 
@@ -242,8 +242,8 @@ class TrainConfig:
     refine_every: int = 0
     """Steps between two refinements; 0: 100, fewer in short runs."""
     reset_every: int = 0
-    """`default`: steps between two opacity resets; 0: 3000, none in runs under 6000 steps; -1:
-    never."""
+    """`default`: steps between two opacity resets, up to `refine_stop` or, where that is 0, half of
+    the run; 0: 3000, none in runs under 6000 steps; -1: never."""
     grow_grad: float = 0.0
     """`default`: mean positional gradient in normalised image coordinates above which a splat is
     doubled; 0: 2e-4, down to 1e-4 in short runs."""

@@ -62,6 +62,8 @@ class Plan:
     """Steps between two refinements."""
     reset_every: int
     """Steps between two opacity resets; 0: never."""
+    reset_stop: int
+    """Last step that may reset."""
     means_lr: tuple[float, float]
     """Learning rate of positions at the first and after the last step, training units."""
     rates: dict[str, float]
@@ -144,6 +146,7 @@ class Plan:
             refine_stop=stop,
             refine_every=every,
             reset_every=max(reset, 0),
+            reset_stop=config.refine_stop or n // 2,
             means_lr=(config.means_lr * extent * root, config.means_lr_final * extent * boost**2),
             rates={
                 "quats": config.quats_lr * boost,
@@ -241,6 +244,7 @@ class Plan:
         """Splats to expect before step `later` where there are `splats` after `step`."""
         kept = self.kept if step < self.refine_stop < later else 1.0
         first, last = max(step + 1, self.refine_start), min(later - 1, self.refine_stop)
+        last -= last % self.refine_every
         cap = self.cap_for(self.factor_at(last))
         if last < first or splats >= cap:
             return kept * splats
@@ -283,5 +287,5 @@ class Plan:
 
     def resets_at(self, step: int) -> bool:
         """Whether opacities are reset after `step`."""
-        inside = step <= min(self.refine_stop, self.iterations - 1)
+        inside = step <= min(self.reset_stop, self.iterations - 1)
         return self.reset_every > 0 and inside and step % self.reset_every == 0

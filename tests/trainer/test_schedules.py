@@ -17,8 +17,16 @@ def plan_of(config: TrainConfig, points: int = 10_000, side: int = 300) -> Plan:
 
 
 def test_a_run_of_30000_steps_is_that_of_the_paper() -> None:
-    """Oracle: Kerbl et al. 2023 and its reference code."""
-    plan = plan_of(TrainConfig(iterations=30_000))
+    """Oracle: Kerbl et al. 2023 and its reference code, where growth does not wait for photos."""
+    plan = plan_of(TrainConfig(iterations=30_000, grow_with_photos=False))
+    assert [step for step in range(1, 30_001) if plan.resets_at(step)] == [
+        3000 * k for k in range(1, 6)
+    ]
+    waits = plan_of(TrainConfig(iterations=30_000))
+    assert waits.refine_stop == 24_000
+    assert not any(waits.resets_at(step) for step in range(15_001, 30_001))
+    longer = plan_of(TrainConfig(iterations=30_000, refine_stop=20_000))
+    assert longer.resets_at(18_000) and not longer.resets_at(21_000)
     assert (plan.refine_start, plan.refine_stop, plan.refine_every) == (500, 15_000, 100)
     assert (plan.reset_every, plan.sh_every) == (3000, 1000)
     assert plan.rates["opacities"] == 0.025
@@ -70,7 +78,7 @@ def test_growth_with_photos_is_whole(side: int, first: float) -> None:
 @pytest.mark.parametrize(
     "config",
     [
-        TrainConfig(iterations=100, coarse_factor=4.0),
+        TrainConfig(iterations=100, coarse_factor=4.0, grow_with_photos=False),
         TrainConfig(iterations=100, coarse_factor=1.0, grow_with_photos=True),
     ],
 )
@@ -210,6 +218,19 @@ def test_photos_grow_to_full_size() -> None:
     assert plan_of(TrainConfig(coarse_until=0)).factor_at(1) == 1.0
 
 
+def test_splats_to_expect_wait_for_the_photos() -> None:
+    """Oracle: fast growth follows the caps of the sizes; slow growth does not feel them."""
+    config = TrainConfig(iterations=3000, max_splats=60_000)
+    plan = plan_of(config, points=5000)
+    for step in (500, 1000, 1500, 2000, 2400, 2900):
+        last = min(step - 1, plan.refine_stop) // plan.refine_every * plan.refine_every
+        expected = plan.cap_for(plan.factor_at(last))
+        assert plan._splats_at(step, 0, 5000) == pytest.approx(expected), step
+    slow = replace(config, grow_grad=1e-2)
+    at_once = plan_of(replace(slow, grow_with_photos=False, refine_stop=plan.refine_stop))
+    assert plan_of(slow)._splats_at(2900, 0, 5000) == at_once._splats_at(2900, 0, 5000) < 10_000
+
+
 @pytest.mark.parametrize(
     "options",
     [{}, {"strategy": Strategy.MCMC}, {"grow_grad": 4e-4}, {"prune_share": 0.3}],
@@ -218,7 +239,8 @@ def test_photos_grow_to_full_size() -> None:
 def test_splats_to_expect_are_those_of_each_refinement(options: dict[str, Any]) -> None:
     """Oracle: a walk from step to step: the k-th refinement adds half of the splats at most, and
     2.2e-4 / grow_grad k^-1.15 of them; `mcmc` always as many; then some are pruned."""
-    plan = plan_of(TrainConfig(iterations=3000, max_splats=60_000, **options))
+    config = TrainConfig(iterations=3000, max_splats=60_000, grow_with_photos=False, **options)
+    plan = plan_of(config)
     refinements = [s for s in range(1, 3001) if plan.refines_at(s)]
     assert len(refinements) > 10
     for start in (0, refinements[0] - 1, refinements[0], refinements[4], refinements[-1]):
