@@ -272,7 +272,9 @@ def _check_intact(
     if str(zlib.crc32(text.encode())) != crc:
         raise ValueError("its metadata is damaged")
     found = {key: _facts(tensor.contiguous()) for key, tensor in tensors.items()}
-    if found != content.get("tensors"):
-        stated = content.get("tensors") or {}
+    stated = content.get("tensors")
+    if not isinstance(stated, dict):
+        raise ValueError("it does not say which tensors it has")
+    if found != stated:
         broken = sorted(k for k in found.keys() | stated.keys() if found.get(k) != stated.get(k))
         raise ValueError(f"damaged: {', '.join(broken[:3])}")

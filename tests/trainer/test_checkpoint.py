@@ -245,6 +245,22 @@ def test_content_that_no_run_writes_is_refused(
         )
 
 
+@pytest.mark.parametrize("stated", [True, None, [1]])
+def test_a_checkpoint_says_which_tensors_it_has(saved: tuple[Trainer, Path], stated: Any) -> None:
+    """Oracle: a file whose metadata are intact, but state something else than a list of tensors."""
+    path = saved[1]
+    raw = path.read_bytes()
+    end = 8 + struct.unpack("<Q", raw[:8])[0]
+    header = json.loads(raw[8:end])
+    content = json.loads(header["__metadata__"]["gscore"]) | {"tensors": stated}
+    text = json.dumps(content)
+    header["__metadata__"] = {"gscore": text, "crc32": str(zlib.crc32(text.encode()))}
+    encoded = json.dumps(header).encode()
+    path.write_bytes(struct.pack("<Q", len(encoded)) + encoded + raw[end:])
+    with pytest.raises(FormatError, match="it does not say which tensors it has"):
+        checkpoint.load(path)
+
+
 def test_tensors_that_do_not_fit_each_other_are_refused(
     saved: tuple[Trainer, Path], photos: Any
 ) -> None:
