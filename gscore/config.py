@@ -228,8 +228,9 @@ class TrainConfig:
     tell; soft photos train faster. Else the number of pixels rises with the square of the step."""
 
     grow_with_photos: bool = True
-    """The largest number of splats rises with the sides of the photos, from the number at the start
-    to `max_splats` at full size, so that small photos do not grow what only large ones show."""
+    """`default`: the largest number of splats rises with the sides of the photos, from the number
+    at the start to `max_splats` at full size, so that small photos do not grow what only large ones
+    show. `mcmc` gains nothing by it."""
 
     without: tuple[Skip, ...] = ()
     """Skips that are switched off."""

@@ -121,7 +121,7 @@ class Plan:
         coarse = 1.0 if Skip.SMALL_PHOTOS in config.without else config.coarse_factor or coarse
         sizes, coarse_until = stages(coarse, detail), round(config.coarse_until * n)
         # With the photos, splats grow until these are at full size, and a little beyond it.
-        coupled = config.grow_with_photos and bool(sizes)
+        coupled = config.grow_with_photos and bool(sizes) and not mcmc
         full_size = round(max(sizes, default=0.0) * coarse_until)
         grown = max(n * 4 // 5, full_size + 2 * every) if coupled else n // 2
         stop = config.refine_stop or (n * 5 // 6 if mcmc else min(grown, n))

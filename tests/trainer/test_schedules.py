@@ -79,6 +79,7 @@ def test_growth_with_photos_is_whole(side: int, first: float) -> None:
     "config",
     [
         TrainConfig(iterations=100, coarse_factor=4.0, grow_with_photos=False),
+        TrainConfig(iterations=100, coarse_factor=4.0, strategy=Strategy.MCMC, refine_stop=50),
         TrainConfig(iterations=100, coarse_factor=1.0, grow_with_photos=True),
     ],
 )

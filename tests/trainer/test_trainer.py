@@ -282,20 +282,16 @@ def test_no_view_to_train_on_is_an_error(make_photos: Callable[..., Any]) -> Non
         Trainer(SHORT, photos)
 
 
-@pytest.mark.parametrize("strategy", list(Strategy))
-def test_splats_grow_with_the_photos_shown(photos: Any, strategy: Strategy) -> None:
+def test_splats_grow_with_the_photos_shown(photos: Any) -> None:
     """Oracle: the plan's caps at the sizes of the photos; a run that becomes longer keeps both."""
     config = TrainConfig(
         iterations=80,
-        strategy=strategy,
         max_splats=300,
         coarse_factor=4.0,
-        grow_with_photos=True,
         refine_start=5,
         refine_every=5,
         refine_stop=70,
         grow_grad=1e-7,
-        mcmc_growth=1.0,
     )
     trainer, counts = Trainer(config, photos), {}
     for step in range(1, 81):
