@@ -366,7 +366,7 @@ def preview(source: Path) -> tuple[DataConfig, TrainConfig]:
 
 
 def draft(source: Path) -> tuple[DataConfig, TrainConfig]:
-    """Good enough to judge a capture, in about a minute and a half on two cores."""
+    """Good enough to judge a capture, in about a minute and a quarter on two cores."""
     train = TrainConfig(iterations=4000, max_splats=150_000, sh_degree=2)
     return DataConfig(source=source, max_width=640), train
 

@@ -151,17 +151,21 @@ def test_the_machine_is_measured_quickly_and_without_torch() -> None:
 
 
 @pytest.mark.parametrize(
-    ("preset", "size", "taken"),
+    ("preset", "size", "waits", "taken"),
     [
-        ("preview", (400, 300), 13.0),
-        ("draft", (640, 480), 94.0),
-        ("normal", (800, 600), 268.0),
-        ("high", (800, 600), 546.0),
+        ("preview", (400, 300), False, 13.0),
+        ("draft", (640, 480), False, 94.0),
+        ("normal", (800, 600), False, 268.0),
+        ("high", (800, 600), False, 546.0),
+        ("preview", (400, 300), True, 10.8),
+        ("draft", (640, 480), True, 75.3),
     ],
 )
-def test_seconds_said_for_the_presets(preset: str, size: tuple[int, int], taken: float) -> None:
+def test_seconds_said_for_the_presets(
+    preset: str, size: tuple[int, int], waits: bool, taken: float
+) -> None:
     """Oracle: what trainings of plush took on the machine whose step times the plan holds
-    (docs/benchmarks.md, "Budgets")."""
-    config = PRESETS[preset](Path("plush"))[1]
+    (docs/benchmarks.md, "Budgets"), some of them when growth did not wait for photos."""
+    config = replace(PRESETS[preset](Path("plush"))[1], grow_with_photos=waits)
     found = estimate(config, [size] * 51, points=6903, pace=1.0)
     assert found.seconds == pytest.approx(taken, rel=0.25)
