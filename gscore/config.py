@@ -139,8 +139,8 @@ class TrainConfig:
     """The run ends when the held-out views (the training views, where none are held out) reach this
     mean PSNR, dB; 0: no target."""
     early_stop: bool = False
-    """End when the PSNR of those views no longer rises, after a short end phase in which learning
-    rates and resolution take the rest of their course."""
+    """End when photos are at full size and the PSNR of those views no longer rises, after a short
+    end phase in which learning rates take the rest of their course."""
     max_splats: int = 400_000
     """Never more splats than this."""
     strategy: Strategy = Strategy.DEFAULT

@@ -72,6 +72,8 @@ class Goals:
         if not self._config.early_stop or self.length or not self._found:
             return False
         step, plan = self._found[-1][0], self._trainer.plan
+        if plan.factor_at(step) > 1:  # what larger photos show is still to come
+            return False
         since = step - _WINDOW * plan.iterations
         before = [value for at, value in self._found if at <= since]
         lately = [value for at, value in self._found if at > since]

@@ -100,6 +100,17 @@ def test_converged_means_flat(photos: Any) -> None:
     assert 0 < falling.length < 1500
 
 
+def test_small_photos_have_not_converged(photos: Any) -> None:
+    """Oracle: a flat course ends where photos are at full size, not before."""
+    config = replace(CONFIG, iterations=4000, early_stop=True, coarse_factor=4, coarse_until=0.5)
+    flat = goals_of(photos, lambda step: 20.0, config)
+    plan = Trainer(config, photos).plan
+    full_size = next(step for step in range(1, 4001) if plan.factor_at(step) == 1)
+    assert full_size <= 0.8 * flat.length <= full_size + 200
+    at_once = goals_of(photos, lambda step: 20.0, replace(config, coarse_factor=1))
+    assert at_once.length < 0.6 * flat.length
+
+
 def test_early_stop_resumes_to_the_same_end(capture: Path, tmp_path: Path) -> None:
     """Oracle: bit equality with the run that was not interrupted; a rate of 0 never improves."""
     still = replace(
