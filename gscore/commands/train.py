@@ -83,7 +83,7 @@ _RUN: dict[str, tuple[tuple[str, ...], dict[str, Any], str]] = {
     "grow_with_photos": (
         ("--grow-with-photos",),
         _SWITCH,
-        "grow splats as photos become larger, to the cap at full size (on)",
+        "not mcmc: grow splats as photos become larger, in 1000 steps and more (on)",
     ),
     "coarse_by_detail": (
         ("--coarse-by-detail",),

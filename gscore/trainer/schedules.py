@@ -26,6 +26,9 @@ _SETTLES = 0.9
 """Share of a run after which learning rates fall."""
 _SAMPLES = 64
 """Steps looked at to tell what the rest of a run takes."""
+_FEWEST_SIZES, _FEWEST_STEPS = 3, 1000
+"""Sizes of small photos, and steps, from which on splats grow with the photos. Shorter runs have
+too few refinements left: at 400 px it cost 0.2 to 1.4 dB in 300 and 600 steps, none in 1000."""
 _COARSE_SIDE = 75
 """Pixels of a photo's shorter side below which a coarse picture says too little."""
 
@@ -121,7 +124,8 @@ class Plan:
         coarse = 1.0 if Skip.SMALL_PHOTOS in config.without else config.coarse_factor or coarse
         sizes, coarse_until = stages(coarse, detail), round(config.coarse_until * n)
         # With the photos, splats grow until these are at full size, and a little beyond it.
-        coupled = config.grow_with_photos and bool(sizes) and not mcmc
+        coupled = config.grow_with_photos and len(sizes) >= _FEWEST_SIZES and n >= _FEWEST_STEPS
+        coupled = coupled and not mcmc
         full_size = round(max(sizes, default=0.0) * coarse_until)
         grown = max(n * 4 // 5, full_size + 2 * every) if coupled else n // 2
         stop = config.refine_stop or (n * 5 // 6 if mcmc else min(grown, n))

@@ -140,10 +140,8 @@ def test_instruction_sets_train_alike(photos, steps, bound):
     Training amplifies a last bit like any other difference: moving the points by 1e-7 to 4e-7 of
     themselves gives 33.2 to 34.9 dB after 500 steps here, three instruction sets 34.5 to 35.3.
     """
-    # Without resets and coloured backgrounds, which make the PSNR of a step an accident, and with
-    # room for all splats that are to grow: which of them fit hangs on the last bits.
+    # Without resets and coloured backgrounds, which make the PSNR of a step an accident.
     config = replace(config_of("default", steps), reset_every=-1, background=Background.BLACK)
-    config = replace(config, grow_with_photos=False)
     found = {}
     for isa in backend.available_isas():
         with with_isa(isa):

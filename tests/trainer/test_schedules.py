@@ -61,7 +61,7 @@ DETAIL = (0.98, 0.9, 0.7, 0.5, 0.3, 0.2, 0.1)
 """Of soft photos: nearly nothing is lost at half of the pixels."""
 
 
-@pytest.mark.parametrize(("side", "first"), [(170, 2.0), (300, 4.0), (900, 8.0)])
+@pytest.mark.parametrize(("side", "first"), [(220, 2.0**1.5), (300, 4.0), (900, 8.0)])
 def test_growth_with_photos_is_whole(side: int, first: float) -> None:
     """Oracle: the number at the start at the first size, the cap at full size, and refinements
     until then."""
@@ -78,16 +78,18 @@ def test_growth_with_photos_is_whole(side: int, first: float) -> None:
 @pytest.mark.parametrize(
     "config",
     [
-        TrainConfig(iterations=100, coarse_factor=4.0, grow_with_photos=False),
-        TrainConfig(iterations=100, coarse_factor=4.0, strategy=Strategy.MCMC, refine_stop=50),
-        TrainConfig(iterations=100, coarse_factor=1.0, grow_with_photos=True),
+        TrainConfig(iterations=1000, coarse_factor=4.0, grow_with_photos=False),
+        TrainConfig(iterations=999, coarse_factor=4.0),
+        TrainConfig(iterations=1000, coarse_factor=2.0),
+        TrainConfig(iterations=1000, coarse_factor=4.0, strategy=Strategy.MCMC),
+        TrainConfig(iterations=1000, coarse_factor=1.0),
     ],
 )
 def test_else_splats_grow_to_the_cap_at_once(config: TrainConfig) -> None:
     """Oracle: the cap, also where photos are at full size from the first step."""
     plan, plain = plan_of(config), plan_of(replace(config, grow_with_photos=False))
-    assert {plan.cap_for(plan.factor_at(step)) for step in range(1, 101)} == {config.max_splats}
-    assert plan.refine_stop == plain.refine_stop == 50
+    assert {plan.cap_for(plan.factor_at(step)) for step in range(1, 1001)} == {config.max_splats}
+    assert plan.refine_stop == plain.refine_stop
 
 
 def test_penalties_of_mcmc_fall_evenly() -> None:

@@ -15,6 +15,7 @@ from gscore.raster.api import render
 from gscore.raster.loss import LossValues
 from gscore.raster.painter import Painter
 from gscore.splats import PARAMETERS
+from gscore.trainer import schedules
 from gscore.trainer import trainer as module
 from gscore.trainer.trainer import Trainer
 from tests.trainer.short_run import CONFIG
@@ -282,7 +283,7 @@ def test_no_view_to_train_on_is_an_error(make_photos: Callable[..., Any]) -> Non
         Trainer(SHORT, photos)
 
 
-def test_splats_grow_with_the_photos_shown(photos: Any) -> None:
+def test_splats_grow_with_the_photos_shown(photos: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Oracle: the plan's caps at the sizes of the photos; a run that becomes longer keeps both."""
     config = TrainConfig(
         iterations=80,
@@ -293,6 +294,7 @@ def test_splats_grow_with_the_photos_shown(photos: Any) -> None:
         refine_stop=70,
         grow_grad=1e-7,
     )
+    monkeypatch.setattr(schedules, "_FEWEST_STEPS", 80)
     trainer, counts = Trainer(config, photos), {}
     for step in range(1, 81):
         trainer.step()
