@@ -243,7 +243,13 @@ KINDS: dict[str, type[Event]] = {
 }
 
 
+def strict_json(value: Any) -> str:
+    """One line of strict JSON without the newline; NaN and infinities become null."""
+    return json.dumps(finite(value), allow_nan=False)
+
+
 def finite(value: Any) -> Any:
+    """`value` with None for NaN and infinities, at any depth."""
     if isinstance(value, float) and not math.isfinite(value):
         return None
     if isinstance(value, dict):
@@ -260,8 +266,8 @@ def judged_psnr(metrics: Mapping[str, Any]) -> float | None:
 
 
 def to_line(event: Event) -> str:
-    """One line of strict JSON without the newline; NaN and infinities become null."""
-    return json.dumps({"event": event.kind} | finite(asdict(event)), allow_nan=False)
+    """`event` as `strict_json`."""
+    return strict_json({"event": event.kind} | asdict(event))
 
 
 def from_line(line: str) -> Event | None:

@@ -1,20 +1,19 @@
 """What a verb gives back: JSON on stdout, and where it may write, asked before the work."""
 
 import contextlib
-import json
 import os
 from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
 from ..errors import ConfigError
-from ..events import finite
+from ..events import strict_json
 from ..io.files import reason, shown
 
 
 def print_json(content: Any) -> None:
-    """One line of strict JSON on stdout; NaN and infinities become null."""
-    print(json.dumps(finite(content), allow_nan=False), flush=True)
+    """One line of strict JSON on stdout."""
+    print(strict_json(content), flush=True)
 
 
 def check_folder(folder: Path) -> None:

@@ -10,8 +10,6 @@ from .case import EmptyTestError, Measure, case
 from .compare import different_bits, gradient_measures, picture_measures, require_covered
 from .scenes import Scene, draw_scene
 
-_FIELDS = ("means", "quats", "scales", "opacities", "sh0", "shN")
-
 
 def _without(scene: Scene, row: int) -> np.ndarray:
     return np.arange(len(scene)) != row
@@ -106,7 +104,7 @@ def broken_row(full: bool) -> Iterator[Measure]:
     if different_bits(plain.pictures, gone.pictures) == 0:
         raise EmptyTestError("the row that is damaged was not to be seen")
     touched = drawn_anyway = not_finite = culled_but_touched = extremes_drawn = 0
-    for field in _FIELDS:
+    for field in PARAMETERS:
         for column in range(3 if field in ("means", "quats", "scales") else 1):
             for value in _BROKEN + _EXTREME:
                 array = np.array(getattr(scene, field)[row])
@@ -141,7 +139,7 @@ def all_extreme(full: bool) -> Iterator[Measure]:
         rng = np.random.default_rng(1250 + seed)
         scene = draw_scene(seed, count=60, width=24, height=20, posed=bool(seed % 2))
         changed = {}
-        for field in _FIELDS:
+        for field in PARAMETERS:
             array = getattr(scene, field).copy()
             hit = rng.random(array.shape) < 0.15
             array[hit] = rng.choice(values, hit.sum())

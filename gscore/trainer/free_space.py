@@ -24,7 +24,7 @@ class FreeSpace:
         """Measure the balls.
 
         Args:
-            centers: [C, 3] positions of cameras, in any unit.
+            centers: [C, 3] float64 positions of cameras, in any unit.
             points: [P, 3] of surfaces, in that unit; those not finite do not count. Fewer than 500
                 tell nothing: then there are no balls.
             share: Radius of a ball as a share of the distance of its camera from the tenth nearest
@@ -33,25 +33,23 @@ class FreeSpace:
         points = points[np.isfinite(points).all(axis=1)]
         if share <= 0 or len(points) < _FEWEST_POINTS:
             centers = centers[:0]
-        self.centers = centers.astype(np.float64)
-        """[M, 3], of the balls."""
-        self.radii = np.zeros(len(centers))
-        """[M], of the balls."""
+        radii = np.zeros(len(centers))
         if len(centers):
             from scipy.spatial import KDTree
 
             distances, _ = KDTree(points).query(centers, k=_NEAREST)
-            self.radii = share * distances[:, -1]
-        self._towards = torch.from_numpy(-2 * self.centers.T)
-        self._rest = torch.from_numpy(np.square(self.centers).sum(axis=1) - self.radii**2)
+            radii = share * distances[:, -1]
+        # |m - c|^2 < r^2 as |m|^2 + (|c|^2 - r^2 - 2 m c) < 0.
+        self._towards = torch.from_numpy(-2 * centers.T)
+        self._rest = torch.from_numpy(np.square(centers).sum(axis=1) - radii**2)
 
     def holds(self, means: torch.Tensor) -> torch.Tensor:
         """[N] bool: which of `means` [N, 3] lie in a ball."""
         inside = torch.zeros(len(means), dtype=torch.bool)
-        if not len(self.centers):
+        balls = len(self._rest)
+        if balls == 0:
             return inside
-        # |m - c|^2 < r^2 as |m|^2 + (|c|^2 - r^2 - 2 m c) < 0.
-        rows = max(_PRODUCTS // len(self.centers), 1)
+        rows = max(_PRODUCTS // balls, 1)
         for at in range(0, len(means), rows):
             part = means[at : at + rows].double()
             least = torch.addmm(self._rest, part, self._towards).amin(dim=1)

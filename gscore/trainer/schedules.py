@@ -124,11 +124,12 @@ class Plan:
         coarse = 1.0 if Skip.SMALL_PHOTOS in config.without else config.coarse_factor or coarse
         sizes, coarse_until = stages(coarse, detail), round(config.coarse_until * n)
         # With the photos, splats grow until these are at full size, and a little beyond it.
-        coupled = config.grow_with_photos and len(sizes) >= _FEWEST_SIZES and n >= _FEWEST_STEPS
-        coupled = coupled and not mcmc
-        full_size = round(max(sizes, default=0.0) * coarse_until)
-        grown = max(n * 4 // 5, full_size + 2 * every) if coupled else n // 2
-        stop = config.refine_stop or (n * 5 // 6 if mcmc else min(grown, n))
+        long_enough = len(sizes) >= _FEWEST_SIZES and n >= _FEWEST_STEPS
+        coupled = config.grow_with_photos and long_enough and not mcmc
+        stop = n * 5 // 6 if mcmc else n // 2
+        if coupled:
+            stop = min(max(n * 4 // 5, round(sizes[0] * coarse_until) + 2 * every), n)
+        stop = config.refine_stop or stop
         # The cap is reached halfway through the refinements even if the run is short.
         growths = max((stop - start) // (2 * every), 1)
         growth = max(0.05, (config.max_splats / max(points, 1)) ** (1 / growths) - 1)

@@ -1,8 +1,6 @@
 """Every format that gscore reads: a valid file of each, its reader, and what a good result is."""
 
 import json
-import struct
-import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,6 +34,7 @@ from gscore.trainer.folder import RunFolder
 from gscore.trainer.frame import Frame
 from gscore.trainer.session import Session
 from gscore.trainer.trainer import Trainer
+from tests.checkpoint_files import checkpoint_json, with_checkpoint_json
 
 
 @dataclass(frozen=True)
@@ -341,25 +340,6 @@ def _write_checkpoint(root: Path) -> None:
     path.replace(root / "a.safetensors")
 
 
-def _metadata(raw: bytes) -> tuple[dict[str, Any], int]:
-    """Header of a safetensors file and where it ends."""
-    end = 8 + struct.unpack("<Q", raw[:8])[0]
-    return json.loads(raw[8:end]), end
-
-
-def _checkpoint_json(raw: bytes) -> bytes:
-    return _metadata(raw)[0]["__metadata__"]["gscore"].encode()
-
-
-def _with_checkpoint_json(raw: bytes, text: bytes) -> bytes:
-    header, end = _metadata(raw)
-    words = text.decode("utf-8", "replace")
-    header["__metadata__"] = {"gscore": words, "crc32": str(zlib.crc32(words.encode()))}
-    encoded = json.dumps(header).encode()
-    encoded += b" " * (-len(encoded) % 8)
-    return struct.pack("<Q", len(encoded)) + encoded + raw[end:]
-
-
 def _read_checkpoint(root: Path) -> None:
     """As `train` goes on with one, for one step."""
     found = checkpoint.load(root / "a.safetensors")
@@ -433,8 +413,8 @@ FORMATS = [
         _write_checkpoint,
         _read_checkpoint,
         True,
-        _checkpoint_json,
-        _with_checkpoint_json,
+        checkpoint_json,
+        with_checkpoint_json,
     ),
     Format("cam_txt", "0_cam.txt", _write_cam, lambda root: read_cam(root / "0_cam.txt")),
 ]

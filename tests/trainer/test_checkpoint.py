@@ -2,7 +2,6 @@
 
 import json
 import struct
-import zlib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +18,7 @@ from gscore.events import Event, Warn
 from gscore.trainer import checkpoint, train
 from gscore.trainer.folder import RunFolder
 from gscore.trainer.trainer import Trainer
+from tests.checkpoint_files import checkpoint_json, with_checkpoint_json
 
 CONFIG = TrainConfig(iterations=20, max_splats=300, lpips=Path("a/b.onnx"), save_iterations=(3, 5))
 
@@ -225,17 +225,12 @@ def test_content_that_no_run_writes_is_refused(
     train(config, DataConfig(source=capture), tmp_path / "first")
     path = RunFolder(tmp_path / "first").checkpoints()[-1]
     raw = path.read_bytes()
-    end = 8 + struct.unpack("<Q", raw[:8])[0]
-    header = json.loads(raw[8:end])
-    content = json.loads(header["__metadata__"]["gscore"])
+    content = json.loads(checkpoint_json(raw))
     inner = content
     for key in place[:-1]:
         inner = inner[key]
     inner[place[-1]] = value
-    text = json.dumps(content)
-    header["__metadata__"] = {"gscore": text, "crc32": str(zlib.crc32(text.encode()))}
-    encoded = json.dumps(header).encode()
-    path.write_bytes(struct.pack("<Q", len(encoded)) + encoded + raw[end:])
+    path.write_bytes(with_checkpoint_json(raw, json.dumps(content).encode()))
     with pytest.raises(FormatError, match=f"understands .*{told}"):
         train(
             replace(config, iterations=6),
@@ -250,13 +245,8 @@ def test_a_checkpoint_says_which_tensors_it_has(saved: tuple[Trainer, Path], sta
     """Oracle: a file whose metadata are intact, but state something else than a list of tensors."""
     path = saved[1]
     raw = path.read_bytes()
-    end = 8 + struct.unpack("<Q", raw[:8])[0]
-    header = json.loads(raw[8:end])
-    content = json.loads(header["__metadata__"]["gscore"]) | {"tensors": stated}
-    text = json.dumps(content)
-    header["__metadata__"] = {"gscore": text, "crc32": str(zlib.crc32(text.encode()))}
-    encoded = json.dumps(header).encode()
-    path.write_bytes(struct.pack("<Q", len(encoded)) + encoded + raw[end:])
+    content = json.loads(checkpoint_json(raw)) | {"tensors": stated}
+    path.write_bytes(with_checkpoint_json(raw, json.dumps(content).encode()))
     with pytest.raises(FormatError, match="it does not say which tensors it has"):
         checkpoint.load(path)
 

@@ -15,7 +15,7 @@ from gscore.raster.api import render
 from gscore.raster.painter import Painter
 from gscore.scene import Cameras
 from gscore.sh import rgb_to_sh0
-from gscore.splats import Splats
+from gscore.splats import PARAMETERS, Splats
 from gscore.trainer import checkpoint
 from gscore.trainer.contribution import blending_weights, least
 from gscore.trainer.params import tensors_from_splats
@@ -23,8 +23,6 @@ from gscore.trainer.pyramid import Sized
 from gscore.trainer.schedules import Plan
 from gscore.trainer.trainer import Trainer
 from gscore.trainer.views import view_of
-
-NAMES = ("means", "quats", "scales", "opacities", "sh0", "shN")
 
 
 def weights_of(
@@ -149,7 +147,7 @@ def test_the_least_useful_go_when_refinements_are_over(photos: Any, strategy: St
     ours = {row.numpy().tobytes() for row in trainer.model.params["means"]}
     theirs = {row.numpy().tobytes() for row in whole.model.params["means"][kept]}
     assert len(ours & theirs) >= 0.98 * len(kept)
-    assert all(len(m) == len(kept) for name in NAMES for m in trainer.model.moments(name))
+    assert all(len(m) == len(kept) for name in PARAMETERS for m in trainer.model.moments(name))
     for _ in range(30):
         assert trainer.step().change.removed == 0
     assert len(trainer.model) == round(0.6 * most)

@@ -13,7 +13,6 @@ from gscore.raster.reference import rasterize_reference
 from gscore.trainer.depth_loss import DepthLoss, l1_loss, pearson_loss, weight_at, with_weights
 from gscore.trainer.depth_targets import DepthTarget, DepthTargets
 
-NAMES = ("means", "quats", "scales", "opacities", "sh0", "shN")
 SIZE = (18, 14)
 UNIT = 0.4
 

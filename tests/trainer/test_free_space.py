@@ -13,7 +13,7 @@ from gscore.errors import ConfigError
 from gscore.events import Event, Warn
 from gscore.io.ply import write_splats
 from gscore.scene import PointCloud
-from gscore.splats import Splats
+from gscore.splats import PARAMETERS, Splats
 from gscore.trainer import checkpoint, free_space, session, trainer
 from gscore.trainer.free_space import FreeSpace
 from gscore.trainer.run import train
@@ -84,7 +84,7 @@ def with_walls(splats: Splats, photos: Any) -> Splats:
     }
     rows = {
         name: np.concatenate([getattr(splats, name), more.get(name, getattr(splats, name)[:count])])
-        for name in ("means", "quats", "scales", "opacities", "sh0", "shN")
+        for name in PARAMETERS
     }
     return replace(splats, **rows)
 
@@ -138,8 +138,7 @@ def test_where_many_splats_stand_no_space_is_free(known: Any, known_splats: Spla
     and none after a resume either."""
     start = with_walls(known_splats, known)
     walls = len(known.scene.cameras.centers)
-    rows = ("means", "quats", "scales", "opacities", "sh0", "shN")
-    start = replace(start, **{name: getattr(start, name)[-walls:] for name in rows})
+    start = replace(start, **{name: getattr(start, name)[-walls:] for name in PARAMETERS})
     config = replace(CONFIG, strategy=Strategy.MCMC, max_splats=walls)
     trainer = Trainer(config, known, start=start)
     for _ in range(12):

@@ -5,6 +5,7 @@ import pytest
 
 from gscore.errors import DatasetError
 from gscore.scene import PointCloud
+from gscore.splats import PARAMETERS
 from gscore.trainer.params import (
     splats_from_points,
     splats_of_tensors,
@@ -79,5 +80,5 @@ def test_tensors_and_back() -> None:
     """Oracle: the same bits, and no coefficients but those that were stored."""
     made = splats_from_points(cloud(np.random.default_rng(0).normal(size=(5, 3))), **OPTIONS)
     back = splats_of_tensors(tensors_from_splats(made))
-    for name in ("means", "quats", "scales", "opacities", "sh0", "shN"):
+    for name in PARAMETERS:
         np.testing.assert_array_equal(getattr(back, name), getattr(made, name))

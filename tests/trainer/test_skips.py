@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from gscore.config import Skip, TrainConfig
+from gscore.splats import PARAMETERS
 from gscore.trainer.skips import tiles_of_mask
 from gscore.trainer.trainer import Trainer
 
@@ -61,7 +62,7 @@ def test_exact_skips_leave_every_bit(masked: Any, isa: str, skip: Skip) -> None:
     assert 0 < little < much if skip in _WORK else little == much > 0
     assert len(fast.model) == len(full.model) > 0
     ours, theirs = fast.splats(), full.splats()
-    for name in ("means", "quats", "scales", "opacities", "sh0", "shN"):
+    for name in PARAMETERS:
         np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
 
 

@@ -1,14 +1,13 @@
 """The results.json of `gscore bench time-error`, written anew whenever something was measured."""
 
 import argparse
-import json
 from collections.abc import Sequence
 from typing import Any
 
 from ..._version import __version__
 from ...bench.time_error import Curve, curve_json, time_to_psnr
 from ...bench.training import first_size
-from ...events import finite
+from ...events import strict_json
 from ...io.files import atomic_write
 from ...metrics.machine import machine
 from ...raster import backend
@@ -54,7 +53,7 @@ class Results:
 
     def text(self) -> str:
         """The content of the file."""
-        return json.dumps(finite(self._content), allow_nan=False)
+        return strict_json(self._content)
 
     def _write(self) -> None:
         atomic_write(self._path, self.text().encode())
