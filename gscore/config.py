@@ -31,7 +31,8 @@ class DataConfig:
     mask_mode: str = "auto"
     """`composite`: the mask is opacity, photos lie over the background; `ignore`: masked-out
     pixels do not count;
-    `none`: masks are not read; `auto`: composite for photos with alpha, ignore for mask folders."""
+    `none`: masks are not read; `auto`: composite for photos with alpha and for masks
+    that cut out a subject, ignore for masks that hide parts of a scene."""
     depths: str = ""
     """Folder of inverse depth maps relative to `source`; empty: depth is not used."""
     depth_align: str = "auto"
@@ -263,6 +264,11 @@ class TrainConfig:
     SfM point are taken out at every `refine_every`-th step and at the last: they hide the scene
     from views between the photos. Captures of fewer than 500 points, or with more than a fifth of
     the splats there, are left as they are. 0: splats may stand anywhere."""
+    hidden_share: float = 0.05
+    """Where masks hide parts of a scene (`ignore`): splats of whose weight in the training photos
+    less than this share stands where masks show it are taken out, a third and two thirds through
+    the training. No photo says what these should look like, and they veil other views. 0: they
+    stay."""
     mcmc_growth: float = 0.0
     """`mcmc`: splats added at each refinement, as a share of those there; 0: 0.05, more in runs
     that would not reach `max_splats` otherwise."""
@@ -343,7 +349,7 @@ class TrainConfig:
         for name in ("coarse_until", "depth_warmup", "reg_final"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ConfigError(f"{name} must lie in [0, 1], got {getattr(self, name)}.")
-        for name in ("drop_rate", "prune_share", "free_space"):
+        for name in ("drop_rate", "prune_share", "free_space", "hidden_share"):
             if not 0 <= getattr(self, name) < 1:
                 raise ConfigError(f"{name} must lie in [0, 1), got {getattr(self, name)}.")
         for name in ("ssim_weight", "init_opacity", "prune_opacity"):

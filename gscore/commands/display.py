@@ -24,7 +24,8 @@ from ..metrics.words import count_words, quality_words, size_words
 _MASKS = {
     "ignore": "Masks are used: what they hide is not trained and not measured. --mask-mode none "
     "trains whole photos, composite the subject alone.",
-    "composite": "Masks are used: they are the opacity of the photos.",
+    "composite": "Masks are used: they are the opacity of the subject, and nothing else is "
+    "trained. --mask-mode none trains whole photos, ignore leaves open what masks hide.",
 }
 """By `mask_mode`."""
 _LINE_PERIOD = 10.0

@@ -166,6 +166,7 @@ _METHOD = {
     "prune_scale": ("--prune-scale",),
     "prune_share": ("--prune-share",),
     "free_space": ("--free-space",),
+    "hidden_share": ("--hidden-share",),
     "mcmc_growth": ("--mcmc-growth",),
     "mcmc_noise": ("--mcmc-noise", "--noise-lr"),
     "opacity_reg": ("--opacity-reg",),

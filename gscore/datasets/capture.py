@@ -44,8 +44,9 @@ class Capture:
     """World points; may be empty."""
     test_names: frozenset[str] = frozenset()
     """Views the capture itself calls test views."""
-    masks_are: str = "ignore"
-    """What masks mean unless the user says: `ignore`, or `composite` for mattes of the subject."""
+    masks_are: str = ""
+    """What masks mean unless the user says: `ignore`, or `composite` for mattes of the subject;
+    empty: that is seen from what they show."""
     warnings: tuple[str, ...] = field(default=())
     """Sentences for the user."""
 

@@ -8,6 +8,7 @@ from ..errors import ConfigError, DatasetError
 from ..io.images import ImageInfo, read_info
 from .capture import Capture, View, listing
 from .folder import Folder
+from .mattes import are_mattes
 
 MASK_MODES = ("auto", "composite", "ignore", "none")
 """Values of the option."""
@@ -61,7 +62,9 @@ def choose_masks(
         for view, file, size in zip(views, files, sizes, strict=True):
             if file is not None:
                 _check_size(view, file, size)
-        mode = capture.masks_are if config.mask_mode == "auto" else config.mask_mode
+        mode = config.mask_mode
+        if mode == "auto":
+            mode = capture.masks_are or _meaning([file for file in files if file is not None])
         return MaskChoice(
             mode=mode, files=files, use_alpha=none.use_alpha, warnings=tuple(warnings)
         )
@@ -70,6 +73,10 @@ def choose_masks(
         return MaskChoice(mode="none", files=files, use_alpha=use_alpha, warnings=tuple(warnings))
     mode = "composite" if config.mask_mode == "auto" else config.mask_mode
     return MaskChoice(mode=mode, files=files, use_alpha=use_alpha, warnings=tuple(warnings))
+
+
+def _meaning(masks: list[Path]) -> str:
+    return "composite" if are_mattes(masks) else "ignore"
 
 
 def _find(config: DataConfig, root: Path, views: list[View]) -> tuple[list[Path | None], list[str]]:

@@ -280,6 +280,13 @@ class Plan:
         refined, but all along, for those that stay move."""
         return step % self.refine_every == 0 or step == self.iterations
 
+    def unveils_at(self, step: int) -> bool:
+        """Whether splats that masks hide are taken out after `step`: at the first refinement step
+        of the second third and of the last. The rest of the run closes the gaps; without it that
+        costs a decibel."""
+        now, before = (3 * at // self.iterations for at in (step, step - self.refine_every))
+        return step % self.refine_every == 0 and before < now < 3
+
     def surplus_at(self, step: int, splats: int, pruned: int) -> int:
         """How many of `splats` are one too many after `step`, where `pruned` went as such before.
 

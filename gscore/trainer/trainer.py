@@ -18,7 +18,7 @@ from ..raster.painter import Painter
 from ..scene import PointCloud
 from ..splats import Splats
 from . import bounds, guard
-from .contribution import blending_weights, least
+from .contribution import Weights, least, most_in_a_view, mostly_hidden, weights_by_view
 from .depth_loss import DepthLoss
 from .depth_targets import DepthTargets
 from .frame import Frame
@@ -502,7 +502,7 @@ class Trainer:
         bad_rows = model.step(shown, shN=self._rest_at(step), threads=self.config.threads)
         if self.plan.refines_at(step):
             self._painter.release()
-        cleared = self._clear(step)
+        removed = self._clear(step) + self._unveil(step)
         change = self.strategy.after_step(
             model,
             step=step,
@@ -510,33 +510,50 @@ class Trainer:
             cap=self.plan.cap_for(self._factor),
             generator=self.generator,
         )
-        return replace(change, removed=change.removed + cleared), bad_rows
+        return replace(change, removed=change.removed + removed), bad_rows
 
     def _prune(self, change: Change) -> Change:
         """Take out what adds least to the photos, once there are to be fewer splats; `change` with
         those."""
-        model, config = self.model, self.config
+        model = self.model
         count = self.plan.surplus_at(self.steps, len(model), self._pruned)
         if count == 0:
             return change
+        weights = most_in_a_view(self._weights(), len(model))
+        self._painter.release()
+        ops.edit(model, keep=(~least(weights, count)).nonzero().flatten())
+        self._pruned += count
+        return replace(change, removed=change.removed + count)
+
+    def _weights(self) -> Iterator[Weights]:
+        """The splats' blending weights in each training view at the size of the last step."""
         indices = self.sampler.indices
-        weights = blending_weights(
+        return weights_by_view(
             self._painter,
-            model.params,
+            self.model.params,
             (
                 self._pyramid.at(index, self._factor, upcoming=indices[i + 1 :])
                 for i, index in enumerate(indices)
             ),
             near=self.frame.near,
-            antialias=config.antialias,
+            antialias=self.config.antialias,
             masks_hide=self.photos.mask_mode == "ignore",
-            scratch=model.grads,  # they were for the step that is done
-            threads=config.threads,
+            scratch=self.model.grads,  # they were for the step that is done
+            threads=self.config.threads,
         )
+
+    def _unveil(self, step: int) -> int:
+        """Take out what stands where masks hide it; how many that were."""
+        share = self.config.hidden_share
+        if share == 0 or self.photos.mask_mode != "ignore" or not self.plan.unveils_at(step):
+            return 0
+        hidden = mostly_hidden(self._weights(), len(self.model), share=share)
+        count = int(hidden.sum())
         self._painter.release()
-        ops.edit(model, keep=(~least(weights, count)).nonzero().flatten())
-        self._pruned += count
-        return replace(change, removed=change.removed + count)
+        if count == 0 or count == len(self.model):
+            return 0
+        ops.edit(self.model, keep=(~hidden).nonzero().flatten())
+        return count
 
     def _clear(self, step: int) -> int:
         """Take out what stands in the free space around cameras; how many that were."""

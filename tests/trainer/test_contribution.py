@@ -17,7 +17,13 @@ from gscore.scene import Cameras
 from gscore.sh import rgb_to_sh0
 from gscore.splats import PARAMETERS, Splats
 from gscore.trainer import checkpoint
-from gscore.trainer.contribution import blending_weights, least
+from gscore.trainer.contribution import (
+    Weights,
+    least,
+    most_in_a_view,
+    mostly_hidden,
+    weights_by_view,
+)
 from gscore.trainer.params import tensors_from_splats
 from gscore.trainer.pyramid import Sized
 from gscore.trainer.schedules import Plan
@@ -36,7 +42,7 @@ def weights_of(
         mask = None if masks is None else masks[i]
         blank = np.zeros((h, w, 3), np.uint8)
         shown.append(Sized(view_of(cameras.viewmats[i], cameras.Ks[i], w, h), blank, mask, None))
-    found = blending_weights(
+    weights = weights_by_view(
         Painter(),
         params,
         shown,
@@ -46,7 +52,7 @@ def weights_of(
         scratch={name: torch.zeros_like(p) for name, p in params.items()},
         threads=threads,
     )
-    return found.numpy()
+    return most_in_a_view(weights, len(splats)).numpy()
 
 
 def slowly(splats: Splats, cameras: Cameras, masks: list[Any] | None = None) -> np.ndarray:
@@ -204,3 +210,79 @@ def test_a_share_of_one_is_refused(make_photos: Callable[..., Any]) -> None:
     """Oracle: nothing would be left."""
     with pytest.raises(ConfigError, match="prune_share"):
         TrainConfig(prune_share=1.0)
+
+
+def test_mostly_hidden_counts_all_views() -> None:
+    """Oracle: by hand; what no view shows at all is not called hidden."""
+    weights = [
+        Weights(torch.tensor([0.0, 1.0, 0.0, 0.5]), torch.tensor([8.0, 8.0, 0.0, 1.0])),
+        Weights(torch.tensor([0.3, 1.0, 0.0, 0.0]), torch.tensor([2.0, 2.0, 0.0, 9.0])),
+    ]
+    assert mostly_hidden(weights, 4, share=0.05).tolist() == [True, False, False, False]
+    assert mostly_hidden(weights, 4, share=0.06).tolist() == [True, False, False, True]
+
+
+def hidden_left_half(photos: Any, mode: str = "ignore") -> Any:
+    """`photos` with masks that hide their left halves."""
+    mask = np.zeros((48, 48), np.uint8)
+    mask[:, 24:] = 255
+    photos.mask_mode, photos.masks = mode, [mask for _ in photos.images]
+    return photos
+
+
+def kept_share(splats: Splats, photos: Any) -> np.ndarray:
+    """[N]: share of a splat's weight in the training views that masks show; NaN: nothing seen."""
+    kept, whole = np.zeros(len(splats)), np.zeros(len(splats))
+    cameras = photos.scene.cameras
+    for row in range(len(splats)):
+        colors = np.zeros((len(splats), 1, 3))
+        colors[row] = 1
+        lone = replace(splats, sh0=rgb_to_sh0(colors).astype(np.float32), shN=splats.shN[:, :0])
+        for i in photos.train:
+            size = int(cameras.widths[i]), int(cameras.heights[i])
+            rgb = render(lone, cameras.Ks[i], cameras.viewmats[i], *size, sh_degree=0).rgb
+            seen = rgb[..., 0].astype(np.float64)
+            kept[row] += (seen * (photos.masks[i] / 255)).sum()
+            whole[row] += seen.sum()
+    return np.divide(kept, whole, out=np.full(len(splats), np.nan), where=whole > 0)
+
+
+@pytest.mark.parametrize("strategy", list(Strategy))
+def test_splats_that_masks_hide_go(make_photos: Any, strategy: Strategy) -> None:
+    """Oracle: shares of weight from pictures of single splats, the median of which is the limit;
+    with a limit of 0, and where masks are opacity, the same splats stay."""
+
+    def after_ten_steps(limit: float, mode: str) -> tuple[Trainer, int]:
+        config = TrainConfig(
+            iterations=30,
+            refine_start=90,
+            refine_every=10,
+            sh_every=100,
+            strategy=strategy,
+            hidden_share=limit,
+        )
+        trainer = Trainer(config, hidden_left_half(make_photos(), mode))
+        return trainer, [trainer.step().change.removed for _ in range(10)][-1]
+
+    whole, removed = after_ten_steps(0.0, "ignore")
+    assert removed == 0
+    share = kept_share(whole.splats(), whole.photos)
+    limit = float(np.nanmedian(share))
+    assert 0 < limit < 1
+    assert after_ten_steps(limit, "composite")[1] == 0
+    left, removed = after_ten_steps(limit, "ignore")
+    assert removed == len(whole.model) - len(left.model) > 10
+    found = {row.tobytes() for row in left.splats().means}
+    gone = np.array([row.tobytes() not in found for row in whole.splats().means])
+    sure = ~(np.abs(share - limit) < 0.01)
+    assert sure.sum() > len(sure) / 2
+    np.testing.assert_array_equal(gone[sure], (share < limit)[sure])
+
+
+def test_when_hidden_splats_go() -> None:
+    """Oracle: by hand."""
+    config = TrainConfig(iterations=1500, refine_every=100)
+    plan = Plan.of(config, extent=1.0, points=100, side=300, pixels=90000)
+    assert [step for step in range(1, 1501) if plan.unveils_at(step)] == [500, 1000]
+    plan = Plan.of(replace(config, iterations=2000), extent=1.0, points=100, side=300, pixels=90000)
+    assert [step for step in range(1, 2001) if plan.unveils_at(step)] == [700, 1400]

@@ -194,9 +194,9 @@ class TestInADataset:
             spot = _marker(_SIZE, _project(camera, in_camera[None])[0])
             write_png(capture.root / "images" / image.name, np.repeat(spot[..., None], 3, 2))
             write_png(capture.root / "masks" / image.name, np.maximum(spot, 1))
-        data = load_dataset(DataConfig(source=capture.root, resolution=resolution))
+        config = DataConfig(source=capture.root, resolution=resolution, mask_mode="ignore")
+        data = load_dataset(config)
         cameras = data.scene.cameras
-        assert data.mask_mode == "ignore"
         for i in range(3):
             K, viewmat = cameras.Ks[i], cameras.viewmats[i]
             x, y, z = K @ (viewmat[:3, :3] @ point + viewmat[:3, 3])

@@ -1,0 +1,68 @@
+"""What masks of a folder are taken for."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gscore.config import DataConfig
+from gscore.datasets import load_dataset
+from gscore.datasets.mattes import are_mattes
+from gscore.io.images import write_png
+
+H, W = 60, 80
+
+
+def _ellipse(x: float, y: float, rx: float, ry: float) -> np.ndarray:
+    row, column = np.mgrid[:H, :W]
+    return ((column - x) / rx) ** 2 + ((row - y) / ry) ** 2 <= 1
+
+
+def _person(i: int) -> np.ndarray:
+    """Stands in the middle, her feet out of the picture."""
+    return _ellipse(38 + i, 40, 12, 35)
+
+
+def _passer_by(i: int) -> np.ndarray:
+    return ~_ellipse(8 * i, 40, 8, 25)
+
+
+def _sky(i: int) -> np.ndarray:
+    return np.broadcast_to(np.arange(H)[:, None] > 34 + i, (H, W))
+
+
+def _lens(i: int) -> np.ndarray:
+    return _ellipse(40, 30, 29, 29)
+
+
+def _tripod(i: int) -> np.ndarray:
+    return ~_ellipse(40 + i, 60, 15, 20)
+
+
+@pytest.mark.parametrize(
+    ("shape", "mattes"),
+    [(_person, True), (_passer_by, False), (_sky, False), (_lens, False), (_tripod, False)],
+)
+def test_mattes_are_told_from_masks_that_hide(
+    shape: Callable[[int], np.ndarray], mattes: bool, tmp_path: Path
+) -> None:
+    """Oracle: what the shapes are meant to be; also where one photo in five is an exception."""
+    files = [tmp_path / f"{i:02d}.png" for i in range(20)]
+    for i, file in enumerate(files):
+        kept = np.ones((H, W)) if i % 5 == 4 else shape(i % 4)
+        write_png(file, np.asarray(kept * 255, np.uint8))
+    assert are_mattes(files) == mattes
+
+
+def test_one_mask_is_judged_by_what_it_shows(tmp_path: Path) -> None:
+    """Oracle: as above; that all masks are equal says nothing of one."""
+    write_png(tmp_path / "a.png", np.asarray(_person(0) * 255, np.uint8))
+    assert are_mattes([tmp_path / "a.png"])
+
+
+def test_the_example_s_masks_are_mattes() -> None:
+    """Oracle: they are; an option overrules it."""
+    studio = Path(__file__).parents[2] / "examples" / "studio"
+    assert load_dataset(DataConfig(source=studio)).mask_mode == "composite"
+    assert load_dataset(DataConfig(source=studio, mask_mode="ignore")).mask_mode == "ignore"
