@@ -137,7 +137,8 @@ lint: $(DEVELOPED)  ## ruff and pyright
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
 
-format: $(DEVELOPED)  ## ruff's formatter and safe fixes
+format: $(DEVELOPED)  ## ruff's formatter and safe fixes, and text wrapped at 120 columns
+	$(BIN)/python tools/wrap_text.py $$(git ls-files '*.md')
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 

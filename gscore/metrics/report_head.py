@@ -11,7 +11,7 @@ from .words import count_words, size_words, time_words, whole_words
 TIMES = "\u00d7"
 FAR_ABOVE = 4.0
 """Decibels by which training views exceed held-out ones where splats fit photos, not the scene.
-Captures of fifty views and more stay below 2, of six views they exceed 8."""
+Previews of examples/studio: 0.9 with 50 training views, 2.9 with 20, 16.1 with 6."""
 _HOW_ENDED = {
     FINISHED: "",
     TARGET: "to the PSNR asked for",
