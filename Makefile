@@ -30,31 +30,35 @@ help:  ## this list
 # What a user needs. The editable install lists packages when it is made, so a new package renews it; it builds nothing.
 # torch comes first and alone, so that an index that does not answer costs seconds and not as many for each package.
 $(INSTALLED): pyproject.toml constraints.txt $(wildcard gscore/*/__init__.py gscore/*/*/__init__.py)
-	$(PYTHON) -m venv $(VENV)
-	$(PIP) install --quiet --upgrade pip
+	@echo "Installing into $(VENV): 1.5 GB, half of it torch"
+	@$(PYTHON) -m venv $(VENV)
+	@$(PIP) install --quiet --upgrade pip
 ifneq ($(TORCH_INDEX),)
 	@$(PIP) install -qqq --retries 1 --timeout 15 --no-deps --index-url $(TORCH_INDEX) --constraint constraints.txt torch || \
 		echo "$(TORCH_INDEX) has no torch to give, so the usual one follows, with 2.7 GB of CUDA; TORCH_INDEX=URL names another."
 endif
-	$(PIP) install --quiet --constraint constraints.txt --config-settings wheel.cmake=false --editable '.[all]' 'cmake>=3.25' 'ninja>=1.11'
-	touch $@
+	@$(PIP) install --quiet --constraint constraints.txt --config-settings wheel.cmake=false --editable '.[all]' \
+		'cmake>=3.25' 'ninja>=1.11'
+	@touch $@
 
 # Linters and what tests need, for those who work on gscore.
 $(DEVELOPED): $(INSTALLED)
-	$(PIP) install --quiet --constraint constraints.txt --group dev
-	touch $@
+	@echo "Adding linters and what tests need to $(VENV)"
+	@$(PIP) install --quiet --constraint constraints.txt --group dev
+	@touch $@
 
 # The library in the checkout, again after a change in csrc/.
 $(LIBRARY): $(INSTALLED) $(wildcard csrc/CMakeLists.txt csrc/include/*.h csrc/src/*)
-	$(CMAKE) -B build/native -DGS_TESTS=OFF > /dev/null
-	$(BIN)/cmake --build build/native
-	touch $@
+	@echo "Building the native library"
+	@$(CMAKE) -B build/native -DGS_TESTS=OFF > /dev/null
+	@$(BIN)/cmake --build build/native
+	@touch $@
 
 # The same build folder, the native tests added.
 $(NATIVE_TESTS): $(LIBRARY) $(wildcard csrc/tests/* csrc/fuzz/*)
-	$(CMAKE) -B build/native -DGS_TESTS=ON > /dev/null
-	$(BIN)/cmake --build build/native
-	touch $@
+	@$(CMAKE) -B build/native -DGS_TESTS=ON > /dev/null
+	@$(BIN)/cmake --build build/native
+	@touch $@
 
 install: $(LIBRARY)  ## .venv/bin/gscore with its native library, and nothing else
 

@@ -104,7 +104,7 @@ linux = pytest.mark.skipif(sys.platform != "linux", reason="CUDA comes on Linux 
 def test_torch_without_cuda_comes_first(tmp_path: Path) -> None:
     """Oracle: pip's arguments: PyTorch's index for torch alone, before everything else."""
     told, calls = environment_made(tmp_path, fake_pip(tmp_path, index="true"))
-    assert told == ""
+    assert told.count("\n") == 1 and told.startswith("Installing into")
     first, rest = calls[1], calls[2:]
     assert "--index-url https://download.pytorch.org/whl/cpu " in first
     assert first.endswith("--constraint constraints.txt torch") and "--no-deps" in first
@@ -116,7 +116,8 @@ def test_without_the_cpu_build_the_usual_one_is_taken(tmp_path: Path) -> None:
     """Oracle: a pip that fails for that index: one sentence, and the installation goes on."""
     pip = fake_pip(tmp_path, index="exit 1")
     told, calls = environment_made(tmp_path, pip, "TORCH_INDEX=https://example.org/torch")
-    assert told.count("\n") == 1 and "2.7 GB" in told and "https://example.org/torch" in told
+    _, sentence = told.splitlines()
+    assert "2.7 GB" in sentence and "https://example.org/torch" in sentence
     assert "--editable .[all]" in calls[-1]
 
 
