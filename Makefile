@@ -2,41 +2,72 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+PIP ?= $(BIN)/python -m pip
 INSTALLED := $(VENV)/.installed
+DEVELOPED := $(VENV)/.developed
 LIBRARY := build/native/.built
-SOURCES := $(wildcard csrc/CMakeLists.txt csrc/include/*.h csrc/src/* csrc/tests/* csrc/fuzz/*)
+NATIVE_TESTS := build/native/.tests-built
+CMAKE := $(BIN)/cmake -G Ninja -S csrc -DCMAKE_MAKE_PROGRAM=$(abspath $(BIN)/ninja) -DCMAKE_BUILD_TYPE=Release
+
+# Where Linux takes torch from: PyTorch's builds without CUDA, which save 2.7 GB. TORCH_INDEX= takes the usual one.
+ifeq ($(shell uname -s),Linux)
+TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
+endif
 
 # Which Blenders `make test` runs the add-on in: newest, oldest, all, versions, or none.
 BLENDER ?= newest
-# The Blender that ends `make demo`; older ones may not open what it saves.
+# The Blender that ends `make demo`: a version, newest, or none; older ones may not open what it saves.
 DEMO_BLENDER ?= newest
 # What `make extension` makes zips for: nothing for this machine's platform, all, or names like windows-x64.
 PLATFORMS ?=
 
-.PHONY: demo install test test-slow stress test-blender extension test-native test-widths test-neon sanitize fuzz faults lint format bench experiment-depth wheel clean
+.PHONY: help demo install test test-slow stress test-blender extension test-native test-widths test-neon sanitize fuzz faults lint format bench experiment-depth wheel clean
 
-# The editable install lists packages when it is made, so a new package renews it.
+# Lists what follows the two # of each target.
+help:  ## this list
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-17s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
+
+# What a user needs. The editable install lists packages when it is made, so a new package renews it; it builds nothing.
+# torch comes first and alone, so that an index that does not answer costs seconds and not as many for each package.
 $(INSTALLED): pyproject.toml constraints.txt $(wildcard gscore/*/__init__.py gscore/*/*/__init__.py)
-	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
-	touch $@
+	@echo "Installing into $(VENV): 1.5 GB, half of it torch"
+	@$(PYTHON) -m venv $(VENV)
+	@$(PIP) install --quiet --upgrade pip
+ifneq ($(TORCH_INDEX),)
+	@$(PIP) install -qqq --retries 1 --timeout 15 --no-deps --index-url $(TORCH_INDEX) --constraint constraints.txt torch || \
+		echo "$(TORCH_INDEX) has no torch to give, so the usual one follows, with 2.7 GB of CUDA; TORCH_INDEX=URL names another."
+endif
+	@$(PIP) install --quiet --constraint constraints.txt --config-settings wheel.cmake=false --editable '.[all]' \
+		'cmake>=3.25' 'ninja>=1.11'
+	@touch $@
 
-# After a change in csrc/: rebuilds the library in the checkout without reinstalling.
-$(LIBRARY): $(INSTALLED) $(SOURCES)
-	$(BIN)/cmake -G Ninja -S csrc -B build/native -DCMAKE_MAKE_PROGRAM=$(abspath $(BIN)/ninja) \
-		-DCMAKE_BUILD_TYPE=Release -DGS_TESTS=ON > /dev/null
-	$(BIN)/cmake --build build/native
-	touch $@
+# Linters and what tests need, for those who work on gscore.
+$(DEVELOPED): $(INSTALLED)
+	@echo "Adding linters and what tests need to $(VENV)"
+	@$(PIP) install --quiet --constraint constraints.txt --group dev
+	@touch $@
 
-# Only that: .venv/bin/gscore, with the native library of this checkout.
-install: $(LIBRARY)
+# The library in the checkout, again after a change in csrc/.
+$(LIBRARY): $(INSTALLED) $(wildcard csrc/CMakeLists.txt csrc/include/*.h csrc/src/*)
+	@echo "Building the native library"
+	@$(CMAKE) -B build/native -DGS_TESTS=OFF > /dev/null
+	@$(BIN)/cmake --build build/native
+	@touch $@
+
+# The same build folder, the native tests added.
+$(NATIVE_TESTS): $(LIBRARY) $(wildcard csrc/tests/* csrc/fuzz/*)
+	@$(CMAKE) -B build/native -DGS_TESTS=ON > /dev/null
+	@$(BIN)/cmake --build build/native
+	@touch $@
+
+install: $(LIBRARY)  ## .venv/bin/gscore with its native library, and nothing else
 
 # Trains the bundled capture and leaves out/demo/{point_cloud.ply,metrics.json,report.html}; then brings it into Blender
 # (the bpy module) with cameras and splats and renders it there: out/demo/{demo.blend,blender.png}.
-demo: $(INSTALLED)
+demo: $(LIBRARY)  ## trains the bundled capture into out/demo and ends in Blender (DEMO_BLENDER=none: without)
 	$(BIN)/gscore train examples/studio -o out/demo --overwrite --preset preview --mask-mode none --test-every 6
 	$(BIN)/gscore render out/demo/point_cloud.ply --cameras examples/studio --test -o out/demo/renders
+ifneq ($(DEMO_BLENDER),none)
 	@mkdir -p build/blender-profile
 	@bpy=$$($(BIN)/python tools/bpy_venvs.py $(DEMO_BLENDER)); status=$$?; \
 	if [ $$status = 3 ]; then echo "so the demo ends without Blender."; exit 0; fi; \
@@ -44,91 +75,88 @@ demo: $(INSTALLED)
 		examples/studio --splats out/demo/point_cloud.ply -o out/demo/demo.blend --render out/demo/blender.png && \
 	version=$$(basename $$(dirname $$(dirname $$bpy))) && \
 	echo "Open out/demo/blender.png and, in Blender $$version or newer with the add-on (make extension), out/demo/demo.blend"
+endif
 	@echo "Open out/demo/report.html"
 
-test: $(LIBRARY)
+test: $(DEVELOPED) $(NATIVE_TESTS)  ## everything quick; BLENDER=none leaves the add-on out
 	$(BIN)/python -m pytest -q -m "not slow"
 	$(BIN)/ctest --test-dir build/native --output-on-failure
 ifneq ($(BLENDER),none)
 	$(BIN)/python tools/test_blender.py $(BLENDER) -- -m "not slow"
 endif
 
-test-slow: $(LIBRARY)
+test-slow: $(DEVELOPED) $(NATIVE_TESTS)  ## the tests that take minutes
 	$(BIN)/python -m pytest -q -m slow
 
 # The add-on's tests, the slow ones too, in every Blender of tools/bpy_venvs.py: 350 MB and half a minute each at first.
-test-blender: $(LIBRARY)
+test-blender: $(LIBRARY)  ## the add-on's tests in every Blender known
 	$(BIN)/python tools/test_blender.py all
 
 # dist/gscore_splats-<version>-<platform>.zip, checked by Blender's validator.
-extension: $(INSTALLED)
+extension: $(LIBRARY)  ## the Blender extension into dist/; PLATFORMS=all for all of Blender's platforms
 	$(BIN)/python tools/build_extension.py $(PLATFORMS)
 
-test-native: $(LIBRARY)
+test-native: $(NATIVE_TESTS)  ## the C++ tests
 	$(BIN)/ctest --test-dir build/native --output-on-failure
 
-# The portable kernels at the vector widths of AVX2 and AVX-512, for machines that lack these, and NEON under emulation
-# (needs Debian's g++-aarch64-linux-gnu and qemu-user-static).
-test-widths: $(INSTALLED)
+# For machines that lack AVX2 and AVX-512.
+test-widths: $(INSTALLED)  ## the portable kernels at the vector widths of AVX2 and AVX-512
 	for n in 8 16; do \
-		$(BIN)/cmake -G Ninja -S csrc -B build/lanes-$$n -DCMAKE_MAKE_PROGRAM=$(abspath $(BIN)/ninja) \
-			-DCMAKE_BUILD_TYPE=Release -DGS_TESTS=ON -DGS_SCALAR_LANES=$$n > /dev/null && \
+		$(CMAKE) -B build/lanes-$$n -DGS_TESTS=ON -DGS_SCALAR_LANES=$$n > /dev/null && \
 		$(BIN)/cmake --build build/lanes-$$n && \
 		GSCORE_ISA=scalar $(BIN)/ctest --test-dir build/lanes-$$n --output-on-failure || exit 1; \
 	done
 
-test-neon: $(INSTALLED)
-	$(BIN)/cmake -G Ninja -S csrc -B build/neon -DCMAKE_MAKE_PROGRAM=$(abspath $(BIN)/ninja) \
-		-DCMAKE_BUILD_TYPE=Release -DGS_TESTS=ON -DCMAKE_SYSTEM_NAME=Linux -DCMAKE_SYSTEM_PROCESSOR=aarch64 \
+test-neon: $(INSTALLED)  ## NEON, emulated (Debian's g++-aarch64-linux-gnu and qemu-user-static)
+	$(CMAKE) -B build/neon -DGS_TESTS=ON -DCMAKE_SYSTEM_NAME=Linux -DCMAKE_SYSTEM_PROCESSOR=aarch64 \
 		-DCMAKE_CXX_COMPILER=aarch64-linux-gnu-g++ > /dev/null
 	$(BIN)/cmake --build build/neon
 	qemu-aarch64-static -L /usr/aarch64-linux-gnu -E LD_LIBRARY_PATH=build/neon build/neon/test_native
 
 # Every numerical stress test in its long version, with every instruction set: about an hour on two quiet cores, half of it
 # for S30's 200 000 steps. STRESS="--only S06" and the like choose.
-stress: $(LIBRARY)
+stress: $(DEVELOPED) $(LIBRARY)  ## the numerical stress tests in their long versions, an hour
 	$(BIN)/gscore stress --full --isa all $(STRESS)
 	$(BIN)/python -m pytest -q -m slow tests/stress/test_determinism.py
 
-# The native tests under the address, undefined-behaviour and thread sanitizers.
-sanitize: $(INSTALLED)
+sanitize: $(INSTALLED)  ## the C++ tests under the address, undefined-behaviour and thread sanitizers
 	for s in address,undefined thread; do \
 		d=build/sanitize-$${s%%,*}; \
-		$(BIN)/cmake -G Ninja -S csrc -B $$d -DCMAKE_MAKE_PROGRAM=$(abspath $(BIN)/ninja) \
-			-DCMAKE_BUILD_TYPE=Release -DGS_TESTS=ON -DGS_SANITIZE=$$s > /dev/null && \
+		$(CMAKE) -B $$d -DGS_TESTS=ON -DGS_SANITIZE=$$s > /dev/null && \
 		$(BIN)/cmake --build $$d && $(BIN)/ctest --test-dir $$d --output-on-failure || exit 1; \
 	done
 
-# Hunts for crashes in the C entry points (libFuzzer, needs clang), the readers and the rasterizer.
+# In the C entry points (under libFuzzer and sanitizers with Debian's clang and libclang-rt-14-dev), readers and rasterizer.
 FUZZ_SECONDS ?= 60
-fuzz: $(LIBRARY)
+fuzz: $(DEVELOPED) $(NATIVE_TESTS)  ## hunts for crashes for FUZZ_SECONDS (60) each
 	$(BIN)/python tools/fuzz.py $(FUZZ_SECONDS)
 
 # Kills, full disks, vanishing photos, clock jumps and more, done to trainings; 15 to 30 minutes on two cores.
 KILLS ?= 50
-faults: $(LIBRARY)
+faults: $(LIBRARY)  ## kills, full disks, damaged files, done to real trainings
 	$(BIN)/python tools/faults.py --kills $(KILLS)
 
-lint: $(INSTALLED)
+lint: $(DEVELOPED)  ## ruff and pyright
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
 
-format: $(INSTALLED)
+format: $(DEVELOPED)  ## ruff's formatter and safe fixes, and text wrapped at 120 columns
+	$(BIN)/python tools/wrap_text.py $$(git ls-files '*.md')
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-bench: $(LIBRARY)
+bench: $(LIBRARY)  ## speed of the rasterizer here
 	$(BIN)/gscore bench raster
 
 # Trains with and without depth, from 6 to 50 views, and leaves out/experiment-depth/{results.json,results.md,*.png}; goes
 # on where it was stopped. About eight minutes on two cores; EXPERIMENT=--quick takes one. Other tables of docs/depth.md:
 # EXPERIMENT="--table study" (auto, switches, real with GSCORE_DATA set); a network: EXPERIMENT="--model FILE.onnx".
-experiment-depth: $(LIBRARY)
+experiment-depth: $(LIBRARY)  ## with and without depth, from 6 to 50 views: out/experiment-depth/
 	$(BIN)/python tools/experiment_depth.py $(EXPERIMENT)
 
-wheel: $(INSTALLED)
+wheel: $(INSTALLED)  ## gscore's wheel into dist/
 	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist .
 
-clean:
+clean:  ## removes what the other targets made
 	rm -rf build dist out $(VENV) .venv-blender .venv-zig gscore/raster/libgscore.* gscore/raster/gscore.dll

@@ -23,14 +23,15 @@ _CPU_INDEX = "https://download.pytorch.org/whl/cpu"
 """Packages of torch without CUDA, for Linux, where the usual one brings gigabytes of it."""
 
 
-def how_to_install(module: str) -> str:
-    """The command that brings an optional package, with all that the same work needs besides; empty
-    for a module that is none of them."""
-    extra = _EXTRAS.get(module.partition(".")[0])
-    if extra is None:
+def how_to_install(*modules: str) -> str:
+    """The command that brings optional packages, with all that the same work needs besides; empty
+    where none of the modules is one of them."""
+    found = (_EXTRAS.get(module.partition(".")[0]) for module in modules)
+    extras = list(dict.fromkeys(extra for extra in found if extra))
+    if not extras:
         return ""
-    command = f'pip install "gscore[{extra}]"'
-    if extra == _TRAIN and sys.platform.startswith("linux"):
+    command = f'pip install "gscore[{",".join(extras)}]"'
+    if _TRAIN in extras and sys.platform.startswith("linux"):
         command += f" --extra-index-url {_CPU_INDEX}"
     return command
 

@@ -11,9 +11,9 @@ def _words(text: str) -> frozenset[str]:
 
 MODULES = _words(
     """__future__ argparse ast atexit base64 collections concurrent contextlib ctypes dataclasses
-    difflib enum errno fcntl fractions functools hashlib html importlib inspect io itertools json
-    logging math mmap msvcrt os pathlib platform queue re resource secrets shutil signal stat
-    statistics
+    datetime difflib enum errno fcntl fractions functools hashlib html importlib inspect io
+    itertools json logging math mmap msvcrt os pathlib platform queue re resource secrets shlex
+    shutil signal stat statistics
     string struct subprocess sys tempfile textwrap threading time traceback types typing uuid
     warnings weakref zipfile zlib
     av bpy bpy_extras gpu gpu_extras gscore mathutils numpy onnxruntime OpenEXR PIL plyfile

@@ -18,6 +18,7 @@ BOTTOM = {
     "splats",
     "scene",
     "config",
+    "config_command",
     "config_file",
     "control",
     "events",

@@ -154,12 +154,13 @@ def _verdict(python: Path, output: list[str], stderr: list[str]) -> Verdict:
         )
         return Verdict(python=str(python), good=True, sentence=sentence, facts=facts)
     missing = ", ".join(str(m) for m in facts.get("missing") or ["something"])
+    command = facts.get("install") or 'pip install "gscore[train]"'
     return Verdict(
         python=str(python),
         good=False,
         sentence=(
             f"{python} has gscore but cannot train without {missing}; press Make Environment, or "
-            f'install there: pip install "gscore[train]".'
+            f"install there: {command}"
         ),
         facts=facts,
     )

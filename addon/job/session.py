@@ -203,11 +203,10 @@ def failure_sentence(
             f"{python} has no gscore; press Make Environment in the add-on's preferences, or "
             "choose another Python there."
         )
-    if match := re.search(r"needs the package (\w+)", text):
+    if match := re.search(r"needs the package (\w+); install it with: (.+?)\.?$", text, re.M):
         return (
             f"{python} has gscore but lacks {match[1]}, which training needs; press Make "
-            "Environment in the add-on's preferences, or install it there: "
-            '"pip install gscore[train]".'
+            f"Environment in the add-on's preferences, or install it there: {match[2]}"
         )
     if code is not None and code < 0:
         return (

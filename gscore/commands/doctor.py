@@ -27,6 +27,7 @@ from .output import print_json
 
 _LITTLE_MEMORY = 2_000_000_000
 _TOLERANCE = 1e-5
+_ABSENT = "not installed"
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,8 @@ class _Part:
     use: str
     needed: bool
     """Without it there is no training."""
+    offered: bool = True
+    """Whether it belongs to what one installs when it is missing; bpy fits one Python only."""
 
 
 _PARTS = (
@@ -50,7 +53,7 @@ _PARTS = (
     _Part("pycolmap", "pycolmap", "photos with lens distortion", True),
     _Part("onnxruntime", "onnxruntime", "LPIPS and predicting depth", False),
     _Part("av", "av", "MP4 files", False),
-    _Part("bpy", "bpy", "Blender as a Python module", False),
+    _Part("bpy", "bpy", "Blender as a Python module, the extra blender", False, offered=False),
 )
 
 
@@ -75,6 +78,9 @@ def _facts() -> dict[str, Any]:
     missing = [p.distribution for p in _PARTS if p.needed and packages[p.distribution]["problem"]]
     if native["problem"]:
         missing.insert(0, "the native library")
+    absent = [
+        p.module for p in _PARTS if p.offered and packages[p.distribution]["problem"] == _ABSENT
+    ]
     available = available_memory_bytes()
     return {
         "gscore": __version__,
@@ -91,6 +97,7 @@ def _facts() -> dict[str, Any]:
         "packages": packages,
         "can_train": not missing,
         "missing": missing,
+        "install": how_to_install(*absent),
     }
 
 
@@ -99,8 +106,7 @@ def _package_facts(part: _Part) -> dict[str, Any]:
     try:
         module = importlib.import_module(part.module)
     except ModuleNotFoundError:
-        command = how_to_install(part.module) or f"pip install {part.distribution}"
-        return {"version": None, "use": part.use, "problem": f"not installed: {command}"}
+        return {"version": None, "use": part.use, "problem": _ABSENT}
     except Exception as error:  # a broken wheel may raise anything while it loads
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         return {
@@ -202,6 +208,8 @@ def _text(facts: dict[str, Any]) -> str:
         state = f"{part['version'] or ''} {part['problem']}".strip()
         rows.append((name, f"{state}  ({part['use']})"))
     lines = [f"{label:12} {value}" for label, value in rows]
+    if facts["install"]:
+        lines.append(f"To install what is missing: {facts['install']}")
     if facts["can_train"]:
         lines.append("This machine can train.")
     else:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ..config import DataConfig
+from ..config_command import preset_words, train_command
 from ..config_file import to_dict
 from ..datasets import Dataset, load_dataset
 from ..errors import ConfigError, DatasetError
@@ -28,7 +29,15 @@ from .data_options import add_data_options, with_data_options
 from .model import Model, add_model_argument, model_path, open_model
 from .output import check_folder, print_json
 
-_KEPT = ("steps", "train_seconds", "history", "evals", "peak_memory_bytes")
+_KEPT = (
+    "steps",
+    "train_seconds",
+    "reason",
+    "trained_at",
+    "history",
+    "evals",
+    "peak_memory_bytes",
+)
 """What only the training knows; a run that is measured again keeps it."""
 
 
@@ -138,7 +147,7 @@ def run(args: argparse.Namespace) -> int:
         "views": collector.views,
         "warnings": warnings,
         "config": options,
-    }
+    } | _how_trained(model)
     write_report(output / "report.html", report)
     for sentence in warnings:
         print(f"Warning: {sentence}", file=sys.stderr)
@@ -197,6 +206,16 @@ def _of_the_training(model: Model) -> dict[str, Any]:
         return {}
     old = read_metrics(model.run)
     return {key: old[key] for key in _KEPT if old.get(key) is not None}
+
+
+def _how_trained(model: Model) -> dict[str, Any]:
+    """Preset and command of the run for the report; nothing for a bare PLY."""
+    if model.run is None or model.data is None or model.train is None:
+        return {}
+    return {
+        "preset": preset_words(model.data, model.train),
+        "command": train_command(model.data, model.train, model.run),
+    }
 
 
 def _summary(metrics: dict[str, Any], output: Path) -> str:

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 WIDTH, HEIGHT = 430, 230
 """Size of a chart in its own units; the page scales it."""
 _LEFT, _RIGHT, _TOP, _BOTTOM = 46, 18, 14, 36
+_LETTER = 6.5
+"""Width of a letter of the labels above a chart, with some room."""
 _BUCKETS = 240
 
 
@@ -22,6 +24,14 @@ class Series:
     """(x, y), finite, x ascending."""
     dots: bool = False
     """Draw a dot at every point: measurements, not samples of something noisy."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mark:
+    """Something that happened at one place of the x axis."""
+
+    x: float
+    label: str
 
 
 def clean_points(pairs: Sequence[tuple[float | None, float | None]]) -> list[tuple[float, float]]:
@@ -70,6 +80,7 @@ def chart(
     x_unit: str,
     log: bool = False,
     from_zero: bool = False,
+    marks: Sequence[Mark] = (),
 ) -> str:
     """One chart as an `<svg>` element; a sentence in its place if there is nothing to draw.
 
@@ -79,6 +90,7 @@ def chart(
         x_unit: Written under the x axis.
         log: Logarithmic y axis; points that are not positive are left out.
         from_zero: The y axis starts at 0.
+        marks: Drawn as vertical lines where they lie within the curves.
     """
     drawn = [(s, [p for p in s.points if p[1] > 0] if log else list(s.points)) for s in series]
     every = [p for _, points in drawn for p in points]
@@ -96,6 +108,7 @@ def chart(
         return HEIGHT - _BOTTOM - share * (HEIGHT - _TOP - _BOTTOM)
 
     parts = [_axes(x_low, x_high, y_low, y_high, to_x, to_y, log=log, x_unit=x_unit)]
+    parts.append(_marks([m for m in marks if x_low <= m.x <= x_high], to_x))
     hover: list[tuple[float, float, str]] = []
     for number, (one, points) in enumerate(drawn, start=1):
         if one.dots:
@@ -189,6 +202,21 @@ def _axes(
         f'<text class="unit" x="{WIDTH - _RIGHT}" y="{HEIGHT - 4}" text-anchor="end">'
         f"{html.escape(x_unit)}</text>"
     )
+    return "".join(parts)
+
+
+def _marks(marks: Sequence[Mark], to_x: _Scale) -> str:
+    """A dashed line for each; labels that would lie on the one before are left out."""
+    parts, free = [], -math.inf
+    for mark in sorted(marks, key=lambda m: m.x):
+        at, base = to_x(mark.x), HEIGHT - _BOTTOM
+        parts.append(f'<line class="mark" x1="{at:.1f}" x2="{at:.1f}" y1="{_TOP}" y2="{base}">')
+        parts.append(f"<title>{html.escape(mark.label)}</title></line>")
+        width = _LETTER * len(mark.label)
+        if at - width / 2 >= free and at + width / 2 <= WIDTH:
+            parts.append(f'<text class="mark-label" x="{at:.1f}" y="{_TOP - 4}" ')
+            parts.append(f'text-anchor="middle">{html.escape(mark.label)}</text>')
+            free = at + width / 2
     return "".join(parts)
 
 

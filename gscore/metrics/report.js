@@ -55,7 +55,10 @@ for (const chart of document.querySelectorAll("svg.chart")) {
 for (const render of document.querySelectorAll("img.render")) {
   const own = render.src;
   const photo = render.closest(".triple").querySelector("img.photo").src;
-  render.addEventListener("pointerenter", () => (render.src = photo));
+  // A finger enters a picture too, but leaves it only when it touches another.
+  render.addEventListener("pointerenter", (event) => {
+    if (event.pointerType === "mouse") render.src = photo;
+  });
   render.addEventListener("pointerleave", () => (render.src = own));
 }
 
@@ -82,25 +85,28 @@ if (viewer) {
       one.article.querySelector(`img.${k}`).addEventListener("click", () => show(one, k));
     }
   }
+  const go = (step) => {
+    const order = [...document.querySelectorAll("article")];
+    const next = order[order.indexOf(card.article) + step];
+    if (next) show(cards.find((c) => c.article === next), kind);
+  };
   for (const button of viewer.querySelectorAll("button")) {
     button.addEventListener("click", (event) => {
       event.stopPropagation();
-      if (button.dataset.show === "close") viewer.hidden = true;
+      if (button.dataset.go) go(Number(button.dataset.go));
+      else if (button.dataset.show === "close") viewer.hidden = true;
       else show(card, button.dataset.show);
     });
   }
   viewer.addEventListener("click", () => (viewer.hidden = true));
   document.addEventListener("keydown", (event) => {
     if (viewer.hidden) return;
-    const shown = [...document.querySelectorAll("article")].indexOf(card.article);
     const step = { ArrowDown: 1, ArrowUp: -1 }[event.key];
     const turn = { ArrowRight: 1, ArrowLeft: 2, " ": 1 }[event.key];
     if (event.key === "Escape") viewer.hidden = true;
     else if (turn) show(card, kinds[(kinds.indexOf(kind) + turn) % 3]);
-    else if (step) {
-      const next = document.querySelectorAll("article")[shown + step];
-      if (next) show(cards.find((c) => c.article === next), kind);
-    } else return;
+    else if (step) go(step);
+    else return;
     event.preventDefault();
   });
 }

@@ -2,20 +2,20 @@
 
 import html
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..events import CONVERGED, FINISHED, TARGET, judged_psnr
+from ..events import judged_psnr
 from ..io.files import atomic_write
 from .colormap import colorize
-from .curves import Series, chart, clean_points, legend
+from .curves import Mark, Series, chart, clean_points, legend
 from .depth import depth_html
 from .pictures import ERROR_GAIN, ViewPictures
-from .words import count_words, size_words, time_words
-
-TIMES = "\u00d7"
+from .report_head import TIMES, head_html, meaning_html, tiles_html
+from .words import number_words, size_words
 
 
 def write_report(path: Path, run: dict[str, Any]) -> None:
@@ -29,6 +29,7 @@ def write_report(path: Path, run: dict[str, Any]) -> None:
             views: list of ViewPictures, from a `PictureCollector` given to `evaluate`.
             history, evals: curves as in `summarize`; without them those in metrics are drawn.
             warnings: list of sentences; may be missing or empty.
+            preset, command: how it was trained; may be missing or empty.
             depth: a DepthSection; may be missing or None.
             config: {section: {option: value}}; may be missing or empty.
 
@@ -44,9 +45,15 @@ def report_html(run: dict[str, Any]) -> str:
     title = str(run["title"])
     body = "".join(
         (
-            _header(title, metrics),
+            head_html(
+                title,
+                metrics,
+                preset=run.get("preset") or "",
+                command=run.get("command") or "",
+            ),
             _warnings(run.get("warnings") or []),
-            _tiles(metrics),
+            tiles_html(metrics),
+            meaning_html(metrics),
             _curves(
                 run.get("history") or metrics.get("history") or [],
                 run.get("evals") or metrics.get("evals") or [],
@@ -71,101 +78,11 @@ def _asset(name: str) -> str:
     return Path(__file__).with_name(name).read_text(encoding="utf-8")
 
 
-def _number(value: Any, digits: int) -> str:
-    return "n/a" if value is None else f"{value:.{digits}f}"
-
-
-def _count(value: int | None) -> str:
-    return "n/a" if value is None else f"{value:,}".replace(",", " ")
-
-
-def _split_words(metrics: dict[str, Any]) -> str:
-    count, split = len(metrics["views"]), metrics["split"]
-    if not count:
-        return "no views: " + metrics.get("psnr_reason", "")
-    if split == "test":
-        return count_words(count, "held-out view")
-    if split == "all":
-        return f"all {count_words(count, 'view')}, {len(metrics['test_views'])} of them held out"
-    return f"{count_words(count, 'training view')} (not held out, so this is no test)"
-
-
-def _header(title: str, metrics: dict[str, Any]) -> str:
-    machine = metrics["machine"]
-    ran = f"{machine['cpu']}, {machine['threads']} threads, {machine['isa']}"
-    return (
-        f"<header><h1>{html.escape(title)}</h1>"
-        f'<p class="sub">Scored on {_split_words(metrics)} · {html.escape(ran)} · '
-        f"gscore {html.escape(metrics['gscore'])}</p></header>\n"
-    )
-
-
 def _warnings(sentences: Sequence[str]) -> str:
     if not sentences:
         return ""
     items = "".join(f"<li>{html.escape(s)}</li>" for s in sentences)
     return f'<section class="warnings"><h2>Warnings</h2><ul>{items}</ul></section>\n'
-
-
-def _tiles(metrics: dict[str, Any]) -> str:
-    net = metrics.get("lpips_net")
-    lpips_note = f"net: {net}, lower is better" if net else metrics.get("lpips_reason", "")
-    masked = "psnr_masked" in metrics
-    meaning = "masked-out pixels as equal" if masked else "higher is better"
-    tiles = [
-        (
-            "PSNR",
-            _number(metrics.get("psnr"), 2),
-            "dB",
-            _reason(metrics, "psnr", meaning),
-        ),
-        ("SSIM", _number(metrics.get("ssim"), 4), "", "1 is identical"),
-        ("D-SSIM", _number(metrics.get("d_ssim"), 4), "", "(1 - SSIM) / 2"),
-        (
-            "MS-SSIM",
-            _number(metrics.get("ms_ssim"), 4),
-            "",
-            _reason(metrics, "ms_ssim", "five scales"),
-        ),
-        ("LPIPS", _number(metrics.get("lpips"), 4), "", lpips_note),
-        ("Splats", _count(metrics["splats"]), "", f"SH degree {metrics['sh_degree']}"),
-        ("Training", time_words(metrics["train_seconds"]), "", _steps(metrics)),
-        ("Rendering", _number(metrics.get("fps"), 1), "fps", _picture_size(metrics)),
-        ("Storage", size_words(metrics["storage_bytes"]), "", "PLY file"),
-        ("Peak memory", size_words(metrics["peak_memory_bytes"]), "", "resident"),
-    ]
-    if masked:
-        value = _number(metrics["psnr_masked"], 2)
-        note = _reason(metrics, "psnr_masked", "of the pixels that count")
-        tiles.insert(0, ("PSNR in the masks", value, "dB", note))
-    cells = "".join(
-        f'<div class="tile"><dt>{name}</dt><dd>{value}<small>{f" {unit}" if unit else ""}</small>'
-        f'</dd><p title="{html.escape(note, quote=True)}">{html.escape(note)}</p></div>'
-        for name, value, unit, note in tiles
-    )
-    return f'<section><dl class="tiles">{cells}</dl></section>\n'
-
-
-def _reason(metrics: dict[str, Any], key: str, otherwise: str) -> str:
-    return otherwise if metrics.get(key) is not None else metrics.get(f"{key}_reason", "")
-
-
-_HOW_ENDED = {FINISHED: "", TARGET: "to the PSNR asked for", CONVERGED: "until it converged"}
-
-
-def _steps(metrics: dict[str, Any]) -> str:
-    if metrics["steps"] is None:
-        return "time not known"
-    how = _HOW_ENDED.get(metrics["reason"], f"stopped: {metrics['reason']}")
-    return ", ".join(filter(None, (f"{_count(metrics['steps'])} steps", how)))
-
-
-def _picture_size(metrics: dict[str, Any]) -> str:
-    sizes = {(v["width"], v["height"]) for v in metrics["views"]}
-    if len(sizes) != 1:
-        return "pictures of several sizes" if sizes else ""
-    width, height = sizes.pop()
-    return f"{width} {TIMES} {height} px, median"
 
 
 def _curves(history: list[dict[str, Any]], evals: list[dict[str, Any]], metrics: Any) -> str:
@@ -187,7 +104,8 @@ def _curves(history: list[dict[str, Any]], evals: list[dict[str, Any]], metrics:
             exact = clean_points([(row.get(axis), row.get(key)) for row in evals])
             if exact and key == "psnr":
                 series.append(Series(label=f"mean of the {held_out}", points=exact, dots=True))
-            svg = chart(series, label=name, x_unit=unit, log=log, from_zero=from_zero)
+            marks = photo_marks(history, axis)
+            svg = chart(series, label=name, x_unit=unit, log=log, from_zero=from_zero, marks=marks)
             charts.append(f'<div class="by-{axis}">{svg}</div>')
             keys = keys or legend(series)
         scale = " <small>log scale</small>" if log else ""
@@ -197,10 +115,31 @@ def _curves(history: list[dict[str, Any]], evals: list[dict[str, Any]], metrics:
         '<button data-axis="step" aria-pressed="true">steps</button>'
         '<button data-axis="elapsed_s" aria-pressed="false">seconds</button></div>'
     )
+    told = (
+        '<p class="hint">Dashed lines: photos became larger, to this share of their sides.</p>'
+        if photo_marks(history, "step")
+        else ""
+    )
     return (
         '<section id="curves" data-axis="step"><div class="bar"><h2>Training</h2>'
-        f'{switch}</div><div class="plots">{"".join(boxes)}</div></section>\n'
+        f'{switch}</div>{told}<div class="plots">{"".join(boxes)}</div></section>\n'
     )
+
+
+def photo_marks(history: Sequence[dict[str, Any]], axis: str) -> list[Mark]:
+    """Where photos became larger, at the first step of the history with each size.
+
+    Args:
+        history: Rows of metrics.json; those of runs that did not note the sizes give no marks.
+        axis: The key that is drawn to the right.
+    """
+    marks = []
+    for before, row in pairwise(history):
+        factor, place = row.get("photo_factor"), row.get(axis)
+        if factor and place is not None and factor != before.get("photo_factor"):
+            label = "full size" if factor == 1 else f"1/{factor:.2g}"
+            marks.append(Mark(x=place, label=label))
+    return marks
 
 
 def _view_cards(views: Sequence[ViewPictures], metrics: dict[str, Any]) -> str:
@@ -225,11 +164,13 @@ def _view_cards(views: Sequence[ViewPictures], metrics: dict[str, Any]) -> str:
         '<section><div class="bar"><h2>Views</h2><div class="switch" role="group" '
         'aria-label="Order"><button data-order="name" aria-pressed="true">by name</button>'
         '<button data-order="psnr" aria-pressed="false">worst first</button></div></div>'
-        f'<p class="hint">Hold the mouse on a render to see the photo; click a picture to enlarge '
-        f'it.{note}</p>{scale}<div id="cards">{cards}</div></section>\n'
+        '<p class="hint"><span class="mouse">Hold the mouse on a render to see the photo. </span>'
+        f'Choose a picture to enlarge it.{note}</p>{scale}<div id="cards">{cards}</div></section>\n'
         '<div id="viewer" hidden><div><button data-show="photo">photo</button>'
         '<button data-show="render">render</button><button data-show="error">error</button>'
-        '<b></b><button data-show="close" aria-label="Close">&times;</button></div>'
+        '<button data-go="-1" aria-label="Previous view">&uarr;</button>'
+        '<button data-go="1" aria-label="Next view">&darr;</button>'
+        '<button data-show="close" aria-label="Close">&times;</button><b></b></div>'
         '<img alt=""></div>\n'
     )
 
@@ -256,11 +197,11 @@ def _card(view: ViewPictures, number: int, photo: str) -> str:
 def _numbers_words(numbers: dict[str, Any]) -> str:
     where = " in the mask" if numbers.get("psnr_masked") is not None else ""
     parts = [
-        f"PSNR{where} <b>{_number(judged_psnr(numbers), 2)}</b>",
-        f"SSIM <b>{_number(numbers.get('ssim'), 4)}</b>",
+        f"PSNR{where} <b>{number_words(judged_psnr(numbers), 2)}</b>",
+        f"SSIM <b>{number_words(numbers.get('ssim'), 4)}</b>",
     ]
     if numbers.get("lpips") is not None:
-        parts.append(f"LPIPS <b>{_number(numbers['lpips'], 4)}</b>")
+        parts.append(f"LPIPS <b>{number_words(numbers['lpips'], 4)}</b>")
     return " · ".join(parts)
 
 
@@ -297,7 +238,7 @@ def _view_table(views: Sequence[ViewPictures]) -> str:
 def _cell(numbers: dict[str, Any], key: str, digits: int) -> str:
     reason = html.escape(str(numbers.get(f"{key}_reason", "")), quote=True)
     hint = f' title="{reason}"' if reason else ""
-    return f"<td{hint}>{_number(numbers.get(key), digits)}</td>"
+    return f"<td{hint}>{number_words(numbers.get(key), digits)}</td>"
 
 
 def _details(metrics: dict[str, Any], config: dict[str, dict[str, Any]]) -> str:
@@ -348,15 +289,22 @@ _DEFINITIONS = (
 
 
 def _definitions(metrics: dict[str, Any]) -> str:
-    rows = {
-        f"{label} {_number(metrics.get(key), digits)}": words
-        for key, label, digits, words in _DEFINITIONS
-        if key != "psnr_masked" or key in metrics
-    }
-    rows[f"LPIPS {_number(metrics.get('lpips'), 5)}"] = (
-        f"network {metrics['lpips_net']}, inputs in [-1, 1]; numbers of other networks cannot be "
-        "compared"
-        if metrics.get("lpips_net")
-        else metrics.get("lpips_reason", "")
-    )
+    rows = {}
+    for key, label, digits, words in _DEFINITIONS:
+        if key in metrics:
+            rows |= _definition(metrics, key, label, digits, words)
+    if "lpips" in metrics:
+        words = (
+            f"network {metrics.get('lpips_net')}, inputs in [-1, 1]; numbers of other networks "
+            "cannot be compared"
+        )
+        rows |= _definition(metrics, "lpips", "LPIPS", 5, words)
     return _table("How the numbers are defined", rows)
+
+
+def _definition(
+    metrics: dict[str, Any], key: str, label: str, digits: int, words: str
+) -> dict[str, str]:
+    if metrics[key] is None:
+        return {label: f"not measured: {metrics.get(f'{key}_reason', 'not known why')}"}
+    return {f"{label} {metrics[key]:.{digits}f}": words}

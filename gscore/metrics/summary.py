@@ -10,7 +10,7 @@ from .._version import __version__
 from ..io.files import atomic_write
 from .machine import machine, peak_memory_bytes
 
-HISTORY = ("step", "elapsed_s", "loss", "psnr", "splats")
+HISTORY = ("step", "elapsed_s", "loss", "psnr", "splats", "photo_factor")
 """Keys of a row of the history."""
 _LISTS = frozenset({"views", "train_views", "test_views", "history", "evals"})
 
@@ -29,6 +29,7 @@ def summarize(
     steps: int | None,
     train_seconds: float | None,
     reason: str | None = None,
+    trained_at: str | None = None,
     isa: str,
     threads: int,
     history: Sequence[dict[str, Any]] = (),
@@ -46,8 +47,10 @@ def summarize(
         storage_bytes: Size of its PLY.
         steps, train_seconds: Length of the training without evaluation; None if not known.
         reason: Why the training ended, as in `events.Done`; None if not known.
+        trained_at: When it ended, as ISO 8601 with the time zone; None if not known.
         isa, threads: What the rasterizer ran with.
-        history: Fields of `events.Progress` over the training; those in `HISTORY` are kept.
+        history: Fields of `events.Progress` over the training, and `photo_factor`, what the sides
+            of the photos were divided by; those in `HISTORY` are kept.
         evals: {"step", "elapsed_s", "psnr"} measured on the same split during the training.
 
     Returns:
@@ -64,6 +67,7 @@ def summarize(
         "steps": steps,
         "train_seconds": train_seconds,
         "reason": reason,
+        "trained_at": trained_at,
         "peak_memory_bytes": peak_memory_bytes(),
         "split": split,
         "train_views": list(train_views),

@@ -4,6 +4,16 @@ from collections.abc import Mapping
 from typing import Any
 
 
+def number_words(value: float | None, digits: int) -> str:
+    """A number with so many decimals."""
+    return "n/a" if value is None else f"{value:.{digits}f}"
+
+
+def whole_words(count: int) -> str:
+    """A count in groups of three digits: 12 345."""
+    return f"{count:,}".replace(",", " ")
+
+
 def size_words(count: int | None) -> str:
     """Bytes in decimal units: 12.3 MB."""
     if count is None:

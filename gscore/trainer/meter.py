@@ -31,7 +31,8 @@ class Meter:
         self.train_seconds = 0.0
         """Seconds spent in steps, without evaluation, files and pauses."""
         self.history: list[dict[str, Any]] = []
-        """Some fields of Progress, at about 500 steps evenly spread; what is not finite is None."""
+        """Some fields of Progress and what the sides of the photos were divided by, at about 500
+        steps evenly spread; what is not finite is None."""
         self._loss = math.nan
         self._mse = math.nan
         self._count = 0
@@ -43,8 +44,18 @@ class Meter:
         self._recent: deque[tuple[float, float]] = deque(maxlen=_WINDOW)
         self._last_event = -math.inf
 
-    def update(self, *, step: int, loss: float, mse: float, splats: int, seconds: float) -> None:
-        """Take note of a step that took `seconds`."""
+    def update(
+        self,
+        *,
+        step: int,
+        loss: float,
+        mse: float,
+        splats: int,
+        seconds: float,
+        photo_factor: float = 1.0,
+    ) -> None:
+        """Take note of a step that took `seconds`, on photos whose sides were divided by
+        `photo_factor`."""
         self.train_seconds += seconds
         planned = self.plan.seconds_at(step, self._splats)
         self._planned += planned
@@ -60,7 +71,8 @@ class Meter:
         every = max(1, self.plan.iterations // _HISTORY)
         if step % every == 0 or step == self.plan.iterations:
             fields = vars(self.progress())
-            self.history.append({key: _finite(fields[key]) for key in _HISTORY_FIELDS})
+            row = {key: _finite(fields[key]) for key in _HISTORY_FIELDS}
+            self.history.append(row | {"photo_factor": photo_factor})
 
     @property
     def psnr(self) -> float:

@@ -1,12 +1,14 @@
 """Writes what a run leaves behind, each file completely or not at all."""
 
 import argparse
+import datetime
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
 from ..config import Background, DataConfig
+from ..config_command import preset_words, train_command
 from ..config_file import config_json, to_dict
 from ..io.cameras_json import write_cameras
 from ..io.images import write_png
@@ -111,6 +113,7 @@ class Results:
             steps=trainer.steps,
             train_seconds=meter.train_seconds,
             reason=reason,
+            trained_at=datetime.datetime.now().astimezone().isoformat(timespec="seconds"),
             isa=backend.isa(),
             threads=self.threads,
         ) | {"history": meter.history, "evals": evals}
@@ -129,6 +132,8 @@ class Results:
                 "train": to_dict(trainer.config),
                 "what was left open became": _resolved(trainer),
             },
+            "preset": preset_words(self._data, trainer.config),
+            "command": train_command(self._data, trainer.config, folder.path),
         }
         write_report(folder.path / "report.html", report)
         # The last file: by it a run that is to go on knows that everything is there.

@@ -160,6 +160,7 @@ class Session:
                 mse=result.mse,
                 splats=len(trainer.model),
                 seconds=time.perf_counter() - began,
+                photo_factor=trainer.photo_factor,
             )
             if self._meter.due():
                 self._emit(self._meter.progress())

@@ -171,6 +171,11 @@ class Trainer:
         if self.depth:
             self.depth.set_length(iterations)
 
+    @property
+    def photo_factor(self) -> float:
+        """What the sides of the photo of the last step were divided by."""
+        return self._factor
+
     def step(self) -> StepResult:
         """Render a view, compare it with the photo, improve the splats.
 

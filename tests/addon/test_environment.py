@@ -110,6 +110,7 @@ def bpy_site() -> Path:
         ('echo \'{"can_train": "\'', "cannot run gscore"),
         ("kill -9 $$", "cannot run gscore"),
         (answer(can_train=False, missing=["torch", "scipy"]), "without torch, scipy"),
+        (answer(can_train=False, missing=["torch"], install="pip x"), "install there: pip x"),
         ("echo noise\n" + answer() + "\necho more", "Ready: gscore 0.1.0, Python 3.12.1"),
     ],
 )

@@ -158,8 +158,13 @@ def test_a_full_disk_is_said_in_the_trainers_words(start: Start) -> None:
     [
         ("/usr/bin/python3: No module named gscore", ("has no gscore", "Make Environment")),
         (
-            "gscore: error: `gscore train` needs the package torch; install it with: pip install",
-            ("lacks torch", "Make Environment"),
+            "gscore: error: `gscore train` needs the package torch; install it with: pip install "
+            '"gscore[train]" --extra-index-url https://example.org/cpu.',
+            (
+                "lacks torch",
+                "Make Environment",
+                '[train]" --extra-index-url https://example.org/cpu',
+            ),
         ),
         ("gscore train: error: max_splats must be at least 1, got 0.", ("Max_splats must be",)),
     ],

@@ -22,8 +22,10 @@ def test_a_machine_that_can_train(gscore):
     assert all(found["error"] < 1e-5 for found in native["self_test"].values())
     assert native["threads"] >= 1 and facts["packages"]["torch"]["version"]
     assert facts["memory_bytes"] > 0
+    assert facts["install"] == ""
     code, out, _ = gscore("doctor")
     assert code == 0 and "This machine can train." in out and "scalar: ok" in out
+    assert "pip install" not in out
 
 
 def test_the_instruction_set_is_put_back():
@@ -63,8 +65,23 @@ def test_missing_packages(gscore, monkeypatch, package, trains):
     code, out, _ = gscore("doctor", "--json")
     facts = json.loads(out)
     assert code == (0 if trains else 2) and facts["can_train"] is trains
-    assert 'pip install "gscore[' in facts["packages"][package]["problem"]
+    assert facts["packages"][package]["problem"] == "not installed"
     assert bool(facts["missing"]) is not trains
+
+
+def test_the_whole_command_stands_there_once(gscore, monkeypatch):
+    """Oracle: packages of two extras and bpy missing: one command, torch without CUDA."""
+    for package in ("torch", "scipy", "PIL", "av", "bpy"):
+        monkeypatch.setitem(sys.modules, package, None)
+    monkeypatch.setattr(sys, "platform", "linux")
+    command = (
+        'pip install "gscore[train,video]" --extra-index-url https://download.pytorch.org/whl/cpu'
+    )
+    code, out, _ = gscore("doctor")
+    assert code == 2 and out.count("pip install") == 1
+    assert f"To install what is missing: {command}\n" in out
+    _, out, _ = gscore("doctor", "--json")
+    assert json.loads(out)["install"] == command
 
 
 def test_a_package_that_does_not_load(gscore, monkeypatch, tmp_path):

@@ -41,6 +41,20 @@ def test_what_the_training_knew_is_kept(gscore, run_folder):
     assert written["steps"] == 700 and written["train_seconds"] == 12.5
     assert written["peak_memory_bytes"] == 123_456_789 and len(written["history"]) == 1
     assert written["psnr"] > 50  # not the old one
+    assert "stopped" not in (folder / "report.html").read_text()  # it is not known how it ended
+
+
+def test_a_report_tells_again_how_the_run_was_made(gscore, run_folder, capture):
+    """Oracle: the end and date in the run's metrics.json, the options in its config.json."""
+    folder = run_folder()
+    path = folder / "metrics.json"
+    left = {"reason": "target", "trained_at": "2031-02-03T04:05:06+00:00"}
+    path.write_text(json.dumps(json.loads(path.read_text()) | left))
+    assert gscore("eval", folder)[0] == 0
+    page = (folder / "report.html").read_text()
+    for words in ("2031-02-03 04:05", "to the PSNR asked for", "--iterations 700"):
+        assert words in page
+    assert f"gscore train {capture} -o {folder} --preset high" in page
 
 
 def test_no_splats_against_the_photo(gscore, run_folder, capture, splats, tmp_path):

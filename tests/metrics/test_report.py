@@ -28,6 +28,7 @@ class Page(HTMLParser):
     def __init__(self, text):
         super().__init__()
         self.stack, self.links, self.tags, self.words = [], [], [], []
+        self.shown = ""
         self.feed(text)
         assert self.stack == []
 
@@ -45,6 +46,8 @@ class Page(HTMLParser):
 
     def handle_data(self, data):
         self.words.append(data)
+        if not {"style", "script"} & set(self.stack):
+            self.shown += data
 
 
 @pytest.fixture
@@ -82,6 +85,78 @@ def test_page_is_whole_and_alone(run, tmp_path):
     assert not re.search(r"https?://|url\(|@import", text)
     assert "<script>alert" not in text and "a <script>alert(1)</script> capture" in page.words
     assert "3 photos & no camera" in page.words
+
+
+def test_the_head_says_what_was_done(run):
+    """Oracle: preset, command, date, photos and their size, as given."""
+    content = run()
+    content["metrics"]["trained_at"] = "2031-02-03T04:05:06+01:00"
+    content |= {"preset": "preset draft, changed", "command": "gscore train 'a <b>' -o run"}
+    shown = Page(report_html(content)).shown
+    head = shown[: shown.index("Warnings")]
+    for words in ("Preset draft, changed", "2031-02-03 04:05", "3 photos, 64 \u00d7 48 px"):
+        assert words in head
+    assert "gscore train 'a <b>' -o run" in head
+
+
+def test_old_metrics_make_a_page(run):
+    """Oracle: a metrics.json without what later ones have, and rows of a history without sizes."""
+    content = run()
+    metrics = json.loads(json.dumps(content["metrics"]))
+    del metrics["trained_at"], metrics["reason"]
+    page = Page(report_html({"title": "x", "metrics": metrics, "history": content["history"]}))
+    assert "None" not in page.shown and "Dashed lines" not in page.shown
+    assert "500 steps" in page.shown
+
+
+@pytest.mark.parametrize("missing", ["lpips", "ms_ssim", "fps", "train_seconds"])
+def test_no_tile_says_only_that_nothing_is_known(run, missing):
+    """Oracle: the tiles of a page whose metrics lack a number; its reason stands elsewhere."""
+    content = run()
+    content["metrics"] |= {missing: None}
+    if missing in ("lpips", "ms_ssim"):
+        content["metrics"][f"{missing}_reason"] = "there was no time"
+    text = report_html(content)
+    tiles = re.findall(r'<div class="tile"><dt>(.*?)</dt><dd>(.*?)<small>', text)
+    assert len(tiles) >= 6 and all(re.fullmatch(r"[\d ]+.*", value) for _, value in tiles)
+    if missing in ("lpips", "ms_ssim"):
+        name = {"lpips": "LPIPS", "ms_ssim": "MS-SSIM"}[missing]
+        assert f"{name} (there was no time)" in Page(text).shown
+        assert name not in dict(tiles)
+
+
+def test_sizes_of_photos_are_marked(run):
+    """Oracle: the steps at which the history's sizes change, to scale; none where none change."""
+    content = run()
+    assert 'class="mark"' not in report_html(content)
+    for row in content["history"]:
+        row["photo_factor"] = 4.0 if row["step"] < 100 else 2.0 if row["step"] < 300 else 1.0
+    text = report_html(content)
+    assert "Dashed lines: photos became larger" in text
+    svg = ElementTree.fromstring(re.search(r"<svg.*?</svg>", text, re.S)[0])
+    lines = [line for line in svg.iter("line") if line.get("class") == "mark"]
+    assert [line[0].text for line in lines] == ["1/2", "full size"]
+    first, last = (
+        next(float(t.get("x")) for t in svg.iter("text") if t.text == label)
+        for label in ("0", "400")
+    )
+    found = [float(line.get("x1")) for line in lines]
+    assert found == pytest.approx([first + (last - first) * s / 400 for s in (100, 300)], abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("trained", "split", "told"),
+    [(30.0, "test", True), (16.0, "test", False), (30.0, "train", False), (None, "test", False)],
+)
+def test_splats_that_fit_only_the_photos_are_explained(run, trained, split, told):
+    """Oracle: the difference of both numbers, where views were held out."""
+    content = run(split=split)
+    content["metrics"] |= {"psnr": 15.25, "history": [{"step": 1, "psnr": trained}]}
+    shown = Page(report_html(content)).shown
+    assert ("What this means" in shown) is told
+    if told:
+        assert "Training views reach 30.0 dB, held-out views 15.2 dB: 14.8 dB less" in shown
+        assert "gscore depth" in shown
 
 
 def test_how_a_training_ended_is_told(run):
@@ -155,8 +230,9 @@ def test_a_run_stopped_before_its_evaluation_has_a_page(metrics_dict):
         metrics |= {key: None, f"{key}_reason": "training was stopped"}
     for key in ("d_ssim", "ms_ssim", "ssim_valid", "psnr_u8", "fps", "lpips_net"):
         del metrics[key]
-    shown = " ".join(Page(report_html({"title": "x", "metrics": metrics | {"views": []}})).words)
-    assert "no views: training was stopped" in shown and "n/a" in shown
+    page = Page(report_html({"title": "x", "metrics": metrics | {"views": []}}))
+    shown = page.shown
+    assert "no views scored: training was stopped" in shown and "n/a" not in shown
 
 
 def test_pictures_are_what_they_claim():

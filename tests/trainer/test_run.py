@@ -5,6 +5,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +43,22 @@ CONFIG = TrainConfig(
 
 def data_of(capture: Path, **options: Any) -> DataConfig:
     return DataConfig(source=capture, eval=True, test_every=4, **options)
+
+
+def test_a_report_knows_when_and_how_and_at_which_sizes(capture: Path, tmp_path: Path) -> None:
+    """Oracle: the clock, the options given, and sizes that the options state."""
+    before = datetime.now().astimezone().replace(microsecond=0)
+    config = replace(CONFIG, coarse_factor=2.0, coarse_until=0.5)
+    result = train(config, data_of(capture), tmp_path / "run")
+    trained_at = datetime.fromisoformat(result.metrics["trained_at"])
+    assert before <= trained_at <= datetime.now().astimezone()
+    factors = {row["step"]: row["photo_factor"] for row in result.metrics["history"]}
+    assert factors[1] == 2.0 and factors[20] == factors[40] == 1.0
+    assert list(factors.values()) == sorted(factors.values(), reverse=True)
+    page = (tmp_path / "run/report.html").read_text(encoding="utf-8")
+    assert "Dashed lines: photos became larger" in page and "full size" in page
+    for words in (f"{trained_at:%Y-%m-%d %H:%M}", "--iterations 40", "--test-every 4"):
+        assert words in page
 
 
 def test_a_run_tells_everything_in_order_and_leaves_all_files(

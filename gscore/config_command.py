@@ -1,0 +1,82 @@
+"""Options of a run as a command line: a preset, and what differs from it."""
+
+import shlex
+from collections.abc import Iterator
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any
+
+from .config import PRESETS, DataConfig, TrainConfig, flag_of
+
+_OF_THE_SPLIT = ("eval", "test_every", "test_list", "test_first", "test_last")
+_OF_A_PRESET = ("iterations", "max_splats", "sh_degree")
+
+
+def preset_of(data: DataConfig) -> str:
+    """The preset that limits photos to this width; empty: none does, and no option could."""
+    widths = {make(data.source)[0].max_width: name for name, make in PRESETS.items()}
+    return widths.get(data.max_width, "")
+
+
+def preset_words(data: DataConfig, train: TrainConfig) -> str:
+    """The preset by name, and whether other options replace its own; empty where there is none."""
+    name = preset_of(data)
+    if not name:
+        return ""
+    plain = PRESETS[name](data.source)[1]
+    changed = any(getattr(plain, option) != getattr(train, option) for option in _OF_A_PRESET)
+    return f"preset {name}, changed" if changed else f"preset {name}"
+
+
+def train_command(data: DataConfig, train: TrainConfig, output: Path) -> str:
+    """The `gscore train` that has these options, for a shell; empty where there is none.
+
+    Args:
+        data, train: The options.
+        output: Folder for the results.
+    """
+    preset = preset_of(data)
+    if not preset:
+        return ""
+    words = ["gscore", "train", str(data.source), "-o", str(output), "--preset", preset]
+    plain_data, plain_train = PRESETS[preset](data.source)
+    words += _split(data)
+    for name, value in _differences(plain_data, data):
+        if name not in _OF_THE_SPLIT:
+            words += _option(name, value)
+    for name, value in _differences(plain_train, train):
+        if name != "iterations" or not train.time_budget:  # a budget finds the steps itself
+            words += _option(name, value)
+    return shlex.join(words)
+
+
+def _differences(
+    plain: DataConfig | TrainConfig, given: DataConfig | TrainConfig
+) -> Iterator[tuple[str, Any]]:
+    """Name and value of the options in which `given` differs."""
+    before = asdict(plain)
+    for field in fields(given):
+        value = getattr(given, field.name)
+        if value != before[field.name]:
+            yield field.name, value
+
+
+def _split(data: DataConfig) -> list[str]:
+    """What chooses the test views, the rule that wins alone; a rule implies --eval."""
+    if not data.eval:
+        return []
+    given = {name for name, _ in _differences(DataConfig(source=data.source), data)}
+    for rules in (("test_list",), ("test_first", "test_last"), ("test_every",)):
+        if found := [name for name in rules if name in given]:
+            return [word for name in found for word in _option(name, getattr(data, name))]
+    return ["--eval"]
+
+
+def _option(name: str, value: Any) -> list[str]:
+    """The words of one option."""
+    flag = flag_of(name)
+    if isinstance(value, bool):
+        return [flag if value else "--no-" + flag.removeprefix("--")]
+    if isinstance(value, tuple):
+        return [flag, *map(str, value)]
+    return [flag, str(value).removesuffix(".0")]

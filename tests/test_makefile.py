@@ -1,0 +1,150 @@
+"""What each target installs and builds; oracle: make, which says or runs its commands."""
+
+import os
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+MAKEFILE = (ROOT / "Makefile").read_text(encoding="utf-8")
+
+
+def make(*arguments: str | Path, **environment: str) -> str:
+    """What make prints; it must end well. Settings of pip and of an outer make do not reach it."""
+    kept = {k: v for k, v in os.environ.items() if not k.startswith(("PIP_", "MAKE", "MFLAGS"))}
+    done = subprocess.run(
+        ["make", *map(str, arguments)],
+        cwd=ROOT,
+        env=kept | {"PIP_CONFIG_FILE": os.devnull} | environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+@pytest.fixture
+def plan(tmp_path: Path) -> Callable[[str], str]:
+    """`plan(target)`: the commands of a target where nothing is installed yet."""
+    return lambda target: make("-n", f"VENV={tmp_path / 'new'}", "DEMO_BLENDER=none", target)
+
+
+@pytest.mark.parametrize("target", ["install", "demo"])
+def test_users_get_what_they_use(plan: Callable[[str], str], target: str) -> None:
+    """Oracle: the commands: no linters, no test programs, the library once."""
+    commands = plan(target)
+    assert "--group dev" not in commands and "[dev]" not in commands
+    assert "GS_TESTS=OFF" in commands and "GS_TESTS=ON" not in commands
+    assert "wheel.cmake=false" in commands and commands.count("--build ") == 1
+
+
+@pytest.mark.parametrize(("target", "tests"), [("lint", False), ("test", True)])
+def test_developers_get_their_tools_too(
+    plan: Callable[[str], str], target: str, tests: bool
+) -> None:
+    """Oracle: the commands; linting builds nothing."""
+    commands = plan(target)
+    assert "--group dev" in commands
+    assert ("GS_TESTS=ON" in commands) is tests and ("--build " in commands) is tests
+
+
+@pytest.mark.parametrize(
+    ("changed", "target", "built"),
+    [
+        ("csrc/src/api.cpp", "install", "GS_TESTS=OFF"),
+        ("csrc/src/blend.inl.h", "demo", "GS_TESTS=OFF"),
+        ("csrc/include/gscore.h", "test-native", "GS_TESTS=ON"),
+        ("csrc/tests/test_native.cpp", "test-native", "GS_TESTS=ON"),
+        ("csrc/tests/test_native.cpp", "install", ""),
+        ("README.md", "test-native", ""),
+    ],
+)
+def test_changed_sources_are_built_again(
+    tmp_path: Path, changed: str, target: str, built: str
+) -> None:
+    """Oracle: the commands where everything is there and one file is new."""
+    stamps = {name: tmp_path / name for name in ("INSTALLED", "LIBRARY", "NATIVE_TESTS")}
+    for number, path in enumerate(stamps.values()):
+        path.touch()
+        os.utime(path, times=(2**31 + number, 2**31 + number))  # newer than any source
+    words = (f"{name}={path}" for name, path in stamps.items())
+    commands = make("-n", f"--what-if={changed}", "DEMO_BLENDER=none", *words, target)
+    assert ("--build " in commands) is bool(built) and built in commands
+
+
+def fake_pip(folder: Path, *, index: str) -> str:
+    """A pip that writes down its arguments and runs `index` for calls that name an index."""
+    script = folder / "pip"
+    log = folder / "log"
+    script.write_text(
+        f'#!/bin/sh\necho "$*" >> {log}\ncase "$*" in *--index-url*) {index} ;; esac\n'
+    )
+    script.chmod(0o755)
+    return str(script)
+
+
+def environment_made(folder: Path, pip: str, *more: str) -> tuple[str, list[str]]:
+    """What `make VENV/.installed` prints with this pip, and the arguments of every call of pip."""
+    (folder / "new").mkdir()
+    variables = ("PYTHON=true", f"PIP={pip}", f"VENV={folder / 'new'}", *more)
+    told = make("--silent", *variables, folder / "new/.installed")
+    return told, (folder / "log").read_text().splitlines()
+
+
+linux = pytest.mark.skipif(sys.platform != "linux", reason="CUDA comes on Linux alone")
+
+
+@linux
+def test_torch_without_cuda_comes_first(tmp_path: Path) -> None:
+    """Oracle: pip's arguments: PyTorch's index for torch alone, before everything else."""
+    told, calls = environment_made(tmp_path, fake_pip(tmp_path, index="true"))
+    assert told.count("\n") == 1 and told.startswith("Installing into")
+    first, rest = calls[1], calls[2:]
+    assert "--index-url https://download.pytorch.org/whl/cpu " in first
+    assert first.endswith("--constraint constraints.txt torch") and "--no-deps" in first
+    assert len(rest) == 1 and "--editable .[all]" in rest[0] and "index-url" not in rest[0]
+
+
+@linux
+def test_without_the_cpu_build_the_usual_one_is_taken(tmp_path: Path) -> None:
+    """Oracle: a pip that fails for that index: one sentence, and the installation goes on."""
+    pip = fake_pip(tmp_path, index="exit 1")
+    told, calls = environment_made(tmp_path, pip, "TORCH_INDEX=https://example.org/torch")
+    _, sentence = told.splitlines()
+    assert "2.7 GB" in sentence and "https://example.org/torch" in sentence
+    assert "--editable .[all]" in calls[-1]
+
+
+@linux
+def test_no_index_can_be_asked_for(tmp_path: Path) -> None:
+    """Oracle: pip's arguments with an empty TORCH_INDEX."""
+    _, calls = environment_made(tmp_path, fake_pip(tmp_path, index="exit 1"), "TORCH_INDEX=")
+    assert len(calls) == 2 and not any("index-url" in call for call in calls)
+
+
+@linux
+def test_an_index_that_refuses_costs_seconds(tmp_path: Path) -> None:
+    """Oracle: the clock, and a port of this machine where nobody listens; the real pip."""
+    real = f'{sys.executable} -m pip "$@" --dry-run --ignore-installed'
+    pip = fake_pip(tmp_path, index=real)
+    began = time.monotonic()
+    told, _ = environment_made(tmp_path, pip, "TORCH_INDEX=http://127.0.0.1:9/simple")
+    assert time.monotonic() - began < 30
+    assert "usual one follows" in told
+
+
+def test_help_lists_every_target() -> None:
+    """Oracle: .PHONY; plain `make` says the same, in lines a terminal shows whole."""
+    (phony,) = re.findall(r"^\.PHONY: (.*)$", MAKEFILE, re.M)
+    told = make("help")
+    lines = told.splitlines()
+    targets = [line.split()[1] for line in lines]
+    assert targets == re.findall(r"^([a-z-]+):", MAKEFILE, re.M)
+    assert set(targets) == set(phony.split())
+    assert max(map(len, lines)) <= 120 and make() == told

@@ -1,0 +1,100 @@
+"""Options as a command; oracle: the parser of `gscore train` gives the same options back."""
+
+import shlex
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from gscore.commands import train as verb
+from gscore.commands.parser import Parser
+from gscore.config import PRESETS, Background, DataConfig, Skip, Strategy, Switch, TrainConfig
+from gscore.config_command import preset_words, train_command
+
+CAPTURE = Path("my photos/first")
+ODD = {
+    "strategy": Strategy.MCMC,
+    "background": Background.WHITE,
+    "depth_mode": Switch.ON,
+    "without": (Skip.RARE_SH, Skip.EXACT_CULL),
+    "lpips": Path("some where/net.onnx"),
+    "test_iterations": (1, 5),
+    "means_lr": 0.1 + 0.2,
+    "depth_weight": 0.5,
+    "reset_every": -1,
+    "coarse_by_detail": True,
+    "grow_with_photos": False,
+    "watchdog": False,
+    "cache_mb": 12,
+}
+
+
+def parsed(command: str) -> tuple[DataConfig, TrainConfig]:
+    """What `gscore train` makes of a command."""
+    program, name, *words = shlex.split(command)
+    assert (program, name) == ("gscore", "train")
+    parser = Parser(prog="gscore train")
+    verb.add_arguments(parser)
+    return verb.configs(parser.parse_args(words))
+
+
+@pytest.mark.parametrize("preset", list(PRESETS))
+@pytest.mark.parametrize("options", [{}, ODD])
+def test_a_training_command_gives_its_options_back(preset: str, options: dict) -> None:
+    """Oracle: equality after a round trip, with every kind of value."""
+    data, train = PRESETS[preset](CAPTURE)
+    train = replace(train, **options)
+    command = train_command(data, train, Path("out/my run"))
+    assert parsed(command) == (data, train)
+    assert command.startswith(f"gscore train 'my photos/first' -o 'out/my run' --preset {preset}")
+    assert (command.count("--") == 1) is (not options)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"eval": True}, ["--eval"]),
+        ({"eval": True, "test_every": 6}, ["--test-every", "6"]),
+        ({"eval": True, "test_last": 3}, ["--test-last", "3"]),
+        ({"eval": True, "test_list": Path("names.txt")}, ["--test-list", "names.txt"]),
+        ({"resolution": 2.0, "mask_mode": "none"}, ["--mask-mode", "none", "-r", "2"]),
+        ({"depths": "depths", "rig": Path("other"), "frame": 5}, None),
+        ({"eval": True, "test_first": 2, "test_last": 3}, None),
+    ],
+)
+def test_a_capture_is_read_as_before(changes: dict, words: list[str] | None) -> None:
+    """Oracle: equality after a round trip, and the words one would type."""
+    data, train = PRESETS["draft"](CAPTURE)
+    data = replace(data, **changes)
+    command = train_command(data, train, Path("run"))
+    assert parsed(command) == (data, train)
+    if words is not None:
+        assert shlex.split(command)[7:] == words
+
+
+def test_the_rule_that_wins_is_given_alone() -> None:
+    """Oracle: the rules of DataConfig; the command line takes one of them."""
+    data = replace(PRESETS["draft"](CAPTURE)[0], eval=True, test_every=5, test_last=2)
+    again, _ = parsed(train_command(data, TrainConfig(), Path("run")))
+    assert (again.test_last, again.eval) == (2, True)
+
+
+def test_a_budget_takes_the_place_of_steps() -> None:
+    """Oracle: the parser, which refuses both."""
+    data, train = PRESETS["normal"](CAPTURE)
+    train = replace(train, time_budget=9.5, iterations=123)
+    assert parsed(train_command(data, train, Path("run")))[1].time_budget == 9.5
+
+
+def test_photos_of_a_width_that_no_option_gives_have_no_command() -> None:
+    """Oracle: none of the presets has this width."""
+    data, train = DataConfig(source=CAPTURE, max_width=777), TrainConfig()
+    assert train_command(data, train, Path("run")) == "" == preset_words(data, train)
+
+
+def test_a_preset_is_named_and_whether_it_was_changed() -> None:
+    """Oracle: its own options, and another one."""
+    data, train = PRESETS["preview"](CAPTURE)
+    assert preset_words(data, train) == "preset preview"
+    assert preset_words(data, replace(train, seed=3)) == "preset preview"
+    assert preset_words(data, replace(train, iterations=3)) == "preset preview, changed"
