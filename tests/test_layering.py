@@ -24,6 +24,7 @@ BOTTOM = {
     "extras",
     "sh",
     "transforms",
+    "words",
 }
 ALLOWED = {
     **dict.fromkeys(BOTTOM, BOTTOM),

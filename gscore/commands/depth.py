@@ -25,8 +25,8 @@ from ..errors import Cancelled, ConfigError, FormatError
 from ..events import DepthDone, DepthProgress, Saved, Warn
 from ..extras import need
 from ..metrics.colormap import colorize
-from ..metrics.words import count_words
 from ..trainer.depth_rule import coverage, decide
+from ..words import count_words
 from .attend import Show, attend
 from .data_options import add_split_options, with_data_options
 from .output import check_folder, print_json
@@ -223,8 +223,8 @@ def _finish(
     maps = [found.find(name) for name in dataset.names]
     if not any(maps):
         raise ConfigError(
-            f"{folder} has no depth map of any view ({len(found)} maps there), and no network to "
-            f"make them: give one with --model FILE.onnx. {WHERE}."
+            f"{folder} has no depth map of any view ({count_words(len(found), 'map')} there), and "
+            f"no network to make them: give one with --model FILE.onnx. {WHERE}."
         )
     # Maps that were predicted hold inverse depth, whatever the network gave.
     kind = DepthKind.INVERSE if prediction is not None else args.kind

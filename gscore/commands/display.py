@@ -19,7 +19,7 @@ from ..events import (
     Warn,
     to_line,
 )
-from ..metrics.words import count_words, quality_words, size_words
+from ..words import count_words, quality_words, size_words
 
 _MASKS = {
     "ignore": "Masks are used: what they hide is not trained and not measured. --mask-mode none "
@@ -83,15 +83,19 @@ class Lines:
                 self._permanent(
                     f"{count_words(event.train_views, 'training view')}, "
                     f"{count_words(event.test_views, 'test view')}, "
-                    f"{event.width} x {event.height} px; {event.splats} splats to start with; "
-                    f"{count_words(event.threads, 'thread')}, {event.isa}"
+                    f"{event.width} x {event.height} px; {count_words(event.splats, 'splat')} to "
+                    f"start with; {count_words(event.threads, 'thread')}, {event.isa}"
                 )
                 if sentence := _MASKS.get(event.mask_mode):
                     self._permanent(sentence)
                 if event.depth:
                     self._permanent(event.depth)
             case FrameStarted():
-                how = "complete already" if event.complete else f"{event.iterations} steps"
+                how = (
+                    "complete already"
+                    if event.complete
+                    else f"{count_words(event.iterations, 'step')}"
+                )
                 how += ", from the frame before" if event.start and not event.complete else ""
                 place = f"{event.place} of {event.frames}"
                 self._permanent(f"Frame {event.frame} ({place}): {how}")
@@ -105,7 +109,9 @@ class Lines:
             case Eval():
                 if event.metrics.get("ssim") is not None:
                     worth = quality_words(event.metrics)
-                    self._permanent(f"Step {event.step}, {event.split} views: {worth}")
+                    self._permanent(
+                        f"Step {event.step}, {count_words(event.split, 'view')}: {worth}"
+                    )
             case Saved():
                 self._permanent(f"Saved {event.path}")
 
@@ -133,7 +139,11 @@ def progress_text(event: Progress) -> str:
     share = event.step / max(event.iterations, 1)
     parts = [f"step {event.step}/{event.iterations} {share:4.0%}"]
     if event.splats:
-        parts += [f"loss {event.loss:.4f}", f"PSNR {event.psnr:5.2f}", f"{event.splats} splats"]
+        parts += [
+            f"loss {event.loss:.4f}",
+            f"PSNR {event.psnr:5.2f}",
+            f"{count_words(event.splats, 'splat')}",
+        ]
         if event.steps_per_s:
             parts += [f"{event.steps_per_s:.1f} steps/s", f"{clock(event.eta_s)} left"]
     return "  ".join([*parts, event.phase])

@@ -20,9 +20,9 @@ from ..metrics.machine import (
     total_memory_bytes,
     version_of,
 )
-from ..metrics.words import count_words, size_words
 from ..sh import rgb_to_sh0
 from ..splats import Splats
+from ..words import count_words, size_words
 from .output import print_json
 
 _LITTLE_MEMORY = 2_000_000_000
@@ -185,7 +185,7 @@ def _text(facts: dict[str, Any]) -> str:
         ("gscore", facts["gscore"]),
         ("Python", f"{facts['python']} ({facts['executable']})"),
         ("platform", facts["platform"]),
-        ("processor", f"{facts['cpu']} ({facts['arch']}), {facts['cores']} cores"),
+        ("processor", f"{facts['cpu']} ({facts['arch']}), {count_words(facts['cores'], 'core')}"),
         ("memory", memory),
         ("library", native["library"]),
     ]

@@ -21,9 +21,9 @@ from ..metrics import (
     write_metrics,
     write_report,
 )
-from ..metrics.words import count_words, quality_words
 from ..raster import backend
 from ..raster.api import render
+from ..words import count_words, quality_words
 from .data_options import add_data_options, with_data_options
 from .model import Model, add_model_argument, model_path, open_model
 from .output import check_folder, print_json

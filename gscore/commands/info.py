@@ -14,8 +14,8 @@ from ..io.ply_compressed import is_compressed
 from ..io.ply_elements import read_elements
 from ..io.runs import checkpoints_in, read_metrics
 from ..io.sequences import read_sequence
-from ..metrics.words import count_words, quality_words, size_words, time_words
 from ..splats import Splats
+from ..words import count_words, quality_words, size_words, time_words
 from .model import Model, collected_warnings, find_ply, open_model
 from .output import print_json
 
@@ -182,8 +182,8 @@ def _splats_text(facts: dict[str, Any]) -> list[str]:
     marks = ["trained with antialiasing"] if facts["antialias"] else []
     marks += [f'comment "{line}"' for line in facts["comments"]]
     lines = [
-        f"{facts['path']}: {facts['splats']:,} splats, SH degree {facts['sh_degree']}, "
-        f"{size_words(facts['storage_bytes'])}, {facts['layout']} layout"
+        f"{facts['path']}: {count_words(facts['splats'], 'splat')}, SH degree "
+        f"{facts['sh_degree']}, {size_words(facts['storage_bytes'])}, {facts['layout']} layout"
         + (f", {', '.join(marks)}" if marks else "")
     ]
     if "bounds" not in facts:
@@ -206,8 +206,8 @@ def _run_text(facts: dict[str, Any]) -> list[str]:
     metrics = facts["metrics"]
     if metrics and (worth := quality_words(metrics)):
         lines.append(
-            f"  {metrics['split']} views: {worth}; {metrics['steps']} steps in "
-            f"{time_words(metrics['train_seconds'])}"
+            f"  {metrics['split']} views: {worth}; "
+            f"{count_words(metrics['steps'], 'step')} in {time_words(metrics['train_seconds'])}"
         )
     count = facts["checkpoints"]
     lines.append(f"  {count_words(count, 'checkpoint')}")
@@ -219,14 +219,16 @@ def _run_text(facts: dict[str, Any]) -> list[str]:
 
 def _sequence_text(facts: dict[str, Any]) -> list[str]:
     frames, total = facts["frames"], facts["mean"].get("frames_total", "?")
-    lines = [f"{facts['path']}: a sequence, {len(frames)} of {total} frames complete"]
+    lines = [
+        f"{facts['path']}: a sequence, {len(frames)} of {count_words(total, 'frame')} complete"
+    ]
     for entry in frames:
         psnr = entry.get("psnr")
         quality = "" if psnr is None else f", {entry.get('split')} views PSNR {psnr:.2f}"
         took = time_words(entry.get("train_seconds") or 0.0)
         lines.append(
-            f"  {entry['folder']}: {entry.get('splats', 0):,} splats, {entry.get('steps')} steps "
-            f"in {took}{quality}"
+            f"  {entry['folder']}: {count_words(entry.get('splats', 0), 'splat')}, "
+            f"{count_words(entry.get('steps'), 'step')} in {took}{quality}"
         )
     if len(frames) != total:
         lines.append(f"  go on with: gscore sequence -o {facts['path']} --resume")
@@ -238,10 +240,10 @@ def _capture_text(facts: dict[str, Any]) -> list[str]:
     low, high = facts["focal_px"]
     focal = f"{low:.1f}" if high - low < 0.05 else f"{low:.1f} to {high:.1f}"
     lines = [
-        f"{facts['path']}: a capture with {facts['views']} photos ({sizes})",
+        f"{facts['path']}: a capture with {count_words(facts['views'], 'photo')} ({sizes})",
         f"  names from {facts['names'][0]} to {facts['names'][1]}",
         f"  focal length {focal} px after undistortion, camera extent {facts['camera_extent']:.3g}",
-        f"  {facts['points']:,} points, masks: {facts['masks']}, "
+        f"  {count_words(facts['points'], 'point')}, masks: {facts['masks']}, "
         f"{size_words(facts['decoded_bytes'])} of photos in memory",
     ]
     model = facts["model"]
@@ -249,7 +251,8 @@ def _capture_text(facts: dict[str, Any]) -> list[str]:
         kinds = ", ".join(f"{n} {kind}" for kind, n in model["cameras"].items())
         error = model["mean_error_px"]
         lines.append(
-            f"  COLMAP model {model['path']}: cameras {kinds}; {model['images']} images"
+            f"  COLMAP model {model['path']}: cameras {kinds}; "
+            f"{count_words(model['images'], 'image')}"
             + (f"; mean error {error:.2f} px" if error is not None else "")
         )
     return lines

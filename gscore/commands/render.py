@@ -17,10 +17,10 @@ from ..errors import ConfigError, DatasetError
 from ..io.cameras_json import read_cameras
 from ..io.images import write_png
 from ..io.runs import read_metrics
-from ..metrics.words import count_words
 from ..raster.api import Rendered
 from ..raster.api import render as render_view
 from ..scene import Cameras
+from ..words import count_words, number
 from .camera_path import orbit_path, spline_path
 from .model import Model, add_model_argument, model_path, open_model
 from .output import check_folder, others_in, print_json
@@ -172,8 +172,8 @@ def _write_stills(args: argparse.Namespace, work: _Work) -> dict[str, Any]:
     is_file = args.output.suffix.lower() == ".png"
     if is_file and len(work.shots.names) > 1:
         raise ConfigError(
-            f"{args.output} is one picture, but {len(work.shots.names)} views were chosen; give a "
-            "folder with -o, or one view with --view."
+            f"{args.output} is one picture, but {count_words(len(work.shots.names), 'view')} are "
+            "chosen; give a folder with -o, or one view with --view."
         )
     stems = [args.output.with_suffix("")] if is_file else []
     stems = stems or [args.output / name for name in still_names(work.shots.names)]
@@ -338,8 +338,8 @@ def _index(view: str, names: tuple[str, ...]) -> int:
             return found[0]
         if found:
             raise DatasetError(
-                f"{len(found)} views are called {view}: {', '.join(names[i] for i in found[:3])}; "
-                "give the whole name."
+                f"{number(len(found))} views are called {view}: "
+                f"{', '.join(names[i] for i in found[:3])}; give the whole name."
             )
     if view.isdigit() and int(view) < len(names):
         return int(view)

@@ -8,6 +8,7 @@ from ..errors import ConfigError
 from ..io.sequences import SEQUENCE_FILE
 from ..trainer import Control
 from ..trainer.sequence import SequenceOptions, SequenceResult, read_options, train_sequence
+from ..words import count_words
 from . import train as train_command
 from .attend import Show, attend
 from .output import print_json
@@ -91,14 +92,14 @@ def _summary(result: SequenceResult) -> str:
     numbers = result.headline
     how = "Finished" if result.reason == "finished" else f"Stopped ({result.reason})"
     lines = [
-        f"{how}: {len(result.frames)} of {result.total} frames, "
+        f"{how}: {len(result.frames)} of {count_words(result.total, 'frame')}, "
         f"{numbers['train_seconds']:.1f} s of training."
     ]
     if numbers["psnr"] is not None:
         split = result.frames[0].metrics["split"]
         lines.append(
-            f"{split.capitalize()} views, mean of the frames: PSNR {numbers['psnr']:.2f} dB, "
-            f"SSIM {numbers['ssim']:.4f}."
+            f"{split.capitalize()} views, mean of the frames: PSNR "
+            f"{numbers['psnr']:.2f} dB, SSIM {numbers['ssim']:.4f}."
         )
     output = result.output
     lines.append(f"Results: {output / SEQUENCE_FILE}, {output / 'frame_*' / 'point_cloud.ply'}")

@@ -11,9 +11,9 @@ from ..config_file import load_config
 from ..errors import ConfigError
 from ..events import CONVERGED, ENDED, FINISHED, TARGET
 from ..io.runs import RUN_FILES, RUN_FOLDERS, RUN_LOCK
-from ..metrics.words import count_words, quality_words
 from ..trainer import Control, TrainResult, train
 from ..trainer.folder import check_free
+from ..words import count_words, number, quality_words
 from .attend import Show, add_output_options, attend
 from .data_options import add_data_options, add_depth_options, with_data_options
 from .option_help import option_help
@@ -26,7 +26,7 @@ _SWITCH: dict[str, Any] = {"action": argparse.BooleanOptionalAction}
 def _of_presets(name: str) -> str:
     """The values of an option in the presets."""
     values = ((key, getattr(make(Path())[1], name)) for key, make in PRESETS.items())
-    return ", ".join(f"{key} {value:,}" for key, value in values)
+    return ", ".join(f"{key} {number(value)}" for key, value in values)
 
 
 _RUN: dict[str, tuple[tuple[str, ...], dict[str, Any], str]] = {
@@ -83,7 +83,7 @@ _RUN: dict[str, tuple[tuple[str, ...], dict[str, Any], str]] = {
     "grow_with_photos": (
         ("--grow-with-photos",),
         _SWITCH,
-        "not mcmc: grow splats as photos become larger, in 1000 steps and more (on)",
+        "not mcmc: grow splats as photos become larger, in 1,000 steps and more (on)",
     ),
     "coarse_by_detail": (
         ("--coarse-by-detail",),
@@ -238,7 +238,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group(
         "method",
         "Also under their 3DGS names; gscore.TrainConfig says more on each. Learning rates are "
-        "raised in runs of less than 30 000 steps and fall over the last tenth of any; "
+        "raised in runs of less than 30,000 steps and fall over the last tenth of any; "
         "--lr-boost 1 --lr-final 1 takes them exactly as given.",
     )
     kinds = {f.name: type(f.default) for f in fields(TrainConfig)}
@@ -358,8 +358,8 @@ def _summary(result: TrainResult, config: TrainConfig) -> str:
     if result.reason == FINISHED and config.time_budget:
         how = "The time was used up"
     lines = [
-        f"{how} after {result.steps} steps, {result.train_seconds:.1f} s of training: "
-        f"{len(result.splats)} splats."
+        f"{how} after {count_words(result.steps, 'step')}, {result.train_seconds:.1f} s of "
+        f"training: {count_words(len(result.splats), 'splat')}."
     ]
     if worth := quality_words(metrics):
         view = "test view" if metrics["split"] == "test" else "training view"
@@ -376,9 +376,9 @@ def _summary(result: TrainResult, config: TrainConfig) -> str:
 def _nothing_to_do(result: TrainResult) -> str:
     how = _HOW[result.reason]
     return (
-        f"{result.output} was complete already: {how[0].lower()}{how[1:]} after {result.steps} "
-        f"steps. Give a larger --iterations or --time-budget to go on, or measure it again with: "
-        f"gscore eval {result.output}"
+        f"{result.output} was complete already: {how[0].lower()}{how[1:]} after "
+        f"{count_words(result.steps, 'step')}. Give a larger --iterations or --time-budget to go "
+        f"on, or measure it again with: gscore eval {result.output}"
     )
 
 

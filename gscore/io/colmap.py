@@ -8,6 +8,7 @@ import numpy as np
 
 from ..errors import DatasetError, FormatError
 from ..scene import FARTHEST
+from ..words import count_words
 from . import colmap_binary, colmap_text
 from .colmap_model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
 from .files import atomic_write, is_unnameable
@@ -56,7 +57,8 @@ def find_model(path: str | Path) -> tuple[Path, tuple[str, ...]]:
             others = ", ".join(f"{m.name} ({_count_images(m)})" for m in numbered if m != best)
             return best, (
                 f"{root} holds {len(numbered)} models that COLMAP could not join; using "
-                f"{best.name} with {_count_images(best)} images, leaving out {others}.",
+                f"{best.name} with {count_words(_count_images(best), 'image')}, leaving out "
+                f"{others}.",
             )
         if has_model(root):
             return root, ()

@@ -9,11 +9,11 @@ import numpy as np
 
 from ..events import CONVERGED, FINISHED, TARGET, judged_psnr
 from ..io.files import atomic_write
+from ..words import count_words, number, size_words, time_words
 from .colormap import colorize
 from .curves import Series, chart, clean_points, legend
 from .depth import depth_html
 from .pictures import ERROR_GAIN, ViewPictures
-from .words import count_words, size_words, time_words
 
 TIMES = "\u00d7"
 
@@ -75,10 +75,6 @@ def _number(value: Any, digits: int) -> str:
     return "n/a" if value is None else f"{value:.{digits}f}"
 
 
-def _count(value: int | None) -> str:
-    return "n/a" if value is None else f"{value:,}".replace(",", " ")
-
-
 def _split_words(metrics: dict[str, Any]) -> str:
     count, split = len(metrics["views"]), metrics["split"]
     if not count:
@@ -92,7 +88,7 @@ def _split_words(metrics: dict[str, Any]) -> str:
 
 def _header(title: str, metrics: dict[str, Any]) -> str:
     machine = metrics["machine"]
-    ran = f"{machine['cpu']}, {machine['threads']} threads, {machine['isa']}"
+    ran = f"{machine['cpu']}, {count_words(machine['threads'], 'thread')}, {machine['isa']}"
     return (
         f"<header><h1>{html.escape(title)}</h1>"
         f'<p class="sub">Scored on {_split_words(metrics)} · {html.escape(ran)} · '
@@ -128,7 +124,7 @@ def _tiles(metrics: dict[str, Any]) -> str:
             _reason(metrics, "ms_ssim", "five scales"),
         ),
         ("LPIPS", _number(metrics.get("lpips"), 4), "", lpips_note),
-        ("Splats", _count(metrics["splats"]), "", f"SH degree {metrics['sh_degree']}"),
+        ("Splats", number(metrics["splats"]), "", f"SH degree {metrics['sh_degree']}"),
         ("Training", time_words(metrics["train_seconds"]), "", _steps(metrics)),
         ("Rendering", _number(metrics.get("fps"), 1), "fps", _picture_size(metrics)),
         ("Storage", size_words(metrics["storage_bytes"]), "", "PLY file"),
@@ -157,7 +153,7 @@ def _steps(metrics: dict[str, Any]) -> str:
     if metrics["steps"] is None:
         return "time not known"
     how = _HOW_ENDED.get(metrics["reason"], f"stopped: {metrics['reason']}")
-    return ", ".join(filter(None, (f"{_count(metrics['steps'])} steps", how)))
+    return ", ".join(filter(None, (f"{count_words(metrics['steps'], 'step')}", how)))
 
 
 def _picture_size(metrics: dict[str, Any]) -> str:
@@ -216,7 +212,7 @@ def _view_cards(views: Sequence[ViewPictures], metrics: dict[str, Any]) -> str:
         f"{'; none outside the masks' if 'psnr_masked' in metrics else ''}</em></div>"
     )
     left_out = len(views) - len(pictured)
-    note = f" Pictures of {len(pictured)} of {len(views)} views." if left_out else ""
+    note = f" Pictures of {len(pictured)} of {count_words(len(views), 'view')}." if left_out else ""
     photo = "photo"
     if metrics["mask_mode"] == "composite":
         photo = "photo over the background"
@@ -307,8 +303,8 @@ def _details(metrics: dict[str, Any], config: dict[str, dict[str, Any]]) -> str:
     names = metrics["test_views"]
     listed = "\n".join(names) if names else "none"
     parts.append(
-        f"<details><summary>Split: {len(metrics['train_views'])} training views, {len(names)} "
-        f"held out</summary><pre>{html.escape(listed)}</pre></details>"
+        f"<details><summary>Split: {count_words(len(metrics['train_views']), 'training view')}, "
+        f"{len(names)} held out</summary><pre>{html.escape(listed)}</pre></details>"
     )
     parts += [_table(f"Options: {section}", values) for section, values in config.items()]
     return f'<section class="details">{"".join(parts)}</section>\n'

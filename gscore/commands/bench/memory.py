@@ -8,6 +8,7 @@ from ...bench.memory import MIN_STEPS, MemoryBench, bench_memory
 from ...errors import BackendError
 from ...metrics.machine import machine
 from ...raster import backend
+from ...words import count_words, number
 from ..output import print_json
 from .numbers import check_numbers
 from .scaling import size
@@ -49,8 +50,11 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _table(r: MemoryBench) -> str:
-    parts = "".join(f"  {bytes_ / 1e6:8,.0f} MB  {name}\n" for name, bytes_ in r.parts.items())
+    parts = "".join(
+        f"  {number(round(bytes_ / 1e6)):>8} MB  {name}\n" for name, bytes_ in r.parts.items()
+    )
     return (
-        f"{r.splats:,} splats, {r.views} views of {r.width} x {r.height} px, {r.steps} steps\n"
+        f"{count_words(r.splats, 'splat')}, {count_words(r.views, 'view')} of {r.width} x "
+        f"{r.height} px, {count_words(r.steps, 'step')}\n"
         f"  said {r.said_bytes / 1e9:.2f} GB, took {r.peak_bytes / 1e9:.2f} GB\n{parts}"
     )

@@ -14,6 +14,7 @@ from ...errors import ConfigError
 from ...io.ply import read_splats
 from ...metrics.machine import machine
 from ...raster import backend
+from ...words import count_words, number
 from ..output import print_json
 from .numbers import check_numbers
 
@@ -63,13 +64,13 @@ def run(args: argparse.Namespace) -> int:
 def _table(r: RasterBench) -> str:
     stages = "  ".join(f"{name} {ms:.2f}" for name, ms in r.stages_ms.items())
     return (
-        f"{r.isa}, {r.threads} threads, {r.splats:,} splats, "
-        f"{r.views} views of {r.width} x {r.height}\n"
+        f"{r.isa}, {count_words(r.threads, 'thread')}, {count_words(r.splats, 'splat')}, "
+        f"{count_words(r.views, 'view')} of {r.width} x {r.height}\n"
         f"  {r.gpairs_per_s:.2f} Gpair/s forward + backward blending "
         f"({r.gpairs_per_s_all_stages:.2f} with all stages), "
         f"forward {r.forward_gpairs_per_s:.2f}, backward {r.backward_gpairs_per_s:.2f}\n"
         f"  {r.pairs_per_pixel:.1f} pairs per pixel ({100 * r.useful_share:.0f} % useful), "
-        f"{r.entries_per_tile:.0f} splats per tile, {r.visible:,.0f} visible\n"
+        f"{r.entries_per_tile:.0f} splats per tile, {number(round(r.visible))} visible\n"
         f"  forward {r.forward_ms:.2f} ms ({r.forward_fps:.0f} fps), "
         f"backward {r.backward_ms:.2f} ms; ms: {stages}\n"
     )

@@ -13,6 +13,7 @@ from ...errors import ConfigError
 from ...io.ply import read_splats
 from ...metrics.machine import machine
 from ...raster import backend
+from ...words import count_words
 from ..data_options import add_data_options, with_data_options
 from ..output import print_json
 from .numbers import check_numbers
@@ -89,8 +90,9 @@ def _table(r: StepBench) -> str:
     laps = "  ".join(f"{name} {ms:.2f}" for name, ms in r.laps_ms.items())
     raster = "  ".join(f"{name} {ms:.2f}" for name, ms in r.raster_ms.items())
     return (
-        f"{r.isa}, {r.threads} threads, {r.splats:,} splats, {r.views} views, "
-        f"{r.width} x {r.height} px, {r.steps} steps\n"
+        f"{r.isa}, {count_words(r.threads, 'thread')}, {count_words(r.splats, 'splat')}, "
+        f"{count_words(r.views, 'view')}, "
+        f"{r.width} x {r.height} px, {count_words(r.steps, 'step')}\n"
         f"  a step takes {r.step_ms:.2f} ms (median; mean {r.mean_ms:.2f}), "
         f"{100 * r.raster_share:.0f} % of it in the rasterizer; "
         f"{r.pairs_per_pixel:.1f} pairs per pixel\n"
