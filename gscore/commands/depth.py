@@ -1,7 +1,6 @@
 """`gscore depth`: predict depth maps of a capture, align them with its points, show them."""
 
 import argparse
-import sys
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -115,6 +114,8 @@ class _Result:
     done: DepthDone
     alignment: Alignment
     network: Network | None
+    used: str
+    """What the network was taken for, in words; empty: there is none."""
     warnings: list[str]
     shown: int
     """Views on the contact sheet."""
@@ -165,8 +166,8 @@ def _work(args: argparse.Namespace, show: Show, control: Control, told: "_Told")
     seen = observations(config, dataset)
     prediction = None
     if network is not None:
-        if not (args.quiet or args.events):
-            _print_network(network, dataset)
+        using = f"predicting with {_network_words(network, dataset)}"
+        show(DepthProgress(done=0, total=len(dataset), view="", eta_s=float("nan"), phase=using))
         prediction = predict_views(
             network,
             dataset,
@@ -260,7 +261,14 @@ def _finish(
         why=_why(dataset, samples),
     )
     show(done)
-    return _Result(done=done, alignment=alignment, network=network, warnings=warnings, shown=shown)
+    return _Result(
+        done=done,
+        alignment=alignment,
+        network=network,
+        used=_network_words(network, dataset) if network else "",
+        warnings=warnings,
+        shown=shown,
+    )
 
 
 def _why(dataset: Dataset, samples: list[Samples | None]) -> str:
@@ -354,6 +362,8 @@ def _print(args: argparse.Namespace, result: _Result) -> None:
     done = result.done
     what = "depth" if result.alignment.kind is DepthKind.DEPTH else "inverse depth"
     print(_table_text(done.table))
+    if result.used:
+        print(f"Predicted with {result.used}.")
     count = f"{done.accepted} of {sum(1 for row in done.table if row['map'])} maps of {what}"
     if args.check:
         print(f"{count} would be used with their scale; nothing was written")
@@ -364,13 +374,12 @@ def _print(args: argparse.Namespace, result: _Result) -> None:
     print(done.why)
 
 
-def _print_network(network: Network, dataset: Dataset) -> None:
+def _network_words(network: Network, dataset: Dataset) -> str:
     profile = network.profile
-    size = network.input_size(*dataset.files[0].photo_size)
-    print(
-        f"{network.path.name}: taken for {profile.family}, input {size[0]} x {size[1]}, "
-        f"normalization {profile.normalization}",
-        file=sys.stderr,
+    width, height = network.input_size(*dataset.files[0].photo_size)
+    return (
+        f"{network.path.name}, taken for {profile.family}: input {width} x {height} px, "
+        f"normalization {profile.normalization}"
     )
 
 

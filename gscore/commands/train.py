@@ -3,21 +3,25 @@
 import argparse
 import sys
 from dataclasses import fields, replace
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..config import PRESETS, Background, DataConfig, Skip, Strategy, Switch, TrainConfig
 from ..config_file import load_config
+from ..control import Control
 from ..errors import ConfigError
-from ..events import CONVERGED, ENDED, FINISHED, TARGET
+from ..events import CONVERGED, ENDED, FINISHED, TARGET, Warn
 from ..io.runs import RUN_FILES, RUN_FOLDERS, RUN_LOCK
-from ..trainer import Control, TrainResult, train
-from ..trainer.folder import check_free
 from ..words import count_words, number, quality_words
 from .attend import Show, add_output_options, attend
 from .data_options import add_data_options, add_depth_options, with_data_options
 from .option_help import option_help
 from .output import others_in, print_json
+from .status import wrapped
+
+if TYPE_CHECKING:  # torch, which training imports, takes seconds to load: --help need not wait
+    from ..trainer import TrainResult
 
 _STEPS: dict[str, Any] = {"type": int, "nargs": "+", "metavar": "STEP"}
 _SWITCH: dict[str, Any] = {"action": argparse.BooleanOptionalAction}
@@ -269,7 +273,7 @@ def run(args: argparse.Namespace) -> int:
         numbers = result.headline | {"reason": result.reason, "output": str(args.output)}
         print_json(numbers)
     elif not (args.quiet or args.events):
-        print(_summary(result, configs(args)[1]))
+        print(wrapped(_summary(result, configs(args)[1]), sys.stdout))
     return code
 
 
@@ -284,6 +288,8 @@ def configs(args: argparse.Namespace) -> tuple[DataConfig, TrainConfig]:
     if args.resume and not (args.config or (args.preset and source)):
         stored = args.output / "config.json"
         if not stored.is_file():
+            from ..trainer.folder import check_free
+
             check_free(args.output)  # a run that has only just begun has written nothing yet
             raise ConfigError(f"{args.output} holds no run to resume; leave --resume out.")
     if args.preset and stored:
@@ -333,11 +339,13 @@ def _with_given(config: TrainConfig, args: argparse.Namespace) -> TrainConfig:
     return replace(config, **given)
 
 
-def _train(args: argparse.Namespace, show: Show, control: Control) -> TrainResult:
+def _train(args: argparse.Namespace, show: Show, control: Control) -> "TrainResult":
     data, config = configs(args)
+    from ..trainer import train
+
     others = others_in(args.output, (RUN_LOCK, *RUN_FILES, *RUN_FOLDERS))
-    if others and not (args.quiet or args.events):
-        print(f"{args.output} holds other files too; they stay: {others}", file=sys.stderr)
+    if others and not args.events:
+        show(Warn(message=f"{args.output} holds other files too; they stay: {others}"))
     return train(
         config,
         data,
@@ -350,7 +358,7 @@ def _train(args: argparse.Namespace, show: Show, control: Control) -> TrainResul
     )
 
 
-def _summary(result: TrainResult, config: TrainConfig) -> str:
+def _summary(result: "TrainResult", config: TrainConfig) -> str:
     metrics = result.metrics
     if result.ended_before:
         return _nothing_to_do(result)
@@ -370,10 +378,12 @@ def _summary(result: TrainResult, config: TrainConfig) -> str:
     lines.append(f"Results: {output / 'point_cloud.ply'}, {output / 'report.html'}")
     if result.reason not in ENDED:
         lines.append(f"To go on: gscore train -o {result.output} --resume")
+    made = "orbit.mp4" if find_spec("av") else "pictures"
+    lines.append(f"To look at it: gscore render {output} -o {output / made}")
     return "\n".join(lines)
 
 
-def _nothing_to_do(result: TrainResult) -> str:
+def _nothing_to_do(result: "TrainResult") -> str:
     how = _HOW[result.reason]
     return (
         f"{result.output} was complete already: {how[0].lower()}{how[1:]} after "

@@ -332,7 +332,7 @@ class Session:
         return path
 
     def _evaluate(self, collector: PictureCollector | None) -> dict[str, Any] | None:
-        self._emit(self._meter.progress(phase="evaluating"))
+        self._emit(self._meter.progress(phase="measuring"))
         self._trainer.make_room()
         found = self._evaluator.measure(collector, interrupted=lambda: self._control.stopping)
         if found is None:
