@@ -188,7 +188,7 @@ class TestMissing:
         with pytest.raises(DatasetError, match="There is no folder"):
             _load(tmp_path / "nowhere")
         (tmp_path / "empty").mkdir()
-        with pytest.raises(DatasetError, match=r"No COLMAP model.*Nor is there a transforms\.json"):
+        with pytest.raises(DatasetError, match=r"No COLMAP model.*or a transforms\.json"):
             _load(tmp_path / "empty")
 
     def test_other_ending_or_case(self, make_capture: Callable) -> None:
