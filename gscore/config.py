@@ -33,6 +33,9 @@ class DataConfig:
     pixels do not count;
     `none`: masks are not read; `auto`: composite for photos with alpha and for masks
     that cut out a subject, ignore for masks that hide parts of a scene."""
+    invert_masks: bool = False
+    """Mask files are white where pixels do not count, instead of black; `auto` is `ignore` then.
+    The photos' own alpha is never inverted."""
     depths: str = ""
     """Folder of inverse depth maps relative to `source`; empty: depth is not used."""
     depth_align: str = "auto"

@@ -13,12 +13,7 @@ def add_data_options(parser: argparse.ArgumentParser) -> None:
     """Declare them, under the names `gscore train` and the 3DGS tools use."""
     group = parser.add_argument_group("capture")
     group.add_argument("-i", "--images", metavar="DIR", help="folder of the photos in SOURCE")
-    group.add_argument("--masks", metavar="DIR", help="folder of masks in SOURCE")
-    group.add_argument(
-        "--mask-mode",
-        choices=("auto", "composite", "ignore", "none"),
-        help="composite: masks are opacity; ignore: masked-out pixels do not count",
-    )
+    add_mask_options(group)
     group.add_argument(
         "-r",
         "--resolution",
@@ -29,6 +24,24 @@ def add_data_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--frame", type=int, metavar="N", help="frame of a multi-view video")
     group.add_argument(
         "--rig", type=Path, metavar="DIR", help="take the cameras and the world of that capture"
+    )
+
+
+def add_mask_options(group: argparse._ActionsContainer) -> None:
+    """Declare the options that say where masks are and what they mean."""
+    group.add_argument("--masks", metavar="DIR", help="folder of masks in SOURCE (masks)")
+    group.add_argument(
+        "--mask-mode",
+        choices=("auto", "composite", "ignore", "none"),
+        help="ignore: pixels where the mask is black do not count; composite: the mask is the "
+        "opacity of the subject, and nothing else is trained; none: masks are not read; auto: "
+        "composite for photos with transparency, ignore for mask files",
+    )
+    group.add_argument(
+        "--invert-masks",
+        action=argparse.BooleanOptionalAction,
+        default=None,
+        help="mask files are white where pixels do not count, instead of black",
     )
 
 
@@ -54,7 +67,10 @@ def add_depth_options(parser: argparse.ArgumentParser) -> None:
 
 
 _SPLIT = ("test_every", "test_list", "test_first", "test_last")
-_OTHER = ("images", "masks", "mask_mode", "depths", "depth_align", "resolution", "frame", "rig")
+_OTHER = (
+    *("images", "masks", "mask_mode", "invert_masks", "depths", "depth_align", "resolution"),
+    *("frame", "rig"),
+)
 
 
 def with_data_options(config: DataConfig, args: argparse.Namespace) -> DataConfig:

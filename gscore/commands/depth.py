@@ -27,7 +27,7 @@ from ..metrics.colormap import colorize
 from ..trainer.depth_rule import coverage, decide
 from ..words import count_words
 from .attend import Show, attend
-from .data_options import add_split_options, with_data_options
+from .data_options import add_mask_options, add_split_options, with_data_options
 from .output import check_folder, print_json
 
 
@@ -85,13 +85,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="say which maps a training would use and why not others; write nothing",
     )
     parser.add_argument("-i", "--images", default="images", help="folder of the photos in SOURCE")
-    parser.add_argument("--masks", default="", metavar="DIR", help="folder of masks in SOURCE")
-    parser.add_argument(
-        "--mask-mode",
-        choices=("auto", "composite", "ignore", "none"),
-        default="auto",
-        help="composite: what masks hide is left out of the maps",
+    masks = parser.add_argument_group(
+        "masks", "With composite, what they hide is left out of maps."
     )
+    add_mask_options(masks)
     parser.add_argument("--frame", type=int, metavar="N", help="frame of a multi-view video")
     held_out = parser.add_argument_group(
         "test views",

@@ -16,6 +16,7 @@ from ..io.runs import checkpoints_in, read_metrics
 from ..io.sequences import read_sequence
 from ..splats import Splats
 from ..words import count_words, quality_words, size_words, time_words
+from .data_options import add_mask_options, with_data_options
 from .model import Model, collected_warnings, find_ply, open_model
 from .output import print_json
 
@@ -29,6 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-i", "--images", default="images", help="folder of the photos in a capture"
     )
+    add_mask_options(parser)
     parser.add_argument("--json", action="store_true", help="one JSON object on stdout")
 
 
@@ -44,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
     elif path.is_dir() and _holds_model(path):
         facts = _run_facts(path)
     else:
-        facts = _capture_facts(path, args.images)
+        facts = _capture_facts(path, args)
     if args.json:
         print_json(facts)
     else:
@@ -121,10 +123,11 @@ def _run_facts(folder: Path) -> dict[str, Any]:
     return facts | {"model": _model_facts(model)}
 
 
-def _capture_facts(path: Path, images: str) -> dict[str, Any]:
+def _capture_facts(path: Path, args: argparse.Namespace) -> dict[str, Any]:
     from ..datasets import load_dataset  # needs Pillow to look into the photos
 
-    dataset = load_dataset(DataConfig(source=path, images=images, resolution=1))
+    config = with_data_options(DataConfig(source=path, resolution=1), args)
+    dataset = load_dataset(config)
     scene = dataset.scene
     cameras = scene.cameras
     sizes = Counter(
@@ -143,6 +146,7 @@ def _capture_facts(path: Path, images: str) -> dict[str, Any]:
         ),
         "points": len(scene.points),
         "masks": dataset.mask_mode,
+        "masks_inverted": config.invert_masks,
         "decoded_bytes": dataset.nbytes,
         "warnings": list(dataset.warnings),
     }
@@ -238,12 +242,13 @@ def _sequence_text(facts: dict[str, Any]) -> list[str]:
 def _capture_text(facts: dict[str, Any]) -> list[str]:
     sizes = ", ".join(f"{n} of {size} px" for size, n in facts["sizes"].items())
     low, high = facts["focal_px"]
+    inverted = " inverted" if facts["masks_inverted"] else ""
     focal = f"{low:.1f}" if high - low < 0.05 else f"{low:.1f} to {high:.1f}"
     lines = [
         f"{facts['path']}: a capture with {count_words(facts['views'], 'photo')} ({sizes})",
         f"  names from {facts['names'][0]} to {facts['names'][1]}",
         f"  focal length {focal} px after undistortion, camera extent {facts['camera_extent']:.3g}",
-        f"  {count_words(facts['points'], 'point')}, masks: {facts['masks']}, "
+        f"  {count_words(facts['points'], 'point')}, masks: {facts['masks']}{inverted}, "
         f"{size_words(facts['decoded_bytes'])} of photos in memory",
     ]
     model = facts["model"]

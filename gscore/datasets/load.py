@@ -147,6 +147,7 @@ def _files(
             ViewFile(
                 image=view.image,
                 mask=masks.files[i],
+                mask_inverted=config.invert_masks,
                 use_alpha=masks.use_alpha[i],
                 upright=upright[i],
                 photo_size=size,

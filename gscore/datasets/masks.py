@@ -41,7 +41,7 @@ def choose_masks(
     """Find the masks: those the capture states, else those of a folder, else the photos' alpha.
 
     Args:
-        config: Options `masks` and `mask_mode`.
+        config: Options `masks`, `mask_mode` and `invert_masks`.
         capture: Its folder, and what masks mean in it.
         views: Its views, in the order of the lists below.
         infos: Of their photos.
@@ -65,10 +65,13 @@ def choose_masks(
                 _check_size(view, file, size)
         mode = config.mask_mode
         if mode == "auto":
-            mode = capture.masks_are or _meaning([file for file in files if file is not None])
+            found = [file for file in files if file is not None]
+            mode = "ignore" if config.invert_masks else capture.masks_are or _meaning(found)
         return MaskChoice(
             mode=mode, files=files, use_alpha=none.use_alpha, warnings=tuple(warnings)
         )
+    if config.invert_masks:
+        warnings = [*warnings, "There are no mask files, so invert_masks changes nothing."]
     use_alpha = [info.has_alpha for info in infos]
     if not any(use_alpha):
         return MaskChoice(mode="none", files=files, use_alpha=use_alpha, warnings=tuple(warnings))

@@ -107,7 +107,7 @@ def photo_of(file: ViewFile, mask_mode: str) -> tuple[np.ndarray, np.ndarray | N
         if file.use_alpha and photo.shape[2] == 4:
             mask = photo[..., 3]
         elif file.mask is not None:
-            mask = read_mask(file.mask)
+            mask = read_mask(file.mask, inverted=file.mask_inverted)
     photo = np.ascontiguousarray(photo[..., :3])
     if mask is None:
         return photo, None

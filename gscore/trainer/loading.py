@@ -150,7 +150,8 @@ def _check_masks(photos: Dataset, threads: int) -> list[str]:
         raise DatasetError(
             f"The masks of all {count_words(len(empty), 'training view')} in {photos.source} are "
             "black, so there "
-            "is nothing to train on. White is what counts: invert them, or choose --mask-mode none."
+            "is nothing to train on. White is what counts: give --invert-masks if it marks what "
+            "to leave out, or choose --mask-mode none."
         )
     if empty:
         views = count_words(len(empty), "training view")

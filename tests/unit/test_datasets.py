@@ -325,6 +325,28 @@ class TestMasks:
         np.testing.assert_array_equal(data.image(5), capture.photos["view_05.png"])
         assert data.nbytes == 9 * 64 * 48 * 4
 
+    def test_inverted_masks(self, make_capture: Callable) -> None:
+        """Oracle: 255 minus the masks as read; the mode is ignore unless the user says."""
+        capture = make_capture()
+        self._masks(capture.root, "{}.png")
+        usual = _load(capture.root)
+        data = _load(capture.root, invert_masks=True)
+        assert data.mask_mode == "ignore" and data.warnings == ()
+        for index in range(len(data)):
+            mask, other = usual.mask(index), data.mask(index)
+            assert mask is not None and other is not None
+            np.testing.assert_array_equal(other, 255 - mask)
+        assert data.content_hash() != usual.content_hash()
+        composite = _load(capture.root, invert_masks=True, mask_mode="composite")
+        assert composite.mask_mode == "composite"
+
+    def test_no_mask_files_to_invert(self, make_capture: Callable) -> None:
+        """Oracle: the alpha as written, and a warning."""
+        capture = make_capture(alpha=True)
+        data = _load(capture.root, invert_masks=True)
+        assert data.warnings == ("There are no mask files, so invert_masks changes nothing.",)
+        np.testing.assert_array_equal(data.mask(2), capture.photos["view_02.png"][..., 3])
+
     def test_alpha(self, make_capture: Callable) -> None:
         """Oracle: colours and alpha as written."""
         capture = make_capture(alpha=True)
