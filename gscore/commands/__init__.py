@@ -31,6 +31,15 @@ VERBS = {
     "stress": "measure numerical errors",
 }
 
+_EXAMPLES = {
+    "train": "Example: gscore train photos/ -o run --preset draft --eval",
+    "sequence": "Example: gscore sequence CASE --frames 0:145:5 -o out",
+    "eval": "Example: gscore eval run",
+    "depth": "Example: gscore depth photos/ --model midas.onnx",
+    "render": "Example: gscore render run -o orbit.mp4",
+    "info": "Example: gscore info photos/",
+}
+"""At the end of a verb's help."""
 _DISK_ERRORS = {
     errno.ENOSPC: "the disk is full; free some space or choose another output",
     errno.EDQUOT: "your disk quota is used up; free some space or choose another output",
@@ -73,7 +82,12 @@ def _guarded(prog: str, verb: str, arguments: list[str]) -> int:
         wants_help = any(word in ("-h", "--help", "--quiet", "--events") for word in arguments)
         with beginning(sys.stderr, "" if wants_help else f"Starting {prog}"):
             module = import_module(f".{verb}", __package__)
-        parser = Parser(prog=prog, description=sentence(VERBS[verb]), allow_abbrev=False)
+        parser = Parser(
+            prog=prog,
+            description=sentence(VERBS[verb]),
+            epilog=_EXAMPLES.get(verb),
+            allow_abbrev=False,
+        )
         module.add_arguments(parser)
         return module.run(parser.parse_args(dashed(arguments)))
     except SystemExit as stop:  # argparse has already said what is wrong

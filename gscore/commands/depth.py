@@ -51,33 +51,36 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--align",
         choices=("robust", "official"),
         default="robust",
-        help="official: medians and mean absolute deviations, as the 3DGS tools",
+        help="how maps are fitted to the points that COLMAP found: robust against wrong ones, or "
+        "official, as the 3DGS tools do (medians and mean absolute deviations)",
     )
     parser.add_argument(
         "--kind",
         type=DepthKind,
         choices=tuple(DepthKind),
         default=DepthKind.AUTO,
-        help="what the network or the maps hold; auto: the points tell",
+        help="whether larger numbers in maps are nearer (inverse) or farther (depth); auto: found "
+        "by comparing with the points",
     )
     parser.add_argument(
         "--normalization",
         type=Normalization,
         choices=tuple(Normalization),
         default=Normalization.AUTO,
-        help="how the network wants its photos; auto: the file tells",
+        help="how the network wants the numbers of its photos; auto: by its file",
     )
     parser.add_argument(
         "--input-size",
         type=int,
         default=0,
         metavar="N",
-        help="pixels of the shorter side of what the network sees, where it is free",
+        help="shorter side in pixels of what the network is shown, where it takes any size",
     )
     parser.add_argument(
         "--overwrite",
         action="store_true",
-        help="predict views that have a map, and replace a depth_params.json by another program",
+        help="predict views again that have a map, and replace a depth_params.json that another "
+        "program wrote",
     )
     parser.add_argument(
         "--check",
@@ -96,7 +99,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "have no part in placing the others.",
     )
     add_split_options(held_out)
-    parser.add_argument("--threads", type=int, default=0, help="0: all cores")
+    parser.add_argument(
+        "--threads", type=int, default=0, metavar="N", help="CPU threads; 0: all cores"
+    )
     parser.add_argument("--json", action="store_true", help="the results as JSON, last on stdout")
     parser.add_argument(
         "--events", choices=("jsonl",), help="events as JSON lines on stdout, commands on stdin"

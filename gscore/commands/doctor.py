@@ -24,6 +24,7 @@ from ..sh import rgb_to_sh0
 from ..splats import Splats
 from ..words import count_words, size_words
 from .output import print_json
+from .status import beginning
 
 _LITTLE_MEMORY = 2_000_000_000
 _TOLERANCE = 1e-5
@@ -61,7 +62,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Look, try, say; 0 if this machine can train, 2 if something needed is missing."""
-    facts = _facts()
+    with beginning(sys.stderr, "Looking at the packages"):
+        facts = _facts()
     if args.json:
         print_json(facts)
     else:

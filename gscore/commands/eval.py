@@ -50,8 +50,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=("test", "train", "all"),
         help="views to measure; default: test if there are test views, else all",
     )
-    parser.add_argument("--lpips", type=Path, metavar="FILE.onnx", help="network for LPIPS")
-    parser.add_argument("--threads", type=int, default=0, help="0: all cores")
+    parser.add_argument(
+        "--lpips",
+        type=Path,
+        metavar="FILE.onnx",
+        help="network of LPIPS, a measure of likeness as people see it; without it, not measured",
+    )
+    parser.add_argument(
+        "--threads", type=int, default=0, metavar="N", help="CPU threads; 0: all cores"
+    )
     parser.add_argument("--json", action="store_true", help="the results as JSON, last on stdout")
     parser.add_argument("--quiet", action="store_true", help="no progress")
     add_data_options(parser)

@@ -28,6 +28,26 @@ class Parser(argparse.ArgumentParser):
         sentence = message if message.endswith("?") else f"{message.rstrip('.')}."
         self.exit(2, f"{self.prog}: error: {sentence} See {self.prog} --help.\n")
 
+    def format_help(self) -> str:
+        """The help, with a first line of what must be given alone: all options follow anyway."""
+        whole, self.usage = self.usage, self._short_usage()
+        try:
+            return super().format_help()
+        finally:
+            self.usage = whole
+
+    def _short_usage(self) -> str:
+        required, places = [], []
+        for action in self._actions:
+            name = str(action.metavar or action.dest)
+            if isinstance(action, argparse._SubParsersAction):
+                places.append(f"{name} ...")
+            elif not action.option_strings and action.help != argparse.SUPPRESS:
+                places.append(f"[{name}]" if action.nargs == "?" else name)
+            elif action.required:
+                required.append(f"{action.option_strings[0]} {name.upper()}")
+        return " ".join(["%(prog)s", *places, *required, "[options]"])
+
     def parse_args(self, args: Sequence[str] | None = None, namespace: Any = None) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
         """As argparse does, but with the nearest option for one that there is not."""
         words = sys.argv[1:] if args is None else list(args)

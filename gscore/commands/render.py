@@ -38,7 +38,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
     add_model_argument(parser)
     parser.add_argument(
-        "-o", "--output", type=Path, required=True, help="folder, or one .png, or an .mp4"
+        "-o",
+        "--output",
+        type=Path,
+        required=True,
+        help="folder for pictures, or one .png, or an .mp4",
     )
     group = parser.add_argument_group("cameras")
     group.add_argument(
@@ -80,14 +84,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--depth", choices=("png", "npy"), help="depth maps too: 16-bit grey, or exact float32"
     )
-    group.add_argument("--sh-degree", type=int, help="use only so many bands of the colour")
-    group.add_argument("--near", type=float, help="near plane, world units")
+    group.add_argument(
+        "--sh-degree",
+        type=int,
+        metavar="N",
+        help="degree of view-dependent colour to draw; 0: none (the model's)",
+    )
+    group.add_argument(
+        "--near",
+        type=float,
+        metavar="X",
+        help="splats nearer to the camera are not drawn; world units",
+    )
     group.add_argument(
         "--antialias",
         action=argparse.BooleanOptionalAction,
-        help="opacity compensation; default: as the model was trained",
+        help="fainter splats below the size of a pixel; default: as the model was trained",
     )
-    parser.add_argument("--threads", type=int, default=0, help="0: all cores")
+    parser.add_argument(
+        "--threads", type=int, default=0, metavar="N", help="CPU threads; 0: all cores"
+    )
     parser.add_argument("--json", action="store_true", help="what was written as JSON on stdout")
     parser.add_argument("--quiet", action="store_true", help="no progress")
 

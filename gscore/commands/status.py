@@ -6,6 +6,7 @@ narrower than the line is long, what it wrapped stays above: going up could eras
 """
 
 import os
+import sys
 import textwrap
 import time
 import unicodedata
@@ -108,6 +109,28 @@ class Counted:
         head = [f"{clock(left)} left", f"{self._what} {done} of {self._total}"]
         last = done == self._total
         self._status.show([*head, *parts], share=done / self._total, at_once=last)
+
+
+class Rows:
+    """Prints the rows of a table on stdout as they come, and that the next one is worked on."""
+
+    def __init__(self, status: Status, what: str, *, quiet: bool = False) -> None:
+        """`what`: what is being done; `quiet`: print no rows."""
+        self._status, self._what, self._quiet = status, what, quiet
+        self._count = 0
+        self._next()
+
+    def __call__(self, row: str) -> None:
+        """Print a row."""
+        if not self._quiet:
+            self._status.clear()
+            sys.stdout.write(row + "\n")
+            sys.stdout.flush()
+        self._next()
+
+    def _next(self) -> None:
+        self._count += 1
+        self._status.show([f"{self._what}, row {self._count}"], at_once=True)
 
 
 @contextmanager

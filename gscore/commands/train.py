@@ -47,7 +47,8 @@ _RUN: dict[str, tuple[tuple[str, ...], dict[str, Any], str]] = {
     "target_psnr": (
         ("--target-psnr",),
         {"type": float, "metavar": "DB"},
-        "end when the held-out views (else training views) reach this PSNR (0: none)",
+        "end when the held-out photos (else the others) are matched with this PSNR, a likeness of "
+        "which more is better (0: none)",
     ),
     "early_stop": (("--early-stop",), _SWITCH, "end when that PSNR no longer rises"),
     "max_splats": (
@@ -58,8 +59,8 @@ _RUN: dict[str, tuple[tuple[str, ...], dict[str, Any], str]] = {
     "strategy": (
         ("--strategy",),
         {"choices": tuple(Strategy)},
-        "how splats are added and removed (default); mcmc is for long runs, with a few hundred "
-        "steps it is far behind",
+        "how splats are added and removed (default); mcmc, Markov chain Monte Carlo, moves useless "
+        "ones instead: for long runs, in a few hundred steps it is far behind",
     ),
     "sh_degree": (
         ("--sh-degree",),
@@ -78,28 +79,36 @@ _RUN: dict[str, tuple[tuple[str, ...], dict[str, Any], str]] = {
         {"choices": tuple(Background)},
         "what lies behind the splats",
     ),
-    "antialias": (("--antialias", "--antialiasing"), _SWITCH, "compensate small splats' opacity"),
+    "antialias": (
+        ("--antialias", "--antialiasing"),
+        _SWITCH,
+        "draw splats below the size of a pixel fainter",
+    ),
     "depth_mode": (
         ("--depth-mode",),
         {"choices": tuple(Switch)},
-        "supervise depth where --depths gives maps; auto: not in dense captures",
+        "let the maps of --depths guide the training; auto: where photos are few",
     ),
     "grow_with_photos": (
         ("--grow-with-photos",),
         _SWITCH,
-        "not mcmc: grow splats as photos become larger, in 1,000 steps and more (on)",
+        "add splats as photos become larger, not before; from 1,000 steps on, not with mcmc (on)",
     ),
     "coarse_by_detail": (
         ("--coarse-by-detail",),
         _SWITCH,
-        "choose from the photos' frequencies how long they stay small",
+        "keep photos small for as long as their detail allows, not a fixed share of the steps",
     ),
     "without": (
         ("--without",),
         {"nargs": "+", "choices": [skip.value for skip in Skip], "metavar": "SKIP"},
-        "switch off skips, to prove or measure them: " + ", ".join(Skip),
+        "do work that is skipped as needless, to prove or measure that: " + ", ".join(Skip),
     ),
-    "near": (("--near",), {"type": float}, "near plane, world units"),
+    "near": (
+        ("--near",),
+        {"type": float, "metavar": "X"},
+        "splats nearer to a camera are not drawn; world units",
+    ),
     "start_splats": (
         ("--start-splats",),
         {"type": Path, "metavar": "FILE.ply"},
@@ -108,32 +117,40 @@ _RUN: dict[str, tuple[tuple[str, ...], dict[str, Any], str]] = {
     "lpips": (
         ("--lpips",),
         {"type": Path, "metavar": "FILE.onnx"},
-        "network to measure LPIPS with",
+        "network of LPIPS, a measure of likeness as people see it; without it, not measured",
     ),
     "test_iterations": (("--test-iterations",), _STEPS, "measure after these steps too"),
     "save_iterations": (("--save-iterations",), _STEPS, "write the splats after these steps too"),
-    "checkpoint_iterations": (("--checkpoint-iterations",), _STEPS, "checkpoints that are kept"),
+    "checkpoint_iterations": (
+        ("--checkpoint-iterations",),
+        _STEPS,
+        "write checkpoints after these steps and keep them",
+    ),
     "checkpoint_seconds": (
         ("--checkpoint-seconds",),
-        {"type": float},
+        {"type": float, "metavar": "SECONDS"},
         "training time between two checkpoints (300); 0: only at the end",
     ),
     "preview_seconds": (
         ("--preview-seconds",),
-        {"type": float},
+        {"type": float, "metavar": "SECONDS"},
         "training time between two pictures in OUT/previews; 0: none",
     ),
     "snapshot_every": (
         ("--snapshot-every",),
-        {"type": int},
+        {"type": int, "metavar": "N"},
         "steps between two PLYs in OUT/snapshots, of which two are kept; 0: none",
     ),
     "watchdog": (
         ("--watchdog",),
         _SWITCH,
-        "where training diverges, go back and on at lower rates (on)",
+        "where training goes astray, go back to a checkpoint and on with lower learning rates (on)",
     ),
-    "detect_anomaly": (("--detect-anomaly",), _SWITCH, "stop at the first number not finite"),
+    "detect_anomaly": (
+        ("--detect-anomaly",),
+        _SWITCH,
+        "stop at the first number that is not finite and say where it came from; slow",
+    ),
 }
 _METHOD = {
     "means_lr": ("--means-lr", "--position-lr-init"),
@@ -198,7 +215,12 @@ _NOT_HERE = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `gscore train`."""
-    parser.add_argument("source", nargs="?", type=Path, help="folder with photos and COLMAP model")
+    parser.add_argument(
+        "source",
+        nargs="?",
+        type=Path,
+        help="the capture: a folder with photos and COLMAP's model of their cameras",
+    )
     parser.add_argument(
         "-s", "--source", "--source-path", dest="source_option", type=Path, help=argparse.SUPPRESS
     )
@@ -221,7 +243,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     existing.add_argument(
         "--overwrite", action="store_true", help="replace another run in the output folder"
     )
-    existing.add_argument("--start-checkpoint", type=Path, help="go on from this checkpoint")
+    existing.add_argument(
+        "--start-checkpoint", type=Path, metavar="FILE", help="go on from this checkpoint"
+    )
     add_data_options(parser)
     add_depth_options(parser)
     parser.add_argument(
@@ -241,8 +265,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     group = parser.add_argument_group(
         "method",
-        "Also under their 3DGS names; gscore.TrainConfig says more on each. Learning rates are "
-        "raised in runs of less than 30,000 steps and fall over the last tenth of any; "
+        "For experiments: the defaults suit most captures. Also under their 3DGS names; "
+        "gscore.TrainConfig says more on each. An extent is 1.1 times the largest distance of a "
+        "camera from the middle of all; SH (spherical harmonics) are the view-dependent colour; "
+        "SfM points are those that COLMAP found; to refine is to add and remove splats. Learning "
+        "rates are raised in runs of less than 30,000 steps and fall over the last tenth of any; "
         "--lr-boost 1 --lr-final 1 takes them exactly as given.",
     )
     kinds = {f.name: type(f.default) for f in fields(TrainConfig)}
@@ -256,7 +283,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             metavar="N" if kind is int else "X",
             help=option_help(TrainConfig, name),
         )
-    group.add_argument("--feature-lr", type=float, metavar="X", help="sh0-lr, 20 times shN-lr")
+    group.add_argument(
+        "--feature-lr",
+        type=float,
+        metavar="X",
+        help="sets --sh0-lr, and --shN-lr to a twentieth of it, as 3DGS does",
+    )
     add_output_options(parser)
     for name in _WITHOUT_EFFECT:
         parser.add_argument(name, help=argparse.SUPPRESS)

@@ -10,6 +10,7 @@ from ...metrics.machine import machine
 from ...raster import backend
 from ...words import count_words, number
 from ..output import print_json
+from ..status import beginning
 from .numbers import check_numbers
 from .scaling import size
 
@@ -32,14 +33,15 @@ def run(args: argparse.Namespace) -> int:
     check_numbers(args, MIN_STEPS, "steps")
     check_numbers(args, 0, "threads")
     width, height = args.size
-    found = bench_memory(
-        splats=args.splats,
-        views=args.views,
-        width=width,
-        height=height,
-        steps=args.steps,
-        threads=args.threads,
-    )
+    with beginning(sys.stderr, f"Training {count_words(args.splats, 'splat')}"):
+        found = bench_memory(
+            splats=args.splats,
+            views=args.views,
+            width=width,
+            height=height,
+            steps=args.steps,
+            threads=args.threads,
+        )
     if found is None:
         raise BackendError("This system does not tell how much memory a process takes.")
     if args.json:

@@ -16,6 +16,7 @@ from ...metrics.machine import machine
 from ...raster import backend
 from ...words import count_words, number
 from ..output import print_json
+from ..status import beginning
 from .numbers import check_numbers
 
 
@@ -29,7 +30,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--width", type=int, default=640, help="px, of the synthetic view")
     parser.add_argument("--height", type=int, default=360, help="px, of the synthetic view")
     parser.add_argument("-r", "--resolution", type=float, default=-1, help="as in `gscore train`")
-    parser.add_argument("--threads", type=int, default=0, help="0: all cores")
+    parser.add_argument(
+        "--threads", type=int, default=0, metavar="N", help="CPU threads; 0: all cores"
+    )
     parser.add_argument("--isa", help="instruction set; `all` measures each that runs here")
 
 
@@ -51,7 +54,10 @@ def run(args: argparse.Namespace) -> int:
     results = []
     for isa in isas:
         backend.set_isa(isa)
-        result = bench_raster(splats, cameras, views, repeats=args.repeats, threads=args.threads)
+        with beginning(sys.stderr, f"Measuring {isa}, {count_words(len(splats), 'splat')}"):
+            result = bench_raster(
+                splats, cameras, views, repeats=args.repeats, threads=args.threads
+            )
         results.append(result)
         if not args.json:
             sys.stdout.write(_table(result))

@@ -16,6 +16,7 @@ from ...raster import backend
 from ...words import count_words
 from ..data_options import add_data_options, with_data_options
 from ..output import print_json
+from ..status import beginning
 from .numbers import check_numbers
 
 
@@ -32,7 +33,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--strategy", choices=tuple(Strategy), default=Strategy.DEFAULT)
     skips = [skip.value for skip in Skip]
     parser.add_argument("--without", nargs="+", choices=skips, default=(), metavar="SKIP")
-    parser.add_argument("--threads", type=int, default=0, help="0: all cores")
+    parser.add_argument(
+        "--threads", type=int, default=0, metavar="N", help="CPU threads; 0: all cores"
+    )
     parser.add_argument(
         "--cache-mb",
         type=int,
@@ -69,14 +72,15 @@ def run(args: argparse.Namespace) -> int:
     results = []
     for isa in backend.available_isas() if args.isa == "all" else [args.isa or backend.isa()]:
         backend.set_isa(isa)
-        found = bench_step(
-            photos,
-            splats,
-            steps=args.steps,
-            threads=args.threads,
-            config=config,
-            photo_cache=cache,
-        )
+        with beginning(sys.stderr, f"Measuring {isa}, {count_words(args.steps, 'step')}"):
+            found = bench_step(
+                photos,
+                splats,
+                steps=args.steps,
+                threads=args.threads,
+                config=config,
+                photo_cache=cache,
+            )
         results.append(found)
         if not args.json:
             sys.stdout.write(_table(found))
