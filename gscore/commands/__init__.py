@@ -17,7 +17,7 @@ from .._version import __version__
 from ..errors import GsError
 from ..extras import how_to_install, missing
 from .parser import Parser, nearest, sentence
-from .status import beginning
+from .status import beginning, wrapped
 
 VERBS = {
     "train": "train splats from photos with COLMAP cameras",
@@ -123,7 +123,7 @@ def _usage() -> str:
 
 
 def _complain(prog: str, message: str) -> int:
-    print(f"{prog}: error: {message}", file=sys.stderr)
+    print(wrapped(f"{prog}: error: {message}", sys.stderr), file=sys.stderr)
     return 2
 
 

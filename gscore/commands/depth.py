@@ -1,6 +1,7 @@
 """`gscore depth`: predict depth maps of a capture, align them with its points, show them."""
 
 import argparse
+import sys
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -29,6 +30,7 @@ from ..words import count_words
 from .attend import Show, attend
 from .data_options import add_mask_options, add_split_options, with_data_options
 from .output import check_folder, print_json
+from .status import wrapped
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -363,17 +365,16 @@ def _facts(args: argparse.Namespace, result: _Result) -> dict[str, Any]:
 def _print(args: argparse.Namespace, result: _Result) -> None:
     done = result.done
     what = "depth" if result.alignment.kind is DepthKind.DEPTH else "inverse depth"
-    print(_table_text(done.table))
+    lines = [_table_text(done.table)]
     if result.used:
-        print(f"Predicted with {result.used}.")
+        lines.append(f"Predicted with {result.used}.")
     count = f"{done.accepted} of {sum(1 for row in done.table if row['map'])} maps of {what}"
     if args.check:
-        print(f"{count} would be used with their scale; nothing was written")
-        print(done.why)
-        return
-    print(f"{count} aligned by the {args.align} rule: {done.params}")
-    print(f"{count_words(result.shown, 'view')} on {done.sheet}")
-    print(done.why)
+        lines.append(f"{count} would be used with their scale; nothing was written")
+    else:
+        lines.append(f"{count} aligned by the {args.align} rule: {done.params}")
+        lines.append(f"{count_words(result.shown, 'view')} on {done.sheet}")
+    print(wrapped("\n".join([*lines, done.why]), sys.stdout))
 
 
 def _network_words(network: Network, dataset: Dataset) -> str:

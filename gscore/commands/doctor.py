@@ -24,7 +24,7 @@ from ..sh import rgb_to_sh0
 from ..splats import Splats
 from ..words import count_words, size_words
 from .output import print_json
-from .status import beginning
+from .status import beginning, wrapped
 
 _LITTLE_MEMORY = 2_000_000_000
 _TOLERANCE = 1e-5
@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print_json(facts)
     else:
-        print(_text(facts))
+        print(wrapped(_text(facts), sys.stdout))
     return 0 if facts["can_train"] else 2
 
 

@@ -1,6 +1,7 @@
 """`gscore info`: what a capture, a PLY or the folder of a run or a sequence holds."""
 
 import argparse
+import sys
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from ..words import count_words, quality_words, size_words, time_words
 from .data_options import add_mask_options, with_data_options
 from .model import Model, collected_warnings, find_ply, open_model
 from .output import print_json
+from .status import wrapped
 
 _QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
 _EXPONENT = 350.0
@@ -50,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print_json(facts)
     else:
-        print(_text(facts))
+        print(wrapped(_text(facts), sys.stdout))
     return 0
 
 

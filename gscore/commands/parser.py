@@ -6,6 +6,10 @@ import sys
 from collections.abc import Iterator, Sequence
 from typing import Any, NoReturn
 
+from .status import wrapped
+
+_REQUIRED = "the following arguments are required: "
+"""How argparse begins; what follows are all names of each, between slashes."""
 _MEANT = {
     **dict.fromkeys(("fast", "fastest", "quick", "test", "tiny"), "preview"),
     **dict.fromkeys(("low", "rough"), "draft"),
@@ -25,8 +29,12 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """End with the sentence and exit code 2."""
+        if message.startswith(_REQUIRED):
+            names = message.removeprefix(_REQUIRED).split(", ")
+            message = f"still to be given: {', '.join(name.split('/')[0] for name in names)}"
         sentence = message if message.endswith("?") else f"{message.rstrip('.')}."
-        self.exit(2, f"{self.prog}: error: {sentence} See {self.prog} --help.\n")
+        text = f"{self.prog}: error: {sentence} See {self.prog} --help."
+        self.exit(2, wrapped(text, sys.stderr) + "\n")
 
     def format_help(self) -> str:
         """The help, with a first line of what must be given alone: all options follow anyway."""

@@ -143,15 +143,24 @@ def beginning(stream: TextIO, words: str) -> Iterator[None]:
 
 
 def wrapped(text: str, stream: TextIO) -> str:
-    """The text with its lines broken between words where `stream` is a terminal they do not fit."""
+    """The text with its lines broken between words where `stream` is a terminal they do not fit;
+    what is broken off an indented line stands two columns deeper."""
     if not stream.isatty():
         return text
     width = _columns(stream)
-    return "\n".join(
-        line
-        if cells(line) <= width
-        else textwrap.fill(line, width, break_long_words=False, break_on_hyphens=False)
-        for line in text.split("\n")
+    return "\n".join(_broken(line, width) for line in text.split("\n"))
+
+
+def _broken(line: str, width: int) -> str:
+    if cells(line) <= width:
+        return line
+    depth = len(line) - len(line.lstrip())
+    return textwrap.fill(
+        line,
+        width,
+        subsequent_indent=" " * (depth + 2 if depth else 0),
+        break_long_words=False,
+        break_on_hyphens=False,
     )
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..config import Switch
 from ..scene import Scene
-from ..words import count_words
+from ..words import count_words, number
 
 DENSE_VIEWS = 30
 """Training views of a median point from which the photos alone settle the geometry."""
@@ -36,7 +36,7 @@ class Coverage:
     def __str__(self) -> str:
         return (
             f"{count_words(self.views, 'training view')}, {self.views_of_point:.0f} of them on a "
-            f"median point, {self.points_in_view:.0f} points in a median view"
+            f"median point, {number(round(self.points_in_view))} points in a median view"
         )
 
 

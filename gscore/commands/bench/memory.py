@@ -10,7 +10,7 @@ from ...metrics.machine import machine
 from ...raster import backend
 from ...words import count_words, number
 from ..output import print_json
-from ..status import beginning
+from ..status import beginning, wrapped
 from .numbers import check_numbers
 from .scaling import size
 
@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print_json({"machine": machine(), "isa": backend.isa()} | asdict(found))
     else:
-        sys.stdout.write(_table(found))
+        sys.stdout.write(wrapped(_table(found), sys.stdout))
     return 0
 
 

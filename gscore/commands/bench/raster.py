@@ -16,7 +16,7 @@ from ...metrics.machine import machine
 from ...raster import backend
 from ...words import count_words, number
 from ..output import print_json
-from ..status import beginning
+from ..status import beginning, wrapped
 from .numbers import check_numbers
 
 
@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
             )
         results.append(result)
         if not args.json:
-            sys.stdout.write(_table(result))
+            sys.stdout.write(wrapped(_table(result), sys.stdout))
     if args.json:
         found = [{"machine": machine()} | asdict(r) for r in results]
         print_json(found[0] if len(found) == 1 else found)

@@ -16,7 +16,7 @@ from ...raster import backend
 from ...words import count_words
 from ..data_options import add_data_options, with_data_options
 from ..output import print_json
-from ..status import beginning
+from ..status import beginning, wrapped
 from .numbers import check_numbers
 
 
@@ -83,7 +83,7 @@ def run(args: argparse.Namespace) -> int:
             )
         results.append(found)
         if not args.json:
-            sys.stdout.write(_table(found))
+            sys.stdout.write(wrapped(_table(found), sys.stdout))
     if args.json:
         dicts = [{"machine": machine()} | asdict(found) for found in results]
         print_json(dicts[0] if len(dicts) == 1 else dicts)
