@@ -41,7 +41,7 @@ def add_mask_options(group: argparse._ActionsContainer) -> None:
         choices=("auto", "composite", "ignore", "none"),
         help="ignore: pixels where the mask is black do not count; composite: the mask is the "
         "opacity of the subject, and nothing else is trained; none: masks are not read; auto: "
-        "composite for photos with transparency, ignore for mask files",
+        "composite for photos with transparency and masks that cut out a subject, else ignore",
     )
     group.add_argument(
         "--invert-masks",
