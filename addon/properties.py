@@ -168,6 +168,11 @@ class SceneSettings(bpy.types.PropertyGroup):
         items=_MASK_MODES,
         default=_DATA.mask_mode,
     )
+    invert_masks: BoolProperty(
+        name="Invert Masks",
+        description="Mask files are white where pixels do not count, instead of black",
+        default=_DATA.invert_masks,
+    )
     depth_mode: EnumProperty(
         name="Use Depth",
         description="When the depth maps of the capture guide the training",

@@ -33,6 +33,9 @@ class DataConfig:
     pixels do not count;
     `none`: masks are not read; `auto`: composite for photos with alpha and for masks
     that cut out a subject, ignore for masks that hide parts of a scene."""
+    invert_masks: bool = False
+    """Mask files are white where pixels do not count, instead of black; `auto` is `ignore` then.
+    The photos' own alpha is never inverted."""
     depths: str = ""
     """Folder of inverse depth maps relative to `source`; empty: depth is not used."""
     depth_align: str = "auto"
@@ -173,7 +176,7 @@ class TrainConfig:
     """Learning rate of the view-dependent colour."""
     shN_every: int = 0
     """Steps between two of the view-dependent colour, whose gradients add up in between and whose
-    learning rate rises by the root of this; 0: 8, fewer in runs under 1000 steps; 1: each step."""
+    learning rate rises by the root of this; 0: 8, fewer in runs under 1,000 steps; 1: each step."""
     opacities_lr: float = 0.0
     """Learning rate of logit opacities; 0: 0.025, with mcmc 0.05."""
     scales_lr: float = 5e-3
@@ -182,7 +185,7 @@ class TrainConfig:
     """Learning rate of quaternions."""
     lr_boost: float = 0.0
     """Learning rates are multiplied by this, those of positions and opacities by its root, and the
-    last one of positions by its square; 0: 1 for 30 000 steps and more, up to 4 in short runs."""
+    last one of positions by its square; 0: 1 for 30,000 steps and more, up to 4 in short runs."""
     lr_final: float = 0.2
     """What is left of the learning rates, those of positions apart, at the last step: they fall
     exponentially over the last tenth of the run. 1: they stay as they are."""
@@ -208,7 +211,7 @@ class TrainConfig:
     """Weight of 1 - correlation for views whose map could not be aligned, as a share of
     `depth_weight`; 0: such views get no depth loss."""
     depth_points: int = -1
-    """Points added at the start from aligned maps where SfM left holes, at most; -1: 10 000 where
+    """Points added at the start from aligned maps where SfM left holes, at most; -1: 10,000 where
     depth supervises, and a fifth of `max_splats`; 0: none."""
     drop_rate: float = 0.0
     """Share of splats left out of a step at random, rising from 0 to this at the last step (Park et
@@ -231,7 +234,7 @@ class TrainConfig:
     grow_with_photos: bool = True
     """`default`: the largest number of splats rises with the sides of the photos, from the number
     at the start to `max_splats` at full size, so that small photos do not grow what only large ones
-    show; in runs of 1000 steps and more whose photos start at less than about 0.4 of their sides.
+    show; in runs of 1,000 steps and more whose photos start at less than about 0.4 of their sides.
     `mcmc` gains nothing by it."""
 
     without: tuple[Skip, ...] = ()
@@ -246,7 +249,7 @@ class TrainConfig:
     """Steps between two refinements; 0: 100, fewer in short runs."""
     reset_every: int = 0
     """`default`: steps between two opacity resets, up to `refine_stop` or, where that is 0, half of
-    the run; 0: 3000, none in runs under 6000 steps; -1: never."""
+    the run; 0: 3,000, none in runs under 6,000 steps; -1: never."""
     grow_grad: float = 0.0
     """`default`: mean positional gradient in normalised image coordinates above which a splat is
     doubled; 0: 2e-4, down to 1e-4 in short runs."""

@@ -77,6 +77,8 @@ class Progress(Event):
     eta_s: float
     elapsed_s: float
     phase: str
+    """What is being done: `reading photos 3/60`, `adding splats`, `refining` those that are there
+    once no more are added, `measuring` or `paused`."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -25,6 +25,7 @@ BOTTOM = {
     "extras",
     "sh",
     "transforms",
+    "words",
 }
 ALLOWED = {
     **dict.fromkeys(BOTTOM, BOTTOM),

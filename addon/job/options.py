@@ -35,6 +35,7 @@ class Settings(Protocol):
     test_every: int
     use_masks: bool
     mask_mode: str
+    invert_masks: bool
     depth_mode: str
 
 
@@ -89,9 +90,7 @@ def new_run(
         arguments += ["--test-every", str(settings.test_every)]
     if settings.images != data.images:
         arguments += ["--images", settings.images]
-    mask_mode = settings.mask_mode if settings.use_masks else "none"
-    if mask_mode != data.mask_mode:
-        arguments += ["--mask-mode", mask_mode]
+    arguments += _masks(settings, data.mask_mode)
     if depths and settings.depth_mode != Switch.OFF:
         arguments += ["--depths", DEPTHS]
         if settings.depth_mode != train.depth_mode:
@@ -177,10 +176,17 @@ def depth_run(
         arguments.append("--overwrite")
     if settings.images != data.images:
         arguments += ["--images", settings.images]
-    mask_mode = settings.mask_mode if settings.use_masks else "none"
-    if mask_mode != data.mask_mode:
-        arguments += ["--mask-mode", mask_mode]
+    arguments += _masks(settings, data.mask_mode)
     return [*arguments, "--threads", str(threads), "--events", "jsonl"]
+
+
+def _masks(settings: Settings, usual: str) -> list[str]:
+    """Options that say what masks mean, where that is not the `usual` mode."""
+    mask_mode = settings.mask_mode if settings.use_masks else "none"
+    arguments = [] if mask_mode == usual else ["--mask-mode", mask_mode]
+    if settings.use_masks and settings.invert_masks:
+        arguments.append("--invert-masks")
+    return arguments
 
 
 def _machine(machine: Machine) -> list[str]:

@@ -68,6 +68,7 @@ class TrainOptionsPanel(TabPanel, bpy.types.Panel):
         column.prop(settings, "use_masks")
         if settings.use_masks:
             column.prop(settings, "mask_mode")
+            column.prop(settings, "invert_masks")
         column = layout.column()
         for name in ("strategy", "sh_degree", "background", "antialias", "free_space", "seed"):
             column.prop(settings, name)

@@ -69,7 +69,14 @@ def compare(
     size = cm.frame_size(own.width, own.height, scene.render.resolution_percentage)
     width, height = max(size[0], 1), max(size[1], 1)
     masks = scene.gscore.mask_mode if scene.gscore.use_masks else "none"
-    target = load_target(camera, width, height, background=background, mask_mode=masks)
+    target = load_target(
+        camera,
+        width,
+        height,
+        background=background,
+        mask_mode=masks,
+        invert_masks=scene.gscore.invert_masks,
+    )
     rendered = picture.draw(
         collect(depsgraph, final_cache),
         photo_view(camera, own, depsgraph, width, height),

@@ -32,6 +32,7 @@ def load_target(
     *,
     background: tuple[float, float, float],
     mask_mode: str,
+    invert_masks: bool = False,
 ) -> Target:
     """A camera's photo and mask at another size, scaled as for training.
 
@@ -42,6 +43,7 @@ def load_target(
         background: sRGB values that photos are composited over where their opacity says so.
         mask_mode: As gscore's option: `auto`, `composite`, `ignore` or `none`. Masks are files of
             the photos' names in the capture's folder `masks`, else the photos' opacity.
+        invert_masks: Mask files are white where pixels do not count.
 
     Raises:
         ValueError: photo or mask cannot be decoded or have other shapes than the camera.
@@ -64,6 +66,7 @@ def load_target(
             )
         opacity = mask[..., 3] if mask[..., 3].min() < 1 else mask[..., :3].max(axis=2)
         opacity = opacity * 255 if 0 < opacity.max() <= 1 / 255 else opacity
+        opacity = 1 - opacity if invert_masks else opacity
         mode = "ignore" if mask_mode == "auto" else mask_mode
     elif mask_mode == "auto":
         mode = "composite"

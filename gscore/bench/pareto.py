@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 from ..config import DataConfig, TrainConfig
 from ..datasets import Dataset
+from ..words import count_words
 from .training import train_measured
 
 
@@ -25,7 +26,8 @@ class Size:
 
     def __str__(self) -> str:
         return (
-            f"{self.preset}, {self.width} px, {self.max_splats:,} splats, {self.iterations:,} steps"
+            f"{self.preset}, {self.width} px, {count_words(self.max_splats, 'splat')}, "
+            f"{count_words(self.iterations, 'step')}"
         )
 
 

@@ -6,7 +6,6 @@ verb does not break the others. Exit codes: 0 done, 1 an error inside gscore, 2 
 143 for SIGINT and SIGTERM.
 """
 
-import difflib
 import errno
 import os
 import sys
@@ -17,7 +16,8 @@ from importlib import import_module
 from .._version import __version__
 from ..errors import GsError
 from ..extras import how_to_install, missing
-from .parser import Parser, sentence
+from .parser import Parser, nearest, sentence
+from .status import beginning, wrapped
 
 VERBS = {
     "train": "train splats from photos with COLMAP cameras",
@@ -31,6 +31,15 @@ VERBS = {
     "stress": "measure numerical errors",
 }
 
+_EXAMPLES = {
+    "train": "Example: gscore train photos/ -o run --preset draft --eval",
+    "sequence": "Example: gscore sequence CASE --frames 0:145:5 -o out",
+    "eval": "Example: gscore eval run",
+    "depth": "Example: gscore depth photos/ --model midas.onnx",
+    "render": "Example: gscore render run -o orbit.mp4",
+    "info": "Example: gscore info photos/",
+}
+"""At the end of a verb's help."""
 _DISK_ERRORS = {
     errno.ENOSPC: "the disk is full; free some space or choose another output",
     errno.EDQUOT: "your disk quota is used up; free some space or choose another output",
@@ -50,9 +59,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     if verb in ("-V", "--version"):
         print(f"gscore {__version__}")
         return 0
+    if verb == "help":
+        return main([*rest[:1], "--help"])
     if verb not in VERBS:
-        guess = difflib.get_close_matches(verb, VERBS, n=1)
-        hint = f"did you mean `gscore {guess[0]}`?" if guess else f"verbs: {', '.join(VERBS)}."
+        guess = nearest(verb, [*VERBS, "help"])
+        hint = f"did you mean `gscore {guess}`?" if guess else f"verbs: {', '.join(VERBS)}."
         return _complain("gscore", f"there is no verb {verb!r}; {hint}")
     return _guarded(f"gscore {verb}", verb, rest)
 
@@ -68,8 +79,15 @@ def dashed(arguments: Sequence[str]) -> list[str]:
 
 def _guarded(prog: str, verb: str, arguments: list[str]) -> int:
     try:
-        module = import_module(f".{verb}", __package__)
-        parser = Parser(prog=prog, description=sentence(VERBS[verb]), allow_abbrev=False)
+        wants_help = any(word in ("-h", "--help", "--quiet", "--events") for word in arguments)
+        with beginning(sys.stderr, "" if wants_help else f"Starting {prog}"):
+            module = import_module(f".{verb}", __package__)
+        parser = Parser(
+            prog=prog,
+            description=sentence(VERBS[verb]),
+            epilog=_EXAMPLES.get(verb),
+            allow_abbrev=False,
+        )
         module.add_arguments(parser)
         return module.run(parser.parse_args(dashed(arguments)))
     except SystemExit as stop:  # argparse has already said what is wrong
@@ -101,11 +119,11 @@ def _guarded(prog: str, verb: str, arguments: list[str]) -> int:
 def _usage() -> str:
     lines = ["usage: gscore VERB ...", "", "3D Gaussian Splatting on any CPU.", ""]
     lines += [f"  {verb:8} {text}" for verb, text in VERBS.items()]
-    return "\n".join([*lines, "", "`gscore VERB --help` lists the options of a verb."])
+    return "\n".join([*lines, "", "`gscore help VERB` lists the options of a verb."])
 
 
 def _complain(prog: str, message: str) -> int:
-    print(f"{prog}: error: {message}", file=sys.stderr)
+    print(wrapped(f"{prog}: error: {message}", sys.stderr), file=sys.stderr)
     return 2
 
 

@@ -13,48 +13,85 @@ def add_data_options(parser: argparse.ArgumentParser) -> None:
     """Declare them, under the names `gscore train` and the 3DGS tools use."""
     group = parser.add_argument_group("capture")
     group.add_argument("-i", "--images", metavar="DIR", help="folder of the photos in SOURCE")
-    group.add_argument("--masks", metavar="DIR", help="folder of masks in SOURCE")
-    group.add_argument(
-        "--mask-mode",
-        choices=("auto", "composite", "ignore", "none"),
-        help="composite: masks are opacity; ignore: masked-out pixels do not count",
-    )
+    add_mask_options(group)
     group.add_argument(
         "-r",
         "--resolution",
         type=float,
-        help="1, 2, 4, 8: divide by it; larger: width in pixels; -1: as is, at most 1600 px wide",
+        help="size of the photos: 1, 2, 4, 8 divide it; a larger number is the width in pixels; "
+        "-1: as they are, at most as wide as the preset says",
     )
     add_split_options(group)
-    group.add_argument("--frame", type=int, metavar="N", help="frame of a multi-view video")
     group.add_argument(
-        "--rig", type=Path, metavar="DIR", help="take the cameras and the world of that capture"
+        "--frame", type=int, metavar="N", help="of a multi-view video: number of the frame to read"
+    )
+    group.add_argument(
+        "--rig",
+        type=Path,
+        metavar="DIR",
+        help="another capture by the same cameras, which stand where that one says",
+    )
+
+
+def add_mask_options(group: argparse._ActionsContainer) -> None:
+    """Declare the options that say where masks are and what they mean."""
+    group.add_argument("--masks", metavar="DIR", help="folder of masks in SOURCE (masks)")
+    group.add_argument(
+        "--mask-mode",
+        choices=("auto", "composite", "ignore", "none"),
+        help="ignore: pixels where the mask is black do not count; composite: the mask is the "
+        "opacity of the subject, and nothing else is trained; none: masks are not read; auto: "
+        "composite for photos with transparency and masks that cut out a subject, else ignore",
+    )
+    group.add_argument(
+        "--invert-masks",
+        action=argparse.BooleanOptionalAction,
+        default=None,
+        help="mask files are white where pixels do not count, instead of black",
     )
 
 
 def add_split_options(group: argparse._ActionsContainer) -> None:
     """Declare the options that choose test views."""
-    group.add_argument("--test-every", type=int, metavar="N", help="every N-th view is a test view")
-    group.add_argument("--test-list", type=Path, metavar="FILE", help="names of the test views")
-    group.add_argument("--test-first", type=int, metavar="N", help="the first N are test views")
-    group.add_argument("--test-last", type=int, metavar="N", help="the last N are test views")
+    group.add_argument(
+        "--test-every",
+        type=int,
+        metavar="N",
+        help="every N-th photo is held out of the training, to measure on it (8)",
+    )
+    group.add_argument(
+        "--test-list",
+        type=Path,
+        metavar="FILE",
+        help="text file with the names of the photos to hold out, one a line",
+    )
+    group.add_argument("--test-first", type=int, metavar="N", help="hold the first N photos out")
+    group.add_argument("--test-last", type=int, metavar="N", help="hold the last N photos out")
 
 
 def add_depth_options(parser: argparse.ArgumentParser) -> None:
     """Declare the options that say which depth maps to read and how."""
     group = parser.add_argument_group("depth maps")
     group.add_argument(
-        "-d", "--depths", metavar="DIR", help="folder of inverse depth maps in SOURCE"
+        "-d",
+        "--depths",
+        metavar="DIR",
+        help="folder of depth maps in SOURCE; gscore depth makes and checks them",
     )
     group.add_argument(
         "--depth-align",
         choices=("auto", "official", "robust", "none"),
-        help="how depth maps get the scale of the capture (auto: depth_params.json, else robust)",
+        help="how depth maps get the scale of the capture: official: as depth_params.json says; "
+        "robust: by the points that COLMAP found; none: they have it; auto: official where it "
+        "agrees with the points, else robust",
     )
 
 
 _SPLIT = ("test_every", "test_list", "test_first", "test_last")
-_OTHER = ("images", "masks", "mask_mode", "depths", "depth_align", "resolution", "frame", "rig")
+_OTHER = (
+    *("images", "masks", "mask_mode", "invert_masks", "depths", "depth_align", "resolution"),
+    *("frame", "rig"),
+)
 
 
 def with_data_options(config: DataConfig, args: argparse.Namespace) -> DataConfig:

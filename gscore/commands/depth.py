@@ -25,11 +25,12 @@ from ..errors import Cancelled, ConfigError, FormatError
 from ..events import DepthDone, DepthProgress, Saved, Warn
 from ..extras import need
 from ..metrics.colormap import colorize
-from ..metrics.words import count_words
 from ..trainer.depth_rule import coverage, decide
+from ..words import count_words
 from .attend import Show, attend
-from .data_options import add_split_options, with_data_options
+from .data_options import add_mask_options, add_split_options, with_data_options
 from .output import check_folder, print_json
+from .status import wrapped
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -52,33 +53,36 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--align",
         choices=("robust", "official"),
         default="robust",
-        help="official: medians and mean absolute deviations, as the 3DGS tools",
+        help="how maps are fitted to the points that COLMAP found: robust against wrong ones, or "
+        "official, as the 3DGS tools do (medians and mean absolute deviations)",
     )
     parser.add_argument(
         "--kind",
         type=DepthKind,
         choices=tuple(DepthKind),
         default=DepthKind.AUTO,
-        help="what the network or the maps hold; auto: the points tell",
+        help="whether larger numbers in maps are nearer (inverse) or farther (depth); auto: found "
+        "by comparing with the points",
     )
     parser.add_argument(
         "--normalization",
         type=Normalization,
         choices=tuple(Normalization),
         default=Normalization.AUTO,
-        help="how the network wants its photos; auto: the file tells",
+        help="how the network wants the numbers of its photos; auto: by its file",
     )
     parser.add_argument(
         "--input-size",
         type=int,
         default=0,
         metavar="N",
-        help="pixels of the shorter side of what the network sees, where it is free",
+        help="shorter side in pixels of what the network is shown, where it takes any size",
     )
     parser.add_argument(
         "--overwrite",
         action="store_true",
-        help="predict views that have a map, and replace a depth_params.json by another program",
+        help="predict views again that have a map, and replace a depth_params.json that another "
+        "program wrote",
     )
     parser.add_argument(
         "--check",
@@ -86,13 +90,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="say which maps a training would use and why not others; write nothing",
     )
     parser.add_argument("-i", "--images", default="images", help="folder of the photos in SOURCE")
-    parser.add_argument("--masks", default="", metavar="DIR", help="folder of masks in SOURCE")
-    parser.add_argument(
-        "--mask-mode",
-        choices=("auto", "composite", "ignore", "none"),
-        default="auto",
-        help="composite: what masks hide is left out of the maps",
+    masks = parser.add_argument_group(
+        "masks", "With composite, what they hide is left out of maps."
     )
+    add_mask_options(masks)
     parser.add_argument("--frame", type=int, metavar="N", help="frame of a multi-view video")
     held_out = parser.add_argument_group(
         "test views",
@@ -100,7 +101,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "have no part in placing the others.",
     )
     add_split_options(held_out)
-    parser.add_argument("--threads", type=int, default=0, help="0: all cores")
+    parser.add_argument(
+        "--threads", type=int, default=0, metavar="N", help="CPU threads; 0: all cores"
+    )
     parser.add_argument("--json", action="store_true", help="the results as JSON, last on stdout")
     parser.add_argument(
         "--events", choices=("jsonl",), help="events as JSON lines on stdout, commands on stdin"
@@ -115,6 +118,8 @@ class _Result:
     done: DepthDone
     alignment: Alignment
     network: Network | None
+    used: str
+    """What the network was taken for, in words; empty: there is none."""
     warnings: list[str]
     shown: int
     """Views on the contact sheet."""
@@ -165,8 +170,8 @@ def _work(args: argparse.Namespace, show: Show, control: Control, told: "_Told")
     seen = observations(config, dataset)
     prediction = None
     if network is not None:
-        if not (args.quiet or args.events):
-            _print_network(network, dataset)
+        using = f"predicting with {_network_words(network, dataset)}"
+        show(DepthProgress(done=0, total=len(dataset), view="", eta_s=float("nan"), phase=using))
         prediction = predict_views(
             network,
             dataset,
@@ -223,8 +228,8 @@ def _finish(
     maps = [found.find(name) for name in dataset.names]
     if not any(maps):
         raise ConfigError(
-            f"{folder} has no depth map of any view ({len(found)} maps there), and no network to "
-            f"make them: give one with --model FILE.onnx. {WHERE}."
+            f"{folder} has no depth map of any view ({count_words(len(found), 'map')} there), and "
+            f"no network to make them: give one with --model FILE.onnx. {WHERE}."
         )
     # Maps that were predicted hold inverse depth, whatever the network gave.
     kind = DepthKind.INVERSE if prediction is not None else args.kind
@@ -260,7 +265,14 @@ def _finish(
         why=_why(dataset, samples),
     )
     show(done)
-    return _Result(done=done, alignment=alignment, network=network, warnings=warnings, shown=shown)
+    return _Result(
+        done=done,
+        alignment=alignment,
+        network=network,
+        used=_network_words(network, dataset) if network else "",
+        warnings=warnings,
+        shown=shown,
+    )
 
 
 def _why(dataset: Dataset, samples: list[Samples | None]) -> str:
@@ -353,24 +365,24 @@ def _facts(args: argparse.Namespace, result: _Result) -> dict[str, Any]:
 def _print(args: argparse.Namespace, result: _Result) -> None:
     done = result.done
     what = "depth" if result.alignment.kind is DepthKind.DEPTH else "inverse depth"
-    print(_table_text(done.table))
+    lines = [_table_text(done.table)]
+    if result.used:
+        lines.append(f"Predicted with {result.used}.")
     count = f"{done.accepted} of {sum(1 for row in done.table if row['map'])} maps of {what}"
     if args.check:
-        print(f"{count} would be used with their scale; nothing was written")
-        print(done.why)
-        return
-    print(f"{count} aligned by the {args.align} rule: {done.params}")
-    print(f"{count_words(result.shown, 'view')} on {done.sheet}")
-    print(done.why)
+        lines.append(f"{count} would be used with their scale; nothing was written")
+    else:
+        lines.append(f"{count} aligned by the {args.align} rule: {done.params}")
+        lines.append(f"{count_words(result.shown, 'view')} on {done.sheet}")
+    print(wrapped("\n".join([*lines, done.why]), sys.stdout))
 
 
-def _print_network(network: Network, dataset: Dataset) -> None:
+def _network_words(network: Network, dataset: Dataset) -> str:
     profile = network.profile
-    size = network.input_size(*dataset.files[0].photo_size)
-    print(
-        f"{network.path.name}: taken for {profile.family}, input {size[0]} x {size[1]}, "
-        f"normalization {profile.normalization}",
-        file=sys.stderr,
+    width, height = network.input_size(*dataset.files[0].photo_size)
+    return (
+        f"{network.path.name}, taken for {profile.family}: input {width} x {height} px, "
+        f"normalization {profile.normalization}"
     )
 
 

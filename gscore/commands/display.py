@@ -1,25 +1,29 @@
-"""How a command shows events: JSON lines for programs, one moving line for people, or nothing."""
+"""How a command shows events: JSON lines for programs, lines for people, or nothing."""
 
 import contextlib
 import os
-import sys
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import TextIO
 
 from ..events import (
+    DepthDone,
     DepthProgress,
+    Done,
     Estimated,
     Eval,
     Event,
+    Failed,
     FrameStarted,
     Progress,
     Saved,
+    SequenceDone,
     Started,
     Warn,
     to_line,
 )
-from ..metrics.words import count_words, quality_words, size_words
+from ..words import count_words, number, quality_words, size_words, time_words
+from .status import Status, clock
 
 _MASKS = {
     "ignore": "Masks are used: what they hide is not trained and not measured. --mask-mode none "
@@ -28,8 +32,8 @@ _MASKS = {
     "trained. --mask-mode none trains whole photos, ignore leaves open what masks hide.",
 }
 """By `mask_mode`."""
-_LINE_PERIOD = 10.0
-"""Seconds between two lines where stderr is not a terminal."""
+_STOPS = ("paused", "measuring")
+"""Phases in which no steps are taken. The others are not shown: the splats tell them."""
 
 
 class Silent:
@@ -64,93 +68,130 @@ class JsonLines:
 
 
 class Lines:
-    """A line that moves on a terminal, and a line every few seconds elsewhere."""
+    """What happens as lines for people; how far it is moves under them on a terminal.
+
+    What the verb says at its end, on stdout, is left out here: the last measurement and the files
+    it is of, except for the frames of a sequence, of which the verb says the mean.
+    """
 
     def __init__(self, stream: TextIO) -> None:
-        self._stream = stream
-        self._moving = stream.isatty()
-        self._width = 0
-        self._last = -_LINE_PERIOD
+        self._status = Status(stream)
+        self._measured = ""
+        self._sequence = False
+        self._status.show(["Starting"])
 
     def __call__(self, event: Event) -> None:
         """Show the event."""
         match event:
-            case Estimated():
-                self._permanent(estimate_text(event))
-            case Started():
-                if event.step:
-                    self._permanent(f"Going on from step {event.step} of {event.iterations}")
-                self._permanent(
-                    f"{count_words(event.train_views, 'training view')}, "
-                    f"{count_words(event.test_views, 'test view')}, "
-                    f"{event.width} x {event.height} px; {event.splats} splats to start with; "
-                    f"{count_words(event.threads, 'thread')}, {event.isa}"
-                )
-                if sentence := _MASKS.get(event.mask_mode):
-                    self._permanent(sentence)
-                if event.depth:
-                    self._permanent(event.depth)
-            case FrameStarted():
-                how = "complete already" if event.complete else f"{event.iterations} steps"
-                how += ", from the frame before" if event.start and not event.complete else ""
-                place = f"{event.place} of {event.frames}"
-                self._permanent(f"Frame {event.frame} ({place}): {how}")
             case Progress():
-                self._progress(progress_text(event), last=event.step >= event.iterations)
-            case DepthProgress(done=done, total=total) if done:
-                text = f"{done}/{total} {event.view}  {clock(event.eta_s)} left  {event.phase}"
-                self._progress(text, last=done == total)
-            case Warn():
-                self._permanent(f"Warning: {event.message}")
+                self._progress(event)
+            case DepthProgress():
+                self._depth(event)
             case Eval():
-                if event.metrics.get("ssim") is not None:
-                    worth = quality_words(event.metrics)
-                    self._permanent(f"Step {event.step}, {event.split} views: {worth}")
+                self._measured = eval_text(event)
+            case Done() | DepthDone() | SequenceDone() | Failed():
+                self._end()
             case Saved():
-                self._permanent(f"Saved {event.path}")
+                self._saved(event)
+            case FrameStarted():
+                self._sequence = True
+                self._status.say(frame_text(event))
+            case _:
+                for text in _texts(event):
+                    self._status.say(text)
 
-    def _progress(self, text: str, *, last: bool) -> None:
-        now = time.monotonic()
-        if not self._moving and now - self._last < _LINE_PERIOD and not last:
+    def _progress(self, event: Progress) -> None:
+        self._tell_measured()  # the run goes on, so this was not the last
+        share = event.step / max(event.iterations, 1) if event.splats else None
+        last = event.step >= event.iterations and event.phase not in _STOPS
+        self._status.show(progress_parts(event), share=share, at_once=last)
+
+    def _depth(self, event: DepthProgress) -> None:
+        if not event.done:
+            self._status.show([_capital(event.phase)])
             return
-        self._last = now
-        if self._moving:
-            self._stream.write("\r" + text.ljust(self._width))
-            self._width = len(text)
-            self._stream.flush()
-        else:
-            self._permanent(text)
+        parts = [f"{clock(event.eta_s)} left", f"{event.phase} {event.done} of {event.total}"]
+        last = event.done == event.total
+        share = event.done / event.total
+        self._status.show([*parts, event.view], share=share, at_once=last)
 
-    def _permanent(self, text: str) -> None:
-        clear = "\r" + " " * self._width + "\r" if self._width else ""
-        self._width = 0
-        self._stream.write(clear + text + "\n")
-        self._stream.flush()
+    def _saved(self, event: Saved) -> None:
+        is_asked_for = "point_cloud/iteration_" in Path(event.path).as_posix()
+        if is_asked_for:
+            self._status.say(f"Saved {event.path}")
+
+    def _tell_measured(self) -> None:
+        if self._measured:
+            self._status.say(self._measured)
+        self._measured = ""
+
+    def _end(self) -> None:
+        if self._sequence:
+            self._tell_measured()
+        self._measured = ""
+        self._status.clear()
 
 
-def progress_text(event: Progress) -> str:
-    """One line for people."""
-    share = event.step / max(event.iterations, 1)
-    parts = [f"step {event.step}/{event.iterations} {share:4.0%}"]
-    if event.splats:
-        parts += [f"loss {event.loss:.4f}", f"PSNR {event.psnr:5.2f}", f"{event.splats} splats"]
-        if event.steps_per_s:
-            parts += [f"{event.steps_per_s:.1f} steps/s", f"{clock(event.eta_s)} left"]
-    return "  ".join([*parts, event.phase])
+def _texts(event: Event) -> Iterator[str]:
+    """Lines about an event that stay."""
+    match event:
+        case Estimated():
+            yield estimate_text(event)
+        case Started():
+            if event.step:
+                yield f"Going on from step {number(event.step)} of {number(event.iterations)}"
+            yield (
+                f"{count_words(event.train_views, 'training view')}, "
+                f"{count_words(event.test_views, 'test view')}, "
+                f"{event.width} x {event.height} px"
+            )
+            yield (
+                f"{count_words(event.splats, 'splat')} to start with; "
+                f"{count_words(event.threads, 'thread')}, {event.isa}"
+            )
+            if sentence := _MASKS.get(event.mask_mode):
+                yield sentence
+            if event.depth:
+                yield event.depth
+        case Warn():
+            yield f"Warning: {event.message}"
+
+
+def progress_parts(event: Progress) -> list[str]:
+    """For the moving line, what matters most first."""
+    if not event.splats:
+        return [_capital(event.phase)]
+    step = f"step {number(event.step)} of {number(event.iterations)}"
+    parts = [step, f"PSNR {event.psnr:.1f} dB", count_words(event.splats, "splat")]
+    if event.phase in _STOPS:
+        return [event.phase, *parts]
+    if event.steps_per_s:
+        parts = [f"{clock(event.eta_s)} left", *parts, f"{event.steps_per_s:.1f} steps/s"]
+    return parts
+
+
+def frame_text(event: FrameStarted) -> str:
+    """One line for people on a frame of a sequence that begins."""
+    how = "complete already" if event.complete else count_words(event.iterations, "step")
+    how += ", from the frame before" if event.start and not event.complete else ""
+    return f"Frame {event.frame} ({event.place} of {event.frames}): {how}"
+
+
+def eval_text(event: Eval) -> str:
+    """One line for people; empty for the PSNR alone, with which a run watches its goal."""
+    if event.metrics.get("ssim") is None:
+        return ""
+    return f"Step {number(event.step)}, {event.split} views: {quality_words(event.metrics)}"
 
 
 def estimate_text(event: Estimated) -> str:
     """What a training will take, for people."""
-    text = f"About {clock(event.seconds)} of training and {event.peak_bytes / 1e9:.1f} GB of memory"
+    text = f"About {time_words(max(round(event.seconds), 1))} of training and "
+    text += f"{event.peak_bytes / 1e9:.1f} GB of memory"
     if event.photos_kept:
         return text
     return f"{text}; {size_words(event.photo_bytes)} of photos are kept, the others read again"
 
 
-def clock(seconds: float) -> str:
-    """1:02:03 or 2:03; a dash if it is not known."""
-    if not 0 <= seconds < sys.maxsize:
-        return "-"
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]

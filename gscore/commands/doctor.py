@@ -20,10 +20,11 @@ from ..metrics.machine import (
     total_memory_bytes,
     version_of,
 )
-from ..metrics.words import count_words, size_words
 from ..sh import rgb_to_sh0
 from ..splats import Splats
+from ..words import count_words, size_words
 from .output import print_json
+from .status import beginning, wrapped
 
 _LITTLE_MEMORY = 2_000_000_000
 _TOLERANCE = 1e-5
@@ -64,11 +65,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Look, try, say; 0 if this machine can train, 2 if something needed is missing."""
-    facts = _facts()
+    with beginning(sys.stderr, "Looking at the packages"):
+        facts = _facts()
     if args.json:
         print_json(facts)
     else:
-        print(_text(facts))
+        print(wrapped(_text(facts), sys.stdout))
     return 0 if facts["can_train"] else 2
 
 
@@ -191,7 +193,7 @@ def _text(facts: dict[str, Any]) -> str:
         ("gscore", facts["gscore"]),
         ("Python", f"{facts['python']} ({facts['executable']})"),
         ("platform", facts["platform"]),
-        ("processor", f"{facts['cpu']} ({facts['arch']}), {facts['cores']} cores"),
+        ("processor", f"{facts['cpu']} ({facts['arch']}), {count_words(facts['cores'], 'core')}"),
         ("memory", memory),
         ("library", native["library"]),
     ]

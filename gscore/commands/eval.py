@@ -22,12 +22,13 @@ from ..metrics import (
     write_metrics,
     write_report,
 )
-from ..metrics.words import count_words, quality_words
 from ..raster import backend
 from ..raster.api import render
+from ..words import count_words, quality_words
 from .data_options import add_data_options, with_data_options
 from .model import Model, add_model_argument, model_path, open_model
 from .output import check_folder, print_json
+from .status import Counted, Status, wrapped
 
 _KEPT = (
     "steps",
@@ -58,8 +59,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=("test", "train", "all"),
         help="views to measure; default: test if there are test views, else all",
     )
-    parser.add_argument("--lpips", type=Path, metavar="FILE.onnx", help="network for LPIPS")
-    parser.add_argument("--threads", type=int, default=0, help="0: all cores")
+    parser.add_argument(
+        "--lpips",
+        type=Path,
+        metavar="FILE.onnx",
+        help="network of LPIPS, a measure of likeness as people see it; without it, not measured",
+    )
+    parser.add_argument(
+        "--threads", type=int, default=0, metavar="N", help="CPU threads; 0: all cores"
+    )
     parser.add_argument("--json", action="store_true", help="the results as JSON, last on stdout")
     parser.add_argument("--quiet", action="store_true", help="no progress")
     add_data_options(parser)
@@ -67,6 +75,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Measure, write metrics.json and report.html, say the means."""
+    with Status(sys.stderr, quiet=args.quiet) as status:
+        return _measure(args, status)
+
+
+def _measure(args: argparse.Namespace, status: Status) -> int:
+    status.show(["Reading the splats"])
     lpips, lpips_reason = find_lpips(args.lpips, threads=args.threads)
     model = open_model(model_path(args))
     output = args.output or model.run
@@ -77,6 +91,7 @@ def run(args: argparse.Namespace) -> int:
         )
     check_folder(output)
     config = _data_config(args, model)
+    status.show([f"Reading the capture {config.source}"])
     dataset = load_dataset(config)
     warnings = [*model.warnings, *dataset.warnings]
     if model.data is None and dataset.test and args.split != "all":
@@ -86,6 +101,7 @@ def run(args: argparse.Namespace) -> int:
         )
     split, indices = _indices(args.split, dataset)
     collector = PictureCollector(count=len(indices))
+    told = Counted(status, len(indices), "view")
     background = model.background
 
     def picture(index: int) -> Any:
@@ -107,10 +123,9 @@ def run(args: argparse.Namespace) -> int:
         place: int, target: Any, rendered: Any, weights: Any, values: dict[str, Any]
     ) -> None:
         collector(place, target, rendered, weights, values)
-        if not args.quiet:
-            psnr = judged_psnr(values)
-            worth = "identical" if psnr is None else f"PSNR {psnr:.2f} dB"
-            print(f"{place + 1}/{len(indices)} {values['name']}: {worth}", file=sys.stderr)
+        psnr = judged_psnr(values)
+        worth = "identical" if psnr is None else f"PSNR {psnr:.2f} dB"
+        told(place + 1, f"{values['name']}: {worth}")
 
     evaluation = evaluate(
         picture,
@@ -149,12 +164,13 @@ def run(args: argparse.Namespace) -> int:
         "config": options,
     } | _how_trained(model)
     write_report(output / "report.html", report)
+    status.clear()
     for sentence in warnings:
-        print(f"Warning: {sentence}", file=sys.stderr)
+        print(wrapped(f"Warning: {sentence}", sys.stderr), file=sys.stderr)
     if args.json:
         print_json(headline(metrics) | {"output": str(output)})
     else:
-        print(_summary(metrics, output))
+        print(wrapped(_summary(metrics, output), sys.stdout))
     return 0
 
 

@@ -1,6 +1,7 @@
 """`gscore info`: what a capture, a PLY or the folder of a run or a sequence holds."""
 
 import argparse
+import sys
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -14,10 +15,12 @@ from ..io.ply_compressed import is_compressed
 from ..io.ply_elements import read_elements
 from ..io.runs import checkpoints_in, read_metrics
 from ..io.sequences import read_sequence
-from ..metrics.words import count_words, quality_words, size_words, time_words
 from ..splats import Splats
+from ..words import count_words, quality_words, size_words, time_words
+from .data_options import add_mask_options, with_data_options
 from .model import Model, collected_warnings, find_ply, open_model
 from .output import print_json
+from .status import wrapped
 
 _QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
 _EXPONENT = 350.0
@@ -29,6 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-i", "--images", default="images", help="folder of the photos in a capture"
     )
+    add_mask_options(parser)
     parser.add_argument("--json", action="store_true", help="one JSON object on stdout")
 
 
@@ -44,11 +48,11 @@ def run(args: argparse.Namespace) -> int:
     elif path.is_dir() and _holds_model(path):
         facts = _run_facts(path)
     else:
-        facts = _capture_facts(path, args.images)
+        facts = _capture_facts(path, args)
     if args.json:
         print_json(facts)
     else:
-        print(_text(facts))
+        print(wrapped(_text(facts), sys.stdout))
     return 0
 
 
@@ -121,10 +125,11 @@ def _run_facts(folder: Path) -> dict[str, Any]:
     return facts | {"model": _model_facts(model)}
 
 
-def _capture_facts(path: Path, images: str) -> dict[str, Any]:
+def _capture_facts(path: Path, args: argparse.Namespace) -> dict[str, Any]:
     from ..datasets import load_dataset  # needs Pillow to look into the photos
 
-    dataset = load_dataset(DataConfig(source=path, images=images, resolution=1))
+    config = with_data_options(DataConfig(source=path, resolution=1), args)
+    dataset = load_dataset(config)
     scene = dataset.scene
     cameras = scene.cameras
     sizes = Counter(
@@ -143,6 +148,7 @@ def _capture_facts(path: Path, images: str) -> dict[str, Any]:
         ),
         "points": len(scene.points),
         "masks": dataset.mask_mode,
+        "masks_inverted": config.invert_masks,
         "decoded_bytes": dataset.nbytes,
         "warnings": list(dataset.warnings),
     }
@@ -182,8 +188,8 @@ def _splats_text(facts: dict[str, Any]) -> list[str]:
     marks = ["trained with antialiasing"] if facts["antialias"] else []
     marks += [f'comment "{line}"' for line in facts["comments"]]
     lines = [
-        f"{facts['path']}: {facts['splats']:,} splats, SH degree {facts['sh_degree']}, "
-        f"{size_words(facts['storage_bytes'])}, {facts['layout']} layout"
+        f"{facts['path']}: {count_words(facts['splats'], 'splat')}, SH degree "
+        f"{facts['sh_degree']}, {size_words(facts['storage_bytes'])}, {facts['layout']} layout"
         + (f", {', '.join(marks)}" if marks else "")
     ]
     if "bounds" not in facts:
@@ -206,8 +212,8 @@ def _run_text(facts: dict[str, Any]) -> list[str]:
     metrics = facts["metrics"]
     if metrics and (worth := quality_words(metrics)):
         lines.append(
-            f"  {metrics['split']} views: {worth}; {metrics['steps']} steps in "
-            f"{time_words(metrics['train_seconds'])}"
+            f"  {metrics['split']} views: {worth}; "
+            f"{count_words(metrics['steps'], 'step')} in {time_words(metrics['train_seconds'])}"
         )
     count = facts["checkpoints"]
     lines.append(f"  {count_words(count, 'checkpoint')}")
@@ -219,14 +225,16 @@ def _run_text(facts: dict[str, Any]) -> list[str]:
 
 def _sequence_text(facts: dict[str, Any]) -> list[str]:
     frames, total = facts["frames"], facts["mean"].get("frames_total", "?")
-    lines = [f"{facts['path']}: a sequence, {len(frames)} of {total} frames complete"]
+    lines = [
+        f"{facts['path']}: a sequence, {len(frames)} of {count_words(total, 'frame')} complete"
+    ]
     for entry in frames:
         psnr = entry.get("psnr")
         quality = "" if psnr is None else f", {entry.get('split')} views PSNR {psnr:.2f}"
         took = time_words(entry.get("train_seconds") or 0.0)
         lines.append(
-            f"  {entry['folder']}: {entry.get('splats', 0):,} splats, {entry.get('steps')} steps "
-            f"in {took}{quality}"
+            f"  {entry['folder']}: {count_words(entry.get('splats', 0), 'splat')}, "
+            f"{count_words(entry.get('steps'), 'step')} in {took}{quality}"
         )
     if len(frames) != total:
         lines.append(f"  go on with: gscore sequence -o {facts['path']} --resume")
@@ -236,12 +244,13 @@ def _sequence_text(facts: dict[str, Any]) -> list[str]:
 def _capture_text(facts: dict[str, Any]) -> list[str]:
     sizes = ", ".join(f"{n} of {size} px" for size, n in facts["sizes"].items())
     low, high = facts["focal_px"]
+    inverted = " inverted" if facts["masks_inverted"] else ""
     focal = f"{low:.1f}" if high - low < 0.05 else f"{low:.1f} to {high:.1f}"
     lines = [
-        f"{facts['path']}: a capture with {facts['views']} photos ({sizes})",
+        f"{facts['path']}: a capture with {count_words(facts['views'], 'photo')} ({sizes})",
         f"  names from {facts['names'][0]} to {facts['names'][1]}",
         f"  focal length {focal} px after undistortion, camera extent {facts['camera_extent']:.3g}",
-        f"  {facts['points']:,} points, masks: {facts['masks']}, "
+        f"  {count_words(facts['points'], 'point')}, masks: {facts['masks']}{inverted}, "
         f"{size_words(facts['decoded_bytes'])} of photos in memory",
     ]
     model = facts["model"]
@@ -249,7 +258,8 @@ def _capture_text(facts: dict[str, Any]) -> list[str]:
         kinds = ", ".join(f"{n} {kind}" for kind, n in model["cameras"].items())
         error = model["mean_error_px"]
         lines.append(
-            f"  COLMAP model {model['path']}: cameras {kinds}; {model['images']} images"
+            f"  COLMAP model {model['path']}: cameras {kinds}; "
+            f"{count_words(model['images'], 'image')}"
             + (f"; mean error {error:.2f} px" if error is not None else "")
         )
     return lines

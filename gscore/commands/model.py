@@ -11,6 +11,8 @@ from pathlib import Path
 from ..config import Background, DataConfig, TrainConfig
 from ..config_file import load_config
 from ..errors import ConfigError, DatasetError
+from ..io.colmap import find_model
+from ..io.foreign import foreign
 from ..io.ply import header_comments, read_splats, says_antialias
 from ..splats import Splats
 
@@ -114,10 +116,20 @@ def find_ply(path: Path) -> Path:
     saved = sorted(path.glob("point_cloud/iteration_*/point_cloud.ply"), key=_iteration)
     if saved:
         return saved[-1]
+    other = f"{path} is a capture; train it first: gscore train {path} -o run"
     raise DatasetError(
         f"No model in {path}: expected point_cloud.ply or point_cloud/iteration_*/point_cloud.ply; "
-        "give the PLY itself or the folder a training wrote."
+        "give the PLY itself or the folder a training wrote. "
+        + (other if _is_capture(path) else foreign(path))
     )
+
+
+def _is_capture(folder: Path) -> bool:
+    try:
+        find_model(folder)
+    except DatasetError:
+        return (folder / "transforms.json").is_file()
+    return True
 
 
 def _iteration(ply: Path) -> int:

@@ -2,8 +2,21 @@
 
 import argparse
 import difflib
+import sys
 from collections.abc import Iterator, Sequence
 from typing import Any, NoReturn
+
+from .status import wrapped
+
+_REQUIRED = "the following arguments are required: "
+"""How argparse begins; what follows are all names of each, between slashes."""
+_MEANT = {
+    **dict.fromkeys(("fast", "fastest", "quick", "test", "tiny"), "preview"),
+    **dict.fromkeys(("low", "rough"), "draft"),
+    **dict.fromkeys(("default", "medium", "mid", "standard"), "normal"),
+    **dict.fromkeys(("best", "full", "quality", "slow", "ultra"), "high"),
+}
+"""Choices, by what other programs call the same."""
 
 
 def sentence(text: str) -> str:
@@ -16,31 +29,85 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """End with the sentence and exit code 2."""
+        if message.startswith(_REQUIRED):
+            names = message.removeprefix(_REQUIRED).split(", ")
+            message = f"still to be given: {', '.join(name.split('/')[0] for name in names)}"
         sentence = message if message.endswith("?") else f"{message.rstrip('.')}."
-        self.exit(2, f"{self.prog}: error: {sentence} See {self.prog} --help.\n")
+        text = f"{self.prog}: error: {sentence} See {self.prog} --help."
+        self.exit(2, wrapped(text, sys.stderr) + "\n")
+
+    def format_help(self) -> str:
+        """The help, with a first line of what must be given alone: all options follow anyway."""
+        whole, self.usage = self.usage, self._short_usage()
+        try:
+            return super().format_help()
+        finally:
+            self.usage = whole
+
+    def _short_usage(self) -> str:
+        required, places = [], []
+        for action in self._actions:
+            name = str(action.metavar or action.dest)
+            if isinstance(action, argparse._SubParsersAction):
+                places.append(f"{name} ...")
+            elif not action.option_strings and action.help != argparse.SUPPRESS:
+                places.append(f"[{name}]" if action.nargs == "?" else name)
+            elif action.required:
+                required.append(f"{action.option_strings[0]} {name.upper()}")
+        return " ".join(["%(prog)s", *places, *required, "[options]"])
 
     def parse_args(self, args: Sequence[str] | None = None, namespace: Any = None) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
         """As argparse does, but with the nearest option for one that there is not."""
-        found, unknown = self.parse_known_args(args, namespace)
+        words = sys.argv[1:] if args is None else list(args)
+        self._check_names(words)
+        found, unknown = self.parse_known_args(words, namespace)
+        if unknown:
+            self.error(f"unrecognized arguments: {' '.join(unknown)}")
+        return found
+
+    def _check_names(self, words: Sequence[str]) -> None:
+        """Complain about long options that there are not, before about anything else."""
+        known = set(_options(self, hidden=True))
+        before_dashes = words[: list(words).index("--")] if "--" in words else words
+        named = [word.partition("=")[0] for word in before_dashes if word.startswith("--")]
+        unknown = [name for name in named if name[2:] not in known]
         if not unknown:
-            return found
-        named = [word.partition("=")[0] for word in unknown if word.startswith("--")]
-        known = sorted(set(_options(self)))
+            return
+        offered = sorted(set(_options(self)))
         hints = [
-            f"{name}: did you mean --{guess[0]}"
-            for name in named
-            if (guess := difflib.get_close_matches(name[2:], known, n=1, cutoff=0.7))
+            f"{name}: did you mean --{guess}"
+            for name in unknown
+            if (guess := nearest(name[2:], offered))
         ]
-        self.error(
-            f"{'; '.join(hints)}?" if hints else f"unrecognized arguments: {' '.join(unknown)}"
-        )
+        self.error(f"{'; '.join(hints)}?" if hints else f"there is no option {', '.join(unknown)}")
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        """Refuse a value that is none of the choices, with the one that was probably meant."""
+        if action.choices is None or value in action.choices:
+            return
+        choices = [str(choice) for choice in action.choices]
+        meant = _MEANT.get(str(value))
+        guess = meant if meant in choices else nearest(str(value), choices)
+        hint = f"did you mean {guess}? There are" if guess else "there are"
+        raise argparse.ArgumentError(action, f"there is no {value!r}; {hint}: {', '.join(choices)}")
 
 
-def _options(parser: argparse.ArgumentParser) -> Iterator[str]:
-    """The long names, without dashes, of the options that help shows, also of parsers below."""
+def nearest(word: str, known: Sequence[str]) -> str:
+    """The name that was probably meant by `word`; empty: none is near."""
+    word = word.lower()
+    longer = [name for name in known if len(word) > 2 and name.startswith(word)]
+    if len(longer) == 1:
+        return longer[0]
+    close = difflib.get_close_matches(word, known, n=1, cutoff=0.6)
+    return (close or longer or [""])[0]
+
+
+def _options(parser: argparse.ArgumentParser, *, hidden: bool = False) -> Iterator[str]:
+    """The long names, without dashes, of the options that help shows, also of parsers below; those
+    that it does not show too where `hidden` asks for them."""
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             for below in action.choices.values():
-                yield from _options(below)
-        elif action.help != argparse.SUPPRESS:
+                yield from _options(below, hidden=hidden)
+        elif hidden or action.help != argparse.SUPPRESS:
             yield from (name[2:] for name in action.option_strings if name.startswith("--"))

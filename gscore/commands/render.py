@@ -5,25 +5,22 @@ import math
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..config import DataConfig
-from ..datasets.resolution import check_resolution, scale_intrinsics, target_size
-from ..errors import ConfigError, DatasetError
-from ..io.cameras_json import read_cameras
+from ..datasets.resolution import check_resolution
+from ..errors import ConfigError
 from ..io.images import write_png
-from ..io.runs import read_metrics
-from ..metrics.words import count_words
 from ..raster.api import Rendered
 from ..raster.api import render as render_view
 from ..scene import Cameras
-from .camera_path import orbit_path, spline_path
+from ..words import count_words
 from .model import Model, add_model_argument, model_path, open_model
 from .output import check_folder, others_in, print_json
+from .shots import find_shots
+from .status import Counted, Status, wrapped
 from .stills import still_names, to_rgb, to_rgba, write_depth_npy, write_depth_png
 from .video import need_video, write_video
 
@@ -41,7 +38,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
     add_model_argument(parser)
     parser.add_argument(
-        "-o", "--output", type=Path, required=True, help="folder, or one .png, or an .mp4"
+        "-o",
+        "--output",
+        type=Path,
+        required=True,
+        help="folder for pictures, or one .png, or an .mp4",
     )
     group = parser.add_argument_group("cameras")
     group.add_argument(
@@ -54,17 +55,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     which = group.add_mutually_exclusive_group()
     which.add_argument("--view", nargs="+", metavar="NAME", help="these views, by name or number")
-    which.add_argument("--all", action="store_true", help="every view (the default)")
+    which.add_argument("--all", action="store_true", help="every view (the default for stills)")
     which.add_argument("--test", action="store_true", help="the views the run held out")
     which.add_argument(
         "--path",
         choices=("orbit", "spline"),
-        help="a moving camera: around the middle, or through all cameras in order",
+        help="a moving camera: around the middle, or through all cameras in order (a video without "
+        "--view, --all and --test: orbit, else spline)",
     )
-    group.add_argument("--frames", type=int, help="pictures along the path (240)")
+    group.add_argument(
+        "--frames",
+        type=int,
+        help="pictures along the path (8 seconds of them; spline: more with many cameras)",
+    )
     group.add_argument("--fps", type=float, default=30.0, help="pictures a second (30)")
     group.add_argument(
-        "-r", "--resolution", type=float, default=-1, help="2, 4, 8: divide by it; larger: width"
+        "-r",
+        "--resolution",
+        type=float,
+        default=-1,
+        help="2, 4, 8: divide the photos' size by it; larger: width in pixels",
     )
     group = parser.add_argument_group("picture")
     group.add_argument(
@@ -74,14 +84,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--depth", choices=("png", "npy"), help="depth maps too: 16-bit grey, or exact float32"
     )
-    group.add_argument("--sh-degree", type=int, help="use only so many bands of the colour")
-    group.add_argument("--near", type=float, help="near plane, world units")
+    group.add_argument(
+        "--sh-degree",
+        type=int,
+        metavar="N",
+        help="degree of view-dependent colour to draw; 0: none (the model's)",
+    )
+    group.add_argument(
+        "--near",
+        type=float,
+        metavar="X",
+        help="splats nearer to the camera are not drawn; world units",
+    )
     group.add_argument(
         "--antialias",
         action=argparse.BooleanOptionalAction,
-        help="opacity compensation; default: as the model was trained",
+        help="fainter splats below the size of a pixel; default: as the model was trained",
     )
-    parser.add_argument("--threads", type=int, default=0, help="0: all cores")
+    parser.add_argument(
+        "--threads", type=int, default=0, metavar="N", help="CPU threads; 0: all cores"
+    )
     parser.add_argument("--json", action="store_true", help="what was written as JSON on stdout")
     parser.add_argument("--quiet", action="store_true", help="no progress")
 
@@ -92,10 +114,26 @@ def run(args: argparse.Namespace) -> int:
     _check_options(args, is_video=is_video)
     is_file = is_video or args.output.suffix.lower() == ".png"
     check_folder(args.output.parent if is_file else args.output)
+    with Status(sys.stderr, quiet=args.quiet) as status:
+        result = _render(args, status, is_video=is_video)
+    if args.json:
+        print_json(result)
+    else:
+        print(wrapped(_summary(args, result), sys.stdout))
+    return 0
+
+
+def _render(args: argparse.Namespace, status: Status, *, is_video: bool) -> dict[str, Any]:
+    """Facts on what was written."""
+    status.show(["Reading the splats"])
     model = open_model(model_path(args))
     for sentence in model.warnings:
-        print(f"Warning: {sentence}", file=sys.stderr)
-    shots = _shots(args, model, even=is_video)
+        status.clear()
+        print(wrapped(f"Warning: {sentence}", sys.stderr), file=sys.stderr)
+    found = find_shots(args, model, is_video=is_video)
+    if found.why:
+        status.say(found.why)
+    shots = found.cameras
     background = model.background if args.background is None else args.background
     options = {
         "background": (0.0, 0.0, 0.0) if args.transparent else background,
@@ -105,28 +143,29 @@ def run(args: argparse.Namespace) -> int:
         "depths": args.depth is not None,
         "threads": args.threads,
     }
-    work = _Work(model, shots, options, quiet=args.quiet)
+    work = _Work(model, shots, options, status)
     if is_video:
         _check_one_size(shots)
         write_video(args.output, (to_rgb(r) for r in work), fps=args.fps)
         result: dict[str, Any] = {"files": [str(args.output)]}
     else:
         result = _write_stills(args, work)
-    result |= {
+    return result | {
+        "path": found.path or None,
         "pictures": len(shots.names),
         "width": int(shots.widths[0]),
         "height": int(shots.heights[0]),
         "splats": len(model.splats),
         "fps": work.fps,
     }
-    if args.json:
-        print_json(result)
-    else:
-        count = count_words(len(shots.names), "picture")
-        print(f"Wrote {args.output}: {count}, rendered at {work.fps:.1f} fps.")
-        if others := _older(args.output, result):
-            print(f"Files that were there before stay: {others}")
-    return 0
+
+
+def _summary(args: argparse.Namespace, result: dict[str, Any]) -> str:
+    count = count_words(result["pictures"], "picture")
+    size = f"{result['width']} x {result['height']} px"
+    text = f"Wrote {args.output}: {count}, {size}, rendered at {result['fps']:.1f} a second."
+    others = _older(args.output, result)
+    return f"{text}\nFiles that were there before stay: {others}" if others else text
 
 
 def _older(output: Path, result: dict[str, Any]) -> str:
@@ -140,10 +179,10 @@ class _Work:
     """Renders the shots one after the other, times it and shows progress."""
 
     def __init__(
-        self, model: Model, shots: Cameras, options: dict[str, Any], *, quiet: bool
+        self, model: Model, shots: Cameras, options: dict[str, Any], status: Status
     ) -> None:
         self.shots = shots
-        self._model, self._options, self._quiet = model, options, quiet
+        self._model, self._options, self._status = model, options, status
         self._seconds: list[float] = []
 
     @property
@@ -153,27 +192,24 @@ class _Work:
 
     def __iter__(self) -> Iterator[Rendered]:
         shots = self.shots
-        count = len(shots.names)
-        for i in range(count):
+        told = Counted(self._status, len(shots.names), "picture")
+        for i, name in enumerate(shots.names):
             began = time.perf_counter()
             size = int(shots.widths[i]), int(shots.heights[i])
             rendered = render_view(
                 self._model.splats, shots.Ks[i], shots.viewmats[i], *size, **self._options
             )
             self._seconds.append(time.perf_counter() - began)
-            if not self._quiet and (sys.stderr.isatty() or (i + 1) % 10 == 0 or i + 1 == count):
-                end = "\r" if sys.stderr.isatty() and i + 1 < count else "\n"
-                name = PurePosixPath(shots.names[i]).with_suffix("") if shots.names[i] else "view"
-                print(f"{i + 1}/{count} {name}", end=end, file=sys.stderr, flush=True)
             yield rendered
+            told(i + 1, name)
 
 
 def _write_stills(args: argparse.Namespace, work: _Work) -> dict[str, Any]:
     is_file = args.output.suffix.lower() == ".png"
     if is_file and len(work.shots.names) > 1:
         raise ConfigError(
-            f"{args.output} is one picture, but {len(work.shots.names)} views were chosen; give a "
-            "folder with -o, or one view with --view."
+            f"{args.output} is one picture, but {count_words(len(work.shots.names), 'view')} are "
+            "chosen; give a folder with -o, or one view with --view."
         )
     stems = [args.output.with_suffix("")] if is_file else []
     stems = stems or [args.output / name for name in still_names(work.shots.names)]
@@ -206,7 +242,8 @@ def _check_options(args: argparse.Namespace, *, is_video: bool) -> None:
         )
     if is_video and (args.transparent or args.depth):
         raise ConfigError("An MP4 holds neither transparency nor depth; give a folder with -o.")
-    if args.frames is not None and args.path is None:
+    views = args.view or args.all or args.test
+    if args.frames is not None and not args.path and (views or not is_video):
         raise ConfigError("--frames belongs to --path orbit or --path spline.")
     if not 0 < args.fps <= 1000:
         raise ConfigError(f"--fps must be above 0 and at most 1000, got {args.fps:g}.")
@@ -214,139 +251,6 @@ def _check_options(args: argparse.Namespace, *, is_video: bool) -> None:
         raise ConfigError("Give either --transparent or --background.")
     if is_video:
         need_video()  # say so before the work, not after it
-
-
-def _shots(args: argparse.Namespace, model: Model, *, even: bool) -> Cameras:
-    """The cameras to render from, at the size asked for."""
-    captured = _captured(args, model)
-    cameras = _scaled(captured.cameras, args.resolution, even=even)
-    if args.path:
-        return _along(cameras, args.path, 240 if args.frames is None else args.frames)
-    if args.test:
-        if not captured.test:
-            raise DatasetError(
-                "No view was held out, or the split is not known: give the folder of a run that "
-                "was trained with --eval, or choose views with --view or --all."
-            )
-        return _subset(cameras, captured.test)
-    if args.view:
-        return _subset(cameras, [_index(view, cameras.names) for view in args.view])
-    return cameras
-
-
-@dataclass(frozen=True)
-class _Captured:
-    cameras: Cameras
-    test: list[int]
-
-
-def _captured(args: argparse.Namespace, model: Model) -> _Captured:
-    """The cameras of the capture or run, and its test views where they are known."""
-    source = args.cameras
-    if source is None:
-        beside = (model.run or model.ply.parent) / "cameras.json"
-        if not beside.is_file():
-            raise ConfigError(
-                f"There is no cameras.json beside {model.ply}; say with -s where cameras are: the "
-                "capture's folder or a cameras.json."
-            )
-        source = beside
-    elif source.is_dir():
-        from ..datasets import load_dataset
-
-        config = DataConfig(source=source)
-        if model.data is not None and model.data.source.resolve() == source.resolve():
-            config = model.data
-        dataset = load_dataset(config)
-        return _Captured(dataset.scene.cameras, dataset.test)
-    cameras = read_cameras(source)
-    if not len(cameras):
-        raise DatasetError(f"{source} holds no cameras.")
-    return _Captured(cameras, _test_views(model, cameras.names))
-
-
-def _test_views(model: Model, names: tuple[str, ...]) -> list[int]:
-    """Indices of the views the run's metrics.json calls test views."""
-    held_out = read_metrics(model.run or model.ply.parent).get("test_views")
-    if not isinstance(held_out, list):
-        return []
-    return [i for i, name in enumerate(names) if name in held_out]
-
-
-def _scaled(cameras: Cameras, resolution: float, *, even: bool) -> Cameras:
-    """The cameras with other picture sizes; `even`: sizes that H.264 can store."""
-    sizes, Ks = [], []
-    for K, width, height in zip(cameras.Ks, cameras.widths, cameras.heights, strict=True):
-        old = int(width), int(height)
-        new = target_size(*old, resolution, max_width=old[0])
-        if even:
-            new = max(2, new[0] // 2 * 2), max(2, new[1] // 2 * 2)
-        sizes.append(new)
-        Ks.append(scale_intrinsics(K, old, new))
-    widths, heights = np.array(sizes, np.int64).T.copy()
-    return Cameras(
-        viewmats=cameras.viewmats,
-        Ks=np.stack(Ks),
-        widths=widths,
-        heights=heights,
-        names=cameras.names,
-    )
-
-
-def _along(cameras: Cameras, kind: str, frames: int) -> Cameras:
-    """A camera path, with pictures of the size most cameras have."""
-    sizes = np.stack([cameras.widths, cameras.heights], axis=1)
-    different, counts = np.unique(sizes, axis=0, return_counts=True)
-    width, height = (int(n) for n in different[np.argmax(counts)])
-    Ks = np.stack(
-        [
-            scale_intrinsics(K, (int(w), int(h)), (width, height))
-            for K, (w, h) in zip(cameras.Ks, sizes, strict=True)
-        ]
-    )
-    if kind == "spline":
-        viewmats, Ks = spline_path(cameras.viewmats, Ks, frames)
-    else:
-        viewmats = orbit_path(cameras.viewmats, frames)
-        K = np.median(Ks, axis=0)
-        K[0, 2], K[1, 2] = width / 2, height / 2  # what the orbit looks at is in the middle
-        Ks = np.tile(K, (frames, 1, 1))
-    return Cameras(
-        viewmats=viewmats,
-        Ks=Ks,
-        widths=np.full(frames, width, np.int64),
-        heights=np.full(frames, height, np.int64),
-        names=tuple(f"frame_{i:05d}" for i in range(frames)),
-    )
-
-
-def _subset(cameras: Cameras, indices: list[int]) -> Cameras:
-    return Cameras(
-        viewmats=cameras.viewmats[indices],
-        Ks=cameras.Ks[indices],
-        widths=cameras.widths[indices],
-        heights=cameras.heights[indices],
-        names=tuple(cameras.names[i] for i in indices),
-    )
-
-
-def _index(view: str, names: tuple[str, ...]) -> int:
-    """The view called so, with or without folder and ending, or the number of a view from 0."""
-    for form in (str, lambda n: PurePosixPath(n).name, lambda n: PurePosixPath(n).stem):
-        found = [i for i, name in enumerate(names) if form(name) == view]
-        if len(found) == 1:
-            return found[0]
-        if found:
-            raise DatasetError(
-                f"{len(found)} views are called {view}: {', '.join(names[i] for i in found[:3])}; "
-                "give the whole name."
-            )
-    if view.isdigit() and int(view) < len(names):
-        return int(view)
-    raise DatasetError(
-        f"There is no view {view}; there are {len(names)}, named like {names[0]}, or by number "
-        f"from 0 to {len(names) - 1}."
-    )
 
 
 def _check_one_size(shots: Cameras) -> None:

@@ -1,16 +1,21 @@
 """`gscore sequence`: the frames of a multi-view video, each from the splats of the one before."""
 
 import argparse
+import sys
 from dataclasses import fields, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from ..control import Control
 from ..errors import ConfigError
 from ..io.sequences import SEQUENCE_FILE
-from ..trainer import Control
-from ..trainer.sequence import SequenceOptions, SequenceResult, read_options, train_sequence
+from ..words import count_words
 from . import train as train_command
 from .attend import Show, attend
 from .output import print_json
+from .status import wrapped
+
+if TYPE_CHECKING:
+    from ..trainer.sequence import SequenceResult
 
 _SWITCH: dict[str, Any] = {"action": argparse.BooleanOptionalAction, "default": None}
 _ONE_FRAME = {
@@ -63,14 +68,16 @@ def run(args: argparse.Namespace) -> int:
         facts["per_frame"] = [frame.to_dict(result.output) for frame in result.frames]
         print_json(facts)
     elif not (args.quiet or args.events):
-        print(_summary(result))
+        print(wrapped(_summary(result), sys.stdout))
     return code
 
 
-def _train(args: argparse.Namespace, show: Show, control: Control) -> SequenceResult:
+def _train(args: argparse.Namespace, show: Show, control: Control) -> "SequenceResult":
     for name, (option, instead) in _ONE_FRAME.items():
         if getattr(args, name) is not None:
             raise ConfigError(f"{option} is for one frame: {instead}.")
+    from ..trainer.sequence import SequenceOptions, read_options, train_sequence
+
     stored = read_options(args.output) if args.resume else None
     names = [field.name for field in fields(SequenceOptions)]
     given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
@@ -87,18 +94,18 @@ def _train(args: argparse.Namespace, show: Show, control: Control) -> SequenceRe
     )
 
 
-def _summary(result: SequenceResult) -> str:
+def _summary(result: "SequenceResult") -> str:
     numbers = result.headline
     how = "Finished" if result.reason == "finished" else f"Stopped ({result.reason})"
     lines = [
-        f"{how}: {len(result.frames)} of {result.total} frames, "
+        f"{how}: {len(result.frames)} of {count_words(result.total, 'frame')}, "
         f"{numbers['train_seconds']:.1f} s of training."
     ]
     if numbers["psnr"] is not None:
         split = result.frames[0].metrics["split"]
         lines.append(
-            f"{split.capitalize()} views, mean of the frames: PSNR {numbers['psnr']:.2f} dB, "
-            f"SSIM {numbers['ssim']:.4f}."
+            f"{split.capitalize()} views, mean of the frames: PSNR "
+            f"{numbers['psnr']:.2f} dB, SSIM {numbers['ssim']:.4f}."
         )
     output = result.output
     lines.append(f"Results: {output / SEQUENCE_FILE}, {output / 'frame_*' / 'point_cloud.ply'}")

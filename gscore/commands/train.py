@@ -3,21 +3,25 @@
 import argparse
 import sys
 from dataclasses import fields, replace
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..config import PRESETS, Background, DataConfig, Skip, Strategy, Switch, TrainConfig
 from ..config_file import load_config
+from ..control import Control
 from ..errors import ConfigError
-from ..events import CONVERGED, ENDED, FINISHED, TARGET
+from ..events import CONVERGED, ENDED, FINISHED, TARGET, Warn
 from ..io.runs import RUN_FILES, RUN_FOLDERS, RUN_LOCK
-from ..metrics.words import count_words, quality_words
-from ..trainer import Control, TrainResult, train
-from ..trainer.folder import check_free
+from ..words import count_words, number, quality_words
 from .attend import Show, add_output_options, attend
 from .data_options import add_data_options, add_depth_options, with_data_options
 from .option_help import option_help
 from .output import others_in, print_json
+from .status import wrapped
+
+if TYPE_CHECKING:  # torch, which training imports, takes seconds to load: --help need not wait
+    from ..trainer import TrainResult
 
 _STEPS: dict[str, Any] = {"type": int, "nargs": "+", "metavar": "STEP"}
 _SWITCH: dict[str, Any] = {"action": argparse.BooleanOptionalAction}
@@ -26,7 +30,7 @@ _SWITCH: dict[str, Any] = {"action": argparse.BooleanOptionalAction}
 def _of_presets(name: str) -> str:
     """The values of an option in the presets."""
     values = ((key, getattr(make(Path())[1], name)) for key, make in PRESETS.items())
-    return ", ".join(f"{key} {value:,}" for key, value in values)
+    return ", ".join(f"{key} {number(value)}" for key, value in values)
 
 
 _RUN: dict[str, tuple[tuple[str, ...], dict[str, Any], str]] = {
@@ -43,7 +47,8 @@ _RUN: dict[str, tuple[tuple[str, ...], dict[str, Any], str]] = {
     "target_psnr": (
         ("--target-psnr",),
         {"type": float, "metavar": "DB"},
-        "end when the held-out views (else training views) reach this PSNR (0: none)",
+        "end when the held-out photos (else the others) are matched with this PSNR, a likeness of "
+        "which more is better (0: none)",
     ),
     "early_stop": (("--early-stop",), _SWITCH, "end when that PSNR no longer rises"),
     "max_splats": (
@@ -54,8 +59,8 @@ _RUN: dict[str, tuple[tuple[str, ...], dict[str, Any], str]] = {
     "strategy": (
         ("--strategy",),
         {"choices": tuple(Strategy)},
-        "how splats are added and removed (default); mcmc is for long runs, with a few hundred "
-        "steps it is far behind",
+        "how splats are added and removed (default); mcmc, Markov chain Monte Carlo, moves useless "
+        "ones instead: for long runs, in a few hundred steps it is far behind",
     ),
     "sh_degree": (
         ("--sh-degree",),
@@ -74,28 +79,36 @@ _RUN: dict[str, tuple[tuple[str, ...], dict[str, Any], str]] = {
         {"choices": tuple(Background)},
         "what lies behind the splats",
     ),
-    "antialias": (("--antialias", "--antialiasing"), _SWITCH, "compensate small splats' opacity"),
+    "antialias": (
+        ("--antialias", "--antialiasing"),
+        _SWITCH,
+        "draw splats below the size of a pixel fainter",
+    ),
     "depth_mode": (
         ("--depth-mode",),
         {"choices": tuple(Switch)},
-        "supervise depth where --depths gives maps; auto: not in dense captures",
+        "let the maps of --depths guide the training; auto: where photos are few",
     ),
     "grow_with_photos": (
         ("--grow-with-photos",),
         _SWITCH,
-        "not mcmc: grow splats as photos become larger, in 1000 steps and more (on)",
+        "add splats as photos become larger, not before; from 1,000 steps on, not with mcmc (on)",
     ),
     "coarse_by_detail": (
         ("--coarse-by-detail",),
         _SWITCH,
-        "choose from the photos' frequencies how long they stay small",
+        "keep photos small for as long as their detail allows, not a fixed share of the steps",
     ),
     "without": (
         ("--without",),
         {"nargs": "+", "choices": [skip.value for skip in Skip], "metavar": "SKIP"},
-        "switch off skips, to prove or measure them: " + ", ".join(Skip),
+        "do work that is skipped as needless, to prove or measure that: " + ", ".join(Skip),
     ),
-    "near": (("--near",), {"type": float}, "near plane, world units"),
+    "near": (
+        ("--near",),
+        {"type": float, "metavar": "X"},
+        "splats nearer to a camera are not drawn; world units",
+    ),
     "start_splats": (
         ("--start-splats",),
         {"type": Path, "metavar": "FILE.ply"},
@@ -104,32 +117,40 @@ _RUN: dict[str, tuple[tuple[str, ...], dict[str, Any], str]] = {
     "lpips": (
         ("--lpips",),
         {"type": Path, "metavar": "FILE.onnx"},
-        "network to measure LPIPS with",
+        "network of LPIPS, a measure of likeness as people see it; without it, not measured",
     ),
     "test_iterations": (("--test-iterations",), _STEPS, "measure after these steps too"),
     "save_iterations": (("--save-iterations",), _STEPS, "write the splats after these steps too"),
-    "checkpoint_iterations": (("--checkpoint-iterations",), _STEPS, "checkpoints that are kept"),
+    "checkpoint_iterations": (
+        ("--checkpoint-iterations",),
+        _STEPS,
+        "write checkpoints after these steps and keep them",
+    ),
     "checkpoint_seconds": (
         ("--checkpoint-seconds",),
-        {"type": float},
+        {"type": float, "metavar": "SECONDS"},
         "training time between two checkpoints (300); 0: only at the end",
     ),
     "preview_seconds": (
         ("--preview-seconds",),
-        {"type": float},
+        {"type": float, "metavar": "SECONDS"},
         "training time between two pictures in OUT/previews; 0: none",
     ),
     "snapshot_every": (
         ("--snapshot-every",),
-        {"type": int},
+        {"type": int, "metavar": "N"},
         "steps between two PLYs in OUT/snapshots, of which two are kept; 0: none",
     ),
     "watchdog": (
         ("--watchdog",),
         _SWITCH,
-        "where training diverges, go back and on at lower rates (on)",
+        "where training goes astray, go back to a checkpoint and on with lower learning rates (on)",
     ),
-    "detect_anomaly": (("--detect-anomaly",), _SWITCH, "stop at the first number not finite"),
+    "detect_anomaly": (
+        ("--detect-anomaly",),
+        _SWITCH,
+        "stop at the first number that is not finite and say where it came from; slow",
+    ),
 }
 _METHOD = {
     "means_lr": ("--means-lr", "--position-lr-init"),
@@ -194,7 +215,12 @@ _NOT_HERE = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `gscore train`."""
-    parser.add_argument("source", nargs="?", type=Path, help="folder with photos and COLMAP model")
+    parser.add_argument(
+        "source",
+        nargs="?",
+        type=Path,
+        help="the capture: a folder with photos and COLMAP's model of their cameras",
+    )
     parser.add_argument(
         "-s", "--source", "--source-path", dest="source_option", type=Path, help=argparse.SUPPRESS
     )
@@ -217,7 +243,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     existing.add_argument(
         "--overwrite", action="store_true", help="replace another run in the output folder"
     )
-    existing.add_argument("--start-checkpoint", type=Path, help="go on from this checkpoint")
+    existing.add_argument(
+        "--start-checkpoint", type=Path, metavar="FILE", help="go on from this checkpoint"
+    )
     add_data_options(parser)
     add_depth_options(parser)
     parser.add_argument(
@@ -237,8 +265,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     group = parser.add_argument_group(
         "method",
-        "Also under their 3DGS names; gscore.TrainConfig says more on each. Learning rates are "
-        "raised in runs of less than 30 000 steps and fall over the last tenth of any; "
+        "For experiments: the defaults suit most captures. Also under their 3DGS names; "
+        "gscore.TrainConfig says more on each. An extent is 1.1 times the largest distance of a "
+        "camera from the middle of all; SH (spherical harmonics) are the view-dependent colour; "
+        "SfM points are those that COLMAP found; to refine is to add and remove splats. Learning "
+        "rates are raised in runs of less than 30,000 steps and fall over the last tenth of any; "
         "--lr-boost 1 --lr-final 1 takes them exactly as given.",
     )
     kinds = {f.name: type(f.default) for f in fields(TrainConfig)}
@@ -252,7 +283,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             metavar="N" if kind is int else "X",
             help=option_help(TrainConfig, name),
         )
-    group.add_argument("--feature-lr", type=float, metavar="X", help="sh0-lr, 20 times shN-lr")
+    group.add_argument(
+        "--feature-lr",
+        type=float,
+        metavar="X",
+        help="sets --sh0-lr, and --shN-lr to a twentieth of it, as 3DGS does",
+    )
     add_output_options(parser)
     for name in _WITHOUT_EFFECT:
         parser.add_argument(name, help=argparse.SUPPRESS)
@@ -269,7 +305,7 @@ def run(args: argparse.Namespace) -> int:
         numbers = result.headline | {"reason": result.reason, "output": str(args.output)}
         print_json(numbers)
     elif not (args.quiet or args.events):
-        print(_summary(result, configs(args)[1]))
+        print(wrapped(_summary(result, configs(args)[1]), sys.stdout))
     return code
 
 
@@ -284,6 +320,8 @@ def configs(args: argparse.Namespace) -> tuple[DataConfig, TrainConfig]:
     if args.resume and not (args.config or (args.preset and source)):
         stored = args.output / "config.json"
         if not stored.is_file():
+            from ..trainer.folder import check_free
+
             check_free(args.output)  # a run that has only just begun has written nothing yet
             raise ConfigError(f"{args.output} holds no run to resume; leave --resume out.")
     if args.preset and stored:
@@ -333,11 +371,13 @@ def _with_given(config: TrainConfig, args: argparse.Namespace) -> TrainConfig:
     return replace(config, **given)
 
 
-def _train(args: argparse.Namespace, show: Show, control: Control) -> TrainResult:
+def _train(args: argparse.Namespace, show: Show, control: Control) -> "TrainResult":
     data, config = configs(args)
+    from ..trainer import train
+
     others = others_in(args.output, (RUN_LOCK, *RUN_FILES, *RUN_FOLDERS))
-    if others and not (args.quiet or args.events):
-        print(f"{args.output} holds other files too; they stay: {others}", file=sys.stderr)
+    if others and not args.events:
+        show(Warn(message=f"{args.output} holds other files too; they stay: {others}"))
     return train(
         config,
         data,
@@ -350,7 +390,7 @@ def _train(args: argparse.Namespace, show: Show, control: Control) -> TrainResul
     )
 
 
-def _summary(result: TrainResult, config: TrainConfig) -> str:
+def _summary(result: "TrainResult", config: TrainConfig) -> str:
     metrics = result.metrics
     if result.ended_before:
         return _nothing_to_do(result)
@@ -358,8 +398,8 @@ def _summary(result: TrainResult, config: TrainConfig) -> str:
     if result.reason == FINISHED and config.time_budget:
         how = "The time was used up"
     lines = [
-        f"{how} after {result.steps} steps, {result.train_seconds:.1f} s of training: "
-        f"{len(result.splats)} splats."
+        f"{how} after {count_words(result.steps, 'step')}, {result.train_seconds:.1f} s of "
+        f"training: {count_words(len(result.splats), 'splat')}."
     ]
     if worth := quality_words(metrics):
         view = "test view" if metrics["split"] == "test" else "training view"
@@ -370,15 +410,17 @@ def _summary(result: TrainResult, config: TrainConfig) -> str:
     lines.append(f"Results: {output / 'point_cloud.ply'}, {output / 'report.html'}")
     if result.reason not in ENDED:
         lines.append(f"To go on: gscore train -o {result.output} --resume")
+    made = "orbit.mp4" if find_spec("av") else "pictures"
+    lines.append(f"To look at it: gscore render {output} -o {output / made}")
     return "\n".join(lines)
 
 
-def _nothing_to_do(result: TrainResult) -> str:
+def _nothing_to_do(result: "TrainResult") -> str:
     how = _HOW[result.reason]
     return (
-        f"{result.output} was complete already: {how[0].lower()}{how[1:]} after {result.steps} "
-        f"steps. Give a larger --iterations or --time-budget to go on, or measure it again with: "
-        f"gscore eval {result.output}"
+        f"{result.output} was complete already: {how[0].lower()}{how[1:]} after "
+        f"{count_words(result.steps, 'step')}. Give a larger --iterations or --time-budget to go "
+        f"on, or measure it again with: gscore eval {result.output}"
     )
 
 

@@ -6,6 +6,7 @@ from ..config import DataConfig
 from ..errors import DatasetError
 from ..io.colmap import ColmapModel, read_model
 from ..scene import PointCloud
+from ..words import count_words
 from .capture import Capture, View, listing
 from .folder import Folder
 
@@ -45,15 +46,16 @@ def read_colmap(config: DataConfig, *, photos_required: bool = True) -> Capture:
     missing = [name for name, file in zip(names, files, strict=True) if file is None]
     if photos_required and 2 * len(missing) > len(names):
         raise DatasetError(
-            f"{len(missing)} of the {len(names)} images of the model in {model.path} are missing "
-            f"in {root} ({len(folder)} images there): {listing(missing)}. Give the folder of the "
-            f"photos that COLMAP was run on with --images."
+            f"{len(missing)} of the {count_words(len(names), 'image')} of the model in "
+            f"{model.path} are missing "
+            f"in {root} ({count_words(len(folder), 'image')} there): {listing(missing)}. Give the "
+            "folder of the photos that COLMAP was run on with --images."
         )
     if missing:
         rest = f"; going on with the other {len(names) - len(missing)}" if photos_required else ""
         warnings.append(
-            f"{len(missing)} of the {len(names)} images of the model are missing in {root}: "
-            f"{listing(missing)}{rest}."
+            f"{len(missing)} of the {count_words(len(names), 'image')} of the model are missing "
+            f"in {root}: {listing(missing)}{rest}."
         )
     renamed = [
         f"{name} -> {file.relative_to(root).as_posix()}"
@@ -62,7 +64,8 @@ def read_colmap(config: DataConfig, *, photos_required: bool = True) -> Capture:
     ]
     if renamed:
         warnings.append(
-            f"{len(renamed)} images are named differently in {root}; used: {listing(renamed, 3)}."
+            f"{count_words(len(renamed), 'image is', 'images are')} named differently in {root}; "
+            f"used: {listing(renamed, 3)}."
         )
     seen = _observed(model)
     views = [

@@ -76,7 +76,7 @@ class Dataset:
         return sum(file.nbytes for file in self._files)
 
     def content_hash(self) -> str:
-        """Short hash of all photo and mask files, read once; tells whether a capture changed.
+        """Short hash of all photos and masks, read once; tells whether a capture changed.
 
         Raises:
             DatasetError: a file is missing or cannot be read.
@@ -86,6 +86,8 @@ class Dataset:
             for file in self._files:
                 for path in (file.image, file.mask):
                     digest.update(b"-" if path is None else _file_hash(path))
+                if file.mask is not None and file.mask_inverted:
+                    digest.update(b"inverted")
             self._content_hash = digest.hexdigest()[:16]
         return self._content_hash
 

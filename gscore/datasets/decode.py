@@ -18,6 +18,8 @@ class ViewFile:
     """The photo."""
     mask: Path | None
     """Its mask file, of the photo's size."""
+    mask_inverted: bool
+    """Whether the white of the mask file marks what to leave out."""
     use_alpha: bool
     """Whether the photo's alpha is the mask."""
     upright: bool
@@ -56,7 +58,7 @@ def decode_view(file: ViewFile) -> tuple[np.ndarray, np.ndarray | None]:
             rgba = _fit_rgba(file, photo)
             return np.ascontiguousarray(rgba[..., :3]), np.ascontiguousarray(rgba[..., 3])
     if file.mask is not None:
-        mask = read_mask(file.mask)
+        mask = read_mask(file.mask, inverted=file.mask_inverted)
         _check_size(file, file.mask, mask)
         # A mask of only yes and no stays one: half-transparent rims would be invented otherwise.
         mask = _fit(file, mask, nearest=not np.any((mask > 0) & (mask < 255)))

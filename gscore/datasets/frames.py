@@ -9,6 +9,7 @@ from pathlib import Path
 from ..config import DataConfig
 from ..errors import ConfigError, DatasetError
 from ..io.colmap import has_model
+from ..words import count_words
 from .capture import listing
 from .pku import find_video
 from .transforms_json import find_transforms
@@ -107,8 +108,8 @@ def choose_frames(frames: list[SequenceFrame], wanted: str) -> list[SequenceFram
         if not picked:
             there = sorted(numbers)
             raise DatasetError(
-                f"There is no frame {part.strip()}: the sequence has {len(there)} frames, "
-                f"{listing([str(n) for n in there], _LISTED)}"
+                f"There is no frame {part.strip()}: the sequence has "
+                f"{count_words(len(there), 'frame')}, {listing([str(n) for n in there], _LISTED)}"
                 f"{f' up to {there[-1]}' if len(there) > _LISTED else ''}."
             )
         chosen |= picked

@@ -9,6 +9,7 @@ from ..config import DataConfig
 from ..errors import Cancelled, DatasetError
 from ..io.images import ImageInfo, read_info
 from ..scene import FARTHEST, Cameras, PointCloud, Scene
+from ..words import count_words, number
 from .capture import View, listing
 from .dataset import Dataset
 from .decode import ViewFile, decode_view
@@ -62,8 +63,8 @@ def load_dataset(config: DataConfig, *, cancelled: Callable[[], bool] = lambda: 
     narrow = sum(1 for file in files if file.photo_size[0] < config.resolution)
     if narrow:
         warnings.append(
-            f"{narrow} photos are narrower than the {config.resolution:g} px asked for; they are "
-            f"used as they are."
+            f"{count_words(narrow, 'photo is', 'photos are')} narrower than the "
+            f"{config.resolution:g} px asked for and used at full size."
         )
     cameras = Cameras(
         viewmats=np.stack([view.viewmat for view in views]),
@@ -111,8 +112,8 @@ def _other_sizes(views: list[View], sizes: list[tuple[int, int]]) -> list[str]:
     if not other:
         return []
     return [
-        f"{len(other)} photos have another size than their camera; intrinsics are scaled by the "
-        f"actual ratio: {listing(other, 2)}."
+        f"{count_words(len(other), 'photo has', 'photos have')} another size than the camera; "
+        f"intrinsics are scaled by the actual ratio: {listing(other, 2)}."
     ]
 
 
@@ -146,6 +147,7 @@ def _files(
             ViewFile(
                 image=view.image,
                 mask=masks.files[i],
+                mask_inverted=config.invert_masks,
                 use_alpha=masks.use_alpha[i],
                 upright=upright[i],
                 photo_size=size,
@@ -179,8 +181,9 @@ def _points(
     if not usable.all():
         first = int(np.flatnonzero(~usable)[0])
         warnings.append(
-            f"{int((~usable).sum())} points are not finite or beyond {FARTHEST:g}, the first of "
-            f"them number {first} at {points.points[first].tolist()}; left out."
+            f"{count_words(int((~usable).sum()), 'point is', 'points are')} not finite or beyond "
+            f"{FARTHEST:g}, the first of them number {first} at {points.points[first].tolist()}; "
+            "left out."
         )
         new_index = np.cumsum(usable) - 1
         for i, index in enumerate(seen):
@@ -190,8 +193,8 @@ def _points(
     if points.colors.any():
         return points
     warnings.append(
-        f"All {len(points)} points are black (COLMAP was run without extracting colours); they are "
-        f"coloured from the photos."
+        f"All points are black ({number(len(points))} of them; COLMAP was run without extracting "
+        "colours); they are coloured from the photos."
     )
 
     # Not kept: whoever calls decides by `nbytes` whether all photos fit into memory.

@@ -6,6 +6,7 @@ from pathlib import Path
 from ..config import DataConfig
 from ..errors import ConfigError, DatasetError
 from ..io.images import ImageInfo, read_info
+from ..words import count_words, number
 from .capture import Capture, View, listing
 from .folder import Folder
 from .mattes import are_mattes
@@ -40,7 +41,7 @@ def choose_masks(
     """Find the masks: those the capture states, else those of a folder, else the photos' alpha.
 
     Args:
-        config: Options `masks` and `mask_mode`.
+        config: Options `masks`, `mask_mode` and `invert_masks`.
         capture: Its folder, and what masks mean in it.
         views: Its views, in the order of the lists below.
         infos: Of their photos.
@@ -64,10 +65,13 @@ def choose_masks(
                 _check_size(view, file, size)
         mode = config.mask_mode
         if mode == "auto":
-            mode = capture.masks_are or _meaning([file for file in files if file is not None])
+            found = [file for file in files if file is not None]
+            mode = "ignore" if config.invert_masks else capture.masks_are or _meaning(found)
         return MaskChoice(
             mode=mode, files=files, use_alpha=none.use_alpha, warnings=tuple(warnings)
         )
+    if config.invert_masks:
+        warnings = [*warnings, "There are no mask files, so invert_masks changes nothing."]
     use_alpha = [info.has_alpha for info in infos]
     if not any(use_alpha):
         return MaskChoice(mode="none", files=files, use_alpha=use_alpha, warnings=tuple(warnings))
@@ -86,7 +90,8 @@ def _find(config: DataConfig, root: Path, views: list[View]) -> tuple[list[Path 
         files = [file if file is not None and file.is_file() else None for file in stated]
         if not any(files):
             raise DatasetError(
-                f"None of the {len(views)} masks that the capture names is there, for example "
+                f"None of the {number(len(views))} masks that the capture names is there, "
+                "for example "
                 f"{next(file for file in stated if file is not None)}. Put them there, or choose "
                 f"--mask-mode none."
             )
@@ -97,8 +102,8 @@ def _find(config: DataConfig, root: Path, views: list[View]) -> tuple[list[Path 
         where = str(place)
         if not any(files):
             sentence = (
-                f"{place} has no mask of any view ({len(folder)} images there); expected names "
-                f"like {views[0].name}.png."
+                f"{place} has no mask of any view ({count_words(len(folder), 'image')} there); "
+                f"expected names like {views[0].name}.png."
             )
             if config.masks:
                 raise DatasetError(f"{sentence} Rename them, or give another folder with --masks.")
@@ -110,8 +115,8 @@ def _find(config: DataConfig, root: Path, views: list[View]) -> tuple[list[Path 
     missing = [view.name for view, file in zip(views, files, strict=True) if file is None]
     if missing:
         return files, [
-            f"{len(missing)} of {len(views)} views have no mask in {where}: {listing(missing)}; "
-            f"they count as a whole."
+            f"{len(missing)} of {count_words(len(views), 'view')} have no mask in {where}: "
+            f"{listing(missing)}; they count as a whole."
         ]
     return files, []
 

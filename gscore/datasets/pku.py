@@ -10,6 +10,7 @@ from pathlib import Path
 from ..config import DataConfig
 from ..errors import ConfigError, DatasetError, GsError
 from ..scene import PointCloud
+from ..words import count_words
 from . import pku_cams, pku_json, pku_neus
 from .capture import Capture
 from .colmap_source import read_colmap
@@ -103,8 +104,8 @@ def read_video(video: PkuVideo, config: DataConfig, *, photos_required: bool = T
         warnings += told
     if asked is None and len(listed) > 1:
         warnings.append(
-            f"{video.case / layout} holds {len(listed)} frames, {_span(listed)}; using frame "
-            f"{frame}. Choose another with --frame."
+            f"{video.case / layout} holds {count_words(len(listed), 'frame')}, {_span(listed)}; "
+            f"using frame {frame}. Choose another with --frame."
         )
     return replace(capture, points=points, masks_are="composite", warnings=tuple(warnings))
 

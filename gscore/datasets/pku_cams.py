@@ -10,6 +10,7 @@ from ..io.colmap import has_model
 from ..io.colmap_model import ColmapCamera
 from ..io.images import read_info
 from ..scene import PointCloud
+from ..words import count_words
 from .capture import Capture, View, listing
 from .colmap_source import read_colmap
 from .pku_photos import VIEW_FOLDER, by_camera, camera_number, mattes, photo_folder
@@ -76,14 +77,14 @@ def read_per_view(
     total = len(photos) + len(missing)
     if 2 * len(missing) > total or not photos:
         raise DatasetError(
-            f"Frame {frame} is missing in {len(missing)} of the {total} views in {path}: "
-            f"{listing(missing)}. Extract the frames of all videos."
+            f"Frame {frame} is missing in {len(missing)} of the {count_words(total, 'view')} in "
+            f"{path}: {listing(missing)}. Extract the frames of all videos."
         )
     names = {number: f"image_c_{number:03d}_f_{frame:06d}.png" for number in photos}
     capture = _with_cams(case, path, photos, names, soft)
     if not missing:
         return capture
-    sentence = f"Frame {frame} is missing in {len(missing)} of the {total} views: "
+    sentence = f"Frame {frame} is missing in {len(missing)} of the {count_words(total, 'view')}: "
     return replace(capture, warnings=(*capture.warnings, f"{sentence}{listing(missing)}."))
 
 
@@ -97,15 +98,18 @@ def _with_cams(
         # Cameras that COLMAP lost are left out when these files are numbered, so those after it
         # would belong to other photos.
         raise DatasetError(
-            f"{case / 'cams'} has {len(cams)} cameras, numbers {min(cams)} to {max(cams)}, but "
-            f"none for {len(without)} of the {len(photos)} photos in {root}: {listing(without)}. "
+            f"{case / 'cams'} has {count_words(len(cams), 'camera')}, numbers {min(cams)} to "
+            f"{max(cams)}, but "
+            f"none for {len(without)} of the {count_words(len(photos), 'photo')} in {root}: "
+            f"{listing(without)}. "
             f"Number the camera files as the photos, or use another layout of the data set."
         )
     warnings = []
     unused = [cams[number].name for number in cams if number not in photos]
     if unused:
         warnings.append(
-            f"{len(unused)} cameras of {case / 'cams'} have no photo: {listing(unused)}."
+            f"No photo belongs to {len(unused)} of the cameras in {case / 'cams'}: "
+            f"{listing(unused)}."
         )
     views = []
     for number, photo in photos.items():

@@ -7,6 +7,7 @@ from ..config import DataConfig
 from ..errors import DatasetError, FormatError
 from ..scene import PointCloud
 from ..transforms import invert_rigid, viewmat_from_opengl
+from ..words import number
 from .capture import Capture, View, listing
 from .pku_photos import PLAIN_FOLDERS
 from .poses import pinhole_camera, rigid_matrix
@@ -91,14 +92,14 @@ def _capture(
         raise DatasetError(f"{file} lists no views. Export it again.")
     if photos_required and 2 * len(missing) > total:
         raise DatasetError(
-            f"{len(missing)} of the {total} photos of {file} are missing in {root}: "
+            f"{len(missing)} of the {number(total)} photos of {file} are missing in {root}: "
             f"{listing(sorted(missing))}. Put them there, or choose another frame."
         )
     warnings = []
     if missing:
         rest = f"; going on with the other {total - len(missing)}" if photos_required else ""
         warnings.append(
-            f"{len(missing)} of the {total} photos of {file} are missing in {root}: "
+            f"{len(missing)} of the {number(total)} photos of {file} are missing in {root}: "
             f"{listing(sorted(missing))}{rest}."
         )
     kept = [v for name, v in views.items() if not (photos_required and name in missing)]

@@ -11,6 +11,7 @@ from ..errors import DatasetError, FormatError
 from ..io.images import read_info
 from ..io.npy import read_npy
 from ..scene import FARTHEST, PointCloud
+from ..words import count_words
 from .capture import Capture, View, listing
 from .pku_photos import by_camera, mattes, photo_folder
 from .poses import pinhole_camera, rigid_matrix
@@ -37,7 +38,8 @@ def read_neus(
     # Matrices are counted through the sorted photos, whatever numbers these have.
     if len(photos) != len(projections):
         raise DatasetError(
-            f"{path / _FILE} has {len(projections)} cameras, {path / images} has {len(photos)} "
+            f"{path / _FILE} has {count_words(len(projections), 'camera')}, {path / images} has "
+            f"{len(photos)} "
             f"numbered photos ({listing([photo.name for photo in photos.values()])}). Copy the "
             f"frame again."
         )

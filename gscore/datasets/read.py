@@ -7,7 +7,7 @@ from .capture import Capture
 from .colmap_source import read_colmap
 from .pku import find_video, read_video
 from .rig import with_rig
-from .transforms_json import FILES, find_transforms, read_transforms
+from .transforms_json import find_transforms, read_transforms
 
 
 def read_capture(config: DataConfig, *, photos_required: bool = True) -> Capture:
@@ -46,10 +46,8 @@ def _read(config: DataConfig, photos_required: bool) -> Capture:
         return read_transforms(config, photos_required=photos_required)
     try:
         find_model(config.source)
-    except DatasetError as error:
-        if transforms is not None:
-            return read_transforms(config, photos_required=photos_required)
-        if not config.source.is_dir():
+    except DatasetError:
+        if transforms is None:
             raise
-        raise DatasetError(f"{error} Nor is there a {' or '.join(FILES)}.") from error
+        return read_transforms(config, photos_required=photos_required)
     return read_colmap(config, photos_required=photos_required)

@@ -7,6 +7,7 @@ import numpy as np
 
 from ..errors import DatasetError
 from ..scene import PointCloud
+from ..words import count_words
 from .capture import Capture, View, listing
 from .pku_photos import camera_number
 
@@ -70,7 +71,8 @@ def with_rig(capture: Capture, rig: Capture, *, where: Path, rig_at: Path) -> Ca
         return capture
     if len(pairs) < 2:
         raise DatasetError(
-            f"{where} and {rig_at} have {len(pairs)} cameras in common, expected 2 or more; names "
+            f"{where} and {rig_at} have {count_words(len(pairs), 'camera')} in common, expected 2 "
+            "or more; names "
             f"are like {capture.views[0].name} and {rig.views[0].name}. Give a capture by the same "
             f"cameras, with the same names or camera numbers."
         )
@@ -92,13 +94,16 @@ def with_rig(capture: Capture, rig: Capture, *, where: Path, rig_at: Path) -> Ca
     warnings, farthest = [], float(fit.distances.max())
     if farthest > _TOLD:
         warnings.append(
-            f"The cameras of {len(pairs)} views are those of {rig_at}, and the points were moved "
+            f"The cameras of {count_words(len(pairs), 'view')} are those of {rig_at}, and the "
+            "points were moved "
             f"into its world; the cameras' own places differ by {100 * distance:.2f} % of the "
             f"rig's radius in the median, {100 * farthest:.2f} % at most."
         )
     lone = [view.name for view in capture.views if _key(view.name) not in places]
     if lone:
-        warnings.append(f"{len(lone)} views are not in {rig_at}: {listing(lone)}.")
+        warnings.append(
+            f"{count_words(len(lone), 'view is', 'views are')} not in {rig_at}: {listing(lone)}."
+        )
     return replace(
         capture,
         views=views,

@@ -6,6 +6,7 @@ from pathlib import Path, PurePosixPath
 from ..config import DataConfig
 from ..errors import ConfigError, DatasetError
 from ..io.files import read_bytes
+from ..words import count_words
 
 
 def split_views(
@@ -41,7 +42,7 @@ def split_views(
         rule = f"the list {config.test_list}"
     elif config.test_first or config.test_last:
         test = {i for i in range(count) if i < config.test_first or i >= count - config.test_last}
-        rule = f"the first {config.test_first} and last {config.test_last} views"
+        rule = f"the first {config.test_first} and last {count_words(config.test_last, 'view')}"
     elif stated:
         test = {i for i, name in enumerate(names) if name in stated}
         rule = "the capture's own split"
@@ -53,8 +54,8 @@ def split_views(
     if not test or len(test) == count:
         left = "no view to test" if not test else "no view to train"
         raise DatasetError(
-            f"The test split ({rule}) leaves {left}: {len(test)} of {count} views are test views. "
-            f"Choose another split, or train without --eval."
+            f"The test split ({rule}) leaves {left}: {len(test)} of {count_words(count, 'view')} "
+            "are test views. Choose another split, or train without --eval."
         )
     return [i for i in range(count) if i not in test], sorted(test)
 
@@ -78,7 +79,8 @@ def _listed(names: Sequence[str], path: Path) -> set[int]:
     unknown = [name for name in wanted if len(lookup.get(name, ())) != 1]
     if unknown:
         raise DatasetError(
-            f"{path} names {len(unknown)} views that the capture does not have, or not only once: "
+            f"{path} names {count_words(len(unknown), 'view')} that the capture does not have, or "
+            "not only once: "
             f"{', '.join(unknown[:5])}{', ...' if len(unknown) > 5 else ''}. Names look like "
             f"{names[0]}."
         )

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from ..words import count_words, number
 from .fit import NO_FIT, Fit, judge, scale_reason, tolerance
 from .maps import sample
 from .observations import Observations
@@ -53,7 +54,9 @@ def align_official(values: np.ndarray, seen: Observations) -> Fit:
     inside &= seen.inverse_depth > 0
     count = int(inside.sum())
     if count <= OFFICIAL_POINTS:
-        return NO_FIT.refused(f"only {count} points are seen in it, expected more than 10")
+        return NO_FIT.refused(
+            f"only {count_words(count, 'point is', 'points are')} seen in it, expected more than 10"
+        )
     if np.ptp(seen.inverse_depth) <= OFFICIAL_RANGE:
         return NO_FIT.refused("the inverse depths of its points differ by 0.001 or less")
     known = seen.inverse_depth[inside]
@@ -89,7 +92,10 @@ def align_robust(
     m, s, w = mono[use].astype(np.float64), inverse_depth[use].astype(np.float64), weights[use]
     none = Fit(scale=0.0, offset=0.0, points=len(m))
     if len(m) < LEAST_POINTS:
-        return none.refused(f"only {len(m)} points are seen in it, expected {LEAST_POINTS}")
+        return none.refused(
+            f"only {count_words(len(m), 'point is', 'points are')} seen in it, expected "
+            f"{LEAST_POINTS}"
+        )
     middle = float(np.median(s))
     low, high = np.quantile(s, (0.05, 0.95))
     if high - low < _LEAST_SPREAD * middle:
@@ -106,8 +112,8 @@ def align_robust(
     inside = round(fit.inliers * len(m))
     if inside < LEAST_POINTS or fit.inliers < LEAST_SHARE:
         return fit.refused(
-            f"only {inside} of {len(m)} points ({fit.inliers:.0%} by weight) agree with one scale "
-            f"and offset"
+            f"only {number(inside)} of {count_words(len(m), 'point')} ({fit.inliers:.0%} by "
+            "weight) agree with one scale and offset"
         )
     if not beyond_chance(slope * unit[0] + height, unit[1], w, near):
         return fit.refused("the map does not follow the depth of the points")

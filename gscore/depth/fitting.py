@@ -7,6 +7,7 @@ import numpy as np
 
 from ..config import DataConfig
 from ..datasets import Dataset
+from ..words import count_words
 from .align import align_robust, reliable
 from .consensus import agreed, with_errors
 from .fit import NO_FIT, Fit, judge, median_scale
@@ -210,8 +211,8 @@ def _checked(
     for i in wrong:
         fits[i] = ours[i]
     sentence = (
-        f"{path} contradicts the points of {len(wrong)} views, as if it belonged to other maps; "
-        f"these are aligned anew. Make it again: gscore depth SOURCE"
+        f"{path} contradicts the points of {count_words(len(wrong), 'view')}, as if it belonged "
+        "to other maps; these are aligned anew. Make it again: gscore depth SOURCE"
     )
     return replace(stated, fits=fits, warnings=(*stated.warnings, sentence))
 
@@ -232,6 +233,6 @@ def _refusals(fits: list[Fit | None], median: float) -> tuple[str, ...]:
         return ()
     there = sum(1 for fit in fits if fit is not None)
     return (
-        f"{len(refused)} of {there} depth maps were not aligned, the first because "
+        f"{len(refused)} of {count_words(there, 'depth map')} were not aligned, the first because "
         f"{refused[0].reason}.",
     )

@@ -15,6 +15,7 @@ from ..datasets.decode import ViewFile
 from ..errors import Cancelled, ConfigError, FormatError, GsError
 from ..io.files import atomic_write
 from ..io.images import read_image, read_mask, write_png
+from ..words import count_words
 from .fitting import find_kind
 from .maps import DepthKind, MapFolder, stem, to_inverse
 from .network import Network
@@ -106,7 +107,7 @@ def photo_of(file: ViewFile, mask_mode: str) -> tuple[np.ndarray, np.ndarray | N
         if file.use_alpha and photo.shape[2] == 4:
             mask = photo[..., 3]
         elif file.mask is not None:
-            mask = read_mask(file.mask)
+            mask = read_mask(file.mask, inverted=file.mask_inverted)
     photo = np.ascontiguousarray(photo[..., :3])
     if mask is None:
         return photo, None
@@ -171,8 +172,8 @@ def _kept(folder: Path, record: dict[str, Any], names: tuple[str, ...]) -> list[
             return there
         by = f"they were made by {before.get('model')} with another {' and '.join(changed)}"
     raise ConfigError(
-        f"{folder} holds depth maps of {len(there)} views already, and {by}. Give --overwrite to "
-        f"replace them, or another folder with --depths."
+        f"{folder} holds depth maps of {count_words(len(there), 'view')} already, and {by}. Give "
+        "--overwrite to replace them, or another folder with --depths."
     )
 
 

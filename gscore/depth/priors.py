@@ -12,6 +12,7 @@ from ..datasets import Dataset
 from ..datasets.dataset import map_threads
 from ..datasets.decode import fit_map
 from ..errors import ConfigError, DatasetError
+from ..words import count_words
 from .confidence import confidence
 from .fit import NO_FIT, Fit
 from .fitting import Alignment, align_views
@@ -141,14 +142,18 @@ def _missing(folder: MapFolder, maps: list[Path | None], names: tuple[str, ...])
     missing = [name for name, path in zip(names, maps, strict=True) if path is None]
     if len(missing) == len(maps):
         raise DatasetError(
-            f"{folder.root} has no depth map of any view ({len(folder)} maps there); expected "
+            f"{folder.root} has no depth map of any view ({count_words(len(folder), 'map')} "
+            "there); expected "
             f"names like {Path(names[0]).stem}.png. Make them with `gscore depth`, or name another "
             f"folder with --depths."
         )
     if not missing:
         return []
     listed = ", ".join(missing[:5]) + (", ..." if len(missing) > 5 else "")
-    return [f"{len(missing)} of {len(maps)} views have no depth map in {folder.root}: {listed}."]
+    return [
+        f"{len(missing)} of {count_words(len(maps), 'view')} have no depth map in {folder.root}: "
+        f"{listed}."
+    ]
 
 
 def _prior(dataset: Dataset, index: int, values: np.ndarray, fit: Fit | None) -> DepthPrior:

@@ -11,6 +11,7 @@ from ..datasets import Dataset
 from ..datasets.dataset import map_threads
 from ..datasets.decode import ViewFile, check_proportions, fit_map
 from ..errors import DatasetError, FormatError, ShapeError
+from ..words import count_words, number
 from .maps import DepthKind, read_map, sample
 from .observations import Observations
 
@@ -68,8 +69,8 @@ def view_samples(
     there = [part for part in found if part is not None]
     if there and all(part.trouble for part in there):
         raise DatasetError(
-            f"None of the {len(there)} depth maps can be used. The first: {there[0].trouble}. Make "
-            f"them again: gscore depth"
+            f"None of the {number(len(there))} depth maps can be used. The first: "
+            f"{there[0].trouble}. Make them again: gscore depth"
         )
     return found
 
@@ -98,8 +99,8 @@ def unusable(samples: list[Samples | None]) -> tuple[str, ...]:
     if len(troubles) == 1:
         return (f"One depth map is left out, because its file cannot be used: {troubles[0]}.",)
     return (
-        f"{len(troubles)} depth maps are left out, because their files cannot be used, the first: "
-        f"{troubles[0]}.",
+        f"{count_words(len(troubles), 'depth map is', 'depth maps are')} left out, because the "
+        f"file cannot be used, the first: {troubles[0]}.",
     )
 
 

@@ -10,6 +10,7 @@ from ..datasets import Dataset
 from ..datasets.decode import fit_map
 from ..errors import GsError
 from ..io.images import resize, resize_map, write_png
+from ..words import count_words
 from .fit import Fit
 from .maps import DepthKind, read_map, to_inverse
 
@@ -106,7 +107,10 @@ def _words(fit: Fit | None) -> tuple[str, tuple[int, int, int]]:
     if fit is None:
         return "", _INK
     if fit.accepted:
-        return f"{fit.inliers:.0%} of {fit.points} points agree, scale {fit.scale:.4g}", _INK
+        return (
+            f"{fit.inliers:.0%} of {count_words(fit.points, 'point')} agree, scale {fit.scale:.4g}",
+            _INK,
+        )
     return f"refused: {fit.reason}", _BAD
 
 

@@ -8,9 +8,11 @@ import numpy as np
 
 from ..errors import DatasetError, FormatError
 from ..scene import FARTHEST
+from ..words import count_words
 from . import colmap_binary, colmap_text
 from .colmap_model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
 from .files import atomic_write, is_unnameable
+from .foreign import foreign
 
 __all__ = [
     "ColmapCamera",
@@ -44,7 +46,7 @@ def find_model(path: str | Path) -> tuple[Path, tuple[str, ...]]:
     """
     path = Path(path)
     if not path.is_dir():
-        raise DatasetError(f"There is no folder {path}. Give the folder that holds the capture.")
+        raise DatasetError(_no_folder(path))
     for root in (path / "sparse", path, path / "colmap" / "sparse"):
         numbered = _numbered_models(root)
         if root == path and has_model(path):
@@ -56,13 +58,25 @@ def find_model(path: str | Path) -> tuple[Path, tuple[str, ...]]:
             others = ", ".join(f"{m.name} ({_count_images(m)})" for m in numbered if m != best)
             return best, (
                 f"{root} holds {len(numbered)} models that COLMAP could not join; using "
-                f"{best.name} with {_count_images(best)} images, leaving out {others}.",
+                f"{best.name} with {count_words(_count_images(best), 'image')}, leaving out "
+                f"{others}.",
             )
         if has_model(root):
             return root, ()
     raise DatasetError(
         f"No COLMAP model in {path}: expected cameras and images (.bin or .txt) in sparse/0, in "
-        f"sparse or in the folder itself. Run COLMAP first, or give the folder above `sparse`."
+        f"sparse or in the folder itself, or a transforms.json. "
+        + (foreign(path) or "Run COLMAP first, or give the folder above `sparse`.")
+    )
+
+
+def _no_folder(path: Path) -> str:
+    """Why no capture is there."""
+    if not path.is_file():
+        return f"There is no folder {path}. Give the folder that holds the capture."
+    return foreign(path) or (
+        f"{path} is a file; a capture is a folder with photos and cameras. To train from the "
+        "splats of a PLY, give the capture and --start-splats."
     )
 
 

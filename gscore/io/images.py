@@ -71,11 +71,12 @@ def read_image(path: str | Path, *, upright: bool = False) -> np.ndarray:
             raise _broken(path, error) from error
 
 
-def read_mask(path: str | Path) -> np.ndarray:
+def read_mask(path: str | Path, *, inverted: bool = False) -> np.ndarray:
     """Decode a mask.
 
     Args:
         path: Grey, black and white, or colour image; one whose transparency varies gives that.
+        inverted: Its white marks what to leave out.
 
     Returns:
         [H, W] uint8, 255 = keep. Masks that hold only 0 and 1 are stretched to 0 and 255.
@@ -88,7 +89,8 @@ def read_mask(path: str | Path) -> np.ndarray:
         mask = np.ascontiguousarray(image[..., 3])
     else:
         mask = image[..., :3].max(axis=2)
-    return mask * np.uint8(255) if mask.max(initial=0) == 1 else mask
+    mask = mask * np.uint8(255) if mask.max(initial=0) == 1 else mask
+    return 255 - mask if inverted else mask
 
 
 def resize(image: np.ndarray, width: int, height: int) -> np.ndarray:

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..errors import FormatError
 from ..sh import rgb_to_sh0
+from ..words import count_words
 from .ply_elements import columns
 
 CHUNK = 256
@@ -48,7 +49,8 @@ def decompress(path: Path, elements: dict[str, np.ndarray]) -> dict[str, np.ndar
     missing += [n for n in need + colors * has_colors if not _has(chunk, n, "iuf")]
     if missing or len(chunk) != -(-count // CHUNK):
         raise FormatError(
-            f"{path} is a damaged compressed splat PLY: {len(chunk)} chunks for {count} splats "
+            f"{path} is a damaged compressed splat PLY: {count_words(len(chunk), 'chunk')} for "
+            f"{count_words(count, 'splat')} "
             f"(expected {-(-count // CHUNK)}), missing properties: {', '.join(missing) or 'none'}. "
             f"Export it again."
         )

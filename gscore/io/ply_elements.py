@@ -9,6 +9,7 @@ import numpy as np
 
 from ..errors import BackendError, DatasetError, FormatError
 from .files import open_regular
+from .foreign import foreign
 
 _log = logging.getLogger(__name__)
 
@@ -93,7 +94,8 @@ def _check_header(path: Path) -> None:
         raise DatasetError(f"Cannot read {path}: {error.strerror or error}.") from error
     if not head.startswith((b"ply\n", b"ply\r")):
         raise FormatError(
-            f"{path} is not a PLY file: it does not start with the word 'ply'. Choose the "
+            foreign(path)
+            or f"{path} is not a PLY file: it does not start with the word 'ply'. Choose the "
             f"point_cloud.ply that a 3D Gaussian Splatting trainer wrote."
         )
     end = head.find(b"end_header")

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ..words import count_words
 from .colormap import colorize
 from .pictures import data_uri, fitted, shrink
 
@@ -149,7 +150,9 @@ def _verdict(row: Mapping[str, Any]) -> str:
     if row["accepted"] and not row["points"]:
         return f"aligned as stated, no points to compare with{shown}"
     if row["accepted"]:
-        return f"aligned, {row['inliers']:.0%} of {row['points']} points agree{shown}"
+        return (
+            f"aligned, {row['inliers']:.0%} of {count_words(row['points'], 'point')} agree{shown}"
+        )
     return f"not aligned: {html.escape(str(row['reason']))}{shown}"
 
 
@@ -169,7 +172,7 @@ def _table(rows: Sequence[Mapping[str, Any]]) -> str:
     )
     accepted = sum(1 for row in rows if row["accepted"])
     return (
-        f"<details><summary>Fits: {accepted} of {len(rows)} views accepted</summary>"
+        f"<details><summary>Fits: {accepted} of {count_words(len(rows), 'view')} accepted</summary>"
         f'<div class="wide"><table><thead><tr>{head}<th>error of the render</th><th>verdict</th>'
         f"<th>reason</th></tr></thead><tbody>{body}</tbody></table></div></details>"
     )

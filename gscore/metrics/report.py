@@ -10,12 +10,12 @@ import numpy as np
 
 from ..events import judged_psnr
 from ..io.files import atomic_write
+from ..words import number_words, size_words
 from .colormap import colorize
 from .curves import Mark, Series, chart, clean_points, legend
 from .depth import depth_html
 from .pictures import ERROR_GAIN, ViewPictures
 from .report_head import TIMES, head_html, meaning_html, tiles_html
-from .words import number_words, size_words
 
 
 def write_report(path: Path, run: dict[str, Any]) -> None:
@@ -155,7 +155,7 @@ def _view_cards(views: Sequence[ViewPictures], metrics: dict[str, Any]) -> str:
         f"{'; none outside the masks' if 'psnr_masked' in metrics else ''}</em></div>"
     )
     left_out = len(views) - len(pictured)
-    note = f" Pictures of {len(pictured)} of {len(views)} views." if left_out else ""
+    note = f" Pictures of {len(pictured)} of {count_words(len(views), 'view')}." if left_out else ""
     photo = "photo"
     if metrics["mask_mode"] == "composite":
         photo = "photo over the background"
@@ -248,8 +248,8 @@ def _details(metrics: dict[str, Any], config: dict[str, dict[str, Any]]) -> str:
     names = metrics["test_views"]
     listed = "\n".join(names) if names else "none"
     parts.append(
-        f"<details><summary>Split: {len(metrics['train_views'])} training views, {len(names)} "
-        f"held out</summary><pre>{html.escape(listed)}</pre></details>"
+        f"<details><summary>Split: {count_words(len(metrics['train_views']), 'training view')}, "
+        f"{len(names)} held out</summary><pre>{html.escape(listed)}</pre></details>"
     )
     parts += [_table(f"Options: {section}", values) for section, values in config.items()]
     return f'<section class="details">{"".join(parts)}</section>\n'

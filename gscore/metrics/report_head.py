@@ -6,7 +6,7 @@ from datetime import datetime
 from typing import Any
 
 from ..events import CONVERGED, FINISHED, TARGET, judged_psnr
-from .words import count_words, size_words, time_words, whole_words
+from ..words import count_words, number, size_words, time_words
 
 TIMES = "\u00d7"
 FAR_ABOVE = 4.0
@@ -120,7 +120,7 @@ def _quality_tiles(metrics: dict[str, Any]) -> Iterator[_Tile]:
 
 
 def _work_tiles(metrics: dict[str, Any]) -> Iterator[_Tile]:
-    yield "Splats", whole_words(metrics["splats"]), "", f"SH degree {metrics['sh_degree']}"
+    yield "Splats", number(metrics["splats"]), "", f"SH degree {metrics['sh_degree']}"
     if metrics["train_seconds"] is not None:
         yield "Training", time_words(metrics["train_seconds"]), "", _steps(metrics)
     if metrics.get("fps") is not None:
@@ -136,7 +136,7 @@ def _steps(metrics: dict[str, Any]) -> str:
         return ""
     reason = metrics.get("reason")
     return _comma(
-        f"{whole_words(metrics['steps'])} steps", _HOW_ENDED.get(reason, f"stopped: {reason}")
+        count_words(metrics["steps"], "step"), _HOW_ENDED.get(reason, f"stopped: {reason}")
     )
 
 

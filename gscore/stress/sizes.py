@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..raster import _native
+from ..words import count_words, number
 from . import native, truth
 from .case import EmptyTestError, Measure, case
 from .compare import INTERIOR, gradient_measures, picture_measures, require_covered
@@ -31,7 +32,7 @@ def screen_filling(full: bool) -> Iterator[Measure]:
     tiles = _list_tiles(width, height)
     seen = int(drawn.stats["visible"])
     if seen < 900:
-        raise EmptyTestError(f"only {seen} of {count} splats fill the picture")
+        raise EmptyTestError(f"only {seen} of {count_words(count, 'splat')} fill the picture")
     # Opacity .0045 to .0055 against the cut of .0039: not each fills the whole picture.
     yield Measure(
         "entries beyond tiles x splats", max(0.0, drawn.stats["entries"] - tiles * seen), 0
@@ -72,7 +73,7 @@ def crowded_tile(full: bool) -> Iterator[Measure]:
         drawn = native.draw(scene, true.weights)
         if drawn.stats["entries"] < 0.7 * count:
             raise EmptyTestError(
-                f"only {drawn.stats['entries']:.0f} of {count} splats are in the tile"
+                f"only {drawn.stats['entries']:.0f} of {number(count)} splats are in the tile"
             )
         stopped = 1 - true.pictures["alpha"] < 2e-4
         if stopped.any():
@@ -82,7 +83,7 @@ def crowded_tile(full: bool) -> Iterator[Measure]:
             *picture_measures(drawn, true, most_band=0.999 if count > 10_000 else 0.5),
             *gradient_measures(drawn, true),
         ):
-            yield Measure(f"{count} splats, {m.what}", m.error, m.tolerance, m.note)
+            yield Measure(f"{count_words(count, 'splat')}, {m.what}", m.error, m.tolerance, m.note)
 
 
 @case("S16", "pictures of all sizes")

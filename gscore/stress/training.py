@@ -9,6 +9,7 @@ import numpy as np
 
 from ..config import Strategy, TrainConfig
 from ..errors import GsError
+from ..words import count_words
 from .capture import ToyPhotos, moved, toy_photos, toy_splats
 from .case import EmptyTestError, Measure, case
 
@@ -68,7 +69,7 @@ def coordinates(full: bool) -> Iterator[Measure]:
 
 @case("S30", "a long training", per_isa=False, slow=True)
 def long_training(full: bool) -> Iterator[Measure]:
-    """Oracle: 100 000 steps leave finite splats without runaway shapes, and do not unlearn.
+    """Oracle: 100,000 steps leave finite splats without runaway shapes, and do not unlearn.
 
     There are fewer splats than the capture was drawn with. What is left of the error is then what
     they cannot say; with enough of them it is how far the last steps jump, by 1 dB about 52.
@@ -97,7 +98,8 @@ def long_training(full: bool) -> Iterator[Measure]:
         ratios = np.exp(np.ptp(splats.scales, axis=1))
         opacity = 1 / (1 + np.exp(-splats.opacities.astype(np.float64)))
         note = (
-            f"{len(splats)} splats, {best:.2f} dB; axes 1 : {np.median(ratios):.1f} in the median, "
+            f"{count_words(len(splats), 'splat')}, {best:.2f} dB; axes 1 : "
+            f"{np.median(ratios):.1f} in the median, "
             f"{np.quantile(ratios, 0.99):.0f} at 99 %; opacity {np.median(opacity):.2f}, "
             f"{(opacity > 0.99).mean():.0%} above 0.99"
         )

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..config import Switch
-from ..metrics.words import count_words
 from ..scene import Scene
+from ..words import count_words, number
 
 DENSE_VIEWS = 30
 """Training views of a median point from which the photos alone settle the geometry."""
@@ -35,8 +35,8 @@ class Coverage:
 
     def __str__(self) -> str:
         return (
-            f"{self.views} training views, {self.views_of_point:.0f} of them on a median point, "
-            f"{self.points_in_view:.0f} points in a median view"
+            f"{count_words(self.views, 'training view')}, {self.views_of_point:.0f} of them on a "
+            f"median point, {number(round(self.points_in_view))} points in a median view"
         )
 
 

@@ -11,6 +11,7 @@ from ..datasets import Dataset
 from ..depth import load_priors
 from ..errors import ConfigError
 from ..scene import PointCloud
+from ..words import count_words, number
 from .depth_loss import with_weights
 from .depth_points import depth_points
 from .depth_rule import coverage, decide
@@ -99,7 +100,10 @@ def prepare_depth(
             colors=np.concatenate([known.colors, added.colors]),
             made_up=known.made_up,
         )
-        why += f" {len(added)} points were added from the maps to {len(known)} of SfM."
+        why += (
+            f" {count_words(len(added), 'point was', 'points were')} added from the maps to "
+            f"{number(len(known))} of SfM."
+        )
     return DepthSetup(
         targets=DepthTargets(priors.views, train=photos.train, views=facts.views_of_point),
         supervises=supervises,

@@ -12,6 +12,7 @@ from ..errors import GsError
 from ..metrics.lpips import lpips_file
 from ..raster.api import render
 from ..splats import Splats
+from ..words import count_words
 from .memory import (
     RUNTIME,
     cache_bytes,
@@ -161,7 +162,8 @@ def check_fits(found: Estimate, config: TrainConfig) -> None:
     if found.fits or found.free_bytes is None:
         return
     raise GsError(
-        f"Training {config.max_splats} splats needs about {(found.peak_bytes - RUNTIME) / 1e9:.1f} "
+        f"Training {count_words(config.max_splats, 'splat')} needs about "
+        f"{(found.peak_bytes - RUNTIME) / 1e9:.1f} "
         f"GB of memory, but {found.free_bytes / 1e9:.1f} GB are free; {found.advice}."
     )
 

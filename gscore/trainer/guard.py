@@ -5,6 +5,7 @@ import math
 import torch
 
 from ..errors import GsError
+from ..words import count_words
 from .model import Model
 
 
@@ -17,5 +18,5 @@ def assert_finite(model: Model, loss: float, *, step: int, view: str) -> None:
         if bad:
             raise GsError(
                 f"Step {step}, view {view}: the gradient of {name} is not finite for {bad} of "
-                f"{len(model)} splats."
+                f"{count_words(len(model), 'splat')}."
             )

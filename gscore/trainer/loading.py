@@ -12,8 +12,8 @@ from ..datasets import Dataset
 from ..datasets.dataset import map_threads
 from ..errors import Cancelled, DatasetError
 from ..events import Estimated, Event, Progress
-from ..metrics.words import count_words
 from ..splats import Splats
+from ..words import count_words
 from .forecast import Estimate, check_fits, estimate
 
 _LOADING_PERIOD = 0.5
@@ -148,8 +148,10 @@ def _check_masks(photos: Dataset, threads: int) -> list[str]:
     empty = [photos.names[i] for i, good in zip(photos.train, shows, strict=True) if not good]
     if len(empty) == len(photos.train):
         raise DatasetError(
-            f"The masks of all {len(empty)} training views in {photos.source} are black, so there "
-            "is nothing to train on. White is what counts: invert them, or choose --mask-mode none."
+            f"The masks of all {count_words(len(empty), 'training view')} in {photos.source} are "
+            "black, so there "
+            "is nothing to train on. White is what counts: give --invert-masks if it marks what "
+            "to leave out, or choose --mask-mode none."
         )
     if empty:
         views = count_words(len(empty), "training view")

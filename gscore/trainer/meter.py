@@ -110,7 +110,7 @@ class Meter:
             steps_per_s=rate,
             eta_s=min(self._pace_before(left) * left, max(self._budget - self.train_seconds, 0.0)),
             elapsed_s=self.train_seconds,
-            phase=phase or ("growing" if self._step <= self.plan.refine_stop else "polishing"),
+            phase=phase or ("adding splats" if self._step <= self.plan.refine_stop else "refining"),
         )
 
     def due(self) -> bool:

@@ -7,6 +7,7 @@ import numpy as np
 from ..datasets.capture import listing
 from ..errors import DatasetError
 from ..io.ply import is_antialiased
+from ..words import count_words, number
 from .trainer import Trainer
 
 _FAR_FROM_ORIGIN = 1e4
@@ -63,8 +64,8 @@ def _stray(trainer: Trainer) -> Iterator[str]:
     far, times = _far(scene.points.points, middle)
     if len(far) > 0.001 * len(scene.points):
         yield (
-            f"{len(far)} of {len(scene.points)} points lie more than {_STRAY:.0f} times farther "
-            "from the cameras than half of the points do."
+            f"{number(len(far))} of {count_words(len(scene.points), 'point')} lie more than "
+            f"{_STRAY:.0f} times farther from the cameras than half of the points do."
         )
 
 
@@ -101,13 +102,14 @@ def _unseen(trainer: Trainer) -> Iterator[str]:
     empty = [index for index in looked_at if not trainer.shows_splats(index)]
     if len(empty) == len(looked_at) and not any(map(trainer.shows_splats, views)):
         raise DatasetError(
-            f"None of the {len(views)} training views shows any of the {len(trainer.model)} splats "
+            f"None of the {number(len(views))} training views shows any of the "
+            f"{count_words(len(trainer.model), 'splat')} "
             "to start with, so nothing can be learnt. Do the cameras and the points, or the PLY of "
             "--start-splats, belong to one capture?"
         )
     if empty:
         names = listing([trainer.photos.scene.cameras.names[i] for i in empty])
         yield (
-            f"{len(empty)} of {len(looked_at)} training views looked at show no splat at the start "
-            f"and may stay empty: {names}."
+            f"{len(empty)} of {count_words(len(looked_at), 'training view')} looked at show no "
+            f"splat at the start and may stay empty: {names}."
         )

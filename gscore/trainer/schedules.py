@@ -109,12 +109,12 @@ class Plan:
         """
         n = config.iterations
         mcmc = config.strategy is Strategy.MCMC
-        # Runs shorter than the paper's 30 000 steps keep its proportions where a splat still sees
+        # Runs shorter than the paper's 30,000 steps keep its proportions where a splat still sees
         # enough views between two decisions: at least 100 steps at the start, 50 in between.
         every = config.refine_every or max(min(50, n), min(100, n // 50))
         start = config.refine_start or max(min(100, n), min(500, n // 20))
         # Fewer steps have to go as far. On real captures of 200 x 150 px this gained 1.1 dB on
-        # held-out views in 1000 steps and 0.7 dB in 3000.
+        # held-out views in 1,000 steps and 0.7 dB in 3000.
         boost = config.lr_boost or min(max((_PAPER_STEPS / n) ** 0.35, 1.0), 4.0)
         root = math.sqrt(boost)
         reset = config.reset_every or (3000 if n >= 6000 else -1)

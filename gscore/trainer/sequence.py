@@ -17,6 +17,7 @@ from ..io.files import atomic_write
 from ..io.runs import clear_run, read_metrics, read_run
 from ..io.sequences import SEQUENCE_FILE, SequenceIndex, read_sequence, write_sequence
 from ..metrics import headline
+from ..words import count_words
 from . import checkpoint
 from .folder import RunFolder
 from .run import train
@@ -303,8 +304,8 @@ def _open(output: Path, *, resume: bool, overwrite: bool) -> None:
         (output / SEQUENCE_FILE).unlink(missing_ok=True)
     elif not resume:
         raise ConfigError(
-            f"{output} holds another sequence ({len(begun)} frames begun); go on with it with "
-            f"--resume, replace it with --overwrite, or choose another folder."
+            f"{output} holds another sequence ({count_words(len(begun), 'frame')} begun); go on "
+            "with it with --resume, replace it with --overwrite, or choose another folder."
         )
 
 

@@ -24,6 +24,7 @@ from ..events import (
 from ..metrics import Lpips, PictureCollector, headline
 from ..raster import backend
 from ..splats import Splats
+from ..words import count_words
 from . import checkpoint
 from .depth_report import DepthReport, measure_depth
 from .depth_setup import DepthSetup
@@ -332,7 +333,7 @@ class Session:
         return path
 
     def _evaluate(self, collector: PictureCollector | None) -> dict[str, Any] | None:
-        self._emit(self._meter.progress(phase="evaluating"))
+        self._emit(self._meter.progress(phase="measuring"))
         self._trainer.make_room()
         found = self._evaluator.measure(collector, interrupted=lambda: self._control.stopping)
         if found is None:
@@ -352,9 +353,9 @@ class Session:
         self._answer()  # a snapshot asked for just before the stop
         if trainer.cleared > _MANY_CLEARED * len(trainer.model):
             self.warn(
-                f"{trainer.cleared} splats were taken out because they stood nearer to a camera "
-                f"than {self._config.free_space:g} of its distance from the nearest points. If "
-                "something does stand there, train with --free-space 0.",
+                f"{count_words(trainer.cleared, 'splat was', 'splats were')} taken out, standing "
+                f"nearer to a camera than {self._config.free_space:g} of its distance from the "
+                "nearest points. If something does stand there, train with --free-space 0.",
                 "cleared",
             )
         self._checkpoint(keep=1 if finished else _CHECKPOINTS_KEPT, finished=finished)

@@ -8,6 +8,7 @@ from ..config import TrainConfig
 from ..errors import ConfigError
 from ..scene import PointCloud
 from ..splats import SH_REST_BY_DEGREE, Splats
+from ..words import number
 from .frame import Frame
 from .params import splats_from_points
 from .schedules import Plan
@@ -34,8 +35,8 @@ def splats_to_go_on_with(start: Splats, config: TrainConfig, frame: Frame) -> Sp
     """
     if not 0 < len(start) <= config.max_splats:
         raise ConfigError(
-            f"The splats to start from are {len(start)}, expected 1 to max_splats = "
-            f"{config.max_splats}; raise --max-splats or start from fewer."
+            f"The splats to start from are {number(len(start))}, expected 1 to max_splats = "
+            f"{number(config.max_splats)}; raise --max-splats or start from fewer."
         )
     rest = SH_REST_BY_DEGREE[config.sh_degree]
     start = replace(start, shN=np.ascontiguousarray(start.shN[:, :rest]))

@@ -17,6 +17,7 @@ from ..raster.loss import image_loss, image_loss_gradient
 from ..raster.painter import Painter
 from ..scene import PointCloud
 from ..splats import Splats
+from ..words import count_words
 from . import bounds, guard
 from .contribution import Weights, least, most_in_a_view, mostly_hidden, weights_by_view
 from .depth_loss import DepthLoss
@@ -477,7 +478,8 @@ class Trainer:
         self._skipped += 1
         if self._skipped >= _MAX_SKIPPED:
             raise GsError(
-                f"Training diverged: the loss was not finite for {_MAX_SKIPPED} steps in a row, "
+                f"Training diverged: the loss was not finite for "
+                f"{count_words(_MAX_SKIPPED, 'step')} in a row, "
                 f"the last one step {self.steps}. Lower the learning rates; --detect-anomaly says "
                 "where it begins."
             )

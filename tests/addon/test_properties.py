@@ -118,6 +118,7 @@ def test_every_option_arrives(scene: bpy.types.Scene, tmp_path: Path) -> None:
         setattr(settings, name, value)  # numbers become single precision
     settings.eval, settings.test_every, settings.images = True, 5, "photos 2"
     settings.mask_mode, settings.resolution, settings.width = "composite", "WIDTH", 333
+    settings.invert_masks = True
     machine = options.Machine(threads=1, lpips=network, preview_seconds=0.0)
     first = line(scene, machine=machine, overwrite=True)
     settings.use_masks, settings.eval, settings.resolution = False, False, "2"
@@ -133,6 +134,7 @@ def test_every_option_arrives(scene: bpy.types.Scene, tmp_path: Path) -> None:
     assert (data["source"], data["images"]) == (str(STUDIO), "photos 2")
     assert (data["eval"], data["test_every"]) == ("True", "5")
     assert (data["mask_mode"], data["resolution"]) == ("composite", "333.0")
+    assert (data["invert_masks"], data2["invert_masks"]) == ("True", "False")
     assert args["overwrite"] == "True"
     assert (data2["mask_mode"], data2["eval"], data2["resolution"]) == ("none", "False", "2.0")
 

@@ -85,7 +85,11 @@ def test_masks_of_the_capture_count(studio, scene):
     assert masked.psnr_masked == pytest.approx(inside, abs=0.05)
     assert camera["gs_psnr_masked"] == masked.psnr_masked
     assert not pixels(masked.images["Photo"])[mask[..., 0] == 0].any()
-    scene.gscore.mask_mode = "composite"
+    scene.gscore.invert_masks = True
+    outside = compare.compare(scene, camera, depsgraph)
+    rest = ((1 - mask) * (shown.astype(np.float64) - photo) ** 2).sum() / (3 * (1 - mask).sum())
+    assert outside.psnr_masked == pytest.approx(-10 * np.log10(rest), abs=0.05)
+    scene.gscore.mask_mode, scene.gscore.invert_masks = "composite", False
     composite = compare.compare(scene, camera, depsgraph)
     assert composite.psnr_masked is None and "gs_psnr_masked" not in camera
     corner = pixels(composite.images["Photo"])[mask[..., 0] == 0]

@@ -25,7 +25,7 @@ def test_a_perfect_run(gscore, run_folder, capture):
     assert facts["psnr_u8"] is None and "identical" in facts["psnr_u8_reason"]
     assert facts["ssim"] > 0.999 and facts["lpips"] is None and facts["lpips_reason"]
     assert facts["splats"] == 60 and facts["split"] == "test" and facts["sh_degree"] == 1
-    assert "2/2 a_8.png: PSNR" in err
+    assert err == ""  # a log needs no progress of work that takes moments
     written = json.loads((folder / "metrics.json").read_text())
     assert [v["name"] for v in written["views"]] == ["a_0.png", "a_8.png"]
     assert written["test_views"] == ["a_0.png", "a_8.png"] and len(written["train_views"]) == 7

@@ -2,10 +2,12 @@
 
 import json
 import math
+import shutil
 
 import numpy as np
 import pytest
 
+from gscore.io.images import write_png
 from gscore.io.ply import write_splats
 
 
@@ -120,3 +122,34 @@ def test_nothing_there(gscore, tmp_path):
     (tmp_path / "x.txt").write_text("hello")
     code, _, err = gscore("info", tmp_path / "x.txt")
     assert code == 2 and "not a PLY file" in err
+
+
+def test_inverted_masks_in_every_verb(gscore, capture, cameras, tmp_path, monkeypatch):
+    """Oracle: a mask that keeps all but one corner, as its opposite: config and pixels."""
+    folder = tmp_path / "capture"
+    shutil.copytree(capture, folder)
+    hidden = np.zeros((36, 48), np.uint8)
+    hidden[:9, :12] = 255
+    for name in cameras.names:
+        write_png(folder / "masks" / f"{name}.png", hidden)
+    code, out, _ = gscore("info", folder, "--invert-masks", "--json")
+    assert code == 0 and json.loads(out)["masks_inverted"] is True
+    code, out, _ = gscore("info", folder, "--invert-masks")
+    assert "masks: ignore inverted" in out
+    code, out, err = gscore(
+        "train", folder, "-o", tmp_path / "run", "--invert-masks", "--iterations", "3", "--json"
+    )
+    assert code == 0, err
+    assert (
+        json.loads((tmp_path / "run" / "config.json").read_text())["data"]["invert_masks"] is True
+    )
+    for options, share in (((), 15 / 16), (("--no-invert-masks",), 1 / 16)):
+        code, out, _ = gscore("eval", tmp_path / "run", "--json", *options)
+        assert code == 0
+        view = json.loads((tmp_path / "run" / "metrics.json").read_text())["views"][0]
+        assert 10 ** ((view["psnr_masked"] - view["psnr"]) / 10) == pytest.approx(share, rel=1e-3)
+    code, _, err = gscore(
+        "train", folder, "-o", tmp_path / "run", "--resume", "--no-invert-masks",
+        "--iterations", "9",
+    )  # fmt: skip
+    assert code == 2 and "other" in err

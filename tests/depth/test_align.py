@@ -157,7 +157,7 @@ def test_few_points_are_refused(count):
     """Oracle: the count in the reason."""
     inverse = np.linspace(0.1, 0.5, count)
     fit = align_robust(inverse * 2, inverse, np.ones(count))
-    assert not fit.accepted and fit.reason.startswith(f"only {count} points")
+    assert not fit.accepted and fit.reason.startswith(f"only {count} point")
     assert fit.points == count
 
 

@@ -11,7 +11,7 @@ from gscore.errors import ShapeError
 from gscore.events import judged_psnr
 from gscore.metrics import evaluate, headline, psnr, write_metrics
 from gscore.metrics.evaluate import target_picture
-from gscore.metrics.words import quality_words
+from gscore.words import quality_words
 
 
 class FakeLpips:

@@ -17,7 +17,7 @@ from gscore.metrics.colormap import colorize
 from gscore.metrics.curves import Series, chart, clean_points, log_ticks, nice_ticks, short_number
 from gscore.metrics.pictures import BYTES_IN_ALL, ERROR_GAIN, MAX_VIEWS
 from gscore.metrics.report import report_html
-from gscore.metrics.words import size_words, time_words
+from gscore.words import size_words, time_words
 
 VOID = {"meta", "img", "br", "link", "hr", "input"}
 
@@ -178,7 +178,7 @@ def test_numbers_are_shown(run):
     words = Page(report_html(content)).words
     metrics = content["metrics"]
     shown = " ".join(words)
-    for piece in (f"{metrics['psnr']:.2f}", f"{metrics['ssim']:.4f}", "1 234", "1 min 15 s"):
+    for piece in (f"{metrics['psnr']:.2f}", f"{metrics['ssim']:.4f}", "1,234", "1 min 15 s"):
         assert piece in shown
     assert "306 kB" in shown and "500 steps" in shown and "iterations" in shown
     assert "needs 161 x 161 pixels" in shown  # why MS-SSIM is missing

@@ -53,7 +53,7 @@ def test_people_get_a_summary_and_programs_silence(
     seen = capsys.readouterr()
     assert "Finished after 12 steps" in seen.out
     assert "8 training views: PSNR" in seen.out
-    assert "step 12/12 100%" in seen.err
+    assert "8 training views, 0 test views" in seen.err and "step 12" not in seen.err
     assert "asked for" not in seen.out
     assert main([*base, "--quiet"]) == 0
     seen = capsys.readouterr()
@@ -70,7 +70,7 @@ def test_the_summary_says_what_was_asked_for_and_not_reached(
     assert "The time was used up after" in seen
     assert "The 90 dB asked for were not reached." in seen
     assert main(["train", str(capture), "-o", str(tmp_path), "--without", "foo"]) == 2
-    assert "choose from 'exact-cull'" in capsys.readouterr().err
+    assert "there are: exact-cull" in capsys.readouterr().err
 
 
 def test_options_reach_the_config_under_all_names(capture: Path, tmp_path: Path) -> None:
@@ -168,7 +168,7 @@ def test_resuming_with_other_options_says_which(
         (["-o", "{out}"], "No capture was given"),
         (["{capture}/nothing", "-o", "{out}"], "nothing"),
         (["{capture}", "-s", "elsewhere", "-o", "{out}"], "Two captures were given"),
-        (["{capture}"], "the following arguments are required: -o"),
+        (["{capture}"], "still to be given: -o"),
         (["{capture}", "-o", "{out}", "--resume"], "holds no run to resume"),
         (["{capture}", "-o", "{out}", "--resume", "--overwrite"], "not allowed with argument"),
         (["{capture}", "-o", "{out}", "--start-checkpoint", "{out}/x"], "no such checkpoint"),
@@ -181,7 +181,7 @@ def test_resuming_with_other_options_says_which(
         (["{capture}", "-o", "{out}", "--time-budget", "5", "--iterations", "9"], "budget (5 s)"),
         (["{capture}", "-o", "{out}", "-d", "nodepth"], "There is no folder {capture}/nodepth"),
         (["{capture}", "-o", "{out}", "-w", "--random-background"], "Give either"),
-        (["{capture}", "-o", "{out}", "--nonsense"], "unrecognized arguments: --nonsense"),
+        (["{capture}", "-o", "{out}", "--nonsense"], "there is no option --nonsense"),
         (["{capture}", "-o", "{capture}/images/view_00.png"], "is a file"),
     ],
 )

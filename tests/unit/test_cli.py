@@ -124,6 +124,18 @@ def test_stopped_before_there_was_anything(
     assert ("Stopped before the first step." in told.out) == bool(events)
 
 
+def test_help_is_a_verb_too(capsys: pytest.CaptureFixture[str]) -> None:
+    """Oracle: the help that --help gives, and the nearest verb for one that there is not."""
+    for line, same in (("help", "--help"), ("help info", "info --help")):
+        assert commands.main(line.split()) == 0
+        told = capsys.readouterr().out
+        assert commands.main(same.split()) == 0
+        assert told == capsys.readouterr().out
+    for line in ("trian", "help trian"):
+        assert commands.main(line.split()) == 2
+        assert "there is no verb 'trian'; did you mean `gscore train`?" in capsys.readouterr().err
+
+
 def test_a_bad_option_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
     """Oracle: one line, code 2, and where to read on."""
     assert commands.main(["train", "x", "-o", "y", "--iterations", "many"]) == 2
@@ -139,7 +151,15 @@ def test_a_bad_option_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> Non
         ("train x -o y --max_splat=5", "--max-splat: did you mean --max-splats? See"),
         ("train x -o y --seeed 1 --qiet", "did you mean --seed; --qiet: did you mean --quiet?"),
         ("bench step --thread 1", "--thread: did you mean --threads?"),
-        ("train x -o y --zzz 1", "unrecognized arguments: --zzz 1. See"),
+        ("train x -o y --zzz 1", "there is no option --zzz. See"),
+        ("train x -o y --iters 5", "--iters: did you mean --iterations? See"),
+        ("train x --iters 5", "--iters: did you mean --iterations? See"),
+        ("train x -o y -Z", "unrecognized arguments: -Z. See"),
+        ("train x -o y --preset fast", "there is no 'fast'; did you mean preview? There are: prev"),
+        ("train x -o y --preset hihg", "there is no 'hihg'; did you mean high? There are: prev"),
+        ("train x -o y --preset zzz", "there is no 'zzz'; there are: preview, draft, normal, high"),
+        ("bench rastre", "there is no 'rastre'; did you mean raster? There are: raster, step"),
+        ("render run -o y --pth orbit", "--pth: did you mean --path? See gscore render"),
     ],
 )
 def test_a_mistyped_option(line: str, words: str, capsys: pytest.CaptureFixture[str]) -> None:

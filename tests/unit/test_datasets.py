@@ -126,7 +126,7 @@ def test_photos_of_another_size(make_capture: Callable) -> None:
     )
     assert data.image(0).shape == (33, 50, 3)
     (warning,) = data.warnings
-    assert "9 photos have another size than their camera" in warning
+    assert "9 photos have another size than the camera" in warning
     assert "view_00.png (50 x 33 for 101 x 67)" in warning
 
 
@@ -188,7 +188,7 @@ class TestMissing:
         with pytest.raises(DatasetError, match="There is no folder"):
             _load(tmp_path / "nowhere")
         (tmp_path / "empty").mkdir()
-        with pytest.raises(DatasetError, match=r"No COLMAP model.*Nor is there a transforms\.json"):
+        with pytest.raises(DatasetError, match=r"No COLMAP model.*or a transforms\.json"):
             _load(tmp_path / "empty")
 
     def test_other_ending_or_case(self, make_capture: Callable) -> None:
@@ -325,6 +325,28 @@ class TestMasks:
         np.testing.assert_array_equal(data.image(5), capture.photos["view_05.png"])
         assert data.nbytes == 9 * 64 * 48 * 4
 
+    def test_inverted_masks(self, make_capture: Callable) -> None:
+        """Oracle: 255 minus the masks as read; the mode is ignore unless the user says."""
+        capture = make_capture()
+        self._masks(capture.root, "{}.png")
+        usual = _load(capture.root)
+        data = _load(capture.root, invert_masks=True)
+        assert data.mask_mode == "ignore" and data.warnings == ()
+        for index in range(len(data)):
+            mask, other = usual.mask(index), data.mask(index)
+            assert mask is not None and other is not None
+            np.testing.assert_array_equal(other, 255 - mask)
+        assert data.content_hash() != usual.content_hash()
+        composite = _load(capture.root, invert_masks=True, mask_mode="composite")
+        assert composite.mask_mode == "composite"
+
+    def test_no_mask_files_to_invert(self, make_capture: Callable) -> None:
+        """Oracle: the alpha as written, and a warning."""
+        capture = make_capture(alpha=True)
+        data = _load(capture.root, invert_masks=True)
+        assert data.warnings == ("There are no mask files, so invert_masks changes nothing.",)
+        np.testing.assert_array_equal(data.mask(2), capture.photos["view_02.png"][..., 3])
+
     def test_alpha(self, make_capture: Callable) -> None:
         """Oracle: colours and alpha as written."""
         capture = make_capture(alpha=True)
@@ -440,7 +462,7 @@ class TestPoints:
             ]
             write_model(replace(capture.model, images=images), capture.root / "sparse" / "0")
         data = _load(capture.root)
-        assert "All 6 points are black" in data.warnings[0]
+        assert "All points are black (6 of them" in data.warnings[0]
         points = capture.model.points.xyz
         expected = np.zeros((6, 3))
         number = np.zeros(6)

@@ -488,7 +488,7 @@ def test_a_rig_with_a_wrong_and_a_lost_camera(make_case: Callable[..., Case]) ->
     true = moved(viewmats()[0], world_of(0))
     np.testing.assert_allclose(lost.viewmat[:3, :3], true[:3, :3], atol=1e-3)
     np.testing.assert_allclose(lost.viewmat[:3, 3], true[:3, 3], atol=0.02)
-    assert "1 views are not in" in joined.warnings[-1]
+    assert "1 view is not in" in joined.warnings[-1]
 
 
 def test_another_rig_is_refused(make_case: Callable[..., Case]) -> None:

@@ -231,7 +231,7 @@ class TestRefusals:
         """Oracle: missing file, other contents, header without an end."""
         with pytest.raises(DatasetError, match=r"Cannot read .*none\.ply"):
             read_splats(tmp_path / "none.ply")
-        (tmp_path / "a.ply").write_bytes(b"\x89PNG\r\n")
+        (tmp_path / "a.ply").write_bytes(b"\x7fELF\r\n")
         with pytest.raises(FormatError, match="is not a PLY file"):
             read_splats(tmp_path / "a.ply")
         (tmp_path / "a.ply").write_bytes(b"ply\nformat ascii 1.0\n")

@@ -249,6 +249,7 @@ def test_huge_photos_are_reduced_first(tmp_path: Path) -> None:
     write_png(tmp_path / "photo.png", photo)
     size = (round(plan.width / 8), round(plan.height / 8))
     view = ViewFile(
+        mask_inverted=False,
         image=tmp_path / "photo.png",
         mask=None,
         use_alpha=False,

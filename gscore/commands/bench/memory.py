@@ -8,7 +8,9 @@ from ...bench.memory import MIN_STEPS, MemoryBench, bench_memory
 from ...errors import BackendError
 from ...metrics.machine import machine
 from ...raster import backend
+from ...words import count_words, number
 from ..output import print_json
+from ..status import beginning, wrapped
 from .numbers import check_numbers
 from .scaling import size
 
@@ -31,26 +33,30 @@ def run(args: argparse.Namespace) -> int:
     check_numbers(args, MIN_STEPS, "steps")
     check_numbers(args, 0, "threads")
     width, height = args.size
-    found = bench_memory(
-        splats=args.splats,
-        views=args.views,
-        width=width,
-        height=height,
-        steps=args.steps,
-        threads=args.threads,
-    )
+    with beginning(sys.stderr, f"Training {count_words(args.splats, 'splat')}"):
+        found = bench_memory(
+            splats=args.splats,
+            views=args.views,
+            width=width,
+            height=height,
+            steps=args.steps,
+            threads=args.threads,
+        )
     if found is None:
         raise BackendError("This system does not tell how much memory a process takes.")
     if args.json:
         print_json({"machine": machine(), "isa": backend.isa()} | asdict(found))
     else:
-        sys.stdout.write(_table(found))
+        sys.stdout.write(wrapped(_table(found), sys.stdout))
     return 0
 
 
 def _table(r: MemoryBench) -> str:
-    parts = "".join(f"  {bytes_ / 1e6:8,.0f} MB  {name}\n" for name, bytes_ in r.parts.items())
+    parts = "".join(
+        f"  {number(round(bytes_ / 1e6)):>8} MB  {name}\n" for name, bytes_ in r.parts.items()
+    )
     return (
-        f"{r.splats:,} splats, {r.views} views of {r.width} x {r.height} px, {r.steps} steps\n"
+        f"{count_words(r.splats, 'splat')}, {count_words(r.views, 'view')} of {r.width} x "
+        f"{r.height} px, {count_words(r.steps, 'step')}\n"
         f"  said {r.said_bytes / 1e9:.2f} GB, took {r.peak_bytes / 1e9:.2f} GB\n{parts}"
     )

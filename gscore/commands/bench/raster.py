@@ -14,7 +14,9 @@ from ...errors import ConfigError
 from ...io.ply import read_splats
 from ...metrics.machine import machine
 from ...raster import backend
+from ...words import count_words, number
 from ..output import print_json
+from ..status import beginning, wrapped
 from .numbers import check_numbers
 
 
@@ -28,7 +30,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--width", type=int, default=640, help="px, of the synthetic view")
     parser.add_argument("--height", type=int, default=360, help="px, of the synthetic view")
     parser.add_argument("-r", "--resolution", type=float, default=-1, help="as in `gscore train`")
-    parser.add_argument("--threads", type=int, default=0, help="0: all cores")
+    parser.add_argument(
+        "--threads", type=int, default=0, metavar="N", help="CPU threads; 0: all cores"
+    )
     parser.add_argument("--isa", help="instruction set; `all` measures each that runs here")
 
 
@@ -50,10 +54,13 @@ def run(args: argparse.Namespace) -> int:
     results = []
     for isa in isas:
         backend.set_isa(isa)
-        result = bench_raster(splats, cameras, views, repeats=args.repeats, threads=args.threads)
+        with beginning(sys.stderr, f"Measuring {isa}, {count_words(len(splats), 'splat')}"):
+            result = bench_raster(
+                splats, cameras, views, repeats=args.repeats, threads=args.threads
+            )
         results.append(result)
         if not args.json:
-            sys.stdout.write(_table(result))
+            sys.stdout.write(wrapped(_table(result), sys.stdout))
     if args.json:
         found = [{"machine": machine()} | asdict(r) for r in results]
         print_json(found[0] if len(found) == 1 else found)
@@ -63,13 +70,13 @@ def run(args: argparse.Namespace) -> int:
 def _table(r: RasterBench) -> str:
     stages = "  ".join(f"{name} {ms:.2f}" for name, ms in r.stages_ms.items())
     return (
-        f"{r.isa}, {r.threads} threads, {r.splats:,} splats, "
-        f"{r.views} views of {r.width} x {r.height}\n"
+        f"{r.isa}, {count_words(r.threads, 'thread')}, {count_words(r.splats, 'splat')}, "
+        f"{count_words(r.views, 'view')} of {r.width} x {r.height}\n"
         f"  {r.gpairs_per_s:.2f} Gpair/s forward + backward blending "
         f"({r.gpairs_per_s_all_stages:.2f} with all stages), "
         f"forward {r.forward_gpairs_per_s:.2f}, backward {r.backward_gpairs_per_s:.2f}\n"
         f"  {r.pairs_per_pixel:.1f} pairs per pixel ({100 * r.useful_share:.0f} % useful), "
-        f"{r.entries_per_tile:.0f} splats per tile, {r.visible:,.0f} visible\n"
+        f"{r.entries_per_tile:.0f} splats per tile, {number(round(r.visible))} visible\n"
         f"  forward {r.forward_ms:.2f} ms ({r.forward_fps:.0f} fps), "
         f"backward {r.backward_ms:.2f} ms; ms: {stages}\n"
     )

@@ -8,7 +8,9 @@ from typing import Any
 from ...bench.scaling import SIZES, SPLATS, VIEWS, Series, bench_scaling
 from ...metrics.machine import cores, machine
 from ...raster import backend
+from ...words import count_words
 from ..output import print_json
+from ..status import Rows, Status
 from .numbers import check_numbers
 
 
@@ -29,15 +31,17 @@ def run(args: argparse.Namespace) -> int:
     if args.threads is None:
         args.threads = range(1, cores() + 1)
     check_numbers(args, 1, "splats", "threads", "views", "cloud", "steps")
-    series = bench_scaling(
-        splats=args.splats,
-        sizes=args.sizes,
-        threads=args.threads,
-        views=args.views,
-        cloud=args.cloud,
-        steps=args.steps,
-        on_row=None if args.json else _show,
-    )
+    with Status(sys.stderr) as status:
+        told = Rows(status, "Measuring", quiet=args.json)
+        series = bench_scaling(
+            splats=args.splats,
+            sizes=args.sizes,
+            threads=args.threads,
+            views=args.views,
+            cloud=args.cloud,
+            steps=args.steps,
+            on_row=lambda quantity, row: told(_row(quantity, row)),
+        )
     if args.json:
         content = {"machine": machine(), "isa": backend.isa()}
         print_json(content | {"series": [asdict(one) for one in series]})
@@ -59,22 +63,21 @@ def size(text: str) -> tuple[int, int]:
     return found
 
 
-def _show(quantity: str, row: dict[str, Any]) -> None:
+def _row(quantity: str, row: dict[str, Any]) -> str:
     stages = "  ".join(f"{name} {ms:.1f}" for name, ms in row["raster_ms"].items())
     memory, cache = row["peak_memory_bytes"], row.get("cache_mb")
-    kept = "" if quantity != "views" else f", {row['views']} views"
+    kept = "" if quantity != "views" else f", {count_words(row['views'], 'view')}"
     kept += "" if cache is None else f", {cache} MB of photos kept"
-    print(
-        f"{quantity}: {row['splats']:,} splats, {row['width']} x {row['height']} px, "
-        f"{row['threads']} threads{kept}: {row['step_ms']:.1f} ms, "
+    return (
+        f"{quantity}: {count_words(row['splats'], 'splat')}, {row['width']} x {row['height']} px, "
+        f"{count_words(row['threads'], 'thread')}{kept}: {row['step_ms']:.1f} ms, "
         f"{row['pairs_per_pixel']:.0f} pairs a pixel, "
-        f"{'-' if memory is None else round(memory / 1e6)} MB; {stages}",
-        flush=True,
+        f"{'-' if memory is None else round(memory / 1e6)} MB; {stages}"
     )
 
 
 def _lines(series: Series) -> str:
-    unit, scale = ("1000 splats", 1e3) if series.quantity == "splats" else ("megapixel", 1e6)
+    unit, scale = ("1,000 splats", 1e3) if series.quantity == "splats" else ("megapixel", 1e6)
     return "".join(
         f"{series.quantity}, {name}: {line.base:.2f} ms + {line.slope * scale:.4f} ms a {unit}, "
         f"r2 {line.r2:.3f}\n"

@@ -1,6 +1,7 @@
 """`gscore bench skips`: the same training without each skip."""
 
 import argparse
+import sys
 from dataclasses import asdict
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from ...config import PRESETS, Skip
 from ...metrics.machine import machine
 from ...raster import backend
 from ..output import print_json
+from ..status import Rows, Status
 from .training_options import add_training_options, training_configs
 
 
@@ -30,12 +32,14 @@ def run(args: argparse.Namespace) -> int:
     photos = load_for_bench(data)
     if not args.json:
         print(_HEAD)
-    rows = bench_skips(
-        config,
-        photos,
-        skips=[Skip(name) for name in dict.fromkeys(args.skips)],
-        on_row=None if args.json else lambda row: print(_line(row), flush=True),
-    )
+    with Status(sys.stderr) as status:
+        told = Rows(status, "Training", quiet=args.json)
+        rows = bench_skips(
+            config,
+            photos,
+            skips=[Skip(name) for name in dict.fromkeys(args.skips)],
+            on_row=lambda row: told(_line(row)),
+        )
     if args.json:
         content = {
             "source": str(args.source),

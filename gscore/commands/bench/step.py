@@ -13,8 +13,10 @@ from ...errors import ConfigError
 from ...io.ply import read_splats
 from ...metrics.machine import machine
 from ...raster import backend
+from ...words import count_words
 from ..data_options import add_data_options, with_data_options
 from ..output import print_json
+from ..status import beginning, wrapped
 from .numbers import check_numbers
 
 
@@ -31,7 +33,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--strategy", choices=tuple(Strategy), default=Strategy.DEFAULT)
     skips = [skip.value for skip in Skip]
     parser.add_argument("--without", nargs="+", choices=skips, default=(), metavar="SKIP")
-    parser.add_argument("--threads", type=int, default=0, help="0: all cores")
+    parser.add_argument(
+        "--threads", type=int, default=0, metavar="N", help="CPU threads; 0: all cores"
+    )
     parser.add_argument(
         "--cache-mb",
         type=int,
@@ -68,17 +72,18 @@ def run(args: argparse.Namespace) -> int:
     results = []
     for isa in backend.available_isas() if args.isa == "all" else [args.isa or backend.isa()]:
         backend.set_isa(isa)
-        found = bench_step(
-            photos,
-            splats,
-            steps=args.steps,
-            threads=args.threads,
-            config=config,
-            photo_cache=cache,
-        )
+        with beginning(sys.stderr, f"Measuring {isa}, {count_words(args.steps, 'step')}"):
+            found = bench_step(
+                photos,
+                splats,
+                steps=args.steps,
+                threads=args.threads,
+                config=config,
+                photo_cache=cache,
+            )
         results.append(found)
         if not args.json:
-            sys.stdout.write(_table(found))
+            sys.stdout.write(wrapped(_table(found), sys.stdout))
     if args.json:
         dicts = [{"machine": machine()} | asdict(found) for found in results]
         print_json(dicts[0] if len(dicts) == 1 else dicts)
@@ -89,8 +94,9 @@ def _table(r: StepBench) -> str:
     laps = "  ".join(f"{name} {ms:.2f}" for name, ms in r.laps_ms.items())
     raster = "  ".join(f"{name} {ms:.2f}" for name, ms in r.raster_ms.items())
     return (
-        f"{r.isa}, {r.threads} threads, {r.splats:,} splats, {r.views} views, "
-        f"{r.width} x {r.height} px, {r.steps} steps\n"
+        f"{r.isa}, {count_words(r.threads, 'thread')}, {count_words(r.splats, 'splat')}, "
+        f"{count_words(r.views, 'view')}, "
+        f"{r.width} x {r.height} px, {count_words(r.steps, 'step')}\n"
         f"  a step takes {r.step_ms:.2f} ms (median; mean {r.mean_ms:.2f}), "
         f"{100 * r.raster_share:.0f} % of it in the rasterizer; "
         f"{r.pairs_per_pixel:.1f} pairs per pixel\n"

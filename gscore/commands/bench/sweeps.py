@@ -22,6 +22,7 @@ from ...errors import ConfigError
 from ...io.files import atomic_write
 from ...metrics.curves import Series
 from ...metrics.figure import figure
+from ...words import count_words, number
 
 _QUANTITIES = ("splats", "widths", "iterations")
 
@@ -144,7 +145,7 @@ def _draw(
 ) -> None:
     def family(outcome: Outcome) -> str:
         size = outcome.size
-        return f"{size.preset}, {size.width} px, {size.max_splats:,} splats"
+        return f"{size.preset}, {size.width} px, {count_words(size.max_splats, 'splat')}"
 
     series = [
         Series(label=label, points=sorted((o.seconds, o.psnr) for o in group), dots=True)
@@ -171,7 +172,8 @@ def _table(
     for o in sorted(outcomes, key=_seconds):
         best = [word for word, front in (("as fast", fast), ("as small", small)) if o in front]
         lines.append(
-            f"| {o.size.preset} | {o.size.width} px | {o.splats:,} | {o.size.iterations:,} | "
+            f"| {o.size.preset} | {o.size.width} px | {number(o.splats)} | "
+            f"{number(o.size.iterations)} | "
             f"{o.seconds:.1f} | {o.psnr:.2f} | {o.ssim:.4f} | {', '.join(best)} |"
         )
     return "\n".join(lines)

@@ -3,13 +3,14 @@
 import argparse
 import statistics
 import sys
-import time
 from collections import deque
 from pathlib import Path
 
 from ...bench.time_error import Curve, measure_variant
 from ...config import PRESETS, Skip
+from ...words import number
 from ..output import check_folder
+from ..status import Status
 from .curve_figures import draw, table
 from .curve_plans import Plan, plans_of
 from .curve_results import Results
@@ -56,9 +57,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _measure(args: argparse.Namespace, plan: Plan, results: Results) -> None:
+    status = Status(sys.stderr)
     curves: list[Curve] = []
     for variant in plan.variants:
-        curves.append(measure_variant(variant, args.seeds, on_step=_Ticker(plan.name)))
+        curves.append(measure_variant(variant, args.seeds, on_step=_Ticker(plan.name, status)))
         results.add_curves(plan, [*curves, *plan.peers])
         _say(args, plan.name, curves[-1])
     curves += plan.peers
@@ -70,26 +72,23 @@ def _measure(args: argparse.Namespace, plan: Plan, results: Results) -> None:
             args,
             plan.name,
             plan.sizes,
-            on_step=_Ticker(plan.name),
+            on_step=_Ticker(plan.name, status),
             on_found=lambda found: results.add_sizes(plan, found),
         )
 
 
 class _Ticker:
-    """Says on stderr how far a training is, now and then."""
+    """Says on stderr how far a training is."""
 
-    def __init__(self, capture: str) -> None:
-        self._capture = capture
-        self._last = time.monotonic()
+    def __init__(self, capture: str, status: Status) -> None:
+        self._capture, self._status = capture, status
 
     def __call__(self, label: str, seed: int, step: int, iterations: int) -> None:
-        if time.monotonic() - self._last > 10:
-            self._last = time.monotonic()
-            print(
-                f"{self._capture}, {label}, seed {seed}: step {step} of {iterations}",
-                file=sys.stderr,
-                flush=True,
-            )
+        which = f"{self._capture}, {label}, seed {seed}"
+        far = f"step {number(step)} of {number(iterations)}"
+        self._status.show([which, far], share=step / iterations)
+        if step == iterations:
+            self._status.clear()
 
 
 def _say(args: argparse.Namespace, capture: str, curve: Curve) -> None:

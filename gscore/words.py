@@ -1,4 +1,4 @@
-"""Sizes, durations and what a model is worth, as people write them."""
+"""Counts, sizes, durations and what a model is worth, as people write them."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -9,9 +9,14 @@ def number_words(value: float | None, digits: int) -> str:
     return "n/a" if value is None else f"{value:.{digits}f}"
 
 
-def whole_words(count: int) -> str:
-    """A count in groups of three digits: 12 345."""
-    return f"{count:,}".replace(",", " ")
+def number(count: int | None) -> str:
+    """42,691; n/a for None."""
+    return "n/a" if count is None else f"{count:,}"
+
+
+def count_words(count: int, one: str, many: str = "") -> str:
+    """1 view, 42,691 views; with `many` any other words: 1 photo is, 2 photos are."""
+    return f"{number(count)} {one if count == 1 else many or one + 's'}"
 
 
 def size_words(count: int | None) -> str:
@@ -49,8 +54,3 @@ def quality_words(metrics: Mapping[str, Any]) -> str:
     if metrics.get("lpips") is not None:
         parts.append(f"LPIPS ({metrics.get('lpips_net') or 'network'}) {metrics['lpips']:.4f}")
     return ", ".join(parts)
-
-
-def count_words(count: int, noun: str) -> str:
-    """1 view, 2 views."""
-    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"

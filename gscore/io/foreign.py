@@ -1,0 +1,185 @@
+"""Files and folders that gscore does not read: what they are, by their content, and what to do.
+
+One table for every place where a capture or a PLY was expected and something else was given.
+"""
+
+import os
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+
+from ..errors import GsError
+from ..words import count_words
+from .files import open_regular
+
+_HEAD = 1 << 14
+"""Bytes looked at from the start of a file."""
+_TAIL = 1 << 16
+"""And from its end, where ZIP archives list what they hold."""
+_MOST_NAMES = 10_000
+"""Of a folder that are looked at."""
+_PHOTOS = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp", ".heic", ".dng", ".cr2")
+_SPLATS = "Export it as a 3DGS PLY, for instance with SuperSplat or splat-transform, and give that."
+_CLOUD = (
+    "It has points without cameras. Export the cameras in COLMAP's format from the program that "
+    "made it, and give the folder that holds them and the photos."
+)
+_COLMAP = (
+    "Export the cameras from that program in COLMAP's format, with undistorted photos, or run "
+    "COLMAP on the photos, and give the folder that holds both."
+)
+_UNPACK = "Unpack it and give what it holds."
+_MESH = "It holds meshes. Give the 3DGS PLY of splats, or the photos and cameras of a capture."
+_MOVIE = (
+    "Take pictures out of it (ffmpeg -i FILE -vf fps=2 photos/images/%04d.jpg), run COLMAP on "
+    "them, and give the folder photos."
+)
+
+
+@dataclass(frozen=True)
+class _Sample:
+    """What is looked at of a file."""
+
+    head: bytes
+    inflated: bytes
+    """The first bytes inside, of gzip; else empty."""
+    tail: bytes
+    size: int
+    ending: str
+
+
+@dataclass(frozen=True)
+class _Format:
+    name: str
+    advice: str
+    holds: Callable[[_Sample], bool]
+
+
+def _starts(*magics: bytes) -> Callable[[_Sample], bool]:
+    return lambda s: s.head.startswith(magics)
+
+
+def _text(*words: bytes) -> Callable[[_Sample], bool]:
+    """XML or another text in whose beginning one of the words stands."""
+    return lambda s: b"\0" not in s.head and any(word in s.head for word in words)
+
+
+def _zip_of(*names: bytes) -> Callable[[_Sample], bool]:
+    """A ZIP archive in whose list of files all the words stand."""
+    return lambda s: s.head.startswith(b"PK\x03\x04") and all(n in s.head + s.tail for n in names)
+
+
+def _ends(*endings: str) -> Callable[[_Sample], bool]:
+    return lambda s: s.ending in endings
+
+
+def _is_splat(s: _Sample) -> bool:
+    return s.ending == ".splat" and s.size % 32 == 0  # rows of 32 bytes, and nothing else
+
+
+def _is_movie(s: _Sample) -> bool:
+    boxes = (b"ftyp", b"moov", b"mdat", b"wide")
+    is_still = s.head[8:12] in (b"heic", b"heix", b"mif1", b"avif")
+    is_riff = s.head.startswith(b"RIFF") and s.head[8:12] == b"AVI "
+    is_box = s.head[4:8] in boxes and not is_still
+    return is_box or is_riff or s.head.startswith(b"\x1a\x45\xdf\xa3")
+
+
+_FORMATS = (
+    _Format("a compressed splat file of Niantic (SPZ)", _SPLATS,
+            lambda s: b"NGSP" in (s.head[:4], s.inflated[:4])),
+    _Format("a splat file of PlayCanvas (SOG)", _SPLATS, _zip_of(b"meta.json", b".webp")),
+    _Format("a PyTorch checkpoint", "Export a 3DGS PLY with the program that wrote it, and give "
+            "that.", _zip_of(b"/data.pkl")),
+    _Format("a USD scene", _SPLATS,
+            lambda s: _starts(b"PXR-USDC", b"#usda")(s) or _zip_of(b".usd")(s)),
+    _Format("a ZIP archive", _UNPACK, _starts(b"PK\x03\x04", b"PK\x05\x06")),
+    _Format("an archive", _UNPACK,
+            _starts(b"\x1f\x8b", b"7z\xbc\xaf\x27\x1c", b"Rar!", b"BZh", b"\xfd7zXZ")),
+    _Format("a glTF scene", _SPLATS,
+            lambda s: _starts(b"glTF")(s)
+            or (_text(b'"asset"')(s) and _text(b'"version"')(s) and s.ending == ".gltf")),
+    _Format("a Blender file", "Open it in Blender and export its splats with the add-on.",
+            _starts(b"BLENDER")),
+    _Format("an E57 point cloud", _CLOUD, _starts(b"ASTM-E57")),
+    _Format("a LAS or LAZ point cloud", _CLOUD, _starts(b"LASF")),
+    _Format("the database of COLMAP", "Give the folder with the model that COLMAP's mapper wrote, "
+            "sparse/0, and the photos.", _starts(b"SQLite format 3")),
+    _Format("a project or camera file of Metashape", _COLMAP,
+            lambda s: _text(b"<document")(s) and (
+                _text(b"<chunk", b"<cameras")(s) or s.ending in (".psx", ".psz"))),
+    _Format("a camera file or project of RealityCapture", _COLMAP,
+            _text(b"<RealityCapture", b"xcr:", b"capturingreality.com")),
+    _Format("a Blocks Exchange file of ContextCapture", _COLMAP, _text(b"<BlocksExchange")),
+    _Format("a mesh of FBX", _MESH, _starts(b"Kaydara FBX Binary")),
+    _Format("a mesh (OBJ or STL)", _MESH, _ends(".obj", ".stl")),
+    _Format("a video", _MOVIE, _is_movie),
+    _Format("a single photo", "Give the folder of a capture: photos, and the cameras that COLMAP "
+            "found for them.",
+            lambda s: _starts(b"\xff\xd8\xff", b"\x89PNG", b"II*\0", b"MM\0*")(s)
+            or s.head[8:12] in (b"WEBP", b"heic", b"heix", b"mif1", b"avif")),
+    _Format("a splat file of antimatter15's viewer (.splat)", _SPLATS, _is_splat),
+    _Format("a splat file of mkkellogg's viewer (.ksplat)", _SPLATS, _ends(".ksplat")),
+)  # fmt: skip
+"""What is told apart, the first that fits; those without a signature by their ending, last."""
+
+
+def foreign(path: Path) -> str:
+    """A sentence on what a file or folder is that gscore does not read, and what to do with it.
+
+    Args:
+        path: A file, or a folder in which no capture and no model was found.
+
+    Returns:
+        Empty where that is not known.
+    """
+    try:
+        return _folder(path) if path.is_dir() else _file(path)
+    except (OSError, ValueError, GsError):
+        return ""  # whoever wanted to read it says why it cannot be
+
+
+def _file(path: Path) -> str:
+    sample = _sample(path)
+    found = next((kind for kind in _FORMATS if kind.holds(sample)), None)
+    return f"{path} is {found.name}, which gscore does not read. {found.advice}" if found else ""
+
+
+def _sample(path: Path) -> _Sample:
+    with open_regular(path) as file:
+        head = file.read(_HEAD)
+        size = file.seek(0, os.SEEK_END)
+        file.seek(max(size - _TAIL, 0))
+        tail = file.read(_TAIL)
+    inflated = b""
+    if head.startswith(b"\x1f\x8b"):
+        try:
+            inflated = zlib.decompressobj(31).decompress(head, 16)
+        except zlib.error:
+            inflated = b""
+    return _Sample(head, inflated, tail, size, path.suffix.lower())
+
+
+def _folder(path: Path) -> str:
+    names = list(islice(path.iterdir(), _MOST_NAMES))
+    if (path / "meta.json").is_file() and any(n.suffix == ".webp" for n in names):
+        return f"{path} is an unpacked splat file of PlayCanvas (SOG). {_SPLATS}"
+    for place in (path / "images", path / "input", path):
+        count = _photos(place)
+        if count:
+            return (
+                f"{place} holds {count_words(count, 'photo')}, but no cameras for them. Run COLMAP "
+                f"first, for instance: colmap automatic_reconstructor --workspace_path {path} "
+                f"--image_path {place}"
+            )
+    others = sorted(n for n in names if n.is_file() and n.suffix.lower() != ".json")
+    return next((told for told in map(_file, others[:20]) if told), "")
+
+
+def _photos(folder: Path) -> int:
+    if not folder.is_dir():
+        return 0
+    names = islice(folder.iterdir(), _MOST_NAMES)
+    return sum(name.suffix.lower() in _PHOTOS for name in names)

@@ -1,0 +1,140 @@
+"""What other programs write is called by its name, wherever a capture or a PLY was expected."""
+
+import gzip
+import io
+import json
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gscore.commands import main
+from gscore.config import DataConfig
+from gscore.datasets import load_dataset
+from gscore.errors import GsError
+from gscore.io.foreign import foreign
+from gscore.io.images import write_png
+from gscore.io.ply import read_splats
+
+
+def _zip(*names: str) -> bytes:
+    made = io.BytesIO()
+    with zipfile.ZipFile(made, "w") as file:
+        for name in names:
+            file.writestr(name, b"x" * 40_000)
+    return made.getvalue()
+
+
+_METASHAPE = b'<?xml version="1.0"?>\n<document version="2.0.0">\n<chunk label="1">\n<cameras/>'
+FILES = {
+    "spz": (gzip.compress(b"NGSP" + bytes(60)), "SPZ", "SuperSplat"),
+    "spz 4": (b"NGSP" + bytes(60), "SPZ", "SuperSplat"),
+    "splat": (bytes(64), "antimatter15", "SuperSplat"),
+    "ksplat": (bytes(4096), "mkkellogg", "SuperSplat"),
+    "sog": (_zip("means_l.webp", "sh0.webp", "meta.json"), "SOG", "SuperSplat"),
+    "gltf": (json.dumps({"asset": {"version": "2.0"}}).encode(), "glTF", "SuperSplat"),
+    "glb": (b"glTF\2\0\0\0" + bytes(20), "glTF", "SuperSplat"),
+    "usda": (b"#usda 1.0\n", "USD", "SuperSplat"),
+    "usdc": (b"PXR-USDC" + bytes(80), "USD", "SuperSplat"),
+    "usdz": (_zip("scene.usdc"), "USD", "SuperSplat"),
+    "mp4": (b"\0\0\0\x20ftypisom" + bytes(20), "a video", "ffmpeg"),
+    "mov": (b"\0\0\0\x14ftypqt  " + bytes(20), "a video", "ffmpeg"),
+    "mkv": (b"\x1a\x45\xdf\xa3" + bytes(20), "a video", "ffmpeg"),
+    "avi": (b"RIFF\0\0\0\0AVI LIST", "a video", "ffmpeg"),
+    "zip": (_zip("images/a.jpg", "b.txt"), "a ZIP archive", "Unpack"),
+    "e57": (b"ASTM-E57" + bytes(40), "E57", "COLMAP's format"),
+    "las": (b"LASF" + bytes(40), "LAS", "COLMAP's format"),
+    "xml": (_METASHAPE, "Metashape", "COLMAP's format"),
+    "psx": (b'<document version="1.2.0" path="{projectname}.files/project.zip"/>',
+            "Metashape", "COLMAP's format"),
+    "rcproj": (b"<RealityCaptureProject/>", "RealityCapture", "COLMAP's format"),
+    "xmp": (b'<x:xmpmeta><rdf:Description xmlns:xcr="" xcr:Version="3"/>',
+            "RealityCapture", "COLMAP's format"),
+    "db": (b"SQLite format 3\0" + bytes(80), "database of COLMAP", "sparse/0"),
+    "ckpt": (_zip("archive/data.pkl"), "PyTorch", "Export a 3DGS PLY"),
+    "jpg": (b"\xff\xd8\xff\xe0" + bytes(40), "a single photo", "folder"),
+    "blend": (b"BLENDER-v405", "Blender", "add-on"),
+}  # fmt: skip
+"""By the usual ending: the first bytes that the format's own definition states, words to expect."""
+BY_NAME = ("splat", "ksplat", "gltf", "psx")
+"""These have no signature, so their ending must tell."""
+
+
+@pytest.fixture(params=FILES)
+def given(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Path, str, str]:
+    """A file under its usual ending, its name in sentences and a word of the advice."""
+    content, name, advice = FILES[request.param]
+    path = tmp_path / f"scan.{request.param.split()[0]}"
+    path.write_bytes(content)
+    return path, name, advice
+
+
+def test_by_content(given: tuple[Path, str, str]) -> None:
+    """Oracle: the signatures that the formats' definitions state, under another ending too."""
+    path, name, advice = given
+    assert name in foreign(path) and advice in foreign(path) and str(path) in foreign(path)
+    if path.suffix[1:] not in BY_NAME:
+        renamed = path.rename(path.with_suffix(".ply"))
+        assert name in foreign(renamed)
+
+
+def test_where_a_ply_or_a_capture_is_expected(given: tuple[Path, str, str]) -> None:
+    """Oracle: the same sentence from both readers, which all verbs and the add-on go through."""
+    path, name, _ = given
+    with pytest.raises(GsError, match=r"which gscore does not read") as of_splats:
+        read_splats(path)
+    with pytest.raises(GsError, match=r"which gscore does not read") as of_capture:
+        load_dataset(DataConfig(source=path))
+    assert name in str(of_splats.value) and name in str(of_capture.value)
+
+
+@pytest.mark.parametrize(
+    "line", ["info {}", "train {} -o {}.out", "render {} -o {}.out", "eval {} -o {}.out"]
+)
+def test_every_verb_says_so(line: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Oracle: exit code 2 and one sentence with the format's name."""
+    path = tmp_path / "scan"
+    path.write_bytes(FILES["spz"][0])
+    assert main(line.replace("{}", str(path)).split()) == 2
+    err = capsys.readouterr().err
+    assert "SPZ" in err and "SuperSplat" in err and "Traceback" not in err
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("place", ["images", "."])
+def test_photos_without_cameras(
+    place: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Oracle: the command that makes cameras, with the folder where the photos are."""
+    for i in range(3):
+        write_png(tmp_path / place / f"{i}.png", np.zeros((4, 4, 3), np.uint8))
+    assert main(["info", str(tmp_path)]) == 2
+    err = capsys.readouterr().err
+    assert "holds 3 photos, but no cameras" in err and "colmap automatic_reconstructor" in err
+    assert f"--image_path {tmp_path / place}" in err
+
+
+def test_a_folder_of_other_things(tmp_path: Path) -> None:
+    """Oracle: the sentence on what lies in it; SOG unpacked; nothing where nothing is known."""
+    assert foreign(tmp_path) == "" and foreign(tmp_path / "nowhere") == ""
+    (tmp_path / "notes.txt").write_text("none of them")
+    assert foreign(tmp_path) == "" and foreign(tmp_path / "notes.txt") == ""
+    (tmp_path / "walk.mov").write_bytes(FILES["mov"][0])
+    assert "walk.mov is a video" in foreign(tmp_path)
+    bundle = tmp_path / "sog"
+    bundle.mkdir()
+    (bundle / "meta.json").write_text("{}")
+    (bundle / "means_l.webp").write_bytes(b"RIFF")
+    assert "SOG" in foreign(bundle)
+
+
+def test_a_capture_where_a_run_is_expected(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Oracle: the command that makes a run of it."""
+    (tmp_path / "sparse" / "0").mkdir(parents=True)
+    for name in ("cameras", "images", "points3D"):
+        (tmp_path / "sparse" / "0" / f"{name}.txt").write_text("")
+    assert main(["render", str(tmp_path), "-o", str(tmp_path / "out")]) == 2
+    assert f"is a capture; train it first: gscore train {tmp_path}" in capsys.readouterr().err
