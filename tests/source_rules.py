@@ -14,8 +14,8 @@ MODULES = _words(
     datetime difflib enum errno fcntl fractions functools hashlib html importlib inspect io
     itertools json logging math mmap msvcrt os pathlib platform queue re resource secrets shlex
     shutil signal stat statistics
-    string struct subprocess sys tempfile textwrap threading time traceback types typing unicodedata uuid
-    warnings weakref zipfile zlib
+    string struct subprocess sys tempfile textwrap threading time traceback types typing
+    unicodedata uuid warnings weakref zipfile zlib
     av bpy bpy_extras gpu gpu_extras gscore mathutils numpy onnxruntime OpenEXR PIL plyfile
     pycolmap safetensors scipy torch"""
 )

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..events import judged_psnr
 from ..io.files import atomic_write
-from ..words import number_words, size_words
+from ..words import count_words, number_words, size_words
 from .colormap import colorize
 from .curves import Mark, Series, chart, clean_points, legend
 from .depth import depth_html

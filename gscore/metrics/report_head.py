@@ -30,7 +30,7 @@ def head_html(title: str, metrics: dict[str, Any], *, preset: str, command: str)
         command: For a shell; may be empty.
     """
     machine = metrics["machine"]
-    ran = f"{machine['cpu']}, {machine['threads']} threads, {machine['isa']}"
+    ran = f"{machine['cpu']}, {count_words(machine['threads'], 'thread')}, {machine['isa']}"
     lines = [
         _join(_photos(metrics), _split_words(metrics)),
         _join(preset, _date(metrics), ran, f"gscore {metrics['gscore']}"),

@@ -103,7 +103,7 @@ def test_bad_input(gscore, capture, run_folder, splats, tmp_path):
         ((ply, "-o", tmp_path / "e"), "give the capture with -s"),
         ((ply, "-s", tmp_path / "no", "-o", tmp_path / "e"), "no"),
         ((ply, "-s", capture, "-o", ply / "e"), "is a file; a folder is needed"),
-        ((capture / "images" / "a_0.png", "-s", capture, "-o", tmp_path / "e"), "not a PLY"),
+        ((capture / "images" / "a_0.png", "-s", capture, "-o", tmp_path / "e"), "single photo"),
         ((ply, "-s", capture, "-o", tmp_path / "e", "--lpips", tmp_path / "x.onnx"), "x.onnx"),
     ]
     for arguments, says in cases:
