@@ -216,9 +216,9 @@ def test_pictures_that_unpack_to_gigabytes_are_refused(tmp_path: Path) -> None:
     zeros = packer.compress(bytes(10_000_000)) + packer.flush()
     for name in ("a.png", "b.png"):
         (tmp_path / name).write_bytes(png(60_000, 60_000, zeros))
-    with pytest.raises(FormatError, match=r"a\.png cannot be read as an image.*limit"):
+    with pytest.raises(FormatError, match=r"a\.png states a size of 60000 x 60000 pixels"):
         read_image(tmp_path / "a.png")
-    with pytest.raises(FormatError):
+    with pytest.raises(FormatError, match=r"b\.png states a size of 60000 x 60000 pixels"):
         read_map(tmp_path / "b.png")
 
 
