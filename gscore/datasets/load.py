@@ -56,7 +56,7 @@ def load_dataset(config: DataConfig, *, cancelled: Callable[[], bool] = lambda: 
         for info, turn in zip(infos, upright, strict=True)
     ]
     warnings += _other_sizes(views, sizes)
-    masks = choose_masks(config, capture, views, infos, sizes)
+    masks = choose_masks(config, capture, views, infos, sizes, cancelled=cancelled)
     warnings += masks.warnings
     files, Ks = _files(views, sizes, upright, masks, config)
     narrow = sum(1 for file in files if file.photo_size[0] < config.resolution)

@@ -336,6 +336,53 @@ class TestMasks:
         np.testing.assert_array_equal(mask, photo[..., 3])
         np.testing.assert_array_equal(data.image(2), photo[..., :3])
 
+    @pytest.mark.parametrize("mode", ["auto", "composite", "ignore"])
+    def test_alpha_that_hides_nothing_is_no_mask(self, mode: str, make_capture: Callable) -> None:
+        """Oracle: the same capture without alpha: mode, bytes, photos."""
+        capture = make_capture()
+        plain = _load(capture.root, mask_mode=mode)
+        plain.preload()
+        for name, photo in capture.photos.items():
+            opaque = np.dstack([photo, np.full(photo.shape[:2], 255, np.uint8)])
+            write_png(capture.root / "images" / name, opaque)
+        data = _load(capture.root, mask_mode=mode)
+        assert data.mask_mode == plain.mask_mode == "none"
+        assert data.nbytes == plain.nbytes
+        for i in range(len(data)):
+            assert data.mask(i) is None
+            np.testing.assert_array_equal(data.image(i), plain.image(i))
+
+    def test_the_last_photo_alone_may_hide_something(self, make_capture: Callable) -> None:
+        """Oracle: one pixel of the last of nine photos."""
+        capture = make_capture()
+        for k, (name, photo) in enumerate(capture.photos.items()):
+            rgba = np.dstack([photo, np.full(photo.shape[:2], 255, np.uint8)])
+            rgba[5, 6, 3] = 254 if k == 8 else 255
+            write_png(capture.root / "images" / name, rgba)
+        data = _load(capture.root)
+        assert data.mask_mode == "composite" and data.mask(0) is None
+        mask = data.mask(8)
+        assert mask is not None and mask[5, 6] == 254
+        with pytest.raises(Cancelled):
+            load_dataset(
+                DataConfig(source=capture.root), cancelled=iter([False] * 9 + [True]).__next__
+            )
+
+    def test_labels_are_masks(self, make_capture: Callable) -> None:
+        """Oracle: 0 and 1 in 16 bits are yes and no, and a sentence says that this was assumed."""
+        capture = make_capture()
+        labels = np.zeros((48, 64), np.uint16)
+        labels[:, 20:] = 1
+        for name in capture.photos:
+            write_png(capture.root / "masks" / name, labels)
+        data = _load(capture.root)
+        mask = data.mask(2)
+        assert mask is not None
+        np.testing.assert_array_equal(mask, labels * 255)
+        (warning,) = data.warnings
+        assert warning.startswith("The masks hold only 0 and 1; 1 is taken for white, for example")
+        assert "view_00.png" in warning
+
     def test_opaque_alpha_is_no_mask(self, make_capture: Callable) -> None:
         """Oracle: a photo whose alpha is 255 everywhere."""
         capture = make_capture(alpha=True)
