@@ -59,6 +59,7 @@ def load_dataset(config: DataConfig, *, cancelled: Callable[[], bool] = lambda: 
     masks = choose_masks(config, capture, views, infos, sizes, cancelled=cancelled)
     warnings += masks.warnings
     files, Ks = _files(views, sizes, upright, masks, config)
+    warnings += _cut_off(views, files)
     narrow = sum(1 for file in files if file.photo_size[0] < config.resolution)
     if narrow:
         warnings.append(
@@ -113,6 +114,23 @@ def _other_sizes(views: list[View], sizes: list[tuple[int, int]]) -> list[str]:
     return [
         f"{len(other)} photos have another size than their camera; intrinsics are scaled by the "
         f"actual ratio: {listing(other, 2)}."
+    ]
+
+
+def _cut_off(views: list[View], files: list[ViewFile]) -> list[str]:
+    """A sentence on photos that lose their rim because the distortion folds back there."""
+    cut = [
+        (file.plan.cut_off, view)
+        for view, file in zip(views, files, strict=True)
+        if file.plan is not None and file.plan.cut_off
+    ]
+    if not cut:
+        return []
+    most, worst = max(cut, key=lambda pair: pair[0])
+    return [
+        f"The distortion of {len(cut)} photos folds back at their rim, so up to {100 * most:.0f} % "
+        f"of them are left out ({worst.name}, {worst.camera.model} "
+        f"{worst.camera.params.tolist()}). COLMAP with a simpler camera model may keep more."
     ]
 
 
