@@ -11,7 +11,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from ..errors import Cancelled
+from ..errors import BackendError, Cancelled
 from ..scene import Scene
 from .decode import ViewFile, decode_view
 from .unchanged import Unchanged, changed
@@ -99,6 +99,7 @@ class Dataset:
         Raises:
             DatasetError: the file or its mask is another one than when the capture was read.
             FormatError: the file is corrupt.
+            BackendError: there is too little memory for it.
         """
         return self._view(index)[0]
 
@@ -154,7 +155,14 @@ class Dataset:
     def _decoded(self, i: int) -> tuple[np.ndarray, np.ndarray | None]:
         """The view from its files, which must be what they were."""
         file = self._files[i]
-        view = decode_view(file)
+        try:
+            view = decode_view(file)
+        except MemoryError as error:
+            width, height = file.photo_size
+            raise BackendError(
+                f"Out of memory while {file.image}, {width} x {height} pixels, was decoded; use "
+                f"smaller photos, or close programs."
+            ) from error
         for path in (file.image, file.mask):
             if path is not None:
                 self._unchanged.check(path)

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import ShapeError
 from .files import atomic_write
-from .image_header import ImageInfo, read_header
+from .image_header import FLIPPED, SIDEWAYS, ImageInfo, read_header
 from .pillow import check_size, loaded, opened, pillow
 from .pixels import has_alpha, mask_bytes, photo_bytes
 
@@ -32,8 +32,9 @@ def read_info(path: str | Path) -> ImageInfo:
         check_size(path, info.width, info.height)
         return info
     with opened(path) as image:
-        sideways = _exif_turn(image) in _SIDEWAYS
-        return ImageInfo(image.width, image.height, has_alpha(image), sideways)
+        turn = _exif_turn(image)
+        alpha = has_alpha(image)
+        return ImageInfo(image.width, image.height, alpha, turn in SIDEWAYS, turn in FLIPPED)
 
 
 def read_image(path: str | Path, *, upright: bool = False) -> np.ndarray:
@@ -196,7 +197,6 @@ def write_png(path: str | Path, image: np.ndarray) -> None:
 
 
 _ORIENTATION = 0x0112
-_SIDEWAYS = frozenset({5, 6, 7, 8})
 _TURNS = {
     2: "FLIP_LEFT_RIGHT",
     3: "ROTATE_180",
