@@ -1,5 +1,6 @@
 """Photos that are copies of one another."""
 
+import contextlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -24,9 +25,10 @@ def find_copies(paths: list[Path], cancelled: Callable[[], bool]) -> list[tuple[
         for i in alike if len(alike) > 1 and size > 0 else ():
             if cancelled():
                 return []
-            first = seen.setdefault(_pieces(paths[i], size), i)
-            if first != i:
-                found.append((first, i))
+            with contextlib.suppress(OSError):
+                first = seen.setdefault(_pieces(paths[i], size), i)
+                if first != i:
+                    found.append((first, i))
     return sorted(found)
 
 
