@@ -11,6 +11,16 @@ FARTHEST = 1e30
 """Largest coordinate of a camera or point, world units: beyond it squares leave float64 sooner or
 later, and no capture is measured in such units."""
 
+FOCAL_RANGE = (1e-3, 1e5)
+"""Focal lengths as multiples of the picture's longer side that any lens may have: from views of
+179.9 degrees, beyond which no pinhole camera serves, to telescopes that see a few arc seconds."""
+
+
+def is_focal(focal: float, width: float, height: float) -> bool:
+    """Whether a lens may have a focal length, in pixels, for such a picture; NaN is none."""
+    side = max(width, height)
+    return FOCAL_RANGE[0] * side <= focal <= FOCAL_RANGE[1] * side
+
 
 @dataclass(frozen=True, kw_only=True)
 class Cameras:

@@ -46,6 +46,10 @@ _METHODS = _words(
 """Methods that write, of whatever object."""
 
 
+_GIVERS = {"pillow": "PIL.Image", "need_video": "av"}
+"""Functions that give a module, by the name they are called by."""
+
+
 @dataclass(frozen=True)
 class Site:
     """A call."""
@@ -70,6 +74,10 @@ class Source:
                     self.imported[alias.name] = node.lineno
                     root = alias.name.partition(".")[0]
                     self._names[alias.asname or root] = alias.name if alias.asname else root
+            elif isinstance(node, ast.Assign) and (module := self._needed(node.value)):
+                for target in node.targets:
+                    if isinstance(target, ast.Name):
+                        self._names[target.id] = module
             elif isinstance(node, ast.ImportFrom):
                 base = "." * node.level + (node.module or "")
                 for alias in node.names:
@@ -77,6 +85,16 @@ class Source:
                     self._names[alias.asname or alias.name] = full
                     if not node.level:
                         self.imported[full] = node.lineno
+
+    @staticmethod
+    def _needed(node: ast.expr) -> str:
+        """The module that `need("module", ...)`, `need_video()` or `pillow()` gives; else empty."""
+        if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Name):
+            return ""
+        first = node.args[0] if node.args else None
+        if node.func.id == "need" and isinstance(first, ast.Constant):
+            return str(first.value)
+        return _GIVERS.get(node.func.id, "")
 
     def name(self, node: ast.expr | None) -> str:
         """`os.path.join`, with the names that were imported in full; empty for what is none."""
@@ -121,6 +139,10 @@ class Source:
                 yield f"{site.callee} with {key}"
         if site.callee == "numpy.load" and "allow_pickle" not in given:
             yield "numpy.load without allow_pickle=False"
+        if site.callee in {"PIL.Image.open", "PIL.Image.Image.open"} and "formats" not in given:
+            yield "PIL.Image.open without formats"
+        if site.callee == "av.open" and not _is_local(call):
+            yield "av.open of a place that does not begin with file:"
         if site.callee in {"getattr", "operator.attrgetter"} and call.args:
             target = self.name(call.args[0])
             if target in {"os", "subprocess", "torch", "builtins", "shutil"}:
@@ -153,6 +175,16 @@ class Source:
             return _may_write(call, method=site.callee not in {"open", "io.open"})
         # Path.replace takes one argument, str.replace two.
         return last == "replace" and "." in site.callee and len(call.args) == 1 == _size(call)
+
+
+def _is_local(call: ast.Call) -> bool:
+    """Whether the first argument is text that begins with `file:`."""
+    first = call.args[0] if call.args else None
+    return isinstance(first, ast.JoinedStr) and _is_file(first.values[0])
+
+
+def _is_file(node: ast.expr) -> bool:
+    return isinstance(node, ast.Constant) and str(node.value).startswith("file:")
 
 
 def is_start(site: Site) -> bool:

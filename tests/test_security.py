@@ -1,22 +1,30 @@
 """What files of strangers must not lead to; oracle: the syntax trees and the readers."""
 
+import contextlib
+import io
 import json
 import struct
+import sys
 import zlib
 from pathlib import Path
+from subprocess import CalledProcessError
 
 import numpy as np
 import pytest
+from PIL import Image
 
+from gscore.commands import main
+from gscore.commands.video import write_video
 from gscore.config import DataConfig
 from gscore.datasets.transforms_json import read_transforms
-from gscore.depth.maps import MapFolder, read_map
+from gscore.depth.maps import MapFolder, _read_picture, read_map
 from gscore.errors import FormatError, GsError
 from gscore.io.colmap import is_safe_name
 from gscore.io.exr_header import check_exr_size
-from gscore.io.images import read_image
+from gscore.io.images import read_image, read_info, read_mask, write_png
 from gscore.io.npy import read_npy
 from gscore.io.sequences import read_sequence
+from gscore.metrics import Lpips
 
 from .source_rules import Site, Source
 
@@ -90,6 +98,13 @@ import subprocess; subprocess.check_output(args="x")
 import subprocess; subprocess.run(["x"], shell=yes)
 import numpy as np; np.load("x")
 from numpy import load; load("x", allow_pickle=True)
+from PIL import Image; Image.open("x")
+import PIL.Image; PIL.Image.open("x")
+import PIL.Image as pictures; pictures.open("x", "r")
+Image = need("PIL.Image", "Reading photos"); Image.open("x")
+pil = pillow(); pil.open("x")
+import av; av.open("x", "w")
+av = need_video(); av.open(str(path), "w")
 """.strip().splitlines()
 """Each line does what no line may."""
 WRITING = """
@@ -137,6 +152,14 @@ import torch; torch.zeros(3)
 """.strip().splitlines()
 
 
+OPENING = """
+from PIL import Image; Image.open("x", formats=("PNG",))
+pil = pillow(); pil.open("x", formats=FORMATS)
+import av; av.open(f"file:{path}", "w")
+""".strip().splitlines()
+"""Each line opens what it names, and nothing else."""
+
+
 def where(path: Path, site: Site) -> str:
     return f"{path.relative_to(ROOT).as_posix()}:{site.function}"
 
@@ -150,6 +173,106 @@ def test_nothing_runs_code_from_files_or_shells_or_opens_ports() -> None:
         assert not list(source.dangers()), path
         starts |= {where(path, site) for site in source.starts()}
     assert starts == STARTS
+
+
+def test_tools_open_pictures_of_known_formats_alone() -> None:
+    """Oracle: the rules for what is shipped, as far as they concern pictures and films."""
+    paths = [path for folder in ("tools", "examples") for path in (ROOT / folder).rglob("*.py")]
+    assert len(paths) > 20
+    for path in paths:
+        found = Source(path.read_text(encoding="utf-8")).dangers()
+        assert not [danger for danger in found if "open" in danger and "popen" not in danger], path
+
+
+EPS = b"""%!PS-Adobe-3.0 EPSF-3.0
+%%BoundingBox: 0 0 64 48
+%%EndComments
+0 0 64 48 rectfill
+showpage
+%%EOF
+"""
+
+
+@pytest.fixture
+def ghostscript(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A `gs` that is found first and leaves a file where it was started."""
+    from PIL import EpsImagePlugin
+
+    started, program = tmp_path / "started", tmp_path / "bin" / "gs"
+    program.parent.mkdir()
+    program.write_text(f'#!/bin/sh\n[ "$1" = --version ] && exit 0\ntouch {started}\nexit 1\n')
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", str(program.parent), prepend=":")
+    monkeypatch.setattr(EpsImagePlugin, "gs_binary", None)
+    with Image.open(io.BytesIO(EPS)) as image, contextlib.suppress(OSError, CalledProcessError):
+        image.load()
+    assert started.is_file(), "Pillow itself starts it"
+    started.unlink()
+    return started
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the stand-in is a shell script")
+@pytest.mark.parametrize("name", ["a.png", "a.jpg", "a.tif", "a.eps", "a.tga"])
+def test_photos_start_no_programs(ghostscript: Path, name: str, tmp_path: Path) -> None:
+    """Oracle: a Ghostscript that leaves a trace, and the sentence."""
+    path = tmp_path / name
+    path.write_bytes(EPS)
+    for read in (read_info, read_image, read_mask, _read_picture):
+        with pytest.raises(FormatError, match=rf"{name} cannot be read as an image: it is none of"):
+            read(path)
+    assert not ghostscript.exists()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the stand-in is a shell script")
+@pytest.mark.parametrize(("good", "bad"), [("a.png", "m.png"), ("m.png", "a.png")])
+def test_photos_start_no_programs_in_a_command(
+    ghostscript: Path, good: str, bad: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Oracle: the same through `gscore info`, in a photo or a mask."""
+    pose = np.eye(4).tolist()
+    frames = [{"file_path": "a.png", "transform_matrix": pose, "mask_path": "m.png"}]
+    content = {"w": 64, "h": 48, "fl_x": 60.0, "frames": frames}
+    (tmp_path / "transforms.json").write_text(json.dumps(content))
+    write_png(tmp_path / good, np.zeros((48, 64, 3), np.uint8))
+    (tmp_path / bad).write_bytes(EPS)
+    assert main(["info", str(tmp_path)]) == 2
+    told = capfd.readouterr()
+    assert f"{bad} cannot be read as an image" in told.err and "Traceback" not in told.err
+    assert not ghostscript.exists()
+
+
+def test_networks_read_no_files_outside_their_folder(tmp_path: Path) -> None:
+    """Oracle: onnxruntime itself: weights kept in a file beside the network, above it, anywhere."""
+    onnx = pytest.importorskip("onnx")
+    helper, folder = onnx.helper, tmp_path / "model"
+    folder.mkdir()
+    weights = np.ones(4, np.float32).tobytes()
+    (tmp_path / "outside.bin").write_bytes(weights)
+    (folder / "inside.bin").write_bytes(weights)
+    (folder / "link.bin").symlink_to(tmp_path / "outside.bin")
+    for place in ("../outside.bin", str(tmp_path / "outside.bin"), "link.bin", "inside.bin"):
+        tensor = onnx.TensorProto(name="w", data_type=1, dims=[4], data_location=1)
+        tensor.external_data.add(key="location", value=place)
+        a, b, out = (helper.make_tensor_value_info(name, 1, [4]) for name in "abc")
+        nodes = [helper.make_node("Add", ["a", "w"], ["d"]), helper.make_node("Add", "db", "c")]
+        graph = helper.make_graph(nodes, "g", [a, b], [out], [tensor])
+        opset = helper.make_opsetid("", 17)
+        model = helper.make_model(graph, opset_imports=[opset], ir_version=8)
+        (folder / "a.onnx").write_bytes(model.SerializeToString())
+        if place == "inside.bin":
+            Lpips(folder / "a.onnx")
+            continue
+        with pytest.raises(FormatError, match=r"a\.onnx is no ONNX graph"):
+            Lpips(folder / "a.onnx")
+
+
+def test_films_are_written_to_files_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: names that FFmpeg takes for protocols are folders and files here."""
+    pytest.importorskip("av")
+    monkeypatch.chdir(tmp_path)
+    for name in ("md5:/a.mp4", "tcp:/b.mp4", "a:b.mp4", "c.mp4"):
+        write_video(Path(name), [np.zeros((16, 16, 3), np.uint8)] * 2, fps=5)
+        assert b"ftyp" in Path(name).read_bytes()[:16]
 
 
 def test_the_addon_writes_only_where_blender_allows() -> None:
@@ -180,6 +303,22 @@ def test_harmless_lines_are_let_through(line: str) -> None:
     """Oracle: each line is harmless."""
     assert not list(Source(line).dangers())
     assert not Source(line).writes()
+
+
+@pytest.mark.parametrize("line", OPENING)
+def test_pictures_and_films_are_opened_by_kind(line: str) -> None:
+    """Oracle: each line says which formats, or that it is a file."""
+    assert not list(Source(line).dangers())
+
+
+@pytest.mark.parametrize("name", ["http://127.0.0.1:9/a.png", "file:///etc/passwd", "fd:0"])
+def test_addresses_are_names_of_files(name: str, tmp_path: Path) -> None:
+    """Oracle: a photo of such a name that is not there; nothing shipped can open connections."""
+    frame = {"file_path": name, "transform_matrix": np.eye(4).tolist()}
+    content = {"w": 8, "h": 8, "fl_x": 9, "frames": [frame]}
+    (tmp_path / "transforms.json").write_text(json.dumps(content))
+    with pytest.raises(GsError, match=r"1 of the 1 images .* are missing"):
+        read_transforms(DataConfig(source=tmp_path))
 
 
 @pytest.mark.parametrize("name", UNSAFE_NAMES)
@@ -216,9 +355,9 @@ def test_pictures_that_unpack_to_gigabytes_are_refused(tmp_path: Path) -> None:
     zeros = packer.compress(bytes(10_000_000)) + packer.flush()
     for name in ("a.png", "b.png"):
         (tmp_path / name).write_bytes(png(60_000, 60_000, zeros))
-    with pytest.raises(FormatError, match=r"a\.png cannot be read as an image.*limit"):
+    with pytest.raises(FormatError, match=r"a\.png states a size of 60000 x 60000 pixels"):
         read_image(tmp_path / "a.png")
-    with pytest.raises(FormatError):
+    with pytest.raises(FormatError, match=r"b\.png states a size of 60000 x 60000 pixels"):
         read_map(tmp_path / "b.png")
 
 

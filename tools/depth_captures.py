@@ -10,6 +10,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from gscore.io.colmap import read_model, write_model
 from gscore.io.colmap_model import ColmapImage, ColmapModel
 from gscore.io.images import read_image, write_png
+from gscore.io.pillow import loaded
 
 FULL = 65536
 """Inverse depth = value / FULL * the map's own range."""
@@ -140,9 +141,7 @@ def monocular(inverse_depth: np.ndarray, rng: np.random.Generator) -> np.ndarray
 
 def read_depth_png(path: Path) -> np.ndarray:
     """[H, W] of a 16-bit grey PNG."""
-    from PIL import Image
-
-    with Image.open(path) as image:
+    with loaded(path) as (image, _):
         return np.asarray(image).astype(np.uint16)
 
 

@@ -65,7 +65,7 @@ def load_target(
                 f"{rgba.shape[1]} x {rgba.shape[0]}: make them the same."
             )
         opacity = mask[..., 3] if mask[..., 3].min() < 1 else mask[..., :3].max(axis=2)
-        opacity = opacity * 255 if 0 < opacity.max() <= 1 / 255 else opacity
+        opacity = _yes_or_no(opacity)
         opacity = 1 - opacity if invert_masks else opacity
         mode = "ignore" if mask_mode == "auto" else mask_mode
     elif mask_mode == "auto":
@@ -78,6 +78,14 @@ def load_target(
         pixels = colors + np.array(background, np.float32) * (1 - weight[..., None])
     ignores = mode == "ignore" and opacity.min() < 1
     return Target(pixels=pixels, weight=weight if ignores else None)
+
+
+def _yes_or_no(opacity: np.ndarray) -> np.ndarray:
+    """A mask of 0 and one other number as one of 0 and 1, as gscore reads masks."""
+    top = opacity.max()
+    if not ((opacity == 0) | (opacity == top)).all() or (opacity.min() > 1 / 255):
+        return opacity
+    return (opacity > 0).astype(np.float32)
 
 
 def _mask_file(camera: bpy.types.Object, own: PhotoCamera) -> Path | None:
@@ -101,6 +109,8 @@ def _read(path: str, own: PhotoCamera) -> np.ndarray:
     Raises:
         ValueError: it is not there, cannot be decoded, or has another shape than the camera.
     """
+    if Path(path).suffix.lower() in bpy.path.extensions_movie:
+        raise ValueError(f"{path} is a film, of which Blender would open what it refers to.")
     try:
         image = bpy.data.images.load(path, check_existing=False)
     except RuntimeError as error:

@@ -46,7 +46,9 @@ def write_video(path: Path, pictures: Iterable[np.ndarray], *, fps: float) -> No
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with av.open(str(temporary), "w", format="mp4", options={"movflags": "+faststart"}) as file:
+        # FFmpeg takes what stands before a colon for a protocol, such as tcp or concat.
+        options = {"movflags": "+faststart"}
+        with av.open(f"file:{temporary}", "w", format="mp4", options=options) as file:
             stream = None
             for picture in pictures:
                 if stream is None:

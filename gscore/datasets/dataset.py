@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import zlib
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
@@ -10,10 +11,10 @@ from typing import TypeVar
 
 import numpy as np
 
-from ..errors import Cancelled, DatasetError
-from ..io.files import open_regular
+from ..errors import BackendError, Cancelled
 from ..scene import Scene
 from .decode import ViewFile, decode_view
+from .unchanged import Unchanged, changed
 
 T = TypeVar("T")
 
@@ -48,6 +49,9 @@ class Dataset:
         """Folder of the capture."""
         self._files = files
         self._views: dict[int, tuple[np.ndarray, np.ndarray | None]] = {}
+        self._unchanged = Unchanged(p for f in files for p in (f.image, f.mask) if p is not None)
+        self._prints: dict[int, int] = {}
+        """Checksums of views that were decoded and may be decoded again."""
         self._content_hash: str | None = None
         self._keep_all = True
         self._lock = Lock()
@@ -79,13 +83,13 @@ class Dataset:
         """Short hash of all photos and masks, read once; tells whether a capture changed.
 
         Raises:
-            DatasetError: a file is missing or cannot be read.
+            DatasetError: a file is missing, cannot be read, or changed since the capture was read.
         """
         if self._content_hash is None:
             digest = hashlib.sha256()
             for file in self._files:
                 for path in (file.image, file.mask):
-                    digest.update(b"-" if path is None else _file_hash(path))
+                    digest.update(b"-" if path is None else self._unchanged.hash(path))
                 if file.mask is not None and file.mask_inverted:
                     digest.update(b"inverted")
             self._content_hash = digest.hexdigest()[:16]
@@ -95,7 +99,9 @@ class Dataset:
         """[H, W, 3] uint8, contiguous; decoded on first use. Do not write to it.
 
         Raises:
+            DatasetError: the file or its mask is another one than when the capture was read.
             FormatError: the file is corrupt.
+            BackendError: there is too little memory for it.
         """
         return self._view(index)[0]
 
@@ -107,6 +113,7 @@ class Dataset:
         """From now on keep only the views decoded last, for captures larger than memory."""
         with self._lock:
             self._keep_all = False
+            self._prints |= {i: _print(view) for i, view in self._views.items()}
             self._views.clear()
 
     def preload(
@@ -140,20 +147,40 @@ class Dataset:
         # Two threads may decode the same view at the same time; both get the same bytes.
         view = self._views.get(i)
         if view is None:
-            view = decode_view(self._files[i])
+            view = self._decoded(i)
             with self._lock:
                 view = self._views.setdefault(i, view)
                 while not self._keep_all and len(self._views) > _FEW:
                     del self._views[next(iter(self._views))]
         return view
 
+    def _decoded(self, i: int) -> tuple[np.ndarray, np.ndarray | None]:
+        """The view from its files, which must be what they were."""
+        file = self._files[i]
+        try:
+            view = decode_view(file)
+        except MemoryError as error:
+            width, height = file.photo_size
+            raise BackendError(
+                f"Out of memory while {file.image}, {width} x {height} pixels, was decoded; use "
+                f"smaller photos, or close programs."
+            ) from error
+        for path in (file.image, file.mask):
+            if path is not None:
+                self._unchanged.check(path)
+        if not self._keep_all:
+            # Size and time may be kept on purpose, as `cp -p` and `rsync -t` do.
+            found = _print(view)
+            if self._prints.setdefault(i, found) != found:
+                raise changed(file.image)
+        return view
 
-def _file_hash(path: Path) -> bytes:
-    try:
-        with open_regular(path) as file:
-            return hashlib.file_digest(file, "sha256").digest()
-    except OSError as error:
-        raise DatasetError(f"{path} cannot be read ({error.strerror}); restore it.") from error
+
+def _print(view: tuple[np.ndarray, np.ndarray | None]) -> int:
+    """Checksum of the pixels of a decoded view."""
+    image, mask = view
+    value = zlib.crc32(image.data)
+    return value if mask is None else zlib.crc32(mask.data, value)
 
 
 def map_threads(work: Callable[[int], T], items: list[int], *, threads: int = 0) -> Iterator[T]:

@@ -11,6 +11,7 @@ from ..io.images import ImageInfo, read_info
 from ..scene import FARTHEST, Cameras, PointCloud, Scene
 from ..words import count_words, number
 from .capture import View, listing
+from .copies import find_copies
 from .dataset import Dataset
 from .decode import ViewFile, decode_view
 from .masks import MaskChoice, choose_masks
@@ -56,10 +57,13 @@ def load_dataset(config: DataConfig, *, cancelled: Callable[[], bool] = lambda: 
         (info.height, info.width) if turn else (info.width, info.height)
         for info, turn in zip(infos, upright, strict=True)
     ]
+    warnings += _copies(views, cancelled)
+    warnings += _flipped(views, infos, upright)
     warnings += _other_sizes(views, sizes)
-    masks = choose_masks(config, capture, views, infos, sizes)
+    masks = choose_masks(config, capture, views, infos, sizes, cancelled=cancelled)
     warnings += masks.warnings
     files, Ks = _files(views, sizes, upright, masks, config)
+    warnings += _cut_off(views, files)
     narrow = sum(1 for file in files if file.photo_size[0] < config.resolution)
     if narrow:
         warnings.append(
@@ -103,6 +107,35 @@ def _is_upright(view: View, info: ImageInfo) -> bool:
     return turned and not stored
 
 
+def _copies(views: list[View], cancelled: Callable[[], bool]) -> list[str]:
+    """A sentence on photos that are copies of others: one of the two poses must be wrong."""
+    pairs = find_copies([view.image for view in views], cancelled)
+    if not pairs:
+        return []
+    named = [f"{views[copy].name} of {views[first].name}" for first, copy in pairs]
+    return [
+        f"{len(pairs)} photos are copies of others: {listing(named, 3)}. Copies count twice, and a "
+        f"test view that is a copy of a training view is no test; remove them."
+    ]
+
+
+def _flipped(views: list[View], infos: list[ImageInfo], upright: list[bool]) -> list[str]:
+    """A sentence on photos of which their size does not tell whether they were calibrated turned:
+    upside down, mirrored, or square and on their side."""
+    unsure = [
+        view.name
+        for view, info, turned in zip(views, infos, upright, strict=True)
+        if not turned
+        and (info.is_flipped or (info.is_sideways and view.fits(info.height, info.width)))
+    ]
+    if not unsure:
+        return []
+    return [
+        f"EXIF asks to turn {len(unsure)} photos that are used as they are stored, as COLMAP does: "
+        f"{listing(unsure)}. If the cameras were made from turned photos, save the photos turned."
+    ]
+
+
 def _other_sizes(views: list[View], sizes: list[tuple[int, int]]) -> list[str]:
     other = [
         f"{view.name} ({size[0]} x {size[1]} for {view.camera.width} x {view.camera.height})"
@@ -114,6 +147,23 @@ def _other_sizes(views: list[View], sizes: list[tuple[int, int]]) -> list[str]:
     return [
         f"{count_words(len(other), 'photo has', 'photos have')} another size than the camera; "
         f"intrinsics are scaled by the actual ratio: {listing(other, 2)}."
+    ]
+
+
+def _cut_off(views: list[View], files: list[ViewFile]) -> list[str]:
+    """A sentence on photos that lose their rim because the distortion folds back there."""
+    cut = [
+        (file.plan.cut_off, view)
+        for view, file in zip(views, files, strict=True)
+        if file.plan is not None and file.plan.cut_off
+    ]
+    if not cut:
+        return []
+    most, worst = max(cut, key=lambda pair: pair[0])
+    return [
+        f"The distortion of {len(cut)} photos folds back at their rim, so up to {100 * most:.0f} % "
+        f"of them are left out ({worst.name}, {worst.camera.model} "
+        f"{worst.camera.params.tolist()}). COLMAP with a simpler camera model may keep more."
     ]
 
 

@@ -1,13 +1,15 @@
 """Where the masks of a capture are and what they mean."""
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ..config import DataConfig
-from ..errors import ConfigError, DatasetError
-from ..io.images import ImageInfo, read_info
+from ..errors import Cancelled, ConfigError, DatasetError
+from ..io.images import ImageInfo, assumed_of_mask, read_image, read_info
 from ..words import count_words, number
 from .capture import Capture, View, listing
+from .dataset import map_threads
 from .folder import Folder
 from .mattes import are_mattes
 
@@ -37,8 +39,13 @@ def choose_masks(
     views: list[View],
     infos: list[ImageInfo],
     sizes: list[tuple[int, int]],
+    *,
+    cancelled: Callable[[], bool] = lambda: False,
 ) -> MaskChoice:
     """Find the masks: those the capture states, else those of a folder, else the photos' alpha.
+
+    Alpha that hides nothing in any photo is no mask. To know that, photos with alpha are decoded
+    until one hides something, which mostly is the first.
 
     Args:
         config: Options `masks`, `mask_mode` and `invert_masks`.
@@ -46,10 +53,13 @@ def choose_masks(
         views: Its views, in the order of the lists below.
         infos: Of their photos.
         sizes: Width and height of the photos as they will be used; masks must have the same.
+        cancelled: Asked between photos; true ends the call.
 
     Raises:
+        Cancelled: `cancelled` said so.
         ConfigError: `mask_mode` is unknown.
         DatasetError: the folder is missing or has no mask of any view, or a mask has another size.
+        FormatError: the first mask or a photo with alpha is corrupt.
     """
     if config.mask_mode not in MASK_MODES:
         raise ConfigError(
@@ -63,24 +73,45 @@ def choose_masks(
         for view, file, size in zip(views, files, sizes, strict=True):
             if file is not None:
                 _check_size(view, file, size)
+        warnings += _assumed(next(file for file in files if file is not None))
         mode = config.mask_mode
         if mode == "auto":
             found = [file for file in files if file is not None]
-            mode = "ignore" if config.invert_masks else capture.masks_are or _meaning(found)
+            mode = capture.masks_are or _meaning(found, inverted=config.invert_masks)
         return MaskChoice(
             mode=mode, files=files, use_alpha=none.use_alpha, warnings=tuple(warnings)
         )
     if config.invert_masks:
         warnings = [*warnings, "There are no mask files, so invert_masks changes nothing."]
     use_alpha = [info.has_alpha for info in infos]
-    if not any(use_alpha):
-        return MaskChoice(mode="none", files=files, use_alpha=use_alpha, warnings=tuple(warnings))
+    with_alpha = [view.image for view, used in zip(views, use_alpha, strict=True) if used]
+    if not _hide_something(with_alpha, cancelled):
+        return replace(none, warnings=tuple(warnings))
     mode = "composite" if config.mask_mode == "auto" else config.mask_mode
     return MaskChoice(mode=mode, files=files, use_alpha=use_alpha, warnings=tuple(warnings))
 
 
-def _meaning(masks: list[Path]) -> str:
-    return "composite" if are_mattes(masks) else "ignore"
+def _meaning(masks: list[Path], *, inverted: bool) -> str:
+    return "composite" if are_mattes(masks, inverted=inverted) else "ignore"
+
+
+def _hide_something(photos: list[Path], cancelled: Callable[[], bool]) -> bool:
+    """Whether any of these photos has a pixel that is not opaque."""
+
+    def hides(i: int) -> bool:
+        if cancelled():
+            raise Cancelled("Reading the photos was stopped.")
+        return bool((read_image(photos[i])[..., 3:] < 255).any())
+
+    # One after the other first: mostly one is enough.
+    rest = map_threads(hides, list(range(1, len(photos))))
+    return bool(photos) and (hides(0) or any(rest))
+
+
+def _assumed(mask: Path) -> list[str]:
+    """A sentence where it had to be guessed what is white in masks, from the first of them."""
+    assumed = assumed_of_mask(mask)
+    return [f"The masks {assumed}, for example {mask}."] if assumed else []
 
 
 def _find(config: DataConfig, root: Path, views: list[View]) -> tuple[list[Path | None], list[str]]:

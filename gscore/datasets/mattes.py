@@ -18,7 +18,7 @@ _RIM = 0.02
 """Width of the rim, as a share of the shorter side."""
 
 
-def are_mattes(masks: Sequence[Path]) -> bool:
+def are_mattes(masks: Sequence[Path], *, inverted: bool = False) -> bool:
     """Whether masks cut a subject out of its surroundings.
 
     Such masks hide most of the rim of most photos. Those that hide passers-by, a tripod or the sky
@@ -26,12 +26,13 @@ def are_mattes(masks: Sequence[Path]) -> bool:
 
     Args:
         masks: Files of the masks, at least one.
+        inverted: Their white marks what to leave out.
 
     Raises:
         FormatError: a file is corrupt.
     """
     step = -(-len(masks) // _LOOKED_AT)
-    looked_at = [read_mask(file) for file in masks[::step]]
+    looked_at = [read_mask(file, inverted=inverted) for file in masks[::step]]
     most_alike = max(Counter(mask.tobytes() for mask in looked_at).values())
     if most_alike > max(len(looked_at) / 2, 1):
         return False

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..errors import FormatError
 from ..io.colmap_model import ColmapCamera
-from ..scene import FARTHEST
+from ..scene import FARTHEST, FOCAL_RANGE, is_focal
 
 _SKEW = 1e-3
 """Of the focal length; what decomposing a float32 projection matrix leaves behind."""
@@ -40,7 +40,7 @@ def pinhole_camera(where: str, key: str, value: Any, width: int, height: int) ->
     """PINHOLE camera from 3 x 3 (or 4 x 4) intrinsics in pixels.
 
     Raises:
-        FormatError: no such numbers, focal lengths not positive, skewed pixels, or a principal
+        FormatError: no such numbers, focal lengths that no lens has, skewed pixels, or a principal
             point outside the picture.
     """
     matrix = _numbers(value)
@@ -52,6 +52,7 @@ def pinhole_camera(where: str, key: str, value: Any, width: int, height: int) ->
             f"{where}: {key} is {value!r}, expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in "
             f"pixels. Export the cameras again."
         )
+    check_focal(f"{where}: {key}", (float(fx), float(fy)), width, height)
     if not (0 < cx < width and 0 < cy < height):
         raise FormatError(
             f"{where}: {key} has the principal point ({cx:g}, {cy:g}), outside the picture of "
@@ -60,6 +61,16 @@ def pinhole_camera(where: str, key: str, value: Any, width: int, height: int) ->
     return ColmapCamera(
         model="PINHOLE", width=width, height=height, params=np.array([fx, fy, cx, cy], np.float64)
     )
+
+
+def check_focal(where: str, focal: tuple[float, float], width: float, height: float) -> None:
+    """Raise FormatError for focal lengths, in pixels, that no lens has for such a picture."""
+    if not all(is_focal(f, width, height) for f in focal):
+        low, high = (limit * max(width, height) for limit in FOCAL_RANGE)
+        raise FormatError(
+            f"{where}: the focal lengths are {focal[0]:g} and {focal[1]:g} pixels for a picture of "
+            f"{width:g} x {height:g}, expected {low:g} to {high:g}. Export the cameras again."
+        )
 
 
 def _numbers(value: Any) -> np.ndarray:

@@ -19,7 +19,7 @@ from ..io.ply_points import read_point_cloud
 from ..scene import FARTHEST, PointCloud
 from ..transforms import viewmat_from_opengl
 from .capture import Capture, View, listing
-from .poses import rigid_matrix
+from .poses import check_focal, rigid_matrix
 
 FILES = ("transforms.json", "transforms_train.json")
 """Names by which such a capture is recognised."""
@@ -221,11 +221,12 @@ def _camera(where: str, data: dict[str, Any], image: Path) -> ColmapCamera:
         fy = _focal(height, number("camera_angle_y"))
     else:
         fy = fx
-    if not (fx > 0 and fy > 0 and 0 < width < 2**31 and 0 < height < 2**31):
+    if not (0 < width < 2**31 and 0 < height < 2**31):
         raise FormatError(
-            f"{where}: focal lengths {fx} and {fy} and size {width} x {height} must be positive, "
-            f"and sides below 2^31 pixels. Export the capture again."
+            f"{where}: the size {width} x {height} must be positive, and sides below 2^31 pixels. "
+            f"Export the capture again."
         )
+    check_focal(where, (fx, fy), width, height)
     values = {
         "fx": fx,
         "fy": fy,

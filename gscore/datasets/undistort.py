@@ -1,6 +1,6 @@
 """Distorted cameras to pinhole cameras: pycolmap plans, numpy resamples photos, masks, depths."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,9 @@ from ..io.colmap_model import ColmapCamera
 
 _ROWS_A_STRIP = 32
 _MOST_BLANK = 0.05
+"""Share of the picture that may lie outside the photo, or beyond a fold of the distortion."""
+_WAYS, _STEPS = 33, 400
+"""Ways to each side of the picture on which folds are looked for, and places on each of them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,6 +28,8 @@ class Undistortion:
     """Of the pinhole camera, in pixels as large as those of `camera`."""
     K: np.ndarray
     """[3, 3] float64, intrinsics of the pinhole camera at that size."""
+    cut_off: float = 0.0
+    """Share of the picture that was left out at its rim, where the distortion folds back."""
 
     def distort(self, points: np.ndarray) -> np.ndarray:
         """Pixels of the distorted camera for pixels of the pinhole camera, both [P, 2] float64."""
@@ -80,11 +85,13 @@ class Undistortion:
 def plan_undistortion(camera: ColmapCamera) -> Undistortion | None:
     """How to undistort a camera so that no blank pixels appear; None if it is a pinhole camera.
 
-    The pinhole camera is the one COLMAP's image undistorter would choose.
+    The pinhole camera is the one COLMAP's image undistorter would choose, without the rim in which
+    the distortion folds back and the photo would appear again, mirrored.
 
     Raises:
         DatasetError: the camera sees in all directions, no pinhole camera can replace it.
-        FormatError: the parameters make no camera.
+        FormatError: the parameters make no camera, or one whose distortion folds back in more than
+            a rim.
         BackendError: pycolmap is not installed or does not know the model.
     """
     if camera.is_pinhole:
@@ -116,6 +123,7 @@ def plan_undistortion(camera: ColmapCamera) -> Undistortion | None:
         height=int(pinhole.height),
         K=np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64),
     )
+    plan = _unfolded(plan)
     _check_plan(plan)
     return plan
 
@@ -144,6 +152,62 @@ def _pycolmap() -> Any:
             f"expected 3.12 or newer. Update it: pip install -U pycolmap"
         )
     return pycolmap
+
+
+def _unfolded(plan: Undistortion) -> Undistortion:
+    """The plan without what lies beyond the first fold of the distortion, seen from its middle.
+
+    Raises:
+        FormatError: that is more than a rim.
+    """
+    size = np.array([plan.width, plan.height], np.float64)
+    center = np.clip(plan.K[:2, 2], 0, size)
+    good = _ways_to_fold(plan, center, _border(size))
+    if good.min() == 1:
+        return plan
+    # Each way stands for the triangle from the middle to its piece of the rim.
+    beyond = 1 - float(np.mean(good**2))
+    if beyond > _MOST_BLANK:
+        raise FormatError(
+            f"The {plan.camera.model} camera with parameters {plan.camera.params.tolist()} cannot "
+            f"be undistorted: its distortion folds back, so that {100 * beyond:.0f} % of the "
+            f"picture would show the rest of it mirrored. Run COLMAP again, perhaps with a simpler "
+            f"camera model."
+        )
+    kept = float(good.min())
+    first = np.ceil(center * (1 - kept))
+    last = np.maximum(np.floor(center + (size - center) * kept), first + 1)
+    K = plan.K.copy()
+    K[:2, 2] -= first
+    width, height = (last - first).astype(int).tolist()
+    cut_off = 1 - width * height / (plan.width * plan.height)
+    return replace(plan, width=width, height=height, K=K, cut_off=cut_off)
+
+
+def _border(size: np.ndarray) -> np.ndarray:
+    """[4 n, 2] points around the rim of a picture, its corners twice."""
+    t = np.linspace(0, 1, _WAYS)
+    low, high = np.zeros_like(t), np.ones_like(t)
+    rim = [(t, low), (t, high), (low, t), (high, t)]
+    return np.concatenate([np.column_stack(edge) for edge in rim]) * size
+
+
+def _ways_to_fold(plan: Undistortion, center: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """How far the distortion is one to one from `center` to each of `ends` [P, 2]: [P], 0 to 1.
+
+    It is as long as the Jacobian of pinhole pixels to photo pixels keeps its sign.
+    """
+    far = np.linspace(0, 1, _STEPS + 1)[1:]
+    places = center + far[None, :, None] * (ends - center)[:, None]
+    small = np.array([0.25, 0.25]) * np.eye(2)
+    moved = [places, places + small[0], places + small[1]]
+    found = [plan.distort(p.reshape(-1, 2)).reshape(places.shape) for p in moved]
+    right, down = found[1] - found[0], found[2] - found[0]
+    area = right[..., 0] * down[..., 1] - right[..., 1] * down[..., 0]
+    folded = ~(area > 0)  # NaN is folded
+    # The step before the first one that is folded is the last good one.
+    steps = np.where(folded.any(axis=1), folded.argmax(axis=1), _STEPS)
+    return steps / _STEPS
 
 
 def _check_plan(plan: Undistortion) -> None:

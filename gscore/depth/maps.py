@@ -10,9 +10,9 @@ import numpy as np
 from ..errors import BackendError, DatasetError, FormatError
 from ..extras import need
 from ..io.exr_header import check_exr_size
-from ..io.files import check_regular, open_regular, read_bytes
-from ..io.images import BROKEN, read_info
+from ..io.files import check_regular, read_bytes
 from ..io.npy import read_npy
+from ..io.pillow import loaded
 
 ENDINGS = (".png", ".npy", ".exr", ".tif", ".tiff")
 """Kinds of depth maps, in the order in which they are preferred."""
@@ -165,21 +165,13 @@ def _read_npy(path: Path) -> np.ndarray:
 
 def _read_picture(path: Path) -> np.ndarray:
     """[H, W] of a PNG or TIFF with one channel, or three equal ones."""
-    read_info(path)  # missing Pillow and files that are no image, in the words of the photos
-    from PIL import Image
-
-    try:
-        with Image.open(path) as image:
-            mode = image.mode
-            deep = path.suffix.lower() == ".png" and _is_deep_colour_png(path)
-            values = np.array(image)
-    except (*BROKEN, Image.DecompressionBombError) as error:
+    with loaded(path) as (image, deep):
+        mode = image.mode
+        values = np.array(image)
+    if deep and mode[0] != "I":
         raise FormatError(
-            f"{path} cannot be read as an image: {str(error).rstrip('.')}. Make the map again."
-        ) from error
-    if deep:
-        raise FormatError(
-            f"{path} is a 16-bit PNG in colour, of which only 8 bits can be read. Save it as grey."
+            f"{path} has 16 bits a channel in colour, of which only 8 bits can be read. Save it as "
+            f"grey."
         )
     if mode in ("RGB", "RGBA", "LA"):
         colours = values[..., :3] if mode != "LA" else values[..., :1]
@@ -195,13 +187,6 @@ def _read_picture(path: Path) -> np.ndarray:
             f"depth map as a grey 16-bit PNG."
         )
     return values
-
-
-def _is_deep_colour_png(path: Path) -> bool:
-    """Whether a PNG has 16 bits a channel and more than one channel."""
-    with open_regular(path) as file:
-        head = file.read(26)
-    return len(head) == 26 and head[24] == 16 and head[25] != 0
 
 
 def _read_exr(path: Path) -> np.ndarray:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import FormatError
-from ..scene import FARTHEST, Cameras
+from ..scene import FARTHEST, Cameras, is_focal
 from ..transforms import invert_rigid
 from .files import atomic_write, read_bytes
 
@@ -89,6 +89,9 @@ def _fill(entry: Any, pose: np.ndarray, intrinsics: np.ndarray, size: np.ndarray
     intrinsics[1, 1] = _numbers(entry, "fy", ())
     intrinsics[0, 2] = _numbers(entry, "cx", ()) if "cx" in entry else width / 2
     intrinsics[1, 2] = _numbers(entry, "cy", ()) if "cy" in entry else height / 2
+    for key, focal in (("fx", intrinsics[0, 0]), ("fy", intrinsics[1, 1])):
+        if not is_focal(float(focal), width, height):
+            raise ValueError(f"{key}, {focal:g}")
     rotation = pose[:3, :3]
     if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
         raise ValueError("rotation")

@@ -7,7 +7,7 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 import numpy as np
 
 from ..errors import DatasetError, FormatError
-from ..scene import FARTHEST
+from ..scene import FARTHEST, FOCAL_RANGE, is_focal
 from ..words import count_words
 from . import colmap_binary, colmap_text
 from .colmap_model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
@@ -182,13 +182,13 @@ def _check_camera(path: Path, camera_id: int, camera: ColmapCamera) -> None:
         not 0 <= camera_id < 2**32
         or not size_ok
         or not (np.abs(camera.params) <= FARTHEST).all()
-        or any(v <= 0 for v in focal)
+        or not all(is_focal(v, camera.width, camera.height) for v in focal)
     ):
         raise FormatError(
             f"{path}: camera {camera_id} ({camera.model}) has the size "
             f"{camera.width} x {camera.height} and the parameters {camera.params.tolist()}; "
-            f"expected a positive size, positive focal lengths and numbers up to {FARTHEST:g}. "
-            f"Run COLMAP again."
+            f"expected a positive size, focal lengths of {FOCAL_RANGE[0]:g} to {FOCAL_RANGE[1]:g} "
+            f"times its longer side and numbers up to {FARTHEST:g}. Run COLMAP again."
         )
 
 

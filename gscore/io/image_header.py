@@ -19,10 +19,13 @@ class ImageInfo(NamedTuple):
     """Whether there is transparency."""
     is_sideways: bool
     """Whether EXIF asks to turn the stored picture by a quarter for display."""
+    is_flipped: bool = False
+    """Whether EXIF asks to turn it upside down or to mirror it, which leaves its size as it is."""
 
 
 _PNG = b"\x89PNG\r\n\x1a\n"
-_SIDEWAYS = frozenset({5, 6, 7, 8})
+SIDEWAYS, FLIPPED = frozenset({5, 6, 7, 8}), frozenset({2, 3, 4})
+"""Values of EXIF's orientation."""
 _XMP_TURN = re.compile(rb"tiff:Orientation(?:=\"|>)([0-9])")
 _FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 """JPEG markers that start a frame and state its size."""
@@ -51,6 +54,12 @@ def read_header(path: str | Path) -> ImageInfo | None:
     return None
 
 
+def _info(width: int, height: int, has_alpha: bool, turn: int) -> ImageInfo | None:
+    if not width or not height:
+        return None
+    return ImageInfo(width, height, has_alpha, turn in SIDEWAYS, turn in FLIPPED)
+
+
 def _png(file: BinaryIO) -> ImageInfo | None:
     """Chunks up to the first of pixels: size, transparency, EXIF."""
     width, height, alpha, turn = 0, 0, False, 1
@@ -72,7 +81,7 @@ def _png(file: BinaryIO) -> ImageInfo | None:
             turn = _exif_turn(body)
         elif turn == 1 and (found := _XMP_TURN.search(body)):
             turn = int(found[1])
-    return ImageInfo(width, height, alpha, turn in _SIDEWAYS) if width and height else None
+    return _info(width, height, alpha, turn)
 
 
 def _jpeg(file: BinaryIO) -> ImageInfo | None:
@@ -88,7 +97,7 @@ def _jpeg(file: BinaryIO) -> ImageInfo | None:
         if marker in _FRAMES:
             height, width = struct.unpack(">xHH", file.read(5))
             turn = exif if exif != 1 else xmp
-            return ImageInfo(width, height, False, turn in _SIDEWAYS) if width and height else None
+            return _info(width, height, False, turn)
         if marker in (0xD9, 0xDA) or length < 2:
             return None
         if marker != 0xE1:

@@ -1,18 +1,17 @@
 """Photos as bytes: decoding, size without decoding, downscaling, PNG out."""
 
-import functools
 import struct
-import warnings
 import zlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..errors import DatasetError, FormatError, ShapeError
-from ..extras import need
-from .files import atomic_write, check_regular
-from .image_header import ImageInfo, read_header
+from ..errors import ShapeError
+from .files import atomic_write
+from .image_header import FLIPPED, SIDEWAYS, ImageInfo, read_header
+from .pillow import check_size, loaded, opened, pillow
+from .pixels import has_alpha, mask_bytes, photo_bytes
 
 IMAGE_ENDINGS = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp", ".tga")
 """Endings tried where a name has none or names a file of another kind, lower case."""
@@ -25,25 +24,25 @@ def read_info(path: str | Path) -> ImageInfo:
 
     Raises:
         DatasetError: the file is missing or no regular one.
-        FormatError: it is no image.
+        FormatError: it is no image, or too large to be read.
         BackendError: Pillow is needed and not installed.
     """
+    path = Path(path)
     if info := read_header(path):
+        check_size(path, info.width, info.height)
         return info
-    with _open(Path(path)) as image:
-        has_alpha = image.mode in _ALPHA or "transparency" in image.info
-        try:
-            sideways = image.getexif().get(0x0112, 1) in (5, 6, 7, 8)
-        except BROKEN:  # damaged EXIF does not make the picture unusable
-            sideways = False
-        return ImageInfo(image.width, image.height, has_alpha, sideways)
+    with opened(path) as image:
+        turn = _exif_turn(image)
+        alpha = has_alpha(image)
+        return ImageInfo(image.width, image.height, alpha, turn in SIDEWAYS, turn in FLIPPED)
 
 
 def read_image(path: str | Path, *, upright: bool = False) -> np.ndarray:
     """Decode an image.
 
     Args:
-        path: The file. Grey, palette, CMYK and 16-bit images are converted.
+        path: The file, of the formats in `pillow.FORMATS`. Grey, palette, CMYK and 16-bit images
+            are converted, floats from 0 to 1 too; of several pictures in a file the first is taken.
         upright: Turn it as EXIF asks. COLMAP does not, so neither does gscore by default.
 
     Returns:
@@ -51,24 +50,18 @@ def read_image(path: str | Path, *, upright: bool = False) -> np.ndarray:
 
     Raises:
         DatasetError: the file is missing or no regular one.
-        FormatError: it is no image, or truncated or corrupt.
+        FormatError: it is no image, truncated, corrupt or too large, or which of its numbers is
+            white is not known.
         BackendError: Pillow is not installed.
     """
     path = Path(path)
-    with _open(path) as image:
-        has_alpha = image.mode in _ALPHA or "transparency" in image.info
-        try:
-            image.load()
-            if upright:
-                from PIL import ImageOps
-
-                image = ImageOps.exif_transpose(image)
-            if image.mode.startswith("I"):
-                grey = _bytes_of_16_bit(np.asarray(image))
-                return np.repeat(grey[..., None], 3, axis=2)
-            return np.array(image.convert("RGBA" if has_alpha else "RGB"))
-        except BROKEN as error:
-            raise _broken(path, error) from error
+    with loaded(path) as (image, deep):
+        pixels = photo_bytes(path, image, deep=deep)
+        turn = _TURNS.get(_exif_turn(image)) if upright else None
+    if turn is None:
+        return pixels
+    pil = pillow()
+    return np.array(pil.fromarray(pixels).transpose(pil.Transpose[turn]))
 
 
 def read_mask(path: str | Path, *, inverted: bool = False) -> np.ndarray:
@@ -79,18 +72,20 @@ def read_mask(path: str | Path, *, inverted: bool = False) -> np.ndarray:
         inverted: Its white marks what to leave out.
 
     Returns:
-        [H, W] uint8, 255 = keep. Masks that hold only 0 and 1 are stretched to 0 and 255.
+        [H, W] uint8, 255 = keep. Masks that hold only 0 and one other number are stretched to 0
+        and 255.
 
     Raises:
         As `read_image`.
     """
-    image = read_image(path)
-    if image.shape[2] == 4 and image[..., 3].min() < 255:
-        mask = np.ascontiguousarray(image[..., 3])
-    else:
-        mask = image[..., :3].max(axis=2)
-    mask = mask * np.uint8(255) if mask.max(initial=0) == 1 else mask
+    mask = _mask(Path(path))[0]
     return 255 - mask if inverted else mask
+
+
+def assumed_of_mask(path: str | Path) -> str:
+    """What `read_mask` takes for white in a mask where that is not white, as the end of a sentence
+    that begins with masks; empty where nothing is assumed. Raises as `read_image`."""
+    return _mask(Path(path))[1]
 
 
 def resize(image: np.ndarray, width: int, height: int) -> np.ndarray:
@@ -117,7 +112,7 @@ def resize(image: np.ndarray, width: int, height: int) -> np.ndarray:
             f"resize takes uint8 images down to at least 1 x 1, got {image.dtype} {old_width} x "
             f"{old_height} to {width} x {height}."
         )
-    pil = _pillow()
+    pil = pillow()
     source = pil.fromarray(image)
     if old_width % width == 0 and old_height % height == 0:
         # Rounds once; resize with a box rounds up after each axis and brightens by half a step.
@@ -138,7 +133,7 @@ def resize_map(values: np.ndarray, width: int, height: int) -> np.ndarray:
     """
     if values.shape == (height, width):
         return values
-    pil = _pillow()
+    pil = pillow()
     grows = width > values.shape[1] or height > values.shape[0]
     window = pil.Resampling.BILINEAR if grows else pil.Resampling.HAMMING
     known = np.isfinite(values)
@@ -162,7 +157,7 @@ def reduce(image: np.ndarray, factor: int) -> np.ndarray:
     Returns:
         [ceil(H / factor), ceil(W / factor), ...] uint8; pixel i covers [i factor, (i + 1) factor).
     """
-    return np.array(_pillow().fromarray(image).reduce(factor)) if factor > 1 else image
+    return np.array(pillow().fromarray(image).reduce(factor)) if factor > 1 else image
 
 
 def write_png(path: str | Path, image: np.ndarray) -> None:
@@ -203,54 +198,26 @@ def write_png(path: str | Path, image: np.ndarray) -> None:
     atomic_write(path, b"".join(out))
 
 
-_ALPHA = frozenset({"RGBA", "LA", "PA", "RGBa", "La"})
-
-BROKEN: tuple[type[Exception], ...] = (
-    OSError,
-    ValueError,
-    SyntaxError,
-    TypeError,
-    KeyError,
-    IndexError,
-    EOFError,
-    MemoryError,
-    OverflowError,
-    RuntimeError,
-    struct.error,
-    zlib.error,
-)
-"""What Pillow's decoders raise on damaged files; besides, once loaded, DecompressionBombError."""
+_ORIENTATION = 0x0112
+_TURNS = {
+    2: "FLIP_LEFT_RIGHT",
+    3: "ROTATE_180",
+    4: "FLIP_TOP_BOTTOM",
+    5: "TRANSPOSE",
+    6: "ROTATE_270",
+    7: "TRANSVERSE",
+    8: "ROTATE_90",
+}
+"""Pillow's names for what shows a picture as its EXIF orientation asks."""
 
 
-@functools.cache
-def _pillow() -> Any:
-    """PIL.Image, loaded when first needed: the numpy-only parts of gscore do without."""
-    Image = need("PIL.Image", "Reading photos")
-    # From half of its limit on Pillow warns with a line of source; large photos are no mistake.
-    # Once for the process, because filters for a block are not safe among threads.
-    warnings.filterwarnings("ignore", category=Image.DecompressionBombWarning)
-    return Image
-
-
-def _open(path: Path) -> Any:
-    pil = _pillow()
-    check_regular(path)
+def _exif_turn(image: Any) -> int:
     try:
-        return pil.open(path)
-    except FileNotFoundError as error:
-        raise DatasetError(f"There is no image {path}.") from error
-    except (*BROKEN, pil.DecompressionBombError) as error:
-        raise _broken(path, error) from error
+        return image.getexif().get(_ORIENTATION, 1)
+    except Exception:  # damaged EXIF does not make the picture unusable
+        return 1
 
 
-def _broken(path: Path, error: Exception) -> FormatError:
-    reason = (str(error) or type(error).__name__).rstrip(".")
-    return FormatError(
-        f"{path} cannot be read as an image: {reason}. Copy the photo again, or remove it from the "
-        f"capture."
-    )
-
-
-def _bytes_of_16_bit(values: np.ndarray) -> np.ndarray:
-    """[H, W] uint8 of 16-bit grey; Pillow's own conversion cuts everything above 255."""
-    return ((np.clip(values, 0, 65535).astype(np.uint32) * 255 + 32767) // 65535).astype(np.uint8)
+def _mask(path: Path) -> tuple[np.ndarray, str]:
+    with loaded(path) as (image, deep):
+        return mask_bytes(path, image, deep=deep)

@@ -18,6 +18,8 @@ from .forecast import Estimate, check_fits, estimate
 
 _LOADING_PERIOD = 0.5
 """Seconds between two events while photos are read."""
+_DARK_MASK = 32
+"""Of 255: masks that are nowhere brighter hold labels, or are wrong."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,17 +137,20 @@ def progress_of(
     return on_progress
 
 
-def _shows_something(photos: Dataset, index: int) -> bool:
+def _brightest(photos: Dataset, index: int) -> int:
+    """Of the mask of a view, 0 to 255; 255 without a mask."""
     mask = photos.mask(index)
-    return mask is None or bool(mask.any())
+    return 255 if mask is None else int(mask.max())
 
 
 def _check_masks(photos: Dataset, threads: int) -> list[str]:
-    """Sentences about masks that leave nothing to train on; DatasetError if all do."""
+    """Sentences about masks that leave (nearly) nothing to train on; DatasetError if all do."""
     if photos.mask_mode == "none":
         return []
-    shows = map_threads(partial(_shows_something, photos), photos.train, threads=threads)
-    empty = [photos.names[i] for i, good in zip(photos.train, shows, strict=True) if not good]
+    brightest = map_threads(partial(_brightest, photos), photos.train, threads=threads)
+    found = dict(zip(photos.train, brightest, strict=True))
+    empty = [photos.names[i] for i, top in found.items() if top == 0]
+    dark = [photos.names[i] for i, top in found.items() if 0 < top < _DARK_MASK]
     if len(empty) == len(photos.train):
         raise DatasetError(
             f"The masks of all {count_words(len(empty), 'training view')} in {photos.source} are "
@@ -153,7 +158,15 @@ def _check_masks(photos: Dataset, threads: int) -> list[str]:
             "is nothing to train on. White is what counts: give --invert-masks if it marks what "
             "to leave out, or choose --mask-mode none."
         )
+    warnings = []
     if empty:
         views = count_words(len(empty), "training view")
-        return [f"The masks of {views} are black, for example {empty[0]}."]
-    return []
+        warnings.append(f"The masks of {views} are black, for example {empty[0]}.")
+    if dark:
+        views = count_words(len(dark), "training view")
+        warnings.append(
+            f"The masks of {views} are nearly black, for example {dark[0]}: nothing in them "
+            f"reaches {_DARK_MASK} of 255, so these views hardly count. White is what counts; "
+            f"labels of several classes must be made 0 and 255."
+        )
+    return warnings

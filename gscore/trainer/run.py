@@ -88,6 +88,7 @@ def train(
             emit=emit,
             control=control,
         )
+        photos.content_hash()  # of what is trained on: when it is wanted, files may be others
         with _memory_in_words():
             depth = prepare_depth(
                 data, config, photos, on_progress=progress_of("depth maps", config, emit, control)

@@ -2,7 +2,8 @@
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 from ..config import DataConfig
 from ..config_file import to_dict
 from ..control import Control
+from ..errors import DatasetError, FormatError
 from ..events import (
     Done,
     Eval,
@@ -154,7 +156,8 @@ class Session:
                 self._answer()
                 continue
             began = time.perf_counter()
-            result = trainer.step()
+            with self._work_kept():
+                result = trainer.step()
             self._meter.update(
                 step=trainer.steps,
                 loss=result.loss,
@@ -169,9 +172,22 @@ class Session:
             if self._runs_away(result):
                 self._rescue()
                 continue
-            self._steer()
-            self._between_steps()
+            with self._work_kept():
+                self._steer()
+                self._between_steps()
         return self._finish()
+
+    @contextmanager
+    def _work_kept(self) -> Iterator[None]:
+        """Write a checkpoint where a photo cannot be had any more, and say so with the error."""
+        try:
+            yield
+        except (DatasetError, FormatError) as error:
+            self._checkpoint(keep=_CHECKPOINTS_KEPT)
+            raise type(error)(
+                f"{error} Step {self._trainer.steps} is kept in {self._folder.path}; with the "
+                f"photos that the training began with, --resume goes on from there."
+            ) from error
 
     def _steer(self) -> None:
         psnr = self._steering.steer()

@@ -182,6 +182,8 @@ class Trainer:
 
         Raises:
             GsError: the loss was not finite for many steps, or once under `detect_anomaly`.
+            DatasetError, FormatError: a photo that is not kept in memory is missing, damaged or
+                another one than it was; the step was not begun.
         """
         step, config, model = self.steps + 1, self.config, self.model
         laps = self.laps = Laps()
@@ -189,9 +191,13 @@ class Trainer:
         index = self.sampler.next(self.generator)
         # A run that becomes longer does not go back to smaller photos.
         self._factor = min(self._factor, self.plan.factor_at(step))
-        view, image, mask, tiles, counted = self._pyramid.at(
-            index, self._factor, upcoming=self.sampler.upcoming(AHEAD)
-        )
+        try:
+            view, image, mask, tiles, counted = self._pyramid.at(
+                index, self._factor, upcoming=self.sampler.upcoming(AHEAD)
+            )
+        except GsError:  # nothing was done, so that a checkpoint can be written and gone on from
+            self.sampler.put_back()
+            raise
         background = self._step_background()
         depth_weight = self.depth.weight(index, step) if self.depth else 0.0
         laps.pixels = view.width * view.height

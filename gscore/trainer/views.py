@@ -88,3 +88,7 @@ class Sampler:
             self.position = 0
         self.position += 1
         return self.order[self.position - 1]
+
+    def put_back(self) -> None:
+        """Let the view drawn last come again: its photo was not to be had."""
+        self.position -= 1

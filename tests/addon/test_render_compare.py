@@ -1,15 +1,17 @@
 """Comparison with photos. Oracle: gscore's metrics and pictures of the same view."""
 
+import shutil
 from pathlib import Path
 
 import bpy
 import numpy as np
 import pytest
 
-from addon import cameras, splat_object
+from addon import cameras, splat_object, stored_paths
 from addon.camera_objects import stated
 from addon.core import downscale, psnr, render
-from addon.render import compare
+from addon.render import compare, photo
+from gscore.io.images import write_png
 
 from . import splat_scenes as lab
 
@@ -132,9 +134,33 @@ def no_picture(camera, folder):
     camera["gs_photo"] = str(folder / "x.jpg")
 
 
+def film(camera, folder):
+    (folder / "x.mp4").write_text("#EXTM3U\n#EXTINF:1,\nhttp://127.0.0.1:9/x.ts\n")
+    camera["gs_photo"] = str(folder / "x.mp4")
+
+
+@pytest.mark.parametrize("top", [1, 128])
+def test_masks_of_labels_are_yes_and_no(studio, scene, tmp_path, top):
+    """Oracle: the same mask in 0 and 255, as training reads it."""
+    camera = studio[0].cameras[9]
+    own = stated(camera)
+    shutil.copytree(STUDIO, tmp_path / "in", ignore=shutil.ignore_patterns("depths", "masks"))
+    stored_paths.write(studio[0].root, stored_paths.SOURCE, str(tmp_path / "in"))
+    found = []
+    for white in (255, top):
+        labels = np.zeros((own.height, own.width), np.uint8)
+        labels[: own.height // 2] = white
+        write_png(tmp_path / "in" / "masks" / f"{Path(own.photo).stem}.png", labels)
+        options = {"background": (0.0, 0.0, 0.0), "mask_mode": "ignore"}
+        found.append(photo.load_target(camera, own.width, own.height, **options))
+    np.testing.assert_array_equal(found[0].weight, found[1].weight)
+    assert set(np.unique(found[0].weight).tolist()) == {0, 1}
+
+
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
+        (film, "is a film"),
         (no_photo, "find the capture's folder again"),
         (other_photo, "30 x 20 pixels"),
         (distorted, "distorted"),

@@ -153,7 +153,7 @@ def test_16_bit_colour_png_is_refused(tmp_path):
     data = zlib.compress(b"\0" + bytes(range(12)))
     png = b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", data) + chunk(b"IEND", b"")
     (tmp_path / "a.png").write_bytes(png)
-    with pytest.raises(FormatError, match="16-bit PNG in colour"):
+    with pytest.raises(FormatError, match="16 bits a channel in colour"):
         read_map(tmp_path / "a.png")
 
 

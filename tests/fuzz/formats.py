@@ -167,6 +167,23 @@ def _write_picture(ending: str, mode: str = "RGB") -> Callable[[Path], Any]:
     return write
 
 
+def _write_numbers(ending: str, values: np.ndarray) -> Callable[[Path], Any]:
+    def write(root: Path) -> None:
+        Image.fromarray(values).save(root / f"a{ending}")
+
+    return write
+
+
+_RAMP = np.arange(192, dtype=np.float32).reshape(12, 16) / 191
+
+
+def _write_restarting_jpeg(root: Path) -> None:
+    """With restart markers, and with grey below, so that its blocks are counted."""
+    picture = _picture()
+    picture[6:] = 128
+    Image.fromarray(picture).save(root / "a.jpg", restart_marker_blocks=1)
+
+
 def _read_picture(ending: str) -> Callable[[Path], Any]:
     def read(root: Path) -> None:
         path = root / f"a{ending}"
@@ -383,7 +400,18 @@ FORMATS = [
     Format("ply_points", "a.ply", _write_points, _read_points),
     *(
         Format(f"image_{ending[1:]}", f"a{ending}", _write_picture(ending), _read_picture(ending))
-        for ending in (".png", ".jpg", ".webp", ".tif", ".bmp", ".tga")
+        for ending in (".png", ".jpg", ".webp", ".tif", ".bmp", ".tga", ".ppm")
+    ),
+    Format("image_jpg_restarting", "a.jpg", _write_restarting_jpeg, _read_picture(".jpg")),
+    Format("image_png_alpha", "a.png", _write_picture(".png", "RGBA"), _read_picture(".png")),
+    Format("image_png_palette", "a.png", _write_picture(".png", "P"), _read_picture(".png")),
+    *(
+        Format(f"image_{name}", f"a{ending}", _write_numbers(ending, values), _read_picture(ending))
+        for name, ending, values in (
+            ("png_16_bit", ".png", (_RAMP * 65535).astype(np.uint16)),
+            ("tif_16_bit", ".tif", (_RAMP * 65535).astype(np.uint16)),
+            ("tif_float", ".tif", _RAMP),
+        )
     ),
     Format("transforms", "transforms.json", _write_transforms, _read_transforms, True),
     Format("cameras_json", "cameras.json", _write_cameras, _read_cameras, True),

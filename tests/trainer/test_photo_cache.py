@@ -61,6 +61,25 @@ def test_masks_and_depth_maps_are_counted(capture: Path, tmp_path: Path) -> None
     assert maps.peak_bytes - plain.peak_bytes == 11 * pixels
 
 
+def test_masks_of_several_labels_are_told(capture: Path, tmp_path: Path) -> None:
+    """Oracle: 0, 1 and 2 of 255 count for next to nothing; masks that reach white say nothing."""
+    shutil.copytree(capture, tmp_path / "in")
+    for k, photo in enumerate(sorted((capture / "images").iterdir())):
+        labels = np.tile(np.uint8([0, 1, 2]), (48, 16))
+        write_png(tmp_path / "in/masks" / photo.name, labels * np.uint8(1 if k < 2 else 127))
+    loaded = load_photos(
+        load_dataset(DataConfig(source=tmp_path / "in")),
+        CONFIG,
+        splats=None,
+        depths=False,
+        announce=False,
+        emit=lambda event: None,
+        control=Control(),
+    )
+    (warning,) = loaded.warnings
+    assert warning.startswith("The masks of 2 training views are nearly black, for example view_00")
+
+
 @pytest.fixture
 def counted(photos: Any, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[int]]:
     """Views that were decoded, in order."""

@@ -264,7 +264,11 @@ def test_names_stay_inside(name: str, safe: bool) -> None:
         ("# c\n1 PINHOLE 8 x 5 5 4 3", r"cameras\.txt line 2 is truncated or corrupt"),
         ("1 PINHOLE 8 6 5 5 nan 3", r"camera 1 \(PINHOLE\) has the size 8 x 6 and the parameters"),
         ("1 PINHOLE 0 6 5 5 4 3", "expected a positive size"),
-        ("1 PINHOLE 8 6 -5 5 4 3", "positive focal lengths"),
+        ("1 PINHOLE 8 6 -5 5 4 3", "focal lengths of 0.001 to 100000 times its longer side"),
+        ("1 PINHOLE 8 6 5 0 4 3", "focal lengths of 0.001 to 100000"),
+        ("1 PINHOLE 8 6 1e-30 5 4 3", "focal lengths of 0.001 to 100000"),
+        ("1 SIMPLE_RADIAL 8 6 1e29 4 3 0", "focal lengths of 0.001 to 100000"),
+        ("1 PINHOLE 8 6 nan 5 4 3", "focal lengths of 0.001 to 100000"),
     ],
 )
 def test_bad_cameras(text: str, message: str, tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from PIL import Image
 from gscore.config import DataConfig
 from gscore.datasets import Dataset, load_dataset
 from gscore.datasets.resolution import target_size
-from gscore.errors import Cancelled, ConfigError, DatasetError, FormatError, GsError
+from gscore.errors import BackendError, Cancelled, ConfigError, DatasetError, FormatError, GsError
 from gscore.io.colmap import ColmapPoints, read_model, write_model
 from gscore.io.images import read_image, write_png
 
@@ -152,6 +152,44 @@ def test_photos_turned_by_exif(make_capture: Callable) -> None:
     data = _load(capture.root)
     for i, name in enumerate(data.names):
         assert np.abs(data.image(i).astype(int) - capture.photos[name]).mean() < 2
+
+
+@pytest.mark.parametrize("ending", ["jpg", "webp"])  # read with and without Pillow
+def test_photos_turned_by_exif_without_a_trace_in_their_size(
+    ending: str, make_capture: Callable
+) -> None:
+    """Oracle: pixels as stored, and a warning: upside down, and square photos on their side."""
+    for size, orientation, told in ((64, 48), 3, True), ((48, 48), 6, True), ((64, 48), 1, False):
+        names = [f"{i}.{ending}" for i in range(3)]
+        root = make_capture().root.parent / f"turned_{orientation}"
+        capture = make_capture(root=root, names=names, size=size, write=False)
+        (root / "images").mkdir(parents=True)
+        exif = Image.Exif()
+        exif[0x0112] = orientation
+        for name, photo in capture.photos.items():
+            Image.fromarray(photo).save(root / "images" / name, exif=exif, quality=100)
+        write_model(capture.model, root / "sparse")
+        data = _load(root)
+        for i, name in enumerate(data.names):
+            assert np.abs(data.image(i).astype(int) - capture.photos[name]).mean() < 2
+        assert bool(data.warnings) == told
+        if told:
+            assert data.warnings[0].startswith(
+                f"EXIF asks to turn 3 photos that are used as they are stored, as "
+                f"COLMAP does: 0.{ending}, 1.{ending}"
+            )
+
+
+def test_copies_of_photos_are_told(make_capture: Callable) -> None:
+    """Oracle: two copies of one photo, one of them under another ending; none in other captures."""
+    capture = make_capture()
+    images = capture.root / "images"
+    for copy in ("view_03.png", "view_05.png"):
+        (images / copy).write_bytes((images / "view_01.png").read_bytes())
+    (warning,) = _load(capture.root).warnings
+    assert warning.startswith(
+        "2 photos are copies of others: view_03.png of view_01.png, view_05.png of view_01.png."
+    )
 
 
 class TestMissing:
@@ -293,6 +331,19 @@ class TestDecoding:
         with pytest.raises(FormatError, match=r"view_02\.png cannot be read as an image"):
             _load(capture.root)
 
+    def test_too_little_memory(self, make_capture: Callable, monkeypatch: Any) -> None:
+        """Oracle: an allocation that fails while a photo is scaled: its name and size are told."""
+        data = _load(make_capture().root)
+
+        def fails(*_: Any, **__: Any) -> None:
+            raise MemoryError
+
+        monkeypatch.setattr("gscore.datasets.decode.resize", fails)
+        with pytest.raises(
+            BackendError, match=r"Out of memory while .*view_04\.png, 64 x 48 pixels"
+        ):
+            data.image(4)
+
     def test_photo_that_changes(self, make_capture: Callable) -> None:
         """Oracle: the sentence gives both sizes."""
         capture = make_capture()
@@ -357,6 +408,53 @@ class TestMasks:
         assert mask is not None
         np.testing.assert_array_equal(mask, photo[..., 3])
         np.testing.assert_array_equal(data.image(2), photo[..., :3])
+
+    @pytest.mark.parametrize("mode", ["auto", "composite", "ignore"])
+    def test_alpha_that_hides_nothing_is_no_mask(self, mode: str, make_capture: Callable) -> None:
+        """Oracle: the same capture without alpha: mode, bytes, photos."""
+        capture = make_capture()
+        plain = _load(capture.root, mask_mode=mode)
+        plain.preload()
+        for name, photo in capture.photos.items():
+            opaque = np.dstack([photo, np.full(photo.shape[:2], 255, np.uint8)])
+            write_png(capture.root / "images" / name, opaque)
+        data = _load(capture.root, mask_mode=mode)
+        assert data.mask_mode == plain.mask_mode == "none"
+        assert data.nbytes == plain.nbytes
+        for i in range(len(data)):
+            assert data.mask(i) is None
+            np.testing.assert_array_equal(data.image(i), plain.image(i))
+
+    def test_the_last_photo_alone_may_hide_something(self, make_capture: Callable) -> None:
+        """Oracle: one pixel of the last of nine photos."""
+        capture = make_capture()
+        for k, (name, photo) in enumerate(capture.photos.items()):
+            rgba = np.dstack([photo, np.full(photo.shape[:2], 255, np.uint8)])
+            rgba[5, 6, 3] = 254 if k == 8 else 255
+            write_png(capture.root / "images" / name, rgba)
+        data = _load(capture.root)
+        assert data.mask_mode == "composite" and data.mask(0) is None
+        mask = data.mask(8)
+        assert mask is not None and mask[5, 6] == 254
+        with pytest.raises(Cancelled):
+            load_dataset(
+                DataConfig(source=capture.root), cancelled=iter([False] * 9 + [True]).__next__
+            )
+
+    def test_labels_are_masks(self, make_capture: Callable) -> None:
+        """Oracle: 0 and 1 in 16 bits are yes and no, and a sentence says that this was assumed."""
+        capture = make_capture()
+        labels = np.zeros((48, 64), np.uint16)
+        labels[:, 20:] = 1
+        for name in capture.photos:
+            write_png(capture.root / "masks" / name, labels)
+        data = _load(capture.root)
+        mask = data.mask(2)
+        assert mask is not None
+        np.testing.assert_array_equal(mask, labels * 255)
+        (warning,) = data.warnings
+        assert warning.startswith("The masks hold only 0 and 1; 1 is taken for white, for example")
+        assert "view_00.png" in warning
 
     def test_opaque_alpha_is_no_mask(self, make_capture: Callable) -> None:
         """Oracle: a photo whose alpha is 255 everywhere."""

@@ -13,8 +13,9 @@ def by_pillow(path: Path) -> ImageInfo:
     """What Pillow says of the file."""
     with Image.open(path) as image:
         alpha = image.mode in ("RGBA", "LA", "PA") or "transparency" in image.info
-        turned = image.getexif().get(0x0112, 1) in (5, 6, 7, 8)
-        return ImageInfo(image.width, image.height, alpha, turned)
+        turn = image.getexif().get(0x0112, 1)
+        sideways, flipped = turn in (5, 6, 7, 8), turn in (2, 3, 4)
+        return ImageInfo(image.width, image.height, alpha, sideways, flipped)
 
 
 @pytest.fixture

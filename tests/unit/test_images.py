@@ -12,8 +12,8 @@ import pytest
 from PIL import Image
 
 from gscore.errors import DatasetError, FormatError, GsError, ShapeError
-from gscore.io import images
 from gscore.io.images import read_image, read_info, read_mask, reduce, resize, write_png
+from gscore.io.pillow import pillow
 
 
 @pytest.mark.parametrize("shape", [(5, 7), (5, 7, 3), (6, 1, 4), (1, 1, 3), (40, 300, 3)])
@@ -81,7 +81,7 @@ def test_exif_is_ignored_unless_asked(tmp_path: Path) -> None:
     exif = Image.Exif()
     exif[0x0112] = 6
     Image.fromarray(stored).save(tmp_path / "x.jpg", exif=exif, quality=95)
-    assert read_info(tmp_path / "x.jpg") == (32, 16, False, True)
+    assert read_info(tmp_path / "x.jpg") == (32, 16, False, True, False)
     assert read_image(tmp_path / "x.jpg").shape == (16, 32, 3)
     upright = read_image(tmp_path / "x.jpg", upright=True)
     assert upright.shape == (32, 16, 3)
@@ -187,10 +187,10 @@ def test_large_photos_are_no_reason_to_warn(tmp_path: Path) -> None:
     (tmp_path / "x.png").write_bytes(b"\x89PNG\r\n\x1a\n" + chunk)
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
-        images._pillow.cache_clear()
+        pillow.cache_clear()
         with pytest.raises(FormatError, match="cannot be read as an image"):
             read_image(tmp_path / "x.png")
-    images._pillow.cache_clear()
+    pillow.cache_clear()
     assert not told
 
 

@@ -13,7 +13,7 @@ import pytest
 from gscore.config import DataConfig
 from gscore.config_file import load_config
 from gscore.datasets import load_dataset
-from gscore.datasets.dataset import _file_hash
+from gscore.datasets.unchanged import _hash
 from gscore.depth.maps import MapFolder, read_map
 from gscore.errors import Cancelled, ConfigError, DatasetError
 from gscore.io.cameras_json import read_cameras
@@ -59,7 +59,7 @@ def alarm() -> Iterator[None]:
         (is_antialiased, "a.ply"),
         (read_cameras, "cameras.json"),
         (checkpoint.load, "step_00000001.safetensors"),
-        (_file_hash, "a.png"),
+        (_hash, "a.png"),
     ],
 )
 def test_every_reader_refuses_a_named_pipe(

@@ -547,6 +547,19 @@ NPZ = "data_NeuS/000000/cameras_sphere.npz"
             FormatError,
             "intrinsic is",
         ),
+        (
+            "per_frame",
+            _edit(CAM, lambda t: t.replace("63.6", "1e-30")),
+            FormatError,
+            "focal lengths are 60 and 1e-30 pixels|focal lengths are 1e-30 and",
+        ),
+        (
+            "data_NeuS2",
+            _json(NEUS2, lambda d: d["frames"][3]["intrinsic_matrix"][0].__setitem__(0, 1e29)),
+            FormatError,
+            r"frame 3: intrinsic_matrix: the focal lengths are 1e\+29 and",
+        ),
+        ("data_ngp", _json(NGP, lambda d: d.update(fl_x=1e-30)), FormatError, "are 1e-30 and"),
         ("per_frame", _edit(CAM, lambda t: t.replace("0.0 0.0 0.0 1.0", "")), GsError, CAM[5:]),
         (
             "per_frame",

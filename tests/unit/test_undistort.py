@@ -11,7 +11,7 @@ from gscore.config import DataConfig
 from gscore.datasets import load_dataset
 from gscore.datasets.decode import ViewFile, decode_view
 from gscore.datasets.resolution import scale_intrinsics
-from gscore.datasets.undistort import Undistortion, plan_undistortion
+from gscore.datasets.undistort import Undistortion, plan_undistortion, pycolmap_camera
 from gscore.errors import DatasetError, FormatError
 from gscore.io.camera_models import CAMERA_MODELS
 from gscore.io.colmap import ColmapCamera
@@ -171,8 +171,80 @@ def test_refusals() -> None:
         plan_undistortion(panorama)
     params = np.array([30.0, 30, 100, 75, -0.3, 0, 0, 0, 0, 0, 0, 0])
     folded = ColmapCamera(model="FULL_OPENCV", width=200, height=150, params=params)
-    with pytest.raises(FormatError, match=r"% of the picture would lie outside the photo"):
+    with pytest.raises(FormatError, match=r"its distortion folds back, so that 9\d % of the"):
         plan_undistortion(folded)
+
+
+def _is_one_to_one(plan: Undistortion, cells: int = 300) -> bool:
+    """Whether neighbours of a fine grid keep their order, by the signed areas of its triangles."""
+    x, y = np.linspace(0, plan.width, cells), np.linspace(0, plan.height, cells)
+    grid = np.stack(np.meshgrid(x, y), axis=-1)
+    rays = (grid - plan.K[:2, 2]) / [plan.K[0, 0], plan.K[1, 1]]
+    found = _radial(plan.camera, rays)
+    right, down = np.diff(found, axis=1)[:-1], np.diff(found, axis=0)[:, :-1]
+    return bool((right[..., 0] * down[..., 1] > right[..., 1] * down[..., 0]).all())
+
+
+def _radial(camera: ColmapCamera, rays: np.ndarray) -> np.ndarray:
+    """Pixels of a RADIAL camera for [..., 2] directions with z = 1, from the model's formula."""
+    f, cx, cy, k1, k2 = camera.params
+    r2 = (rays**2).sum(axis=-1, keepdims=True)
+    return f * rays * (1 + k1 * r2 + k2 * r2**2) + [cx, cy]
+
+
+def _barrel(k1: float, k2: float = 0.0) -> ColmapCamera:
+    return ColmapCamera(
+        model="RADIAL", width=200, height=150, params=np.array([170.0, 103, 72, k1, k2])
+    )
+
+
+@pytest.mark.parametrize("k1", [-0.3, -0.4, -0.415, -0.42, -0.43, -0.44, -0.45])
+def test_rims_that_fold_are_left_out(k1: float) -> None:
+    """Oracle: the model's formula in float64: r (1 + k1 r^2) turns back at r = (-3 k1)^-1/2, and
+    what is left in the picture is one to one and nearly reaches there."""
+    camera = _barrel(k1)
+    theirs = pycolmap.undistort_camera(
+        pycolmap.UndistortCameraOptions(), pycolmap_camera(pycolmap, camera)
+    )
+    whole = Undistortion(
+        camera=camera,
+        width=theirs.width,
+        height=theirs.height,
+        K=np.array(theirs.calibration_matrix()),
+    )
+    plan = _plan(camera)
+    assert _is_one_to_one(plan)
+    assert (plan.cut_off == 0) == _is_one_to_one(whole)
+    corners = np.array([[0, 0], [plan.width, 0], [0, plan.height], [plan.width, plan.height]])
+    radius = np.linalg.norm((corners - plan.K[:2, 2]) / plan.K[0, 0], axis=1).max()
+    turns_back = (-3 * k1) ** -0.5
+    assert radius <= turns_back
+    if plan.cut_off:
+        assert radius > 0.98 * turns_back
+        assert plan.cut_off == pytest.approx(
+            1 - plan.width * plan.height / (whole.width * whole.height)
+        )
+    # The same pixels show the same as before: the principal point moved with the rim.
+    shift = whole.K[:2, 2] - plan.K[:2, 2]
+    inside = np.array([[10.0, 10.0], [60.5, 80.25]])
+    np.testing.assert_allclose(plan.distort(inside), whole.distort(inside + shift), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("k1", "k2"), [(-0.46, 0.0), (-0.5, 0.0), (-0.7, 0.0), (-1.5, 0.0), (0.5, -2.0)]
+)
+def test_distortion_that_folds_back_is_refused(k1: float, k2: float) -> None:
+    """Oracle: pycolmap's own picture of such a camera shows a part of the photo twice."""
+    with pytest.raises(FormatError, match=r"RADIAL camera .* folds back|outside the photo"):
+        plan_undistortion(_barrel(k1, k2))
+
+
+def test_a_second_turn_is_no_way_back() -> None:
+    """Oracle: r (1 - 0.9 r^2 + 0.27 r^4) falls from r = 0.70 to 1.23 and rises again, where signed
+    areas are positive as in the middle."""
+    camera = _barrel(-0.9, 0.27)
+    with pytest.raises(FormatError, match=r"folds back"):
+        plan_undistortion(camera)
 
 
 class TestInADataset:
@@ -206,6 +278,24 @@ class TestInADataset:
             assert image.flags.c_contiguous and mask.flags.c_contiguous
             np.testing.assert_allclose(_centroid(image[..., 0]), [x / z, y / z], atol=0.25)
             np.testing.assert_allclose(_centroid(mask), [x / z, y / z], atol=0.25)
+
+    def test_cut_rims_are_told(self, make_capture: Callable) -> None:
+        """Oracle: the sentence, and a photo whose halves are left and right of the middle still."""
+        params = _barrel(-0.43).params.tolist()
+        capture = make_capture(model="RADIAL", params=params, size=_SIZE, views=2)
+        for k, name in enumerate(capture.photos):
+            photo = np.full((150, 200, 3), k, np.uint8)
+            photo[:, :103] = 255
+            write_png(capture.root / "images" / name, photo)
+        data = load_dataset(DataConfig(source=capture.root))
+        (warning,) = data.warnings
+        assert "distortion of 2 photos folds back at their rim, so up to 1" in warning
+        assert "(view_00.png, RADIAL [170.0, 103.0, 72.0, -0.43, 0.0])" in warning
+        middle = data.scene.cameras.Ks[0][0, 2]
+        image = data.image(0)
+        assert (image[:, : int(middle) - 2] == 255).all() and (
+            image[:, int(middle) + 3 :] == 0
+        ).all()
 
     def test_binary_masks_stay_binary(self, make_capture: Callable) -> None:
         """Oracle: without scaling there is nothing to average."""
