@@ -11,6 +11,7 @@ from ..config_file import to_dict
 from ..datasets import Dataset, load_dataset
 from ..errors import ConfigError, DatasetError
 from ..events import judged_psnr
+from ..io.places import check_place
 from ..io.runs import read_metrics
 from ..metrics import (
     PictureCollector,
@@ -26,9 +27,9 @@ from ..raster import backend
 from ..raster.api import render
 from .data_options import add_data_options, with_data_options
 from .model import Model, add_model_argument, model_path, open_model
-from .output import check_folder, print_json
+from .output import check_folder, check_ours, print_json
 
-_KEPT = ("steps", "train_seconds", "history", "evals", "peak_memory_bytes")
+_KEPT = ("steps", "train_seconds", "reason", "history", "evals", "peak_memory_bytes", "depth")
 """What only the training knows; a run that is measured again keeps it."""
 
 
@@ -68,6 +69,7 @@ def run(args: argparse.Namespace) -> int:
         )
     check_folder(output)
     config = _data_config(args, model)
+    _check_output(output, config, model)
     dataset = load_dataset(config)
     warnings = [*model.warnings, *dataset.warnings]
     if model.data is None and dataset.test and args.split != "all":
@@ -149,6 +151,20 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
+def _check_output(output: Path, config: DataConfig, model: Model) -> None:
+    """Raise where metrics.json and report.html would mix with or replace something else's."""
+    check_place(output, config)
+    if model.run is not None and output.resolve() == model.run.resolve():
+        return
+    if (output / "config.json").is_file():
+        raise ConfigError(
+            f"{output} is the folder of another run, whose metrics.json tells what that reached; "
+            "choose another output."
+        )
+    for name in ("metrics.json", "report.html"):
+        check_ours(output / name)
+
+
 def _data_config(args: argparse.Namespace, model: Model) -> DataConfig:
     """How the run read its capture, changed by what was given; a bare PLY needs `-s`."""
     if model.data is not None:
@@ -192,7 +208,7 @@ def _indices(split: str | None, dataset: Dataset) -> tuple[str, list[int]]:
 
 
 def _of_the_training(model: Model) -> dict[str, Any]:
-    """Time, length, curves and memory of the training from the metrics.json that it wrote."""
+    """How the training went and why it ended, from the metrics.json that it wrote."""
     if model.run is None or model.ply != model.run / "point_cloud.ply":
         return {}
     old = read_metrics(model.run)

@@ -16,6 +16,7 @@ from ..datasets.resolution import check_resolution, scale_intrinsics, target_siz
 from ..errors import ConfigError, DatasetError
 from ..io.cameras_json import read_cameras
 from ..io.images import write_png
+from ..io.places import check_apart, check_place
 from ..io.runs import read_metrics
 from ..metrics.words import count_words
 from ..raster.api import Rendered
@@ -64,7 +65,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--frames", type=int, help="pictures along the path (240)")
     group.add_argument("--fps", type=float, default=30.0, help="pictures a second (30)")
     group.add_argument(
-        "-r", "--resolution", type=float, default=-1, help="2, 4, 8: divide by it; larger: width"
+        "-r",
+        "--resolution",
+        type=float,
+        default=-1,
+        help="2, 4, 8: divide by it; larger: width; -1: as the cameras are, those of a run as it "
+        "was trained (-1)",
     )
     group = parser.add_argument_group("picture")
     group.add_argument(
@@ -93,6 +99,11 @@ def run(args: argparse.Namespace) -> int:
     is_file = is_video or args.output.suffix.lower() == ".png"
     check_folder(args.output.parent if is_file else args.output)
     model = open_model(model_path(args))
+    for data in _captures(args, model):
+        if is_file:
+            check_apart(args.output.parent, data)
+        else:
+            check_place(args.output, data)
     for sentence in model.warnings:
         print(f"Warning: {sentence}", file=sys.stderr)
     shots = _shots(args, model, even=is_video)
@@ -127,6 +138,12 @@ def run(args: argparse.Namespace) -> int:
         if others := _older(args.output, result):
             print(f"Files that were there before stay: {others}")
     return 0
+
+
+def _captures(args: argparse.Namespace, model: Model) -> list[DataConfig]:
+    """The captures whose photos the pictures must not replace, which have the same names."""
+    given = [] if args.cameras is None else [DataConfig(source=args.cameras)]
+    return given + ([] if model.data is None else [model.data])
 
 
 def _older(output: Path, result: dict[str, Any]) -> str:

@@ -1,6 +1,7 @@
 """`gscore sequence`: the frames of a multi-view video, each from the splats of the one before."""
 
 import argparse
+import sys
 from dataclasses import fields, replace
 from typing import Any
 
@@ -10,7 +11,7 @@ from ..trainer import Control
 from ..trainer.sequence import SequenceOptions, SequenceResult, read_options, train_sequence
 from . import train as train_command
 from .attend import Show, attend
-from .output import print_json
+from .output import others_in, print_json
 
 _SWITCH: dict[str, Any] = {"action": argparse.BooleanOptionalAction, "default": None}
 _ONE_FRAME = {
@@ -71,6 +72,10 @@ def _train(args: argparse.Namespace, show: Show, control: Control) -> SequenceRe
     for name, (option, instead) in _ONE_FRAME.items():
         if getattr(args, name) is not None:
             raise ConfigError(f"{option} is for one frame: {instead}.")
+    frames = [path.name for path in args.output.glob("frame_*") if path.is_dir()]
+    others = others_in(args.output, (SEQUENCE_FILE, "config.json", *frames))
+    if others and not (args.quiet or args.events):
+        print(f"{args.output} holds other files too; they stay: {others}", file=sys.stderr)
     stored = read_options(args.output) if args.resume else None
     names = [field.name for field in fields(SequenceOptions)]
     given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}

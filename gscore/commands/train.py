@@ -10,14 +10,14 @@ from ..config import PRESETS, Background, DataConfig, Skip, Strategy, Switch, Tr
 from ..config_file import load_config
 from ..errors import ConfigError
 from ..events import CONVERGED, ENDED, FINISHED, TARGET
-from ..io.runs import RUN_FILES, RUN_FOLDERS, RUN_LOCK
+from ..io.runs import others_in_run
 from ..metrics.words import count_words, quality_words
 from ..trainer import Control, TrainResult, train
 from ..trainer.folder import check_free
 from .attend import Show, add_output_options, attend
 from .data_options import add_data_options, add_depth_options, with_data_options
 from .option_help import option_help
-from .output import others_in, print_json
+from .output import first_few, print_json
 
 _STEPS: dict[str, Any] = {"type": int, "nargs": "+", "metavar": "STEP"}
 _SWITCH: dict[str, Any] = {"action": argparse.BooleanOptionalAction}
@@ -214,7 +214,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--resume", action="store_true", help="go on from the last checkpoint in the output folder"
     )
     existing.add_argument(
-        "--overwrite", action="store_true", help="replace another run in the output folder"
+        "--overwrite",
+        action="store_true",
+        help="replace another run in the output folder; other files there stay",
     )
     existing.add_argument("--start-checkpoint", type=Path, help="go on from this checkpoint")
     add_data_options(parser)
@@ -334,7 +336,7 @@ def _with_given(config: TrainConfig, args: argparse.Namespace) -> TrainConfig:
 
 def _train(args: argparse.Namespace, show: Show, control: Control) -> TrainResult:
     data, config = configs(args)
-    others = others_in(args.output, (RUN_LOCK, *RUN_FILES, *RUN_FOLDERS))
+    others = first_few(others_in_run(args.output))
     if others and not (args.quiet or args.events):
         print(f"{args.output} holds other files too; they stay: {others}", file=sys.stderr)
     return train(

@@ -1,6 +1,7 @@
 """The folder that training a sequence leaves, read without torch: its options and its frames."""
 
 import json
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,8 @@ from ..errors import FormatError
 from .colmap import is_safe_name
 from .files import atomic_write
 
+FRAME_FOLDER = re.compile(r"frame_\d{6,}")
+"""Names of the frames' folders."""
 SEQUENCE_FILE = "sequence.json"
 """File of a sequence's folder that lists its frames."""
 

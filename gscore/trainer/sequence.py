@@ -14,8 +14,9 @@ from ..datasets.frames import SequenceFrame, choose_frames, find_frames
 from ..errors import Cancelled, ConfigError, FormatError, GsError
 from ..events import ENDED, Event, FrameStarted, SequenceDone, Started
 from ..io.files import atomic_write
-from ..io.runs import clear_run, read_metrics, read_run
-from ..io.sequences import SEQUENCE_FILE, SequenceIndex, read_sequence, write_sequence
+from ..io.places import check_place
+from ..io.runs import check_replaceable, clear_run, read_metrics, read_run, results_in
+from ..io.sequences import FRAME_FOLDER, SEQUENCE_FILE, SequenceIndex, read_sequence, write_sequence
 from ..metrics import headline
 from . import checkpoint
 from .folder import RunFolder
@@ -134,6 +135,7 @@ def train_sequence(
         Cancelled: stopped before the first step of the first frame.
     """
     options = options or SequenceOptions()
+    check_place(output, data)
     frames = choose_frames(find_frames(data), options.frames)
     _open(output, resume=resume, overwrite=overwrite)
     run = _Run(config, data, output, options, frames, on_event or (lambda event: None))
@@ -293,11 +295,18 @@ class _Run:
 
 def _open(output: Path, *, resume: bool, overwrite: bool) -> None:
     """Raise unless a sequence may be trained into `output`, and clear it for another one."""
-    begun = sorted(path for path in output.glob("frame_*") if read_run(path) is not None)
+    frames = [path for path in output.glob("frame_*") if FRAME_FOLDER.fullmatch(path.name)]
+    begun = sorted(path for path in frames if results_in(path))
     if read_sequence(output) is None and not begun:
         if resume:
             raise ConfigError(f"{output} holds no sequence to resume; leave --resume out.")
+        if names := results_in(output):
+            raise ConfigError(
+                f"{output} holds a run of its own ({', '.join(names)}); choose another folder."
+            )
     elif overwrite:
+        for path in begun:
+            check_replaceable(path)
         for path in begun:
             clear_run(path)
         (output / SEQUENCE_FILE).unlink(missing_ok=True)

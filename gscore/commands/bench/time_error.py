@@ -8,8 +8,9 @@ from collections import deque
 from pathlib import Path
 
 from ...bench.time_error import Curve, measure_variant
-from ...config import PRESETS, Skip
-from ..output import check_folder
+from ...config import PRESETS, DataConfig, Skip
+from ...io.places import check_place
+from ..output import check_folder, check_ours
 from .curve_figures import draw, table
 from .curve_plans import Plan, plans_of
 from .curve_results import Results
@@ -45,6 +46,9 @@ def run(args: argparse.Namespace) -> int:
     args.seeds = list(dict.fromkeys(args.seeds))
     check_sweeps(args)
     check_folder(args.output)
+    for source in args.sources:
+        check_place(args.output, DataConfig(source=source))
+    check_ours(args.output / "results.json")
     plans = deque(plans_of(args))
     results = Results(args)
     while plans:
