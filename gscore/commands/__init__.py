@@ -19,6 +19,7 @@ from importlib import import_module
 from .._version import __version__
 from ..errors import GsError
 from ..extras import how_to_install, missing
+from ..io.files import shown
 from .interrupt import Interrupt, interrupts
 from .parser import Parser, sentence
 from .streams import steady_streams
@@ -41,6 +42,8 @@ _DISK_ERRORS = {
     errno.EROFS: "the file system is read-only; choose another output",
     errno.EACCES: "permission denied; check the rights or choose another path",
     errno.EPERM: "the operation is not permitted; check the rights or choose another path",
+    errno.ENAMETOOLONG: "the name is too long for the file system; give a shorter one",
+    errno.ELOOP: "links lead in a circle; give another path",
 }
 
 
@@ -104,7 +107,7 @@ def _failure(prog: str, error: BaseException) -> int:
         case MemoryError():
             return _complain(prog, "out of memory; try fewer splats or smaller pictures.")
         case OSError() if (why := _DISK_ERRORS.get(error.errno or 0)) is not None:
-            return _complain(prog, f"{error.filename or 'output'}: {why}.")
+            return _complain(prog, f"{shown(str(error.filename or 'output'))}: {why}.")
     return _internal(prog, error)
 
 

@@ -11,8 +11,8 @@ from ..config_file import to_dict
 from ..datasets import Dataset, load_dataset
 from ..errors import ConfigError, DatasetError
 from ..events import judged_psnr
+from ..io.metrics_file import metrics_problem, read_metrics
 from ..io.places import check_place
-from ..io.runs import read_metrics
 from ..metrics import (
     PictureCollector,
     evaluate,
@@ -71,7 +71,8 @@ def run(args: argparse.Namespace) -> int:
     config = _data_config(args, model)
     _check_output(output, config, model)
     dataset = load_dataset(config)
-    warnings = [*model.warnings, *dataset.warnings]
+    problem = metrics_problem(output) if output == model.run else ""
+    warnings = [*model.warnings, *dataset.warnings, *([problem] if problem else [])]
     if model.data is None and dataset.test and args.split != "all":
         warnings.append(
             "It is not known which views this model was trained on; the test views are held out "

@@ -10,9 +10,10 @@ import numpy as np
 from ..config import DataConfig
 from ..errors import DatasetError
 from ..io.colmap import find_model, read_model
+from ..io.metrics_file import metrics_problem, read_metrics
 from ..io.ply_compressed import is_compressed
 from ..io.ply_elements import read_elements
-from ..io.runs import checkpoints_in, read_metrics
+from ..io.runs import checkpoints_in
 from ..io.sequences import read_sequence
 from ..metrics.words import count_words, quality_words, size_words, time_words
 from ..splats import Splats
@@ -112,6 +113,8 @@ def _run_facts(folder: Path) -> dict[str, Any]:
         facts["metrics"] = {key: metrics.get(key) for key in keys}
         if "psnr_masked" in metrics:
             facts["metrics"]["psnr_masked"] = metrics["psnr_masked"]
+    problem = metrics_problem(folder)
+    facts["warnings"] = [problem] if problem else []
     try:
         find_ply(folder)
     except DatasetError:

@@ -3,6 +3,7 @@
 import argparse
 import difflib
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any, NoReturn
 
 
@@ -34,6 +35,15 @@ class Parser(argparse.ArgumentParser):
         self.error(
             f"{'; '.join(hints)}?" if hints else f"unrecognized arguments: {' '.join(unknown)}"
         )
+
+    def _get_values(self, action: argparse.Action, arg_strings: list[str]) -> Any:
+        """As argparse does, but an error of its own where a value is no value: `--x=--` ends in a
+        traceback there, and an empty path means the current folder."""
+        empty = action.type is Path and any(text == "" for text in arg_strings)
+        if empty or (action.option_strings and arg_strings == ["--"]):
+            given = "nothing" if empty else "'--'"
+            raise argparse.ArgumentError(action, f"expected a value, got {given}")
+        return super()._get_values(action, arg_strings)
 
 
 def _options(parser: argparse.ArgumentParser) -> Iterator[str]:

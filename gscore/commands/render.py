@@ -16,8 +16,8 @@ from ..datasets.resolution import check_resolution, scale_intrinsics, target_siz
 from ..errors import ConfigError, DatasetError
 from ..io.cameras_json import read_cameras
 from ..io.images import write_png
+from ..io.metrics_file import read_metrics
 from ..io.places import check_apart, check_place
-from ..io.runs import read_metrics
 from ..metrics.words import count_words
 from ..raster.api import Rendered
 from ..raster.api import render as render_view

@@ -2,7 +2,6 @@
 
 import contextlib
 import json
-import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ from ..config_file import load_config
 from ..errors import ConfigError, DatasetError
 from ..events import CONVERGED, FINISHED, TARGET, judged_psnr
 from .files import read_bytes
+from .metrics_file import read_metrics
 
 RUN_LOCK = ".gscore.lock"
 """The file by which a training holds its folder."""
@@ -96,7 +96,7 @@ def read_run(path: str | Path) -> RunInfo | None:
         iterations=_length(train, steps, metrics),
         checkpoint=checkpoint,
         splats=splats if splats.is_file() else None,
-        psnr=_number(judged_psnr(metrics)),
+        psnr=judged_psnr(metrics),
         data=data,
         train=train,
         problem=problem,
@@ -125,19 +125,6 @@ def _numbered(folder: Path, name: re.Pattern[str]) -> dict[int, Path]:
         if (match := name.fullmatch(file.name)) and file.is_file()
     }
     return dict(sorted(found.items()))
-
-
-def read_metrics(path: Path) -> dict[str, Any]:
-    """The metrics.json that a training or an evaluation left in a folder.
-
-    Returns:
-        Its content; empty where it is missing, broken or no regular file.
-    """
-    try:
-        content = json.loads(read_bytes(path / "metrics.json"))
-    except (DatasetError, ValueError, RecursionError):
-        return {}
-    return content if isinstance(content, dict) else {}
 
 
 def results_in(path: Path) -> list[str]:
@@ -242,7 +229,8 @@ def _is_unfinished(name: str) -> bool:
 
 def _below(path: Path) -> list[Path]:
     """All files in the folders of a run."""
-    found = [file for name in RUN_FOLDERS for file in (path / name).rglob("*")]
+    folders = [folder for folder in _listed(path) if folder.name in RUN_FOLDERS]
+    found = [file for folder in folders for file in folder.rglob("*")]
     return [file for file in found if file.is_symlink() or not file.is_dir()]
 
 
@@ -252,11 +240,6 @@ def _listed(path: Path) -> list[Path]:
         return sorted(path.iterdir())
     except (OSError, ValueError):
         return []
-
-
-def _number(value: Any) -> float | None:
-    good = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-    return float(value) if good else None
 
 
 def _length(train: TrainConfig | None, steps: int, metrics: dict[str, Any]) -> int:

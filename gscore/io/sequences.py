@@ -9,11 +9,16 @@ from typing import Any
 from ..errors import FormatError
 from .colmap import is_safe_name
 from .files import atomic_write
+from .metrics_file import is_number
 
 FRAME_FOLDER = re.compile(r"frame_\d{6,}")
 """Names of the frames' folders."""
 SEQUENCE_FILE = "sequence.json"
 """File of a sequence's folder that lists its frames."""
+
+
+_NUMBERS = ("steps", "train_seconds", "psnr", "psnr_masked", "ssim", "lpips")
+_NUMBERS += ("frames", "frames_total")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,9 +51,10 @@ def read_sequence(folder: Path) -> SequenceIndex | None:
             frames=[dict(entry) for entry in content["frames"]],
             mean=dict(content["mean"]),
         )
-        if all(_is_sound(entry) for entry in index.frames):
+        if all(_is_sound(entry) for entry in index.frames) and _is_known(index.mean):
             return index
-        reason = "a frame without number, count of splats or folder below the sequence's"
+        reason = "a frame without number, count of splats or folder below the sequence's, or what "
+        reason += "should be a number is none"
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         reason = f"{type(error).__name__}: {error}"
     raise FormatError(
@@ -60,7 +66,16 @@ def read_sequence(folder: Path) -> SequenceIndex | None:
 def _is_sound(entry: dict[str, Any]) -> bool:
     folder, splats = entry["folder"], entry.get("splats", 0)
     inside = isinstance(folder, str) and is_safe_name(folder)
-    return inside and isinstance(entry["frame"], int) and isinstance(splats, int)
+    return inside and all(type(n) is int for n in (entry["frame"], splats)) and _is_known(entry)
+
+
+def _is_known(entry: dict[str, Any]) -> bool:
+    """Whether what is told of a frame, or of all, has the types that gscore writes."""
+    numbers = [entry.get(key) for key in _NUMBERS]
+    texts = [entry.get(key) for key in ("start", "split")]
+    return all(n is None or is_number(n) for n in numbers) and all(
+        text is None or isinstance(text, str) for text in texts
+    )
 
 
 def write_sequence(folder: Path, index: SequenceIndex, *, version: str) -> None:

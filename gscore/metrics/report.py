@@ -35,7 +35,8 @@ def write_report(path: Path, run: dict[str, Any]) -> None:
     Raises:
         GsError: The file cannot be written.
     """
-    atomic_write(path, report_html(run).encode("utf-8"))
+    # Names of files may hold bytes that are no UTF-8.
+    atomic_write(path, report_html(run).encode("utf-8", "backslashreplace"))
 
 
 def report_html(run: dict[str, Any]) -> str:

@@ -8,14 +8,15 @@ from typing import Any
 
 from .._version import __version__
 from ..config import DataConfig, TrainConfig
-from ..config_file import config_json, differences
+from ..config_file import config_json, differences, from_dict
 from ..control import Control
 from ..datasets.frames import SequenceFrame, choose_frames, find_frames
 from ..errors import Cancelled, ConfigError, FormatError, GsError
 from ..events import ENDED, Event, FrameStarted, SequenceDone, Started
 from ..io.files import atomic_write
+from ..io.metrics_file import read_metrics
 from ..io.places import check_place
-from ..io.runs import check_replaceable, clear_run, read_metrics, read_run, results_in
+from ..io.runs import check_replaceable, clear_run, read_run, results_in
 from ..io.sequences import FRAME_FOLDER, SEQUENCE_FILE, SequenceIndex, read_sequence, write_sequence
 from ..metrics import headline
 from . import checkpoint
@@ -152,8 +153,8 @@ def read_options(output: Path) -> SequenceOptions | None:
     if index is None:
         return None
     try:
-        return SequenceOptions(**index.options)
-    except TypeError as error:
+        return from_dict(SequenceOptions, index.options, where="options")
+    except ConfigError as error:
         raise FormatError(
             f"{output / SEQUENCE_FILE} was written by another gscore ({error}); give all options "
             f"without --resume, in another folder."
