@@ -9,13 +9,14 @@ from typing import Any
 from ..config import PRESETS, Background, DataConfig, Skip, Strategy, Switch, TrainConfig
 from ..config_file import load_config
 from ..errors import ConfigError
-from ..events import CONVERGED, ENDED, FINISHED, TARGET
+from ..events import CONVERGED, ENDED, FINISHED, TARGET, Warn
 from ..io.runs import others_in_run
 from ..metrics.words import count_words, quality_words
 from ..trainer import Control, TrainResult, train
 from ..trainer.folder import check_free
 from .attend import Show, add_output_options, attend
 from .data_options import add_data_options, add_depth_options, with_data_options
+from .no_effect import idle_options
 from .option_help import option_help
 from .output import first_few, print_json
 
@@ -317,6 +318,15 @@ def configs(args: argparse.Namespace) -> tuple[DataConfig, TrainConfig]:
     return data, config
 
 
+def told_configs(args: argparse.Namespace, show: Show) -> tuple[DataConfig, TrainConfig]:
+    """As `configs`, with a warning about options that do nothing in this run."""
+    given = argparse.Namespace(**vars(args))  # `configs` fills some in
+    data, config = configs(args)
+    if idle := idle_options(given, data, config):
+        show(Warn(message=idle, code="no_effect"))
+    return data, config
+
+
 def _with_given(config: TrainConfig, args: argparse.Namespace) -> TrainConfig:
     names = (*_RUN, *_METHOD)
     given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
@@ -335,7 +345,7 @@ def _with_given(config: TrainConfig, args: argparse.Namespace) -> TrainConfig:
 
 
 def _train(args: argparse.Namespace, show: Show, control: Control) -> TrainResult:
-    data, config = configs(args)
+    data, config = told_configs(args, show)
     others = first_few(others_in_run(args.output))
     if others and not (args.quiet or args.events):
         print(f"{args.output} holds other files too; they stay: {others}", file=sys.stderr)
