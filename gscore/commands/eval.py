@@ -22,7 +22,7 @@ from ..metrics import (
     write_metrics,
     write_report,
 )
-from ..metrics.words import count_words, quality_words
+from ..metrics.words import count_words, psnr_name, quality_words
 from ..raster import backend
 from ..raster.api import render
 from .data_options import add_data_options, with_data_options
@@ -103,7 +103,7 @@ def run(args: argparse.Namespace) -> int:
         collector(place, target, rendered, weights, values)
         if not args.quiet:
             psnr = judged_psnr(values)
-            worth = "identical" if psnr is None else f"PSNR {psnr:.2f} dB"
+            worth = "identical" if psnr is None else f"{psnr_name(values)} {psnr:.2f} dB"
             print(f"{place + 1}/{len(indices)} {values['name']}: {worth}", file=sys.stderr)
 
     evaluation = evaluate(
@@ -219,5 +219,6 @@ def _of_the_training(model: Model) -> dict[str, Any]:
 def _summary(metrics: dict[str, Any], output: Path) -> str:
     held = {"test": "test view", "train": "training view", "all": "view"}[metrics["split"]]
     views = count_words(len(metrics["views"]), held)
-    worth = quality_words(metrics) or f"no PSNR ({metrics['psnr_reason']})"
+    why = metrics.get("psnr_masked_reason") or metrics.get("psnr_reason", "")
+    worth = quality_words(metrics) or f"no PSNR ({why})"
     return f"{views}: {worth}\nResults: {output / 'metrics.json'}, {output / 'report.html'}"

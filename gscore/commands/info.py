@@ -224,8 +224,8 @@ def _sequence_text(facts: dict[str, Any]) -> list[str]:
     frames, total = facts["frames"], facts["mean"].get("frames_total", "?")
     lines = [f"{facts['path']}: a sequence, {len(frames)} of {total} frames complete"]
     for entry in frames:
-        psnr = entry.get("psnr")
-        quality = "" if psnr is None else f", {entry.get('split')} views PSNR {psnr:.2f}"
+        worth = quality_words(entry)
+        quality = f", {entry.get('split')} views: {worth}" if worth else ""
         took = time_words(entry.get("train_seconds") or 0.0)
         lines.append(
             f"  {entry['folder']}: {entry.get('splats', 0):,} splats, {entry.get('steps')} steps "

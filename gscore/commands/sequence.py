@@ -7,6 +7,7 @@ from typing import Any
 
 from ..errors import ConfigError
 from ..io.sequences import SEQUENCE_FILE
+from ..metrics.words import quality_words
 from ..trainer import Control
 from ..trainer.sequence import SequenceOptions, SequenceResult, read_options, train_sequence
 from . import train as train_command
@@ -79,7 +80,7 @@ def _train(args: argparse.Namespace, show: Show, control: Control) -> SequenceRe
     stored = read_options(args.output) if args.resume else None
     names = [field.name for field in fields(SequenceOptions)]
     given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
-    data, config = train_command.configs(args)
+    data, config = train_command.told_configs(args, show)
     return train_sequence(
         config,
         data,
@@ -99,12 +100,9 @@ def _summary(result: SequenceResult) -> str:
         f"{how}: {len(result.frames)} of {result.total} frames, "
         f"{numbers['train_seconds']:.1f} s of training."
     ]
-    if numbers["psnr"] is not None:
+    if worth := quality_words(numbers):
         split = result.frames[0].metrics["split"]
-        lines.append(
-            f"{split.capitalize()} views, mean of the frames: PSNR {numbers['psnr']:.2f} dB, "
-            f"SSIM {numbers['ssim']:.4f}."
-        )
+        lines.append(f"{split.capitalize()} views, mean of the frames: {worth}.")
     output = result.output
     lines.append(f"Results: {output / SEQUENCE_FILE}, {output / 'frame_*' / 'point_cloud.ply'}")
     if result.reason != "finished":

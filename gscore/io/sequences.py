@@ -29,10 +29,11 @@ class SequenceIndex:
     """What the sequence was asked for besides the options of its frames."""
     frames: list[dict[str, Any]]
     """Complete frames in order: at least `frame` (number) and `folder` (below the sequence's), and
-    where known `start`, `splats`, `steps`, `train_seconds`, `psnr`, `ssim`, `lpips`, `split`."""
+    where known `start`, `splats`, `steps`, `train_seconds`, `psnr`, `ssim`, `lpips`, `split`, and
+    `psnr_masked` where masks hide pixels, see `gscore.judged_psnr`."""
     mean: dict[str, Any]
-    """Of the complete frames: `psnr`, `ssim`, `lpips`; `train_seconds` of all, `frames` and
-    `frames_total`."""
+    """Of the complete frames: `psnr`, `psnr_masked`, `ssim`, `lpips`; `train_seconds` of all,
+    `frames` and `frames_total`."""
 
 
 def read_sequence(folder: Path) -> SequenceIndex | None:

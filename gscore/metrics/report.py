@@ -13,7 +13,7 @@ from .colormap import colorize
 from .curves import Series, chart, clean_points, legend
 from .depth import depth_html
 from .pictures import ERROR_GAIN, ViewPictures
-from .words import count_words, size_words, time_words
+from .words import count_words, psnr_name, size_words, time_words
 
 TIMES = "\u00d7"
 
@@ -138,7 +138,7 @@ def _tiles(metrics: dict[str, Any]) -> str:
     if masked:
         value = _number(metrics["psnr_masked"], 2)
         note = _reason(metrics, "psnr_masked", "of the pixels that count")
-        tiles.insert(0, ("PSNR in the masks", value, "dB", note))
+        tiles.insert(0, (psnr_name(metrics), value, "dB", note))
     cells = "".join(
         f'<div class="tile"><dt>{name}</dt><dd>{value}<small>{f" {unit}" if unit else ""}</small>'
         f'</dd><p title="{html.escape(note, quote=True)}">{html.escape(note)}</p></div>'
@@ -175,7 +175,7 @@ def _curves(history: list[dict[str, Any]], evals: list[dict[str, Any]], metrics:
     held_out = "held-out views" if metrics["split"] == "test" else "scored views"
     boxes = []
     for name, key, log, from_zero in (
-        ("PSNR (dB)", "psnr", False, False),
+        (f"{psnr_name(metrics)} (dB)", "psnr", False, False),
         ("Loss", "loss", True, False),
         ("Splats", "splats", False, True),
     ):
@@ -255,9 +255,8 @@ def _card(view: ViewPictures, number: int, photo: str) -> str:
 
 
 def _numbers_words(numbers: dict[str, Any]) -> str:
-    where = " in the mask" if numbers.get("psnr_masked") is not None else ""
     parts = [
-        f"PSNR{where} <b>{_number(judged_psnr(numbers), 2)}</b>",
+        f"{psnr_name(numbers)} <b>{_number(judged_psnr(numbers), 2)}</b>",
         f"SSIM <b>{_number(numbers.get('ssim'), 4)}</b>",
     ]
     if numbers.get("lpips") is not None:
@@ -268,7 +267,7 @@ def _numbers_words(numbers: dict[str, Any]) -> str:
 _COLUMNS: tuple[tuple[str, str, int], ...] = (
     ("psnr", "PSNR", 2),
     ("psnr_u8", "PSNR 8 bit", 2),
-    ("psnr_masked", "PSNR in the mask", 2),
+    ("psnr_masked", "PSNR inside the masks", 2),
     ("ssim", "SSIM", 4),
     ("ssim_valid", "SSIM valid", 4),
     ("d_ssim", "D-SSIM", 4),
@@ -332,7 +331,7 @@ _DEFINITIONS = (
     ("psnr_u8", "PSNR 8 bit", 3, "both pictures rounded to 8 bit first, as scoring files does"),
     (
         "psnr_masked",
-        "PSNR in the mask",
+        "PSNR inside the masks",
         3,
         "only pixels the mask keeps; the other numbers count masked-out pixels as equal, as the "
         "loss does",

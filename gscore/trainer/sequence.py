@@ -24,7 +24,13 @@ from .folder import RunFolder
 from .run import train
 
 _LONG = ("history", "evals")
-_MEANS = ("psnr", "ssim", "lpips")
+_MEANS = ("psnr", "psnr_masked", "ssim", "lpips")
+
+
+def _means_of(metrics: list[dict[str, Any]]) -> list[str]:
+    """Keys of the figures that frames are judged by: `psnr_masked` where any has it."""
+    masked = any("psnr_masked" in m for m in metrics)
+    return [key for key in _MEANS if masked or key != "psnr_masked"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +73,7 @@ class FrameResult:
 
     def to_dict(self, root: Path) -> dict[str, Any]:
         """As JSON values, paths relative to the folder of the sequence."""
-        keys = ("splats", "steps", "train_seconds", "split", *_MEANS)
+        keys = ("splats", "steps", "train_seconds", "split", *_means_of([self.metrics]))
         return {
             "frame": self.number,
             "folder": self.folder.relative_to(root).as_posix(),
@@ -89,10 +95,11 @@ class SequenceResult:
 
     @property
     def headline(self) -> dict[str, Any]:
-        """Means over the complete frames (None unless all have the value), and their seconds."""
+        """Means over the complete frames (None unless all have the value), and their seconds;
+        `psnr_masked` only where masks hide pixels."""
         metrics = [frame.metrics for frame in self.frames]
         out: dict[str, Any] = {"frames": len(metrics), "frames_total": self.total}
-        for key in _MEANS:
+        for key in _means_of(metrics):
             values = [m[key] for m in metrics if m.get(key) is not None]
             whole = values and len(values) == len(metrics)
             out[key] = sum(values) / len(values) if whole else None

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from gscore.io.ply import write_splats
+from gscore.io.sequences import SequenceIndex, write_sequence
 
 
 def test_capture(gscore, capture, ring):
@@ -120,3 +121,12 @@ def test_nothing_there(gscore, tmp_path):
     (tmp_path / "x.txt").write_text("hello")
     code, _, err = gscore("info", tmp_path / "x.txt")
     assert code == 2 and "not a PLY file" in err
+
+
+def test_a_sequence_is_judged_inside_its_masks(gscore, tmp_path):
+    """Oracle: the figure that `gscore.judged_psnr` gives, under the name that runs give it."""
+    frame = {"frame": 0, "folder": "frame_000000", "split": "test", "psnr": 30.0}
+    frame |= {"psnr_masked": 22.5, "ssim": 0.9}
+    write_sequence(tmp_path, SequenceIndex(options={}, frames=[frame], mean={}), version="1")
+    _, out, _ = gscore("info", tmp_path)
+    assert "test views: PSNR inside the masks 22.50 dB (30.00 dB with" in out

@@ -271,7 +271,7 @@ def test_black_masks_are_refused_and_some_are_warned_about(
     assert main(run) == 0
     told = capsys.readouterr()
     assert "The masks of 1 training view are black" in told.err
-    assert "dB inside the masks" in told.out
+    assert "PSNR inside the masks" in told.out
     assert "what they hide is not trained and not measured" in told.err
 
 
