@@ -7,13 +7,14 @@ from collections.abc import Collection
 from dataclasses import fields, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, TypeVar, get_args, get_type_hints
+from typing import Any, TypeVar, cast, get_args, get_type_hints
 
 from ._version import __version__
 from .config import DataConfig, TrainConfig
 from .errors import ConfigError
 
 ConfigT = TypeVar("ConfigT", DataConfig, TrainConfig)
+AnyT = TypeVar("AnyT")
 
 
 def to_dict(config: DataConfig | TrainConfig) -> dict[str, Any]:
@@ -21,11 +22,11 @@ def to_dict(config: DataConfig | TrainConfig) -> dict[str, Any]:
     return {f.name: _to_json(getattr(config, f.name)) for f in fields(config)}
 
 
-def from_dict(cls: type[ConfigT], data: Any, *, where: str) -> ConfigT:
+def from_dict(cls: type[AnyT], data: Any, *, where: str) -> AnyT:
     """The config that `to_dict` wrote; options that are missing keep their defaults.
 
     Args:
-        cls: DataConfig or TrainConfig.
+        cls: DataConfig or TrainConfig, or another class of data with fields of such types.
         data: What JSON gave.
         where: Name of the file and section, for messages.
 
@@ -43,7 +44,7 @@ def from_dict(cls: type[ConfigT], data: Any, *, where: str) -> ConfigT:
             raise ConfigError(f"{where}: there is no option {name!r}.{hint}")
         values[name] = _from_json(value, hints[name], f"{where}: {name}")
     try:
-        return cls(**values)
+        return cast("Any", cls)(**values)
     except ConfigError as error:
         raise ConfigError(f"{where}: {error}") from None
     except TypeError:

@@ -1,6 +1,7 @@
 """Requests to work that is running, from other threads, signal handlers or lines on a pipe."""
 
 import os
+import signal
 import stat
 import threading
 import time
@@ -70,6 +71,18 @@ class Control:
         """Return when training may go on or must end, or when something else was asked for."""
         while self.paused and not (self.stopping or self._snapshots or self._unknown):
             time.sleep(0.02)
+
+
+def ending_signals() -> list[int]:
+    """The signals that end a command: SIGHUP unless it is ignored, as under nohup.
+
+    Windows has no SIGHUP; a console that closes is a SIGBREAK there.
+    """
+    names = [name for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name)]
+    numbers = [getattr(signal, name) for name in names]
+    hangup = getattr(signal, "SIGHUP", None)
+    ignored = hangup is not None and signal.getsignal(hangup) is signal.SIG_IGN
+    return [number for number in numbers if not (ignored and number == hangup)]
 
 
 def listen(control: Control, descriptor: int, *, on_end: Callable[[], None]) -> threading.Thread:

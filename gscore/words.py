@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
+from .events import judged_psnr
+
 
 def number_words(value: float | None, digits: int) -> str:
     """A number with so many decimals."""
@@ -43,14 +45,18 @@ def time_words(seconds: float | None) -> str:
 
 def quality_words(metrics: Mapping[str, Any]) -> str:
     """PSNR, SSIM and LPIPS of a metrics.json, what a model is judged by first; empty: no PSNR."""
-    if metrics.get("psnr") is None:
+    if (worth := judged_psnr(metrics)) is None:
         return ""
-    parts = [f"PSNR {metrics['psnr']:.2f} dB"]
-    if metrics.get("psnr_masked") is not None:
-        whole = f"{metrics['psnr']:.2f} dB with the pixels outside counted as equal"
-        parts = [f"PSNR {metrics['psnr_masked']:.2f} dB inside the masks ({whole})"]
+    parts = [f"{psnr_name(metrics)} {worth:.2f} dB"]
+    if "psnr_masked" in metrics and metrics.get("psnr") is not None:
+        parts[0] += f" ({metrics['psnr']:.2f} dB with the pixels outside counted as equal)"
     if metrics.get("ssim") is not None:
         parts.append(f"SSIM {metrics['ssim']:.4f}")
     if metrics.get("lpips") is not None:
         parts.append(f"LPIPS ({metrics.get('lpips_net') or 'network'}) {metrics['lpips']:.4f}")
     return ", ".join(parts)
+
+
+def psnr_name(metrics: Mapping[str, Any]) -> str:
+    """What `judged_psnr` is called: where masks hide pixels, it is that of the others."""
+    return "PSNR inside the masks" if "psnr_masked" in metrics else "PSNR"

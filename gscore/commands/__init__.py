@@ -2,12 +2,14 @@
 
 A verb is a module here with `add_arguments(parser)` and `run(args) -> int` (the exit code). Only
 the module of the verb that was asked for is imported, so that a missing optional package of one
-verb does not break the others. Exit codes: 0 done, 1 an error inside gscore, 2 bad input, 130 and
-143 for SIGINT and SIGTERM.
+verb does not break the others.
+
+Exit codes: 0 done; 1 an error inside gscore; 2 bad input, or a full disk; 3 stopped by a line or
+the end of stdin before there was anything to keep; 128 + N ended by signal N (SIGHUP 129, SIGINT
+130, SIGTERM 143), 141 because the reader of the output was gone.
 """
 
 import errno
-import os
 import sys
 import traceback
 from collections.abc import Sequence
@@ -16,8 +18,11 @@ from importlib import import_module
 from .._version import __version__
 from ..errors import GsError
 from ..extras import how_to_install, missing
+from ..io.files import shown
+from .interrupt import Interrupt, interrupts
 from .parser import Parser, nearest, sentence
 from .status import beginning, wrapped
+from .streams import steady_streams
 
 VERBS = {
     "train": "train splats from photos with COLMAP cameras",
@@ -46,12 +51,20 @@ _DISK_ERRORS = {
     errno.EROFS: "the file system is read-only; choose another output",
     errno.EACCES: "permission denied; check the rights or choose another path",
     errno.EPERM: "the operation is not permitted; check the rights or choose another path",
+    errno.ENAMETOOLONG: "the name is too long for the file system; give a shorter one",
+    errno.ELOOP: "links lead in a circle; give another path",
 }
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one verb; returns the exit code and never raises for what a user can cause."""
     arguments = list(sys.argv[1:] if argv is None else argv)
+    with interrupts() as interrupt, steady_streams("gscore", interrupt.output_lost):
+        code = _main(arguments, interrupt)
+    return code or interrupt.exit_code
+
+
+def _main(arguments: list[str], interrupt: Interrupt) -> int:
     if not arguments or arguments[0] in ("-h", "--help"):
         print(_usage())
         return 0 if arguments else 2
@@ -60,12 +73,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"gscore {__version__}")
         return 0
     if verb == "help":
-        return main([*rest[:1], "--help"])
+        return _main([*rest[:1], "--help"], interrupt)
     if verb not in VERBS:
         guess = nearest(verb, [*VERBS, "help"])
         hint = f"did you mean `gscore {guess}`?" if guess else f"verbs: {', '.join(VERBS)}."
         return _complain("gscore", f"there is no verb {verb!r}; {hint}")
-    return _guarded(f"gscore {verb}", verb, rest)
+    return _guarded(f"gscore {verb}", verb, rest, interrupt)
 
 
 def dashed(arguments: Sequence[str]) -> list[str]:
@@ -77,7 +90,7 @@ def dashed(arguments: Sequence[str]) -> list[str]:
     return result
 
 
-def _guarded(prog: str, verb: str, arguments: list[str]) -> int:
+def _guarded(prog: str, verb: str, arguments: list[str], interrupt: Interrupt) -> int:
     try:
         wants_help = any(word in ("-h", "--help", "--quiet", "--events") for word in arguments)
         with beginning(sys.stderr, "" if wants_help else f"Starting {prog}"):
@@ -89,31 +102,31 @@ def _guarded(prog: str, verb: str, arguments: list[str]) -> int:
             allow_abbrev=False,
         )
         module.add_arguments(parser)
-        return module.run(parser.parse_args(dashed(arguments)))
+        args = parser.parse_args(dashed(arguments))
+        with interrupt.working():
+            return module.run(args)
     except SystemExit as stop:  # argparse has already said what is wrong
         return stop.code if isinstance(stop.code, int) else 2
-    except GsError as error:
-        return _complain(prog, str(error))
-    except ModuleNotFoundError as error:
-        module = error.name or ""
-        if not how_to_install(module):
-            return _internal(prog)
-        return _complain(prog, missing(module, f"`{prog}`"))
-    except KeyboardInterrupt:
-        print("Stopped.", file=sys.stderr)
-        return 130
-    except MemoryError:
-        return _complain(prog, "out of memory; try fewer splats or smaller pictures.")
-    except BrokenPipeError:  # the reader of our output is gone, e.g. `| head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
-    except OSError as error:
-        reason = _DISK_ERRORS.get(error.errno or 0)
-        if reason is None:
-            return _internal(prog)
-        return _complain(prog, f"{error.filename or 'output'}: {reason}.")
-    except Exception:
-        return _internal(prog)
+    except BaseException as error:
+        # Libraries turn a KeyboardInterrupt into errors of their own.
+        if interrupt.raised or isinstance(error, KeyboardInterrupt):
+            print("Stopped.", file=sys.stderr)
+            return interrupt.exit_code or 130
+        return _failure(prog, error)
+
+
+def _failure(prog: str, error: BaseException) -> int:
+    """The exit code for an error, which is told."""
+    match error:
+        case GsError():
+            return _complain(prog, str(error))
+        case ModuleNotFoundError() if how_to_install(error.name or ""):
+            return _complain(prog, missing(error.name or "", f"`{prog}`"))
+        case MemoryError():
+            return _complain(prog, "out of memory; try fewer splats or smaller pictures.")
+        case OSError() if (why := _DISK_ERRORS.get(error.errno or 0)) is not None:
+            return _complain(prog, f"{shown(str(error.filename or 'output'))}: {why}.")
+    return _internal(prog, error)
 
 
 def _usage() -> str:
@@ -127,8 +140,8 @@ def _complain(prog: str, message: str) -> int:
     return 2
 
 
-def _internal(prog: str) -> int:
-    traceback.print_exc()
+def _internal(prog: str, error: BaseException) -> int:
+    traceback.print_exception(error)
     print(
         f"{prog}: this is an error in gscore; please report it with the lines above.",
         file=sys.stderr,

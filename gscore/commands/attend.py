@@ -9,10 +9,12 @@ from ..control import Control, listen
 from ..errors import Cancelled
 from ..events import Event, Failed
 from .display import JsonLines, Lines, Silent
-from .interrupt import Interrupt
+from .interrupt import interrupts
 
 Result = TypeVar("Result")
 Show = Callable[[Event], None]
+STOPPED_WITH_NOTHING = 3
+"""Exit code of work that was stopped, by no signal, before there was a result."""
 
 
 def add_output_options(parser: argparse.ArgumentParser) -> None:
@@ -32,7 +34,7 @@ def attend(
     args: argparse.Namespace,
     work: Callable[[Show, Control], Result],
     *,
-    stopped: Callable[[], str] = lambda: "Stopped before the first step.",
+    stopped: Callable[[], str] = lambda: "Stopped before the first step; nothing was written.",
 ) -> tuple[Result | None, int]:
     """Do `work`; an error is told as an event too, before it is raised again.
 
@@ -47,16 +49,17 @@ def attend(
     """
     control = Control()
     show = _display(args, control)
-    with Interrupt(lambda: control.stop("interrupted")) as interrupt:
+    quiet = bool(args.events or args.quiet)
+    with interrupts() as interrupt, interrupt.asking(control.stop, quiet=quiet):
         try:
             if args.events:
                 listen(control, 0, on_end=lambda: control.stop("input ended"))
             return work(show, control), interrupt.exit_code
         except Cancelled:
             show(Failed(message=stopped(), type="Cancelled"))
-            if not (args.events or args.quiet):
+            if not quiet:
                 print(stopped(), file=sys.stderr)
-            return None, interrupt.exit_code
+            return None, interrupt.exit_code or STOPPED_WITH_NOTHING
         except Exception as error:
             message = str(error) or type(error).__name__
             show(Failed(message=message, type=type(error).__name__))

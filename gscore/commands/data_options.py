@@ -1,7 +1,7 @@
 """Options that say how to read a capture, for verbs that do not train."""
 
 import argparse
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ def add_data_options(parser: argparse.ArgumentParser) -> None:
         "--resolution",
         type=float,
         help="size of the photos: 1, 2, 4, 8 divide it; a larger number is the width in pixels; "
-        "-1: as they are, at most as wide as the preset says",
+        "-1: as they are, at most 1600 wide, whatever the preset or the run takes",
     )
     add_split_options(group)
     group.add_argument(
@@ -87,6 +87,8 @@ def add_depth_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
+_MAX_WIDTH = next(field.default for field in fields(DataConfig) if field.name == "max_width")
+"""What 3DGS takes photos as they are up to, px."""
 _SPLIT = ("test_every", "test_list", "test_first", "test_last")
 _OTHER = (
     *("images", "masks", "mask_mode", "invert_masks", "depths", "depth_align", "resolution"),
@@ -101,6 +103,8 @@ def with_data_options(config: DataConfig, args: argparse.Namespace) -> DataConfi
         for name in (*_SPLIT, *_OTHER)
         if getattr(args, name, None) is not None
     }
+    if given.get("resolution") == -1:  # as is; presets and runs may have a width of their own
+        given["max_width"] = _MAX_WIDTH
     split = [name for name in _SPLIT if name in given]
     if len(split) > 1 and set(split) != {"test_first", "test_last"}:
         flags = [flag_of(name) for name in split]

@@ -24,6 +24,7 @@ from ..depth.sheet import write_sheet
 from ..errors import Cancelled, ConfigError, FormatError
 from ..events import DepthDone, DepthProgress, Saved, Warn
 from ..extras import need
+from ..io.places import check_place
 from ..metrics.colormap import colorize
 from ..trainer.depth_rule import coverage, decide
 from ..words import count_words
@@ -159,6 +160,7 @@ def _work(args: argparse.Namespace, show: Show, control: Control, told: "_Told")
     config = with_data_options(DataConfig(source=args.source, resolution=1), args)
     dataset = load_dataset(config)
     folder = dataset.source / args.depths
+    check_place(folder, config, depths=False)
     if network is None and not folder.is_dir():
         raise ConfigError(
             f"There is no folder {folder} with depth maps to align, and no network to make them: "

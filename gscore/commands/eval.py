@@ -12,7 +12,8 @@ from ..config_file import to_dict
 from ..datasets import Dataset, load_dataset
 from ..errors import ConfigError, DatasetError
 from ..events import judged_psnr
-from ..io.runs import read_metrics
+from ..io.metrics_file import metrics_problem, read_metrics
+from ..io.places import check_place
 from ..metrics import (
     PictureCollector,
     evaluate,
@@ -24,10 +25,10 @@ from ..metrics import (
 )
 from ..raster import backend
 from ..raster.api import render
-from ..words import count_words, quality_words
+from ..words import count_words, psnr_name, quality_words
 from .data_options import add_data_options, with_data_options
 from .model import Model, add_model_argument, model_path, open_model
-from .output import check_folder, print_json
+from .output import check_folder, check_ours, print_json
 from .status import Counted, Status, wrapped
 
 _KEPT = (
@@ -38,6 +39,7 @@ _KEPT = (
     "history",
     "evals",
     "peak_memory_bytes",
+    "depth",
 )
 """What only the training knows; a run that is measured again keeps it."""
 
@@ -91,9 +93,11 @@ def _measure(args: argparse.Namespace, status: Status) -> int:
         )
     check_folder(output)
     config = _data_config(args, model)
+    _check_output(output, config, model)
     status.show([f"Reading the capture {config.source}"])
     dataset = load_dataset(config)
-    warnings = [*model.warnings, *dataset.warnings]
+    problem = metrics_problem(output) if output == model.run else ""
+    warnings = [*model.warnings, *dataset.warnings, *([problem] if problem else [])]
     if model.data is None and dataset.test and args.split != "all":
         warnings.append(
             "It is not known which views this model was trained on; the test views are held out "
@@ -124,7 +128,7 @@ def _measure(args: argparse.Namespace, status: Status) -> int:
     ) -> None:
         collector(place, target, rendered, weights, values)
         psnr = judged_psnr(values)
-        worth = "identical" if psnr is None else f"PSNR {psnr:.2f} dB"
+        worth = "identical" if psnr is None else f"{psnr_name(values)} {psnr:.2f} dB"
         told(place + 1, f"{values['name']}: {worth}")
 
     evaluation = evaluate(
@@ -174,6 +178,20 @@ def _measure(args: argparse.Namespace, status: Status) -> int:
     return 0
 
 
+def _check_output(output: Path, config: DataConfig, model: Model) -> None:
+    """Raise where metrics.json and report.html would mix with or replace something else's."""
+    check_place(output, config)
+    if model.run is not None and output.resolve() == model.run.resolve():
+        return
+    if (output / "config.json").is_file():
+        raise ConfigError(
+            f"{output} is the folder of another run, whose metrics.json tells what that reached; "
+            "choose another output."
+        )
+    for name in ("metrics.json", "report.html"):
+        check_ours(output / name)
+
+
 def _data_config(args: argparse.Namespace, model: Model) -> DataConfig:
     """How the run read its capture, changed by what was given; a bare PLY needs `-s`."""
     if model.data is not None:
@@ -217,7 +235,7 @@ def _indices(split: str | None, dataset: Dataset) -> tuple[str, list[int]]:
 
 
 def _of_the_training(model: Model) -> dict[str, Any]:
-    """Time, length, curves and memory of the training from the metrics.json that it wrote."""
+    """How the training went and why it ended, from the metrics.json that it wrote."""
     if model.run is None or model.ply != model.run / "point_cloud.ply":
         return {}
     old = read_metrics(model.run)
@@ -237,5 +255,6 @@ def _how_trained(model: Model) -> dict[str, Any]:
 def _summary(metrics: dict[str, Any], output: Path) -> str:
     held = {"test": "test view", "train": "training view", "all": "view"}[metrics["split"]]
     views = count_words(len(metrics["views"]), held)
-    worth = quality_words(metrics) or f"no PSNR ({metrics['psnr_reason']})"
+    why = metrics.get("psnr_masked_reason") or metrics.get("psnr_reason", "")
+    worth = quality_words(metrics) or f"no PSNR ({why})"
     return f"{views}: {worth}\nResults: {output / 'metrics.json'}, {output / 'report.html'}"

@@ -11,9 +11,10 @@ import numpy as np
 from ..config import DataConfig
 from ..errors import DatasetError
 from ..io.colmap import find_model, read_model
+from ..io.metrics_file import metrics_problem, read_metrics
 from ..io.ply_compressed import is_compressed
 from ..io.ply_elements import read_elements
-from ..io.runs import checkpoints_in, read_metrics
+from ..io.runs import checkpoints_in
 from ..io.sequences import read_sequence
 from ..splats import Splats
 from ..words import count_words, quality_words, size_words, time_words
@@ -116,6 +117,8 @@ def _run_facts(folder: Path) -> dict[str, Any]:
         facts["metrics"] = {key: metrics.get(key) for key in keys}
         if "psnr_masked" in metrics:
             facts["metrics"]["psnr_masked"] = metrics["psnr_masked"]
+    problem = metrics_problem(folder)
+    facts["warnings"] = [problem] if problem else []
     try:
         find_ply(folder)
     except DatasetError:
@@ -229,8 +232,8 @@ def _sequence_text(facts: dict[str, Any]) -> list[str]:
         f"{facts['path']}: a sequence, {len(frames)} of {count_words(total, 'frame')} complete"
     ]
     for entry in frames:
-        psnr = entry.get("psnr")
-        quality = "" if psnr is None else f", {entry.get('split')} views PSNR {psnr:.2f}"
+        worth = quality_words(entry)
+        quality = f", {entry.get('split')} views: {worth}" if worth else ""
         took = time_words(entry.get("train_seconds") or 0.0)
         lines.append(
             f"  {entry['folder']}: {count_words(entry.get('splats', 0), 'splat')}, "

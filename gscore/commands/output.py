@@ -2,7 +2,7 @@
 
 import contextlib
 import os
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,18 @@ from ..io.files import reason, shown
 def print_json(content: Any) -> None:
     """One line of strict JSON on stdout."""
     print(strict_json(content), flush=True)
+
+
+def check_ours(path: Path) -> None:
+    """Raise if a file that would be replaced is there and was written by another program.
+
+    Raises:
+        ConfigError: the word gscore is nowhere in it.
+    """
+    if path.is_file() and b"gscore" not in path.read_bytes():
+        raise ConfigError(
+            f"{path} was not written by gscore, so it is not replaced; choose another output."
+        )
 
 
 def check_folder(folder: Path) -> None:
@@ -39,7 +51,7 @@ def check_folder(folder: Path) -> None:
         )
 
 
-def others_in(folder: Path, known: Collection[str], most: int = 3) -> str:
+def others_in(folder: Path, known: Collection[str]) -> str:
     """The first few names in a folder, without those that are `known`, for a message; or nothing.
 
     Hidden files are left out.
@@ -47,6 +59,10 @@ def others_in(folder: Path, known: Collection[str], most: int = 3) -> str:
     names: list[str] = []
     with contextlib.suppress(OSError, ValueError):  # whoever writes there says why it cannot be
         names = sorted(p.name for p in folder.iterdir() if not p.name.startswith("."))
-    other = [name for name in names if name not in known]
-    more = f" and {len(other) - most} more" if len(other) > most else ""
-    return ", ".join(shown(name) for name in other[:most]) + more
+    return first_few([name for name in names if name not in known])
+
+
+def first_few(names: Sequence[str], most: int = 3) -> str:
+    """Some names for a message, and how many there are more; empty where there are none."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(shown(name) for name in names[:most]) + more

@@ -4,6 +4,7 @@ import argparse
 import difflib
 import sys
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any, NoReturn
 
 from .status import wrapped
@@ -90,6 +91,15 @@ class Parser(argparse.ArgumentParser):
         guess = meant if meant in choices else nearest(str(value), choices)
         hint = f"did you mean {guess}? There are" if guess else "there are"
         raise argparse.ArgumentError(action, f"there is no {value!r}; {hint}: {', '.join(choices)}")
+
+    def _get_values(self, action: argparse.Action, arg_strings: list[str]) -> Any:
+        """As argparse does, but an error of its own where a value is no value: `--x=--` ends in a
+        traceback there, and an empty path means the current folder."""
+        empty = action.type is Path and any(text == "" for text in arg_strings)
+        if empty or (action.option_strings and arg_strings == ["--"]):
+            given = "nothing" if empty else "'--'"
+            raise argparse.ArgumentError(action, f"expected a value, got {given}")
+        return super()._get_values(action, arg_strings)
 
 
 def nearest(word: str, known: Sequence[str]) -> str:

@@ -10,9 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from ..config import DataConfig
 from ..datasets.resolution import check_resolution
 from ..errors import ConfigError
 from ..io.images import write_png
+from ..io.places import check_apart, check_place
 from ..raster.api import Rendered
 from ..raster.api import render as render_view
 from ..scene import Cameras
@@ -74,7 +76,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--resolution",
         type=float,
         default=-1,
-        help="2, 4, 8: divide the photos' size by it; larger: width in pixels",
+        help="2, 4, 8: divide the photos' size by it; larger: width in pixels; -1: as the "
+        "cameras are, those of a run as it was trained (-1)",
     )
     group = parser.add_argument_group("picture")
     group.add_argument(
@@ -112,8 +115,7 @@ def run(args: argparse.Namespace) -> int:
     """Render and write."""
     is_video = args.output.suffix.lower() == ".mp4"
     _check_options(args, is_video=is_video)
-    is_file = is_video or args.output.suffix.lower() == ".png"
-    check_folder(args.output.parent if is_file else args.output)
+    check_folder(args.output.parent if _is_file(args.output) else args.output)
     with Status(sys.stderr, quiet=args.quiet) as status:
         result = _render(args, status, is_video=is_video)
     if args.json:
@@ -123,10 +125,20 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
+def _is_file(output: Path) -> bool:
+    """Whether that is one file, not a folder of pictures."""
+    return output.suffix.lower() in (".mp4", ".png")
+
+
 def _render(args: argparse.Namespace, status: Status, *, is_video: bool) -> dict[str, Any]:
     """Facts on what was written."""
     status.show(["Reading the splats"])
     model = open_model(model_path(args))
+    for data in _captures(args, model):
+        if _is_file(args.output):
+            check_apart(args.output.parent, data)
+        else:
+            check_place(args.output, data)
     for sentence in model.warnings:
         status.clear()
         print(wrapped(f"Warning: {sentence}", sys.stderr), file=sys.stderr)
@@ -166,6 +178,12 @@ def _summary(args: argparse.Namespace, result: dict[str, Any]) -> str:
     text = f"Wrote {args.output}: {count}, {size}, rendered at {result['fps']:.1f} a second."
     others = _older(args.output, result)
     return f"{text}\nFiles that were there before stay: {others}" if others else text
+
+
+def _captures(args: argparse.Namespace, model: Model) -> list[DataConfig]:
+    """The captures whose photos the pictures must not replace, which have the same names."""
+    given = [] if args.cameras is None else [DataConfig(source=args.cameras)]
+    return given + ([] if model.data is None else [model.data])
 
 
 def _older(output: Path, result: dict[str, Any]) -> str:

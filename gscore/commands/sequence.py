@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 from ..control import Control
 from ..errors import ConfigError
+from ..events import Warn
 from ..io.sequences import SEQUENCE_FILE
-from ..words import count_words
+from ..words import count_words, quality_words
 from . import train as train_command
 from .attend import Show, attend
 from .output import print_json
@@ -78,10 +79,14 @@ def _train(args: argparse.Namespace, show: Show, control: Control) -> "SequenceR
             raise ConfigError(f"{option} is for one frame: {instead}.")
     from ..trainer.sequence import SequenceOptions, read_options, train_sequence
 
+    frames = [path.name for path in args.output.glob("frame_*") if path.is_dir()]
+    others = others_in(args.output, (SEQUENCE_FILE, "config.json", *frames))
+    if others and not args.events:
+        show(Warn(message=f"{args.output} holds other files too; they stay: {others}"))
     stored = read_options(args.output) if args.resume else None
     names = [field.name for field in fields(SequenceOptions)]
     given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
-    data, config = train_command.configs(args)
+    data, config = train_command.told_configs(args, show)
     return train_sequence(
         config,
         data,
@@ -101,12 +106,9 @@ def _summary(result: "SequenceResult") -> str:
         f"{how}: {len(result.frames)} of {count_words(result.total, 'frame')}, "
         f"{numbers['train_seconds']:.1f} s of training."
     ]
-    if numbers["psnr"] is not None:
+    if worth := quality_words(numbers):
         split = result.frames[0].metrics["split"]
-        lines.append(
-            f"{split.capitalize()} views, mean of the frames: PSNR "
-            f"{numbers['psnr']:.2f} dB, SSIM {numbers['ssim']:.4f}."
-        )
+        lines.append(f"{split.capitalize()} views, mean of the frames: {worth}.")
     output = result.output
     lines.append(f"Results: {output / SEQUENCE_FILE}, {output / 'frame_*' / 'point_cloud.ply'}")
     if result.reason != "finished":

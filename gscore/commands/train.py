@@ -12,12 +12,13 @@ from ..config_file import load_config
 from ..control import Control
 from ..errors import ConfigError
 from ..events import CONVERGED, ENDED, FINISHED, TARGET, Warn
-from ..io.runs import RUN_FILES, RUN_FOLDERS, RUN_LOCK
+from ..io.runs import others_in_run
 from ..words import count_words, number, quality_words
 from .attend import Show, add_output_options, attend
 from .data_options import add_data_options, add_depth_options, with_data_options
+from .no_effect import idle_options
 from .option_help import option_help
-from .output import others_in, print_json
+from .output import first_few, print_json
 from .status import wrapped
 
 if TYPE_CHECKING:  # torch, which training imports, takes seconds to load: --help need not wait
@@ -241,7 +242,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--resume", action="store_true", help="go on from the last checkpoint in the output folder"
     )
     existing.add_argument(
-        "--overwrite", action="store_true", help="replace another run in the output folder"
+        "--overwrite",
+        action="store_true",
+        help="replace another run in the output folder; other files there stay",
     )
     existing.add_argument(
         "--start-checkpoint", type=Path, metavar="FILE", help="go on from this checkpoint"
@@ -354,6 +357,15 @@ def configs(args: argparse.Namespace) -> tuple[DataConfig, TrainConfig]:
     return data, config
 
 
+def told_configs(args: argparse.Namespace, show: Show) -> tuple[DataConfig, TrainConfig]:
+    """As `configs`, with a warning about options that do nothing in this run."""
+    given = argparse.Namespace(**vars(args))  # `configs` fills some in
+    data, config = configs(args)
+    if idle := idle_options(given, data, config):
+        show(Warn(message=idle, code="no_effect"))
+    return data, config
+
+
 def _with_given(config: TrainConfig, args: argparse.Namespace) -> TrainConfig:
     names = (*_RUN, *_METHOD)
     given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
@@ -372,10 +384,10 @@ def _with_given(config: TrainConfig, args: argparse.Namespace) -> TrainConfig:
 
 
 def _train(args: argparse.Namespace, show: Show, control: Control) -> "TrainResult":
-    data, config = configs(args)
+    data, config = told_configs(args, show)
     from ..trainer import train
 
-    others = others_in(args.output, (RUN_LOCK, *RUN_FILES, *RUN_FOLDERS))
+    others = first_few(others_in_run(args.output))
     if others and not args.events:
         show(Warn(message=f"{args.output} holds other files too; they stay: {others}"))
     return train(

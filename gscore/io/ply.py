@@ -10,7 +10,7 @@ import numpy as np
 from ..errors import DatasetError, FormatError
 from ..sh import rgb_to_sh0
 from ..splats import SH_REST_BY_DEGREE, Splats
-from .files import atomic_write, open_regular
+from .files import atomic_write, open_regular, reason, shown
 from .ply_compressed import decompress, is_compressed
 from .ply_elements import columns, read_elements
 
@@ -88,8 +88,8 @@ def header_comments(path: str | Path) -> tuple[str, ...]:
     try:
         with open_regular(path) as file:
             header = file.read(_HEADER_LIMIT).partition(b"end_header")[0]
-    except OSError as error:
-        raise DatasetError(f"Cannot read {path}: {error.strerror or error}.") from error
+    except (OSError, ValueError) as error:
+        raise DatasetError(f"Cannot read {shown(path)}: {reason(error)}") from error
     lines = header.decode("utf-8", "replace").splitlines()
     return tuple(line[8:].strip() for line in lines if line.startswith("comment "))
 

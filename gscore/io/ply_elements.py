@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import BackendError, DatasetError, FormatError
-from .files import open_regular
+from .files import open_regular, reason, shown
 from .foreign import foreign
 
 _log = logging.getLogger(__name__)
@@ -90,8 +90,8 @@ def _check_header(path: Path) -> None:
         with open_regular(path) as file:
             head = file.read(_HEADER_LIMIT)
         size = path.stat().st_size
-    except OSError as error:
-        raise DatasetError(f"Cannot read {path}: {error.strerror or error}.") from error
+    except (OSError, ValueError) as error:
+        raise DatasetError(f"Cannot read {shown(path)}: {reason(error)}") from error
     if not head.startswith((b"ply\n", b"ply\r")):
         raise FormatError(
             foreign(path)

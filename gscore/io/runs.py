@@ -2,9 +2,7 @@
 
 import contextlib
 import json
-import math
 import re
-import shutil
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +12,7 @@ from ..config_file import load_config
 from ..errors import ConfigError, DatasetError
 from ..events import CONVERGED, FINISHED, TARGET, judged_psnr
 from .files import read_bytes
+from .metrics_file import read_metrics
 
 RUN_LOCK = ".gscore.lock"
 """The file by which a training holds its folder."""
@@ -30,10 +29,17 @@ RUN_FOLDERS = ("checkpoints", "point_cloud", "previews", "snapshots")
 """Folders that a training writes."""
 
 _CHECKPOINT = re.compile(r"step_(\d{8,})\.safetensors")
-_UNFINISHED = tuple(f".{name}.*.tmp" for name in RUN_FILES)
+_SNAPSHOT = re.compile(r"step_(\d{6,})\.ply")
+_BELOW = (
+    rf"checkpoints/{_CHECKPOINT.pattern}(\.damaged)?",
+    r"point_cloud/iteration_\d+/point_cloud\.ply",
+    r"previews/step_\d{6,}\.png",
+    rf"snapshots/{_SNAPSHOT.pattern}",
+)
+_NAMES = re.compile("|".join((*map(re.escape, RUN_FILES), *_BELOW)))
+"""All paths below its folder that a training writes, whatever its options."""
+_TEMPORARY = re.compile(r"\.(.+)\.[0-9a-f]{8}\.tmp")
 """What `atomic_write` leaves of a file when its process is killed."""
-_UNFINISHED_BELOW = (".*.safetensors.????????.tmp", ".*.ply.????????.tmp", ".*.png.????????.tmp")
-"""The same in the folders of a run."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +96,7 @@ def read_run(path: str | Path) -> RunInfo | None:
         iterations=_length(train, steps, metrics),
         checkpoint=checkpoint,
         splats=splats if splats.is_file() else None,
-        psnr=_number(judged_psnr(metrics)),
+        psnr=judged_psnr(metrics),
         data=data,
         train=train,
         problem=problem,
@@ -104,42 +110,77 @@ def checkpoint_path(path: Path, step: int) -> Path:
 
 def checkpoints_in(path: Path) -> dict[int, Path]:
     """The checkpoints of the run in a folder by their steps, the latest last; none is opened."""
+    return _numbered(path / "checkpoints", _CHECKPOINT)
+
+
+def snapshots_in(path: Path) -> dict[int, Path]:
+    """The snapshots of the run in a folder by their steps, the latest last."""
+    return _numbered(path / "snapshots", _SNAPSHOT)
+
+
+def _numbered(folder: Path, name: re.Pattern[str]) -> dict[int, Path]:
     found = {
         int(match[1]): file
-        for file in (path / "checkpoints").glob("*.safetensors")
-        if (match := _CHECKPOINT.fullmatch(file.name)) and file.is_file()
+        for file in folder.glob("*")
+        if (match := name.fullmatch(file.name)) and file.is_file()
     }
     return dict(sorted(found.items()))
 
 
-def read_metrics(path: Path) -> dict[str, Any]:
-    """The metrics.json that a training or an evaluation left in a folder.
-
-    Returns:
-        Its content; empty where it is missing, broken or no regular file.
-    """
-    try:
-        content = json.loads(read_bytes(path / "metrics.json"))
-    except (DatasetError, ValueError, RecursionError):
-        return {}
-    return content if isinstance(content, dict) else {}
-
-
 def results_in(path: Path) -> list[str]:
-    """Names of files and folders in `path` that a training has written."""
-    return [name for name in (*RUN_FILES, *RUN_FOLDERS) if (path / name).exists()]
+    """Names of files and folders in `path` that hold what a training writes."""
+    there = {file.relative_to(path).parts[0] for file in _files_of_run(path)}
+    return [name for name in (*RUN_FILES, *RUN_FOLDERS) if name in there]
+
+
+def others_in_run(path: Path) -> list[str]:
+    """What lies in the folder of a run and no training writes, as paths below it, hidden files of
+    the folder itself left out."""
+    known = (*RUN_FILES, *RUN_FOLDERS)
+    above = [file.name for file in _listed(path) if not file.name.startswith(".")]
+    below = [file.relative_to(path).as_posix() for file in _below(path)]
+    odd = [name for name in below if not (_NAMES.fullmatch(name) or _is_unfinished(name))]
+    return sorted([name for name in above if name not in known] + odd)
+
+
+def check_replaceable(path: Path) -> None:
+    """Raise unless what `remove_results` would remove from a folder is known to be a training's.
+
+    Every training writes its config.json before all else, and it is removed after all else.
+
+    Raises:
+        ConfigError: what has the names of results was not written by gscore, or lies elsewhere.
+    """
+    if not (names := results_in(path)):
+        return
+    if not _is_run(path):
+        raise ConfigError(
+            f"{path} holds {', '.join(names)}, but no config.json by gscore, so they may be "
+            "somebody else's. Choose another folder, or move them away."
+        )
+    linked = [name for name in RUN_FOLDERS if (path / name).is_symlink()]
+    if linked:
+        raise ConfigError(
+            f"{path / linked[0]} is a link, and what it leads to may serve others too. Remove the "
+            "link, or choose another folder."
+        )
 
 
 def remove_results(path: Path) -> None:
-    """Remove what a training has written into a folder, and nothing else.
+    """Remove what a training has written into a folder, by its exact names, and nothing else.
 
     Raises:
+        ConfigError: see `check_replaceable`.
         OSError: a file cannot be removed.
     """
-    for name in RUN_FOLDERS:
-        shutil.rmtree(path / name, ignore_errors=True)
-    for name in RUN_FILES:
-        (path / name).unlink(missing_ok=True)
+    check_replaceable(path)
+    files = _files_of_run(path)
+    for file in sorted(files, key=lambda file: file == path / "config.json"):
+        file.unlink(missing_ok=True)
+    folders = [path / name for name in RUN_FOLDERS]
+    for folder in (*(path / "point_cloud").glob("iteration_*"), *folders):
+        with contextlib.suppress(OSError):
+            folder.rmdir()  # only an empty folder can be removed
 
 
 def clear_run(path: str | Path) -> None:
@@ -148,29 +189,57 @@ def clear_run(path: str | Path) -> None:
     Only for a folder in which no training is running. What cannot be removed stays.
     """
     path = Path(path)
-    with contextlib.suppress(OSError):
+    with contextlib.suppress(OSError, ConfigError):
         remove_results(path)
     clear_unfinished(path)
     with contextlib.suppress(OSError):
         (path / RUN_LOCK).unlink(missing_ok=True)
     with contextlib.suppress(OSError):
-        path.rmdir()  # only an empty folder can be removed
+        path.rmdir()
 
 
 def clear_unfinished(path: Path) -> None:
     """Remove what a killed training was just writing; only while no other one is running there."""
-    leftovers = [file for pattern in _UNFINISHED for file in path.glob(pattern)]
-    for name in RUN_FOLDERS:
-        for pattern in _UNFINISHED_BELOW:
-            leftovers += (path / name).rglob(pattern)
-    for file in leftovers:
-        with contextlib.suppress(OSError):
-            file.unlink(missing_ok=True)
+    for file in (*_listed(path), *_below(path)):
+        if _is_unfinished(file.relative_to(path).as_posix()):
+            with contextlib.suppress(OSError):
+                file.unlink(missing_ok=True)
 
 
-def _number(value: Any) -> float | None:
-    good = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-    return float(value) if good else None
+def _is_run(path: Path) -> bool:
+    """Whether the config.json in a folder is one that a training of gscore has written."""
+    try:
+        content = json.loads(read_bytes(path / "config.json"))
+    except (DatasetError, ValueError, RecursionError):
+        return False
+    return isinstance(content, dict) and {"gscore", "data", "train"} <= content.keys()
+
+
+def _files_of_run(path: Path) -> list[Path]:
+    files = [file for file in _listed(path) if file.name in RUN_FILES]
+    return files + [f for f in _below(path) if _NAMES.fullmatch(f.relative_to(path).as_posix())]
+
+
+def _is_unfinished(name: str) -> bool:
+    """Whether it is the temporary name of a file that trainings write."""
+    folder, _, last = name.rpartition("/")
+    match = _TEMPORARY.fullmatch(last)
+    return bool(match and _NAMES.fullmatch(f"{folder}/{match[1]}".lstrip("/")))
+
+
+def _below(path: Path) -> list[Path]:
+    """All files in the folders of a run."""
+    folders = [folder for folder in _listed(path) if folder.name in RUN_FOLDERS]
+    found = [file for folder in folders for file in folder.rglob("*")]
+    return [file for file in found if file.is_symlink() or not file.is_dir()]
+
+
+def _listed(path: Path) -> list[Path]:
+    """What lies in a folder; nothing where it is none."""
+    try:
+        return sorted(path.iterdir())
+    except (OSError, ValueError):
+        return []
 
 
 def _length(train: TrainConfig | None, steps: int, metrics: dict[str, Any]) -> int:

@@ -1,6 +1,7 @@
 """The folder that training a sequence leaves, read without torch: its options and its frames."""
 
 import json
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -8,9 +9,16 @@ from typing import Any
 from ..errors import FormatError
 from .colmap import is_safe_name
 from .files import atomic_write
+from .metrics_file import is_number
 
+FRAME_FOLDER = re.compile(r"frame_\d{6,}")
+"""Names of the frames' folders."""
 SEQUENCE_FILE = "sequence.json"
 """File of a sequence's folder that lists its frames."""
+
+
+_NUMBERS = ("steps", "train_seconds", "psnr", "psnr_masked", "ssim", "lpips")
+_NUMBERS += ("frames", "frames_total")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,10 +29,11 @@ class SequenceIndex:
     """What the sequence was asked for besides the options of its frames."""
     frames: list[dict[str, Any]]
     """Complete frames in order: at least `frame` (number) and `folder` (below the sequence's), and
-    where known `start`, `splats`, `steps`, `train_seconds`, `psnr`, `ssim`, `lpips`, `split`."""
+    where known `start`, `splats`, `steps`, `train_seconds`, `psnr`, `ssim`, `lpips`, `split`, and
+    `psnr_masked` where masks hide pixels, see `gscore.judged_psnr`."""
     mean: dict[str, Any]
-    """Of the complete frames: `psnr`, `ssim`, `lpips`; `train_seconds` of all, `frames` and
-    `frames_total`."""
+    """Of the complete frames: `psnr`, `psnr_masked`, `ssim`, `lpips`; `train_seconds` of all,
+    `frames` and `frames_total`."""
 
 
 def read_sequence(folder: Path) -> SequenceIndex | None:
@@ -43,9 +52,10 @@ def read_sequence(folder: Path) -> SequenceIndex | None:
             frames=[dict(entry) for entry in content["frames"]],
             mean=dict(content["mean"]),
         )
-        if all(_is_sound(entry) for entry in index.frames):
+        if all(_is_sound(entry) for entry in index.frames) and _is_known(index.mean):
             return index
-        reason = "a frame without number, count of splats or folder below the sequence's"
+        reason = "a frame without number, count of splats or folder below the sequence's, or what "
+        reason += "should be a number is none"
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         reason = f"{type(error).__name__}: {error}"
     raise FormatError(
@@ -57,7 +67,16 @@ def read_sequence(folder: Path) -> SequenceIndex | None:
 def _is_sound(entry: dict[str, Any]) -> bool:
     folder, splats = entry["folder"], entry.get("splats", 0)
     inside = isinstance(folder, str) and is_safe_name(folder)
-    return inside and isinstance(entry["frame"], int) and isinstance(splats, int)
+    return inside and all(type(n) is int for n in (entry["frame"], splats)) and _is_known(entry)
+
+
+def _is_known(entry: dict[str, Any]) -> bool:
+    """Whether what is told of a frame, or of all, has the types that gscore writes."""
+    numbers = [entry.get(key) for key in _NUMBERS]
+    texts = [entry.get(key) for key in ("start", "split")]
+    return all(n is None or is_number(n) for n in numbers) and all(
+        text is None or isinstance(text, str) for text in texts
+    )
 
 
 def write_sequence(folder: Path, index: SequenceIndex, *, version: str) -> None:

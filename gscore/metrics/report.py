@@ -10,7 +10,7 @@ import numpy as np
 
 from ..events import judged_psnr
 from ..io.files import atomic_write
-from ..words import count_words, number_words, size_words
+from ..words import count_words, number_words, psnr_name, size_words
 from .colormap import colorize
 from .curves import Mark, Series, chart, clean_points, legend
 from .depth import depth_html
@@ -36,7 +36,8 @@ def write_report(path: Path, run: dict[str, Any]) -> None:
     Raises:
         GsError: The file cannot be written.
     """
-    atomic_write(path, report_html(run).encode("utf-8"))
+    # Names of files may hold bytes that are no UTF-8.
+    atomic_write(path, report_html(run).encode("utf-8", "backslashreplace"))
 
 
 def report_html(run: dict[str, Any]) -> str:
@@ -91,7 +92,7 @@ def _curves(history: list[dict[str, Any]], evals: list[dict[str, Any]], metrics:
     held_out = "held-out views" if metrics["split"] == "test" else "scored views"
     boxes = []
     for name, key, log, from_zero in (
-        ("PSNR (dB)", "psnr", False, False),
+        (f"{psnr_name(metrics)} (dB)", "psnr", False, False),
         ("Loss", "loss", True, False),
         ("Splats", "splats", False, True),
     ):
@@ -195,9 +196,8 @@ def _card(view: ViewPictures, number: int, photo: str) -> str:
 
 
 def _numbers_words(numbers: dict[str, Any]) -> str:
-    where = " in the mask" if numbers.get("psnr_masked") is not None else ""
     parts = [
-        f"PSNR{where} <b>{number_words(judged_psnr(numbers), 2)}</b>",
+        f"{psnr_name(numbers)} <b>{number_words(judged_psnr(numbers), 2)}</b>",
         f"SSIM <b>{number_words(numbers.get('ssim'), 4)}</b>",
     ]
     if numbers.get("lpips") is not None:
@@ -208,7 +208,7 @@ def _numbers_words(numbers: dict[str, Any]) -> str:
 _COLUMNS: tuple[tuple[str, str, int], ...] = (
     ("psnr", "PSNR", 2),
     ("psnr_u8", "PSNR 8 bit", 2),
-    ("psnr_masked", "PSNR in the mask", 2),
+    ("psnr_masked", "PSNR inside the masks", 2),
     ("ssim", "SSIM", 4),
     ("ssim_valid", "SSIM valid", 4),
     ("d_ssim", "D-SSIM", 4),
@@ -272,7 +272,7 @@ _DEFINITIONS = (
     ("psnr_u8", "PSNR 8 bit", 3, "both pictures rounded to 8 bit first, as scoring files does"),
     (
         "psnr_masked",
-        "PSNR in the mask",
+        "PSNR inside the masks",
         3,
         "only pixels the mask keeps; the other numbers count masked-out pixels as equal, as the "
         "loss does",

@@ -6,7 +6,7 @@ from datetime import datetime
 from typing import Any
 
 from ..events import CONVERGED, FINISHED, TARGET, judged_psnr
-from ..words import count_words, number, size_words, time_words
+from ..words import count_words, number, psnr_name, size_words, time_words
 
 TIMES = "\u00d7"
 FAR_ABOVE = 4.0
@@ -104,7 +104,7 @@ def _quality(metrics: dict[str, Any]) -> Iterator[tuple[str, str, int, str, str]
     """Key in metrics.json, name, decimals, unit, note."""
     masked = "psnr_masked" in metrics
     if masked:
-        yield "psnr_masked", "PSNR in the masks", 2, "dB", "of the pixels that count"
+        yield "psnr_masked", psnr_name(metrics), 2, "dB", "of the pixels that count"
     meaning = "masked-out pixels as equal" if masked else "higher is better"
     yield "psnr", "PSNR", 2, "dB", meaning
     yield "ssim", "SSIM", 4, "", "1 is identical"

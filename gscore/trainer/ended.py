@@ -6,8 +6,8 @@ from ..config import DataConfig, TrainConfig
 from ..config_file import config_json
 from ..events import ENDED, FINISHED
 from ..io.files import read_bytes
+from ..io.metrics_file import read_metrics
 from ..io.ply import read_splats
-from ..io.runs import read_metrics
 from .checkpoint import Checkpoint
 from .folder import RunFolder
 from .session import TrainResult

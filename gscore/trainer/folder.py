@@ -10,16 +10,20 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
+from ..config import DataConfig
 from ..errors import ConfigError, GsError
 from ..io.files import atomic_write, reason, shown
+from ..io.places import check_place
 from ..io.runs import (
     RUN_LOCK,
+    check_replaceable,
     checkpoint_path,
     checkpoints_in,
     clear_unfinished,
     remove_results,
     results_in,
 )
+from ..io.sequences import SEQUENCE_FILE
 
 _FAR = 1 << 20
 
@@ -87,16 +91,20 @@ class RunFolder:
 
 
 @contextmanager
-def open_folder(path: Path, *, resume: bool, overwrite: bool) -> Iterator[RunFolder]:
+def open_folder(
+    path: Path, *, resume: bool, overwrite: bool, data: DataConfig | None = None
+) -> Iterator[RunFolder]:
     """Hold an output folder, alone, for the duration of a run.
 
     Args:
         path: Made if it is not there; removed again if nothing was written into it.
         resume: It must hold a checkpoint.
         overwrite: It may hold another run.
+        data: The capture, among which results must not go.
 
     Raises:
-        ConfigError: it holds another run, or none to resume.
+        ConfigError: it holds another run, something else of that name, or none to resume; or it
+            is no place for results.
         GsError: another process trains into it, or it cannot be written.
     """
     folder = RunFolder(path)
@@ -106,6 +114,7 @@ def open_folder(path: Path, *, resume: bool, overwrite: bool) -> Iterator[RunFol
         pass
     except (OSError, ValueError) as error:  # others answer otherwise to `exists` and `glob`
         raise GsError(f"Cannot use {shown(path)}: {reason(error)}") from error
+    check_place(path, data)
     if resume and not folder.checkpoints():
         check_free(path)
         raise ConfigError(f"{path} holds no checkpoint to resume from; leave --resume out.")
@@ -113,16 +122,25 @@ def open_folder(path: Path, *, resume: bool, overwrite: bool) -> Iterator[RunFol
     lock = _lock(path)
     try:
         _sign(lock, path)
-        if folder.results() and not resume and not overwrite:
-            names = ", ".join(folder.results())
-            raise ConfigError(
-                f"{path} holds another run ({names}); go on with it with --resume, replace it with "
-                "--overwrite, or choose another folder."
-            )
+        if not resume:
+            _check_room(folder, overwrite=overwrite)
         clear_unfinished(path)
         yield folder
     finally:
         _release(lock, path, remove_folder=new)
+
+
+def _check_room(folder: RunFolder, *, overwrite: bool) -> None:
+    """ConfigError unless another run may be written into a folder."""
+    path, names = folder.path, folder.results()
+    if (path / SEQUENCE_FILE).exists():
+        raise ConfigError(f"{path} holds a sequence, of many runs; choose another folder.")
+    check_replaceable(path)
+    if names and not overwrite:
+        raise ConfigError(
+            f"{path} holds another run ({', '.join(names)}); go on with it with --resume, replace "
+            "it with --overwrite, or choose another folder."
+        )
 
 
 def check_free(path: Path) -> None:

@@ -13,6 +13,7 @@ from ..config_file import config_json, to_dict
 from ..io.cameras_json import write_cameras
 from ..io.images import write_png
 from ..io.ply import MIP_COMMENT, write_splat_parts
+from ..io.runs import snapshots_in
 from ..metrics import PictureCollector, summarize, write_metrics, write_report
 from ..raster import backend
 from .depth_report import DepthReport
@@ -72,7 +73,7 @@ class Results:
         """The splats as they are now for a front end to show; the last two are kept."""
         path = self._folder.snapshot(self._trainer.steps)
         self.write_splats(path)
-        for old in sorted(path.parent.glob("step_*.ply"))[:-_SNAPSHOTS_KEPT]:
+        for old in list(snapshots_in(self._folder.path).values())[:-_SNAPSHOTS_KEPT]:
             old.unlink(missing_ok=True)
         return path
 

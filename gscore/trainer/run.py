@@ -49,7 +49,7 @@ def train(
         on_event: Called with each event, in the thread that called `train`.
         control: Through which others ask to stop, pause or save.
         resume: Go on from the last checkpoint in `output`.
-        overwrite: Replace another run in `output`.
+        overwrite: Replace another run in `output`; files that no training writes stay.
         start_checkpoint: Go on from this checkpoint of another folder.
 
     Returns:
@@ -61,7 +61,8 @@ def train(
     """
     emit, control = on_event or (lambda event: None), control or Control()
     large_pieces_apart()
-    with open_folder(output, resume=resume, overwrite=overwrite) as folder, one_torch_thread():
+    opened = open_folder(output, resume=resume, overwrite=overwrite, data=data)
+    with opened as folder, one_torch_thread():
         before, damaged = _checkpoint_to_start_from(folder, resume, start_checkpoint)
         if resume and before is not None and not damaged:
             ended = ended_run(folder, before, config, data)

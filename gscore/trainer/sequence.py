@@ -8,14 +8,16 @@ from typing import Any
 
 from .._version import __version__
 from ..config import DataConfig, TrainConfig
-from ..config_file import config_json, differences
+from ..config_file import config_json, differences, from_dict
 from ..control import Control
 from ..datasets.frames import SequenceFrame, choose_frames, find_frames
 from ..errors import Cancelled, ConfigError, FormatError, GsError
 from ..events import ENDED, Event, FrameStarted, SequenceDone, Started
 from ..io.files import atomic_write
-from ..io.runs import clear_run, read_metrics, read_run
-from ..io.sequences import SEQUENCE_FILE, SequenceIndex, read_sequence, write_sequence
+from ..io.metrics_file import read_metrics
+from ..io.places import check_place
+from ..io.runs import check_replaceable, clear_run, read_run, results_in
+from ..io.sequences import FRAME_FOLDER, SEQUENCE_FILE, SequenceIndex, read_sequence, write_sequence
 from ..metrics import headline
 from ..words import count_words
 from . import checkpoint
@@ -23,7 +25,13 @@ from .folder import RunFolder
 from .run import train
 
 _LONG = ("history", "evals")
-_MEANS = ("psnr", "ssim", "lpips")
+_MEANS = ("psnr", "psnr_masked", "ssim", "lpips")
+
+
+def _means_of(metrics: list[dict[str, Any]]) -> list[str]:
+    """Keys of the figures that frames are judged by: `psnr_masked` where any has it."""
+    masked = any("psnr_masked" in m for m in metrics)
+    return [key for key in _MEANS if masked or key != "psnr_masked"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +74,7 @@ class FrameResult:
 
     def to_dict(self, root: Path) -> dict[str, Any]:
         """As JSON values, paths relative to the folder of the sequence."""
-        keys = ("splats", "steps", "train_seconds", "split", *_MEANS)
+        keys = ("splats", "steps", "train_seconds", "split", *_means_of([self.metrics]))
         return {
             "frame": self.number,
             "folder": self.folder.relative_to(root).as_posix(),
@@ -88,10 +96,11 @@ class SequenceResult:
 
     @property
     def headline(self) -> dict[str, Any]:
-        """Means over the complete frames (None unless all have the value), and their seconds."""
+        """Means over the complete frames (None unless all have the value), and their seconds;
+        `psnr_masked` only where masks hide pixels."""
         metrics = [frame.metrics for frame in self.frames]
         out: dict[str, Any] = {"frames": len(metrics), "frames_total": self.total}
-        for key in _MEANS:
+        for key in _means_of(metrics):
             values = [m[key] for m in metrics if m.get(key) is not None]
             whole = values and len(values) == len(metrics)
             out[key] = sum(values) / len(values) if whole else None
@@ -135,6 +144,7 @@ def train_sequence(
         Cancelled: stopped before the first step of the first frame.
     """
     options = options or SequenceOptions()
+    check_place(output, data)
     frames = choose_frames(find_frames(data), options.frames)
     _open(output, resume=resume, overwrite=overwrite)
     run = _Run(config, data, output, options, frames, on_event or (lambda event: None))
@@ -151,8 +161,8 @@ def read_options(output: Path) -> SequenceOptions | None:
     if index is None:
         return None
     try:
-        return SequenceOptions(**index.options)
-    except TypeError as error:
+        return from_dict(SequenceOptions, index.options, where="options")
+    except ConfigError as error:
         raise FormatError(
             f"{output / SEQUENCE_FILE} was written by another gscore ({error}); give all options "
             f"without --resume, in another folder."
@@ -294,11 +304,18 @@ class _Run:
 
 def _open(output: Path, *, resume: bool, overwrite: bool) -> None:
     """Raise unless a sequence may be trained into `output`, and clear it for another one."""
-    begun = sorted(path for path in output.glob("frame_*") if read_run(path) is not None)
+    frames = [path for path in output.glob("frame_*") if FRAME_FOLDER.fullmatch(path.name)]
+    begun = sorted(path for path in frames if results_in(path))
     if read_sequence(output) is None and not begun:
         if resume:
             raise ConfigError(f"{output} holds no sequence to resume; leave --resume out.")
+        if names := results_in(output):
+            raise ConfigError(
+                f"{output} holds a run of its own ({', '.join(names)}); choose another folder."
+            )
     elif overwrite:
+        for path in begun:
+            check_replaceable(path)
         for path in begun:
             clear_run(path)
         (output / SEQUENCE_FILE).unlink(missing_ok=True)

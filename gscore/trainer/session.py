@@ -70,6 +70,11 @@ class TrainResult:
     """It was to go on but had ended already, so that nothing was done."""
 
     @property
+    def psnr(self) -> float | None:
+        """What the model is judged by, dB: `gscore.judged_psnr` of the metrics."""
+        return judged_psnr(self.metrics)
+
+    @property
     def headline(self) -> dict[str, Any]:
         """The metrics without what is long: what `--json` prints and `Done` tells."""
         long = ("history", "evals")

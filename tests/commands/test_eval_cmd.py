@@ -2,6 +2,7 @@
 
 import json
 import math
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -127,3 +128,46 @@ def test_a_capture_that_moved(gscore, capture, run_folder, tmp_path):
     code, out, _ = gscore("eval", folder, "-s", capture, "--quiet")
     assert code == 0 and out.startswith("2 test views: PSNR")
     assert f"{folder / 'metrics.json'}, {folder / 'report.html'}" in out
+
+
+def test_measuring_again_keeps_what_the_training_says_of_itself(gscore, run_folder):
+    """Oracle: the values in the metrics.json before: why it ended, and its depth."""
+    folder = run_folder()
+    path = folder / "metrics.json"
+    own = {"reason": "converged", "depth": {"abs_rel": 0.1}, "steps": 700}
+    path.write_text(json.dumps(json.loads(path.read_text()) | own))
+    assert gscore("eval", folder, "--quiet")[0] == 0
+    after = json.loads(path.read_text())
+    assert {key: after[key] for key in own} == own and after["psnr"] > 20
+
+
+def test_minus_one_is_the_size_of_the_photos(gscore, run_folder, tmp_path):
+    """Oracle: the photos' 48 px, on a run that was trained at 24; as at the first measurement
+    where nothing is said."""
+    folder = run_folder()
+    config = json.loads((folder / "config.json").read_text())
+    config["data"]["max_width"] = 24
+    (folder / "config.json").write_text(json.dumps(config))
+    for options, width in (((), 24), (("-r", "-1"), 48), (("--resolution=-1",), 48)):
+        code, _, _ = gscore("eval", folder, *options, "-o", tmp_path / "e", "--quiet")
+        views = json.loads((tmp_path / "e" / "metrics.json").read_text())["views"]
+        assert code == 0 and {view["width"] for view in views} == {width}
+
+
+def test_what_is_no_measurement_of_this_run_is_not_replaced(gscore, run_folder, tmp_path, capture):
+    """Oracle: the files of others as they were, one sentence each."""
+    folder, other = run_folder(), tmp_path / "other"
+    shutil.copytree(folder, other)
+    theirs = tmp_path / "theirs"
+    theirs.mkdir()
+    (theirs / "metrics.json").write_text('{"accuracy": 1}')
+    before = {p: p.read_bytes() for p in (*other.iterdir(), *theirs.iterdir())}
+    for place, words in (
+        (other, "is the folder of another run"),
+        (theirs, "metrics.json was not written by gscore"),
+        (capture, "is the capture itself"),
+        (capture / "images", "is the folder of the photos"),
+    ):
+        code, _, err = gscore("eval", folder, "-o", place, "--quiet")
+        assert code == 2 and words in err and err.count("\n") == 1
+    assert {p: p.read_bytes() for p in (*other.iterdir(), *theirs.iterdir())} == before

@@ -9,6 +9,7 @@ import pytest
 
 from gscore.io.images import write_png
 from gscore.io.ply import write_splats
+from gscore.io.sequences import SequenceIndex, write_sequence
 
 
 def test_capture(gscore, capture, ring):
@@ -153,3 +154,12 @@ def test_inverted_masks_in_every_verb(gscore, capture, cameras, tmp_path, monkey
         "--iterations", "9",
     )  # fmt: skip
     assert code == 2 and "other" in err
+
+
+def test_a_sequence_is_judged_inside_its_masks(gscore, tmp_path):
+    """Oracle: the figure that `gscore.judged_psnr` gives, under the name that runs give it."""
+    frame = {"frame": 0, "folder": "frame_000000", "split": "test", "psnr": 30.0}
+    frame |= {"psnr_masked": 22.5, "ssim": 0.9}
+    write_sequence(tmp_path, SequenceIndex(options={}, frames=[frame], mean={}), version="1")
+    _, out, _ = gscore("info", tmp_path)
+    assert "test views: PSNR inside the masks 22.50 dB (30.00 dB with" in out

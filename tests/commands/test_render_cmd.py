@@ -288,3 +288,16 @@ def test_names_of_pictures_stay_inside_and_apart():
     assert still_names(["../../etc/x.jpg", "/abs/y.jpg", "C:\\z.jpg"]) == ["etc/x", "abs/y", "C_/z"]
     odd = still_names(["", "..", "a.b.jpg", "same", "same"])
     assert len(set(odd)) == 5 and all(name and ".." not in name.split("/") for name in odd)
+
+
+@pytest.mark.parametrize("where", ["{photos}", "{photos}/a_0.png", "{capture}"])
+@pytest.mark.parametrize("given", [[], ["-s", "{capture}"]])
+def test_photos_are_never_replaced(gscore, run_folder, capture, where, given):
+    """Oracle: the photos, which have the names of the views."""
+    folder, photos = run_folder(), capture / "images"
+    before = {p: p.read_bytes() for p in capture.rglob("*.*") if p.is_file()}
+    names = {"photos": photos, "capture": capture}
+    line = [word.format(**names) for word in (*given, "-o", where, "--view", "0")]
+    code, _, err = gscore("render", folder, *line, "--quiet")
+    assert code == 2 and "where results would mix with" in err
+    assert {p: p.read_bytes() for p in capture.rglob("*.*") if p.is_file()} == before

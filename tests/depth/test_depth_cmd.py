@@ -327,3 +327,15 @@ def test_checking_writes_nothing(planes, gscore):
     code, out, _ = gscore("depth", planes.folder, "--check")
     assert code == 0 and "nothing was written" in out and result["why"] in out
     assert gscore("depth", planes.folder, "--check", "--overwrite")[0] == 2
+
+
+@pytest.mark.parametrize("folder", ["images", "", ".", "images/../images"])
+def test_photos_are_never_replaced_by_maps(planes, networks, gscore, tmp_path, folder):
+    """Oracle: the photos, which have the names of the maps."""
+    before = {p: p.read_bytes() for p in planes.folder.rglob("*.*") if p.is_file()}
+    model = _network(networks, "midas", tmp_path)
+    code, _, err = gscore(
+        "depth", planes.folder, "--model", model, "-d", folder, "--overwrite", "--quiet"
+    )
+    assert code == 2 and "where results would mix with" in err
+    assert {p: p.read_bytes() for p in planes.folder.rglob("*.*") if p.is_file()} == before

@@ -191,7 +191,7 @@ def test_where_pixels_are_ignored_those_that_count_come_first(run):
     content["metrics"] |= {"psnr_masked": 25.4321, "mask_mode": "ignore"}
     content["views"][0].numbers["psnr_masked"] = 25.25
     words = Page(report_html(content)).words
-    first = words.index("PSNR in the masks")
+    first = words.index("PSNR inside the masks")
     assert words[first + 1] == "25.43" and first < words.index("PSNR")
     assert "25.25" in words and "masked-out pixels as equal" in words
 

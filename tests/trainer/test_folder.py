@@ -9,8 +9,10 @@ from pathlib import Path
 
 import pytest
 
+from gscore.config import DataConfig, TrainConfig
+from gscore.config_file import config_json
 from gscore.errors import ConfigError, GsError
-from gscore.io.runs import RUN_LOCK
+from gscore.io.runs import RUN_LOCK, clear_run, others_in_run, remove_results
 from gscore.trainer import folder as folder_module
 from gscore.trainer.folder import open_folder
 
@@ -32,27 +34,191 @@ def test_a_new_folder_is_made_and_removed_if_nothing_was_written(tmp_path: Path)
 
 def test_another_run_is_refused_and_untouched(tmp_path: Path) -> None:
     """Oracle: the message names what was found and both ways out; every file is as before."""
-    (tmp_path / "metrics.json").write_text("old")
+    a_run(tmp_path, "metrics.json")
+    found = r"holds another run \(config.json, metrics.json\).*--resume.*--overw"
     with (
-        pytest.raises(ConfigError, match=r"holds another run \(metrics.json\).*--resume.*--overw"),
+        pytest.raises(ConfigError, match=found),
         open_folder(tmp_path, resume=False, overwrite=False),
     ):
         pass
-    assert names(tmp_path) == {"metrics.json"}
-    assert (tmp_path / "metrics.json").read_text() == "old"
+    assert names(tmp_path) == {"config.json", "metrics.json"}
+    assert (tmp_path / "metrics.json").read_text() == "x"
 
 
-def test_foreign_files_are_no_run_and_survive_overwriting(tmp_path: Path) -> None:
-    """Oracle: clear removes what a run writes and nothing else."""
-    (tmp_path / "holiday.jpg").write_text("keep")
-    (tmp_path / "checkpoints").mkdir()
+OURS = (
+    "cfg_args",
+    "cameras.json",
+    "point_cloud.ply",
+    "metrics.json",
+    "report.html",
+    "checkpoints/step_00000120.safetensors",
+    "checkpoints/step_123456789.safetensors",
+    "checkpoints/step_00000100.safetensors.damaged",
+    "point_cloud/iteration_70/point_cloud.ply",
+    "previews/step_000070.png",
+    "snapshots/step_000070.ply",
+)
+THEIRS = (
+    "holiday.jpg",
+    "scene.blend",
+    "metrics.json.old",
+    "checkpoints/best.safetensors",
+    "checkpoints/step_00000120.safetensors.bak",
+    "checkpoints/old/step_00000120.safetensors",
+    "point_cloud/notes.txt",
+    "point_cloud/iteration_70/cleaned.ply",
+    "previews/holiday.jpg",
+    "previews/step_000070_edited.png",
+    "snapshots/step_nice.ply",
+    "snapshots/.hidden",
+)
+
+
+def a_run(path: Path, *others: str) -> None:
+    """Files as a run leaves them, and others."""
+    text = config_json(DataConfig(source=path / "capture"), TrainConfig())
+    (path / "config.json").write_text(text)
+    for name in others:
+        (path / name).parent.mkdir(parents=True, exist_ok=True)
+        (path / name).write_text("x")
+
+
+def test_overwriting_takes_what_runs_write_and_nothing_else(tmp_path: Path) -> None:
+    """Oracle: two lists made by hand; the second is told, and survives twice."""
+    a_run(tmp_path, *OURS, *THEIRS)
+    shown = {name for name in THEIRS if not name.startswith(".")}
+    assert set(others_in_run(tmp_path)) == shown
+    for _ in range(2):
+        with open_folder(tmp_path, resume=False, overwrite=True) as folder:
+            folder.clear()
+        left = {p.relative_to(tmp_path).as_posix() for p in tmp_path.rglob("*") if p.is_file()}
+        assert left == set(THEIRS)
+
+
+def test_folders_of_a_run_go_with_their_last_file(tmp_path: Path) -> None:
+    """Oracle: an empty folder."""
+    a_run(tmp_path, *OURS)
     with open_folder(tmp_path, resume=False, overwrite=True) as folder:
-        folder.write_text("config.json", "{}")
         folder.clear()
-    assert names(tmp_path) == {"holiday.jpg"}
+    assert names(tmp_path) == set()
+
+
+def test_a_folder_of_the_users_is_no_run(tmp_path: Path) -> None:
+    """Oracle: photos in a folder called previews do not stop a first run there."""
+    (tmp_path / "previews").mkdir()
+    (tmp_path / "previews" / "holiday.jpg").write_text("keep")
     with open_folder(tmp_path, resume=False, overwrite=False):
         pass
-    assert names(tmp_path) == {"holiday.jpg"}
+    assert names(tmp_path) == {"previews", "holiday.jpg"}
+
+
+@pytest.mark.parametrize("config", [None, "{}", "[]", '{"data": {}, "train": {}}', "[" * 100_000])
+def test_what_another_program_wrote_is_never_overwritten(
+    tmp_path: Path, config: str | None
+) -> None:
+    """Oracle: the layout of the 3DGS trainer, which has no config.json, and other config.jsons."""
+    theirs = ("cfg_args", "cameras.json", "point_cloud/iteration_30000/point_cloud.ply")
+    a_run(tmp_path, *theirs)
+    (tmp_path / "config.json").unlink()
+    if config is not None:
+        (tmp_path / "config.json").write_text(config)
+    before = names(tmp_path)
+    for overwrite in (False, True):
+        with (
+            pytest.raises(ConfigError, match=r"no config\.json by gscore, so they may be some"),
+            open_folder(tmp_path, resume=False, overwrite=overwrite),
+        ):
+            pass
+    clear_run(tmp_path)
+    assert names(tmp_path) == before
+
+
+def test_clearing_that_is_cut_short_can_be_repeated(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: a kill after each number of files; the rest is still known to be a run."""
+    for count in range(len(OURS) + 1):
+        path = tmp_path / str(count)
+        path.mkdir()
+        a_run(path, *OURS)
+        real, left = Path.unlink, [count]
+
+        def unlink(self: Path, missing_ok: bool = False) -> None:
+            left[0] -= 1  # noqa: B023
+            if left[0] < 0:  # noqa: B023
+                raise KeyboardInterrupt
+            real(self, missing_ok)  # noqa: B023
+
+        with monkeypatch.context() as patch:
+            patch.setattr(Path, "unlink", unlink)
+            with pytest.raises(KeyboardInterrupt):
+                remove_results(path)
+        remove_results(path)
+        assert names(path) == set()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links take rights there")
+def test_a_linked_folder_is_refused(tmp_path: Path) -> None:
+    """Oracle: a link to a folder that another run uses too; its files stay."""
+    run, elsewhere = tmp_path / "run", tmp_path / "elsewhere"
+    run.mkdir()
+    elsewhere.mkdir()
+    (elsewhere / "step_00000001.safetensors").write_text("x")
+    a_run(run)
+    (run / "checkpoints").symlink_to(elsewhere)
+    with (
+        pytest.raises(ConfigError, match="checkpoints is a link"),
+        open_folder(run, resume=False, overwrite=True),
+    ):
+        pass
+    assert names(elsewhere) == {"step_00000001.safetensors"}
+
+
+@pytest.mark.parametrize(
+    ("place", "words"),
+    [
+        ("/", "is the root folder"),
+        ("~", "is your home folder"),
+        ("capture", "is the capture itself"),
+        ("capture/images/../images", "is the folder of the photos"),
+        ("capture/masks", "is the folder of the masks"),
+        ("capture/maps", "is the folder of the depth maps"),
+        ("link", "is the capture itself"),
+        ("file", "is a file"),
+        ("/dev/null", "is a file"),
+    ],
+)
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_places_that_are_not_for_results(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str, words: str, overwrite: bool
+) -> None:
+    """Oracle: one sentence, and the same files as before."""
+    home = tmp_path / "home"
+    for folder in (home, tmp_path / "capture" / "images"):
+        folder.mkdir(parents=True)
+    (tmp_path / "file").write_text("x")
+    (tmp_path / "link").symlink_to(tmp_path / "capture")
+    monkeypatch.setenv("HOME", str(home))
+    monkeypatch.chdir(tmp_path)
+    before = names(tmp_path)
+    data = DataConfig(source=tmp_path / "capture", depths="maps")
+    with (
+        pytest.raises(ConfigError, match=words),
+        open_folder(Path(place).expanduser(), resume=False, overwrite=overwrite, data=data),
+    ):
+        pass
+    assert names(tmp_path) == before
+
+
+def test_a_sequence_is_no_single_run(tmp_path: Path) -> None:
+    """Oracle: neither takes the place of the other."""
+    a_run(tmp_path)
+    (tmp_path / "sequence.json").write_text("{}")
+    with (
+        pytest.raises(ConfigError, match="holds a sequence"),
+        open_folder(tmp_path, resume=False, overwrite=True),
+    ):
+        pass
 
 
 def test_two_runs_at_once_are_refused(tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from gscore.datasets.frames import SequenceFrame, choose_frames, find_frames
 from gscore.errors import Cancelled, ConfigError, DatasetError, FormatError
 from gscore.events import Done, Event, FrameStarted, SequenceDone, Started, from_line
 from gscore.io.colmap import read_model, write_model
+from gscore.io.images import read_image, write_png
 from gscore.io.ply import read_splats
 from gscore.io.sequences import read_sequence
 from gscore.trainer import Control
@@ -318,3 +319,53 @@ def test_flags_have_the_defaults_of_the_options() -> None:
     args = parser.parse_args(["in", "-o", "out"])
     for field in fields(SequenceOptions):
         assert getattr(args, field.name) is None
+
+
+def test_overwriting_a_sequence_spares_what_is_not_of_it(frames: Path, tmp_path: Path) -> None:
+    """Oracle: a user's files beside the frames and in one, and a frame that gscore did not make."""
+    out = tmp_path / "out"
+    options = SequenceOptions(frames="0,5", next_iterations=2)
+    config, data = replace(CONFIG, iterations=3), DataConfig(source=frames)
+    train_sequence(config, data, out, options=options)
+    kept = ("frame_notes/config.json", "cut.blend", "frame_000000/previews/holiday.jpg")
+    for name in kept:
+        (out / name).parent.mkdir(parents=True, exist_ok=True)
+        (out / name).write_text("x")
+    train_sequence(config, data, out, options=options, overwrite=True)
+    assert [(out / name).read_text() for name in kept] == ["x"] * 3
+    (out / "frame_000005" / "config.json").write_text("{}")
+    with pytest.raises(ConfigError, match=r"frame_000005 holds .* no config\.json by gscore"):
+        train_sequence(config, data, out, options=options, overwrite=True)
+    assert (out / "frame_000000" / "point_cloud.ply").is_file(), "nothing was removed before"
+
+
+def test_a_sequence_takes_no_place_of_a_run_or_the_capture(frames: Path, tmp_path: Path) -> None:
+    """Oracle: the files of both."""
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / "point_cloud.ply").write_text("x")
+    for place, words in ((run, "holds a run of its own"), (frames, "is the capture itself")):
+        before = sorted(p for p in place.rglob("*"))
+        with pytest.raises(ConfigError, match=words):
+            train_sequence(CONFIG, DataConfig(source=frames), place, overwrite=True)
+        assert sorted(p for p in place.rglob("*")) == before
+
+
+def test_frames_with_masks_are_judged_inside_them(
+    frames: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Oracle: psnr_masked of the frame's own metrics.json, in the list, the mean and the words."""
+    capture = frames / "000000"
+    (capture / "masks").mkdir()
+    for photo in sorted((capture / "images").iterdir()):
+        mask = np.zeros(read_image(photo).shape[:2], np.uint8)
+        mask[:, ::2] = 255
+        write_png(capture / "masks" / photo.name, mask)
+    out = tmp_path / "out"
+    line = ["sequence", str(frames), "-o", str(out), "--frames", "0", "--iterations", "3"]
+    assert main([*line, "--max-splats", "200"]) == 0
+    own = json.loads((out / "frame_000000" / "metrics.json").read_text())["psnr_masked"]
+    index = read_sequence(out)
+    assert index is not None
+    assert index.frames[0]["psnr_masked"] == index.mean["psnr_masked"] == own
+    assert f"PSNR inside the masks {own:.2f} dB" in capsys.readouterr().out

@@ -108,7 +108,11 @@ def test_ctrl_c_outside_of_training(
 
 @pytest.mark.parametrize(
     ("quiet", "events", "err"),
-    [(False, None, "Stopped before the first step.\n"), (True, None, ""), (False, "jsonl", "")],
+    [
+        (False, None, "Stopped before the first step; nothing was written.\n"),
+        (True, None, ""),
+        (False, "jsonl", ""),
+    ],
 )
 def test_stopped_before_there_was_anything(
     quiet: bool, events: str | None, err: str, capsys: pytest.CaptureFixture[str]
@@ -118,10 +122,10 @@ def test_stopped_before_there_was_anything(
     def work(show: Any, control: Any) -> None:
         raise Cancelled("while reading")
 
-    result, _ = attend(argparse.Namespace(quiet=quiet, events=events), work)
+    result, code = attend(argparse.Namespace(quiet=quiet, events=events), work)
     told = capsys.readouterr()
-    assert (result, told.err) == (None, err)
-    assert ("Stopped before the first step." in told.out) == bool(events)
+    assert (result, code, told.err) == (None, 3, err)
+    assert ("Stopped before the first step; nothing was written." in told.out) == bool(events)
 
 
 def test_help_is_a_verb_too(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,5 +1,6 @@
 """Options and their files; oracle: equality after a round trip, messages that name the fault."""
 
+import argparse
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -7,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from gscore.commands.data_options import add_data_options, with_data_options
 from gscore.config import PRESETS, Background, DataConfig, Strategy, TrainConfig
 from gscore.config_file import config_json, differences, from_dict, load_config, to_dict
 from gscore.errors import ConfigError
@@ -138,3 +140,14 @@ def test_to_dict_holds_json_values_only() -> None:
     """Oracle: the standard library's encoder, in its strict form."""
     json.dumps(to_dict(ODD), allow_nan=False)
     json.dumps(to_dict(DataConfig(source=Path("a"))), allow_nan=False)
+
+
+def test_minus_one_is_as_is_under_every_preset() -> None:
+    """Oracle: the 1600 px that 3DGS takes photos as they are up to; a preset's own where nothing is
+    said."""
+    parser = argparse.ArgumentParser()
+    add_data_options(parser)
+    for make in PRESETS.values():
+        data, _ = make(Path("in"))
+        assert with_data_options(data, parser.parse_args(["-r", "-1"])).max_width == 1600
+        assert with_data_options(data, parser.parse_args([])) == data

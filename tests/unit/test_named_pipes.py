@@ -21,8 +21,8 @@ from gscore.io.colmap_binary import count_images
 from gscore.io.exr_header import check_exr_size
 from gscore.io.files import read_bytes
 from gscore.io.images import read_image, read_info, read_mask
+from gscore.io.metrics_file import read_metrics
 from gscore.io.ply import is_antialiased, read_splats
-from gscore.io.runs import read_metrics
 from gscore.trainer import checkpoint
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="named pipes in folders are POSIX's")

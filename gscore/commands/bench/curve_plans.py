@@ -109,5 +109,5 @@ def _value(text: str, now: Any) -> Any:
         return text == "on"
     try:
         return json.loads(text)
-    except ValueError:
+    except (ValueError, RecursionError):
         return text

@@ -7,9 +7,10 @@ from collections import deque
 from pathlib import Path
 
 from ...bench.time_error import Curve, measure_variant
-from ...config import PRESETS, Skip
+from ...config import PRESETS, DataConfig, Skip
+from ...io.places import check_place
 from ...words import number
-from ..output import check_folder
+from ..output import check_folder, check_ours
 from ..status import Status
 from .curve_figures import draw, table
 from .curve_plans import Plan, plans_of
@@ -46,6 +47,9 @@ def run(args: argparse.Namespace) -> int:
     args.seeds = list(dict.fromkeys(args.seeds))
     check_sweeps(args)
     check_folder(args.output)
+    for source in args.sources:
+        check_place(args.output, DataConfig(source=source))
+    check_ours(args.output / "results.json")
     plans = deque(plans_of(args))
     results = Results(args)
     while plans:

@@ -1,0 +1,102 @@
+"""metrics.json read back: what a disk or an editor may have made of it is checked first."""
+
+import json
+import math
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from ..errors import DatasetError
+from .files import read_bytes
+
+_LARGEST = 1 << 53
+"""Larger numbers are none that gscore writes, and some are no floats."""
+
+
+def read_metrics(path: Path) -> dict[str, Any]:
+    """The metrics.json that a training or an evaluation left in a folder.
+
+    Returns:
+        Its content without what has another type than gscore gives it; empty where it is missing,
+        broken or no regular file. `metrics_problem` tells.
+    """
+    return _read(path)[0]
+
+
+def metrics_problem(path: Path) -> str:
+    """A sentence about what `read_metrics` left out of the metrics.json of a folder, if it did."""
+    return _read(path)[1]
+
+
+def _read(path: Path) -> tuple[dict[str, Any], str]:
+    file = path / "metrics.json"
+    again = f"`gscore eval {path}` measures again."
+    try:
+        content = json.loads(read_bytes(file))
+    except (DatasetError, ValueError, RecursionError):
+        return {}, f"{file} is damaged; {again}" if file.exists() else ""
+    if not isinstance(content, dict):
+        return {}, f"{file} is damaged: an object was expected; {again}"
+    odd = [key for key, value in content.items() if not _is_sound(key, value)]
+    sound = {key: value for key, value in content.items() if key not in odd}
+    names = ", ".join(key[:40] for key in odd[:3]) + (" and others" if len(odd) > 3 else "")
+    return sound, f"{file} is damaged: {names} cannot be; {again}" if odd else ""
+
+
+def is_number(value: Any) -> bool:
+    """Whether it is a number that can be reckoned with; True and False are none."""
+    return (
+        isinstance(value, int | float)
+        and not isinstance(value, bool)
+        and -_LARGEST <= value <= _LARGEST
+        and math.isfinite(value)
+    )
+
+
+def _is_sound(key: str, value: Any) -> bool:
+    kind = next((kind for names, kind in _KEYS if names.fullmatch(key)), None)
+    return kind is None or value is None or kind(value)
+
+
+def _is_text(value: Any) -> bool:
+    return isinstance(value, str)
+
+
+def _is_whole(value: Any) -> bool:
+    return isinstance(value, int) and is_number(value)
+
+
+def _is_object(value: Any) -> bool:
+    return isinstance(value, dict)
+
+
+def _are_texts(value: Any) -> bool:
+    return isinstance(value, list) and all(map(_is_text, value))
+
+
+def _are_objects(value: Any) -> bool:
+    return isinstance(value, list) and all(map(_is_object, value))
+
+
+def _are_rows(value: Any) -> bool:
+    """A list of objects of numbers, as curves are."""
+    return _are_objects(value) and all(
+        number is None or is_number(number) for row in value for number in row.values()
+    )
+
+
+_Kind = Callable[[Any], bool]
+_KEYS: tuple[tuple[re.Pattern[str], _Kind], ...] = tuple(
+    (re.compile(names), kind)
+    for names, kind in (
+        (r"split|reason|mask_mode|gscore|lpips_net|\w+_reason", _is_text),
+        (r"psnr\w*|ssim\w*|d_ssim|ms_ssim|lpips\w*|fps|train_seconds", is_number),
+        (r"steps|splats|sh_degree|storage_bytes|peak_memory_bytes", _is_whole),
+        (r"train_views|test_views", _are_texts),
+        (r"history|evals", _are_rows),
+        (r"views", _are_objects),
+        (r"machine|depth", _is_object),
+    )
+)
+"""What the keys of metrics.json hold where they are not null; the first that fits counts."""

@@ -1,0 +1,138 @@
+"""JSON that gscore reads back, damaged by hand; oracle: code 0 or 2 and sentences, no traceback."""
+
+import json
+
+import pytest
+
+from gscore.io.metrics_file import metrics_problem, read_metrics
+from gscore.io.runs import read_run
+from gscore.io.sequences import write_sequence
+from gscore.trainer.sequence import SequenceIndex, SequenceOptions, asdict
+
+ODD = (
+    "NaN",
+    "-Infinity",
+    "1e999",
+    "1" + "0" * 400,
+    "true",
+    '"high"',
+    '"\\ud800"',
+    "[]",
+    "[[1], null]",
+    '[{"step": "x"}]',
+    "{}",
+    '{"views": [1]}',
+    "null",
+)
+WHOLE = ("", "{", "[]", "3", "null", '"text"', "[" * 100_000, '{"psnr":' * 100_000, "\xff", "NaN")
+
+
+def _assert_said(result, code=(0, 2)):
+    found, out, err = result
+    assert found in code, err
+    assert "Traceback" not in err + out
+    return out, err
+
+
+@pytest.fixture
+def measured(gscore, run_folder):
+    """A run with all keys that a metrics.json has."""
+    folder = run_folder()
+    path = folder / "metrics.json"
+    before = json.loads(path.read_text())
+    assert gscore("eval", folder, "--quiet")[0] == 0
+    full = json.loads(path.read_text()) | {"psnr_masked": 20.0, "reason": "finished", "depth": {}}
+    assert before.keys() <= full.keys()
+    return folder, full
+
+
+@pytest.mark.parametrize("value", ODD)
+def test_a_metrics_json_with_an_odd_value_is_a_sentence(gscore, measured, value):
+    """Oracle: every key in turn; what shows runs reads the rest, and says what cannot be."""
+    folder, full = measured
+    told = 0
+    for key in full:
+        text = json.dumps(full | {key: "@"}).replace('"@"', value)
+        (folder / "metrics.json").write_text(text)
+        out, _ = _assert_said(gscore("info", folder), (0,))
+        _assert_said(gscore("info", folder, "--json"), (0,))
+        assert read_run(folder) is not None
+        told += f"metrics.json is damaged: {key} cannot be; `gscore eval" in out
+        assert key not in read_metrics(folder) or not metrics_problem(folder)
+    assert told >= (0 if value == "null" else 8)
+
+
+@pytest.mark.parametrize("content", WHOLE)
+def test_a_metrics_json_that_is_none_is_a_sentence(gscore, measured, content, tmp_path):
+    """Oracle: what reads it, and measuring, which replaces it."""
+    folder, _ = measured
+    (folder / "metrics.json").write_bytes(content.encode("latin-1"))
+    out, _ = _assert_said(gscore("info", folder), (0,))
+    assert "metrics.json is damaged" in out
+    _assert_said(gscore("render", folder, "--test", "-o", tmp_path / "r"), (2,))
+    _, err = _assert_said(gscore("eval", folder), (0,))
+    assert "metrics.json is damaged" in err
+    assert metrics_problem(folder) == ""
+
+
+@pytest.mark.parametrize("value", ODD)
+def test_a_metrics_json_with_odd_values_goes_through_all_verbs(gscore, measured, value, tmp_path):
+    """Oracle: all values odd at once."""
+    folder, full = measured
+    text = json.dumps(dict.fromkeys(full, "@")).replace('"@"', value)
+    for arguments in (
+        ("render", folder, "--test", "-o", tmp_path / "r", "-r", "8"),
+        ("train", "-o", folder, "--resume", "--quiet"),
+        ("train", "-o", folder, "--overwrite", "--quiet"),
+        ("eval", folder, "--quiet"),
+    ):
+        (folder / "metrics.json").write_text(text)
+        _assert_said(gscore(*arguments))
+
+
+@pytest.mark.parametrize("value", [*ODD, "-1", "5"])
+def test_a_config_json_with_an_odd_value_is_a_sentence(gscore, run_folder, value, tmp_path):
+    """Oracle: every option in turn, and both sections."""
+    folder = run_folder()
+    path = folder / "config.json"
+    full = json.loads(path.read_text())
+    cases = [(full | {section: "@"}) for section in ("data", "train")]
+    for section in ("data", "train"):
+        cases += [full | {section: full[section] | {key: "@"}} for key in full[section]]
+    for case in cases:
+        path.write_text(json.dumps(case).replace('"@"', value))
+        _assert_said(gscore("eval", folder, "-o", tmp_path / "e", "--quiet"))
+
+
+@pytest.mark.parametrize("name", ["config.json", "cameras.json", "sequence.json"])
+@pytest.mark.parametrize("content", WHOLE)
+def test_files_that_are_none_are_a_sentence(gscore, run_folder, name, content, tmp_path):
+    """Oracle: code 2 of the verb that needs the file."""
+    folder = run_folder()
+    (folder / name).write_bytes(content.encode("latin-1"))
+    if name == "sequence.json":
+        _assert_said(gscore("info", folder), (2,))
+        _assert_said(gscore("sequence", "-o", folder, "--resume"), (2,))
+        _assert_said(gscore("sequence", "x", "-o", folder, "--overwrite"), (2,))
+    else:
+        _assert_said(gscore("render", folder, "-o", tmp_path / "r"), (2,))
+
+
+@pytest.mark.parametrize("value", ODD)
+def test_a_sequence_json_with_an_odd_value_is_a_sentence(gscore, tmp_path, value):
+    """Oracle: every key of options, frames and means in turn."""
+    frame = {"frame": 0, "folder": "frame_000000", "start": None, "splats": 5, "steps": 3}
+    frame |= {"train_seconds": 1.0, "split": "test", "psnr": 20.0, "ssim": 0.5, "lpips": None}
+    mean = {"psnr": 20.0, "ssim": 0.5, "train_seconds": 1.0, "frames": 1, "frames_total": 2}
+    index = SequenceIndex(options=asdict(SequenceOptions()), frames=[frame], mean=mean)
+    write_sequence(tmp_path, index, version="1")
+    good = (tmp_path / "sequence.json").read_text()
+    assert "1 of 2 frames" in gscore("info", tmp_path)[1]
+    for key in (*index.options, *frame, *mean):
+        content = json.loads(good)
+        for part in (content["options"], content["frames"][0], content["mean"]):
+            if key in part:
+                part[key] = "@"
+        (tmp_path / "sequence.json").write_text(json.dumps(content).replace('"@"', value))
+        _assert_said(gscore("info", tmp_path))
+        _assert_said(gscore("sequence", "nothing", "-o", tmp_path, "--resume"), (2,))

@@ -1,0 +1,200 @@
+"""How a run ends when somebody ends it; oracle: exit codes, sentences, files that can be read."""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gscore.events import Failed, from_line
+from gscore.io.ply import read_splats
+from gscore.trainer import checkpoint
+from gscore.trainer.folder import RunFolder
+
+pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals and shells of POSIX")
+SHORT = ["--iterations", "12", "--max-splats", "200", "--sh-degree", "0"]
+LONG = ["--iterations", "10000000", "--max-splats", "200", "--checkpoint-seconds", "0.2"]
+
+
+def command(capture: Path, out: Path, *options: str) -> list[str]:
+    return [sys.executable, "-m", "gscore", "train", str(capture), "-o", str(out), *options]
+
+
+@pytest.fixture
+def begin() -> Iterator[Callable[..., subprocess.Popen]]:
+    """`start(arguments, **options)`: a process, gone when the test is over."""
+    made: list[subprocess.Popen] = []
+
+    def start(arguments: list[str], **options: Any) -> subprocess.Popen:
+        pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        made.append(subprocess.Popen(arguments, text=True, **pipes | options))
+        return made[-1]
+
+    yield start
+    for process in made:
+        process.kill()
+        process.communicate()
+
+
+def is_training(process: subprocess.Popen, out: Path) -> None:
+    """Wait until there is a checkpoint after the first step."""
+    while process.poll() is None and len(RunFolder(out).checkpoints()) < 2:
+        time.sleep(0.02)
+    assert process.poll() is None
+
+
+@pytest.mark.parametrize(
+    ("number", "code"),
+    [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129), (signal.SIGPIPE, 141)],
+)
+def test_every_signal_leaves_a_checkpoint(
+    capture: Path, tmp_path: Path, begin: Callable[..., subprocess.Popen], number: int, code: int
+) -> None:
+    """Oracle: 128 + the signal, results and a checkpoint of the last step; twice is as once where
+    nobody pressed a key."""
+    process = begin(command(capture, tmp_path, *LONG))
+    is_training(process, tmp_path)
+    process.send_signal(number)
+    if number != signal.SIGINT:
+        time.sleep(0.02)
+        process.send_signal(number)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == code
+    assert "Traceback" not in err
+    assert "--resume" in out
+    assert checkpoint.load(RunFolder(tmp_path).checkpoints()[-1]).steps > 0
+    assert (tmp_path / "metrics.json").is_file()
+
+
+def test_a_second_ctrl_c_ends_at_once(
+    capture: Path, tmp_path: Path, begin: Callable[..., subprocess.Popen]
+) -> None:
+    """Oracle: both sentences and nothing else after the progress; the checkpoints are whole. The
+    steps take a second, so that the second key comes while the first is not yet obeyed."""
+    code = (
+        "import sys, time; from gscore.__main__ import main\n"
+        "from gscore.trainer.trainer import Trainer; real = Trainer.step\n"
+        "Trainer.step = lambda self: (time.sleep(1), real(self))[1]; sys.exit(main())"
+    )
+    process = begin([sys.executable, "-c", code, *command(capture, tmp_path, *LONG)[3:]])
+    is_training(process, tmp_path)
+    for _ in range(2):
+        process.send_signal(signal.SIGINT)
+        time.sleep(0.1)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert err.splitlines()[-2:] == [
+        "Stopping in good order; Ctrl-C stops at once.",
+        "Stopped at once. What was written before is whole.",
+    ]
+    assert all(checkpoint.load(path) for path in RunFolder(tmp_path).checkpoints())
+
+
+@pytest.mark.parametrize("runs", [4, pytest.param(30, marks=pytest.mark.slow)])
+def test_ctrl_c_at_any_moment(
+    capture: Path, tmp_path: Path, begin: Callable[..., subprocess.Popen], runs: int
+) -> None:
+    """Oracle: no traceback, and nothing torn, for one to three keys at random moments from the
+    start of the interpreter on: imports, reading, checkpoints, evaluation, report."""
+    chance = random.Random(runs)
+    options = ["--iterations", "60", "--max-splats", "200", "--checkpoint-seconds", "0.05"]
+    began = time.monotonic()
+    begin(command(capture, tmp_path / "whole", *options)).communicate(timeout=60)
+    usual = time.monotonic() - began
+    for run in range(runs):
+        out = tmp_path / str(run)
+        process = begin(command(capture, out, *options))
+        time.sleep(0.15 + chance.uniform(0, usual))
+        for _ in range(chance.randint(1, 3)):
+            process.send_signal(signal.SIGINT)
+            time.sleep(chance.choice([0.001, 0.02, 0.3]))
+        _, err = process.communicate(timeout=60)
+        assert process.returncode in (0, 130), err
+        assert not any(word in err for word in ("Traceback", "Exception", "rror")), err
+        assert all(checkpoint.load(path) for path in RunFolder(out).checkpoints())
+        if (out / "point_cloud.ply").exists():
+            read_splats(out / "point_cloud.ply")
+
+
+@pytest.mark.parametrize(
+    ("closed", "more"),
+    [(">&-", ["--json"]), ("2>&-", []), ("<&- >&- 2>&-", ["--events", "jsonl"])],
+)
+def test_streams_that_are_closed_from_the_start_are_not_missed(
+    capture: Path, tmp_path: Path, closed: str, more: list[str]
+) -> None:
+    """Oracle: the whole run, code 0, and nothing of its text in its files."""
+    line = " ".join(f"'{word}'" for word in command(capture, tmp_path, *SHORT, *more))
+    ended = subprocess.run(["sh", "-c", f"{line} {closed}"], capture_output=True, text=True)
+    assert (ended.returncode, "Traceback" in ended.stderr) == (0, False)
+    assert (tmp_path / "report.html").is_file()
+    assert checkpoint.load(RunFolder(tmp_path).checkpoints()[-1]).steps == 12
+
+
+@pytest.mark.parametrize("stream", ["stdout", "stderr"])
+def test_a_reader_that_goes_away_ends_a_run_with_a_checkpoint(
+    capture: Path, tmp_path: Path, begin: Callable[..., subprocess.Popen], stream: str
+) -> None:
+    """Oracle: 141, what shells give for a closed pipe, and a run that can go on."""
+    events = ["--events", "jsonl"] if stream == "stdout" else []
+    process = begin(command(capture, tmp_path, *LONG, *events))
+    is_training(process, tmp_path)
+    getattr(process, stream).close()
+    other = process.stderr if stream == "stdout" else process.stdout
+    assert other is not None
+    # A progress line for people comes every ten seconds.
+    assert process.wait(timeout=60) == 141
+    assert "Traceback" not in other.read()
+    assert checkpoint.load(RunFolder(tmp_path).checkpoints()[-1]).steps > 0
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_output_onto_a_full_disk_is_told_and_loses_nothing(capture: Path, tmp_path: Path) -> None:
+    """Oracle: the summary cannot be written: the results are there, a sentence, code 2."""
+    with Path("/dev/full").open("w") as full:
+        ended = subprocess.run(
+            command(capture, tmp_path, *SHORT),
+            stdin=subprocess.DEVNULL,
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+    assert ended.returncode == 2
+    last = ended.stderr.splitlines()[-1]
+    assert last.startswith("gscore: error: Cannot write the output: the disk is full.")
+    assert (tmp_path / "metrics.json").is_file()
+
+
+def test_a_stop_before_the_first_step_has_a_code_of_its_own(
+    capture: Path, tmp_path: Path, begin: Callable[..., subprocess.Popen]
+) -> None:
+    """Oracle: 3, an event that says so, and no folder."""
+    process = begin(
+        command(capture, tmp_path / "out", *LONG, "--events", "jsonl"), stdin=subprocess.PIPE
+    )
+    out, _ = process.communicate("stop\n", timeout=60)
+    last = from_line(out.splitlines()[-1])
+    assert process.returncode == 3
+    assert isinstance(last, Failed)
+    assert last.message == "Stopped before the first step; nothing was written."
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_hangup_that_is_ignored_stays_so(capture: Path, tmp_path: Path) -> None:
+    """Oracle: a run under nohup goes to its end."""
+    code = (
+        "import os, signal, sys; signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
+        "from gscore.__main__ import main; from gscore.trainer.trainer import Trainer\n"
+        "real = Trainer.step\n"
+        "Trainer.step = lambda self: (os.kill(os.getpid(), signal.SIGHUP), real(self))[1]\n"
+        "sys.exit(main())"
+    )
+    arguments = command(capture, tmp_path, *SHORT, "--quiet")[3:]
+    ended = subprocess.run([sys.executable, "-c", code, *arguments], stdin=subprocess.DEVNULL)
+    assert ended.returncode == 0

@@ -1,0 +1,63 @@
+"""Streams that never fail; oracle: streams of Python over pipes and devices."""
+
+import errno
+import io
+import os
+import sys
+from pathlib import Path
+
+import pytest
+
+from gscore.commands.interrupt import Interrupt
+from gscore.commands.streams import Steady, steady_streams
+
+
+def test_a_closed_pipe_is_told_once_and_then_silent() -> None:
+    """Oracle: EPIPE of the system; the number of the stream leads to the null device after it."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    told: list[int | None] = []
+    with os.fdopen(writer, "w") as stream:
+        steady = Steady(stream, lambda error: told.append(error.errno))
+        for _ in range(3):
+            print("x" * 100_000, file=steady, flush=True)
+        assert told == [errno.EPIPE]
+        assert os.fstat(writer).st_rdev == Path(os.devnull).stat().st_rdev
+
+
+@pytest.mark.parametrize(
+    ("number", "code"), [(errno.EPIPE, 141), (errno.EIO, 129), (errno.ENOSPC, 2)]
+)
+def test_what_was_lost_has_a_code(
+    number: int, code: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Oracle: the codes of the documentation; a sentence where a disk is full."""
+
+    class Broken(io.StringIO):
+        def write(self, text: str) -> int:
+            raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(sys, "stdout", Broken())
+    interrupt = Interrupt()
+    with steady_streams("gscore", interrupt.output_lost):
+        sys.stdout.write("hello")
+        sys.stdout.write("again")
+    assert interrupt.exit_code == code
+    assert capsys.readouterr().err.count("the disk is full") == (number == errno.ENOSPC)
+
+
+def test_letters_that_a_stream_lacks_are_spelled_out() -> None:
+    """Oracle: Python's own escapes."""
+    raw = io.BytesIO()
+    stream = io.TextIOWrapper(raw, encoding="latin-1")
+    steady = Steady(stream, lambda error: pytest.fail(str(error)))
+    print("é\u2192\ud800", file=steady, flush=True)
+    assert raw.getvalue() == b"\xe9\\u2192\\ud800\n"
+
+
+def test_the_streams_are_back_afterwards() -> None:
+    """Oracle: the objects that were there."""
+    before = sys.stdout, sys.stderr
+    with steady_streams("gscore", lambda code: None):
+        assert isinstance(sys.stdout, Steady)
+    assert (sys.stdout, sys.stderr) == before
