@@ -12,7 +12,7 @@ from ..io.sequences import SEQUENCE_FILE
 from ..words import count_words, quality_words
 from . import train as train_command
 from .attend import Show, attend
-from .output import print_json
+from .output import others_in, print_json
 from .status import wrapped
 
 if TYPE_CHECKING:

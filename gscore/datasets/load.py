@@ -114,7 +114,7 @@ def _copies(views: list[View], cancelled: Callable[[], bool]) -> list[str]:
         return []
     named = [f"{views[copy].name} of {views[first].name}" for first, copy in pairs]
     return [
-        f"{len(pairs)} photos are copies of others: {listing(named, 3)}. Copies count twice, and a "
+        f"{count_words(len(pairs), 'photo is a copy', 'photos are copies')} of others: {listing(named, 3)}. Copies count twice, and a "
         f"test view that is a copy of a training view is no test; remove them."
     ]
 
@@ -131,7 +131,7 @@ def _flipped(views: list[View], infos: list[ImageInfo], upright: list[bool]) -> 
     if not unsure:
         return []
     return [
-        f"EXIF asks to turn {len(unsure)} photos that are used as they are stored, as COLMAP does: "
+        f"EXIF asks to turn {count_words(len(unsure), 'photo that is', 'photos that are')} used as stored, as COLMAP does: "
         f"{listing(unsure)}. If the cameras were made from turned photos, save the photos turned."
     ]
 
@@ -161,7 +161,7 @@ def _cut_off(views: list[View], files: list[ViewFile]) -> list[str]:
         return []
     most, worst = max(cut, key=lambda pair: pair[0])
     return [
-        f"The distortion of {len(cut)} photos folds back at their rim, so up to {100 * most:.0f} % "
+        f"The distortion of {count_words(len(cut), 'photo')} folds back at the rim, so up to {100 * most:.0f} % "
         f"of them are left out ({worst.name}, {worst.camera.model} "
         f"{worst.camera.params.tolist()}). COLMAP with a simpler camera model may keep more."
     ]

@@ -12,6 +12,7 @@ from typing import Any
 
 from ..errors import DatasetError, FormatError, GsError
 from ..extras import need
+from ..words import count_words, number
 from .files import check_regular
 from .image_header import read_header
 from .whole_pictures import why_cut_short
@@ -84,7 +85,7 @@ def opened(path: Path) -> Iterator[Any]:
         ) from error
     except pil.DecompressionBombError as error:
         stated = _STATED.search(str(error))
-        raise too_large(path, f"{int(stated[1]):,} pixels" if stated else "more") from error
+        raise too_large(path, count_words(int(stated[1]), "pixel") if stated else "more") from error
     except MemoryError as error:
         raise FormatError(
             f"{path} does not fit into memory. Close programs, or scale the photos down."
@@ -118,7 +119,7 @@ def check_size(path: Path, width: int, height: int) -> None:
 def too_large(path: Path, stated: str) -> FormatError:
     """The sentence for a header that states more than is read."""
     return FormatError(
-        f"{path} states a size of {stated}, but pictures of more than {MOST_PIXELS:,} pixels are "
+        f"{path} states a size of {stated}, but pictures of more than {number(MOST_PIXELS)} pixels are "
         f"not read. Scale the photos down, or copy this one again if it is damaged."
     )
 
