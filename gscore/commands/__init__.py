@@ -16,6 +16,7 @@ from importlib import import_module
 from .._version import __version__
 from ..errors import GsError
 from ..extras import how_to_install, missing
+from ..shown import quoted, shown
 from .parser import Parser, nearest, sentence
 from .status import beginning, wrapped
 
@@ -46,6 +47,8 @@ _DISK_ERRORS = {
     errno.EROFS: "the file system is read-only; choose another output",
     errno.EACCES: "permission denied; check the rights or choose another path",
     errno.EPERM: "the operation is not permitted; check the rights or choose another path",
+    errno.ENAMETOOLONG: "the name is too long for the file system; choose a shorter one",
+    errno.ELOOP: "its links lead in a circle; choose another path",
 }
 
 
@@ -64,7 +67,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if verb not in VERBS:
         guess = nearest(verb, [*VERBS, "help"])
         hint = f"did you mean `gscore {guess}`?" if guess else f"verbs: {', '.join(VERBS)}."
-        return _complain("gscore", f"there is no verb {verb!r}; {hint}")
+        return _complain("gscore", f"there is no verb {quoted(verb)}; {hint}")
     return _guarded(f"gscore {verb}", verb, rest)
 
 
@@ -111,7 +114,7 @@ def _guarded(prog: str, verb: str, arguments: list[str]) -> int:
         reason = _DISK_ERRORS.get(error.errno or 0)
         if reason is None:
             return _internal(prog)
-        return _complain(prog, f"{error.filename or 'output'}: {reason}.")
+        return _complain(prog, f"{shown(error.filename or 'output')}: {reason}.")
     except Exception:
         return _internal(prog)
 

@@ -1,7 +1,6 @@
 """The folder a training left behind, read without torch: how far it is, and what may be removed."""
 
 import contextlib
-import json
 import math
 import re
 import shutil
@@ -13,6 +12,7 @@ from ..config import DataConfig, TrainConfig
 from ..config_file import load_config
 from ..errors import ConfigError, DatasetError
 from ..events import CONVERGED, FINISHED, TARGET, judged_psnr
+from ..json_text import parse_json
 from .files import read_bytes
 
 RUN_LOCK = ".gscore.lock"
@@ -119,8 +119,8 @@ def read_metrics(path: Path) -> dict[str, Any]:
         Its content; empty where it is missing, broken or no regular file.
     """
     try:
-        content = json.loads(read_bytes(path / "metrics.json"))
-    except (DatasetError, ValueError, RecursionError):
+        content = parse_json(read_bytes(path / "metrics.json"))
+    except (DatasetError, ValueError):
         return {}
     return content if isinstance(content, dict) else {}
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import IO
 
 from ..errors import ConfigError, GsError
-from ..io.files import atomic_write, reason, shown
+from ..io.files import atomic_write, reason
 from ..io.runs import (
     RUN_LOCK,
     checkpoint_path,
@@ -20,6 +20,8 @@ from ..io.runs import (
     remove_results,
     results_in,
 )
+from ..json_text import parse_json
+from ..shown import shown
 
 _FAR = 1 << 20
 
@@ -145,7 +147,7 @@ def _in_use(path: Path, file: IO[str]) -> GsError:
     file.seek(0)
     holder = ""
     with contextlib.suppress(ValueError, KeyError, TypeError, RecursionError):
-        holder = f" (process {json.loads(file.read())['pid']})"
+        holder = f" (process {parse_json(file.read())['pid']})"
     return GsError(
         f"{path} is in use by another training{holder}; wait for it, stop it, or choose "
         "another output folder."
