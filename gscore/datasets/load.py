@@ -8,7 +8,7 @@ import numpy as np
 from ..config import DataConfig
 from ..errors import Cancelled, DatasetError
 from ..io.images import ImageInfo, read_info
-from ..scene import FARTHEST, Cameras, PointCloud, Scene
+from ..scene import FARTHEST, Cameras, PointCloud, Scene, within_reach
 from ..words import count_words, number
 from .capture import View, listing
 from .dataset import Dataset
@@ -167,7 +167,7 @@ def _points(
     cancelled: Callable[[], bool],
 ) -> PointCloud:
     """The capture's points mended: in bounds, at least some, coloured."""
-    usable = np.array((np.abs(points.points) <= FARTHEST).all(axis=1))  # NaN is not
+    usable = within_reach(points.points)
     if not usable.any():
         warnings.append(
             f"The capture has no {'usable ' if len(usable) else ''}points; starting from "
