@@ -11,9 +11,11 @@ import numpy as np
 
 from ..errors import DatasetError, FormatError, ShapeError
 from ..extras import need
+from ..shown import shown
 from .files import atomic_write, check_regular
 from .image_header import ImageInfo, read_header
 
+_PIXELS_A_STRIP = 1 << 20
 IMAGE_ENDINGS = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp", ".tga")
 """Endings tried where a name has none or names a file of another kind, lower case."""
 
@@ -63,10 +65,7 @@ def read_image(path: str | Path, *, upright: bool = False) -> np.ndarray:
                 from PIL import ImageOps
 
                 image = ImageOps.exif_transpose(image)
-            if image.mode.startswith("I"):
-                grey = _bytes_of_16_bit(np.asarray(image))
-                return np.repeat(grey[..., None], 3, axis=2)
-            return np.array(image.convert("RGBA" if has_alpha else "RGB"))
+            return _pixels(image, "RGBA" if has_alpha else "RGB")
         except BROKEN as error:
             raise _broken(path, error) from error
 
@@ -244,11 +243,26 @@ def _open(path: Path) -> Any:
 
 
 def _broken(path: Path, error: Exception) -> FormatError:
-    reason = (str(error) or type(error).__name__).rstrip(".")
+    reason = shown(str(error) or type(error).__name__).rstrip(".")
     return FormatError(
         f"{path} cannot be read as an image: {reason}. Copy the photo again, or remove it from the "
         f"capture."
     )
+
+
+def _pixels(image: Any, mode: str) -> np.ndarray:
+    """[H, W, 3 or 4] uint8 of a decoded image, strip after strip: as a whole it would be
+    there three times more, in Pillow's four bytes a pixel and as bytes on their way to numpy."""
+    width, height = image.size
+    out = np.empty((height, width, len(mode)), np.uint8)
+    rows = max(1, _PIXELS_A_STRIP // width)
+    for top in range(0, height, rows):
+        strip = image.crop((0, top, width, min(top + rows, height)))
+        if image.mode.startswith("I"):
+            out[top : top + rows] = _bytes_of_16_bit(np.asarray(strip))[..., None]
+        else:
+            out[top : top + rows] = np.asarray(strip.convert(mode))
+    return out
 
 
 def _bytes_of_16_bit(values: np.ndarray) -> np.ndarray:
