@@ -110,7 +110,7 @@ def estimate(
     def needed(splats: int, pixels: int) -> int:
         return training_bytes(splats=splats, sh_degree=config.sh_degree, pixels=pixels, lpips=lpips)
 
-    stay, at_start = point_bytes(points if cloud is None else cloud)
+    stay, at_start = point_bytes(points if cloud is None else cloud, splats=config.max_splats)
     rest = maps + stay + max(needed(config.max_splats, largest), at_start)
     anew = decoded_anew(config, photos, views=len(sizes), rest=rest)
     held = photo_bytes(photos, config, anew=anew)

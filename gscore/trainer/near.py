@@ -8,6 +8,11 @@ _LEAF = 64
 """Points of a leaf of that tree."""
 
 
+def few_asked(points: int, asked: int) -> bool:
+    """Whether the tree is made in a hurry, and smaller, because few places are asked for."""
+    return _MANY * asked < points
+
+
 class Nearest:
     """Points of surfaces, and a tree of them that is made when it is first needed: for millions of
     points the dearest thing before the first step, in time and, with 40 bytes a point, in memory.
@@ -23,7 +28,7 @@ class Nearest:
         finite = np.isfinite(points).all(axis=1)
         self.points = points if finite.all() else points[finite]
         """[P, 3], those that are finite."""
-        self._hurry = asked is not None and _MANY * asked < len(self.points)
+        self._hurry = asked is not None and few_asked(len(self.points), asked)
         self._tree = None
 
     def __len__(self) -> int:
