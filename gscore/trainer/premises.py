@@ -7,8 +7,8 @@ import numpy as np
 from ..datasets.capture import listing
 from ..errors import DatasetError
 from ..io.ply import is_antialiased
-from ..words import count_words, number
 from ..scene import distances
+from ..words import count_words, number
 from .trainer import Trainer
 
 _FAR_FROM_ORIGIN = 1e4
