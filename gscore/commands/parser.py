@@ -6,6 +6,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from typing import Any, NoReturn
 
+from ..shown import quoted
 from .status import wrapped
 
 _REQUIRED = "the following arguments are required: "
@@ -89,7 +90,9 @@ class Parser(argparse.ArgumentParser):
         meant = _MEANT.get(str(value))
         guess = meant if meant in choices else nearest(str(value), choices)
         hint = f"did you mean {guess}? There are" if guess else "there are"
-        raise argparse.ArgumentError(action, f"there is no {value!r}; {hint}: {', '.join(choices)}")
+        raise argparse.ArgumentError(
+            action, f"there is no {quoted(value)}; {hint}: {', '.join(choices)}"
+        )
 
 
 def nearest(word: str, known: Sequence[str]) -> str:
