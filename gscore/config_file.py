@@ -12,6 +12,8 @@ from typing import Any, TypeVar, cast, get_args, get_type_hints
 from ._version import __version__
 from .config import DataConfig, TrainConfig
 from .errors import ConfigError
+from .json_text import parse_json
+from .shown import quoted
 
 ConfigT = TypeVar("ConfigT", DataConfig, TrainConfig)
 AnyT = TypeVar("AnyT")
@@ -40,8 +42,8 @@ def from_dict(cls: type[AnyT], data: Any, *, where: str) -> AnyT:
     for name, value in data.items():
         if name not in hints:
             guess = difflib.get_close_matches(name, hints, n=1)
-            hint = f" Did you mean {guess[0]!r}?" if guess else ""
-            raise ConfigError(f"{where}: there is no option {name!r}.{hint}")
+            hint = f" Did you mean {quoted(guess[0])}?" if guess else ""
+            raise ConfigError(f"{where}: there is no option {quoted(name)}.{hint}")
         values[name] = _from_json(value, hints[name], f"{where}: {name}")
     try:
         return cast("Any", cls)(**values)
@@ -70,12 +72,12 @@ def load_config(path: Path) -> tuple[DataConfig, TrainConfig]:
     try:
         if path.exists() and not path.is_file():  # opening a named pipe would wait for its writer
             raise ConfigError(f"{path}: a config file was expected, and this is none.")
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = parse_json(path.read_bytes())
     except FileNotFoundError:
         raise ConfigError(f"{path}: there is no such config file.") from None
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror or error}).") from None
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         raise ConfigError(f"{path}: not a JSON config file ({error}).") from None
     if not isinstance(content, dict) or not {"data", "train"} <= content.keys():
         raise ConfigError(f"{path}: expected an object with 'data' and 'train', as runs write it.")
@@ -126,7 +128,9 @@ def _from_json(value: Any, kind: Any, where: str) -> Any:
         try:
             return kind(value)
         except ValueError:
-            raise ConfigError(f"{where} must be one of {', '.join(kind)}, got {value!r}.") from None
+            raise ConfigError(
+                f"{where} must be one of {', '.join(kind)}, got {quoted(value)}."
+            ) from None
     if kind is float and isinstance(value, int | float) and not isinstance(value, bool):
         try:
             return float(value)
@@ -135,4 +139,4 @@ def _from_json(value: Any, kind: Any, where: str) -> Any:
     if kind in (int, bool, str) and type(value) is kind:
         return value
     name = "list of numbers" if options else getattr(kind, "__name__", str(kind)).lower()
-    raise ConfigError(f"{where} must be a {name}, got {value!r}.")
+    raise ConfigError(f"{where} must be a {name}, got {quoted(value)}.")

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, ClassVar
 
+from .json_text import parse_json
+
 FINISHED, TARGET, CONVERGED = "finished", "target", "converged"
 """All steps were taken; a PSNR that was asked for was reached; the PSNR no longer rose."""
 ENDED = (FINISHED, TARGET, CONVERGED)
@@ -275,8 +277,8 @@ def to_line(event: Event) -> str:
 def from_line(line: str) -> Event | None:
     """The event in `line`, or None for a line that is no event (other programs print too)."""
     try:
-        data = json.loads(line)
-    except (ValueError, RecursionError):
+        data = parse_json(line)
+    except ValueError:
         return None
     if not isinstance(data, dict):
         return None

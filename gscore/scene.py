@@ -1,5 +1,6 @@
 """Cameras and points of a capture, in COLMAP world, float64."""
 
+import hashlib
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -20,6 +21,29 @@ def is_focal(focal: float, width: float, height: float) -> bool:
     """Whether a lens may have a focal length, in pixels, for such a picture; NaN is none."""
     side = max(width, height)
     return FOCAL_RANGE[0] * side <= focal <= FOCAL_RANGE[1] * side
+
+
+_BLOCK = 1 << 16
+"""Points that are computed with together: no second copy of millions of them is made."""
+
+
+def within_reach(points: np.ndarray) -> np.ndarray:
+    """[P] bool: which of the points [P, 3] are finite and no farther than `FARTHEST`."""
+    good = np.empty(len(points), bool)
+    for at in range(0, len(points), _BLOCK):
+        part = slice(at, at + _BLOCK)
+        good[part] = (np.abs(points[part]) <= FARTHEST).all(axis=1)  # NaN is not
+    return good
+
+
+def distances(points: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """[P] float64: how far the points [P, 3] are from a place [3]; infinite beyond float64."""
+    found = np.empty(len(points))
+    with np.errstate(over="ignore"):
+        for at in range(0, len(points), _BLOCK):
+            part = slice(at, at + _BLOCK)
+            found[part] = np.linalg.norm(points[part] - place, axis=1)
+    return found
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,6 +97,12 @@ class PointCloud:
 
     def __len__(self) -> int:
         return len(self.points)
+
+    def content_hash(self) -> str:
+        """Short hash of positions and colours."""
+        digest = hashlib.sha256(np.ascontiguousarray(self.points).data)
+        digest.update(np.ascontiguousarray(self.colors).data)
+        return digest.hexdigest()[:16]
 
     @classmethod
     def none(cls) -> "PointCloud":

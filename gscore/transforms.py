@@ -137,7 +137,9 @@ class Similarity:
 
     def points_to_training(self, points: np.ndarray) -> np.ndarray:
         """World points [..., 3] in training units, float64."""
-        return (np.asarray(points, np.float64) - self.shift) * self.scale
+        moved = np.asarray(points, np.float64) - self.shift
+        moved *= self.scale
+        return moved
 
     def points_from_training(self, points: np.ndarray) -> np.ndarray:
         """Training points [..., 3] in world units, float64."""

@@ -17,6 +17,8 @@ BOTTOM = {
     "_version",
     "splats",
     "scene",
+    "shown",
+    "json_text",
     "config",
     "config_command",
     "config_file",

@@ -1,12 +1,13 @@
 """Curves of other programs, from the small JSON that docs/benchmarks.md describes."""
 
-import json
 import math
 from pathlib import Path
 from typing import Any
 
 from ..errors import FormatError
 from ..io.files import read_bytes
+from ..json_text import parse_json
+from ..shown import quoted, shown
 from .time_error import Curve
 from .training import Point
 
@@ -22,17 +23,17 @@ def read_peers(path: Path) -> tuple[str, list[Curve]]:
         FormatError: not such a file; says which value is missing or wrong.
     """
     try:
-        content = json.loads(read_bytes(path))
+        content = parse_json(read_bytes(path))
         curves = [_curve(entry, f"curve {i}") for i, entry in enumerate(_list(content, "curves"))]
         return str(content["capture"]), curves
     except KeyError as error:
-        raise FormatError(f"{path}: the value {error} is missing.") from error
+        raise FormatError(f"{path}: the value {shown(error)} is missing.") from error
     except (AttributeError, TypeError, ValueError, RecursionError) as error:
-        raise FormatError(f"{path}: not a file of curves ({error}).") from error
+        raise FormatError(f"{path}: not a file of curves ({shown(error)}).") from error
 
 
 def _curve(entry: dict[str, Any], where: str) -> Curve:
-    where = f"{where}, {entry['label']!r}"
+    where = f"{where}, {quoted(entry['label'])}"
     seeds = [
         [_point(point, f"{where}, seed {i}, point {j}") for j, point in enumerate(points)]
         for i, points in enumerate(_list(entry, "seeds", where))
@@ -76,11 +77,11 @@ def _list(content: dict[str, Any], name: str, where: str = "") -> list[Any]:
 def _count(value: Any, name: str, *, least: int = 0) -> int:
     number = _number(value, name, least=least)
     if number != int(number):
-        raise ValueError(f"{name} must be a whole number, got {value!r}")
+        raise ValueError(f"{name} must be a whole number, got {quoted(value)}")
     return int(number)
 
 
 def _number(value: Any, name: str, *, least: float = 0, most: float = 1e12) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not least <= value <= most:
-        raise ValueError(f"{name} must be a number from {least:g} to {most:g}, got {value!r:.40}")
+        raise ValueError(f"{name} must be a number from {least:g} to {most:g}, got {quoted(value)}")
     return float(value)

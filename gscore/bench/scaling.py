@@ -1,7 +1,6 @@
 """How cost grows with splats, pixels, threads and views: each point in a process of its own, and
 the straight line through the points."""
 
-import json
 import shutil
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..io.ply import write_splats
+from ..json_text import parse_json
 from .child import run_child
 from .synthetic import SyntheticPhotos
 
@@ -137,6 +137,6 @@ def _views(folder: Path, counts: Sequence[int], cloud: int, steps: int) -> Itera
 
 def _measure(options: list[str]) -> dict[str, Any]:
     command = ["-m", "gscore", "bench", "step", "--json", *options]
-    row = json.loads(run_child(command, what="measures a step"))
+    row = parse_json(run_child(command, what="measures a step"))
     del row["machine"]  # the same for all
     return row

@@ -18,7 +18,7 @@ from importlib import import_module
 from .._version import __version__
 from ..errors import GsError
 from ..extras import how_to_install, missing
-from ..io.files import shown
+from ..shown import quoted, shown
 from .interrupt import Interrupt, interrupts
 from .parser import Parser, nearest, sentence
 from .status import beginning, wrapped
@@ -77,7 +77,7 @@ def _main(arguments: list[str], interrupt: Interrupt) -> int:
     if verb not in VERBS:
         guess = nearest(verb, [*VERBS, "help"])
         hint = f"did you mean `gscore {guess}`?" if guess else f"verbs: {', '.join(VERBS)}."
-        return _complain("gscore", f"there is no verb {verb!r}; {hint}")
+        return _complain("gscore", f"there is no verb {quoted(verb)}; {hint}")
     return _guarded(f"gscore {verb}", verb, rest, interrupt)
 
 
@@ -125,7 +125,7 @@ def _failure(prog: str, error: BaseException) -> int:
         case MemoryError():
             return _complain(prog, "out of memory; try fewer splats or smaller pictures.")
         case OSError() if (why := _DISK_ERRORS.get(error.errno or 0)) is not None:
-            return _complain(prog, f"{shown(str(error.filename or 'output'))}: {why}.")
+            return _complain(prog, f"{shown(error.filename or 'output')}: {why}.")
     return _internal(prog, error)
 
 

@@ -166,7 +166,7 @@ def _colmap_facts(path: Path) -> dict[str, Any] | None:
         folder, _ = find_model(path)
     except DatasetError:
         return None
-    model = read_model(folder)
+    model = read_model(folder, observations=lambda points: False)
     errors = model.points.error[model.points.error >= 0]
     return {
         "path": str(folder),

@@ -8,7 +8,8 @@ from typing import Any
 
 from ..errors import ConfigError
 from ..events import strict_json
-from ..io.files import reason, shown
+from ..io.files import reason
+from ..shown import shown
 
 
 def print_json(content: Any) -> None:

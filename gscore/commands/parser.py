@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
+from ..shown import quoted
 from .status import wrapped
 
 _REQUIRED = "the following arguments are required: "
@@ -90,7 +91,9 @@ class Parser(argparse.ArgumentParser):
         meant = _MEANT.get(str(value))
         guess = meant if meant in choices else nearest(str(value), choices)
         hint = f"did you mean {guess}? There are" if guess else "there are"
-        raise argparse.ArgumentError(action, f"there is no {value!r}; {hint}: {', '.join(choices)}")
+        raise argparse.ArgumentError(
+            action, f"there is no {quoted(value)}; {hint}: {', '.join(choices)}"
+        )
 
     def _get_values(self, action: argparse.Action, arg_strings: list[str]) -> Any:
         """As argparse does, but an error of its own where a value is no value: `--x=--` ends in a

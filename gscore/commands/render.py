@@ -18,6 +18,7 @@ from ..io.places import check_apart, check_place
 from ..raster.api import Rendered
 from ..raster.api import render as render_view
 from ..scene import Cameras
+from ..shown import quoted
 from ..words import count_words
 from .model import Model, add_model_argument, model_path, open_model
 from .output import check_folder, others_in, print_json
@@ -288,5 +289,5 @@ def _color(text: str) -> tuple[float, float, float]:
     except ValueError:
         values = ()
     if len(values) != 3 or not all(0 <= v <= 1 for v in values):
-        raise argparse.ArgumentTypeError(f"{text!r} is not black, white or r,g,b from 0 to 1")
+        raise argparse.ArgumentTypeError(f"{quoted(text)} is not black, white or r,g,b from 0 to 1")
     return values

@@ -1,5 +1,6 @@
 """What the readers of the different layouts hand to the common rest: views, points, split."""
 
+from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -7,6 +8,7 @@ import numpy as np
 
 from ..io.colmap_model import ColmapCamera
 from ..scene import PointCloud
+from ..shown import shown
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,7 +26,8 @@ class View:
     mask: Path | None = None
     """File of the mask that the capture states for this view."""
     seen: np.ndarray | None = None
-    """[M] int64, indices of the points observed in this view; None: unknown."""
+    """[M] int64, indices of the points observed in this view; None: unknown, or nobody asks,
+    because the points have colours."""
 
     def fits(self, width: int, height: int) -> bool:
         """Whether a photo of this size is the camera's up to one scale, within rounding."""
@@ -53,4 +56,9 @@ class Capture:
 
 def listing(names: list[str], most: int = 5) -> str:
     """The first few names for a message."""
-    return ", ".join(names[:most]) + (", ..." if len(names) > most else "")
+    return ", ".join(map(shown, names[:most])) + (", ..." if len(names) > most else "")
+
+
+def repeated(names: list[str]) -> list[str]:
+    """Names that are there more than once, sorted."""
+    return sorted(name for name, count in Counter(names).items() if count > 1)

@@ -1,13 +1,16 @@
 """A capture from a COLMAP model and a folder of photos."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ..config import DataConfig
 from ..errors import DatasetError
 from ..io.colmap import ColmapModel, read_model
-from ..scene import PointCloud
+from ..io.colmap_model import ColmapPoints, PointIndex
+from ..scene import PointCloud, within_reach
 from ..words import count_words
-from .capture import Capture, View, listing
+from .capture import Capture, View, listing, repeated
 from .folder import Folder
 
 
@@ -21,15 +24,14 @@ def read_colmap(config: DataConfig, *, photos_required: bool = True) -> Capture:
         DatasetError: there is no model, no image folder, or most photos are missing.
         FormatError: the model is corrupt.
     """
-    model = read_model(config.source)
+    model = read_model(config.source, observations=_all_black)
     if not model.images:
         raise DatasetError(
             f"The COLMAP model in {model.path} has no images. Run COLMAP's mapper again, with more "
             f"overlap between the photos."
         )
     names = [image.name for image in model.images]
-    twice = sorted({name for name in names if names.count(name) > 1}) if _repeats(names) else []
-    if twice:
+    if twice := repeated(names):
         raise DatasetError(
             f"The COLMAP model in {model.path} has several images of the same name: "
             f"{listing(twice)}. Export the model anew from COLMAP."
@@ -68,6 +70,7 @@ def read_colmap(config: DataConfig, *, photos_required: bool = True) -> Capture:
             f"used: {listing(renamed, 3)}."
         )
     seen = _observed(model)
+    points = PointCloud(points=model.points.xyz, colors=model.points.rgb)
     views = [
         View(
             name=image.name,
@@ -82,24 +85,20 @@ def read_colmap(config: DataConfig, *, photos_required: bool = True) -> Capture:
     return Capture(
         root=config.source,
         views=views,
-        points=PointCloud(points=model.points.xyz, colors=model.points.rgb),
+        points=points,
         warnings=tuple(warnings),
     )
 
 
-def _repeats(names: list[str]) -> bool:
-    return len(set(names)) != len(names)
+def _all_black(points: ColmapPoints) -> bool:
+    """Whether the points have to be coloured from the photos that show them: nothing else asks
+    what was observed."""
+    return not points.rgb[within_reach(points.xyz)].any()
 
 
-def _observed(model: ColmapModel) -> list[np.ndarray]:
-    """Indices of the points seen in each image, [M] int64."""
-    order = np.argsort(model.points.ids, kind="stable")
-    ids = model.points.ids[order]
-    out = []
-    for image in model.images:
-        wanted = image.point3D_ids[image.point3D_ids != -1]
-        at = np.searchsorted(ids, wanted)
-        hit = at < len(ids)
-        hit[hit] = ids[at[hit]] == wanted[hit]
-        out.append(np.unique(order[at[hit]]))
-    return out
+def _observed(model: ColmapModel) -> Sequence[np.ndarray | None]:
+    """Indices of the points seen in each image, [M] int64; None where that is not wanted."""
+    if not _all_black(model.points):
+        return [None] * len(model.images)
+    index = PointIndex(model.points)
+    return [np.unique(index.find(image.point3D_ids)[1]) for image in model.images]

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..errors import BackendError, Cancelled
 from ..scene import Scene
-from .decode import ViewFile, decode_view
+from .decode import DECODED_AT_ONCE, ViewFile, decode_view
 from .unchanged import Unchanged, changed
 
 T = TypeVar("T")
@@ -78,6 +78,13 @@ class Dataset:
     def nbytes(self) -> int:
         """Bytes that all photos and masks take once decoded; known before, an upper bound."""
         return sum(file.nbytes for file in self._files)
+
+    def decoding_bytes(self, threads: int = 0) -> int:
+        """Bytes that so many threads (0: one a core) take at most while they decode photos, besides
+        `nbytes`."""
+        most = max((file.decoding_bytes for file in self._files), default=0)
+        at_once = min(threads or os.cpu_count() or 1, DECODED_AT_ONCE // max(most, 1))
+        return most * max(at_once, 1)
 
     def content_hash(self) -> str:
         """Short hash of all photos and masks, read once; tells whether a capture changed.

@@ -1,13 +1,23 @@
 """One view decoded: photo and mask undistorted and scaled together, as bytes."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Condition
 
 import numpy as np
 
 from ..errors import FormatError, ShapeError
 from ..io.images import read_image, read_mask, reduce, resize, resize_map
 from .undistort import Undistortion
+
+DECODED_AT_ONCE = 1_000_000_000
+"""Bytes that photos may take while they are decoded, in all threads, unless one takes more."""
+_PIXEL, _PIXEL_WITH_ALPHA, _PIXEL_TO_UNDISTORT = 8, 5, 4
+"""Bytes for a pixel of the photo: four of Pillow and three of ours, and what else comes with it."""
+
+_ROWS_A_STRIP = 64
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,9 +47,45 @@ class ViewFile:
         channels = 4 if self.use_alpha or self.mask is not None else 3
         return self.size[0] * self.size[1] * channels
 
+    @property
+    def decoding_bytes(self) -> int:
+        """Bytes that `decode_view` takes at most, its result not counted."""
+        with_alpha = self.use_alpha or self.mask is not None
+        each = _PIXEL + (_PIXEL_WITH_ALPHA if with_alpha else 0)
+        if self.plan is not None:
+            factor = _factor(_undistorted_size(self, self.plan), self.size)
+            each += _PIXEL_TO_UNDISTORT / factor**2
+        return round(self.photo_size[0] * self.photo_size[1] * each)
+
+
+class _Room:
+    """Memory that several threads share: who wants some waits until it is there. What is larger
+    than all of it gets it alone."""
+
+    def __init__(self, size: int) -> None:
+        self._size, self._taken = size, 0
+        self._changed = Condition()
+
+    @contextmanager
+    def take(self, size: int) -> Iterator[None]:
+        """Have so many bytes for a while."""
+        with self._changed:
+            self._changed.wait_for(lambda: not self._taken or self._taken + size <= self._size)
+            self._taken += size
+        try:
+            yield
+        finally:
+            with self._changed:
+                self._taken -= size
+                self._changed.notify_all()
+
+
+_ROOM = _Room(DECODED_AT_ONCE)
+
 
 def decode_view(file: ViewFile) -> tuple[np.ndarray, np.ndarray | None]:
-    """Decode, undistort and scale one view.
+    """Decode, undistort and scale one view; several threads at a time as far as their photos take
+    `DECODED_AT_ONCE` bytes together.
 
     Returns:
         [H, W, 3] uint8 photo and [H, W] uint8 mask (255 = keep) or None, both contiguous.
@@ -48,6 +94,11 @@ def decode_view(file: ViewFile) -> tuple[np.ndarray, np.ndarray | None]:
         DatasetError: a file is missing.
         FormatError: a file is corrupt, or its size is no longer what it was.
     """
+    with _ROOM.take(file.decoding_bytes):
+        return _decode(file)
+
+
+def _decode(file: ViewFile) -> tuple[np.ndarray, np.ndarray | None]:
     photo = read_image(file.image, upright=file.upright)
     _check_size(file, file.image, photo)
     mask = None
@@ -118,11 +169,8 @@ def _fit(file: ViewFile, image: np.ndarray, *, nearest: bool = False) -> np.ndar
     if file.plan is not None:
         width, height = file.photo_size
         pixels = (width / file.plan.camera.width, height / file.plan.camera.height)
-        full = (file.plan.width * pixels[0], file.plan.height * pixels[1])
-        # Interpolation at twice the final size leaves no trace after scaling down, so large photos
-        # are first averaged by whole factors, many times cheaper. 0.05: sizes are rounded.
-        ratio = min(full[0] / file.size[0], full[1] / file.size[1])
-        factor = max(1, int(ratio / 2 + 0.05))
+        full = _undistorted_size(file, file.plan)
+        factor = _factor(full, file.size)
         size = (
             max(file.size[0], round(full[0] / factor)),
             max(file.size[1], round(full[1] / factor)),
@@ -136,12 +184,31 @@ def _fit(file: ViewFile, image: np.ndarray, *, nearest: bool = False) -> np.ndar
     return resize(image, *file.size)
 
 
+def _undistorted_size(file: ViewFile, plan: Undistortion) -> tuple[float, float]:
+    """Width and height of the undistorted photo, in pixels as large as the photo's."""
+    width, height = file.photo_size
+    return plan.width * (width / plan.camera.width), plan.height * (height / plan.camera.height)
+
+
+def _factor(full: tuple[float, float], size: tuple[int, int]) -> int:
+    """By what a photo is averaged before it is undistorted to `full` and scaled down to `size`.
+
+    Interpolation at twice the final size leaves no trace after scaling down, so large photos are
+    first averaged by whole factors, many times cheaper.
+    """
+    ratio = min(full[0] / size[0], full[1] / size[1])
+    return max(1, int(ratio / 2 + 0.05))  # 0.05: sizes are rounded
+
+
 def _fit_rgba(file: ViewFile, image: np.ndarray) -> np.ndarray:
     """`_fit` for colours with alpha: averaged premultiplied, so hidden colours do not bleed in."""
     if file.plan is None:
         return resize(image, *file.size)  # weighs by alpha itself
-    alpha = image[..., 3:].astype(np.uint16)
-    rgb = ((image[..., :3] * alpha + 127) // 255).astype(np.uint8)
+    rgb = np.empty((*image.shape[:2], 3), np.uint8)
+    for top in range(0, len(image), _ROWS_A_STRIP):
+        strip = image[top : top + _ROWS_A_STRIP]
+        alpha = strip[..., 3:].astype(np.uint16)
+        rgb[top : top + _ROWS_A_STRIP] = (strip[..., :3] * alpha + 127) // 255
     # Apart, because Pillow would weigh the colours of a four-channel image by alpha once more.
     rgb = _fit(file, rgb).astype(np.uint16)
     fitted = _fit(file, np.ascontiguousarray(image[..., 3]))

@@ -3,6 +3,7 @@
 import os
 from pathlib import Path, PurePosixPath
 
+from ..io.files import is_file
 from ..io.images import IMAGE_ENDINGS
 
 
@@ -30,7 +31,7 @@ class Folder:
         name = _clean(name)
         path = self.root / name
         # Asked of the disk first: files with unusual endings are not in the list.
-        if path.is_file():
+        if is_file(path):
             return path
         if name.lower() in self._files:
             return self.root / self._files[name.lower()]

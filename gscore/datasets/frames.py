@@ -9,6 +9,7 @@ from pathlib import Path
 from ..config import DataConfig
 from ..errors import ConfigError, DatasetError
 from ..io.colmap import has_model
+from ..shown import quoted
 from ..words import count_words
 from .capture import listing
 from .pku import find_video
@@ -96,8 +97,8 @@ def choose_frames(frames: list[SequenceFrame], wanted: str) -> list[SequenceFram
         match = re.fullmatch(r"\s*(\d*)\s*(?:(:)\s*(\d*)\s*(?::\s*(\d+))?)?\s*", part)
         if match is None or not part.strip() or match[4] == "0":
             raise ConfigError(
-                f"frames is {wanted!r}; expected numbers such as 0,5,12 or ranges such as 0:30 or "
-                f"0:30:5 (first, last, step)."
+                f"frames is {quoted(wanted)}; expected numbers such as 0,5,12 or ranges such as "
+                f"0:30 or 0:30:5 (first, last, step)."
             )
         if match[2] is None:
             picked = numbers & {int(match[1])}
@@ -131,8 +132,8 @@ def _from_pattern(data: DataConfig) -> list[SequenceFrame]:
         found = dict(_matches(data.source, shown))
     if not found:
         raise DatasetError(
-            f"Nothing fits {shown!r}{'' if '{' in source else f' in {source}'}; expected a folder "
-            f"for each frame with its number in place of the braces."
+            f"Nothing fits {quoted(shown)}{'' if '{' in source else f' in {source}'}; expected a "
+            f"folder for each frame with its number in place of the braces."
         )
     frames = []
     for number in sorted(found):
@@ -172,13 +173,17 @@ def _fields(pattern: str) -> list[tuple[str, str | None]]:
     try:
         parsed = list(string.Formatter().parse(pattern))
     except ValueError as error:
-        raise ConfigError(f"{pattern!r}: {error}. Write {{frame}} or {{frame:06d}}.") from error
+        raise ConfigError(
+            f"{quoted(pattern)}: {error}. Write {{frame}} or {{frame:06d}}."
+        ) from error
     for _, field, spec, conversion in parsed:
         good = field == "frame" and not conversion and re.fullmatch(r"(0?\d+)?d?", spec or "")
         if field is not None and not good:
-            raise ConfigError(f"{pattern!r}: expected {{frame}} or {{frame:06d}} in the braces.")
+            raise ConfigError(
+                f"{quoted(pattern)}: expected {{frame}} or {{frame:06d}} in the braces."
+            )
     if sum(field is not None for _, field, _, _ in parsed) > 1:
-        raise ConfigError(f"{pattern!r} holds the number twice in one name; once is enough.")
+        raise ConfigError(f"{quoted(pattern)} holds the number twice in one name; once is enough.")
     return [(text, None if field is None else spec or "") for text, field, spec, _ in parsed]
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from ..config import DataConfig
 from ..errors import Cancelled, DatasetError
 from ..io.images import ImageInfo, read_info
-from ..scene import FARTHEST, Cameras, PointCloud, Scene
+from ..scene import FARTHEST, Cameras, PointCloud, Scene, within_reach
 from ..words import count_words, number
 from .capture import View, listing
 from .copies import find_copies
@@ -114,8 +114,8 @@ def _copies(views: list[View], cancelled: Callable[[], bool]) -> list[str]:
         return []
     named = [f"{views[copy].name} of {views[first].name}" for first, copy in pairs]
     return [
-        f"{count_words(len(pairs), 'photo is a copy', 'photos are copies')} of others: {listing(named, 3)}. Copies count twice, and a "
-        f"test view that is a copy of a training view is no test; remove them."
+        f"{count_words(len(pairs), 'photo is a copy', 'photos are copies')} of others: "
+        f"{listing(named, 3)}. Copies count twice, and a test view that is a copy of a training view is no test; remove them."
     ]
 
 
@@ -131,8 +131,8 @@ def _flipped(views: list[View], infos: list[ImageInfo], upright: list[bool]) -> 
     if not unsure:
         return []
     return [
-        f"EXIF asks to turn {count_words(len(unsure), 'photo that is', 'photos that are')} used as stored, as COLMAP does: "
-        f"{listing(unsure)}. If the cameras were made from turned photos, save the photos turned."
+        f"EXIF asks to turn {count_words(len(unsure), 'photo that is', 'photos that are')} used as "
+        f"stored, as COLMAP does: {listing(unsure)}. If the cameras were made from turned photos, save the photos turned."
     ]
 
 
@@ -161,8 +161,8 @@ def _cut_off(views: list[View], files: list[ViewFile]) -> list[str]:
         return []
     most, worst = max(cut, key=lambda pair: pair[0])
     return [
-        f"The distortion of {count_words(len(cut), 'photo')} folds back at the rim, so up to {100 * most:.0f} % "
-        f"of them are left out ({worst.name}, {worst.camera.model} "
+        f"The distortion of {count_words(len(cut), 'photo')} folds back at the rim, so up to "
+        f"{100 * most:.0f} % of them are left out ({worst.name}, {worst.camera.model} "
         f"{worst.camera.params.tolist()}). COLMAP with a simpler camera model may keep more."
     ]
 
@@ -217,7 +217,7 @@ def _points(
     cancelled: Callable[[], bool],
 ) -> PointCloud:
     """The capture's points mended: in bounds, at least some, coloured."""
-    usable = np.array((np.abs(points.points) <= FARTHEST).all(axis=1))  # NaN is not
+    usable = within_reach(points.points)
     if not usable.any():
         warnings.append(
             f"The capture has no {'usable ' if len(usable) else ''}points; starting from "

@@ -7,6 +7,7 @@ from pathlib import Path
 from ..config import DataConfig
 from ..errors import Cancelled, ConfigError, DatasetError
 from ..io.images import ImageInfo, assumed_of_mask, read_image, read_info
+from ..shown import quoted
 from ..words import count_words, number
 from .capture import Capture, View, listing
 from .dataset import map_threads
@@ -63,7 +64,7 @@ def choose_masks(
     """
     if config.mask_mode not in MASK_MODES:
         raise ConfigError(
-            f"mask_mode is {config.mask_mode!r}, expected one of {', '.join(MASK_MODES)}."
+            f"mask_mode is {quoted(config.mask_mode)}, expected one of {', '.join(MASK_MODES)}."
         )
     none = MaskChoice(mode="none", files=[None] * len(views), use_alpha=[False] * len(views))
     if config.mask_mode == "none":

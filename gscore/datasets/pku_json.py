@@ -6,6 +6,7 @@ from typing import Any
 from ..config import DataConfig
 from ..errors import DatasetError, FormatError
 from ..scene import PointCloud
+from ..shown import quoted
 from ..transforms import invert_rigid, viewmat_from_opengl
 from ..words import number
 from .capture import Capture, View, listing
@@ -133,7 +134,7 @@ def _neus2_view(where: str, root: Path, data: dict[str, Any], entry: Any) -> Vie
 def _pixels(where: str, data: dict[str, Any], key: str) -> int:
     value = data.get(key)
     if isinstance(value, bool) or not isinstance(value, int | float) or not 1 <= value < 2**31:
-        raise FormatError(f"{where}: {key} is {value!r}, expected pixels. Export it again.")
+        raise FormatError(f"{where}: {key} is {quoted(value)}, expected pixels. Export it again.")
     return int(value)
 
 

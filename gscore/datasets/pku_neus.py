@@ -11,6 +11,7 @@ from ..errors import DatasetError, FormatError
 from ..io.images import read_info
 from ..io.npy import read_npy
 from ..scene import FARTHEST, PointCloud
+from ..shown import shown
 from ..words import count_words
 from .capture import Capture, View, listing
 from .pku_photos import by_camera, mattes, photo_folder
@@ -72,8 +73,8 @@ def _projections(path: Path) -> list[np.ndarray]:
             found = [_matrix(stored, f"world_mat_{i}.npy") for i in range(count)]
     except Exception as error:  # damaged archives raise some ten kinds
         raise FormatError(
-            f"{path} cannot be read as an npz with world_mat_0, world_mat_1, ...: {error}. Copy "
-            f"the frame again."
+            f"{path} cannot be read as an npz with world_mat_0, world_mat_1, ...: {shown(error)}. "
+            f"Copy the frame again."
         ) from error
     for i, matrix in enumerate(found):
         if matrix.shape not in ((3, 4), (4, 4)) or not (np.abs(matrix) <= FARTHEST).all():

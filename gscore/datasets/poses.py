@@ -7,6 +7,7 @@ import numpy as np
 from ..errors import FormatError
 from ..io.colmap_model import ColmapCamera
 from ..scene import FARTHEST, FOCAL_RANGE, is_focal
+from ..shown import quoted
 
 _SKEW = 1e-3
 """Of the focal length; what decomposing a float32 projection matrix leaves behind."""
@@ -24,7 +25,7 @@ def rigid_matrix(where: str, key: str, value: Any) -> np.ndarray:
     # Exporters round to 6 digits or so; more than 1e-2 off is a scaled or sheared camera.
     if not usable or np.abs(rotation.T @ rotation - np.eye(3)).max() > 1e-2:
         raise FormatError(
-            f"{where}: {key} is {value!r}, expected 4 x 4 numbers up to {FARTHEST:g}, a "
+            f"{where}: {key} is {quoted(value)}, expected 4 x 4 numbers up to {FARTHEST:g}, a "
             f"rotation and a position. Remove the scale from the cameras and export it again."
         )
     if np.linalg.det(rotation) < 0:
@@ -49,7 +50,7 @@ def pinhole_camera(where: str, key: str, value: Any, width: int, height: int) ->
     good = (np.abs(K) <= FARTHEST).all() and fx > 0 and fy > 0 and np.allclose(K[2], [0, 0, 1])
     if not (good and K[1, 0] == 0 and abs(skew) <= _SKEW * fx):
         raise FormatError(
-            f"{where}: {key} is {value!r}, expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in "
+            f"{where}: {key} is {quoted(value)}, expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in "
             f"pixels. Export the cameras again."
         )
     check_focal(f"{where}: {key}", (float(fx), float(fy)), width, height)

@@ -7,6 +7,7 @@ from ..config import DataConfig
 from ..errors import ConfigError, DatasetError
 from ..io.files import read_bytes
 from ..words import count_words
+from .capture import listing
 
 
 def split_views(
@@ -63,7 +64,7 @@ def split_views(
 def _listed(names: Sequence[str], path: Path) -> set[int]:
     """Indices of the views a text file names; folder and ending may be left out where unique."""
     try:
-        lines = read_bytes(path).decode("utf-8").splitlines()
+        lines = read_bytes(path).decode("utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
         raise DatasetError(
             f"{path} is not UTF-8 text. Give a text file with the name of a test view on each line."
@@ -81,7 +82,7 @@ def _listed(names: Sequence[str], path: Path) -> set[int]:
         raise DatasetError(
             f"{path} names {count_words(len(unknown), 'view')} that the capture does not have, or "
             "not only once: "
-            f"{', '.join(unknown[:5])}{', ...' if len(unknown) > 5 else ''}. Names look like "
+            f"{listing(unknown)}. Names look like "
             f"{names[0]}."
         )
     return {next(iter(lookup[name])) for name in wanted}

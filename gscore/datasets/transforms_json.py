@@ -1,6 +1,5 @@
 """Captures described by transforms.json: nerfstudio, Instant-NGP and the synthetic NeRF scenes."""
 
-import json
 import math
 from collections.abc import Callable
 from pathlib import Path, PurePosixPath
@@ -13,12 +12,14 @@ from ..errors import DatasetError, FormatError
 from ..io.camera_models import MODELS_BY_NAME
 from ..io.colmap import is_safe_name
 from ..io.colmap_model import ColmapCamera
-from ..io.files import read_bytes
+from ..io.files import LONGEST_NAME, is_file, read_bytes
 from ..io.images import IMAGE_ENDINGS, read_info
 from ..io.ply_points import read_point_cloud
+from ..json_text import parse_json
 from ..scene import FARTHEST, PointCloud
+from ..shown import quoted
 from ..transforms import viewmat_from_opengl
-from .capture import Capture, View, listing
+from .capture import Capture, View, listing, repeated
 from .poses import check_focal, rigid_matrix
 
 FILES = ("transforms.json", "transforms_train.json")
@@ -85,8 +86,7 @@ def read_transforms(config: DataConfig, *, photos_required: bool = True) -> Capt
             f"{listing(missing)}{rest}."
         )
     names = [view.name for view in views]
-    if len(set(names)) != len(names):
-        twice = sorted({name for name in names if names.count(name) > 1})
+    if twice := repeated(names):
         raise DatasetError(f"{path} lists images twice: {listing(twice)}. Export it again.")
     return Capture(
         root=root,
@@ -105,8 +105,8 @@ def load_transforms(path: Path) -> dict[str, Any]:
         FormatError: it is something else.
     """
     try:
-        data = json.loads(read_bytes(path))
-    except (ValueError, RecursionError) as error:
+        data = parse_json(read_bytes(path))
+    except ValueError as error:
         raise FormatError(f"{path} is not JSON: {error}. Copy or export it again.") from error
     if not isinstance(data, dict) or not isinstance(data.get("frames"), list):
         raise FormatError(f"{path} must hold an object with a list `frames`. Export it again.")
@@ -170,8 +170,9 @@ def inside(where: str, key: str, value: Any) -> str:
     """`value` as a relative path that stays inside the folder of the file, or FormatError."""
     if not isinstance(value, str) or not is_safe_name(value):
         raise FormatError(
-            f"{where}: {key} is {value!r}, expected a path inside the folder of the file, without "
-            f"'..' and not absolute. Move the photos below it and export it again."
+            f"{where}: {key} is {quoted(value)}, expected a path inside the folder of the file, "
+            f"without '..', not absolute and with names of {LONGEST_NAME} bytes at most. Move the "
+            f"photos below it and export it again."
         )
     return PurePosixPath(value.replace("\\", "/")).as_posix()
 
@@ -179,7 +180,7 @@ def inside(where: str, key: str, value: Any) -> str:
 def _find(root: Path, name: str) -> Path | None:
     """The photo; synthetic NeRF scenes leave the ending out."""
     candidates = [name, *(name + ending for ending in IMAGE_ENDINGS)]
-    return next((root / c for c in candidates if (root / c).is_file()), None)
+    return next((root / c for c in candidates if is_file(root / c)), None)
 
 
 def _camera(where: str, data: dict[str, Any], image: Path) -> ColmapCamera:
@@ -193,7 +194,7 @@ def _camera(where: str, data: dict[str, Any], image: Path) -> ColmapCamera:
             or not abs(value) <= FARTHEST  # NaN is not
         ):
             raise FormatError(
-                f"{where}: {key} is {value!r}, expected a number up to {FARTHEST:g}. "
+                f"{where}: {key} is {quoted(value)}, expected a number up to {FARTHEST:g}. "
                 f"Export the capture again."
             )
         return float(value)
@@ -208,8 +209,8 @@ def _camera(where: str, data: dict[str, Any], image: Path) -> ColmapCamera:
     model = _MODELS.get(stated) if isinstance(stated, str) else None
     if model is None:
         raise FormatError(
-            f"{where}: unknown camera_model {stated!r}, known are {', '.join(_MODELS)}. Undistort "
-            f"the capture, or use its COLMAP model."
+            f"{where}: unknown camera_model {quoted(stated)}, known are {', '.join(_MODELS)}. "
+            f"Undistort the capture, or use its COLMAP model."
         )
     if "fl_x" in data or "camera_angle_x" in data:
         fx = number("fl_x") if "fl_x" in data else _focal(width, number("camera_angle_x"))
@@ -255,7 +256,7 @@ def _points(path: Path, data: dict[str, Any]) -> PointCloud:
     stated = data.get("ply_file_path")
     if stated is not None:
         return read_point_cloud(path.parent / inside(str(path), "ply_file_path", stated))
-    file = next((path.parent / n for n in _POINT_FILES if (path.parent / n).is_file()), None)
+    file = next((path.parent / n for n in _POINT_FILES if is_file(path.parent / n)), None)
     if file is not None:
         return read_point_cloud(file)
     return PointCloud.none()

@@ -8,8 +8,9 @@ import numpy as np
 from ..errors import BackendError, DatasetError, FormatError
 from ..extras import missing
 from ..io.colmap_model import ColmapCamera
+from ..shown import shown
 
-_ROWS_A_STRIP = 32
+_ROWS_A_STRIP, _PIXELS_A_STRIP = 32, 1 << 17
 _MOST_BLANK = 0.05
 """Share of the picture that may lie outside the photo, or beyond a fold of the distortion."""
 _WAYS, _STEPS = 33, 400
@@ -68,8 +69,9 @@ class Undistortion:
         columns = (np.arange(size[0]) + 0.5) * (self.width / size[0])
         rows_of_pixels = _packed(image)
         # Strips keep the positions of a large photo in cache instead of gigabytes of memory.
-        for top in range(0, size[1], _ROWS_A_STRIP):
-            part = out[top : top + _ROWS_A_STRIP]
+        strip = min(_ROWS_A_STRIP, max(1, _PIXELS_A_STRIP // size[0]))
+        for top in range(0, size[1], strip):
+            part = out[top : top + strip]
             rows = (np.arange(top, top + len(part)) + 0.5) * (self.height / size[1])
             grid = np.stack(np.meshgrid(columns, rows), axis=-1)
             found = self.distort(grid.reshape(-1, 2)).reshape(grid.shape) * pixels - 0.5
@@ -114,7 +116,7 @@ def plan_undistortion(camera: ColmapCamera) -> Undistortion | None:
     except (ValueError, RuntimeError) as error:
         raise FormatError(
             f"The {camera.model} camera with parameters {camera.params.tolist()} cannot be "
-            f"undistorted: {error}. Run COLMAP again, perhaps with a simpler camera model."
+            f"undistorted: {shown(error)}. Run COLMAP again, perhaps with a simpler camera model."
         ) from error
     fx, fy, cx, cy = pinhole.params
     plan = Undistortion(

@@ -13,6 +13,7 @@ from ..io.exr_header import check_exr_size
 from ..io.files import check_regular, read_bytes
 from ..io.npy import read_npy
 from ..io.pillow import loaded
+from ..shown import quoted
 
 ENDINGS = (".png", ".npy", ".exr", ".tif", ".tiff")
 """Kinds of depth maps, in the order in which they are preferred."""
@@ -183,8 +184,8 @@ def _read_picture(path: Path) -> np.ndarray:
         return colours[..., 0]
     if mode not in ("L", "I", "F") and not mode.startswith("I;16"):
         raise FormatError(
-            f"{path} is a picture of the kind {mode!r}, expected one of grey values. Save the "
-            f"depth map as a grey 16-bit PNG."
+            f"{path} is a picture of the kind {quoted(mode)}, expected one of grey values. Save "
+            f"the depth map as a grey 16-bit PNG."
         )
     return values
 

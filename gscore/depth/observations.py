@@ -8,6 +8,7 @@ from ..config import DataConfig
 from ..datasets import Dataset, read_capture
 from ..errors import DatasetError
 from ..io.colmap import ColmapImage, ColmapModel, find_model, read_model
+from ..io.colmap_model import PointIndex
 
 _LONG_TRACK = 10
 """Observations from which on a point counts no more than it does."""
@@ -47,22 +48,14 @@ def observations(data: DataConfig, dataset: Dataset) -> list[Observations]:
         points = points[np.isfinite(points).all(axis=1)]
         return [_projected(dataset, points, i) for i in range(len(dataset))]
     images = {image.name: image for image in model.images}
-    order = np.argsort(model.points.ids, kind="stable")
-    return [observed(model, images[name], order) for name in dataset.names]
+    index = PointIndex(model.points)
+    return [observed(model, images[name], index) for name in dataset.names]
 
 
-def observed(
-    model: ColmapModel, image: ColmapImage, order: np.ndarray | None = None
-) -> Observations:
-    """The points that COLMAP found in one image; `order` sorts the model's point ids."""
+def observed(model: ColmapModel, image: ColmapImage, index: PointIndex) -> Observations:
+    """The points that COLMAP found in one image; `index` is that of the model's points."""
     points, camera = model.points, model.cameras[image.camera_id]
-    if order is None:
-        order = np.argsort(points.ids, kind="stable")
-    ids = points.ids[order]
-    at = np.searchsorted(ids, image.point3D_ids)
-    known = (image.point3D_ids >= 0) & (at < len(ids))
-    known[known] = ids[at[known]] == image.point3D_ids[known]
-    rows = order[at[known]]
+    known, rows = index.find(image.point3D_ids)
     viewmat = image.viewmat
     z = points.xyz[rows] @ viewmat[2, :3] + viewmat[2, 3]
     # A long track fixes the depth better, a large reprojection error says that it may be wrong.

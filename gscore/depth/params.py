@@ -10,6 +10,8 @@ from typing import Any
 from ..errors import DatasetError, FormatError
 from ..io.colmap import find_model
 from ..io.files import atomic_write, read_bytes
+from ..json_text import parse_json
+from ..shown import quoted, shown
 from .fit import Fit, scale_reason
 from .maps import DepthKind
 
@@ -81,11 +83,11 @@ def read_params(path: Path) -> dict[str, Params]:
             f"with: gscore depth SOURCE"
         )
     try:
-        content = json.loads(read_bytes(path).decode("utf-8-sig"))
-    except (ValueError, RecursionError) as error:
+        content = parse_json(read_bytes(path))
+    except ValueError as error:
         raise FormatError(f"{path} is not JSON ({error}). {_REMAKE}") from error
     _check_layout(path, content)
-    return {name: _entry(f"{path}: {name}", entry) for name, entry in content.items()}
+    return {name: _entry(f"{path}: {shown(name)}", entry) for name, entry in content.items()}
 
 
 def refusal(path: Path, key: str, entry: Params | None, median: float) -> str:
@@ -98,7 +100,7 @@ def refusal(path: Path, key: str, entry: Params | None, median: float) -> str:
         median: Median scale of all entries.
     """
     if entry is None:
-        return f"{path.name} has no entry {key!r}"
+        return f"{path.name} has no entry {quoted(key)}"
     reason = entry.reason if not entry.accepted else scale_reason(entry.scale, median)
     return reason or ("" if entry.scale > 0 else f"{path.name} gives it no scale")
 
@@ -160,13 +162,13 @@ def _entry(where: str, entry: dict[str, Any]) -> Params:
         value: Any = entry.get(key)
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
         if not is_number or not math.isfinite(value):
-            stated = "missing" if key not in entry else repr(value)
+            stated = "missing" if key not in entry else quoted(value)
             raise FormatError(f"{where}: {key} is {stated}, expected a finite number. {_REMAKE}")
         return float(value)
 
     kind = entry.get("kind", DepthKind.INVERSE.value)
     if kind not in (DepthKind.INVERSE, DepthKind.DEPTH):
-        raise FormatError(f"{where}: kind is {kind!r}, expected inverse or depth. {_REMAKE}")
+        raise FormatError(f"{where}: kind is {quoted(kind)}, expected inverse or depth. {_REMAKE}")
     return Params(
         scale=number("scale"),
         offset=number("offset"),

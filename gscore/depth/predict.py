@@ -15,6 +15,8 @@ from ..datasets.decode import ViewFile
 from ..errors import Cancelled, ConfigError, FormatError, GsError
 from ..io.files import atomic_write
 from ..io.images import read_image, read_mask, write_png
+from ..json_text import parse_json
+from ..shown import shown
 from ..words import count_words
 from .fitting import find_kind
 from .maps import DepthKind, MapFolder, stem, to_inverse
@@ -162,11 +164,11 @@ def _kept(folder: Path, record: dict[str, Any], names: tuple[str, ...]) -> list[
     by = "they do not say by which model they were made"
     if path.is_file():
         try:
-            before = json.loads(path.read_text(encoding="utf-8"))
+            before = parse_json(path.read_bytes())
             changed = [k for k in record if k != "gscore" and before.get(k) != record[k]]
-        except (OSError, ValueError, AttributeError, RecursionError) as error:
+        except (OSError, ValueError, AttributeError) as error:
             raise FormatError(
-                f"{path} is damaged ({error}). Remove the folder or give --overwrite."
+                f"{path} is damaged ({shown(error)}). Remove the folder or give --overwrite."
             ) from error
         if not changed:
             return there

@@ -12,6 +12,7 @@ from ..datasets import Dataset
 from ..datasets.dataset import map_threads
 from ..datasets.decode import fit_map
 from ..errors import ConfigError, DatasetError
+from ..shown import quoted
 from ..words import count_words
 from .confidence import confidence
 from .fit import NO_FIT, Fit
@@ -85,7 +86,7 @@ def load_priors(
     """
     if data.depth_align not in ALIGNMENTS:
         raise ConfigError(
-            f"depth_align is {data.depth_align!r}, expected one of {', '.join(ALIGNMENTS)}."
+            f"depth_align is {quoted(data.depth_align)}, expected one of {', '.join(ALIGNMENTS)}."
         )
     folder = MapFolder(dataset.source / (data.depths or DEFAULT_FOLDER))
     maps = [folder.find(name) for name in dataset.names]

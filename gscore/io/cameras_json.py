@@ -7,7 +7,9 @@ from typing import Any
 import numpy as np
 
 from ..errors import FormatError
+from ..json_text import parse_json
 from ..scene import FARTHEST, Cameras, is_focal
+from ..shown import shown
 from ..transforms import invert_rigid
 from .files import atomic_write, read_bytes
 
@@ -50,8 +52,8 @@ def read_cameras(path: str | Path) -> Cameras:
     """
     path = Path(path)
     try:
-        entries = json.loads(read_bytes(path))
-    except (ValueError, RecursionError) as error:
+        entries = parse_json(read_bytes(path))
+    except ValueError as error:
         raise FormatError(f"{path} is not JSON: {error}. Copy or export it again.") from error
     if not isinstance(entries, list):
         raise FormatError(
@@ -65,8 +67,8 @@ def read_cameras(path: str | Path) -> Cameras:
             names.append(_fill(entry, poses[i], intrinsics[i], sizes[i]))
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise FormatError(
-                f"{path}: camera {i} lacks or misstates {error}; expected img_name, width, height, "
-                f"position [3], rotation [3][3], fx, fy. Export it again."
+                f"{path}: camera {i} lacks or misstates {shown(error)}; expected img_name, width, "
+                f"height, position [3], rotation [3][3], fx, fy. Export it again."
             ) from error
     return Cameras(
         viewmats=invert_rigid(poses),

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import DatasetError, FormatError
+from ..shown import quoted, shown
 from .files import read_bytes
 
 _NAME = re.compile(r"(\d+)_cam\.txt", re.IGNORECASE)
@@ -48,7 +49,7 @@ def read_cam(path: Path) -> tuple[list[list[float]], list[list[float]]]:
         FormatError: it is no text, or a matrix is missing or has too few numbers.
     """
     try:
-        words = read_bytes(path).decode("utf-8").split()
+        words = read_bytes(path).decode("utf-8-sig").split()
     except UnicodeDecodeError as error:
         raise FormatError(f"{path} is not text. Copy the camera file again.") from error
     lower = [word.lower() for word in words]
@@ -59,15 +60,18 @@ def _matrix(
     path: Path, words: list[str], lower: list[str], name: str, size: int
 ) -> list[list[float]]:
     """`size` x `size` numbers after the word `name`."""
-    wanted = f"the word {name!r} and {size * size} numbers after it"
+    wanted = f"the word {quoted(name)} and {size * size} numbers after it"
     if name not in lower:
-        raise FormatError(f"{path} has no {name!r}; expected {wanted}. Copy the camera file again.")
+        raise FormatError(
+            f"{path} has no {quoted(name)}; expected {wanted}. Copy the camera file again."
+        )
     at = lower.index(name) + 1
     try:
         values = np.array([float(word) for word in words[at : at + size * size]])
     except ValueError as error:
         raise FormatError(
-            f"{path}: {error} in the {name} matrix; expected {wanted}. Copy the camera file again."
+            f"{path}: {shown(error)} in the {name} matrix; expected {wanted}. Copy the camera "
+            f"file again."
         ) from error
     if len(values) != size * size:
         raise FormatError(

@@ -1,17 +1,20 @@
 """COLMAP reconstructions read from and written to folders, binary or text, with numpy alone."""
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path, PurePosixPath, PureWindowsPath
+from types import ModuleType
 
 import numpy as np
 
 from ..errors import DatasetError, FormatError
 from ..scene import FARTHEST, FOCAL_RANGE, is_focal
+from ..shown import quoted
 from ..words import count_words
 from . import colmap_binary, colmap_text
 from .colmap_model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
-from .files import atomic_write, is_unnameable
+from .files import LONGEST_NAME, LONGEST_PATH, atomic_write, is_unnameable
 from .foreign import foreign
 
 __all__ = [
@@ -80,32 +83,32 @@ def _no_folder(path: Path) -> str:
     )
 
 
-def read_model(path: str | Path) -> ColmapModel:
+def read_model(
+    path: str | Path, *, observations: Callable[[ColmapPoints], bool] = lambda points: True
+) -> ColmapModel:
     """Read the COLMAP model in or at `path`.
 
     Args:
         path: A folder with `sparse/0` or `sparse`, or one that holds the files itself. Binary files
             win over text files. Missing points are allowed and give none.
+        observations: Asked, with the points, whether images are wanted with what was observed in
+            them: 24 bytes an observation, usually more than all else. Images without have none.
 
     Raises:
         DatasetError: there is no model.
-        FormatError: a file is truncated or corrupt, a camera model is unknown, an image's pose or
-            name is unusable.
+        FormatError: a file is truncated or corrupt, a camera model is unknown, an id is there
+            twice, an image's pose or name is unusable.
     """
     folder, warnings = find_model(path)
     reader, end = _reader(folder)
-    cameras = reader.read_cameras(folder / f"cameras{end}")
-    images = reader.read_images(folder / f"images{end}")
+    cameras = _cameras(folder / f"cameras{end}", reader)
     points_file = folder / f"points3D{end}"
     if points_file.is_file():
         points = reader.read_points(points_file)
     else:
         points = ColmapPoints.none()
         warnings = (*warnings, f"{points_file} is missing; the model has no points.")
-    for camera_id, camera in cameras.items():
-        _check_camera(folder / f"cameras{end}", camera_id, camera)
-    for image in images:
-        _check_image(folder / f"images{end}", image, cameras)
+    images = _images(folder / f"images{end}", reader, cameras, observations(points))
     return ColmapModel(
         cameras=cameras, images=images, points=points, path=folder, warnings=warnings
     )
@@ -145,7 +148,10 @@ def write_model(model: ColmapModel, path: str | Path, *, binary: bool = True) ->
 
 
 def is_safe_name(name: str) -> bool:
-    """Whether a file name from a model stays inside the folder it is joined to, on any system."""
+    """Whether a file name from a model stays inside the folder it is joined to, on any system, and
+    a file can have it."""
+    if len(name) > LONGEST_PATH:
+        return False
     posix, windows = PurePosixPath(name), PureWindowsPath(name)
     return (
         bool(windows.parts)
@@ -153,6 +159,7 @@ def is_safe_name(name: str) -> bool:
         and not windows.drive
         and not windows.root
         and ".." not in windows.parts
+        and all(len(part.encode("utf-8", "replace")) <= LONGEST_NAME for part in windows.parts)
         and not any(map(is_unnameable, name))
     )
 
@@ -164,7 +171,7 @@ def _numbered_models(root: Path) -> list[Path]:
     return sorted(folders, key=lambda f: int(f.name))
 
 
-def _reader(folder: Path):
+def _reader(folder: Path) -> tuple[ModuleType, str]:
     """The module that reads this folder (both have the same functions), and its file ending."""
     binary = (folder / "cameras.bin").is_file() and (folder / "images.bin").is_file()
     return (colmap_binary, ".bin") if binary else (colmap_text, ".txt")
@@ -173,6 +180,35 @@ def _reader(folder: Path):
 def _count_images(folder: Path) -> int:
     reader, end = _reader(folder)
     return reader.count_images(folder / f"images{end}")
+
+
+def _cameras(path: Path, reader: ModuleType) -> dict[int, ColmapCamera]:
+    found: dict[int, ColmapCamera] = {}
+    for camera_id, camera in reader.read_cameras(path):
+        _check_camera(path, camera_id, camera)
+        if camera_id in found:
+            raise _twice(path, f"camera {camera_id}")
+        found[camera_id] = camera
+    return found
+
+
+def _images(
+    path: Path, reader: ModuleType, cameras: dict[int, ColmapCamera], observations: bool
+) -> list[ColmapImage]:
+    found: dict[int, ColmapImage] = {}
+    for image in reader.read_images(path, observations=observations):
+        _check_image(path, image, cameras)
+        if image.id in found:
+            raise _twice(path, f"image {image.id}")
+        found[image.id] = image
+    return list(found.values())
+
+
+def _twice(path: Path, what: str) -> FormatError:
+    return FormatError(
+        f"{path}: {what} is there twice, expected each id once. Remove one of them, or export the "
+        f"model anew from COLMAP."
+    )
 
 
 def _check_camera(path: Path, camera_id: int, camera: ColmapCamera) -> None:
@@ -185,8 +221,9 @@ def _check_camera(path: Path, camera_id: int, camera: ColmapCamera) -> None:
         or not all(is_focal(v, camera.width, camera.height) for v in focal)
     ):
         raise FormatError(
-            f"{path}: camera {camera_id} ({camera.model}) has the size "
-            f"{camera.width} x {camera.height} and the parameters {camera.params.tolist()}; "
+            f"{path}: camera {quoted(camera_id)} ({camera.model}) has the size "
+            f"{quoted(camera.width)} x {quoted(camera.height)} and the parameters "
+            f"{camera.params.tolist()}; "
             f"expected a positive size, focal lengths of {FOCAL_RANGE[0]:g} to {FOCAL_RANGE[1]:g} "
             f"times its longer side and numbers up to {FARTHEST:g}. Run COLMAP again."
         )
@@ -195,26 +232,27 @@ def _check_camera(path: Path, camera_id: int, camera: ColmapCamera) -> None:
 def _check_image(path: Path, image: ColmapImage, cameras: dict[int, ColmapCamera]) -> None:
     if not 0 <= image.id < 2**32:
         raise FormatError(
-            f"{path}: image {image.name!r} has the id {image.id}, expected 0 to 2^32."
+            f"{path}: image {quoted(image.name)} has the id {quoted(image.id)}, expected 0 to 2^32."
         )
     if image.camera_id not in cameras:
         raise FormatError(
-            f"{path}: image {image.name!r} uses camera {image.camera_id}, which the model does not "
-            f"have. The files of the model do not belong together; export it anew."
+            f"{path}: image {quoted(image.name)} uses camera {quoted(image.camera_id)}, which "
+            f"the model does not have. The files of the model do not belong together; export it "
+            f"anew."
         )
     pose = np.concatenate([image.qvec, image.tvec])
     # NaN is within no limit.
     if not (np.abs(pose) <= FARTHEST).all() or not 1e-6 < np.abs(image.qvec).max() < 1e6:
         raise FormatError(
-            f"{path}: image {image.name!r} has the pose {pose.tolist()}; expected "
+            f"{path}: image {quoted(image.name)} has the pose {pose.tolist()}; expected "
             f"numbers up to {FARTHEST:g} and a quaternion that is not zero. "
             f"Export the model anew from COLMAP."
         )
     if not is_safe_name(image.name):
         raise FormatError(
-            f"{path}: image {image.id} has the name {image.name!r}; expected a path inside the "
-            f"image folder, without '..' and not absolute. Run COLMAP with all images below one "
-            f"folder."
+            f"{path}: image {image.id} has the name {quoted(image.name)}; expected a path inside "
+            f"the image folder, without '..', not absolute and with names of {LONGEST_NAME} bytes "
+            f"at most. Run COLMAP with all images below one folder."
         )
 
 

@@ -117,6 +117,21 @@ class ColmapPoints:
         )
 
 
+class PointIndex:
+    """The rows of points by their ids; made once for all images, because it sorts them."""
+
+    def __init__(self, points: ColmapPoints) -> None:
+        self._order = np.argsort(points.ids, kind="stable")
+        self._ids = points.ids[self._order]
+
+    def find(self, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Which of the ids [M] are known, [M] bool, and the rows of those, [K] int64."""
+        at = np.searchsorted(self._ids, ids)
+        known = (ids != -1) & (at < len(self._ids))
+        known[known] = self._ids[at[known]] == ids[known]
+        return known, self._order[at[known]]
+
+
 @dataclass(frozen=True, kw_only=True)
 class ColmapModel:
     """Cameras, images and points of one reconstruction."""

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from ..errors import DatasetError, GsError
+from ..shown import shown
 
 
 def atomic_write(path: str | Path, content: bytes | Callable[[BinaryIO], None]) -> None:
@@ -30,7 +31,7 @@ def atomic_write(path: str | Path, content: bytes | Callable[[BinaryIO], None]) 
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         # Beside the target, because a rename is atomic only within one file system.
-        candidate = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
+        candidate = path.with_name(_temporary_name(path.name))
         with candidate.open("xb") as file:
             temporary = candidate
             if callable(content):
@@ -51,6 +52,15 @@ def atomic_write(path: str | Path, content: bytes | Callable[[BinaryIO], None]) 
                 temporary.unlink()
 
 
+def _temporary_name(name: str) -> str:
+    """`.name.xxxxxxxx.tmp`, shortened where it would be longer than a name may be."""
+    end = f".{secrets.token_hex(_TEMPORARY // 2)}.tmp"
+    raw = os.fsencode(name)
+    # A name that is too long itself stays so: the system says why it cannot be written.
+    most = max(LONGEST_NAME - len(end) - 1, 0) if len(raw) <= LONGEST_NAME else len(raw)
+    return f".{os.fsdecode(raw[:most]) if len(raw) > most else name}{end}"
+
+
 def check_regular(path: str | Path) -> None:
     """Refuse what is there and is no regular file: opening a named pipe waits for a writer, perhaps
     for ever, and a device need not end. Missing files are left to whoever opens them.
@@ -65,7 +75,9 @@ def check_regular(path: str | Path) -> None:
     if stat.S_ISREG(mode):
         return
     kind = _KINDS.get(stat.S_IFMT(mode), "no regular file")
-    raise DatasetError(f"{path} is {kind}, a file was expected. Put a copy of the file there.")
+    raise DatasetError(
+        f"{shown(path)} is {kind}, a file was expected. Put a copy of the file there."
+    )
 
 
 def open_regular(path: str | Path) -> BufferedReader:
@@ -92,7 +104,20 @@ def read_bytes(path: str | Path) -> bytes:
         raise DatasetError(f"Cannot read {shown(path)}: {reason(error)}") from error
 
 
-_LONGEST_SHOWN = 200
+def is_file(path: str | Path) -> bool:
+    """Whether a file stands there; none does under a name that no file can have."""
+    try:
+        return Path(path).is_file()
+    except (OSError, ValueError):
+        return False
+
+
+LONGEST_NAME = 255
+"""Bytes of the name of a file, as all usual file systems have it."""
+LONGEST_PATH = 4095
+"""Bytes of a path that Linux takes; other systems take fewer."""
+_TEMPORARY = 8
+"""Bytes of a temporary name that make it unique."""
 _KINDS = {
     stat.S_IFIFO: "a named pipe",
     stat.S_IFCHR: "a device",
@@ -119,12 +144,6 @@ _REASONS = {
 def is_unnameable(letter: str) -> bool:
     """Whether no file should have the letter in its name: control codes, halves of surrogates."""
     return ord(letter) < 32 or 0xD800 <= ord(letter) < 0xE000
-
-
-def shown(path: str | Path) -> str:
-    """A path for a message: shortened, and with what no output can print replaced."""
-    text = str(path).encode("utf-8", "replace").decode("utf-8").replace("\0", "?")
-    return text if len(text) <= _LONGEST_SHOWN else f"{text[: _LONGEST_SHOWN - 3]}..."
 
 
 def reason(error: OSError | ValueError) -> str:

@@ -1,6 +1,5 @@
 """metrics.json read back: what a disk or an editor may have made of it is checked first."""
 
-import json
 import math
 import re
 from collections.abc import Callable
@@ -8,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import DatasetError
+from ..json_text import parse_json
 from .files import read_bytes
 
 _LARGEST = 1 << 53
@@ -33,8 +33,8 @@ def _read(path: Path) -> tuple[dict[str, Any], str]:
     file = path / "metrics.json"
     again = f"`gscore eval {path}` measures again."
     try:
-        content = json.loads(read_bytes(file))
-    except (DatasetError, ValueError, RecursionError):
+        content = parse_json(read_bytes(file))
+    except (DatasetError, ValueError):
         return {}, f"{file} is damaged; {again}" if file.exists() else ""
     if not isinstance(content, dict):
         return {}, f"{file} is damaged: an object was expected; {again}"

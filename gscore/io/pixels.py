@@ -11,6 +11,7 @@ WITH_ALPHA = frozenset({"RGBA", "LA", "PA", "RGBa", "La"})
 """Pillow's modes with opacity."""
 _DARKEST = 4096
 """Of 65536: 16-bit pictures nowhere brighter hold 8 or 12 bits that were never scaled."""
+_PIXELS_A_STRIP = 1 << 20
 _WHITE_IS_ZERO, _PHOTOMETRIC = 0, 262
 
 
@@ -41,10 +42,22 @@ def photo_bytes(path: Path, image: Any, *, deep: bool) -> np.ndarray:
             hidden = np.asarray(image) == image.info["transparency"]
             channels.append(np.where(hidden, 0, 255).astype(np.uint8))
         return np.stack(channels, axis=2)
-    pixels = np.array(image.convert("RGBA" if has_alpha(image) else "RGB"))
+    pixels = _converted(image, "RGBA" if has_alpha(image) else "RGB")
     if deep:
         _check_deep_colours(path, image, pixels)
     return pixels
+
+
+def _converted(image: Any, mode: str) -> np.ndarray:
+    """[H, W, 3 or 4] uint8 of a picture, strip after strip: as a whole it would be there three
+    times more, in Pillow's four bytes a pixel and as bytes on their way to numpy."""
+    width, height = image.size
+    out = np.empty((height, width, len(mode)), np.uint8)
+    rows = max(1, _PIXELS_A_STRIP // width)
+    for top in range(0, height, rows):
+        strip = image.crop((0, top, width, min(top + rows, height)))
+        out[top : top + rows] = np.asarray(strip.convert(mode))
+    return out
 
 
 def mask_bytes(path: Path, image: Any, *, deep: bool) -> tuple[np.ndarray, str]:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from ..config import DataConfig
 from ..errors import ConfigError
-from .files import shown
+from ..shown import shown
 
 
 def check_place(folder: Path, data: DataConfig | None = None, *, depths: bool = True) -> None:

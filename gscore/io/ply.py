@@ -9,10 +9,11 @@ import numpy as np
 
 from ..errors import DatasetError, FormatError
 from ..sh import rgb_to_sh0
+from ..shown import shown
 from ..splats import SH_REST_BY_DEGREE, Splats
-from .files import atomic_write, open_regular, reason, shown
+from .files import atomic_write, open_regular, reason
 from .ply_compressed import decompress, is_compressed
-from .ply_elements import columns, read_elements
+from .ply_elements import HEADER_END, columns, read_elements
 
 __all__ = ["MIP_COMMENT", "is_antialiased", "read_splats", "write_splat_parts", "write_splats"]
 
@@ -87,7 +88,7 @@ def header_comments(path: str | Path) -> tuple[str, ...]:
     path = Path(path)
     try:
         with open_regular(path) as file:
-            header = file.read(_HEADER_LIMIT).partition(b"end_header")[0]
+            header = HEADER_END.split(file.read(_HEADER_LIMIT), maxsplit=1)[0]
     except (OSError, ValueError) as error:
         raise DatasetError(f"Cannot read {shown(path)}: {reason(error)}") from error
     lines = header.decode("utf-8", "replace").splitlines()
@@ -118,7 +119,8 @@ def write_splats(path: str | Path, splats: Splats, *, comments: tuple[str, ...] 
     Args:
         path: The file to write; its folder is made.
         splats: The model, raw parameters.
-        comments: Lines for the header, for example `MIP_COMMENT`.
+        comments: For the header, for example `MIP_COMMENT`. PLY is ASCII: other letters are written
+            as Python's escapes, and each line of a text as a comment of its own.
 
     Raises:
         GsError: the file cannot be written.
@@ -140,11 +142,12 @@ def write_splat_parts(
     rest = 3 * SH_REST_BY_DEGREE[sh_degree]
     names = [*_POSITION, "nx", "ny", "nz", *_DC, *(f"f_rest_{k}" for k in range(rest))]
     names += ["opacity", *_SCALE, *_QUAT]
-    header = ["ply", "format binary_little_endian 1.0", *(f"comment {line}" for line in comments)]
+    lines = [line for text in comments for line in text.splitlines()]
+    header = ["ply", "format binary_little_endian 1.0", *(f"comment {line}" for line in lines)]
     header += [f"element vertex {count}", *(f"property float {name}" for name in names)]
 
     def write(file: BinaryIO) -> None:
-        file.write("\n".join([*header, "end_header\n"]).encode("ascii"))
+        file.write("\n".join([*header, "end_header\n"]).encode("ascii", "backslashreplace"))
         for splats in parts:
             # Blocks keep the memory small and the transposition in cache.
             for at in range(0, len(splats), _ROWS_A_BLOCK):

@@ -8,6 +8,9 @@ from ..errors import FormatError
 from ..scene import PointCloud
 from .ply_elements import read_elements
 
+_BLOCK = 1 << 16
+"""Points that are converted together."""
+
 
 def read_point_cloud(path: str | Path) -> PointCloud:
     """Positions and colours of the vertices of any PLY file; black where it has no colours.
@@ -24,13 +27,20 @@ def read_point_cloud(path: str | Path) -> PointCloud:
         raise FormatError(
             f"{path} has no points: its vertices lack {', '.join(missing)}. Export it again."
         )
-    points = np.stack([table[name].astype(np.float64) for name in "xyz"], axis=1)
-    colors = np.zeros((len(points), 3), np.uint8)
+    points = np.empty((len(table), 3))
+    colors = np.zeros((len(table), 3), np.uint8)
     rgb = ("red", "green", "blue")
-    if all(name in names and table.dtype[name].kind in "iuf" for name in rgb):
-        for channel, name in enumerate(rgb):
-            values = table[name]
-            scale = 255.0 / np.iinfo(values.dtype).max if values.dtype.kind in "iu" else 255.0
-            scaled = np.nan_to_num(values.astype(np.float64) * scale)
-            colors[:, channel] = np.clip(np.rint(scaled), 0, 255)
+    colored = all(name in names and table.dtype[name].kind in "iuf" for name in rgb)
+    for at in range(0, len(table), _BLOCK):  # millions of points are not there twice
+        part = slice(at, at + _BLOCK)
+        for k, name in enumerate("xyz"):
+            points[part, k] = table[name][part]
+        for channel, name in enumerate(rgb if colored else ()):
+            colors[part, channel] = _bytes_of(table[name][part])
     return PointCloud(points=points, colors=colors)
+
+
+def _bytes_of(values: np.ndarray) -> np.ndarray:
+    """One channel [n] as 0 to 255: integers by the range of their type, others as 0 to 1."""
+    scale = 255.0 / np.iinfo(values.dtype).max if values.dtype.kind in "iu" else 255.0
+    return np.clip(np.rint(np.nan_to_num(values.astype(np.float64) * scale)), 0, 255)

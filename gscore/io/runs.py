@@ -1,7 +1,6 @@
 """The folder a training left behind, read without torch: how far it is, and what may be removed."""
 
 import contextlib
-import json
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -209,8 +208,8 @@ def clear_unfinished(path: Path) -> None:
 def _is_run(path: Path) -> bool:
     """Whether the config.json in a folder is one that a training of gscore has written."""
     try:
-        content = json.loads(read_bytes(path / "config.json"))
-    except (DatasetError, ValueError, RecursionError):
+        content = parse_json(read_bytes(path / "config.json"))
+    except (DatasetError, ValueError):
         return False
     return isinstance(content, dict) and {"gscore", "data", "train"} <= content.keys()
 

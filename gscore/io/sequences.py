@@ -6,9 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..errors import FormatError
+from ..errors import DatasetError, FormatError
+from ..json_text import parse_json
+from ..shown import shown
 from .colmap import is_safe_name
-from .files import atomic_write
+from .files import atomic_write, read_bytes
 from .metrics_file import is_number
 
 FRAME_FOLDER = re.compile(r"frame_\d{6,}")
@@ -46,7 +48,7 @@ def read_sequence(folder: Path) -> SequenceIndex | None:
     if not path.is_file():
         return None
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = parse_json(read_bytes(path))
         index = SequenceIndex(
             options=dict(content["options"]),
             frames=[dict(entry) for entry in content["frames"]],
@@ -56,8 +58,8 @@ def read_sequence(folder: Path) -> SequenceIndex | None:
             return index
         reason = "a frame without number, count of splats or folder below the sequence's, or what "
         reason += "should be a number is none"
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        reason = f"{type(error).__name__}: {error}"
+    except (DatasetError, ValueError, KeyError, TypeError) as error:
+        reason = f"{type(error).__name__}: {shown(error)}"
     raise FormatError(
         f"{path} is not the list of a sequence's frames ({reason}); remove it, or choose another "
         f"folder."

@@ -21,6 +21,8 @@ from ..config import TrainConfig, flag_of
 from ..config_file import differences, from_dict, to_dict
 from ..errors import ConfigError, FormatError
 from ..io.files import atomic_write, check_regular
+from ..json_text import parse_json
+from ..shown import shown
 from .stored import whole
 from .trainer import Trainer
 from .views import Photos
@@ -120,14 +122,14 @@ def load(path: Path) -> Checkpoint:
             # was read: so each is copied, and the file let go.
             with safe_open(path, framework="pt") as file:
                 tensors[key] = file.get_tensor(key).clone()
-        content = json.loads(text)
+        content = parse_json(text)
         if not isinstance(content, dict):
             raise ValueError("its metadata is no object")
         if "crc32" in metadata:  # older ones have none
             _check_intact(text, metadata["crc32"], content, tensors)
     except (SafetensorError, KeyError, ValueError, OSError, RecursionError, MemoryError) as error:
         raise FormatError(
-            f"{path} is not a complete checkpoint of gscore ({error}); use an older one."
+            f"{path} is not a complete checkpoint of gscore ({shown(error)}); use an older one."
         ) from error
     if content.get("format") != FORMAT:
         raise FormatError(
@@ -161,7 +163,7 @@ def understood(path: Path) -> Iterator[None]:
     ) as error:
         raise FormatError(
             f"{path} is not a checkpoint that this gscore understands ({type(error).__name__}: "
-            f"{error}); use an older one."
+            f"{shown(error)}); use an older one."
         ) from error
 
 
@@ -231,9 +233,9 @@ def fingerprint(photos: Photos) -> dict[str, Any]:
         "training views": json.dumps([int(i) for i in photos.train]).encode(),
         "masks": photos.mask_mode.encode(),
         "photos": photos.content_hash().encode(),
-        "points": photos.scene.points.points.tobytes() + photos.scene.points.colors.tobytes(),
     }
-    return {key: hashlib.sha256(value).hexdigest()[:16] for key, value in parts.items()}
+    hashes = {key: hashlib.sha256(value).hexdigest()[:16] for key, value in parts.items()}
+    return hashes | {"points": photos.scene.points.content_hash()}
 
 
 def _write(file: BinaryIO, tensors: dict[str, torch.Tensor], metadata: dict[str, str]) -> None:

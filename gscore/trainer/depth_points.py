@@ -6,6 +6,7 @@ import numpy as np
 
 from ..scene import Cameras, PointCloud
 from .depth_targets import Prior
+from .near import Nearest
 from .views import Photos
 
 _SURE = 0.5
@@ -49,7 +50,8 @@ def depth_points(
     # Twice as many candidates as wanted in all, or the checks would leave too few.
     pixels = sum(int(cameras.widths[i]) * int(cameras.heights[i]) for i in used)
     stride = max(1, int(np.sqrt(pixels / (4 * count))))
-    parts = [_from_view(photos, priors, used, i, stride) for i in used]
+    known = Nearest(photos.scene.points.points, asked=2 * count)
+    parts = [_from_view(photos, priors, used, i, stride, known) for i in used]
     points = np.concatenate([part[0] for part in parts])
     colors = np.concatenate([part[1] for part in parts])
     count = count if most is None else min(count, most)
@@ -60,7 +62,12 @@ def depth_points(
 
 
 def _from_view(
-    photos: Photos, priors: Sequence[Prior | None], used: list[int], index: int, stride: int
+    photos: Photos,
+    priors: Sequence[Prior | None],
+    used: list[int],
+    index: int,
+    stride: int,
+    known: Nearest,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Points [P, 3] and colours [P, 3] of one view."""
     cameras, prior = photos.scene.cameras, priors[index]
@@ -76,19 +83,16 @@ def _from_view(
     viewmat = cameras.viewmats[index]
     points = (rays * depth[:, None] - viewmat[:3, 3]) @ viewmat[:3, :3]
     cell = stride * depth / cameras.Ks[index, 0, 0]
-    keep = _far_from(photos.scene.points.points, points, _HOLE * cell)
+    keep = _far_from(known, points, _HOLE * cell)
     keep &= _confirmed(cameras, priors, _neighbours(cameras, used, index), points)
     return points[keep], photos.image(index)[v[keep], u[keep]]
 
 
-def _far_from(cloud: np.ndarray, points: np.ndarray, radius: np.ndarray) -> np.ndarray:
-    """[P] bool: no point of the cloud lies within `radius` [P]."""
-    from scipy.spatial import KDTree
-
-    cloud = cloud[np.isfinite(cloud).all(axis=1)]
-    if len(cloud) == 0 or len(points) == 0:
+def _far_from(known: Nearest, points: np.ndarray, radius: np.ndarray) -> np.ndarray:
+    """[P] bool: none of the known points lies within `radius` [P]."""
+    if len(known) == 0 or len(points) == 0:
         return np.ones(len(points), bool)
-    return np.asarray(KDTree(cloud).query(points)[0]) > radius
+    return known.distances(points, 1)[:, 0] > radius
 
 
 def _neighbours(cameras: Cameras, used: list[int], index: int) -> list[int]:

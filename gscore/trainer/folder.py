@@ -12,7 +12,7 @@ from typing import IO
 
 from ..config import DataConfig
 from ..errors import ConfigError, GsError
-from ..io.files import atomic_write, reason, shown
+from ..io.files import atomic_write, reason
 from ..io.places import check_place
 from ..io.runs import (
     RUN_LOCK,
@@ -24,6 +24,8 @@ from ..io.runs import (
     results_in,
 )
 from ..io.sequences import SEQUENCE_FILE
+from ..json_text import parse_json
+from ..shown import shown
 
 _FAR = 1 << 20
 
@@ -163,7 +165,7 @@ def _in_use(path: Path, file: IO[str]) -> GsError:
     file.seek(0)
     holder = ""
     with contextlib.suppress(ValueError, KeyError, TypeError, RecursionError):
-        holder = f" (process {json.loads(file.read())['pid']})"
+        holder = f" (process {parse_json(file.read())['pid']})"
     return GsError(
         f"{path} is in use by another training{holder}; wait for it, stop it, or choose "
         "another output folder."

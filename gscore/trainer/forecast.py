@@ -20,6 +20,7 @@ from .memory import (
     depth_bytes,
     free_memory,
     photo_bytes,
+    point_bytes,
     training_bytes,
 )
 from .schedules import Plan
@@ -75,6 +76,8 @@ def estimate(
     points: int,
     masks: bool = False,
     depths: bool = False,
+    cloud: int | None = None,
+    decoding: int = 0,
     free: int | None = None,
     pace: float | None = None,
 ) -> Estimate:
@@ -86,6 +89,8 @@ def estimate(
         points: Splats at the start.
         masks: Whether photos have masks.
         depths: Whether there are depth maps for them.
+        cloud: Points of structure from motion; None: as many as `points`.
+        decoding: Bytes that photos take while they are decoded, see `Dataset.decoding_bytes`.
         free: Bytes of memory that may be used; None: what is free now.
         pace: How many times as long this machine takes as the one the model was measured on;
             None: found out by drawing some pictures, once, within a tenth of a second.
@@ -105,20 +110,28 @@ def estimate(
     def needed(splats: int, pixels: int) -> int:
         return training_bytes(splats=splats, sh_degree=config.sh_degree, pixels=pixels, lpips=lpips)
 
-    rest = maps + needed(config.max_splats, largest)
+    stay, at_start = point_bytes(points if cloud is None else cloud, splats=config.max_splats)
+    rest = maps + stay + max(needed(config.max_splats, largest), at_start)
     anew = decoded_anew(config, photos, views=len(sizes), rest=rest)
     held = photo_bytes(photos, config, anew=anew)
-    kept = cache_bytes(config, photos, all_of_them=held, rest=rest, free=free)
+    reading = stay + decoding  # before everything else is there
+    kept = cache_bytes(config, photos, all_of_them=held, rest=max(rest, reading), free=free)
+    if kept is not None or anew:
+        rest += decoding
+    if kept is not None:
+        kept = cache_bytes(config, photos, all_of_them=held, rest=rest, free=free)
     held = held if kept is None else kept
+    rest = max(rest, reading)
     fits = free is None or rest + held <= free
     fitting_splats, fitting_width = 0, 0
     if not fits and free is not None:
-        widest, room = int(widths.max(initial=1)), 0.9 * free - held - maps
+        widest = int(widths.max(initial=1))
+        room = 0.9 * free - held - maps - stay - (0 if kept is None else decoding)
 
         def fit(splats: int, width: int) -> bool:
             # Photos that do not fit are decoded again and again: what must fit is the largest view.
             view = largest * (width / widest) ** 2
-            return needed(splats, int(view)) <= room
+            return max(needed(splats, int(view)), at_start) <= room
 
         fitting_splats = 1000 * _most(lambda k: fit(1000 * k, widest), config.max_splats // 1000)
         fitting_splats = fitting_splats if fitting_splats >= _FEWEST_SPLATS else 0

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ..scene import FARTHEST, Scene
+from ..scene import Scene, distances, within_reach
 from ..transforms import SMALLEST, Similarity
 from .stored import number
 
@@ -43,10 +43,10 @@ class Frame:
         radius = float(np.linalg.norm(centers - middle, axis=1).max(initial=0.0))
         radius = radius if radius > SMALLEST else 0.0
         points = scene.points.points
-        points = points[(np.abs(points) <= FARTHEST).all(axis=1)]
-        if len(points):
+        away = distances(points, middle)[within_reach(points)]
+        if len(away):
             # One camera, or all in one place: only the points tell a length.
-            distance = float(np.median(np.linalg.norm(points - middle, axis=1)))
+            distance = float(np.median(away))
             if distance > SMALLEST and radius < _DEGENERATE * distance:
                 radius = distance
                 scale = 2.0 ** -math.ceil(math.log2(distance))

@@ -8,6 +8,8 @@ of structure from motion say how far away the first surface is.
 import numpy as np
 import torch
 
+from .near import Nearest
+
 _NEAREST = 10
 """The distance to the first surface is that to this nearest point: single ones are often wrong."""
 _FEWEST_POINTS = 500
@@ -20,25 +22,21 @@ class FreeSpace:
     """Balls around cameras; float64 inside, for a ball may be small against its distance from the
     origin."""
 
-    def __init__(self, centers: np.ndarray, points: np.ndarray, *, share: float) -> None:
+    def __init__(self, centers: np.ndarray, surfaces: Nearest | None, *, share: float) -> None:
         """Measure the balls.
 
         Args:
             centers: [C, 3] float64 positions of cameras, in any unit.
-            points: [P, 3] of surfaces, in that unit; those not finite do not count. Fewer than 500
-                tell nothing: then there are no balls.
+            surfaces: Points of them, in that unit. None or fewer than 500 tell nothing: then there
+                are no balls.
             share: Radius of a ball as a share of the distance of its camera from the tenth nearest
                 point.
         """
-        points = points[np.isfinite(points).all(axis=1)]
-        if share <= 0 or len(points) < _FEWEST_POINTS:
+        if share <= 0 or surfaces is None or len(surfaces) < _FEWEST_POINTS:
             centers = centers[:0]
         radii = np.zeros(len(centers))
-        if len(centers):
-            from scipy.spatial import KDTree
-
-            distances, _ = KDTree(points).query(centers, k=_NEAREST)
-            radii = share * distances[:, -1]
+        if len(centers) and surfaces is not None:
+            radii = share * surfaces.distances(centers, _NEAREST)[:, -1]
         # |m - c|^2 < r^2 as |m|^2 + (|c|^2 - r^2 - 2 m c) < 0.
         self._towards = torch.from_numpy(-2 * centers.T)
         self._rest = torch.from_numpy(np.square(centers).sum(axis=1) - radii**2)

@@ -89,6 +89,8 @@ def _estimate(
         points=len(photos.scene.points) if splats is None else len(splats),
         masks=photos.nbytes > 3 * pixels,
         depths=depths,
+        cloud=len(photos.scene.points),
+        decoding=photos.decoding_bytes(config.threads),
     )
 
 

@@ -3,6 +3,7 @@
 from ..config import Skip, TrainConfig
 from ..metrics.machine import available_memory_bytes, total_memory_bytes
 from ..splats import SH_REST_BY_DEGREE
+from .near import few_asked
 
 RUNTIME = 230_000_000
 """Bytes of Python with torch before a training begins."""
@@ -33,6 +34,11 @@ _STEPS_A_PHOTO = 50
 """Steps a photo from which on decoding it a few times more does not matter."""
 _FEWEST_PHOTOS = 64_000_000
 """Bytes of photos that are kept at least where not all fit."""
+_POINT = 27
+"""Bytes of a point of structure from motion, as long as the run lasts: float64 and colour."""
+_POINT_AT_START, _POINT_OF_MANY = 60, 45
+"""Bytes it takes besides before the first step: its place in the training world, and the tree by
+which its neighbours are found; where few splats come from many points that is smaller."""
 _DEPTH_BYTES = 11
 """Bytes a pixel while depth maps are read: value and confidence in float32, and the target."""
 
@@ -82,6 +88,18 @@ def _starts_small(config: TrainConfig) -> bool:
     """Whether photos are scaled down at first."""
     full = config.coarse_factor == 1 or (config.coarse_factor == 0 and config.start_splats)
     return not full and Skip.SMALL_PHOTOS not in config.without
+
+
+def point_bytes(points: int, *, splats: int) -> tuple[int, int]:
+    """Memory that so many points of structure from motion take during the whole run, and what they
+    take besides before the first step, when no gradients are there yet.
+
+    Args:
+        points: Of the capture.
+        splats: Largest number of splats.
+    """
+    each = _POINT_OF_MANY if few_asked(points, splats) else _POINT_AT_START
+    return _POINT * points, each * points + _BASE
 
 
 def depth_bytes(pixels: int) -> int:

@@ -9,10 +9,18 @@ from ..errors import DatasetError
 from ..scene import PointCloud
 from ..sh import rgb_to_sh0
 from ..splats import PARAMETERS, Splats
+from .near import Nearest
 
 
 def splats_from_points(
-    cloud: PointCloud, *, extent: float, opacity: float, scale: float, max_splats: int, seed: int
+    cloud: PointCloud,
+    *,
+    extent: float,
+    opacity: float,
+    scale: float,
+    max_splats: int,
+    seed: int,
+    near: Nearest | None = None,
 ) -> Splats:
     """One round splat at each point, as large as the distance to its neighbours (Kerbl et al.
     2023).
@@ -24,6 +32,7 @@ def splats_from_points(
         scale: Standard deviation in root-mean-square distances to the three nearest neighbours.
         max_splats: More points than this are thinned at random.
         seed: Of that thinning.
+        near: Who is near to the points that are finite; None: is found out.
 
     Returns:
         At most `max_splats` splats of SH degree 0, training world.
@@ -33,17 +42,19 @@ def splats_from_points(
     """
     points, colors = cloud.points, cloud.colors
     finite = np.isfinite(points).all(axis=1)
-    points, colors = points[finite], colors[finite]
+    if not finite.all():
+        points, colors = points[finite], colors[finite]
     if len(points) == 0:
         raise DatasetError(
             "The capture has no 3D points to start from (0 finite points); "
             "run the SfM again so that it writes points3D."
         )
-    sizes = _neighbour_distance(points, lone=0.01 * extent) * scale
+    near = Nearest(points, asked=max_splats) if near is None else near
     if len(points) > max_splats:
         rng = np.random.default_rng(seed)
         chosen = np.sort(rng.choice(len(points), max_splats, replace=False))
-        points, colors, sizes = points[chosen], colors[chosen], sizes[chosen]
+        points, colors = points[chosen], colors[chosen]
+    sizes = _neighbour_distance(points, near, lone=0.01 * extent) * scale
     n = len(points)
     quats = np.zeros((n, 4), np.float32)
     quats[:, 0] = 1
@@ -68,12 +79,11 @@ def splats_of_tensors(params: Mapping[str, torch.Tensor]) -> Splats:
     return Splats(**{name: params[name].detach().numpy() for name in PARAMETERS})
 
 
-def _neighbour_distance(points: np.ndarray, *, lone: float) -> np.ndarray:
-    """[P] root-mean-square distance to the three nearest neighbours, at least sqrt(1e-7)."""
-    from scipy.spatial import KDTree
-
-    neighbours = min(3, len(points) - 1)
+def _neighbour_distance(points: np.ndarray, near: Nearest, *, lone: float) -> np.ndarray:
+    """[P] root-mean-square distance of some of the points `near` to the three nearest others, at
+    least sqrt(1e-7)."""
+    neighbours = min(3, len(near) - 1)
     if neighbours == 0:
         return np.full(len(points), lone)
-    distances, _ = KDTree(points).query(points, k=neighbours + 1)
+    distances = near.distances(points, neighbours + 1)
     return np.sqrt(np.maximum((distances[:, 1:] ** 2).mean(axis=1), 1e-7))

@@ -7,6 +7,7 @@ import numpy as np
 from ..datasets.capture import listing
 from ..errors import DatasetError
 from ..io.ply import is_antialiased
+from ..scene import distances
 from ..words import count_words, number
 from .trainer import Trainer
 
@@ -71,8 +72,7 @@ def _stray(trainer: Trainer) -> Iterator[str]:
 
 def _far(places: np.ndarray, middle: np.ndarray) -> tuple[np.ndarray, float]:
     """Indices of places beyond _STRAY median distances, and how many the farthest lies away."""
-    with np.errstate(over="ignore"):
-        distance = np.linalg.norm(places - middle, axis=1)
+    distance = distances(places, middle)
     median = float(np.median(distance)) if len(distance) else 0.0
     if len(distance) < 4 or not median > 0:
         return np.zeros(0, np.intp), 0.0

@@ -25,6 +25,7 @@ from ..events import (
 )
 from ..metrics import Lpips, PictureCollector, headline
 from ..raster import backend
+from ..shown import quoted
 from ..splats import Splats
 from ..words import count_words
 from . import checkpoint
@@ -297,7 +298,7 @@ class Session:
     def _answer(self) -> None:
         """Do what was asked for besides pausing and stopping."""
         for line in self._control.unknown():
-            self.warn(f"There is no control command {line!r}.", "control")
+            self.warn(f"There is no control command {quoted(line)}.", "control")
         if self._control.take_snapshot():
             path = self._results.write_snapshot()
             trainer = self._trainer

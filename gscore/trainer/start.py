@@ -10,20 +10,24 @@ from ..scene import PointCloud
 from ..splats import SH_REST_BY_DEGREE, Splats
 from ..words import number
 from .frame import Frame
+from .near import Nearest
 from .params import splats_from_points
 from .schedules import Plan
 
 
-def splats_of_cloud(cloud: PointCloud, config: TrainConfig, plan: Plan, frame: Frame) -> Splats:
-    """One splat a point of `cloud` (world), thinned to `max_splats`."""
-    points = frame.similarity.points_to_training(cloud.points)
+def splats_of_cloud(
+    cloud: PointCloud, near: Nearest, config: TrainConfig, plan: Plan, frame: Frame
+) -> Splats:
+    """One splat a point of `cloud` (training world), thinned to `max_splats`; `near`: the points of
+    the cloud that are finite."""
     return splats_from_points(
-        PointCloud(points=points, colors=cloud.colors),
+        cloud,
         extent=frame.extent,
         opacity=plan.init_opacity,
         scale=plan.init_scale,
         max_splats=config.max_splats,
         seed=config.seed,
+        near=near,
     )
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import torch
 
+from ..shown import quoted
 from ..splats import Splats
 from .model import Model
 
@@ -19,7 +20,7 @@ _MOST = 1 << 53
 def whole(what: str, value: Any, *, low: int = 0, high: int = _MOST) -> int:
     """`value` if it is an integer from `low` to `high`."""
     if type(value) is not int or not low <= value <= high:
-        raise ValueError(f"{what} is {_short(value)}, expected a whole number, {low} to {high}")
+        raise ValueError(f"{what} is {quoted(value)}, expected a whole number, {low} to {high}")
     return value
 
 
@@ -28,14 +29,14 @@ def number(what: str, value: Any, *, finite: bool = True, low: float = -math.inf
     if type(value) is int:
         value = float(whole(what, value, low=-_MOST))
     if type(value) is not float or (finite and not math.isfinite(value)) or value < low:
-        raise ValueError(f"{what} is {_short(value)}, expected a number")
+        raise ValueError(f"{what} is {quoted(value)}, expected a number")
     return value
 
 
 def choices(what: str, value: Any, allowed: Collection[int]) -> list[int]:
     """`value` if it is a list of integers that are all `allowed`."""
     if not isinstance(value, list) or not all(type(v) is int and v in allowed for v in value):
-        raise ValueError(f"{what} is {_short(value)}, expected views of the capture")
+        raise ValueError(f"{what} is {quoted(value)}, expected views of the capture")
     return list(value)
 
 
@@ -43,14 +44,14 @@ def measurements(what: str, value: Any) -> list[tuple[int, float]]:
     """`value` if it is a list of steps and numbers."""
     pairs = isinstance(value, list) and all(isinstance(v, list | tuple) for v in value)
     if not pairs or any(len(v) != 2 for v in value):
-        raise ValueError(f"{what} is {_short(value)}, expected pairs of a step and a number")
+        raise ValueError(f"{what} is {quoted(value)}, expected pairs of a step and a number")
     return [(whole(what, step), number(what, found, finite=False)) for step, found in value]
 
 
 def rows(what: str, value: Any) -> list[dict[str, Any]]:
     """`value` if it is a list of objects of numbers, each with its step; a phase is text."""
     if not isinstance(value, list) or not all(isinstance(row, dict) for row in value):
-        raise ValueError(f"{what} is {_short(value)}, expected a list of objects")
+        raise ValueError(f"{what} is {quoted(value)}, expected a list of objects")
     for row in value:
         whole(f"a step of {what}", row.get("step"))
         for key, found in row.items():
@@ -62,7 +63,7 @@ def rows(what: str, value: Any) -> list[dict[str, Any]]:
 def texts(what: str, value: Any) -> list[str]:
     """`value` if it is a list of texts."""
     if not isinstance(value, list) or not all(isinstance(text, str) for text in value):
-        raise ValueError(f"{what} is {_short(value)}, expected texts")
+        raise ValueError(f"{what} is {quoted(value)}, expected texts")
     return list(value)
 
 
@@ -91,8 +92,3 @@ def _same(
         raise ValueError(
             f"{name} is {list(tensor.shape)} {tensor.dtype}, expected {list(shape)} {dtype}"
         )
-
-
-def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 80 else f"{text[:77]}..."

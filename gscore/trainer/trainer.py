@@ -26,6 +26,7 @@ from .frame import Frame
 from .free_space import FreeSpace
 from .laps import Laps
 from .model import Model, Moments, ShN
+from .near import Nearest
 from .params import splats_of_tensors, tensors_from_splats
 from .pyramid import AHEAD, Pyramid
 from .regularisers import drop_rate_at, drop_splats, opacity_loss
@@ -142,16 +143,18 @@ class Trainer:
         """What the parts of the last step took."""
         self._cameras = self.frame.similarity.cameras_to_training(photos.scene.cameras)
         self._pyramid = Pyramid(photos, self._cameras, limit=photo_cache)
-        surfaces = self.frame.similarity.points_to_training(cloud.points)
+        cloud = replace(cloud, points=self.frame.similarity.points_to_training(cloud.points))
+        near = Nearest(cloud.points, asked=count)
         self._free_space = FreeSpace(
             self._cameras.centers[list(photos.train)],
-            surfaces[: 0 if cloud.made_up else None],
+            None if cloud.made_up else near,
             share=config.free_space,
         )
         if start is None:
-            first = splats_of_cloud(cloud, config, self.plan, self.frame)
+            first = splats_of_cloud(cloud, near, config, self.plan, self.frame)
         else:
             first = splats_to_go_on_with(start, config, self.frame)
+        del cloud, near  # of no more use, and larger than the model where points are many
         self.model = Model(tensors_from_splats(first))
         self._disable = raster_bits(config.without)
         self._given_degree = first.sh_degree

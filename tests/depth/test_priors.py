@@ -14,6 +14,7 @@ from gscore.depth import load_priors
 from gscore.depth.maps import DepthKind
 from gscore.depth.observations import observations, observed
 from gscore.errors import ConfigError, DatasetError, FormatError
+from gscore.io.colmap_model import PointIndex
 from gscore.io.images import write_png
 
 
@@ -344,7 +345,7 @@ def test_observations_of_a_view(planes):
     model.points.error[:] = rng.uniform(0, 3, len(model.points))
     model.points.error[:3] = -1  # unknown counts as one pixel
     model.points.track_lengths[:] = rng.integers(1, 30, len(model.points))
-    seen = observed(model, image)
+    seen = observed(model, image, PointIndex(model.points))
     truth = pycolmap.Reconstruction(str(planes.folder / "sparse" / "0")).images[image.id]
     cloud = pycolmap.Reconstruction(str(planes.folder / "sparse" / "0")).points3D
     expected = [

@@ -2,6 +2,7 @@
 
 import copy
 import json
+import re
 from typing import Any
 
 from hypothesis import strategies as st
@@ -13,6 +14,11 @@ _TEXTS = [
     b"-1",
     b"1e999",
     b"99999999999999999999",
+    b"9" * 400,
+    b"9" * 5000,
+    b"n" * 300,
+    b"\xef\xbb\xbf",
+    "\ncomment zu gro\u00df\n".encode(),
     b"\xff\xfe",
     b"\x00",
     b"../",
@@ -27,6 +33,7 @@ _VALUES: list[Any] = [
     1e308,
     -1e-320,
     10**30,
+    10**400,
     2**63,
     float("nan"),
     float("inf"),
@@ -37,6 +44,7 @@ _VALUES: list[Any] = [
     "C:\\windows\\x",
     "a\x00b",
     "\ud800",
+    "n" * 300,
     "1",
     [],
     {},
@@ -116,6 +124,11 @@ def damaged_json(draw: st.DrawFn, good: bytes) -> bytes:
         else:
             parent[path[-1]] = value
     text = json.dumps(content)
-    if draw(st.integers(0, 20)) == 0:
+    kind = draw(st.integers(0, 20))
+    if kind == 0:
         text = "[" * 100_000
+    elif kind == 1:
+        text = "\ufeff" + text
+    elif kind == 2:
+        text = re.sub(r"\d+", "9" * 5000, text, count=1)  # Python itself writes no such number
     return text.encode("utf-8", "surrogatepass")

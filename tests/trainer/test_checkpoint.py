@@ -208,7 +208,7 @@ def test_a_failed_write_leaves_the_old_file(
         (("trainer", "steps"), "3", "steps is '3'"),
         (("trainer", "adam_steps", "means"), 1.5, "adam_steps of means is 1.5"),
         (("trainer", "frame", "extent"), 0, "extent and near must be positive"),
-        (("trainer", "frame", "scale"), 10**400, "scale is 10+"),
+        (("trainer", "frame", "scale"), 10**400, "scale is inf"),
         (("session", "watchdog", "good"), [["a", "b"]], "good is 'a'"),
         (("session", "watchdog", "rescues"), -(10**9), "rescues is -1000000000"),
         (("session", "meter", "history"), [{"step": 1, "loss": []}], "loss of history is"),

@@ -16,6 +16,7 @@ from gscore.scene import PointCloud
 from gscore.splats import PARAMETERS, Splats
 from gscore.trainer import checkpoint, free_space, session, trainer
 from gscore.trainer.free_space import FreeSpace
+from gscore.trainer.near import Nearest
 from gscore.trainer.run import train
 from gscore.trainer.schedules import Plan
 from gscore.trainer.trainer import Trainer
@@ -44,7 +45,7 @@ def test_balls_are_those_of_the_definition(offset: float) -> None:
     means[6] = torch.inf
     expected = slowly(means.double().numpy(), cameras, points, 0.6)
     assert 20 < expected.sum() < 980
-    space = FreeSpace(cameras, points, share=0.6)
+    space = FreeSpace(cameras, Nearest(points), share=0.6)
     assert space.holds(means).numpy().tolist() == expected.tolist()
     many = means.repeat(200, 1)
     assert space.holds(many).numpy().tolist() == expected.tolist() * 200
@@ -54,12 +55,12 @@ def test_what_tells_nothing_frees_nothing() -> None:
     """Oracle: the definition; points that are no numbers do not count."""
     rng = np.random.default_rng(0)
     points, camera, here = rng.normal(size=(600, 3)) + 5, np.zeros((1, 3)), torch.zeros(1, 3)
-    assert FreeSpace(camera, points, share=0.4).holds(here).all()
-    assert not FreeSpace(camera, points, share=0.0).holds(here).any()
-    assert not FreeSpace(camera, points[:499], share=0.4).holds(here).any()
+    assert FreeSpace(camera, Nearest(points), share=0.4).holds(here).all()
+    assert not FreeSpace(camera, Nearest(points), share=0.0).holds(here).any()
+    assert not FreeSpace(camera, Nearest(points[:499]), share=0.4).holds(here).any()
     points[:101] = np.nan
-    assert not FreeSpace(camera, points, share=0.4).holds(here).any()
-    assert not FreeSpace(camera[:0], points, share=0.4).holds(here).any()
+    assert not FreeSpace(camera, Nearest(points), share=0.4).holds(here).any()
+    assert not FreeSpace(camera[:0], Nearest(points), share=0.4).holds(here).any()
 
 
 @pytest.fixture

@@ -236,3 +236,25 @@ def test_python_dash_m(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "gscore", "--version"]
     done = subprocess.run(command, check=True, capture_output=True, text=True, cwd=tmp_path)
     assert done.stdout == f"gscore {__version__}\n"
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["info", "n" * 300],
+        ["train", "n" * 300, "-o", "out"],
+        ["render", "n" * 300, "-o", "out"],
+        ["eval", "n" * 300],
+        ["depth", "n" * 300],
+        ["sequence", "n" * 300, "-o", "out"],
+    ],
+)
+def test_names_that_no_file_can_have(
+    arguments: list[str], capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: Any
+) -> None:
+    """Oracle: exit code 2 and one sentence, as for any other name that is not there."""
+    monkeypatch.chdir(tmp_path)
+    assert commands.main(arguments) == 2
+    told = capsys.readouterr().err
+    assert "name is too long" in told and "Traceback" not in told
+    assert len(told) < 600

@@ -8,7 +8,7 @@ from typing import BinaryIO
 import pytest
 
 from gscore.errors import DatasetError, GsError
-from gscore.io.files import atomic_write, read_bytes
+from gscore.io.files import atomic_write, is_file, read_bytes
 
 
 def _listing(folder: Path) -> list[str]:
@@ -128,3 +128,22 @@ def test_errors_of_the_writer_stay_its_own(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="mine"):
         atomic_write(tmp_path / "x", fail)
     assert _listing(tmp_path) == []
+
+
+@pytest.mark.parametrize("length", [242, 250, 255])
+def test_names_as_long_as_they_may_be(length: int, tmp_path: Path) -> None:
+    """Oracle: the file system's limit of 255 bytes, which the temporary name keeps too."""
+    path = tmp_path / ("ä" * ((length - 5) // 2) + "b" * (1 + (length - 5) % 2) + ".bin")
+    assert len(os.fsencode(path.name)) == length
+    atomic_write(path, b"1")
+    assert path.read_bytes() == b"1"
+    assert _listing(tmp_path) == [path.name]
+
+
+def test_nothing_stands_under_names_that_cannot_be(tmp_path: Path) -> None:
+    """Oracle: no error and no file."""
+    assert not is_file(tmp_path / ("n" * 300))
+    assert not is_file(tmp_path / "a\0b")
+    assert not is_file(tmp_path)
+    atomic_write(tmp_path / "x", b"")
+    assert is_file(tmp_path / "x")

@@ -12,7 +12,13 @@ import plyfile
 import pytest
 
 from gscore.errors import DatasetError, FormatError, GsError
-from gscore.io.ply import MIP_COMMENT, is_antialiased, read_splats, write_splats
+from gscore.io.ply import (
+    MIP_COMMENT,
+    header_comments,
+    is_antialiased,
+    read_splats,
+    write_splats,
+)
 from gscore.io.ply_points import read_point_cloud
 from gscore.splats import SH_REST_BY_DEGREE, Splats
 
@@ -380,3 +386,58 @@ def test_bytes_after_the_last_row_are_told(
     assert len(read_splats(path)) == len(splats) - 1
     width = 4 * (17 + splats.shN.shape[1] * 3)
     assert f"{width} bytes after the last row its header announces" in caplog.text
+
+
+def test_lines_after_the_last_row_are_told(
+    make_splats: Callable, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Oracle: a text file that states two rows less than it holds; empty lines do not count."""
+    path = tmp_path / "a.ply"
+    _write(path, _columns(make_splats(9)), text=True)
+    path.write_bytes(path.read_bytes() + b"\n\n")
+    assert len(read_splats(path)) == 9
+    assert not caplog.records
+    path.write_bytes(path.read_bytes().replace(b"element vertex 9", b"element vertex 7", 1))
+    assert len(read_splats(path)) == 7
+    assert "2 lines after the last row its header announces are not read" in caplog.text
+
+
+@pytest.mark.parametrize("text", [True, False])
+@pytest.mark.parametrize("mark", [b"", b"\xef\xbb\xbf"])
+def test_any_letters_in_comments_and_a_byte_order_mark(
+    mark: bytes, text: bool, make_splats: Callable, tmp_path: Path
+) -> None:
+    """Oracle: the same model without them; plyfile alone takes neither."""
+    path = tmp_path / "a.ply"
+    _write(path, _columns(make_splats(9)), text=text)
+    plain = read_splats(path)
+    comment = "comment größer, 大, \xad\ncomment SplatRenderMode: mip\n".encode()
+    raw = path.read_bytes()
+    path.write_bytes(mark + raw.replace(b"element vertex", comment + b"element vertex", 1))
+    found = read_splats(path)
+    for field in fields(plain):
+        np.testing.assert_array_equal(getattr(found, field.name), getattr(plain, field.name))
+    assert header_comments(path)[0].startswith("größer, 大")
+    assert is_antialiased(path)
+
+
+def test_comments_of_any_letters_and_lines_are_written(
+    make_splats: Callable, tmp_path: Path
+) -> None:
+    """Oracle: plyfile, which takes ASCII alone, reads the comments and as many rows."""
+    path = tmp_path / "a.ply"
+    write_splats(path, make_splats(), comments=("größer\nend_header\r\nzwei", MIP_COMMENT))
+    found = plyfile.PlyData.read(str(path))
+    assert found.comments == ["gr\\xf6\\xdfer", "end_header", "zwei", MIP_COMMENT]
+    assert len(found["vertex"]) == len(read_splats(path)) == 50
+
+
+@pytest.mark.parametrize("count", [b"9" * 400, b"9" * 5000])
+def test_counts_of_many_digits(count: bytes, make_splats: Callable, tmp_path: Path) -> None:
+    """Oracle: one short sentence."""
+    path = tmp_path / "a.ply"
+    write_splats(path, make_splats())
+    path.write_bytes(path.read_bytes().replace(b"vertex 50", b"vertex " + count, 1))
+    with pytest.raises(FormatError, match="its header announces '999") as error:
+        read_splats(path)
+    assert len(str(error.value)) < 500

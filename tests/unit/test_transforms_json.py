@@ -1,6 +1,7 @@
 """transforms.json of nerfstudio, Instant-NGP and synthetic NeRF, by hand and by projection."""
 
 import json
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import pytest
 
 from gscore.config import DataConfig
 from gscore.datasets import Dataset, load_dataset
+from gscore.datasets.capture import repeated
 from gscore.datasets.transforms_json import read_transforms
 from gscore.errors import DatasetError, FormatError, GsError
 from gscore.io.images import write_png
@@ -216,7 +218,7 @@ def test_unusable_files(change: dict, message: str, nerfstudio: tuple[Path, Any]
         ({"transform_matrix": [[10**400] * 4] * 4}, "expected 4 x 4 numbers"),
         ({"fl_x": 1e200}, "fl_x is 1e\\+200, expected a number up to 1e"),
         ({"w": 2**40}, "size 1099511627776 x 48 must be positive, and sides below 2\\^31"),
-        ({"fl_x": 10**400}, "fl_x is 10+, expected a number up to"),
+        ({"fl_x": 10**400}, "fl_x is inf, expected a number up to"),
         ({"transform_matrix": (2 * np.eye(4)).tolist()}, "Remove the scale"),
         ({"transform_matrix": np.diag([1.0, 1, -1, 1]).tolist()}, "mirrors the camera"),
         ({"mask_path": 7}, "mask_path is 7"),
@@ -258,3 +260,25 @@ def test_hostile(nerfstudio: tuple[Path, Any], mutations: Callable) -> None:
             assert str(root) in str(error)
             refused += 1
     assert refused > 20
+
+
+def test_names_that_repeat_are_found_in_linear_time() -> None:
+    """Oracle: sorted by hand; a minute and more where each is looked for among all."""
+    names = [f"images/{i:06d}.jpg" for i in range(60_000)]
+    began = time.process_time()
+    assert repeated(names) == []
+    assert repeated([*names, names[7], names[3], names[7]]) == [names[3], names[7]]
+    assert time.process_time() - began < 2
+
+
+def test_photos_and_masks_of_the_longest_names(tmp_path: Path) -> None:
+    """Oracle: one of our sentences: with an ending of ours the name would be too long."""
+    frame = {"file_path": "n" * 254, "mask_path": "m" * 254, "transform_matrix": np.eye(4).tolist()}
+    content = {"w": 64, "h": 48, "fl_x": 60, "frames": [frame]}
+    (tmp_path / "transforms.json").write_text(json.dumps(content))
+    with pytest.raises(DatasetError, match=r"1 of the 1 images of .* are missing"):
+        read_transforms(DataConfig(source=tmp_path))
+    frame["file_path"] = "n" * 256
+    (tmp_path / "transforms.json").write_text(json.dumps(content))
+    with pytest.raises(FormatError, match="with names of 255 bytes at most"):
+        read_transforms(DataConfig(source=tmp_path))

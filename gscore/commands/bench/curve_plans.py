@@ -1,7 +1,6 @@
 """What `gscore bench time-error` is to train: looked up and checked before anything is trained."""
 
 import argparse
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,6 +13,8 @@ from ...config import Skip, Strategy, TrainConfig
 from ...config_file import from_dict, to_dict
 from ...datasets import Dataset
 from ...errors import ConfigError
+from ...json_text import parse_json
+from ...shown import quoted
 from ...trainer.checkpoint import FREE
 from .sweeps import SizesPlan, plan_sizes
 from .training_options import training_configs
@@ -46,13 +47,15 @@ def plans_of(args: argparse.Namespace) -> list[Plan]:
     for source in args.sources:
         name = source.resolve().name
         if name in sources:
-            raise ConfigError(f"Two captures are called {name!r}; give each a name of its own.")
+            raise ConfigError(
+                f"Two captures are called {quoted(name)}; give each a name of its own."
+            )
         sources[name] = source
     for path, (capture, _) in peers.items():
         if capture not in sources:
             raise ConfigError(
-                f"{path} holds curves of the capture {capture!r}, which is not measured here; "
-                f"there are: {', '.join(sources)}."
+                f"{path} holds curves of the capture {quoted(capture)}, which is not measured "
+                f"here; there are: {', '.join(sources)}."
             )
     plans = []
     for name, source in sources.items():
@@ -96,8 +99,8 @@ def _ablated(config: TrainConfig, name: str) -> TrainConfig:
     if not equals or option in _NOT_HERE or option.startswith("depth_"):
         known = ", ".join((*Strategy, *Skip))
         raise ConfigError(
-            f"There is no ablation {name!r}; there are: {known}, and OPTION=VALUE for options of "
-            "gscore.TrainConfig that change how a training without depth maps learns."
+            f"There is no ablation {quoted(name)}; there are: {known}, and OPTION=VALUE for "
+            "options of gscore.TrainConfig that change how a training without depth maps learns."
         )
     values = to_dict(config) | {option: _value(value, getattr(config, option, None))}
     return from_dict(TrainConfig, values, where=f"--ablations {name}")
@@ -108,6 +111,6 @@ def _value(text: str, now: Any) -> Any:
     if isinstance(now, bool) and text in ("on", "off"):
         return text == "on"
     try:
-        return json.loads(text)
-    except (ValueError, RecursionError):
+        return parse_json(text)
+    except ValueError:
         return text

@@ -8,6 +8,7 @@ from typing import Any
 from ...bench.scaling import SIZES, SPLATS, VIEWS, Series, bench_scaling
 from ...metrics.machine import cores, machine
 from ...raster import backend
+from ...shown import quoted
 from ...words import count_words
 from ..output import print_json
 from ..status import Rows, Status
@@ -59,7 +60,7 @@ def size(text: str) -> tuple[int, int]:
     except ValueError:
         found = 0, 0
     if min(found) < 1:
-        raise argparse.ArgumentTypeError(f"a size looks like 640x400, got {text!r}")
+        raise argparse.ArgumentTypeError(f"a size looks like 640x400, got {quoted(text)}")
     return found
 
 
