@@ -115,7 +115,8 @@ def _copies(views: list[View], cancelled: Callable[[], bool]) -> list[str]:
     named = [f"{views[copy].name} of {views[first].name}" for first, copy in pairs]
     return [
         f"{count_words(len(pairs), 'photo is a copy', 'photos are copies')} of others: "
-        f"{listing(named, 3)}. Copies count twice, and a test view that is a copy of a training view is no test; remove them."
+        f"{listing(named, 3)}. Copies count twice, and a test view that is a "
+        f"copy of a training view is no test; remove them."
     ]
 
 
@@ -132,7 +133,8 @@ def _flipped(views: list[View], infos: list[ImageInfo], upright: list[bool]) -> 
         return []
     return [
         f"EXIF asks to turn {count_words(len(unsure), 'photo that is', 'photos that are')} used as "
-        f"stored, as COLMAP does: {listing(unsure)}. If the cameras were made from turned photos, save the photos turned."
+        f"stored, as COLMAP does: {listing(unsure)}. If the cameras were made from "
+        f"turned photos, save the photos turned."
     ]
 
 

@@ -120,7 +120,8 @@ def too_large(path: Path, stated: str) -> FormatError:
     """The sentence for a header that states more than is read."""
     return FormatError(
         f"{path} states a size of {stated}, but pictures of more than "
-        f"{number(MOST_PIXELS)} pixels are not read. Scale the photos down, or copy this one again if it is damaged."
+        f"{number(MOST_PIXELS)} pixels are not read. Scale the photos down, "
+        f"or copy this one again if it is damaged."
     )
 
 

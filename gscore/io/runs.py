@@ -10,6 +10,7 @@ from ..config import DataConfig, TrainConfig
 from ..config_file import load_config
 from ..errors import ConfigError, DatasetError
 from ..events import CONVERGED, FINISHED, TARGET, judged_psnr
+from ..json_text import parse_json
 from .files import read_bytes
 from .metrics_file import read_metrics
 

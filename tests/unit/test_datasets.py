@@ -175,7 +175,7 @@ def test_photos_turned_by_exif_without_a_trace_in_their_size(
         assert bool(data.warnings) == told
         if told:
             assert data.warnings[0].startswith(
-                f"EXIF asks to turn 3 photos that are used as they are stored, as "
+                f"EXIF asks to turn 3 photos that are used as stored, as "
                 f"COLMAP does: 0.{ending}, 1.{ending}"
             )
 

@@ -20,6 +20,7 @@ def file_of(path: Path, size: tuple[int, int], to: tuple[int, int]) -> ViewFile:
     return ViewFile(
         image=path,
         mask=None,
+        mask_inverted=False,
         use_alpha=False,
         upright=False,
         photo_size=size,
@@ -84,7 +85,7 @@ def test_strips_are_the_whole(mode: str, tmp_path: Path, monkeypatch: pytest.Mon
             picture.putalpha(Image.fromarray(values[..., 0]))
         picture.save(path)
         expected = np.array(picture.convert("RGBA" if mode == "RGBA" else "RGB"))
-    monkeypatch.setattr("gscore.io.images._PIXELS_A_STRIP", 100)
+    monkeypatch.setattr("gscore.io.pixels._PIXELS_A_STRIP", 100)
     np.testing.assert_array_equal(read_image(path), expected)
 
 

@@ -289,7 +289,7 @@ class TestInADataset:
             write_png(capture.root / "images" / name, photo)
         data = load_dataset(DataConfig(source=capture.root))
         (warning,) = data.warnings
-        assert "distortion of 2 photos folds back at their rim, so up to 1" in warning
+        assert "distortion of 2 photos folds back at the rim, so up to 1" in warning
         assert "(view_00.png, RADIAL [170.0, 103.0, 72.0, -0.43, 0.0])" in warning
         middle = data.scene.cameras.Ks[0][0, 2]
         image = data.image(0)
