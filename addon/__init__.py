@@ -7,6 +7,7 @@ from importlib import import_module
 
 MODULES: tuple[str, ...] = (
     "preferences",
+    "outcomes",
     "properties",
     "stored_paths",
     "camera_operators",

@@ -5,10 +5,13 @@ from pathlib import Path
 import bpy
 
 from . import camera_objects as co
+from . import stored_paths
+from .folders import means_capture
+from .paths import absolute
 
 
 def find_root(context: bpy.types.Context, name: str = "") -> bpy.types.Object:
-    """The capture that is meant: by name, else by what is active, else the only one.
+    """The capture that is meant: by name, else by what is active or chosen, else the only one.
 
     Raises:
         ValueError: there is none, or it is not clear which.
@@ -19,7 +22,7 @@ def find_root(context: bpy.types.Context, name: str = "") -> bpy.types.Object:
             raise ValueError(f"There is no capture called {name}. Import one with Import Cameras.")
         return root
     active = getattr(context, "active_object", None)
-    for ob in (active, context.scene.camera):
+    for ob in (active, chosen_root(context.scene), context.scene.camera):
         if (root := co.root_of(ob)) is not None:
             return root
     roots = roots_of(context.scene)
@@ -28,6 +31,32 @@ def find_root(context: bpy.types.Context, name: str = "") -> bpy.types.Object:
         many = "There are several captures. Select an object of the one that is meant."
         raise ValueError(many if roots else few)
     return roots[0]
+
+
+def chosen_root(scene: bpy.types.Scene) -> bpy.types.Object | None:
+    """The empty of the capture that is chosen in the panel, if it was imported.
+
+    One that was imported from elsewhere, but from a folder of the same name, counts where there is
+    no better one: the capture may have moved.
+    """
+    roots, settings = roots_of(scene), getattr(scene, "gscore", None)
+    if settings is None or not settings.capture_path.strip():
+        return None
+    try:
+        chosen = absolute(settings.capture_path, "Capture")
+    except ValueError:
+        return None
+    places = [(root, Path(stored_paths.read(root, stored_paths.SOURCE))) for root in roots]
+    exact = [root for root, source in places if means_capture(chosen, source)]
+    alike = [root for root, source in places if source.name and source.name in chosen.parts[-3:]]
+    return next(iter(exact or alike), None)
+
+
+def panel_root(scene: bpy.types.Scene) -> bpy.types.Object | None:
+    """The empty that the sidebar is about: the chosen capture's; the first where none is chosen."""
+    if scene.gscore.capture_path.strip():
+        return chosen_root(scene)
+    return next(iter(roots_of(scene)), None)
 
 
 def roots_of(scene: bpy.types.Scene) -> list[bpy.types.Object]:

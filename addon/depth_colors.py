@@ -10,7 +10,7 @@ import bpy
 from bpy.props import BoolProperty
 
 from . import undo
-from .camera_lookup import find_root, roots_of
+from .camera_lookup import panel_root
 from .camera_objects import cameras_of
 from .depth_report import ACCEPTED, MISSING, REFUSED, DepthReport
 from .job import depth, timer
@@ -72,10 +72,9 @@ def follow() -> bool:
         if report is None or report is _followed.get(scene.name):
             continue
         _followed[scene.name] = report
-        stale = [r for r in roots_of(scene) if shown(r) and not matches(r, report)]
-        for root in stale:
+        root = panel_root(scene)  # whose maps the report is about
+        if root is not None and shown(root) and not matches(root, report):
             show(root, report)
-        if stale:
             undo.push("Color Cameras")
             changed = True
     return changed
@@ -129,7 +128,9 @@ class ColorCameras(bpy.types.Operator):
         """Color, or take the colors away."""
         scene = context.scene
         try:
-            root = find_root(context)
+            root = panel_root(scene)
+            if root is None:
+                raise ValueError("The capture is not imported. Use Import Cameras first.")
             if not self.show:
                 hide(root)
                 return {"FINISHED"}

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Generic, TypeVar
 
 from .capture import CaptureFacts, inspect
-from .core import Estimate, RunInfo, read_run
+from .core import Estimate
 from .depth_report import DepthReport, read_run_report
-from .job import forecast
+from .job import earlier, forecast
 from .job.background import Task
 
 KeyT = TypeVar("KeyT", bound=Hashable)
@@ -79,8 +79,10 @@ captures: Lookup[tuple[str, str], CaptureFacts] = Lookup(
     lambda key: inspect(key[0], images=key[1]), max_age=600.0
 )
 """What a capture holds, by its path and the name of its photo folder."""
-runs: Lookup[Path, RunInfo | None] = Lookup(read_run, max_age=3.0)
-"""How far the training in an output folder is."""
+runs: Lookup[tuple[Path, Path | None], earlier.EarlierRun | None] = Lookup(
+    lambda key: earlier.look(*key), max_age=3.0
+)
+"""What an output folder holds already, by its path and the chosen capture's."""
 depth_runs: Lookup[Path, DepthReport | None] = Lookup(read_run_report, max_age=10.0)
 """What became of the depth maps in the training in an output folder."""
 forecasts: Lookup[forecast.Question, Estimate] = Lookup(forecast.answer, max_age=20.0)

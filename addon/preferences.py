@@ -1,14 +1,11 @@
 """The add-on's preferences: the Python that trains, and this computer's habits."""
 
-import textwrap
-
 import bpy
 from bpy.props import EnumProperty, FloatProperty, IntProperty, StringProperty
 
 from .job import setup
 from .paths import ROOT
-
-_WRAP = 90
+from .questions import wrapped
 
 
 class Preferences(bpy.types.AddonPreferences):
@@ -120,22 +117,6 @@ def draw_trainer(layout: bpy.types.UILayout, prefs: Preferences) -> None:
         wrapped(box, setup.make_problem, icon="ERROR")
     if setup.verdict is not None:
         wrapped(box, setup.verdict.sentence, icon="CHECKMARK" if setup.verdict.good else "ERROR")
-
-
-def wrapped(
-    layout: bpy.types.UILayout, text: str, *, icon: str = "NONE", width: int = _WRAP
-) -> None:
-    """A sentence as several labels, because Blender's labels do not wrap.
-
-    Args:
-        layout: Gets a column.
-        text: The sentence.
-        icon: Before the first line.
-        width: Characters of a line.
-    """
-    column = layout.column(align=True)
-    for number, line in enumerate(textwrap.wrap(text, width) or [""]):
-        column.label(text=line, icon="BLANK1" if number and icon != "NONE" else icon)
 
 
 def get() -> Preferences:

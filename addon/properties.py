@@ -6,6 +6,7 @@ from typing import Any
 import bpy
 from bpy.props import (
     BoolProperty,
+    CollectionProperty,
     EnumProperty,
     FloatProperty,
     IntProperty,
@@ -13,7 +14,7 @@ from bpy.props import (
     StringProperty,
 )
 
-from . import compat
+from . import compat, outcomes
 from .core import PRESETS, Background, Strategy, Switch
 from .job import facts
 from .job.options import AS_PRESET, BY_WIDTH
@@ -75,6 +76,12 @@ def apply_preset(settings: "SceneSettings") -> None:
     settings.resolution = AS_PRESET
 
 
+def _capture_chosen(settings: "SceneSettings", context: bpy.types.Context) -> None:
+    """Output, splats and test view follow the capture."""
+    outcomes.follow_capture(settings)
+    _capture_changed(settings, context)
+
+
 def _capture_changed(settings: "SceneSettings", context: bpy.types.Context) -> None:
     """Look into the capture, so that the panel knows when it draws."""
     facts.capture(settings.id_data)
@@ -92,7 +99,7 @@ class SceneSettings(bpy.types.PropertyGroup):
         description="Folder with the photos and their COLMAP model",
         subtype="DIR_PATH",
         options=compat.BLEND_RELATIVE,
-        update=_capture_changed,
+        update=_capture_chosen,
     )
     output_path: StringProperty(
         name="Output",
@@ -259,6 +266,16 @@ class SceneSettings(bpy.types.PropertyGroup):
         name="Test View",
         description="Picture of a test view as the splats show it now",
         type=bpy.types.Image,
+    )
+    outcome_of: StringProperty(
+        name="Outcome Of",
+        description="Capture that Output, Result and Test View belong to",
+        options={"HIDDEN"},
+    )
+    outcomes: CollectionProperty(
+        name="Outcomes",
+        description="Output, Result and Test View of the captures that are not chosen",
+        type=outcomes.Outcome,
     )
 
 

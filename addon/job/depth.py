@@ -48,6 +48,18 @@ def predict(
     return _start(arguments, source, wait=wait, python=python)
 
 
+def replaced(scene: bpy.types.Scene) -> list[str]:
+    """What a prediction of all views replaces for good, in sentences.
+
+    Raises:
+        ValueError: there is no capture.
+    """
+    source = capture_folder(scene)
+    found = facts.capture(scene)[0]
+    count = 0 if found is None else found.depths
+    return [f"{count or 'All'} depth maps in {source / options.DEPTHS} are replaced for good."]
+
+
 def check(
     scene: bpy.types.Scene, *, wait: bool = False, python: str | Path | None = None
 ) -> DepthJob:

@@ -7,6 +7,7 @@ from bpy.props import BoolProperty, StringProperty
 
 from .. import preferences
 from ..core import GsError
+from ..questions import Asking
 from ..render.operators import show_image
 from . import depth, depth_job, timer
 from .depth_job import DepthJob
@@ -41,7 +42,7 @@ class _DepthWork:
         raise NotImplementedError
 
 
-class PredictDepth(_DepthWork, bpy.types.Operator):
+class PredictDepth(Asking, _DepthWork, bpy.types.Operator):
     """Predict depth maps of all photos with a network, in the background; Blender stays free"""
 
     bl_idname = "gscore.predict_depth"
@@ -53,6 +54,7 @@ class PredictDepth(_DepthWork, bpy.types.Operator):
         subtype="FILE_PATH",
         options={"SKIP_SAVE"},
     )
+    confirm = "Predict Anew"
     filter_glob: StringProperty(default="*.onnx", options={"HIDDEN"})
     overwrite: BoolProperty(
         name="All Anew",
@@ -61,13 +63,15 @@ class PredictDepth(_DepthWork, bpy.types.Operator):
     )
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
-        """Ask for a network where none is chosen, and before maps are replaced."""
+        """Ask for a network where none is chosen, else before maps are replaced."""
         if not (self.filepath or preferences.get().depth_model.strip()):
             context.window_manager.fileselect_add(self)
             return {"RUNNING_MODAL"}
-        if self.overwrite:
-            return context.window_manager.invoke_confirm(self, event)
-        return self.execute(context)
+        return super().invoke(context, event)
+
+    def question(self, context: bpy.types.Context) -> list[str]:
+        """Name the maps that are replaced."""
+        return depth.replaced(context.scene) if self.overwrite else []
 
     def start(self, scene: bpy.types.Scene) -> DepthJob:
         """Start, and remember the network."""

@@ -4,9 +4,10 @@ import bpy
 
 from .. import lookup, preferences
 from ..capture import CaptureFacts
-from ..core import Estimate, RunInfo
+from ..core import Estimate
 from ..paths import absolute, output_folder
 from . import forecast, timer
+from .earlier import EarlierRun
 
 
 def capture(scene: bpy.types.Scene) -> tuple[CaptureFacts | None, str]:
@@ -40,12 +41,14 @@ def forecast_of(scene: bpy.types.Scene) -> tuple[Estimate | None, str]:
     return answer
 
 
-def run(scene: bpy.types.Scene) -> tuple[RunInfo | None, str]:
-    """How far the run in the scene's output folder is; (None, "") for none or still unknown."""
+def run(scene: bpy.types.Scene) -> tuple[EarlierRun | None, str]:
+    """The run in the scene's output folder; (None, "") for none or still unknown."""
+    text = scene.gscore.capture_path
     try:
+        chosen = absolute(text, "Capture") if text.strip() else None
         folder = output_folder(scene, preferences.get().output_folder)
     except ValueError:
         return None, ""  # the panel says what is missing where the capture is chosen
-    answer = lookup.runs.get(folder)
+    answer = lookup.runs.get((folder, chosen))
     timer.ensure()
     return answer

@@ -7,6 +7,7 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, StringProperty
 
 from .. import preferences
+from ..questions import Asking
 from ..render.operators import show_image
 from . import facts, registry, session, setup, timer, training
 from .job import Job
@@ -32,8 +33,12 @@ class _JobOperator:
         cls.poll_message_set("No training is in the state for this")
         return False
 
+    def job(self, context: bpy.types.Context) -> Job | None:
+        """The training that is meant."""
+        return registry.by_id(self.job_id) if self.job_id else training.job_of(context.scene)
+
     def execute(self, context: bpy.types.Context) -> Result:
-        job = registry.by_id(self.job_id) if self.job_id else training.job_of(context.scene)
+        job = self.job(context)
         if job is None or job.state.status not in self.allowed:
             self.report({"ERROR"}, "This scene has no training in the state for this.")
             return {"CANCELLED"}
@@ -45,7 +50,7 @@ class _JobOperator:
         raise NotImplementedError
 
 
-class Train(bpy.types.Operator):
+class Train(Asking, bpy.types.Operator):
     """Train splats from the capture in the background; Blender stays free"""
 
     bl_idname = "gscore.train"
@@ -63,11 +68,11 @@ class Train(bpy.types.Operator):
         options={"HIDDEN", "SKIP_SAVE"},
     )
 
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
-        """Ask before an earlier run is replaced."""
-        if self.overwrite:
-            return context.window_manager.invoke_confirm(self, event)
-        return self.execute(context)
+    confirm = "Start Over"
+
+    def question(self, context: bpy.types.Context) -> list[str]:
+        """Name what an earlier run loses."""
+        return training.replaced(context.scene) if self.overwrite else []
 
     def execute(self, context: bpy.types.Context) -> Result:
         """Start."""
@@ -169,16 +174,22 @@ class StopTraining(_JobOperator, bpy.types.Operator):
         job.stop()
 
 
-class DiscardTraining(_JobOperator, bpy.types.Operator):
+class DiscardTraining(Asking, _JobOperator, bpy.types.Operator):
     """End at once and remove what this run wrote; a resumed run keeps its last checkpoint"""
 
     bl_idname = "gscore.discard_training"
     bl_label = "Discard"
     allowed = (session.STARTING, session.RUNNING, session.PAUSED, session.STOPPING)
 
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
-        """Ask, because nothing brings it back."""
-        return context.window_manager.invoke_confirm(self, event)
+    confirm = "Discard"
+
+    def question(self, context: bpy.types.Context) -> list[str]:
+        """Name the run, because nothing brings it back."""
+        job = self.job(context)
+        if job is None:
+            return []
+        what = "since its last checkpoint" if job.resumed else "with its files and splats"
+        return [f"The training of {job.source} into {job.output} ends and is lost, {what}."]
 
     def act(self, job: Job) -> None:
         """End it."""

@@ -1,8 +1,8 @@
 """The trainings and depth jobs of this Blender session, whichever file is open; no bpy."""
 
-import os
 from pathlib import Path
 
+from ..folders import same_folder
 from .depth_job import DepthJob
 from .job import Job
 
@@ -59,8 +59,3 @@ def leave_all() -> None:
         job.leave()
     _jobs.clear()
     _depth.clear()
-
-
-def same_folder(a: Path, b: Path) -> bool:
-    """Whether two paths mean the same folder, which need not exist; does not look at the disk."""
-    return os.path.normcase(os.path.abspath(a)) == os.path.normcase(os.path.abspath(b))  # noqa: PTH100

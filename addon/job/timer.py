@@ -44,7 +44,7 @@ def tick() -> bool:
         if job.poll():
             _stale = True
             if job.state.ended:
-                lookup.runs.forget(job.output)
+                lookup.runs.expire()
                 lookup.depth_runs.expire()
         else:
             _stale |= display.update(job)

@@ -131,16 +131,20 @@ def draw_buttons(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
         sentence(layout, context, str(error), icon="ERROR")
         open_preferences(layout)
         return
-    info, problem = facts.run(context.scene)
+    before, problem = facts.run(context.scene)
     if problem:
         sentence(layout, context, problem, icon="ERROR")
     big = layout.column()
     big.scale_y = 1.4
-    if info is None:
+    if before is None:
         captured = found(context)
         big.enabled = captured is not None and captured.can_train
         big.operator("gscore.train", icon="PLAY")
         return
+    if before.foreign:
+        sentence(layout, context, before.foreign_words, icon="ERROR")
+        return
+    info = before.info
     sentence(layout, context, run_sentence(info), icon="INFO")
     row = big.row(align=True)
     if can_go_on(context.scene.gscore, info):

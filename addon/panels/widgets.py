@@ -5,7 +5,7 @@ import textwrap
 import bpy
 
 from .. import preferences
-from ..camera_lookup import roots_of
+from ..camera_lookup import panel_root
 from ..capture import CaptureFacts
 from ..job import facts, training
 from ..job.job import Job
@@ -55,8 +55,8 @@ def found(context: bpy.types.Context) -> CaptureFacts | None:
 
 
 def root(context: bpy.types.Context) -> bpy.types.Object | None:
-    """The capture's empty in the scene, if it was imported."""
-    return next(iter(roots_of(context.scene)), None)
+    """The empty of the panel's capture in the scene, if it was imported."""
+    return panel_root(context.scene)
 
 
 def job(context: bpy.types.Context) -> Job | None:

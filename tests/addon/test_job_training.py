@@ -426,14 +426,17 @@ def test_resume_needs_the_capture_of_the_run(
     from addon.core import PRESETS
     from gscore.config_file import config_json
 
-    out, capture = tmp_path / "out", tmp_path / "moved"
+    out, capture, gone = tmp_path / "out", tmp_path / "moved", tmp_path / "gone"
     (out / "checkpoints").mkdir(parents=True)
     (out / "checkpoints" / "step_00000010.safetensors").write_bytes(b"x")
-    (out / "config.json").write_text(config_json(*PRESETS["preview"](tmp_path / "gone")))
+    (out / "config.json").write_text(config_json(*PRESETS["preview"](gone)))
     python = play({"say": STARTED | {"step": 10}}, {"exit": 0})
+    shutil.copytree(STUDIO, gone)
+    studio.gscore.capture_path = str(gone)
+    studio.gscore.output_path = str(out)
+    gone.rename(capture)
     studio.gscore.capture_path = ""
     assert "is not there; choose where it is now" in _error(bpy.ops.gscore.resume_training)
-    shutil.copytree(STUDIO, capture)
     studio.gscore.capture_path = str(capture / "sparse" / "0")
     training.resume(studio, wait=True)
     arguments = json.loads((python.parent / "script.args").read_text())
