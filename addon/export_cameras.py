@@ -5,6 +5,7 @@ camera that was moved has Blender's single precision and no observations, becaus
 hold.
 """
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
@@ -14,7 +15,8 @@ import numpy as np
 
 from . import camera_math as cm
 from . import camera_objects as co
-from . import sfm_points, stored_paths
+from . import outcomes, sfm_points, stored_paths
+from .capture import find_capture
 from .core import (
     Capture,
     ColmapCamera,
@@ -29,6 +31,7 @@ from .core import (
     rotmat_to_quat,
     write_colmap,
 )
+from .paths import absolute
 
 UNKNOWN_ERROR = -1.0
 """Reprojection error of a point that COLMAP did not make, pixels."""
@@ -87,12 +90,13 @@ def export_colmap(
 
     Raises:
         GsError: a file cannot be written.
-        ValueError: a camera cannot be written, or the folder is the capture's own.
+        ValueError: a camera cannot be written, or the folder is that of a capture of this file.
     """
     folder = Path(path) / "sparse" / "0"
     source = source_of(root)
-    if source is not None and _same(folder, _model_folder(source)):
-        raise ValueError(f"{folder} is the capture's own model. Choose another folder.")
+    for known in known_captures():
+        if _same(folder, _model_folder(known)):
+            raise ValueError(f"{folder} is the own model of {known}. Choose another folder.")
     if not binary and (folder / "cameras.bin").exists():
         raise ValueError(
             f"{folder} holds a binary model, which readers prefer to text. Choose another folder."
@@ -261,6 +265,17 @@ def source_of(root: bpy.types.Object | None) -> Path | None:
     text = stored_paths.read(root, stored_paths.SOURCE) if root is not None else ""
     path = Path(text)
     return path if text and path.exists() else None
+
+
+def known_captures() -> list[Path]:
+    """The captures of the open file that are there, imported or chosen to be trained."""
+    roots = [ob for ob in bpy.data.objects if co.is_kind(ob, "capture")]
+    found = [path for root in roots if (path := source_of(root)) is not None]
+    for scene in bpy.data.scenes:
+        for holder in outcomes.holders(scene):
+            with contextlib.suppress(ValueError):  # none is chosen
+                found.append(find_capture(absolute(holder.capture_path, "Capture")))
+    return [path for path in dict.fromkeys(found) if path.exists()]
 
 
 def _model_folder(source: Path) -> Path | None:

@@ -10,7 +10,14 @@ import numpy as np
 
 from . import camera_math as cm
 from .core import ColmapPoints, atomic_write
-from .export_cameras import Exported, ExportView, collect, points_to_export, source_of
+from .export_cameras import (
+    Exported,
+    ExportView,
+    collect,
+    known_captures,
+    points_to_export,
+    source_of,
+)
 
 POINTS = "sparse_pc.ply"
 """The name nerfstudio gives the points."""
@@ -39,13 +46,14 @@ def export_transforms(
 
     Raises:
         GsError: a file cannot be written.
-        ValueError: a camera cannot be written, or the file is the capture's own.
+        ValueError: a camera cannot be written, or the file is that of a capture of this file.
     """
     path = Path(path)
     source = source_of(root)
-    own = source if source is None or source.is_file() else source / path.name
-    if own is not None and own.exists() and own.resolve() == path.resolve():
-        raise ValueError(f"{path} is the capture's own file. Choose another name.")
+    for known in known_captures():
+        own = known if known.is_file() else known / path.name
+        if own.exists() and own.resolve() == path.resolve():
+            raise ValueError(f"{path} is the own file of {known}. Choose another name.")
     views = collect(cameras, scene, root, depsgraph)
     points, warnings = points_to_export(root, source)
     frames = [_frame(view, path.parent) for view in views]

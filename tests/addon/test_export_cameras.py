@@ -315,6 +315,8 @@ def test_refusals(made, scene, capture: Path, tmp_path: Path) -> None:
     root = made.root
     with pytest.raises(ValueError, match="own model"):
         export_colmap(capture, made.cameras, scene, root=root)
+    with pytest.raises(ValueError, match="own model"):  # in Blender's world as well
+        export_colmap(capture, made.cameras, scene)
     with pytest.raises(ValueError, match="no cameras"):
         export_colmap(tmp_path / "o", [], scene, root=root)
     with pytest.raises(ValueError, match="is no camera"):
@@ -337,6 +339,23 @@ def test_refusals(made, scene, capture: Path, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="binary model"):
         export_colmap(tmp_path / "b", made.cameras, scene, root=root, binary=False)
     assert before == {p: p.read_bytes() for p in capture.rglob("*.bin")}
+
+
+def test_other_captures_of_the_file_stay(made, scene, tmp_path: Path) -> None:
+    """Oracle: the files of a capture chosen in the panel, and of one imported, are as before."""
+    chosen, imported = tmp_path / "chosen", tmp_path / "imported"
+    for folder in (chosen, imported):
+        write_capture(folder, np.random.default_rng(1))
+        (folder / "transforms.json").write_text("{}")
+    before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
+    cameras.import_capture(bpy.context, imported)
+    scene.gscore.capture_path = str(chosen)
+    for folder in (chosen, imported):
+        with pytest.raises(ValueError, match=f"own model of .*{folder.name}"):
+            export_colmap(folder, made.cameras, scene, root=made.root)
+        with pytest.raises(ValueError, match=f"own file of .*{folder.name}"):
+            export_transforms(folder / "transforms.json", made.cameras, scene, root=made.root)
+    assert before == {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
 
 
 def test_a_fisheye_has_no_transforms(scene, tmp_path: Path) -> None:
