@@ -11,15 +11,16 @@ import secrets
 import shutil
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 
+from . import pins
 from .background import Task
 from .environment import check, python_in
 from .process import Process
 
-CPU_INDEX = "https://download.pytorch.org/whl/cpu"
-"""Where torch without CUDA lies for Linux; elsewhere the usual registry has no other."""
 NEEDED_BYTES = 3_000_000_000
 """Free space wanted: torch and its company unpacked, and the downloads meanwhile."""
 OFFLINE = (
@@ -28,6 +29,7 @@ OFFLINE = (
 )
 _OLDEST = (3, 11)
 _RENAME_TRIES = 5
+_NO_VARIABLES: Mapping[str, str] = MappingProxyType({})
 
 
 class SetupError(Exception):
@@ -41,9 +43,12 @@ def make(
     *,
     online: bool,
     base: Path | None = None,
-    extra_index: str = "",
+    cpu: bool = True,
 ) -> Path:
     """Make the environment `target` with gscore from `wheel` and all that training needs.
+
+    What is installed is what `pins` lists, to the version and, but for torch without CUDA, to the
+    byte.
 
     Args:
         target: Folder of the environment; replaced if it is there.
@@ -51,7 +56,7 @@ def make(
         task: Told the progress; may cancel.
         online: Whether Blender allows add-ons to go online.
         base: The Python to build on; None: Blender's own, or one that is installed.
-        extra_index: A package index to look into besides the usual one.
+        cpu: Prefer torch without CUDA.
 
     Returns:
         The environment's Python.
@@ -67,12 +72,9 @@ def make(
     try:
         _make_venv(partial, base or usable_base(), task)
         python = python_in(partial)
-        task.tell("Updating pip")
-        _run([python, *_PIP, "--upgrade", "pip"], task)
-        index = ["--extra-index-url", extra_index] if extra_index else []
-        task.tell("Downloading gscore's packages; torch is the largest of them")
-        packages = [f"{wheel}[train,lpips]"]  # the latter brings onnxruntime, for depth too
-        _run([python, *_PIP, "--progress-bar", "raw", *index, *packages], task)
+        for step in steps(python, wheel, cpu=cpu):
+            task.tell(step.words)
+            _run(step.arguments, task, step.variables)
         task.tell("Checking")
         verdict = check(python, task)
         if not verdict.good:
@@ -85,9 +87,69 @@ def make(
     return python_in(target)
 
 
-def default_index() -> str:
-    """The extra index that keeps gigabytes of CUDA away where no torch without it is usual."""
-    return CPU_INDEX if sys.platform.startswith("linux") else ""
+@dataclass(frozen=True)
+class Step:
+    """One call of pip."""
+
+    words: str
+    """What is shown meanwhile."""
+    arguments: list[str]
+    variables: Mapping[str, str] = field(default_factory=dict)
+    """Of its environment, besides those of every process."""
+
+
+def steps(python: Path, wheel: Path, *, cpu: bool) -> list[Step]:
+    """The calls of pip that fill an environment, in order.
+
+    None resolves anything: each list is complete. A package comes from one place alone. With
+    hashes that place is pip's own setting, the registry or a mirror of it, for a hash says what it
+    may be. Without, it is the one index of the list, whatever pip was set up for.
+    """
+    lists = [
+        ("Updating pip", pins.pip(), []),
+        ("Downloading torch, the largest of the packages", pins.torch(cpu=cpu), _PROGRESS),
+        ("Downloading the other packages", pins.rest(), _PROGRESS),
+    ]
+    calls = [_install(python, words, pinned, more) for words, pinned, more in lists]
+    own = [*_pip(python), "--no-deps", "--no-index", str(wheel)]
+    return [*calls, Step("Installing gscore", own)]
+
+
+def _install(python: Path, words: str, pinned: pins.Pins, more: list[str]) -> Step:
+    what = [*more, "--no-deps", "--only-binary", ":all:", "-r", str(pinned.file)]
+    if pinned.hashed:
+        return Step(words, [*_pip(python), "--require-hashes", *what])
+    # Neither files nor variables that set pip up may add a second place.
+    alone = {"PIP_CONFIG_FILE": os.devnull}
+    return Step(words, [*_pip(python, "--isolated"), "--index-url", pinned.index, *what], alone)
+
+
+def contents(wheel: Path, target: Path, *, cpu: bool) -> list[str]:
+    """What `make` would install, how large, and from where, in sentences.
+
+    Raises:
+        SetupError: the packages are not made for this system.
+    """
+    torch, rest = pins.torch(cpu=cpu), pins.rest()
+    if not rest.megabytes:
+        raise SetupError(
+            f"The packages for training are not made for this system ({pins.system()}); choose a "
+            "Python that has gscore and torch in the add-on's preferences."
+        )
+    size = f"about {torch.megabytes} MB, " if torch.megabytes else ""
+    registry = f"{pins.REGISTRY}, or the mirror that pip is set up for"
+    others = ", ".join(rest.packages)
+    checked = "each file checked against the hash that this extension brings"
+    how = checked if torch.hashed else "that index alone, which gives the hash"
+    where = registry if torch.index == pins.REGISTRY else torch.index
+    return [
+        f"A Python environment is made in {target}; an earlier one there is replaced at the end. "
+        f"It takes {NEEDED_BYTES / 1e9:.0f} GB of the disk meanwhile.",
+        f"gscore, from this extension: {wheel.name}.",
+        f"{', '.join(torch.packages)}: {size}from {where}, {how}.",
+        f"About {rest.megabytes + pins.pip().megabytes} MB from {registry}, {checked}: "
+        f"{', '.join(pins.pip().packages)}, {others}.",
+    ]
 
 
 def find_wheel(folders: Iterable[Path], version: str) -> Path | None:
@@ -121,7 +183,12 @@ def usable_base() -> Path:
     )
 
 
-_PIP = ("-m", "pip", "--no-input", "--disable-pip-version-check", "install")
+_PROGRESS = ["--progress-bar", "raw"]
+
+
+def _pip(python: Path, *more: str) -> list[str]:
+    options = ("--no-input", "--disable-pip-version-check", *more)
+    return [str(python), "-m", "pip", *options, "install"]
 
 
 def _make_venv(folder: Path, base: Path, task: Task) -> None:
@@ -149,10 +216,12 @@ def _check_space(target: Path) -> None:
         )
 
 
-def _run(arguments: Sequence[str | Path], task: Task) -> None:
+def _run(
+    arguments: Sequence[str | Path], task: Task, variables: Mapping[str, str] = _NO_VARIABLES
+) -> None:
     """Run a program to its end, its lines told; SetupError with its reason if it fails."""
     try:
-        process = Process([str(a) for a in arguments])
+        process = Process([str(a) for a in arguments], variables=variables)
     except OSError as error:
         raise SetupError(f"{arguments[0]} cannot be run: {error.strerror or error}.") from error
     said: list[str] = []
@@ -191,6 +260,12 @@ def _reason(lines: list[str]) -> str:
         return (
             "The package registry cannot be reached; check the network and proxy of this "
             "computer, then press Make Environment again."
+        )
+    if "DO NOT MATCH THE HASHES" in text:
+        return (
+            "A downloaded package is not the one that this extension was made with (its hash "
+            "differs), so nothing was installed; try again on another network, and report it if "
+            "that does not help."
         )
     errors = [line.strip() for line in lines if "ERROR" in line or line.startswith("Error")]
     last = errors[-1] if errors else next((x for x in reversed(lines) if x.strip()), "no reason")

@@ -288,7 +288,7 @@ class CheckTrainer(bpy.types.Operator):
         return {"FINISHED" if verdict.good else "CANCELLED"}
 
 
-class MakeEnvironment(bpy.types.Operator):
+class MakeEnvironment(Asking, bpy.types.Operator):
     """Make a private Python environment for training: downloads torch and its company"""
 
     bl_idname = "gscore.make_environment"
@@ -304,6 +304,13 @@ class MakeEnvironment(bpy.types.Operator):
         description="Return when it is made; for scripts",
         options={"HIDDEN", "SKIP_SAVE"},
     )
+
+    confirm = "Download and Install"
+
+    def question(self, context: bpy.types.Context) -> list[str]:
+        """Name what will be installed."""
+        wheel = Path(self.wheel) if self.wheel else None
+        return setup.contents(preferences.get(), wheel=wheel)
 
     def execute(self, context: bpy.types.Context) -> Result:
         """Start."""

@@ -13,6 +13,7 @@ import time
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from queue import Empty, SimpleQueue
+from types import MappingProxyType
 from typing import BinaryIO
 
 _LONGEST_LINE = 1 << 20
@@ -41,11 +42,14 @@ def environment(base: Mapping[str, str] | None = None) -> dict[str, str]:
 class Process:
     """A program in a session of its own, so that a Ctrl-C for Blender does not reach it."""
 
-    def __init__(self, arguments: Sequence[str]) -> None:
+    def __init__(
+        self, arguments: Sequence[str], *, variables: Mapping[str, str] = MappingProxyType({})
+    ) -> None:
         """Start it.
 
         Args:
             arguments: Program and arguments, never a line for a shell.
+            variables: More variables of its environment.
 
         Raises:
             OSError: there is no such program, or it cannot be run.
@@ -56,7 +60,7 @@ class Process:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
-            env=environment(),
+            env={**environment(), **variables},
             **_apart(),
         )
         if sys.platform != "win32":

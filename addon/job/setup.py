@@ -94,21 +94,38 @@ def start_make(prefs: Any, *, wheel: Path | None = None) -> Task:
     global _making, make_problem
     if _making is not None and _making.running:
         return _making
-    wheel = wheel or bundled_wheel()
+    wheel, online = _wheel(wheel), bpy.app.online_access
+    if not online:
+        raise ValueError(installer.OFFLINE)
+    target, cpu = private_folder(), prefs.torch_source == "CPU"
+    make_problem = ""
+    _making = Task(lambda task: installer.make(target, wheel, task, online=online, cpu=cpu))
+    return _making
+
+
+def contents(prefs: Any, *, wheel: Path | None = None) -> list[str]:
+    """What `start_make` would install, how large, and from where, in sentences.
+
+    Raises:
+        ValueError: as `start_make`, or nothing is made for this system.
+    """
+    wheel = _wheel(wheel)
+    if not bpy.app.online_access:
+        raise ValueError(installer.OFFLINE)
+    try:
+        return installer.contents(wheel, private_folder(), cpu=prefs.torch_source == "CPU")
+    except installer.SetupError as error:
+        raise ValueError(str(error)) from error
+
+
+def _wheel(chosen: Path | None) -> Path:
+    wheel = chosen or bundled_wheel()
     if wheel is None:
         raise ValueError(
             f"This copy of the add-on holds no gscore {__version__} for this system; install the "
             "extension from its zip file, or choose a Python that has gscore."
         )
-    online = bpy.app.online_access
-    if not online:
-        raise ValueError(installer.OFFLINE)
-    target, index = private_folder(), extra_index(prefs)
-    make_problem = ""
-    _making = Task(
-        lambda task: installer.make(target, wheel, task, online=online, extra_index=index)
-    )
-    return _making
+    return wheel
 
 
 def make(prefs: Any, *, wheel: Path | None = None) -> Path:
@@ -125,11 +142,6 @@ def make(prefs: Any, *, wheel: Path | None = None) -> Path:
     if task.result is None:
         raise RuntimeError(task.problem)
     return task.result
-
-
-def extra_index(prefs: Any) -> str:
-    """The package index that the preferences ask for besides the usual one."""
-    return installer.default_index() if prefs.torch_source == "CPU" else ""
 
 
 def collect(prefs: Any) -> bool:

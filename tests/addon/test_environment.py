@@ -2,17 +2,20 @@
 
 import json
 import os
+import re
 import sys
 import time
+import tomllib
 import venv
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import bpy
 import pytest
+from packaging.requirements import Requirement
 
 from addon import preferences
-from addon.job import environment, installer, setup
+from addon.job import environment, installer, pins, setup
 from addon.job.background import Task
 from addon.job.environment import Verdict, check, find, python_in
 
@@ -315,6 +318,100 @@ def test_making_can_be_cancelled(tmp_path: Path) -> None:
     task.cancel()
     assert task.wait(10) and task.cancelled
     assert leftovers(target) == []
+
+
+def test_the_calls_of_pip(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: the command lines, word for word, and the variables that a fake pip was given."""
+    monkeypatch.setattr("sys.platform", "linux")
+    monkeypatch.setenv("PIP_EXTRA_INDEX_URL", "https://evil.example/simple")
+    told = tmp_path / "told"
+    pip = f'echo "$*" >> {told}; echo "config=$PIP_CONFIG_FILE" >> {told}'
+    target = tmp_path / "trainer"
+    task = make(target, fake_base(tmp_path, pip))
+    assert task.result == python_in(target), task.problem
+    lines = told.read_text().splitlines()
+    pinned, start = pins.FOLDER, "-m pip --no-input --disable-pip-version-check"
+    rest = "--no-deps --only-binary :all: -r"
+    assert lines[0::2] == [
+        f"{start} install --require-hashes {rest} {pinned}/pip.txt",
+        f"{start} --isolated install --index-url https://download.pytorch.org/whl/cpu "
+        f"--progress-bar raw {rest} {pinned}/torch-cpu.txt",
+        f"{start} install --require-hashes --progress-bar raw {rest} {pinned}/packages.txt",
+        f"{start} install --no-deps --no-index {tmp_path}/gscore.whl",
+    ]
+    assert lines[1::2] == ["config=", f"config={os.devnull}", "config=", "config="]
+
+
+def test_the_usual_torch_has_hashes() -> None:
+    """Oracle: the command line on each system; elsewhere than on Linux both choices are that."""
+    for system, cpu in (("linux", False), ("darwin", True), ("win32", True)):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("sys.platform", system)
+            step = installer.steps(Path("py"), Path("w.whl"), cpu=cpu)[1]
+        assert "--require-hashes" in step.arguments and "--index-url" not in step.arguments
+        assert step.arguments[-1] == str(pins.FOLDER / "torch.txt") and not step.variables
+
+
+def test_a_wrong_hash_is_a_sentence(tmp_path: Path) -> None:
+    """Oracle: what pip says of one."""
+    words = "ERROR: THESE PACKAGES DO NOT MATCH THE HASHES FROM THE REQUIREMENTS FILE."
+    task = make(tmp_path / "trainer", fake_base(tmp_path, f"echo '{words}' >&2; exit 1"))
+    assert "not the one that this extension was made with" in task.problem
+
+
+def test_the_pins_are_exact_and_complete() -> None:
+    """Oracle: pyproject.toml and constraints.txt, read with the library that pip uses."""
+    root = Path(__file__).parent.parent.parent
+    project = tomllib.loads((root / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+    wanted = [*project["dependencies"], *extras["train"], *extras["lpips"]]
+    lists = [pins.pip(), pins.rest(), pins.torch(cpu=False)]
+    found: dict[str, list[Requirement]] = {}
+    for pinned in lists:
+        for entry in re.split(r"\n(?=[a-z])", re.sub(r"^#.*\n", "", pinned.text, flags=re.M)):
+            requirement, *hashes = entry.replace(" \\\n    ", "\n").strip().split("\n")
+            assert hashes and all(re.fullmatch(r"--hash=sha256:[0-9a-f]{64}", h) for h in hashes)
+            pin = Requirement(requirement)
+            assert [s.operator for s in pin.specifier] == ["=="], requirement
+            found.setdefault(pin.name, []).append(pin)
+    for text in wanted:
+        asked = Requirement(text)
+        for version in ("3.11", "3.12", "3.13", "3.14"):
+            environment = {"python_version": version, "python_full_version": f"{version}.2"}
+            pinned = [
+                p for p in found[asked.name] if not p.marker or p.marker.evaluate(environment)
+            ]
+            ((exact,),) = [list(p.specifier) for p in pinned]
+            assert asked.specifier.contains(exact.version), text
+    (torch,) = found["torch"]
+    assert str(torch).startswith((root / "constraints.txt").read_text().split()[-1])
+    (version,) = torch.specifier
+    assert "torch" not in " ".join(pins.rest().packages)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sys.platform", "linux")
+        assert pins.torch(cpu=True).packages == [f"torch {version.version}+cpu"]
+
+
+def test_the_dialog_says_what_is_installed(
+    prefs: preferences.Preferences, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: versions, sizes and places as the pins have them; a system without any is refused."""
+    wheel = Path("gscore-0.1.0-py3-none-any.whl")
+    for source, cpu in (("CPU", True), ("USUAL", False)):
+        prefs.torch_source = source
+        monkeypatch.setattr(pins, "system", lambda: "linux_x86_64")
+        monkeypatch.setattr("sys.platform", "linux")
+        text = " ".join(installer.contents(wheel, Path("/own/trainer"), cpu=cpu))
+        torch, rest = pins.torch(cpu=cpu), pins.rest()
+        assert "/own/trainer" in text and wheel.name in text
+        assert f"about {torch.megabytes} MB, from {torch.index}" in text
+        assert all(package in text for package in (*torch.packages, *rest.packages))
+        assert torch.megabytes > 100 and rest.megabytes > 50
+    with pytest.raises(RuntimeError, match="Allow Online Access"):
+        bpy.ops.gscore.make_environment("INVOKE_DEFAULT", wheel=str(wheel))
+    monkeypatch.setattr(pins, "system", lambda: "linux_riscv64")
+    with pytest.raises(installer.SetupError, match="not made for this system"):
+        installer.contents(wheel, Path("/own"), cpu=True)
 
 
 @pytest.mark.slow
