@@ -21,8 +21,17 @@ def wrapped(
         width: Characters of a line.
     """
     column = layout.column(align=True)
+    column.scale_y = 0.8
     for number, line in enumerate(textwrap.wrap(text, width) or [""]):
         column.label(text=line, icon="BLANK1" if number and icon != "NONE" else icon)
+
+
+def letters(context: bpy.types.Context) -> int:
+    """How many letters fit on a line of the region that is drawn."""
+    width = context.region.width if context.region else 260
+    # A letter is about 6.2 px wide at a scale of 1; margins and the icon take 60 px.
+    scale = context.preferences.system.ui_scale or 1.0  # without a window it is 0
+    return max(int((width / scale - 60) / 6.2), 20)
 
 
 class Asking:

@@ -1,7 +1,5 @@
 """What the panels of the sidebar share."""
 
-import textwrap
-
 import bpy
 
 from .. import preferences
@@ -9,6 +7,7 @@ from ..camera_lookup import panel_root
 from ..capture import CaptureFacts
 from ..job import facts, training
 from ..job.job import Job
+from ..questions import letters, wrapped
 
 
 class TabPanel:
@@ -30,14 +29,7 @@ def sentence(
         text: The sentence.
         icon: Before the first line.
     """
-    width = context.region.width if context.region else 260
-    # A letter is about 6.2 px wide at a scale of 1; margins and the icon take 60 px.
-    letters = int((width / context.preferences.system.ui_scale - 60) / 6.2)
-    column = layout.column(align=True)
-    column.scale_y = 0.8
-    for number, line in enumerate(textwrap.wrap(text, max(letters, 20)) or [""]):
-        first = number == 0 or icon == "NONE"
-        column.label(text=line, icon=icon if first else "BLANK1")
+    wrapped(layout, text, icon=icon, width=letters(context))
 
 
 def rows(layout: bpy.types.UILayout, pairs: list[tuple[str, str]]) -> None:

@@ -12,8 +12,9 @@ from ..cameras import RenderCamera
 from ..compat import matrix_to_numpy
 from ..core import colorize, psnr
 from . import picture
-from .engine import background_of, collect, final_cache, world_light
+from .engine import collect, final_cache
 from .photo import Target, load_target
+from .world import background_of, world_light
 
 ERROR_GAIN = 4.0
 """Error pictures show this times the mean absolute difference of the channels, as gscore's do."""

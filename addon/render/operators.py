@@ -23,6 +23,8 @@ def use_photo_colors(scene: bpy.types.Scene) -> None:
     view.view_transform = "Standard"  # resets the look where the new transform does not have it
     view.look = "None"
     view.exposure, view.gamma, view.use_curve_mapping = 0.0, 1.0, False
+    if hasattr(view, "use_white_balance"):  # since 4.3
+        view.use_white_balance = False
     scene.render.dither_intensity = 0.0
 
 
@@ -36,6 +38,8 @@ def changes_colors(scene: bpy.types.Scene) -> str:
         found.append(f"Look {view.look}")
     if view.exposure or view.gamma != 1 or view.use_curve_mapping:
         found.append("Exposure, Gamma or Curves")
+    if getattr(view, "use_white_balance", False):
+        found.append("White Balance")
     return ", ".join(found)
 
 
