@@ -12,8 +12,8 @@ import bpy
 from bpy.props import PointerProperty, StringProperty
 
 from . import compat
-from .capture import find_capture
-from .folders import means_capture, same_folder
+from .capture.folders import means_capture, same_folder
+from .capture.inspection import find_capture
 from .paths import absolute
 
 _KEPT = ("output_path", "result", "preview")

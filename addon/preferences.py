@@ -3,9 +3,9 @@
 import bpy
 from bpy.props import EnumProperty, FloatProperty, IntProperty, StringProperty
 
-from .job import setup
+from .interface.questions import wrapped
 from .paths import ROOT
-from .questions import wrapped
+from .python import setup
 
 
 class Preferences(bpy.types.AddonPreferences):

@@ -49,15 +49,15 @@ ADDON = ROOT / "addon"
 IN_BLENDER = {"bpy", "bpy_extras", "gpu", "gpu_extras", "mathutils", "numpy"}
 """What the add-on may import besides the standard library and itself."""
 WITHOUT_BPY = (
-    "alignment",
-    "camera_math",
-    "capture",
-    "depth_report",
-    "job.depth_job",
-    "job.environment",
-    "job.process",
+    "cameras.alignment",
+    "cameras.formulas",
+    "capture.inspection",
+    "capture.depth_maps",
+    "depth.job",
+    "python.environment",
+    "process.program",
     "job.session",
-    "splat_filter",
+    "splats.filters",
 )
 """Modules of the add-on that serve scripts outside Blender."""
 

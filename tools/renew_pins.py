@@ -2,7 +2,7 @@
 
 `python tools/renew_pins.py` resolves what pyproject.toml asks for, with torch as in
 constraints.txt, for every Python and system that Blender runs on, and writes the files of
-addon/job/pinned/.
+addon/python/pinned/.
 It installs uv into a temporary environment for that. Run it with the project's own Python
 (.venv), then run the add-on's tests.
 
@@ -29,7 +29,7 @@ from packaging.tags import compatible_tags, cpython_tags
 from packaging.utils import parse_wheel_filename
 
 ROOT = Path(__file__).resolve().parent.parent
-FOLDER = ROOT / "addon" / "job" / "pinned"
+FOLDER = ROOT / "addon" / "python" / "pinned"
 TORCH_INDEX = "https://download.pytorch.org/whl/cpu"
 OLDEST, PYTHONS = "3.11", ((3, 11), (3, 12), (3, 13), (3, 14))
 SYSTEMS = {

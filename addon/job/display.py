@@ -9,12 +9,14 @@ from typing import Any
 import bpy
 import numpy as np
 
-from .. import outcomes, preferences, splat_io, splat_object, stored_paths, undo
-from ..camera_objects import is_kind
+from .. import outcomes, preferences, stored_paths
+from ..cameras.objects import is_kind
+from ..capture.folders import same_folder
 from ..core import Splats
-from ..folders import same_folder
+from ..interface import undo
 from ..paths import absolute, output_folder
 from ..render.scene import ANTIALIAS
+from ..splats import files, objects
 from . import registry, session
 from .filling import Filling, replace
 from .job import Job
@@ -138,7 +140,7 @@ def result_object(place: Place, job: Job, loaded: Loaded) -> bpy.types.Object:
     root = _root(scene, job.source)
     collection = root.users_collection[0] if root and root.users_collection else scene.collection
     name = f"{job.source.name} splats"
-    ob = splat_object.create(EMPTY, name, collection=collection, parent=root)
+    ob = objects.create(EMPTY, name, collection=collection, parent=root)
     stored_paths.write(ob, stored_paths.RUN, job.output)
     stored_paths.write(ob, stored_paths.SOURCE, job.source)
     if loaded.typical_size:
@@ -147,7 +149,7 @@ def result_object(place: Place, job: Job, loaded: Loaded) -> bpy.types.Object:
         ob[ANTIALIAS] = True
     if root is None:
         # Else as a first camera that was held level: COLMAP's own worlds have no up.
-        splat_io.place(ob, splat_io.UP_AXES["-Y"] if loaded.upright is None else loaded.upright)
+        files.place(ob, files.UP_AXES["-Y"] if loaded.upright is None else loaded.upright)
     place.holder.result = ob
     return ob
 

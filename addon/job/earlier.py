@@ -4,7 +4,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..capture import find_capture
+from ..capture.inspection import find_capture
 from ..core import RunInfo, read_run
 
 

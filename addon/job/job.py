@@ -7,11 +7,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from .. import threads
 from ..core import Snapshot, clear_run
+from ..process import threads
+from ..process.program import Process
 from . import session
 from .loader import Loaded, Loader
-from .process import Process
 
 BUDGET = 0.005
 """Seconds that a poll may spend on lines."""

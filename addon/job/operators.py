@@ -7,9 +7,11 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, StringProperty
 
 from .. import preferences
-from ..questions import Asking
+from ..interface.questions import Asking
+from ..process import beat
+from ..python import setup
 from ..render.operators import show_image
-from . import facts, registry, session, setup, timer, training
+from . import facts, registry, session, training
 from .job import Job
 from .options import BY_WIDTH
 
@@ -43,7 +45,7 @@ class _JobOperator:
             self.report({"ERROR"}, "This scene has no training in the state for this.")
             return {"CANCELLED"}
         self.act(job)
-        timer.redraw()
+        beat.redraw()
         return {"FINISHED"}
 
     def act(self, job: Job) -> None:
@@ -281,7 +283,7 @@ class CheckTrainer(bpy.types.Operator):
         prefs = preferences.get()
         if not self.wait:
             setup.start_check(prefs)
-            timer.ensure()
+            beat.ensure()
             return {"FINISHED"}
         verdict = setup.check(prefs)
         self.report({"INFO" if verdict.good else "ERROR"}, verdict.sentence)
@@ -323,7 +325,7 @@ class MakeEnvironment(Asking, bpy.types.Operator):
         except (ValueError, RuntimeError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        timer.ensure()
+        beat.ensure()
         return {"FINISHED"}
 
 
@@ -375,11 +377,11 @@ def register() -> None:
     """Register the operators, and follow trainings."""
     for cls in CLASSES:
         bpy.utils.register_class(cls)
-    timer.register()
+    beat.register()
 
 
 def unregister() -> None:
     """Take them back; trainings write a checkpoint and end."""
-    timer.unregister()
+    beat.unregister()
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)

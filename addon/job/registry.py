@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from ..folders import same_folder
-from .depth_job import DepthJob
+from ..capture.folders import same_folder
+from ..depth.job import DepthJob
 from .job import Job
 
 _jobs: dict[str, Job] = {}

@@ -6,11 +6,13 @@ from pathlib import Path
 
 import bpy
 
-from .. import lookup, outcomes, preferences
-from ..capture import CaptureFacts
+from .. import outcomes, preferences
+from ..capture.inspection import CaptureFacts
 from ..nodes import display as display_nodes
 from ..paths import absolute, capture_folder, output_folder, relative
-from . import display, earlier, facts, options, registry, setup, timer
+from ..process import beat
+from ..python import setup
+from . import display, earlier, facts, lookups, options, registry
 from .job import Job
 
 _BEAT = 0.02
@@ -153,7 +155,7 @@ def wait_for(
     """
     until = time.monotonic() + timeout
     while display.waits(job):
-        timer.tick()
+        beat.tick()
         if on_tick is not None:
             on_tick(job)
         if time.monotonic() > until:
@@ -168,7 +170,7 @@ def discard(job: Job) -> None:
     A run that began earlier goes back to its last checkpoint instead.
     """
     job.discard()
-    timer.ensure()
+    beat.ensure()
 
 
 def report_of(scene: bpy.types.Scene) -> Path:
@@ -256,7 +258,7 @@ def _start(
         ) from error
     job.live_most = preferences.get().live_most
     registry.add(job)
-    lookup.runs.expire()
+    lookups.runs.expire()
     job.chores = display_nodes.builders()  # while the trainer starts
-    timer.ensure()
+    beat.ensure()
     return job

@@ -4,7 +4,7 @@ from typing import ClassVar
 
 import bpy
 
-from ..camera_objects import cameras_of, points_of
+from ..cameras.objects import cameras_of, points_of
 from .widgets import TabPanel, found, root, rows, sentence
 
 

@@ -2,7 +2,7 @@
 
 import bpy
 
-from ..camera_objects import is_camera
+from ..cameras.objects import is_camera
 from ..render.engine import NAME
 from ..render.panels import draw_render
 from .widgets import TabPanel, root, sentence

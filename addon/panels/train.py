@@ -7,9 +7,10 @@ import bpy
 
 from .. import preferences
 from ..core import PRESETS, Estimate, RunInfo
-from ..job import facts, forecast, setup
+from ..job import facts, forecast
 from ..job.options import AS_PRESET, BY_WIDTH, continuation
 from ..paths import output_folder
+from ..python import setup
 from .widgets import TabPanel, found, job, open_preferences, sentence
 
 _shown: Estimate | None = None

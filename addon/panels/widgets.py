@@ -3,11 +3,11 @@
 import bpy
 
 from .. import preferences
-from ..camera_lookup import panel_root
-from ..capture import CaptureFacts
+from ..cameras.lookup import panel_root
+from ..capture.inspection import CaptureFacts
+from ..interface.questions import letters, wrapped
 from ..job import facts, training
 from ..job.job import Job
-from ..questions import letters, wrapped
 
 
 class TabPanel:

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
-from .. import camera_math as cm
-from ..camera_objects import PhotoCamera, is_camera, rigid_viewmat, stated
-from ..cameras import RenderCamera
+from ..cameras import formulas as cm
+from ..cameras.captures import RenderCamera
+from ..cameras.objects import PhotoCamera, is_camera, rigid_viewmat, stated
 from ..compat import matrix_to_numpy
 from ..core import colorize, psnr
 from . import picture

@@ -3,7 +3,7 @@
 import bpy
 
 from .. import compat
-from ..splat_object import is_splats
+from ..splats.objects import is_splats
 from .engine import MAIN_SCENE, NAME
 
 SPLAT_SCENE = "gs_splat_scene"

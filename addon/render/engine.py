@@ -7,7 +7,7 @@ from weakref import WeakSet, finalize
 import bpy
 import numpy as np
 
-from ..cameras import RenderCamera, render_camera
+from ..cameras.captures import RenderCamera, render_camera
 from ..compat import matrix_to_numpy, rec709_to_scene
 from ..core import Cancelled, GsError
 from . import color, ignored, picture

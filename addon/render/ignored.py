@@ -9,7 +9,7 @@ from mathutils import Vector
 
 from ..compat import matrix_to_numpy
 from ..nodes import display
-from ..splat_object import is_splats
+from ..splats.objects import is_splats
 from .world import world_light
 
 _DRAWN_BY_OTHERS = {

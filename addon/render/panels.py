@@ -4,7 +4,7 @@ from typing import Any, ClassVar
 
 import bpy
 
-from ..questions import letters, wrapped
+from ..interface.questions import letters, wrapped
 from . import ignored
 from .engine import NAME
 from .operators import changes_colors

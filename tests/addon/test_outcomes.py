@@ -12,15 +12,16 @@ import numpy as np
 import pytest
 
 from addon import preferences, stored_paths
-from addon.camera_lookup import find_root, panel_root
+from addon.cameras.lookup import find_root, panel_root
 from addon.core import PRESETS, Splats, write_splats
-from addon.job import facts, operators, registry, timer, training
+from addon.job import facts, operators, registry, training
 from addon.job.job import Job
 from addon.paths import output_folder
+from addon.process import beat
 from gscore.config_file import config_json
 from tests.addon.captures import STUDIO
 from tests.addon.fake_trainer import STARTED, fake_python, finish, step
-from tests.addon.test_job_training import positions, splats, until
+from tests.addon.job.test_training import positions, splats, until
 
 
 @pytest.fixture
@@ -195,7 +196,7 @@ def test_discarding_a_new_start_keeps_the_old_object(two: SimpleNamespace) -> No
     training.discard(job)
     until(lambda: job.state.ended)
     for _ in range(20):
-        timer.tick()
+        beat.tick()
     assert two.scene.gscore.result == plush and len(plush.data.vertices) == 10
 
 
