@@ -106,11 +106,4 @@ def _folder(text: str) -> Path | None:
         return None
 
 
-def register() -> None:
-    """Make the group known to those who hold a list of it."""
-    bpy.utils.register_class(Outcome)
-
-
-def unregister() -> None:
-    """Take it back."""
-    bpy.utils.unregister_class(Outcome)
+CLASSES = (Outcome,)

@@ -102,13 +102,13 @@ _HANDLERS = {
 }
 
 
-def register() -> None:
+def on_register() -> None:
     """Follow saving."""
     for name, function in _HANDLERS.items():
         getattr(bpy.app.handlers, name).append(function)
 
 
-def unregister() -> None:
+def on_unregister() -> None:
     """Stop following."""
     for name, function in _HANDLERS.items():
         getattr(bpy.app.handlers, name).remove(function)

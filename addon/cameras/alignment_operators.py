@@ -8,12 +8,12 @@ from ..compat import matrix_to_numpy
 from . import captures
 from . import objects as co
 from .lookup import find_root
-from .operators import CaptureOperator
+from .operators import OnCapture
 
 _AXES = {"X": 0, "Y": 1, "Z": 2}
 
 
-class GSCORE_OT_align_capture(CaptureOperator, bpy.types.Operator):  # noqa: N801
+class AlignCapture(OnCapture, bpy.types.Operator):
     """Turn a capture so that up is up and the ground lies at height 0; its scale stays"""
 
     bl_idname = "gscore.align_capture"
@@ -35,12 +35,13 @@ class GSCORE_OT_align_capture(CaptureOperator, bpy.types.Operator):  # noqa: N80
         description="What is roughly up; the plane of points nearest to it is the ground",
     )
 
-    def act(self, context: bpy.types.Context) -> None:
+    def act(self, context: bpy.types.Context) -> str:
         """Align."""
         root = find_root(context, self.capture)
         found = captures.align_root(root, self._up(context, root))
         if not found.ground_found:
             self.report({"WARNING"}, "No ground was found; the lowest points are at height 0.")
+        return ""
 
     def _up(self, context: bpy.types.Context, root: bpy.types.Object) -> np.ndarray | None:
         if self.up == "CAMERAS":
@@ -56,19 +57,20 @@ class GSCORE_OT_align_capture(CaptureOperator, bpy.types.Operator):  # noqa: N80
         return sign * np.eye(3)[_AXES[self.up[-1]]]
 
 
-class GSCORE_OT_flip_up(CaptureOperator, bpy.types.Operator):  # noqa: N801
+class FlipUp(OnCapture, bpy.types.Operator):
     """Turn a capture upside down, and find the ground again"""
 
     bl_idname = "gscore.flip_up"
     bl_label = "Flip Up"
 
-    def act(self, context: bpy.types.Context) -> None:
+    def act(self, context: bpy.types.Context) -> str:
         """Flip."""
         root = find_root(context, self.capture)
         captures.align_root(root, -current_up(root))
+        return ""
 
 
-class GSCORE_OT_set_extent(CaptureOperator, bpy.types.Operator):  # noqa: N801
+class SetExtent(OnCapture, bpy.types.Operator):
     """Scale a capture to real size by how far apart its outermost cameras were"""
 
     bl_idname = "gscore.set_extent"
@@ -93,40 +95,30 @@ class GSCORE_OT_set_extent(CaptureOperator, bpy.types.Operator):  # noqa: N801
             return {"CANCELLED"}
         return context.window_manager.invoke_props_dialog(self)
 
-    def act(self, context: bpy.types.Context) -> None:
+    def act(self, context: bpy.types.Context) -> str:
         """Scale."""
         captures.set_extent(find_root(context, self.capture), self.extent)
+        return ""
 
 
-class GSCORE_OT_reset_alignment(CaptureOperator, bpy.types.Operator):  # noqa: N801
+class ResetAlignment(OnCapture, bpy.types.Operator):
     """Give a capture the axes, origin and scale of its own files back"""
 
     bl_idname = "gscore.reset_alignment"
     bl_label = "Reset to COLMAP World"
 
-    def act(self, context: bpy.types.Context) -> None:
+    def act(self, context: bpy.types.Context) -> str:
         """Reset."""
         captures.reset_root(find_root(context, self.capture))
+        return ""
 
 
 CLASSES = (
-    GSCORE_OT_align_capture,
-    GSCORE_OT_flip_up,
-    GSCORE_OT_set_extent,
-    GSCORE_OT_reset_alignment,
+    AlignCapture,
+    FlipUp,
+    SetExtent,
+    ResetAlignment,
 )
-
-
-def register() -> None:
-    """Register the operators."""
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-
-
-def unregister() -> None:
-    """Take them back."""
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)
 
 
 def current_up(root: bpy.types.Object) -> np.ndarray:

@@ -15,10 +15,9 @@ from .. import stored_paths
 from ..capture.inspection import NO_PINHOLE, find_capture
 from ..compat import matrix_to_numpy
 from ..core import Capture, DataConfig, Folder, View, read_capture, rotmat_to_quat
-from . import alignment
+from . import alignment, sfm_points
 from . import formulas as cm
 from . import objects as co
-from . import points as sfm_points
 from .objects import cameras_of, is_camera, root_of
 
 __all__ = [

@@ -32,7 +32,7 @@ from ..core import (
 from ..paths import absolute
 from . import formulas as cm
 from . import objects as co
-from . import points as sfm_points
+from . import sfm_points
 
 UNKNOWN_ERROR = -1.0
 """Reprojection error of a point that COLMAP did not make, pixels."""

@@ -7,7 +7,7 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
 from .. import stored_paths
-from ..core import GsError
+from ..interface.operators import Acting
 from ..paths import absolute
 from . import captures
 from .export_colmap import Exported, export_colmap
@@ -15,8 +15,8 @@ from .export_transforms import export_transforms
 from .lookup import find_camera, find_root
 
 
-class CaptureOperator:
-    """What they share: an error is a report, and leaves the scene alone."""
+class OnCapture(Acting):
+    """Works on a capture's empty."""
 
     bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
@@ -26,24 +26,6 @@ class CaptureOperator:
         "scene camera, or the only one there is",
         options={"SKIP_SAVE"},
     )
-
-    def act(self, context: bpy.types.Context) -> None:
-        """Do it; raise GsError, ValueError or OSError with a sentence for the user."""
-        raise NotImplementedError
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """Blender calls this."""
-        try:
-            self.act(context)
-        except (GsError, ValueError, OSError) as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        return {"FINISHED"}
-
-    def warn(self, sentences: Any) -> None:
-        """Show what the user should know."""
-        for sentence in sentences:
-            self.report({"WARNING"}, sentence)
 
 
 _shown: list[tuple[str, str, str]] = []
@@ -61,7 +43,7 @@ def _image_items(self: Any, context: bpy.types.Context | None) -> list[tuple[str
     return _shown
 
 
-class GSCORE_OT_import_cameras(CaptureOperator, bpy.types.Operator):  # noqa: N801 Blender's rule
+class ImportCameras(OnCapture, bpy.types.Operator):
     """Bring a capture's cameras, photos and SfM points into the scene"""
 
     bl_idname = "gscore.import_cameras"
@@ -107,7 +89,7 @@ class GSCORE_OT_import_cameras(CaptureOperator, bpy.types.Operator):  # noqa: N8
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
-    def act(self, context: bpy.types.Context) -> None:
+    def act(self, context: bpy.types.Context) -> str:
         """Import."""
         path = absolute(self.directory or _panel_path(context), "Capture")
         images = self.images
@@ -134,10 +116,10 @@ class GSCORE_OT_import_cameras(CaptureOperator, bpy.types.Operator):  # noqa: N8
         _remember(context, made.root, images)
         count = f"{len(made.cameras)} cameras"
         points = f", {len(made.points.data.vertices)} points" if made.points else ""
-        self.report({"INFO"}, f"{made.root.name}: {count}{points}")
+        return f"{made.root.name}: {count}{points}"
 
 
-class GSCORE_OT_use_camera(CaptureOperator, bpy.types.Operator):  # noqa: N801
+class UseCamera(OnCapture, bpy.types.Operator):
     """Look through a photo's camera: scene camera, resolution, pixel aspect and photo are set"""
 
     bl_idname = "gscore.use_camera"
@@ -160,16 +142,17 @@ class GSCORE_OT_use_camera(CaptureOperator, bpy.types.Operator):  # noqa: N801
         name="Look Through", default=True, description="Turn the 3D view to the camera"
     )
 
-    def act(self, context: bpy.types.Context) -> None:
+    def act(self, context: bpy.types.Context) -> str:
         """Use it."""
         root = find_root(context, self.capture)
         ob = find_camera(context, root, self.camera, self.index)
         self.warn(captures.use_camera(context.scene, ob))
         if self.look_through:
             _look_through(context)
+        return ""
 
 
-class GSCORE_OT_step_camera(CaptureOperator, bpy.types.Operator):  # noqa: N801
+class StepCamera(OnCapture, bpy.types.Operator):
     """Look through the next or the previous photo's camera"""
 
     bl_idname = "gscore.step_camera"
@@ -186,15 +169,16 @@ class GSCORE_OT_step_camera(CaptureOperator, bpy.types.Operator):  # noqa: N801
         which = "next" if properties.step > 0 else "previous"
         return f"Look through the {which} photo's camera"
 
-    def act(self, context: bpy.types.Context) -> None:
+    def act(self, context: bpy.types.Context) -> str:
         """Step."""
         ob = captures.step_camera(context.scene, find_root(context, self.capture), self.step)
         self.warn(captures.use_camera(context.scene, ob))
         if self.look_through:
             _look_through(context)
+        return ""
 
 
-class GSCORE_OT_choose_camera(CaptureOperator, bpy.types.Operator):  # noqa: N801
+class ChooseCamera(OnCapture, bpy.types.Operator):
     """Search a photo by name and look through its camera"""
 
     bl_idname = "gscore.choose_camera"
@@ -213,14 +197,15 @@ class GSCORE_OT_choose_camera(CaptureOperator, bpy.types.Operator):  # noqa: N80
         context.window_manager.invoke_search_popup(self)
         return {"RUNNING_MODAL"}
 
-    def act(self, context: bpy.types.Context) -> None:
+    def act(self, context: bpy.types.Context) -> str:
         """Use it."""
         ob = find_camera(context, find_root(context, self.capture), self.image)
         self.warn(captures.use_camera(context.scene, ob))
         _look_through(context)
+        return ""
 
 
-class GSCORE_OT_relink_capture(CaptureOperator, bpy.types.Operator):  # noqa: N801
+class RelinkCapture(OnCapture, bpy.types.Operator):
     """Find a capture's photos again after its folder or this file has been moved"""
 
     bl_idname = "gscore.relink_capture"
@@ -243,16 +228,19 @@ class GSCORE_OT_relink_capture(CaptureOperator, bpy.types.Operator):  # noqa: N8
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
-    def act(self, context: bpy.types.Context) -> None:
+    def act(self, context: bpy.types.Context) -> str:
         """Relink."""
         folder = absolute(self.directory, "Folder")
         root = find_root(context, self.capture)
         found, total = captures.relink(root, folder, self.images)
-        kind = "INFO" if found == total else "WARNING"
-        self.report({kind}, f"{found} of {total} photos found in {folder}")
+        text = f"{found} of {total} photos found in {folder}"
+        if found == total:
+            return text
+        self.warn([text])
+        return ""
 
 
-class GSCORE_OT_export_cameras(CaptureOperator, bpy.types.Operator):  # noqa: N801
+class ExportCameras(OnCapture, bpy.types.Operator):
     """Write cameras and SfM points as a COLMAP model or a transforms.json"""
 
     bl_idname = "gscore.export_cameras"
@@ -297,7 +285,7 @@ class GSCORE_OT_export_cameras(CaptureOperator, bpy.types.Operator):  # noqa: N8
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
-    def act(self, context: bpy.types.Context) -> None:
+    def act(self, context: bpy.types.Context) -> str:
         """Export."""
         folder = absolute(self.directory, "Folder")
         needs_root = self.world == "CAPTURE" or self.which == "CAPTURE"
@@ -306,8 +294,7 @@ class GSCORE_OT_export_cameras(CaptureOperator, bpy.types.Operator):  # noqa: N8
         done = self._write(context, folder, objects, root if self.world == "CAPTURE" else None)
         self.warn(done.warnings)
         moved = f", {done.moved} of them as they stand in Blender" if done.moved else ""
-        text = f"{done.path}: {done.views} cameras{moved}, {done.points} points"
-        self.report({"INFO"}, text)
+        return f"{done.path}: {done.views} cameras{moved}, {done.points} points"
 
     def _write(
         self,
@@ -324,25 +311,13 @@ class GSCORE_OT_export_cameras(CaptureOperator, bpy.types.Operator):  # noqa: N8
 
 
 CLASSES = (
-    GSCORE_OT_import_cameras,
-    GSCORE_OT_use_camera,
-    GSCORE_OT_step_camera,
-    GSCORE_OT_choose_camera,
-    GSCORE_OT_relink_capture,
-    GSCORE_OT_export_cameras,
+    ImportCameras,
+    UseCamera,
+    StepCamera,
+    ChooseCamera,
+    RelinkCapture,
+    ExportCameras,
 )
-
-
-def register() -> None:
-    """Register the operators."""
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-
-
-def unregister() -> None:
-    """Take them back."""
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)
 
 
 def _settings(context: bpy.types.Context) -> Any:

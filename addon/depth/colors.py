@@ -13,6 +13,7 @@ from ..cameras.lookup import panel_root
 from ..cameras.objects import cameras_of
 from ..capture.depth_maps import ACCEPTED, MISSING, REFUSED, DepthReport
 from ..interface import undo
+from ..interface.operators import Acting
 from ..process import beat
 from . import work
 
@@ -111,7 +112,7 @@ def _remove(ob: bpy.types.Object) -> None:
         del ob[COLORS]
 
 
-class ColorCameras(bpy.types.Operator):
+class ColorCameras(Acting, bpy.types.Operator):
     """Color the cameras by their depth maps: green accepted, red refused, grey without a map"""
 
     bl_idname = "gscore.color_cameras"
@@ -125,37 +126,34 @@ class ColorCameras(bpy.types.Operator):
         options={"SKIP_SAVE"},
     )
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def act(self, context: bpy.types.Context) -> str:
         """Color, or take the colors away."""
         scene = context.scene
-        try:
-            root = panel_root(scene)
-            if root is None:
-                raise ValueError("The capture is not imported. Use Import Cameras first.")
-            if not self.show:
-                hide(root)
-                return {"FINISHED"}
-            report = work.report(scene)
-            if report is None:
-                raise ValueError("There is no depth report yet; Check Maps makes one.")
-            known = show(root, report)
-            if not known:
-                raise ValueError(f"The depth report knows no camera of {root.name}; Check Maps.")
-        except ValueError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        self.report({"INFO"}, f"{known} cameras of {root.name} show their depth maps.")
-        return {"FINISHED"}
+        root = panel_root(scene)
+        if root is None:
+            raise ValueError("The capture is not imported. Use Import Cameras first.")
+        if not self.show:
+            hide(root)
+            return ""
+        report = work.report(scene)
+        if report is None:
+            raise ValueError("There is no depth report yet; Check Maps makes one.")
+        known = show(root, report)
+        if not known:
+            raise ValueError(f"The depth report knows no camera of {root.name}; Check Maps.")
+        return f"{known} cameras of {root.name} show their depth maps."
 
 
-def register() -> None:
-    """Register the operator, and follow reports."""
-    bpy.utils.register_class(ColorCameras)
-    beat.FOLLOWERS.append(follow)
+CLASSES = (ColorCameras,)
+_FOLLOWER = beat.Follower(follow)
 
 
-def unregister() -> None:
-    """Take it back; colors stay in the file and can be removed when the add-on is back."""
-    beat.FOLLOWERS.remove(follow)
+def on_register() -> None:
+    """Follow reports."""
+    beat.FOLLOWERS.append(_FOLLOWER)
+
+
+def on_unregister() -> None:
+    """Follow them no more; colors stay in the file and can be removed when the add-on is back."""
+    beat.FOLLOWERS.remove(_FOLLOWER)
     _followed.clear()
-    bpy.utils.unregister_class(ColorCameras)

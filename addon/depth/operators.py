@@ -6,18 +6,16 @@ import bpy
 from bpy.props import BoolProperty, StringProperty
 
 from .. import preferences
-from ..core import GsError
+from ..interface.images import show_image
+from ..interface.operators import Acting
 from ..interface.questions import Asking
 from ..process import beat
-from ..render.operators import show_image
 from . import job as depth_job
 from . import work
 from .job import DepthJob
 
-Result = set[str]
 
-
-class _DepthWork:
+class _DepthWork(Acting):
     """What the operators that start something share."""
 
     bl_options: ClassVar = {"REGISTER"}
@@ -28,17 +26,11 @@ class _DepthWork:
         options={"HIDDEN", "SKIP_SAVE"},
     )
 
-    def execute(self, context: bpy.types.Context) -> Result:
-        try:
-            job = self.start(context.scene)
-        except (GsError, ValueError) as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        if not job.ended:
-            return {"FINISHED"}
-        failed = job.status == depth_job.FAILED
-        self.report({"ERROR" if failed else "INFO"}, job.sentence)
-        return {"CANCELLED" if failed else "FINISHED"}
+    def act(self, context: bpy.types.Context) -> str:
+        job = self.start(context.scene)
+        if job.status == depth_job.FAILED:
+            raise ValueError(job.sentence)
+        return job.sentence if job.ended else ""
 
     def start(self, scene: bpy.types.Scene) -> DepthJob:
         raise NotImplementedError
@@ -64,7 +56,7 @@ class PredictDepth(Asking, _DepthWork, bpy.types.Operator):
         options={"SKIP_SAVE"},
     )
 
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Ask for a network where none is chosen, else before maps are replaced."""
         if not (self.filepath or preferences.get().depth_model.strip()):
             context.window_manager.fileselect_add(self)
@@ -74,6 +66,12 @@ class PredictDepth(Asking, _DepthWork, bpy.types.Operator):
     def question(self, context: bpy.types.Context) -> list[str]:
         """Name the maps that are replaced."""
         return work.replaced(context.scene) if self.overwrite else []
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """The question; in the file browser, which comes without one, the choice."""
+        super().draw(context)
+        if not getattr(self, "lines", ()):
+            self.layout.prop(self, "overwrite")
 
     def start(self, scene: bpy.types.Scene) -> DepthJob:
         """Start, and remember the network."""
@@ -95,53 +93,35 @@ class CheckDepth(_DepthWork, bpy.types.Operator):
         return work.check(scene, wait=self.wait)
 
 
-class CancelDepth(bpy.types.Operator):
+class CancelDepth(Acting, bpy.types.Operator):
     """End the work on depth maps; maps that are made stay, and the next prediction goes on"""
 
     bl_idname = "gscore.cancel_depth"
     bl_label = "Cancel"
 
-    def execute(self, context: bpy.types.Context) -> Result:
+    def act(self, context: bpy.types.Context) -> str:
         """Ask it to end."""
         job = work.job_of(context.scene)
         if job is None or job.ended:
-            self.report({"ERROR"}, "No depth maps are worked on.")
-            return {"CANCELLED"}
+            raise ValueError("No depth maps are worked on.")
         job.cancel()
         beat.redraw()
-        return {"FINISHED"}
+        return ""
 
 
-class ShowDepthSheet(bpy.types.Operator):
+class ShowDepthSheet(Acting, bpy.types.Operator):
     """Show photos and depth maps side by side in an image editor, in a new window if need be"""
 
     bl_idname = "gscore.show_depth_sheet"
     bl_label = "Contact Sheet"
 
-    def execute(self, context: bpy.types.Context) -> Result:
+    def act(self, context: bpy.types.Context) -> str:
         """Load it anew and show it."""
-        try:
-            path = work.sheet(context.scene)
-        except ValueError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        image = bpy.data.images.load(str(path), check_existing=True)
+        image = bpy.data.images.load(str(work.sheet(context.scene)), check_existing=True)
         image.reload()
-        if not show_image(context, image, new_window=True):
-            self.report({"INFO"}, f"{image.name} is loaded; there is no window to show it in.")
-        return {"FINISHED"}
+        if show_image(context, image, new_window=True):
+            return ""
+        return f"{image.name} is loaded; there is no window to show it in."
 
 
 CLASSES = (PredictDepth, CheckDepth, CancelDepth, ShowDepthSheet)
-
-
-def register() -> None:
-    """Register the operators."""
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-
-
-def unregister() -> None:
-    """Take them back."""
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)

@@ -22,10 +22,6 @@ _NEARER = 2e-5
 _EDGES = np.array([(0, 1), (0, 2), (0, 3), (0, 4), (1, 2), (2, 3), (3, 4), (4, 1)])
 _FACES = np.array([(1, 2, 3), (1, 3, 4)])
 
-_handle: Any = None
-_drawn: tuple[Any, Any, Any] | None = None
-"""What was drawn last (bytes of its input) and its two batches."""
-
 
 def colored_cameras(context: bpy.types.Context) -> list[bpy.types.Object]:
     """The colored cameras that a 3D view shows, without the one that it looks through."""
@@ -84,7 +80,7 @@ def draw() -> None:
     cameras = colored_cameras(context)
     if not cameras:
         return
-    fill, lines = _batches(*geometry(cameras, context.scene))
+    fill, lines = _drawing.batches(*geometry(cameras, context.scene))
     width = LINE_WIDTH * context.preferences.system.ui_scale
     gpu.state.blend_set("ALPHA")
     gpu.state.depth_test_set("LESS_EQUAL")
@@ -107,30 +103,40 @@ def _nearer(projection: Matrix) -> Matrix:
     return result
 
 
-def _batches(
-    edges: np.ndarray, edge_colors: np.ndarray, faces: np.ndarray, face_colors: np.ndarray
-) -> tuple[Any, Any]:
-    """Shader and batch of the planes, and of the lines; made anew when something has changed."""
-    global _drawn
-    key = (edges.tobytes(), edge_colors.tobytes(), faces.tobytes(), face_colors.tobytes())
-    if _drawn is None or _drawn[0] != key:
-        flat = gpu.shader.from_builtin("FLAT_COLOR")
-        thick = gpu.shader.from_builtin("POLYLINE_FLAT_COLOR")
-        planes = batch_for_shader(flat, "TRIS", {"pos": faces, "color": face_colors})
-        lines = batch_for_shader(thick, "LINES", {"pos": edges, "color": edge_colors})
-        _drawn = (key, (flat, planes), (thick, lines))
-    return _drawn[1], _drawn[2]
+class _Drawing:
+    """The handle that has `draw` called, and what was drawn last."""
+
+    def __init__(self) -> None:
+        self._handle: Any = None
+        self._key: tuple[bytes, ...] = ()
+        self._made: tuple[Any, Any] = ((), ())
+
+    def begin(self) -> None:
+        """Draw in 3D views from now on."""
+        self._handle = bpy.types.SpaceView3D.draw_handler_add(draw, (), "WINDOW", "POST_VIEW")
+
+    def end(self) -> None:
+        """Draw no more."""
+        bpy.types.SpaceView3D.draw_handler_remove(self._handle, "WINDOW")
+        self.__init__()
+
+    def batches(
+        self,
+        edges: np.ndarray,
+        edge_colors: np.ndarray,
+        faces: np.ndarray,
+        face_colors: np.ndarray,
+    ) -> tuple[Any, Any]:
+        """Shader and batch of the planes, and of the lines; made anew when something changed."""
+        key = (edges.tobytes(), edge_colors.tobytes(), faces.tobytes(), face_colors.tobytes())
+        if self._key != key:
+            flat = gpu.shader.from_builtin("FLAT_COLOR")
+            thick = gpu.shader.from_builtin("POLYLINE_FLAT_COLOR")
+            planes = batch_for_shader(flat, "TRIS", {"pos": faces, "color": face_colors})
+            lines = batch_for_shader(thick, "LINES", {"pos": edges, "color": edge_colors})
+            self._key, self._made = key, ((flat, planes), (thick, lines))
+        return self._made
 
 
-def register() -> None:
-    """Draw in 3D views from now on."""
-    global _handle
-    _handle = bpy.types.SpaceView3D.draw_handler_add(draw, (), "WINDOW", "POST_VIEW")
-
-
-def unregister() -> None:
-    """Draw no more."""
-    global _handle, _drawn
-    if _handle is not None:
-        bpy.types.SpaceView3D.draw_handler_remove(_handle, "WINDOW")
-    _handle = _drawn = None
+_drawing = _Drawing()
+on_register, on_unregister = _drawing.begin, _drawing.end

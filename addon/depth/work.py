@@ -7,10 +7,11 @@ import bpy
 
 from .. import preferences
 from ..capture.depth_maps import DepthReport
-from ..job import facts, lookups, options, registry
+from ..job import facts, lookups, options
 from ..paths import absolute, capture_folder, output_folder
 from ..process import beat
 from ..python import setup
+from . import registry
 from .job import DepthJob
 
 MAPS, RUN = "MAPS", "RUN"
@@ -78,7 +79,7 @@ def check(
 def job_of(scene: bpy.types.Scene) -> DepthJob | None:
     """The last work on the depth maps of a scene's capture, under way or ended."""
     found = facts.capture(scene)[0]
-    return None if found is None else registry.depth_of(found.source)
+    return None if found is None else registry.of_capture(found.source)
 
 
 def reports(scene: bpy.types.Scene) -> dict[str, DepthReport]:
@@ -86,7 +87,7 @@ def reports(scene: bpy.types.Scene) -> dict[str, DepthReport]:
     known = {}
     found = facts.capture(scene)[0]
     if found is not None and found.kind:
-        job = registry.depth_of(found.source)
+        job = registry.of_capture(found.source)
         if job is not None and job.report is not None:
             known[MAPS] = job.report
         elif found.depths:
@@ -134,7 +135,7 @@ def _start(
     wait: bool,
     python: str | Path | None,
 ) -> DepthJob:
-    other = registry.depth_of(source)
+    other = registry.of_capture(source)
     if other is not None and not other.ended:
         raise ValueError(f"Depth maps of {source} are worked on already; cancel that first.")
     program = python or setup.trainer_python(preferences.get())
@@ -145,7 +146,7 @@ def _start(
             f"{program} cannot be run ({error.strerror or error}); press Check in the add-on's "
             "preferences."
         ) from error
-    registry.add_depth(job)
+    registry.add(job)
     beat.ensure()
     while wait and not job.ended:
         beat.tick()

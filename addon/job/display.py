@@ -15,8 +15,8 @@ from ..capture.folders import same_folder
 from ..core import Splats
 from ..interface import undo
 from ..paths import absolute, output_folder
-from ..render.scene import ANTIALIAS
 from ..splats import files, objects
+from ..splats.objects import ANTIALIAS
 from . import registry, session
 from .filling import Filling, replace
 from .job import Job

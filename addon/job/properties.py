@@ -279,13 +279,14 @@ class SceneSettings(bpy.types.PropertyGroup):
     )
 
 
-def register() -> None:
+CLASSES = (SceneSettings,)
+
+
+def on_register() -> None:
     """Give scenes their settings."""
-    bpy.utils.register_class(SceneSettings)
     bpy.types.Scene.gscore = PointerProperty(type=SceneSettings)
 
 
-def unregister() -> None:
+def on_unregister() -> None:
     """Take them back."""
     del bpy.types.Scene.gscore
-    bpy.utils.unregister_class(SceneSettings)

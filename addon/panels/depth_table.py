@@ -209,18 +209,17 @@ def _width(context: bpy.types.Context) -> float:
 CLASSES = (DepthItem, DepthTable, DepthTables, GSCORE_UL_depth)
 
 
-def register() -> None:
+_FOLLOWER = beat.Follower(fill)
+
+
+def on_register() -> None:
     """Make room for tables, and fill them."""
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
     bpy.types.WindowManager.gscore_depth = PointerProperty(type=DepthTables)
-    beat.FOLLOWERS.append(fill)
+    beat.FOLLOWERS.append(_FOLLOWER)
 
 
-def unregister() -> None:
+def on_unregister() -> None:
     """Take them back."""
-    beat.FOLLOWERS.remove(fill)
+    beat.FOLLOWERS.remove(_FOLLOWER)
     _filled.clear()
     del bpy.types.WindowManager.gscore_depth
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)

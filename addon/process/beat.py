@@ -1,20 +1,16 @@
-"""The beat that takes in what trainings and searches have found, in Blender's main thread.
+"""The beat that takes in what processes and threads have done, in Blender's main thread.
 
 Blender calls `tick` several times a second while there is something to wait for. Without a window
-timers never run: scripts call `tick`, or `training.wait_for`, themselves.
+timers never run: scripts call `tick` themselves, or a function that waits.
 """
 
-import atexit
 import logging
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import bpy
 from bpy.app.handlers import persistent
-
-from .. import preferences
-from ..job import display, lookups, registry
-from ..python import setup
 
 INTERVAL = 0.1
 """Seconds between two beats."""
@@ -22,47 +18,52 @@ FAST = 0.01
 """The same while splats are handed to Blender bit by bit."""
 REDRAW = 0.4
 """Seconds between two redraws: the viewport behind a sidebar is drawn with it."""
-
-FOLLOWERS: list[Callable[[], bool]] = []
-"""Called at each beat after all news was taken in; they say whether panels have to be redrawn."""
-
 AFTER_ERROR = 5.0
-"""The same after an error of our own."""
+"""Seconds to the next beat after an error of our own."""
 
 _log = logging.getLogger(__name__)
-_stale = False
-_drawn = 0.0
+
+
+def _no() -> bool:
+    return False
+
+
+@dataclass(frozen=True)
+class Follower:
+    """What is done at a beat."""
+
+    collect: Callable[[], bool]
+    """Does a small piece of what there is to do; says whether panels have to be drawn anew."""
+    waits: Callable[[], bool] = _no
+    """Whether anything is under way."""
+    hurries: Callable[[], bool] = _no
+    """Whether the next beat should come soon."""
+
+
+FOLLOWERS: list[Follower] = []
+"""In the order in which they were registered; a later one sees what an earlier one took in."""
+
+
+@dataclass
+class _Screen:
+    """What panels show."""
+
+    stale: bool = False
+    drawn: float = 0.0
+    """Time of the last redraw, monotonic seconds."""
+
+
+_screen = _Screen()
 
 
 def tick() -> bool:
-    """Do a small piece of whatever there is to do; whether anything is under way.
-
-    A beat does one thing that may take milliseconds: reading lines, or showing a picture, or
-    handing splats to Blender.
-    """
-    global _stale
-    for job in registry.jobs():
-        if job.poll():
-            _stale = True
-            if job.state.ended:
-                lookups.runs.expire()
-                lookups.depth_runs.expire()
-        else:
-            _stale |= display.update(job)
-    for depth in registry.depth_jobs():
-        if depth.poll():
-            _stale = True
-            if depth.ended:
-                lookups.captures.expire()
-    _stale |= lookups.collect()
-    _stale |= setup.collect(preferences.get())
-    for follow in FOLLOWERS:
-        _stale |= follow()
-    if _stale and time.monotonic() - _drawn > REDRAW:
+    """Do a small piece of whatever there is to do; whether anything is under way."""
+    for follower in FOLLOWERS:
+        _screen.stale |= follower.collect()
+    if _screen.stale and time.monotonic() - _screen.drawn > REDRAW:
         redraw()
-    waits = setup.busy() or lookups.busy() or any(display.waits(job) for job in registry.jobs())
-    waits |= any(not depth.ended for depth in registry.depth_jobs())
-    return waits or (_stale and not bpy.app.background)
+    waits = any(follower.waits() for follower in FOLLOWERS)
+    return waits or (_screen.stale and not bpy.app.background)
 
 
 def ensure() -> None:
@@ -73,8 +74,7 @@ def ensure() -> None:
 
 def redraw() -> None:
     """Draw the sidebars of 3D views, and preferences, anew."""
-    global _stale, _drawn
-    _stale, _drawn = False, time.monotonic()
+    _screen.stale, _screen.drawn = False, time.monotonic()
     manager = bpy.context.window_manager
     areas = [area for window in manager.windows for area in window.screen.areas]
     for area in areas:
@@ -92,26 +92,22 @@ def _beat() -> float | None:
         return AFTER_ERROR
     if not waits:
         return None
-    return FAST if display.filling() else INTERVAL
+    return FAST if any(follower.hurries() for follower in FOLLOWERS) else INTERVAL
 
 
 @persistent
 def _file_loaded(*_: object) -> None:
-    """A job belongs to the session: the file that is open now may be its own."""
-    if registry.jobs() or registry.depth_jobs():
-        ensure()
+    """What is under way belongs to the session: the file that is open now may be its own."""
+    ensure()
 
 
-def register() -> None:
-    """Follow the loading of files, and the end of Blender."""
+def on_register() -> None:
+    """Follow the loading of files."""
     bpy.app.handlers.load_post.append(_file_loaded)
-    atexit.register(registry.leave_all)
 
 
-def unregister() -> None:
-    """Let go of all jobs, each of which ends by itself."""
+def on_unregister() -> None:
+    """Beat no more."""
     if bpy.app.timers.is_registered(_beat):
         bpy.app.timers.unregister(_beat)
     bpy.app.handlers.load_post.remove(_file_loaded)
-    atexit.unregister(registry.leave_all)
-    registry.leave_all()

@@ -5,18 +5,13 @@ from typing import Any
 
 import bpy
 
+from .. import preferences
 from ..core import __version__
 from ..paths import ROOT
+from ..process import beat
 from ..process.background import Task
 from . import environment, installer
 from .environment import Verdict
-
-_checking: Task | None = None
-_making: Task | None = None
-verdict: Verdict | None = None
-"""What the last check found."""
-make_problem = ""
-"""Why the last environment was not made."""
 
 
 def private_folder() -> Path:
@@ -57,52 +52,6 @@ def trainer_python(prefs: Any) -> Path:
     )
 
 
-def start_check(prefs: Any) -> Task:
-    """Look for a Python that can train, or check the chosen one; does not wait."""
-    global _checking
-    if _checking is None or not _checking.running:
-        chosen = bpy.path.abspath(prefs.python_path) if prefs.python_path.strip() else ""
-        private = private_folder()
-        _checking = Task(lambda task: environment.find(task, chosen=chosen, private=private))
-    return _checking
-
-
-def check(prefs: Any) -> Verdict:
-    """As `start_check`, and wait; for scripts.
-
-    Raises:
-        RuntimeError: the check itself failed.
-    """
-    task = start_check(prefs)
-    task.wait(10 * environment.CHECK_TIMEOUT)
-    collect(prefs)
-    if task.result is None:
-        raise RuntimeError(task.problem)
-    return task.result
-
-
-def start_make(prefs: Any, *, wheel: Path | None = None) -> Task:
-    """Make the add-on's own environment; does not wait.
-
-    Args:
-        prefs: The preferences.
-        wheel: gscore to install; None: the one in the extension.
-
-    Raises:
-        ValueError: there is no wheel, or it cannot go online.
-    """
-    global _making, make_problem
-    if _making is not None and _making.running:
-        return _making
-    wheel, online = _wheel(wheel), bpy.app.online_access
-    if not online:
-        raise ValueError(installer.OFFLINE)
-    target, cpu = private_folder(), prefs.torch_source == "CPU"
-    make_problem = ""
-    _making = Task(lambda task: installer.make(target, wheel, task, online=online, cpu=cpu))
-    return _making
-
-
 def contents(prefs: Any, *, wheel: Path | None = None) -> list[str]:
     """What `start_make` would install, how large, and from where, in sentences.
 
@@ -128,67 +77,134 @@ def _wheel(chosen: Path | None) -> Path:
     return wheel
 
 
-def make(prefs: Any, *, wheel: Path | None = None) -> Path:
-    """As `start_make`, and wait; returns the environment's Python.
+class Setup:
+    """What is under way about the Python that trains, and what was found."""
 
-    Raises:
-        ValueError: as `start_make`.
-        RuntimeError: it could not be made; the message says why.
-    """
-    task = start_make(prefs, wheel=wheel)
-    while not task.wait(3600):
-        pass
-    collect(prefs)
-    if task.result is None:
-        raise RuntimeError(task.problem)
-    return task.result
+    def __init__(self) -> None:
+        self._checking: Task | None = None
+        self._making: Task | None = None
+        self.verdict: Verdict | None = None
+        """What the last check found."""
+        self.make_problem = ""
+        """Why the last environment was not made."""
+
+    def start_check(self, prefs: Any) -> Task:
+        """Look for a Python that can train, or check the chosen one; does not wait."""
+        if self._checking is None or not self._checking.running:
+            chosen = bpy.path.abspath(prefs.python_path) if prefs.python_path.strip() else ""
+            private = private_folder()
+            self._checking = Task(
+                lambda task: environment.find(task, chosen=chosen, private=private)
+            )
+        return self._checking
+
+    def check(self, prefs: Any) -> Verdict:
+        """As `start_check`, and wait; for scripts.
+
+        Raises:
+            ValueError: the check itself failed.
+        """
+        task = self.start_check(prefs)
+        task.wait(10 * environment.CHECK_TIMEOUT)
+        self.collect(prefs)
+        if task.result is None:
+            raise ValueError(task.problem)
+        return task.result
+
+    def start_make(self, prefs: Any, *, wheel: Path | None = None) -> Task:
+        """Make the add-on's own environment; does not wait.
+
+        Args:
+            prefs: The preferences.
+            wheel: gscore to install; None: the one in the extension.
+
+        Raises:
+            ValueError: there is no wheel, or it cannot go online.
+        """
+        if self._making is not None and self._making.running:
+            return self._making
+        wheel, online = _wheel(wheel), bpy.app.online_access
+        if not online:
+            raise ValueError(installer.OFFLINE)
+        target, cpu = private_folder(), prefs.torch_source == "CPU"
+        self.make_problem = ""
+        self._making = Task(
+            lambda task: installer.make(target, wheel, task, online=online, cpu=cpu)
+        )
+        return self._making
+
+    def make(self, prefs: Any, *, wheel: Path | None = None) -> Path:
+        """As `start_make`, and wait; returns the environment's Python.
+
+        Raises:
+            ValueError: as `start_make`, or it could not be made; the message says why.
+        """
+        task = self.start_make(prefs, wheel=wheel)
+        while not task.wait(3600):
+            pass
+        self.collect(prefs)
+        if task.result is None:
+            raise ValueError(task.problem)
+        return task.result
+
+    def collect(self, prefs: Any) -> bool:
+        """Take in what has ended; whether anything did. Called in Blender's main thread."""
+        changed = False
+        if self._checking is not None and not self._checking.running:
+            task, self._checking, changed = self._checking, None, True
+            if task.result is not None:
+                self.verdict = task.result
+                if self.verdict.good and not prefs.python_path.strip():
+                    prefs.found_python = self.verdict.python
+        if self._making is not None and not self._making.running:
+            task, self._making, changed = self._making, None, True
+            self.make_problem = task.problem
+            if not task.problem:
+                self.start_check(prefs)
+        return changed
+
+    def progress(self) -> list[str]:
+        """What is under way, one line each."""
+        return [
+            t.last_line or "Checking"
+            for t in (self._checking, self._making)
+            if t is not None and t.running
+        ]
+
+    def making(self) -> bool:
+        """Whether an environment is being made."""
+        return self._making is not None and self._making.running
+
+    def busy(self) -> bool:
+        """Whether anything is under way or waits for `collect`."""
+        return self._checking is not None or self._making is not None
+
+    def cancel(self) -> None:
+        """End whatever is under way; an environment that was there before stays."""
+        for task in (self._checking, self._making):
+            if task is not None:
+                task.cancel()
+
+    def shut_down(self) -> None:
+        """End whatever is under way and wait for it shortly, because the add-on is switched off."""
+        self.cancel()
+        for task in (self._checking, self._making):
+            if task is not None:
+                task.wait(5.0)
+        self._checking = self._making = self.verdict = None
 
 
-def collect(prefs: Any) -> bool:
-    """Take in what has ended; whether anything did. Called in Blender's main thread."""
-    global _checking, _making, verdict, make_problem
-    changed = False
-    if _checking is not None and not _checking.running:
-        task, _checking, changed = _checking, None, True
-        if task.result is not None:
-            verdict = task.result
-            if verdict.good and not prefs.python_path.strip():
-                prefs.found_python = verdict.python
-    if _making is not None and not _making.running:
-        task, _making, changed = _making, None, True
-        make_problem = task.problem
-        if not task.problem:
-            start_check(prefs)
-    return changed
+CURRENT = Setup()
+"""That of this Blender session."""
+_FOLLOWER = beat.Follower(lambda: CURRENT.collect(preferences.get()), CURRENT.busy)
 
 
-def progress() -> list[str]:
-    """What is under way, one line each."""
-    return [t.last_line or "Checking" for t in (_checking, _making) if t is not None and t.running]
+def on_register() -> None:
+    """Take in what checks find."""
+    beat.FOLLOWERS.append(_FOLLOWER)
 
 
-def making() -> bool:
-    """Whether an environment is being made."""
-    return _making is not None and _making.running
-
-
-def busy() -> bool:
-    """Whether anything is under way or waits for `collect`."""
-    return _checking is not None or _making is not None
-
-
-def cancel() -> None:
-    """End whatever is under way; an environment that was there before stays."""
-    for task in (_checking, _making):
-        if task is not None:
-            task.cancel()
-
-
-def shut_down() -> None:
-    """End whatever is under way and wait for it shortly, because the add-on is switched off."""
-    global _checking, _making, verdict
-    cancel()
-    for task in (_checking, _making):
-        if task is not None:
-            task.wait(5.0)
-    _checking = _making = verdict = None
+def on_unregister() -> None:
+    """End what is under way."""
+    beat.FOLLOWERS.remove(_FOLLOWER)
+    CURRENT.shut_down()

@@ -242,15 +242,12 @@ def border_window(
     return left, height - top, max(right - left, 1), max(top - bottom, 1)
 
 
-def register() -> None:
-    """Make the engine known."""
-    bpy.utils.register_class(SplatsRenderEngine)
+CLASSES = (SplatsRenderEngine,)
 
 
-def unregister() -> None:
-    """Forget the engine and its splats."""
+def on_unregister() -> None:
+    """Let go of viewports and their splats."""
     _leave_viewports()
-    bpy.utils.unregister_class(SplatsRenderEngine)
     for painter in list(_painters):
         painter.close()
     final_cache.clear()

@@ -84,17 +84,13 @@ def _shared() -> list[Any]:
     return found
 
 
-def register() -> None:
-    """Add the panels, and this engine to Blender's."""
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
+def on_register() -> None:
+    """Add this engine to Blender's own panels."""
     for panel in _shared():
         panel.COMPAT_ENGINES.add(NAME)
 
 
-def unregister() -> None:
-    """Take them back."""
+def on_unregister() -> None:
+    """Take it back."""
     for panel in bpy.types.Panel.__subclasses__():
         getattr(panel, "COMPAT_ENGINES", set()).discard(NAME)
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)

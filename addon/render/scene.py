@@ -12,11 +12,9 @@ from .. import attributes
 from ..compat import matrix_to_numpy
 from ..core import Splats, transform_splats
 from ..splats.filters import Filters, filters_of, mask
-from ..splats.objects import KIND
+from ..splats.objects import ANTIALIAS, KIND
 from .frozen import FrozenMesh, freeze
 
-ANTIALIAS = "gs_antialias"
-"""Custom property of a splat object whose opacities want compensation (Mip-Splatting)."""
 _EDITED = threading.Lock()
 
 

@@ -53,13 +53,13 @@ def stats(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph | None = None) ->
 
 def _shown(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> int | None:
     """Points or instances of the evaluated display, without visiting them; None if unknown."""
-    settings = ob.gscore
-    limits = (settings.opacity_min, settings.size_min, settings.size_max, settings.crop_object)
+    own = ob.gscore
+    limits = (own.opacity_min, own.size_min, own.size_max, own.crop_object)
     if not any(limits):
         return len(ob.data.vertices)
     evaluated = ob.evaluated_get(depsgraph)
     modifier = display.modifier_of(ob)
-    told = modifier is not None and modifier.show_viewport and settings.display != "NATIVE"
+    told = modifier is not None and modifier.show_viewport and own.display != "NATIVE"
     if not told or not hasattr(evaluated, "evaluated_geometry"):
         return None
     geometry = evaluated.evaluated_geometry()

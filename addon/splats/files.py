@@ -12,8 +12,8 @@ from mathutils import Matrix
 from ..cameras.objects import local_matrix, root_of
 from ..compat import matrix_to_numpy
 from ..core import MIP_COMMENT, Splats, is_antialiased, read_splats, write_splats
-from ..render.scene import ANTIALIAS
 from . import objects
+from .objects import ANTIALIAS
 
 UP_AXES = {
     "-Y": np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]]),

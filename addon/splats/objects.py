@@ -12,6 +12,8 @@ from . import settings
 from .filters import visible_mask
 
 KIND = "splats"
+ANTIALIAS = "gs_antialias"
+"""Custom property of a splat object whose opacities want compensation (Mip-Splatting)."""
 
 
 def create(

@@ -10,8 +10,8 @@ from bpy_extras.io_utils import ExportHelper, ImportHelper
 from ..cameras.objects import root_of
 from ..compat import native_splat_type
 from ..core import GsError
-from . import edit, native, settings
-from . import files as splat_io
+from ..interface.operators import Acting
+from . import edit, files, native, settings
 from .objects import can_export, is_splats
 
 _UP = [
@@ -21,21 +21,16 @@ _UP = [
 ]
 _WORLDS = [
     (
-        splat_io.SOURCE,
+        files.SOURCE,
         "Photos",
         "The world of the photos' cameras (COLMAP's) or of the imported file: the alignment of "
         "the capture, or the turn of the import, is taken back",
     ),
-    (splat_io.BLENDER, "Blender", "Blender's world, as the scene shows the splats, +Z up"),
+    (files.BLENDER, "Blender", "Blender's world, as the scene shows the splats, +Z up"),
 ]
 
 
-def _failed(operator: bpy.types.Operator, error: Exception) -> set[str]:
-    operator.report({"ERROR"}, str(error))
-    return {"CANCELLED"}
-
-
-class _OnSplats:
+class _OnSplats(Acting):
     """Works on the active splat object."""
 
     bl_options: ClassVar = {"REGISTER", "UNDO"}
@@ -48,22 +43,8 @@ class _OnSplats:
         cls.poll_message_set("Select a splat object: import a splat PLY or train one")
         return False
 
-    def run(self, context: bpy.types.Context) -> str:
-        """What the operator does; returns what to tell the user, if anything."""
-        raise NotImplementedError
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """Run, and turn errors into reports."""
-        try:
-            message = self.run(context)
-        except (GsError, ValueError) as error:
-            return _failed(self, error)
-        if message:
-            self.report({"INFO"}, message)
-        return {"FINISHED"}
-
-
-class ImportSplats(bpy.types.Operator, ImportHelper):
+class ImportSplats(Acting, bpy.types.Operator, ImportHelper):
     """Import Gaussian splats from a PLY file of any trainer or viewer"""
 
     bl_idname = "gscore.import_splats"
@@ -90,32 +71,30 @@ class ImportSplats(bpy.types.Operator, ImportHelper):
         """Open the file browser, or the options of a file that was dropped."""
         return self.invoke_popup(context)
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def act(self, context: bpy.types.Context) -> str:
         """Import one or several files; none of them where one cannot be read."""
         paths = [Path(self.directory, file.name) for file in self.files if file.name]
         parent = root_of(context.object) if self.under_capture else None
         made: list[bpy.types.Object] = []
         try:
-            with splat_io.collected_warnings() as warnings:
+            with files.collected_warnings() as warnings:
                 for path in paths or [Path(self.filepath)]:
-                    made.append(splat_io.import_splats(context, path, parent=parent, up=self.up))
-        except (GsError, ValueError) as error:
+                    made.append(files.import_splats(context, path, parent=parent, up=self.up))
+        except (GsError, ValueError, OSError):
             for ob in made:
                 bpy.data.meshes.remove(ob.data)
-            return _failed(self, error)
-        for warning in warnings:
-            self.report({"WARNING"}, warning)
+            raise
+        self.warn(warnings)
         for ob in context.selected_objects:
             ob.select_set(False)
         for ob in made:
             ob.select_set(True)
         context.view_layer.objects.active = made[-1]
         total = sum(len(ob.data.vertices) for ob in made)
-        self.report({"INFO"}, f"Imported {total:,} splats from {len(made)} file(s).")
-        return {"FINISHED"}
+        return f"Imported {total:,} splats from {len(made)} file(s)."
 
 
-class ExportSplats(bpy.types.Operator, ExportHelper):
+class ExportSplats(Acting, bpy.types.Operator, ExportHelper):
     """Export the selected splats, edited and moved as they are, as one 3DGS PLY file"""
 
     bl_idname = "gscore.export_splats"
@@ -148,23 +127,16 @@ class ExportSplats(bpy.types.Operator, ExportHelper):
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Open the file browser, unless there is nothing to write."""
         if not _chosen(context, self.collection):
-            return _failed(self, ValueError("Select the splat objects to export."))
+            self.report({"ERROR"}, "Select the splat objects to export.")
+            return {"CANCELLED"}
         return ExportHelper.invoke(self, context, event)
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def act(self, context: bpy.types.Context) -> str:
         """Write the file."""
         context.view_layer.update()
-        try:
-            count = splat_io.export_splats(
-                _chosen(context, self.collection),
-                self.filepath,
-                world=self.world,
-                filtered=self.filtered,
-            )
-        except (GsError, ValueError) as error:
-            return _failed(self, error)
-        self.report({"INFO"}, f"Wrote {count:,} splats to {self.filepath}.")
-        return {"FINISHED"}
+        chosen = _chosen(context, self.collection)
+        count = files.export_splats(chosen, self.filepath, world=self.world, filtered=self.filtered)
+        return f"Wrote {count:,} splats to {self.filepath}."
 
 
 def _chosen(context: bpy.types.Context, collection: str) -> list[bpy.types.Object]:
@@ -188,7 +160,7 @@ class ApplyFilters(_OnSplats, bpy.types.Operator):
     bl_idname = "gscore.apply_filters"
     bl_label = "Delete Hidden Splats"
 
-    def run(self, context: bpy.types.Context) -> str:
+    def act(self, context: bpy.types.Context) -> str:
         """Delete."""
         count = edit.apply_filters(context.object)
         return f"Deleted {count:,} splats, {len(context.object.data.vertices):,} left."
@@ -200,7 +172,7 @@ class ResetFilters(_OnSplats, bpy.types.Operator):
     bl_idname = "gscore.reset_filters"
     bl_label = "Reset Filters"
 
-    def run(self, context: bpy.types.Context) -> str:
+    def act(self, context: bpy.types.Context) -> str:
         """Reset."""
         settings.reset_filters(context.object)
         return ""
@@ -221,7 +193,7 @@ class SelectSplats(_OnSplats, bpy.types.Operator):
         ],
     )
 
-    def run(self, context: bpy.types.Context) -> str:
+    def act(self, context: bpy.types.Context) -> str:
         """Select, and enter Edit Mode on vertices."""
         ob = context.object
         if ob.mode == "EDIT":
@@ -238,7 +210,7 @@ class AddCropBox(_OnSplats, bpy.types.Operator):
     bl_idname = "gscore.add_crop_box"
     bl_label = "Add Crop Box"
 
-    def run(self, context: bpy.types.Context) -> str:
+    def act(self, context: bpy.types.Context) -> str:
         """Add."""
         edit.add_crop_box(context, context.object)
         return ""
@@ -250,7 +222,7 @@ class ApplySplatTransform(_OnSplats, bpy.types.Operator):
     bl_idname = "gscore.apply_splat_transform"
     bl_label = "Apply Splat Transform"
 
-    def run(self, context: bpy.types.Context) -> str:
+    def act(self, context: bpy.types.Context) -> str:
         """Apply."""
         edit.apply_transform(context.object)
         return ""
@@ -262,7 +234,7 @@ class ResetDisplay(_OnSplats, bpy.types.Operator):
     bl_idname = "gscore.reset_display"
     bl_label = "Restore Display"
 
-    def run(self, context: bpy.types.Context) -> str:
+    def act(self, context: bpy.types.Context) -> str:
         """Attach."""
         settings.attach(context.object)
         return ""
@@ -282,7 +254,7 @@ class MakeNativeSplats(_OnSplats, bpy.types.Operator):
             return False
         return super().poll(context)
 
-    def run(self, context: bpy.types.Context) -> str:
+    def act(self, context: bpy.types.Context) -> str:
         """Make."""
         native.make_native(context.object)
         return ""
@@ -303,7 +275,7 @@ class GSCORE_FH_splats(bpy.types.FileHandler):  # noqa: N801 - Blender's rule
         return context.area is not None and context.area.type == "VIEW_3D"
 
 
-_CLASSES = (
+CLASSES = (
     ImportSplats,
     ExportSplats,
     ApplyFilters,
@@ -325,17 +297,13 @@ def _draw_export(self: bpy.types.Menu, context: bpy.types.Context) -> None:
     self.layout.operator(ExportSplats.bl_idname, text="Gaussian Splats (.ply)")
 
 
-def register() -> None:
-    """Register operators, the drop handler and the entries of File > Import and Export."""
-    for cls in _CLASSES:
-        bpy.utils.register_class(cls)
+def on_register() -> None:
+    """Add the entries of File > Import and Export."""
     bpy.types.TOPBAR_MT_file_import.append(_draw_import)
     bpy.types.TOPBAR_MT_file_export.append(_draw_export)
 
 
-def unregister() -> None:
-    """Take everything back."""
+def on_unregister() -> None:
+    """Take them back."""
     bpy.types.TOPBAR_MT_file_export.remove(_draw_export)
     bpy.types.TOPBAR_MT_file_import.remove(_draw_import)
-    for cls in reversed(_CLASSES):
-        bpy.utils.unregister_class(cls)

@@ -147,13 +147,14 @@ def attach(ob: bpy.types.Object) -> bpy.types.NodesModifier:
     return modifier
 
 
-def register() -> None:
+CLASSES = (SplatSettings,)
+
+
+def on_register() -> None:
     """Make the settings a property of objects."""
-    bpy.utils.register_class(SplatSettings)
     bpy.types.Object.gscore = bpy.props.PointerProperty(type=SplatSettings)
 
 
-def unregister() -> None:
+def on_unregister() -> None:
     """Take the property back."""
     del bpy.types.Object.gscore
-    bpy.utils.unregister_class(SplatSettings)

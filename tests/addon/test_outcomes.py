@@ -21,7 +21,7 @@ from addon.process import beat
 from gscore.config_file import config_json
 from tests.addon.captures import STUDIO
 from tests.addon.fake_trainer import STARTED, fake_python, finish, step
-from tests.addon.job.test_training import positions, splats, until
+from tests.addon.trainings import positions, splats, until
 
 
 @pytest.fixture

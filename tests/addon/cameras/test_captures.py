@@ -9,10 +9,9 @@ import pytest
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 
-from addon.cameras import captures
+from addon.cameras import captures, sfm_points
 from addon.cameras import formulas as cm
 from addon.cameras import objects as co
-from addon.cameras import points as sfm_points
 from addon.compat import matrix_to_numpy
 from addon.core import GsError, read_capture, read_colmap
 from tests.addon.captures import STUDIO, write_capture

@@ -16,8 +16,8 @@ from addon import preferences
 from addon.capture import depth_maps
 from addon.core import read_colmap, write_colmap
 from addon.depth import job as depth_job
-from addon.depth import work
-from addon.job import facts, lookups, registry
+from addon.depth import registry, work
+from addon.job import facts, lookups
 from addon.panels import depth_table
 from addon.process import beat
 from tests.addon.captures import STUDIO
@@ -58,9 +58,9 @@ def studio(scene: bpy.types.Scene, tmp_path: Path) -> Iterator[bpy.types.Scene]:
     before = (prefs.python_path, prefs.depth_model)
     facts.look_again(scene)
     yield scene
-    for job in registry.depth_jobs():
+    for job in registry.jobs():
         job.kill(wait=10)
-    registry._depth.clear()
+    registry._jobs.clear()
     prefs.python_path, prefs.depth_model = before
 
 
@@ -182,7 +182,7 @@ def test_what_is_missing_is_said_before_anything_starts(
     studio.gscore.capture_path = ""
     with pytest.raises(RuntimeError, match="Capture is empty"):
         bpy.ops.gscore.check_depth()
-    assert registry.depth_jobs() == []
+    assert registry.jobs() == []
 
 
 def test_the_training_has_a_report_of_its_own(studio: bpy.types.Scene, tmp_path: Path) -> None:
@@ -255,4 +255,4 @@ def test_the_real_thing(scene: bpy.types.Scene, tmp_path: Path) -> None:
     until(lambda: facts.capture(scene)[0].depths == 10)
     assert bpy.ops.gscore.show_depth_sheet() == {"FINISHED"}
     assert bpy.data.images["contact_sheet.png"].size[0] > 500
-    registry._depth.clear()
+    registry._jobs.clear()

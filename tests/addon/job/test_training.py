@@ -16,40 +16,20 @@ from mathutils import Matrix, Quaternion, Vector
 
 from addon import job as job_api
 from addon import preferences
-from addon.core import Splats, write_splats
+from addon.core import write_splats
 from addon.job import display, filling, registry, session, training
 from addon.job.job import Job
 from addon.paths import output_folder
 from addon.process import beat
 from addon.stored_paths import RUN
 from tests.addon.fake_trainer import STARTED, fake_python, finish, step
+from tests.addon.trainings import positions, splats, until
 
 ROOT = Path(__file__).parents[3]
 STUDIO = ROOT / "examples" / "studio"
 REAL = os.environ.get("GSCORE_TRAINER_PYTHON", "")
 needs_trainer = pytest.mark.skipif(not REAL, reason="GSCORE_TRAINER_PYTHON names no Python")
 Play = Callable[..., Path]
-
-
-def splats(count: int, seed: int = 0) -> Splats:
-    """Splats around the origin."""
-    rng = np.random.default_rng(seed)
-    numbers = lambda *shape: rng.normal(size=shape).astype(np.float32)  # noqa: E731
-    return Splats(
-        means=numbers(count, 3),
-        quats=numbers(count, 4),
-        scales=numbers(count, 3) - 4,
-        opacities=numbers(count),
-        sh0=numbers(count, 1, 3),
-        shN=numbers(count, 3, 3),
-    )
-
-
-def positions(ob: bpy.types.Object) -> np.ndarray:
-    """[N, 3] of the mesh."""
-    out = np.empty(len(ob.data.vertices) * 3, np.float32)
-    ob.data.attributes["position"].data.foreach_get("vector", out)
-    return out.reshape(-1, 3)
 
 
 @pytest.fixture
@@ -78,15 +58,6 @@ def play(tmp_path: Path) -> Play:
         return python
 
     return choose
-
-
-def until(condition: Callable[[], bool], timeout: float = 20.0) -> None:
-    """Tick as Blender does until something is so."""
-    end = time.monotonic() + timeout
-    while not condition():
-        assert time.monotonic() < end, "waited in vain"
-        beat.tick()
-        time.sleep(0.01)
 
 
 def test_snapshots_then_the_result_reach_one_object(
@@ -544,7 +515,7 @@ def test_the_real_trainer_is_killed(studio: bpy.types.Scene, tmp_path: Path) -> 
 def test_the_modules_need_no_bpy() -> None:
     """Oracle: a fresh interpreter in which bpy cannot be imported."""
     names = "job.job job.session job.curve job.options job.loader job.registry job.lookups"
-    names += " job.earlier python.environment python.installer process.background"
+    names += " job.earlier python.environment python.installer process.background process.lookup"
     code = "import sys; sys.modules['bpy'] = None\n"
     code += "".join(f"import addon.{name}\n" for name in names.split())
     subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)

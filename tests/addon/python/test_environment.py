@@ -52,7 +52,7 @@ def prefs() -> Iterator[preferences.Preferences]:
     before = (found.python_path, found.found_python, found.torch_source)
     yield found
     found.python_path, found.found_python, found.torch_source = before
-    setup.shut_down()
+    setup.CURRENT.shut_down()
 
 
 @pytest.fixture
@@ -189,7 +189,7 @@ def test_finding_fills_the_preferences(
     python = program(alone / "python3", answer())
     assert bpy.ops.gscore.check_trainer(wait=True) == {"FINISHED"}
     assert setup.trainer_python(prefs) == python
-    assert setup.verdict is not None and setup.verdict.good
+    assert setup.CURRENT.verdict is not None and setup.CURRENT.verdict.good
     prefs.python_path = str(program(tmp_path / "mine", answer()))
     assert setup.trainer_python(prefs) == tmp_path / "mine"
 
@@ -206,7 +206,7 @@ def test_nothing_is_downloaded_without_permission(prefs: preferences.Preferences
     assert not bpy.app.online_access
     with pytest.raises(RuntimeError, match="Allow Online Access"):
         bpy.ops.gscore.make_environment(wheel=__file__, wait=True)
-    assert not setup.busy()
+    assert not setup.CURRENT.busy()
 
 
 def test_a_wheel_is_needed(prefs: preferences.Preferences, monkeypatch: pytest.MonkeyPatch) -> None:
