@@ -7,41 +7,52 @@ from importlib import import_module
 
 MODULES: tuple[str, ...] = (
     "preferences",
-    "properties",
+    "outcomes",
     "stored_paths",
-    "camera_operators",
-    "alignment_operators",
-    "splat_settings",
-    "splat_operators",
+    "process.beat",
+    "python.setup",
+    "python.section",
+    "python.operators",
+    "cameras.operators",
+    "cameras.alignment_operators",
+    "splats.settings",
+    "splats.operators",
+    "job.properties",
+    "job.follow",
     "job.operators",
-    "job.depth_operators",
-    "depth_colors",
-    "depth_overlay",
-    "panels",
+    "depth.follow",
+    "depth.operators",
+    "depth.colors",
+    "depth.overlay",
     "render.settings",
     "render.engine",
     "render.compositor",
     "render.operators",
     "render.panels",
+    "panels.curve_icon",
+    "panels.depth_table",
+    "panels",
 )
-"""Modules with a register() and an unregister(), in the order in which they need each other."""
+"""Modules that `registration` registers, in the order in which they need each other."""
 
 
 def register() -> None:
     """Register every module of MODULES; after a failure nothing stays registered."""
+    registration = import_module(".registration", __package__)
     done = []
     try:
         for name in MODULES:
             module = import_module(f".{name}", __package__)
-            module.register()
+            registration.register(module)
             done.append(module)
     except BaseException:
         for module in reversed(done):
-            module.unregister()
+            registration.unregister(module)
         raise
 
 
 def unregister() -> None:
     """Take everything back in reverse order."""
+    registration = import_module(".registration", __package__)
     for name in reversed(MODULES):
-        import_module(f".{name}", __package__).unregister()
+        registration.unregister(import_module(f".{name}", __package__))

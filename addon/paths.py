@@ -1,11 +1,14 @@
 """Folders as the user writes them in a .blend file, and as the system knows them."""
 
+import contextlib
+import itertools
 import os
 from pathlib import Path
 
 import bpy
 
-from .capture import find_capture
+from .capture.folders import means_capture
+from .capture.inspection import find_capture
 
 ROOT = __package__.removesuffix(".addon")
 """Name under which Blender knows the add-on."""
@@ -76,7 +79,26 @@ def output_folder(scene: bpy.types.Scene, default: str = "") -> Path:
         return absolute(scene.gscore.output_path, "Output")
     capture = find_capture(absolute(scene.gscore.capture_path, "Capture"))
     if default.strip():
-        return absolute(default, "Default Output Folder") / capture.name
-    if bpy.data.filepath:
-        return Path(bpy.data.filepath).parent / "splats" / capture.name
-    return capture.with_name(f"{capture.name}_splats")
+        wanted = absolute(default, "Default Output Folder") / capture.name
+    elif bpy.data.filepath:
+        wanted = Path(bpy.data.filepath).parent / "splats" / capture.name
+    else:
+        wanted = capture.with_name(f"{capture.name}_splats")
+    return _untaken(wanted, capture)
+
+
+def _untaken(wanted: Path, capture: Path) -> Path:
+    """The folder, or one with a number where another capture of this file has its results there.
+
+    Captures in different folders may have the same name.
+    """
+    taken = set()
+    for scene in bpy.data.scenes:
+        for holder in (scene.gscore, *scene.gscore.outcomes):
+            with contextlib.suppress(ValueError):  # it has no capture, or no output folder yet
+                own = absolute(holder.capture_path, "Capture")
+                output = absolute(holder.output_path, "Output")
+                if not means_capture(own, capture):
+                    taken.add(output)
+    numbered = (wanted.with_name(f"{wanted.name}-{n}") for n in itertools.count(2))
+    return next(path for path in itertools.chain([wanted], numbered) if path not in taken)

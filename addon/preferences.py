@@ -1,14 +1,14 @@
 """The add-on's preferences: the Python that trains, and this computer's habits."""
 
-import textwrap
+from collections.abc import Callable
 
 import bpy
 from bpy.props import EnumProperty, FloatProperty, IntProperty, StringProperty
 
-from .job import setup
 from .paths import ROOT
 
-_WRAP = 90
+SECTIONS: list[Callable[[bpy.types.UILayout, "Preferences"], None]] = []
+"""What else draws here, above the rest."""
 
 
 class Preferences(bpy.types.AddonPreferences):
@@ -89,7 +89,8 @@ class Preferences(bpy.types.AddonPreferences):
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the preferences."""
-        draw_trainer(self.layout, self)
+        for section in SECTIONS:
+            section(self.layout, self)
         column = self.layout.column()
         column.use_property_split = True
         for name in ("threads", "live_seconds", "live_most", "preview_seconds"):
@@ -97,45 +98,6 @@ class Preferences(bpy.types.AddonPreferences):
         column.prop(self, "lpips_path")
         column.prop(self, "depth_model")
         column.prop(self, "output_folder")
-
-
-def draw_trainer(layout: bpy.types.UILayout, prefs: Preferences) -> None:
-    """The Python that trains: choose, check, make, and what came of it."""
-    box = layout.box()
-    row = box.row(align=True)
-    row.prop(prefs, "python_path", placeholder="The add-on's own environment, or one found") if (
-        "placeholder" in row.bl_rna.functions["prop"].parameters
-    ) else row.prop(prefs, "python_path")
-    row.operator("gscore.check_trainer", text="Check" if prefs.python_path else "Find")
-    row = box.row()
-    row.operator("gscore.make_environment", icon="IMPORT")
-    row.prop(prefs, "torch_source", text="")
-    if not bpy.app.online_access:
-        wrapped(box, setup.installer.OFFLINE, icon="INTERNET_OFFLINE")
-    for line in setup.progress():
-        row = box.row()
-        row.label(text=line, icon="TIME")
-        row.operator("gscore.cancel_setup", text="", icon="X")
-    if setup.make_problem:
-        wrapped(box, setup.make_problem, icon="ERROR")
-    if setup.verdict is not None:
-        wrapped(box, setup.verdict.sentence, icon="CHECKMARK" if setup.verdict.good else "ERROR")
-
-
-def wrapped(
-    layout: bpy.types.UILayout, text: str, *, icon: str = "NONE", width: int = _WRAP
-) -> None:
-    """A sentence as several labels, because Blender's labels do not wrap.
-
-    Args:
-        layout: Gets a column.
-        text: The sentence.
-        icon: Before the first line.
-        width: Characters of a line.
-    """
-    column = layout.column(align=True)
-    for number, line in enumerate(textwrap.wrap(text, width) or [""]):
-        column.label(text=line, icon="BLANK1" if number and icon != "NONE" else icon)
 
 
 def get() -> Preferences:
@@ -148,12 +110,4 @@ def get() -> Preferences:
     return entry.preferences
 
 
-def register() -> None:
-    """Register the preferences."""
-    bpy.utils.register_class(Preferences)
-
-
-def unregister() -> None:
-    """Take them back and end what was started from them."""
-    setup.shut_down()
-    bpy.utils.unregister_class(Preferences)
+CLASSES = (Preferences,)

@@ -56,7 +56,12 @@ _before: list[tuple[_Place, str]] = []
 def _places() -> Iterator[_Place]:
     for scene in bpy.data.scenes:
         if scene.library is None:
-            yield from (_Place(scene.gscore, key) for key in ("capture_path", "output_path"))
+            settings = scene.gscore
+            # The capture last: a change of it that `outcome_of` does not know is another capture.
+            keys = ("outcome_of", "output_path", "capture_path")
+            yield from (_Place(settings, key) for key in keys)
+            for waiting in settings.outcomes:
+                yield from (_Place(waiting, key) for key in ("capture_path", "output_path"))
     for ob in bpy.data.objects:
         if ob.library is None:
             yield from (_Place(ob, key) for key in (SOURCE, PHOTO, RUN) if key in ob)
@@ -97,13 +102,13 @@ _HANDLERS = {
 }
 
 
-def register() -> None:
+def on_register() -> None:
     """Follow saving."""
     for name, function in _HANDLERS.items():
         getattr(bpy.app.handlers, name).append(function)
 
 
-def unregister() -> None:
+def on_unregister() -> None:
     """Stop following."""
     for name, function in _HANDLERS.items():
         getattr(bpy.app.handlers, name).remove(function)

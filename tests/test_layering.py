@@ -3,6 +3,7 @@
 import ast
 import subprocess
 import sys
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -50,16 +51,49 @@ OUTSIDE = {
 ADDON = ROOT / "addon"
 IN_BLENDER = {"bpy", "bpy_extras", "gpu", "gpu_extras", "mathutils", "numpy"}
 """What the add-on may import besides the standard library and itself."""
+_FLOOR = {"attributes", "compat", "core", "registration"}
+_FILES = _FLOOR | {"capture", "paths", "stored_paths", "outcomes"}
+_SHARED = _FILES | {"interface", "preferences", "process"}
+_OBJECTS = _SHARED | {"cameras", "nodes", "splats"}
+ROOMS = {
+    "core": set(),
+    "compat": set(),
+    "registration": set(),
+    "attributes": {"core"},
+    "capture": {"core"},
+    "process": set(),
+    "interface": {"core"},
+    "paths": {"capture"},
+    "stored_paths": {"paths"},
+    "outcomes": {"capture", "compat", "paths"},
+    "preferences": {"interface", "paths"},
+    "python": _SHARED,
+    "nodes": _FLOOR,
+    "cameras": _SHARED,
+    "splats": _SHARED | {"cameras", "nodes"},
+    "job": _OBJECTS | {"python"},
+    "depth": _OBJECTS | {"python", "job"},
+    "render": _OBJECTS,
+    "panels": _OBJECTS | {"python", "job", "depth", "render"},
+}
+"""What each room of the add-on, or file beside them, may import besides itself."""
 WITHOUT_BPY = (
-    "alignment",
-    "camera_math",
-    "capture",
-    "depth_report",
-    "job.depth_job",
-    "job.environment",
-    "job.process",
+    "attributes",
+    "cameras.alignment",
+    "cameras.formulas",
+    "capture.depth_maps",
+    "capture.folders",
+    "capture.inspection",
+    "depth.job",
+    "depth.registry",
+    "job.lookups",
     "job.session",
-    "splat_filter",
+    "process.background",
+    "process.lookup",
+    "process.program",
+    "python.environment",
+    "python.installer",
+    "splats.filters",
 )
 """Modules of the add-on that serve scripts outside Blender."""
 
@@ -173,6 +207,42 @@ def test_the_addon_sees_only_what_is_public(path: Path) -> None:
             assert path == ADDON / "core.py", f"line {node.lineno}: only core.py sees gscore"
             assert isinstance(node, ast.ImportFrom) and module == "gscore"
             assert {alias.name for alias in node.names} <= set(gscore.__all__)
+
+
+@pytest.mark.parametrize(
+    "path", sorted(ADDON.rglob("*.py")), ids=lambda p: str(p.relative_to(ADDON))
+)
+def test_rooms_of_the_addon_import_down(path: Path) -> None:
+    """Oracle: ROOMS, for imports at the top of a file and inside of functions."""
+    own = _room(path)
+    if own == "__init__":
+        return
+    package = path.relative_to(ADDON).parts[:-1]
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if not (isinstance(node, ast.ImportFrom) and node.level):
+            continue
+        stem = [*package[: len(package) + 1 - node.level], *(node.module or "").split(".")]
+        for alias in node.names:
+            room = next(part for part in (*stem, alias.name) if part)
+            assert room in ROOMS[own] | {own}, f"line {node.lineno}: {own} imports {room}"
+
+
+def test_every_room_has_its_place() -> None:
+    """Oracle: the folder listing; and an order in which each imports only earlier ones."""
+    assert {_room(path) for path in ADDON.rglob("*.py")} - {"__init__"} == set(ROOMS)
+    TopologicalSorter(ROOMS).prepare()  # raises where there is a circle
+
+
+def test_no_function_of_the_addon_rebinds_a_module() -> None:
+    """Oracle: the syntax trees; what lives as long as Blender is an object with methods."""
+    for path in ADDON.rglob("*.py"):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        lines = [node.lineno for node in ast.walk(tree) if isinstance(node, ast.Global)]
+        assert not lines, f"{path.relative_to(ADDON)}: line {lines[0]}"
+
+
+def _room(path: Path) -> str:
+    return path.relative_to(ADDON).with_suffix("").parts[0]
 
 
 @pytest.mark.parametrize("module", WITHOUT_BPY)

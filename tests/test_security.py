@@ -48,17 +48,17 @@ UNSAFE_NAMES = (
 STARTS = {
     "gscore/bench/child.py:run_child",
     "gscore/metrics/machine.py:cpu_name",
-    "addon/job/process.py:Process.__init__",
+    "addon/process/program.py:Process.__init__",
 }
 """The functions that start processes, from lists of words."""
 WRITES = {
-    "addon/export_cameras.py:export_colmap .core.write_colmap": "the user's choice",
-    "addon/export_transforms.py:export_transforms .core.atomic_write": "the user's choice",
-    "addon/splat_io.py:export_splats .core.write_splats": "the user's choice",
-    "addon/job/installer.py:make shutil.rmtree": "Blender's folder of it",
-    "addon/job/installer.py:_make_venv folder.parent.mkdir": "Blender's folder of it",
-    "addon/job/installer.py:_put_in_place shutil.rmtree": "Blender's folder of it",
-    "addon/job/installer.py:_rename os.replace": "Blender's folder of it",
+    "addon/cameras/export_colmap.py:export_colmap ..core.write_colmap": "the user's choice",
+    "addon/cameras/export_transforms.py:export_transforms ..core.atomic_write": "the user's choice",
+    "addon/splats/files.py:export_splats ..core.write_splats": "the user's choice",
+    "addon/python/installer.py:make shutil.rmtree": "Blender's folder of it",
+    "addon/python/installer.py:_make_venv folder.parent.mkdir": "Blender's folder of it",
+    "addon/python/installer.py:_put_in_place shutil.rmtree": "Blender's folder of it",
+    "addon/python/installer.py:_rename os.replace": "Blender's folder of it",
     "addon/render/compositor.py:_synchronise other.collection.objects.unlink": "no file, an object",
 }
 """All calls in the add-on that write, make or remove files, and where these lie."""
@@ -282,7 +282,7 @@ def test_the_addon_writes_only_where_blender_allows() -> None:
         for site in Source(path.read_text(encoding="utf-8")).writes():
             found.add(f"{where(path, site)} {site.callee}")
     assert found == set(WRITES)
-    setup = Source((ROOT / "addon" / "job" / "setup.py").read_text(encoding="utf-8"))
+    setup = Source((ROOT / "addon" / "python" / "setup.py").read_text(encoding="utf-8"))
     assert "bpy.utils.extension_path_user" in {site.callee for site, _ in setup.calls()}
 
 

@@ -48,7 +48,8 @@ def mesh_of(scene: bpy.types.Scene) -> int:
 def training(options: argparse.Namespace) -> None:
     """Beats while a trainer works."""
     from addon import preferences
-    from addon.job import display, session, timer, training
+    from addon.job import display, session, training
+    from addon.process import beat
 
     prefs = preferences.get()
     prefs.python_path = str(options.python)
@@ -64,14 +65,14 @@ def training(options: argparse.Namespace) -> None:
     while display.waits(job):
         picture, mesh, splats = job.preview_shown, mesh_of(scene), job.filling
         start = time.perf_counter()
-        timer.tick()
+        beat.tick()
         took = (time.perf_counter() - start) * 1000
         kind = "splats" if splats or job.filling or mesh != mesh_of(scene) else "reading lines"
         beats["a picture" if job.preview_shown != picture else kind].append(took)
         late = time.monotonic() - began > options.seconds
         if late and job.state.status == session.RUNNING:
             job.stop()
-        time.sleep(timer.FAST if display.filling() else timer.INTERVAL)
+        time.sleep(beat.FAST if display.filling() else beat.INTERVAL)
     for kind, values in beats.items():
         show(f"training, {kind}", values)
     show("training, all", [v for values in beats.values() for v in values])
@@ -80,9 +81,9 @@ def training(options: argparse.Namespace) -> None:
 
 def arrival(count: int) -> None:
     """Steps in which many splats are handed over."""
-    from addon import splat_object
     from addon.core import Splats, write_splats
     from addon.job import display, filling, loader
+    from addon.splats import objects
 
     rng = np.random.default_rng(0)
 
@@ -106,7 +107,7 @@ def arrival(count: int) -> None:
         time.sleep(0.01)
     loaded = reader.take()
     assert loaded is not None
-    ob = splat_object.create(display.EMPTY, "many")
+    ob = objects.create(display.EMPTY, "many")
     steps, mesh, hand = [], None, filling.Filling(loaded)
     while mesh is None:
         start = time.perf_counter()

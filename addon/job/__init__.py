@@ -1,8 +1,8 @@
 """Training beside Blender, for scripts: `train`, `resume`, `wait_for`, `discard` and `job_of`.
 
 `job.pause()`, `job.unpause()`, `job.stop()` and `job.snapshot()` are methods of the job that
-`train` returns. The modules process, job, session, curve, options, loader, registry, environment,
-installer and background need no bpy.
+`train` returns. The modules job, session, curve, options, loader, registry, earlier and lookups
+need no bpy.
 """
 
 from importlib import import_module

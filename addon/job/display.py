@@ -1,16 +1,22 @@
 """Shows in the open file what a training leaves on the disk: splats and a picture."""
 
 import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
 
-from .. import preferences, splat_io, splat_object, stored_paths, undo
-from ..camera_objects import is_kind
+from .. import outcomes, preferences, stored_paths
+from ..cameras.objects import is_kind
+from ..capture.folders import same_folder
 from ..core import Splats
-from ..paths import output_folder
-from ..render.scene import ANTIALIAS
+from ..interface import undo
+from ..paths import absolute, output_folder
+from ..splats import files, objects
+from ..splats.objects import ANTIALIAS
 from . import registry, session
 from .filling import Filling, replace
 from .job import Job
@@ -18,6 +24,8 @@ from .loader import Loaded
 
 _FILLED = "gs_filled"
 """Custom property of a result: its `_signature` as it came, to know whether it was edited."""
+_FILLED_BY = "gs_job"
+"""Custom property of a result: the id of the job that filled it last."""
 EMPTY = Splats(
     means=np.zeros((0, 3), np.float32),
     quats=np.zeros((0, 4), np.float32),
@@ -29,24 +37,44 @@ EMPTY = Splats(
 """No splats."""
 
 
-def scene_of(job: Job) -> bpy.types.Scene | None:
-    """The scene of the open file whose output is that of the job."""
-    default = preferences.get().output_folder
-    for scene in bpy.data.scenes:
-        try:
-            folder = output_folder(scene, default)
-        except ValueError:
-            continue
-        if registry.same_folder(folder, job.output):
-            return scene
+@dataclass(frozen=True)
+class Place:
+    """Where the open file shows what a job makes."""
+
+    scene: bpy.types.Scene
+    holder: Any
+    """Has `result` and `preview`: the scene's settings, or the outcome of a capture that is not the
+    chosen one."""
+
+
+def place_of(job: Job) -> Place | None:
+    """Where the open file shows what a job makes: its own scene first, then any of that output."""
+    scenes = sorted(bpy.data.scenes, key=lambda scene: scene.session_uid != job.scene_uid)
+    for scene in scenes:
+        for holder in outcomes.holders(scene):
+            if _leads_to(scene, holder, job):
+                return Place(scene, holder)
     return None
+
+
+def _leads_to(scene: bpy.types.Scene, holder: Any, job: Job) -> bool:
+    """Whether a holder's results are those of a job."""
+    try:
+        if holder == scene.gscore:
+            folder = output_folder(scene, preferences.get().output_folder)
+        else:
+            folder = absolute(holder.output_path, "Output")
+    except ValueError:
+        return False
+    mine = same_folder(folder, job.output)
+    return mine and any(outcomes.holds(holder, source) for source in job.sources)
 
 
 def waits(job: Job) -> bool:
     """Whether there is something to wait for: a running trainer, or splats to be shown here."""
     if not job.state.ended or job.loader.busy:
         return True
-    return job.result_wanted and scene_of(job) is not None
+    return job.result_wanted and place_of(job) is not None
 
 
 def filling() -> bool:
@@ -61,69 +89,91 @@ def update(job: Job) -> bool:
     """
     if bpy.app.is_job_running("RENDER"):
         return False
-    scene = scene_of(job)
-    if scene is None:
+    place = place_of(job)
+    if place is None:
         job.live_seconds = 0.0
         return False
     if job.chores:
         job.chores.pop(0)()
         return True
     prefs = preferences.get()
-    job.live_seconds = prefs.live_seconds if scene.gscore.live_splats else 0.0
+    job.live_seconds = prefs.live_seconds if place.scene.gscore.live_splats else 0.0
     job.live_most = prefs.live_most
     preview = job.state.preview
     if preview is not None and preview.path != job.preview_shown:
         job.preview_shown = preview.path
-        show_picture(scene, Path(preview.path))
+        show_picture(place.holder, Path(preview.path), f"Test View of {job.source.name}")
         return True
-    return _remove_discarded(job, scene) or _update_splats(job, scene)
+    return _remove_discarded(job, place) or _update_splats(job, place)
 
 
-def show_picture(scene: bpy.types.Scene, path: Path) -> bpy.types.Image:
-    """Show a picture as the scene's test view, in every image editor that shows it."""
-    image = scene.gscore.preview
+def show_picture(holder: Any, path: Path, name: str) -> bpy.types.Image:
+    """Show a picture as a capture's test view, in every image editor that shows it."""
+    image = holder.preview
     if image is None:
         # `images.load` looks into the file, which may take a tenth of a second the first time.
-        image = bpy.data.images.new(f"Test View of {scene.name}", 1, 1)
+        image = bpy.data.images.new(name, 1, 1)
         image.source = "FILE"
-        scene.gscore.preview = image
+        holder.preview = image
     image.filepath = str(path)
     image.reload()
     return image
 
 
-def result_object(scene: bpy.types.Scene, job: Job, loaded: Loaded) -> bpy.types.Object:
+def result_object(place: Place, job: Job, loaded: Loaded) -> bpy.types.Object:
     """The object that shows the splats of a run: the one it has, or a new and empty one.
 
-    One that was edited stays as it is, and the splats go into a new one.
+    One that was edited stays as it is, as does one of an earlier run that this one was not asked to
+    replace; the splats go into a new one.
     """
-    ob = scene.gscore.result
-    same_run = ob is not None and _is_of(ob, job)
-    if same_run and scene.objects.get(ob.name) is ob:
-        if ob.get(_FILLED, "") in ("", _signature(ob)):
+    scene = place.scene
+    ob = shown_object(place.holder, job.output, job.sources)
+    if ob is not None and scene.objects.get(ob.name) is ob:
+        own = job.may_replace or ob.get(_FILLED_BY) == job.id
+        edited = was_edited(ob)
+        if own and not edited:
             return ob
-        del ob[stored_paths.RUN], ob[_FILLED]
-        job.state.warn(f"{ob.name} was edited and is kept; the training goes into a new object.")
+        for key in (stored_paths.RUN, _FILLED, _FILLED_BY):
+            ob.pop(key, None)
+        why = "was edited" if edited else "is of an earlier training"
+        job.state.warn(f"{ob.name} {why} and is kept; the training goes into a new object.")
     root = _root(scene, job.source)
     collection = root.users_collection[0] if root and root.users_collection else scene.collection
     name = f"{job.source.name} splats"
-    ob = splat_object.create(EMPTY, name, collection=collection, parent=root)
+    ob = objects.create(EMPTY, name, collection=collection, parent=root)
     stored_paths.write(ob, stored_paths.RUN, job.output)
+    stored_paths.write(ob, stored_paths.SOURCE, job.source)
     if loaded.typical_size:
         ob.gscore.point_size = 0.5 * loaded.typical_size
     if job.antialias:
         ob[ANTIALIAS] = True
     if root is None:
         # Else as a first camera that was held level: COLMAP's own worlds have no up.
-        splat_io.place(ob, splat_io.UP_AXES["-Y"] if loaded.upright is None else loaded.upright)
-    scene.gscore.result = ob
+        files.place(ob, files.UP_AXES["-Y"] if loaded.upright is None else loaded.upright)
+    place.holder.result = ob
     return ob
 
 
-def _is_of(ob: bpy.types.Object, job: Job) -> bool:
-    """Whether an object shows the splats of a job's run."""
-    run = stored_paths.read(ob, stored_paths.RUN)
-    return bool(run) and registry.same_folder(Path(run), job.output)
+def shown_object(holder: Any, output: Path, sources: Sequence[Path]) -> bpy.types.Object | None:
+    """The object that shows the splats of a run, if a holder has it.
+
+    Args:
+        holder: See `Place`.
+        output: Folder of the run.
+        sources: Folders that the capture has, and had; an object of any other is not the run's.
+    """
+    ob = holder.result
+    if ob is None:
+        return None
+    run, source = (stored_paths.read(ob, key) for key in (stored_paths.RUN, stored_paths.SOURCE))
+    same_run = bool(run) and same_folder(Path(run), output)
+    of_capture = bool(source) and any(same_folder(Path(source), known) for known in sources)
+    return ob if same_run and of_capture else None
+
+
+def was_edited(ob: bpy.types.Object) -> bool:
+    """Whether splats of a result were deleted, added or moved since they came."""
+    return ob.get(_FILLED, "") not in ("", _signature(ob))
 
 
 def _signature(ob: bpy.types.Object) -> str:
@@ -133,11 +183,11 @@ def _signature(ob: bpy.types.Object) -> str:
     return f"{len(positions) // 3}-{zlib.crc32(positions):08x}"
 
 
-def _remove_discarded(job: Job, scene: bpy.types.Scene) -> bool:
+def _remove_discarded(job: Job, place: Place) -> bool:
     """Take back the live splats of a run that was discarded; whether there were any."""
-    ob = scene.gscore.result
+    ob = shown_object(place.holder, job.output, job.sources)
     over = job.state.status == session.DISCARDED and not job.resumed
-    if not over or ob is None or not _is_of(ob, job) or ob.mode != "OBJECT":
+    if not over or ob is None or ob.get(_FILLED_BY) != job.id or ob.mode != "OBJECT":
         return False
     mesh = ob.data
     bpy.data.objects.remove(ob)
@@ -147,13 +197,13 @@ def _remove_discarded(job: Job, scene: bpy.types.Scene) -> bool:
     return True
 
 
-def _update_splats(job: Job, scene: bpy.types.Scene) -> bool:
+def _update_splats(job: Job, place: Place) -> bool:
     """Do the next step on the way of splats from a file to the scene; whether there was one."""
     result = job.state.result
     if job.result_wanted and not job.result_requested and result is not None:
         job.result_requested = True
         job.loader.request(result, final=True)
-    ob = scene.gscore.result
+    ob = place.holder.result
     if ob is not None and ob.mode != "OBJECT":
         return False  # what the user edits stays; splats wait
     if job.filling is None:
@@ -165,7 +215,7 @@ def _update_splats(job: Job, scene: bpy.types.Scene) -> bool:
             return True
         job.filling = Filling(loaded)
     filling = job.filling
-    if not filling.loaded.final and (job.result_requested or not scene.gscore.live_splats):
+    if not filling.loaded.final and (job.result_requested or not place.scene.gscore.live_splats):
         filling.drop()  # late
         job.filling = None
         return True
@@ -174,10 +224,10 @@ def _update_splats(job: Job, scene: bpy.types.Scene) -> bool:
         return True
     job.filling = None
     try:
-        before = scene.gscore.result
-        ob = result_object(scene, job, filling.loaded)
+        before = place.holder.result
+        ob = result_object(place, job, filling.loaded)
         replace(ob, mesh)
-        ob[_FILLED] = _signature(ob)
+        ob[_FILLED], ob[_FILLED_BY] = _signature(ob), job.id
         job.result_wanted = job.result_wanted and not filling.loaded.final
         if filling.loaded.final or ob != before:
             undo.push("Training Result" if filling.loaded.final else "Live Splats")
@@ -199,6 +249,6 @@ def _root(scene: bpy.types.Scene, source: Path) -> bpy.types.Object | None:
     """The empty that carries the alignment of the capture."""
     for ob in scene.objects:
         text = stored_paths.read(ob, stored_paths.SOURCE)
-        if is_kind(ob, "capture") and text and registry.same_folder(Path(text), source):
+        if is_kind(ob, "capture") and text and same_folder(Path(text), source):
             return ob
     return None

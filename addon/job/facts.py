@@ -2,11 +2,13 @@
 
 import bpy
 
-from .. import lookup, preferences
-from ..capture import CaptureFacts
-from ..core import Estimate, RunInfo
+from .. import preferences
+from ..capture.inspection import CaptureFacts
+from ..core import Estimate
 from ..paths import absolute, output_folder
-from . import forecast, timer
+from ..process import beat
+from . import forecast, lookups
+from .earlier import EarlierRun
 
 
 def capture(scene: bpy.types.Scene) -> tuple[CaptureFacts | None, str]:
@@ -18,15 +20,15 @@ def capture(scene: bpy.types.Scene) -> tuple[CaptureFacts | None, str]:
         path = absolute(settings.capture_path, "Capture")
     except ValueError as error:
         return None, str(error)
-    answer = lookup.captures.get((str(path), settings.images))
-    timer.ensure()
+    answer = lookups.captures.get((str(path), settings.images))
+    beat.ensure()
     return answer
 
 
 def look_again(scene: bpy.types.Scene) -> tuple[CaptureFacts | None, str]:
     """As `capture`, but looks now and waits; for scripts and before a training."""
     path = absolute(scene.gscore.capture_path, "Capture")
-    return lookup.captures.wait((str(path), scene.gscore.images))
+    return lookups.captures.wait((str(path), scene.gscore.images))
 
 
 def forecast_of(scene: bpy.types.Scene) -> tuple[Estimate | None, str]:
@@ -35,17 +37,19 @@ def forecast_of(scene: bpy.types.Scene) -> tuple[Estimate | None, str]:
     if found is None or not found.can_train:
         return None, ""
     asked = forecast.question(scene.gscore, found, threads=preferences.get().threads)
-    answer = lookup.forecasts.get(asked)
-    timer.ensure()
+    answer = lookups.forecasts.get(asked)
+    beat.ensure()
     return answer
 
 
-def run(scene: bpy.types.Scene) -> tuple[RunInfo | None, str]:
-    """How far the run in the scene's output folder is; (None, "") for none or still unknown."""
+def run(scene: bpy.types.Scene) -> tuple[EarlierRun | None, str]:
+    """The run in the scene's output folder; (None, "") for none or still unknown."""
+    text = scene.gscore.capture_path
     try:
+        chosen = absolute(text, "Capture") if text.strip() else None
         folder = output_folder(scene, preferences.get().output_folder)
     except ValueError:
         return None, ""  # the panel says what is missing where the capture is chosen
-    answer = lookup.runs.get(folder)
-    timer.ensure()
+    answer = lookups.runs.get((folder, chosen))
+    beat.ensure()
     return answer

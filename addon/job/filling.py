@@ -9,7 +9,8 @@ import uuid
 
 import bpy
 
-from .. import splat_attributes, splat_object
+from .. import attributes
+from ..splats import objects
 from .loader import Loaded
 
 BUDGET = 0.008
@@ -32,8 +33,8 @@ class Filling:
         until = time.perf_counter() + BUDGET
         while self._next < len(self.loaded.columns):
             name, kind, values = self.loaded.columns[self._next]
-            splat_attributes.declare(mesh, name, kind)
-            splat_attributes.fill(mesh, name, kind, values)
+            attributes.declare(mesh, name, kind)
+            attributes.fill(mesh, name, kind, values)
             self._next += 1
             if time.perf_counter() > until:
                 return None
@@ -63,7 +64,7 @@ def replace(ob: bpy.types.Object, mesh: bpy.types.Mesh) -> None:
     Raises:
         ValueError: the object's mesh is being edited, or is linked.
     """
-    splat_object.check_writable(ob)
+    objects.check_writable(ob)
     old = ob.data
     name = old.name
     for material in old.materials:

@@ -7,11 +7,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from .. import threads
 from ..core import Snapshot, clear_run
+from ..process import threads
+from ..process.program import Process
 from . import session
 from .loader import Loaded, Loader
-from .process import Process
 
 BUDGET = 0.005
 """Seconds that a poll may spend on lines."""
@@ -32,6 +32,9 @@ class Job:
         source: Path,
         output: Path,
         resumed: bool = False,
+        replaces: bool = False,
+        earlier_source: Path | None = None,
+        scene_uid: int = 0,
     ) -> None:
         """Start the trainer.
 
@@ -41,6 +44,9 @@ class Job:
             source: Folder of the capture.
             output: Folder of the results.
             resumed: Whether the run began earlier; then its folder is never removed.
+            replaces: Whether it was asked to take the place of an earlier run there.
+            earlier_source: Folder that the capture had when a resumed run began.
+            scene_uid: Session number of the scene that it was started from.
 
         Raises:
             OSError: `python` cannot be run.
@@ -48,6 +54,11 @@ class Job:
         self.id = uuid.uuid4().hex[:8]
         self.python, self.source, self.output = str(python), source, output
         self.resumed = resumed
+        self.may_replace = resumed or replaces
+        """Whether the splats of an earlier run in the same folder may be replaced."""
+        self.sources = (source,) if earlier_source is None else (source, earlier_source)
+        """Folders that the capture has, and had."""
+        self.scene_uid = scene_uid
         self.state = session.RunState()
         self.live_seconds = 0.0
         """Seconds between two snapshots that are asked for; 0: none."""

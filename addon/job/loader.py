@@ -7,8 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from .. import alignment, splat_attributes, threads
+from .. import attributes
+from ..cameras import alignment
 from ..core import GsError, Splats, read_cameras, read_splats
+from ..process import threads
 
 _GROUND_POINTS = 20_000
 """Splats among which the ground is looked for."""
@@ -25,7 +27,7 @@ class Loaded:
     count: int = 0
     """Number of splats."""
     columns: tuple[tuple[str, str, np.ndarray], ...] = ()
-    """`splat_attributes.columns`; empty if there is a problem."""
+    """`attributes.columns`; empty if there is a problem."""
     typical_size: float = 0.0
     """Median of the largest standard deviations, world units."""
     upright: np.ndarray | None = None
@@ -90,7 +92,7 @@ def _load(path: Path, most: int, final: bool) -> Loaded:
             path=path,
             final=final,
             count=len(splats),
-            columns=tuple(splat_attributes.columns(splats)),
+            columns=tuple(attributes.columns(splats)),
             typical_size=float(np.exp(np.median(sizes))) if len(splats) else 0.0,
             upright=_upright(path, splats),
         )

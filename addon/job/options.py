@@ -6,7 +6,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Protocol
 
-from ..capture import DEPTHS
+from ..capture.inspection import DEPTHS
 from ..core import PRESETS, RunInfo, Switch
 
 AS_PRESET, BY_WIDTH = "PRESET", "WIDTH"

@@ -1,13 +1,11 @@
-"""The trainings and depth jobs of this Blender session, whichever file is open; no bpy."""
+"""The trainings of this Blender session, whichever file is open; no bpy."""
 
-import os
 from pathlib import Path
 
-from .depth_job import DepthJob
+from ..capture.folders import same_folder
 from .job import Job
 
 _jobs: dict[str, Job] = {}
-_depth: list[DepthJob] = []
 
 
 def add(job: Job) -> None:
@@ -37,30 +35,8 @@ def by_output(output: Path) -> Job | None:
     return next((job for job in _jobs.values() if same_folder(job.output, output)), None)
 
 
-def add_depth(job: DepthJob) -> None:
-    """Keep a depth job; an earlier one of the same capture, which has ended, is forgotten."""
-    _depth[:] = [other for other in _depth if not same_folder(other.source, job.source)]
-    _depth.append(job)
-
-
-def depth_jobs() -> list[DepthJob]:
-    """The last depth job of each capture."""
-    return list(_depth)
-
-
-def depth_of(source: Path) -> DepthJob | None:
-    """The last depth job of a capture."""
-    return next((job for job in _depth if same_folder(job.source, source)), None)
-
-
 def leave_all() -> None:
-    """Let go of all: trainings write a checkpoint, predictions end after a view."""
-    for job in (*jobs(), *_depth):
+    """Let go of all: each writes a checkpoint and ends."""
+    for job in jobs():
         job.leave()
     _jobs.clear()
-    _depth.clear()
-
-
-def same_folder(a: Path, b: Path) -> bool:
-    """Whether two paths mean the same folder, which need not exist; does not look at the disk."""
-    return os.path.normcase(os.path.abspath(a)) == os.path.normcase(os.path.abspath(b))  # noqa: PTH100

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import bpy
 
-from .. import lookup, preferences
-from ..capture import CaptureFacts
-from ..core import read_run
+from .. import outcomes, preferences
+from ..capture.inspection import CaptureFacts
 from ..nodes import display as display_nodes
 from ..paths import absolute, capture_folder, output_folder, relative
-from . import facts, options, registry, setup, timer
-from .display import waits
+from ..process import beat
+from ..python import setup
+from . import display, earlier, facts, lookups, options, registry
 from .job import Job
 
 _BEAT = 0.02
@@ -24,7 +24,8 @@ def job_of(scene: bpy.types.Scene) -> Job | None:
         folder = output_folder(scene, preferences.get().output_folder)
     except ValueError:
         return None
-    return registry.by_output(folder)
+    job = registry.by_output(folder)
+    return job if job is not None and outcomes.holds(scene.gscore, job.source) else None
 
 
 def train(
@@ -49,7 +50,10 @@ def train(
     output = output_folder(scene, preferences.get().output_folder)
     _check_free(output)
     found = _check_capture(scene)
-    if read_run(output) is not None and not overwrite:
+    before = earlier.look(output, source)
+    if before is not None and before.foreign:
+        raise ValueError(before.foreign_words)
+    if before is not None and not overwrite:
         raise ValueError(
             f"{output} holds another run; press Resume to go on with it, Start Over to replace it, "
             "or choose another output folder."
@@ -63,8 +67,33 @@ def train(
         depths=found.depths > 0,
     )
     scene.gscore.output_path = relative(output)
+    scene.gscore.outcome_of = scene.gscore.capture_path
     scene.gscore.depth_shown = "RUN"  # once there is one
-    return _start(arguments, source, output, resumed=False, wait=wait, python=python)
+    job = _start(arguments, source, output, python=python, scene=scene, replaces=overwrite)
+    if wait:
+        wait_for(job)
+    return job
+
+
+def replaced(scene: bpy.types.Scene) -> list[str]:
+    """What a training that starts over replaces for good, in sentences.
+
+    Raises:
+        ValueError: it cannot start there; the message says why.
+    """
+    source = capture_folder(scene)
+    output = output_folder(scene, preferences.get().output_folder)
+    before = earlier.look(output, source)
+    if before is not None and before.foreign:
+        raise ValueError(before.foreign_words)
+    lines = [] if before is None else [f"The run in {before.words} is replaced for good."]
+    ob = display.shown_object(scene.gscore, output, (source,))
+    if ob is not None and display.was_edited(ob):
+        lines.append(f"Its object {ob.name} was edited and is kept.")
+    elif ob is not None:
+        count = len(ob.data.vertices)
+        lines.append(f"Its object {ob.name} with {count:,} splats is replaced too.")
+    return lines
 
 
 def resume(scene: bpy.types.Scene, *, wait: bool = False, python: str | Path | None = None) -> Job:
@@ -83,9 +112,12 @@ def resume(scene: bpy.types.Scene, *, wait: bool = False, python: str | Path | N
     """
     output = output_folder(scene, preferences.get().output_folder)
     _check_free(output)
-    info = read_run(output)
-    if info is None or info.checkpoint is None:
+    before = earlier.look(output, _chosen_capture(scene))
+    info = None if before is None else before.info
+    if before is None or info is None or info.checkpoint is None:
         raise ValueError(f"{output} holds no checkpoint to go on from; press Train instead.")
+    if before.foreign:
+        raise ValueError(before.foreign_words)
     if info.problem:
         raise ValueError(f"The run cannot go on: {info.problem} Press Start Over instead.")
     changes = options.continuation(scene.gscore, info)
@@ -101,7 +133,11 @@ def resume(scene: bpy.types.Scene, *, wait: bool = False, python: str | Path | N
         machine=machine(),
         changes=changes,
     )
-    return _start(arguments, source, output, resumed=True, wait=wait, python=python)
+    began_from = info.data.source
+    job = _start(arguments, source, output, python=python, scene=scene, earlier_source=began_from)
+    if wait:
+        wait_for(job)
+    return job
 
 
 def wait_for(
@@ -118,8 +154,8 @@ def wait_for(
         Whether it has ended.
     """
     until = time.monotonic() + timeout
-    while waits(job):
-        timer.tick()
+    while display.waits(job):
+        beat.tick()
         if on_tick is not None:
             on_tick(job)
         if time.monotonic() > until:
@@ -134,7 +170,7 @@ def discard(job: Job) -> None:
     A run that began earlier goes back to its last checkpoint instead.
     """
     job.discard()
-    timer.ensure()
+    beat.ensure()
 
 
 def report_of(scene: bpy.types.Scene) -> Path:
@@ -175,6 +211,11 @@ def _check_free(output: Path) -> None:
         raise ValueError(f"A training into {output} is running; stop it first.")
 
 
+def _chosen_capture(scene: bpy.types.Scene) -> Path | None:
+    text = scene.gscore.capture_path
+    return absolute(text, "Capture") if text.strip() else None
+
+
 def _check_capture(scene: bpy.types.Scene) -> CaptureFacts:
     found, problem = facts.capture(scene)
     if found is None or not found.can_train:
@@ -192,13 +233,24 @@ def _start(
     source: Path,
     output: Path,
     *,
-    resumed: bool,
-    wait: bool,
     python: str | Path | None,
+    scene: bpy.types.Scene,
+    replaces: bool = False,
+    earlier_source: Path | None = None,
 ) -> Job:
+    """Start the trainer; `earlier_source` makes it one that goes on."""
     program = python or setup.trainer_python(preferences.get())
     try:
-        job = Job(program, arguments, source=source, output=output, resumed=resumed)
+        job = Job(
+            program,
+            arguments,
+            source=source,
+            output=output,
+            resumed=earlier_source is not None,
+            replaces=replaces,
+            earlier_source=earlier_source,
+            scene_uid=scene.session_uid,
+        )
     except OSError as error:
         raise ValueError(
             f"{program} cannot be run ({error.strerror or error}); press Check in the add-on's "
@@ -206,9 +258,7 @@ def _start(
         ) from error
     job.live_most = preferences.get().live_most
     registry.add(job)
-    lookup.runs.forget(output)
+    lookups.runs.expire()
     job.chores = display_nodes.builders()  # while the trainer starts
-    timer.ensure()
-    if wait:
-        wait_for(job)
+    beat.ensure()
     return job

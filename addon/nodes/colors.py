@@ -2,8 +2,8 @@
 
 import bpy
 
+from ..attributes import BASE, SCALE, SH, SH_COUNTS
 from ..core import sh0_to_rgb
-from ..splat_attributes import BASE, SCALE, SH, SH_COUNTS
 from .filters import largest, opacity
 from .graph import Graph, Socket, ensure, inputs, new_group, result, socket, use_group
 

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import bpy
 
 from .. import compat
-from ..splat_attributes import ROTATION, SCALE, SH
+from ..attributes import ROTATION, SCALE, SH
 from . import colors, filters, materials
 from .graph import Graph, Socket, ensure, inputs, is_ours, new_group, result, socket, use_group
 

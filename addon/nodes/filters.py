@@ -1,8 +1,8 @@
-"""Node group "Splat Filters": which splats are shown; the twin of `splat_filter.mask`."""
+"""Node group "Splat Filters": which splats are shown; the twin of `splats.filters.mask`."""
 
 import bpy
 
-from ..splat_attributes import BASE, SCALE
+from ..attributes import BASE, SCALE
 from .graph import Graph, Socket, ensure, inputs, new_group, result, socket
 
 NAME = "Splat Filters"

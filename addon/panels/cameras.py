@@ -4,7 +4,7 @@ from typing import ClassVar
 
 import bpy
 
-from ..camera_objects import cameras_of, is_camera, points_of
+from ..cameras.objects import cameras_of, points_of
 from .widgets import TabPanel, found, root, rows, sentence
 
 
@@ -32,13 +32,15 @@ class CamerasPanel(TabPanel, bpy.types.Panel):
         count = f"{len(points.data.vertices):,}" if points else "none"
         rows(layout, [("Cameras", str(len(cameras))), ("Points", count)])
         row = layout.row(align=True)
-        row.operator("gscore.step_camera", text="", icon="TRIA_LEFT").step = -1
+        back = row.operator("gscore.step_camera", text="", icon="TRIA_LEFT")
         camera = context.scene.camera
         name = str(camera.get("gs_image", camera.name)) if camera else "No camera"
-        row.operator("gscore.use_camera", text=name, icon="VIEW_CAMERA")
-        row.operator("gscore.choose_camera", text="", icon="VIEWZOOM")
-        row.operator("gscore.step_camera", text="", icon="TRIA_RIGHT").step = 1
-        if camera is not None and not is_camera(camera):
+        use = row.operator("gscore.use_camera", text=name, icon="VIEW_CAMERA")
+        choose = row.operator("gscore.choose_camera", text="", icon="VIEWZOOM")
+        forth = row.operator("gscore.step_camera", text="", icon="TRIA_RIGHT")
+        back.step, forth.step = -1, 1
+        _aim(empty, back, use, choose, forth)
+        if camera is not None and camera not in cameras:
             sentence(layout, context, "The scene camera is not one of the capture's.")
 
 
@@ -59,13 +61,20 @@ class AlignmentPanel(TabPanel, bpy.types.Panel):
         """Draw the panel."""
         layout = self.layout
         row = layout.row(align=True)
-        row.operator_menu_enum("gscore.align_capture", "up", text="Align to Ground")
-        row.operator("gscore.flip_up")
+        align = row.operator_menu_enum("gscore.align_capture", "up", text="Align to Ground")
+        flip = row.operator("gscore.flip_up")
         row = layout.row(align=True)
-        row.operator("gscore.set_extent")
-        row.operator("gscore.reset_alignment", text="Reset")
-        layout.operator("gscore.relink_capture", icon="FILE_REFRESH")
-        layout.operator("gscore.export_cameras", icon="EXPORT")
+        extent = row.operator("gscore.set_extent")
+        reset = row.operator("gscore.reset_alignment", text="Reset")
+        relink = layout.operator("gscore.relink_capture", icon="FILE_REFRESH")
+        export = layout.operator("gscore.export_cameras", icon="EXPORT")
+        _aim(root(context), align, flip, extent, reset, relink, export)
+
+
+def _aim(empty: bpy.types.Object, *buttons: bpy.types.OperatorProperties) -> None:
+    """Have operators work on the panel's capture, whatever object is active."""
+    for button in buttons:
+        button.capture = empty.name
 
 
 CLASSES = (CamerasPanel, AlignmentPanel)

@@ -4,9 +4,11 @@ from typing import ClassVar
 
 import bpy
 
-from .. import depth_colors, preferences
-from ..capture import CaptureFacts
-from ..job import depth, depth_job, setup
+from .. import preferences
+from ..capture.inspection import CaptureFacts
+from ..depth import colors, work
+from ..depth import job as depth_job
+from ..python import setup
 from .depth_table import draw_counts, draw_table
 from .progress import clock
 from .widgets import TabPanel, found, open_preferences, root, rows, sentence
@@ -40,7 +42,7 @@ class DepthPanel(TabPanel, bpy.types.Panel):
 
 def draw_work(layout: bpy.types.UILayout, context: bpy.types.Context, facts: CaptureFacts) -> None:
     """How far a prediction is, or what can be started."""
-    job = depth.job_of(context.scene)
+    job = work.job_of(context.scene)
     if job is not None and not job.ended:
         row = layout.row(align=True)
         row.progress(factor=job.share, text=bar_text(job))
@@ -74,13 +76,13 @@ def draw_work(layout: bpy.types.UILayout, context: bpy.types.Context, facts: Cap
 def draw_report(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """The table, and the switch of the cameras' colors."""
     scene = context.scene
-    problem = depth.run_report(scene)[1]
+    problem = work.run_report(scene)[1]
     if problem:
         sentence(layout, context, problem, icon="ERROR")
-    known = depth.reports(scene)
+    known = work.reports(scene)
     if len(known) > 1:
         layout.row(align=True).prop(scene.gscore, "depth_shown", expand=True)
-    report = depth.report(scene)
+    report = work.report(scene)
     if report is None:
         return
     if report.why:
@@ -90,7 +92,7 @@ def draw_report(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     if empty is None:
         sentence(layout, context, "Import the cameras to see them in the colors of their maps.")
     else:
-        shown = depth_colors.shown(empty)
+        shown = colors.shown(empty)
         button = layout.operator(
             "gscore.color_cameras", text="Color Cameras", icon="COLOR", depress=shown
         )

@@ -9,23 +9,24 @@ from typing import Any
 import bpy
 from bpy.props import BoolProperty, CollectionProperty, IntProperty, PointerProperty, StringProperty
 
-from .. import depth_report
-from ..depth_report import DepthReport, DepthRow
-from ..job import depth, timer
+from ..capture import depth_maps
+from ..capture.depth_maps import DepthReport, DepthRow
+from ..depth import work
+from ..process import beat
 from .widgets import rows, sentence
 
 ICONS = {
-    depth_report.ACCEPTED: "COLLECTION_COLOR_04",
-    depth_report.REFUSED: "COLLECTION_COLOR_01",
-    depth_report.MISSING: "OUTLINER_COLLECTION",
-    depth_report.UNKNOWN: "QUESTION",
+    depth_maps.ACCEPTED: "COLLECTION_COLOR_04",
+    depth_maps.REFUSED: "COLLECTION_COLOR_01",
+    depth_maps.MISSING: "OUTLINER_COLLECTION",
+    depth_maps.UNKNOWN: "QUESTION",
 }
-"""Icons in the colors that `depth_colors` gives cameras."""
+"""Icons in the colors that `depth.colors` gives cameras."""
 WORDS = {
-    depth_report.ACCEPTED: "accepted",
-    depth_report.REFUSED: "refused",
-    depth_report.MISSING: "without a map",
-    depth_report.UNKNOWN: "not compared yet",
+    depth_maps.ACCEPTED: "accepted",
+    depth_maps.REFUSED: "refused",
+    depth_maps.MISSING: "without a map",
+    depth_maps.UNKNOWN: "not compared yet",
 }
 _MOST_TABLES = 8
 _WIDE = 300
@@ -101,7 +102,7 @@ class GSCORE_UL_depth(bpy.types.UIList):  # noqa: N801 Blender's rule
                 self.filter_name, self.bitflag_filter_item, items
             )
         if self.problems:
-            wanted = [item.verdict != depth_report.ACCEPTED for item in items]
+            wanted = [item.verdict != depth_maps.ACCEPTED for item in items]
             flags = [flag if want else 0 for flag, want in zip(flags, wanted, strict=True)]
         return flags, []
 
@@ -111,7 +112,7 @@ def cells_of(row: DepthRow, *, wide: bool) -> list[str]:
     inliers = "-" if row.inliers is None else f"{row.inliers:.0%}"
     return (
         [row.fit, inliers]
-        if wide or row.verdict != depth_report.ACCEPTED
+        if wide or row.verdict != depth_maps.ACCEPTED
         else [
             f"{row.scale:.4g}" if row.scale is not None else "-",
             inliers,
@@ -132,7 +133,7 @@ def draw_table(layout: bpy.types.UILayout, context: bpy.types.Context, report: D
     """Draw the list, and the numbers of the chosen view."""
     table = table_of(context)
     if table is None or _filled.get(table.name) is not report:
-        timer.ensure()
+        beat.ensure()
         layout.label(text="Filling the table...", icon="TIME")
         return
     column = layout.column(align=True)
@@ -169,7 +170,7 @@ def fill() -> bool:
     manager = bpy.context.window_manager
     changed = False
     for scene in {window.scene for window in manager.windows} or {bpy.context.scene}:
-        report = depth.report(scene)
+        report = work.report(scene)
         tables = manager.gscore_depth.tables
         table = tables.get(scene.name)
         done = table is not None and len(table.views) == len(report.rows) if report else True
@@ -193,7 +194,7 @@ def _fill(table: DepthTable, report: DepthReport) -> None:
         for row in report.rows:
             table.views.add().name = row.view
         table.active = next(
-            (i for i, row in enumerate(report.rows) if row.verdict == depth_report.REFUSED), 0
+            (i for i, row in enumerate(report.rows) if row.verdict == depth_maps.REFUSED), 0
         )
     for item, row in zip(table.views, report.rows, strict=True):
         item.verdict = row.verdict
@@ -208,18 +209,17 @@ def _width(context: bpy.types.Context) -> float:
 CLASSES = (DepthItem, DepthTable, DepthTables, GSCORE_UL_depth)
 
 
-def register() -> None:
+_FOLLOWER = beat.Follower(fill)
+
+
+def on_register() -> None:
     """Make room for tables, and fill them."""
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
     bpy.types.WindowManager.gscore_depth = PointerProperty(type=DepthTables)
-    timer.FOLLOWERS.append(fill)
+    beat.FOLLOWERS.append(_FOLLOWER)
 
 
-def unregister() -> None:
+def on_unregister() -> None:
     """Take them back."""
-    timer.FOLLOWERS.remove(fill)
+    beat.FOLLOWERS.remove(_FOLLOWER)
     _filled.clear()
     del bpy.types.WindowManager.gscore_depth
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)

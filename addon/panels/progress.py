@@ -52,7 +52,7 @@ def draw_numbers(layout: bpy.types.UILayout, current: Job) -> None:
     state = current.state
     if state.started is None:
         return
-    icon = curve_icon.update(current)
+    icon = curve_icon.ICONS.update(current)
     if icon and len(state.curve.losses) > 1:
         split = layout.split(factor=0.45)
         split.template_icon(icon, scale=_CURVE_SCALE)

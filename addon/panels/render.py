@@ -2,7 +2,7 @@
 
 import bpy
 
-from ..camera_objects import is_camera
+from ..cameras.objects import is_camera
 from ..render.engine import NAME
 from ..render.panels import draw_render
 from .widgets import TabPanel, root, sentence
@@ -19,7 +19,7 @@ class RenderPanel(TabPanel, bpy.types.Panel):
         """Draw the panel."""
         layout, scene = self.layout, context.scene
         if scene.render.engine == NAME:
-            draw_render(layout, scene)
+            draw_render(layout, context)
         else:
             text = "The engine Gaussian Splats draws them exactly as they were trained."
             sentence(layout, context, text, icon="INFO")

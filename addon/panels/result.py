@@ -4,8 +4,9 @@ from typing import ClassVar
 
 import bpy
 
-from .. import splat_edit, stored_paths
-from ..splat_object import is_splats
+from .. import stored_paths
+from ..splats import edit
+from ..splats.objects import is_splats
 from .widgets import TabPanel, job, rows, sentence
 
 
@@ -122,7 +123,7 @@ def draw_counts(
 ) -> None:
     """How many splats there are, and how many the filters show."""
     try:
-        counts = splat_edit.stats(ob, context.evaluated_depsgraph_get())
+        counts = edit.stats(ob, context.evaluated_depsgraph_get())
     except ValueError as error:
         sentence(layout, context, str(error), icon="ERROR")
         return

@@ -7,13 +7,14 @@ import bpy
 
 from .. import preferences
 from ..core import PRESETS, Estimate, RunInfo
-from ..job import facts, forecast, setup
+from ..job import facts, forecast
 from ..job.options import AS_PRESET, BY_WIDTH, continuation
 from ..paths import output_folder
+from ..python import setup
 from .widgets import TabPanel, found, job, open_preferences, sentence
 
-_shown: Estimate | None = None
-"""The last estimate."""
+_estimates: dict[str, Estimate] = {}
+"""The last estimate of each scene, by its name."""
 
 
 class TrainPanel(TabPanel, bpy.types.Panel):
@@ -85,15 +86,17 @@ def preset_sentence(settings: bpy.types.PropertyGroup) -> str:
 
 def draw_forecast(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """What the training would take, and what to do where it does not fit."""
-    global _shown
-    known, problem = facts.forecast_of(context.scene)
+    scene = context.scene
+    known, problem = facts.forecast_of(scene)
     if problem:
         sentence(layout, context, problem, icon="ERROR")
         return
-    if known is None and (found(context) is None or _shown is None):
-        return
+    if known is not None:
+        _estimates[scene.name] = known
     # The answer to the setting before stands until the next one is there.
-    current = _shown = known or _shown
+    current = _estimates.get(scene.name)
+    if current is None or (known is None and found(context) is None):
+        return
     text = forecast.warning(current)
     if not text:
         sentence(layout, context, forecast.words(current), icon="TIME")
@@ -131,16 +134,20 @@ def draw_buttons(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
         sentence(layout, context, str(error), icon="ERROR")
         open_preferences(layout)
         return
-    info, problem = facts.run(context.scene)
+    before, problem = facts.run(context.scene)
     if problem:
         sentence(layout, context, problem, icon="ERROR")
     big = layout.column()
     big.scale_y = 1.4
-    if info is None:
+    if before is None:
         captured = found(context)
         big.enabled = captured is not None and captured.can_train
         big.operator("gscore.train", icon="PLAY")
         return
+    if before.foreign:
+        sentence(layout, context, before.foreign_words, icon="ERROR")
+        return
+    info = before.info
     sentence(layout, context, run_sentence(info), icon="INFO")
     row = big.row(align=True)
     if can_go_on(context.scene.gscore, info):

@@ -1,12 +1,11 @@
 """What the panels of the sidebar share."""
 
-import textwrap
-
 import bpy
 
 from .. import preferences
-from ..camera_lookup import roots_of
-from ..capture import CaptureFacts
+from ..cameras.lookup import panel_root
+from ..capture.inspection import CaptureFacts
+from ..interface.questions import letters, wrapped
 from ..job import facts, training
 from ..job.job import Job
 
@@ -30,14 +29,7 @@ def sentence(
         text: The sentence.
         icon: Before the first line.
     """
-    width = context.region.width if context.region else 260
-    # A letter is about 6.2 px wide at a scale of 1; margins and the icon take 60 px.
-    letters = int((width / context.preferences.system.ui_scale - 60) / 6.2)
-    column = layout.column(align=True)
-    column.scale_y = 0.8
-    for number, line in enumerate(textwrap.wrap(text, max(letters, 20)) or [""]):
-        first = number == 0 or icon == "NONE"
-        column.label(text=line, icon=icon if first else "BLANK1")
+    wrapped(layout, text, icon=icon, width=letters(context))
 
 
 def rows(layout: bpy.types.UILayout, pairs: list[tuple[str, str]]) -> None:
@@ -55,8 +47,8 @@ def found(context: bpy.types.Context) -> CaptureFacts | None:
 
 
 def root(context: bpy.types.Context) -> bpy.types.Object | None:
-    """The capture's empty in the scene, if it was imported."""
-    return next(iter(roots_of(context.scene)), None)
+    """The empty of the panel's capture in the scene, if it was imported."""
+    return panel_root(context.scene)
 
 
 def job(context: bpy.types.Context) -> Job | None:

@@ -6,14 +6,15 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
-from .. import camera_math as cm
-from ..camera_objects import PhotoCamera, is_camera, rigid_viewmat, stated
-from ..cameras import RenderCamera
+from ..cameras import formulas as cm
+from ..cameras.captures import RenderCamera
+from ..cameras.objects import PhotoCamera, is_camera, rigid_viewmat, stated
 from ..compat import matrix_to_numpy
 from ..core import colorize, psnr
 from . import picture
-from .engine import background_of, collect, final_cache, world_light
+from .engine import collect, final_cache
 from .photo import Target, load_target
+from .world import background_of, world_light
 
 ERROR_GAIN = 4.0
 """Error pictures show this times the mean absolute difference of the channels, as gscore's do."""

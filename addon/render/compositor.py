@@ -3,7 +3,7 @@
 import bpy
 
 from .. import compat
-from ..splat_object import is_splats
+from ..splats.objects import is_splats
 from .engine import MAIN_SCENE, NAME
 
 SPLAT_SCENE = "gs_splat_scene"
@@ -126,12 +126,12 @@ def _after_update(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None 
         _follow(scene, other)
 
 
-def register() -> None:
+def on_register() -> None:
     """Follow changes of scenes that were set up."""
     bpy.app.handlers.depsgraph_update_post.append(_after_update)
 
 
-def unregister() -> None:
+def on_unregister() -> None:
     """Stop following."""
     bpy.app.handlers.depsgraph_update_post.remove(_after_update)
 

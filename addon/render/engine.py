@@ -7,12 +7,13 @@ from weakref import WeakSet, finalize
 import bpy
 import numpy as np
 
-from ..cameras import RenderCamera, render_camera
-from ..compat import matrix_to_numpy, rec709_to_scene, world_nodes
+from ..cameras.captures import RenderCamera, render_camera
+from ..compat import matrix_to_numpy, rec709_to_scene
 from ..core import Cancelled, GsError
-from . import color, picture
+from . import color, ignored, picture
 from .scene import Model, SplatCache, place, sources
 from .viewport import Painter, Request, Viewport, draw_pixels, redraw_when_ready, view_camera
+from .world import background_of, world_light
 
 NAME = "GSCORE_SPLATS"
 """The engine in `scene.render.engine`."""
@@ -129,11 +130,10 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         camera = self._camera(depsgraph)
         self.update_stats("", "Reading splats")
         model = collect(depsgraph, final_cache)
-        light, problem = world_light(scene.world)
         transparent = scene.render.film_transparent
-        if problem and not transparent:
-            self.report({"WARNING"}, problem)
+        light = world_light(scene.world)[0]
         layer = depsgraph.view_layer_eval
+        self._warn(ignored.Shown(scene=scene, layer=layer, camera=self._camera_object(scene)))
         black = (0.0, 0.0, 0.0)
         window = border_window(scene.render, self.resolution_x, self.resolution_y)
         options = picture.Options(
@@ -155,9 +155,18 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
             passes["Depth"] = color.z_pass(rendered)
         self._deliver(passes, layer.name, scene.render, window)
 
+    def _warn(self, shown: ignored.Shown) -> None:
+        """Say what has no effect; of an animation with its first frame."""
+        if self.is_animation and shown.scene.frame_current != shown.scene.frame_start:
+            return
+        for sentence in ignored.without_effect(shown):
+            self.report({"WARNING"}, sentence)
+
+    def _camera_object(self, scene: bpy.types.Scene) -> bpy.types.Object | None:
+        return self.camera_override or scene.camera
+
     def _camera(self, depsgraph: bpy.types.Depsgraph) -> RenderCamera:
-        scene = depsgraph.scene
-        ob = self.camera_override or scene.camera
+        scene, ob = depsgraph.scene, self._camera_object(depsgraph.scene)
         if ob is None:
             raise ValueError(
                 f"Scene {scene.name} has no camera: add one, or choose an imported one as the "
@@ -213,30 +222,6 @@ def collect(depsgraph: bpy.types.Depsgraph, cache: SplatCache) -> Model:
     return cache.model(placed)
 
 
-def world_light(world: bpy.types.World | None) -> tuple[np.ndarray, str]:
-    """Scene-linear colour of the background [3], and a sentence where the world is not that."""
-    if world is None:
-        return np.zeros(3), ""
-    tree = world_nodes(world)
-    if tree is None:
-        return np.array(world.color), ""
-    node = next((n for n in tree.nodes if n.type == "BACKGROUND"), None)
-    if node is not None and not any(s.is_linked for s in node.inputs):
-        return np.array(node.inputs[0].default_value[:3]) * node.inputs[1].default_value, ""
-    return (
-        np.array(world.color),
-        f"World {world.name} is not one colour, which is all that splats are rendered over: its "
-        f"viewport colour is used. Turn on Transparent and composite the splats over the world.",
-    )
-
-
-def background_of(light: np.ndarray) -> tuple[float, float, float]:
-    """sRGB values of a scene-linear colour."""
-    rec709 = np.linalg.solve(rec709_to_scene(), np.asarray(light, np.float64))
-    r, g, b = (float(v) for v in color.encode(rec709))
-    return r, g, b
-
-
 def border_corner(render: bpy.types.RenderSettings, width: int, height: int) -> tuple[int, int]:
     """Left and bottom pixel of the render border, as Blender computes them: in float32."""
     left = np.float32(render.border_min_x) * np.float32(width)
@@ -257,15 +242,12 @@ def border_window(
     return left, height - top, max(right - left, 1), max(top - bottom, 1)
 
 
-def register() -> None:
-    """Make the engine known."""
-    bpy.utils.register_class(SplatsRenderEngine)
+CLASSES = (SplatsRenderEngine,)
 
 
-def unregister() -> None:
-    """Forget the engine and its splats."""
+def on_unregister() -> None:
+    """Let go of viewports and their splats."""
     _leave_viewports()
-    bpy.utils.unregister_class(SplatsRenderEngine)
     for painter in list(_painters):
         painter.close()
     final_cache.clear()

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ..splat_attributes import BASE, POSITION, ROTATION, SCALE, SH
+from ..attributes import BASE, POSITION, ROTATION, SCALE, SH
 
 _KEYS = {"FLOAT_VECTOR": ("vector", 3), "QUATERNION": ("value", 4), "FLOAT4": ("vector", 4)}
 _KEYS["FLOAT_COLOR"] = ("color", 4)

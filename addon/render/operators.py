@@ -5,7 +5,8 @@ from typing import ClassVar
 
 import bpy
 
-from ..core import GsError
+from ..interface.images import show_image
+from ..interface.operators import Acting
 from . import compare as comparing
 from . import compositor
 from .engine import NAME
@@ -23,6 +24,8 @@ def use_photo_colors(scene: bpy.types.Scene) -> None:
     view.view_transform = "Standard"  # resets the look where the new transform does not have it
     view.look = "None"
     view.exposure, view.gamma, view.use_curve_mapping = 0.0, 1.0, False
+    if hasattr(view, "use_white_balance"):  # since 4.3
+        view.use_white_balance = False
     scene.render.dither_intensity = 0.0
 
 
@@ -36,53 +39,38 @@ def changes_colors(scene: bpy.types.Scene) -> str:
         found.append(f"Look {view.look}")
     if view.exposure or view.gamma != 1 or view.use_curve_mapping:
         found.append("Exposure, Gamma or Curves")
+    if getattr(view, "use_white_balance", False):
+        found.append("White Balance")
     return ", ".join(found)
 
 
-def show_image(
-    context: bpy.types.Context, image: bpy.types.Image, *, new_window: bool = False
-) -> bool:
-    """Show an image in an image editor, if one is open or a window may be opened for it."""
-    windows = context.window_manager.windows
-    areas = (area for window in windows for area in window.screen.areas)
-    area = next((a for a in areas if a.type == "IMAGE_EDITOR"), None)
-    if area is None and new_window and not bpy.app.background:
-        bpy.ops.wm.window_new()
-        area = context.window_manager.windows[-1].screen.areas[0]
-        area.type = "IMAGE_EDITOR"
-    if area is None:
-        return False
-    area.spaces.active.image = image
-    return True
-
-
-class GSCORE_OT_use_engine(bpy.types.Operator):  # noqa: N801 Blender's rule
+class UseEngine(Acting, bpy.types.Operator):
     """Render with the Gaussian Splats engine, in the colors of the photos (view Standard)"""
 
     bl_idname = "gscore.use_engine"
     bl_label = "Render with Gaussian Splats"
     bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def act(self, context: bpy.types.Context) -> str:
         """Set the scene's engine."""
         use_engine(context.scene)
-        return {"FINISHED"}
+        return ""
 
 
-class GSCORE_OT_use_photo_colors(bpy.types.Operator):  # noqa: N801
+class UsePhotoColors(Acting, bpy.types.Operator):
     """Show and save colors as the splats have them: view transform Standard, no look, no dither"""
 
     bl_idname = "gscore.use_photo_colors"
     bl_label = "Use the Colors of the Photos"
     bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def act(self, context: bpy.types.Context) -> str:
         """Set the scene's colour management."""
         use_photo_colors(context.scene)
-        return {"FINISHED"}
+        return ""
 
 
-class GSCORE_OT_compare_photo(bpy.types.Operator):  # noqa: N801
+class ComparePhoto(Acting, bpy.types.Operator):
     """Render from an imported camera and show it beside its photo, with the error and the PSNR"""
 
     bl_idname = "gscore.compare_photo"
@@ -94,24 +82,19 @@ class GSCORE_OT_compare_photo(bpy.types.Operator):  # noqa: N801
         description="Name of an imported camera; empty: the active object, or the scene's camera",
     )
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def act(self, context: bpy.types.Context) -> str:
         """Compare, show the pictures if an image editor is open, and report."""
-        try:
-            camera = chosen_camera(context, self.camera)
-            found = comparing.compare(context.scene, camera, context.evaluated_depsgraph_get())
-        except (GsError, ValueError) as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        camera = chosen_camera(context, self.camera)
+        found = comparing.compare(context.scene, camera, context.evaluated_depsgraph_get())
         shown = show_image(context, found.images["Comparison"])
         where = "" if shown else f"; open the image {found.images['Comparison'].name} to see it"
         value = "infinite" if math.isinf(found.psnr) else f"{found.psnr:.2f} dB"
         if found.psnr_masked is not None:
             value += f", {found.psnr_masked:.2f} dB within the mask"
-        self.report({"INFO"}, f"{camera.name}: PSNR {value}{where}.")
-        return {"FINISHED"}
+        return f"{camera.name}: PSNR {value}{where}."
 
 
-class GSCORE_OT_set_up_compositing(bpy.types.Operator):  # noqa: N801
+class SetUpCompositing(Acting, bpy.types.Operator):
     """Add a scene for the splats and nodes that put them before and behind meshes by depth"""
 
     bl_idname = "gscore.set_up_compositing"
@@ -124,15 +107,10 @@ class GSCORE_OT_set_up_compositing(bpy.types.Operator):  # noqa: N801
         default=True,
     )
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def act(self, context: bpy.types.Context) -> str:
         """Set up, or bring the set-up of before up to date."""
-        try:
-            made = compositor.set_up(context.scene, transparent=self.transparent)
-        except ValueError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        self.report({"INFO"}, f"Rendering {context.scene.name} now includes {made.name}.")
-        return {"FINISHED"}
+        made = compositor.set_up(context.scene, transparent=self.transparent)
+        return f"Rendering {context.scene.name} now includes {made.name}."
 
 
 def chosen_camera(context: bpy.types.Context, name: str = "") -> bpy.types.Object:
@@ -153,20 +131,8 @@ def chosen_camera(context: bpy.types.Context, name: str = "") -> bpy.types.Objec
 
 
 CLASSES = (
-    GSCORE_OT_use_engine,
-    GSCORE_OT_use_photo_colors,
-    GSCORE_OT_compare_photo,
-    GSCORE_OT_set_up_compositing,
+    UseEngine,
+    UsePhotoColors,
+    ComparePhoto,
+    SetUpCompositing,
 )
-
-
-def register() -> None:
-    """Make the operators known."""
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-
-
-def unregister() -> None:
-    """Take them back."""
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)

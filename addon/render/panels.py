@@ -4,7 +4,9 @@ from typing import Any, ClassVar
 
 import bpy
 
-from .engine import NAME, world_light
+from ..interface.questions import letters, wrapped
+from . import ignored
+from .engine import NAME
 from .operators import changes_colors
 
 _OTHERS = {"EEVEE_WORLD_PT_surface", "WORLD_PT_context_world"}
@@ -13,8 +15,9 @@ _UNUSED = ("freestyle", "gpencil", "grease", "simplify", "stereoscopy")
 """Parts of the names of panels for every engine that offer what this one does not do."""
 
 
-def draw_render(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
+def draw_render(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """Settings, warnings and their cures; for the properties editor and the sidebar."""
+    scene, layer, width = context.scene, context.view_layer, letters(context)
     column = layout.column()
     column.use_property_split, column.use_property_decorate = True, False
     column.prop(scene.render, "film_transparent", text="Transparent")
@@ -24,8 +27,11 @@ def draw_render(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
         box = layout.box()
         box.label(text=f"{changes} changes the colors", icon="ERROR")
         box.operator("gscore.use_photo_colors", icon="CHECKMARK")
-    if not scene.render.film_transparent and world_light(scene.world)[1]:
-        layout.label(text="Only a world of one color is drawn", icon="INFO")
+    shown = ignored.Shown(scene=scene, layer=layer, camera=scene.camera)
+    for text in ignored.refused(shown):
+        wrapped(layout, text, icon="ERROR", width=width)
+    for text in ignored.without_effect(shown):
+        wrapped(layout, text, icon="INFO", width=width)
 
 
 class RENDER_PT_gscore(bpy.types.Panel):  # noqa: N801 Blender's rule
@@ -42,7 +48,7 @@ class RENDER_PT_gscore(bpy.types.Panel):  # noqa: N801 Blender's rule
 
     def draw(self, context: bpy.types.Context) -> None:
         """Lay it out."""
-        draw_render(self.layout, context.scene)
+        draw_render(self.layout, context)
 
 
 class VIEWLAYER_PT_gscore_passes(bpy.types.Panel):  # noqa: N801 Blender's rule
@@ -78,17 +84,13 @@ def _shared() -> list[Any]:
     return found
 
 
-def register() -> None:
-    """Add the panels, and this engine to Blender's."""
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
+def on_register() -> None:
+    """Add this engine to Blender's own panels."""
     for panel in _shared():
         panel.COMPAT_ENGINES.add(NAME)
 
 
-def unregister() -> None:
-    """Take them back."""
+def on_unregister() -> None:
+    """Take it back."""
     for panel in bpy.types.Panel.__subclasses__():
         getattr(panel, "COMPAT_ENGINES", set()).discard(NAME)
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)

@@ -7,7 +7,7 @@ import bpy
 import numpy as np
 
 from .. import stored_paths
-from ..camera_objects import PhotoCamera, root_of, stated
+from ..cameras.objects import PhotoCamera, root_of, stated
 from ..core import Folder, downscale
 from . import color
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..cameras import RenderCamera
+from ..cameras.captures import RenderCamera
 from ..core import CancelFlag, Rendered, render
 from .scene import Model
 

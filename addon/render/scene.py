@@ -8,15 +8,13 @@ from typing import Any
 import bpy
 import numpy as np
 
-from .. import splat_attributes
+from .. import attributes
 from ..compat import matrix_to_numpy
 from ..core import Splats, transform_splats
-from ..splat_filter import Filters, filters_of, mask
-from ..splat_object import KIND
+from ..splats.filters import Filters, filters_of, mask
+from ..splats.objects import ANTIALIAS, KIND
 from .frozen import FrozenMesh, freeze
 
-ANTIALIAS = "gs_antialias"
-"""Custom property of a splat object whose opacities want compensation (Mip-Splatting)."""
 _EDITED = threading.Lock()
 
 
@@ -177,7 +175,7 @@ class SplatCache:
     def _decode(self, placed: Placed) -> Splats:
         known = self._parts.get(placed.part)
         if known is None or known[0] != placed.frozen.fingerprint:
-            splats = splat_attributes.read(placed.frozen)
+            splats = attributes.read(placed.frozen)
             if placed.filters is not None:
                 splats = splats.subset(_kept(placed.frozen, placed.filters))
             known = placed.frozen.fingerprint, splats
@@ -226,8 +224,8 @@ def _leaves_out_anything(filters: Filters) -> bool:
 
 
 def _kept(frozen: FrozenMesh, filters: Filters) -> np.ndarray:
-    names = (splat_attributes.POSITION, splat_attributes.SCALE, splat_attributes.BASE)
-    means, scales, base = (splat_attributes.column(frozen, name) for name in names)
+    names = (attributes.POSITION, attributes.SCALE, attributes.BASE)
+    means, scales, base = (attributes.column(frozen, name) for name in names)
     return mask(means, scales, base[:, 3], filters)
 
 

@@ -20,13 +20,14 @@ class RenderSettings(bpy.types.PropertyGroup):
     )
 
 
-def register() -> None:
+CLASSES = (RenderSettings,)
+
+
+def on_register() -> None:
     """Give scenes their settings."""
-    bpy.utils.register_class(RenderSettings)
     bpy.types.Scene.gscore_render = bpy.props.PointerProperty(type=RenderSettings)
 
 
-def unregister() -> None:
+def on_unregister() -> None:
     """Take them back."""
     del bpy.types.Scene.gscore_render
-    bpy.utils.unregister_class(RenderSettings)

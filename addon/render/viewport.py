@@ -9,10 +9,10 @@ import gpu
 import numpy as np
 from gpu_extras.presets import draw_texture_2d
 
-from .. import threads
-from ..camera_math import FLIP
-from ..cameras import RenderCamera
+from ..cameras.captures import RenderCamera
+from ..cameras.formulas import FLIP
 from ..core import CancelFlag, Cancelled, GsError
+from ..process import threads
 from . import color, picture
 from .frozen import Freezer, FrozenMesh
 from .scene import Placed, Source, SplatCache, place, sources

@@ -6,9 +6,9 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from addon import splat_object
 from addon.compat import world_nodes
 from addon.core import Rendered, Splats, render
+from addon.splats import objects
 
 SH_C0 = 0.28209479177387814
 
@@ -75,7 +75,7 @@ def prepare(
 
 def add(scene: bpy.types.Scene, splats: Splats, name: str = "splats") -> bpy.types.Object:
     """A splat object in the scene."""
-    return splat_object.create(splats, name, collection=scene.collection)
+    return objects.create(splats, name, collection=scene.collection)
 
 
 def truth(camera: bpy.types.Object, splats: Splats, size: tuple[int, int], **options) -> Rendered:

@@ -109,7 +109,9 @@ def test_the_zip_is_whole(package: Path) -> None:
     """Oracle: the checkout's files, and the members Blender's manual asks for at the top."""
     with zipfile.ZipFile(package) as archive:
         names = set(archive.namelist())
-    ours = {p.relative_to(ROOT).as_posix() for p in (ROOT / "addon").rglob("*.py")}
+    files = [p for p in (ROOT / "addon").rglob("*") if p.is_file() and p.suffix != ".pyc"]
+    ours = {p.relative_to(ROOT).as_posix() for p in files}
+    assert "addon/python/pinned/packages.txt" in ours
     assert ours | {"__init__.py", "blender_manifest.toml", "LICENSE"} <= names
     assert not [name for name in names if "__pycache__" in name or name.startswith("tests")]
     assert len([name for name in names if name.startswith("wheels/gscore-")]) == 1

@@ -5,8 +5,9 @@ from pathlib import Path
 
 import bpy
 
-from addon import camera_objects as co
-from addon import cameras, paths, stored_paths
+from addon import paths, stored_paths
+from addon.cameras import captures
+from addon.cameras import objects as co
 
 STUDIO = Path(__file__).parent.parent.parent / "examples" / "studio"
 
@@ -37,7 +38,7 @@ def test_a_project_moves_as_a_whole(scene: bpy.types.Scene, tmp_path: Path) -> N
         assert stored_paths.read(root, stored_paths.SOURCE) == str(there / "shots")
         assert paths.capture_folder(scene) == there / "shots"
         assert Path(co.stated(camera).photo) == there / "shots" / "images" / camera["gs_image"]
-        assert cameras.use_camera(scene, camera) == []
+        assert captures.use_camera(scene, camera) == []
         assert len(co.photo_of(camera).pixels) == 4 * 480 * 640
 
 

@@ -1,0 +1,1 @@
+"""A capture as Blender objects: cameras with their photos, and points."""

@@ -1,0 +1,126 @@
+"""Operators of a capture's alignment: up, ground, size."""
+
+import bpy
+import numpy as np
+from bpy.props import EnumProperty, FloatProperty
+
+from ..compat import matrix_to_numpy
+from . import captures
+from . import objects as co
+from .lookup import find_root
+from .operators import OnCapture
+
+_AXES = {"X": 0, "Y": 1, "Z": 2}
+
+
+class AlignCapture(OnCapture, bpy.types.Operator):
+    """Turn a capture so that up is up and the ground lies at height 0; its scale stays"""
+
+    bl_idname = "gscore.align_capture"
+    bl_label = "Align to Ground"
+
+    up: EnumProperty(
+        name="Up",
+        items=(
+            ("CAMERAS", "From Cameras", "As people hold cameras: photos are level"),
+            ("CURRENT", "Current", "Near what is up now; finds the ground again"),
+            ("VIEW", "Scene Camera", "The upper side of the scene camera's picture"),
+            ("X", "+X", "The capture's own x axis"),
+            ("-X", "-X", "Against the capture's own x axis"),
+            ("Y", "+Y", "The capture's own y axis"),
+            ("-Y", "-Y", "Against the capture's own y axis, as in many COLMAP models"),
+            ("Z", "+Z", "The capture's own z axis"),
+            ("-Z", "-Z", "Against the capture's own z axis"),
+        ),
+        description="What is roughly up; the plane of points nearest to it is the ground",
+    )
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Align."""
+        root = find_root(context, self.capture)
+        found = captures.align_root(root, self._up(context, root))
+        if not found.ground_found:
+            self.report({"WARNING"}, "No ground was found; the lowest points are at height 0.")
+        return ""
+
+    def _up(self, context: bpy.types.Context, root: bpy.types.Object) -> np.ndarray | None:
+        if self.up == "CAMERAS":
+            return None
+        if self.up == "CURRENT":
+            return current_up(root)
+        if self.up == "VIEW":
+            if context.scene.camera is None:
+                raise ValueError("The scene has no camera. Choose one with Use Camera.")
+            depsgraph = context.evaluated_depsgraph_get()
+            return -co.viewmat_in(context.scene.camera, root, depsgraph)[1, :3]
+        sign = -1.0 if self.up.startswith("-") else 1.0
+        return sign * np.eye(3)[_AXES[self.up[-1]]]
+
+
+class FlipUp(OnCapture, bpy.types.Operator):
+    """Turn a capture upside down, and find the ground again"""
+
+    bl_idname = "gscore.flip_up"
+    bl_label = "Flip Up"
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Flip."""
+        root = find_root(context, self.capture)
+        captures.align_root(root, -current_up(root))
+        return ""
+
+
+class SetExtent(OnCapture, bpy.types.Operator):
+    """Scale a capture to real size by how far apart its outermost cameras were"""
+
+    bl_idname = "gscore.set_extent"
+    bl_label = "Set Size"
+
+    extent: FloatProperty(
+        name="Camera Extent",
+        default=5.0,
+        min=1e-4,
+        soft_max=1000.0,
+        subtype="DISTANCE",
+        unit="LENGTH",
+        description="Distance in metres between the two cameras that are farthest apart",
+    )
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask, beginning with the present size."""
+        try:
+            self.extent = captures.world_extent(find_root(context, self.capture))
+        except ValueError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        return context.window_manager.invoke_props_dialog(self)
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Scale."""
+        captures.set_extent(find_root(context, self.capture), self.extent)
+        return ""
+
+
+class ResetAlignment(OnCapture, bpy.types.Operator):
+    """Give a capture the axes, origin and scale of its own files back"""
+
+    bl_idname = "gscore.reset_alignment"
+    bl_label = "Reset to COLMAP World"
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Reset."""
+        captures.reset_root(find_root(context, self.capture))
+        return ""
+
+
+CLASSES = (
+    AlignCapture,
+    FlipUp,
+    SetExtent,
+    ResetAlignment,
+)
+
+
+def current_up(root: bpy.types.Object) -> np.ndarray:
+    """Blender's up [3] in a capture's world."""
+    return np.linalg.inv(matrix_to_numpy(root.matrix_world)[:3, :3])[:, 2]

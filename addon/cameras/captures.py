@@ -1,0 +1,418 @@
+"""A capture as Blender objects: cameras with their photos, SfM points, one empty that aligns them.
+
+Everything below the empty is in the capture's own world; axes, ground and scale are the empty's
+matrix alone.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from .. import stored_paths
+from ..capture.inspection import NO_PINHOLE, find_capture
+from ..compat import matrix_to_numpy
+from ..core import Capture, DataConfig, Folder, View, read_capture, rotmat_to_quat
+from . import alignment, sfm_points
+from . import formulas as cm
+from . import objects as co
+from .objects import cameras_of, is_camera, root_of
+
+__all__ = [
+    "ImportedCapture",
+    "RenderCamera",
+    "align_root",
+    "cameras_of",
+    "import_capture",
+    "is_camera",
+    "relink",
+    "render_camera",
+    "reset_root",
+    "root_of",
+    "set_extent",
+    "step_camera",
+    "use_camera",
+    "world_extent",
+]
+
+CLIP_START, CLIP_END = 0.002, 100.0
+"""Clipping distances, in units of the cameras' extent."""
+DISPLAY = 0.2
+"""Length of a camera's drawing, in median distances to the nearest other camera."""
+FAR = 1e4
+"""Distance of a capture from its origin, in extents, at which single precision shows."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportedCapture:
+    """What `import_capture` made."""
+
+    root: bpy.types.Object
+    """The empty that carries the alignment."""
+    collection: bpy.types.Collection
+    """Holds everything."""
+    cameras: list[bpy.types.Object]
+    """By image name."""
+    points: bpy.types.Object | None
+    """The SfM points."""
+    warnings: tuple[str, ...] = ()
+    """Sentences for the user."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderCamera:
+    """A Blender camera as a rasterizer wants it."""
+
+    viewmat: np.ndarray
+    """[4, 4] float64, Blender's world to camera, OpenCV axes."""
+    K: np.ndarray
+    """[3, 3] float64, pixels; orthographic: pixels per world unit."""
+    width: int
+    """Pixels."""
+    height: int
+    """Pixels."""
+    near: float
+    """Clip start, world units."""
+    orthographic: bool
+    """Whether `K` is applied without dividing by z."""
+    name: str
+    """Of the object."""
+
+
+def render_camera(
+    camera_object: bpy.types.Object,
+    scene: bpy.types.Scene,
+    *,
+    depsgraph: bpy.types.Depsgraph | None = None,
+    width: int | None = None,
+    height: int | None = None,
+) -> RenderCamera:
+    """A Blender camera as Blender itself would project with it.
+
+    Args:
+        camera_object: The camera.
+        scene: Gives resolution, percentage and pixel aspect.
+        depsgraph: Gives the animated pose and lens; without it, those of the object as it stands.
+        width: Pixels instead of the scene's.
+        height: Pixels instead of the scene's.
+
+    Raises:
+        ValueError: no camera, a panoramic or custom one, or one with a matrix that is no pose.
+    """
+    ob = camera_object.evaluated_get(depsgraph) if depsgraph else camera_object
+    if ob.type != "CAMERA":
+        raise ValueError(f"{ob.name} is no camera. Choose a camera.")
+    if ob.data.type not in ("PERSP", "ORTHO"):
+        kind = {"PANO": "panoramic", "CUSTOM": "custom"}.get(ob.data.type, ob.data.type)
+        raise ValueError(
+            f"Camera {ob.name} is {kind}; splats are rendered by perspective and orthographic "
+            f"cameras. Set its type to one of these."
+        )
+    frame = co.frame_of(scene, width, height)
+    return RenderCamera(
+        viewmat=co.rigid_viewmat(matrix_to_numpy(ob.matrix_world), ob.name),
+        K=cm.intrinsics(co.lens_of(ob.data), frame),
+        width=frame.width,
+        height=frame.height,
+        near=ob.data.clip_start,
+        orthographic=ob.data.type == "ORTHO",
+        name=ob.name,
+    )
+
+
+def import_capture(
+    context: bpy.types.Context,
+    path: str | Path,
+    *,
+    images: str = "images",
+    photos: bool = True,
+    points: bool = True,
+    align: bool = True,
+    progress: Callable[[float], None] | None = None,
+) -> ImportedCapture:
+    """Bring a capture into the scene; nothing is made before everything has been read.
+
+    Args:
+        context: Of the scene to import into.
+        path: A capture's folder, or a folder or file inside it.
+        images: Folder of the photos in a COLMAP capture.
+        photos: Put the photos into the cameras' backgrounds; Blender decodes them when drawn.
+        points: Make an object of the SfM points.
+        align: Put z up and the ground at z = 0; else the empty keeps COLMAP's axes.
+        progress: Told how much is done, 0 to 1.
+
+    Raises:
+        GsError: the capture cannot be read.
+        ValueError: no view of it can be a Blender camera.
+    """
+    source = find_capture(Path(bpy.path.abspath(str(path)))).absolute()
+    capture = read_capture(DataConfig(source=source, images=images), photos_required=False)
+    views = sorted(capture.views, key=lambda view: view.name)
+    usable = [view for view in views if view.camera.model not in NO_PINHOLE]
+    if not usable:
+        raise ValueError(f"{source} has only panoramas. Cut them into pinhole views with COLMAP.")
+    viewmats = np.stack([view.viewmat for view in usable])
+    finite = np.isfinite(capture.points.points).all(axis=1)
+    cloud, colors = capture.points.points[finite], capture.points.colors[finite]
+    matrix = alignment.align(viewmats, cloud).matrix if align else np.eye(4)
+
+    name = (source.parent if source.is_file() else source).name or "Capture"
+    collection = bpy.data.collections.new(name)
+    context.scene.collection.children.link(collection)
+    root = _make_root(name, collection, source, images)
+    set_root_matrix(root, matrix)
+    inner = bpy.data.collections.new(f"{name} cameras")
+    collection.children.link(inner)
+    known = co.known_images()
+    cameras = []
+    for i, view in enumerate(usable):
+        cameras.append(co.make(_stated(view), Path(view.name).stem, root, inner))
+        if photos:
+            co.set_photo(cameras[-1], view.image, known)
+        if progress is not None and i % 50 == 0:
+            progress(i / len(usable))
+    _size_drawings(root, cameras)
+    made = None
+    if points and len(cloud):
+        indices = np.flatnonzero(finite)
+        radius = sfm_points.point_radius(cloud, _centers(viewmats))
+        made = sfm_points.create(cloud, colors, f"{name} points", collection, root, indices, radius)
+        made[co.KIND] = "points"
+    warnings = (*capture.warnings, *_warnings(views, viewmats, capture))
+    return ImportedCapture(
+        root=root, collection=collection, cameras=cameras, points=made, warnings=warnings
+    )
+
+
+def use_camera(scene: bpy.types.Scene, ob: bpy.types.Object) -> list[str]:
+    """Make a photo's camera the scene's, with the photo's resolution and pixel aspect.
+
+    The resolution percentage stays. The photo of the camera used before is dropped from memory.
+
+    Returns:
+        Sentences about what Blender keeps per scene, and about a photo that is not there.
+
+    Raises:
+        ValueError: the camera is none of a photo.
+    """
+    if not is_camera(ob):
+        raise ValueError(f"{ob.name} is no camera of a photo. Import a capture's cameras first.")
+    own = co.stated(ob)
+    _, frame = cm.lens_from_intrinsics(own.K, own.width, own.height)
+    before = scene.camera
+    scene.camera = ob
+    render = scene.render
+    render.resolution_x, render.resolution_y = own.width, own.height
+    render.pixel_aspect_x, render.pixel_aspect_y = frame.pixel_aspect_x, frame.pixel_aspect_y
+    notes = []
+    aspect = frame.pixel_aspect_x / frame.pixel_aspect_y
+    if abs(aspect - 1) > 1e-3:
+        notes.append(
+            f"fx and fy of {own.image} differ; the scene's pixel aspect is now {aspect:.4f} for it."
+        )
+    photo = co.photo_of(ob)
+    ob.data.show_background_images = True
+    if photo is None or not Path(bpy.path.abspath(photo.filepath)).is_file():
+        notes.append(f"The photo {own.photo} is not there. Find the capture's folder again.")
+    if before is not None and before != ob and is_camera(before):
+        old = co.photo_of(before)
+        if old is not None and old != photo and not old.is_dirty and not old.packed_file:
+            old.buffers_free()
+    return notes
+
+
+def step_camera(scene: bpy.types.Scene, root: bpy.types.Object, step: int) -> bpy.types.Object:
+    """The camera `step` photos after the scene's, around the end; without one, the first or last.
+
+    Raises:
+        ValueError: the capture has no cameras.
+    """
+    cameras = cameras_of(root)
+    if not cameras:
+        raise ValueError(f"{root.name} has no cameras left. Import the capture again.")
+    if scene.camera in cameras:
+        return cameras[(cameras.index(scene.camera) + step) % len(cameras)]
+    return cameras[0 if step > 0 else -1]
+
+
+def align_root(root: bpy.types.Object, up: np.ndarray | None = None) -> alignment.Alignment:
+    """Find up and ground again and put them into a capture's empty; its scale stays.
+
+    Args:
+        root: The empty.
+        up: [3], roughly up in the capture's world; None: from the cameras.
+
+    Raises:
+        ValueError: the capture has no cameras.
+    """
+    cameras = cameras_of(root)
+    if not cameras:
+        raise ValueError(f"{root.name} has no cameras to align by. Import the capture again.")
+    viewmats = np.stack([co.stated(ob).viewmat for ob in cameras])
+    made = co.points_of(root)
+    cloud = np.zeros((0, 3)) if made is None else sfm_points.positions_of(made).astype(np.float64)
+    found = alignment.align(viewmats, cloud, up)
+    scale = root_scale(root)
+    set_root_matrix(root, np.diag([scale, scale, scale, 1.0]) @ found.matrix)
+    return found
+
+
+def world_extent(root: bpy.types.Object) -> float:
+    """Largest distance between two of a capture's cameras, in Blender's units."""
+    cameras = cameras_of(root)
+    viewmats = np.array([co.stated(ob).viewmat for ob in cameras]).reshape(-1, 4, 4)
+    return alignment.camera_extent(_centers(viewmats)) * root_scale(root)
+
+
+def set_extent(root: bpy.types.Object, extent: float) -> None:
+    """Scale a capture about its empty so that its cameras are `extent` Blender units apart at most.
+
+    Raises:
+        ValueError: all cameras stand in one place.
+    """
+    now = world_extent(root)
+    if not (now > 0 and extent > 0):
+        raise ValueError(
+            f"The cameras of {root.name} stand in one place, which gives no scale. Scale the empty."
+        )
+    matrix = matrix_to_numpy(root.matrix_basis)
+    matrix[:3] *= extent / now
+    set_root_matrix(root, matrix)
+    _size_drawings(root, cameras_of(root))
+
+
+def reset_root(root: bpy.types.Object) -> None:
+    """Give a capture the axes, origin and scale of its own files back."""
+    set_root_matrix(root, np.eye(4))
+    _size_drawings(root, cameras_of(root))
+
+
+def root_scale(root: bpy.types.Object) -> float:
+    """Blender units per unit of the capture's world."""
+    return float(np.cbrt(abs(np.prod(np.array(root.scale[:], np.float64)))))
+
+
+def set_root_matrix(root: bpy.types.Object, matrix: np.ndarray) -> None:
+    """Give an empty a matrix [4, 4] of rotation, one scale and translation."""
+    scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
+    root.rotation_mode = "QUATERNION"
+    root.location = matrix[:3, 3]
+    root.rotation_quaternion = rotmat_to_quat(matrix[:3, :3] / scale)
+    root.scale = (scale, scale, scale)
+
+
+def relink(root: bpy.types.Object, path: str | Path, images: str = "images") -> tuple[int, int]:
+    """Point a capture at the folder where it is now; how many photos were found, and of how many.
+
+    Args:
+        root: The capture's empty.
+        path: The capture's folder, or that of its photos.
+        images: Folder of the photos in it.
+
+    Raises:
+        ValueError: none of the photos is there; nothing is changed.
+    """
+    picked = Path(bpy.path.abspath(str(path))).absolute()
+    source = find_capture(picked)
+    places = [Folder(place) for place in (source / images, picked, source) if place.is_dir()]
+    cameras = cameras_of(root)
+    found = {}
+    for ob in cameras:
+        name = str(ob.get("gs_image", ""))
+        hits = (folder.find_image(name) for folder in places)
+        found[ob.name] = next((file for file in hits if file is not None), None)
+    if not any(found.values()):
+        raise ValueError(
+            f"{picked} has none of the {len(cameras)} photos of {root.name}. Choose another folder."
+        )
+    stored_paths.write(root, stored_paths.SOURCE, source)
+    root["gs_images"] = images
+    known = co.known_images()
+    for ob in cameras:
+        if found[ob.name] is not None:
+            co.set_photo(ob, found[ob.name], known)
+    return sum(1 for file in found.values() if file), len(cameras)
+
+
+def _centers(viewmats: np.ndarray) -> np.ndarray:
+    """Camera positions [C, 3]."""
+    return np.array([cm.matrix_world_from_viewmat(v)[:3, 3] for v in viewmats]).reshape(-1, 3)
+
+
+def _stated(view: View) -> co.PhotoCamera:
+    camera = view.camera
+    return co.PhotoCamera(
+        image=view.name,
+        photo=str(view.image),
+        viewmat=view.viewmat,
+        K=camera.K,
+        width=camera.width,
+        height=camera.height,
+        model=camera.model,
+        params=tuple(camera.params.tolist()),
+    )
+
+
+def _make_root(
+    name: str, collection: bpy.types.Collection, source: Path, images: str
+) -> bpy.types.Object:
+    root = bpy.data.objects.new(name, None)
+    root[co.KIND], root["gs_images"] = "capture", images
+    stored_paths.write(root, stored_paths.SOURCE, source)
+    collection.objects.link(root)
+    return root
+
+
+def _size_drawings(root: bpy.types.Object, cameras: list[bpy.types.Object]) -> None:
+    """Camera drawings that do not hide each other, and clipping that fits the capture's size."""
+    if not cameras:
+        return
+    scale = root_scale(root)
+    centers = np.array([co.local_matrix(ob)[:3, 3] for ob in cameras])
+    extent = alignment.camera_extent(centers) * scale or 1.0
+    few = centers[np.linspace(0, len(centers) - 1, min(200, len(centers))).astype(int)]
+    distances = np.linalg.norm(few[:, None] - centers[None], axis=2)
+    distances[distances == 0] = np.inf
+    nearest = distances.min(axis=1)
+    nearest = nearest[np.isfinite(nearest)]
+    length = DISPLAY * float(np.median(nearest)) * scale if len(nearest) else 0.1 * extent
+    for ob in cameras:
+        ob.data.display_size = length
+        ob.data.clip_start, ob.data.clip_end = CLIP_START * extent, CLIP_END * extent
+    root.empty_display_size = 0.1 * extent / scale
+
+
+def _warnings(views: list[View], viewmats: np.ndarray, capture: Capture) -> list[str]:
+    out = []
+    usable = [view for view in views if view.camera.model not in NO_PINHOLE]
+    if len(usable) < len(views):
+        out.append(
+            f"{len(views) - len(usable)} panoramas were left out: Blender has no K for them."
+        )
+    bent = sorted({view.camera.model for view in usable if not view.camera.is_pinhole})
+    if bent:
+        out.append(
+            f"The photos have lens distortion ({', '.join(bent)}); the cameras are the undistorted "
+            f"ones, so photos fit only near the middle."
+        )
+    Ks = np.stack([view.camera.K for view in usable])
+    if np.abs(Ks[:, 1, 1] / Ks[:, 0, 0] - 1).max() > 1e-3:
+        out.append(
+            "fx and fy differ. Blender keeps pixel aspect per scene: choose cameras with Use "
+            "Camera, which sets it."
+        )
+    if len({(view.camera.width, view.camera.height) for view in usable}) > 1:
+        out.append(
+            "The photos differ in size. Blender keeps resolution per scene: choose cameras with "
+            "Use Camera, which sets it."
+        )
+    centers = _centers(viewmats)
+    extent = alignment.camera_extent(centers)
+    if extent > 0 and np.linalg.norm(centers, axis=1).max() > FAR * extent:
+        out.append(
+            "The capture lies far from its origin, where Blender's single precision moves cameras "
+            "visibly. Recentre the model with COLMAP's model_transformer."
+        )
+    return out

@@ -1,0 +1,139 @@
+"""Blender cameras into a transforms.json, with the points as a PLY beside it."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+
+from ..core import ColmapPoints, atomic_write
+from . import formulas as cm
+from .export_colmap import (
+    Exported,
+    ExportView,
+    collect,
+    known_captures,
+    points_to_export,
+    source_of,
+)
+
+POINTS = "sparse_pc.ply"
+"""The name nerfstudio gives the points."""
+_KEYS = {"f": ("fl_x", "fl_y"), "fx": ("fl_x",), "fy": ("fl_y",), "cx": ("cx",), "cy": ("cy",)}
+_OPENCV = frozenset({"SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"})
+_UNUSED = frozenset({"k4", "k5", "k6"})
+"""Parameters of FULL_OPENCV that transforms.json has no agreed meaning for."""
+
+
+def export_transforms(
+    path: str | Path,
+    cameras: Sequence[bpy.types.Object],
+    scene: bpy.types.Scene,
+    *,
+    root: bpy.types.Object | None = None,
+    depsgraph: bpy.types.Depsgraph | None = None,
+) -> Exported:
+    """Write a transforms.json as nerfstudio has it: camera to world, OpenGL axes; photos stay.
+
+    Args:
+        path: The file to write.
+        cameras: As for `export_colmap`; so are the others.
+        scene: Gives resolution and pixel aspect of cameras that are of no photo.
+        root: A capture's empty; None: Blender's world.
+        depsgraph: Gives the animated poses.
+
+    Raises:
+        GsError: a file cannot be written.
+        ValueError: a camera cannot be written, or the file is that of a capture of this file.
+    """
+    path = Path(path)
+    source = source_of(root)
+    for known in known_captures():
+        own = known if known.is_file() else known / path.name
+        if own.exists() and own.resolve() == path.resolve():
+            raise ValueError(f"{path} is the own file of {known}. Choose another name.")
+    views = collect(cameras, scene, root, depsgraph)
+    points, warnings = points_to_export(root, source)
+    frames = [_frame(view, path.parent) for view in views]
+    away = sum(1 for view in views if view.photo and not _is_below(view.photo, path.parent))
+    if away:
+        warnings.append(
+            f"{away} photos do not lie below {path.parent}; copy them to its folder images, where "
+            f"the file expects them."
+        )
+    shared = {key: frames[0][key] for key in frames[0] if _is_shared(frames, key)}
+    if len(points):
+        atomic_write(path.with_name(POINTS), _ply(points))
+        shared["ply_file_path"] = POINTS
+    own_keys = [{k: v for k, v in frame.items() if k not in shared} for frame in frames]
+    atomic_write(path, _text(shared, own_keys).encode())
+    return Exported(
+        path=path,
+        views=len(views),
+        moved=sum(view.is_moved for view in views),
+        points=len(points),
+        warnings=tuple(warnings),
+    )
+
+
+def _text(shared: dict[str, Any], frames: list[dict[str, Any]]) -> str:
+    """JSON with a key or a frame a line."""
+    lines = [f"{json.dumps(key)}: {json.dumps(value)}," for key, value in shared.items()]
+    body = ",\n".join(json.dumps(frame) for frame in frames)
+    return "\n".join(["{", *lines, '"frames": [', body, "]", "}"]) + "\n"
+
+
+def _frame(view: ExportView, folder: Path) -> dict[str, Any]:
+    camera = view.camera
+    named = camera.named_params
+    if camera.model in _OPENCV:
+        model = "OPENCV"
+    elif camera.model == "OPENCV_FISHEYE":
+        model = camera.model
+    elif camera.model == "FULL_OPENCV" and not any(named[key] for key in _UNUSED):
+        model, named = "OPENCV", {k: v for k, v in named.items() if k not in _UNUSED}
+    else:
+        raise ValueError(
+            f"{view.name} has the camera model {camera.model}, which transforms.json has no name "
+            f"for. Export to COLMAP instead."
+        )
+    values: dict[str, Any] = {"camera_model": model, "w": camera.width, "h": camera.height}
+    for name, value in named.items():
+        for key in _KEYS.get(name, ("k1" if name == "k" else name,)):
+            values[key] = value
+    return {
+        "file_path": _file_path(view, folder),
+        **values,
+        "transform_matrix": cm.matrix_world_from_viewmat(view.viewmat).tolist(),
+    }
+
+
+def _file_path(view: ExportView, folder: Path) -> str:
+    if view.photo is not None and _is_below(view.photo, folder):
+        return view.photo.resolve().relative_to(folder.resolve()).as_posix()
+    return f"images/{view.name}"
+
+
+def _is_below(file: Path, folder: Path) -> bool:
+    return file.resolve().is_relative_to(folder.resolve())
+
+
+def _is_shared(frames: list[dict[str, Any]], key: str) -> bool:
+    if key in ("file_path", "transform_matrix"):
+        return False
+    return all(key in frame and frame[key] == frames[0][key] for frame in frames)
+
+
+def _ply(points: ColmapPoints) -> bytes:
+    """A binary PLY, positions in double precision."""
+    kinds = [*((axis, "<f8") for axis in "xyz"), *((c, "u1") for c in ("red", "green", "blue"))]
+    rows = np.zeros(len(points), kinds)
+    for i, axis in enumerate("xyz"):
+        rows[axis] = points.xyz[:, i]
+    for i, channel in enumerate(("red", "green", "blue")):
+        rows[channel] = points.rgb[:, i]
+    names = [f"property {'double' if kind == '<f8' else 'uchar'} {name}" for name, kind in kinds]
+    head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(rows)}", *names]
+    return ("\n".join([*head, "end_header"]) + "\n").encode("ascii") + rows.tobytes()

@@ -1,0 +1,89 @@
+"""Which capture and which camera a user means."""
+
+from pathlib import Path
+
+import bpy
+
+from .. import stored_paths
+from ..capture.folders import means_capture
+from ..paths import absolute
+from . import objects as co
+
+
+def find_root(context: bpy.types.Context, name: str = "") -> bpy.types.Object:
+    """The capture that is meant: by name, else by what is active or chosen, else the only one.
+
+    Raises:
+        ValueError: there is none, or it is not clear which.
+    """
+    if name:
+        root = co.root_of(bpy.data.objects.get(name))
+        if root is None:
+            raise ValueError(f"There is no capture called {name}. Import one with Import Cameras.")
+        return root
+    active = getattr(context, "active_object", None)
+    for ob in (active, chosen_root(context.scene), context.scene.camera):
+        if (root := co.root_of(ob)) is not None:
+            return root
+    roots = roots_of(context.scene)
+    if len(roots) != 1:
+        few = "No capture is imported. Use Import Cameras first."
+        many = "There are several captures. Select an object of the one that is meant."
+        raise ValueError(many if roots else few)
+    return roots[0]
+
+
+def chosen_root(scene: bpy.types.Scene) -> bpy.types.Object | None:
+    """The empty of the capture that is chosen in the panel, if it was imported.
+
+    One that was imported from elsewhere, but from a folder of the same name, counts where there is
+    no better one: the capture may have moved.
+    """
+    roots, settings = roots_of(scene), getattr(scene, "gscore", None)
+    if settings is None or not settings.capture_path.strip():
+        return None
+    try:
+        chosen = absolute(settings.capture_path, "Capture")
+    except ValueError:
+        return None
+    places = [(root, Path(stored_paths.read(root, stored_paths.SOURCE))) for root in roots]
+    exact = [root for root, source in places if means_capture(chosen, source)]
+    alike = [root for root, source in places if source.name and source.name in chosen.parts[-3:]]
+    return next(iter(exact or alike), None)
+
+
+def panel_root(scene: bpy.types.Scene) -> bpy.types.Object | None:
+    """The empty that the sidebar is about: the chosen capture's; the first where none is chosen."""
+    if scene.gscore.capture_path.strip():
+        return chosen_root(scene)
+    return next(iter(roots_of(scene)), None)
+
+
+def roots_of(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """The empties of all captures in a scene."""
+    return [ob for ob in scene.objects if ob.type == "EMPTY" and co.is_kind(ob, "capture")]
+
+
+def find_camera(
+    context: bpy.types.Context, root: bpy.types.Object, name: str = "", index: int = -1
+) -> bpy.types.Object:
+    """A photo's camera by object or image name, else by index, else what is active.
+
+    Raises:
+        ValueError: there is no such camera.
+    """
+    listed = co.cameras_of(root)
+    if name:
+        found = [ob for ob in listed if name in (ob.name, ob.get("gs_image"))]
+        found += [ob for ob in listed if Path(str(ob.get("gs_image"))).stem == name]
+        if not found:
+            raise ValueError(f"The capture has no camera or photo called {name}.")
+        return found[0]
+    if index >= 0:
+        if index >= len(listed):
+            raise ValueError(f"There is no camera {index}; they go from 0 to {len(listed) - 1}.")
+        return listed[index]
+    for ob in (getattr(context, "active_object", None), context.scene.camera, *listed[:1]):
+        if co.is_camera(ob) and co.root_of(ob) == root:
+            return ob
+    raise ValueError(f"{root.name} has no cameras left. Import the capture again.")

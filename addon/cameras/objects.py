@@ -1,0 +1,290 @@
+"""Blender cameras that stand for photos: how they are marked, made and read back."""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+
+from .. import stored_paths
+from ..compat import matrix_to_numpy
+from ..core import rotmat_to_quat
+from . import formulas as cm
+
+KIND = "gs_kind"
+"""Custom property that says what an object is: capture, camera, points or splats."""
+_TURN, _MOVE, _LENS = 1e-5, 1e-6, 1e-6
+"""What Blender's single precision does to a camera that nobody touched: radians, and relative."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhotoCamera:
+    """What the capture states about one photo; kept in custom properties, in float64."""
+
+    image: str
+    """Name in the capture, sub-folders with '/'."""
+    photo: str
+    """File of the photo, absolute."""
+    viewmat: np.ndarray
+    """[4, 4], world to camera, OpenCV axes, in the capture's world."""
+    K: np.ndarray
+    """[3, 3], pixels; of a distorted camera the pinhole part."""
+    width: int
+    """Pixels."""
+    height: int
+    """Pixels."""
+    model: str = "PINHOLE"
+    """COLMAP's name of the camera model."""
+    params: tuple[float, ...] = ()
+    """Parameters of the model in COLMAP's order."""
+
+
+def is_kind(ob: bpy.types.Object | None, kind: str) -> bool:
+    """Whether the add-on marked an object as one of its own."""
+    return ob is not None and ob.get(KIND) == kind
+
+
+def is_camera(ob: bpy.types.Object | None) -> bool:
+    """Whether an object is the camera of a photo."""
+    return is_kind(ob, "camera") and ob.type == "CAMERA"
+
+
+def root_of(ob: bpy.types.Object | None) -> bpy.types.Object | None:
+    """The empty that carries the alignment of the capture an object belongs to, or None."""
+    while ob is not None and not is_kind(ob, "capture"):
+        ob = ob.parent
+    return ob
+
+
+def cameras_of(root: bpy.types.Object) -> list[bpy.types.Object]:
+    """The photos' cameras below a capture's empty, by image name."""
+    found = [ob for ob in root.children_recursive if is_camera(ob)]
+    return sorted(found, key=lambda ob: (str(ob.get("gs_image", "")), ob.name))
+
+
+def points_of(root: bpy.types.Object) -> bpy.types.Object | None:
+    """The object of a capture's points, or None."""
+    return next((ob for ob in root.children if is_kind(ob, "points") and ob.type == "MESH"), None)
+
+
+def make(
+    stated: PhotoCamera,
+    name: str,
+    root: bpy.types.Object,
+    collection: bpy.types.Collection,
+) -> bpy.types.Object:
+    """A Blender camera with a photo's pose and intrinsics, below `root`."""
+    lens, _ = cm.lens_from_intrinsics(stated.K, stated.width, stated.height)
+    data = bpy.data.cameras.new(name)
+    set_lens(data, lens)
+    ob = bpy.data.objects.new(name, data)
+    ob.parent = root
+    set_pose(ob, stated.viewmat)
+    collection.objects.link(ob)
+    ob[KIND] = "camera"
+    ob["gs_image"] = stated.image
+    stored_paths.write(ob, stored_paths.PHOTO, stated.photo)
+    ob["gs_K"] = stated.K.ravel().tolist()
+    ob["gs_viewmat"] = stated.viewmat.ravel().tolist()
+    ob["gs_size"] = [stated.width, stated.height]
+    ob["gs_model"], ob["gs_params"] = stated.model, list(stated.params)
+    return ob
+
+
+def stated(ob: bpy.types.Object) -> PhotoCamera:
+    """What `make` was given.
+
+    Raises:
+        ValueError: a custom property is missing or has been changed into something else.
+    """
+    try:
+        size = [int(v) for v in ob["gs_size"]]
+        return PhotoCamera(
+            image=str(ob["gs_image"]),
+            photo=stored_paths.read(ob, stored_paths.PHOTO),
+            viewmat=np.array(ob["gs_viewmat"], np.float64).reshape(4, 4),
+            K=np.array(ob["gs_K"], np.float64).reshape(3, 3),
+            width=size[0],
+            height=size[1],
+            model=str(ob.get("gs_model", "PINHOLE")),
+            params=tuple(float(v) for v in ob.get("gs_params", ())),
+        )
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise ValueError(
+            f"Camera {ob.name} has lost what the capture says about it (custom property {error}). "
+            f"Import the capture again."
+        ) from error
+
+
+def set_pose(ob: bpy.types.Object, viewmat: np.ndarray) -> None:
+    """Give an object the pose of a camera in its parent's space, as exactly as Blender can."""
+    matrix = cm.matrix_world_from_viewmat(viewmat)
+    ob.rotation_mode = "QUATERNION"  # Euler angles lose up to 5e-6 rad
+    ob.location = matrix[:3, 3]
+    ob.rotation_quaternion = rotmat_to_quat(matrix[:3, :3])
+    ob.scale = (1.0, 1.0, 1.0)
+
+
+def set_lens(data: bpy.types.Camera, lens: cm.Lens) -> None:
+    """Give a camera datablock a lens."""
+    data.type, data.lens_unit = lens.type, "MILLIMETERS"
+    data.sensor_fit = lens.sensor_fit
+    data.sensor_width, data.sensor_height = lens.sensor_width, lens.sensor_height
+    data.lens, data.ortho_scale = lens.lens, lens.ortho_scale
+    data.shift_x, data.shift_y = lens.shift_x, lens.shift_y
+
+
+def lens_of(data: bpy.types.Camera) -> cm.Lens:
+    """The lens of a camera datablock."""
+    return cm.Lens(
+        type=data.type,
+        lens=data.lens,
+        sensor_width=data.sensor_width,
+        sensor_height=data.sensor_height,
+        sensor_fit=data.sensor_fit,
+        shift_x=data.shift_x,
+        shift_y=data.shift_y,
+        ortho_scale=data.ortho_scale,
+    )
+
+
+def frame_of(
+    scene: bpy.types.Scene, width: int | None = None, height: int | None = None
+) -> cm.Frame:
+    """The raster a scene renders to, or another size with the scene's pixel aspect."""
+    render = scene.render
+    own = cm.frame_size(render.resolution_x, render.resolution_y, render.resolution_percentage)
+    return cm.Frame(
+        width=own[0] if width is None else width,
+        height=own[1] if height is None else height,
+        pixel_aspect_x=render.pixel_aspect_x,
+        pixel_aspect_y=render.pixel_aspect_y,
+    )
+
+
+def is_moved(ob: bpy.types.Object, own: PhotoCamera) -> bool:
+    """Whether a photo's camera stands elsewhere in the capture than the photo was taken from."""
+    if not _is_plain_child(ob):
+        return True
+    now, then = local_matrix(ob), cm.matrix_world_from_viewmat(own.viewmat)
+    far = np.abs(now[:3, 3] - then[:3, 3]).max() > _MOVE * np.linalg.norm(then[:3, 3])
+    return bool(far or np.abs(now[:3, :3] - then[:3, :3]).max() > _TURN)
+
+
+def is_lens_changed(data: bpy.types.Camera, own: PhotoCamera) -> bool:
+    """Whether a photo's camera has another K than the photo's."""
+    lens, frame = cm.lens_from_intrinsics(own.K, own.width, own.height)
+    try:
+        now = cm.intrinsics(lens_of(data), frame)
+    except ValueError:
+        return True
+    return data.type != lens.type or bool(
+        np.abs(now - own.K).max() > _LENS * (own.K[0, 0] + own.width + own.height)
+    )
+
+
+def local_matrix(ob: bpy.types.Object) -> np.ndarray:
+    """[4, 4] in the parent's space, without constraints and animation that are not yet applied."""
+    return matrix_to_numpy(ob.matrix_parent_inverse) @ matrix_to_numpy(ob.matrix_basis)
+
+
+def viewmat_in(
+    ob: bpy.types.Object, root: bpy.types.Object | None, depsgraph: bpy.types.Depsgraph | None
+) -> np.ndarray:
+    """World to camera [4, 4] where a camera stands now, in the capture's world.
+
+    Without `root`, in Blender's.
+
+    Raises:
+        ValueError: the camera is mirrored or sheared, or the capture's empty is flat.
+    """
+    if root is not None and ob.parent == root and _is_plain_child(ob):
+        matrix = local_matrix(ob)
+    else:
+        matrix = _evaluated_matrix(ob, depsgraph)
+        if root is not None:
+            base = _evaluated_matrix(root, depsgraph)
+            if abs(np.linalg.det(base[:3, :3])) < 1e-30:
+                raise ValueError(f"{root.name} is scaled to nothing; reset its alignment.")
+            matrix = np.linalg.inv(base) @ matrix
+    return rigid_viewmat(matrix, ob.name)
+
+
+def rigid_viewmat(matrix: np.ndarray, name: str) -> np.ndarray:
+    """World to camera of a camera's matrix [4, 4], refused where that is no rotation.
+
+    Raises:
+        ValueError: the camera is mirrored, sheared or flat.
+    """
+    try:
+        viewmat = cm.viewmat_from_matrix_world(matrix)
+    except ValueError as error:
+        raise ValueError(f"Camera {name} is scaled to nothing; set its scale to 1.") from error
+    rotation = viewmat[:3, :3]
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-4 or np.linalg.det(rotation) < 0:
+        raise ValueError(
+            f"Camera {name} is mirrored or sheared by its own or its parents' scale; give them one "
+            f"positive scale for all axes."
+        )
+    return viewmat
+
+
+def photo_of(ob: bpy.types.Object) -> bpy.types.Image | None:
+    """The photo in a camera's background, or None."""
+    return next((slot.image for slot in ob.data.background_images if slot.image), None)
+
+
+def set_photo(ob: bpy.types.Object, file: Path, known: dict[str, bpy.types.Image]) -> bool:
+    """Put a photo into a camera's background; whether the file is there.
+
+    Blender decodes it when it is first drawn.
+
+    Args:
+        ob: The camera.
+        file: The photo.
+        known: Images already in the file by absolute path; the new one is added.
+    """
+    stored_paths.write(ob, stored_paths.PHOTO, file)
+    if not file.is_file():
+        return False
+    image = known.get(str(file))
+    if image is None:
+        # `images.load` looks into every file, which makes it 80 times slower.
+        image = known[str(file)] = bpy.data.images.new(file.name, 1, 1)
+        image.source, image.filepath = "FILE", ob[stored_paths.PHOTO]
+    slots = ob.data.background_images
+    slot = slots[0] if slots else slots.new()
+    slot.image, slot.alpha = image, 1.0
+    # The raster of the photo is the camera's own, so it fills the frame whatever the pixel aspect.
+    slot.frame_method, slot.display_depth = "STRETCH", "BACK"
+    ob.data.show_background_images = True
+    return True
+
+
+def known_images() -> dict[str, Any]:
+    """The images of this file by absolute path."""
+    return {
+        os.path.normpath(bpy.path.abspath(image.filepath, library=image.library)): image
+        for image in bpy.data.images
+        if image.source == "FILE" and image.filepath
+    }
+
+
+def _is_plain_child(ob: bpy.types.Object) -> bool:
+    """Whether an object stands below a capture's empty and nothing else moves it."""
+    return (
+        is_kind(ob.parent, "capture")
+        and ob.parent_type == "OBJECT"
+        and not ob.constraints
+        and (ob.animation_data is None or not _is_animated(ob.animation_data))
+    )
+
+
+def _is_animated(animation: bpy.types.AnimData) -> bool:
+    return animation.action is not None or bool(animation.drivers) or bool(animation.nla_tracks)
+
+
+def _evaluated_matrix(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph | None) -> np.ndarray:
+    return matrix_to_numpy((ob.evaluated_get(depsgraph) if depsgraph else ob).matrix_world)

@@ -1,0 +1,374 @@
+"""Operators of captures and their cameras: thin covers over `cameras` and the exporters."""
+
+from pathlib import Path
+from typing import Any, ClassVar
+
+import bpy
+from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
+
+from .. import stored_paths
+from ..interface.operators import Acting
+from ..paths import absolute
+from . import captures
+from .export_colmap import Exported, export_colmap
+from .export_transforms import export_transforms
+from .lookup import find_camera, find_root
+
+
+class OnCapture(Acting):
+    """Works on a capture's empty."""
+
+    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
+
+    capture: StringProperty(
+        name="Capture",
+        description="Name of the capture's empty; without one, that of the active object, of the "
+        "scene camera, or the only one there is",
+        options={"SKIP_SAVE"},
+    )
+
+
+_shown: list[tuple[str, str, str]] = []
+"""Items of the last search: Blender keeps no copies of their strings."""
+
+
+def _image_items(self: Any, context: bpy.types.Context | None) -> list[tuple[str, str, str]]:
+    """The photos of the capture that is meant."""
+    try:
+        listed = captures.cameras_of(find_root(context, self.capture)) if context else []
+    except ValueError:
+        listed = []
+    names = [str(ob.get("gs_image", ob.name)) for ob in listed]
+    _shown[:] = [(name, name, "") for name in dict.fromkeys(names)] or [("NONE", "No photo", "")]
+    return _shown
+
+
+class ImportCameras(OnCapture, bpy.types.Operator):
+    """Bring a capture's cameras, photos and SfM points into the scene"""
+
+    bl_idname = "gscore.import_cameras"
+    bl_label = "Import Cameras"
+
+    directory: StringProperty(
+        name="Capture",
+        subtype="DIR_PATH",
+        description="Folder with the COLMAP model and the photos, or with a transforms.json; "
+        "empty: the one of the Capture panel",
+        options={"SKIP_SAVE"},
+    )
+    images: StringProperty(
+        name="Photos",
+        default="images",
+        description="Folder of the photos inside the capture",
+    )
+    photos: BoolProperty(
+        name="Photos as Backgrounds",
+        default=True,
+        description="Show each photo behind its camera; Blender reads it when it is first seen",
+    )
+    points: BoolProperty(
+        name="SfM Points", default=True, description="Make an object of the coloured points"
+    )
+    align: BoolProperty(
+        name="Align to Ground",
+        default=True,
+        description="Turn the capture so that up is up and the ground at height 0; else keep "
+        "COLMAP's axes",
+    )
+    set_up_views: BoolProperty(
+        name="Set Up Views",
+        default=True,
+        description="Let this window's 3D views show the points' colors in Solid shading, and "
+        "hide outlines and the lines from each camera to its capture",
+    )
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask for a folder where the panel names none."""
+        if self.directory or _panel_path(context):
+            return self.execute(context)
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Import."""
+        path = absolute(self.directory or _panel_path(context), "Capture")
+        images = self.images
+        if not self.properties.is_property_set("images"):
+            images = getattr(_settings(context), "images", self.images)
+        manager = context.window_manager
+        manager.progress_begin(0, 1)
+        try:
+            made = captures.import_capture(
+                context,
+                path,
+                images=images,
+                photos=self.photos,
+                points=self.points,
+                align=self.align,
+                progress=manager.progress_update,
+            )
+        finally:
+            manager.progress_end()
+        _activate(context, made.root)
+        self.warn(made.warnings)
+        if self.set_up_views:
+            _set_up_views(context)
+        _remember(context, made.root, images)
+        count = f"{len(made.cameras)} cameras"
+        points = f", {len(made.points.data.vertices)} points" if made.points else ""
+        return f"{made.root.name}: {count}{points}"
+
+
+class UseCamera(OnCapture, bpy.types.Operator):
+    """Look through a photo's camera: scene camera, resolution, pixel aspect and photo are set"""
+
+    bl_idname = "gscore.use_camera"
+    bl_label = "Use Camera"
+
+    camera: StringProperty(
+        name="Camera",
+        description="Name of the camera or of its photo; empty: by index",
+        options={"SKIP_SAVE"},
+    )
+    index: IntProperty(
+        name="Index",
+        default=-1,
+        min=-1,
+        description="Place among the photos by name, from 0; -1: the active camera, else the "
+        "scene's, else the first",
+        options={"SKIP_SAVE"},
+    )
+    look_through: BoolProperty(
+        name="Look Through", default=True, description="Turn the 3D view to the camera"
+    )
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Use it."""
+        root = find_root(context, self.capture)
+        ob = find_camera(context, root, self.camera, self.index)
+        self.warn(captures.use_camera(context.scene, ob))
+        if self.look_through:
+            _look_through(context)
+        return ""
+
+
+class StepCamera(OnCapture, bpy.types.Operator):
+    """Look through the next or the previous photo's camera"""
+
+    bl_idname = "gscore.step_camera"
+    bl_label = "Next Camera"
+
+    step: IntProperty(name="Step", default=1, description="Photos to go on by name; negative: back")
+    look_through: BoolProperty(
+        name="Look Through", default=True, description="Turn the 3D view to the camera"
+    )
+
+    @classmethod
+    def description(cls, context: bpy.types.Context, properties: Any) -> str:
+        """Tooltip by direction."""
+        which = "next" if properties.step > 0 else "previous"
+        return f"Look through the {which} photo's camera"
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Step."""
+        ob = captures.step_camera(context.scene, find_root(context, self.capture), self.step)
+        self.warn(captures.use_camera(context.scene, ob))
+        if self.look_through:
+            _look_through(context)
+        return ""
+
+
+class ChooseCamera(OnCapture, bpy.types.Operator):
+    """Search a photo by name and look through its camera"""
+
+    bl_idname = "gscore.choose_camera"
+    bl_label = "Choose Photo"
+    bl_property = "image"
+
+    image: EnumProperty(
+        name="Photo",
+        items=_image_items,
+        description="Name of the photo",
+        options={"SKIP_SAVE"},
+    )
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Let the user search."""
+        context.window_manager.invoke_search_popup(self)
+        return {"RUNNING_MODAL"}
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Use it."""
+        ob = find_camera(context, find_root(context, self.capture), self.image)
+        self.warn(captures.use_camera(context.scene, ob))
+        _look_through(context)
+        return ""
+
+
+class RelinkCapture(OnCapture, bpy.types.Operator):
+    """Find a capture's photos again after its folder or this file has been moved"""
+
+    bl_idname = "gscore.relink_capture"
+    bl_label = "Find Photos"
+
+    directory: StringProperty(
+        name="Folder",
+        subtype="DIR_PATH",
+        description="Folder of the capture, or of its photos",
+        options={"SKIP_SAVE"},
+    )
+    images: StringProperty(
+        name="Photos",
+        default="images",
+        description="Folder of the photos inside the capture",
+    )
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask for the folder."""
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Relink."""
+        folder = absolute(self.directory, "Folder")
+        root = find_root(context, self.capture)
+        found, total = captures.relink(root, folder, self.images)
+        text = f"{found} of {total} photos found in {folder}"
+        if found == total:
+            return text
+        self.warn([text])
+        return ""
+
+
+class ExportCameras(OnCapture, bpy.types.Operator):
+    """Write cameras and SfM points as a COLMAP model or a transforms.json"""
+
+    bl_idname = "gscore.export_cameras"
+    bl_label = "Export Cameras"
+    bl_options: ClassVar[set[str]] = {"REGISTER"}
+
+    directory: StringProperty(
+        name="Folder",
+        subtype="DIR_PATH",
+        description="Folder to write into: sparse/0 with a COLMAP model, or transforms.json",
+        options={"SKIP_SAVE"},
+    )
+    kind: EnumProperty(
+        name="Format",
+        items=(
+            ("COLMAP", "COLMAP", "cameras.bin, images.bin and points3D.bin in sparse/0"),
+            ("COLMAP_TEXT", "COLMAP Text", "The same as text files"),
+            ("TRANSFORMS", "transforms.json", "For nerfstudio and its relatives"),
+        ),
+        description="What to write",
+    )
+    which: EnumProperty(
+        name="Cameras",
+        items=(
+            ("CAPTURE", "Capture", "All cameras of the capture"),
+            ("SELECTED", "Selected", "The selected cameras, of photos or not"),
+            ("SCENE", "Scene", "Every camera of the scene"),
+        ),
+        description="Which cameras to write",
+    )
+    world: EnumProperty(
+        name="World",
+        items=(
+            ("CAPTURE", "Capture", "The world of the capture's own files, whatever the alignment"),
+            ("BLENDER", "Blender", "Blender's world: z up, as aligned and scaled; without points"),
+        ),
+        description="Whose axes, origin and scale to write in",
+    )
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask for the folder."""
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Export."""
+        folder = absolute(self.directory, "Folder")
+        needs_root = self.world == "CAPTURE" or self.which == "CAPTURE"
+        root = find_root(context, self.capture) if needs_root else None
+        objects = _chosen(context, self.which, root)
+        done = self._write(context, folder, objects, root if self.world == "CAPTURE" else None)
+        self.warn(done.warnings)
+        moved = f", {done.moved} of them as they stand in Blender" if done.moved else ""
+        return f"{done.path}: {done.views} cameras{moved}, {done.points} points"
+
+    def _write(
+        self,
+        context: bpy.types.Context,
+        folder: Path,
+        objects: list[bpy.types.Object],
+        root: bpy.types.Object | None,
+    ) -> Exported:
+        shared: dict[str, Any] = {"root": root, "depsgraph": context.evaluated_depsgraph_get()}
+        if self.kind == "TRANSFORMS":
+            return export_transforms(folder / "transforms.json", objects, context.scene, **shared)
+        binary = self.kind == "COLMAP"
+        return export_colmap(folder, objects, context.scene, binary=binary, **shared)
+
+
+CLASSES = (
+    ImportCameras,
+    UseCamera,
+    StepCamera,
+    ChooseCamera,
+    RelinkCapture,
+    ExportCameras,
+)
+
+
+def _settings(context: bpy.types.Context) -> Any:
+    """The scene's settings, or None where only these operators are registered."""
+    return getattr(context.scene, "gscore", None)
+
+
+def _panel_path(context: bpy.types.Context) -> str:
+    return getattr(_settings(context), "capture_path", "").strip()
+
+
+def _remember(context: bpy.types.Context, root: bpy.types.Object, images: str) -> None:
+    """Train on what was imported, unless another capture has been chosen."""
+    settings = _settings(context)
+    if settings is not None and not _panel_path(context):
+        settings.capture_path, settings.images = root[stored_paths.SOURCE], images
+
+
+def _chosen(
+    context: bpy.types.Context, which: str, root: bpy.types.Object | None
+) -> list[bpy.types.Object]:
+    if which == "CAPTURE" and root is not None:
+        return captures.cameras_of(root)
+    source = context.selected_objects if which == "SELECTED" else context.scene.objects
+    return sorted((ob for ob in source if ob.type == "CAMERA"), key=lambda ob: ob.name)
+
+
+def _views(context: bpy.types.Context) -> list[bpy.types.SpaceView3D]:
+    areas = context.screen.areas if context.screen else []
+    return [area.spaces.active for area in areas if area.type == "VIEW_3D"]
+
+
+def _activate(context: bpy.types.Context, ob: bpy.types.Object) -> None:
+    """Select one object alone, as Blender's importers do; splats then join its capture."""
+    for other in context.selected_objects:
+        other.select_set(False)
+    ob.select_set(True)
+    context.view_layer.objects.active = ob
+
+
+def _set_up_views(context: bpy.types.Context) -> None:
+    for space in _views(context):
+        space.shading.color_type = "VERTEX"
+        space.shading.show_object_outline = False  # around a dot it leaves nothing but outline
+        space.overlay.show_relationship_lines = False
+
+
+def _look_through(context: bpy.types.Context) -> None:
+    """Turn one 3D view to the camera, unless one shows it already."""
+    regions = [space.region_3d for space in _views(context)]
+    if regions and all(region.view_perspective != "CAMERA" for region in regions):
+        space = context.space_data
+        own = getattr(space, "region_3d", None) if space and space.type == "VIEW_3D" else None
+        (own or regions[0]).view_perspective = "CAMERA"

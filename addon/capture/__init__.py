@@ -1,0 +1,1 @@
+"""What a capture's folder holds; no bpy."""

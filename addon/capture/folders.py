@@ -1,0 +1,19 @@
+"""Whether two paths mean the same folder or capture, without a look at the disk; no bpy."""
+
+import os
+from pathlib import Path
+
+
+def same_folder(a: Path, b: Path) -> bool:
+    """Whether two paths mean the same folder, which need not exist."""
+    return _plain(a) == _plain(b)
+
+
+def means_capture(chosen: Path, source: Path) -> bool:
+    """Whether a path that was chosen means a capture: its folder, or one inside, as `sparse/0`."""
+    inside, whole = _plain(chosen), _plain(source)
+    return inside == whole or whole in inside.parents
+
+
+def _plain(path: Path) -> Path:
+    return Path(os.path.normcase(os.path.abspath(path)))  # noqa: PTH100 - keeps symbolic links

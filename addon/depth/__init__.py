@@ -1,0 +1,1 @@
+"""Depth maps of a capture: predicted, compared, and shown on its cameras."""

@@ -1,0 +1,127 @@
+"""Operators of depth maps: predict, check, cancel, look at."""
+
+from typing import ClassVar
+
+import bpy
+from bpy.props import BoolProperty, StringProperty
+
+from .. import preferences
+from ..interface.images import show_image
+from ..interface.operators import Acting
+from ..interface.questions import Asking
+from ..process import beat
+from . import job as depth_job
+from . import work
+from .job import DepthJob
+
+
+class _DepthWork(Acting):
+    """What the operators that start something share."""
+
+    bl_options: ClassVar = {"REGISTER"}
+
+    wait: BoolProperty(
+        name="Wait",
+        description="Return when it has ended; for scripts",
+        options={"HIDDEN", "SKIP_SAVE"},
+    )
+
+    def act(self, context: bpy.types.Context) -> str:
+        job = self.start(context.scene)
+        if job.status == depth_job.FAILED:
+            raise ValueError(job.sentence)
+        return job.sentence if job.ended else ""
+
+    def start(self, scene: bpy.types.Scene) -> DepthJob:
+        raise NotImplementedError
+
+
+class PredictDepth(Asking, _DepthWork, bpy.types.Operator):
+    """Predict depth maps of all photos with a network, in the background; Blender stays free"""
+
+    bl_idname = "gscore.predict_depth"
+    bl_label = "Predict Depth Maps"
+
+    filepath: StringProperty(
+        name="Network",
+        description="ONNX file of the network; empty: the one of the preferences",
+        subtype="FILE_PATH",
+        options={"SKIP_SAVE"},
+    )
+    confirm = "Predict Anew"
+    filter_glob: StringProperty(default="*.onnx", options={"HIDDEN"})
+    overwrite: BoolProperty(
+        name="All Anew",
+        description="Replace maps that are there; else only photos without one are predicted",
+        options={"SKIP_SAVE"},
+    )
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask for a network where none is chosen, else before maps are replaced."""
+        if not (self.filepath or preferences.get().depth_model.strip()):
+            context.window_manager.fileselect_add(self)
+            return {"RUNNING_MODAL"}
+        return super().invoke(context, event)
+
+    def question(self, context: bpy.types.Context) -> list[str]:
+        """Name the maps that are replaced."""
+        return work.replaced(context.scene) if self.overwrite else []
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """The question; in the file browser, which comes without one, the choice."""
+        super().draw(context)
+        if not getattr(self, "lines", ()):
+            self.layout.prop(self, "overwrite")
+
+    def start(self, scene: bpy.types.Scene) -> DepthJob:
+        """Start, and remember the network."""
+        chosen = self.filepath
+        job = work.predict(scene, chosen, overwrite=self.overwrite, wait=self.wait)
+        if chosen:
+            preferences.get().depth_model = chosen
+        return job
+
+
+class CheckDepth(_DepthWork, bpy.types.Operator):
+    """Compare the depth maps with the SfM points, as a training does; writes nothing"""
+
+    bl_idname = "gscore.check_depth"
+    bl_label = "Check Maps"
+
+    def start(self, scene: bpy.types.Scene) -> DepthJob:
+        """Start."""
+        return work.check(scene, wait=self.wait)
+
+
+class CancelDepth(Acting, bpy.types.Operator):
+    """End the work on depth maps; maps that are made stay, and the next prediction goes on"""
+
+    bl_idname = "gscore.cancel_depth"
+    bl_label = "Cancel"
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Ask it to end."""
+        job = work.job_of(context.scene)
+        if job is None or job.ended:
+            raise ValueError("No depth maps are worked on.")
+        job.cancel()
+        beat.redraw()
+        return ""
+
+
+class ShowDepthSheet(Acting, bpy.types.Operator):
+    """Show photos and depth maps side by side in an image editor, in a new window if need be"""
+
+    bl_idname = "gscore.show_depth_sheet"
+    bl_label = "Contact Sheet"
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Load it anew and show it."""
+        image = bpy.data.images.load(str(work.sheet(context.scene)), check_existing=True)
+        image.reload()
+        if show_image(context, image, new_window=True):
+            return ""
+        return f"{image.name} is loaded; there is no window to show it in."
+
+
+CLASSES = (PredictDepth, CheckDepth, CancelDepth, ShowDepthSheet)

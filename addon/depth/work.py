@@ -1,0 +1,159 @@
+"""Depth maps from scripts and operators: predict, check, cancel, and the report that is shown."""
+
+import time
+from pathlib import Path
+
+import bpy
+
+from .. import preferences
+from ..capture.depth_maps import DepthReport
+from ..job import facts, lookups, options
+from ..paths import absolute, capture_folder, output_folder
+from ..process import beat
+from ..python import setup
+from . import registry
+from .job import DepthJob
+
+MAPS, RUN = "MAPS", "RUN"
+"""Reports of a scene: of the maps as they are, of the last training."""
+_BEAT = 0.02
+
+
+def predict(
+    scene: bpy.types.Scene,
+    model: str | Path = "",
+    *,
+    overwrite: bool = False,
+    wait: bool = False,
+    python: str | Path | None = None,
+) -> DepthJob:
+    """Predict the depth maps of the scene's capture with a network, and align them.
+
+    Args:
+        scene: Its `gscore` settings name the capture, its photos and masks.
+        model: ONNX file; empty: that of the preferences.
+        overwrite: Predict all views anew; else those that have no map by this network.
+        wait: Return when it has ended.
+        python: The Python that predicts; None: as the preferences say.
+
+    Raises:
+        ValueError: something is missing or in the way; the message says what to do.
+    """
+    prefs = preferences.get()
+    network = absolute(str(model) or prefs.depth_model, "Depth Network")
+    if not network.is_file():
+        raise ValueError(f"There is no depth network {network}; choose an ONNX file.")
+    source = capture_folder(scene)
+    arguments = options.depth_run(
+        scene.gscore, source=source, threads=prefs.threads, model=network, overwrite=overwrite
+    )
+    _show(scene, MAPS)
+    return _start(arguments, source, wait=wait, python=python)
+
+
+def replaced(scene: bpy.types.Scene) -> list[str]:
+    """What a prediction of all views replaces for good, in sentences.
+
+    Raises:
+        ValueError: there is no capture.
+    """
+    source = capture_folder(scene)
+    found = facts.capture(scene)[0]
+    count = 0 if found is None else found.depths
+    return [f"{count or 'All'} depth maps in {source / options.DEPTHS} are replaced for good."]
+
+
+def check(
+    scene: bpy.types.Scene, *, wait: bool = False, python: str | Path | None = None
+) -> DepthJob:
+    """Compare the maps of the scene's capture with its points, as a training would.
+
+    Writes nothing. Arguments and errors as in `predict`.
+    """
+    source = capture_folder(scene)
+    arguments = options.depth_run(scene.gscore, source=source, threads=preferences.get().threads)
+    _show(scene, MAPS)
+    return _start(arguments, source, wait=wait, python=python)
+
+
+def job_of(scene: bpy.types.Scene) -> DepthJob | None:
+    """The last work on the depth maps of a scene's capture, under way or ended."""
+    found = facts.capture(scene)[0]
+    return None if found is None else registry.of_capture(found.source)
+
+
+def reports(scene: bpy.types.Scene) -> dict[str, DepthReport]:
+    """What is known of a scene's depth maps by now, by MAPS and RUN; never waits."""
+    known = {}
+    found = facts.capture(scene)[0]
+    if found is not None and found.kind:
+        job = registry.of_capture(found.source)
+        if job is not None and job.report is not None:
+            known[MAPS] = job.report
+        elif found.depths:
+            known[MAPS] = found.depth_report
+    run = run_report(scene)[0]
+    return known if run is None else known | {RUN: run}
+
+
+def report(scene: bpy.types.Scene) -> DepthReport | None:
+    """The report that the scene's settings choose of those that are there."""
+    known = reports(scene)
+    return known.get(scene.gscore.depth_shown) or next(iter(known.values()), None)
+
+
+def run_report(scene: bpy.types.Scene) -> tuple[DepthReport | None, str]:
+    """The report of the training in the scene's output folder, and a problem.
+
+    (None, "") for none or still unknown.
+    """
+    try:
+        folder = output_folder(scene, preferences.get().output_folder)
+    except ValueError:
+        return None, ""
+    answer = lookups.depth_runs.get(folder)
+    beat.ensure()
+    return answer
+
+
+def sheet(scene: bpy.types.Scene) -> Path:
+    """The contact sheet beside the depth maps of a scene's capture.
+
+    Raises:
+        ValueError: there is none.
+    """
+    path = capture_folder(scene) / options.DEPTHS / "contact_sheet.png"
+    if not path.is_file():
+        raise ValueError(f"There is no {path}; it is made with the maps: press Predict.")
+    return path
+
+
+def _start(
+    arguments: list[str],
+    source: Path,
+    *,
+    wait: bool,
+    python: str | Path | None,
+) -> DepthJob:
+    other = registry.of_capture(source)
+    if other is not None and not other.ended:
+        raise ValueError(f"Depth maps of {source} are worked on already; cancel that first.")
+    program = python or setup.trainer_python(preferences.get())
+    try:
+        job = DepthJob(program, arguments, source=source)
+    except OSError as error:
+        raise ValueError(
+            f"{program} cannot be run ({error.strerror or error}); press Check in the add-on's "
+            "preferences."
+        ) from error
+    registry.add(job)
+    beat.ensure()
+    while wait and not job.ended:
+        beat.tick()
+        time.sleep(_BEAT)
+    return job
+
+
+def _show(scene: bpy.types.Scene, which: str) -> None:
+    if scene.gscore.depth_shown != which:
+        scene.gscore.depth_shown = which

@@ -1,0 +1,35 @@
+"""What all operators share: they act, an error is a report, and the scene then stays as it was."""
+
+from collections.abc import Iterable
+
+import bpy
+
+from ..core import GsError
+
+
+class Acting:
+    """Mixed in before bpy.types.Operator; an operator's class is called as its button says."""
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Do it; what to tell the user, or nothing.
+
+        Raises:
+            GsError, ValueError, OSError: it cannot be done; the message is for the user.
+        """
+        raise NotImplementedError
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Blender calls this."""
+        try:
+            told = self.act(context)
+        except (GsError, ValueError, OSError) as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        if told:
+            self.report({"INFO"}, told)
+        return {"FINISHED"}
+
+    def warn(self, sentences: Iterable[str]) -> None:
+        """Show what the user should know besides."""
+        for sentence in sentences:
+            self.report({"WARNING"}, sentence)

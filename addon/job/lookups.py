@@ -1,0 +1,33 @@
+"""What panels show of folders on a disk, found in threads and kept; no bpy."""
+
+from pathlib import Path
+
+from ..capture.depth_maps import DepthReport, read_run_report
+from ..capture.inspection import CaptureFacts, inspect
+from ..core import Estimate
+from ..process.lookup import Lookup
+from . import earlier, forecast
+
+captures: Lookup[tuple[str, str], CaptureFacts] = Lookup(
+    lambda key: inspect(key[0], images=key[1]), max_age=600.0
+)
+"""What a capture holds, by its path and the name of its photo folder."""
+runs: Lookup[tuple[Path, Path | None], earlier.EarlierRun | None] = Lookup(
+    lambda key: earlier.look(*key), max_age=3.0
+)
+"""What an output folder holds already, by its path and the chosen capture's."""
+depth_runs: Lookup[Path, DepthReport | None] = Lookup(read_run_report, max_age=10.0)
+"""What became of the depth maps in the training in an output folder."""
+forecasts: Lookup[forecast.Question, Estimate] = Lookup(forecast.answer, max_age=20.0)
+"""What a training would take."""
+_ALL = (captures, runs, depth_runs, forecasts)
+
+
+def collect() -> bool:
+    """Take in what was found; whether that was anything new."""
+    return sum(found.collect() for found in _ALL) > 0  # any() would stop at the first
+
+
+def busy() -> bool:
+    """Whether something is being looked up."""
+    return any(found.busy for found in _ALL)

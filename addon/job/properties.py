@@ -1,0 +1,292 @@
+"""Settings of a scene: the capture, how to train it, and what came out."""
+
+from pathlib import Path
+from typing import Any
+
+import bpy
+from bpy.props import (
+    BoolProperty,
+    CollectionProperty,
+    EnumProperty,
+    FloatProperty,
+    IntProperty,
+    PointerProperty,
+    StringProperty,
+)
+
+from .. import compat, outcomes
+from ..core import PRESETS, Background, Strategy, Switch
+from . import facts
+from .options import AS_PRESET, BY_WIDTH
+
+_DATA, _TRAIN = PRESETS["normal"](Path())
+
+_STRATEGIES = {
+    Strategy.DEFAULT: ("Grow by Gradient", "Splats are added where the picture is still wrong"),
+    Strategy.MCMC: ("Relocate", "Splats without effect move to where they are needed (MCMC)"),
+}
+_BACKGROUNDS = {
+    Background.AUTO: ("By Itself", "Changing colors for photos with opacity, else black"),
+    Background.BLACK: ("Black", "Black lies behind the splats"),
+    Background.WHITE: ("White", "White lies behind the splats"),
+    Background.RANDOM: ("Changing", "Another color at each step, so that nothing hides in it"),
+}
+_DEPTH_MODES = {
+    Switch.AUTO: ("By Itself", "Where views are few; dense captures do not need it"),
+    Switch.ON: ("Always", "Wherever there are depth maps"),
+    Switch.OFF: ("Never", "Train from the photos alone"),
+}
+_DEPTH_REPORTS = (
+    ("MAPS", "Maps", "The maps as they are now, and how they agree with the SfM points"),
+    ("RUN", "Training", "What the training in the output folder made of the maps"),
+)
+_RESOLUTIONS = (
+    (AS_PRESET, "As the Preset Says", "Photos are scaled down to the width of the preset"),
+    ("1", "Full", "Photos as they are"),
+    ("2", "Half", "Half the width and height"),
+    ("4", "A Quarter", "A quarter of the width and height"),
+    ("8", "An Eighth", "An eighth of the width and height"),
+    (BY_WIDTH, "Width", "Scaled to a width in pixels"),
+)
+_MASK_MODES = (
+    ("auto", "By Itself", "Opacity of the photos if they have any, else the masks folder"),
+    ("composite", "Opacity", "Masks are opacity: splats appear only where the mask is white"),
+    ("ignore", "Leave Out", "What is black in the mask does not count"),
+)
+
+
+def preset_items() -> list[tuple[str, str, str]]:
+    """Presets as an enum: gscore's names and its own sentences about them."""
+    return [
+        (name, name.capitalize(), (preset.__doc__ or "").strip().rstrip("."))
+        for name, preset in PRESETS.items()
+    ]
+
+
+def _items(kinds: Any, texts: dict[Any, tuple[str, str]]) -> list[tuple[str, str, str]]:
+    return [(str(kind), *texts.get(kind, (str(kind), str(kind)))) for kind in kinds]
+
+
+def apply_preset(settings: "SceneSettings") -> None:
+    """Fill in the numbers of the chosen preset."""
+    _, train = PRESETS[settings.preset](Path())
+    settings.iterations = train.iterations
+    settings.max_splats = train.max_splats
+    settings.sh_degree = train.sh_degree
+    settings.resolution = AS_PRESET
+
+
+def _capture_chosen(settings: "SceneSettings", context: bpy.types.Context) -> None:
+    """Output, splats and test view follow the capture."""
+    outcomes.follow_capture(settings)
+    _capture_changed(settings, context)
+
+
+def _capture_changed(settings: "SceneSettings", context: bpy.types.Context) -> None:
+    """Look into the capture, so that the panel knows when it draws."""
+    facts.capture(settings.id_data)
+
+
+def _preset_changed(settings: "SceneSettings", context: bpy.types.Context) -> None:
+    apply_preset(settings)
+
+
+class SceneSettings(bpy.types.PropertyGroup):
+    """`Scene.gscore`; names are those of gscore's options where there is one."""
+
+    capture_path: StringProperty(
+        name="Capture",
+        description="Folder with the photos and their COLMAP model",
+        subtype="DIR_PATH",
+        options=compat.BLEND_RELATIVE,
+        update=_capture_chosen,
+    )
+    output_path: StringProperty(
+        name="Output",
+        description="Folder for the results of the training; empty: chosen when training starts",
+        subtype="DIR_PATH",
+        options=compat.BLEND_RELATIVE,
+    )
+    preset: EnumProperty(
+        name="Preset",
+        description="How much effort to spend; fills in the numbers below",
+        items=preset_items(),
+        default="normal",
+        update=_preset_changed,
+    )
+    iterations: IntProperty(
+        name="Steps",
+        description="Training steps, one photo each",
+        default=_TRAIN.iterations,
+        min=1,
+        soft_min=100,
+        soft_max=30_000,
+    )
+    max_splats: IntProperty(
+        name="Most Splats",
+        description="Never more splats than this; memory and time grow with it",
+        default=_TRAIN.max_splats,
+        min=1,
+        soft_min=10_000,
+        soft_max=2_000_000,
+    )
+    sh_degree: IntProperty(
+        name="Color Degree",
+        description="Degree of the color that changes with the direction of view; 0: matt",
+        default=_TRAIN.sh_degree,
+        min=0,
+        max=3,
+    )
+    resolution: EnumProperty(
+        name="Photo Size",
+        description="Size at which photos are trained; half the width takes a quarter of the time",
+        items=_RESOLUTIONS,
+        default=AS_PRESET,
+    )
+    width: IntProperty(
+        name="Photo Width",
+        description="Width at which photos are trained, pixels",
+        default=_DATA.max_width,
+        min=9,
+        soft_min=200,
+        soft_max=3200,
+        subtype="PIXEL",
+    )
+    eval: BoolProperty(
+        name="Hold Test Views Out",
+        description="Keep some photos out of the training, to measure quality on them",
+        default=True,
+    )
+    test_every: IntProperty(
+        name="Every n-th View",
+        description="Every n-th photo by name is a test view, unless the capture names its own",
+        default=_DATA.test_every,
+        min=2,
+        soft_max=50,
+    )
+    use_masks: BoolProperty(
+        name="Use Masks",
+        description="Heed the photos' opacity or the masks folder of the capture",
+        default=True,
+    )
+    mask_mode: EnumProperty(
+        name="Masks Mean",
+        description="What masks are for",
+        items=_MASK_MODES,
+        default=_DATA.mask_mode,
+    )
+    invert_masks: BoolProperty(
+        name="Invert Masks",
+        description="Mask files are white where pixels do not count, instead of black",
+        default=_DATA.invert_masks,
+    )
+    depth_mode: EnumProperty(
+        name="Use Depth",
+        description="When the depth maps of the capture guide the training",
+        items=_items(Switch, _DEPTH_MODES),
+        default=str(_TRAIN.depth_mode),
+    )
+    depth_shown: EnumProperty(
+        name="Report",
+        description="Which report on the depth maps is shown",
+        items=_DEPTH_REPORTS,
+        default="RUN",
+    )
+    images: StringProperty(
+        name="Photo Folder",
+        description="Folder of the photos inside the capture",
+        default=_DATA.images,
+        update=_capture_changed,
+    )
+    strategy: EnumProperty(
+        name="Strategy",
+        description="How splats are added and removed",
+        items=_items(Strategy, _STRATEGIES),
+        default=str(_TRAIN.strategy),
+    )
+    background: EnumProperty(
+        name="Background",
+        description="What lies behind the splats while training",
+        items=_items(Background, _BACKGROUNDS),
+        default=str(_TRAIN.background),
+    )
+    antialias: BoolProperty(
+        name="Anti-Aliasing",
+        description="Make up for the widening of small splats; for renders at other distances",
+        default=_TRAIN.antialias,
+    )
+    free_space: FloatProperty(
+        name="Free Space",
+        description="Splats nearer to a camera than this share of its distance from the points are "
+        "taken out, for they veil views between the photos; 0: none",
+        default=_TRAIN.free_space,
+        min=0.0,
+        max=0.99,
+    )
+    seed: IntProperty(
+        name="Seed",
+        description="Same seed, capture and options: the same splats",
+        default=_TRAIN.seed,
+        min=0,
+    )
+    time_budget: FloatProperty(
+        name="Time Budget",
+        description="As many steps as fit into so much training time, seconds, instead of Steps; "
+        "0: no budget. Reading photos and measuring come on top",
+        default=_TRAIN.time_budget,
+        min=0.0,
+        soft_max=7200.0,
+        subtype="TIME_ABSOLUTE",
+        unit="TIME_ABSOLUTE",
+    )
+    target_psnr: FloatProperty(
+        name="Target PSNR",
+        description="End when the test views reach this PSNR, dB; 0: no target. Without test "
+        "views, some training views decide",
+        default=_TRAIN.target_psnr,
+        min=0.0,
+        soft_max=40.0,
+    )
+    early_stop: BoolProperty(
+        name="Stop When Nothing Improves",
+        description="End early when the PSNR of the test views no longer rises",
+        default=_TRAIN.early_stop,
+    )
+    live_splats: BoolProperty(
+        name="Live Splats",
+        description="Show the splats in the viewport while they are trained",
+        default=True,
+    )
+    result: PointerProperty(
+        name="Result",
+        description="Object that shows the splats of the training",
+        type=bpy.types.Object,
+    )
+    preview: PointerProperty(
+        name="Test View",
+        description="Picture of a test view as the splats show it now",
+        type=bpy.types.Image,
+    )
+    outcome_of: StringProperty(
+        name="Outcome Of",
+        description="Capture that Output, Result and Test View belong to",
+        options={"HIDDEN"},
+    )
+    outcomes: CollectionProperty(
+        name="Outcomes",
+        description="Output, Result and Test View of the captures that are not chosen",
+        type=outcomes.Outcome,
+    )
+
+
+CLASSES = (SceneSettings,)
+
+
+def on_register() -> None:
+    """Give scenes their settings."""
+    bpy.types.Scene.gscore = PointerProperty(type=SceneSettings)
+
+
+def on_unregister() -> None:
+    """Take them back."""
+    del bpy.types.Scene.gscore

@@ -1,0 +1,1 @@
+"""What runs beside Blender, and the beat that follows it."""

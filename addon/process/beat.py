@@ -1,0 +1,113 @@
+"""The beat that takes in what processes and threads have done, in Blender's main thread.
+
+Blender calls `tick` several times a second while there is something to wait for. Without a window
+timers never run: scripts call `tick` themselves, or a function that waits.
+"""
+
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import bpy
+from bpy.app.handlers import persistent
+
+INTERVAL = 0.1
+"""Seconds between two beats."""
+FAST = 0.01
+"""The same while splats are handed to Blender bit by bit."""
+REDRAW = 0.4
+"""Seconds between two redraws: the viewport behind a sidebar is drawn with it."""
+AFTER_ERROR = 5.0
+"""Seconds to the next beat after an error of our own."""
+
+_log = logging.getLogger(__name__)
+
+
+def _no() -> bool:
+    return False
+
+
+@dataclass(frozen=True)
+class Follower:
+    """What is done at a beat."""
+
+    collect: Callable[[], bool]
+    """Does a small piece of what there is to do; says whether panels have to be drawn anew."""
+    waits: Callable[[], bool] = _no
+    """Whether anything is under way."""
+    hurries: Callable[[], bool] = _no
+    """Whether the next beat should come soon."""
+
+
+FOLLOWERS: list[Follower] = []
+"""In the order in which they were registered; a later one sees what an earlier one took in."""
+
+
+@dataclass
+class _Screen:
+    """What panels show."""
+
+    stale: bool = False
+    drawn: float = 0.0
+    """Time of the last redraw, monotonic seconds."""
+
+
+_screen = _Screen()
+
+
+def tick() -> bool:
+    """Do a small piece of whatever there is to do; whether anything is under way."""
+    for follower in FOLLOWERS:
+        _screen.stale |= follower.collect()
+    if _screen.stale and time.monotonic() - _screen.drawn > REDRAW:
+        redraw()
+    waits = any(follower.waits() for follower in FOLLOWERS)
+    return waits or (_screen.stale and not bpy.app.background)
+
+
+def ensure() -> None:
+    """Have `tick` called from now on, until there is nothing to wait for."""
+    if not bpy.app.background and not bpy.app.timers.is_registered(_beat):
+        bpy.app.timers.register(_beat, first_interval=INTERVAL, persistent=True)
+
+
+def redraw() -> None:
+    """Draw the sidebars of 3D views, and preferences, anew."""
+    _screen.stale, _screen.drawn = False, time.monotonic()
+    manager = bpy.context.window_manager
+    areas = [area for window in manager.windows for area in window.screen.areas]
+    for area in areas:
+        wanted = {"VIEW_3D": "UI", "PREFERENCES": "WINDOW"}.get(area.type)
+        for region in area.regions:
+            if region.type == wanted:
+                region.tag_redraw()
+
+
+def _beat() -> float | None:
+    try:
+        waits = tick()
+    except Exception:  # Blender would never call again, and a training would seem to stand still
+        _log.exception("An error in the add-on; please report it.")
+        return AFTER_ERROR
+    if not waits:
+        return None
+    return FAST if any(follower.hurries() for follower in FOLLOWERS) else INTERVAL
+
+
+@persistent
+def _file_loaded(*_: object) -> None:
+    """What is under way belongs to the session: the file that is open now may be its own."""
+    ensure()
+
+
+def on_register() -> None:
+    """Follow the loading of files."""
+    bpy.app.handlers.load_post.append(_file_loaded)
+
+
+def on_unregister() -> None:
+    """Beat no more."""
+    if bpy.app.timers.is_registered(_beat):
+        bpy.app.timers.unregister(_beat)
+    bpy.app.handlers.load_post.remove(_file_loaded)

@@ -1,0 +1,70 @@
+"""What is looked up in threads and kept, for panels that must not wait; no bpy."""
+
+import time
+from collections.abc import Callable, Hashable
+from typing import Generic, TypeVar
+
+from .background import Task
+
+KeyT = TypeVar("KeyT", bound=Hashable)
+AnswerT = TypeVar("AnswerT")
+
+
+class Lookup(Generic[KeyT, AnswerT]):
+    """Answers of one function; panels ask for them while they draw, and must not wait."""
+
+    def __init__(self, function: Callable[[KeyT], AnswerT], *, max_age: float) -> None:
+        """Keep what `function` finds.
+
+        Args:
+            function: Called in a thread; what it raises is its answer's problem.
+            max_age: Seconds after which an answer is looked up again when it is asked for.
+        """
+        self._function = function
+        self._max_age = max_age
+        self._answers: dict[KeyT, tuple[AnswerT | None, str, float]] = {}
+        self._tasks: dict[KeyT, Task] = {}
+
+    def get(self, key: KeyT) -> tuple[AnswerT | None, str]:
+        """What is known by now: (answer, ""), (None, problem) or, still unknown, (None, "")."""
+        self.collect()
+        known = self._answers.get(key)
+        stale = known is None or time.monotonic() - known[2] > self._max_age
+        if stale and key not in self._tasks:
+            self._tasks[key] = Task(lambda task: self._function(key))
+        return (None, "") if known is None else known[:2]
+
+    def wait(self, key: KeyT, timeout: float = 60.0) -> tuple[AnswerT | None, str]:
+        """As `get`, after the end of the search; for scripts."""
+        self.forget(key)
+        self.get(key)
+        if task := self._tasks.get(key):
+            task.wait(timeout)
+        return self.get(key)
+
+    def forget(self, key: KeyT) -> None:
+        """Look anew when it is asked for next."""
+        self.collect()
+        self._answers.pop(key, None)
+
+    def expire(self) -> None:
+        """Look anew for everything that is asked for next; what is known is shown meanwhile."""
+        self.collect()
+        self._answers = {key: (*known[:2], float("-inf")) for key, known in self._answers.items()}
+
+    def collect(self) -> bool:
+        """Take in what threads have found; whether that was anything new."""
+        changed = False
+        for key, task in list(self._tasks.items()):
+            if task.running:
+                continue
+            answer = (task.result, task.problem, time.monotonic())
+            changed |= answer[:2] != self._answers.get(key, (None, "", 0.0))[:2]
+            self._answers[key] = answer
+            del self._tasks[key]
+        return changed
+
+    @property
+    def busy(self) -> bool:
+        """Whether something is being looked up."""
+        return bool(self._tasks)

@@ -1,0 +1,199 @@
+"""A program in the background whose lines are read without waiting for them; no bpy.
+
+Threads read the pipes and fill queues; whoever owns the object empties them when it suits.
+"""
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from queue import Empty, SimpleQueue
+from types import MappingProxyType
+from typing import BinaryIO
+
+_LONGEST_LINE = 1 << 20
+"""Bytes; longer lines are no events and are dropped."""
+_MOST_WAITING = 100_000
+"""Lines kept for an owner that does not look; further ones are dropped."""
+_STDERR_KEPT = 60
+_NICENESS = 5
+"""Below Blender, so that drawing comes before training where cores are few."""
+_ORPHANED_PIPE = 2.0
+"""Seconds after the end for which a pipe held open by somebody else is waited for."""
+
+
+def environment(base: Mapping[str, str] | None = None) -> dict[str, str]:
+    """The environment for another Python than the one that runs here.
+
+    Without the variables that lead Blender's Python to its own files; nothing is imported from the
+    current folder; output is UTF-8 and not held back.
+    """
+    base = os.environ if base is None else base
+    dropped = ("PYTHON", "__PYVENV_LAUNCHER__")
+    kept = {key: value for key, value in base.items() if not key.upper().startswith(dropped)}
+    return kept | {"PYTHONSAFEPATH": "1", "PYTHONUNBUFFERED": "1", "PYTHONUTF8": "1"}
+
+
+class Process:
+    """A program in a session of its own, so that a Ctrl-C for Blender does not reach it."""
+
+    def __init__(
+        self, arguments: Sequence[str], *, variables: Mapping[str, str] = MappingProxyType({})
+    ) -> None:
+        """Start it.
+
+        Args:
+            arguments: Program and arguments, never a line for a shell.
+            variables: More variables of its environment.
+
+        Raises:
+            OSError: there is no such program, or it cannot be run.
+        """
+        self.arguments = tuple(str(argument) for argument in arguments)
+        self._process = subprocess.Popen(
+            self.arguments,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            env={**environment(), **variables},
+            **_apart(),
+        )
+        if sys.platform != "win32":
+            with contextlib.suppress(OSError):  # before it has threads, which inherit this
+                os.setpriority(os.PRIO_PGRP, self._process.pid, _NICENESS)
+        self._lines: SimpleQueue[str | None] = SimpleQueue()
+        self._errors: deque[str] = deque(maxlen=_STDERR_KEPT)
+        self._orders: SimpleQueue[bytes | None] = SimpleQueue()
+        self._output_ended = self._errors_ended = False
+        self._ended_at: float | None = None
+        self.last_line_at = time.monotonic()
+        """`time.monotonic()` of the last output, or of the start."""
+        for target in (self._read_output, self._read_errors, self._write_orders):
+            threading.Thread(target=target, name="gscore-pipe", daemon=True).start()
+
+    @property
+    def pid(self) -> int:
+        """Number of the process."""
+        return self._process.pid
+
+    @property
+    def returncode(self) -> int | None:
+        """Exit code, negative for a signal; None while it runs."""
+        code = self._process.poll()
+        if code is not None and self._ended_at is None:
+            self._ended_at = time.monotonic()
+        return code
+
+    @property
+    def stderr_tail(self) -> list[str]:
+        """The last lines of the error output."""
+        return list(self._errors)
+
+    def lines(self, budget: float) -> Iterator[str]:
+        """Lines of the output that wait to be read, for at most `budget` seconds."""
+        until = time.perf_counter() + budget
+        while True:
+            try:
+                line = self._lines.get_nowait()
+            except Empty:
+                return
+            if line is None:
+                self._output_ended = True
+                return
+            yield line
+            if time.perf_counter() > until:
+                return
+
+    @property
+    def ended(self) -> bool:
+        """Whether the process is gone, its errors are read, and all of its output was taken from
+        `lines`."""
+        if self.returncode is None or self._ended_at is None:
+            return False
+        # A child of it may hold the pipe open for longer.
+        orphaned = time.monotonic() - self._ended_at > _ORPHANED_PIPE and self._lines.empty()
+        return (self._output_ended and self._errors_ended) or orphaned
+
+    def send(self, line: str) -> None:
+        """Hand a line to the program; never waits, and does nothing if it is gone."""
+        self._orders.put(line.encode() + b"\n")
+
+    def end_input(self) -> None:
+        """Close its input after what was sent: a trainer writes a checkpoint and ends."""
+        self._orders.put(None)
+
+    def kill(self, *, wait: float = 0.0) -> None:
+        """End it and its children at once.
+
+        Args:
+            wait: Seconds to wait until it is gone.
+        """
+        if self._process.poll() is not None:
+            return
+        with contextlib.suppress(OSError):
+            if sys.platform == "win32":
+                self._process.kill()
+            else:
+                os.killpg(self._process.pid, signal.SIGKILL)
+        if wait:
+            self.wait(wait)
+
+    def wait(self, timeout: float) -> bool:
+        """Wait until the process is gone, at most `timeout` seconds; whether it is."""
+        try:
+            self._process.wait(timeout)
+        except subprocess.TimeoutExpired:
+            return False
+        return True
+
+    def _read_output(self) -> None:
+        stream = self._process.stdout
+        assert stream is not None
+        for line in _read_lines(stream):
+            self.last_line_at = time.monotonic()
+            if self._lines.qsize() < _MOST_WAITING:
+                self._lines.put(line)
+        self._lines.put(None)
+        self._orders.put(None)  # the thread that writes need not wait any longer
+
+    def _read_errors(self) -> None:
+        stream = self._process.stderr
+        assert stream is not None
+        for line in _read_lines(stream):
+            self.last_line_at = time.monotonic()
+            self._errors.append(line)
+        self._errors_ended = True
+
+    def _write_orders(self) -> None:
+        """A pipe that is full blocks this thread, not Blender."""
+        stream = self._process.stdin
+        assert stream is not None
+        with contextlib.suppress(OSError, ValueError):
+            while (order := self._orders.get()) is not None:
+                stream.write(order)
+                stream.flush()
+        with contextlib.suppress(OSError, ValueError):
+            stream.close()
+
+
+def _apart() -> dict[str, object]:
+    if sys.platform == "win32":
+        group = subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.BELOW_NORMAL_PRIORITY_CLASS
+        return {"creationflags": group | subprocess.CREATE_NO_WINDOW}
+    return {"start_new_session": True}
+
+
+def _read_lines(stream: BinaryIO) -> Iterator[str]:
+    """Lines without their end; what is no UTF-8 becomes a replacement sign."""
+    too_long = False
+    with contextlib.suppress(OSError, ValueError), stream:
+        while chunk := stream.readline(_LONGEST_LINE):
+            whole = chunk.endswith(b"\n") or len(chunk) < _LONGEST_LINE
+            if whole and not too_long:
+                yield chunk.decode("utf-8", "replace").rstrip("\r\n")
+            too_long = not whole

@@ -1,0 +1,191 @@
+"""Settings of Blender that the engine does not know: one table, for the panels and for renders."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+from mathutils import Vector
+
+from ..compat import matrix_to_numpy
+from ..nodes import display
+from ..splats.objects import is_splats
+from .world import world_light
+
+_DRAWN_BY_OTHERS = {
+    *("MESH", "CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD", "VOLUME"),
+    *("GPENCIL", "GREASEPENCIL"),
+}
+"""Types of objects that other engines draw."""
+_MADE = {"use_pass_combined", "use_pass_z"}
+"""Switches of the passes that this engine makes."""
+_FILTER = bpy.types.RenderSettings.bl_rna.properties["filter_size"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shown:
+    """What is rendered."""
+
+    scene: bpy.types.Scene
+    layer: bpy.types.ViewLayer
+    camera: bpy.types.Object | None
+
+    @property
+    def splats(self) -> list[bpy.types.Object]:
+        """The splat objects of the layer that are rendered."""
+        return [ob for ob in self.layer.objects if is_splats(ob) and not ob.hide_render]
+
+
+@dataclass(frozen=True)
+class Check:
+    """One row of the table."""
+
+    sentence: str
+    """What has no effect, and what to do; `{}` stands for what the test names."""
+    test: Callable[[Shown], str]
+    """Names what it concerns; empty where all is well."""
+    refused: bool = False
+    """Whether the render ends with an error instead."""
+
+
+def refused(shown: Shown) -> list[str]:
+    """Sentences on settings with which the engine draws nothing."""
+    return [text for check, text in _found(shown) if check.refused]
+
+
+def without_effect(shown: Shown) -> list[str]:
+    """Sentences on settings that make no difference to the picture."""
+    return [text for check, text in _found(shown) if not check.refused]
+
+
+def _found(shown: Shown) -> Iterator[tuple[Check, str]]:
+    for check in CHECKS:
+        if name := check.test(shown):
+            yield check, check.sentence.format(name)
+
+
+def _if(condition: bool) -> str:
+    return "yes" if condition else ""
+
+
+def _no_camera_type(shown: Shown) -> str:
+    data = getattr(shown.camera, "data", None)
+    kinds = {"PANO": "panoramic", "CUSTOM": "custom"}
+    return kinds.get(getattr(data, "type", ""), "")
+
+
+def _depth_of_field(shown: Shown) -> str:
+    dof = getattr(getattr(shown.camera, "data", None), "dof", None)
+    return shown.camera.name if dof is not None and dof.use_dof else ""
+
+
+def _clip_end(shown: Shown) -> str:
+    """The camera's name where splats lie beyond its far clipping plane."""
+    camera = shown.camera
+    if camera is None or camera.type != "CAMERA":
+        return ""
+    forward = -matrix_to_numpy(camera.matrix_world)[:3, 2]
+    eye = matrix_to_numpy(camera.matrix_world)[:3, 3]
+    for ob in shown.splats:
+        corners = np.array(
+            [(ob.matrix_world @ Vector(corner))[:] for corner in ob.original.bound_box]
+        )
+        if ((corners - eye) @ forward).max() > camera.data.clip_end:
+            return camera.name
+    return ""
+
+
+def _passes(shown: Shown) -> str:
+    """Passes that are asked for and not made."""
+    wanted = []
+    for prop in shown.layer.bl_rna.properties:
+        name = prop.identifier
+        asked = name.startswith("use_pass_") and prop.type == "BOOLEAN" and not prop.default
+        if asked and name not in _MADE and getattr(shown.layer, name):
+            wanted.append(prop.name)
+    return ", ".join(wanted)
+
+
+def _collections(shown: Shown) -> str:
+    """Collections that are to be cut out or seen indirectly alone."""
+    found, waiting = [], [shown.layer.layer_collection]
+    while waiting:
+        layer = waiting.pop()
+        waiting += layer.children
+        if not layer.exclude and (layer.holdout or layer.indirect_only):
+            found.append(layer.name)
+    return ", ".join(sorted(found))
+
+
+def _others(shown: Shown) -> str:
+    """The first objects that are for other engines."""
+    names = [
+        ob.name
+        for ob in shown.layer.objects
+        if ob.type in _DRAWN_BY_OTHERS and not ob.hide_render and "gs_kind" not in ob
+    ]
+    more = f" and {len(names) - 2} more" if len(names) > 2 else ""
+    return ", ".join(names[:2]) + more
+
+
+def _hidden_from_rays(shown: Shown) -> str:
+    return ", ".join(ob.name for ob in shown.splats if ob.is_holdout or not ob.visible_camera)
+
+
+def _modified(shown: Shown) -> str:
+    """Splat objects that more than their display modifier would change."""
+    return ", ".join(ob.name for ob in shown.splats if _changes(ob))
+
+
+def _changes(ob: bpy.types.Object) -> bool:
+    own = display.modifier_of(ob)
+    others = any(m.show_render and (own is None or m.name != own.name) for m in ob.modifiers)
+    return others or getattr(ob.data, "shape_keys", None) is not None
+
+
+def _world(shown: Shown) -> str:
+    return "" if shown.scene.render.film_transparent else world_light(shown.scene.world)[1]
+
+
+CHECKS = (
+    Check(
+        "The camera is {}, and splats are rendered by perspective and orthographic ones: change "
+        "its type.",
+        _no_camera_type,
+        refused=True,
+    ),
+    Check(
+        "Splats are not rendered in stereo: turn off Stereoscopy in the output properties.",
+        lambda s: _if(s.scene.render.use_multiview),
+        refused=True,
+    ),
+    Check("Depth of Field of {} has no effect: everything is sharp.", _depth_of_field),
+    Check(
+        "Motion Blur has no effect: every frame shows one moment.",
+        lambda s: _if(s.scene.render.use_motion_blur),
+    ),
+    Check("Clip End of {} has no effect: splats beyond it are drawn.", _clip_end),
+    Check("{}", _world),
+    Check(
+        "{} is not drawn by this engine: Composite Splats with Meshes renders both.",
+        _others,
+    ),
+    Check("Modifiers and shape keys of {} have no effect: Export what they show.", _modified),
+    Check("Holdout and ray visibility of {} have no effect.", _hidden_from_rays),
+    Check("Holdout and Indirect Only of the collection {} have no effect.", _collections),
+    Check(
+        "The Material Override {} has no effect: splats have colors of their own.",
+        lambda s: getattr(s.layer.material_override, "name", ""),
+    ),
+    Check("There are no passes but the picture and its depth: not {}.", _passes),
+    Check("Freestyle has no effect.", lambda s: _if(s.scene.render.use_freestyle)),
+    Check("Simplify has no effect on splats.", lambda s: _if(s.scene.render.use_simplify)),
+    Check(
+        "Threads has no effect on splats: all processors draw.",
+        lambda s: _if(s.scene.render.threads_mode == "FIXED"),
+    ),
+    Check(
+        "The pixel filter's size has no effect: splats are filtered as in training.",
+        lambda s: _if(abs(s.scene.render.filter_size - _FILTER.default) > 1e-3),
+    ),
+)

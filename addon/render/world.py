@@ -1,0 +1,31 @@
+"""The world as splats are rendered over it: one colour."""
+
+import bpy
+import numpy as np
+
+from ..compat import rec709_to_scene, world_nodes
+from . import color
+
+
+def world_light(world: bpy.types.World | None) -> tuple[np.ndarray, str]:
+    """Scene-linear colour of the background [3], and a sentence where the world is not that."""
+    if world is None:
+        return np.zeros(3), ""
+    tree = world_nodes(world)
+    if tree is None:
+        return np.array(world.color), ""
+    node = next((n for n in tree.nodes if n.type == "BACKGROUND"), None)
+    if node is not None and not any(s.is_linked for s in node.inputs):
+        return np.array(node.inputs[0].default_value[:3]) * node.inputs[1].default_value, ""
+    return (
+        np.array(world.color),
+        f"World {world.name} is not one colour, which is all that splats are rendered over: its "
+        f"viewport colour is used. Turn on Transparent and composite the splats over the world.",
+    )
+
+
+def background_of(light: np.ndarray) -> tuple[float, float, float]:
+    """sRGB values of a scene-linear colour."""
+    rec709 = np.linalg.solve(rec709_to_scene(), np.asarray(light, np.float64))
+    r, g, b = (float(v) for v in color.encode(rec709))
+    return r, g, b

@@ -1,0 +1,1 @@
+"""Splats as Blender objects."""

@@ -1,0 +1,147 @@
+"""Editing of splat objects: count, select, delete what is hidden, crop, apply the transform."""
+
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from .. import attributes
+from ..cameras.objects import local_matrix
+from ..nodes import display
+from . import filters, objects
+from . import settings as splat_settings
+
+_QUICK = 200_000
+"""Splats whose filters run in a few milliseconds."""
+_CROP_QUANTILE = 0.02
+"""Share of the splats beyond each side of a new crop box."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stats:
+    """Counts of a splat object."""
+
+    total: int
+    """Splats in the mesh."""
+    visible: int | None
+    """Splats that pass the display filters; None where counting them would take long."""
+    sh_degree: int
+    """0 to 3."""
+
+
+def stats(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph | None = None) -> Stats:
+    """Counts, cheap enough for a panel.
+
+    Args:
+        ob: A splat object.
+        depsgraph: An evaluated one, from which Blender since 4.5 tells how much its display shows.
+            Where it cannot, the filters are run, on up to `_QUICK` splats. Without a depsgraph the
+            filters are run on any number.
+
+    Raises:
+        ValueError: SH attributes are missing.
+    """
+    total = len(ob.data.vertices)
+    degree = attributes.SH_COUNTS.index(attributes.sh_count(ob.data))
+    visible = _shown(ob, depsgraph) if depsgraph else None
+    affordable = depsgraph is None or total <= _QUICK
+    if visible is None and affordable and ob.mode != "EDIT":
+        visible = int(filters.visible_mask(ob).sum())
+    return Stats(total=total, visible=visible, sh_degree=degree)
+
+
+def _shown(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> int | None:
+    """Points or instances of the evaluated display, without visiting them; None if unknown."""
+    own = ob.gscore
+    limits = (own.opacity_min, own.size_min, own.size_max, own.crop_object)
+    if not any(limits):
+        return len(ob.data.vertices)
+    evaluated = ob.evaluated_get(depsgraph)
+    modifier = display.modifier_of(ob)
+    told = modifier is not None and modifier.show_viewport and own.display != "NATIVE"
+    if not told or not hasattr(evaluated, "evaluated_geometry"):
+        return None
+    geometry = evaluated.evaluated_geometry()
+    points = geometry.pointcloud or geometry.instances_pointcloud()
+    return 0 if points is None else len(points.points)
+
+
+def apply_filters(ob: bpy.types.Object) -> int:
+    """Delete what the filters hide and reset them; other attributes of the mesh follow.
+
+    Returns:
+        Number of splats deleted.
+
+    Raises:
+        ValueError: Edit Mode, missing attributes, a mesh that cannot be written, or nothing would
+            be left.
+    """
+    objects.check_writable(ob)
+    keep = filters.visible_mask(ob)
+    if len(keep) and not keep.any():
+        raise ValueError(f"{ob.name}: the filters hide every splat; relax them before applying.")
+    if not keep.all():
+        attributes.keep(ob.data, keep)
+        ob.data.update()
+    splat_settings.reset_filters(ob)
+    return int((~keep).sum())
+
+
+def select(ob: bpy.types.Object, *, hidden: bool) -> int:
+    """Select the vertices that the filters hide (or show), and no others, in Object Mode's data.
+
+    Returns:
+        Number of vertices selected.
+
+    Raises:
+        ValueError: Edit Mode or missing attributes.
+    """
+    objects.check_writable(ob)
+    chosen = filters.visible_mask(ob) != hidden
+    ob.data.vertices.foreach_set("select", chosen)
+    ob.data.update()
+    return int(chosen.sum())
+
+
+def add_crop_box(context: bpy.types.Context, ob: bpy.types.Object) -> bpy.types.Object:
+    """Make a wire box around most of the splats, and crop the object by it.
+
+    The box is a child of the splats; move, turn and scale it.
+
+    Raises:
+        ValueError: missing attributes or no splats.
+    """
+    means = attributes.column(ob.data, attributes.POSITION) if len(ob.data.vertices) else ()
+    if not len(means):
+        raise ValueError(f"{ob.name} has no splats to put a box around.")
+    low, high = np.quantile(means, [_CROP_QUANTILE, 1 - _CROP_QUANTILE], axis=0)
+    mesh = bpy.data.meshes.new("Crop")
+    corners = [(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
+    faces = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    mesh.from_pydata(corners, [], faces)
+    box = bpy.data.objects.new("Crop", mesh)
+    box.display_type, box.hide_render = "WIRE", True
+    box.parent = ob
+    box.location = (low + high) / 2
+    box.scale = np.maximum((high - low) / 2, 1e-6)
+    for collection in ob.users_collection or (context.collection,):
+        collection.objects.link(box)
+    context.view_layer.update()
+    ob.gscore.crop_object = box
+    return box
+
+
+def apply_transform(ob: bpy.types.Object) -> None:
+    """Apply the object's own location, rotation and scale to its splats, exactly.
+
+    Blender's own Apply moves the points alone and leaves ellipsoids and colours as they were.
+
+    Raises:
+        ValueError: the scale is uneven, Edit Mode, or a mesh that cannot be written.
+    """
+    objects.check_writable(ob)
+    splats = objects.transformed(ob, local_matrix(ob))
+    objects.refresh(ob, splats)
+    ob.matrix_parent_inverse = Matrix.Identity(4)
+    ob.matrix_basis = Matrix.Identity(4)

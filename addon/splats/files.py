@@ -1,0 +1,173 @@
+"""Splat PLYs into the scene and out of it, in Blender's world or in that of the photos."""
+
+import logging
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from ..cameras.objects import local_matrix, root_of
+from ..compat import matrix_to_numpy
+from ..core import MIP_COMMENT, Splats, is_antialiased, read_splats, write_splats
+from . import objects
+from .objects import ANTIALIAS
+
+UP_AXES = {
+    "-Y": np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]]),
+    "Y": np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]]),
+    "Z": np.eye(4),
+}
+"""[4, 4] that turns the named axis of a file to Blender's +Z."""
+SOURCE, BLENDER = "SOURCE", "BLENDER"
+_IMPORT_MATRIX = "gs_import_matrix"
+_NOISE = 1e-12
+
+
+def import_splats(
+    context: bpy.types.Context,
+    path: str | Path,
+    *,
+    parent: bpy.types.Object | None = None,
+    up: str = "-Y",
+) -> bpy.types.Object:
+    """Read a splat PLY of any dialect as a new splat object.
+
+    Args:
+        context: Its collection gets the object.
+        path: The file.
+        parent: The empty of the capture that the splats were trained from; its alignment applies.
+        up: Without `parent`, the axis of the file that points up: a key of `UP_AXES`. The turn is
+            the object's; the data stay in the file's world.
+
+    Raises:
+        GsError: the file is missing, corrupt or holds no splats; the scene is untouched.
+    """
+    path = Path(bpy.path.abspath(str(path)))
+    splats, antialiased = read_splats(path), is_antialiased(path)
+    ob = objects.create(splats, path.stem, collection=context.collection, parent=parent)
+    if antialiased:
+        ob[ANTIALIAS] = True
+    if parent is None:
+        turn_up(ob, up)
+    return ob
+
+
+class _Collector(logging.Handler):
+    """Keeps sentences instead of printing them."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.sentences: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Keep one."""
+        self.sentences.append(record.getMessage())
+
+
+@contextmanager
+def collected_warnings() -> Iterator[list[str]]:
+    """The warnings that gscore logs inside, one sentence each: splats or coefficients left out."""
+    logger, collector = logging.getLogger(read_splats.__module__.split(".")[0]), _Collector()
+    logger.addHandler(collector)
+    try:
+        yield collector.sentences
+    finally:
+        logger.removeHandler(collector)
+
+
+def turn_up(ob: bpy.types.Object, up: str) -> None:
+    """Turn an object so that an axis of its data, a key of `UP_AXES`, points up."""
+    place(ob, UP_AXES[up])
+
+
+def place(ob: bpy.types.Object, matrix: np.ndarray) -> None:
+    """Put an object without a capture where its data stand upright, by a similarity [4, 4].
+
+    It is remembered, so that an export takes it back.
+    """
+    ob.matrix_basis = Matrix(matrix.tolist())
+    # As Blender keeps it, so that an object that was not moved goes back exactly.
+    ob[_IMPORT_MATRIX] = matrix_to_numpy(ob.matrix_basis).ravel().tolist()
+
+
+def export_splats(
+    obs: Sequence[bpy.types.Object],
+    path: str | Path,
+    *,
+    world: str = SOURCE,
+    filtered: bool = False,
+) -> int:
+    """Write splat objects, edited and moved as they are, as one 3DGS PLY.
+
+    Args:
+        obs: At least one; several are joined.
+        path: The file to write.
+        world: SOURCE for the world of the first object's photos (or of its file), BLENDER for the
+            scene's.
+        filtered: Leave out what the display filters hide.
+
+    Returns:
+        Number of splats written.
+
+    Raises:
+        ValueError: no objects, no splats, or a matrix that is no similarity; nothing is written.
+        GsError: the file cannot be written.
+    """
+    if not obs:
+        raise ValueError("There is nothing to export: select a splat object.")
+    to_world = np.eye(4) if world == BLENDER else np.linalg.inv(source_matrix(obs[0]))
+    parts = []
+    for ob in obs:
+        own = source_matrix_of_data(ob) if world == SOURCE and ob == obs[0] else None
+        matrix = to_world @ matrix_to_numpy(ob.matrix_world) if own is None else own
+        parts.append(objects.transformed(ob, matrix, filtered=filtered))
+    splats = join(parts)
+    if not len(splats):
+        names = ", ".join(ob.name for ob in obs)
+        raise ValueError(f"{names}: no splats left to export; relax the filters or undo deletions.")
+    comments = (MIP_COMMENT,) if all(ob.get(ANTIALIAS) for ob in obs) else ()
+    write_splats(Path(bpy.path.abspath(str(path))), splats, comments=comments)
+    return len(splats)
+
+
+def source_matrix(ob: bpy.types.Object) -> np.ndarray:
+    """[4, 4] float64 from the world of the object's photos, or of its file, to Blender's.
+
+    Raises:
+        ValueError: the capture's empty is scaled to nothing.
+    """
+    root = root_of(ob)
+    if root is None:
+        stored = ob.get(_IMPORT_MATRIX)
+        return np.eye(4) if stored is None else np.array(stored, np.float64).reshape(4, 4)
+    matrix = matrix_to_numpy(root.matrix_world)
+    if not abs(np.linalg.det(matrix[:3, :3])) > 1e-30:
+        raise ValueError(f"{root.name} is scaled to nothing; reset its alignment.")
+    return matrix
+
+
+def source_matrix_of_data(ob: bpy.types.Object) -> np.ndarray:
+    """[4, 4] float64 from the object's data to its source's world: how far it was moved there.
+
+    The identity to the bit where it was not moved, so that its numbers leave as they came.
+    """
+    root = root_of(ob)
+    if root is not None and ob.parent == root and ob.parent_type == "OBJECT" and not ob.constraints:
+        matrix = local_matrix(ob)
+    else:
+        matrix = np.linalg.inv(source_matrix(ob)) @ matrix_to_numpy(ob.matrix_world)
+    return np.eye(4) if np.abs(matrix - np.eye(4)).max() < _NOISE else matrix
+
+
+def join(parts: Sequence[Splats]) -> Splats:
+    """One model of several; SH coefficients that a part lacks are zero."""
+    if len(parts) == 1:
+        return parts[0]
+    width = max(part.shN.shape[1] for part in parts)
+    rest = [np.pad(p.shN, ((0, 0), (0, width - p.shN.shape[1]), (0, 0))) for p in parts]
+    names = ("means", "quats", "scales", "opacities", "sh0")
+    arrays = {name: np.concatenate([getattr(p, name) for p in parts]) for name in names}
+    return Splats(**arrays, shN=np.concatenate(rest))

@@ -1,0 +1,119 @@
+"""The display filters as a numpy mask: the twin of the node group `nodes.filters`. Needs no bpy."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from .. import attributes
+
+SPHERE = "SPHERE"
+BOX = "BOX"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Filters:
+    """What is shown. Lengths are in the object's own units, before its scale."""
+
+    opacity_min: float = 0.0
+    """Smallest opacity, in [0, 1]."""
+    size_min: float = 0.0
+    """Smallest size; a splat's size is its largest standard deviation."""
+    size_max: float = 0.0
+    """Largest size, 0 for no limit."""
+    crop: np.ndarray | None = None
+    """[4, 4] float64 from object space to a space in which the crop is [-1, 1]³, or None."""
+    crop_shape: str = BOX
+    """BOX, or SPHERE for the ellipsoid that touches the box's sides."""
+    crop_invert: bool = False
+    """Show what lies outside."""
+
+
+def mask(
+    means: np.ndarray, scales: np.ndarray, opacities: np.ndarray, filters: Filters
+) -> np.ndarray:
+    """[N] bool: which splats pass.
+
+    Args:
+        means: [N, 3] in object space.
+        scales: [N, 3] standard deviations, linear.
+        opacities: [N] in [0, 1].
+        filters: The limits; the ends belong to what is shown.
+    """
+    keep = opacities >= np.float32(filters.opacity_min)
+    sizes = scales.max(axis=1, initial=-np.inf)
+    keep &= sizes >= np.float32(filters.size_min)
+    if filters.size_max > 0:
+        keep &= sizes <= np.float32(filters.size_max)
+    if filters.crop is not None:
+        local = means @ filters.crop[:3, :3].T + filters.crop[:3, 3]
+        if filters.crop_shape == SPHERE:
+            inside = (local * local).sum(axis=1) <= 1
+        else:
+            inside = np.abs(local).max(axis=1, initial=0) <= 1
+        keep &= inside != filters.crop_invert
+    return keep
+
+
+def filters_of(ob: Any) -> Filters:
+    """The filters that a splat object's settings and crop object say."""
+    settings = ob.gscore
+    return Filters(
+        opacity_min=settings.opacity_min,
+        size_min=settings.size_min,
+        size_max=settings.size_max,
+        crop=crop_matrix(ob, settings.crop_object) if is_cropped(ob) else None,
+        crop_shape=settings.crop_shape,
+        crop_invert=settings.crop_invert,
+    )
+
+
+def is_cropped(ob: Any) -> bool:
+    """Whether the object has a crop object; one that is scaled to nothing on all axes is none."""
+    crop = ob.gscore.crop_object
+    return crop is not None and any(any(row[:3]) for row in crop.matrix_world[:3])
+
+
+def visible_mask(ob: Any, data: Any = None) -> np.ndarray:
+    """[N] bool: which vertices of a splat object its display shows.
+
+    Args:
+        ob: The object with the settings.
+        data: Mesh or point cloud to look at instead of the object's own.
+
+    Raises:
+        ValueError: attributes are missing or out of reach in Edit Mode.
+    """
+    data = ob.data if data is None else data
+    base = attributes.column(data, attributes.BASE)
+    if not len(base):
+        return np.zeros(0, bool)
+    return mask(
+        attributes.column(data, attributes.POSITION),
+        attributes.column(data, attributes.SCALE),
+        base[:, 3],
+        filters_of(ob),
+    )
+
+
+def crop_matrix(ob: Any, crop: Any) -> np.ndarray:
+    """[4, 4] float64 from `ob`'s space to that in which the bounds of `crop` are [-1, 1]³.
+
+    Along an axis without extent (all three of an empty) the bounds are one unit to each side.
+    """
+    corners = np.array([tuple(corner) for corner in crop.bound_box], np.float64)
+    if crop.type == "EMPTY":
+        corners[:] = 0
+    middle = (corners.max(axis=0) + corners.min(axis=0)) / 2
+    half = np.ptp(corners, axis=0) / 2
+    half[half == 0] = 1
+    to_unit = np.eye(4)
+    to_unit[:3, :3] = np.diag(1 / half)
+    to_unit[:3, 3] = -middle / half
+    world, box = (
+        np.array([tuple(row) for row in matrix], np.float64)
+        for matrix in (ob.matrix_world, crop.matrix_world)
+    )
+    if not np.linalg.det(box[:3, :3]):  # a crop of no volume holds nothing
+        return np.array([[0, 0, 0, 2.0]] * 3 + [[0, 0, 0, 1.0]])
+    return to_unit @ np.linalg.inv(box) @ world

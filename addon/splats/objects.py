@@ -1,0 +1,143 @@
+"""Splats as a mesh object: create, refresh, read, count."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import bpy
+import numpy as np
+
+from .. import attributes, compat
+from ..core import Splats, transform_splats
+from . import settings
+from .filters import visible_mask
+
+KIND = "splats"
+ANTIALIAS = "gs_antialias"
+"""Custom property of a splat object whose opacities want compensation (Mip-Splatting)."""
+
+
+def create(
+    splats: Splats,
+    name: str,
+    *,
+    collection: bpy.types.Collection | None = None,
+    parent: bpy.types.Object | None = None,
+) -> bpy.types.Object:
+    """Make a mesh object with one vertex a splat and the attributes of `attributes`.
+
+    Args:
+        splats: Raw parameters, in COLMAP's world.
+        name: Of object and mesh.
+        collection: Where to link it; the context's collection if not given.
+        parent: Usually the capture's root, whose matrix takes COLMAP's world to Blender's.
+    """
+    mesh = bpy.data.meshes.new(name)
+    _fill(mesh, splats)
+    ob = bpy.data.objects.new(name, mesh)
+    ob["gs_kind"] = KIND
+    ob.parent = parent
+    (collection or bpy.context.collection).objects.link(ob)
+    if len(splats):
+        # Half the typical splat: points then neither merge nor vanish.
+        ob.gscore.point_size = 0.5 * float(np.exp(np.median(splats.scales.max(axis=1))))
+    settings.attach(ob)
+    return ob
+
+
+def refresh(ob: bpy.types.Object, splats: Splats) -> None:
+    """Replace all splats of an object; its transform, display settings and parent stay.
+
+    Raises:
+        ValueError: the object is being edited, or its mesh is no mesh of its own.
+    """
+    check_writable(ob)
+    # Vertices can be added to a mesh, but not removed, so start over where the number differs.
+    if len(ob.data.vertices) != len(splats) or _sh_names(ob.data) != splats.shN.shape[1]:
+        ob.data.clear_geometry()
+    _fill(ob.data, splats)
+
+
+def read(ob: bpy.types.Object, *, filtered: bool = False) -> Splats:
+    """Raw parameters in object space, from the object's own mesh (no modifiers).
+
+    Args:
+        ob: A splat object, or any mesh or point cloud with the attributes.
+        filtered: Leave out what the object's display filters hide.
+
+    Raises:
+        ValueError: attributes are missing or not finite; the message names them.
+    """
+    if ob.type not in {"MESH", "POINTCLOUD"}:
+        raise ValueError(f"{ob.name} is no splat object: it is a {ob.type.lower()}.")
+    with _readable(ob) as data:
+        splats = attributes.read(data)
+        return splats.subset(visible_mask(ob, data)) if filtered else splats
+
+
+def read_world(ob: bpy.types.Object, *, filtered: bool = False) -> Splats:
+    """Raw parameters in Blender's world: means, quaternions, scales and SH transformed.
+
+    Raises:
+        ValueError: as `read`, or the object's matrix is no similarity (it is named).
+    """
+    return transformed(ob, compat.matrix_to_numpy(ob.matrix_world), filtered=filtered)
+
+
+def transformed(ob: bpy.types.Object, matrix: np.ndarray, *, filtered: bool = False) -> Splats:
+    """The object's splats after a 4x4 similarity from object space; ValueError as `read_world`."""
+    splats = read(ob, filtered=filtered)
+    if np.array_equal(matrix, np.eye(4)):
+        return splats
+    try:
+        return transform_splats(splats, matrix)
+    except ValueError as error:
+        raise ValueError(f"{ob.name} cannot be transformed. {error}") from error
+
+
+def check_writable(ob: bpy.types.Object) -> None:
+    """Raise ValueError unless the object's mesh can be written now."""
+    if ob.mode == "EDIT":
+        raise ValueError(f"{ob.name} is in Edit Mode: leave it before its splats are changed.")
+    if ob.type != "MESH" or not ob.data.is_editable:
+        raise ValueError(f"{ob.name} has no mesh that can be changed: it is linked or no mesh.")
+
+
+def is_splats(ob: bpy.types.Object | None) -> bool:
+    """Whether an object is a splat object of this add-on."""
+    return ob is not None and ob.type == "MESH" and ob.get("gs_kind") == KIND
+
+
+def can_export(ob: bpy.types.Object | None) -> bool:
+    """Whether an object holds splats of its own: ours, or a point cloud with Blender's attributes.
+
+    Native copies of our objects are left out: they are the same splats again.
+    """
+    if ob is None or ob.type != "POINTCLOUD" or "gs_kind" in ob:
+        return is_splats(ob)
+    return attributes.BASE in ob.data.attributes
+
+
+@contextmanager
+def _readable(ob: bpy.types.Object) -> Iterator[bpy.types.ID]:
+    """The object's data; in Edit Mode, where its attributes are out of reach, a copy of them."""
+    if ob.mode != "EDIT":
+        yield ob.data
+        return
+    ob.update_from_editmode()
+    copy = ob.data.copy()
+    try:
+        yield copy
+    finally:
+        bpy.data.meshes.remove(copy)
+
+
+def _fill(mesh: bpy.types.Mesh, splats: Splats) -> None:
+    missing = len(splats) - len(mesh.vertices)
+    if missing:
+        mesh.vertices.add(missing)
+    attributes.write(mesh, splats)
+    mesh.update()
+
+
+def _sh_names(mesh: bpy.types.Mesh) -> int:
+    return sum(1 for a in mesh.attributes if a.name.startswith(attributes.SH))

@@ -1,0 +1,309 @@
+"""Operators on splats: import, export, filters, selection, crop, transform, native copy."""
+
+from pathlib import Path
+from typing import ClassVar
+
+import bpy
+from bpy.props import BoolProperty, CollectionProperty, EnumProperty, StringProperty
+from bpy_extras.io_utils import ExportHelper, ImportHelper
+
+from ..cameras.objects import root_of
+from ..compat import native_splat_type
+from ..core import GsError
+from ..interface.operators import Acting
+from . import edit, files, native, settings
+from .objects import can_export, is_splats
+
+_UP = [
+    ("-Y", "-Y Up", "The file's +Y points down, as COLMAP and most trainers write it"),
+    ("Y", "+Y Up", "The file's +Y points up"),
+    ("Z", "+Z Up", "The file's +Z points up, as in Blender"),
+]
+_WORLDS = [
+    (
+        files.SOURCE,
+        "Photos",
+        "The world of the photos' cameras (COLMAP's) or of the imported file: the alignment of "
+        "the capture, or the turn of the import, is taken back",
+    ),
+    (files.BLENDER, "Blender", "Blender's world, as the scene shows the splats, +Z up"),
+]
+
+
+class _OnSplats(Acting):
+    """Works on the active splat object."""
+
+    bl_options: ClassVar = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether the active object is a splat object."""
+        if is_splats(context.object):
+            return True
+        cls.poll_message_set("Select a splat object: import a splat PLY or train one")
+        return False
+
+
+class ImportSplats(Acting, bpy.types.Operator, ImportHelper):
+    """Import Gaussian splats from a PLY file of any trainer or viewer"""
+
+    bl_idname = "gscore.import_splats"
+    bl_label = "Import Splats"
+    bl_options: ClassVar = {"REGISTER", "UNDO", "PRESET"}
+
+    filename_ext = ".ply"
+    filter_glob: StringProperty(default="*.ply", options={"HIDDEN"})
+    files: CollectionProperty(
+        type=bpy.types.OperatorFileListElement, options={"HIDDEN", "SKIP_SAVE"}
+    )
+    directory: StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})
+    up: EnumProperty(
+        name="Up", description="Axis of the file that points up", items=_UP, default="-Y"
+    )
+    under_capture: BoolProperty(
+        name="Under the Active Capture",
+        description="Put the splats under the capture that the active object belongs to, so that "
+        "they stand where its photos were taken; the up axis is then the capture's",
+        default=True,
+    )
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Open the file browser, or the options of a file that was dropped."""
+        return self.invoke_popup(context)
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Import one or several files; none of them where one cannot be read."""
+        paths = [Path(self.directory, file.name) for file in self.files if file.name]
+        parent = root_of(context.object) if self.under_capture else None
+        made: list[bpy.types.Object] = []
+        try:
+            with files.collected_warnings() as warnings:
+                for path in paths or [Path(self.filepath)]:
+                    made.append(files.import_splats(context, path, parent=parent, up=self.up))
+        except (GsError, ValueError, OSError):
+            for ob in made:
+                bpy.data.meshes.remove(ob.data)
+            raise
+        self.warn(warnings)
+        for ob in context.selected_objects:
+            ob.select_set(False)
+        for ob in made:
+            ob.select_set(True)
+        context.view_layer.objects.active = made[-1]
+        total = sum(len(ob.data.vertices) for ob in made)
+        return f"Imported {total:,} splats from {len(made)} file(s)."
+
+
+class ExportSplats(Acting, bpy.types.Operator, ExportHelper):
+    """Export the selected splats, edited and moved as they are, as one 3DGS PLY file"""
+
+    bl_idname = "gscore.export_splats"
+    bl_label = "Export Splats"
+    bl_options: ClassVar = {"REGISTER", "PRESET"}
+
+    filename_ext = ".ply"
+    filter_glob: StringProperty(default="*.ply", options={"HIDDEN"})
+    world: EnumProperty(name="World", description="Axes and scale of the file", items=_WORLDS)
+    filtered: BoolProperty(
+        name="Only Visible",
+        description="Leave out splats that the display filters hide",
+        default=False,
+    )
+    collection: StringProperty(
+        name="Collection",
+        description="Export the splat objects of this collection, not the selected ones; set by "
+        "the exporters of collections",
+        options={"HIDDEN", "SKIP_SAVE"},
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether there is an object with splats; exporters of collections need none selected."""
+        if any(can_export(ob) for ob in context.scene.objects):
+            return True
+        cls.poll_message_set("There are no splats: import a splat PLY or train some")
+        return False
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Open the file browser, unless there is nothing to write."""
+        if not _chosen(context, self.collection):
+            self.report({"ERROR"}, "Select the splat objects to export.")
+            return {"CANCELLED"}
+        return ExportHelper.invoke(self, context, event)
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Write the file."""
+        context.view_layer.update()
+        chosen = _chosen(context, self.collection)
+        count = files.export_splats(chosen, self.filepath, world=self.world, filtered=self.filtered)
+        return f"Wrote {count:,} splats to {self.filepath}."
+
+
+def _chosen(context: bpy.types.Context, collection: str) -> list[bpy.types.Object]:
+    """Objects with splats of a collection, else the active one and then those selected.
+
+    Raises:
+        ValueError: there is no such collection.
+    """
+    obs = [context.object, *context.selected_objects]
+    if collection:
+        found = bpy.data.collections.get(collection)
+        if found is None:
+            raise ValueError(f"There is no collection {collection} to export.")
+        obs = list(found.all_objects)
+    return list(dict.fromkeys(ob for ob in obs if can_export(ob)))
+
+
+class ApplyFilters(_OnSplats, bpy.types.Operator):
+    """Delete the splats that the display filters hide, then reset the filters"""
+
+    bl_idname = "gscore.apply_filters"
+    bl_label = "Delete Hidden Splats"
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Delete."""
+        count = edit.apply_filters(context.object)
+        return f"Deleted {count:,} splats, {len(context.object.data.vertices):,} left."
+
+
+class ResetFilters(_OnSplats, bpy.types.Operator):
+    """Show all splats again"""
+
+    bl_idname = "gscore.reset_filters"
+    bl_label = "Reset Filters"
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Reset."""
+        settings.reset_filters(context.object)
+        return ""
+
+
+class SelectSplats(_OnSplats, bpy.types.Operator):
+    """Select splats by what the display filters hide, in Edit Mode"""
+
+    bl_idname = "gscore.select_splats"
+    bl_label = "Select Splats"
+
+    which: EnumProperty(
+        name="Which",
+        description="Splats to select; all others are deselected",
+        items=[
+            ("HIDDEN", "Hidden", "Splats that the filters hide"),
+            ("VISIBLE", "Visible", "Splats that the filters show"),
+        ],
+    )
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Select, and enter Edit Mode on vertices."""
+        ob = context.object
+        if ob.mode == "EDIT":
+            bpy.ops.object.mode_set(mode="OBJECT")
+        count = edit.select(ob, hidden=self.which == "HIDDEN")
+        context.tool_settings.mesh_select_mode = (True, False, False)
+        bpy.ops.object.mode_set(mode="EDIT")
+        return f"Selected {count:,} splats."
+
+
+class AddCropBox(_OnSplats, bpy.types.Operator):
+    """Add a wire box around most of the splats and show only those inside; move and scale it"""
+
+    bl_idname = "gscore.add_crop_box"
+    bl_label = "Add Crop Box"
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Add."""
+        edit.add_crop_box(context, context.object)
+        return ""
+
+
+class ApplySplatTransform(_OnSplats, bpy.types.Operator):
+    """Apply location, rotation and even scale to the splats, with their orientations and colors"""
+
+    bl_idname = "gscore.apply_splat_transform"
+    bl_label = "Apply Splat Transform"
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Apply."""
+        edit.apply_transform(context.object)
+        return ""
+
+
+class ResetDisplay(_OnSplats, bpy.types.Operator):
+    """Add the display modifier again after it was removed, or bring it up to date"""
+
+    bl_idname = "gscore.reset_display"
+    bl_label = "Restore Display"
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Attach."""
+        settings.attach(context.object)
+        return ""
+
+
+class MakeNativeSplats(_OnSplats, bpy.types.Operator):
+    """Make Blender's own Gaussian splats of what is shown, as a child that moves along"""
+
+    bl_idname = "gscore.make_native_splats"
+    bl_label = "Make Native Splats"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether Blender has splats of its own and a splat object is active."""
+        if native_splat_type() is None:
+            cls.poll_message_set("Needs a Blender with Gaussian splats of its own, 5.3 or later")
+            return False
+        return super().poll(context)
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Make."""
+        native.make_native(context.object)
+        return ""
+
+
+class GSCORE_FH_splats(bpy.types.FileHandler):  # noqa: N801 - Blender's rule
+    """Drop a splat PLY into the 3D view."""
+
+    bl_idname = "GSCORE_FH_splats"
+    bl_label = "Gaussian Splats (Train Splats)"
+    bl_import_operator = "gscore.import_splats"
+    bl_export_operator = "gscore.export_splats"
+    bl_file_extensions = ".ply"
+
+    @classmethod
+    def poll_drop(cls, context: bpy.types.Context) -> bool:
+        """Whether the file was dropped on a 3D view."""
+        return context.area is not None and context.area.type == "VIEW_3D"
+
+
+CLASSES = (
+    ImportSplats,
+    ExportSplats,
+    ApplyFilters,
+    ResetFilters,
+    SelectSplats,
+    AddCropBox,
+    ApplySplatTransform,
+    ResetDisplay,
+    MakeNativeSplats,
+    GSCORE_FH_splats,
+)
+
+
+def _draw_import(self: bpy.types.Menu, context: bpy.types.Context) -> None:
+    self.layout.operator(ImportSplats.bl_idname, text="Gaussian Splats (.ply)")
+
+
+def _draw_export(self: bpy.types.Menu, context: bpy.types.Context) -> None:
+    self.layout.operator(ExportSplats.bl_idname, text="Gaussian Splats (.ply)")
+
+
+def on_register() -> None:
+    """Add the entries of File > Import and Export."""
+    bpy.types.TOPBAR_MT_file_import.append(_draw_import)
+    bpy.types.TOPBAR_MT_file_export.append(_draw_export)
+
+
+def on_unregister() -> None:
+    """Take them back."""
+    bpy.types.TOPBAR_MT_file_export.remove(_draw_export)
+    bpy.types.TOPBAR_MT_file_import.remove(_draw_import)

@@ -1,0 +1,160 @@
+"""How a splat object is shown: properties of the object, handed on to its display modifier."""
+
+import bpy
+
+from .. import compat
+from ..nodes import display
+from ..nodes.colors import MODES as COLOR_MODES
+from .filters import BOX, SPHERE
+
+_DISPLAYS = [
+    ("POINTS", "Points", "A small ball of the same size for every splat: fast, good for selecting"),
+    ("ELLIPSOIDS", "Ellipsoids", "The extent and orientation of every splat, opaque"),
+    (
+        "SOFT",
+        "Soft Splats",
+        "Ellipsoids that fade out like the splats they stand for, in Material Preview and "
+        "Rendered shading. In Cycles, raise Light Paths > Transparent to 64 or more",
+    ),
+]
+_NATIVE = ("NATIVE", "Native Splats", "Shown by the copy that Make Native Splats made")
+_COLORS = [
+    ("COLOR", "Color", "The splat's color without its view-dependent part"),
+    ("OPACITY", "Opacity", "From 0 (dark blue) to 1 (yellow)"),
+    ("SIZE", "Size", "Largest standard deviation, from small (dark blue) to large (yellow)"),
+    ("ANISOTROPY", "Anisotropy", "Longest axis by shortest, from 1 (dark blue) to 100 (yellow)"),
+    ("SH_ENERGY", "SH Energy", "How much the color depends on the view, yellow for the most"),
+    ("DEPTH", "Depth", "Distance from the scene's camera, from near (dark blue) to far (yellow)"),
+]
+_SHAPES = [
+    (BOX, "Box", "Inside the crop object's bounding box"),
+    (SPHERE, "Ellipsoid", "Inside the ellipsoid that touches the sides of the bounding box"),
+]
+
+
+def _update(self: "SplatSettings", context: bpy.types.Context) -> None:
+    apply(self.id_data)
+
+
+def _may_crop(self: "SplatSettings", ob: bpy.types.Object) -> bool:
+    return ob != self.id_data and ob.type in {"MESH", "EMPTY"} and not ob.get("gs_kind")
+
+
+def _number(name: str, description: str, default: float, **more: object) -> bpy.props.FloatProperty:
+    return bpy.props.FloatProperty(
+        name=name, description=description, default=default, min=0.0, update=_update, **more
+    )
+
+
+class SplatSettings(bpy.types.PropertyGroup):
+    """Display and filters of one splat object."""
+
+    display: bpy.props.EnumProperty(
+        name="Display",
+        description="How splats are drawn in the viewport and by EEVEE and Cycles",
+        items=[*_DISPLAYS, _NATIVE] if compat.native_splat_type() else _DISPLAYS,
+        update=_update,
+    )
+    colour_by: bpy.props.EnumProperty(
+        name="Color By", description="What the colors show", items=_COLORS, update=_update
+    )
+    point_size: _number(
+        "Point Radius",
+        "Radius of a point, in units of the splats before the object's scale",
+        0.01,
+        precision=4,
+        soft_max=1.0,
+    )
+    ellipsoid_size: _number(
+        "Ellipsoid Size", "Half axes of an ellipsoid, in standard deviations", 1.5, soft_max=3.0
+    )
+    opacity_min: _number(
+        "Minimum Opacity", "Hide splats of less opacity than this, 0 to 1", 0.0, max=1.0
+    )
+    size_min: _number(
+        "Minimum Size",
+        "Hide splats whose largest standard deviation is below this, in units of the splats "
+        "before the object's scale",
+        0.0,
+        precision=5,
+    )
+    size_max: _number(
+        "Maximum Size",
+        "Hide splats whose largest standard deviation is above this, in units of the splats "
+        "before the object's scale; 0 for no limit",
+        0.0,
+        precision=5,
+    )
+    crop_object: bpy.props.PointerProperty(
+        name="Crop Object",
+        description="Show only splats whose center lies within this object's bounds. An empty "
+        "counts one of its units to each side",
+        type=bpy.types.Object,
+        poll=_may_crop,
+        update=_update,
+    )
+    crop_shape: bpy.props.EnumProperty(
+        name="Crop Shape", description="Shape of the crop", items=_SHAPES, update=_update
+    )
+    crop_invert: bpy.props.BoolProperty(
+        name="Invert", description="Show what lies outside the crop instead", update=_update
+    )
+    apply_filters_to_render: bpy.props.BoolProperty(
+        name="Filters in Render",
+        description="The Gaussian Splats render engine leaves out what the filters hide",
+        default=True,
+    )
+
+
+def apply(ob: bpy.types.Object) -> None:
+    """Hand the object's settings to its display modifier, if it still has one."""
+    modifier = display.modifier_of(ob)
+    if modifier is None:
+        return
+    settings = ob.gscore
+    values = {
+        "Display": display.MODES.index(settings.display),
+        "Color By": COLOR_MODES.index(settings.colour_by),
+        "Point Radius": settings.point_size,
+        "Ellipsoid Size": settings.ellipsoid_size,
+        "Opacity Minimum": settings.opacity_min,
+        "Size Minimum": settings.size_min,
+        "Size Maximum": settings.size_max,
+        "Use Crop": settings.crop_object is not None,
+        "Crop Object": settings.crop_object,
+        "Crop Sphere": settings.crop_shape == SPHERE,
+        "Crop Invert": settings.crop_invert,
+    }
+    for name, value in values.items():
+        compat.set_modifier_input(modifier, name, value)
+
+
+FILTERS = ("opacity_min", "size_min", "size_max", "crop_object", "crop_shape", "crop_invert")
+
+
+def reset_filters(ob: bpy.types.Object) -> None:
+    """Show all splats of an object again."""
+    for name in FILTERS:
+        ob.gscore.property_unset(name)
+    apply(ob)
+
+
+def attach(ob: bpy.types.Object) -> bpy.types.NodesModifier:
+    """Give a splat object its display modifier, or its current node group to the one it has."""
+    modifier = display.modifier_of(ob) or ob.modifiers.new(display.NAME, "NODES")
+    modifier.node_group = display.group()
+    apply(ob)
+    return modifier
+
+
+CLASSES = (SplatSettings,)
+
+
+def on_register() -> None:
+    """Make the settings a property of objects."""
+    bpy.types.Object.gscore = bpy.props.PointerProperty(type=SplatSettings)
+
+
+def on_unregister() -> None:
+    """Take the property back."""
+    del bpy.types.Object.gscore

@@ -1,0 +1,85 @@
+"""Oracle: Blender's own list of what its dialog takes, and what reached the dialog."""
+
+from types import SimpleNamespace
+
+import bpy
+import pytest
+
+from addon.depth.operators import PredictDepth
+from addon.interface.operators import Acting
+from addon.interface.questions import Asking
+from addon.job.operators import DiscardTraining, Train
+from addon.python.operators import MakeEnvironment
+
+
+class Danger(Asking, Acting):
+    """An operator without Blender."""
+
+    bl_label, confirm = "Danger", "Do It"
+
+    def __init__(self, *lines: str, problem: str = "") -> None:
+        self.asked, self.problem, self.done = list(lines), problem, 0
+        self.reports: list[tuple[set[str], str]] = []
+
+    def question(self, context: object) -> list[str]:
+        """As it was given."""
+        if self.problem:
+            raise ValueError(self.problem)
+        return self.asked
+
+    def act(self, context: object) -> str:
+        """Count."""
+        self.done += 1
+        return "done"
+
+    def report(self, kind: set[str], text: str) -> None:
+        """Keep it."""
+        self.reports.append((kind, text))
+
+
+def invoked(operator: Danger) -> tuple[set[str], list[dict]]:
+    """What `invoke` returns, and the dialogs that it opened."""
+    dialogs: list[dict] = []
+
+    def dialog(operator: Danger, **options: object) -> set[str]:
+        dialogs.append(options)
+        return {"RUNNING_MODAL"}
+
+    manager = SimpleNamespace(invoke_props_dialog=dialog)
+    return operator.invoke(SimpleNamespace(window_manager=manager), None), dialogs
+
+
+def test_it_asks_with_all_sentences() -> None:
+    """The dialog is Blender's, says no by default, and shows every sentence whole."""
+    text = "The run in /somewhere/that/is/rather/long is replaced for good. " * 3
+    operator = Danger(text, "And the object.")
+    result, (options,) = invoked(operator)
+    known = bpy.types.WindowManager.bl_rna.functions["invoke_props_dialog"].parameters
+    assert set(options) <= set(known.keys())
+    assert (options["title"], options["confirm_text"]) == ("Danger", "Do It")
+    assert options["cancel_default"] is True
+    assert (result, operator.done) == ({"RUNNING_MODAL"}, 0)
+    labels: list[str] = []
+    layout = SimpleNamespace(
+        column=lambda **k: layout, label=lambda text, icon: labels.append(text)
+    )
+    operator.layout = layout
+    operator.draw(None)
+    assert "".join(labels).replace(" ", "") == (text + "And the object.").replace(" ", "")
+
+
+def test_it_asks_nothing_where_there_is_nothing_to_lose() -> None:
+    """It acts at once; a reason against it is a report, and nothing is done."""
+    operator = Danger()
+    assert invoked(operator) == ({"FINISHED"}, [])
+    assert (operator.done, operator.reports) == (1, [({"INFO"}, "done")])
+    operator = Danger("x", problem="No, because.")
+    assert invoked(operator) == ({"CANCELLED"}, [])
+    assert (operator.done, operator.reports) == (0, [({"ERROR"}, "No, because.")])
+
+
+@pytest.mark.parametrize("cls", [Train, DiscardTraining, PredictDepth, MakeEnvironment])
+def test_who_asks(cls: type) -> None:
+    """What cannot be taken back."""
+    assert issubclass(cls, Asking) and issubclass(cls, Acting)
+    assert cls.confirm != Asking.confirm

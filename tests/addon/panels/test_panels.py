@@ -1,0 +1,167 @@
+"""Oracle: Blender's lists of panels, and the numbers of a run."""
+
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+
+from addon import panels
+from addon.core import PRESETS, Progress, RunInfo, Started
+from addon.job.curve import LossCurve
+from addon.job.display import EMPTY
+from addon.job.session import PAUSED, RunState
+from addon.panels import progress, result, train
+from addon.splats import objects
+
+
+def test_panels_come_in_the_order_of_the_work() -> None:
+    """Oracle: the order that the product promises."""
+    top = [cls for cls in panels.CLASSES if not hasattr(cls, "bl_parent_id")]
+    labels = [cls.bl_label for cls in sorted(top, key=lambda cls: cls.bl_order)]
+    assert labels == ["Capture", "Cameras", "Depth", "Train", "Progress", "Result", "Render"]
+    assert len({cls.bl_order for cls in top}) == len(top)
+    for cls in panels.CLASSES:
+        assert cls.is_registered
+        assert (cls.bl_space_type, cls.bl_region_type) == ("VIEW_3D", "UI")
+        assert cls.bl_category == "Train Splats"
+
+
+def test_buttons_lead_somewhere() -> None:
+    """Oracle: Blender's operators and properties, for every name in the panels' sources."""
+    import re
+
+    folder = Path(panels.__file__).parent
+    text = "".join(path.read_text() for path in folder.glob("*.py"))
+    operators = set(re.findall(r'operator(?:_menu_enum)?\(\s*"gscore\.(\w+)"', text))
+    assert len(operators) > 15
+    for name in operators:
+        assert name in dir(bpy.ops.gscore), name
+    scene = bpy.context.scene
+    for name in re.findall(r'prop\(settings, "(\w+)"', text):
+        owners = (scene.gscore.bl_rna, bpy.types.Object.bl_rna.properties["gscore"].fixed_type)
+        assert any(name in owner.properties for owner in owners), name
+
+
+def test_a_deleted_result_is_not_shown(scene: bpy.types.Scene) -> None:
+    """Oracle: Blender's delete, which keeps what a setting names out of the scene."""
+    ob = objects.create(EMPTY, "splats")
+    scene.gscore.result = ob
+    assert result.shown(bpy.context) == ob
+    ob.select_set(True)
+    bpy.ops.object.delete()
+    assert scene.gscore.result == ob and result.shown(bpy.context) is None
+
+
+def running() -> RunState:
+    """A run at step 40 of 200."""
+    state = RunState()
+    state.apply(
+        Started(
+            source="s",
+            output="o",
+            iterations=200,
+            step=0,
+            train_views=7,
+            test_views=1,
+            splats=10,
+            width=4,
+            height=3,
+            isa="avx2",
+            threads=2,
+        )
+    )
+    state.apply(
+        Progress(
+            step=50,
+            iterations=200,
+            loss=0.123456,
+            psnr=21.234,
+            splats=12345,
+            steps_per_s=9.87,
+            eta_s=75.0,
+            elapsed_s=25.0,
+            phase="growing",
+        )
+    )
+    return state
+
+
+def test_numbers_of_a_run() -> None:
+    """Oracle: the numbers in the event, written by hand."""
+    state = running()
+    assert progress.bar_text(state) == "25%, 1:15 left"
+    assert progress.numbers(state) == [
+        ("Step", "50 / 200"),
+        ("Loss", "0.1235"),
+        ("PSNR", "21.23 dB"),
+        ("Splats", "12,345"),
+        ("Speed", "9.9 steps/s"),
+        ("Phase", "growing"),
+    ]
+    state.status = PAUSED
+    assert progress.bar_text(state) == "Paused"
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"), [(0.4, "0:00"), (75, "1:15"), (3675, "1:01:15"), (float("inf"), "-")]
+)
+def test_clock(seconds: float, text: str) -> None:
+    """Oracle: minutes and hours counted by hand."""
+    assert progress.clock(seconds) == text
+
+
+def test_what_the_output_folder_holds() -> None:
+    """Oracle: one sentence for each state of a run."""
+    data, config = PRESETS["preview"](Path("/s"))
+    base = {"path": Path("/o"), "splats": None, "data": data, "train": config, "problem": ""}
+    point = Path("/o/checkpoints/x")
+
+    def text(**values: object) -> str:
+        return train.run_sentence(RunInfo(**(base | {"psnr": None} | values)))
+
+    stopped = text(steps=1200, iterations=5000, checkpoint=point)
+    assert stopped.endswith("a run that was stopped at step 1,200 of 5,000.")
+    done = text(steps=5000, iterations=5000, checkpoint=point, psnr=27.456)
+    assert done.endswith("a finished run: 5,000 steps, PSNR 27.46 dB.")
+    assert "without a checkpoint" in text(steps=0, iterations=5, checkpoint=None)
+    broken = text(steps=9, iterations=0, checkpoint=point, problem="config.json: bad.")
+    assert "cannot go on: config.json: bad." in broken
+
+
+def test_the_curve_is_thinned_out_evenly() -> None:
+    """Oracle: the mean of all losses, and the spacing of the steps."""
+    curve, losses = LossCurve(), np.random.default_rng(0).random(10_000)
+    for step, loss in enumerate(losses, 1):
+        curve.add(step, float(loss))
+    curve.add(10_001, float("nan"))
+    assert 100 <= len(curve.losses) < 256
+    spacing = np.diff(curve.steps)
+    assert (spacing == spacing[0]).all()
+    covered = curve.steps[-1]
+    assert np.mean(curve.losses) == pytest.approx(losses[:covered].mean(), rel=1e-9)
+
+
+def test_the_curve_forgets_what_a_run_took_back() -> None:
+    """Oracle: the points of a run that went back from step 9 to step 5."""
+    curve = LossCurve()
+    for step in (1, 3, 5, 7, 9, 6, 8):
+        curve.add(step, 1.0 / step)
+    assert curve.steps == [1, 3, 5, 6, 8]
+    assert curve.losses == [pytest.approx(1 / step) for step in curve.steps]
+
+
+def test_the_curve_as_a_picture() -> None:
+    """Oracle: a loss that falls exponentially is a straight line from upper left to the middle."""
+    curve = LossCurve()
+    for step in range(1, 101):
+        curve.add(step, float(np.exp(-step / 20)))
+    pixels = curve.picture(100, 100, last_step=200)
+    assert (pixels.shape, pixels.dtype) == ((100, 100, 4), np.float32)
+    opaque = pixels[..., 3] > 0.6
+    assert not opaque[:, 52:].any()
+    heights = [float(np.flatnonzero(opaque[:, x]).mean()) for x in range(1, 50)]
+    line = np.polyfit(np.arange(1, 50), heights, 1)
+    assert np.abs(np.polyval(line, np.arange(1, 50)) - heights).max() < 1.0
+    assert line[0] == pytest.approx(-97 / 49.5, rel=0.05)
+    assert LossCurve().picture(8, 8, last_step=1)[..., 3].max() == 0

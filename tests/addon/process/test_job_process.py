@@ -1,0 +1,316 @@
+"""Oracle: what the scripts of `fake_trainer.py` say, and the process table."""
+
+import json
+import os
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from addon.job import job as job_module
+from addon.job import session
+from addon.job.job import Job
+from addon.process.program import Process, environment
+from tests.addon.fake_trainer import STARTED, fake_python, finish, step
+
+Start = Callable[..., Job]
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Start]:
+    """Start a job that plays a script; killed after the test."""
+    jobs: list[Job] = []
+
+    def begin(*script: dict, name: str = "run", **kwargs: object) -> Job:
+        out = tmp_path / name
+        arguments = ["train", "capture", "-o", str(out)]
+        python = fake_python(tmp_path / f"{name}-python", list(script))
+        jobs.append(Job(python, arguments, source=tmp_path, output=out, **kwargs))
+        return jobs[-1]
+
+    yield begin
+    for job in jobs:
+        job.kill()
+
+
+def run_until(job: Job, condition: Callable[[], bool], timeout: float = 20.0) -> None:
+    """Poll as Blender's timer does until something is so."""
+    until = time.monotonic() + timeout
+    while not condition():
+        assert time.monotonic() < until, f"waited in vain; {job.state.status} {job.state.sentence}"
+        job.poll()
+        time.sleep(0.01)
+
+
+def run_to_end(job: Job, timeout: float = 20.0) -> session.RunState:
+    """Poll until the job has ended."""
+    run_until(job, lambda: job.state.ended, timeout)
+    return job.state
+
+
+def test_events_become_state(start: Start) -> None:
+    """Oracle: the numbers in the script."""
+    preview = {"event": "preview", "step": 40, "view": "a.jpg", "path": "$out/p.png"}
+    saved = {"event": "saved", "step": 100, "path": "$out/checkpoints/step_00000100.safetensors"}
+    state = run_to_end(
+        start(
+            {"say": STARTED},
+            step(40, loss=0.25, psnr=21.5, splats=1500, eta_s=None),
+            {"say": preview},
+            {"say": {"event": "warning", "message": "few points", "code": "capture"}},
+            {"say": {"event": "warning", "message": "few points", "code": "capture"}},
+            {"say": saved},
+            finish(),
+        )
+    )
+    assert state.status == session.FINISHED
+    assert (state.loss, state.psnr, state.eta_s) == (0.25, 21.5, None)
+    assert state.curve.losses == [0.25] and state.curve.steps == [40]
+    assert (state.step, state.splats, state.warnings) == (100, 1234, ["few points"])
+    assert state.preview is not None and state.preview.view == "a.jpg"
+    assert state.checkpoint is not None and state.checkpoint.name == "step_00000100.safetensors"
+    assert state.sentence == "Finished after 100 steps: 1,234 splats, PSNR 25.00 dB on test views."
+
+
+def test_garbage_between_events_is_left_out(start: Start) -> None:
+    """Oracle: the events around it arrive; lines that only look like events do not."""
+    state = run_to_end(
+        start(
+            {"raw": 'Loading...\n\xff\xfe\x00\n{"event": \n[1]\nnull\n\n'},
+            {"raw": json.dumps({"event": "progress", "step": "many"}) + "\n"},
+            {"raw": json.dumps({"event": "saved", "step": 1, "path": 5}) + "\n"},
+            {"raw": json.dumps({"event": "nonsense"}) + "\n"},
+            {"say": STARTED | {"step": 3}},
+            step(7),
+            finish(),
+        )
+    )
+    assert (state.status, state.curve.steps, state.checkpoint) == (session.FINISHED, [7], None)
+
+
+def test_a_huge_line_costs_only_itself(start: Start) -> None:
+    """Oracle: the event after 30 MB without a line break."""
+    state = run_to_end(start({"say": STARTED}, {"huge": 30_000_000}, step(9), finish()))
+    assert (state.status, state.curve.steps) == (session.FINISHED, [9])
+
+
+def test_a_poll_ends_within_its_budget(start: Start) -> None:
+    """Oracle: 40 000 lines are taken in pieces, none lost, and no piece is much over 5 ms."""
+    job = start({"loop": [40_000, [step("$i")]]}, finish())
+    job.wait(20)
+    time.sleep(0.3)
+    polls, longest = 0, 0.0
+    while not job.state.ended:
+        began = time.thread_time()
+        job.poll()
+        longest, polls = max(longest, time.thread_time() - began), polls + 1
+        assert polls < 100_000
+    assert polls > 10
+    assert longest < 0.02
+    assert job.state.status == session.FINISHED
+
+
+def test_silence_is_told(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: a sentence after the limit, which is lowered here; none before and after."""
+    monkeypatch.setattr(job_module, "SILENT", 0.4)
+    job = start({"say": STARTED}, {"sleep": 1.5}, step(5), {"sleep": 0.2}, finish())
+    run_until(job, lambda: job.state.started is not None)
+    assert job.silence == ""
+    run_until(job, lambda: job.silence != "")
+    assert "No sign of life for" in job.silence
+    run_until(job, lambda: job.state.step == 5)
+    assert job.silence == ""
+    assert run_to_end(job).status == session.FINISHED
+
+
+def test_an_early_exit_quotes_the_reason(start: Start) -> None:
+    """Oracle: the last line on stderr and the exit code."""
+    state = run_to_end(start({"say": STARTED}, {"stderr": "boom\nkaputt"}, {"exit": 3}))
+    assert state.status == session.FAILED
+    assert "exit code 3" in state.sentence and '"kaputt"' in state.sentence
+
+
+def test_exit_zero_without_done_is_a_failure(start: Start) -> None:
+    """Oracle: a trainer that says nothing has not trained."""
+    assert run_to_end(start({"say": STARTED}, {"exit": 0})).status == session.FAILED
+
+
+def test_a_crash_names_the_signal_and_the_checkpoint(start: Start) -> None:
+    """Oracle: SIGKILL is 9; the script saved a checkpoint at step 60."""
+    saved = {"event": "saved", "step": 60, "path": "$out/checkpoints/step_00000060.safetensors"}
+    state = run_to_end(start({"say": STARTED}, step(60), {"say": saved}, {"signal": 9}))
+    assert state.status == session.FAILED
+    assert "signal 9" in state.sentence
+    assert "The checkpoint at step 60 is kept: Resume." in state.sentence
+
+
+def test_a_full_disk_is_said_in_the_trainers_words(start: Start) -> None:
+    """Oracle: the message of the error event."""
+    message = "Cannot write out/s.ply: the disk is full. Free some space or choose another folder."
+    error = {"event": "error", "message": message, "type": "GsError"}
+    state = run_to_end(start({"say": STARTED}, {"say": error}, {"stderr": "x"}, {"exit": 2}))
+    assert (state.status, state.sentence) == (session.FAILED, message)
+
+
+@pytest.mark.parametrize(
+    ("stderr", "words"),
+    [
+        ("/usr/bin/python3: No module named gscore", ("has no gscore", "Make Environment")),
+        (
+            "gscore: error: `gscore train` needs the package torch; install it with: pip install "
+            '"gscore[train]" --extra-index-url https://example.org/cpu.',
+            (
+                "lacks torch",
+                "Make Environment",
+                '[train]" --extra-index-url https://example.org/cpu',
+            ),
+        ),
+        ("gscore train: error: max_splats must be at least 1, got 0.", ("Max_splats must be",)),
+    ],
+)
+def test_a_wrong_python_is_told_what_to_do(
+    start: Start, stderr: str, words: tuple[str, ...]
+) -> None:
+    """Oracle: what Python and gscore themselves print in these cases."""
+    state = run_to_end(start({"stderr": stderr}, {"exit": 2}))
+    assert state.status == session.FAILED
+    assert all(word in state.sentence for word in words), state.sentence
+
+
+def test_a_python_without_gscore_for_real(tmp_path: Path) -> None:
+    """Oracle: this very Python in an empty folder, from which gscore cannot be imported."""
+    import venv
+
+    venv.create(tmp_path / "empty", with_pip=False)
+    python = tmp_path / "empty" / ("Scripts" if os.name == "nt" else "bin") / "python"
+    job = Job(python, ["train"], source=tmp_path, output=tmp_path / "o")
+    assert "has no gscore" in run_to_end(job).sentence
+
+
+def test_no_such_program(tmp_path: Path) -> None:
+    """Oracle: OSError at once."""
+    with pytest.raises(OSError):
+        Job(tmp_path / "nothing", [], source=tmp_path, output=tmp_path)
+
+
+def test_pause_and_stop_reach_the_trainer(start: Start) -> None:
+    """Oracle: no steps while paused; a checkpoint and `done` after stop."""
+    job = start({"say": STARTED}, {"follow": 20})
+    run_until(job, lambda: job.state.step > 3)
+    job.pause()
+    run_until(job, lambda: job.state.status == session.PAUSED)
+    paused_at = job.state.step
+    time.sleep(0.3)
+    job.poll()
+    assert job.state.step == paused_at and job.silent_s == 0.0
+    job.unpause()
+    run_until(job, lambda: job.state.step > paused_at)
+    assert job.state.status == session.RUNNING
+    job.stop()
+    assert job.state.status == session.STOPPING
+    state = run_to_end(job)
+    assert state.status == session.STOPPED
+    assert state.checkpoint is not None and state.checkpoint.is_file()
+    assert "Resume" in state.sentence
+
+
+def test_letting_go_leaves_a_checkpoint(start: Start) -> None:
+    """Oracle: the trainer sees the end of its input and stops by itself."""
+    job = start({"say": STARTED}, {"follow": 20})
+    run_until(job, lambda: job.state.step > 3)
+    job.leave()
+    state = run_to_end(job)
+    assert state.done is not None and state.done.reason == "input ended"
+    assert state.checkpoint is not None and state.checkpoint.is_file()
+
+
+def test_a_trainer_that_does_not_stop_is_killed(
+    start: Start, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: ended by SIGKILL after the grace, which is shortened here."""
+    monkeypatch.setattr(job_module, "STOP_GRACE", 0.5)
+    job = start({"say": STARTED}, {"sleep": 60})
+    run_until(job, lambda: job.state.started is not None)
+    job.stop()
+    assert "signal 9" in run_to_end(job).sentence
+
+
+@pytest.mark.parametrize("resumed", [False, True])
+def test_discarding_removes_only_what_this_run_made(start: Start, resumed: bool) -> None:
+    """Oracle: the folder is gone, except for a run that began earlier, or a stranger's file."""
+    write = {"write": ["$out/checkpoints/step_00000001.safetensors", "state"]}
+    job = start(write, {"write": ["$out/note.txt", "mine"]}, {"say": STARTED}, {"sleep": 60})
+    alone = start(write, {"say": STARTED}, {"sleep": 60}, name="alone", resumed=resumed)
+    for one in (job, alone):
+        run_until(one, lambda one=one: one.state.started is not None)
+        one.discard()
+        assert run_to_end(one).status == session.DISCARDED
+    assert [path.name for path in job.output.iterdir()] == ["note.txt"]
+    assert alone.output.exists() == resumed
+
+
+def test_discarding_before_the_start_spares_others(start: Start) -> None:
+    """Oracle: files of another training, which may hold the folder, are still there."""
+    write = {"write": ["$out/checkpoints/step_00000001.safetensors", "not ours"]}
+    job = start(write, {"raw": "still loading\n"}, {"sleep": 60})
+    run_until(job, lambda: (job.output / "checkpoints").exists())
+    job.discard()
+    assert run_to_end(job).sentence == "Discarded before the first step."
+    assert [path.name for path in job.output.rglob("*.safetensors")] == [
+        "step_00000001.safetensors"
+    ]
+
+
+def test_jobs_do_not_disturb_each_other(start: Start) -> None:
+    """Oracle: one is stopped and one crashes while the third goes on to its end."""
+    a = start({"say": STARTED}, {"follow": 20}, name="a")
+    b = start({"say": STARTED}, {"sleep": 0.3}, {"signal": 11}, name="b")
+    c = start({"say": STARTED}, {"loop": [30, [step("$i"), {"sleep": 0.02}]]}, finish(), name="c")
+    run_until(a, lambda: a.state.step > 2)
+    a.stop()
+    states = [run_to_end(job).status for job in (a, b, c)]
+    assert states == [session.STOPPED, session.FAILED, session.FINISHED]
+
+
+def test_snapshots_are_asked_for_one_at_a_time(start: Start) -> None:
+    """Oracle: no faster than the interval, none while one is under way."""
+    job = start({"say": STARTED}, {"follow": 20})
+    job.live_seconds = 0.2
+    run_until(job, lambda: job.state.snapshot is not None)
+    first = job.state.snapshot
+    assert first is not None
+    run_until(job, lambda: job.state.snapshot is not first)
+    second = job.state.snapshot
+    assert second is not None and second.step - first.step >= 5
+    job.stop()
+    run_to_end(job)
+
+
+def test_children_do_not_inherit_blenders_python() -> None:
+    """Oracle: the variables that would lead them to Blender's own files."""
+    base = {"PATH": "/bin", "PYTHONHOME": "/b", "PythonPath": "/c", "__PYVENV_LAUNCHER__": "/d"}
+    kept = environment(base)
+    assert kept["PATH"] == "/bin" and kept["PYTHONSAFEPATH"] == "1"
+    assert not {"PYTHONHOME", "PythonPath", "__PYVENV_LAUNCHER__"} & kept.keys()
+
+
+def test_a_pipe_held_by_a_grandchild_does_not_hang(tmp_path: Path) -> None:
+    """Oracle: ended within seconds although a sleeping child keeps stdout open."""
+    process = Process(["/bin/sh", "-c", "sleep 60 & echo $!; exit 4"])
+    until, lines = time.monotonic() + 15, []
+    while not process.ended and time.monotonic() < until:
+        lines += list(process.lines(0.01))
+        time.sleep(0.05)
+    assert (process.returncode, process.ended, len(lines)) == (4, True, 1)
+    os.kill(int(lines[0]), 9)
+
+
+def test_errors_are_waited_for(tmp_path: Path) -> None:
+    """Oracle: what is written after the process is gone and its output has ended."""
+    process = Process(["/bin/sh", "-c", "(sleep 0.5; echo late >&2) >/dev/null & exit 4"])
+    until = time.monotonic() + 15
+    while not process.ended and time.monotonic() < until:
+        assert not list(process.lines(0.01))
+        time.sleep(0.01)
+    assert process.stderr_tail == ["late"]

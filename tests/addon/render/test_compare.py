@@ -1,0 +1,216 @@
+"""Comparison with photos. Oracle: gscore's metrics and pictures of the same view."""
+
+import shutil
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+
+from addon import stored_paths
+from addon.cameras import captures
+from addon.cameras.objects import stated
+from addon.core import downscale, psnr, render
+from addon.render import compare, photo
+from addon.splats import objects
+from gscore.io.images import write_png
+from tests.addon import splat_scenes as lab
+
+STUDIO = Path(__file__).parents[3] / "examples" / "studio"
+
+
+@pytest.fixture
+def studio(scene):
+    """The bundled capture, a splat at each of its points, and the engine's settings."""
+    capture = captures.import_capture(bpy.context, STUDIO, photos=False)
+    values = np.empty(3 * len(capture.points.data.vertices), np.float32)
+    capture.points.data.attributes["position"].data.foreach_get("vector", values)
+    means = values.reshape(-1, 3)
+    blob = lab.blob(len(means))
+    fields = {n: getattr(blob, n) for n in ("quats", "opacities", "sh0", "shN")}
+    splats = type(blob)(means=means, scales=blob.scales - 0.5, **fields)
+    objects.create(splats, "s", collection=capture.collection, parent=capture.root)
+    lab.prepare(scene, light=0.1)
+    return capture, splats
+
+
+def pixels(image: bpy.types.Image) -> np.ndarray:
+    """[H, W, 3], the top row first."""
+    values = np.empty(image.size[0] * image.size[1] * 4, np.float32)
+    image.pixels.foreach_get(values)
+    return values.reshape(image.size[1], image.size[0], 4)[::-1, :, :3]
+
+
+@pytest.mark.parametrize("percentage", [100, 50, 37])
+def test_psnr_and_pictures(studio, scene, percentage):
+    """Oracle: gscore.render with the capture's own K, and the photo scaled by gscore."""
+    capture, splats = studio
+    camera = capture.cameras[9]
+    scene.render.resolution_percentage, scene.gscore.use_masks = percentage, False
+    found = compare.compare(scene, camera, bpy.context.evaluated_depsgraph_get())
+    own = stated(camera)
+    width, height = own.width * percentage // 100, own.height * percentage // 100
+    K = np.diag([width / own.width, height / own.height, 1]) @ own.K
+    near = camera.data.clip_start / capture.root.scale[0]
+    background = (float(lab.srgb(0.1)),) * 3
+    want = render(splats, K, own.viewmat, width, height, near=near, background=background)
+    shown = np.clip(want.rgb, 0, 1)
+    photo = lab.read_image(Path(own.photo))[..., :3]
+    photo = downscale(np.rint(photo * 255).astype(np.uint8), width, height) / np.float32(255)
+    assert found.psnr == pytest.approx(psnr(shown, photo), abs=1e-3)
+    assert camera["gs_psnr"] == found.psnr
+    images = {kind: pixels(image) for kind, image in found.images.items()}
+    np.testing.assert_allclose(images["Photo"], photo, atol=0.51 / 255)
+    np.testing.assert_allclose(images["Render"], shown, atol=1.5 / 255)
+    assert images["Comparison"].shape == (height, 3 * width, 3)
+    error = np.abs(shown - photo).mean(axis=2)
+    bright = images["Error"].sum(axis=2)
+    assert bright[error > 0.2].min() > bright[error < 0.01].max()
+    assert 3 < found.psnr < 40
+    assert found.psnr_masked is None
+
+
+def test_masks_of_the_capture_count(studio, scene):
+    """Oracle: gscore's definition, on the mask file read apart: both pictures times the mask."""
+    camera = studio[0].cameras[9]
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    scene.gscore.use_masks = False
+    whole = compare.compare(scene, camera, depsgraph)
+    photo, shown = (pixels(whole.images[kind]) for kind in ("Photo", "Render"))
+    scene.gscore.use_masks, scene.gscore.mask_mode = True, "auto"
+    masked = compare.compare(scene, camera, depsgraph)
+    file = next((STUDIO / "masks").glob(f"{Path(camera['gs_image']).stem}*"))
+    mask = lab.read_image(file)[..., :1].astype(np.float64)
+    assert 0.05 < mask.mean() < 0.6
+    squares = mask * (shown.astype(np.float64) - photo) ** 2
+    assert masked.psnr == pytest.approx(-10 * np.log10((mask * squares).mean()), abs=0.05)
+    inside = -10 * np.log10(squares.sum() / (3 * mask.sum()))
+    assert masked.psnr_masked == pytest.approx(inside, abs=0.05)
+    assert camera["gs_psnr_masked"] == masked.psnr_masked
+    assert not pixels(masked.images["Photo"])[mask[..., 0] == 0].any()
+    scene.gscore.invert_masks = True
+    outside = compare.compare(scene, camera, depsgraph)
+    rest = ((1 - mask) * (shown.astype(np.float64) - photo) ** 2).sum() / (3 * (1 - mask).sum())
+    assert outside.psnr_masked == pytest.approx(-10 * np.log10(rest), abs=0.05)
+    scene.gscore.mask_mode, scene.gscore.invert_masks = "composite", False
+    composite = compare.compare(scene, camera, depsgraph)
+    assert composite.psnr_masked is None and "gs_psnr_masked" not in camera
+    corner = pixels(composite.images["Photo"])[mask[..., 0] == 0]
+    np.testing.assert_allclose(corner, lab.srgb(0.1), atol=1 / 255)
+
+
+def test_operator_reports_and_stores(studio, scene, capfd):
+    """Oracle: the function; running it again makes no further images."""
+    capture, _ = studio
+    name = capture.cameras[3].name
+    assert bpy.ops.gscore.compare_photo(camera=name) == {"FINISHED"}
+    images = len(bpy.data.images)
+    scene.camera = capture.cameras[3]
+    bpy.context.view_layer.objects.active = None
+    assert bpy.ops.gscore.compare_photo() == {"FINISHED"}
+    assert len(bpy.data.images) == images
+    camera = capture.cameras[3]
+    said = capfd.readouterr().out
+    assert f"PSNR {camera['gs_psnr']:.2f} dB" in said
+    assert f"{camera['gs_psnr_masked']:.2f} dB within the mask" in said
+
+
+def no_photo(camera, folder):
+    camera["gs_photo"] = str(folder / "gone.jpg")
+
+
+def other_photo(camera, folder):
+    image = bpy.data.images.new("x", 30, 20)
+    image.filepath_raw, image.file_format = str(folder / "x.png"), "PNG"
+    image.save()
+    camera["gs_photo"] = str(folder / "x.png")
+
+
+def distorted(camera, folder):
+    camera["gs_model"] = "OPENCV"
+
+
+def no_picture(camera, folder):
+    (folder / "x.jpg").write_bytes(b"no picture")
+    camera["gs_photo"] = str(folder / "x.jpg")
+
+
+def film(camera, folder):
+    (folder / "x.mp4").write_text("#EXTM3U\n#EXTINF:1,\nhttp://127.0.0.1:9/x.ts\n")
+    camera["gs_photo"] = str(folder / "x.mp4")
+
+
+@pytest.mark.parametrize("top", [1, 128])
+def test_masks_of_labels_are_yes_and_no(studio, scene, tmp_path, top):
+    """Oracle: the same mask in 0 and 255, as training reads it."""
+    camera = studio[0].cameras[9]
+    own = stated(camera)
+    shutil.copytree(STUDIO, tmp_path / "in", ignore=shutil.ignore_patterns("depths", "masks"))
+    stored_paths.write(studio[0].root, stored_paths.SOURCE, str(tmp_path / "in"))
+    found = []
+    for white in (255, top):
+        labels = np.zeros((own.height, own.width), np.uint8)
+        labels[: own.height // 2] = white
+        write_png(tmp_path / "in" / "masks" / f"{Path(own.photo).stem}.png", labels)
+        options = {"background": (0.0, 0.0, 0.0), "mask_mode": "ignore"}
+        found.append(photo.load_target(camera, own.width, own.height, **options))
+    np.testing.assert_array_equal(found[0].weight, found[1].weight)
+    assert set(np.unique(found[0].weight).tolist()) == {0, 1}
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (film, "is a film"),
+        (no_photo, "find the capture's folder again"),
+        (other_photo, "30 x 20 pixels"),
+        (distorted, "distorted"),
+        (no_picture, "decode"),
+    ],
+)
+def test_refusals_change_nothing(studio, scene, tmp_path, spoil, words):
+    """Oracle: a sentence; no images more than before, no PSNR stored."""
+    camera = studio[0].cameras[0]
+    spoil(camera, tmp_path)
+    images = set(bpy.data.images)
+    message = lab.error_of(lambda: bpy.ops.gscore.compare_photo(camera=camera.name))
+    assert words in message
+    assert set(bpy.data.images) == images and "gs_psnr" not in camera
+
+
+def test_a_camera_of_no_photo_is_refused(scene):
+    """Oracle: the sentence says what to choose."""
+    lab.prepare(scene)
+    lab.add(scene, lab.blob())
+    assert "no camera of a photo" in lab.error_of(
+        lambda: bpy.ops.gscore.compare_photo(camera="Camera")
+    )
+    assert "Select an imported camera" in lab.error_of(bpy.ops.gscore.compare_photo)
+
+
+def test_colours_of_the_photos_in_one_click(scene):
+    """Oracle: Blender's own names; a picture does not change for settings that already fit."""
+    scene.view_settings.view_transform = "AgX"
+    scene.view_settings.exposure = 1.0
+    from addon.render.operators import changes_colors
+
+    assert "AgX" in changes_colors(scene) and "Exposure" in changes_colors(scene)
+    assert bpy.ops.gscore.use_photo_colors() == {"FINISHED"}
+    assert not changes_colors(scene)
+    assert scene.view_settings.view_transform == "Standard"
+    assert bpy.ops.gscore.use_engine() == {"FINISHED"}
+    assert scene.render.engine == "GSCORE_SPLATS"
+
+
+def test_pictures_are_kept_and_nothing_is_unsaved(studio, scene, tmp_path):
+    """Oracle: Blender's own mark of images to be saved, and the pictures in the file after it."""
+    for camera in studio[0].cameras[9:11]:  # the second time over the same images
+        found = compare.compare(scene, camera, bpy.context.evaluated_depsgraph_get())
+        assert not any(image.is_dirty for image in bpy.data.images)
+    before = pixels(found.images["Comparison"])
+    found.images["Comparison"].use_fake_user = True  # as if an editor showed it
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "x.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "x.blend"))
+    again = bpy.data.images["GS Comparison"]
+    np.testing.assert_array_equal(pixels(again), before)
+    assert not again.is_dirty and before.std() > 0.05

@@ -1,0 +1,187 @@
+"""Splats among meshes. Oracle: what stands in front, by construction of the scene."""
+
+import bpy
+import numpy as np
+import pytest
+
+from addon import compat
+from addon.render import compositor
+from tests.addon import splat_scenes as lab
+
+RED, SIZE = (0.9, 0.1, 0.1), (64, 48)
+
+
+def emitter(name: str, color: tuple[float, float, float]) -> bpy.types.Material:
+    """A material of one scene-linear colour."""
+    material = bpy.data.materials.new(name)
+    compat.use_nodes(material)
+    tree = material.node_tree
+    tree.nodes.clear()
+    shader = tree.nodes.new("ShaderNodeEmission")
+    shader.inputs["Color"].default_value = (*color, 1)
+    output = tree.nodes.new("ShaderNodeOutputMaterial")
+    tree.links.new(shader.outputs[0], output.inputs["Surface"])
+    return material
+
+
+def plane(scene, z: float, color, left: float, right: float, name: str) -> bpy.types.Object:
+    """A rectangle across the z axis, from x = left to right."""
+    mesh = bpy.data.meshes.new(name)
+    corners = [(left, -0.6, z), (right, -0.6, z), (right, 0.6, z), (left, 0.6, z)]
+    mesh.from_pydata(corners, [], [(0, 1, 2, 3)])
+    mesh.materials.append(emitter(name, color))
+    ob = bpy.data.objects.new(name, mesh)
+    scene.collection.objects.link(ob)
+    return ob
+
+
+@pytest.fixture
+def mixed(scene):
+    """A red wall of splats at z = 1, a green plane before its left, a blue one behind its right."""
+    lab.prepare(scene, SIZE)
+    scene.render.engine = "CYCLES"
+    scene.cycles.samples, scene.cycles.use_denoising = 4, False
+    lab.add(scene, lab.wall(1.0, RED, half=0.8))
+    plane(scene, 2.0, (0, 1, 0), -0.9, -0.1, "before")
+    plane(scene, 0.0, (0, 0, 1), 0.1, 2.0, "behind")
+    return scene
+
+
+def test_meshes_before_and_behind(mixed, tmp_path):
+    """Green hides red on the left, red hides blue on the right; blue shows beyond the wall."""
+    name = mixed.name
+    assert bpy.ops.gscore.set_up_compositing() == {"FINISHED"}
+    got = lab.render_exr(tmp_path)
+    row = got[24]
+    assert row[22, :3] == pytest.approx((0, 1, 0), abs=1e-3)
+    assert lab.srgb(row[38, :3]) == pytest.approx(RED, abs=0.01)
+    assert row[62, :3] == pytest.approx((0, 0, 1), abs=0.02)
+    assert row[62, 3] == pytest.approx(1, abs=1e-3)
+    assert got[2, 62, 3] == 0
+    assert bpy.context.scene.name == name
+    # The wall alone, at a pixel without meshes: nothing is drawn twice or missing.
+    assert lab.srgb(got[24, 32, :3]) == pytest.approx(RED, abs=0.01)
+
+
+def test_soft_splats_blend_with_meshes(mixed, tmp_path):
+    """Oracle: alpha over in linear light of what the two scenes render by themselves."""
+    bpy.data.objects.remove(bpy.data.objects["splats"])
+    mixed.render.engine = "CYCLES"
+    soft = lab.blob(60, center=(0, 0, 1.0), size=0.4)
+    lab.add(mixed, soft, "soft")
+    other = compositor.set_up(mixed)
+    both = lab.render_exr(tmp_path, "both")
+    mixed.render.use_compositing = False
+    meshes = lab.render_exr(tmp_path, "meshes")
+    bpy.context.window.scene = other
+    splats = lab.render_exr(tmp_path, "splats")
+    over = splats + (1 - splats[..., 3:]) * meshes
+    under = meshes + (1 - meshes[..., 3:]) * splats
+    # Columns of the plane behind and of the one before, away from edges.
+    for columns, want in ((slice(35, 60), over), (slice(14, 28), under)):
+        np.testing.assert_allclose(both[16:32, columns], want[16:32, columns], atol=1e-4)
+    partly = (splats[16:32, 35:60, 3] > 0.1) & (splats[16:32, 35:60, 3] < 0.9)
+    assert partly.mean() > 0.1
+
+
+def test_own_nodes_stay_and_come_after(mixed, tmp_path):
+    """Oracle: the tree before, and the picture: an inverting node of the user still inverts."""
+    tree = compat.make_compositor_tree(mixed)
+    layers = next(n for n in tree.nodes if n.type == "R_LAYERS")
+    result = compat.compositor_result(tree)
+    invert = tree.nodes.new("CompositorNodeInvert")
+    invert.name = "mine"
+    color = next(i for i in invert.inputs if i.type == "RGBA")
+    tree.links.new(layers.outputs["Image"], color)
+    tree.links.new(invert.outputs[0], result)
+    before = {n.name for n in tree.nodes}
+    compositor.set_up(mixed, transparent=False)
+    added = {n.name for n in tree.nodes} - before
+    assert added == {compositor.LAYER_NODE, compositor.COMBINE_NODE}
+    got = lab.render_exr(tmp_path)
+    assert got[24, 22, :3] == pytest.approx((1, 0, 1), abs=1e-2)
+    assert got[24, 38, 1] > 0.95  # red's small green, inverted
+
+
+def test_again_brings_up_to_date(mixed, tmp_path):
+    """Oracle: counts stay; a new camera, size and splat object reach the second scene."""
+    other = compositor.set_up(mixed)
+    scenes, nodes = len(bpy.data.scenes), len(compat.compositor_tree(mixed).nodes)
+    links = len(compat.compositor_tree(mixed).links)
+    camera = bpy.data.objects.new("second", bpy.data.cameras.new("second"))
+    camera.location = (0, 0, 5)
+    mixed.collection.objects.link(camera)
+    mixed.camera = camera
+    lab.add(mixed, lab.wall(3.0, (0.1, 0.1, 0.1), half=0.1), "more")
+    mixed.render.resolution_x = 80
+    assert compositor.set_up(mixed) == other
+    assert (len(bpy.data.scenes), len(compat.compositor_tree(mixed).nodes)) == (scenes, nodes)
+    assert len(compat.compositor_tree(mixed).links) == links
+    assert {o.name for o in other.objects} == {"splats", "more"}
+    assert (other.camera, other.render.resolution_x) == (camera, 80)
+    got = lab.render_exr(tmp_path)
+    assert got.shape[:2] == (48, 80)
+    assert lab.srgb(got[24, 40, :3]) == pytest.approx((0.1, 0.1, 0.1), abs=0.02)
+
+
+def test_the_view_is_followed(mixed, tmp_path):
+    """Oracle: camera and pixel aspect of the meshes' scene; a sentence where it is too late."""
+    other = compositor.set_up(mixed)
+    camera = bpy.data.objects.new("second", bpy.data.cameras.new("second"))
+    mixed.collection.objects.link(camera)
+    mixed.camera, mixed.render.pixel_aspect_x = camera, 1.5
+    bpy.context.view_layer.update()
+    assert (other.camera, other.render.pixel_aspect_x) == (camera, 1.5)
+    other.camera = bpy.data.objects["Camera"]
+    bpy.context.window.scene = other
+    message = lab.error_of(lambda: lab.render_exr(tmp_path))
+    assert "looks through Camera" in message and "Composite Splats with Meshes" in message
+
+
+def test_markers_change_the_camera(mixed, tmp_path):
+    """Oracle: the splats' red fills less of the frame that is seen from twice as far."""
+    far = bpy.data.objects.new("far", bpy.data.cameras.new("far"))
+    mixed.collection.objects.link(far)
+    far.location = (0, 0, 8)
+    other = compositor.set_up(mixed)
+    for frame, camera in ((1, mixed.camera), (2, far)):
+        mixed.timeline_markers.new(camera.name, frame=frame).camera = camera
+    bpy.context.view_layer.update()
+    mixed.frame_end = 2
+    mixed.render.image_settings.file_format = "PNG"
+    mixed.render.filepath = str(tmp_path / "f")
+    bpy.ops.render.render(animation=True)
+    near, distant = (lab.read_image(tmp_path / f"f000{i}.png") for i in (1, 2))
+    red = [int((p[..., 0] > 0.5).sum()) for p in (near, distant)]
+    assert red[0] > 1000 and 50 < red[1] < red[0] / 2
+    mixed.timeline_markers.clear()
+    compositor.set_up(mixed)
+    assert not other.timeline_markers
+
+
+def test_nothing_happens_by_itself(scene):
+    """Oracle: scene and trees after import and a render by our engine."""
+    lab.prepare(scene)
+    lab.add(scene, lab.blob())
+    bpy.ops.render.render()
+    assert len(bpy.data.scenes) == 1 and not bpy.data.node_groups.get(compositor.GROUP)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (lambda s: setattr(s.render, "engine", "GSCORE_SPLATS"), "Cycles or EEVEE"),
+        (lambda s: setattr(s, "camera", None), "no camera"),
+        (lambda s: bpy.data.objects.remove(bpy.data.objects["splats"]), "no splat objects"),
+    ],
+)
+def test_refusals_leave_the_file_alone(mixed, spoil, words):
+    """Oracle: one sentence; as many scenes and node groups as before."""
+    spoil(mixed)
+    counts = len(bpy.data.scenes), len(bpy.data.node_groups), mixed.render.film_transparent
+    assert words in lab.error_of(bpy.ops.gscore.set_up_compositing)
+    assert counts == (
+        len(bpy.data.scenes),
+        len(bpy.data.node_groups),
+        mixed.render.film_transparent,
+    )

@@ -1,0 +1,169 @@
+"""Oracle: pictures with a setting and without it, to the bit, and what the render reports."""
+
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+
+import bpy
+import numpy as np
+import pytest
+
+from addon.render import ignored, panels
+from addon.render.operators import changes_colors, use_photo_colors
+from tests.addon import splat_scenes as lab
+
+
+def shown() -> ignored.Shown:
+    """What the open file would render."""
+    context = bpy.context
+    context.view_layer.update()
+    return ignored.Shown(scene=context.scene, layer=context.view_layer, camera=context.scene.camera)
+
+
+def others(scene: bpy.types.Scene) -> None:
+    """A mesh before the camera."""
+    mesh = bpy.data.meshes.new("board")
+    mesh.from_pydata([(-1, -1, 2), (1, -1, 2), (0, 1, 2)], [], [(0, 1, 2)])
+    scene.collection.objects.link(bpy.data.objects.new("board", mesh))
+
+
+def modified(scene: bpy.types.Scene) -> None:
+    """A modifier that would move every splat."""
+    bpy.data.objects["splats"].modifiers.new("Move", "DISPLACE")
+
+
+def holdout_collection(scene: bpy.types.Scene) -> None:
+    """The splats in a collection that is cut out."""
+    collection, ob = bpy.data.collections.new("cut"), bpy.data.objects["splats"]
+    scene.collection.children.link(collection)
+    collection.objects.link(ob)
+    scene.collection.objects.unlink(ob)
+    bpy.context.view_layer.layer_collection.children["cut"].holdout = True
+
+
+def striped_world(scene: bpy.types.Scene) -> None:
+    """A world with a texture in its color; the viewport's own color is that of before."""
+    tree = lab.world_nodes(scene.world)
+    if tree is None:
+        scene.world.use_nodes = True
+        tree = scene.world.node_tree
+    texture = tree.nodes.new("ShaderNodeTexWave")
+    background = next(n for n in tree.nodes if n.type == "BACKGROUND")
+    tree.links.new(texture.outputs[0], background.inputs[0])
+
+
+def override(scene: bpy.types.Scene) -> None:
+    """All in one material."""
+    bpy.context.view_layer.material_override = bpy.data.materials.new("clay")
+
+
+def dof(scene: bpy.types.Scene) -> None:
+    """A focus far away."""
+    scene.camera.data.dof.use_dof, scene.camera.data.dof.focus_distance = True, 100.0
+
+
+def setting(path: str, value: object) -> Callable[[bpy.types.Scene], None]:
+    """One property of the scene's rendering, the layer, or the camera."""
+
+    def spoil(scene: bpy.types.Scene) -> None:
+        owner, name = path.split(".")
+        owners = {"render": scene.render, "layer": bpy.context.view_layer}
+        owners |= {"splats": bpy.data.objects["splats"], "camera": scene.camera.data}
+        setattr(owners[owner], name, value)
+
+    return spoil
+
+
+WITHOUT_EFFECT = {
+    "Depth of Field of Camera": dof,
+    "Motion Blur": setting("render.use_motion_blur", True),
+    "Clip End of Camera": setting("camera.clip_end", 3.5),
+    "World World is not one colour": striped_world,
+    "board is not drawn": others,
+    "shape keys of splats": modified,
+    "ray visibility of splats": setting("splats.is_holdout", True),
+    "the collection cut": holdout_collection,
+    "Material Override clay": override,
+    "its depth: not Mist": setting("layer.use_pass_mist", True),
+    "Freestyle": setting("render.use_freestyle", True),
+    "Simplify": setting("render.use_simplify", True),
+    "Threads": setting("render.threads_mode", "FIXED"),
+    "pixel filter": setting("render.filter_size", 5.0),
+}
+REFUSED = {
+    "panoramic": setting("camera.type", "PANO"),
+    "stereo": setting("render.use_multiview", True),
+}
+
+
+def reported(capfd: pytest.CaptureFixture[str]) -> list[str]:
+    """The warnings that Blender itself has printed since it was asked last."""
+    lines = capfd.readouterr().out.splitlines()
+    return [line.removeprefix("Warning: ") for line in lines if line.startswith("Warning: ")]
+
+
+def test_every_row_is_tried() -> None:
+    """The number of rows, and that of the ways to meet them."""
+    assert len(ignored.CHECKS) == len(WITHOUT_EFFECT) + len(REFUSED)
+
+
+@pytest.mark.parametrize("words", WITHOUT_EFFECT)
+def test_what_has_no_effect_is_said(
+    scene: bpy.types.Scene, tmp_path: Path, capfd: pytest.CaptureFixture[str], words: str
+) -> None:
+    """One sentence, in the panel and from the render; the picture is that of before."""
+    lab.prepare(scene)
+    lab.add(scene, lab.blob())
+    before = lab.render_exr(tmp_path, "before")
+    assert ignored.without_effect(shown()) == reported(capfd) == []
+    WITHOUT_EFFECT[words](scene)
+    np.testing.assert_array_equal(lab.render_exr(tmp_path, "after"), before)
+    (sentence,) = ignored.without_effect(shown())
+    assert words in sentence and reported(capfd) == [sentence]
+    assert sentence.replace(" ", "") in drawn()
+
+
+@pytest.mark.parametrize("words", REFUSED)
+def test_what_is_refused_is_said_before(scene: bpy.types.Scene, words: str) -> None:
+    """The panel has the reason before the render ends with it."""
+    lab.prepare(scene)
+    lab.add(scene, lab.blob())
+    REFUSED[words](scene)
+    (sentence,) = ignored.refused(shown())
+    assert words in sentence and sentence.replace(" ", "") in drawn()
+    assert words in lab.error_of(bpy.ops.render.render)
+
+
+def drawn() -> str:
+    """All labels of the Render panel, without spaces, for lines break where the region ends."""
+    labels: list[str] = []
+    layout = SimpleNamespace(prop=lambda *a, **k: None, operator=lambda *a, **k: None)
+    layout.label = lambda text="", icon="": labels.append(text)
+    layout.column = layout.box = lambda **k: layout
+    panels.draw_render(layout, bpy.context)
+    return "".join(labels).replace(" ", "")
+
+
+def test_an_animation_says_it_once(
+    scene: bpy.types.Scene, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """One report for three frames."""
+    lab.prepare(scene)
+    lab.add(scene, lab.blob())
+    dof(scene)
+    scene.frame_start, scene.frame_end = 4, 6
+    scene.render.filepath = str(tmp_path / "f")
+    bpy.ops.render.render(animation=True)
+    assert len(reported(capfd)) == 1 and len(list(tmp_path.iterdir())) == 3
+
+
+def test_white_balance_changes_colors(scene: bpy.types.Scene) -> None:
+    """Blender's switch of that name, where it has one."""
+    view = scene.view_settings
+    view.view_transform = "Standard"
+    if not hasattr(view, "use_white_balance"):
+        pytest.skip("this Blender has no white balance")
+    view.use_white_balance = True
+    assert changes_colors(scene) == "White Balance"
+    use_photo_colors(scene)
+    assert changes_colors(scene) == "" and not view.use_white_balance

@@ -1,0 +1,130 @@
+"""The viewport's pictures without a window. Oracles are named in the tests."""
+
+import time
+
+import bpy
+import numpy as np
+import pytest
+
+from addon.cameras import captures
+from addon.compat import matrix_to_numpy
+from addon.core import render
+from addon.render import picture, viewport
+from addon.render.scene import SplatCache
+from tests.addon import splat_scenes as lab
+
+
+@pytest.mark.parametrize("kind", ["PERSP", "ORTHO"])
+def test_view_camera_is_the_camera_of_the_matrices(scene, kind):
+    """Oracle: `render_camera` of a Blender camera whose own matrices are handed over."""
+    ob = lab.prepare(scene, (120, 70))
+    ob.rotation_euler, ob.data.type = (0.3, -0.2, 0.9), kind
+    ob.data.shift_x, ob.data.shift_y, ob.data.ortho_scale = 0.1, -0.07, 3.0
+    bpy.context.view_layer.update()
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    view = np.linalg.inv(matrix_to_numpy(ob.matrix_world))
+    window = matrix_to_numpy(ob.calc_matrix_camera(depsgraph, x=120, y=70))
+    got = viewport.view_camera(view, window, 120, 70, perspective=kind == "PERSP")
+    want = captures.render_camera(ob, scene, depsgraph=depsgraph)
+    np.testing.assert_allclose(got.K, want.K, atol=1e-3)
+    assert got.orthographic == want.orthographic
+    if kind == "PERSP":
+        np.testing.assert_allclose(got.viewmat, want.viewmat, atol=1e-6)
+        assert got.near == pytest.approx(want.near, rel=1e-3)
+    else:  # moved along its axis, which changes nothing but z
+        np.testing.assert_allclose(got.viewmat[:2], want.viewmat[:2], atol=1e-6)
+        moved = got.viewmat[2, 3] - want.viewmat[2, 3]
+        assert got.near - moved == pytest.approx(want.near, abs=1e-3)
+
+
+def request_for(scene, splats, size=(96, 64), **options):
+    """A wish for a picture from the scene's camera."""
+    ob = lab.add(scene, splats)
+    bpy.context.view_layer.update()
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    view = viewport.Viewport(SplatCache())
+    placed = view.copied(depsgraph)
+    while placed is None:
+        placed = view.copied(depsgraph)
+    return viewport.Request(
+        placed=placed,
+        camera=captures.render_camera(
+            scene.camera, scene, depsgraph=depsgraph, width=size[0], height=size[1]
+        ),
+        options=picture.Options(**options),
+        transparent=False,
+        to_scene=np.eye(3),
+    ), ob
+
+
+def wait(painter, seconds=20.0):
+    """Until the painter has finished what it was asked for."""
+    until = time.monotonic() + seconds
+    while painter.busy and time.monotonic() < until:
+        time.sleep(0.01)
+    assert not painter.busy
+
+
+def test_painter_ends_with_the_full_picture(scene):
+    """Oracle: gscore.render, whatever smaller pictures came before."""
+    lab.prepare(scene, (96, 64))
+    splats = lab.blob()
+    request, _ = request_for(scene, splats)
+    painter = viewport.Painter(SplatCache())
+    painter._factor = 4
+    painter.ask(request)
+    wait(painter)
+    camera = request.camera
+    want = render(splats, camera.K, camera.viewmat, 96, 64, near=camera.near)
+    np.testing.assert_allclose(lab.srgb(painter.pixels[::-1, :, :3]), want.rgb, atol=1e-4)
+    assert painter.fresh and not painter.problem
+    painter.fresh = False
+    painter.ask(request)  # the same again: nothing to do
+    assert not painter.busy
+    painter.close()
+
+
+def test_a_new_wish_stops_the_old_one(scene):
+    """Oracle: the clock; the old picture alone takes many times longer."""
+    lab.prepare(scene, (96, 64))
+    quick, _ = request_for(scene, lab.veil())
+    from dataclasses import replace
+
+    slow = replace(quick, camera=replace(quick.camera, width=3000, height=3000))
+    painter = viewport.Painter(SplatCache())
+    painter.ask(slow)
+    time.sleep(0.2)
+    began = time.monotonic()
+    painter.ask(quick)
+    wait(painter)
+    assert time.monotonic() - began < 3
+    assert painter.pixels.shape == (64, 96, 4)
+    painter.close()
+
+
+def test_problems_are_sentences(scene):
+    """Oracle: the sentence of the final render."""
+    lab.prepare(scene, (96, 64))
+    request, ob = request_for(scene, lab.blob())
+    placed = [type(p)(**{**vars(p), "matrix": np.diag([1.0, 2, 1, 1])}) for p in request.placed]
+    painter = viewport.Painter(SplatCache())
+    painter.ask(type(request)(**{**vars(request), "placed": placed}))
+    wait(painter)
+    assert ob.name in painter.problem and "unevenly" in painter.problem
+    assert painter.pixels is None
+    painter.close()
+
+
+def test_copying_is_spread_over_redraws(scene, monkeypatch):
+    """Oracle: no redraw copies more than one attribute once its time is up; all arrive."""
+    lab.prepare(scene)
+    lab.add(scene, lab.blob(2000))
+    bpy.context.view_layer.update()
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    monkeypatch.setattr(viewport, "COPY_BUDGET", 0.0)
+    view, redraws = viewport.Viewport(SplatCache()), 0
+    while (placed := view.copied(depsgraph)) is None:
+        redraws += 1
+        assert redraws < 100
+    assert redraws == 12  # position, scale, rotation, base and 8 of SH
+    assert len(SplatCache().model(placed).splats) == 2000

@@ -1,0 +1,40 @@
+"""Splats to be trained by a fake, and the beat that brings them into the scene."""
+
+import time
+from collections.abc import Callable
+
+import bpy
+import numpy as np
+
+from addon.core import Splats
+from addon.process import beat
+
+
+def splats(count: int, seed: int = 0) -> Splats:
+    """Splats around the origin."""
+    rng = np.random.default_rng(seed)
+    numbers = lambda *shape: rng.normal(size=shape).astype(np.float32)  # noqa: E731
+    return Splats(
+        means=numbers(count, 3),
+        quats=numbers(count, 4),
+        scales=numbers(count, 3) - 4,
+        opacities=numbers(count),
+        sh0=numbers(count, 1, 3),
+        shN=numbers(count, 3, 3),
+    )
+
+
+def positions(ob: bpy.types.Object) -> np.ndarray:
+    """[N, 3] of the mesh."""
+    out = np.empty(len(ob.data.vertices) * 3, np.float32)
+    ob.data.attributes["position"].data.foreach_get("vector", out)
+    return out.reshape(-1, 3)
+
+
+def until(condition: Callable[[], bool], timeout: float = 20.0) -> None:
+    """Tick as Blender does until something is so."""
+    end = time.monotonic() + timeout
+    while not condition():
+        assert time.monotonic() < end, "waited in vain"
+        beat.tick()
+        time.sleep(0.01)
