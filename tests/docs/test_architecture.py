@@ -24,7 +24,7 @@ def _rows(room: str) -> set[str]:
 
 @pytest.mark.parametrize("room", ["trainer", "commands", "bench"])
 def test_every_file_of_a_room_has_its_line(room: str) -> None:
-    """Oracle: the folder; a new file is named in the table of its room, and a removed one is not."""
+    """Oracle: the folder; a new file is named in the table of its room, a removed one is not."""
     folder = ROOT / "gscore" / room
     there = {str(p.relative_to(folder).with_suffix("")) for p in folder.rglob("*.py")}
     there = {name for name in there if not name.endswith("__init__")}
