@@ -150,8 +150,9 @@ bench: $(LIBRARY)  ## speed of the rasterizer here
 	$(BIN)/gscore bench raster
 
 # Trains with and without depth, from 6 to 50 views, and leaves out/experiment-depth/{results.json,results.md,*.png}; goes
-# on where it was stopped. About eight minutes on two cores; EXPERIMENT=--quick takes one. Other tables of docs/depth.md:
-# EXPERIMENT="--table study" (auto, switches, real with GSCORE_DATA set); a network: EXPERIMENT="--model FILE.onnx".
+# on where it was stopped. About eight minutes on two cores; EXPERIMENT=--quick takes one. Other tables of
+# docs/experiments/2026-11-depth.md: EXPERIMENT="--table study" (auto, switches, real with GSCORE_DATA set); a network:
+# EXPERIMENT="--model FILE.onnx".
 experiment-depth: $(LIBRARY)  ## with and without depth, from 6 to 50 views: out/experiment-depth/
 	$(BIN)/python tools/experiment_depth.py $(EXPERIMENT)
 

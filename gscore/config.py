@@ -382,13 +382,13 @@ def draft(source: Path) -> tuple[DataConfig, TrainConfig]:
 
 
 def normal(source: Path) -> tuple[DataConfig, TrainConfig]:
-    """The everyday choice, about six minutes on two cores."""
+    """The everyday choice, in about five minutes on two cores."""
     train = TrainConfig(iterations=7000, max_splats=300_000)
     return DataConfig(source=source, max_width=1000), train
 
 
 def high(source: Path) -> tuple[DataConfig, TrainConfig]:
-    """Everything the method gives, about half an hour on two cores."""
+    """Everything the method gives, ten minutes to half an hour on two cores."""
     train = TrainConfig(iterations=15_000, max_splats=600_000)
     return DataConfig(source=source, max_width=1600), train
 

@@ -1,4 +1,4 @@
-"""The table of docs/accuracy.md from `gscore stress --json`: worst errors of tests and tolerances.
+"""The table of docs/accuracy-tests.md from `gscore stress --json`: worst errors and tolerances.
 
 `gscore stress --json --isa all > found.json; python tools/accuracy_table.py found.json`
 """

@@ -89,7 +89,7 @@ TABLES: dict[str, dict[str, Any]] = {
         "sh_degree": 3,
     },
 }
-"""What is trained for each table of docs/depth.md, where it is not the default."""
+"""What is trained for each table of docs/experiments/2026-11-depth.md, if not the default."""
 REFERENCE = {"width": 400, "iterations": 3000, "max_splats": 80_000, "sh_degree": 2}
 """The training on all views that stands for the exact depth of real captures."""
 
@@ -148,7 +148,7 @@ def _arguments() -> argparse.Namespace:
     )
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "out" / "experiment-depth")
     parser.add_argument(
-        "--table", choices=tuple(TABLES), default="views", help="of docs/depth.md; sets the others"
+        "--table", choices=tuple(TABLES), default="views", help="what to train; sets the others"
     )
     parser.add_argument(
         "--captures", nargs="+", default=["studio"], help="studio, or of GSCORE_DATA"

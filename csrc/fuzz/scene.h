@@ -36,19 +36,8 @@ inline void use_isa(uint8_t pick) {
     REQUIRE(gs_set_isa(isas[pick % isas.size()].c_str()) == GS_OK);
 }
 
-// A scene in front of the camera, drawn from a seed; then single numbers of it are replaced.
-inline Scene read_scene(Bytes &in) {
-    Scene s;
-    use_isa(in.byte());
-    Noise noise(in.word());
-    size_t n = in.byte();
-    if (n > 200) // a few vectors more than one chunk of the library
-        n = 1024 + (n - 200) * 37;
-    const int degrees[] = {0, 3, 8, 15};
-    const uint8_t shape = in.byte();
-    s.sh_rest = degrees[shape & 3];
-    s.sh_degree = std::min(int(shape >> 2 & 3), shape & 3);
-    s.raw = shape >> 4 & 1;
+// Splats in front of the camera, whose kind is in the bits of `shape`.
+inline void add_splats(Scene &s, size_t n, uint8_t shape, Noise &noise) {
     const bool needles = shape >> 5 & 1, wide = shape >> 6 & 1;
     for (size_t i = 0; i < n; ++i) {
         const float z = noise(0.5f, 6);
@@ -66,7 +55,9 @@ inline Scene read_scene(Bytes &in) {
         for (int k = 0; k < 3 * s.sh_rest; ++k)
             s.shN.push_back(noise(-0.5f, 0.5f));
     }
+}
 
+inline void set_camera(Scene &s, Bytes &in, Noise &noise) {
     gs_camera &c = s.camera;
     c.width = 1 + in.byte() % 70;
     c.height = 1 + in.byte() % 70;
@@ -78,51 +69,75 @@ inline Scene read_scene(Bytes &in) {
     c.cy = noise(0, 1) * float(c.height);
     c.near_plane = 0.01f;
     c.far_plane = 1e10f;
+}
 
+inline void set_options(Scene &s, uint8_t flags) {
     gs_options &o = s.options;
     o.eps2d = 0.3f;
-    const uint8_t flags = in.byte();
     o.outputs = flags & 7;
     o.antialias = flags >> 3 & 1;
     o.disable = flags >> 4 & 3;
-    c.orthographic = flags >> 6 == 3;
+    s.camera.orthographic = flags >> 6 == 3;
     o.threads = 1 + (flags >> 6 & 1) * 2;
+}
 
+// Replaces a number of the scene, or a whole splat by another one.
+inline void damage(Scene &s, Bytes &in) {
     std::vector<float> *arrays[] = {&s.means, &s.quats, &s.scales, &s.opacities, &s.sh0, &s.shN};
+    gs_camera &c = s.camera;
+    gs_options &o = s.options;
     float *cameras[] = {&c.fx, &c.fy, &c.cx, &c.cy, &c.near_plane, &c.far_plane};
     float *options[] = {&o.eps2d, &o.background[0], &o.background[1], &o.background[2]};
-    while (!in.empty()) {
-        const uint8_t what = in.byte();
-        s.tame = false;
-        if (what < 200) {
-            std::vector<float> &a = *arrays[what % 6];
-            const uint32_t at = in.byte() | uint32_t(in.byte()) << 8;
-            const float value = in.hostile();
-            if (!a.empty())
-                a[at % a.size()] = value;
-        } else if (what < 215) {
-            const uint8_t at = in.byte();
-            c.viewmat[at % 16] = in.hostile();
-        } else if (what < 235) {
-            *cameras[what % 6] = in.hostile();
-        } else if (what < 245) {
-            *options[what % 4] = in.hostile();
-        } else if (what < 250) { // a whole splat twice, for ties
-            const size_t from = in.byte(), to = in.byte();
-            if (s.size())
-                for (std::vector<float> *a : arrays) {
-                    const size_t width = a->size() / s.size();
-                    for (size_t k = 0; k < width; ++k)
-                        (*a)[to % s.size() * width + k] = (*a)[from % s.size() * width + k];
-                }
-        } else {
-            int32_t *const numbers[] = {&c.width, &c.height, &o.threads, &s.sh_degree, &c.orthographic, &s.sh_rest};
-            // Small, so that what is accepted stays quick; the arrays hold what they hold, so sh_rest only shrinks.
-            const int32_t value = int32_t(in.byte()) - 8;
-            int32_t &number = *numbers[what % 6];
-            number = &number == &s.sh_rest ? std::min(value, s.sh_rest) : &number == &o.threads ? value % 9 : value;
-        }
+    const uint8_t what = in.byte();
+    s.tame = false;
+    if (what < 200) {
+        std::vector<float> &a = *arrays[what % 6];
+        const uint32_t at = in.byte() | uint32_t(in.byte()) << 8;
+        const float value = in.hostile();
+        if (!a.empty())
+            a[at % a.size()] = value;
+    } else if (what < 215) {
+        const uint8_t at = in.byte();
+        c.viewmat[at % 16] = in.hostile();
+    } else if (what < 235) {
+        *cameras[what % 6] = in.hostile();
+    } else if (what < 245) {
+        *options[what % 4] = in.hostile();
+    } else if (what < 250) { // a whole splat twice, for ties
+        const size_t from = in.byte(), to = in.byte();
+        if (s.size())
+            for (std::vector<float> *a : arrays) {
+                const size_t width = a->size() / s.size();
+                for (size_t k = 0; k < width; ++k)
+                    (*a)[to % s.size() * width + k] = (*a)[from % s.size() * width + k];
+            }
+    } else {
+        int32_t *const numbers[] = {&c.width, &c.height, &o.threads, &s.sh_degree, &c.orthographic, &s.sh_rest};
+        // Small, so that what is accepted stays quick; the arrays hold what they hold, so sh_rest only shrinks.
+        const int32_t value = int32_t(in.byte()) - 8;
+        int32_t &number = *numbers[what % 6];
+        number = &number == &s.sh_rest ? std::min(value, s.sh_rest) : &number == &o.threads ? value % 9 : value;
     }
+}
+
+// A scene in front of the camera, drawn from a seed; then single numbers of it are replaced.
+inline Scene read_scene(Bytes &in) {
+    Scene s;
+    use_isa(in.byte());
+    Noise noise(in.word());
+    size_t n = in.byte();
+    if (n > 200) // a few vectors more than one chunk of the library
+        n = 1024 + (n - 200) * 37;
+    const int degrees[] = {0, 3, 8, 15};
+    const uint8_t shape = in.byte();
+    s.sh_rest = degrees[shape & 3];
+    s.sh_degree = std::min(int(shape >> 2 & 3), shape & 3);
+    s.raw = shape >> 4 & 1;
+    add_splats(s, n, shape, noise);
+    set_camera(s, in, noise);
+    set_options(s, in.byte());
+    while (!in.empty())
+        damage(s, in);
     return s;
 }
 

@@ -199,156 +199,199 @@ inline void BackwardBatch::find_alphas() {
 }
 static_assert(kLanes % kBlock == 0);
 
-template <int kChannels, bool kMedian>
-static PairCount blend_tile(const BlendArgs &a, uint32_t outputs, uint32_t tile) {
-    const int tile_x = int(tile) % a.tiles_x, tile_y = int(tile) / a.tiles_x;
-    const int x0 = tile_x * kTileWidth, y0 = tile_y * kTileHeight;
-    const int columns = a.width - x0 < kTileWidth ? a.width - x0 : kTileWidth;
-    const int rows = a.height - y0 < kTileHeight ? a.height - y0 : kTileHeight;
+// Where a tile lies in the picture, px; those at its right and lower edges may reach beyond it.
+struct Area {
+    int x0, y0, columns, rows;
+    float first_x, first_y; // centre of the first pixel
+};
+static inline Area area_of(const BlendArgs &a, uint32_t tile) {
+    const int x0 = int(tile) % a.tiles_x * kTileWidth, y0 = int(tile) / a.tiles_x * kTileHeight;
+    return {x0,
+            y0,
+            a.width - x0 < kTileWidth ? a.width - x0 : kTileWidth,
+            a.height - y0 < kTileHeight ? a.height - y0 : kTileHeight,
+            float(x0) + 0.5f,
+            float(y0) + 0.5f};
+}
 
+// The first channel of a splat after its colours.
+static inline int third_channel(uint32_t outputs) {
+    return outputs & GS_OUT_INVERSE_DEPTH ? kChannelInvZ : kChannelZ;
+}
+
+// A tile's pixels while splats are blended over each other.
+template <int kChannelCount, bool kWithMedian> struct Canvas {
+    static constexpr int kChannels = kChannelCount;
+    static constexpr bool kMedian = kWithMedian;
     // With depths, alpha is summed: depths are divided by it, and 1 - T has lost the digits of faint pixels.
-    constexpr bool kSumAlpha = kChannels >= 4;
+    static constexpr bool kSumAlpha = kChannels >= 4;
     // Transmittance, channels, and where needed the sum of weights and the median depth.
-    constexpr int kCover = 1 + kChannels, kMedianAt = kCover + kSumAlpha, kPlanes = kMedianAt + kMedian;
+    static constexpr int kCover = 1 + kChannels, kMedianAt = kCover + kSumAlpha, kPlanes = kMedianAt + kMedian;
     alignas(64) float state[kPlanes][kTilePixels];
     uint32_t done[kTileBlocks]; // pixels of each block that are complete, a bit each; their transmittance is zero
-    uint32_t live = 0;          // blocks with an incomplete pixel
-    float *final_trans = a.final_transmittance + size_t(tile) * kTilePixels;
-    int32_t *stop = a.stop_index + size_t(tile) * kTilePixels;
+};
 
-    fetch_pixels(a.image.rgb, 3, a.width, x0, y0, columns, rows);
-    fetch_pixels(a.image.alpha, 1, a.width, x0, y0, columns, rows);
-    std::memset(state, 0, sizeof state);
+// Where the pixels of a tile that are complete leave what the backward pass needs.
+struct Ends {
+    float *trans;
+    int32_t *stop;
+};
+
+// Returns the blocks with an incomplete pixel.
+template <class C> GS_INLINE uint32_t clear(C &canvas, Ends ends, const Area &area) {
+    uint32_t live = 0;
+    std::memset(canvas.state, 0, sizeof canvas.state);
     for (int block = 0; block < kTileBlocks; ++block) {
         uint32_t inside = 0;
         for (int k = 0; k < kBlockVecs; ++k) {
             const int at = block * kBlockPixels + k * kLanes;
-            const Mask in = both(gt(set1(float(columns)), load(kPixels.x + at)), gt(set1(float(rows)), load(kPixels.y + at)));
-            store(state[0] + at, keep(in, set1(1.0f)));
-            store(final_trans + at, Vec{});
+            const Mask in = both(gt(set1(float(area.columns)), load(kPixels.x + at)),
+                                 gt(set1(float(area.rows)), load(kPixels.y + at)));
+            store(canvas.state[0] + at, keep(in, set1(1.0f)));
+            store(ends.trans + at, Vec{});
             const IVec never = as_int(keep(in, as_float(IVec{} + INT32_MAX)));
-            std::memcpy(stop + at, &never, sizeof never);
+            std::memcpy(ends.stop + at, &never, sizeof never);
             inside |= bits(in) << (k * kLanes);
         }
-        done[block] = inside ^ kAllPixels;
+        canvas.done[block] = inside ^ kAllPixels;
         live |= uint32_t(inside != 0) << block;
     }
+    return live;
+}
 
-    const uint32_t begin = a.tile_begin[tile], end = a.tile_begin[tile + 1];
-    const float first_x = float(x0) + 0.5f, first_y = float(y0) + 0.5f;
-    const int third = outputs & GS_OUT_INVERSE_DEPTH ? kChannelInvZ : kChannelZ; // the first channel after the colours
+// Takes the next splats of the list that reach a block of `live`; returns the entry after them.
+GS_INLINE uint32_t fill(ForwardBatch &batch, const BlendArgs &a, const Area &area, uint32_t begin, uint32_t e,
+                        uint32_t end, uint32_t live) {
     // Records are fetched this many list entries ahead of their use.
     constexpr uint32_t kPrefetch = 64;
-    ForwardBatch batch;
-    int64_t evaluated = 0, useful = 0;
-    for (uint32_t e = begin; e < end && live;) {
-        batch.splats = 0;
-        for (; e < end && !batch.full(); ++e) {
-            if (e + kPrefetch < end)
-                __builtin_prefetch(&a.projected[a.entries[e + kPrefetch].slot]);
-            const Entry entry = a.entries[e];
-            if (const uint32_t blocks = entry.blocks & live)
-                batch.add_reaching(blocks, a.projected[entry.slot], int32_t(e - begin), first_x, first_y);
-        }
-        batch.make_lists();
-        for (uint32_t left = live; left; left &= left - 1) {
-            const int block = __builtin_ctz(left), at = block * kBlockPixels;
-            const int count = batch.count[block];
-            if (count == 0)
-                continue;
-            const uint8_t *const list = batch.list[block];
-            Vec pixels[kPlanes][kBlockVecs];
-            for (int c = 0; c < kPlanes; ++c)
-                for (int k = 0; k < kBlockVecs; ++k)
-                    pixels[c][k] = load(state[c] + at + k * kLanes);
-            const Vec x = load(kPixels.x + at); // of all vectors of a block, for they are whole rows
-            Vec y[kBlockVecs];
-            for (int k = 0; k < kBlockVecs; ++k)
-                y[k] = load(kPixels.y + at + k * kLanes);
-            uint32_t complete = done[block];
-            int passed = count; // splats until the block was complete
-            for (int i = 0; i < count; i += kRun) {
-                const int run = kRun == kGroup || count - i > kRun ? kRun : count - i;
-                Vec alpha[kRun * kBlockVecs];
-                for (int first = 0; first < run; first += kGroup) {
-                    Vec q[kGroup * kBlockVecs];
-                    for (int j = 0; j < kGroup; ++j)
-                        for (int k = 0; k < kBlockVecs; ++k)
-                            q[j * kBlockVecs + k] = reach(batch, list[i + first + j], x, y[k]).log2_alpha;
-                    exp2_above<kGroup * kBlockVecs>(kLog2AlphaMin, q, alpha + first * kBlockVecs);
-                }
-                for (int j = 0; j < run; ++j) {
-                    const int s = list[i + j];
-                    const Projected &p = batch.splat[s];
-                    Vec *const t = pixels[0];
-                    Vec w[kBlockVecs], next[kBlockVecs];
-                    uint32_t finished = 0;
-                    for (int k = 0; k < kBlockVecs; ++k) {
-                        w[k] = min(alpha[j * kBlockVecs + k], set1(kAlphaMax)) * t[k];
-                        next[k] = t[k] - w[k];
-                        finished |= bits(ge(set1(kTransmittanceMin), next[k])) << (k * kLanes);
-                    }
-                    if (finished != complete) [[unlikely]] {
-                        for (int k = 0; k < kBlockVecs; ++k) {
-                            // Complete pixels hold a transmittance of zero, so the new ones are those that do not.
-                            const Mask fresh = both(ge(set1(kTransmittanceMin), next[k]), gt(t[k], Vec{}));
-                            const Mask goes_on = gt(next[k], set1(kTransmittanceMin));
-                            float *final_at = final_trans + at + k * kLanes;
-                            int32_t *stop_at = stop + at + k * kLanes;
-                            store(final_at, select(fresh, t[k], load(final_at)));
-                            Vec stops;
-                            std::memcpy(&stops, stop_at, sizeof stops);
-                            stops = select(fresh, as_float(IVec{} + batch.index[s]), stops);
-                            std::memcpy(stop_at, &stops, sizeof stops);
-                            w[k] = keep(goes_on, w[k]);
-                            next[k] = keep(goes_on, next[k]);
-                        }
-                        complete = finished;
-                        if (complete == kAllPixels)
-                            passed = i + j + 1;
-                    }
-                    if (outputs & GS_COUNT_USEFUL) [[unlikely]]
-                        for (const Vec weight : w)
-                            useful += __builtin_popcount(bits(gt(weight, Vec{})));
-                    for (int k = 0; k < kBlockVecs; ++k) {
-                        for (int c = 0; c < kChannels; ++c)
-                            pixels[1 + c][k] =
-                                fma(w[k], set1(p.channel[c < 3 ? c : third + c - 3]), pixels[1 + c][k]);
-                        if constexpr (kSumAlpha)
-                            pixels[kCover][k] += w[k];
-                        if constexpr (kMedian) {
-                            // A splat leaves at least 1 - kAlphaMax, so none completes a pixel and crosses 0.5 at once.
-                            const Mask crossed = both(gt(t[k], set1(0.5f)), ge(set1(0.5f), next[k]));
-                            pixels[kMedianAt][k] += keep(crossed, set1(p.channel[kChannelZ]));
-                        }
-                        t[k] = next[k];
-                    }
-                }
-                if (complete == kAllPixels)
-                    break;
-            }
-            for (int c = 0; c < kPlanes; ++c)
-                for (int k = 0; k < kBlockVecs; ++k)
-                    store(state[c] + at + k * kLanes, pixels[c][k]);
-            done[block] = complete;
-            live &= ~(uint32_t(complete == kAllPixels) << block);
-            evaluated += passed;
-        }
+    batch.splats = 0;
+    for (; e < end && !batch.full(); ++e) {
+        if (e + kPrefetch < end)
+            __builtin_prefetch(&a.projected[a.entries[e + kPrefetch].slot]);
+        const Entry entry = a.entries[e];
+        if (const uint32_t blocks = entry.blocks & live)
+            batch.add_reaching(blocks, a.projected[entry.slot], int32_t(e - begin), area.first_x, area.first_y);
     }
+    batch.make_lists();
+    return e;
+}
 
-    for (int i = 0; i < kTilePixels; i += kLanes)
-        store(final_trans + i, load(final_trans + i) + load(state[0] + i)); // one of the two is zero
-    for (int s = 0; s * kBlock < columns; ++s)
-        for (int r = 0; r < rows; ++r) {
+// Alphas before the clamp, zero below the threshold, of the splats list[0..kGroup) at the pixels of a block.
+GS_INLINE void find_alphas(const ForwardBatch &batch, const uint8_t *list, Vec x, const Vec *y, Vec *alpha) {
+    Vec q[kGroup * kBlockVecs];
+    for (int j = 0; j < kGroup; ++j)
+        for (int k = 0; k < kBlockVecs; ++k)
+            q[j * kBlockVecs + k] = reach(batch, list[j], x, y[k]).log2_alpha;
+    exp2_above<kGroup * kBlockVecs>(kLog2AlphaMin, q, alpha);
+}
+
+// Ends the pixels that splat `index` of the tile's list would complete: notes their transmittance and where they
+// stopped, and lets the splat add nothing to them. `at` is the block's first pixel, t its transmittance before the
+// splat, w the splat's weights and next the transmittance after it.
+GS_INLINE void stop_pixels(Ends ends, int at, int32_t index, const Vec *t, Vec *w, Vec *next) {
+    for (int k = 0; k < kBlockVecs; ++k) {
+        // Complete pixels hold a transmittance of zero, so the new ones are those that do not.
+        const Mask fresh = both(ge(set1(kTransmittanceMin), next[k]), gt(t[k], Vec{}));
+        const Mask goes_on = gt(next[k], set1(kTransmittanceMin));
+        float *final_at = ends.trans + at + k * kLanes;
+        int32_t *stop_at = ends.stop + at + k * kLanes;
+        store(final_at, select(fresh, t[k], load(final_at)));
+        Vec stops;
+        std::memcpy(&stops, stop_at, sizeof stops);
+        stops = select(fresh, as_float(IVec{} + index), stops);
+        std::memcpy(stop_at, &stops, sizeof stops);
+        w[k] = keep(goes_on, w[k]);
+        next[k] = keep(goes_on, next[k]);
+    }
+}
+
+// Adds a splat with weights w to the pixels of a block, whose transmittance becomes `next`.
+template <class C>
+GS_INLINE void add_splat(Vec (&pixels)[C::kPlanes][kBlockVecs], const Projected &p, int third, const Vec *w,
+                         const Vec *next) {
+    for (int k = 0; k < kBlockVecs; ++k) {
+        for (int c = 0; c < C::kChannels; ++c)
+            pixels[1 + c][k] = fma(w[k], set1(p.channel[c < 3 ? c : third + c - 3]), pixels[1 + c][k]);
+        if constexpr (C::kSumAlpha)
+            pixels[C::kCover][k] += w[k];
+        if constexpr (C::kMedian) {
+            // A splat leaves at least 1 - kAlphaMax, so none completes a pixel and crosses 0.5 at once.
+            const Mask crossed = both(gt(pixels[0][k], set1(0.5f)), ge(set1(0.5f), next[k]));
+            pixels[C::kMedianAt][k] += keep(crossed, set1(p.channel[kChannelZ]));
+        }
+        pixels[0][k] = next[k];
+    }
+}
+
+// Blends all splats of the batch that reach a block, and takes it out of `live` when it is complete; returns how many
+// passed until then.
+template <class C>
+GS_INLINE int blend_block(C &canvas, Ends ends, const ForwardBatch &batch, int block, uint32_t outputs, int third,
+                          uint32_t &live, int64_t &useful) {
+    const int at = block * kBlockPixels, count = batch.count[block];
+    const uint8_t *const list = batch.list[block];
+    Vec pixels[C::kPlanes][kBlockVecs];
+    for (int c = 0; c < C::kPlanes; ++c)
+        for (int k = 0; k < kBlockVecs; ++k)
+            pixels[c][k] = load(canvas.state[c] + at + k * kLanes);
+    const Vec x = load(kPixels.x + at); // of all vectors of a block, for they are whole rows
+    Vec y[kBlockVecs];
+    for (int k = 0; k < kBlockVecs; ++k)
+        y[k] = load(kPixels.y + at + k * kLanes);
+    uint32_t complete = canvas.done[block];
+    int passed = count;
+    for (int i = 0; i < count; i += kRun) {
+        const int run = kRun == kGroup || count - i > kRun ? kRun : count - i;
+        Vec alpha[kRun * kBlockVecs];
+        for (int first = 0; first < run; first += kGroup)
+            find_alphas(batch, list + i + first, x, y, alpha + first * kBlockVecs);
+        for (int j = 0; j < run; ++j) {
+            const int s = list[i + j];
+            Vec w[kBlockVecs], next[kBlockVecs];
+            uint32_t finished = 0;
+            for (int k = 0; k < kBlockVecs; ++k) {
+                w[k] = min(alpha[j * kBlockVecs + k], set1(kAlphaMax)) * pixels[0][k];
+                next[k] = pixels[0][k] - w[k];
+                finished |= bits(ge(set1(kTransmittanceMin), next[k])) << (k * kLanes);
+            }
+            if (finished != complete) [[unlikely]] {
+                stop_pixels(ends, at, batch.index[s], pixels[0], w, next);
+                complete = finished;
+                if (complete == kAllPixels)
+                    passed = i + j + 1;
+            }
+            if (outputs & GS_COUNT_USEFUL) [[unlikely]]
+                for (const Vec weight : w)
+                    useful += __builtin_popcount(bits(gt(weight, Vec{})));
+            add_splat<C>(pixels, batch.splat[s], third, w, next);
+        }
+        if (complete == kAllPixels)
+            break;
+    }
+    for (int c = 0; c < C::kPlanes; ++c)
+        for (int k = 0; k < kBlockVecs; ++k)
+            store(canvas.state[c] + at + k * kLanes, pixels[c][k]);
+    canvas.done[block] = complete;
+    live &= ~(uint32_t(complete == kAllPixels) << block);
+    return passed;
+}
+
+// Writes the tile's part of the pictures.
+template <class C>
+GS_INLINE void write_pictures(const C &canvas, Ends ends, const BlendArgs &a, uint32_t outputs, const Area &area) {
+    for (int i = 0; i < kTilePixels; i += kLanes) // one of the two is zero
+        store(ends.trans + i, load(ends.trans + i) + load(canvas.state[0] + i));
+    for (int s = 0; s * kBlock < area.columns; ++s)
+        for (int r = 0; r < area.rows; ++r) {
             const int first = s * kBlock * kTileHeight + r * kBlock;
-            const int count = columns - s * kBlock < kBlock ? columns - s * kBlock : kBlock;
-            const size_t pixel = size_t(y0 + r) * size_t(a.width) + size_t(x0 + s * kBlock);
+            const int count = area.columns - s * kBlock < kBlock ? area.columns - s * kBlock : kBlock;
+            const size_t pixel = size_t(area.y0 + r) * size_t(a.width) + size_t(area.x0 + s * kBlock);
             float rgb[3 * kBlock], alpha[kBlock];
             for (int x = 0; x < kBlock; ++x) {
-                const float t = final_trans[first + x];
+                const float t = ends.trans[first + x];
                 for (int k = 0; k < 3; ++k)
-                    rgb[3 * x + k] = state[1 + k][first + x] + t * a.background[k];
-                alpha[x] = kSumAlpha ? state[kCover][first + x] : 1.0f - t;
+                    rgb[3 * x + k] = canvas.state[1 + k][first + x] + t * a.background[k];
+                alpha[x] = C::kSumAlpha ? canvas.state[C::kCover][first + x] : 1.0f - t;
             }
             const auto write = [&](float *to, const float *from, int width) {
                 if (count == kBlock)
@@ -358,13 +401,36 @@ static PairCount blend_tile(const BlendArgs &a, uint32_t outputs, uint32_t tile)
             };
             write(a.image.rgb + 3 * pixel, rgb, 3);
             write(a.image.alpha + pixel, alpha, 1);
-            if (kChannels >= 4 && outputs & GS_OUT_INVERSE_DEPTH)
-                write(a.image.inverse_depth + pixel, state[4] + first, 1);
-            if (kChannels >= 4 && outputs & GS_OUT_DEPTH)
-                write(a.image.depth + pixel, state[kChannels] + first, 1);
-            if constexpr (kMedian)
-                write(a.image.median_depth + pixel, state[kMedianAt] + first, 1);
+            if (C::kChannels >= 4 && outputs & GS_OUT_INVERSE_DEPTH)
+                write(a.image.inverse_depth + pixel, canvas.state[4] + first, 1);
+            if (C::kChannels >= 4 && outputs & GS_OUT_DEPTH)
+                write(a.image.depth + pixel, canvas.state[C::kChannels] + first, 1);
+            if constexpr (C::kMedian)
+                write(a.image.median_depth + pixel, canvas.state[C::kMedianAt] + first, 1);
         }
+}
+
+template <int kChannels, bool kMedian>
+static PairCount blend_tile(const BlendArgs &a, uint32_t outputs, uint32_t tile) {
+    const Area area = area_of(a, tile);
+    fetch_pixels(a.image.rgb, 3, a.width, area.x0, area.y0, area.columns, area.rows);
+    fetch_pixels(a.image.alpha, 1, a.width, area.x0, area.y0, area.columns, area.rows);
+    Canvas<kChannels, kMedian> canvas;
+    const Ends ends = {a.final_transmittance + size_t(tile) * kTilePixels, a.stop_index + size_t(tile) * kTilePixels};
+    uint32_t live = clear(canvas, ends, area);
+    const int third = third_channel(outputs);
+    const uint32_t begin = a.tile_begin[tile], end = a.tile_begin[tile + 1];
+    ForwardBatch batch;
+    int64_t evaluated = 0, useful = 0;
+    for (uint32_t e = begin; e < end && live;) {
+        e = fill(batch, a, area, begin, e, end, live);
+        for (uint32_t left = live; left; left &= left - 1) {
+            const int block = __builtin_ctz(left);
+            if (batch.count[block])
+                evaluated += blend_block(canvas, ends, batch, block, outputs, third, live, useful);
+        }
+    }
+    write_pictures(canvas, ends, a, outputs, area);
     return {evaluated * kBlockPixels, useful};
 }
 
@@ -379,6 +445,156 @@ static PairCount blend(const BlendArgs &a, uint32_t outputs, uint32_t tile) {
                         : blend_tile<5, false>(a, outputs, tile);
 }
 
+// A tile's pixels while its splats are passed from back to front.
+struct Ground {
+    alignas(64) float trans[kTilePixels], behind[kTilePixels];
+    int32_t block_stop[kTileBlocks]; // the first list entry that a block does not need any more
+};
+// dL/dC of a tile's pixels; apart from `Ground`, so that what is stored there leaves loaded gradients in registers.
+template <int kChannels> struct ColorGradients {
+    alignas(64) float v[kChannels][kTilePixels];
+};
+
+// Takes up the tile's part of the gradients of the pictures; `behind` holds that of alpha.
+template <int kChannels>
+GS_INLINE void read_gradients(Ground &ground, ColorGradients<kChannels> &color, const BlendBackwardArgs &args,
+                              uint32_t outputs, const Area &area, uint32_t tile) {
+    const BlendArgs &a = *args.forward;
+    std::memcpy(ground.trans, a.final_transmittance + size_t(tile) * kTilePixels, sizeof ground.trans);
+    std::memset(color.v, 0, sizeof color.v);
+    std::memset(ground.behind, 0, sizeof ground.behind);
+    const float *planes[2] = {nullptr, nullptr};
+    if constexpr (kChannels >= 4)
+        planes[0] = outputs & GS_OUT_INVERSE_DEPTH ? args.grads.inverse_depth : args.grads.depth;
+    if constexpr (kChannels >= 5)
+        planes[1] = args.grads.depth;
+    for (int s = 0; s * kBlock < area.columns; ++s)
+        for (int r = 0; r < area.rows; ++r) {
+            const int first = s * kBlock * kTileHeight + r * kBlock;
+            const size_t count = size_t(area.columns - s * kBlock < kBlock ? area.columns - s * kBlock : kBlock);
+            const size_t pixel = size_t(area.y0 + r) * size_t(a.width) + size_t(area.x0 + s * kBlock);
+            if (args.grads.rgb) {
+                float rgb[3 * kBlock] = {};
+                if (count == kBlock)
+                    std::memcpy(rgb, args.grads.rgb + 3 * pixel, sizeof rgb);
+                else
+                    std::memcpy(rgb, args.grads.rgb + 3 * pixel, 3 * count * sizeof(float));
+                for (int x = 0; x < kBlock; ++x)
+                    for (int k = 0; k < 3; ++k)
+                        color.v[k][first + x] = rgb[3 * x + k];
+            }
+            for (int k = 3; k < kChannels; ++k)
+                if (planes[k - 3])
+                    std::memcpy(color.v[k] + first, planes[k - 3] + pixel, count * sizeof(float));
+            if (args.grads.alpha)
+                std::memcpy(ground.behind + first, args.grads.alpha + pixel, count * sizeof(float));
+        }
+}
+
+// Lets `behind` begin with the background, and finds where blocks stop, those without image gradient at once; returns
+// the last of the stops.
+template <int kChannels>
+GS_INLINE int32_t find_stops(Ground &ground, const ColorGradients<kChannels> &color, const int32_t *stop,
+                             const BlendBackwardArgs &args) {
+    int32_t start = 0;
+    for (int b = 0; b < kTileBlocks; ++b) {
+        int32_t last = 0;
+        IVec any = {};
+        for (int i = b * kBlockPixels; i < (b + 1) * kBlockPixels; ++i)
+            last = stop[i] > last ? stop[i] : last;
+        for (int i = b * kBlockPixels; i < (b + 1) * kBlockPixels; i += kLanes) {
+            Vec back = -load(ground.behind + i); // which holds the gradient of alpha
+            any |= as_int(back);
+            for (int k = 0; k < kChannels; ++k)
+                any |= as_int(load(color.v[k] + i));
+            for (int k = 0; k < 3; ++k)
+                back = fma(load(color.v[k] + i), set1(args.forward->background[k]), back);
+            store(ground.behind + i, back);
+        }
+        // Without their signs: a negative zero is one too.
+        ground.block_stop[b] = !args.skip_zero_tiles || bits(gt_int(any & INT32_MAX, IVec{})) ? last : 0;
+        start = ground.block_stop[b] > start ? ground.block_stop[b] : start;
+    }
+    return start;
+}
+
+// The walk down a tile's list, from its back to its front.
+struct Walk {
+    uint32_t begin;    // of the list
+    int32_t i;         // entries that are left
+    uint32_t live;     // blocks that the walk has reached
+    int32_t next_stop; // where it reaches the next one
+};
+
+// Takes the next splats that reach a block; the sums of those that reach none are zero.
+GS_INLINE void fill(BackwardBatch &batch, Walk &walk, const BlendBackwardArgs &args, const Area &area,
+                    const int32_t *block_stop) {
+    // Records are fetched this many list entries ahead of their use.
+    constexpr uint32_t kPrefetch = 8;
+    const BlendArgs &a = *args.forward;
+    batch.splats = batch.items = 0;
+    while (walk.i > 0 && !batch.full()) {
+        const int32_t i = --walk.i;
+        if (i < walk.next_stop) {
+            walk.next_stop = 0;
+            for (int b = 0; b < kTileBlocks; ++b)
+                if (block_stop[b] > i)
+                    walk.live |= 1u << b;
+                else
+                    walk.next_stop = block_stop[b] > walk.next_stop ? block_stop[b] : walk.next_stop;
+        }
+        const uint32_t e = walk.begin + uint32_t(i);
+        if (uint32_t(i) >= kPrefetch)
+            __builtin_prefetch(&a.projected[a.entries[e - kPrefetch].slot]);
+        const Entry entry = a.entries[e];
+        Moments *const moments = args.moments + entry.moment;
+        if (const uint32_t blocks = entry.blocks & walk.live) {
+            // Written when the batch is done; they lie anywhere in memory.
+            __builtin_prefetch(moments, 1);
+            __builtin_prefetch(moments->v + kMomentCount - 1, 1);
+            batch.moments[batch.splats] = moments;
+            batch.add_reaching(blocks, a.projected[entry.slot], i, area.first_x, area.first_y);
+        } else {
+            *moments = {};
+        }
+    }
+    batch.find_alphas();
+}
+
+// Passes splat p at kLanes pixels, `at` of the tile and `lane` of item n, and adds to its sums.
+template <int kChannels>
+GS_INLINE void pass_pixels(Ground &ground, const ColorGradients<kChannels> &color, const int32_t *stop,
+                           const BackwardBatch &batch, const Projected &p, IVec index, int n, int lane, int third,
+                           Vec *sums) {
+    const int at = batch.block[n] * kBlockPixels + lane;
+    IVec stops;
+    std::memcpy(&stops, stop + at, sizeof stops);
+    // A pixel takes part in what comes before its stop.
+    const Vec raw = keep(gt_int(stops, index), load(batch.alpha[n] + lane));
+    const Vec alpha = min(raw, set1(kAlphaMax));
+    const Vec t = quotient(load(ground.trans + at), 1.0f - alpha);
+    store(ground.trans + at, t);
+    const Vec w = alpha * t;
+    Vec own = set1(p.channel[0]) * load(color.v[0] + at);
+    for (int k = 1; k < kChannels; ++k)
+        own = fma(set1(p.channel[k < 3 ? k : third + k - 3]), load(color.v[k] + at), own);
+    const Vec back = load(ground.behind + at);
+    const Vec diff = own - back;
+    store(ground.behind + at, fma(alpha, diff, back));
+
+    const Vec g = keep(ge(set1(kAlphaMax), raw), w * diff);
+    const Vec u = load(batch.u[n] + lane), v = load(batch.v[n] + lane);
+    const Vec gu = g * u, gv = g * v;
+    sums[kG] += g;
+    sums[kGu] += gu;
+    sums[kGv] += gv;
+    sums[kGuu] = fma(gu, u, sums[kGuu]);
+    sums[kGuv] = fma(gu, v, sums[kGuv]);
+    sums[kGvv] = fma(gv, v, sums[kGvv]);
+    for (int k = 0; k < kChannels; ++k)
+        sums[kRed + k] = fma(w, load(color.v[k] + at), sums[kRed + k]);
+}
+
 // With C the colour a pixel shows from splat i on (background last) and c_i its own, C_i = alpha_i c_i + (1 - alpha_i)
 // C_{i+1}; therefore dL/dalpha_i = T_i (c_i - C_{i+1}) . dL/dC. Walking back to front, `behind` is C_{i+1} . dL/dC and
 // T_i = T_{i+1} / (1 - alpha_i). All quantities are relative to what remains behind, so distant splats keep precision.
@@ -388,142 +604,31 @@ static int64_t blend_tile_backward(const BlendBackwardArgs &args, uint32_t outpu
     const uint32_t begin = a.tile_begin[tile], count = a.tile_begin[tile + 1] - begin;
     if (count == 0)
         return 0;
-    const int tile_x = int(tile) % a.tiles_x, tile_y = int(tile) / a.tiles_x;
-    const int x0 = tile_x * kTileWidth, y0 = tile_y * kTileHeight;
-    const int columns = a.width - x0 < kTileWidth ? a.width - x0 : kTileWidth;
-    const int rows = a.height - y0 < kTileHeight ? a.height - y0 : kTileHeight;
-    const int32_t *stop = a.stop_index + size_t(tile) * kTilePixels;
-
-    fetch_pixels(args.grads.rgb, 3, a.width, x0, y0, columns, rows);
-    fetch_pixels(args.grads.alpha, 1, a.width, x0, y0, columns, rows);
-    alignas(64) float v_color[kChannels][kTilePixels];
-    alignas(64) float trans[kTilePixels], behind[kTilePixels];
-    std::memcpy(trans, a.final_transmittance + size_t(tile) * kTilePixels, sizeof trans);
-    std::memset(v_color, 0, sizeof v_color);
-    std::memset(behind, 0, sizeof behind);
-    const float *planes[2] = {nullptr, nullptr};
-    if constexpr (kChannels >= 4)
-        planes[0] = outputs & GS_OUT_INVERSE_DEPTH ? args.grads.inverse_depth : args.grads.depth;
-    if constexpr (kChannels >= 5)
-        planes[1] = args.grads.depth;
-    for (int s = 0; s * kBlock < columns; ++s)
-        for (int r = 0; r < rows; ++r) {
-            const int first = s * kBlock * kTileHeight + r * kBlock;
-            const size_t count_here = size_t(columns - s * kBlock < kBlock ? columns - s * kBlock : kBlock);
-            const size_t pixel = size_t(y0 + r) * size_t(a.width) + size_t(x0 + s * kBlock);
-            if (args.grads.rgb) {
-                float rgb[3 * kBlock] = {};
-                if (count_here == kBlock)
-                    std::memcpy(rgb, args.grads.rgb + 3 * pixel, sizeof rgb);
-                else
-                    std::memcpy(rgb, args.grads.rgb + 3 * pixel, 3 * count_here * sizeof(float));
-                for (int x = 0; x < kBlock; ++x)
-                    for (int k = 0; k < 3; ++k)
-                        v_color[k][first + x] = rgb[3 * x + k];
-            }
-            for (int k = 3; k < kChannels; ++k)
-                if (planes[k - 3])
-                    std::memcpy(v_color[k] + first, planes[k - 3] + pixel, count_here * sizeof(float));
-            if (args.grads.alpha)
-                std::memcpy(behind + first, args.grads.alpha + pixel, count_here * sizeof(float));
-        }
-
-    // The first list entry that a block does not need any more; blocks without image gradient need none.
-    int32_t block_stop[kTileBlocks];
-    int32_t start = 0;
-    for (int b = 0; b < kTileBlocks; ++b) {
-        int32_t last = 0;
-        IVec any = {};
-        for (int i = b * kBlockPixels; i < (b + 1) * kBlockPixels; ++i)
-            last = stop[i] > last ? stop[i] : last;
-        for (int i = b * kBlockPixels; i < (b + 1) * kBlockPixels; i += kLanes) {
-            Vec back = -load(behind + i); // which holds the gradient of alpha
-            any |= as_int(back);
-            for (int k = 0; k < kChannels; ++k)
-                any |= as_int(load(v_color[k] + i));
-            for (int k = 0; k < 3; ++k)
-                back = fma(load(v_color[k] + i), set1(a.background[k]), back);
-            store(behind + i, back);
-        }
-        // Without their signs: a negative zero is one too.
-        block_stop[b] = !args.skip_zero_tiles || bits(gt_int(any & INT32_MAX, IVec{})) ? last : 0;
-        start = block_stop[b] > start ? block_stop[b] : start;
-    }
+    const Area area = area_of(a, tile);
+    fetch_pixels(args.grads.rgb, 3, a.width, area.x0, area.y0, area.columns, area.rows);
+    fetch_pixels(args.grads.alpha, 1, a.width, area.x0, area.y0, area.columns, area.rows);
+    Ground ground;
+    ColorGradients<kChannels> color;
+    read_gradients(ground, color, args, outputs, area, tile);
+    const int32_t *const stop = a.stop_index + size_t(tile) * kTilePixels;
+    int32_t start = find_stops(ground, color, stop, args);
     start = start < int32_t(count) ? start : int32_t(count);
     for (int32_t i = start; i < int32_t(count); ++i)
         args.moments[a.entries[begin + uint32_t(i)].moment] = {};
 
-    const float first_x = float(x0) + 0.5f, first_y = float(y0) + 0.5f;
-    const int third = outputs & GS_OUT_INVERSE_DEPTH ? kChannelInvZ : kChannelZ; // the first channel after the colours
-    // Records are fetched this many list entries ahead of their use.
-    constexpr uint32_t kPrefetch = 8;
+    const int third = third_channel(outputs);
     BackwardBatch batch;
-    uint32_t live = 0;         // blocks that the walk has reached
-    int32_t next_stop = start; // where it reaches the next one
+    Walk walk = {begin, start, 0, start};
     int64_t items = 0;
-    for (int32_t i = start; i > 0;) {
-        batch.splats = batch.items = 0;
-        while (i > 0 && !batch.full()) {
-            --i;
-            if (i < next_stop) {
-                next_stop = 0;
-                for (int b = 0; b < kTileBlocks; ++b)
-                    if (block_stop[b] > i)
-                        live |= 1u << b;
-                    else
-                        next_stop = block_stop[b] > next_stop ? block_stop[b] : next_stop;
-            }
-            const uint32_t e = begin + uint32_t(i);
-            if (uint32_t(i) >= kPrefetch)
-                __builtin_prefetch(&a.projected[a.entries[e - kPrefetch].slot]);
-            const Entry entry = a.entries[e];
-            Moments *const moments = args.moments + entry.moment;
-            if (const uint32_t blocks = entry.blocks & live) {
-                // Written when the batch is done; they lie anywhere in memory.
-                __builtin_prefetch(moments, 1);
-                __builtin_prefetch(moments->v + kMomentCount - 1, 1);
-                batch.moments[batch.splats] = moments;
-                batch.add_reaching(blocks, a.projected[entry.slot], i, first_x, first_y);
-            } else {
-                *moments = {};
-            }
-        }
+    while (walk.i > 0) {
+        fill(batch, walk, args, area, ground.block_stop);
         items += batch.items;
-        batch.find_alphas();
         for (int s = 0, n = 0; s < batch.splats; ++s) {
-            const Projected &p = batch.splat[s];
             const IVec index = IVec{} + batch.index[s];
             Vec sums[kMomentCount] = {};
             for (; n < batch.item_end[s]; ++n)
-                for (int j = 0; j < kBlockVecs; ++j) {
-                    const int lane = j * kLanes, at = batch.block[n] * kBlockPixels + lane;
-                    IVec stops;
-                    std::memcpy(&stops, stop + at, sizeof stops);
-                    // A pixel takes part in what comes before its stop.
-                    const Vec raw = keep(gt_int(stops, index), load(batch.alpha[n] + lane));
-                    const Vec alpha = min(raw, set1(kAlphaMax));
-                    const Vec t = quotient(load(trans + at), 1.0f - alpha);
-                    store(trans + at, t);
-                    const Vec w = alpha * t;
-                    Vec own = set1(p.channel[0]) * load(v_color[0] + at);
-                    for (int k = 1; k < kChannels; ++k)
-                        own = fma(set1(p.channel[k < 3 ? k : third + k - 3]), load(v_color[k] + at), own);
-                    const Vec back = load(behind + at);
-                    const Vec diff = own - back;
-                    store(behind + at, fma(alpha, diff, back));
-
-                    const Vec g = keep(ge(set1(kAlphaMax), raw), w * diff);
-                    const Vec u = load(batch.u[n] + lane), v = load(batch.v[n] + lane);
-                    const Vec gu = g * u, gv = g * v;
-                    sums[kG] += g;
-                    sums[kGu] += gu;
-                    sums[kGv] += gv;
-                    sums[kGuu] = fma(gu, u, sums[kGuu]);
-                    sums[kGuv] = fma(gu, v, sums[kGuv]);
-                    sums[kGvv] = fma(gv, v, sums[kGvv]);
-                    for (int k = 0; k < kChannels; ++k)
-                        sums[kRed + k] = fma(w, load(v_color[k] + at), sums[kRed + k]);
-                }
+                for (int j = 0; j < kBlockVecs; ++j)
+                    pass_pixels(ground, color, stop, batch, batch.splat[s], index, n, j * kLanes, third, sums);
             if constexpr (kChannels == 4)
                 if (!(outputs & GS_OUT_INVERSE_DEPTH)) {
                     sums[kZ] = sums[kInvZ];

@@ -52,19 +52,19 @@ struct Limits {
     }
 };
 
-// Fills `s` for the splats id[0..kLanes); returns the lanes that can be drawn as far as the geometry says.
-static inline Mask project_lanes(const gs_splats &in, const gs_camera &camera, const gs_options &options,
-                                 const Limits &limits, const uint32_t *id, Lanes &s) {
+// Means in the camera; returns the lanes between its planes.
+GS_INLINE Mask place(const gs_splats &in, const gs_camera &camera, const uint32_t *id, Lanes &s) {
     const float *w = camera.viewmat;
     gather<3>(in.means, in.count, id, s.mean);
     for (int i = 0; i < 3; ++i)
         s.cam[i] = fma(set1(w[4 * i]), s.mean[0],
                        fma(set1(w[4 * i + 1]), s.mean[1], fma(set1(w[4 * i + 2]), s.mean[2], set1(w[4 * i + 3]))));
     // Comparisons with NaN are false, so a broken row fails here or below.
-    Mask ok = both(gt(s.cam[2], set1(camera.near_plane)), ge(set1(camera.far_plane), s.cam[2]));
-    if (!bits(ok))
-        return ok;
+    return both(gt(s.cam[2], set1(camera.near_plane)), ge(set1(camera.far_plane), s.cam[2]));
+}
 
+// Quaternions as they are stored, scales and opacities as they are drawn; returns the lanes whose numbers are finite.
+GS_INLINE Mask read_shape(const gs_splats &in, const uint32_t *id, Lanes &s) {
     Vec poison = {};
     gather<4>(in.quats, in.count, id, s.quat);
     for (const Vec q : s.quat)
@@ -84,13 +84,16 @@ static inline Mask project_lanes(const gs_splats &in, const gs_camera &camera, c
     } else {
         s.opacity = o;
     }
-    ok = both(ok, ge(poison, Vec{}));
+    return ge(poison, Vec{});
+}
 
+// Normalises the quaternions and makes R and W R of them; returns the lanes whose quaternions have a length.
+GS_INLINE Mask rotate(const float *w, Lanes &s) {
     // Divided by the largest component first, so that no length over- or underflows.
     Vec largest = {};
     for (int k = 0; k < 4; ++k)
         largest = max(largest, max(s.quat[k], -s.quat[k]));
-    ok = both(ok, ge(largest, set1(kQuatMin)));
+    const Mask ok = ge(largest, set1(kQuatMin));
     Vec q[4], norm2 = {};
     const Vec shrink = 1.0f / max(largest, set1(kQuatMin));
     for (int k = 0; k < 4; ++k) {
@@ -115,7 +118,11 @@ static inline Mask project_lanes(const gs_splats &in, const gs_camera &camera, c
         for (int k = 0; k < 3; ++k)
             s.world_rot[i][k] = dot3(set1(w[4 * i]), set1(w[4 * i + 1]), set1(w[4 * i + 2]), s.rot[0][k],
                                      s.rot[1][k], s.rot[2][k]);
+    return ok;
+}
 
+// Means on the screen, J and what it makes of W R S.
+GS_INLINE void linearise(const gs_camera &camera, const Limits &limits, Lanes &s) {
     s.inverse_z = 1.0f / s.cam[2];
     const float focal[2] = {camera.fx, camera.fy}, center[2] = {camera.cx, camera.cy};
     for (int i = 0; i < 2; ++i) {
@@ -136,6 +143,10 @@ static inline Mask project_lanes(const gs_splats &in, const gs_camera &camera, c
             s.m[i][k] = s.proj[i][k] * s.scale[k];
         }
     }
+}
+
+// The 2D covariance and the opacity after compensation; returns the lanes in which both can be drawn.
+GS_INLINE Mask spread(const gs_options &options, Lanes &s) {
     for (int k = 0; k < 3; ++k) {
         const int i = (k + 1) % 3, j = (k + 2) % 3;
         s.minor[k] = fnma(s.m[0][j], s.m[1][i], s.m[0][i] * s.m[1][j]);
@@ -149,7 +160,7 @@ static inline Mask project_lanes(const gs_splats &in, const gs_camera &camera, c
     s.det0 = dot3(s.minor[0], s.minor[1], s.minor[2], s.minor[0], s.minor[1], s.minor[2]);
     s.det = fma(set1(eps), xx + yy + eps, s.det0);
     // Beyond float's range (a deviation of some 1e9 px) a splat cannot be drawn.
-    ok = both(ok, both(gt(s.det, Vec{}), ge(set1(3e38f), s.det)));
+    const Mask ok = both(gt(s.det, Vec{}), ge(set1(3e38f), s.det));
 
     s.compensation = set1(1.0f);
     s.compensated = gt(Vec{}, set1(1.0f));
@@ -159,8 +170,19 @@ static inline Mask project_lanes(const gs_splats &in, const gs_camera &camera, c
         s.compensation = max(c, set1(GS_COMPENSATION_MIN));
     }
     s.sigma_opacity = s.opacity * s.compensation;
-    ok = both(ok, both(ge(s.sigma_opacity, set1(GS_ALPHA_MIN)), ge(set1(3e38f), s.sigma_opacity)));
-    return ok;
+    return both(ok, both(ge(s.sigma_opacity, set1(GS_ALPHA_MIN)), ge(set1(3e38f), s.sigma_opacity)));
+}
+
+// Fills `s` for the splats id[0..kLanes); returns the lanes that can be drawn as far as the geometry says.
+static inline Mask project_lanes(const gs_splats &in, const gs_camera &camera, const gs_options &options,
+                                 const Limits &limits, const uint32_t *id, Lanes &s) {
+    Mask ok = place(in, camera, id, s);
+    if (!bits(ok))
+        return ok;
+    ok = both(ok, read_shape(in, id, s));
+    ok = both(ok, rotate(camera.viewmat, s));
+    linearise(camera, limits, s);
+    return both(ok, spread(options, s));
 }
 
 static inline void direction(const gs_camera &camera, const Lanes &s, Row3 &d, Vec &length) {
@@ -341,140 +363,183 @@ static inline void covariance_backward(const Lanes &s, float eps2d, Vec guu, Vec
     }
 }
 
+// What the forward pass and the blending left of kLanes splats.
+struct Blended {
+    uint32_t id[kLanes];
+    alignas(64) float sums[kMomentCount][kLanes];
+    alignas(64) float color[3][kLanes], conic[3][kLanes]; // conic: ua, ub, vc
+    Vec sum(MomentIndex k) const { return load(sums[k]); }
+};
+
+// Reads the `lanes` slots from `first` on; lanes beyond them repeat the first splat, with sums of zero.
+GS_INLINE void read_blended(const ProjectBackwardArgs &a, const Moments *moments, int64_t first, int lanes, Blended &b) {
+    std::memset(b.sums, 0, sizeof b.sums);
+    std::memset(b.color, 0, sizeof b.color);
+    std::memset(b.conic, 0, sizeof b.conic);
+    for (int l = 0; l < kLanes; ++l) {
+        const size_t slot = size_t(first + (l < lanes ? l : 0));
+        const Projected &p = a.forward.projected[slot];
+        b.id[l] = p.id;
+        if (l >= lanes)
+            continue;
+        const Moments m = merge_moments(moments, a.spans[slot]);
+        for (int k = 0; k < kMomentCount; ++k)
+            b.sums[k][l] = m.v[k];
+        for (int k = 0; k < 3; ++k)
+            b.color[k][l] = p.channel[k];
+        b.conic[0][l] = p.ua;
+        b.conic[1][l] = p.ub;
+        b.conic[2][l] = p.vc;
+    }
+}
+
+// The part of the compensation of opacities in the gradient with respect to M that its minors carry.
+GS_INLINE void compensation_backward(const Lanes &s, Vec g_sum, Vec v_m[2][3]) {
+    const Vec gain = keep(s.compensated, g_sum / s.det0);
+    for (int k = 0; k < 3; ++k) {
+        const int i = (k + 1) % 3, j = (k + 2) % 3;
+        const Vec g = gain * s.minor[k]; // minor[k] = m0i m1j - m0j m1i
+        v_m[0][i] = fma(g, s.m[1][j], v_m[0][i]);
+        v_m[1][j] = fma(g, s.m[0][i], v_m[1][j]);
+        v_m[0][j] = fnma(g, s.m[1][i], v_m[0][j]);
+        v_m[1][i] = fnma(g, s.m[0][j], v_m[1][i]);
+    }
+}
+
+// From the gradient with respect to M = J W R S to those of J, W R and S.
+GS_INLINE void product_backward(const Lanes &s, bool raw, const Vec v_m[2][3], Vec v_jac_diagonal[2],
+                                Vec v_jac_offset[2], Vec v_world_rot[3][3], Vec v_scale[3]) {
+    for (int k = 0; k < 3; ++k) {
+        v_scale[k] = fma(v_m[0][k], s.proj[0][k], v_m[1][k] * s.proj[1][k]);
+        if (raw)
+            v_scale[k] *= s.scale[k];
+        const Vec v_p0 = v_m[0][k] * s.scale[k], v_p1 = v_m[1][k] * s.scale[k];
+        v_jac_diagonal[0] = fma(v_p0, s.world_rot[0][k], v_jac_diagonal[0]);
+        v_jac_diagonal[1] = fma(v_p1, s.world_rot[1][k], v_jac_diagonal[1]);
+        v_jac_offset[0] = fma(v_p0, s.world_rot[2][k], v_jac_offset[0]);
+        v_jac_offset[1] = fma(v_p1, s.world_rot[2][k], v_jac_offset[1]);
+        v_world_rot[0][k] = v_p0 * s.jac_diagonal[0];
+        v_world_rot[1][k] = v_p1 * s.jac_diagonal[1];
+        v_world_rot[2][k] = fma(v_p0, s.jac_offset[0], v_p1 * s.jac_offset[1]);
+    }
+}
+
+// The gradient of the mean in the camera, from those of J, of the mean on the screen and of the two depths.
+GS_INLINE void screen_backward(const Lanes &s, const gs_camera &camera, const Vec v_jac_diagonal[2],
+                               const Vec v_jac_offset[2], const Vec v_mean2d[2], Vec v_inverse_z, Vec v_z,
+                               Vec v_cam[3]) {
+    const float focal[2] = {camera.fx, camera.fy};
+    for (int i = 0; i < 2; ++i) {
+        // jac_diagonal = f / z, jac_offset = -f / z * clamped ratio.
+        const Vec v_clamped = -s.jac_diagonal[i] * v_jac_offset[i];
+        v_inverse_z += focal[i] * fnma(s.ratio_clamped[i], v_jac_offset[i], v_jac_diagonal[i]);
+        const Vec v_ratio = fma(set1(focal[i]), v_mean2d[i], keep(s.unclamped[i], v_clamped));
+        v_cam[i] = v_ratio * s.inverse_z;
+        v_inverse_z = fma(v_ratio, s.cam[i], v_inverse_z);
+    }
+    v_cam[2] = fnma(s.inverse_z * s.inverse_z, v_inverse_z, v_z);
+}
+
+// Writes the gradients of the SH coefficients; fills that of the way from the camera's centre to the mean.
+GS_INLINE void color_backward(const ProjectBackwardArgs &a, const Lanes &s, const Blended &b, int lanes,
+                              Vec v_from_center[3]) {
+    Vec v_color[3];
+    for (int k = 0; k < 3; ++k) // passes where it was not clamped at zero
+        v_color[k] = keep(gt(load(b.color[k]), Vec{}), b.sum(MomentIndex(kRed + k)));
+    Row3 d;
+    Vec length;
+    direction(*a.forward.camera, s, d, length);
+    Vec v_d[3];
+    sh_backward(*a.forward.splats, a.grads, b.id, lanes, d.x, d.y, d.z, v_color, v_d);
+    const Vec radial = dot3(d.x, d.y, d.z, v_d[0], v_d[1], v_d[2]);
+    v_from_center[0] = fnma(radial, d.x, v_d[0]) / length;
+    v_from_center[1] = fnma(radial, d.y, v_d[1]) / length;
+    v_from_center[2] = fnma(radial, d.z, v_d[2]) / length;
+}
+
+// Adds the gradients of kLanes splats with respect to the camera, 3 x 4 row-major.
+GS_INLINE void view_backward(const Lanes &s, const float *view, int lanes, const Vec v_cam[3],
+                             const Vec v_world_rot[3][3], const Vec v_from_center[3], Vec view_sums[12]) {
+    alignas(64) float on[kLanes];
+    for (int l = 0; l < kLanes; ++l)
+        on[l] = float(l < lanes);
+    const Mask mask = gt(load(on), Vec{});
+    for (int i = 0; i < 3; ++i) {
+        const float t = view[4 * i + 3];
+        Vec v_t = v_cam[i];
+        for (int j = 0; j < 3; ++j) {
+            // W acts on the mean, on R, and through the centre -W^T t on the viewing direction.
+            Vec v_w = fma(v_cam[i], s.mean[j], t * v_from_center[j]);
+            for (int k = 0; k < 3; ++k)
+                v_w = fma(v_world_rot[i][k], s.rot[j][k], v_w);
+            view_sums[4 * i + j] += keep(mask, v_w);
+            v_t = fma(set1(view[4 * i + j]), v_from_center[j], v_t);
+        }
+        view_sums[4 * i + 3] += keep(mask, v_t);
+    }
+}
+
+// Gradients of the first `lanes` splats of `s`: writes those of their parameters, adds up those of the camera.
+GS_INLINE void lanes_backward(const ProjectBackwardArgs &a, const Lanes &s, const Blended &b, int lanes,
+                              Vec view_sums[12]) {
+    const gs_splats &in = *a.forward.splats;
+    const gs_splat_grads &grads = a.grads;
+    const float *view = a.forward.camera->viewmat;
+    const Vec u_sum = b.sum(kGu) * (1.0f / kHalfLog2E), v_sum = b.sum(kGv) * (1.0f / kHalfLog2E);
+    const Vec v_mean2d[2] = {load(b.conic[0]) * u_sum, fma(load(b.conic[1]), u_sum, load(b.conic[2]) * v_sum)};
+    const Vec log_gain = keep(s.compensated, b.sum(kG));
+    Vec v_m[2][3];
+    covariance_backward(s, a.forward.options->eps2d, b.sum(kGuu), b.sum(kGuv), b.sum(kGvv), log_gain, v_m);
+    if (a.forward.options->antialias)
+        compensation_backward(s, b.sum(kG), v_m);
+
+    // v_opacity: alpha is proportional to the opacity.
+    const Vec v_opacity = in.raw ? b.sum(kG) * s.see_through : b.sum(kG) / s.opacity;
+    scatter_one(grads.opacities, b.id, lanes, v_opacity);
+
+    Vec v_jac_diagonal[2] = {}, v_jac_offset[2] = {}, v_world_rot[3][3], v_scale[3];
+    product_backward(s, in.raw, v_m, v_jac_diagonal, v_jac_offset, v_world_rot, v_scale);
+    scatter<3>(grads.scales, b.id, lanes, v_scale);
+    Vec v_rot[3][3];
+    for (int i = 0; i < 3; ++i)
+        for (int k = 0; k < 3; ++k)
+            v_rot[i][k] = dot3(set1(view[i]), set1(view[4 + i]), set1(view[8 + i]), v_world_rot[0][k],
+                               v_world_rot[1][k], v_world_rot[2][k]);
+    Vec v_quat[4];
+    quat_backward(s, v_rot, v_quat);
+    scatter<4>(grads.quats, b.id, lanes, v_quat);
+
+    Vec v_cam[3], v_from_center[3], v_mean[3];
+    screen_backward(s, *a.forward.camera, v_jac_diagonal, v_jac_offset, v_mean2d, b.sum(kInvZ), b.sum(kZ), v_cam);
+    color_backward(a, s, b, lanes, v_from_center);
+    for (int j = 0; j < 3; ++j)
+        v_mean[j] = dot3(set1(view[j]), set1(view[4 + j]), set1(view[8 + j]), v_cam[0], v_cam[1], v_cam[2]) +
+                    v_from_center[j];
+    scatter<3>(grads.means, b.id, lanes, v_mean);
+    if (grads.means2d)
+        scatter<2>(grads.means2d, b.id, lanes, v_mean2d);
+    if (a.viewmat_partial)
+        view_backward(s, view, lanes, v_cam, v_world_rot, v_from_center, view_sums);
+}
+
 static void project_backward(const ProjectBackwardArgs &a, int64_t chunk) {
     const gs_splats &in = *a.forward.splats;
     const gs_camera &camera = *a.forward.camera;
-    const gs_splat_grads &grads = a.grads;
     const Limits limits(camera);
-    const float *view = camera.viewmat;
-    const float focal[2] = {camera.fx, camera.fy};
     const int64_t begin = chunk * kChunk;
     const int visible = a.forward.visible[chunk];
     zero_culled_rows(a, begin, begin + kChunk < in.count ? begin + kChunk : in.count, visible);
     const Moments *const moments = a.moments + a.moment_begin[chunk];
     Vec view_sums[12] = {}; // 3 x 4 row-major
     Lanes s;
+    Blended b;
     for (int first = 0; first < visible; first += kLanes) {
         for (int i = first + kLanes; i < first + 2 * kLanes && i < visible; ++i)
-            fetch_coefficients(in, grads, a.forward.projected[begin + i].id);
+            fetch_coefficients(in, a.grads, a.forward.projected[begin + i].id);
         const int lanes = visible - first < kLanes ? visible - first : kLanes;
-        uint32_t id[kLanes];
-        alignas(64) float sums[kMomentCount][kLanes] = {};
-        alignas(64) float color[3][kLanes] = {}, conic[3][kLanes] = {}; // conic: ua, ub, vc
-        for (int l = 0; l < kLanes; ++l) {
-            const size_t slot = size_t(begin + first + (l < lanes ? l : 0));
-            const Projected &p = a.forward.projected[slot];
-            id[l] = p.id;
-            if (l >= lanes)
-                continue;
-            const Moments m = merge_moments(moments, a.spans[slot]);
-            for (int k = 0; k < kMomentCount; ++k)
-                sums[k][l] = m.v[k];
-            for (int k = 0; k < 3; ++k)
-                color[k][l] = p.channel[k];
-            conic[0][l] = p.ua;
-            conic[1][l] = p.ub;
-            conic[2][l] = p.vc;
-        }
-        project_lanes(in, camera, *a.forward.options, limits, id, s);
-        const auto sum = [&](MomentIndex k) { return load(sums[k]); };
-
-        const Vec u_sum = sum(kGu) * (1.0f / kHalfLog2E), v_sum = sum(kGv) * (1.0f / kHalfLog2E);
-        const Vec v_mean2d[2] = {load(conic[0]) * u_sum, fma(load(conic[1]), u_sum, load(conic[2]) * v_sum)};
-        const Vec log_gain = keep(s.compensated, sum(kG));
-        Vec v_m[2][3];
-        covariance_backward(s, a.forward.options->eps2d, sum(kGuu), sum(kGuv), sum(kGvv), log_gain, v_m);
-        if (a.forward.options->antialias) {
-            const Vec gain = keep(s.compensated, sum(kG) / s.det0);
-            for (int k = 0; k < 3; ++k) {
-                const int i = (k + 1) % 3, j = (k + 2) % 3;
-                const Vec g = gain * s.minor[k]; // minor[k] = m0i m1j - m0j m1i
-                v_m[0][i] = fma(g, s.m[1][j], v_m[0][i]);
-                v_m[1][j] = fma(g, s.m[0][i], v_m[1][j]);
-                v_m[0][j] = fnma(g, s.m[1][i], v_m[0][j]);
-                v_m[1][i] = fnma(g, s.m[0][j], v_m[1][i]);
-            }
-        }
-
-        // v_opacity: alpha is proportional to the opacity.
-        const Vec v_opacity = in.raw ? sum(kG) * s.see_through : sum(kG) / s.opacity;
-        scatter_one(grads.opacities, id, lanes, v_opacity);
-
-        Vec v_jac_diagonal[2] = {}, v_jac_offset[2] = {}, v_world_rot[3][3], v_scale[3];
-        for (int k = 0; k < 3; ++k) {
-            v_scale[k] = fma(v_m[0][k], s.proj[0][k], v_m[1][k] * s.proj[1][k]);
-            if (in.raw)
-                v_scale[k] *= s.scale[k];
-            const Vec v_p0 = v_m[0][k] * s.scale[k], v_p1 = v_m[1][k] * s.scale[k];
-            v_jac_diagonal[0] = fma(v_p0, s.world_rot[0][k], v_jac_diagonal[0]);
-            v_jac_diagonal[1] = fma(v_p1, s.world_rot[1][k], v_jac_diagonal[1]);
-            v_jac_offset[0] = fma(v_p0, s.world_rot[2][k], v_jac_offset[0]);
-            v_jac_offset[1] = fma(v_p1, s.world_rot[2][k], v_jac_offset[1]);
-            v_world_rot[0][k] = v_p0 * s.jac_diagonal[0];
-            v_world_rot[1][k] = v_p1 * s.jac_diagonal[1];
-            v_world_rot[2][k] = fma(v_p0, s.jac_offset[0], v_p1 * s.jac_offset[1]);
-        }
-        scatter<3>(grads.scales, id, lanes, v_scale);
-        Vec v_rot[3][3];
-        for (int i = 0; i < 3; ++i)
-            for (int k = 0; k < 3; ++k)
-                v_rot[i][k] = dot3(set1(view[i]), set1(view[4 + i]), set1(view[8 + i]), v_world_rot[0][k],
-                                   v_world_rot[1][k], v_world_rot[2][k]);
-        Vec v_quat[4];
-        quat_backward(s, v_rot, v_quat);
-        scatter<4>(grads.quats, id, lanes, v_quat);
-
-        Vec v_cam[3], v_inverse_z = sum(kInvZ);
-        for (int i = 0; i < 2; ++i) {
-            // jac_diagonal = f / z, jac_offset = -f / z * clamped ratio.
-            const Vec v_clamped = -s.jac_diagonal[i] * v_jac_offset[i];
-            v_inverse_z += focal[i] * fnma(s.ratio_clamped[i], v_jac_offset[i], v_jac_diagonal[i]);
-            const Vec v_ratio = fma(set1(focal[i]), v_mean2d[i], keep(s.unclamped[i], v_clamped));
-            v_cam[i] = v_ratio * s.inverse_z;
-            v_inverse_z = fma(v_ratio, s.cam[i], v_inverse_z);
-        }
-        v_cam[2] = fnma(s.inverse_z * s.inverse_z, v_inverse_z, sum(kZ));
-
-        // Colour: passes where it was not clamped at zero.
-        Vec v_color[3];
-        for (int k = 0; k < 3; ++k)
-            v_color[k] = keep(gt(load(color[k]), Vec{}), sum(MomentIndex(kRed + k)));
-        Row3 d;
-        Vec length;
-        direction(camera, s, d, length);
-        Vec v_d[3];
-        sh_backward(in, grads, id, lanes, d.x, d.y, d.z, v_color, v_d);
-        const Vec radial = dot3(d.x, d.y, d.z, v_d[0], v_d[1], v_d[2]);
-        const Vec v_from_center[3] = {fnma(radial, d.x, v_d[0]) / length, fnma(radial, d.y, v_d[1]) / length,
-                                      fnma(radial, d.z, v_d[2]) / length};
-
-        Vec v_mean[3];
-        for (int j = 0; j < 3; ++j)
-            v_mean[j] = dot3(set1(view[j]), set1(view[4 + j]), set1(view[8 + j]), v_cam[0], v_cam[1], v_cam[2]) +
-                        v_from_center[j];
-        scatter<3>(grads.means, id, lanes, v_mean);
-        if (grads.means2d)
-            scatter<2>(grads.means2d, id, lanes, v_mean2d);
-
-        if (a.viewmat_partial) {
-            alignas(64) float on[kLanes];
-            for (int l = 0; l < kLanes; ++l)
-                on[l] = float(l < lanes);
-            const Mask mask = gt(load(on), Vec{});
-            for (int i = 0; i < 3; ++i) {
-                const float t = view[4 * i + 3];
-                Vec v_t = v_cam[i];
-                for (int j = 0; j < 3; ++j) {
-                    // W acts on the mean, on R, and through the centre -W^T t on the viewing direction.
-                    Vec v_w = fma(v_cam[i], s.mean[j], t * v_from_center[j]);
-                    for (int k = 0; k < 3; ++k)
-                        v_w = fma(v_world_rot[i][k], s.rot[j][k], v_w);
-                    view_sums[4 * i + j] += keep(mask, v_w);
-                    v_t = fma(set1(view[4 * i + j]), v_from_center[j], v_t);
-                }
-                view_sums[4 * i + 3] += keep(mask, v_t);
-            }
-        }
+        read_blended(a, moments, begin + first, lanes, b);
+        project_lanes(in, camera, *a.forward.options, limits, b.id, s);
+        lanes_backward(a, s, b, lanes, view_sums);
     }
     if (a.viewmat_partial) {
         float out[16] = {};

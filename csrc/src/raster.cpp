@@ -137,48 +137,30 @@ gs_status gs_raster::bin(const BinArgs &args, uint32_t tiles, int threads) {
     return GS_OK;
 }
 
-gs_status gs_raster::forward(const gs_splats &splats, const gs_camera &camera, const gs_options &options,
-                             const gs_image &image) {
-    valid_ = false;
-    stats = {};
-    camera_ = camera;
-    options_ = options;
-    options_.threads = threads_of(options.threads);
-    splat_count_ = splats.count;
-    const int threads = options_.threads;
+int64_t gs_raster::project(const gs_splats &splats, int32_t *radii) {
     const Kernels &k = kernels();
-    Timer timer;
-
     const int64_t chunks = chunks_of(splats.count);
     const size_t slots = size_t(chunks) * size_t(kChunk);
     projected_.ensure(slots);
     depth_keys_.ensure(slots);
     visible_.ensure(size_t(chunks));
     spans_.ensure(slots);
-    ProjectArgs project = project_args(splats);
-    project.radii = image.radii;
-    parallel_for(size_t(chunks), threads, [&](size_t c, int) {
-        if (cancelled(options.cancel))
-            return;
-        k.project(project, int64_t(c));
+    ProjectArgs args = project_args(splats);
+    args.radii = radii;
+    parallel_for(size_t(chunks), options_.threads, [&](size_t c, int) {
+        if (!cancelled(options_.cancel))
+            k.project(args, int64_t(c));
     });
-    if (cancelled(options.cancel))
-        return GS_CANCELLED;
-    size_t visible = 0;
+    if (cancelled(options_.cancel))
+        return 0;
+    int64_t visible = 0;
     for (int64_t c = 0; c < chunks; ++c)
-        visible += size_t(visible_.get()[c]);
-    stats.project_ms = timer.lap_ms();
+        visible += visible_.get()[c];
+    return visible;
+}
 
-    const int tiles_x = ceil_div(camera.width, kTileWidth);
-    const int tiles_y = ceil_div(camera.height, kTileHeight);
-    const uint32_t tiles = uint32_t(tiles_x) * uint32_t(tiles_y);
-    const BinArgs bins = {projected_.get(), visible_.get(), spans_.get(),    camera.width,  camera.height,
-                          tiles_x,          options.disable, options.cancel, options.tiles};
-    if (const gs_status s = bin(bins, tiles, threads))
-        return s;
-    if (cancelled(options.cancel))
-        return GS_CANCELLED;
-    stats.bin_ms = timer.lap_ms();
+void gs_raster::sort(uint32_t tiles) {
+    const int threads = options_.threads;
     const uint32_t *const tile_begin = tile_begin_.get();
     uint32_t longest = 0;
     for (uint32_t t = 0; t < tiles; ++t)
@@ -188,41 +170,76 @@ gs_status gs_raster::forward(const gs_splats &splats, const gs_camera &camera, c
     for (TileSort &sort : sorts_)
         sort.reserve(longest);
     parallel_for(tiles, threads, [&](size_t t, int worker) {
-        if (!cancelled(options.cancel))
+        if (!cancelled(options_.cancel))
             sorts_[size_t(worker)].run(entries_.get() + tile_begin[t], tile_begin[t + 1] - tile_begin[t]);
     });
-    if (cancelled(options.cancel))
-        return GS_CANCELLED;
-    stats.sort_ms = timer.lap_ms();
+}
 
+PairCount gs_raster::blend(const gs_image &image, uint32_t tiles) {
+    const Kernels &k = kernels();
     blend_.projected = projected_.get();
     blend_.entries = entries_.get();
     blend_.tile_begin = tile_begin_.get();
-    blend_.width = camera.width;
-    blend_.height = camera.height;
-    blend_.tiles_x = tiles_x;
-    std::copy_n(options.background, 3, blend_.background);
+    blend_.width = camera_.width;
+    blend_.height = camera_.height;
+    blend_.tiles_x = ceil_div(camera_.width, kTileWidth);
+    std::copy_n(options_.background, 3, blend_.background);
     blend_.image = image;
     blend_.final_transmittance = final_transmittance_.ensure(size_t(tiles) * kTilePixels);
     blend_.stop_index = stop_index_.ensure(size_t(tiles) * kTilePixels);
     std::atomic<int64_t> pairs{0}, useful{0};
-    parallel_for(tiles, threads, [&](size_t t, int) {
-        if (cancelled(options.cancel))
+    parallel_for(tiles, options_.threads, [&](size_t t, int) {
+        if (cancelled(options_.cancel))
             return;
-        const PairCount found = k.blend(blend_, options.outputs, uint32_t(t));
+        const PairCount found = k.blend(blend_, options_.outputs, uint32_t(t));
         pairs += found.evaluated;
         useful += found.useful;
     });
     blend_.image = {}; // the caller's arrays may be gone by the backward call
+    return {pairs, useful};
+}
+
+gs_status gs_raster::forward(const gs_splats &splats, const gs_camera &camera, const gs_options &options,
+                             const gs_image &image) {
+    valid_ = false;
+    stats = {};
+    camera_ = camera;
+    options_ = options;
+    options_.threads = threads_of(options.threads);
+    splat_count_ = splats.count;
+    Timer timer;
+
+    const int64_t visible = project(splats, image.radii);
+    if (cancelled(options.cancel))
+        return GS_CANCELLED;
+    stats.project_ms = timer.lap_ms();
+
+    const int tiles_x = ceil_div(camera.width, kTileWidth);
+    const int tiles_y = ceil_div(camera.height, kTileHeight);
+    const uint32_t tiles = uint32_t(tiles_x) * uint32_t(tiles_y);
+    const BinArgs bins = {projected_.get(), visible_.get(), spans_.get(),    camera.width,  camera.height,
+                          tiles_x,          options.disable, options.cancel, options.tiles};
+    if (const gs_status s = bin(bins, tiles, options_.threads))
+        return s;
+    if (cancelled(options.cancel))
+        return GS_CANCELLED;
+    stats.bin_ms = timer.lap_ms();
+
+    sort(tiles);
+    if (cancelled(options.cancel))
+        return GS_CANCELLED;
+    stats.sort_ms = timer.lap_ms();
+
+    const PairCount pairs = blend(image, tiles);
     options_.cancel = nullptr;
     options_.tiles = nullptr;
     if (cancelled(options.cancel))
         return GS_CANCELLED;
     stats.blend_ms = timer.lap_ms();
-    stats.visible = int64_t(visible);
+    stats.visible = visible;
     stats.entries = int64_t(entry_count_);
-    stats.forward_pairs = pairs;
-    stats.useful_pairs = useful;
+    stats.forward_pairs = pairs.evaluated;
+    stats.useful_pairs = pairs.useful;
     stats.workspace_bytes = workspace_bytes();
     valid_ = true;
     return GS_OK;

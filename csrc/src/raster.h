@@ -34,7 +34,12 @@ struct gs_raster {
     gs_stats stats = {};
 
   private:
+    // The stages of a forward call in order, with the camera and the options of the call; they look at its flag for
+    // cancellation and leave their work unfinished.
+    int64_t project(const gs_splats &, int32_t *radii); // returns how many splats are visible
     gs_status bin(const gs::BinArgs &, uint32_t tiles, int threads);
+    void sort(uint32_t tiles);
+    gs::PairCount blend(const gs_image &, uint32_t tiles);
     gs::ProjectArgs project_args(const gs_splats &) const;
 
     // State of the last forward call.

@@ -13,6 +13,10 @@
 #include <arm_neon.h>
 #endif
 
+// A part of a kernel that has a name for its reader alone: GCC and Clang, clang-cl too, put it where it is called, and
+// what it works on stays in registers.
+#define GS_INLINE static inline __attribute__((always_inline))
+
 namespace gs::GS_NAMESPACE {
 
 #if defined(GS_ISA_AVX512)

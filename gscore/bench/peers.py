@@ -1,4 +1,4 @@
-"""Curves of other programs, from the small JSON that docs/benchmarks.md describes."""
+"""Curves of other programs, from the small JSON that docs/metrics.md describes."""
 
 import math
 from pathlib import Path

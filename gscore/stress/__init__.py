@@ -1,7 +1,7 @@
 """Numerical stress: what the library computes against what it should, on the user's own machine.
 
 A case is a function that draws its own input, asks an oracle, and returns errors with tolerances;
-`gscore stress` and the tests run the same cases. docs/accuracy.md lists them.
+`gscore stress` and the tests run the same cases. docs/accuracy-tests.md lists them.
 """
 
 from .run import Outcome, run_cases, select

@@ -30,7 +30,7 @@ class Case:
     """One stress test."""
 
     key: str
-    """S01 to S36, in the order of docs/accuracy.md."""
+    """S01 to S36, in the order of docs/accuracy-tests.md."""
     title: str
     run: Callable[[bool], Iterable[Measure]]
     """Takes whether the long version is wanted."""

@@ -21,7 +21,7 @@ _GROWTH = 0.5
 """Most splats that `default` is expected to add at a refinement, as a share of those there."""
 _LATER_GROWTH = 2.2e-4
 """What it is expected to add at the first refinement, times `grow_grad`; at the k-th k^-1.15 of
-that. Fitted to trainings with all presets (docs/benchmarks.md, "Budgets")."""
+that. Fitted to trainings with all presets (docs/benchmarks.md, "Captures")."""
 _SETTLES = 0.9
 """Share of a run after which learning rates fall."""
 _SAMPLES = 64

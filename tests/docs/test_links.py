@@ -15,8 +15,6 @@ PAGES = sorted(
 )
 WIDEST = 120
 UNWRAPPED = {
-    "CHANGELOG.md",
-    *(f"docs/{name}.md" for name in ("accuracy", "architecture", "benchmarks", "depth")),
     *(f"docs/{name}.md" for name in ("blender", "reliability")),
 }
 """Pages that `make format` has still to wrap."""

@@ -165,7 +165,7 @@ def test_seconds_said_for_the_presets(
     preset: str, size: tuple[int, int], waits: bool, taken: float
 ) -> None:
     """Oracle: what trainings of plush took on the machine whose step times the plan holds
-    (docs/benchmarks.md, "Budgets"), some of them when growth did not wait for photos."""
+    (docs/benchmarks.md, "Captures"), some of them with growth that does not wait for photos."""
     config = replace(PRESETS[preset](Path("plush"))[1], grow_with_photos=waits)
     found = estimate(config, [size] * 51, points=6903, pace=1.0)
     assert found.seconds == pytest.approx(taken, rel=0.25)

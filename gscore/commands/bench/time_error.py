@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
     parser.add_argument(
         "--peers", nargs="*", type=Path, default=(), metavar="FILE.json",
-        help="curves of other programs, see docs/benchmarks.md",
+        help="curves of other programs, see docs/metrics.md",
     )  # fmt: skip
     add_sweep_options(parser)
     add_training_options(parser)
