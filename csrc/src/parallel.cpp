@@ -4,7 +4,6 @@
 #include <atomic>
 #include <condition_variable>
 #include <cstdint>
-#include <cstdlib>
 #include <mutex>
 #include <system_error>
 #include <thread>
@@ -12,9 +11,6 @@
 
 #if defined(__x86_64__) || defined(_M_X64)
 #include <immintrin.h>
-#endif
-#if defined(__linux__)
-#include <sched.h>
 #endif
 
 namespace gs {
@@ -133,24 +129,6 @@ void parallel_for(size_t count, int threads, const std::function<void(size_t, in
         job.work(0);
     else
         pool().run(job);
-}
-
-int default_threads() {
-    static const int threads = [] {
-        if (const char *text = std::getenv("GSCORE_THREADS")) {
-            const int n = std::atoi(text);
-            if (n > 0)
-                return n;
-        }
-#if defined(__linux__)
-        cpu_set_t set;
-        if (sched_getaffinity(0, sizeof set, &set) == 0 && CPU_COUNT(&set) > 0)
-            return CPU_COUNT(&set);
-#endif
-        const unsigned n = std::thread::hardware_concurrency();
-        return n > 0 ? int(n) : 1;
-    }();
-    return threads;
 }
 
 } // namespace gs

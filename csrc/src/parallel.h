@@ -11,10 +11,4 @@ namespace gs {
 // Subnormal floats count as zero inside; the caller's floating-point state is restored.
 void parallel_for(size_t count, int threads, const std::function<void(size_t, int)> &body);
 
-// GSCORE_THREADS where set to a positive number, else the cores this process may use.
-int default_threads();
-
-// Threads to use where `wanted` were asked for; 0: all.
-inline int threads_of(int wanted) { return wanted > 0 ? wanted : default_threads(); }
-
 } // namespace gs
