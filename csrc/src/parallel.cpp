@@ -12,6 +12,9 @@
 #if defined(__x86_64__) || defined(_M_X64)
 #include <immintrin.h>
 #endif
+#if !defined(_WIN32)
+#include <pthread.h>
+#endif
 
 namespace gs {
 namespace {
@@ -112,10 +115,24 @@ class Pool {
     bool closing_ = false;
 };
 
+// Never destroyed: joining threads while the process exits deadlocks on some systems.
+std::atomic<Pool *> current{nullptr};
+
+#if !defined(_WIN32)
+// A forked process has none of its parent's threads, and may have inherited locks that nobody will ever open: it starts
+// with a pool of its own. The old one is left as it lies, for the same reason.
+[[maybe_unused]] const int watches_forks = pthread_atfork(nullptr, nullptr, [] { current.store(nullptr); });
+#endif
+
 Pool &pool() {
-    // Never destroyed: joining threads while the process exits deadlocks on some systems.
-    static Pool *const instance = new Pool;
-    return *instance;
+    Pool *found = current.load();
+    if (!found) {
+        Pool *const made = new Pool;
+        if (current.compare_exchange_strong(found, made))
+            return *made;
+        delete made; // another thread was faster
+    }
+    return *found;
 }
 
 } // namespace
