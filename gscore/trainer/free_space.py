@@ -8,6 +8,8 @@ of structure from motion say how far away the first surface is.
 import numpy as np
 import torch
 
+from ..raster.memory import zeros
+
 _NEAREST = 10
 """The distance to the first surface is that to this nearest point: single ones are often wrong."""
 _FEWEST_POINTS = 500
@@ -45,7 +47,7 @@ class FreeSpace:
 
     def holds(self, means: torch.Tensor) -> torch.Tensor:
         """[N] bool: which of `means` [N, 3] lie in a ball."""
-        inside = torch.zeros(len(means), dtype=torch.bool)
+        inside = zeros(len(means), dtype=torch.bool)
         balls = len(self._rest)
         if balls == 0:
             return inside
