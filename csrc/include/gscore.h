@@ -7,7 +7,8 @@
  *    camera, row-major, column vectors.
  *  - Every function returns a gs_status. On anything but GS_OK, gs_last_error() of the same thread says what was wrong,
  *    and outputs are unspecified.
- *  - A gs_raster may be used by one thread at a time; several of them may be used from several threads.
+ *  - A gs_raster may be used by one thread at a time; several of them may be used from several threads. A forked process
+ *    may go on with those that no thread of its parent was using.
  *  - No input value, however broken, makes the library crash: rows with NaN or infinities are culled, and so are those
  *    with a colour above 1e9.
  *  - Results are bit-identical for any number of threads.

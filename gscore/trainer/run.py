@@ -119,6 +119,8 @@ def train(
                     trainer.restore(before.trainer, before.tensors)
                     session.restore(before.session)
                 before.tensors.clear()  # the model replaces them as it grows
+                if other_isa := checkpoint.other_isa(before):
+                    session.warn(other_isa, "isa")
                 for path in damaged:
                     session.warn(_set_aside(path, before.steps), "damaged_checkpoint")
             notes = (*photos.warnings, *loaded.warnings, *look_over(trainer))
