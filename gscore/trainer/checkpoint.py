@@ -210,9 +210,9 @@ def other_isa(checkpoint: Checkpoint) -> str | None:
     if was is None or was == now:
         return None
     return (
-        f"The run was computed with {was} up to step {checkpoint.steps} and goes on with {now}: its "
-        "numbers will differ in their last digits, and so its splats, from those of a run that "
-        f"keeps to one. Where this machine has {was}, GSCORE_ISA={was} keeps to it."
+        f"The run was computed with {was} up to step {checkpoint.steps} and goes on with {now}: "
+        "its numbers will differ in their last digits, and so its splats, from those of a run "
+        f"that keeps to one. Where this machine has {was}, GSCORE_ISA={was} keeps to it."
     )
 
 

@@ -139,9 +139,7 @@ class _L1(torch.autograd.Function):
     def backward(ctx: Any, v_loss: torch.Tensor) -> tuple[torch.Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
         # In place and therefore once: a new picture costs as much as three passes over one.
         if not ctx.gradients:
-            raise GsError(
-                "The gradients of l1_loss can be taken only once: leave out retain_graph."
-            )
+            raise GsError("Gradients of l1_loss can be taken only once: leave out retain_graph.")
         v_alpha, v_inverse_depth = ctx.gradients.pop(), ctx.gradients.pop()
         found = [v_inverse_depth.mul_(v_loss), v_alpha.mul_(v_loss)]
         return *once("l1_loss", found, [*ctx.saved_tensors, v_loss]), None, None
