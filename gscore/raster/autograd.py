@@ -138,7 +138,8 @@ def rasterize(
 ) -> RasterOutput:
     """Render splats from one pinhole camera (Kerbl et al. 2023; EWA of Zwicker et al. 2001).
 
-    Differentiable in means, quats, scales, opacities, sh0, shN and viewmat; not in K, background.
+    Differentiable once in means, quats, scales, opacities, sh0, shN and viewmat; not in K and
+    background. A second derivative raises GsError.
 
     Args:
         means: [N, 3] world units.

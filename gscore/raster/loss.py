@@ -60,7 +60,7 @@ def image_loss(
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
     threads: int = 0,
 ) -> ImageLoss:
-    """(1 - w) L1 + w (1 - SSIM), differentiable in `image` (Kerbl et al. 2023, eq. 7).
+    """(1 - w) L1 + w (1 - SSIM), differentiable once in `image` (Kerbl et al. 2023, eq. 7).
 
     SSIM (Wang et al. 2004) uses a Gaussian window of 11 px and sigma 1.5 with zero padding, per
     channel, C1 = 0.01^2, C2 = 0.03^2.

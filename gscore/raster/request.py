@@ -1,4 +1,4 @@
-"""What is asked of the rasterizer, besides the splats: a view of them and how it is drawn."""
+"""What is asked of the rasterizer besides the splats: a view of them, and how it is drawn."""
 
 import ctypes as ct
 from dataclasses import dataclass
