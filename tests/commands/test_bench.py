@@ -55,7 +55,7 @@ def test_numbers_of_nothing_are_refused(capsys: pytest.CaptureFixture[str], comm
 
 def test_a_child_tells_why_it_failed(capsys: pytest.CaptureFixture[str]) -> None:
     """Oracle: the words of the process itself: a verb's, a traceback's, none."""
-    with pytest.raises(BackendError, match="counts failed: argument --threads: .* to 1024, got"):
+    with pytest.raises(BackendError, match=r"counts failed: argument --threads: .* to 1024, got"):
         run_child(["-m", "gscore", "bench", "step", "--threads", "2000"], what="counts")
     with pytest.raises(BackendError, match=r"(?s)that counts failed: Traceback.*by zero"):
         run_child(["-c", "1 / 0"], what="counts")
