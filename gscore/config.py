@@ -17,6 +17,13 @@ _RAREST = 1000
 """Steps between two steps of the higher colour coefficients, whose rate grows by the root."""
 
 
+def checked_threads(threads: int) -> int:
+    """`threads` if so many may be asked for, 0: all cores; ConfigError otherwise."""
+    if not isinstance(threads, int) or not 0 <= threads <= _MOST_THREADS:
+        raise ConfigError(f"threads must be 0 (all cores) to {_MOST_THREADS}, got {threads}.")
+    return threads
+
+
 @dataclass(frozen=True, kw_only=True)
 class DataConfig:
     """What to read of a capture and how to divide it."""

@@ -21,6 +21,7 @@ _BLOCK = 1 << 13
 """Splats whose SH coefficients are turned at once."""
 
 
+@np.errstate(under="ignore")  # what is too small to count is zero
 def quat_to_rotmat(quats: np.ndarray) -> np.ndarray:
     """Rotation matrices of quaternions of any non-zero length.
 

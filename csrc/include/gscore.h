@@ -7,7 +7,8 @@
  *    camera, row-major, column vectors.
  *  - Every function returns a gs_status. On anything but GS_OK, gs_last_error() of the same thread says what was wrong,
  *    and outputs are unspecified.
- *  - A gs_raster may be used by one thread at a time; several of them may be used from several threads.
+ *  - A gs_raster may be used by one thread at a time; several of them may be used from several threads. A forked process
+ *    may go on with those that no thread of its parent was using.
  *  - No input value, however broken, makes the library crash: rows with NaN or infinities are culled, and so are those
  *    with a colour above 1e9.
  *  - Results are bit-identical for any number of threads.
@@ -50,6 +51,8 @@ extern "C" {
 /* Splats are listed by tiles of this size, in pixels. */
 #define GS_LIST_TILE_WIDTH GS_TILE
 #define GS_LIST_TILE_HEIGHT (2 * GS_TILE)
+/* Most threads a call takes. */
+#define GS_THREADS_MAX 1024
 
 typedef enum gs_status {
     GS_OK = 0,
@@ -105,7 +108,7 @@ typedef struct gs_options {
     float background[3];
     uint32_t outputs;
     uint32_t disable;
-    int32_t threads;      /* 0: gs_default_threads() */
+    int32_t threads;      /* up to GS_THREADS_MAX; 0: gs_default_threads() */
     const volatile int32_t *cancel; /* may be null; polled between tiles */
     const uint8_t *tiles; /* [ceil(H / GS_TILE), ceil(W / GS_TILE)]; where 0, no splat is drawn; null: draw everywhere */
 } gs_options;
@@ -169,7 +172,9 @@ GS_API const char *gs_isas(void);
 GS_API const char *gs_isa(void);
 /* Use another one from now on (not while another thread rasterizes). GS_UNSUPPORTED if it is not available. */
 GS_API gs_status gs_set_isa(const char *name);
-/* Threads used where 0 is asked for: the environment variable GSCORE_THREADS, else the number of usable cores. */
+/* Threads used where 0 is asked for: the environment variable GSCORE_THREADS as it was when first looked at, or where
+ * that is not set, empty or 0 the number of usable cores. Where it is set to anything but a whole number up to
+ * GS_THREADS_MAX, this returns 0 with a message in gs_last_error(), and calls that ask for 0 threads are refused. */
 GS_API int32_t gs_default_threads(void);
 
 /* A workspace. Its buffers grow to what a call needs and are kept. */

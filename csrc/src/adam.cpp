@@ -3,6 +3,7 @@
 
 #include "dispatch.h"
 #include "parallel.h"
+#include "thread_count.h"
 
 #include <atomic>
 #include <cmath>

@@ -1,12 +1,13 @@
 // The C entry points: check arguments, call, turn exceptions into statuses.
 #include "adam.h"
 #include "dispatch.h"
-#include "parallel.h"
 #include "pull.h"
 #include "raster.h"
+#include "thread_count.h"
 
 #include <cmath>
 #include <cstdio>
+#include <cstdlib>
 #include <new>
 
 namespace {
@@ -28,6 +29,21 @@ template <class Body> gs_status guarded(const char *what, Body body) {
     } catch (...) {
         return fail(GS_INTERNAL, "%s: an unexpected exception; please report it", what);
     }
+}
+
+gs_status fail_default_threads() {
+    const char *const text = std::getenv("GSCORE_THREADS");
+    return fail(GS_BAD_ARGUMENT,
+                "the environment variable GSCORE_THREADS must be a whole number from 0 (all cores) to %d, got '%.40s'",
+                GS_THREADS_MAX, text ? text : "");
+}
+
+gs_status check_threads(int32_t threads) {
+    if (threads < 0 || threads > GS_THREADS_MAX)
+        return fail(GS_BAD_ARGUMENT, "threads must be 0 (all) to %d, got %d", GS_THREADS_MAX, threads);
+    if (gs::threads_of(threads) == 0)
+        return fail_default_threads();
+    return GS_OK;
 }
 
 gs_status check_splats(const gs_splats &s) {
@@ -68,9 +84,7 @@ gs_status check_options(const gs_options &o) {
     for (const float b : o.background)
         if (!std::isfinite(b))
             return fail(GS_BAD_ARGUMENT, "the background must be finite");
-    if (o.threads < 0 || o.threads > 1024)
-        return fail(GS_BAD_ARGUMENT, "threads must be 0 (all) to 1024, got %d", o.threads);
-    return GS_OK;
+    return check_threads(o.threads);
 }
 
 } // namespace
@@ -79,7 +93,13 @@ int32_t gs_abi_version(void) { return GS_ABI_VERSION; }
 const char *gs_last_error(void) { return last_error; }
 const char *gs_isas(void) { return gs::available_kernels(); }
 const char *gs_isa(void) { return gs::kernels().name; }
-int32_t gs_default_threads(void) { return gs::default_threads(); }
+
+int32_t gs_default_threads(void) {
+    const int threads = gs::default_threads();
+    if (threads == 0)
+        fail_default_threads();
+    return threads;
+}
 
 gs_status gs_set_isa(const char *name) {
     if (!gs::use_kernels(name))
@@ -176,8 +196,8 @@ gs_status gs_image_loss(gs_raster *raster, const gs_loss_args *args, gs_loss_res
         return fail(GS_BAD_ARGUMENT, "mask_mode must be 0, 1 or 2, with a mask unless 0; got %d", args->mask_mode);
     if (!(args->ssim_weight >= 0 && args->ssim_weight <= 1))
         return fail(GS_BAD_ARGUMENT, "ssim_weight must be 0 to 1, got %g", double(args->ssim_weight));
-    if (args->threads < 0 || args->threads > 1024)
-        return fail(GS_BAD_ARGUMENT, "threads must be 0 (all) to 1024, got %d", args->threads);
+    if (const gs_status s = check_threads(args->threads))
+        return s;
     return guarded("gs_image_loss", [&] { return raster->image_loss(*args, *result, v_image); });
 }
 
@@ -206,8 +226,8 @@ gs_status gs_adam_step(const gs_adam *adam, int64_t *bad_rows) {
         return fail(GS_BAD_ARGUMENT, "gs_adam_step: an argument is null or there are no tensors");
     if (adam->count < 0 || adam->count > INT32_MAX)
         return fail(GS_BAD_ARGUMENT, "adam.count must be 0 to 2147483647, got %lld", (long long)adam->count);
-    if (adam->threads < 0 || adam->threads > 1024)
-        return fail(GS_BAD_ARGUMENT, "threads must be 0 (all) to 1024, got %d", adam->threads);
+    if (const gs_status s = check_threads(adam->threads))
+        return s;
     for (int32_t i = 0; i < adam->tensor_count; ++i) {
         if (const gs_status s = check_tensor(adam->tensors[i], adam->count))
             return s;
@@ -240,8 +260,8 @@ gs_status gs_adam_catch_up(const gs_adam_tensor *tensor, const gs_splats *splats
         if (!(eps2d > 0 && eps2d < 1e6f))
             return fail(GS_BAD_ARGUMENT, "eps2d must be positive, got %g", double(eps2d));
     }
-    if (threads < 0 || threads > 1024)
-        return fail(GS_BAD_ARGUMENT, "threads must be 0 (all) to 1024, got %d", threads);
+    if (const gs_status s = check_threads(threads))
+        return s;
     return guarded("gs_adam_catch_up", [&] {
         gs::adam_catch_up(*tensor, *splats, camera, eps2d, out, threads);
         return GS_OK;
@@ -250,8 +270,10 @@ gs_status gs_adam_catch_up(const gs_adam_tensor *tensor, const gs_splats *splats
 
 gs_status gs_add_pull(int64_t count, const float *v_means2d, const int32_t *radii, float *pull, float *seen,
                       float scale_x, float scale_y, int32_t threads) {
-    if (count < 0 || count > INT32_MAX || threads < 0 || threads > 1024)
-        return fail(GS_BAD_ARGUMENT, "gs_add_pull: count or threads is out of range");
+    if (count < 0 || count > INT32_MAX)
+        return fail(GS_BAD_ARGUMENT, "gs_add_pull: count must be 0 to 2147483647, got %lld", (long long)count);
+    if (const gs_status s = check_threads(threads))
+        return s;
     if (count > 0 && (!v_means2d || !radii || !pull || !seen))
         return fail(GS_BAD_ARGUMENT, "gs_add_pull: an array is null");
     return guarded("gs_add_pull", [&] {

@@ -4,7 +4,6 @@
 #include <atomic>
 #include <condition_variable>
 #include <cstdint>
-#include <cstdlib>
 #include <mutex>
 #include <system_error>
 #include <thread>
@@ -13,8 +12,8 @@
 #if defined(__x86_64__) || defined(_M_X64)
 #include <immintrin.h>
 #endif
-#if defined(__linux__)
-#include <sched.h>
+#if !defined(_WIN32)
+#include <pthread.h>
 #endif
 
 namespace gs {
@@ -116,10 +115,24 @@ class Pool {
     bool closing_ = false;
 };
 
+// Never destroyed: joining threads while the process exits deadlocks on some systems.
+std::atomic<Pool *> current{nullptr};
+
+#if !defined(_WIN32)
+// A forked process has none of its parent's threads, and may have inherited locks that nobody will ever open: it starts
+// with a pool of its own. The old one is left as it lies, for the same reason.
+[[maybe_unused]] const int watches_forks = pthread_atfork(nullptr, nullptr, [] { current.store(nullptr); });
+#endif
+
 Pool &pool() {
-    // Never destroyed: joining threads while the process exits deadlocks on some systems.
-    static Pool *const instance = new Pool;
-    return *instance;
+    Pool *found = current.load();
+    if (!found) {
+        Pool *const made = new Pool;
+        if (current.compare_exchange_strong(found, made))
+            return *made;
+        delete made; // another thread was faster
+    }
+    return *found;
 }
 
 } // namespace
@@ -133,24 +146,6 @@ void parallel_for(size_t count, int threads, const std::function<void(size_t, in
         job.work(0);
     else
         pool().run(job);
-}
-
-int default_threads() {
-    static const int threads = [] {
-        if (const char *text = std::getenv("GSCORE_THREADS")) {
-            const int n = std::atoi(text);
-            if (n > 0)
-                return n;
-        }
-#if defined(__linux__)
-        cpu_set_t set;
-        if (sched_getaffinity(0, sizeof set, &set) == 0 && CPU_COUNT(&set) > 0)
-            return CPU_COUNT(&set);
-#endif
-        const unsigned n = std::thread::hardware_concurrency();
-        return n > 0 ? int(n) : 1;
-    }();
-    return threads;
 }
 
 } // namespace gs

@@ -2,6 +2,7 @@
 #include "pull.h"
 
 #include "parallel.h"
+#include "thread_count.h"
 
 #include <algorithm>
 #include <cmath>

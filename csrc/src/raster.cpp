@@ -4,6 +4,7 @@
 #include "dispatch.h"
 #include "loss.h"
 #include "parallel.h"
+#include "thread_count.h"
 
 #include <algorithm>
 #include <atomic>

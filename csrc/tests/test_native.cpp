@@ -3,6 +3,7 @@
 
 #include <cmath>
 #include <cstdio>
+#include <cstdlib>
 #include <cstring>
 #include <limits>
 #include <random>
@@ -311,6 +312,31 @@ void bad_arguments_are_named() {
     gs_raster_destroy(raster);
 }
 
+// Oracle: the header. Before anything else asks for 0 threads: a number that was found good is kept.
+void the_environments_threads_are_checked() {
+#if !defined(_WIN32)
+    const char *const given = std::getenv("GSCORE_THREADS");
+    const std::string before = given ? given : "";
+    const Model m = random_model(10, 1);
+    const gs_camera c = make_camera(20, 20);
+    for (const char *text : {"many", "-2", "4x", "1e3", "0x4", " ", "1025", "99999999999999999999"}) {
+        setenv("GSCORE_THREADS", text, 1);
+        CHECK(gs_default_threads() == 0);
+        CHECK(std::strstr(gs_last_error(), "GSCORE_THREADS") && std::strstr(gs_last_error(), text));
+        CHECK(run(m, c, make_options(0)).forward == GS_BAD_ARGUMENT);
+        CHECK(std::strstr(gs_last_error(), "GSCORE_THREADS"));
+        CHECK(run(m, c, make_options(2)).forward == GS_OK);
+    }
+    setenv("GSCORE_THREADS", before.c_str(), 1);
+    CHECK(gs_default_threads() >= 1);
+    CHECK(run(m, c, make_options(0)).forward == GS_OK);
+#endif
+    for (const int threads : {-1, GS_THREADS_MAX + 1}) {
+        CHECK(run(random_model(10, 1), make_camera(20, 20), make_options(threads)).forward == GS_BAD_ARGUMENT);
+        CHECK(std::strstr(gs_last_error(), "threads must be"));
+    }
+}
+
 // Oracle: the header.
 void parallel_rays_have_no_gradients() {
     const Model m = random_model(200, 4);
@@ -531,6 +557,7 @@ void adam_names_bad_arguments() {
 
 int main() {
     CHECK(gs_abi_version() == GS_ABI_VERSION);
+    the_environments_threads_are_checked();
     std::stringstream isas(gs_isas());
     int count = 0;
     for (std::string isa; std::getline(isas, isa, ','); ++count) {

@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from ..raster import _native
-from ..raster.calls import Picture, Settings, backward, forward
+from ..raster import _native, header
+from ..raster.memory import zeros
+from ..raster.request import Frustum, Settings
 from ..scene import Cameras
 from ..splats import PARAMETERS, Splats
 
@@ -45,7 +46,7 @@ class RasterBench:
     useful_share: float
     """Of these pairs, those that add to their pixel; the others fill up blocks of 4 x 4."""
     entries_per_tile: float
-    """Splats in a tile of `_native.LIST_TILE`."""
+    """Splats in a tile of `header.LIST_TILE`."""
     visible: float
     forward_ms: float
     """All stages of a forward pass."""
@@ -103,7 +104,7 @@ def bench_raster(
         views: Indices into `cameras`.
         repeats: Passes per view; the fastest counts.
         threads: 0: all cores.
-        disable: Bits of `_native.NO_*`.
+        disable: Bits of `header.NO_*`.
         image_gradient_seed: Seed of the image gradients, which are dense and random.
     """
     arrays = [torch.from_numpy(np.ascontiguousarray(getattr(splats, n))) for n in PARAMETERS]
@@ -115,27 +116,19 @@ def bench_raster(
         for view in views:
             width, height = int(cameras.widths[view]), int(cameras.heights[view])
             pixels += width * height
-            wide, high = _native.LIST_TILE
+            wide, high = header.LIST_TILE
             tiles += -(-width // wide) * -(-height // high)
-            picture = Picture(torch.zeros(height, width, 3), torch.zeros(height, width))
+            pictures = {"rgb": zeros(height, width, 3), "alpha": zeros(height, width)}
             v_rgb = torch.from_numpy(rng.normal(size=(height, width, 3)).astype(np.float32))
-            viewmat = torch.from_numpy(cameras.viewmats[view])
-            settings = Settings(
-                raw=True,
-                sh_degree=splats.sh_degree,
-                width=width,
-                height=height,
-                K=cameras.Ks[view],
-                threads=threads,
-                disable=disable,
-            )
-            counting = replace(settings, outputs=_native.COUNT_USEFUL)
-            forward(raster, arrays, viewmat, counting, picture, None)
+            frustum = Frustum(cameras.viewmats[view], cameras.Ks[view], width, height)
+            settings = Settings(threads=threads, disable=disable)
+            counting = replace(settings, outputs=header.COUNT_USEFUL)
+            raster.forward(arrays, frustum, counting, pictures)
             useful += raster.stats().as_dict()["useful_pairs"]
             passes = []
             for _ in range(repeats + 1):  # the first one warms buffers up
-                forward(raster, arrays, viewmat, settings, picture, None)
-                backward(raster, arrays, settings, (v_rgb,), grads)
+                raster.forward(arrays, frustum, settings, pictures)
+                raster.backward(arrays, frustum, settings, {"rgb": v_rgb}, grads)
                 passes.append(raster.stats().as_dict())
             best.append(min(passes[1:], key=lambda p: sum(p[key] for key in STAGES)))
     total = {key: sum(b[key] for b in best) for key in best[0]}

@@ -9,7 +9,7 @@ from ..metrics.machine import peak_memory_bytes
 from ..raster import backend
 from ..splats import Splats
 from ..trainer.heap import large_pieces_apart
-from ..trainer.torch_threads import one_torch_thread
+from ..trainer.host_state import ordinary_state
 from ..trainer.trainer import Trainer
 from ..trainer.views import Photos
 from .raster import STAGES
@@ -83,7 +83,7 @@ def bench_step(
     stages = dict.fromkeys(STAGES, 0.0)
     pairs = pixels = 0.0
     large_pieces_apart()
-    with one_torch_thread():
+    with ordinary_state():
         trainer = Trainer(config, photos, start=splats, photo_cache=photo_cache)
         for step in range(total):
             began = time.perf_counter()

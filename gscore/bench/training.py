@@ -13,7 +13,7 @@ from ..metrics.evaluate import masked_pair, target_picture
 from ..metrics.image import psnr, ssim
 from ..raster.api import render
 from ..splats import Splats
-from ..trainer.torch_threads import one_torch_thread
+from ..trainer.host_state import ordinary_state
 from ..trainer.trainer import Trainer
 from ..trainer.views import Photos
 
@@ -156,7 +156,7 @@ def train_measured(
     if judged is not None:
         judged.preload(judged.test)
     seconds = forward = backward = 0.0
-    with one_torch_thread():
+    with ordinary_state():
         trainer = Trainer(config, photos)
         for step in range(1, config.iterations + 1):
             began = time.perf_counter()

@@ -31,6 +31,7 @@ from ..words import count_words
 from .attend import Show, attend
 from .data_options import add_mask_options, add_split_options, with_data_options
 from .output import check_folder, print_json
+from .parser import add_threads_option
 from .status import wrapped
 
 
@@ -102,9 +103,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "have no part in placing the others.",
     )
     add_split_options(held_out)
-    parser.add_argument(
-        "--threads", type=int, default=0, metavar="N", help="CPU threads; 0: all cores"
-    )
+    add_threads_option(parser)
     parser.add_argument("--json", action="store_true", help="the results as JSON, last on stdout")
     parser.add_argument(
         "--events", choices=("jsonl",), help="events as JSON lines on stdout, commands on stdin"

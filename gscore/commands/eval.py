@@ -29,6 +29,7 @@ from ..words import count_words, psnr_name, quality_words
 from .data_options import add_data_options, with_data_options
 from .model import Model, add_model_argument, model_path, open_model
 from .output import check_folder, check_ours, print_json
+from .parser import add_threads_option
 from .status import Counted, Status, wrapped
 
 _KEPT = (
@@ -67,9 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE.onnx",
         help="network of LPIPS, a measure of likeness as people see it; without it, not measured",
     )
-    parser.add_argument(
-        "--threads", type=int, default=0, metavar="N", help="CPU threads; 0: all cores"
-    )
+    add_threads_option(parser)
     parser.add_argument("--json", action="store_true", help="the results as JSON, last on stdout")
     parser.add_argument("--quiet", action="store_true", help="no progress")
     add_data_options(parser)

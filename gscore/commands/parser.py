@@ -7,6 +7,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
+from ..config import checked_threads
+from ..errors import ConfigError
 from ..shown import quoted
 from .status import wrapped
 
@@ -24,6 +26,20 @@ _MEANT = {
 def sentence(text: str) -> str:
     """The text with a capital and a full stop."""
     return f"{text[0].upper()}{text[1:]}."
+
+
+def add_threads_option(parser: argparse.ArgumentParser) -> None:
+    """`--threads` of the verbs that take it apart from a training's options."""
+    help_text = "CPU threads; 0: all cores (0)"
+    parser.add_argument("--threads", type=_threads, default=0, metavar="N", help=help_text)
+
+
+def _threads(text: str) -> int:
+    try:
+        return checked_threads(int(text))
+    except ValueError as error:  # ConfigError is one
+        words = str(error) if isinstance(error, ConfigError) else f"{text!r} is no whole number"
+        raise argparse.ArgumentTypeError(words) from None
 
 
 class Parser(argparse.ArgumentParser):

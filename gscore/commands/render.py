@@ -22,6 +22,7 @@ from ..shown import quoted
 from ..words import count_words
 from .model import Model, add_model_argument, model_path, open_model
 from .output import check_folder, others_in, print_json
+from .parser import add_threads_option
 from .shots import find_shots
 from .status import Counted, Status, wrapped
 from .stills import still_names, to_rgb, to_rgba, write_depth_npy, write_depth_png
@@ -105,9 +106,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action=argparse.BooleanOptionalAction,
         help="fainter splats below the size of a pixel; default: as the model was trained",
     )
-    parser.add_argument(
-        "--threads", type=int, default=0, metavar="N", help="CPU threads; 0: all cores"
-    )
+    add_threads_option(parser)
     parser.add_argument("--json", action="store_true", help="what was written as JSON on stdout")
     parser.add_argument("--quiet", action="store_true", help="no progress")
 

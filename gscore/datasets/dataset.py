@@ -11,6 +11,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from ..config import checked_threads
 from ..errors import BackendError, Cancelled
 from ..scene import Scene
 from .decode import DECODED_AT_ONCE, ViewFile, decode_view
@@ -198,7 +199,7 @@ def map_threads(work: Callable[[int], T], items: list[int], *, threads: int = 0)
         items: Arguments.
         threads: How many to use; 0: one a core.
     """
-    threads = min(threads or os.cpu_count() or 1, len(items))
+    threads = min(checked_threads(threads) or os.cpu_count() or 1, len(items))
     if threads <= 1:
         yield from map(work, items)
         return

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ..config import checked_threads
 from ..errors import ConfigError, FormatError, GsError
 from ..extras import need
 from ..io.images import resize_map
@@ -146,7 +147,8 @@ class Network:
             threads: Threads to use; 0: all cores.
 
         Raises:
-            ConfigError: there is no such file, or the network does not take that size.
+            ConfigError: there is no such file, the network does not take that size, or more threads
+                are asked for than 1024.
             BackendError: onnxruntime is not installed.
             FormatError: the file is no network that turns a photo into a map.
         """
@@ -234,7 +236,7 @@ class Network:
 def _load(path: Path, threads: int) -> Any:
     onnxruntime = need("onnxruntime", "Predicting depth")
     options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = threads
+    options.intra_op_num_threads = checked_threads(threads)
     options.log_severity_level = 4
     try:
         return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from ..config import checked_threads
 from ..errors import BackendError, ConfigError, FormatError, ShapeError
 from ..extras import need
 from .image import as_float
@@ -31,7 +32,7 @@ class Lpips:
 
         Raises:
             BackendError: onnxruntime is not installed.
-            ConfigError: There is no such file.
+            ConfigError: There is no such file, or more threads are asked for than 1024.
             FormatError: The file is no ONNX graph or does not take two pictures.
         """
         onnxruntime = need("onnxruntime", "LPIPS")
@@ -40,7 +41,7 @@ class Lpips:
                 f"No LPIPS network at {path}: expected a file such as lpips_squeeze.onnx."
             )
         options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = threads
+        options.intra_op_num_threads = checked_threads(threads)
         options.log_severity_level = 3
         try:
             self._session = onnxruntime.InferenceSession(

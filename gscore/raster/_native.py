@@ -1,207 +1,29 @@
-"""The only file that loads the native library: its C structs, its errors, its workspaces.
+"""The only file that loads the native library: its functions, its errors, its workspaces.
 
-`csrc/include/gscore.h` is the manual of everything declared here. Callers check arrays for dtype,
-shape and layout; values are the library's matter.
+`csrc/include/gscore.h` is the manual of everything declared here. Arrays go through `arguments.py`,
+which looks at their dtype, shape and layout; values are the library's matter.
 """
 
 import ctypes as ct
 import os
+import stat
 import sys
 import threading
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
-from ..errors import BackendError, Cancelled, ShapeError
-
-ABI_VERSION = 3
-
-OUT_INVERSE_DEPTH, OUT_DEPTH, OUT_MEDIAN_DEPTH, COUNT_USEFUL = 1, 2, 4, 8
-NO_EXACT_CULL, NO_ZERO_TILE, NO_OPACITY_EXTENT, NO_ROW_RANGE = 1, 2, 4, 8
-TILE = 16
-"""Side of the tiles of `tiles`, px (GS_TILE)."""
-LIST_TILE = 16, 32
-"""Width and height of the tiles by which splats are listed, px (GS_LIST_TILE_*)."""
-MAX_SIDE = 65536
-ADAM_ALL, ADAM_SEEN, ADAM_WAIT = 0, 1, 2
-ADAM_LAGS = 256
-MASK_MODES = {"none": 0, "composite": 1, "ignore": 2}
-
-_OK, _BAD_ARGUMENT, _OUT_OF_MEMORY, _CANCELLED = 0, 1, 2, 3
+from ..errors import BackendError, Cancelled, ConfigError, ShapeError
+from ..io.files import reason, shown
+from . import arguments, header
+from .buffers import INT32, Array, address, optional
+from .request import Frustum, Settings
 
 _pointer = ct.c_void_p
-
-
-class SplatsStruct(ct.Structure):
-    """gs_splats"""
-
-    _fields_ = (
-        ("count", ct.c_int64),
-        ("means", _pointer),
-        ("quats", _pointer),
-        ("scales", _pointer),
-        ("opacities", _pointer),
-        ("sh0", _pointer),
-        ("shN", _pointer),
-        ("sh_rest", ct.c_int32),
-        ("sh_degree", ct.c_int32),
-        ("raw", ct.c_int32),
-    )
-
-
-class CameraStruct(ct.Structure):
-    """gs_camera"""
-
-    _fields_ = (
-        ("viewmat", ct.c_float * 16),
-        ("fx", ct.c_float),
-        ("fy", ct.c_float),
-        ("cx", ct.c_float),
-        ("cy", ct.c_float),
-        ("width", ct.c_int32),
-        ("height", ct.c_int32),
-        ("near_plane", ct.c_float),
-        ("far_plane", ct.c_float),
-        ("orthographic", ct.c_int32),
-    )
-
-
-class OptionsStruct(ct.Structure):
-    """gs_options"""
-
-    _fields_ = (
-        ("eps2d", ct.c_float),
-        ("antialias", ct.c_int32),
-        ("background", ct.c_float * 3),
-        ("outputs", ct.c_uint32),
-        ("disable", ct.c_uint32),
-        ("threads", ct.c_int32),
-        ("cancel", ct.POINTER(ct.c_int32)),
-        ("tiles", _pointer),
-    )
-
-
-class ImageStruct(ct.Structure):
-    """gs_image"""
-
-    _fields_ = (
-        ("rgb", _pointer),
-        ("alpha", _pointer),
-        ("inverse_depth", _pointer),
-        ("depth", _pointer),
-        ("median_depth", _pointer),
-        ("radii", _pointer),
-    )
-
-
-class ImageGradsStruct(ct.Structure):
-    """gs_image_grads"""
-
-    _fields_ = (
-        ("rgb", _pointer),
-        ("alpha", _pointer),
-        ("inverse_depth", _pointer),
-        ("depth", _pointer),
-    )
-
-
-class SplatGradsStruct(ct.Structure):
-    """gs_splat_grads"""
-
-    _fields_ = (
-        ("means", _pointer),
-        ("quats", _pointer),
-        ("scales", _pointer),
-        ("opacities", _pointer),
-        ("sh0", _pointer),
-        ("shN", _pointer),
-        ("means2d", _pointer),
-        ("viewmat", _pointer),
-        ("add_shN", ct.c_int32),
-    )
-
-
-class StatsStruct(ct.Structure):
-    """gs_stats"""
-
-    _fields_ = (
-        ("visible", ct.c_int64),
-        ("entries", ct.c_int64),
-        ("forward_pairs", ct.c_int64),
-        ("useful_pairs", ct.c_int64),
-        ("backward_pairs", ct.c_int64),
-        ("project_ms", ct.c_double),
-        ("sort_ms", ct.c_double),
-        ("bin_ms", ct.c_double),
-        ("blend_ms", ct.c_double),
-        ("blend_backward_ms", ct.c_double),
-        ("project_backward_ms", ct.c_double),
-        ("workspace_bytes", ct.c_int64),
-    )
-
-    def as_dict(self) -> dict[str, float]:
-        """Names and values."""
-        return {field[0]: getattr(self, field[0]) for field in self._fields_}
-
-
-class LossArgsStruct(ct.Structure):
-    """gs_loss_args"""
-
-    _fields_ = (
-        ("width", ct.c_int32),
-        ("height", ct.c_int32),
-        ("image", _pointer),
-        ("target", _pointer),
-        ("mask", _pointer),
-        ("mask_mode", ct.c_int32),
-        ("background", ct.c_float * 3),
-        ("ssim_weight", ct.c_float),
-        ("threads", ct.c_int32),
-    )
-
-
-class LossResultStruct(ct.Structure):
-    """gs_loss_result"""
-
-    _fields_ = (
-        ("loss", ct.c_double),
-        ("l1", ct.c_double),
-        ("ssim", ct.c_double),
-        ("mse", ct.c_double),
-    )
-
-
-class AdamTensorStruct(ct.Structure):
-    """gs_adam_tensor"""
-
-    _fields_ = (
-        ("param", _pointer),
-        ("grad", _pointer),
-        ("moment1", _pointer),
-        ("moment2", _pointer),
-        ("width", ct.c_int32),
-        ("mode", ct.c_int32),
-        ("lr", ct.c_float),
-        ("step", ct.c_int64),
-        ("seen", _pointer),
-        ("lag", _pointer),
-        ("drift", _pointer),
-    )
-
-
-class AdamStruct(ct.Structure):
-    """gs_adam"""
-
-    _fields_ = (
-        ("count", ct.c_int64),
-        ("tensor_count", ct.c_int32),
-        ("tensors", ct.POINTER(AdamTensorStruct)),
-        ("radii", _pointer),
-        ("threads", ct.c_int32),
-    )
+_REINSTALL = "Reinstall gscore so that both come from one version."
 
 
 def library_path() -> Path:
@@ -215,30 +37,76 @@ def library_path() -> Path:
 
 def _load() -> ct.CDLL:
     path = library_path()
-    if not path.exists():
-        raise BackendError(
-            f"The native library is missing: {path} does not exist. "
-            "Install gscore as a wheel for this platform, or build it with `pip install .`."
-        )
+    lib = _opened(path)
     try:
-        lib = ct.CDLL(str(path))
-    except OSError as error:
-        raise BackendError(f"The native library {path} does not load: {error}.") from error
-    lib.gs_abi_version.restype = ct.c_int32
-    version = lib.gs_abi_version()
-    if version != ABI_VERSION:
+        lib.gs_abi_version.restype = ct.c_int32
+        version = lib.gs_abi_version()
+    except AttributeError:
         raise BackendError(
-            f"The native library {path} has interface version {version}, this gscore needs "
-            f"{ABI_VERSION}. Reinstall gscore so that both come from one version."
+            f"{shown(path)}{_who_says()} is a library, but not gscore's: it has no gs_abi_version. "
+            f"{_what_to_do()}"
+        ) from None
+    if version != header.ABI_VERSION:
+        raise BackendError(
+            f"The native library {shown(path)}{_who_says()} has interface version {version}, this "
+            f"gscore needs {header.ABI_VERSION}. {_REINSTALL}"
         )
     try:
         _declare(lib)
     except AttributeError as error:  # a build from before a function was added
         raise BackendError(
-            f"The native library {path} is another build than this gscore: {error}. "
-            "Reinstall gscore so that both come from one version."
+            f"The native library {shown(path)}{_who_says()} is another build than this gscore: "
+            f"{error}. {_REINSTALL}"
         ) from None
+    _check_environment(lib)
     return lib
+
+
+def _opened(path: Path) -> ct.CDLL:
+    """The library at `path`; BackendError where there is none that this system can load."""
+    name = f"{shown(path)}{_who_says()}"
+    try:
+        is_file = stat.S_ISREG(path.stat().st_mode)
+    except (OSError, ValueError) as error:
+        raise BackendError(
+            f"The native library is missing: {name} cannot be opened: {reason(error)} "
+            f"{_what_to_do()}"
+        ) from error
+    if not is_file:
+        raise BackendError(f"{name} is no file, a library was expected. {_what_to_do()}")
+    try:
+        # A name without a folder would be looked for where the system keeps its libraries.
+        return ct.CDLL(str(path.absolute()))
+    except OSError as error:
+        raise BackendError(
+            f"{name} is no library that this system can load: {error}. {_what_to_do()}"
+        ) from error
+
+
+def _who_says() -> str:
+    return " (GSCORE_LIBRARY)" if os.environ.get("GSCORE_LIBRARY") else ""
+
+
+def _what_to_do() -> str:
+    if os.environ.get("GSCORE_LIBRARY"):
+        return (
+            "The environment variable GSCORE_LIBRARY must name gscore's native library; unset it "
+            "to use the one that came with gscore."
+        )
+    return "Install gscore as a wheel for this platform, or build it with `pip install .`."
+
+
+def _check_environment(lib: ct.CDLL) -> None:
+    """ConfigError where GSCORE_ISA or GSCORE_THREADS asks for what cannot be."""
+    wanted, there = os.environ.get("GSCORE_ISA"), lib.gs_isas().decode().split(",")
+    if wanted and wanted not in there:  # the library itself would pass over it
+        raise ConfigError(
+            f"The environment variable GSCORE_ISA asks for the instruction set {wanted[:40]!r}, "
+            f"which is not available here. There are: {', '.join(there)}."
+        )
+    if lib.gs_default_threads() == 0:
+        text = lib.gs_last_error().decode("utf-8", "replace")
+        raise ConfigError(f"{text[:1].upper()}{text[1:]}.")
 
 
 def _declare(lib: ct.CDLL) -> None:
@@ -252,25 +120,25 @@ def _declare(lib: ct.CDLL) -> None:
     lib.gs_raster_destroy.restype = None
     lib.gs_raster_forward.argtypes = [
         _pointer,
-        ct.POINTER(SplatsStruct),
-        ct.POINTER(CameraStruct),
-        ct.POINTER(OptionsStruct),
-        ct.POINTER(ImageStruct),
+        ct.POINTER(header.SplatsStruct),
+        ct.POINTER(header.CameraStruct),
+        ct.POINTER(header.OptionsStruct),
+        ct.POINTER(header.ImageStruct),
     ]
     lib.gs_raster_backward.argtypes = [
         _pointer,
-        ct.POINTER(SplatsStruct),
-        ct.POINTER(ImageGradsStruct),
-        ct.POINTER(SplatGradsStruct),
+        ct.POINTER(header.SplatsStruct),
+        ct.POINTER(header.ImageGradsStruct),
+        ct.POINTER(header.SplatGradsStruct),
         ct.POINTER(ct.c_int32),
     ]
-    lib.gs_raster_stats.argtypes = [_pointer, ct.POINTER(StatsStruct)]
+    lib.gs_raster_stats.argtypes = [_pointer, ct.POINTER(header.StatsStruct)]
     lib.gs_raster_projected.argtypes = [_pointer] * 6
     lib.gs_exp2.argtypes = [_pointer, _pointer, ct.c_int64]
     lib.gs_image_loss.argtypes = [
         _pointer,
-        ct.POINTER(LossArgsStruct),
-        ct.POINTER(LossResultStruct),
+        ct.POINTER(header.LossArgsStruct),
+        ct.POINTER(header.LossResultStruct),
         _pointer,
     ]
     lib.gs_add_pull.argtypes = [
@@ -280,11 +148,11 @@ def _declare(lib: ct.CDLL) -> None:
         ct.c_float,
         ct.c_int32,
     ]
-    lib.gs_adam_step.argtypes = [ct.POINTER(AdamStruct), ct.POINTER(ct.c_int64)]
+    lib.gs_adam_step.argtypes = [ct.POINTER(header.AdamStruct), ct.POINTER(ct.c_int64)]
     lib.gs_adam_catch_up.argtypes = [
-        ct.POINTER(AdamTensorStruct),
-        ct.POINTER(SplatsStruct),
-        ct.POINTER(CameraStruct),
+        ct.POINTER(header.AdamTensorStruct),
+        ct.POINTER(header.SplatsStruct),
+        ct.POINTER(header.CameraStruct),
         ct.c_float,
         _pointer,
         ct.c_int32,
@@ -296,26 +164,42 @@ _library: ct.CDLL | None = None
 
 
 def library() -> ct.CDLL:
-    """The loaded library. Raises BackendError if it is missing or of another version."""
+    """The loaded library.
+
+    Raises:
+        BackendError: it is missing or of another version.
+        ConfigError: the environment asks it for threads or an instruction set that cannot be.
+    """
     global _library
-    with _lock:
-        if _library is None:
-            _library = _load()
-        return _library
+    if _library is None:
+        with _lock:
+            if _library is None:
+                _library = _load()
+    return _library
+
+
+def _unlock() -> None:
+    """In a forked process: whoever held the lock is not here to open it."""
+    global _lock
+    _lock = threading.Lock()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_unlock)
 
 
 def check(status: int) -> None:
     """Raise the error that belongs to a gs_status."""
-    if status == _OK:
+    if status == header.OK:
         return
     message = library().gs_last_error().decode("utf-8", "replace")
-    if status == _CANCELLED:
+    if status == header.CANCELLED:
         raise Cancelled("Rendering was cancelled.")
-    if status == _OUT_OF_MEMORY:
+    if status == header.OUT_OF_MEMORY:
         raise BackendError(
             f"{message}. Use a smaller image (-r), fewer splats (--max-splats), or close programs."
         )
-    if status == _BAD_ARGUMENT:
+    if status == header.BAD_ARGUMENT:
         raise ShapeError(f"{message}.")
     raise BackendError(f"{message}.")
 
@@ -336,14 +220,14 @@ def set_isa(name: str) -> None:
 
 
 def default_threads() -> int:
-    """Threads used where none are asked for."""
+    """Threads used where none are asked for: GSCORE_THREADS, else one a usable core."""
     return library().gs_default_threads()
 
 
 def exp2(x: np.ndarray) -> np.ndarray:
     """gs_exp2: 2^x of C-contiguous float32 values in [-126, 127], as the blend loops compute it."""
     y = np.empty_like(x)
-    check(library().gs_exp2(x.ctypes.data, y.ctypes.data, x.size))
+    check(library().gs_exp2(address("x", x, x.shape), address("y", y, x.shape), x.size))
     return y
 
 
@@ -363,41 +247,77 @@ class Raster:
 
     def forward(
         self,
-        splats: SplatsStruct,
-        camera: CameraStruct,
-        options: OptionsStruct,
-        image: ImageStruct,
+        splats: Sequence[Array],
+        view: Frustum,
+        settings: Settings,
+        pictures: Mapping[str, Array],
     ) -> None:
-        """gs_raster_forward"""
+        """gs_raster_forward.
+
+        Args:
+            splats: `PARAMETERS`, in their order.
+            view: What is seen of them.
+            settings: How.
+            pictures: Arrays to write to, by the names of gs_image.
+        """
+        image = arguments.image(pictures, view, settings.outputs, len(splats[0]))
         check(
             self._lib.gs_raster_forward(
-                self.handle, ct.byref(splats), ct.byref(camera), ct.byref(options), ct.byref(image)
+                self.handle,
+                ct.byref(arguments.splats(splats, settings)),
+                ct.byref(arguments.camera(view)),
+                ct.byref(arguments.options(view, settings)),
+                ct.byref(image),
             )
         )
 
     def backward(
         self,
-        splats: SplatsStruct,
-        image_grads: ImageGradsStruct,
-        grads: SplatGradsStruct,
-        cancel: "CancelFlag | None" = None,
+        splats: Sequence[Array],
+        view: Frustum,
+        settings: Settings,
+        v_pictures: Mapping[str, Array | None],
+        grads: Mapping[str, Array],
+        *,
+        add_shN: bool = False,
     ) -> None:
-        """gs_raster_backward"""
-        flag = None if cancel is None else ct.byref(cancel.value)
-        arguments = (ct.byref(splats), ct.byref(image_grads), ct.byref(grads), flag)
-        check(self._lib.gs_raster_backward(self.handle, *arguments))
+        """gs_raster_backward of the last `forward`.
 
-    def image_loss(self, args: LossArgsStruct, v_image: int | None) -> LossResultStruct:
-        """gs_image_loss; `v_image` is the address of the gradient or None."""
-        result = LossResultStruct()
+        Args:
+            splats: Of that call.
+            view: Of that call.
+            settings: Of that call.
+            v_pictures: Gradients in the pictures, by their names; None or missing: zero.
+            grads: Arrays to write to, by name: `PARAMETERS` and, where they are wanted, `means2d`
+                [N, 2] and `viewmat` [4, 4].
+            add_shN: Add to what shN's gradient holds.
+        """
+        count, rest = len(splats[0]), splats[5].shape[1]
+        v_image = arguments.image_grads(v_pictures, view, settings.outputs)
+        v_splats = arguments.splat_grads(grads, count, rest, add_shN=add_shN)
+        cancel = settings.cancel
         check(
-            self._lib.gs_image_loss(self.handle, ct.byref(args), ct.byref(result), v_image or None)
+            self._lib.gs_raster_backward(
+                self.handle,
+                ct.byref(arguments.splats(splats, settings)),
+                ct.byref(v_image),
+                ct.byref(v_splats),
+                None if cancel is None else ct.byref(cancel.value),
+            )
         )
+
+    def image_loss(
+        self, args: header.LossArgsStruct, v_image: Array | None
+    ) -> header.LossResultStruct:
+        """gs_image_loss; `v_image` [H, W, 3] is where the gradient goes, None: nowhere."""
+        result = header.LossResultStruct()
+        found = optional("v_image", v_image, (args.height, args.width, 3))
+        check(self._lib.gs_image_loss(self.handle, ct.byref(args), ct.byref(result), found))
         return result
 
-    def stats(self) -> StatsStruct:
+    def stats(self) -> header.StatsStruct:
         """gs_raster_stats"""
-        stats = StatsStruct()
+        stats = header.StatsStruct()
         check(self._lib.gs_raster_stats(self.handle, ct.byref(stats)))
         return stats
 
@@ -410,8 +330,8 @@ class Raster:
             "colors": np.zeros((count, 3), np.float32),
             "opacities": np.zeros(count, np.float32),
         }
-        pointers = [a.ctypes.data for a in arrays.values()]
-        check(self._lib.gs_raster_projected(self.handle, *pointers))
+        found = [address(name, a, a.shape) for name, a in arrays.items()]
+        check(self._lib.gs_raster_projected(self.handle, *found))
         return arrays
 
 
@@ -451,113 +371,62 @@ pool = RasterPool()
 
 
 def adam_step(
-    tensors: Sequence[AdamTensorStruct], count: int, radii: int | None, threads: int
+    tensors: Sequence[header.AdamTensorStruct], count: int, radii: Array | None, threads: int
 ) -> int:
-    """gs_adam_step: one step for `count` rows; `radii` is an address or None.
+    """gs_adam_step: one step for `count` rows; `radii` is [N] int32 or None.
 
     Returns the number of rows with gradients that were not finite.
     """
-    array = (AdamTensorStruct * len(tensors))(*tensors)
-    args = AdamStruct(count, len(tensors), array, radii, threads)
+    array = (header.AdamTensorStruct * len(tensors))(*tensors)
+    drawn = optional("radii", radii, (count,), INT32)
+    threads = arguments.checked_threads(threads)
+    args = header.AdamStruct(count, len(tensors), array, drawn, threads)
     bad = ct.c_int64(0)
     check(library().gs_adam_step(ct.byref(args), ct.byref(bad)))
     return bad.value
 
 
 def add_pull(
-    count: int,
-    v_means2d: int,
-    radii: int,
-    pull: int,
-    seen: int,
+    pull: Array,
+    seen: Array,
+    v_means2d: Array,
+    radii: Array,
     scale: tuple[float, float],
     threads: int,
 ) -> None:
-    """gs_add_pull; arrays are addresses."""
-    check(library().gs_add_pull(count, v_means2d, radii, pull, seen, *scale, threads))
+    """gs_add_pull; arrays of N rows."""
+    n = len(pull)
+    check(
+        library().gs_add_pull(
+            n,
+            address("v_means2d", v_means2d, (n, 2)),
+            address("radii", radii, (n,), INT32),
+            address("pull", pull, (n,)),
+            address("seen", seen, (n,)),
+            *scale,
+            arguments.checked_threads(threads),
+        )
+    )
 
 
 def adam_catch_up(
-    tensor: AdamTensorStruct,
-    splats: SplatsStruct,
-    camera: CameraStruct | None,
+    tensor: header.AdamTensorStruct,
+    splats: header.SplatsStruct,
+    view: Frustum | None,
     *,
     eps2d: float,
-    out: int | None,
+    out: Array | None,
+    shape: tuple[int, ...],
     threads: int,
 ) -> None:
-    """gs_adam_catch_up; `out` is an address or None."""
-    view = None if camera is None else ct.byref(camera)
+    """gs_adam_catch_up; `out` is of the tensor's `shape`, or None."""
     check(
         library().gs_adam_catch_up(
-            ct.byref(tensor), ct.byref(splats), view, eps2d, out or None, threads
+            ct.byref(tensor),
+            ct.byref(splats),
+            None if view is None else ct.byref(arguments.camera(view)),
+            eps2d,
+            optional("out", out, shape),
+            arguments.checked_threads(threads),
         )
     )
-
-
-def check_size(width: int, height: int) -> None:
-    """Raise ShapeError for a picture the library would refuse, before memory is taken for it."""
-    if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
-        raise ShapeError(f"The image must be 1 to {MAX_SIDE} px a side, got {width} x {height}.")
-
-
-def camera_struct(
-    viewmat: np.ndarray,
-    K: np.ndarray,
-    width: int,
-    height: int,
-    near: float,
-    far: float,
-    *,
-    orthographic: bool = False,
-) -> CameraStruct:
-    """A gs_camera from [4, 4] and [3, 3] arrays; ShapeError where K has skew."""
-    if viewmat.shape != (4, 4):
-        raise ShapeError(f"viewmat must be [4, 4], got {list(viewmat.shape)}.")
-    if K.shape != (3, 3):
-        raise ShapeError(f"K must be [3, 3], got {list(K.shape)}.")
-    if K[0, 1] != 0 or K[1, 0] != 0 or K[2, 0] != 0 or K[2, 1] != 0 or K[2, 2] != 1:
-        raise ShapeError(
-            "K must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]; skew is not supported, "
-            f"got {K.tolist()}."
-        )
-    camera = CameraStruct(
-        fx=K[0, 0], fy=K[1, 1], cx=K[0, 2], cy=K[1, 2], width=width, height=height
-    )
-    camera.viewmat = (ct.c_float * 16)(*np.asarray(viewmat, np.float32).ravel().tolist())
-    camera.near_plane, camera.far_plane = near, far
-    camera.orthographic = int(orthographic)
-    return camera
-
-
-class CancelFlag:
-    """Stops a running call from another thread: pass it to the call, `set()` it to stop."""
-
-    def __init__(self) -> None:
-        self.value = ct.c_int32(0)
-
-    def set(self) -> None:
-        """The call it was passed to raises Cancelled soon, and so do later ones."""
-        self.value.value = 1
-
-
-def options_struct(
-    *,
-    eps2d: float,
-    antialias: bool,
-    background: tuple[float, float, float],
-    outputs: int,
-    threads: int,
-    disable: int = 0,
-    cancel: CancelFlag | None = None,
-    tiles: int | None = None,
-) -> OptionsStruct:
-    """A gs_options; `cancel` and the array at the address `tiles` must outlive the call."""
-    options = OptionsStruct(
-        eps2d=eps2d, antialias=int(antialias), outputs=outputs, disable=disable, threads=threads
-    )
-    options.background = (ct.c_float * 3)(*background)
-    if cancel is not None:
-        options.cancel = ct.pointer(cancel.value)
-    options.tiles = tiles
-    return options

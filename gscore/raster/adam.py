@@ -1,16 +1,14 @@
 """The native Adam on torch tensors: a step of all parameters of N splats; rows that skip steps."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import torch
 from torch import Tensor
 
-from . import _native
-from .calls import check_array
+from . import _native, arguments, header
+from .request import Frustum
 
-LAGS = _native.ADAM_LAGS
+LAGS = header.ADAM_LAGS
 
 
 @dataclass
@@ -61,23 +59,7 @@ def step(slots: Sequence[Slot], radii: Tensor | None, *, threads: int = 0) -> in
     """
     count = len(slots[0].value)
     structs = [_struct(slot, count) for slot in slots]
-    if radii is not None:
-        check_array("radii", radii, (count,), torch.int32)
-    address = None if radii is None else radii.data_ptr()
-    return _native.adam_step(structs, count, address, threads)
-
-
-@dataclass(frozen=True)
-class Frustum:
-    """A camera as `rasterize` takes it."""
-
-    viewmat: Tensor
-    K: Tensor
-    width: int
-    height: int
-    near: float
-    far: float = 1e10
-    eps2d: float = 0.3
+    return _native.adam_step(structs, count, radii, threads)
 
 
 def catch_up(
@@ -85,6 +67,7 @@ def catch_up(
     params: Mapping[str, Tensor],
     view: Frustum | None = None,
     *,
+    eps2d: float = 0.3,
     out: Tensor | None = None,
     threads: int = 0,
 ) -> None:
@@ -94,6 +77,7 @@ def catch_up(
         slot: With `skips`; `step` is the number of its last step.
         params: Raw `means` [N, 3] and `scales` [N, 3] of the splats, which tell where they are.
         view: Only rows that this camera may draw; None: all.
+        eps2d: With which it draws, px^2.
         out: Where the values go, as `slot.value`; None: in place.
         threads: 0: all cores.
 
@@ -101,50 +85,33 @@ def catch_up(
         ShapeError: a tensor has another shape, dtype or layout than it should.
     """
     count = len(slot.value)
-    struct = _struct(slot, count)
-    if out is not None:
-        check_array("out", out, tuple(slot.value.shape), torch.float32)
-    means, scales = params["means"], params["scales"]
-    check_array("means", means, (count, 3), torch.float32)
-    check_array("scales", scales, (count, 3), torch.float32)
-    splats = _native.SplatsStruct(
-        count=count, means=means.data_ptr(), scales=scales.data_ptr(), raw=1
-    )
-    camera = None
-    if view is not None:
-        camera = _native.camera_struct(
-            view.viewmat.numpy(), view.K.numpy(), view.width, view.height, view.near, view.far
-        )
     _native.adam_catch_up(
-        struct,
-        splats,
-        camera,
-        eps2d=0.3 if view is None else view.eps2d,
-        out=None if out is None else out.data_ptr(),
+        _struct(slot, count),
+        arguments.places(params["means"], params["scales"], count),
+        view,
+        eps2d=eps2d,
+        out=out,
+        shape=tuple(slot.value.shape),
         threads=threads,
     )
 
 
-def _struct(slot: Slot, count: int) -> _native.AdamTensorStruct:
-    shape = tuple(slot.value.shape)
-    for name in ("value", "grad", "moment1", "moment2"):
-        check_array(name, getattr(slot, name), (count, *shape[1:]), torch.float32)
-    struct = _native.AdamTensorStruct(
-        slot.value.data_ptr(),
-        slot.grad.data_ptr(),
-        slot.moment1.data_ptr(),
-        slot.moment2.data_ptr(),
-        math.prod(shape[1:]),
-        _native.ADAM_ALL,
-        slot.rate,
-        slot.step,
-    )
+def _struct(slot: Slot, count: int) -> header.AdamTensorStruct:
+    arrays = {
+        "value": slot.value,
+        "grad": slot.grad,
+        "moment1": slot.moment1,
+        "moment2": slot.moment2,
+    }
+    struct = arguments.adam_tensor(arrays, count=count, rate=slot.rate, number=slot.step)
     skips = slot.skips
     if skips is not None:
-        check_array("seen", skips.seen, (count,), torch.uint8)
-        check_array("lag", skips.lag, (count,), torch.uint8)
-        check_array("drift", skips.drift, (LAGS,), torch.float64)
-        struct.mode = _native.ADAM_WAIT if skips.wait else _native.ADAM_SEEN
-        struct.seen, struct.lag = skips.seen.data_ptr(), skips.lag.data_ptr()
-        struct.drift = skips.drift.data_ptr()
+        arguments.let_rows_wait(
+            struct,
+            count=count,
+            seen=skips.seen,
+            lag=skips.lag,
+            drift=skips.drift,
+            mode=header.ADAM_WAIT if skips.wait else header.ADAM_SEEN,
+        )
     return struct

@@ -7,10 +7,15 @@ import numpy as np
 
 from ..errors import ShapeError
 from ..io.ply import read_splats
-from ..splats import SH_REST_BY_DEGREE, Splats
-from . import _native
+from ..splats import PARAMETERS, Splats
+from . import _native, arguments, header
+from .request import CancelFlag, Frustum, Settings
 
-_DEPTHS = _native.OUT_INVERSE_DEPTH | _native.OUT_DEPTH | _native.OUT_MEDIAN_DEPTH
+_DEPTHS = {
+    "inverse_depth": header.OUT_INVERSE_DEPTH,
+    "depth": header.OUT_DEPTH,
+    "median_depth": header.OUT_MEDIAN_DEPTH,
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +53,7 @@ def render(
     orthographic: bool = False,
     window: tuple[int, int, int, int] | None = None,
     threads: int = 0,
-    cancel: _native.CancelFlag | None = None,
+    cancel: CancelFlag | None = None,
 ) -> Rendered:
     """Render splats from one camera (Kerbl et al. 2023; EWA of Zwicker et al. 2001).
 
@@ -83,61 +88,40 @@ def render(
     """
     if not isinstance(splats, Splats):
         splats = read_splats(Path(splats))
-    degree = splats.sh_degree if sh_degree is None else sh_degree
-    if not 0 <= degree <= splats.sh_degree:
-        raise ShapeError(
-            f"sh_degree must be 0 to {splats.sh_degree}, what the splats hold, got {degree}."
-        )
-    _native.check_size(width, height)
-    K, viewmat = np.asarray(K, np.float64), np.asarray(viewmat, np.float64)
-    camera = _native.camera_struct(viewmat, K, width, height, near, far, orthographic=orthographic)
+    arguments.check_size(width, height)  # before memory is taken
     part, tiles = (..., None) if window is None else _window(window, width, height)
-    options = _native.options_struct(
+    view = Frustum(
+        np.asarray(viewmat, np.float64),
+        np.asarray(K, np.float64),
+        width,
+        height,
+        near,
+        far,
+        orthographic,
+    )
+    settings = Settings(
+        sh_degree=sh_degree,
         eps2d=eps2d,
         antialias=antialias,
         background=background,
-        outputs=_DEPTHS if depths else 0,
+        outputs=sum(_DEPTHS.values()) if depths else 0,
+        tiles=tiles,
         threads=threads,
         cancel=cancel,
-        tiles=None if tiles is None else tiles.ctypes.data,
     )
-    arrays = [
-        np.ascontiguousarray(a)
-        for a in (
-            splats.means,
-            splats.quats,
-            splats.scales,
-            splats.opacities,
-            splats.sh0,
-            splats.shN,
-        )
-    ]
-    pointers = [a.ctypes.data for a in arrays]
-    struct = _native.SplatsStruct(
-        len(splats), *pointers, SH_REST_BY_DEGREE[splats.sh_degree], degree, 1
-    )
+    arrays = [np.require(getattr(splats, name), requirements=["C", "A"]) for name in PARAMETERS]
     shape = (height, width)
-    rgb, alpha = np.zeros((*shape, 3), np.float32), np.zeros(shape, np.float32)
-    inverse, depth, median = (np.zeros(shape, np.float32) if depths else None for _ in range(3))
-    image = _native.ImageStruct(
-        *(None if a is None else a.ctypes.data for a in (rgb, alpha, inverse, depth, median))
-    )
+    pictures = {"rgb": np.zeros((*shape, 3), np.float32), "alpha": np.zeros(shape, np.float32)}
+    pictures |= {name: np.zeros(shape, np.float32) for name in _DEPTHS if depths}
     with _native.pool.lend() as raster:
-        raster.forward(struct, camera, options, image)
+        raster.forward(arrays, view, settings, pictures)
         visible = raster.stats().visible
-    if depth is not None:
-        np.divide(depth, alpha, out=depth, where=alpha > 0)
-    drawn = (None if a is None else a[part] for a in (rgb, alpha, inverse, depth, median))
-    rgb, alpha, inverse, depth, median = drawn
-    assert rgb is not None and alpha is not None
-    return Rendered(
-        rgb=rgb,
-        alpha=alpha,
-        inverse_depth=inverse,
-        depth=depth,
-        median_depth=median,
-        visible=visible,
-    )
+    if depths:
+        depth, alpha = pictures["depth"], pictures["alpha"]
+        with np.errstate(all="ignore"):
+            np.divide(depth, alpha, out=depth, where=alpha > 0)
+    drawn = {name: picture[part] for name, picture in pictures.items()}
+    return Rendered(**dict.fromkeys(_DEPTHS) | drawn, visible=visible)  # pyright: ignore
 
 
 def _window(
@@ -150,7 +134,7 @@ def _window(
             f"window must be left, top, width and height inside {width} x {height} px, got "
             f"{window}."
         )
-    tiles = np.zeros((-(-height // _native.TILE), -(-width // _native.TILE)), np.uint8)
-    rows = slice(top // _native.TILE, -(-(top + high) // _native.TILE))
-    tiles[rows, left // _native.TILE : -(-(left + wide) // _native.TILE)] = 1
+    tiles = np.zeros((-(-height // header.TILE), -(-width // header.TILE)), np.uint8)
+    rows = slice(top // header.TILE, -(-(top + high) // header.TILE))
+    tiles[rows, left // header.TILE : -(-(left + wide) // header.TILE)] = 1
     return (slice(top, top + high), slice(left, left + wide)), tiles

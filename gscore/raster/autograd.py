@@ -7,8 +7,17 @@ import torch
 from torch import Tensor
 
 from ..splats import PARAMETERS
-from . import _native
-from .calls import Picture, Settings, backward, check_splats, check_tiles, forward
+from . import _native, arguments, header
+from .buffers import address
+from .memory import empty, zeros
+from .once import once
+from .request import CancelFlag, Frustum, Settings
+
+_DEPTHS = {
+    "inverse_depth": header.OUT_INVERSE_DEPTH,
+    "depth": header.OUT_DEPTH,
+    "median_depth": header.OUT_MEDIAN_DEPTH,
+}
 
 
 @dataclass
@@ -43,49 +52,50 @@ class RasterOutput:
 class _Rasterize(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, *args: Any) -> tuple[Tensor, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        *tensors, viewmat, settings, aux = args
-        s: Settings = settings
-        h, w = s.height, s.width
-        rgb, alpha = torch.zeros(h, w, 3), torch.zeros(h, w)
-        inverse = torch.zeros(h, w) if s.outputs & _native.OUT_INVERSE_DEPTH else torch.zeros(0)
-        depth = torch.zeros(h, w) if s.outputs & _native.OUT_DEPTH else torch.zeros(0)
-        median = torch.zeros(h, w) if s.outputs & _native.OUT_MEDIAN_DEPTH else torch.zeros(0)
-        if aux is not None:
-            aux.radii = torch.zeros(tensors[0].shape[0], dtype=torch.int32)
+        *splats, _viewmat, view, settings, aux = args
+        size = (view.height, view.width)
+        pictures = {"rgb": zeros(*size, 3), "alpha": zeros(*size)}
+        pictures |= {n: zeros(*size) for n, bit in _DEPTHS.items() if settings.outputs & bit}
+        radii = {} if aux is None else {"radii": zeros(len(splats[0]), dtype=torch.int32)}
         raster = _native.pool.take()
         try:
-            picture = Picture(rgb, alpha, inverse, depth, median)
-            forward(raster, tensors, viewmat, s, picture, None if aux is None else aux.radii)
+            raster.forward(splats, view, settings, pictures | radii)
             if aux is not None:
-                aux.stats = raster.stats().as_dict()
+                aux.radii, aux.stats = radii["radii"], raster.stats().as_dict()
         except BaseException:
             _native.pool.give_back(raster)
             raise
         if any(ctx.needs_input_grad):
-            ctx.save_for_backward(*tensors)
-            ctx.raster, ctx.settings, ctx.aux = _Lease(raster), s, aux
+            ctx.save_for_backward(*splats, _viewmat)
+            ctx.raster, ctx.call, ctx.aux = _Lease(raster), (view, settings), aux
         else:
             _native.pool.give_back(raster)
         ctx.set_materialize_grads(False)
-        ctx.mark_non_differentiable(median)
-        return rgb, alpha, inverse, depth, median
+        found = [pictures.get(name, zeros(0)) for name in ("rgb", "alpha", *_DEPTHS)]
+        ctx.mark_non_differentiable(found[-1])
+        return tuple(found)
 
     @staticmethod
     def backward(ctx: Any, *v_outputs: Tensor | None) -> tuple[Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        tensors, aux = ctx.saved_tensors, ctx.aux
-        kept = [None if v is None else v.to(torch.float32).contiguous() for v in v_outputs[:4]]
-        found = {n: torch.empty_like(t) for n, t in zip(PARAMETERS, tensors, strict=True)}
-        results = list(found.values())
-        v_viewmat = torch.zeros(4, 4) if ctx.needs_input_grad[6] else None
+        *splats, viewmat = ctx.saved_tensors
+        view, settings = ctx.call
+        v_pictures = {
+            name: None if v is None else v.detach().to(torch.float32).contiguous()
+            for name, v in zip(("rgb", "alpha", "inverse_depth", "depth"), v_outputs, strict=False)
+        }
+        grads = {name: empty(*t.shape) for name, t in zip(PARAMETERS, splats, strict=True)}
+        aux, extra = ctx.aux, {}
         if aux is not None:
-            found["means2d"] = aux.v_means2d = torch.empty(tensors[0].shape[0], 2)
-        if v_viewmat is not None:
-            found["viewmat"] = v_viewmat
+            extra["means2d"] = aux.v_means2d = empty(len(splats[0]), 2)
+        if ctx.needs_input_grad[len(splats)]:
+            extra["viewmat"] = zeros(4, 4)
         raster = ctx.raster.raster
-        backward(raster, tensors, ctx.settings, kept, found)
+        raster.backward(splats, view, settings, v_pictures, grads | extra)
         if aux is not None:
             aux.stats = raster.stats().as_dict()
-        return (*results, v_viewmat, None, None)
+        found = [*grads.values(), extra.get("viewmat")]
+        came_in = [v for v in v_outputs if v is not None]
+        return *once("rasterize", found, [*splats, viewmat, *came_in]), None, None, None
 
 
 class _Lease:
@@ -122,13 +132,14 @@ def rasterize(
     median_depth: bool = False,
     threads: int = 0,
     disable: int = 0,
-    cancel: _native.CancelFlag | None = None,
+    cancel: CancelFlag | None = None,
     tiles: Tensor | None = None,
     aux: RasterAux | None = None,
 ) -> RasterOutput:
     """Render splats from one pinhole camera (Kerbl et al. 2023; EWA of Zwicker et al. 2001).
 
-    Differentiable in means, quats, scales, opacities, sh0, shN and viewmat; not in K, background.
+    Differentiable once in means, quats, scales, opacities, sh0, shN and viewmat; not in K and
+    background. A second derivative raises GsError.
 
     Args:
         means: [N, 3] world units.
@@ -152,7 +163,7 @@ def rasterize(
         depth: Also return the expected depth.
         median_depth: Also return the median depth.
         threads: 0: all cores. Results do not depend on it.
-        disable: Bits of `_native.NO_*`: skips to leave out, for tests and benchmarks.
+        disable: Bits of `header.NO_*`: skips to leave out, for tests and benchmarks.
         cancel: Set it from another thread to stop this call or its backward pass.
         tiles: [ceil(H / 16), ceil(W / 16)] uint8: no splat is drawn in tiles of 16 x 16 px that are
             0 here; None: all are drawn.
@@ -166,40 +177,30 @@ def rasterize(
         BackendError: The native library is missing or out of memory.
         Cancelled: `cancel` was set.
     """
-    tensors = (means, quats, scales, opacities, sh0, shN)
-    stored = check_splats(tensors, viewmat)
-    _native.check_size(width, height)
+    splats = [t.contiguous() for t in (means, quats, scales, opacities, sh0, shN)]
+    viewmat = viewmat.contiguous()
+    address("viewmat", viewmat, (4, 4))
+    arguments.check_size(width, height)
+    wanted = {"inverse_depth": inverse_depth, "depth": depth, "median_depth": median_depth}
     if background is None:
         color = (0.0, 0.0, 0.0)
     else:
         r, g, b = (float(c) for c in background)
         color = (r, g, b)
-    tiles = check_tiles(tiles, width, height)
-    outputs = (
-        _native.OUT_INVERSE_DEPTH * inverse_depth
-        | _native.OUT_DEPTH * depth
-        | _native.OUT_MEDIAN_DEPTH * median_depth
-    )
+    view = Frustum(viewmat.detach(), K.detach(), width, height, near, far)
     settings = Settings(
         raw=raw,
-        sh_degree=stored if sh_degree is None else sh_degree,
-        width=width,
-        height=height,
-        K=K.detach().numpy(),
-        near=near,
-        far=far,
+        sh_degree=sh_degree,
         eps2d=eps2d,
         antialias=antialias,
         background=color,
-        outputs=outputs,
-        disable=disable,
+        outputs=sum(bit for name, bit in _DEPTHS.items() if wanted[name]),
+        tiles=None if tiles is None else tiles.contiguous(),
         threads=threads,
+        disable=disable,
         cancel=cancel,
-        tiles=tiles,
     )
-    rgb, alpha, inverse, weighted, median = _Rasterize.apply(
-        *(t.contiguous() for t in tensors), viewmat.contiguous(), settings, aux
-    )  # pyright: ignore[reportGeneralTypeIssues]
+    rgb, alpha, inverse, weighted, median = _Rasterize.apply(*splats, viewmat, view, settings, aux)  # pyright: ignore[reportGeneralTypeIssues]
     expected = None
     if depth:
         # The quotient's gradient comes from torch; where alpha is 0 so is the sum.

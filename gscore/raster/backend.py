@@ -1,18 +1,8 @@
 """What the native library is and can do here, for those who report it or steer it."""
 
-from ._native import (
-    NO_EXACT_CULL,
-    NO_OPACITY_EXTENT,
-    NO_ROW_RANGE,
-    NO_ZERO_TILE,
-    TILE,
-    CancelFlag,
-    available_isas,
-    default_threads,
-    isa,
-    library_path,
-    set_isa,
-)
+from ._native import available_isas, default_threads, isa, library_path, set_isa
+from .header import NO_EXACT_CULL, NO_OPACITY_EXTENT, NO_ROW_RANGE, NO_ZERO_TILE, TILE
+from .request import CancelFlag
 
 __all__ = [
     "NO_EXACT_CULL",

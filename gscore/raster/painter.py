@@ -1,13 +1,27 @@
 """One view after the other, drawn and differentiated without autograd and without allocating."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from ..errors import GsError
-from . import _native
-from .calls import Picture, Settings, backward, check_splats, check_tiles, forward
+from . import _native, arguments, header
+from .memory import empty
+from .request import Frustum, Settings
+
+
+@dataclass
+class Picture:
+    """A view; what is None was not asked for."""
+
+    rgb: Tensor
+    """[H, W, 3]."""
+    alpha: Tensor
+    """[H, W]."""
+    inverse_depth: Tensor | None = None
+    """[H, W], sum of weight / z, not divided by alpha."""
 
 
 class Painter:
@@ -19,57 +33,33 @@ class Painter:
     def __init__(self) -> None:
         self._raster = _native.Raster()
         self._memory: dict[str, Tensor] = {}
-        self._drawn: tuple[Sequence[Tensor], Settings] | None = None
+        self._drawn: tuple[Sequence[Tensor], Frustum, Settings] | None = None
 
     def draw(
-        self,
-        splats: Sequence[Tensor],
-        viewmat: Tensor,
-        K: Tensor,
-        width: int,
-        height: int,
-        *,
-        sh_degree: int | None = None,
-        background: tuple[float, float, float] = (0.0, 0.0, 0.0),
-        near: float = 0.01,
-        antialias: bool = False,
-        inverse_depth: bool = False,
-        threads: int = 0,
-        disable: int = 0,
-        tiles: Tensor | None = None,
+        self, splats: Sequence[Tensor], view: Frustum, settings: Settings | None = None
     ) -> Picture:
-        """Render raw splats; arguments and errors as for `rasterize`, `splats` in its order.
+        """Render splats, which need not be contiguous; errors are those of `rasterize`.
+
+        Args:
+            splats: `PARAMETERS`, in their order.
+            view: What is seen of them.
+            settings: How; of the outputs inverse depth alone can be asked for.
 
         Returns:
             rgb, alpha and, where asked for, inverse depth.
         """
-        stored = check_splats(splats, viewmat)
-        _native.check_size(width, height)
+        settings = settings or Settings()
+        arguments.check_size(view.width, view.height)
+        size = (view.height, view.width)
         tensors = [t.detach().contiguous() for t in splats]
-        settings = Settings(
-            raw=True,
-            sh_degree=stored if sh_degree is None else sh_degree,
-            width=width,
-            height=height,
-            K=K.numpy(),
-            near=near,
-            antialias=antialias,
-            background=background,
-            outputs=_native.OUT_INVERSE_DEPTH * inverse_depth,
-            threads=threads,
-            disable=disable,
-            tiles=check_tiles(tiles, width, height),
-        )
-        picture = Picture(
-            self._kept("rgb", (height, width, 3)),
-            self._kept("alpha", (height, width)),
-            self._kept("inverse_depth", (height, width)) if inverse_depth else None,
-        )
-        self._drawn = None
+        pictures = {"rgb": self._kept("rgb", (*size, 3)), "alpha": self._kept("alpha", size)}
+        if settings.outputs & header.OUT_INVERSE_DEPTH:
+            pictures["inverse_depth"] = self._kept("inverse_depth", size)
         radii = self._kept("radii", (len(tensors[0]),), torch.int32)
-        forward(self._raster, tensors, viewmat.contiguous(), settings, picture, radii)
-        self._drawn = tensors, settings
-        return picture
+        self._drawn = None
+        self._raster.forward(tensors, view, settings, pictures | {"radii": radii})
+        self._drawn = tensors, view, settings
+        return Picture(**pictures)
 
     @property
     def radii(self) -> Tensor:
@@ -100,14 +90,14 @@ class Painter:
         """
         if self._drawn is None:
             raise GsError("There is no view to take gradients of: call draw first.")
-        tensors, settings = self._drawn
-        means2d = self._kept("means2d", (len(tensors[0]), 2))
-        outputs = [None if v is None else v.contiguous() for v in (rgb, alpha, inverse_depth)]
-        backward(
-            self._raster,
-            tensors,
+        splats, view, settings = self._drawn
+        means2d = self._kept("means2d", (len(splats[0]), 2))
+        v_pictures = {"rgb": rgb, "alpha": alpha, "inverse_depth": inverse_depth}
+        self._raster.backward(
+            splats,
+            view,
             settings,
-            [*outputs, None],
+            {name: None if v is None else v.contiguous() for name, v in v_pictures.items()},
             {**into, "means2d": means2d},
             add_shN=True,
         )
@@ -127,5 +117,5 @@ class Painter:
     ) -> Tensor:
         found = self._memory.get(name)
         if found is None or found.shape != shape:
-            found = self._memory[name] = torch.empty(shape, dtype=dtype)
+            found = self._memory[name] = empty(*shape, dtype=dtype)
         return found

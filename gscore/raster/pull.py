@@ -1,11 +1,8 @@
 """How hard views pull at splats: sums of screen gradients, natively on torch tensors."""
 
 from torch import Tensor
-from torch import float32 as f32
-from torch import int32 as i32
 
 from . import _native
-from .calls import check_array
 
 
 def add_pull(
@@ -30,10 +27,4 @@ def add_pull(
     Raises:
         ShapeError: a tensor has another shape, dtype or layout than it should.
     """
-    n = len(pull)
-    check_array("pull", pull, (n,), f32)
-    check_array("seen", seen, (n,), f32)
-    check_array("v_means2d", v_means2d, (n, 2), f32)
-    check_array("radii", radii, (n,), i32)
-    found, drawn = v_means2d.data_ptr(), radii.data_ptr()
-    _native.add_pull(n, found, drawn, pull.data_ptr(), seen.data_ptr(), scale, threads)
+    _native.add_pull(pull, seen, v_means2d, radii, scale, threads)

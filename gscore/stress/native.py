@@ -6,14 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..raster import _native
+from ..raster import _native, header
+from ..raster.request import Frustum, Settings
 from ..splats import PARAMETERS
 from .scenes import Scene
 
 BACKGROUND = (0.25, 0.5, 0.125)
 """Exact in float32."""
 PICTURES = ("rgb", "alpha", "inverse_depth", "depth")
-ALL_DEPTHS = _native.OUT_INVERSE_DEPTH | _native.OUT_DEPTH | _native.OUT_MEDIAN_DEPTH
+ALL_DEPTHS = header.OUT_INVERSE_DEPTH | header.OUT_DEPTH | header.OUT_MEDIAN_DEPTH
 _GUARD = np.float32(-777.25)
 _GUARD_WORDS = 64
 
@@ -87,24 +88,21 @@ def draw(
         scene: Splats and camera.
         weights: By name of `PICTURES`; float32 arrays of the pictures' shapes.
         raw, sh_degree, antialias, near, far, eps2d, orthographic: as `gscore.render`.
-        outputs: Bits of `_native.OUT_*`.
-        disable: Bits of `_native.NO_*`.
+        outputs: Bits of `header.OUT_*`.
+        disable: Bits of `header.NO_*`.
         threads: Threads.
         background: RGB behind the splats.
     """
     n, h, w = len(scene), scene.height, scene.width
     arrays = [np.ascontiguousarray(getattr(scene, name), np.float32) for name in PARAMETERS]
-    rest = arrays[5].shape[1]
-    degree = round((rest + 1) ** 0.5) - 1 if sh_degree is None else sh_degree
-    struct = _native.SplatsStruct(n, *(a.ctypes.data for a in arrays), rest, degree, int(raw))
     memory = _Guarded()
     pictures = {"rgb": memory.array(h, w, 3)}
     pictures |= {k: memory.array(h, w) for k in ("alpha", "inverse_depth", "depth", "median_depth")}
     radii = np.zeros(n, np.int32)
-    camera = _native.camera_struct(
-        scene.viewmat, scene.K, w, h, near, far, orthographic=orthographic
-    )
-    options = _native.options_struct(
+    view = Frustum(scene.viewmat, scene.K, w, h, near, far, orthographic)
+    settings = Settings(
+        raw=raw,
+        sh_degree=sh_degree,
         eps2d=eps2d,
         antialias=antialias,
         background=background,
@@ -112,27 +110,20 @@ def draw(
         threads=threads,
         disable=disable,
     )
-    image = _native.ImageStruct(*(p.ctypes.data for p in pictures.values()), radii.ctypes.data)
     raster = _native.Raster()
-    raster.forward(struct, camera, options, image)
+    raster.forward(arrays, view, settings, pictures | {"radii": radii})
     gradients: dict[str, np.ndarray] = {}
     if weights is not None:
         gradients = {
             name: memory.array(*a.shape) for name, a in zip(PARAMETERS, arrays, strict=True)
         }
         gradients |= {"means2d": memory.array(n, 2), "viewmat": memory.array(4, 4)}
-        kept = [
-            np.ascontiguousarray(weights[k], np.float32) if k in weights else None for k in PICTURES
-        ]
-        raster.backward(
-            struct,
-            _native.ImageGradsStruct(*(None if a is None else a.ctypes.data for a in kept)),
-            _native.SplatGradsStruct(*(g.ctypes.data for g in gradients.values())),
-        )
+        kept = {k: np.ascontiguousarray(weights[k], np.float32) for k in PICTURES if k in weights}
+        raster.backward(arrays, view, settings, kept, gradients)
     kept_names = ["rgb", "alpha"]
-    kept_names += ["inverse_depth"] if outputs & _native.OUT_INVERSE_DEPTH else []
-    kept_names += ["depth"] if outputs & _native.OUT_DEPTH else []
-    kept_names += ["median_depth"] if outputs & _native.OUT_MEDIAN_DEPTH else []
+    kept_names += ["inverse_depth"] if outputs & header.OUT_INVERSE_DEPTH else []
+    kept_names += ["depth"] if outputs & header.OUT_DEPTH else []
+    kept_names += ["median_depth"] if outputs & header.OUT_MEDIAN_DEPTH else []
     return Drawn(
         pictures={name: pictures[name] for name in kept_names},
         radii=radii,

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ..raster import _native
+from ..raster import header
 from ..splats import PARAMETERS
 from . import native, truth
 from .case import EmptyTestError, Measure, case
@@ -73,7 +73,7 @@ def zero_tiles(full: bool) -> Iterator[Measure]:
         masked = {k: w * (mask[..., None] if w.ndim == 3 else mask) for k, w in weights.items()}
         for background in (native.BACKGROUND, tuple(rng.random(3).tolist())):
             fast = native.draw(scene, masked, background=background)
-            slow = native.draw(scene, masked, background=background, disable=_native.NO_ZERO_TILE)
+            slow = native.draw(scene, masked, background=background, disable=header.NO_ZERO_TILE)
             require_covered(fast.pictures["alpha"])
             changed += different_bits(fast.gradients, slow.gradients)
             skipped += fast.stats["backward_pairs"] < slow.stats["backward_pairs"]

@@ -121,9 +121,9 @@ def _quiet_torch() -> AbstractContextManager[None]:
     for each other take minutes for seconds of work on a machine that does other things."""
     if importlib.util.find_spec("torch") is None:
         return nullcontext()
-    from ..trainer.torch_threads import one_torch_thread
+    from ..trainer.host_state import ordinary_state
 
-    return one_torch_thread()
+    return ordinary_state()
 
 
 def _load() -> None:

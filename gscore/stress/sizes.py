@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ..raster import _native
+from ..raster import header
 from ..words import count_words, number
 from . import native, truth
 from .case import EmptyTestError, Measure, case
@@ -16,7 +16,7 @@ _ENTRY_BYTES = 512
 
 
 def _list_tiles(width: int, height: int) -> int:
-    wide, high = _native.LIST_TILE
+    wide, high = header.LIST_TILE
     return -(-width // wide) * -(-height // high)
 
 
@@ -149,8 +149,8 @@ def guards(full: bool) -> Iterator[Measure]:
         drawn = native.draw(scene, weights)
         require_covered(drawn.pictures["alpha"])
         broken += drawn.guards_broken
-        off = _native.NO_EXACT_CULL | _native.NO_ZERO_TILE
-        off |= _native.NO_OPACITY_EXTENT | _native.NO_ROW_RANGE
+        off = header.NO_EXACT_CULL | header.NO_ZERO_TILE
+        off |= header.NO_OPACITY_EXTENT | header.NO_ROW_RANGE
         plain = native.draw(scene, weights, disable=off)
         broken += plain.guards_broken
         changed += sum(int((drawn.pictures[k] != plain.pictures[k]).sum()) for k in drawn.pictures)

@@ -93,24 +93,28 @@ def _rounding_calls(libm: ctypes.CDLL, mode: int, seen: list[tuple[bool, bool]])
     """
 
     def wrapped(call: Any) -> Any:
-        def inside(*args: Any) -> None:
+        def inside(*args: Any) -> int:
             if libm.fesetround(mode) != 0:
                 raise NotHereError("the rounding mode cannot be set")
             try:
                 effect = bool(np.float32(1) / np.float32(3) != _THIRD)
-                call(*args)
+                status = call(*args)
                 seen.append((effect, libm.fegetround() != mode))
+                return status
             finally:
                 libm.fesetround(0)
 
         return inside
 
-    kept = _native.Raster.forward, _native.Raster.backward
-    _native.Raster.forward, _native.Raster.backward = (wrapped(call) for call in kept)
+    library = _native.library()
+    kept = {name: getattr(library, name) for name in ("gs_raster_forward", "gs_raster_backward")}
+    for name, call in kept.items():
+        setattr(library, name, wrapped(call))
     try:
         yield
     finally:
-        _native.Raster.forward, _native.Raster.backward = kept
+        for name, call in kept.items():
+            setattr(library, name, call)
 
 
 @case("S20", "the host's rounding mode", needs=())

@@ -22,6 +22,7 @@ from ..config_file import differences, from_dict, to_dict
 from ..errors import ConfigError, FormatError
 from ..io.files import atomic_write, check_regular
 from ..json_text import parse_json
+from ..raster import backend
 from ..shown import shown
 from .stored import whole
 from .trainer import Trainer
@@ -71,6 +72,8 @@ class Checkpoint:
     """What the session keeps: clock, history, evaluations."""
     tensors: dict[str, torch.Tensor]
     """`Trainer.tensors`."""
+    isa: str | None = None
+    """Instruction set it was written under; None: it does not say, as older ones."""
 
     @property
     def steps(self) -> int:
@@ -88,6 +91,7 @@ def save(path: Path, trainer: Trainer, session: dict[str, Any]) -> None:
         "format": FORMAT,
         "gscore": __version__,
         "torch": torch.__version__,
+        "isa": backend.isa(),
         "config": to_dict(trainer.config),
         "capture": fingerprint(trainer.photos) | depth_fingerprint(trainer),
         "trainer": trainer.state(),
@@ -145,6 +149,7 @@ def load(path: Path) -> Checkpoint:
             trainer=dict(content["trainer"]),
             session=dict(content["session"]),
             tensors=tensors,
+            isa=None if content.get("isa") is None else str(content["isa"]),
         )
 
 
@@ -199,6 +204,18 @@ def check_compatible(
             f"{checkpoint.path} is at step {checkpoint.steps}, beyond iterations = "
             f"{config.iterations}; ask for more iterations."
         )
+
+
+def other_isa(checkpoint: Checkpoint) -> str | None:
+    """A sentence for the user where the run goes on with another instruction set than it had."""
+    was, now = checkpoint.isa, backend.isa()
+    if was is None or was == now:
+        return None
+    return (
+        f"The run was computed with {was} up to step {checkpoint.steps} and goes on with {now}: "
+        "its numbers will differ in their last digits, and so its splats, from those of a run "
+        f"that keeps to one. Where this machine has {was}, GSCORE_ISA={was} keeps to it."
+    )
 
 
 def check_same_depth(checkpoint: Checkpoint, trainer: Trainer) -> None:

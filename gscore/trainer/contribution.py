@@ -5,7 +5,9 @@ from typing import NamedTuple
 
 import torch
 
+from ..raster.memory import ones, zeros
 from ..raster.painter import Painter
+from ..raster.request import Frustum, Settings
 from ..sh import SH_C0
 from .pyramid import Sized
 
@@ -46,23 +48,18 @@ def weights_by_view(
         scratch: Tensors of the shapes of `params` by name, which are overwritten; not shN.
         threads: 0: all cores; the result does not depend on it.
     """
-    no_rest = torch.zeros(len(params["means"]), 0, 3)
+    no_rest = zeros(len(params["means"]), 0, 3)
     grey = {**params, "sh0": torch.zeros_like(params["sh0"]), "shN": no_rest}
     into = {**scratch, "shN": no_rest}
     for view, _, mask, _, _ in shown:
         painter.draw(
             tuple(grey.values()),
-            view.viewmat,
-            view.K,
-            view.width,
-            view.height,
-            near=near,
-            antialias=antialias,
-            threads=threads,
+            Frustum(view.viewmat, view.K, view.width, view.height, near),
+            Settings(antialias=antialias, threads=threads),
         )
-        counts = torch.ones(view.height, view.width, 3)
+        counts = ones(view.height, view.width, 3)
         if masks_hide and mask is not None:
-            counts[..., 0] = torch.from_numpy(mask) / 255
+            counts[..., 0] = torch.from_numpy(mask).to(counts.dtype) / 255
         painter.gradients(into, counts)
         yield Weights(into["sh0"][:, 0, 0] / SH_C0, into["sh0"][:, 0, 1] / SH_C0)
 
@@ -73,7 +70,7 @@ def most_in_a_view(weights: Iterable[Weights], count: int) -> torch.Tensor:
     A splat that one view needs is needed; the sum over all views would favour the background, which
     all show. Of half of the splats pruned that cost 0.1 to 0.2 dB more on plush.
     """
-    most = torch.zeros(count)
+    most = zeros(count)
     for kept, _ in weights:
         torch.maximum(most, kept, out=most)
     return most
@@ -84,7 +81,7 @@ def mostly_hidden(weights: Iterable[Weights], count: int, *, share: float) -> to
 
     No photo says what these should look like, and they veil what other photos show.
     """
-    kept, whole = torch.zeros(count), torch.zeros(count)
+    kept, whole = zeros(count), zeros(count)
     for of_kept, of_whole in weights:
         kept += of_kept
         whole += of_whole
@@ -93,6 +90,6 @@ def mostly_hidden(weights: Iterable[Weights], count: int, *, share: float) -> to
 
 def least(weights: torch.Tensor, count: int) -> torch.Tensor:
     """[N] bool: the `count` smallest of `weights` [N]; of equal ones, those that come first."""
-    out = torch.zeros(len(weights), dtype=torch.bool)
+    out = zeros(len(weights), dtype=torch.bool)
     out[torch.sort(weights, stable=True).indices[:count]] = True
     return out

@@ -22,6 +22,8 @@ from typing import Any
 import torch
 
 from ..config import TrainConfig
+from ..errors import GsError
+from ..raster.once import once
 from .depth_targets import DepthTarget, DepthTargets
 
 _SPREAD_FLOOR = 1e-4
@@ -130,13 +132,17 @@ class _L1(torch.autograd.Function):
         hollow = weight.mul_(prior).mul_(_OPAQUE)
         loss += hollow.sum() - torch.dot(hollow.flatten(), alpha.flatten())
         ctx.gradients = [inverse_depth, hollow.neg_()]
+        ctx.save_for_backward(image, alpha)
         return loss
 
     @staticmethod
     def backward(ctx: Any, v_loss: torch.Tensor) -> tuple[torch.Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
         # In place and therefore once: a new picture costs as much as three passes over one.
-        alpha, inverse_depth = ctx.gradients.pop(), ctx.gradients.pop()
-        return inverse_depth.mul_(v_loss), alpha.mul_(v_loss), None, None
+        if not ctx.gradients:
+            raise GsError("Gradients of l1_loss can be taken only once: leave out retain_graph.")
+        v_alpha, v_inverse_depth = ctx.gradients.pop(), ctx.gradients.pop()
+        found = [v_inverse_depth.mul_(v_loss), v_alpha.mul_(v_loss)]
+        return *once("l1_loss", found, [*ctx.saved_tensors, v_loss]), None, None
 
 
 def pearson_loss(inverse_depth: torch.Tensor, target: DepthTarget) -> torch.Tensor:

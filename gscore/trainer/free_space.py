@@ -8,6 +8,7 @@ of structure from motion say how far away the first surface is.
 import numpy as np
 import torch
 
+from ..raster.memory import zeros
 from .near import Nearest
 
 _NEAREST = 10
@@ -43,7 +44,7 @@ class FreeSpace:
 
     def holds(self, means: torch.Tensor) -> torch.Tensor:
         """[N] bool: which of `means` [N, 3] lie in a ball."""
-        inside = torch.zeros(len(means), dtype=torch.bool)
+        inside = zeros(len(means), dtype=torch.bool)
         balls = len(self._rest)
         if balls == 0:
             return inside

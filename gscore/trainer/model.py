@@ -8,6 +8,8 @@ from typing import NamedTuple
 import torch
 
 from ..raster import adam
+from ..raster.memory import zeros
+from ..raster.request import Frustum
 from ..splats import PARAMETERS
 
 _SEEN, _LAG = "shN_seen", "shN_lag"
@@ -55,10 +57,10 @@ class Model:
         """Where gradients go, as `params`. Those of shN are added up until it takes a step."""
         n = len(tensors["means"])
         self.rows: dict[str, torch.Tensor] = {
-            name: torch.zeros(n, dtype=torch.uint8) for name in (_SEEN, _LAG)
+            name: zeros(n, dtype=torch.uint8) for name in (_SEEN, _LAG)
         }
         """[N] counters: those of the strategy, float32, and which rows of shN wait, uint8."""
-        self.drift = torch.zeros(adam.LAGS, dtype=torch.float64)
+        self.drift = zeros(adam.LAGS, dtype=torch.float64)
         """What a row of shN that waits has to make up for, by number of steps."""
         self._moments: dict[str, tuple[torch.Tensor, torch.Tensor]] = {}
         self._steps: dict[str, int] = dict.fromkeys(PARAMETERS, 0)
@@ -153,7 +155,7 @@ class Model:
         self._settled = None
         return adam.step(slots, radii, threads=threads)
 
-    def settle_for(self, view: adam.Frustum, *, threads: int = 0) -> None:
+    def settle_for(self, view: Frustum, *, threads: int = 0) -> None:
         """Let the rows that `view` may show make up for the steps they skipped."""
         self._settled = None  # a step follows: nobody looks at them again
         self._catch_up(view, threads=threads)
@@ -195,7 +197,7 @@ class Model:
         return bool(self.rows[_LAG].any()) and self.params["shN"].numel() > 0
 
     def _catch_up(
-        self, view: adam.Frustum | None, *, out: torch.Tensor | None = None, threads: int
+        self, view: Frustum | None, *, out: torch.Tensor | None = None, threads: int
     ) -> None:
         if self._waiting():
             slot = self._slot("shN", wait=False)

@@ -2,6 +2,8 @@
 
 import torch
 
+from .random import uniform
+
 _GONE = -30.0
 """Logit of a splat that is left out: far below the opacity at which one is drawn."""
 _MOST = 0.999
@@ -28,7 +30,7 @@ def drop_splats(opacities: torch.Tensor, rate: float, generator: torch.Generator
         [N] logits, differentiable in `opacities`; those left out get no gradient, those that reach
         the ceiling get one as if there were none, or they could never fade again.
     """
-    stays = torch.rand(len(opacities), generator=generator) >= rate
+    stays = uniform(len(opacities), generator) >= rate
     raised = torch.sigmoid(opacities) / (1 - rate)
     raised = raised - (raised - _MOST).clamp_min(0).detach()
     return torch.where(stays, torch.logit(raised), _GONE)

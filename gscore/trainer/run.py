@@ -20,10 +20,10 @@ from .ended import ended_run
 from .folder import RunFolder, open_folder
 from .frame import Frame
 from .heap import large_pieces_apart
+from .host_state import ordinary_state
 from .loading import load_photos, progress_of
 from .premises import look_over
 from .session import Session, TrainResult
-from .torch_threads import one_torch_thread
 from .trainer import Trainer
 
 
@@ -62,7 +62,7 @@ def train(
     emit, control = on_event or (lambda event: None), control or Control()
     large_pieces_apart()
     opened = open_folder(output, resume=resume, overwrite=overwrite, data=data)
-    with opened as folder, one_torch_thread():
+    with opened as folder, ordinary_state():
         before, damaged = _checkpoint_to_start_from(folder, resume, start_checkpoint)
         if resume and before is not None and not damaged:
             ended = ended_run(folder, before, config, data)
@@ -121,6 +121,8 @@ def train(
                     trainer.restore(before.trainer, before.tensors)
                     session.restore(before.session)
                 before.tensors.clear()  # the model replaces them as it grows
+                if other_isa := checkpoint.other_isa(before):
+                    session.warn(other_isa, "isa")
                 for path in damaged:
                     session.warn(_set_aside(path, before.steps), "damaged_checkpoint")
             notes = (*photos.warnings, *loaded.warnings, *look_over(trainer))

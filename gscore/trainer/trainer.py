@@ -11,10 +11,11 @@ import torch
 
 from ..config import Background, Skip, TrainConfig
 from ..errors import DatasetError, GsError
-from ..raster.adam import Frustum
-from ..raster.calls import Picture
+from ..raster.header import OUT_INVERSE_DEPTH
 from ..raster.loss import image_loss, image_loss_gradient
-from ..raster.painter import Painter
+from ..raster.memory import empty
+from ..raster.painter import Painter, Picture
+from ..raster.request import Frustum, Settings
 from ..scene import PointCloud
 from ..splats import Splats
 from ..words import count_words
@@ -29,6 +30,7 @@ from .model import Model, Moments, ShN
 from .near import Nearest
 from .params import splats_of_tensors, tensors_from_splats
 from .pyramid import AHEAD, Pyramid
+from .random import generator_of, uniform
 from .regularisers import drop_rate_at, drop_splats, opacity_loss
 from .schedules import Plan
 from .skips import raster_bits
@@ -121,7 +123,7 @@ class Trainer:
         if depth is not None:
             self.depth = DepthLoss(config, depth, scale=self.frame.similarity.scale)
         self.replan(config.iterations)
-        self.generator = torch.Generator().manual_seed(config.seed)
+        self.generator = generator_of(config.seed)
         self.sampler = Sampler(photos.train)
         self.steps = 0
         """Steps taken."""
@@ -138,7 +140,7 @@ class Trainer:
         self._skipped = 0
         self._pruned = 0
         self._painter = Painter()
-        self._v_rgb = torch.empty(0)
+        self._v_rgb = empty(0)
         self.laps = Laps()
         """What the parts of the last step took."""
         self._cameras = self.frame.similarity.cameras_to_training(photos.scene.cameras)
@@ -210,22 +212,20 @@ class Trainer:
         opacities, leaf = self._step_opacities(step)
         picture = self._painter.draw(
             tuple((model.params | {"opacities": opacities}).values()),
-            view.viewmat,
-            view.K,
-            view.width,
-            view.height,
-            sh_degree=self._sh_degree_at(step),
-            background=background,
-            near=self.frame.near,
-            antialias=config.antialias,
-            inverse_depth=depth_weight > 0,
-            threads=config.threads,
-            disable=self._disable,
-            tiles=None if Skip.MASKED_TILE in config.without else tiles,
+            self._frustum(view),
+            Settings(
+                sh_degree=self._sh_degree_at(step),
+                background=background,
+                antialias=config.antialias,
+                outputs=OUT_INVERSE_DEPTH if depth_weight > 0 else 0,
+                threads=config.threads,
+                disable=self._disable,
+                tiles=None if Skip.MASKED_TILE in config.without else tiles,
+            ),
         )
         laps.lap("draw")
         if self._v_rgb.shape != picture.rgb.shape:
-            self._v_rgb = torch.empty_like(picture.rgb)
+            self._v_rgb = empty(*picture.rgb.shape)
         loss = image_loss_gradient(
             picture.rgb,
             torch.from_numpy(image),
@@ -268,7 +268,7 @@ class Trainer:
         view = self._pyramid.view(index)
         factor = min(_GLANCE, view.width, view.height)
         width, height = view.width // factor, view.height // factor
-        K = view.K / torch.tensor([[factor], [factor], [1]])
+        K = view.K / view.K.new_tensor([[factor], [factor], [1]])
         return bool((self._show(View(view.viewmat, K, width, height)).alpha > 0).any())
 
     def picture(self, index: int, *, background: tuple[float, float, float]) -> torch.Tensor:
@@ -298,7 +298,7 @@ class Trainer:
 
     def inverse_depth(self, index: int) -> tuple[np.ndarray, np.ndarray]:
         """Accumulated inverse depth of view `index`, [H, W] float32, 1/world unit, and opacity."""
-        found = self._show(self._pyramid.view(index), inverse_depth=True)
+        found = self._show(self._pyramid.view(index), outputs=OUT_INVERSE_DEPTH)
         assert found.inverse_depth is not None
         scale = np.float32(self.frame.similarity.scale)
         return found.inverse_depth.numpy() * scale, found.alpha.numpy().copy()
@@ -416,23 +416,17 @@ class Trainer:
 
     def _show(self, view: View, **options: Any) -> Picture:
         """The whole view as the splats are now, good until the next one; `options` are those of
-        `Painter.draw`."""
+        `Settings`."""
         config = self.config
-        return self._painter.draw(
-            tuple(self.model.settled(threads=config.threads).values()),
-            view.viewmat,
-            view.K,
-            view.width,
-            view.height,
-            near=self.frame.near,
-            antialias=config.antialias,
-            threads=config.threads,
-            **options,
-        )
+        settings = Settings(antialias=config.antialias, threads=config.threads, **options)
+        splats = self.model.settled(threads=config.threads)
+        return self._painter.draw(tuple(splats.values()), self._frustum(view), settings)
+
+    def _frustum(self, view: View) -> Frustum:
+        return Frustum(view.viewmat, view.K, view.width, view.height, self.frame.near)
 
     def _settle_for(self, view: View) -> None:
-        frustum = Frustum(view.viewmat, view.K, view.width, view.height, self.frame.near)
-        self.model.settle_for(frustum, threads=self.config.threads)
+        self.model.settle_for(self._frustum(view), threads=self.config.threads)
 
     def _step_opacities(self, step: int) -> tuple[torch.Tensor, torch.Tensor | None]:
         """The opacities that this step draws, and, where they are not the model's own, the leaf
@@ -459,7 +453,7 @@ class Trainer:
             composite = self.photos.mask_mode == "composite"
             mode = Background.RANDOM if composite else Background.BLACK
         if mode is Background.RANDOM:
-            r, g, b = torch.rand(3, generator=self.generator).tolist()
+            r, g, b = uniform(3, self.generator).tolist()
             return (r, g, b)
         return _COLORS[mode]
 

@@ -7,6 +7,7 @@ import numpy as np
 import torch
 
 from ..scene import Scene
+from .random import order
 
 
 class Photos(Protocol):
@@ -83,7 +84,7 @@ class Sampler:
     def next(self, generator: torch.Generator) -> int:
         """The next view; draws an order where an epoch begins."""
         if self.position >= len(self.order):
-            shuffled = torch.randperm(len(self.indices), generator=generator).tolist()
+            shuffled = order(len(self.indices), generator)
             self.order = [self.indices[i] for i in shuffled]
             self.position = 0
         self.position += 1

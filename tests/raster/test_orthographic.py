@@ -9,6 +9,7 @@ import torch
 import gscore
 from gscore.errors import BackendError
 from gscore.raster import _native, reference
+from gscore.raster.request import Frustum, Settings
 from gscore.splats import Splats
 
 BACKGROUND = (0.25, 0.5, 0.125)
@@ -109,21 +110,12 @@ def test_gradients_are_refused(parallel):
     """Oracle: the header: GS_UNSUPPORTED, with a sentence."""
     scene, K = parallel
     arrays = [np.ascontiguousarray(getattr(scene, name).float().numpy()) for name in PARAMETERS]
-    struct = _native.SplatsStruct(len(arrays[0]), *(a.ctypes.data for a in arrays), 15, 3, 1)
-    camera = _native.camera_struct(
-        scene.viewmat.numpy(), K.numpy(), scene.width, scene.height, 0.01, 1e10, orthographic=True
-    )
-    options = _native.options_struct(
-        eps2d=0.3, antialias=False, background=BACKGROUND, outputs=0, threads=1
-    )
+    view = Frustum(scene.viewmat, K, scene.width, scene.height, orthographic=True)
+    settings = Settings(background=BACKGROUND, threads=1)
     size = (scene.height, scene.width)
-    rgb, alpha = np.zeros((*size, 3), np.float32), np.zeros(size, np.float32)
+    pictures = {"rgb": np.zeros((*size, 3), np.float32), "alpha": np.zeros(size, np.float32)}
     raster = _native.Raster()
-    raster.forward(struct, camera, options, _native.ImageStruct(rgb.ctypes.data, alpha.ctypes.data))
-    grads = [np.zeros_like(a) for a in arrays]
+    raster.forward(arrays, view, settings, pictures)
+    grads = {name: np.zeros_like(a) for name, a in zip(PARAMETERS, arrays, strict=True)}
     with pytest.raises(BackendError, match="orthographic"):
-        raster.backward(
-            struct,
-            _native.ImageGradsStruct(rgb.ctypes.data),
-            _native.SplatGradsStruct(*(g.ctypes.data for g in grads)),
-        )
+        raster.backward(arrays, view, settings, {"rgb": pictures["rgb"]}, grads)

@@ -8,8 +8,10 @@ import torch
 
 from gscore.errors import GsError, ShapeError
 from gscore.raster.autograd import RasterAux, rasterize
+from gscore.raster.header import OUT_INVERSE_DEPTH
 from gscore.raster.loss import image_loss, image_loss_gradient
 from gscore.raster.painter import Painter
+from gscore.raster.request import Frustum, Settings
 from gscore.splats import PARAMETERS
 
 Make = Callable[..., Any]
@@ -33,8 +35,9 @@ def test_bits_are_those_of_autograd(random_scene: Make, antialias: bool, inverse
         extra = (out.alpha * weights).sum() if depth is None else (depth * weights).sum()
         (loss.loss + extra).backward()
 
+        outputs = OUT_INVERSE_DEPTH if inverse else 0
         picture = painter.draw(
-            [p.detach() for p in leaves], *camera, inverse_depth=inverse, **options
+            [p.detach() for p in leaves], Frustum(*camera), Settings(outputs=outputs, **options)
         )
         assert torch.equal(picture.rgb, out.rgb)
         assert torch.equal(picture.alpha, out.alpha)
@@ -58,8 +61,8 @@ def test_gradients_of_higher_coefficients_are_added(random_scene: Make) -> None:
     inputs = random_scene(4).inputs(torch.float32)
     splats = [inputs[name].detach() for name in PARAMETERS]
     painter = Painter()
-    camera = (inputs["viewmat"].detach(), inputs["K"], 40, 30)
-    picture = painter.draw(splats, *camera, sh_degree=2)
+    view = Frustum(inputs["viewmat"].detach(), inputs["K"], 40, 30)
+    picture = painter.draw(splats, view, Settings(sh_degree=2))
     v_rgb = torch.rand(picture.rgb.shape)
     once = {name: torch.zeros_like(p) for name, p in zip(PARAMETERS, splats, strict=True)}
     twice = {name: torch.zeros_like(p) for name, p in once.items()}
@@ -76,13 +79,13 @@ def test_errors_name_what_is_wrong(random_scene: Make) -> None:
     inputs = random_scene(4).inputs(torch.float32)
     splats = [inputs[name].detach() for name in PARAMETERS]
     painter = Painter()
-    camera = (inputs["viewmat"].detach(), inputs["K"], 40, 30)
+    view = Frustum(inputs["viewmat"].detach(), inputs["K"], 40, 30)
     grads = {name: torch.zeros_like(p) for name, p in zip(PARAMETERS, splats, strict=True)}
     with pytest.raises(GsError, match="call draw first"):
         painter.gradients(grads, torch.zeros(30, 40, 3))
     with pytest.raises(ShapeError, match=r"tiles must be \[2, 3\] uint8"):
-        painter.draw(splats, *camera, tiles=torch.ones(3, 2, dtype=torch.uint8))
-    picture = painter.draw(splats, *camera)
+        painter.draw(splats, view, Settings(tiles=torch.ones(3, 2, dtype=torch.uint8)))
+    picture = painter.draw(splats, view)
     target = torch.zeros(30, 40, 3, dtype=torch.uint8)
     with pytest.raises(ShapeError, match=r"v_image must be \[30, 40, 3\] float32"):
         image_loss_gradient(picture.rgb, target, torch.zeros(30, 40))

@@ -6,15 +6,15 @@ import torch
 import gscore
 from gscore.bench.raster import synthetic_scene
 from gscore.errors import ShapeError
-from gscore.raster import _native
+from gscore.raster import header
 
 WIDTH, HEIGHT = 150, 90
 _NAMES = ("means", "quats", "scales", "opacities", "sh0", "shN")
 _BITS = {
-    "exact cull": _native.NO_EXACT_CULL,
-    "opacity extent": _native.NO_OPACITY_EXTENT,
-    "row range": _native.NO_ROW_RANGE,
-    "zero tile": _native.NO_ZERO_TILE,
+    "exact cull": header.NO_EXACT_CULL,
+    "opacity extent": header.NO_OPACITY_EXTENT,
+    "row range": header.NO_ROW_RANGE,
+    "zero tile": header.NO_ZERO_TILE,
 }
 
 
@@ -76,5 +76,5 @@ def test_tiles_left_out_show_the_background_and_change_no_gradient_of_the_others
 
 def test_tiles_of_another_shape_are_refused() -> None:
     """Oracle: the message names both shapes."""
-    with pytest.raises(ShapeError, match=r"tiles must be \[6, 10\] uint8 .* got \[6, 9\]"):
+    with pytest.raises(ShapeError, match=r"tiles must be \[6, 10\] uint8, .* got \[6, 9\]"):
         _pass(torch.ones(HEIGHT, WIDTH, 3), tiles=torch.ones(6, 9, dtype=torch.uint8))

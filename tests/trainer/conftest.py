@@ -1,20 +1,28 @@
 """A toy capture that takes milliseconds to train on, in memory and as a folder."""
 
+import json
+import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
+from gscore.config import DataConfig
+from gscore.datasets import load_dataset
+from gscore.depth.params import FILE
 from gscore.io.colmap import write_model
 from gscore.io.colmap_model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
 from gscore.io.images import write_png
+from gscore.raster.api import render
 from gscore.splats import Splats
 from gscore.stress.capture import SIZE, VIEWS, ToyPhotos, toy_photos, toy_splats
 from gscore.trainer.model import Model
 from gscore.transforms import rotmat_to_quat
 from tests.isas import isa  # noqa: F401
+from tests.trainer.short_run import DEEP_UNIT
 
 
 @pytest.fixture(scope="session")
@@ -71,6 +79,27 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_model(ColmapModel(cameras={1: camera}, images=images, points=points), root / "sparse/0")
     for name, image in zip(cameras.names, photos.images, strict=True):
         write_png(root / "images" / name, image)
+    return root
+
+
+@pytest.fixture(scope="session")
+def deep(capture: Path, known_splats: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The toy capture, its true inverse depth in depths/ and the maps' scale. Do not change it."""
+    root = tmp_path_factory.mktemp("deep") / "capture"
+    shutil.copytree(capture, root)
+    cameras = load_dataset(DataConfig(source=root)).scene.cameras
+    params = {}
+    for i, name in enumerate(cameras.names):
+        view = render(known_splats, cameras.Ks[i], cameras.viewmats[i], 48, 48)
+        assert view.inverse_depth is not None
+        values = np.where(view.alpha > 0.95, view.inverse_depth, 0)
+        assert values.max() < DEEP_UNIT
+        write_png(
+            root / "depths" / f"{Path(name).stem}.png",
+            (values / DEEP_UNIT * 65536 + 0.5).astype(np.uint16),
+        )
+        params[Path(name).stem] = {"scale": DEEP_UNIT, "offset": 0.0}
+    (root / "sparse" / "0" / FILE).write_text(json.dumps(params))
     return root
 
 

@@ -14,3 +14,5 @@ CONFIG = TrainConfig(
     background=Background.RANDOM,
 )
 """Refinements at every tenth step, resets at every 25th, SH degrees at every twelfth."""
+DEEP_UNIT = 2.0
+"""Inverse depth of white in the maps of the capture `deep`, 1/world unit."""

@@ -15,6 +15,7 @@ from safetensors.torch import load_file
 from gscore.config import Background, DataConfig, TrainConfig
 from gscore.errors import ConfigError, FormatError, GsError
 from gscore.events import Event, Warn
+from gscore.raster import backend
 from gscore.trainer import checkpoint, train
 from gscore.trainer.folder import RunFolder
 from gscore.trainer.trainer import Trainer
@@ -264,3 +265,45 @@ def test_tensors_that_do_not_fit_each_other_are_refused(
         for odd in (tensor[:-1], tensor.to(other)):
             with pytest.raises(ValueError):
                 trainer.restore(found.trainer, found.tensors | {name: odd})
+
+
+def _goes_on(capture: Path, out: Path, *, steps: int) -> list[str]:
+    """Take the run in `out` to `steps`; the warnings about its instruction set."""
+    told: list[Event] = []
+    config = TrainConfig(iterations=steps, max_splats=200, checkpoint_iterations=(4, 8, 12))
+    train(config, DataConfig(source=capture), out, told.append, resume=out.exists())
+    return [e.message for e in told if isinstance(e, Warn) and e.code == "isa"]
+
+
+@pytest.mark.skipif(len(backend.available_isas()) < 2, reason="there is one instruction set only")
+def test_a_resume_under_another_instruction_set_is_told(capture: Path, tmp_path: Path) -> None:
+    """Oracle: the warning names both sets, once, and stays in the report; the same set, and a
+    checkpoint from before they were noted, go on in silence."""
+    first, other = backend.available_isas()[0], backend.available_isas()[-1]
+    before, out = backend.isa(), tmp_path / "run"
+    try:
+        backend.set_isa(first)
+        assert _goes_on(capture, out, steps=4) == []
+        assert _goes_on(capture, out, steps=8) == []
+        path = RunFolder(out).checkpoint(8)
+        assert checkpoint.load(path).isa == first
+        raw = path.read_bytes()
+        backend.set_isa(other)
+        (message,) = _goes_on(capture, out, steps=12)
+        assert f"with {first} up to step 8" in message and f"goes on with {other}" in message
+        assert f"GSCORE_ISA={first}" in message
+        assert message in (out / "report.html").read_text(encoding="utf-8")
+        assert _goes_on(capture, out, steps=13) == []
+
+        content = json.loads(checkpoint_json(raw))
+        del content["isa"]
+        old = tmp_path / "old.safetensors"
+        old.write_bytes(with_checkpoint_json(raw, json.dumps(content).encode()))
+        assert checkpoint.load(old).isa is None
+        told: list[Event] = []
+        config = TrainConfig(iterations=9, max_splats=200)
+        data = DataConfig(source=capture)
+        train(config, data, tmp_path / "new", told.append, start_checkpoint=old)
+        assert not [e for e in told if isinstance(e, Warn) and e.code == "isa"]
+    finally:
+        backend.set_isa(before)

@@ -6,7 +6,6 @@ import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,35 +15,12 @@ from gscore.config import DataConfig, Switch, TrainConfig
 from gscore.datasets import load_dataset
 from gscore.depth.params import FILE
 from gscore.events import Estimated, Event
-from gscore.io.images import write_png
-from gscore.raster.api import render
 from gscore.scene import PointCloud
 from gscore.trainer.depth_setup import prepare_depth
 from gscore.trainer.run import train
+from tests.trainer.short_run import DEEP_UNIT
 
 SHORT = ["--iterations", "12", "--max-splats", "200", "--sh-degree", "0"]
-UNIT = 2.0
-
-
-@pytest.fixture(scope="module")
-def deep(capture: Path, known_splats: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The toy capture with its true inverse depth in depths/ and the scale of the maps."""
-    root = tmp_path_factory.mktemp("deep") / "capture"
-    shutil.copytree(capture, root)
-    cameras = load_dataset(DataConfig(source=root)).scene.cameras
-    params = {}
-    for i, name in enumerate(cameras.names):
-        view = render(known_splats, cameras.Ks[i], cameras.viewmats[i], 48, 48)
-        assert view.inverse_depth is not None
-        values = np.where(view.alpha > 0.95, view.inverse_depth, 0)
-        assert values.max() < UNIT
-        write_png(
-            root / "depths" / f"{Path(name).stem}.png",
-            (values / UNIT * 65536 + 0.5).astype(np.uint16),
-        )
-        params[Path(name).stem] = {"scale": UNIT, "offset": 0.0}
-    (root / "sparse" / "0" / FILE).write_text(json.dumps(params))
-    return root
 
 
 def test_depth_reaches_metrics_and_report(
@@ -66,7 +42,7 @@ def test_depth_reaches_metrics_and_report(
     depth = json.loads((out / "metrics.json").read_text())["depth"]
     assert 0 < depth["depth_error"] < 1
     assert [row["split"] for row in depth["views"]].count("test") == 2
-    assert all(row["accepted"] and row["scale"] == UNIT for row in depth["views"])
+    assert all(row["accepted"] and row["scale"] == DEEP_UNIT for row in depth["views"])
     measured = [row["depth_error"] for row in depth["views"] if row["depth_error"] is not None]
     assert len(measured) >= 4  # balls of 48 px are edges all over, which are not trusted
     assert depth["depth_error"] == pytest.approx(np.mean(measured))
@@ -86,7 +62,7 @@ def test_refused_maps_are_told_with_the_reason(deep: Path, tmp_path: Path) -> No
     shutil.copytree(deep, root)
     path = root / "sparse" / "0" / FILE
     params = json.loads(path.read_text())
-    params["view_02"]["scale"] = UNIT / 100
+    params["view_02"]["scale"] = DEEP_UNIT / 100
     path.write_text(json.dumps(params))
     arguments = ["train", str(root), "-o", str(out), *SHORT, "-d", "depths"]
     assert main([*arguments, "--depth-align", "official", "--quiet"]) == 0

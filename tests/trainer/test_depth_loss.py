@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from gscore.config import TrainConfig
+from gscore.errors import GsError
 from gscore.raster.autograd import rasterize
 from gscore.raster.reference import rasterize_reference
 from gscore.trainer.depth_loss import DepthLoss, l1_loss, pearson_loss, weight_at, with_weights
@@ -251,3 +252,18 @@ def test_lengths_of_the_training_world_are_undone() -> None:
     opaque = torch.ones(right.shape)
     assert float(loss(0, right, opaque)) < 1e-3
     assert float(loss(0, right * 0.25, opaque)) > 0.1
+
+
+def test_gradients_that_there_are_not_are_refused() -> None:
+    """Oracle: errors for a second derivative beside another term's, and for a second pass."""
+    rng = np.random.default_rng(1)
+    prior = torch.from_numpy(rng.random((4, 5)).astype(np.float16))
+    target = DepthTarget(prior, torch.full((4, 5), 255, dtype=torch.uint8), True)
+    picture = torch.rand(4, 5, requires_grad=True)
+    loss = l1_loss(picture, torch.rand(4, 5), target, unit=UNIT)
+    total = loss + picture.square().sum()
+    (first,) = torch.autograd.grad(total, picture, create_graph=True)
+    with pytest.raises(GsError, match="first derivatives only"):
+        first.sum().backward()
+    with pytest.raises(GsError, match="only once"):
+        torch.autograd.grad(loss, picture)

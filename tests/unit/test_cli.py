@@ -16,7 +16,9 @@ from gscore import commands
 from gscore._version import __version__
 from gscore.commands import train
 from gscore.commands.attend import attend
-from gscore.errors import Cancelled, DatasetError
+from gscore.config import TrainConfig
+from gscore.datasets.dataset import map_threads
+from gscore.errors import Cancelled, ConfigError, DatasetError
 from gscore.extras import how_to_install
 
 
@@ -258,3 +260,27 @@ def test_names_that_no_file_can_have(
     told = capsys.readouterr().err
     assert "name is too long" in told and "Traceback" not in told
     assert len(told) < 600
+
+
+@pytest.mark.parametrize(
+    "verb", ["render x", "eval x", "depth x", "train x -o y", "bench raster", "bench step"]
+)
+@pytest.mark.parametrize("threads", ["-1", "1025", "100000000000", "many", "1.5"])
+def test_threads_that_cannot_be_are_refused(
+    verb: str, threads: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Oracle: exit code 2 and a sentence with the value, before anything is looked for."""
+    assert commands.main([*verb.split(), f"--threads={threads}"]) == 2
+    told = capsys.readouterr().err
+    assert "threads" in told and threads in told and "Traceback" not in told
+    assert len(told.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize("threads", [-1, 1025, 2**40])
+def test_threads_that_cannot_be_are_refused_in_python(threads: int) -> None:
+    """Oracle: the message, from what takes threads besides the rasterizer."""
+    message = r"threads must be 0 \(all cores\) to 1024, got"
+    with pytest.raises(ConfigError, match=message):
+        list(map_threads(abs, [1, 2, 3], threads=threads))
+    with pytest.raises(ConfigError, match="threads must be"):
+        TrainConfig(threads=threads)

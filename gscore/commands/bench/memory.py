@@ -10,6 +10,7 @@ from ...metrics.machine import machine
 from ...raster import backend
 from ...words import count_words, number
 from ..output import print_json
+from ..parser import add_threads_option
 from ..status import beginning, wrapped
 from .numbers import check_numbers
 from .scaling import size
@@ -23,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--size", type=size, default=(1216, 832), metavar="WxH", help="of each (default 1216x832)"
     )
     parser.add_argument("--steps", type=int, default=40, help=f"at least {MIN_STEPS} (default 40)")
-    parser.add_argument("--threads", type=int, default=0, help="CPU threads; 0: all cores")
+    add_threads_option(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -31,7 +32,6 @@ def run(args: argparse.Namespace) -> int:
     check_numbers(args, 1, "splats")
     check_numbers(args, 2, "views")
     check_numbers(args, MIN_STEPS, "steps")
-    check_numbers(args, 0, "threads")
     width, height = args.size
     with beginning(sys.stderr, f"Training {count_words(args.splats, 'splat')}"):
         found = bench_memory(

@@ -16,6 +16,7 @@ from ...metrics.machine import machine
 from ...raster import backend
 from ...words import count_words, number
 from ..output import print_json
+from ..parser import add_threads_option
 from ..status import beginning, wrapped
 from .numbers import check_numbers
 
@@ -30,9 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--width", type=int, default=640, help="px, of the synthetic view")
     parser.add_argument("--height", type=int, default=360, help="px, of the synthetic view")
     parser.add_argument("-r", "--resolution", type=float, default=-1, help="as in `gscore train`")
-    parser.add_argument(
-        "--threads", type=int, default=0, metavar="N", help="CPU threads; 0: all cores"
-    )
+    add_threads_option(parser)
     parser.add_argument("--isa", help="instruction set; `all` measures each that runs here")
 
 
@@ -41,7 +40,6 @@ def run(args: argparse.Namespace) -> int:
     if (args.ply is None) != (args.cameras is None):
         raise ConfigError("--ply and --cameras belong together: give both, or neither.")
     check_numbers(args, 1, "views", "repeats", "splats", "width", "height")
-    check_numbers(args, 0, "threads")
     if args.ply is None:
         splats, cameras = synthetic_scene(args.splats, args.width, args.height)
     else:

@@ -16,6 +16,7 @@ from ...raster import backend
 from ...words import count_words
 from ..data_options import add_data_options, with_data_options
 from ..output import print_json
+from ..parser import add_threads_option
 from ..status import beginning, wrapped
 from .numbers import check_numbers
 
@@ -33,9 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--strategy", choices=tuple(Strategy), default=Strategy.DEFAULT)
     skips = [skip.value for skip in Skip]
     parser.add_argument("--without", nargs="+", choices=skips, default=(), metavar="SKIP")
-    parser.add_argument(
-        "--threads", type=int, default=0, metavar="N", help="CPU threads; 0: all cores"
-    )
+    add_threads_option(parser)
     parser.add_argument(
         "--cache-mb",
         type=int,
@@ -54,7 +53,6 @@ def run(args: argparse.Namespace) -> int:
     if args.cache_mb is not None and (args.source is None or args.cache_mb < 1):
         raise ConfigError("--cache-mb is at least 1 and takes a SOURCE: synthetic photos stay.")
     check_numbers(args, 1, "steps", "splats", "width", "height")
-    check_numbers(args, 0, "threads")
     cache = None if args.cache_mb is None else args.cache_mb * 1_000_000
     if args.source is None:
         photos = SyntheticPhotos(args.splats, args.width, args.height)

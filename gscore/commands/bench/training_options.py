@@ -6,6 +6,7 @@ from pathlib import Path
 
 from ...config import PRESETS, DataConfig, Strategy, TrainConfig
 from ..data_options import add_data_options, with_data_options
+from ..parser import add_threads_option
 
 _EVERY = 8
 """Every eighth view is held out where nothing else is said."""
@@ -16,7 +17,7 @@ def add_training_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--iterations", type=int, help="training steps, instead of the preset's")
     parser.add_argument("--max-splats", type=int, help="cap, instead of the preset's")
     parser.add_argument("--strategy", choices=tuple(Strategy), help="how splats are added")
-    parser.add_argument("--threads", type=int, default=0, help="0: all cores")
+    add_threads_option(parser)
     add_data_options(parser)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import torch
 
 from ...config import TrainConfig
+from ...raster.memory import zeros
 from ...raster.pull import add_pull
 from ..model import Model
 from ..schedules import Plan
@@ -29,8 +30,8 @@ class DefaultStrategy:
         self._extent = extent
 
     def start(self, model: Model) -> None:
-        model.rows["pull"] = torch.zeros(len(model))
-        model.rows["seen"] = torch.zeros(len(model))
+        model.rows["pull"] = zeros(len(model))
+        model.rows["seen"] = zeros(len(model))
 
     def shape_gradients(self, model: Model, *, step: int) -> None:
         pass

@@ -5,6 +5,7 @@ import torch
 
 from ...config import TrainConfig
 from ..model import Model
+from ..random import normal
 from ..schedules import Plan
 from . import ops
 from .base import Change
@@ -84,7 +85,7 @@ class MCMCStrategy:
         gate = torch.sigmoid(-GATE_SHARPNESS * (opacity - GATE_OPACITY))
         variance = (2 * model.params["scales"][faint]).exp()
         quats = model.params["quats"][faint]
-        noise = torch.randn((len(faint), 3), generator=generator) * (gate * weight)[:, None]
+        noise = normal((len(faint), 3), generator) * (gate * weight)[:, None]
         back = quats * quats.new_tensor([1.0, -1.0, -1.0, -1.0])
         shift = ops.rotate(quats, variance * ops.rotate(back, noise))
         model.params["means"].index_add_(0, faint, shift)

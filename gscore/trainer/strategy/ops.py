@@ -7,8 +7,10 @@ from functools import partial
 import numpy as np
 import torch
 
+from ...raster.memory import zeros
 from ...splats import PARAMETERS, SH_REST_BY_DEGREE
 from ..model import Model
+from ..random import normal, uniform
 
 SPLIT_COUNT = 2
 """Splats that replace one that is split (Kerbl et al. 2023, section 5.2)."""
@@ -65,7 +67,7 @@ def by_place(means: torch.Tensor) -> torch.Tensor:
     """
     points = np.nan_to_num(means.numpy().astype(np.float64))
     if len(points) == 0:
-        return torch.zeros(0, dtype=torch.int64)
+        return zeros(0, dtype=torch.int64)
     low, high = np.percentile(points[:: max(1, len(points) // 4096)], (1, 99), axis=0)
     cells = (points - low) / np.maximum(high - low, 1e-30) * (_CELLS - 1)
     cells = np.clip(cells, 0, _CELLS - 1).astype(np.uint32)
@@ -99,7 +101,7 @@ def split(model: Model, index: torch.Tensor, generator: torch.Generator) -> dict
         name: t.repeat(SPLIT_COUNT, *[1] * (t.ndim - 1))
         for name, t in duplicate(model, index).items()
     }
-    noise = torch.randn(rows["means"].shape, generator=generator)
+    noise = normal(tuple(rows["means"].shape), generator)
     rows["means"] = rows["means"] + rotate(rows["quats"], rows["scales"].exp() * noise)
     rows["scales"] = rows["scales"] - math.log(SPLIT_SHRINK)
     return rows
@@ -175,7 +177,7 @@ def grow(model: Model, count: int, generator: torch.Generator, *, min_opacity: f
     Returns:
         Number of splats that were added.
     """
-    everyone = torch.arange(len(model))
+    everyone = torch.arange(len(model), dtype=torch.int64, device="cpu")
     if count <= 0 or len(model) == 0:
         return 0
     chosen = _draw(model, everyone, count, generator)
@@ -225,10 +227,10 @@ def _draw(
     weights = _sigmoid(model.params["opacities"][among].numpy().astype(np.float64))
     weights = np.where(np.isfinite(weights), weights, 0)
     cumulative = np.cumsum(weights)
-    uniform = torch.rand(count, generator=generator, dtype=torch.float64).numpy()
+    drawn = uniform(count, generator, dtype=torch.float64).numpy()
     if not cumulative[-1] > 0:
-        return torch.from_numpy((uniform * len(weights)).astype(np.int64))
-    found = np.searchsorted(cumulative, uniform * cumulative[-1], side="right")
+        return torch.from_numpy((drawn * len(weights)).astype(np.int64))
+    found = np.searchsorted(cumulative, drawn * cumulative[-1], side="right")
     return torch.from_numpy(np.minimum(found, len(weights) - 1))
 
 

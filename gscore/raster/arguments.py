@@ -1,0 +1,235 @@
+"""The library's structs made from arrays and options: what every call to it is given.
+
+Each array is looked at here, against the sizes that the library is told, before its address goes
+into a struct. Structs hold addresses, not arrays: these must outlive the call.
+"""
+
+import ctypes as ct
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from ..errors import ShapeError
+from ..splats import PARAMETERS, SH_REST_BY_DEGREE
+from . import header
+from .buffers import FLOAT64, INT32, UINT8, Array, address, optional
+from .request import Frustum, Settings
+
+_DEGREE_BY_REST = {rest: degree for degree, rest in SH_REST_BY_DEGREE.items()}
+
+
+def stored_degree(shN: Array) -> int:
+    """SH degree of [N, K-1, 3] coefficients; ShapeError where there is none with so many."""
+    shape = tuple(shN.shape)
+    if len(shape) != 3 or shape[1] not in _DEGREE_BY_REST:
+        raise ShapeError(f"shN must be [N, 0, 3, 8 or 15, 3], got {list(shape)}.")
+    return _DEGREE_BY_REST[shape[1]]
+
+
+def check_size(width: int, height: int) -> None:
+    """Raise ShapeError for a picture the library would refuse, before memory is taken for it."""
+    most = header.MAX_SIDE
+    if not (1 <= width <= most and 1 <= height <= most):
+        raise ShapeError(f"The image must be 1 to {most} px a side, got {width} x {height}.")
+
+
+def checked_threads(threads: int) -> int:
+    """`threads` if the library takes so many; ShapeError otherwise."""
+    most = header.THREADS_MAX
+    if not isinstance(threads, int | np.integer) or not 0 <= threads <= most:
+        raise ShapeError(f"threads must be 0 (all) to {most}, got {threads}.")
+    return int(threads)
+
+
+def splats(arrays: Sequence[Array], settings: Settings) -> header.SplatsStruct:
+    """gs_splats of `PARAMETERS`, in their order."""
+    means, shN = arrays[0], arrays[5]
+    stored = stored_degree(shN)
+    degree = stored if settings.sh_degree is None else settings.sh_degree
+    if not 0 <= degree <= stored:
+        raise ShapeError(f"sh_degree must be 0 to {stored}, what the splats hold, got {degree}.")
+    n = len(means)
+    shapes = splat_shapes(n, SH_REST_BY_DEGREE[stored])
+    found = (address(name, a, shapes[name]) for name, a in zip(PARAMETERS, arrays, strict=True))
+    rest = SH_REST_BY_DEGREE[stored]
+    return header.SplatsStruct(n, *found, rest, degree, int(settings.raw))
+
+
+def splat_shapes(n: int, rest: int) -> dict[str, tuple[int, ...]]:
+    """Shapes of `PARAMETERS` for `n` splats with `rest` higher SH coefficients."""
+    shapes = ((n, 3), (n, 4), (n, 3), (n,), (n, 1, 3), (n, rest, 3))
+    return dict(zip(PARAMETERS, shapes, strict=True))
+
+
+def places(means: Array, scales: Array, count: int) -> header.SplatsStruct:
+    """gs_splats that tells only where raw splats are."""
+    return header.SplatsStruct(
+        count=count,
+        means=address("means", means, (count, 3)),
+        scales=address("scales", scales, (count, 3)),
+        raw=1,
+    )
+
+
+def camera(view: Frustum) -> header.CameraStruct:
+    """gs_camera; ShapeError where K has skew."""
+    check_size(view.width, view.height)
+    viewmat, K = np.asarray(view.viewmat), np.asarray(view.K)
+    if viewmat.shape != (4, 4):
+        raise ShapeError(f"viewmat must be [4, 4], got {list(viewmat.shape)}.")
+    if K.shape != (3, 3):
+        raise ShapeError(f"K must be [3, 3], got {list(K.shape)}.")
+    if K[0, 1] != 0 or K[1, 0] != 0 or K[2, 0] != 0 or K[2, 1] != 0 or K[2, 2] != 1:
+        raise ShapeError(
+            "K must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]; skew is not supported, "
+            f"got {K.tolist()}."
+        )
+    found = header.CameraStruct(
+        fx=K[0, 0], fy=K[1, 1], cx=K[0, 2], cy=K[1, 2], width=view.width, height=view.height
+    )
+    found.viewmat = (ct.c_float * 16)(*viewmat.ravel().tolist())
+    found.near_plane, found.far_plane = view.near, view.far
+    found.orthographic = int(view.orthographic)
+    return found
+
+
+def options(view: Frustum, settings: Settings) -> header.OptionsStruct:
+    """gs_options."""
+    s = settings
+    found = header.OptionsStruct(
+        eps2d=s.eps2d,
+        antialias=int(s.antialias),
+        outputs=s.outputs,
+        disable=s.disable,
+        threads=checked_threads(s.threads),
+    )
+    found.background = (ct.c_float * 3)(*s.background)
+    if s.cancel is not None:
+        found.cancel = ct.pointer(s.cancel.value)
+    if s.tiles is not None:
+        shape = (-(-view.height // header.TILE), -(-view.width // header.TILE))
+        found.tiles = address("tiles", s.tiles, shape, UINT8)
+    return found
+
+
+_ASKED_FOR = {
+    "inverse_depth": header.OUT_INVERSE_DEPTH,
+    "depth": header.OUT_DEPTH,
+    "median_depth": header.OUT_MEDIAN_DEPTH,
+}
+
+
+def image(
+    pictures: Mapping[str, Array], view: Frustum, outputs: int, count: int
+) -> header.ImageStruct:
+    """gs_image of the arrays to write to, by its fields' names: `rgb`, `alpha`, what `outputs` asks
+    for and, where they are wanted, `radii` of `count` splats."""
+    size = (view.height, view.width)
+    found = header.ImageStruct(
+        rgb=address("rgb", pictures.get("rgb"), (*size, 3)),
+        alpha=address("alpha", pictures.get("alpha"), size),
+        radii=optional("radii", pictures.get("radii"), (count,), INT32),
+    )
+    for name, bit in _ASKED_FOR.items():
+        if outputs & bit:
+            setattr(found, name, address(name, pictures.get(name), size))
+    return found
+
+
+def image_grads(
+    v_pictures: Mapping[str, Array | None], view: Frustum, outputs: int
+) -> header.ImageGradsStruct:
+    """gs_image_grads by the names of its fields; what is missing or None counts as zero."""
+    size = (view.height, view.width)
+    found = header.ImageGradsStruct(
+        rgb=optional("v_rgb", v_pictures.get("rgb"), (*size, 3)),
+        alpha=optional("v_alpha", v_pictures.get("alpha"), size),
+    )
+    for name in ("inverse_depth", "depth"):
+        v = v_pictures.get(name)
+        if v is not None and not outputs & _ASKED_FOR[name]:
+            raise ShapeError(f"There is a gradient of {name}, which was not drawn.")
+        setattr(found, name, optional(f"v_{name}", v, size))
+    return found
+
+
+def splat_grads(
+    grads: Mapping[str, Array], count: int, rest: int, *, add_shN: bool
+) -> header.SplatGradsStruct:
+    """gs_splat_grads of the arrays to write to, by name: `PARAMETERS` and, where they are wanted,
+    `means2d` [N, 2] and `viewmat` [4, 4]."""
+    shapes = splat_shapes(count, rest)
+    return header.SplatGradsStruct(
+        *(address(f"v_{name}", grads.get(name), shape) for name, shape in shapes.items()),
+        optional("v_means2d", grads.get("means2d"), (count, 2)),
+        optional("v_viewmat", grads.get("viewmat"), (4, 4)),
+        int(add_shN),
+    )
+
+
+def loss_args(
+    rendered: Array,
+    target: Array,
+    *,
+    ssim_weight: float,
+    mask: Array | None,
+    mask_mode: str,
+    background: tuple[float, float, float],
+    threads: int,
+) -> header.LossArgsStruct:
+    """gs_loss_args of [H, W, 3] pictures and, unless the mode is `none`, an [H, W] mask."""
+    shape = tuple(rendered.shape)
+    if len(shape) != 3 or shape[2] != 3:
+        raise ShapeError(f"image must be [H, W, 3] float32, got {list(shape)} {rendered.dtype}.")
+    if mask_mode not in header.MASK_MODES:
+        known = list(header.MASK_MODES)
+        raise ShapeError(f"mask_mode must be one of {known}, got {mask_mode!r}.")
+    height, width = shape[:2]
+    check_size(width, height)
+    found = header.LossArgsStruct(
+        width=width,
+        height=height,
+        image=address("image", rendered, shape),
+        target=address("target", target, shape, UINT8),
+        mask_mode=header.MASK_MODES[mask_mode],
+        ssim_weight=ssim_weight,
+        threads=checked_threads(threads),
+    )
+    if mask_mode != "none":
+        found.mask = address("mask", mask, (height, width), UINT8)
+    found.background = (ct.c_float * 3)(*background)
+    return found
+
+
+def adam_tensor(
+    arrays: Mapping[str, Array], *, count: int, rate: float, number: int
+) -> header.AdamTensorStruct:
+    """gs_adam_tensor in which every row moves, of `value`, `grad`, `moment1` and `moment2`.
+
+    `rate` is the learning rate, `number` that of the step.
+    """
+    width = arrays["value"].shape[1:]
+    names = ("value", "grad", "moment1", "moment2")
+    return header.AdamTensorStruct(
+        *(address(name, arrays[name], (count, *width)) for name in names),
+        int(np.prod(width)),
+        header.ADAM_ALL,
+        rate,
+        number,
+    )
+
+
+def let_rows_wait(
+    tensor: header.AdamTensorStruct,
+    *,
+    count: int,
+    seen: Array,
+    lag: Array,
+    drift: Array,
+    mode: int,
+) -> None:
+    """Fill in what a gs_adam_tensor needs whose rows skip steps; `mode` is one of `ADAM_*`."""
+    tensor.mode = mode
+    tensor.seen = address("seen", seen, (count,), UINT8)
+    tensor.lag = address("lag", lag, (count,), UINT8)
+    tensor.drift = address("drift", drift, (header.ADAM_LAGS,), FLOAT64)

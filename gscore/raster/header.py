@@ -1,0 +1,192 @@
+"""Constants and structs of `csrc/include/gscore.h` for ctypes; that header is their manual.
+
+Structs that hold addresses are filled in `arguments.py` alone, which looks at the arrays first.
+"""
+
+import ctypes as ct
+
+ABI_VERSION = 3
+
+OUT_INVERSE_DEPTH, OUT_DEPTH, OUT_MEDIAN_DEPTH, COUNT_USEFUL = 1, 2, 4, 8
+NO_EXACT_CULL, NO_ZERO_TILE, NO_OPACITY_EXTENT, NO_ROW_RANGE = 1, 2, 4, 8
+TILE = 16
+"""Side of the tiles of `tiles`, px (GS_TILE)."""
+LIST_TILE = 16, 32
+"""Width and height of the tiles by which splats are listed, px (GS_LIST_TILE_*)."""
+MAX_SIDE = 65536
+THREADS_MAX = 1024
+ADAM_ALL, ADAM_SEEN, ADAM_WAIT = 0, 1, 2
+ADAM_LAGS = 256
+MASK_MODES = {"none": 0, "composite": 1, "ignore": 2}
+OK, BAD_ARGUMENT, OUT_OF_MEMORY, CANCELLED = 0, 1, 2, 3
+
+_pointer = ct.c_void_p
+
+
+class SplatsStruct(ct.Structure):
+    """gs_splats"""
+
+    _fields_ = (
+        ("count", ct.c_int64),
+        ("means", _pointer),
+        ("quats", _pointer),
+        ("scales", _pointer),
+        ("opacities", _pointer),
+        ("sh0", _pointer),
+        ("shN", _pointer),
+        ("sh_rest", ct.c_int32),
+        ("sh_degree", ct.c_int32),
+        ("raw", ct.c_int32),
+    )
+
+
+class CameraStruct(ct.Structure):
+    """gs_camera"""
+
+    _fields_ = (
+        ("viewmat", ct.c_float * 16),
+        ("fx", ct.c_float),
+        ("fy", ct.c_float),
+        ("cx", ct.c_float),
+        ("cy", ct.c_float),
+        ("width", ct.c_int32),
+        ("height", ct.c_int32),
+        ("near_plane", ct.c_float),
+        ("far_plane", ct.c_float),
+        ("orthographic", ct.c_int32),
+    )
+
+
+class OptionsStruct(ct.Structure):
+    """gs_options"""
+
+    _fields_ = (
+        ("eps2d", ct.c_float),
+        ("antialias", ct.c_int32),
+        ("background", ct.c_float * 3),
+        ("outputs", ct.c_uint32),
+        ("disable", ct.c_uint32),
+        ("threads", ct.c_int32),
+        ("cancel", ct.POINTER(ct.c_int32)),
+        ("tiles", _pointer),
+    )
+
+
+class ImageStruct(ct.Structure):
+    """gs_image"""
+
+    _fields_ = (
+        ("rgb", _pointer),
+        ("alpha", _pointer),
+        ("inverse_depth", _pointer),
+        ("depth", _pointer),
+        ("median_depth", _pointer),
+        ("radii", _pointer),
+    )
+
+
+class ImageGradsStruct(ct.Structure):
+    """gs_image_grads"""
+
+    _fields_ = (
+        ("rgb", _pointer),
+        ("alpha", _pointer),
+        ("inverse_depth", _pointer),
+        ("depth", _pointer),
+    )
+
+
+class SplatGradsStruct(ct.Structure):
+    """gs_splat_grads"""
+
+    _fields_ = (
+        ("means", _pointer),
+        ("quats", _pointer),
+        ("scales", _pointer),
+        ("opacities", _pointer),
+        ("sh0", _pointer),
+        ("shN", _pointer),
+        ("means2d", _pointer),
+        ("viewmat", _pointer),
+        ("add_shN", ct.c_int32),
+    )
+
+
+class StatsStruct(ct.Structure):
+    """gs_stats"""
+
+    _fields_ = (
+        ("visible", ct.c_int64),
+        ("entries", ct.c_int64),
+        ("forward_pairs", ct.c_int64),
+        ("useful_pairs", ct.c_int64),
+        ("backward_pairs", ct.c_int64),
+        ("project_ms", ct.c_double),
+        ("sort_ms", ct.c_double),
+        ("bin_ms", ct.c_double),
+        ("blend_ms", ct.c_double),
+        ("blend_backward_ms", ct.c_double),
+        ("project_backward_ms", ct.c_double),
+        ("workspace_bytes", ct.c_int64),
+    )
+
+    def as_dict(self) -> dict[str, float]:
+        """Names and values."""
+        return {field[0]: getattr(self, field[0]) for field in self._fields_}
+
+
+class LossArgsStruct(ct.Structure):
+    """gs_loss_args"""
+
+    _fields_ = (
+        ("width", ct.c_int32),
+        ("height", ct.c_int32),
+        ("image", _pointer),
+        ("target", _pointer),
+        ("mask", _pointer),
+        ("mask_mode", ct.c_int32),
+        ("background", ct.c_float * 3),
+        ("ssim_weight", ct.c_float),
+        ("threads", ct.c_int32),
+    )
+
+
+class LossResultStruct(ct.Structure):
+    """gs_loss_result"""
+
+    _fields_ = (
+        ("loss", ct.c_double),
+        ("l1", ct.c_double),
+        ("ssim", ct.c_double),
+        ("mse", ct.c_double),
+    )
+
+
+class AdamTensorStruct(ct.Structure):
+    """gs_adam_tensor"""
+
+    _fields_ = (
+        ("param", _pointer),
+        ("grad", _pointer),
+        ("moment1", _pointer),
+        ("moment2", _pointer),
+        ("width", ct.c_int32),
+        ("mode", ct.c_int32),
+        ("lr", ct.c_float),
+        ("step", ct.c_int64),
+        ("seen", _pointer),
+        ("lag", _pointer),
+        ("drift", _pointer),
+    )
+
+
+class AdamStruct(ct.Structure):
+    """gs_adam"""
+
+    _fields_ = (
+        ("count", ct.c_int64),
+        ("tensor_count", ct.c_int32),
+        ("tensors", ct.POINTER(AdamTensorStruct)),
+        ("radii", _pointer),
+        ("threads", ct.c_int32),
+    )

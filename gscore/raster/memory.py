@@ -1,0 +1,19 @@
+"""New tensors for the library to write to: on the CPU and float32, whatever torch makes unasked."""
+
+import torch
+from torch import Tensor
+
+
+def zeros(*shape: int, dtype: torch.dtype = torch.float32) -> Tensor:
+    """A contiguous tensor of zeros on the CPU."""
+    return torch.zeros(shape, dtype=dtype, device="cpu")
+
+
+def ones(*shape: int, dtype: torch.dtype = torch.float32) -> Tensor:
+    """A contiguous tensor of ones on the CPU."""
+    return torch.ones(shape, dtype=dtype, device="cpu")
+
+
+def empty(*shape: int, dtype: torch.dtype = torch.float32) -> Tensor:
+    """A contiguous tensor on the CPU, not filled."""
+    return torch.empty(shape, dtype=dtype, device="cpu")

@@ -1,0 +1,64 @@
+"""What is asked of the rasterizer besides the splats: a view of them, and how it is drawn."""
+
+import ctypes as ct
+from dataclasses import dataclass
+
+from .buffers import Array
+
+
+class CancelFlag:
+    """Stops a running call from another thread: pass it to the call, `set()` it to stop."""
+
+    def __init__(self) -> None:
+        self.value = ct.c_int32(0)
+
+    def set(self) -> None:
+        """The call it was passed to raises Cancelled soon, and so do later ones."""
+        self.value.value = 1
+
+
+@dataclass(frozen=True)
+class Frustum:
+    """A camera, its picture and the depths it shows."""
+
+    viewmat: Array
+    """[4, 4], world to camera, OpenCV axes."""
+    K: Array
+    """[3, 3], pixels, [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]; pixel centres lie at +0.5."""
+    width: int
+    """px."""
+    height: int
+    """px."""
+    near: float = 0.01
+    """Splats with z at or below this are not drawn; world units."""
+    far: float = 1e10
+    """Splats beyond this are not drawn; world units."""
+    orthographic: bool = False
+    """Parallel rays: K's focal lengths are pixels per world unit; forward only."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """How splats are drawn, whatever the view."""
+
+    raw: bool = True
+    """Scales are logs and opacities logits."""
+    sh_degree: int | None = None
+    """Degree that is evaluated; None: all that is stored."""
+    eps2d: float = 0.3
+    """Added to the diagonal of the 2D covariance, px^2."""
+    antialias: bool = False
+    """Multiply opacities by max(sqrt(det0 / det), 0.005)."""
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """RGB behind the splats."""
+    outputs: int = 0
+    """Bits of `header.OUT_*`: what is made besides RGB and alpha."""
+    tiles: Array | None = None
+    """[ceil(H / 16), ceil(W / 16)] uint8: no splat is drawn in tiles of 16 x 16 px that are 0 here;
+    None: all are drawn."""
+    threads: int = 0
+    """0: all cores."""
+    disable: int = 0
+    """Bits of `header.NO_*`: skips to leave out, for tests and benchmarks."""
+    cancel: CancelFlag | None = None
+    """Set it from another thread to stop."""

@@ -1,0 +1,25 @@
+"""Random numbers of a training, the same ones whatever dtype and device torch makes unasked."""
+
+import torch
+
+
+def generator_of(seed: int) -> torch.Generator:
+    """The source of all of them."""
+    return torch.Generator(device="cpu").manual_seed(seed)
+
+
+def uniform(
+    count: int, generator: torch.Generator, *, dtype: torch.dtype = torch.float32
+) -> torch.Tensor:
+    """[count] numbers in [0, 1)."""
+    return torch.rand(count, generator=generator, dtype=dtype, device="cpu")
+
+
+def normal(shape: tuple[int, ...], generator: torch.Generator) -> torch.Tensor:
+    """Numbers of mean 0 and deviation 1."""
+    return torch.randn(shape, generator=generator, dtype=torch.float32, device="cpu")
+
+
+def order(count: int, generator: torch.Generator) -> list[int]:
+    """The numbers below `count`, shuffled."""
+    return torch.randperm(count, generator=generator, dtype=torch.int64, device="cpu").tolist()
