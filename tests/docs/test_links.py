@@ -14,10 +14,6 @@ PAGES = sorted(
     | {page for folder in ("docs", "examples", "tests") for page in (ROOT / folder).rglob("*.md")}
 )
 WIDEST = 120
-UNWRAPPED = {
-    *(f"docs/{name}.md" for name in ("blender", "reliability")),
-}
-"""Pages that `make format` has still to wrap."""
 _FENCED = re.compile(r"^(```|~~~).*?^\1\s*$", re.M | re.S)
 _CODE = re.compile(r"(`+)[^`].*?\1", re.S)
 _LINK = re.compile(r"\]\(\s*<?([^)\s>]+)>?(?:\s+\"[^\"]*\")?\s*\)")
@@ -87,7 +83,7 @@ def test_links_lead_somewhere(page: Path) -> None:
 
 @pytest.mark.parametrize(
     "page",
-    [page for page in PAGES if str(page.relative_to(ROOT)) not in UNWRAPPED],
+    PAGES,
     ids=lambda page: str(page.relative_to(ROOT)),
 )
 def test_text_is_wrapped(page: Path) -> None:
