@@ -13,6 +13,7 @@ from .extras import how_to_install, missing
 if TYPE_CHECKING:
     from .config import PRESETS, Background, DataConfig, Strategy, Switch, TrainConfig
     from .datasets import Capture, Dataset, Folder, View, load_dataset, read_capture
+    from .datasets.mattes import are_mattes
     from .datasets.resolution import target_size
     from .depth.stated import StatedDepth, stated_depth
     from .errors import (
@@ -121,6 +122,7 @@ _HOME = {
     "TrainConfig": "config",
     "View": "datasets",
     "Warn": "events",
+    "are_mattes": "datasets.mattes",
     "atomic_write": "io.files",
     "clear_run": "io.runs",
     "colorize": "metrics.colormap",
@@ -207,6 +209,7 @@ __all__ = [
     "View",
     "Warn",
     "__version__",
+    "are_mattes",
     "atomic_write",
     "clear_run",
     "colorize",

@@ -88,10 +88,11 @@ class ComparePhoto(Acting, bpy.types.Operator):
         found = comparing.compare(context.scene, camera, context.evaluated_depsgraph_get())
         shown = show_image(context, found.images["Comparison"])
         where = "" if shown else f"; open the image {found.images['Comparison'].name} to see it"
-        value = "infinite" if math.isinf(found.psnr) else f"{found.psnr:.2f} dB"
+        name, psnr = "PSNR", found.psnr
         if found.psnr_masked is not None:
-            value += f", {found.psnr_masked:.2f} dB within the mask"
-        return f"{camera.name}: PSNR {value}{where}."
+            name, psnr = "PSNR inside the mask", found.psnr_masked
+        value = "infinite" if math.isinf(psnr) else f"{psnr:.2f} dB"
+        return f"{camera.name}: {name} {value}{where}."
 
 
 class SetUpCompositing(Acting, bpy.types.Operator):

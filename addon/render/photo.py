@@ -7,8 +7,8 @@ import bpy
 import numpy as np
 
 from .. import stored_paths
-from ..cameras.objects import PhotoCamera, root_of, stated
-from ..core import Folder, downscale
+from ..cameras.objects import PhotoCamera, cameras_of, root_of, stated
+from ..core import Folder, are_mattes, downscale
 from . import color
 
 MASKS = "masks"
@@ -55,7 +55,8 @@ def load_target(
             f"The photo {own.photo} has {rgba.shape[1]} x {rgba.shape[0]} pixels, {width} x "
             f"{height} are asked for: lower the scene's resolution percentage."
         )
-    file = None if mask_mode == "none" else _mask_file(camera, own)
+    place = None if mask_mode == "none" else _mask_folder(camera)
+    file = None if place is None else Folder(place).find_mask(own.image)
     opacity, mode = rgba[..., 3], mask_mode
     if file is not None:
         mask = _read(str(file), own)
@@ -64,10 +65,9 @@ def load_target(
                 f"The mask {file} is {mask.shape[1]} x {mask.shape[0]} pixels, its photo "
                 f"{rgba.shape[1]} x {rgba.shape[0]}: make them the same."
             )
-        opacity = mask[..., 3] if mask[..., 3].min() < 1 else mask[..., :3].max(axis=2)
-        opacity = _yes_or_no(opacity)
-        opacity = 1 - opacity if invert_masks else opacity
-        mode = "ignore" if mask_mode == "auto" else mask_mode
+        opacity = _kept(mask, invert_masks)
+        if mask_mode == "auto":
+            mode = "composite" if _cut_out(camera, invert_masks) else "ignore"
     elif mask_mode == "auto":
         mode = "composite"
     pixels = _scaled(rgba[..., :3], width, height)
@@ -80,6 +80,30 @@ def load_target(
     return Target(pixels=pixels, weight=weight if ignores else None)
 
 
+def _kept(mask: np.ndarray, inverted: bool) -> np.ndarray:
+    """[H, W] of a mask [H, W, 4], 1 = keep."""
+    opacity = mask[..., 3] if mask[..., 3].min() < 1 else mask[..., :3].max(axis=2)
+    opacity = _yes_or_no(opacity)
+    return 1 - opacity if inverted else opacity
+
+
+def _cut_out(camera: bpy.types.Object, inverted: bool) -> bool:
+    """Whether the masks of a camera's capture cut a subject out, as training sees that."""
+    root = root_of(camera)
+    place = _mask_folder(camera)
+    if root is None or place is None:
+        return False
+    folder = Folder(place)
+    own = [stated(other) for other in cameras_of(root)]
+    masks = [(file, one) for one in own if (file := folder.find_mask(one.image)) is not None]
+
+    def levels(i: int) -> np.ndarray:
+        file, one = masks[i]
+        return (_kept(_read(str(file), one), inverted) * 255 + 0.5).astype(np.uint8)
+
+    return are_mattes(len(masks), levels)
+
+
 def _yes_or_no(opacity: np.ndarray) -> np.ndarray:
     """A mask of 0 and one other number as one of 0 and 1, as gscore reads masks."""
     top = opacity.max()
@@ -88,13 +112,13 @@ def _yes_or_no(opacity: np.ndarray) -> np.ndarray:
     return (opacity > 0).astype(np.float32)
 
 
-def _mask_file(camera: bpy.types.Object, own: PhotoCamera) -> Path | None:
+def _mask_folder(camera: bpy.types.Object) -> Path | None:
     root = root_of(camera)
     if root is None:
         return None
     source = Path(stored_paths.read(root, stored_paths.SOURCE))
     place = (source.parent if source.is_file() else source) / MASKS
-    return Folder(place).find_mask(own.image) if place.is_dir() else None
+    return place if place.is_dir() else None
 
 
 def _scaled(values: np.ndarray, width: int, height: int) -> np.ndarray:

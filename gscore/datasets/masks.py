@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ..config import DataConfig
 from ..errors import Cancelled, ConfigError, DatasetError
-from ..io.images import ImageInfo, assumed_of_mask, read_image, read_info
+from ..io.images import ImageInfo, assumed_of_mask, read_image, read_info, read_mask
 from ..shown import quoted
 from ..words import count_words, number
 from .capture import Capture, View, listing
@@ -93,7 +93,8 @@ def choose_masks(
 
 
 def _meaning(masks: list[Path], *, inverted: bool) -> str:
-    return "composite" if are_mattes(masks, inverted=inverted) else "ignore"
+    mattes = are_mattes(len(masks), lambda i: read_mask(masks[i], inverted=inverted))
+    return "composite" if mattes else "ignore"
 
 
 def _hide_something(photos: list[Path], cancelled: Callable[[], bool]) -> bool:

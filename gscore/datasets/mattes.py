@@ -1,12 +1,9 @@
 """What the masks of a folder mean: mattes of a subject, or pixels to leave out."""
 
 from collections import Counter
-from collections.abc import Sequence
-from pathlib import Path
+from collections.abc import Callable
 
 import numpy as np
-
-from ..io.images import read_mask
 
 _LOOKED_AT = 12
 """Masks that are read, spread over the views."""
@@ -18,26 +15,23 @@ _RIM = 0.02
 """Width of the rim, as a share of the shorter side."""
 
 
-def are_mattes(masks: Sequence[Path], *, inverted: bool = False) -> bool:
+def are_mattes(count: int, mask: Callable[[int], np.ndarray]) -> bool:
     """Whether masks cut a subject out of its surroundings.
 
     Such masks hide most of the rim of most photos. Those that hide passers-by, a tripod or the sky
     show most of it; those of a lens are the same for most photos.
 
     Args:
-        masks: Files of the masks, at least one.
-        inverted: Their white marks what to leave out.
-
-    Raises:
-        FormatError: a file is corrupt.
+        count: How many there are, at least one.
+        mask: [H, W] uint8 of the one with this number, 255 = keep; asked for some of them, and what
+            it raises is raised.
     """
-    step = -(-len(masks) // _LOOKED_AT)
-    looked_at = [read_mask(file, inverted=inverted) for file in masks[::step]]
-    most_alike = max(Counter(mask.tobytes() for mask in looked_at).values())
+    looked_at = [mask(i) for i in range(0, count, -(-count // _LOOKED_AT))]
+    most_alike = max(Counter(each.tobytes() for each in looked_at).values())
     if most_alike > max(len(looked_at) / 2, 1):
         return False
-    kept = np.median([mask.mean() for mask in looked_at]) / 255
-    rim = np.median([_rim(mask).mean() for mask in looked_at]) / 255
+    kept = np.median([each.mean() for each in looked_at]) / 255
+    rim = np.median([_rim(each).mean() for each in looked_at]) / 255
     return bool(kept < _KEPT and rim < _KEPT_RIM)
 
 

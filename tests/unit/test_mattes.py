@@ -9,7 +9,7 @@ import pytest
 from gscore.config import DataConfig
 from gscore.datasets import load_dataset
 from gscore.datasets.mattes import are_mattes
-from gscore.io.images import write_png
+from gscore.io.images import read_mask, write_png
 
 H, W = 60, 80
 
@@ -52,13 +52,13 @@ def test_mattes_are_told_from_masks_that_hide(
     for i, file in enumerate(files):
         kept = np.ones((H, W)) if i % 5 == 4 else shape(i % 4)
         write_png(file, np.asarray(kept * 255, np.uint8))
-    assert are_mattes(files) == mattes
+    assert are_mattes(len(files), lambda i: read_mask(files[i])) == mattes
 
 
 def test_one_mask_is_judged_by_what_it_shows(tmp_path: Path) -> None:
     """Oracle: as above; that all masks are equal says nothing of one."""
     write_png(tmp_path / "a.png", np.asarray(_person(0) * 255, np.uint8))
-    assert are_mattes([tmp_path / "a.png"])
+    assert are_mattes(1, lambda _: read_mask(tmp_path / "a.png"))
 
 
 def test_the_example_s_masks_are_mattes() -> None:
