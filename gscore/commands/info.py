@@ -227,10 +227,10 @@ def _run_text(facts: dict[str, Any]) -> list[str]:
 
 
 def _sequence_text(facts: dict[str, Any]) -> list[str]:
-    frames, total = facts["frames"], facts["mean"].get("frames_total", "?")
-    lines = [
-        f"{facts['path']}: a sequence, {len(frames)} of {count_words(total, 'frame')} complete"
-    ]
+    frames, total = facts["frames"], facts["mean"].get("frames_total")
+    done = count_words(len(frames), "frame")
+    done = f"{len(frames)} of {count_words(total, 'frame')}" if total else done
+    lines = [f"{facts['path']}: a sequence, {done} complete"]
     for entry in frames:
         worth = quality_words(entry)
         quality = f", {entry.get('split')} views: {worth}" if worth else ""

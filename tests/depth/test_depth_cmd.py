@@ -277,7 +277,9 @@ def test_events_tell_what_happens(planes, networks, gscore, tmp_path):
     events = [from_line(line) for line in out.splitlines()]
     assert code == 0 and None not in events
     told = [(e.phase, e.done, e.total) for e in events if isinstance(e, DepthProgress)]
-    expected = [("reading", 0, 0)]
+    network, *_ = told[1]
+    assert network.startswith("predicting with midas.onnx, taken for MiDaS 2.1 small")
+    expected = [("reading", 0, 0), (network, 0, 5)]
     expected += [(phase, i, 5) for phase in ("predicting", "aligning") for i in range(1, 6)]
     assert told == expected
     done = events[-1]

@@ -14,6 +14,7 @@ from gscore.depth import DepthPrior
 from gscore.errors import ConfigError
 from gscore.raster.api import render
 from gscore.raster.autograd import rasterize
+from gscore.raster.header import OUT_INVERSE_DEPTH
 from gscore.raster.painter import Painter
 from gscore.scene import PointCloud
 from gscore.trainer import checkpoint
@@ -114,9 +115,9 @@ def test_depth_off_is_the_training_without_depth(
     asked = []
     plain = Painter.draw
 
-    def watched(*args: Any, **options: Any) -> Any:
-        asked.append(options.get("inverse_depth", False))
-        return plain(*args, **options)
+    def watched(painter: Painter, splats: Any, view: Any, settings: Any) -> Any:
+        asked.append(bool(settings.outputs & OUT_INVERSE_DEPTH))
+        return plain(painter, splats, view, settings)
 
     monkeypatch.setattr(Painter, "draw", watched)
     without = run(Trainer(CONFIG, photos), 30)
