@@ -10,7 +10,7 @@ from ..config import DataConfig
 from ..datasets.resolution import LARGEST_FACTOR, scale_intrinsics, target_size
 from ..errors import ConfigError, DatasetError
 from ..io.cameras_json import read_cameras
-from ..io.runs import read_metrics
+from ..io.metrics_file import read_metrics
 from ..scene import Cameras
 from .camera_path import orbit_path, spline_path
 from .model import Model
@@ -104,7 +104,7 @@ def _captured(args: argparse.Namespace, model: Model) -> _Captured:
         config = DataConfig(source=source)
         if model.data is not None and model.data.source.resolve() == source.resolve():
             config = model.data
-        dataset = load_dataset(config)
+        dataset = load_dataset(replace(config, mask_mode="none"))  # cameras are all that is wanted
         return _Captured(dataset.scene.cameras, dataset.test)
     cameras = read_cameras(source)
     if not len(cameras):

@@ -42,6 +42,10 @@ STARTED = {
 """The first event of a run."""
 
 
+CONFIG = {"write": ["$out/config.json", '{"gscore": "0.1.0", "data": {}, "train": {}}']}
+"""What every training writes before all else."""
+
+
 def step(number: int | str, **changes: object) -> dict:
     """A step of a script: a progress event."""
     values = {"loss": 0.5, "psnr": 20.0, "splats": 1000, "steps_per_s": 10.0, "eta_s": 9.0}

@@ -22,7 +22,7 @@ from addon.job.job import Job
 from addon.paths import output_folder
 from addon.process import beat
 from addon.stored_paths import RUN
-from tests.addon.fake_trainer import STARTED, fake_python, finish, step
+from tests.addon.fake_trainer import CONFIG, STARTED, fake_python, finish, step
 from tests.addon.trainings import positions, splats, until
 
 ROOT = Path(__file__).parents[3]
@@ -348,7 +348,7 @@ def test_discard_takes_live_splats_back(
     write_splats(tmp_path / "a.ply", splats(10))
     event = {"event": "snapshot", "step": 1, "path": str(tmp_path / "a.ply"), "splats": 10}
     write = {"write": ["$out/checkpoints/step_00000001.safetensors", "x"]}
-    play(write, {"say": STARTED}, {"say": event}, {"sleep": 60})
+    play(CONFIG, write, {"say": STARTED}, {"say": event}, {"sleep": 60})
     job = training.train(studio)
     until(lambda: studio.gscore.result is not None)
     assert bpy.ops.gscore.discard_training() == {"FINISHED"}

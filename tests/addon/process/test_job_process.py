@@ -12,7 +12,7 @@ from addon.job import job as job_module
 from addon.job import session
 from addon.job.job import Job
 from addon.process.program import Process, environment
-from tests.addon.fake_trainer import STARTED, fake_python, finish, step
+from tests.addon.fake_trainer import CONFIG, STARTED, fake_python, finish, step
 
 Start = Callable[..., Job]
 
@@ -240,8 +240,10 @@ def test_a_trainer_that_does_not_stop_is_killed(
 def test_discarding_removes_only_what_this_run_made(start: Start, resumed: bool) -> None:
     """Oracle: the folder is gone, except for a run that began earlier, or a stranger's file."""
     write = {"write": ["$out/checkpoints/step_00000001.safetensors", "state"]}
-    job = start(write, {"write": ["$out/note.txt", "mine"]}, {"say": STARTED}, {"sleep": 60})
-    alone = start(write, {"say": STARTED}, {"sleep": 60}, name="alone", resumed=resumed)
+    job = start(
+        CONFIG, write, {"write": ["$out/note.txt", "mine"]}, {"say": STARTED}, {"sleep": 60}
+    )
+    alone = start(CONFIG, write, {"say": STARTED}, {"sleep": 60}, name="alone", resumed=resumed)
     for one in (job, alone):
         run_until(one, lambda one=one: one.state.started is not None)
         one.discard()
