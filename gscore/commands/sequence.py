@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from ..control import Control
 from ..errors import ConfigError
 from ..events import Warn
+from ..io.places import check_place
 from ..io.sequences import SEQUENCE_FILE
 from ..words import count_words, quality_words
 from . import train as train_command
@@ -79,6 +80,7 @@ def _train(args: argparse.Namespace, show: Show, control: Control) -> "SequenceR
             raise ConfigError(f"{option} is for one frame: {instead}.")
     from ..trainer.sequence import SequenceOptions, read_options, train_sequence
 
+    check_place(args.output)
     frames = [path.name for path in args.output.glob("frame_*") if path.is_dir()]
     others = others_in(args.output, (SEQUENCE_FILE, "config.json", *frames))
     if others and not args.events:

@@ -12,6 +12,7 @@ from ..config_file import load_config
 from ..control import Control
 from ..errors import ConfigError
 from ..events import CONVERGED, ENDED, FINISHED, TARGET, Warn
+from ..io.places import check_place
 from ..io.runs import others_in_run
 from ..words import count_words, number, quality_words
 from .attend import Show, add_output_options, attend
@@ -387,6 +388,7 @@ def _train(args: argparse.Namespace, show: Show, control: Control) -> "TrainResu
     data, config = told_configs(args, show)
     from ..trainer import train
 
+    check_place(args.output, data)  # of / or the capture nobody wants to hear what is in it
     others = first_few(others_in_run(args.output))
     if others and not args.events:
         show(Warn(message=f"{args.output} holds other files too; they stay: {others}"))

@@ -234,6 +234,9 @@ def test_other_files_in_the_output_folder_are_told(
     assert main(["train", str(capture), "-o", str(tmp_path), *SHORT]) == 0
     told = capsys.readouterr()
     assert "holds other files too; they stay: a.jpg, b.jpg, c.jpg and 1 more" in told.err
+    assert main(["train", str(capture), "-o", "/", *SHORT]) == 2
+    told = capsys.readouterr()
+    assert "is the root folder" in told.err and "they stay" not in told.err
     assert f"Results: {tmp_path}/point_cloud.ply, {tmp_path}/report.html" in told.out
     assert (tmp_path / "d.jpg").read_text() == "d"
 
