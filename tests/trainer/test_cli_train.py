@@ -225,6 +225,15 @@ def test_a_way_to_split_takes_the_place_of_another(capture: Path, tmp_path: Path
     assert (data.eval, data.test_first, data.test_last, data.test_every) == (True, 0, 0, 3)
 
 
+def test_a_place_that_is_refused_is_not_searched(
+    capture: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Oracle: one sentence, without what lies there."""
+    assert main(["train", str(capture), "-o", "/", *SHORT]) == 2
+    told = capsys.readouterr()
+    assert "is the root folder" in told.err and "they stay" not in told.err
+
+
 def test_other_files_in_the_output_folder_are_told(
     capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -234,9 +243,6 @@ def test_other_files_in_the_output_folder_are_told(
     assert main(["train", str(capture), "-o", str(tmp_path), *SHORT]) == 0
     told = capsys.readouterr()
     assert "holds other files too; they stay: a.jpg, b.jpg, c.jpg and 1 more" in told.err
-    assert main(["train", str(capture), "-o", "/", *SHORT]) == 2
-    told = capsys.readouterr()
-    assert "is the root folder" in told.err and "they stay" not in told.err
     assert f"Results: {tmp_path}/point_cloud.ply, {tmp_path}/report.html" in told.out
     assert (tmp_path / "d.jpg").read_text() == "d"
 
