@@ -176,6 +176,8 @@ def test_a_training_is_measured_like_an_evaluation() -> None:
         (["--compare", "mcmc"], "--compare takes NAME=CHANGES"),
         (["--compare", "draft=mcmc"], "two variants are called 'draft'"),
         (["--compare", "a=speed=1"], "--compare speed=1: there is no option 'speed'"),
+        (["--compare", "a=prune_share=0"], "--compare a changes nothing: it trains as draft does"),
+        (["--compare", "a=mcmc", "b=mcmc"], "--compare b changes nothing: it trains as a does"),
         (["--compare", "a=preset=fast"], "--compare a: there is no preset 'fast'"),
         ([str(EXAMPLE)], "Two captures are called 'studio'"),
         (["--lpips", "none.onnx"], "none.onnx"),

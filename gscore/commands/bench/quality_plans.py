@@ -47,8 +47,7 @@ def variants_of(args: argparse.Namespace) -> list[Asked]:
         name, equals, changes = text.partition("=")
         if not (name and equals and changes):
             raise ConfigError(
-                "--compare takes NAME=CHANGES, such as steady=free-space=0,mcmc, got "
-                f"{quoted(text)}."
+                f"--compare takes NAME=CHANGES, such as both=mcmc,free-space=0, got {quoted(text)}."
             )
         if name in [variant.label for variant in variants]:
             raise ConfigError(f"--compare: two variants are called {quoted(name)}.")
@@ -89,6 +88,7 @@ def _cell(
         data, config = training_configs(args, source, variant.preset)
         datas.append(_held_out(data, offset))
         configs.append(changed(config, variant.changes, flag="--compare"))
+    _check_different([asked.label for asked in variants], list(zip(datas, configs, strict=True)))
     photos, judged = open_sizes(datas)
     return Cell(
         capture=name,
@@ -100,6 +100,16 @@ def _cell(
             for asked, config, own in zip(variants, configs, photos, strict=True)
         ],
     )
+
+
+def _check_different(labels: Sequence[str], options: Sequence[object]) -> None:
+    """Raise where two variants are the same training: their difference would be noise."""
+    for place, one in enumerate(options):
+        first = options.index(one)
+        if first < place:
+            raise ConfigError(
+                f"--compare {labels[place]} changes nothing: it trains as {labels[first]} does."
+            )
 
 
 def _held_out(data: DataConfig, offset: int) -> DataConfig:
