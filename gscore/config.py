@@ -60,6 +60,9 @@ class DataConfig:
     """Hold test views out of the training."""
     test_every: int = 8
     """Every n-th view by sorted name is a test view, unless the capture states its own split."""
+    test_offset: int | None = None
+    """Of each `test_every` views the one at this place, from 0, is the test view, whatever split
+    the capture states; None: the first one, and the capture's own split counts."""
     test_list: Path | None = None
     """Text file with the names of the test views, one a line; wins over the other rules."""
     test_last: int = 0

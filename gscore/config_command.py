@@ -8,7 +8,7 @@ from typing import Any
 
 from .config import PRESETS, DataConfig, TrainConfig, flag_of
 
-_OF_THE_SPLIT = ("eval", "test_every", "test_list", "test_first", "test_last")
+_OF_THE_SPLIT = ("eval", "test_every", "test_offset", "test_list", "test_first", "test_last")
 _OF_A_PRESET = ("iterations", "max_splats", "sh_degree")
 
 
@@ -36,7 +36,7 @@ def train_command(data: DataConfig, train: TrainConfig, output: Path) -> str:
         output: Folder for the results.
     """
     preset = preset_of(data)
-    if not preset:
+    if not preset or (data.eval and data.test_offset is not None):
         return ""
     words = ["gscore", "train", str(data.source), "-o", str(output), "--preset", preset]
     plain_data, plain_train = PRESETS[preset](data.source)

@@ -17,6 +17,11 @@ from ..trainer.host_state import ordinary_state
 from ..trainer.trainer import Trainer
 from ..trainer.views import Photos
 
+Color = tuple[float, float, float]
+"""RGB in [0, 1]."""
+PictureOf = Callable[[int], np.ndarray]
+"""The picture of a view, [H, W, 3] float."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Point:
@@ -105,11 +110,7 @@ def _pixels(photos: Dataset) -> int:
     return int((cameras.widths * cameras.heights).sum())
 
 
-def quality(
-    photos: Photos,
-    picture_of: Callable[[int], np.ndarray],
-    background: tuple[float, float, float],
-) -> tuple[float, float]:
+def quality(photos: Photos, picture_of: PictureOf, background: Color) -> tuple[float, float]:
     """Mean PSNR in dB, of the pixels that count, and mean SSIM of the held-out views.
 
     Args:
@@ -138,6 +139,7 @@ def train_measured(
     at: Collection[int] = (),
     judged: Dataset | None = None,
     on_step: Callable[[int], None] | None = None,
+    at_end: Callable[[PictureOf, Color], None] | None = None,
 ) -> Trained:
     """Train and measure after the steps `at` and after the last one.
 
@@ -148,6 +150,8 @@ def train_measured(
         judged: The same views, perhaps at another size, for quality to be measured on; None:
             `photos`.
         on_step: Called after each step, outside the clock.
+        at_end: Called after the last step, outside the clock, with what draws the views of `judged`
+            over a background, and that background.
     """
     points: list[Point] = []
     if judged is photos:
@@ -165,7 +169,9 @@ def train_measured(
             forward += trainer.laps.raster.get("forward_pairs", 0)
             backward += trainer.laps.raster.get("backward_pairs", 0)
             if step in at or step == config.iterations:
-                found = _quality_of(trainer, judged)
+                background = trainer.fixed_background
+                seen = trainer.photos if judged is None else judged
+                found = quality(seen, _pictures(trainer, judged), background)
                 points.append(
                     Point(
                         step=step,
@@ -177,6 +183,8 @@ def train_measured(
                 )
             if on_step is not None:
                 on_step(step)
+        if at_end is not None:
+            at_end(_pictures(trainer, judged), trainer.fixed_background)
         return Trained(
             seconds=seconds,
             points=points,
@@ -186,14 +194,11 @@ def train_measured(
         )
 
 
-def _quality_of(trainer: Trainer, judged: Dataset | None) -> tuple[float, float]:
+def _pictures(trainer: Trainer, judged: Dataset | None) -> PictureOf:
+    """What draws the splats as they are over the fixed background; None: at the trained size."""
     background = trainer.fixed_background
     if judged is None:
-        return quality(
-            trainer.photos,
-            lambda index: trainer.picture(index, background=background).numpy(),
-            background,
-        )
+        return lambda index: trainer.picture(index, background=background).numpy()
     cameras, splats = judged.scene.cameras, trainer.splats()
 
     def picture_of(index: int) -> np.ndarray:
@@ -210,4 +215,4 @@ def _quality_of(trainer: Trainer, judged: Dataset | None) -> tuple[float, float]
             threads=trainer.config.threads,
         ).rgb
 
-    return quality(judged, picture_of, background)
+    return picture_of

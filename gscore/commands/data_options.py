@@ -113,5 +113,6 @@ def with_data_options(config: DataConfig, args: argparse.Namespace) -> DataConfi
         )
     if split:
         plain = DataConfig(source=config.source)
-        given = {name: getattr(plain, name) for name in _SPLIT} | given | {"eval": True}
+        given = {name: getattr(plain, name) for name in _SPLIT} | given
+        given |= {"eval": True, "test_offset": None}  # which belongs to the rule that was replaced
     return replace(config, **given)

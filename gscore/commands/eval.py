@@ -256,4 +256,6 @@ def _summary(metrics: dict[str, Any], output: Path) -> str:
     views = count_words(len(metrics["views"]), held)
     why = metrics.get("psnr_masked_reason") or metrics.get("psnr_reason", "")
     worth = quality_words(metrics) or f"no PSNR ({why})"
+    if metrics.get("psnr_cc") is not None:
+        worth += f", colour-corrected PSNR {metrics['psnr_cc']:.2f} dB"
     return f"{views}: {worth}\nResults: {output / 'metrics.json'}, {output / 'report.html'}"

@@ -18,8 +18,9 @@ def split_views(
     Args:
         names: Names of the views, sorted.
         config: `eval` off: all train. Otherwise the first of these that applies: `test_list`;
-            `test_first` and `test_last`; what the capture states itself; every `test_every`-th
-            view, counting from the first (the rule of the 3DGS paper with 8).
+            `test_first` and `test_last`; what the capture states itself, unless there is a
+            `test_offset`; every `test_every`-th view, counting from that place (the rule of the
+            3DGS paper with 8 and 0).
         stated: Names that the capture itself calls test views.
 
     Returns:
@@ -44,14 +45,20 @@ def split_views(
     elif config.test_first or config.test_last:
         test = {i for i in range(count) if i < config.test_first or i >= count - config.test_last}
         rule = f"the first {config.test_first} and last {count_words(config.test_last, 'view')}"
-    elif stated:
+    elif stated and config.test_offset is None:
         test = {i for i, name in enumerate(names) if name in stated}
         rule = "the capture's own split"
     else:
         if config.test_every < 2:
             raise ConfigError(f"test_every must be at least 2, got {config.test_every}.")
-        test = set(range(0, count, config.test_every))
-        rule = f"every {config.test_every}th view"
+        offset = config.test_offset or 0
+        if not 0 <= offset < config.test_every:
+            raise ConfigError(
+                f"test_offset must be 0 to {config.test_every - 1}, less than test_every, got "
+                f"{offset}."
+            )
+        test = set(range(offset, count, config.test_every))
+        rule = f"every {config.test_every}th view" + (f" from place {offset}" if offset else "")
     if not test or len(test) == count:
         left = "no view to test" if not test else "no view to train"
         raise DatasetError(

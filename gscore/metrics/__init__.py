@@ -1,7 +1,7 @@
 """Metrics of renders against photos, metrics.json and report.html."""
 
 from .evaluate import evaluate
-from .image import d_ssim, image_metrics, ms_ssim, psnr, psnr_u8, ssim
+from .image import d_ssim, image_metrics, ms_ssim, psnr, psnr_cc, psnr_u8, ssim
 from .lpips import Lpips, find_lpips
 from .machine import peak_memory_bytes
 from .pictures import PictureCollector
@@ -19,6 +19,7 @@ __all__ = [
     "ms_ssim",
     "peak_memory_bytes",
     "psnr",
+    "psnr_cc",
     "psnr_u8",
     "ssim",
     "summarize",

@@ -12,7 +12,10 @@ from ..errors import ShapeError
 from .image import EMPTY_MASK, image_metrics
 from .lpips import SHORTEST_SIDE, Lpips
 
-METRICS = ("psnr", "psnr_u8", "psnr_masked", "ssim", "ssim_valid", "d_ssim", "ms_ssim", "lpips")
+METRICS = (
+    *("psnr", "psnr_u8", "psnr_masked", "psnr_cc"),
+    *("ssim", "ssim_valid", "d_ssim", "ms_ssim", "lpips"),
+)
 """Keys of the metrics of a view and of their means, in the order tables show them."""
 
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from ..errors import ShapeError
 from ..extras import need
+from .colour_fit import corrected_mse
 
 EMPTY_MASK = "the mask leaves no pixel"
 """Reason of a view that says nothing about a model."""
@@ -80,6 +81,27 @@ def psnr_u8(image: Any, target: Any) -> float:
     """PSNR in dB after rounding both pictures to 8 bit, as scoring saved PNG files does."""
     a, b = _pair(image, target)
     return _decibels(float(np.mean((_to_levels(a) - _to_levels(b)) ** 2)))
+
+
+def psnr_cc(image: Any, target: Any, *, mask: np.ndarray | None = None) -> float:
+    """PSNR in dB after a correction of the colours, for what exposure and white balance hide.
+
+    Per channel a gain >= 0 and an offset are fitted by least squares on the left half of the
+    picture and judged on the right half, and the other way round. No gain and offset of the image
+    itself changes the result where nothing is clipped. It can be below `psnr`: what fits one half
+    need not fit the other.
+
+    Args:
+        image, target: [H, W, 3] float in [0, 1] or uint8.
+        mask: [H, W] float in [0, 1] or uint8: weights of fit, error and halves, or None.
+
+    Returns:
+        dB; inf if only gain and offset differ; NaN where the mask leaves no pixel in one half.
+    """
+    a, b = _pair(image, target)
+    weight = None if mask is None else _mask_weight(mask, a.shape)[:, :, 0]
+    mse = corrected_mse(_planar(a), _planar(b), weight)
+    return math.nan if mse is None else _decibels(mse)
 
 
 def _gaussian_window() -> np.ndarray:
@@ -213,14 +235,16 @@ def image_metrics(image: Any, target: Any, *, mask: np.ndarray | None = None) ->
             that are ignored do not count as perfect ones.
 
     Returns:
-        psnr, psnr_u8, ssim, ssim_valid, d_ssim, ms_ssim and, with a mask, psnr_masked. A value that
-        does not exist is None and `<key>_reason` says why.
+        psnr, psnr_u8, psnr_cc (of the pixels that count, see `psnr_cc`), ssim, ssim_valid, d_ssim,
+        ms_ssim and, with a mask, psnr_masked. A value that does not exist is None and
+        `<key>_reason` says why.
 
     Raises:
         ShapeError: Sizes differ or values are not finite.
     """
     a, b = _pair(image, target)
     values: dict[str, Any] = {}
+    _put_psnr_cc(values, a, b, mask)
     if mask is not None:
         weight = _mask_weight(mask, a.shape)
         _put_psnr(values, "psnr_masked", _masked_mse(a, b, weight))
@@ -270,3 +294,16 @@ def _put_psnr(values: dict[str, Any], key: str, mse: float | None) -> None:
         values[key], values[key + "_reason"] = None, "infinite: the pictures are identical"
     else:
         values[key] = _decibels(mse)
+
+
+def _put_psnr_cc(
+    values: dict[str, Any], a: np.ndarray, b: np.ndarray, mask: np.ndarray | None
+) -> None:
+    """Store the colour-corrected PSNR of [H, W, 3] pictures, or why there is none."""
+    weight = None if mask is None else _mask_weight(mask, a.shape)[:, :, 0]
+    mse = corrected_mse(_planar(a), _planar(b), weight)
+    _put_psnr(values, "psnr_cc", mse)
+    if mse is None and (weight is None or weight.any()):
+        values["psnr_cc_reason"] = "one column of pixels has no halves"
+    elif mse == 0:
+        values["psnr_cc_reason"] = "infinite: at most gain and offset of the colours differ"

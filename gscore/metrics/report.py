@@ -209,6 +209,7 @@ _COLUMNS: tuple[tuple[str, str, int], ...] = (
     ("psnr", "PSNR", 2),
     ("psnr_u8", "PSNR 8 bit", 2),
     ("psnr_masked", "PSNR inside the masks", 2),
+    ("psnr_cc", "PSNR colour-corrected", 2),
     ("ssim", "SSIM", 4),
     ("ssim_valid", "SSIM valid", 4),
     ("d_ssim", "D-SSIM", 4),
@@ -276,6 +277,14 @@ _DEFINITIONS = (
         3,
         "only pixels the mask keeps; the other numbers count masked-out pixels as equal, as the "
         "loss does",
+    ),
+    (
+        "psnr_cc",
+        "PSNR colour-corrected",
+        3,
+        "after gain and offset per channel, fitted on one half of the picture and measured on the "
+        "other, left and right in turn; only pixels that count. Far above the plain PSNR, "
+        "exposure or white balance differs from photo to photo",
     ),
     (
         "ssim",

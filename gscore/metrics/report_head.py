@@ -107,6 +107,7 @@ def _quality(metrics: dict[str, Any]) -> Iterator[tuple[str, str, int, str, str]
         yield "psnr_masked", psnr_name(metrics), 2, "dB", "of the pixels that count"
     meaning = "masked-out pixels as equal" if masked else "higher is better"
     yield "psnr", "PSNR", 2, "dB", meaning
+    yield "psnr_cc", "PSNR colour-corrected", 2, "dB", "without gain and offset of the colours"
     yield "ssim", "SSIM", 4, "", "1 is identical"
     yield "d_ssim", "D-SSIM", 4, "", "(1 - SSIM) / 2"
     yield "ms_ssim", "MS-SSIM", 4, "", "five scales"

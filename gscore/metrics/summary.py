@@ -54,7 +54,7 @@ def summarize(
         evals: {"step", "elapsed_s", "psnr"} measured on the same split during the training.
 
     Returns:
-        Means first (psnr, psnr_u8, ssim, ssim_valid, d_ssim, ms_ssim, lpips, lpips_net,
+        Means first (psnr, psnr_u8, psnr_cc, ssim, ssim_valid, d_ssim, ms_ssim, lpips, lpips_net,
         lpips_<net>, fps), then the model, the training, peak_memory_bytes of this process, the
         split, the machine, one entry a view under `views`, and `history` and `evals`. A value that
         is not known is None; `<key>_reason` says why.

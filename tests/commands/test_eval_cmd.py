@@ -10,6 +10,7 @@ import pytest
 from PIL import Image
 
 from gscore.io.ply import write_splats
+from gscore.sh import SH_C0
 
 
 def photo(capture, index):
@@ -32,6 +33,19 @@ def test_a_perfect_run(gscore, run_folder, capture):
     assert written["test_views"] == ["a_0.png", "a_8.png"] and len(written["train_views"]) == 7
     page = (folder / "report.html").read_text()
     assert f"{facts['psnr']:.2f}" in page and capture.name in page
+
+
+def test_colours_that_are_off_are_told_apart(gscore, run_folder, splats):
+    """Oracle: a darker model: the splats' colours times 0.8 over black, so the render times 0.8."""
+    darker = replace(splats, sh0=splats.sh0 * 0.8 - 0.1 / SH_C0, shN=splats.shN * 0.8)
+    folder = run_folder(splats=darker)
+    code, out, _ = gscore("eval", folder, "--json")
+    facts = json.loads(out.splitlines()[-1])
+    assert code == 0 and facts["psnr"] < 35 and facts["psnr_cc"] > 50
+    views = json.loads((folder / "metrics.json").read_text())["views"]
+    assert facts["psnr_cc"] == pytest.approx(np.mean([v["psnr_cc"] for v in views]))
+    _, out, _ = gscore("eval", folder)
+    assert f"colour-corrected PSNR {facts['psnr_cc']:.2f} dB" in " ".join(out.split())
 
 
 def test_what_the_training_knew_is_kept(gscore, run_folder):

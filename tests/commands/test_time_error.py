@@ -302,13 +302,13 @@ def test_only_curves_of_one_size_are_compared() -> None:
         (["--seeds", "0", "-1"], "seed must be at least 0, got -1"),
         (["--peers", "PEER"], "curves of the capture 'horse', which is not measured here; "),
         (["--sweep-splats", "9", "0"], "at least 1"),
-        (["--ablations", "mcmc", "speed"], "There is no ablation 'speed'"),
+        (["--ablations", "mcmc", "speed"], "There is no change 'speed'"),
         (["--ablations", "mcmc,speed=1"], "--ablations speed=1: there is no option 'speed'"),
         (["--ablations", "free-space=2"], "free_space must lie in [0, 1), got 2"),
         (["--ablations", "free-space=much"], "free_space must be a float, got 'much'"),
-        (["--ablations", "early-stop=on"], "There is no ablation 'early-stop=on'"),
-        (["--ablations", "start-splats=a.ply"], "There is no ablation 'start-splats=a.ply'"),
-        (["--ablations", "depth-weight=2"], "There is no ablation 'depth-weight=2'"),
+        (["--ablations", "early-stop=on"], "There is no change 'early-stop=on'"),
+        (["--ablations", "start-splats=a.ply"], "There is no change 'start-splats=a.ply'"),
+        (["--ablations", "depth-weight=2"], "There is no change 'depth-weight=2'"),
     ],
 )
 def test_everything_is_checked_before_training(

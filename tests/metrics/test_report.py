@@ -363,3 +363,13 @@ def test_a_folder_that_cannot_be_written_is_an_error(run, tmp_path):
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(GsError, match="report"):
         write_report(tmp_path / "file" / "report.html", run())
+
+
+def test_colour_corrected_psnr_is_shown_and_explained(run):
+    """Oracle: the number given, in a tile, in the table of views and among the definitions."""
+    content = run()
+    content["metrics"]["psnr_cc"] = 31.4159
+    content["views"][0].numbers["psnr_cc"] = 32.71
+    shown = Page(report_html(content)).shown
+    assert "PSNR colour-corrected31.42 dB" in shown and "32.71" in shown
+    assert "PSNR colour-corrected 31.416after gain and offset per channel" in shown

@@ -1,5 +1,6 @@
 """Options as a command; oracle: the parser of `gscore train` gives the same options back."""
 
+import argparse
 import shlex
 from dataclasses import replace
 from pathlib import Path
@@ -7,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from gscore.commands import train as verb
+from gscore.commands.data_options import with_data_options
 from gscore.commands.parser import Parser
 from gscore.config import PRESETS, Background, DataConfig, Skip, Strategy, Switch, TrainConfig
 from gscore.config_command import preset_words, train_command
@@ -90,6 +92,21 @@ def test_photos_of_a_width_that_no_option_gives_have_no_command() -> None:
     """Oracle: none of the presets has this width."""
     data, train = DataConfig(source=CAPTURE, max_width=777), TrainConfig()
     assert train_command(data, train, Path("run")) == "" == preset_words(data, train)
+
+
+def test_an_offset_that_no_option_gives_has_no_command() -> None:
+    """Oracle: the split of a run from Python; without held-out views the offset says nothing."""
+    data, train = PRESETS["draft"](CAPTURE)
+    data = replace(data, test_offset=3)
+    assert train_command(replace(data, eval=True), train, Path("run")) == ""
+    assert train_command(data, train, Path("run")) != ""
+
+
+def test_a_split_on_the_command_line_replaces_an_offset() -> None:
+    """Oracle: a run held out every 8th view from the 8th; asked for every 5th, from the first."""
+    given = argparse.Namespace(test_every=5)
+    config = with_data_options(DataConfig(source=CAPTURE, eval=True, test_offset=7), given)
+    assert (config.test_every, config.test_offset, config.eval) == (5, None, True)
 
 
 def test_a_preset_is_named_and_whether_it_was_changed() -> None:

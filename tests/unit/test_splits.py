@@ -21,6 +21,10 @@ def _config(**options: object) -> DataConfig:
         ({}, [0, 8, 16]),
         ({"test_every": 6}, [0, 6, 12, 18]),
         ({"test_every": 2}, list(range(0, 20, 2))),
+        ({"test_offset": 0}, [0, 8, 16]),
+        ({"test_offset": 3}, [3, 11, 19]),
+        ({"test_offset": 5, "test_every": 6}, [5, 11, 17]),
+        ({"test_first": 1, "test_offset": 5}, [0]),
         ({"test_first": 3}, [0, 1, 2]),
         ({"test_last": 2}, [18, 19]),
         ({"test_first": 1, "test_last": 1}, [0, 19]),
@@ -49,6 +53,7 @@ def test_stated_by_the_capture() -> None:
     stated = {"cam/04.jpg"}
     assert split_views(_NAMES, _config(), stated=stated)[1] == [4]
     assert split_views(_NAMES, _config(test_last=1), stated=stated)[1] == [19]
+    assert split_views(_NAMES, _config(test_offset=0), stated=stated)[1] == [0, 8, 16]
     assert split_views(_NAMES, _config(eval=False), stated=stated)[1] == []
 
 
@@ -81,6 +86,8 @@ def test_list_that_is_missing_or_no_text(tmp_path: Path) -> None:
     [
         ({"test_every": 1}, "test_every must be at least 2, got 1"),
         ({"test_every": 0}, "test_every must be at least 2, got 0"),
+        ({"test_offset": 8}, "test_offset must be 0 to 7, less than test_every, got 8"),
+        ({"test_offset": -1}, "test_offset must be 0 to 7, less than test_every, got -1"),
         ({"test_first": -1}, "must not be negative"),
         ({"test_last": -5}, "must not be negative"),
     ],

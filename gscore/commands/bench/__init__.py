@@ -9,6 +9,7 @@ WHAT = {
     "raster": "forward and backward passes of the rasterizer",
     "step": "a training step and its parts",
     "skips": "what each skip brings, on a capture",
+    "quality": "held-out quality over captures, seeds and splits, and what changes bring",
     "time-error": "held-out error over seconds of training, for presets and variants",
     "memory": "memory of a training of many splats",
     "scaling": "cost over splats, pixels, threads and views",

@@ -9,13 +9,13 @@ from pathlib import Path
 from ...bench.time_error import Curve, measure_variant
 from ...config import PRESETS, DataConfig, Skip
 from ...io.places import check_place
-from ...words import number
 from ..output import check_folder, check_ours
 from ..status import Status
 from .curve_figures import draw, table
 from .curve_plans import Plan, plans_of
 from .curve_results import Results
 from .sweeps import add_sweep_options, check_sweeps, sweep
+from .ticker import Ticker
 from .training_options import add_training_options
 
 
@@ -64,7 +64,7 @@ def _measure(args: argparse.Namespace, plan: Plan, results: Results) -> None:
     status = Status(sys.stderr)
     curves: list[Curve] = []
     for variant in plan.variants:
-        curves.append(measure_variant(variant, args.seeds, on_step=_Ticker(plan.name, status)))
+        curves.append(measure_variant(variant, args.seeds, on_step=Ticker(plan.name, status)))
         results.add_curves(plan, [*curves, *plan.peers])
         _say(args, plan.name, curves[-1])
     curves += plan.peers
@@ -76,23 +76,9 @@ def _measure(args: argparse.Namespace, plan: Plan, results: Results) -> None:
             args,
             plan.name,
             plan.sizes,
-            on_step=_Ticker(plan.name, status),
+            on_step=Ticker(plan.name, status),
             on_found=lambda found: results.add_sizes(plan, found),
         )
-
-
-class _Ticker:
-    """Says on stderr how far a training is."""
-
-    def __init__(self, capture: str, status: Status) -> None:
-        self._capture, self._status = capture, status
-
-    def __call__(self, label: str, seed: int, step: int, iterations: int) -> None:
-        which = f"{self._capture}, {label}, seed {seed}"
-        far = f"step {number(step)} of {number(iterations)}"
-        self._status.show([which, far], share=step / iterations)
-        if step == iterations:
-            self._status.clear()
 
 
 def _say(args: argparse.Namespace, capture: str, curve: Curve) -> None:

@@ -1,10 +1,13 @@
 """Options of the benches that train: which capture, and how."""
 
 import argparse
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from ...config import PRESETS, DataConfig, Strategy, TrainConfig
+from ...errors import ConfigError
+from ...shown import quoted
 from ..data_options import add_data_options, with_data_options
 from ..parser import add_threads_option
 
@@ -19,6 +22,23 @@ def add_training_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--strategy", choices=tuple(Strategy), help="how splats are added")
     add_threads_option(parser)
     add_data_options(parser)
+
+
+def named_sources(sources: Sequence[Path]) -> dict[str, Path]:
+    """Captures by the names of their folders.
+
+    Raises:
+        ConfigError: two have one name.
+    """
+    named: dict[str, Path] = {}
+    for source in sources:
+        name = source.resolve().name
+        if name in named:
+            raise ConfigError(
+                f"Two captures are called {quoted(name)}; give each a name of its own."
+            )
+        named[name] = source
+    return named
 
 
 def training_configs(

@@ -1,0 +1,278 @@
+"""Held-out quality that no single view decides: captures x seeds x split offsets, in pairs."""
+
+import math
+import statistics
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from ..config import TrainConfig
+from ..datasets import Dataset
+from ..errors import FormatError
+from ..events import finite, judged_psnr
+from ..metrics import Lpips, evaluate, psnr
+from ..metrics.evaluate import target_picture
+from .paired import Difference, paired_difference, trimmed_mean
+from .training import Color, PictureOf, train_measured
+from .verdict import CaptureChange, Verdict, judge
+
+METRICS = ("psnr", "psnr_cc", "ssim", "lpips")
+"""What is known of a view."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class JudgedView:
+    """A held-out view; a number that does not exist is None, as in metrics.json."""
+
+    name: str
+    psnr: float | None
+    """What a model is judged by: inside the masks where they hide pixels, dB."""
+    psnr_cc: float | None
+    """dB."""
+    ssim: float | None
+    lpips: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Training:
+    """What one training reached."""
+
+    capture: str
+    variant: str
+    seed: int
+    offset: int
+    seconds: float
+    """Spent in steps."""
+    splats: int
+    gap: float | None
+    """Median PSNR of the training views above that of the held-out ones, dB."""
+    views: tuple[JudgedView, ...]
+
+    @property
+    def key(self) -> tuple[str, str, int, int]:
+        """Which training it is."""
+        return self.capture, self.variant, self.seed, self.offset
+
+
+@dataclass(frozen=True, kw_only=True)
+class Worst:
+    """The view of the lowest colour-corrected PSNR."""
+
+    view: str
+    seed: int
+    offset: int
+    psnr_cc: float
+    psnr: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Summary:
+    """One variant on one capture, over all views, seeds and offsets."""
+
+    median: dict[str, float | None]
+    """By metric; None where no view has it."""
+    trimmed: dict[str, float | None]
+    """Mean without the lowest and the highest fifth."""
+    worst: Worst | None
+    gap: float | None
+    """Median over the trainings, as those below; dB."""
+    splats: int
+    seconds: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Comparison:
+    """A variant against the first one."""
+
+    variant: str
+    captures: dict[str, CaptureChange]
+    psnr_cc: Difference
+    """Over all captures, dB."""
+    seconds: float
+    """How many times as long, median over pairs of trainings."""
+    verdict: Verdict
+
+
+def train_judged(
+    config: TrainConfig,
+    photos: Dataset,
+    judged: Dataset,
+    *,
+    capture: str,
+    variant: str,
+    offset: int,
+    lpips: Lpips | None = None,
+    on_step: Callable[[int], None] | None = None,
+) -> Training:
+    """Train once and measure every held-out view, and the PSNR of the training views.
+
+    Args:
+        config: How to train, with the seed.
+        photos: To train on.
+        judged: The same views at the size they are measured at; may be `photos`.
+        capture, variant, offset: What the training is called.
+        lpips: Network of LPIPS, or None.
+        on_step: Called after each step, outside the clock.
+    """
+    found: dict[str, Any] = {}
+
+    def measure(picture_of: PictureOf, background: Color) -> None:
+        found["views"] = evaluate(
+            picture_of, judged, judged.test, lpips=lpips, background=background
+        )["views"]
+        found["train"] = [
+            value
+            for index in judged.train
+            if not math.isnan(value := _view_psnr(picture_of, judged, index, background))
+        ]
+
+    trained = train_measured(config, photos, judged=judged, on_step=on_step, at_end=measure)
+    views = tuple(_judged(view) for view in found["views"])
+    held_out = [view.psnr for view in views if view.psnr is not None]
+    gap = None
+    if held_out and found["train"]:
+        gap = statistics.median(found["train"]) - statistics.median(held_out)
+    return Training(
+        capture=capture,
+        variant=variant,
+        seed=config.seed,
+        offset=offset,
+        seconds=trained.seconds,
+        splats=len(trained.splats),
+        gap=gap if gap is not None and math.isfinite(gap) else None,
+        views=views,
+    )
+
+
+def _view_psnr(picture_of: PictureOf, photos: Dataset, index: int, background: Color) -> float:
+    target, weights = target_picture(
+        photos.image(index), photos.mask(index), photos.mask_mode, background
+    )
+    return psnr(picture_of(index), target, mask=weights)
+
+
+def _judged(view: Mapping[str, Any]) -> JudgedView:
+    return JudgedView(
+        name=view["name"],
+        psnr=judged_psnr(view),
+        psnr_cc=view["psnr_cc"],
+        ssim=view["ssim"],
+        lpips=view["lpips"],
+    )
+
+
+def training_json(training: Training) -> dict[str, Any]:
+    """A training as JSON values; `read_training` reads them."""
+    return finite(asdict(training))
+
+
+def read_training(content: Any) -> Training:
+    """What `training_json` wrote.
+
+    Raises:
+        FormatError: a value is missing or of another kind.
+    """
+    try:
+        views = tuple(JudgedView(**view) for view in content["views"])
+        training = Training(**content | {"views": views})
+        texts = [training.capture, training.variant, *(view.name for view in views)]
+        if not (all(isinstance(text, str) for text in texts) and training.seconds > 0):
+            raise ValueError("names are no text, or it took no time")
+        numbers = [training.seconds, training.splats, training.seed, training.offset]
+        numbers += [getattr(view, key) for view in views for key in METRICS]
+        math.fsum(0.0 if number is None else number for number in (*numbers, training.gap))
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise FormatError(f"not a training of this bench ({error})") from error
+    return training
+
+
+def summarize(trainings: Sequence[Training]) -> Summary:
+    """One variant on one capture; at least one training."""
+    columns = {key: _column(trainings, key) for key in METRICS}
+    gaps = [training.gap for training in trainings if training.gap is not None]
+    return Summary(
+        median={key: statistics.median(c) if c else None for key, c in columns.items()},
+        trimmed={key: trimmed_mean(c) if c else None for key, c in columns.items()},
+        worst=_worst(trainings),
+        gap=statistics.median(gaps) if gaps else None,
+        splats=round(statistics.median(training.splats for training in trainings)),
+        seconds=statistics.median(training.seconds for training in trainings),
+    )
+
+
+def _column(trainings: Iterable[Training], key: str) -> list[float]:
+    values = (getattr(view, key) for training in trainings for view in training.views)
+    return [value for value in values if value is not None]
+
+
+def _worst(trainings: Iterable[Training]) -> Worst | None:
+    known = [
+        Worst(
+            view=view.name,
+            seed=training.seed,
+            offset=training.offset,
+            psnr_cc=view.psnr_cc,
+            psnr=view.psnr,
+        )
+        for training in trainings
+        for view in training.views
+        if view.psnr_cc is not None
+    ]
+    return min(known, key=lambda worst: worst.psnr_cc, default=None)
+
+
+def compare(trainings: Sequence[Training], base: str, variant: str) -> Comparison | None:
+    """A variant against `base`, over the trainings that both have; None where they share no view.
+
+    A view without a number in one of them (an infinite PSNR) makes no pair.
+    """
+    mine = {training.key: training for training in trainings}
+    pairs: dict[str, list[tuple[Training, Training]]] = {}
+    for training in trainings:
+        if training.variant == variant:
+            other = mine.get((training.capture, base, training.seed, training.offset))
+            if other is not None:
+                pairs.setdefault(training.capture, []).append((other, training))
+    judged = {name: groups for name, p in pairs.items() if (groups := _differences(p, "psnr_cc"))}
+    if not judged:
+        return None
+    captures = {name: _change(pairs[name], groups) for name, groups in judged.items()}
+    overall = paired_difference(list(judged.values()))
+    seconds = _times_as_long([pair for name in judged for pair in pairs[name]])
+    return Comparison(
+        variant=variant,
+        captures=captures,
+        psnr_cc=overall,
+        seconds=seconds,
+        verdict=judge(overall, seconds, captures),
+    )
+
+
+def _change(pairs: Sequence[tuple[Training, Training]], judged: list[list[float]]) -> CaptureChange:
+    def median(key: str) -> float | None:
+        values = [value for view in _differences(pairs, key) for value in view]
+        return statistics.median(values) if values else None
+
+    return CaptureChange(
+        psnr_cc=paired_difference([judged]),
+        psnr=median("psnr"),
+        ssim=median("ssim"),
+        lpips=median("lpips"),
+        seconds=_times_as_long(pairs),
+    )
+
+
+def _differences(pairs: Iterable[tuple[Training, Training]], key: str) -> list[list[float]]:
+    """Of each view that was held out, what the second training of each pair has above the first."""
+    views: dict[str, list[float]] = {}
+    for before, after in pairs:
+        known = {view.name: getattr(view, key) for view in before.views}
+        for view in after.views:
+            new, old = getattr(view, key), known.get(view.name)
+            if new is not None and old is not None:
+                views.setdefault(view.name, []).append(new - old)
+    return list(views.values())
+
+
+def _times_as_long(pairs: Iterable[tuple[Training, Training]]) -> float:
+    return statistics.median(after.seconds / before.seconds for before, after in pairs)

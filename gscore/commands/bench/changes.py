@@ -1,0 +1,59 @@
+"""Changes of a training that benches try: a strategy, a skip switched off, or an option."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+from ...config import Skip, Strategy, TrainConfig
+from ...config_file import from_dict, to_dict
+from ...errors import ConfigError
+from ...json_text import parse_json
+from ...shown import quoted
+from ...trainer.checkpoint import FREE
+
+_NOT_HERE = ("seed", "start_opacity", *sorted(FREE - {"iterations"}))
+"""Options that benches set otherwise, or that change nothing in a training from points."""
+
+
+def changed(config: TrainConfig, changes: Sequence[str], *, flag: str) -> TrainConfig:
+    """`config` with all these changes.
+
+    Args:
+        config: What is changed.
+        changes: Each a strategy, a skip to switch off, or OPTION=VALUE.
+        flag: The option of the command line that named them, for messages.
+
+    Raises:
+        ConfigError: there is no such change, or the option takes no such value.
+    """
+    for name in changes:
+        config = _changed(config, name, flag)
+    return config
+
+
+def _changed(config: TrainConfig, name: str, flag: str) -> TrainConfig:
+    if name in tuple(Strategy):
+        return replace(config, strategy=Strategy(name))
+    if name in tuple(Skip):
+        return replace(config, without=(*config.without, Skip(name)))
+    option, equals, value = name.partition("=")
+    option = option.replace("-", "_")
+    if not equals or option in _NOT_HERE or option.startswith("depth_"):
+        known = ", ".join((*Strategy, *Skip))
+        raise ConfigError(
+            f"There is no change {quoted(name)} for {flag}; there are: {known}, and OPTION=VALUE "
+            "for options of gscore.TrainConfig that change how a training without depth maps "
+            "learns."
+        )
+    values = to_dict(config) | {option: _value(value, getattr(config, option, None))}
+    return from_dict(TrainConfig, values, where=f"{flag} {name}")
+
+
+def _value(text: str, now: Any) -> Any:
+    """What `text` says, for an option that has the value `now`."""
+    if isinstance(now, bool) and text in ("on", "off"):
+        return text == "on"
+    try:
+        return parse_json(text)
+    except ValueError:
+        return text

@@ -1,0 +1,86 @@
+"""`gscore bench quality`: held-out quality over captures, seeds and splits."""
+
+import argparse
+import sys
+from collections import deque
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+from ...bench.quality import train_judged
+from ...config import PRESETS, DataConfig
+from ...io.places import check_place
+from ...metrics import Lpips, find_lpips
+from ..output import check_folder, check_ours
+from ..status import Status
+from .numbers import check_numbers
+from .quality_plans import Cell, cells_of, variants_of
+from .quality_results import QualityResults
+from .quality_tables import tables
+from .ticker import Ticker
+from .training_options import add_training_options
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("sources", nargs="+", type=Path, metavar="CAPTURE", help="captures")
+    parser.add_argument(
+        "-o", "--output", required=True, type=Path,
+        help="folder for results.json; a run that was stopped goes on where it ended",
+    )  # fmt: skip
+    parser.add_argument("--preset", choices=tuple(PRESETS), default="draft")
+    parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
+    parser.add_argument(
+        "--offsets", nargs="+", type=int, default=[0, 3, 5], metavar="N",
+        help="every 8th view from the N-th, counted from 0, is held out; one training each",
+    )  # fmt: skip
+    parser.add_argument(
+        "--compare", nargs="*", default=(), metavar="NAME=CHANGES",
+        help="also train with these changes joined by commas: a strategy (mcmc), a skip switched "
+        "off, an option of gscore.TrainConfig (free-space=0), another preset (preset=normal)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--lpips", type=Path, metavar="FILE.onnx", help="network of LPIPS; without it, not measured"
+    )
+    add_training_options(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Train what is not in results.json yet; print the tables and verdicts."""
+    args.seeds = list(dict.fromkeys(args.seeds))
+    args.offsets = list(dict.fromkeys(args.offsets))
+    check_numbers(args, 0, "seeds", "offsets")
+    check_folder(args.output)
+    for source in args.sources:
+        check_place(args.output, DataConfig(source=source))
+    check_ours(args.output / "results.json")
+    lpips, _ = find_lpips(args.lpips, threads=args.threads)
+    cells = deque(cells_of(args, variants_of(args)))
+    results = QualityResults(args, cells, lpips.net if lpips else None)
+    with Status(sys.stderr) as status:
+        while cells:
+            _train(cells.popleft(), results, lpips, status)  # whose photos go when it is done
+    results.finish()
+    print(results.text() if args.json else tables(results.report()), flush=True)
+    return 0
+
+
+def _train(cell: Cell, results: QualityResults, lpips: Lpips | None, status: Status) -> None:
+    """Variants in turn for each seed, so that an hour in which the machine is slow meets all."""
+    ticker = Ticker(f"{cell.capture}, offset {cell.offset}", status)
+    for seed in cell.seeds:
+        for variant in cell.variants:
+            label, config = variant.label, replace(variant.config, seed=seed)
+            if results.has(cell.capture, label, seed, cell.offset):
+                continue
+            training = train_judged(
+                config,
+                variant.photos,
+                variant.judged,
+                capture=cell.capture,
+                variant=label,
+                offset=cell.offset,
+                lpips=lpips,
+                on_step=partial(ticker, label, seed, iterations=config.iterations),
+            )
+            results.add(training)

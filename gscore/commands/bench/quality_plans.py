@@ -1,0 +1,121 @@
+"""What `gscore bench quality` is to train: looked up and checked before anything is trained."""
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from ...bench.time_error import Variant
+from ...bench.training import open_sizes
+from ...config import PRESETS, DataConfig
+from ...errors import ConfigError
+from ...shown import quoted
+from .changes import changed
+from .training_options import named_sources, training_configs
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cell:
+    """One split of one capture; everything that is trained on it."""
+
+    capture: str
+    offset: int
+    seeds: list[int]
+    datas: list[DataConfig]
+    """Of each variant; they differ in the size of the photos alone."""
+    variants: list[Variant]
+    """The first is what the others are compared with; all are judged on the same photos."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Asked:
+    """A variant as the command line names it."""
+
+    label: str
+    preset: str
+    changes: tuple[str, ...]
+
+
+def variants_of(args: argparse.Namespace) -> list[Asked]:
+    """The preset as it is, and each of `--compare`.
+
+    Raises:
+        ConfigError: two of one name, or what is no NAME=CHANGES.
+    """
+    variants = [Asked(label=args.preset, preset=args.preset, changes=())]
+    for text in args.compare:
+        name, equals, changes = text.partition("=")
+        if not (name and equals and changes):
+            raise ConfigError(
+                f"--compare takes NAME=CHANGES, such as both=mcmc,free-space=0, got {quoted(text)}."
+            )
+        if name in [variant.label for variant in variants]:
+            raise ConfigError(f"--compare: two variants are called {quoted(name)}.")
+        variants.append(_asked(args, name, changes.split(",")))
+    return variants
+
+
+def _asked(args: argparse.Namespace, label: str, changes: Sequence[str]) -> Asked:
+    presets = [part.removeprefix("preset=") for part in changes if part.startswith("preset=")]
+    for preset in presets:
+        if preset not in PRESETS:
+            raise ConfigError(
+                f"--compare {label}: there is no preset {quoted(preset)}; there are: "
+                f"{', '.join(PRESETS)}."
+            )
+    rest = tuple(part for part in changes if not part.startswith("preset="))
+    return Asked(label=label, preset=[args.preset, *presets][-1], changes=rest)
+
+
+def cells_of(args: argparse.Namespace, variants: Sequence[Asked]) -> list[Cell]:
+    """One a capture and offset; no photo is decoded yet.
+
+    Raises:
+        GsError: a capture, an option or an offset that cannot be used.
+    """
+    return [
+        _cell(args, name, source, offset, variants)
+        for name, source in named_sources(args.sources).items()
+        for offset in args.offsets
+    ]
+
+
+def _cell(
+    args: argparse.Namespace, name: str, source: Path, offset: int, variants: Sequence[Asked]
+) -> Cell:
+    datas, configs = [], []
+    for variant in variants:
+        data, config = training_configs(args, source, variant.preset)
+        datas.append(_held_out(data, offset))
+        configs.append(changed(config, variant.changes, flag="--compare"))
+    _check_different([asked.label for asked in variants], list(zip(datas, configs, strict=True)))
+    photos, judged = open_sizes(datas)
+    return Cell(
+        capture=name,
+        offset=offset,
+        seeds=args.seeds,
+        datas=datas,
+        variants=[
+            Variant(label=asked.label, config=config, photos=own, judged=judged)
+            for asked, config, own in zip(variants, configs, photos, strict=True)
+        ],
+    )
+
+
+def _check_different(labels: Sequence[str], options: Sequence[object]) -> None:
+    """Raise where two variants are the same training: their difference would be noise."""
+    for place, one in enumerate(options):
+        first = options.index(one)
+        if first < place:
+            raise ConfigError(
+                f"--compare {labels[place]} changes nothing: it trains as {labels[first]} does."
+            )
+
+
+def _held_out(data: DataConfig, offset: int) -> DataConfig:
+    if data.test_list is not None or data.test_first or data.test_last:
+        raise ConfigError(
+            "This bench holds out every so many views from each of --offsets; leave out what "
+            "chooses test views otherwise."
+        )
+    return replace(data, eval=True, test_offset=offset)

@@ -1,0 +1,164 @@
+"""The results.json of `gscore bench quality`: written after each training, read when it goes on."""
+
+import argparse
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+from ..._version import __version__
+from ...bench.quality import (
+    Comparison,
+    Summary,
+    Training,
+    compare,
+    read_training,
+    summarize,
+    training_json,
+)
+from ...bench.training import first_size
+from ...config_file import to_dict
+from ...errors import ConfigError, FormatError
+from ...events import finite, strict_json
+from ...io.files import atomic_write, read_bytes
+from ...json_text import parse_json
+from ...metrics.machine import machine
+from ...raster import backend
+from .quality_plans import Cell
+
+Report = tuple[dict[str, dict[str, Summary]], list[Comparison]]
+"""Capture, variant and what it reached; each variant but the first against that one."""
+_APART = ("source", "test_offset", "max_width")
+"""Options of a capture that are told elsewhere or differ by training."""
+
+
+class QualityResults:
+    """What was measured so far; docs/quality.md describes the file."""
+
+    def __init__(self, args: argparse.Namespace, cells: Collection[Cell], net: str | None) -> None:
+        """Take over what the file of an earlier call holds.
+
+        Raises:
+            ConfigError: that call measured otherwise, or the file is damaged.
+        """
+        self._path: Path = args.output / "results.json"
+        self._asked = [key for cell in cells for key in _keys(cell)]
+        self._setting = _setting(args, cells, net)
+        self._trainings: dict[tuple[str, str, int, int], Training] = {}
+        self._finished = False
+        if self._path.is_file():
+            self._take_over()
+
+    def has(self, capture: str, variant: str, seed: int, offset: int) -> bool:
+        """Whether this training is there already."""
+        return (capture, variant, seed, offset) in self._trainings
+
+    def add(self, training: Training) -> None:
+        """One more; the file is written."""
+        self._trainings[training.key] = training
+        self._write()
+
+    def finish(self) -> None:
+        """Everything that was asked for is there."""
+        self._finished = True
+        self._write()
+
+    def report(self) -> Report:
+        """Of what this call asked for, as far as it is there."""
+        there = [self._trainings[key] for key in self._asked if key in self._trainings]
+        variants = list(dict.fromkeys(key[1] for key in self._asked))
+        captures: dict[str, dict[str, list[Training]]] = {}
+        for training in there:
+            captures.setdefault(training.capture, {}).setdefault(training.variant, []).append(
+                training
+            )
+        summaries = {
+            name: {label: summarize(found) for label, found in of_variants.items()}
+            for name, of_variants in captures.items()
+        }
+        compared = [compare(there, variants[0], label) for label in variants[1:]]
+        return summaries, [found for found in compared if found is not None]
+
+    def text(self) -> str:
+        """The content of the file."""
+        summaries, compared = self.report()
+        content = {
+            "gscore": __version__,
+            "finished": self._finished,
+            "machine": machine(),
+            "isa": backend.isa(),
+            "setting": self._setting,
+            "captures": {
+                name: {label: asdict(summary) for label, summary in variants.items()}
+                for name, variants in summaries.items()
+            },
+            "comparisons": [asdict(comparison) for comparison in compared],
+            "trainings": [training_json(training) for training in self._trainings.values()],
+        }
+        return strict_json(content)
+
+    def _write(self) -> None:
+        atomic_write(self._path, (self.text() + "\n").encode())
+
+    def _take_over(self) -> None:
+        try:
+            content = parse_json(read_bytes(self._path))
+            setting, trainings = content["setting"], content["trainings"]
+            differing = list(_differing(setting, self._setting))
+            found = [read_training(training) for training in trainings]
+        except (AttributeError, KeyError, TypeError, ValueError, FormatError) as error:
+            raise ConfigError(
+                f"{self._path} is no results.json of this bench, or damaged ({error}); move it "
+                "away or choose another output."
+            ) from error
+        if differing:
+            raise ConfigError(
+                f"{self._path} was measured otherwise: {'; '.join(differing[:5])}. Give the same "
+                "options to go on, or choose another output."
+            )
+        self._trainings = {training.key: training for training in found}
+        for part in ("variants", "captures"):
+            self._setting[part] = setting[part] | self._setting[part]
+
+
+def _keys(cell: Cell) -> Iterator[tuple[str, str, int, int]]:
+    for variant in cell.variants:
+        for seed in cell.seeds:
+            yield cell.capture, variant.label, seed, cell.offset
+
+
+def _setting(args: argparse.Namespace, cells: Iterable[Cell], net: str | None) -> dict[str, Any]:
+    """What must be the same for trainings to be compared."""
+    variants: dict[str, Any] = {}
+    captures: dict[str, Any] = {}
+    for cell in cells:
+        for variant, data in zip(cell.variants, cell.datas, strict=True):
+            options = to_dict(replace(variant.config, seed=0)) | {"max_width": data.max_width}
+            variants[variant.label] = options
+        data = {k: v for k, v in to_dict(cell.datas[0]).items() if k not in _APART}
+        size = list(first_size(cell.variants[0].judged))
+        source = str(cell.datas[0].source.resolve())
+        captures[cell.capture] = data | {"source": source, "judged_on": size}
+    return finite(
+        {
+            "gscore": __version__,
+            "isa": backend.isa(),
+            "threads": args.threads or backend.default_threads(),
+            "lpips_net": net,
+            "variants": variants,
+            "captures": captures,
+        }
+    )
+
+
+def _differing(old: Any, new: Any, where: str = "") -> Iterator[str]:
+    """Sentences on what two settings state differently; variants and captures may come and go."""
+    if not (isinstance(old, dict) and isinstance(new, dict)):
+        if old != new:
+            yield f"{where} was {old}, is {new}"
+        return
+    may_come = where in ("variants", "captures")
+    for key in new if may_come else old.keys() | new.keys():
+        if may_come and key not in old:
+            continue
+        yield from _differing(old.get(key), new.get(key), f"{where} {key}".strip())

@@ -1,0 +1,212 @@
+"""`gscore bench quality`; oracles: its own file, metrics of the pictures themselves, by hand."""
+
+import json
+import statistics
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from gscore.bench import quality as study
+from gscore.bench.quality import JudgedView, Training, compare, summarize
+from gscore.bench.training import load_for_bench, train_measured
+from gscore.commands import main
+from gscore.commands.bench.quality_tables import tables
+from gscore.config import PRESETS, TrainConfig
+from gscore.datasets import Dataset
+from gscore.metrics import psnr
+from tests.commands.small_bench import EXAMPLE, bench_json
+
+TINY = ["-r", "100", "--mask-mode", "none", "--iterations", "6", "--preset", "preview"]
+
+
+def _training(
+    variant: str,
+    psnr_cc: Sequence[float | None],
+    *,
+    capture: str = "plush",
+    seed: int = 0,
+    seconds: float = 10.0,
+) -> Training:
+    views = [
+        JudgedView(name=f"{i}.jpg", psnr=db and db - 1, psnr_cc=db, ssim=0.9, lpips=None)
+        for i, db in enumerate(psnr_cc)
+    ]
+    return Training(
+        capture=capture,
+        variant=variant,
+        seed=seed,
+        offset=3,
+        seconds=seconds,
+        splats=100,
+        gap=2.0,
+        views=tuple(views),
+    )
+
+
+def test_a_summary_is_not_moved_by_one_view() -> None:
+    """Oracle: by hand; an identical picture has no number, and the worst view has its name."""
+    found = summarize(
+        [_training("draft", [20, 21, 3, None]), _training("draft", [24, 23, 22, 25], seed=1)]
+    )
+    assert found.median["psnr_cc"] == 22 and found.trimmed["psnr_cc"] == 22
+    assert found.median["psnr"] == 21 and found.median["lpips"] is None
+    assert found.worst is not None
+    assert (found.worst.view, found.worst.seed, found.worst.psnr_cc) == ("2.jpg", 0, 3)
+
+
+def test_only_views_that_both_have_are_compared() -> None:
+    """Oracle: by hand. Seed 1 was not trained with the change; one view is identical in one."""
+    trainings = [
+        _training("draft", [20, 21, None]),
+        _training("draft", [0, 0, 0], seed=1),
+        _training("soft", [20.2, 21.4, 30], seconds=9),
+        _training("soft", [9], capture="horse"),
+    ]
+    found = compare(trainings, "draft", "soft")
+    assert found is not None and list(found.captures) == ["plush"]
+    assert found.psnr_cc.pairs == 2 and found.psnr_cc.median == pytest.approx(0.3)
+    assert found.seconds == 0.9 and found.verdict.accepted
+    assert compare(trainings, "draft", "hard") is None
+
+
+def test_tables_by_hand() -> None:
+    """Oracle: the lines written out."""
+    trainings = [
+        *(_training("draft", [20, 22, 24], capture=name) for name in ("plush", "horse")),
+        _training("soft", [20.5, 22.5, 24.5], seconds=12),
+        _training("soft", [20.5, 22.5, 24.5], seconds=10, capture="horse"),
+    ]
+    summaries = {"plush": {v: summarize([t for t in trainings if t.variant == v][:1])
+                           for v in ("draft", "soft")}}  # fmt: skip
+    found = compare(trainings, "draft", "soft")
+    assert found is not None
+    text = tables((summaries, [found]))
+    assert text.splitlines() == [
+        "| plush | PSNR | trimmed | colour-corrected | trimmed | SSIM | gap | splats | seconds | "
+        "worst view, colour-corrected |",
+        "|---|---|---|---|---|---|---|---|---|---|",
+        "| draft | 21.00 | 21.00 | 22.00 | 22.00 | 0.9000 | 2.00 | 100 | 10.0 | "
+        "20.00: 0.jpg, seed 0, offset 3 |",
+        "| soft | 21.50 | 21.50 | 22.50 | 22.50 | 0.9000 | 2.00 | 100 | 12.0 | "
+        "20.50: 0.jpg, seed 0, offset 3 |",
+        "",
+        "| against draft | capture | pairs | colour-corrected | 95 % | PSNR | SSIM | times as long "
+        "|",
+        "|---|---|---|---|---|---|---|---|",
+        "| soft | plush | 3 | +0.50 | +0.50 to +0.50 | +0.50 | +0.0000 | 1.20 |",
+        "| soft | horse | 3 | +0.50 | +0.50 to +0.50 | +0.50 | +0.0000 | 1.00 |",
+        "| soft | all | 6 | +0.50 | +0.50 to +0.50 |  |  | 1.10 |",
+        "",
+        "soft: stays out (+0.50 dB, but 1.10 times as long).",
+    ]
+
+
+def test_a_study_is_trained_once_and_goes_on(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: the trainings asked for, in turns; after a stop only those that are missing, and the
+    same figures as without one."""
+    out, done = tmp_path / "out", []
+    real = study.train_judged
+
+    def counted(config: TrainConfig, *args: Dataset, **names: object) -> Training:
+        if len(done) == stop_at:
+            raise KeyboardInterrupt
+        done.append((names["variant"], config.seed, names["offset"]))
+        return real(config, *args, **names)  # pyright: ignore
+
+    monkeypatch.setattr("gscore.commands.bench.quality.train_judged", counted)
+    command = ["quality", str(EXAMPLE), *TINY, "-o", str(out), "--seeds", "0", "1"]
+    command += ["--offsets", "0", "3", "--test-every", "20", "--compare", "dark=sh0-lr=0"]
+    stop_at = 3
+    assert main(["bench", *command]) != 0
+    stopped = json.loads((out / "results.json").read_text())
+    assert not stopped["finished"] and len(stopped["trainings"]) == 3
+    assert stopped["comparisons"][0]["psnr_cc"]["pairs"] == len(stopped["trainings"][0]["views"])
+    capsys.readouterr()
+    stop_at = -1
+    found = bench_json(capsys, *command)
+    assert found == json.loads((out / "results.json").read_text()) and found["finished"]
+    order = [(v, s, o) for o in (0, 3) for s in (0, 1) for v in ("preview", "dark")]
+    assert done == order
+    assert found["trainings"][:3] == stopped["trainings"]
+    views = {o: {v["name"] for t in found["trainings"] if t["offset"] == o for v in t["views"]}
+             for o in (0, 3)}  # fmt: skip
+    assert views[0] and views[3] and not views[0] & views[3]
+    assert main(["bench", *command]) == 0 and len(done) == len(order)
+    assert "dark: stays out (studio loses" in capsys.readouterr().out
+    assert main(["bench", *command, "--iterations", "7"]) == 2
+    message = capsys.readouterr().err
+    assert "iterations was 6, is 7" in message and str(out / "results.json") in message
+
+
+def test_a_training_is_measured_like_an_evaluation() -> None:
+    """Oracle: the same views at twice the size give other figures; LPIPS only with a network; the
+    gap is that of the medians."""
+    data, config = PRESETS["preview"](EXAMPLE)
+    data = replace(data, mask_mode="none", test_every=20, test_offset=2, eval=True, resolution=60)
+    config = replace(config, iterations=3, seed=4)
+    small, large = load_for_bench(data), load_for_bench(replace(data, resolution=120))
+    named = {"capture": "studio", "variant": "v", "offset": 2}
+    own, wide = (study.train_judged(config, small, judged, **named) for judged in (small, large))
+    assert own.key == ("studio", "v", 4, 2) and own.splats == wide.splats
+    assert [view.name for view in own.views] == [small.names[i] for i in small.test]
+    assert all(view.lpips is None and view.ssim for view in own.views)
+    assert own.views[0].psnr != wide.views[0].psnr
+    held_out = statistics.median(view.psnr or 0 for view in own.views)
+    trained: list[float] = []
+    train_measured(
+        config,
+        small,
+        at_end=lambda draw, _: trained.extend(psnr(draw(i), small.image(i)) for i in small.train),
+    )
+    assert own.gap == pytest.approx(statistics.median(trained) - held_out)
+    assert study.read_training(json.loads(json.dumps(study.training_json(own)))) == own
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--offsets", "8"], "test_offset must be 0 to 7, less than test_every, got 8"),
+        (["--offsets", "-1"], "--offsets must be at least 0, got -1"),
+        (["--seeds", "-1"], "--seeds must be at least 0, got -1"),
+        (["--test-last", "2"], "from each of --offsets"),
+        (["--compare", "mcmc"], "--compare takes NAME=CHANGES"),
+        (["--compare", "draft=mcmc"], "two variants are called 'draft'"),
+        (["--compare", "a=speed=1"], "--compare speed=1: there is no option 'speed'"),
+        (["--compare", "a=prune_share=0"], "--compare a changes nothing: it trains as draft does"),
+        (["--compare", "a=mcmc", "b=mcmc"], "--compare b changes nothing: it trains as a does"),
+        (["--compare", "a=preset=fast"], "--compare a: there is no preset 'fast'"),
+        ([str(EXAMPLE)], "Two captures are called 'studio'"),
+        (["--lpips", "none.onnx"], "none.onnx"),
+    ],
+)
+def test_everything_is_checked_before_training(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    options: list[str],
+    words: str,
+) -> None:
+    """Oracle: the message; a training would fail the test."""
+    monkeypatch.setattr("gscore.commands.bench.quality.train_judged", None)
+    out = ["-o", str(tmp_path / "out")]
+    assert main(["bench", "quality", str(EXAMPLE), *options, *out]) == 2
+    message = capsys.readouterr().err
+    assert words in " ".join(message.split()) and not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    "content", ['{"gscore": 1}', '["gscore"]', '{"gscore"', '{"gscore": 1, "setting": {}, '
+    '"trainings": [{"views": [{"name": []}]}]}']
+)  # fmt: skip
+def test_damaged_results_are_kept(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str
+) -> None:
+    """Oracle: the message names the file, which is left as it is."""
+    path = tmp_path / "results.json"
+    path.write_text(content)
+    assert main(["bench", "quality", str(EXAMPLE), *TINY, "-o", str(tmp_path)]) == 2
+    assert str(path) in capsys.readouterr().err and path.read_text() == content
