@@ -8,6 +8,7 @@ here is an operator of the add-on; the panel's buttons call the same ones.
 """
 
 import argparse
+import json
 import os
 import sys
 from pathlib import Path
@@ -65,11 +66,25 @@ def train(options: argparse.Namespace, addon: str) -> None:
     bpy.ops.gscore.train(overwrite=True, wait=True)
 
 
+def take_masks_as(run: Path) -> None:
+    """Let masks count in comparisons as they did in the training that left splats in a folder."""
+    try:
+        data = json.loads((run / "config.json").read_text(encoding="utf-8"))["data"]
+        mode, inverted = data["mask_mode"], data["invert_masks"]
+    except (OSError, ValueError, KeyError):
+        return  # splats from elsewhere
+    settings = bpy.context.scene.gscore
+    settings.use_masks, settings.invert_masks = mode != "none", inverted
+    if mode != "none":
+        settings.mask_mode = mode
+
+
 def make(options: argparse.Namespace, addon: str) -> None:
     """Import, train, render, save."""
     bpy.ops.gscore.import_cameras(directory=str(options.capture.absolute()))
     if options.splats:
         bpy.ops.gscore.import_splats(filepath=str(options.splats.absolute()))
+        take_masks_as(options.splats.absolute().parent)
     else:
         train(options, addon)
     index = -1 if options.camera else 0
