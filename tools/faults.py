@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from gscore.trainer.checkpoint import load
+from gscore.trainer.files.checkpoint import load
 
 ROOT = Path(__file__).resolve().parents[1]
 CAPTURE = ROOT / "examples" / "studio"

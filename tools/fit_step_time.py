@@ -1,4 +1,4 @@
-"""What a training step takes, by pixels and splats: the constants of gscore/trainer/schedules.py.
+"""What a training step takes, by pixels and splats: the constants of trainer/estimate/cost.py.
 
     python tools/bench_captures.py && python tools/fit_step_time.py out/bench/*
 
@@ -7,8 +7,8 @@ Fits, to the speeds that finished trainings noted in their history,
     seconds = step + a_pixel * pixels + splats * (a_splat + a_number * numbers)
 
 with no negative part, errors counted relative, and says what each training would have been said to
-take. Also times the picture by which `gscore.trainer.forecast` compares machines. All on one quiet
-machine.
+take. Also times the picture by which `gscore.trainer.estimate.forecast` compares machines. All on
+one quiet machine.
 """
 
 import argparse
@@ -22,8 +22,9 @@ from scipy.optimize import nnls
 from gscore.config import TrainConfig
 from gscore.config_file import from_dict
 from gscore.splats import SH_REST_BY_DEGREE
-from gscore.trainer import forecast
-from gscore.trainer.schedules import Plan
+from gscore.trainer.estimate import forecast
+from gscore.trainer.estimate.cost import Cost
+from gscore.trainer.schedule.plan import Plan
 
 SKIPPED = 60
 """First steps, which warm up."""
@@ -82,7 +83,7 @@ def main() -> None:
     print(f"predicted / measured: median {middle:.2f}, 5 to 95 %: {low:.2f} to {high:.2f}")
     print("With the constants as they are now:")
     for run in runs:
-        said = run.plan.seconds_after(0, run.history[0]["splats"])
+        said = Cost(run.plan).seconds_after(0, run.history[0]["splats"])
         print(f"  {run.name}: {said:.0f} s said, {run.seconds:.0f} s taken")
 
 

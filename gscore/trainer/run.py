@@ -14,16 +14,16 @@ from ..errors import BackendError, ConfigError, FormatError, GsError
 from ..events import Event
 from ..io.ply import read_splats
 from ..metrics import find_lpips
-from . import checkpoint
-from .depth_setup import prepare_depth
-from .ended import ended_run
-from .folder import RunFolder, open_folder
-from .frame import Frame
-from .heap import large_pieces_apart
-from .host_state import ordinary_state
-from .loading import load_photos, progress_of
+from .depth.setup import prepare_depth
+from .files import checkpoint
+from .files.ended import TrainResult, ended_run
+from .files.folder import RunFolder, open_folder
+from .host.heap import large_pieces_apart
+from .host.state import ordinary_state
+from .photos.loading import load_photos, progress_of
 from .premises import look_over
-from .session import Session, TrainResult
+from .rows.frame import Frame
+from .session import Session
 from .trainer import Trainer
 
 

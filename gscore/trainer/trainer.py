@@ -19,26 +19,26 @@ from ..raster.request import Frustum, Settings
 from ..scene import PointCloud
 from ..splats import Splats
 from ..words import count_words
-from . import bounds, guard
-from .contribution import Weights, least, most_in_a_view, mostly_hidden, weights_by_view
-from .depth_loss import DepthLoss
-from .depth_targets import DepthTargets
-from .frame import Frame
-from .free_space import FreeSpace
-from .laps import Laps
-from .model import Model, Moments, ShN
-from .near import Nearest
-from .params import splats_of_tensors, tensors_from_splats
-from .pyramid import AHEAD, Pyramid
-from .random import generator_of, uniform
-from .regularisers import drop_rate_at, drop_splats, opacity_loss
-from .schedules import Plan
-from .skips import raster_bits
-from .spectrum import detail
-from .start import splats_of_cloud, splats_to_go_on_with
-from .stored import check_tensors, choices, number, whole
+from .depth.loss import DepthLoss
+from .depth.regularisers import drop_rate_at, drop_splats, opacity_loss
+from .depth.targets import DepthTargets
+from .host.laps import Laps
+from .host.random import generator_of, uniform
+from .photos.pyramid import AHEAD, Pyramid
+from .photos.skips import raster_bits
+from .photos.spectrum import detail
+from .photos.views import Photos, Sampler, View
+from .rows import bounds, guard
+from .rows.frame import Frame
+from .rows.model import Model, Moments, ShN
+from .rows.near import Nearest
+from .rows.params import splats_of_tensors, tensors_from_splats
+from .rows.start import splats_of_cloud, splats_to_go_on_with
+from .rows.stored import check_tensors, choices, number, whole
+from .schedule.plan import Plan
 from .strategy import Change, make_strategy, ops
-from .views import Photos, Sampler, View
+from .strategy.contribution import Weights, least, most_in_a_view, mostly_hidden, weights_by_view
+from .strategy.free_space import FreeSpace
 
 _MAX_SKIPPED = 100
 _ABSURD_MSE = 1e4

@@ -15,7 +15,7 @@ from ...datasets import Dataset
 from ...errors import ConfigError
 from ...json_text import parse_json
 from ...shown import quoted
-from ...trainer.checkpoint import FREE
+from ...trainer.files.checkpoint import FREE
 from .sweeps import SizesPlan, plan_sizes
 from .training_options import training_configs
 

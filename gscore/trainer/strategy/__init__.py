@@ -2,7 +2,7 @@
 
 from ...config import Strategy as StrategyName
 from ...config import TrainConfig
-from ..schedules import Plan
+from ..schedule.plan import Plan
 from .base import Change, Strategy
 from .default import DefaultStrategy
 from .mcmc import MCMCStrategy

@@ -5,7 +5,7 @@ from typing import Protocol
 
 import torch
 
-from ..model import Model
+from ..rows.model import Model
 
 
 @dataclass(frozen=True, kw_only=True)
