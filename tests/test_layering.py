@@ -62,7 +62,8 @@ TRAINER = {
     "length": {"estimate", "evaluation", "rows", "schedule", "trainer"},
     "files": {"depth", "evaluation", "length", "photos", "rows", "trainer"},
     "session": {"depth", "estimate", "evaluation", "files", "length", "rows", "trainer"},
-    "run": {"depth", "files", "host", "photos", "premises", "rows", "session", "trainer"},
+    "beginning": {"files", "photos", "rows", "session", "trainer"},
+    "run": {"beginning", "depth", "files", "host", "photos", "premises", "session", "trainer"},
     "sequence": {"files", "run"},
 }
 """What each hall of the trainer, or file beside them, may import of the trainer besides itself."""

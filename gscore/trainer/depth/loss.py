@@ -42,7 +42,7 @@ def with_weights(config: TrainConfig, views: float) -> TrainConfig:
 
     Args:
         config: The options.
-        views: Training views that show a median point, see `depth_rule.Coverage`.
+        views: Training views that show a median point, see `rule.Coverage`.
     """
     first, last = config.depth_weight, config.depth_weight_final
     if first < 0:

@@ -53,7 +53,7 @@ class DepthTargets:
         Args:
             priors: By index of the view; None: it has none.
             train: Training views; the unit comes from them alone.
-            views: Training views that show a median point, see `depth_rule.Coverage`.
+            views: Training views that show a median point, see `rule.Coverage`.
         """
         self.views = views
         """Training views that show a median point."""

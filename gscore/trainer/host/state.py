@@ -1,7 +1,7 @@
 """What a host program may have set in torch and numpy for its own sake, put aside for a training.
 
 Torch's default dtype and device are not among it: they hold for all threads of the host, so that
-they are left alone, and every tensor is made with its own (`raster.memory`, `random`).
+they are left alone, and every tensor is made with its own (`raster.memory`, `host.random`).
 """
 
 from collections.abc import Iterator
