@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent.parent
-sys.path.append(str(ROOT / "tools"))
+sys.path.append(str(ROOT / "tools" / "build"))
 import build_extension  # noqa: E402
 
 MODULE = "bl_ext.user_default.gscore_splats"
@@ -92,7 +92,10 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
     output = tmp_path_factory.mktemp("dist")
     done = subprocess.run(
         [
-            *(python if python.exists() else sys.executable, ROOT / "tools/build_extension.py"),
+            *(
+                python if python.exists() else sys.executable,
+                ROOT / "tools/build/build_extension.py",
+            ),
             *("--library", library, "--output", output),
         ],
         capture_output=True,

@@ -12,7 +12,7 @@ _SECONDS_A_PIXEL = 7.1e-8
 _SECONDS_A_SPLAT = 7.7e-8
 _SECONDS_A_NUMBER = 5.7e-10
 """What a step took on two cores of a Xeon with AVX-512: itself, for each pixel, for each splat and
-for each number of a splat (`tools/fit_step_time.py`)."""
+for each number of a splat (`tools/measure/step_time.py`)."""
 _GROWTH = 0.5
 """Most splats that `default` is expected to add at a refinement, as a share of those there."""
 _LATER_GROWTH = 2.2e-4

@@ -1,6 +1,6 @@
 """Draws what the first half hour looks like in a terminal of 80 columns: docs/terminal.png.
 
-    .venv/bin/python tools/terminal_picture.py docs/terminal.png
+    .venv/bin/python tools/build/terminal_picture.py docs/terminal.png
 
 Runs real commands on examples/studio in a pseudo-terminal, takes the picture of the screen while
 the training is under way and after the last command, and draws both. Takes a minute; the font is
@@ -19,7 +19,7 @@ from pathlib import Path
 import pyte
 from PIL import Image, ImageDraw, ImageFont
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 STUDIO = ROOT / "examples" / "studio"
 COLUMNS = 80
 FONT = Path("/usr/share/fonts/truetype/dejavu/DejaVuSansMono.ttf")

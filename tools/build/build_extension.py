@@ -1,7 +1,7 @@
 """Builds the Blender extension: one zip for each platform in dist/, checked by Blender's validator.
 
-`python tools/build_extension.py` makes the zip of this machine's platform, `all` or names like
-`windows-x64 macos-arm64` those of others. Each holds the add-on, gscore's wheel and plyfile's.
+`python tools/build/build_extension.py` makes the zip of this machine's platform, `all` or names
+like `windows-x64 macos-arm64` those of others. Each holds the add-on, gscore's wheel and plyfile's.
 `--library` takes a library of this machine that is already compiled.
 """
 
@@ -25,7 +25,7 @@ STAGE = ROOT / "build" / "extension"
 ZIG = ROOT / ".venv-zig"
 PLYFILE = "plyfile==1.1.5"
 ZIGLANG = "ziglang==0.17.0"
-_MARK = re.compile(r"^# tools/build_extension\.py puts .*$", re.MULTILINE)
+_MARK = re.compile(r"^# tools/build/build_extension\.py puts .*$", re.MULTILINE)
 _DATE = (2020, 1, 1, 0, 0, 0)
 """Of every member, so that the same sources give the same zip."""
 

@@ -1,6 +1,6 @@
 """Compare trained sequences frame by frame where the photos move and where they are still.
 
-python tools/measure_sequence.py out/warm out/scratch
+python tools/measure/sequence.py out/warm out/scratch
 
 Prints, for each folder that `gscore sequence` wrote, means over the frames after the first: PSNR of
 the test views, of the median view, of moving and of still pixels, and how much still pixels of a

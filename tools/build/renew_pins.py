@@ -1,6 +1,6 @@
 """Renews the exact versions and hashes of the environment that the Blender add-on makes.
 
-`python tools/renew_pins.py` resolves what pyproject.toml asks for, with torch as in
+`python tools/build/renew_pins.py` resolves what pyproject.toml asks for, with torch as in
 constraints.txt, for every Python and system that Blender runs on, and writes the files of
 addon/python/pinned/.
 It installs uv into a temporary environment for that. Run it with the project's own Python
@@ -28,7 +28,7 @@ from packaging.markers import Marker
 from packaging.tags import compatible_tags, cpython_tags
 from packaging.utils import parse_wheel_filename
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "addon" / "python" / "pinned"
 TORCH_INDEX = "https://download.pytorch.org/whl/cpu"
 OLDEST, PYTHONS = "3.11", ((3, 11), (3, 12), (3, 13), (3, 14))
@@ -170,7 +170,7 @@ def _megabytes(address: str) -> int:
 
 
 def _head(about: str) -> str:
-    return f"# {about}\n# Written by tools/renew_pins.py.\n"
+    return f"# {about}\n# Written by tools/build/renew_pins.py.\n"
 
 
 def _replace(path: Path, text: str) -> None:

@@ -1,6 +1,6 @@
 """What supervising depth costs a training step.
 
-python tools/measure_depth_cost.py SPLATS.ply
+python tools/measure/depth_cost.py SPLATS.ply
 
 Two trainings of the studio capture go on from the same splats, one with the exact depth, a step
 each in turn: medians of what the steps took, and of their ratios.
@@ -18,7 +18,7 @@ from gscore.trainer.depth.setup import prepare_depth
 from gscore.trainer.host.state import ordinary_state
 from gscore.trainer.trainer import Trainer
 
-STUDIO = Path(__file__).parent.parent / "examples" / "studio"
+STUDIO = Path(__file__).parents[2] / "examples" / "studio"
 WARM_UP = 6
 """Pairs that are not counted."""
 

@@ -23,7 +23,7 @@ from pathlib import Path
 
 from gscore.trainer.files.checkpoint import load
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 CAPTURE = ROOT / "examples" / "studio"
 OPTIONS = ["--preset", "preview", "--iterations", "120", "--max-splats", "3000", "-r", "100"]
 OPTIONS += ["--mask-mode", "none", "--threads", "1", "--checkpoint-seconds", "0.05"]

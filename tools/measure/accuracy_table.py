@@ -1,6 +1,6 @@
 """The table of docs/accuracy-tests.md from `gscore stress --json`: worst errors and tolerances.
 
-`gscore stress --json --isa all > found.json; python tools/accuracy_table.py found.json`
+`gscore stress --json --isa all > found.json; python tools/measure/accuracy_table.py found.json`
 """
 
 import json

@@ -1,6 +1,6 @@
 """Virtual environments with the bpy module, one per Blender version, in .venv-blender/.
 
-`python tools/bpy_venvs.py newest` makes the one for the newest Blender that a Python of this
+`python tools/build/bpy_venvs.py newest` makes the one for the newest Blender that a Python of this
 machine can run and prints its interpreter; `oldest`, `all` and a version work alike.
 The wheels come from the package registry: 350 MB to download and 1 GB on disk for each version.
 """
@@ -12,7 +12,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / ".venv-blender"
 PYTHONS = {"4.2.23": "3.11", "4.5.15": "3.11", "5.0.1": "3.11", "5.2.3": "3.13"}
 """The Blender versions that are tested, oldest first, and the only Python each runs on."""

@@ -6,11 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from depth_captures import Source, exact, photo
 
 from gscore.io.images import read_mask, resize
 from gscore.io.ply import read_splats
 from gscore.raster.api import Rendered, render
+
+from .captures import Source, exact, photo
 
 AGREE = 0.05
 """Relative difference of depths up to which two views show the same surface."""

@@ -1,7 +1,7 @@
 """Wraps prose in Markdown at 120 columns: paragraphs and list items of which a line is wider.
 
-`python tools/wrap_text.py README.md docs/*.md`; `make format` runs it on every page. Code, tables,
-headings and paragraphs that are narrow enough stay as they are, and no word changes.
+`python tools/build/wrap_text.py README.md docs/*.md`; `make format` runs it on every page. Code,
+tables, headings and paragraphs that are narrow enough stay as they are, and no word changes.
 """
 
 import re

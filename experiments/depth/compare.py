@@ -1,8 +1,8 @@
 """Does depth help? Trains with and without it, from few and from many views, and writes a table.
 
-python tools/experiment_depth.py --quick
-python tools/experiment_depth.py --table switches
-python tools/experiment_depth.py --views 6 12 24 50 --arms none exact mono --seeds 0 1 2
+python -m experiments.depth --quick
+python -m experiments.depth --table switches
+python -m experiments.depth --views 6 12 24 50 --arms none exact mono --seeds 0 1 2
 
 Every run keeps its figures in a folder of its own, named after the code that made it: what is there
 already is not repeated, several of these may run at once, and results of other code are left out.
@@ -27,16 +27,23 @@ from typing import Any
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parent))
-from depth_captures import Source, few_views, photo, training_views, write_depths, write_mono
-from depth_measures import inverse, measure, pinhole, test_views
-
 from gscore.io.images import resize, write_png
 from gscore.io.ply import read_splats
 from gscore.metrics.colormap import colorize
 from gscore.raster.api import render
 
-ROOT = Path(__file__).parent.parent
+from .captures import (
+    ROOT,
+    Source,
+    few_views,
+    photo,
+    studio,
+    training_views,
+    write_depths,
+    write_mono,
+)
+from .measures import inverse, measure, pinhole, test_views
+
 ARMS: dict[str, list[str]] = {
     "none": [],
     "exact": ["--depths", "depths-exact", "--depth-mode", "on"],
@@ -67,7 +74,6 @@ ARMS: dict[str, list[str]] = {
     ],
 }
 """What is trained with: options of `gscore train`."""
-STUDIO_UNIT = 4.0
 TABLES: dict[str, dict[str, Any]] = {
     "views": {},
     "auto": {"views": ["50"], "arms": ["none", "mono-auto"], "seeds": [0]},
@@ -187,7 +193,7 @@ def code_version() -> str:
     """Short hash of all that a training and these captures are made by."""
     files = [*(ROOT / "gscore").rglob("*.py"), *(ROOT / "csrc" / "src").iterdir()]
     digest = hashlib.sha256()
-    own = [Path(__file__).with_name(name) for name in ("depth_captures.py", "depth_measures.py")]
+    own = [Path(__file__).with_name(name) for name in ("captures.py", "measures.py")]
     for path in sorted([*files, *own]):
         digest.update(path.read_bytes())
     return digest.hexdigest()[:12]
@@ -200,17 +206,6 @@ def _source(args: argparse.Namespace, name: str) -> Source:
 def _count(source: Source, views: str) -> int:
     available = len(training_views(source))
     return available if views == "all" else min(int(views), available)
-
-
-def studio() -> Source:
-    folder = ROOT / "examples" / "studio"
-    return Source(
-        name="studio",
-        folder=folder,
-        depths=folder / "depths",
-        unit=STUDIO_UNIT,
-        test=tuple((folder / "test.txt").read_text().split()),
-    )
 
 
 def _with_reference(args: argparse.Namespace, name: str) -> Source:
@@ -405,7 +400,3 @@ def _write(path: Path, text: str) -> None:
     part = path.with_suffix(f".part{int(time.time())}")
     part.write_text(text, encoding="utf-8")
     part.replace(path)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -12,6 +12,9 @@ from gscore.io.colmap_model import ColmapImage, ColmapModel
 from gscore.io.images import read_image, write_png
 from gscore.io.pillow import loaded
 
+ROOT = Path(__file__).parents[2]
+STUDIO_UNIT = 4.0
+
 FULL = 65536
 """Inverse depth = value / FULL * the map's own range."""
 BLUR, WARP, WAVES, NOISE = 3.0, 2.5, 0.05, 0.01
@@ -31,6 +34,18 @@ class Source:
     """1/world unit of the value FULL in them."""
     test: tuple[str, ...]
     """Names of the held-out views, the same in all experiments."""
+
+
+def studio() -> Source:
+    """The bundled capture."""
+    folder = ROOT / "examples" / "studio"
+    return Source(
+        name="studio",
+        folder=folder,
+        depths=folder / "depths",
+        unit=STUDIO_UNIT,
+        test=tuple((folder / "test.txt").read_text().split()),
+    )
 
 
 def few_views(source: Source, count: int, folder: Path) -> list[str]:

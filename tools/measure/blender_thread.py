@@ -1,6 +1,6 @@
 """How long the add-on holds Blender's main thread while it trains, and when a result arrives.
 
-    python tools/bench_blender.py CAPTURE --python PYTHON_THAT_TRAINS     (a Python with bpy)
+    python tools/measure/blender_thread.py CAPTURE --python PYTHON_THAT_TRAINS   (a Python with bpy)
 
 Calls the beat that Blender's timer calls, as often as the timer does, during a real training with
 live splats and pictures, and prints milliseconds by what the beat did. Then the same for the
@@ -16,7 +16,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def parse() -> argparse.Namespace:

@@ -1,27 +1,24 @@
 """How far aligned depth maps are from the truth, fitted to their points alone and to each other.
 
-python tools/measure_depth_alignment.py
-python tools/measure_depth_alignment.py --views 24 50 --seeds 0 --width 480
+python -m experiments.depth.alignment
+python -m experiments.depth.alignment --views 24 50 --seeds 0 --width 480
 
-Simulated network depth of the studio capture, as in experiment_depth.py: mean relative error of the
+Simulated network depth of the studio capture, as the experiment has it: mean relative error of the
 aligned inverse depth over the pixels of the training views, at most 1 a pixel.
 """
 
 import argparse
-import sys
 import tempfile
 from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parent))
-from depth_captures import exact, few_views, write_mono
-from experiment_depth import studio
-
 from gscore.config import DataConfig
 from gscore.datasets import load_dataset
 from gscore.datasets.decode import fit_map
 from gscore.depth import fitting, load_priors
+
+from .captures import exact, few_views, studio, write_mono
 
 FAR = 0.6
 """Inverse depths below this share of the nearest tenth's are far."""

@@ -1,6 +1,6 @@
 """Error of the kernels against their time, by instruction set and degree of the exponential.
 
-python tools/kernel_error.py --ply out/demo/point_cloud.ply --cameras examples/studio
+python tools/measure/kernel_error.py --ply out/demo/point_cloud.ply --cameras examples/studio
 
 Builds the library once a degree of the exponential's polynomial (build/exp-N), then measures, in a
 process of its own, the error of pictures and gradients of random scenes against the float64
@@ -29,7 +29,7 @@ from gscore.stress import native, truth
 from gscore.stress.compare import picture_errors, row_errors
 from gscore.stress.scenes import draw_scene
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 DEGREES = (3, 4, 5, 6)
 SEEDS = range(8)
 """Of the random scenes."""

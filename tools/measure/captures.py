@@ -1,6 +1,6 @@
 """Train every capture in GSCORE_DATA and the bundled one, and print a table in Markdown.
 
-python tools/bench_captures.py --presets preview draft
+python tools/measure/captures.py --presets preview draft
 """
 
 import argparse
@@ -10,7 +10,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 COLUMNS = (
     "| capture | preset | steps | splats | train s | PSNR | SSIM | LPIPS-sq. | fps | peak MB |\n"
     "|---|---|---|---|---|---|---|---|---|---|"

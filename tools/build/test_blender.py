@@ -1,7 +1,7 @@
 """Runs the add-on's tests in real Blenders and prints one line for each.
 
-`python tools/test_blender.py all` takes every version of tools/bpy_venvs.py and a `blender` program
-on PATH; `newest`, `oldest` or versions take fewer. What follows `--` goes to pytest.
+`python tools/build/test_blender.py all` takes every version of `bpy_venvs.py` and a `blender`
+program on PATH; `newest`, `oldest` or versions take fewer. What follows `--` goes to pytest.
 """
 
 import os

@@ -1,6 +1,6 @@
 """What a training step takes, by pixels and splats: the constants of trainer/estimate/cost.py.
 
-    python tools/bench_captures.py && python tools/fit_step_time.py out/bench/*
+    python tools/measure/captures.py && python tools/measure/step_time.py out/bench/*
 
 Fits, to the speeds that finished trainings noted in their history,
 

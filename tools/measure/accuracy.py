@@ -1,6 +1,6 @@
 """Distributions of float32 errors by stage, scene and instruction set, for docs/accuracy.md.
 
-`python tools/measure_accuracy.py [--ply point_cloud.ply --cameras CAPTURE] [-o docs/accuracy]`
+`python tools/measure/accuracy.py [--ply point_cloud.ply --cameras CAPTURE] [-o docs/accuracy]`
 """
 
 import argparse
