@@ -120,6 +120,29 @@ def test_the_zip_is_whole(package: Path) -> None:
     assert len([name for name in names if name.startswith("wheels/gscore-")]) == 1
 
 
+def test_the_wheel_does_without_what_measures(package: Path, tmp_path: Path) -> None:
+    """Oracle: the checkout's other files; `gscore stress` in a process that has only the wheel."""
+    with zipfile.ZipFile(package) as archive:
+        (name,) = [n for n in archive.namelist() if n.startswith("wheels/gscore-")]
+        archive.extract(name, tmp_path)
+    with zipfile.ZipFile(tmp_path / name) as wheel:
+        found = {n for n in wheel.namelist() if n.endswith(".py")}
+        wheel.extractall(tmp_path / "there")
+    ours = {p.relative_to(ROOT).as_posix() for p in (ROOT / "gscore").rglob("*.py")}
+    left_out = {name for name in ours if "bench" in name or "stress" in name}
+    assert len(left_out) > 30 and found == ours - left_out
+
+    def gscore(*line: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-S", "-m", "gscore", *line]  # -S: no other gscore
+        there = tmp_path / "there"
+        return subprocess.run(command, cwd=there, capture_output=True, text=True, check=False)
+
+    usage, refused = gscore(), gscore("stress")
+    assert usage.returncode == 2 and "\n  train " in usage.stdout and "stress" not in usage.stdout
+    assert refused.returncode == 2 and "Traceback" not in refused.stderr
+    assert "`gscore stress` is not part of this installation" in refused.stderr
+
+
 def test_pip_accepts_the_wheel(package: Path, tmp_path: Path) -> None:
     """Oracle: pip, which checks name, tag and metadata; hashes taken of the files it wrote."""
     with zipfile.ZipFile(package) as archive:

@@ -26,6 +26,8 @@ ZIG = ROOT / ".venv-zig"
 PLYFILE = "plyfile==1.1.5"
 ZIGLANG = "ziglang==0.17.0"
 _MARK = re.compile(r"^# tools/build/build_extension\.py puts .*$", re.MULTILINE)
+_MEASURES = ("bench/", "stress/", "commands/bench/", "commands/stress.py")
+"""Files of gscore that measure it, which nobody does inside of Blender: its wheel goes without."""
 _DATE = (2020, 1, 1, 0, 0, 0)
 """Of every member, so that the same sources give the same zip."""
 
@@ -45,7 +47,8 @@ def build_wheels() -> tuple[Path, Path]:
 
 
 def add_library(wheel: Path, library: Path, name: str, tag: str, folder: Path) -> Path:
-    """A copy of a wheel with the native library in it, the platform's tag and a version of its own.
+    """A copy of a wheel with the native library, the platform's tag and a version of its own, and
+    without what measures gscore.
 
     The version gets a part made of the content, because Blender does not unpack a wheel again whose
     name and version it has unpacked before.
@@ -53,7 +56,9 @@ def add_library(wheel: Path, library: Path, name: str, tag: str, folder: Path) -
     project, version, *_ = wheel.name.split("-")
     old = f"{project}-{version}.dist-info"
     with zipfile.ZipFile(wheel) as archive:
-        members = {entry: archive.read(entry) for entry in archive.namelist() if entry[-1] != "/"}
+        left_out = tuple(f"gscore/{name}" for name in _MEASURES)
+        wanted = [entry for entry in archive.namelist() if not entry.startswith(left_out)]
+        members = {entry: archive.read(entry) for entry in wanted if entry[-1] != "/"}
     del members[f"{old}/RECORD"]
     members[f"gscore/raster/{name}"] = library.read_bytes()
     tags = members[f"{old}/WHEEL"].decode()
