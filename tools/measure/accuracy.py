@@ -19,7 +19,7 @@ from gscore.raster import backend
 from gscore.splats import PARAMETERS
 from gscore.stress import native, truth
 from gscore.stress.compare import ROW_FLOOR
-from gscore.stress.scenes import Scene, draw_scene
+from gscore.stress.scenes import SplatScene, draw_scene
 
 STAGES = {
     "projected mean": ("projected", "means2d"),
@@ -71,7 +71,7 @@ def main() -> int:
     return 0
 
 
-def scenes(args: argparse.Namespace) -> Iterator[tuple[str, Scene]]:
+def scenes(args: argparse.Namespace) -> Iterator[tuple[str, SplatScene]]:
     """Names and scenes."""
     common = {"count": 1500, "width": 64, "height": 48, "focal": (60.0, 57.0), "overscan": 0.05}
     plain = draw_scene(1, sigma_px=(0.7, 4.0), **common)
@@ -90,7 +90,7 @@ def scenes(args: argparse.Namespace) -> Iterator[tuple[str, Scene]]:
         yield f"origin {offset:.0e} away", away(plain, offset)
 
 
-def away(scene: Scene, offset: float) -> Scene:
+def away(scene: SplatScene, offset: float) -> SplatScene:
     """The scene moved away from the origin with its camera, and rounded to float32 there: what
     would happen without recentring. The truth is that of the rounded numbers."""
     shift = offset * np.array([1.0, -0.7, 0.3])
@@ -100,7 +100,7 @@ def away(scene: Scene, offset: float) -> Scene:
     return replace(scene, means=means, viewmat=viewmat.astype(np.float32))
 
 
-def trained(ply: Path, capture: Path, view: int) -> Scene:
+def trained(ply: Path, capture: Path, view: int) -> SplatScene:
     """A window of 64 x 48 px in the middle of a view of a trained model."""
     splats = read_splats(ply)
     cameras = load_dataset(DataConfig(source=capture)).scene.cameras
@@ -108,7 +108,7 @@ def trained(ply: Path, capture: Path, view: int) -> Scene:
     width, height = 64, 48
     K[0, 2] += (width - cameras.widths[view]) // 2
     K[1, 2] += (height - cameras.heights[view]) // 2
-    scene = Scene(
+    scene = SplatScene(
         **{name: getattr(splats, name) for name in PARAMETERS},
         viewmat=cameras.viewmats[view].astype(np.float32),
         K=K.astype(np.float32),
@@ -137,7 +137,7 @@ def stage_errors(stage: str, drawn: native.Drawn, true: truth.Truth) -> np.ndarr
     return error[keep] / np.maximum(length[keep], floor)
 
 
-def table(name: str, scene: Scene, true: truth.Truth, errors: dict) -> str:
+def table(name: str, scene: SplatScene, true: truth.Truth, errors: dict) -> str:
     """Markdown: median, 99.9th percentile and largest error of every stage."""
     alpha, band = true.pictures["alpha"].mean(), true.band.mean()
     lines = [f"\n{name}: {len(scene)} splats, mean alpha {alpha:.2f}, band {band:.2%}\n"]

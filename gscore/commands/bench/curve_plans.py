@@ -24,7 +24,7 @@ _NOT_HERE = ("seed", "start_opacity", *sorted(FREE - {"iterations"}))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Plan:
+class CapturePlan:
     """What is trained and shown of one capture."""
 
     name: str
@@ -35,7 +35,7 @@ class Plan:
     sizes: SizesPlan | None
 
 
-def plans_of(args: argparse.Namespace) -> list[Plan]:
+def plans_of(args: argparse.Namespace) -> list[CapturePlan]:
     """One a capture; no photo is decoded yet.
 
     Raises:
@@ -69,7 +69,7 @@ def plans_of(args: argparse.Namespace) -> list[Plan]:
         of_others = [c for capture, found in peers.values() if capture == name for c in found]
         sizes = plan_sizes(args, presets)
         plans.append(
-            Plan(name=name, variants=variants, judged=judged, peers=of_others, sizes=sizes)
+            CapturePlan(name=name, variants=variants, judged=judged, peers=of_others, sizes=sizes)
         )
     return plans
 

@@ -11,7 +11,7 @@ from ...datasets.resolution import scale_intrinsics
 from ...io.images import resize
 from ...scene import Cameras
 from .skips import tiles_of_mask
-from .views import Photos, View, view_of
+from .views import Photos, TrainingView, view_of
 
 AHEAD = 3
 """Views that are made before they are needed."""
@@ -22,7 +22,7 @@ _WORKERS = 2
 class Sized(NamedTuple):
     """A view with its photo at some size."""
 
-    view: View
+    view: TrainingView
     image: np.ndarray
     """[H, W, 3] uint8."""
     mask: np.ndarray | None
@@ -80,7 +80,7 @@ class Pyramid:
             self._kept[index] = found
             self._nbytes += nbytes
 
-    def view(self, index: int) -> View:
+    def view(self, index: int) -> TrainingView:
         """View `index` at full size."""
         cameras = self._cameras
         size = int(cameras.widths[index]), int(cameras.heights[index])

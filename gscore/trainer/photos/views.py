@@ -46,7 +46,7 @@ class Photos(Protocol):
         ...
 
 
-class View(NamedTuple):
+class TrainingView(NamedTuple):
     """A camera in the training world."""
 
     viewmat: torch.Tensor
@@ -57,9 +57,9 @@ class View(NamedTuple):
     height: int
 
 
-def view_of(viewmat: np.ndarray, K: np.ndarray, width: int, height: int) -> View:
+def view_of(viewmat: np.ndarray, K: np.ndarray, width: int, height: int) -> TrainingView:
     """A camera of the training world, [4, 4] and [3, 3] float64, as tensors."""
-    return View(
+    return TrainingView(
         torch.from_numpy(viewmat.astype(np.float32)),
         torch.from_numpy(K.astype(np.float32)),
         width,

@@ -11,8 +11,7 @@ import torch
 from gscore.config import Strategy, TrainConfig
 from gscore.trainer.rows.model import Model
 from gscore.trainer.schedule.plan import Plan
-from gscore.trainer.strategy import Change, make_strategy, ops
-from gscore.trainer.strategy import Strategy as Policy
+from gscore.trainer.strategy import Change, Policy, make_strategy, ops
 from gscore.trainer.strategy.default import DefaultStrategy
 from gscore.trainer.strategy.mcmc import MCMCStrategy
 
