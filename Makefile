@@ -69,7 +69,7 @@ demo: $(LIBRARY)  ## trains the bundled capture into out/demo and ends in Blende
 	$(BIN)/gscore render out/demo/point_cloud.ply --cameras examples/studio --test -o out/demo/renders
 ifneq ($(DEMO_BLENDER),none)
 	@mkdir -p build/blender-profile
-	@bpy=$$($(BIN)/python tools/bpy_venvs.py $(DEMO_BLENDER)); status=$$?; \
+	@bpy=$$($(BIN)/python tools/build/bpy_venvs.py $(DEMO_BLENDER)); status=$$?; \
 	if [ $$status = 3 ]; then echo "so the demo ends without Blender."; exit 0; fi; \
 	[ $$status = 0 ] && BLENDER_USER_RESOURCES=$(CURDIR)/build/blender-profile $$bpy examples/photos_to_blend.py \
 		examples/studio --splats out/demo/point_cloud.ply -o out/demo/demo.blend --render out/demo/blender.png && \
@@ -82,19 +82,19 @@ test: $(DEVELOPED) $(NATIVE_TESTS)  ## everything quick; BLENDER=none leaves the
 	$(BIN)/python -m pytest -q -m "not slow"
 	$(BIN)/ctest --test-dir build/native --output-on-failure
 ifneq ($(BLENDER),none)
-	$(BIN)/python tools/test_blender.py $(BLENDER) -- -m "not slow"
+	$(BIN)/python tools/build/test_blender.py $(BLENDER) -- -m "not slow"
 endif
 
 test-slow: $(DEVELOPED) $(NATIVE_TESTS)  ## the tests that take minutes
 	$(BIN)/python -m pytest -q -m slow
 
-# The add-on's tests, the slow ones too, in every Blender of tools/bpy_venvs.py: 350 MB and half a minute each at first.
+# The add-on's tests, the slow ones too, in every Blender of tools/build/bpy_venvs.py: 350 MB and half a minute each at first.
 test-blender: $(LIBRARY)  ## the add-on's tests in every Blender known
-	$(BIN)/python tools/test_blender.py all
+	$(BIN)/python tools/build/test_blender.py all
 
 # dist/gscore_splats-<version>-<platform>.zip, checked by Blender's validator.
 extension: $(LIBRARY)  ## the Blender extension into dist/; PLATFORMS=all for all of Blender's platforms
-	$(BIN)/python tools/build_extension.py $(PLATFORMS)
+	$(BIN)/python tools/build/build_extension.py $(PLATFORMS)
 
 test-native: $(NATIVE_TESTS)  ## the C++ tests
 	$(BIN)/ctest --test-dir build/native --output-on-failure
@@ -129,12 +129,12 @@ sanitize: $(INSTALLED)  ## the C++ tests under the address, undefined-behaviour 
 # In the C entry points (under libFuzzer and sanitizers with Debian's clang and libclang-rt-14-dev), readers and rasterizer.
 FUZZ_SECONDS ?= 60
 fuzz: $(DEVELOPED) $(NATIVE_TESTS)  ## hunts for crashes for FUZZ_SECONDS (60) each
-	$(BIN)/python tools/fuzz.py $(FUZZ_SECONDS)
+	$(BIN)/python tools/break/fuzz.py $(FUZZ_SECONDS)
 
 # Kills, full disks, vanishing photos, clock jumps and more, done to trainings; 15 to 30 minutes on two cores.
 KILLS ?= 50
 faults: $(LIBRARY)  ## kills, full disks, damaged files, done to real trainings
-	$(BIN)/python tools/faults.py --kills $(KILLS)
+	$(BIN)/python tools/break/faults.py --kills $(KILLS)
 
 lint: $(DEVELOPED)  ## ruff and pyright
 	$(BIN)/ruff check .
@@ -142,7 +142,7 @@ lint: $(DEVELOPED)  ## ruff and pyright
 	$(BIN)/pyright
 
 format: $(DEVELOPED)  ## ruff's formatter and safe fixes, and text wrapped at 120 columns
-	$(BIN)/python tools/wrap_text.py $$(git ls-files '*.md')
+	$(BIN)/python tools/build/wrap_text.py $$(git ls-files '*.md')
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
@@ -154,7 +154,7 @@ bench: $(LIBRARY)  ## speed of the rasterizer here
 # docs/experiments/2026-11-depth.md: EXPERIMENT="--table study" (auto, switches, real with GSCORE_DATA set); a network:
 # EXPERIMENT="--model FILE.onnx".
 experiment-depth: $(LIBRARY)  ## with and without depth, from 6 to 50 views: out/experiment-depth/
-	$(BIN)/python tools/experiment_depth.py $(EXPERIMENT)
+	$(BIN)/python -m experiments.depth $(EXPERIMENT)
 
 wheel: $(INSTALLED)  ## gscore's wheel into dist/
 	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist .

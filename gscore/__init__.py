@@ -64,7 +64,8 @@ if TYPE_CHECKING:
     from .scene import Cameras, PointCloud, Scene
     from .sh import sh0_to_rgb
     from .splats import Splats
-    from .trainer import Estimate, estimate, train
+    from .trainer.estimate.forecast import Estimate, estimate
+    from .trainer.run import train
     from .trainer.sequence import SequenceOptions, train_sequence
     from .transforms import rotmat_to_quat, transform_splats
 
@@ -87,7 +88,7 @@ _HOME = {
     "DepthDone": "events",
     "DepthProgress": "events",
     "Done": "events",
-    "Estimate": "trainer",
+    "Estimate": "trainer.estimate.forecast",
     "Estimated": "events",
     "Eval": "events",
     "Event": "events",
@@ -127,7 +128,7 @@ _HOME = {
     "clear_run": "io.runs",
     "colorize": "metrics.colormap",
     "downscale": "io.resample",
-    "estimate": "trainer",
+    "estimate": "trainer.estimate.forecast",
     "find_colmap": "io.colmap:find_model",
     "from_line": "events",
     "judged_psnr": "events",
@@ -148,7 +149,7 @@ _HOME = {
     "sh0_to_rgb": "sh",
     "stated_depth": "depth.stated",
     "target_size": "datasets.resolution",
-    "train": "trainer",
+    "train": "trainer.run",
     "train_sequence": "trainer.sequence",
     "transform_splats": "transforms",
     "write_colmap": "io.colmap:write_model",

@@ -136,7 +136,7 @@ class Skip(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class TrainConfig:
-    """How to train. A 0 that means "by itself" says so; `trainer.schedules.Plan` holds what it
+    """How to train. A 0 that means "by itself" says so; `trainer.schedule.plan.Plan` holds what it
     became.
 
     Lengths are in units of the camera extent: 1.1 times the largest distance of a camera from
@@ -211,7 +211,7 @@ class TrainConfig:
     depth_mode: Switch = Switch.AUTO
     """Supervise inverse depth where `DataConfig.depths` gives maps; auto: not in dense captures."""
     depth_weight: float = -1.0
-    """Weight of the depth loss at the first step, see `trainer.depth_loss` for its unit; -1: 1, and
+    """Weight of the depth loss at the first step, see `trainer.depth.loss` for its unit; -1: 1, and
     where more than 6 training views show a median point, 6 / their number."""
     depth_weight_final: float = -1.0
     """Weight of the depth loss at the last step, exponential in between; -1: that of the first."""

@@ -48,6 +48,27 @@ OUTSIDE = {
 }
 """Layers that may import a package at all."""
 
+TRAINER = {
+    "host": set(),
+    "schedule": set(),
+    "rows": {"schedule"},
+    "estimate": {"rows", "schedule"},
+    "photos": {"estimate", "host", "rows", "schedule"},
+    "depth": {"host", "photos", "rows"},
+    "strategy": {"host", "photos", "rows", "schedule"},
+    "trainer": {"depth", "host", "photos", "rows", "schedule", "strategy"},
+    "evaluation": {"trainer"},
+    "premises": {"trainer"},
+    "length": {"estimate", "evaluation", "rows", "schedule", "trainer"},
+    "files": {"depth", "evaluation", "length", "photos", "rows", "trainer"},
+    "session": {"depth", "estimate", "evaluation", "files", "length", "rows", "trainer"},
+    "beginning": {"files", "photos", "rows", "session", "trainer"},
+    "run": {"beginning", "depth", "files", "host", "photos", "premises", "session", "trainer"},
+    "sequence": {"files", "run"},
+}
+"""What each hall of the trainer, or file beside them, may import of the trainer besides itself."""
+MOST_BESIDE_HALLS = 10
+
 ADDON = ROOT / "addon"
 IN_BLENDER = {"bpy", "bpy_extras", "gpu", "gpu_extras", "mathutils", "numpy"}
 """What the add-on may import besides the standard library and itself."""
@@ -145,6 +166,39 @@ def test_every_layer_is_covered() -> None:
     """Oracle: the folder listing; a new package must be given its place."""
     layers = {_layer(path) for path in _files()} - {"__init__", "__main__", "commands"}
     assert layers == set(ALLOWED)
+
+
+@pytest.mark.parametrize(
+    "path", sorted((PACKAGE / "trainer").rglob("*.py")), ids=lambda p: str(p.relative_to(PACKAGE))
+)
+def test_halls_of_the_trainer_import_down(path: Path) -> None:
+    """Oracle: TRAINER, for imports at the top of a file and inside of functions."""
+    own = path.relative_to(PACKAGE / "trainer").with_suffix("").parts[0]
+    for name, inside in _imports(path):
+        parts = name.split(".")
+        if inside and parts[1] == "trainer":
+            assert parts[2] in TRAINER[own] | {own}, f"{own} imports {name}"
+
+
+def test_every_hall_of_the_trainer_has_its_place() -> None:
+    """Oracle: the folder listing; an order in which each imports only earlier ones; few files lie
+    beside the halls."""
+    folder = PACKAGE / "trainer"
+    there = {path.relative_to(folder).with_suffix("").parts[0] for path in folder.rglob("*.py")}
+    assert there - {"__init__"} == set(TRAINER)
+    assert len(list(folder.glob("*.py"))) <= MOST_BESIDE_HALLS
+    TopologicalSorter(TRAINER).prepare()  # raises where there is a circle
+
+
+def test_an_estimate_needs_no_torch() -> None:
+    """Oracle: a fresh interpreter in which torch cannot be imported."""
+    code = (
+        "import sys; sys.modules['torch'] = None\n"
+        "import gscore\n"
+        "found = gscore.estimate(gscore.TrainConfig(), [(320, 240)] * 8, points=100, pace=1.0)\n"
+        "print(found.seconds > 0)"
+    )
+    assert _fresh(code) == "True"
 
 
 def _fresh(code: str) -> str:

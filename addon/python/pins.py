@@ -1,6 +1,7 @@
 """The exact packages of the environment for training: what, how large, and where from; no bpy.
 
-The lists in the folder `pinned` are requirement files of pip; `tools/renew_pins.py` writes them.
+The lists in the folder `pinned` are requirement files of pip, which `tools/build/renew_pins.py`
+writes.
 """
 
 import platform

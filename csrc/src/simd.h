@@ -189,7 +189,7 @@ static inline void lane_sums(const Vec *v, float *out) {
 }
 
 // Coefficients of the minimax polynomial for 2^x on [-0.5, 0.5], highest power first. Degree 5 is at the limit of float;
-// the others are there to measure what they would bring (tools/kernel_error.py).
+// the others are there to measure what they would bring (tools/measure/kernel_error.py).
 #ifndef GS_EXP_DEGREE
 #define GS_EXP_DEGREE 5
 #endif

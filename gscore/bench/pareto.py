@@ -32,7 +32,7 @@ class Size:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outcome:
+class SizeOutcome:
     """What a training of some size took and reached; medians over seeds."""
 
     size: Size
@@ -53,8 +53,8 @@ def measure_sizes(
     seeds: Sequence[int],
     *,
     on_step: Callable[[Size, int, int], None] | None = None,
-    on_outcome: Callable[[Outcome], None] | None = None,
-) -> list[Outcome]:
+    on_outcome: Callable[[SizeOutcome], None] | None = None,
+) -> list[SizeOutcome]:
     """Train each size once a seed and measure all of them on the same photos.
 
     Args:
@@ -80,7 +80,7 @@ def measure_sizes(
             ends.append(found.points[-1])
             seconds.append(found.seconds)
         outcomes.append(
-            Outcome(
+            SizeOutcome(
                 size=size,
                 seconds=statistics.median(seconds),
                 splats=round(statistics.median(end.splats for end in ends)),
@@ -123,10 +123,12 @@ def sizes_of(
     ]
 
 
-def unbeaten(outcomes: Sequence[Outcome], cost: Callable[[Outcome], float]) -> list[Outcome]:
+def unbeaten(
+    outcomes: Sequence[SizeOutcome], cost: Callable[[SizeOutcome], float]
+) -> list[SizeOutcome]:
     """Those of which no other costs at most as much and is better, by rising cost (Pareto's front
     of cost and PSNR)."""
-    front: list[Outcome] = []
+    front: list[SizeOutcome] = []
     known = [o for o in outcomes if math.isfinite(o.psnr)]
     for outcome in sorted(known, key=lambda o: (cost(o), -o.psnr)):
         if not front or outcome.psnr > front[-1].psnr:

@@ -35,7 +35,7 @@ class Line:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Series:
+class Scaling:
     """Costs over one quantity."""
 
     quantity: str
@@ -68,7 +68,7 @@ def bench_scaling(
     cloud: int = 100_000,
     steps: int = 20,
     on_row: Callable[[str, dict[str, Any]], None] | None = None,
-) -> list[Series]:
+) -> list[Scaling]:
     """Measure steps of the synthetic cloud: over splats at 640 x 400 px; over pixels, threads and
     views with `cloud` splats. Views are JPEG files; each number of them is measured with all photos
     in memory and with no more than CACHE_MB of them, at least a step a view.
@@ -90,7 +90,7 @@ def bench_scaling(
             rows.append(point)
             if on_row is not None:
                 on_row(quantity, point)
-        found.append(Series(quantity=quantity, rows=rows, lines=_lines(quantity, rows)))
+        found.append(Scaling(quantity=quantity, rows=rows, lines=_lines(quantity, rows)))
 
     series("splats", (_cloud(count, 640, 400, 0, steps) for count in splats))
     series("pixels", (_cloud(cloud, width, height, 0, steps) for width, height in sizes))

@@ -8,10 +8,10 @@ from ..config import TrainConfig
 from ..metrics.machine import peak_memory_bytes
 from ..raster import backend
 from ..splats import Splats
-from ..trainer.heap import large_pieces_apart
-from ..trainer.host_state import ordinary_state
+from ..trainer.host.heap import large_pieces_apart
+from ..trainer.host.state import ordinary_state
+from ..trainer.photos.views import Photos
 from ..trainer.trainer import Trainer
-from ..trainer.views import Photos
 from .raster import STAGES
 
 _WARM_UP = 5

@@ -13,9 +13,9 @@ from ..metrics.evaluate import masked_pair, target_picture
 from ..metrics.image import psnr, ssim
 from ..raster.api import render
 from ..splats import Splats
-from ..trainer.host_state import ordinary_state
+from ..trainer.host.state import ordinary_state
+from ..trainer.photos.views import Photos
 from ..trainer.trainer import Trainer
-from ..trainer.views import Photos
 
 Color = tuple[float, float, float]
 """RGB in [0, 1]."""

@@ -14,6 +14,7 @@ import sys
 import traceback
 from collections.abc import Sequence
 from importlib import import_module
+from importlib.util import find_spec
 
 from .._version import __version__
 from ..errors import GsError
@@ -78,6 +79,9 @@ def _main(arguments: list[str], interrupt: Interrupt) -> int:
         guess = nearest(verb, [*VERBS, "help"])
         hint = f"did you mean `gscore {guess}`?" if guess else f"verbs: {', '.join(VERBS)}."
         return _complain("gscore", f"there is no verb {quoted(verb)}; {hint}")
+    if not _is_here(verb):
+        hint = "the gscore of the Blender extension does without; pip install gscore brings it."
+        return _complain("gscore", f"`gscore {verb}` is not part of this installation; {hint}")
     return _guarded(f"gscore {verb}", verb, rest, interrupt)
 
 
@@ -129,9 +133,14 @@ def _failure(prog: str, error: BaseException) -> int:
     return _internal(prog, error)
 
 
+def _is_here(verb: str) -> bool:
+    """Whether the code of a verb is installed: the Blender extension leaves some out."""
+    return find_spec(f".{verb}", __package__) is not None
+
+
 def _usage() -> str:
     lines = ["usage: gscore VERB ...", "", "3D Gaussian Splatting on any CPU.", ""]
-    lines += [f"  {verb:8} {text}" for verb, text in VERBS.items()]
+    lines += [f"  {verb:8} {text}" for verb, text in VERBS.items() if _is_here(verb)]
     return "\n".join([*lines, "", "`gscore help VERB` lists the options of a verb."])
 
 

@@ -26,7 +26,7 @@ from ..events import DepthDone, DepthProgress, Saved, Warn
 from ..extras import need
 from ..io.places import check_place
 from ..metrics.colormap import colorize
-from ..trainer.depth_rule import coverage, decide
+from ..trainer.depth.rule import coverage, decide
 from ..words import count_words
 from .attend import Show, attend
 from .data_options import add_mask_options, add_split_options, with_data_options

@@ -27,7 +27,7 @@ from ..raster import backend
 from ..raster.api import render
 from ..words import count_words, psnr_name, quality_words
 from .data_options import add_data_options, with_data_options
-from .model import Model, add_model_argument, model_path, open_model
+from .model import GivenModel, add_model_argument, model_path, open_model
 from .output import check_folder, check_ours, print_json
 from .parser import add_threads_option
 from .status import Counted, Status, wrapped
@@ -177,7 +177,7 @@ def _measure(args: argparse.Namespace, status: Status) -> int:
     return 0
 
 
-def _check_output(output: Path, config: DataConfig, model: Model) -> None:
+def _check_output(output: Path, config: DataConfig, model: GivenModel) -> None:
     """Raise where metrics.json and report.html would mix with or replace something else's."""
     check_place(output, config)
     if model.run is not None and output.resolve() == model.run.resolve():
@@ -191,7 +191,7 @@ def _check_output(output: Path, config: DataConfig, model: Model) -> None:
         check_ours(output / name)
 
 
-def _data_config(args: argparse.Namespace, model: Model) -> DataConfig:
+def _data_config(args: argparse.Namespace, model: GivenModel) -> DataConfig:
     """How the run read its capture, changed by what was given; a bare PLY needs `-s`."""
     if model.data is not None:
         config = model.data
@@ -233,7 +233,7 @@ def _indices(split: str | None, dataset: Dataset) -> tuple[str, list[int]]:
     return "train", dataset.train
 
 
-def _of_the_training(model: Model) -> dict[str, Any]:
+def _of_the_training(model: GivenModel) -> dict[str, Any]:
     """How the training went and why it ended, from the metrics.json that it wrote."""
     if model.run is None or model.ply != model.run / "point_cloud.ply":
         return {}
@@ -241,7 +241,7 @@ def _of_the_training(model: Model) -> dict[str, Any]:
     return {key: old[key] for key in _KEPT if old.get(key) is not None}
 
 
-def _how_trained(model: Model) -> dict[str, Any]:
+def _how_trained(model: GivenModel) -> dict[str, Any]:
     """Preset and command of the run for the report; nothing for a bare PLY."""
     if model.run is None or model.data is None or model.train is None:
         return {}

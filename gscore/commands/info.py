@@ -19,7 +19,7 @@ from ..io.sequences import read_sequence
 from ..splats import Splats
 from ..words import count_words, quality_words, size_words, time_words
 from .data_options import add_mask_options, with_data_options
-from .model import Model, collected_warnings, find_ply, open_model
+from .model import GivenModel, collected_warnings, find_ply, open_model
 from .output import print_json
 from .status import wrapped
 
@@ -65,7 +65,7 @@ def _holds_model(folder: Path) -> bool:
     return True
 
 
-def _model_facts(model: Model) -> dict[str, Any]:
+def _model_facts(model: GivenModel) -> dict[str, Any]:
     splats = model.splats
     with collected_warnings():  # `model` has them
         elements = read_elements(model.ply)

@@ -18,7 +18,7 @@ from ..splats import Splats
 
 
 @dataclass(frozen=True, kw_only=True)
-class Model:
+class GivenModel:
     """Splats and what is known of their training."""
 
     ply: Path
@@ -76,7 +76,7 @@ def model_path(args: argparse.Namespace) -> Path:
     return given[0]
 
 
-def open_model(path: Path) -> Model:
+def open_model(path: Path) -> GivenModel:
     """Read a PLY, or the newest one in the folder of a run.
 
     Raises:
@@ -89,7 +89,7 @@ def open_model(path: Path) -> Model:
     data, train = load_config(run / "config.json") if run else (None, None)
     with collected_warnings() as warnings:
         splats = read_splats(ply)
-    return Model(
+    return GivenModel(
         ply=ply,
         run=run,
         splats=splats,

@@ -20,7 +20,7 @@ from ..raster.api import render as render_view
 from ..scene import Cameras
 from ..shown import quoted
 from ..words import count_words
-from .model import Model, add_model_argument, model_path, open_model
+from .model import GivenModel, add_model_argument, model_path, open_model
 from .output import check_folder, others_in, print_json
 from .parser import add_threads_option
 from .shots import find_shots
@@ -180,7 +180,7 @@ def _summary(args: argparse.Namespace, result: dict[str, Any]) -> str:
     return f"{text}\nFiles that were there before stay: {others}" if others else text
 
 
-def _captures(args: argparse.Namespace, model: Model) -> list[DataConfig]:
+def _captures(args: argparse.Namespace, model: GivenModel) -> list[DataConfig]:
     """The captures whose photos the pictures must not replace, which have the same names."""
     given = [] if args.cameras is None else [DataConfig(source=args.cameras)]
     return given + ([] if model.data is None else [model.data])
@@ -197,7 +197,7 @@ class _Work:
     """Renders the shots one after the other, times it and shows progress."""
 
     def __init__(
-        self, model: Model, shots: Cameras, options: dict[str, Any], status: Status
+        self, model: GivenModel, shots: Cameras, options: dict[str, Any], status: Status
     ) -> None:
         self.shots = shots
         self._model, self._options, self._status = model, options, status

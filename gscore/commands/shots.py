@@ -13,7 +13,7 @@ from ..io.cameras_json import read_cameras
 from ..io.metrics_file import read_metrics
 from ..scene import Cameras
 from .camera_path import orbit_path, spline_path
-from .model import Model
+from .model import GivenModel
 
 _ORBIT_SECONDS = 8.0
 """Of an orbit, at its usual length."""
@@ -34,7 +34,7 @@ class Shots:
     """A sentence for the user where the path was not asked for."""
 
 
-def find_shots(args: argparse.Namespace, model: Model, *, is_video: bool) -> Shots:
+def find_shots(args: argparse.Namespace, model: GivenModel, *, is_video: bool) -> Shots:
     """The cameras to render from, at the size asked for.
 
     A video of views that nobody chose would jump from photo to photo: it gets an orbit, or where
@@ -87,7 +87,7 @@ class _Captured:
     test: list[int]
 
 
-def _captured(args: argparse.Namespace, model: Model) -> _Captured:
+def _captured(args: argparse.Namespace, model: GivenModel) -> _Captured:
     """The cameras of the capture or run, and its test views where they are known."""
     source = args.cameras
     if source is None:
@@ -112,7 +112,7 @@ def _captured(args: argparse.Namespace, model: Model) -> _Captured:
     return _Captured(cameras, _test_views(model, cameras.names))
 
 
-def _test_views(model: Model, names: tuple[str, ...]) -> list[int]:
+def _test_views(model: GivenModel, names: tuple[str, ...]) -> list[int]:
     """Indices of the views the run's metrics.json calls test views."""
     held_out = read_metrics(model.run or model.ply.parent).get("test_views")
     if not isinstance(held_out, list):

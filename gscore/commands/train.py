@@ -23,7 +23,7 @@ from .output import first_few, print_json
 from .status import wrapped
 
 if TYPE_CHECKING:  # torch, which training imports, takes seconds to load: --help need not wait
-    from ..trainer import TrainResult
+    from ..trainer.files.ended import TrainResult
 
 _STEPS: dict[str, Any] = {"type": int, "nargs": "+", "metavar": "STEP"}
 _SWITCH: dict[str, Any] = {"action": argparse.BooleanOptionalAction}
@@ -324,7 +324,7 @@ def configs(args: argparse.Namespace) -> tuple[DataConfig, TrainConfig]:
     if args.resume and not (args.config or (args.preset and source)):
         stored = args.output / "config.json"
         if not stored.is_file():
-            from ..trainer.folder import check_free
+            from ..trainer.files.folder import check_free
 
             check_free(args.output)  # a run that has only just begun has written nothing yet
             raise ConfigError(f"{args.output} holds no run to resume; leave --resume out.")
@@ -386,7 +386,7 @@ def _with_given(config: TrainConfig, args: argparse.Namespace) -> TrainConfig:
 
 def _train(args: argparse.Namespace, show: Show, control: Control) -> "TrainResult":
     data, config = told_configs(args, show)
-    from ..trainer import train
+    from ..trainer.run import train
 
     check_place(args.output, data)  # of / or the capture nobody wants to hear what is in it
     others = first_few(others_in_run(args.output))

@@ -145,7 +145,7 @@ def _windows_memory() -> tuple[int | None, int | None]:
     import ctypes
     from ctypes import wintypes
 
-    class Status(ctypes.Structure):  # MEMORYSTATUSEX of sysinfoapi.h
+    class MemoryStatus(ctypes.Structure):  # MEMORYSTATUSEX of sysinfoapi.h
         _fields_ = [
             ("dwLength", wintypes.DWORD),
             ("dwMemoryLoad", wintypes.DWORD),
@@ -158,7 +158,7 @@ def _windows_memory() -> tuple[int | None, int | None]:
             ("ullAvailExtendedVirtual", ctypes.c_uint64),
         ]
 
-    status = Status(dwLength=ctypes.sizeof(Status))
+    status = MemoryStatus(dwLength=ctypes.sizeof(MemoryStatus))
     kernel = ctypes.WinDLL("kernel32")  # type: ignore[attr-defined]
     if not kernel.GlobalMemoryStatusEx(ctypes.byref(status)):
         return None, None

@@ -8,18 +8,18 @@ import numpy as np
 from . import native, truth
 from .case import EmptyTestError, Measure, case
 from .compare import gradient_measures, picture_measures
-from .scenes import Scene, draw_scene
+from .scenes import SplatScene, draw_scene
 from .truth import Truth
 
 
-def _seen_by(scene: Scene, others: Scene) -> Scene:
+def _seen_by(scene: SplatScene, others: SplatScene) -> SplatScene:
     """Splats of the camera's own frame where the camera of `scene` sees them alike."""
     means = (others.means - scene.viewmat[:3, 3]) @ scene.viewmat[:3, :3]
     return others.with_row(slice(None), means=means)
 
 
 @lru_cache(maxsize=8)
-def _dots(low: float, high: float, logits: tuple[float, float]) -> tuple[Scene, Truth]:
+def _dots(low: float, high: float, logits: tuple[float, float]) -> tuple[SplatScene, Truth]:
     scene = draw_scene(
         2500, count=1500, width=32, height=28, sigma_px=(low, high), logits=logits, sh_degree=0
     )

@@ -10,12 +10,12 @@ from . import native, truth
 from .case import EmptyTestError, Measure, case
 from .compare import picture_measures, require_covered
 from .derivatives import five_point, relative
-from .scenes import Scene, draw_scene
+from .scenes import SplatScene, draw_scene
 
 _NEAR = 0.01
 
 
-def _at_depths(depths: list[float], *, seed: int) -> Scene:
+def _at_depths(depths: list[float], *, seed: int) -> SplatScene:
     """A backdrop of splats, and before it one splat on the axis at each depth."""
     back = draw_scene(seed, count=60, depths=(2.0, 5.0), posed=False, sigma_px=(2.0, 6.0))
     few = draw_scene(seed + 1, count=len(depths), posed=False)

@@ -13,7 +13,7 @@ from .case import Measure, case
 from .compare import require_covered, row_errors
 from .derivatives import five_point, relative, smooth_scene
 from .native import BACKGROUND
-from .scenes import Scene
+from .scenes import SplatScene
 
 _SCENE: dict[str, Any] = {"count": 6, "width": 24, "height": 20, "sigma_px": (2.0, 6.0)}
 _STEP = 1e-5
@@ -22,7 +22,7 @@ _EXACT = 1e-6
 """Of autograd on the reference against differences, both in float64."""
 
 
-def _weighted(scene: Scene, weights: dict[str, np.ndarray], **options: Any) -> float:
+def _weighted(scene: SplatScene, weights: dict[str, np.ndarray], **options: Any) -> float:
     """sum(weights * pictures) as the reference draws the scene, whose fields may be float64."""
     import torch
 
@@ -46,7 +46,7 @@ def _weighted(scene: Scene, weights: dict[str, np.ndarray], **options: Any) -> f
 @lru_cache(maxsize=16)
 def _known(
     seed: int, names: tuple[str, ...], sh_degree: int, antialias: bool
-) -> tuple[Scene, truth.Truth, dict[str, np.ndarray]]:
+) -> tuple[SplatScene, truth.Truth, dict[str, np.ndarray]]:
     """A smooth scene, the reference's answer, and differences of it by name."""
     scene = smooth_scene(seed, sh_degree=sh_degree, **_SCENE)
     true = truth.ask(scene, antialias=antialias)

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from . import truth
-from .scenes import Scene, settle
+from .scenes import SplatScene, settle
 
 _STEP = 1e-3
 """Of the five-point formula: its truncation (step^4) and its rounding (1e-16 / step) are both some
@@ -40,7 +40,7 @@ def relative(actual: np.ndarray, true: np.ndarray, *, floor: float = 0.01) -> fl
     return float((np.abs(actual - true) / scale).max())
 
 
-def has_kink(scene: Scene, *, eps2d: float = 0.3, margin: float = 1e-3) -> bool:
+def has_kink(scene: SplatScene, *, eps2d: float = 0.3, margin: float = 1e-3) -> bool:
     """Whether a clamped quantity of a splat (colour, slope, compensation) is near its limit."""
     import torch
 
@@ -71,7 +71,7 @@ def has_kink(scene: Scene, *, eps2d: float = 0.3, margin: float = 1e-3) -> bool:
     return bool(kinked)
 
 
-def has_jump(scene: Scene) -> bool:
+def has_jump(scene: SplatScene) -> bool:
     """Whether a pixel lies in the band, plain or antialiased, or a splat near a kink."""
     from ..raster import reference
 
@@ -83,7 +83,7 @@ def has_jump(scene: Scene) -> bool:
 
 
 def smooth_scene(
-    seed: int, *, edit: Callable[[Scene], Scene] | None = None, **options: Any
-) -> Scene:
+    seed: int, *, edit: Callable[[SplatScene], SplatScene] | None = None, **options: Any
+) -> SplatScene:
     """The first scene from `seed` on without kinks, its band empty both plain and antialiased."""
     return settle(seed, has_jump, edit=edit, **options)

@@ -13,7 +13,7 @@ from ..splats import PARAMETERS, Splats
 from . import native
 from .case import EmptyTestError, Measure, NotHereError, case
 from .compare import different_bits, require_covered
-from .scenes import Scene, draw_scene
+from .scenes import SplatScene, draw_scene
 
 _GOLDEN = Path(__file__).parents[2] / "tests" / "raster" / "golden" / "gsplat_formulas.npz"
 
@@ -56,7 +56,7 @@ def golden(full: bool) -> Iterator[Measure]:
     with np.load(_GOLDEN, allow_pickle=False) as stored:
         values = {name: stored[name] for name in stored}
     height, width = values["alpha"].shape
-    scene = Scene(
+    scene = SplatScene(
         **{name: values[f"in_{name}"].astype(np.float32) for name in (*PARAMETERS, "viewmat", "K")},
         width=width,
         height=height,

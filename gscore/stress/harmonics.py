@@ -8,10 +8,10 @@ import numpy as np
 from . import native, truth
 from .case import EmptyTestError, Measure, case
 from .compare import different_bits, gradient_measures, picture_measures
-from .scenes import Scene, draw_scene
+from .scenes import SplatScene, draw_scene
 
 
-def _around(seed: int) -> Scene:
+def _around(seed: int) -> SplatScene:
     """Splats in all directions a camera can look, the poles of the harmonics among them."""
     scene = draw_scene(seed, count=40, width=32, height=28)
     rotation = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]

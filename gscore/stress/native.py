@@ -9,7 +9,7 @@ import numpy as np
 from ..raster import _native, header
 from ..raster.request import Frustum, Settings
 from ..splats import PARAMETERS
-from .scenes import Scene
+from .scenes import SplatScene
 
 BACKGROUND = (0.25, 0.5, 0.125)
 """Exact in float32."""
@@ -67,7 +67,7 @@ class _Guarded:
 
 
 def draw(
-    scene: Scene,
+    scene: SplatScene,
     weights: dict[str, np.ndarray] | None = None,
     *,
     raw: bool = True,
@@ -134,7 +134,7 @@ def draw(
     )
 
 
-def random_weights(scene: Scene, seed: int, *names: str) -> dict[str, np.ndarray]:
+def random_weights(scene: SplatScene, seed: int, *names: str) -> dict[str, np.ndarray]:
     """Weights of standard normal numbers for `draw`, for all pictures or those named."""
     rng = np.random.default_rng(seed)
     size = (scene.height, scene.width)

@@ -48,7 +48,7 @@ class _Dense:
 def _model(values: dict[str, np.ndarray]) -> Any:
     import torch
 
-    from ..trainer.model import Model
+    from ..trainer.rows.model import Model
 
     return Model({name: torch.from_numpy(v.copy()) for name, v in values.items()})
 

@@ -9,10 +9,10 @@ from ..splats import PARAMETERS
 from . import native, truth
 from .case import EmptyTestError, Measure, case
 from .compare import different_bits, picture_errors, require_covered
-from .scenes import Scene, draw_scene
+from .scenes import SplatScene, draw_scene
 
 
-def _layers(count: int, depths: int, sigma_px: tuple[float, float]) -> Scene:
+def _layers(count: int, depths: int, sigma_px: tuple[float, float]) -> SplatScene:
     """Splats at so many depths in all, about 3, which the camera finds without rounding."""
     scene = draw_scene(
         1500, count=count, posed=False, width=48, height=40, sh_degree=0, sigma_px=sigma_px

@@ -8,12 +8,12 @@ import numpy as np
 from . import native, truth
 from .case import EmptyTestError, Measure, case
 from .compare import gradient_measures, picture_measures, require_covered, row_errors
-from .scenes import Scene, draw_scene
+from .scenes import SplatScene, draw_scene
 from .truth import Truth
 
 
 @lru_cache(maxsize=24)
-def _random(seed: int, full: bool) -> tuple[Scene, Truth]:
+def _random(seed: int, full: bool) -> tuple[SplatScene, Truth]:
     count, size = (10_000, (0.4, 3.0)) if full else (1200, (0.9, 4.0))
     scene = draw_scene(
         seed,
@@ -54,7 +54,7 @@ def random_gradients(full: bool) -> list[Measure]:
 
 
 @lru_cache(maxsize=4)
-def _off_screen(seed: int) -> tuple[Scene, Truth]:
+def _off_screen(seed: int) -> tuple[SplatScene, Truth]:
     scene = draw_scene(
         seed,
         count=400,
@@ -87,7 +87,7 @@ def off_screen(full: bool) -> Iterator[Measure]:
 
 
 @lru_cache(maxsize=8)
-def _needles(ratio: float) -> tuple[Scene, Truth]:
+def _needles(ratio: float) -> tuple[SplatScene, Truth]:
     scene = draw_scene(
         600, count=160, width=64, height=48, sigma_px=(10.0, 30.0), logits=(0.0, 4.0), sh_degree=0
     )

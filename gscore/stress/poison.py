@@ -8,10 +8,10 @@ from ..splats import PARAMETERS
 from . import native, truth
 from .case import EmptyTestError, Measure, case
 from .compare import different_bits, gradient_measures, picture_measures, require_covered
-from .scenes import Scene, draw_scene
+from .scenes import SplatScene, draw_scene
 
 
-def _without(scene: Scene, row: int) -> np.ndarray:
+def _without(scene: SplatScene, row: int) -> np.ndarray:
     return np.arange(len(scene)) != row
 
 

@@ -121,7 +121,7 @@ def _quiet_torch() -> AbstractContextManager[None]:
     for each other take minutes for seconds of work on a machine that does other things."""
     if importlib.util.find_spec("torch") is None:
         return nullcontext()
-    from ..trainer.host_state import ordinary_state
+    from ..trainer.host.state import ordinary_state
 
     return ordinary_state()
 

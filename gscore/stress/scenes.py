@@ -10,7 +10,7 @@ from ..splats import PARAMETERS
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scene:
+class SplatScene:
     """N raw splats (log scales, logit opacities) and one camera; arrays are float32."""
 
     means: np.ndarray
@@ -35,11 +35,11 @@ class Scene:
     def __len__(self) -> int:
         return len(self.means)
 
-    def rows(self, index: Any) -> "Scene":
+    def rows(self, index: Any) -> "SplatScene":
         """The splats selected by a mask or an index."""
         return replace(self, **{name: getattr(self, name)[index] for name in PARAMETERS})
 
-    def with_row(self, row: Any, **values: Any) -> "Scene":
+    def with_row(self, row: Any, **values: Any) -> "SplatScene":
         """The scene with fields of one splat, or of several, overwritten."""
         changed = {}
         for name, value in values.items():
@@ -47,7 +47,7 @@ class Scene:
             changed[name][row] = value
         return replace(self, **changed)
 
-    def joined(self, other: "Scene") -> "Scene":
+    def joined(self, other: "SplatScene") -> "SplatScene":
         """These splats and then those of `other`, with this camera."""
         both = {n: np.concatenate([getattr(self, n), getattr(other, n)]) for n in PARAMETERS}
         return replace(self, **both)
@@ -75,7 +75,7 @@ def draw_scene(
     overscan: float = 0.0,
     elongation: float = 0.0,
     posed: bool = True,
-) -> Scene:
+) -> SplatScene:
     """Draw splats in front of a camera that stands anywhere.
 
     Args:
@@ -126,17 +126,17 @@ def draw_scene(
         "K": np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]),
     }
     arrays = {name: value.astype(np.float32) for name, value in arrays.items()}
-    return Scene(**arrays, width=width, height=height)
+    return SplatScene(**arrays, width=width, height=height)
 
 
 def settle(
     seed: int,
-    rough: Callable[[Scene], bool],
+    rough: Callable[[SplatScene], bool],
     *,
-    edit: Callable[[Scene], Scene] | None = None,
+    edit: Callable[[SplatScene], SplatScene] | None = None,
     tries: int = 400,
     **options: Any,
-) -> Scene:
+) -> SplatScene:
     """The first scene from `seed` on that is not `rough`, after `edit` changed it."""
     for attempt in range(seed, seed + tries):
         scene = draw_scene(attempt, **options)

@@ -14,12 +14,12 @@ from . import native
 from .case import EmptyTestError, Measure, NotHereError, case
 from .compare import different_bits, require_covered
 from .native import Drawn, with_isa
-from .scenes import Scene, draw_scene
+from .scenes import SplatScene, draw_scene
 
 _THREADS = (2, 3, 8, 64)
 
 
-def _scene(seed: int, full: bool) -> Scene:
+def _scene(seed: int, full: bool) -> SplatScene:
     return draw_scene(
         seed,
         count=6000 if full else 3000,

@@ -75,7 +75,7 @@ def long_training(full: bool) -> Iterator[Measure]:
     they cannot say; with enough of them it is how far the last steps jump, by 1 dB about 52.
     """
     from ..splats import PARAMETERS
-    from ..trainer import bounds
+    from ..trainer.rows import bounds
 
     photos = toy_photos(held_out=(3,))
     for strategy in Strategy:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..splats import PARAMETERS
 from .native import BACKGROUND, PICTURES, random_weights
-from .scenes import Scene
+from .scenes import SplatScene
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,7 +27,7 @@ class Truth:
     """Zero rows where culled."""
 
 
-def tensors(scene: Scene, *, grad: bool = False) -> dict[str, Any]:
+def tensors(scene: SplatScene, *, grad: bool = False) -> dict[str, Any]:
     """Arguments of the reference: float64 tensors, leaves where `grad`."""
     import torch
 
@@ -40,7 +40,7 @@ def tensors(scene: Scene, *, grad: bool = False) -> dict[str, Any]:
 
 
 def ask(
-    scene: Scene,
+    scene: SplatScene,
     *,
     seed: int = 5,
     gradients: bool = True,
@@ -117,7 +117,7 @@ def _grad(leaf: Any) -> np.ndarray:
     return np.zeros(leaf.shape) if leaf.grad is None else leaf.grad.numpy()
 
 
-def _rows(scene: Scene, index: Any, values: Any) -> np.ndarray:
+def _rows(scene: SplatScene, index: Any, values: Any) -> np.ndarray:
     if values is None:
         return np.zeros((len(scene), 2))
     whole = np.zeros((len(scene), *values.shape[1:]))

@@ -20,8 +20,8 @@ from ..io.runs import check_replaceable, clear_run, read_run, results_in
 from ..io.sequences import FRAME_FOLDER, SEQUENCE_FILE, SequenceIndex, read_sequence, write_sequence
 from ..metrics import headline
 from ..words import count_words
-from . import checkpoint
-from .folder import RunFolder
+from .files import checkpoint
+from .files.folder import RunFolder
 from .run import train
 
 _LONG = ("history", "evals")

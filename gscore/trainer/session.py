@@ -4,7 +4,6 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,34 +11,24 @@ from ..config import DataConfig
 from ..config_file import to_dict
 from ..control import Control
 from ..errors import DatasetError, FormatError
-from ..events import (
-    Done,
-    Eval,
-    Event,
-    Preview,
-    Saved,
-    Snapshot,
-    Started,
-    Warn,
-    judged_psnr,
-)
-from ..metrics import Lpips, PictureCollector, headline
+from ..events import Eval, Event, Preview, Saved, Snapshot, Started, Warn, judged_psnr
+from ..metrics import Lpips, PictureCollector
 from ..raster import backend
 from ..shown import quoted
-from ..splats import Splats
 from ..words import count_words
-from . import checkpoint
-from .depth_report import DepthReport, measure_depth
-from .depth_setup import DepthSetup
+from .depth.report import DepthReport, measure_depth
+from .depth.setup import DepthSetup
+from .estimate.forecast import machine_pace
 from .evaluation import Evaluator
-from .folder import RunFolder
-from .forecast import machine_pace
-from .meter import Meter
-from .results import Results
-from .steering import Steering
-from .stored import rows, texts
+from .files import checkpoint
+from .files.ended import TrainResult
+from .files.folder import RunFolder
+from .files.results import Results
+from .length.meter import Meter
+from .length.steering import Steering
+from .length.watchdog import Watchdog
+from .rows.stored import rows, texts
 from .trainer import StepResult, Trainer
-from .watchdog import Watchdog
 
 _WARN_BAD_ROWS = (1, 100, 10_000)
 _WARN_LOST_ROWS = (1, 100, 10_000)
@@ -51,46 +40,6 @@ _CROWDED = (
 _MANY_CLEARED = 0.02
 """Splats taken out before cameras, as a share of those at the end, that are told. Trainings of real
 captures take out up to 0.005 in all."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class TrainResult:
-    """How a run ended."""
-
-    reason: str
-    """`finished`; `target` or `converged`: it ended before its last step; or why it was stopped."""
-    steps: int
-    splats: Splats
-    """In COLMAP world, as written to point_cloud.ply."""
-    train_seconds: float
-    """Spent in steps, without evaluation, files and pauses."""
-    metrics: dict[str, Any]
-    """Content of metrics.json."""
-    output: Path
-    ended_before: bool = False
-    """It was to go on but had ended already, so that nothing was done."""
-
-    @property
-    def psnr(self) -> float | None:
-        """What the model is judged by, dB: `gscore.judged_psnr` of the metrics."""
-        return judged_psnr(self.metrics)
-
-    @property
-    def headline(self) -> dict[str, Any]:
-        """The metrics without what is long: what `--json` prints and `Done` tells."""
-        long = ("history", "evals")
-        return {k: v for k, v in headline(self.metrics).items() if k not in long}
-
-    def event(self) -> Done:
-        """The last event of a run."""
-        return Done(
-            step=self.steps,
-            reason=self.reason,
-            splats=len(self.splats),
-            train_seconds=self.train_seconds,
-            path=str(RunFolder(self.output).point_cloud),
-            metrics=self.headline,
-        )
 
 
 class Session:
@@ -367,7 +316,13 @@ class Session:
 
     def _depth_report(self) -> DepthReport | None:
         """Rendered against given depth, where there are maps."""
-        return measure_depth(self._trainer, self._depth, interrupted=lambda: self._control.stopping)
+        trainer = self._trainer
+        return measure_depth(
+            trainer.photos,
+            self._depth,
+            trainer.inverse_depth,
+            interrupted=lambda: self._control.stopping,
+        )
 
     def _finish(self) -> TrainResult:
         trainer, reason = self._trainer, self._steering.reason

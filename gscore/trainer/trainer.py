@@ -19,26 +19,26 @@ from ..raster.request import Frustum, Settings
 from ..scene import PointCloud
 from ..splats import Splats
 from ..words import count_words
-from . import bounds, guard
-from .contribution import Weights, least, most_in_a_view, mostly_hidden, weights_by_view
-from .depth_loss import DepthLoss
-from .depth_targets import DepthTargets
-from .frame import Frame
-from .free_space import FreeSpace
-from .laps import Laps
-from .model import Model, Moments, ShN
-from .near import Nearest
-from .params import splats_of_tensors, tensors_from_splats
-from .pyramid import AHEAD, Pyramid
-from .random import generator_of, uniform
-from .regularisers import drop_rate_at, drop_splats, opacity_loss
-from .schedules import Plan
-from .skips import raster_bits
-from .spectrum import detail
-from .start import splats_of_cloud, splats_to_go_on_with
-from .stored import check_tensors, choices, number, whole
+from .depth.loss import DepthLoss
+from .depth.regularisers import drop_rate_at, drop_splats, opacity_loss
+from .depth.targets import DepthTargets
+from .host.laps import Laps
+from .host.random import generator_of, uniform
+from .photos.pyramid import AHEAD, Pyramid
+from .photos.skips import raster_bits
+from .photos.spectrum import detail
+from .photos.views import Photos, Sampler, TrainingView
+from .rows import bounds, guard
+from .rows.frame import Frame
+from .rows.model import Model, Moments, ShN
+from .rows.near import Nearest
+from .rows.params import splats_of_tensors, tensors_from_splats
+from .rows.start import splats_of_cloud, splats_to_go_on_with
+from .rows.stored import check_tensors, choices, number, whole
+from .schedule.plan import Plan
 from .strategy import Change, make_strategy, ops
-from .views import Photos, Sampler, View
+from .strategy.contribution import Weights, least, most_in_a_view, mostly_hidden, weights_by_view
+from .strategy.free_space import FreeSpace
 
 _MAX_SKIPPED = 100
 _ABSURD_MSE = 1e4
@@ -269,7 +269,7 @@ class Trainer:
         factor = min(_GLANCE, view.width, view.height)
         width, height = view.width // factor, view.height // factor
         K = view.K / view.K.new_tensor([[factor], [factor], [1]])
-        return bool((self._show(View(view.viewmat, K, width, height)).alpha > 0).any())
+        return bool((self._show(TrainingView(view.viewmat, K, width, height)).alpha > 0).any())
 
     def picture(self, index: int, *, background: tuple[float, float, float]) -> torch.Tensor:
         """The view `index` as the splats show it now, [H, W, 3] float32."""
@@ -414,7 +414,7 @@ class Trainer:
             self._painter.release()
             ops.widen_sh(self.model, degree)
 
-    def _show(self, view: View, **options: Any) -> Picture:
+    def _show(self, view: TrainingView, **options: Any) -> Picture:
         """The whole view as the splats are now, good until the next one; `options` are those of
         `Settings`."""
         config = self.config
@@ -422,10 +422,10 @@ class Trainer:
         splats = self.model.settled(threads=config.threads)
         return self._painter.draw(tuple(splats.values()), self._frustum(view), settings)
 
-    def _frustum(self, view: View) -> Frustum:
+    def _frustum(self, view: TrainingView) -> Frustum:
         return Frustum(view.viewmat, view.K, view.width, view.height, self.frame.near)
 
-    def _settle_for(self, view: View) -> None:
+    def _settle_for(self, view: TrainingView) -> None:
         self.model.settle_for(self._frustum(view), threads=self.config.threads)
 
     def _step_opacities(self, step: int) -> tuple[torch.Tensor, torch.Tensor | None]:
@@ -493,7 +493,7 @@ class Trainer:
         self.lost_rows += lost
         return lost
 
-    def _learn(self, step: int, v_means2d: torch.Tensor, view: View) -> tuple[Change, int]:
+    def _learn(self, step: int, v_means2d: torch.Tensor, view: TrainingView) -> tuple[Change, int]:
         """Step with the model's gradients; what changed, and how many rows were left out."""
         model, radii = self.model, self._painter.radii
         self.strategy.shape_gradients(model, step=step)

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent.parent
-sys.path.append(str(ROOT / "tools"))
+sys.path.append(str(ROOT / "tools" / "build"))
 import build_extension  # noqa: E402
 
 MODULE = "bl_ext.user_default.gscore_splats"
@@ -92,7 +92,10 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
     output = tmp_path_factory.mktemp("dist")
     done = subprocess.run(
         [
-            *(python if python.exists() else sys.executable, ROOT / "tools/build_extension.py"),
+            *(
+                python if python.exists() else sys.executable,
+                ROOT / "tools/build/build_extension.py",
+            ),
             *("--library", library, "--output", output),
         ],
         capture_output=True,
@@ -115,6 +118,29 @@ def test_the_zip_is_whole(package: Path) -> None:
     assert ours | {"__init__.py", "blender_manifest.toml", "LICENSE"} <= names
     assert not [name for name in names if "__pycache__" in name or name.startswith("tests")]
     assert len([name for name in names if name.startswith("wheels/gscore-")]) == 1
+
+
+def test_the_wheel_does_without_what_measures(package: Path, tmp_path: Path) -> None:
+    """Oracle: the checkout's other files; `gscore stress` in a process that has only the wheel."""
+    with zipfile.ZipFile(package) as archive:
+        (name,) = [n for n in archive.namelist() if n.startswith("wheels/gscore-")]
+        archive.extract(name, tmp_path)
+    with zipfile.ZipFile(tmp_path / name) as wheel:
+        found = {n for n in wheel.namelist() if n.endswith(".py")}
+        wheel.extractall(tmp_path / "there")
+    ours = {p.relative_to(ROOT).as_posix() for p in (ROOT / "gscore").rglob("*.py")}
+    left_out = {name for name in ours if "bench" in name or "stress" in name}
+    assert len(left_out) > 30 and found == ours - left_out
+
+    def gscore(*line: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-S", "-m", "gscore", *line]  # -S: no other gscore
+        there = tmp_path / "there"
+        return subprocess.run(command, cwd=there, capture_output=True, text=True, check=False)
+
+    usage, refused = gscore(), gscore("stress")
+    assert usage.returncode == 2 and "\n  train " in usage.stdout and "stress" not in usage.stdout
+    assert refused.returncode == 2 and "Traceback" not in refused.stderr
+    assert "`gscore stress` is not part of this installation" in refused.stderr
 
 
 def test_pip_accepts_the_wheel(package: Path, tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 import gscore
-from gscore.bench.pareto import Outcome, Size, measure_sizes, unbeaten
+from gscore.bench.pareto import Size, SizeOutcome, measure_sizes, unbeaten
 from gscore.bench.peers import read_peers
 from gscore.bench.raster import synthetic_scene
 from gscore.bench.synthetic import SyntheticPhotos
@@ -133,9 +133,9 @@ def test_photos_of_another_size_measure_the_same_splats() -> None:
 def test_fronts() -> None:
     """Oracle: by hand. c costs more than b and is worse; d costs what a does and is worse."""
 
-    def outcome(seconds: float, psnr: float) -> Outcome:
+    def outcome(seconds: float, psnr: float) -> SizeOutcome:
         size = Size(preset="p", max_splats=1, width=1, iterations=1)
-        return Outcome(size=size, seconds=seconds, splats=1, psnr=psnr, ssim=0.5, seeds=[psnr])
+        return SizeOutcome(size=size, seconds=seconds, splats=1, psnr=psnr, ssim=0.5, seeds=[psnr])
 
     a, b, c, d = (outcome(*pair) for pair in ((1, 20), (2, 25), (3, 24), (1, 19)))
     unknown = outcome(0.5, float("nan"))

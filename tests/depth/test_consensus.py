@@ -8,8 +8,8 @@ import pytest
 from gscore.config import DataConfig, Switch, TrainConfig
 from gscore.datasets import load_dataset
 from gscore.depth import fitting, load_priors
-from gscore.trainer import depth_rule
-from gscore.trainer.depth_setup import prepare_depth
+from gscore.trainer.depth import rule as depth_rule
+from gscore.trainer.depth.setup import prepare_depth
 
 NEAR = (0.25, 0.3)
 """Inverse depths at which structure from motion saw points; the planes are farther and nearer."""

@@ -18,7 +18,7 @@ from gscore.datasets import load_dataset
 from gscore.depth import load_priors
 from gscore.events import DepthDone, DepthProgress, Failed, from_line
 from gscore.io.images import write_png
-from gscore.trainer.depth_rule import coverage, decide
+from gscore.trainer.depth.rule import coverage, decide
 
 MAKERS = {
     "midas": ("midas", {"size": 256}),

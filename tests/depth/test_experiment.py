@@ -1,4 +1,4 @@
-"""What tools/experiment_depth.py measures; oracles: two planes whose shadows are known, counts."""
+"""What experiments/depth measures; oracles: two planes whose shadows are known, counts."""
 
 import json
 import sys
@@ -8,20 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-TOOLS = Path(__file__).parent.parent.parent / "tools"
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _tools() -> Any:
-    sys.path.insert(0, str(TOOLS))
-    yield
-    sys.path.remove(str(TOOLS))
+from experiments.depth import compare
+from experiments.depth.compare import _whole, tables
+from experiments.depth.measures import is_seen
 
 
 def test_seen_is_what_lies_at_its_depth_in_another_frame() -> None:
     """Oracle: geometry. A wall at z = 4, and before it in column 20 and beyond a board at z = 2."""
-    from depth_measures import is_seen
-
     K = np.array([[20.0, 0, 20], [0, 20.0, 10], [0, 0, 1]])
     wall = np.full((20, 40), 0.25)
     with_board = wall.copy()
@@ -59,8 +52,6 @@ def _row(arm: str, seed: int, psnr: float, splats: str = "") -> dict[str, Any]:
 
 def test_gains_are_of_the_same_seed() -> None:
     """Oracle: 2 and 4 dB, 3 in the mean with a deviation of root two; a seed without its pair."""
-    from experiment_depth import tables
-
     rows = [_row("none", 0, 20), _row("none", 1, 10), _row("mono", 0, 22), _row("mono", 1, 14)]
     rows += [_row("mono", 2, 18), _row("mono-auto", 0, 20, "none"), _row("masked", 0, 30)]
     lines = [line.strip("| ").split(" | ") for line in tables(rows).splitlines()]
@@ -73,22 +64,18 @@ def test_gains_are_of_the_same_seed() -> None:
 
 def test_options_of_a_table_can_be_overruled(monkeypatch: pytest.MonkeyPatch) -> None:
     """Oracle: the table's own entries, and the one that is given."""
-    import experiment_depth
-
     given = ["x", "--table", "study", "--seeds", "4", "--arms", "none"]
     monkeypatch.setattr(sys, "argv", given)
-    args = experiment_depth._arguments()
+    args = compare._arguments()
     assert (args.width, args.iterations, args.seeds) == (480, 3000, [4])
     assert (args.views, args.arms) == (["50"], ["none"])
     monkeypatch.setattr(sys, "argv", ["x", "--views", "few"])
     with pytest.raises(SystemExit):
-        experiment_depth._arguments()
+        compare._arguments()
 
 
 def test_a_folder_appears_whole_or_not_at_all(tmp_path: Path) -> None:
     """Oracle: the files there while it is filled, after an error, and when another was sooner."""
-    from experiment_depth import _whole
-
     target = tmp_path / "a"
     with pytest.raises(ValueError, match="stop"), _whole(target) as part:
         (part / "x").write_text("1")

@@ -84,8 +84,8 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.rmtree(folder / "photos/masks")
     write_small_video(folder / "CASE", folder / "photos", 6)
     shutil.copy(ROOT / "examples/make_sequence.py", folder / "examples")
-    (folder / "tools").mkdir()
-    shutil.copy(ROOT / "tools/measure_sequence.py", folder / "tools")
+    (folder / "tools/measure").mkdir(parents=True)
+    shutil.copy(ROOT / "tools/measure/sequence.py", folder / "tools/measure")
     midas(folder / "midas.onnx")
     return folder
 

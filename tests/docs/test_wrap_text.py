@@ -1,4 +1,4 @@
-"""tools/wrap_text.py; oracle: pages whose wrapped form is plain to see, and the words of ours."""
+"""Wrapping of pages; oracle: pages whose wrapped form is plain to see, and the words of ours."""
 
 import sys
 from pathlib import Path
@@ -7,7 +7,7 @@ import pytest
 
 from tests.docs.test_links import PAGES, ROOT, too_wide
 
-sys.path.insert(0, str(ROOT / "tools"))
+sys.path.insert(0, str(ROOT / "tools" / "build"))
 
 from wrap_text import wrap
 

@@ -29,9 +29,9 @@ from gscore.io.sequences import read_sequence
 from gscore.scene import Cameras
 from gscore.splats import Splats
 from gscore.stress.capture import toy_photos
-from gscore.trainer import checkpoint
-from gscore.trainer.folder import RunFolder
-from gscore.trainer.frame import Frame
+from gscore.trainer.files import checkpoint
+from gscore.trainer.files.folder import RunFolder
+from gscore.trainer.rows.frame import Frame
 from gscore.trainer.session import Session
 from gscore.trainer.trainer import Trainer
 from tests.checkpoint_files import checkpoint_json, with_checkpoint_json

@@ -77,7 +77,7 @@ class RasterScene:
         return replace(self, **changed)
 
 
-def to_torch(scene: scenes.Scene) -> RasterScene:
+def to_torch(scene: scenes.SplatScene) -> RasterScene:
     """The same scene as float64 tensors."""
     fields = {
         name: torch.from_numpy(getattr(scene, name).astype(np.float64))
@@ -86,10 +86,10 @@ def to_torch(scene: scenes.Scene) -> RasterScene:
     return RasterScene(**fields, width=scene.width, height=scene.height)
 
 
-def to_numpy(scene: RasterScene) -> scenes.Scene:
+def to_numpy(scene: RasterScene) -> scenes.SplatScene:
     """The same scene as float32 arrays."""
     fields = {name: getattr(scene, name).float().numpy() for name in (*PARAMETERS, "viewmat", "K")}
-    return scenes.Scene(**fields, width=scene.width, height=scene.height)
+    return scenes.SplatScene(**fields, width=scene.width, height=scene.height)
 
 
 def draw_scene(seed: int, **options: Any) -> RasterScene:

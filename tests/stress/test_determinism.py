@@ -16,8 +16,8 @@ from gscore.raster.api import render
 from gscore.stress.capture import toy_photos, toy_splats
 from gscore.stress.native import with_isa
 from gscore.stress.training import mean_psnr
-from gscore.trainer import checkpoint
-from gscore.trainer.depth_targets import DepthTargets
+from gscore.trainer.depth.targets import DepthTargets
+from gscore.trainer.files import checkpoint
 from gscore.trainer.trainer import Trainer
 
 SPLATS = toy_splats(9, count=2500)

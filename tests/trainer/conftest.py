@@ -19,7 +19,7 @@ from gscore.io.images import write_png
 from gscore.raster.api import render
 from gscore.splats import Splats
 from gscore.stress.capture import SIZE, VIEWS, ToyPhotos, toy_photos, toy_splats
-from gscore.trainer.model import Model
+from gscore.trainer.rows.model import Model
 from gscore.transforms import rotmat_to_quat
 from tests.isas import isa  # noqa: F401
 from tests.trainer.short_run import DEEP_UNIT

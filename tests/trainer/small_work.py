@@ -49,7 +49,7 @@ def work(capture: Path, folder: Path) -> str:
         capture: With depth maps in `depths`.
         folder: New, for the results.
     """
-    from gscore.trainer import train
+    from gscore.trainer.run import train
 
     digest = hashlib.sha256()
     for i, config in enumerate(_RUNS):

@@ -20,7 +20,7 @@ from gscore.config import Background, Strategy
 from gscore.config_file import load_config
 from gscore.events import Done, Estimated, Event, Failed, Progress, Saved, from_line
 from gscore.io.images import read_image, write_png
-from gscore.trainer.folder import RunFolder
+from gscore.trainer.files.folder import RunFolder
 
 SHORT = ["--iterations", "12", "--max-splats", "200", "--sh-degree", "0"]
 

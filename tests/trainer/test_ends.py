@@ -14,8 +14,8 @@ import pytest
 
 from gscore.events import Failed, from_line
 from gscore.io.ply import read_splats
-from gscore.trainer import checkpoint
-from gscore.trainer.folder import RunFolder
+from gscore.trainer.files import checkpoint
+from gscore.trainer.files.folder import RunFolder
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals and shells of POSIX")
 SHORT = ["--iterations", "12", "--max-splats", "200", "--sh-degree", "0"]

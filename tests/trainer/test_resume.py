@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from gscore.config import Strategy
-from gscore.trainer import checkpoint
+from gscore.trainer.files import checkpoint
 from gscore.trainer.trainer import Trainer
 from tests.trainer.short_run import CONFIG
 

@@ -15,6 +15,7 @@ import torch
 
 from gscore.config import DataConfig, TrainConfig
 from gscore.config_file import load_config
+from gscore.control import Control
 from gscore.errors import BackendError, Cancelled, ConfigError, DatasetError, GsError
 from gscore.events import (
     Done,
@@ -32,8 +33,11 @@ from gscore.events import (
 from gscore.io.cameras_json import read_cameras
 from gscore.io.images import read_image
 from gscore.io.ply import read_splats, write_splats
-from gscore.trainer import Control, estimate, memory, results, train
-from gscore.trainer.folder import RunFolder
+from gscore.trainer.estimate import memory
+from gscore.trainer.estimate.forecast import estimate
+from gscore.trainer.files import results
+from gscore.trainer.files.folder import RunFolder
+from gscore.trainer.run import train
 from gscore.trainer.trainer import Trainer
 
 CONFIG = TrainConfig(

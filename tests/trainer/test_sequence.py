@@ -14,6 +14,7 @@ from gscore.commands import main
 from gscore.commands import sequence as sequence_command
 from gscore.config import DataConfig, TrainConfig
 from gscore.config_file import load_config
+from gscore.control import Control
 from gscore.datasets.frames import SequenceFrame, choose_frames, find_frames
 from gscore.errors import Cancelled, ConfigError, DatasetError, FormatError
 from gscore.events import Done, Event, FrameStarted, SequenceDone, Started, from_line
@@ -21,7 +22,6 @@ from gscore.io.colmap import read_model, write_model
 from gscore.io.images import read_image, write_png
 from gscore.io.ply import read_splats
 from gscore.io.sequences import read_sequence
-from gscore.trainer import Control
 from gscore.trainer.sequence import SequenceOptions, train_sequence
 from gscore.transforms import rotmat_to_quat
 

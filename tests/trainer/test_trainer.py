@@ -15,8 +15,8 @@ from gscore.raster.api import render
 from gscore.raster.loss import LossValues
 from gscore.raster.painter import Painter
 from gscore.splats import PARAMETERS
-from gscore.trainer import schedules
 from gscore.trainer import trainer as module
+from gscore.trainer.schedule import plan as schedules
 from gscore.trainer.trainer import Trainer
 from tests.trainer.short_run import CONFIG
 

@@ -43,6 +43,17 @@ def test_a_verb_that_does_not_exist(capsys: pytest.CaptureFixture[str]) -> None:
     assert "did you mean `gscore train`?" in capsys.readouterr().err
 
 
+def test_a_verb_that_is_left_out_of_an_installation(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: a verb of which there is no file, as in the wheel of the Blender extension."""
+    monkeypatch.setitem(commands.VERBS, "weigh", "weigh splats")
+    assert commands.main(["weigh"]) == 2
+    assert "`gscore weigh` is not part of this installation" in capsys.readouterr().err
+    assert commands.main(["--help"]) == 0
+    assert "weigh" not in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("verb", list(commands.VERBS))
 def test_help_of_each_verb(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
     """Oracle: exit code 0 and the program's name."""

@@ -23,7 +23,7 @@ from gscore.io.files import read_bytes
 from gscore.io.images import read_image, read_info, read_mask
 from gscore.io.metrics_file import read_metrics
 from gscore.io.ply import is_antialiased, read_splats
-from gscore.trainer import checkpoint
+from gscore.trainer.files import checkpoint
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="named pipes in folders are POSIX's")
 

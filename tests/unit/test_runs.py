@@ -76,9 +76,9 @@ def test_clearing_spares_what_is_not_ours(tmp_path: Path) -> None:
 
 
 def test_names_are_those_of_the_trainer() -> None:
-    """Oracle: `gscore.trainer.folder`, which needs torch and so cannot be read in Blender."""
+    """Oracle: `gscore.trainer.files.folder`, which needs torch and so cannot be read in Blender."""
     pytest.importorskip("torch")
-    from gscore.trainer import folder
+    from gscore.trainer.files import folder
 
     run = folder.RunFolder(Path("out"))
     assert set(RUN_FILES) >= {run.config.name, run.point_cloud.name}

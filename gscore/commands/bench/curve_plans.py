@@ -17,7 +17,7 @@ from .training_options import named_sources, training_configs
 
 
 @dataclass(frozen=True, kw_only=True)
-class Plan:
+class CapturePlan:
     """What is trained and shown of one capture."""
 
     name: str
@@ -28,7 +28,7 @@ class Plan:
     sizes: SizesPlan | None
 
 
-def plans_of(args: argparse.Namespace) -> list[Plan]:
+def plans_of(args: argparse.Namespace) -> list[CapturePlan]:
     """One a capture; no photo is decoded yet.
 
     Raises:
@@ -55,7 +55,7 @@ def plans_of(args: argparse.Namespace) -> list[Plan]:
         of_others = [c for capture, found in peers.values() if capture == name for c in found]
         sizes = plan_sizes(args, presets)
         plans.append(
-            Plan(name=name, variants=variants, judged=judged, peers=of_others, sizes=sizes)
+            CapturePlan(name=name, variants=variants, judged=judged, peers=of_others, sizes=sizes)
         )
     return plans
 

@@ -11,10 +11,10 @@ from ...events import strict_json
 from ...io.files import atomic_write
 from ...metrics.machine import machine
 from ...raster import backend
-from .curve_plans import Plan
+from .curve_plans import CapturePlan
 
 
-class Results:
+class ResultsFile:
     """What was measured so far; docs/metrics.md describes the file."""
 
     def __init__(self, args: argparse.Namespace) -> None:
@@ -30,7 +30,7 @@ class Results:
             "captures": self._captures,
         }
 
-    def add_curves(self, plan: Plan, curves: Sequence[Curve]) -> None:
+    def add_curves(self, plan: CapturePlan, curves: Sequence[Curve]) -> None:
         """All curves of a capture that there are so far."""
         judged = plan.judged
         self._captures[plan.name] = {
@@ -41,7 +41,7 @@ class Results:
         }
         self._write()
 
-    def add_sizes(self, plan: Plan, found: dict[str, Any]) -> None:
+    def add_sizes(self, plan: CapturePlan, found: dict[str, Any]) -> None:
         """All sizes of a capture that there are so far."""
         self._captures[plan.name]["sizes"] = found
         self._write()

@@ -5,7 +5,7 @@ import sys
 from dataclasses import asdict
 from typing import Any
 
-from ...bench.scaling import SIZES, SPLATS, VIEWS, Series, bench_scaling
+from ...bench.scaling import SIZES, SPLATS, VIEWS, Scaling, bench_scaling
 from ...metrics.machine import cores, machine
 from ...raster import backend
 from ...shown import quoted
@@ -77,7 +77,7 @@ def _row(quantity: str, row: dict[str, Any]) -> str:
     )
 
 
-def _lines(series: Series) -> str:
+def _lines(series: Scaling) -> str:
     unit, scale = ("1,000 splats", 1e3) if series.quantity == "splats" else ("megapixel", 1e6)
     return "".join(
         f"{series.quantity}, {name}: {line.base:.2f} ms + {line.slope * scale:.4f} ms a {unit}, "

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from ...bench.pareto import (
-    Outcome,
     Size,
+    SizeOutcome,
     measure_sizes,
     sizes_of,
     unbeaten,
@@ -94,12 +94,12 @@ def sweep(
             `best_for_its_time` and `best_for_its_splats`.
     """
     judged_on = first_size(plan.judged)
-    outcomes: list[Outcome] = []
+    outcomes: list[SizeOutcome] = []
 
     def stepped(size: Size, seed: int, step: int) -> None:
         on_step(str(size), seed, step, size.iterations)
 
-    def tell(outcome: Outcome) -> None:
+    def tell(outcome: SizeOutcome) -> None:
         outcomes.append(outcome)
         fast, small = _fronts(outcomes)
         rows = [
@@ -118,7 +118,7 @@ def sweep(
         print(_table(name, outcomes, fast, small), flush=True)
 
 
-def _fronts(outcomes: Sequence[Outcome]) -> tuple[list[Outcome], list[Outcome]]:
+def _fronts(outcomes: Sequence[SizeOutcome]) -> tuple[list[SizeOutcome], list[SizeOutcome]]:
     """Those that no other beats in time, and in number of splats."""
     return unbeaten(outcomes, _seconds), unbeaten(outcomes, _splats)
 
@@ -128,22 +128,22 @@ def _given(args: argparse.Namespace) -> dict[str, list[int]]:
     return {name: list(dict.fromkeys(getattr(args, f"sweep_{name}") or [])) for name in _QUANTITIES}
 
 
-def _seconds(outcome: Outcome) -> float:
+def _seconds(outcome: SizeOutcome) -> float:
     return outcome.seconds
 
 
-def _splats(outcome: Outcome) -> float:
+def _splats(outcome: SizeOutcome) -> float:
     return outcome.splats
 
 
 def _draw(
     path: Path,
     name: str,
-    outcomes: Sequence[Outcome],
-    fast: Sequence[Outcome],
+    outcomes: Sequence[SizeOutcome],
+    fast: Sequence[SizeOutcome],
     judged_on: tuple[int, int],
 ) -> None:
-    def family(outcome: Outcome) -> str:
+    def family(outcome: SizeOutcome) -> str:
         size = outcome.size
         return f"{size.preset}, {size.width} px, {count_words(size.max_splats, 'splat')}"
 
@@ -163,7 +163,10 @@ def _draw(
 
 
 def _table(
-    name: str, outcomes: Sequence[Outcome], fast: Sequence[Outcome], small: Sequence[Outcome]
+    name: str,
+    outcomes: Sequence[SizeOutcome],
+    fast: Sequence[SizeOutcome],
+    small: Sequence[SizeOutcome],
 ) -> str:
     lines = [
         f"| {name} | photos | splats | steps | seconds | PSNR | SSIM | no other is as good and |",

@@ -12,8 +12,8 @@ from ...io.places import check_place
 from ..output import check_folder, check_ours
 from ..status import Status
 from .curve_figures import draw, table
-from .curve_plans import Plan, plans_of
-from .curve_results import Results
+from .curve_plans import CapturePlan, plans_of
+from .curve_results import ResultsFile
 from .sweeps import add_sweep_options, check_sweeps, sweep
 from .ticker import Ticker
 from .training_options import add_training_options
@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
         check_place(args.output, DataConfig(source=source))
     check_ours(args.output / "results.json")
     plans = deque(plans_of(args))
-    results = Results(args)
+    results = ResultsFile(args)
     while plans:
         _measure(args, plans.popleft(), results)  # whose photos go when it is done
     results.finish()
@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _measure(args: argparse.Namespace, plan: Plan, results: Results) -> None:
+def _measure(args: argparse.Namespace, plan: CapturePlan, results: ResultsFile) -> None:
     status = Status(sys.stderr)
     curves: list[Curve] = []
     for variant in plan.variants:

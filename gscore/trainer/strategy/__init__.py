@@ -1,16 +1,15 @@
 """Strategies: how the number of splats changes during training."""
 
-from ...config import Strategy as StrategyName
-from ...config import TrainConfig
-from ..schedules import Plan
-from .base import Change, Strategy
+from ...config import Strategy, TrainConfig
+from ..schedule.plan import Plan
+from .base import Change, Policy
 from .default import DefaultStrategy
 from .mcmc import MCMCStrategy
 
-__all__ = ["Change", "Strategy", "make_strategy"]
+__all__ = ["Change", "Policy", "make_strategy"]
 
 
-def make_strategy(config: TrainConfig, plan: Plan, *, extent: float) -> Strategy:
+def make_strategy(config: TrainConfig, plan: Plan, *, extent: float) -> Policy:
     """The strategy that `config` names."""
-    kinds = {StrategyName.DEFAULT: DefaultStrategy, StrategyName.MCMC: MCMCStrategy}
+    kinds = {Strategy.DEFAULT: DefaultStrategy, Strategy.MCMC: MCMCStrategy}
     return kinds[config.strategy](config, plan, extent=extent)

@@ -5,7 +5,7 @@ from typing import Protocol
 
 import torch
 
-from ..model import Model
+from ..rows.model import Model
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,7 +22,7 @@ class Change:
         return bool(self.added or self.removed or self.moved or self.reset)
 
 
-class Strategy(Protocol):
+class Policy(Protocol):
     """A policy without state of its own: what it counts lives in `Model.rows`.
 
     A step calls, in this order: `shape_gradients`, `observe`, the optimizer, `after_step`.

@@ -8,8 +8,8 @@ import torch
 from ...config import TrainConfig
 from ...raster.memory import zeros
 from ...raster.pull import add_pull
-from ..model import Model
-from ..schedules import Plan
+from ..rows.model import Model
+from ..schedule.plan import Plan
 from . import ops
 from .base import Change
 

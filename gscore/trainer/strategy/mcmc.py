@@ -4,9 +4,9 @@
 import torch
 
 from ...config import TrainConfig
-from ..model import Model
-from ..random import normal
-from ..schedules import Plan
+from ..host.random import normal
+from ..rows.model import Model
+from ..schedule.plan import Plan
 from . import ops
 from .base import Change
 

@@ -9,8 +9,8 @@ import torch
 
 from ...raster.memory import zeros
 from ...splats import PARAMETERS, SH_REST_BY_DEGREE
-from ..model import Model
-from ..random import normal, uniform
+from ..host.random import normal, uniform
+from ..rows.model import Model
 
 SPLIT_COUNT = 2
 """Splats that replace one that is split (Kerbl et al. 2023, section 5.2)."""

@@ -1,0 +1,402 @@
+"""Does depth help? Trains with and without it, from few and from many views, and writes a table.
+
+python -m experiments.depth --quick
+python -m experiments.depth --table switches
+python -m experiments.depth --views 6 12 24 50 --arms none exact mono --seeds 0 1 2
+
+Every run keeps its figures in a folder of its own, named after the code that made it: what is there
+already is not repeated, several of these may run at once, and results of other code are left out.
+"""
+
+import argparse
+import hashlib
+import json
+import os
+import resource
+import shutil
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gscore.io.images import resize, write_png
+from gscore.io.ply import read_splats
+from gscore.metrics.colormap import colorize
+from gscore.raster.api import render
+
+from .captures import (
+    ROOT,
+    Source,
+    few_views,
+    photo,
+    studio,
+    training_views,
+    write_depths,
+    write_mono,
+)
+from .measures import inverse, measure, pinhole, test_views
+
+ARMS: dict[str, list[str]] = {
+    "none": [],
+    "exact": ["--depths", "depths-exact", "--depth-mode", "on"],
+    "mono": ["--depths", "depths-mono-{seed}", "--depth-mode", "on"],
+    "mono-auto": ["--depths", "depths-mono-{seed}"],
+    "onnx": ["--depths", "depths-onnx", "--depth-mode", "on"],
+    "drop": ["--drop-rate", "0.2"],
+    "mono+drop": ["--depths", "depths-mono-{seed}", "--depth-mode", "on", "--drop-rate", "0.2"],
+    "mono-points": [
+        *("--depths", "depths-mono-{seed}", "--depth-mode", "on"),
+        *("--depth-points", "0"),
+    ],
+    "mono+falling": [
+        *("--depths", "depths-mono-{seed}", "--depth-mode", "on"),
+        *("--depth-weight", "0.3", "--depth-weight-final", "0.1"),
+    ],
+    "random": ["--background", "random"],
+    "masked": ["--mask-mode", "composite"],
+    "masked+alpha": ["--mask-mode", "composite", "--alpha-weight", "0.1"],
+    "masked+black": ["--mask-mode", "composite", "--background", "black"],
+    "masked+exact": [
+        *("--mask-mode", "composite"),
+        *("--depths", "depths-exact", "--depth-mode", "on"),
+    ],
+    "masked+mono": [
+        *("--mask-mode", "composite"),
+        *("--depths", "depths-mono-{seed}", "--depth-mode", "on"),
+    ],
+}
+"""What is trained with: options of `gscore train`."""
+TABLES: dict[str, dict[str, Any]] = {
+    "views": {},
+    "auto": {"views": ["50"], "arms": ["none", "mono-auto"], "seeds": [0]},
+    "switches": {
+        "views": ["6", "12"],
+        "arms": [
+            *("none", "drop", "random"),
+            *("mono", "mono+drop", "mono-points", "mono+falling"),
+            *("masked", "masked+alpha", "masked+black", "masked+mono"),
+        ],
+    },
+    "real": {"captures": ["plush", "stone_horse"], "views": ["6", "12", "24", "all"]},
+    "study": {
+        "views": ["50"],
+        "arms": ["none", "mono", "exact", "masked", "masked+mono", "masked+exact"],
+        "width": 480,
+        "iterations": 3000,
+        "max_splats": 60_000,
+        "sh_degree": 3,
+    },
+}
+"""What is trained for each table of docs/experiments/2026-11-depth.md, if not the default."""
+REFERENCE = {"width": 400, "iterations": 3000, "max_splats": 80_000, "sh_degree": 2}
+"""The training on all views that stands for the exact depth of real captures."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Setting:
+    """How large and how long all trainings of a table are."""
+
+    width: int
+    iterations: int
+    max_splats: int
+    sh_degree: int
+    threads: int
+
+    def __str__(self) -> str:
+        return (
+            f"{self.width} px, {self.iterations} steps, {self.max_splats} splats, "
+            f"SH degree {self.sh_degree}"
+        )
+
+    @property
+    def folder(self) -> str:
+        return f"{self.width}px-{self.iterations}-{self.max_splats}-sh{self.sh_degree}"
+
+
+def main() -> int:
+    """Run what is missing, then write results.json, the table and the pictures."""
+    args = _arguments()
+    setting = Setting(**{key: getattr(args, key) for key in Setting.__dataclass_fields__})
+    runs = args.output / "runs" / code_version()
+    for source in [_source(args, name) for name in args.captures]:
+        for count in [_count(source, views) for views in args.views]:
+            for seed in args.seeds:
+                for arm in args.arms:
+                    out = runs / f"{source.name}-{count}-{arm}-{setting.folder}-{seed}"
+                    if not (out / "row.json").is_file():
+                        row = _run(args, setting, source, count, arm, seed, out)
+                        _write(out / "row.json", json.dumps(row, indent=1) + "\n")
+                        print(out.name, _line(row), flush=True)
+            found = [
+                (arm, runs / f"{source.name}-{count}-{arm}-{setting.folder}-{args.seeds[0]}")
+                for arm in args.arms
+            ]
+            _pictures(source, found, args.output / f"{source.name}-{count}-{setting.folder}.png")
+    rows = [json.loads(path.read_text()) for path in sorted(runs.glob("*/row.json"))]
+    _write(args.output / "results.json", json.dumps(rows, indent=1) + "\n")
+    table = tables(rows)
+    _write(args.output / "results.md", table)
+    print(table)
+    return 0
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("-o", "--output", type=Path, default=ROOT / "out" / "experiment-depth")
+    parser.add_argument(
+        "--table", choices=tuple(TABLES), default="views", help="what to train; sets the others"
+    )
+    parser.add_argument(
+        "--captures", nargs="+", default=["studio"], help="studio, or of GSCORE_DATA"
+    )
+    parser.add_argument(
+        "--views", nargs="+", default=["6", "12", "24", "50"], help="to train on; all: all"
+    )
+    parser.add_argument("--arms", nargs="+", choices=tuple(ARMS), default=["none", "mono", "exact"])
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
+    parser.add_argument("--width", type=int, default=120, help="of the photos, pixels")
+    parser.add_argument("--iterations", type=int, default=500)
+    parser.add_argument("--max-splats", type=int, default=15_000)
+    parser.add_argument("--sh-degree", type=int, default=1)
+    parser.add_argument("--threads", type=int, default=0, help="of each training; 0: all cores")
+    parser.add_argument(
+        "--model",
+        type=Path,
+        help="network for the arm onnx, FILE.onnx; for another one give another --output",
+    )
+    parser.add_argument("--quick", action="store_true", help="12 views, one seed, a minute")
+    parser.set_defaults(**TABLES[parser.parse_known_args()[0].table])
+    args = parser.parse_args()
+    if args.quick:
+        args.views, args.seeds = ["12"], [0]
+    if args.model and "onnx" not in args.arms:
+        args.arms = [*args.arms, "onnx"]
+    if "onnx" in args.arms and not args.model:
+        parser.error("the arm onnx takes a network: --model FILE.onnx")
+    if any(not views.isdecimal() and views != "all" for views in args.views):
+        parser.error(f"--views takes numbers and all, not {' '.join(args.views)}")
+    return args
+
+
+@cache
+def code_version() -> str:
+    """Short hash of all that a training and these captures are made by."""
+    files = [*(ROOT / "gscore").rglob("*.py"), *(ROOT / "csrc" / "src").iterdir()]
+    digest = hashlib.sha256()
+    own = [Path(__file__).with_name(name) for name in ("captures.py", "measures.py")]
+    for path in sorted([*files, *own]):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:12]
+
+
+def _source(args: argparse.Namespace, name: str) -> Source:
+    return studio() if name == "studio" else _with_reference(args, name)
+
+
+def _count(source: Source, views: str) -> int:
+    available = len(training_views(source))
+    return available if views == "all" else min(int(views), available)
+
+
+def _with_reference(args: argparse.Namespace, name: str) -> Source:
+    """A real capture, with the depth of a training on all its training views for the exact one."""
+    if "GSCORE_DATA" not in os.environ:
+        raise SystemExit(f"{name}: set GSCORE_DATA to the folder that holds data/{name}.")
+    folder = Path(os.environ["GSCORE_DATA"]) / "data" / name
+    out = args.output / "reference" / name
+    done = out / "source.json"
+    if not done.is_file():
+        setting = Setting(**REFERENCE, threads=args.threads)
+        _train(folder, out / "run", setting, ["--eval", "--mask-mode", "none"], seed=0)
+        cameras = json.loads((out / "run" / "cameras.json").read_text())
+        metrics = json.loads((out / "run" / "metrics.json").read_text())
+        splats = read_splats(out / "run" / "point_cloud.ply")
+        maps = {}
+        for camera in cameras:
+            K, viewmat = pinhole(camera)
+            shown = render(splats, K, viewmat, camera["width"], camera["height"])
+            assert shown.median_depth is not None
+            maps[camera["img_name"]] = inverse(shown.median_depth)
+        unit = float(np.quantile(np.concatenate([v.ravel() for v in maps.values()]), 0.999))
+        for view, values in maps.items():
+            levels = np.clip(values / unit * 65536, 0, 65535)
+            write_png(out / "depths" / f"{Path(view).stem}.png", levels.astype(np.uint16))
+        _write(done, json.dumps({"unit": unit, "test": metrics["test_views"]}))
+    stated = json.loads(done.read_text())
+    return Source(
+        name=name,
+        folder=folder,
+        depths=out / "depths",
+        unit=stated["unit"],
+        test=tuple(stated["test"]),
+    )
+
+
+def _capture(args: argparse.Namespace, source: Source, count: int, arm: str, seed: int) -> Path:
+    """The folder to train on, made on first use."""
+    folder = args.output / "captures" / code_version() / f"{source.name}-{count}"
+    if not folder.is_dir():
+        with _whole(folder) as part:
+            names = few_views(source, count, part)
+            write_depths(source, names, part)
+            _write(part / "train.json", json.dumps(names))
+    names = json.loads((folder / "train.json").read_text())
+    mono = folder / f"depths-mono-{seed}"
+    if "mono" in arm and not mono.is_dir():
+        with _whole(mono) as part:
+            write_mono(source, names, part, seed=seed)
+    if arm == "onnx" and not (folder / "depths-onnx").is_dir():
+        command = [sys.executable, "-m", "gscore", "depth", folder, "--model", args.model]
+        command += ["-d", "depths-onnx", "--test-list", folder / "test.txt"]
+        subprocess.run(command, check=True, cwd=ROOT)
+    return folder
+
+
+@contextmanager
+def _whole(folder: Path) -> Iterator[Path]:
+    """A folder to fill that becomes `folder` once it is full, unless another process was sooner."""
+    part = folder.with_name(f"{folder.name}.part{os.getpid()}")
+    shutil.rmtree(part, ignore_errors=True)
+    part.mkdir(parents=True)
+    yield part
+    if folder.is_dir():
+        shutil.rmtree(part)
+    else:
+        part.rename(folder)
+
+
+def _run(
+    args: argparse.Namespace,
+    setting: Setting,
+    source: Source,
+    count: int,
+    arm: str,
+    seed: int,
+    out: Path,
+) -> dict[str, Any]:
+    """Train once and measure pictures and depth of the test views."""
+    folder = _capture(args, source, count, arm, seed)
+    options = [option.format(seed=seed) for option in ARMS[arm]]
+    masked = "composite" in options
+    if "--mask-mode" not in options:
+        options += ["--mask-mode", "none"]
+    options += ["--test-list", str(folder / "test.txt")]
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    measured = _train(folder, out, setting, options, seed=seed)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return {
+        "capture": source.name,
+        "setting": str(setting),
+        "views": count,
+        "arm": arm,
+        "seed": seed,
+        **{key: measured[key] for key in ("psnr", "ssim", "lpips", "train_seconds", "splats")},
+        "cpu_seconds": after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime,
+        "splats_sha256": hashlib.sha256((out / "point_cloud.ply").read_bytes()).hexdigest(),
+        **measure(source, out, masked=masked),
+    }
+
+
+def _train(
+    folder: Path, out: Path, setting: Setting, options: list[str], *, seed: int
+) -> dict[str, Any]:
+    command = [sys.executable, "-m", "gscore", "train", folder, "-o", out, "--overwrite"]
+    command += ["--quiet", "--json", "--seed", str(seed), "--sh-degree", str(setting.sh_degree)]
+    command += ["--resolution", str(setting.width), "--iterations", str(setting.iterations)]
+    command += ["--max-splats", str(setting.max_splats), "--threads", str(setting.threads)]
+    command += ["--checkpoint-seconds", "0", *options]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise SystemExit(f"{' '.join(map(str, command))}\n{done.stderr}")
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def _pictures(source: Source, found: list[tuple[str, Path]], path: Path) -> None:
+    """One test view: photo and exact depth, then what each arm shows; the first seed."""
+    columns = []
+    for _, out in found:
+        views = test_views(source, out)
+        view = views[len(views) // 2]
+        height, width = view.truth.shape
+        top = float(np.quantile(view.truth, 0.99))
+        if not columns:
+            original = resize(photo(source, view.name), width, height)
+            columns.append(np.concatenate([original, colorize(view.truth / top)]))
+        rgb = (np.clip(view.shown.rgb, 0, 1) * 255 + 0.5).astype(np.uint8)
+        assert view.shown.median_depth is not None
+        columns.append(np.concatenate([rgb, colorize(inverse(view.shown.median_depth) / top)]))
+    write_png(path, np.concatenate(columns, axis=1))
+
+
+def tables(rows: list[dict[str, Any]]) -> str:
+    """Markdown: mean and standard deviation over seeds, and the gain over no depth seed by seed."""
+    groups: dict[tuple[str, str, int], dict[str, dict[int, dict[str, Any]]]] = {}
+    for row in rows:
+        group = groups.setdefault((row["setting"], row["capture"], row["views"]), {})
+        group.setdefault(row["arm"], {})[row["seed"]] = row
+    lines: list[str] = []
+    previous = ""
+    for (setting, capture, count), arms in sorted(groups.items()):
+        if setting != previous:
+            lines += ["", f"{setting}:", "", *_HEAD]
+            previous = setting
+        for arm in sorted(arms, key=list(ARMS).index):
+            found = arms[arm]
+            base = arms.get("masked" if arm.startswith("masked") else "none", {})
+            gains = [row["psnr"] - base[s]["psnr"] for s, row in found.items() if s in base]
+            same = [
+                row["splats_sha256"] == base[s]["splats_sha256"]
+                for s, row in found.items()
+                if s in base
+            ]
+            gain = "same splats" if same and all(same) else _mean_words(gains, 2, sign="+")
+            cells = [capture, str(count), arm, str(len(found)), _spread_words(found, "psnr", 2)]
+            cells += ["" if base is found else gain]
+            cells += [_spread_words(found, "ssim", 3), _spread_words(found, "lpips", 3)]
+            cells += [_spread_words(found, key, 3) for key in ("depth_error", "depth_error_seen")]
+            cells += [_spread_words(found, "cpu_seconds", 0)]
+            lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines).strip() + "\n"
+
+
+_HEAD = (
+    "| capture | views | arm | seeds | PSNR | gain in PSNR | SSIM | LPIPS | depth error "
+    "| where seen | CPU s |",
+    "|---|---|---|---|---|---|---|---|---|---|---|",
+)
+
+
+def _spread_words(rows: dict[int, dict[str, Any]], key: str, digits: int) -> str:
+    return _mean_words([row[key] for row in rows.values() if row[key] is not None], digits)
+
+
+def _mean_words(values: list[float], digits: int, *, sign: str = "") -> str:
+    if not values:
+        return "n/a"
+    mean = f"{statistics.fmean(values):{sign}.{digits}f}"
+    return f"{mean} ± {statistics.stdev(values):.{digits}f}" if len(values) > 1 else mean
+
+
+def _line(row: dict[str, Any]) -> str:
+    return (
+        f"PSNR {row['psnr']:.2f} depth {row['depth_error']:.3f} "
+        f"seen {row['depth_error_seen']:.3f} {row['train_seconds']:.0f} s"
+    )
+
+
+def _write(path: Path, text: str) -> None:
+    """Write completely or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_suffix(f".part{int(time.time())}")
+    part.write_text(text, encoding="utf-8")
+    part.replace(path)

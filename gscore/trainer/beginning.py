@@ -1,0 +1,145 @@
+"""What a run begins with: nothing, given splats, a checkpoint, or its own end."""
+
+import contextlib
+from pathlib import Path
+
+from ..config import DataConfig, TrainConfig, flag_of
+from ..config_file import differences, load_config
+from ..errors import ConfigError, FormatError, GsError
+from ..io.ply import read_splats
+from ..splats import Splats
+from .files import checkpoint
+from .files.checkpoint import Checkpoint
+from .files.ended import TrainResult, ended_run
+from .files.folder import RunFolder
+from .photos.views import Photos
+from .rows.frame import Frame
+from .session import Session
+from .trainer import Trainer
+
+
+class Beginning:
+    """Read before the photos are, so that what cannot be used is refused at once."""
+
+    def __init__(
+        self,
+        folder: RunFolder,
+        config: TrainConfig,
+        data: DataConfig,
+        *,
+        resume: bool,
+        start_checkpoint: Path | None,
+    ) -> None:
+        """Find the checkpoint and read the splats that the run begins with, if there are any.
+
+        Args:
+            folder: Of the run.
+            config: How to train.
+            data: What to train on.
+            resume: Go on from the last checkpoint in `folder`.
+            start_checkpoint: Go on from this one, of another folder.
+
+        Raises:
+            ConfigError: both are asked for, or a file that was named is not there.
+            FormatError: the checkpoint that was named, each one in the folder, or the file of
+                splats is damaged.
+        """
+        if resume and start_checkpoint is not None:
+            raise ConfigError("Give either --resume or --start-checkpoint, not both.")
+        self._folder, self._config, self._data = folder, config, data
+        self._resumes = resume
+        self._damaged: list[Path] = []
+        self._checkpoint = self._last() if resume else None
+        if start_checkpoint is not None:
+            self._checkpoint = checkpoint.load(start_checkpoint)
+        self.ended = self._end()
+        """How the run ended if it has nothing left to do."""
+        self.splats: Splats | None = None
+        """Given splats in COLMAP world, until `go_on`."""
+        if config.start_splats is not None and self.ended is None:
+            self.splats = read_splats(config.start_splats)
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether steps were taken before."""
+        return self._checkpoint is not None
+
+    def frame(self, photos: Photos) -> Frame | None:
+        """The training world of the steps before; None: there are none, so `photos` make it.
+
+        Raises:
+            ConfigError: the checkpoint is of other photos, or of options that may not change.
+            FormatError: it states no such world.
+        """
+        found = self._checkpoint
+        if found is None:
+            return None
+        changed = self._other_capture_options() if self._resumes else []
+        checkpoint.check_compatible(found, self._config, photos, changed=changed)
+        with checkpoint.understood(found.path):
+            return Frame.from_dict(found.trainer["frame"])
+
+    def go_on(self, trainer: Trainer, session: Session) -> None:
+        """Put trainer and session where the checkpoint has them, and let go of what was read.
+
+        Raises:
+            ConfigError: the checkpoint's depth maps are not those of `trainer`.
+            FormatError: it states what no run writes.
+            GsError: a damaged checkpoint cannot be set aside.
+        """
+        self.splats = None  # as large as the parameters
+        found = self._checkpoint
+        if found is None:
+            return
+        checkpoint.check_same_depth(found, trainer)
+        with checkpoint.understood(found.path):
+            trainer.restore(found.trainer, found.tensors)
+            session.restore(found.session)
+        found.tensors.clear()  # the model replaces them as it grows
+        if other_isa := checkpoint.other_isa(found):
+            session.warn(other_isa, "isa")
+        for path in self._damaged:
+            session.warn(_set_aside(path, found.steps), "damaged_checkpoint")
+
+    def _last(self) -> Checkpoint | None:
+        """The last checkpoint of the folder that is whole; damaged ones after it are noted."""
+        paths = self._folder.checkpoints()
+        for path in reversed(paths):
+            try:
+                return checkpoint.load(path)
+            except FormatError as error:
+                self._damaged.append(path)
+                if len(self._damaged) < len(paths):
+                    continue
+                if len(paths) == 1:
+                    raise FormatError(f"{error} Or start anew with --overwrite.") from error
+                raise FormatError(
+                    f"All {len(paths)} checkpoints in {path.parent} are damaged, the oldest: "
+                    f"{error} Start anew with --overwrite."
+                ) from error
+        return None
+
+    def _end(self) -> TrainResult | None:
+        """How the run in the folder ended, if it did and its last checkpoint is whole."""
+        if not self._resumes or self._checkpoint is None or self._damaged:
+            return None
+        return ended_run(self._folder, self._checkpoint, self._config, self._data)
+
+    def _other_capture_options(self) -> list[str]:
+        """How the capture's options differ from those of the run in the folder, as given."""
+        with contextlib.suppress(ConfigError):
+            stored, _ = load_config(self._folder.config)
+            found = differences(stored, self._data, ignore=("source", "rig", "test_list"))
+            pairs = [change.partition(" ") for change in found]
+            return [f"{flag_of(name)} {rest}" for name, _, rest in pairs]
+        return []
+
+
+def _set_aside(path: Path, step: int) -> str:
+    """Rename a damaged checkpoint, so that it is not looked at again; a sentence about it."""
+    aside = path.with_name(f"{path.name}.damaged")
+    try:
+        path.replace(aside)
+    except OSError as error:
+        raise GsError(f"Cannot rename the damaged {path}: {error.strerror}.") from error
+    return f"{path.name} is damaged (now {aside.name}); going on from step {step} before it."

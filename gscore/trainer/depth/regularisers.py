@@ -1,0 +1,46 @@
+"""What keeps few views from being learnt by heart: splats left out at random, opacity by masks."""
+
+import torch
+
+from ..host.random import uniform
+
+_GONE = -30.0
+"""Logit of a splat that is left out: far below the opacity at which one is drawn."""
+_MOST = 0.999
+"""Highest opacity that making up for the others leads to; no more than 0.99 is drawn anyway."""
+
+
+def drop_rate_at(rate: float, step: int, iterations: int) -> float:
+    """Share of splats to leave out of `step`: rises evenly to `rate` (Park et al. 2025, eq. 5)."""
+    return rate * min(step / iterations, 1.0)
+
+
+def drop_splats(opacities: torch.Tensor, rate: float, generator: torch.Generator) -> torch.Tensor:
+    """Opacities for one step, some gone and the others raised to make up for them.
+
+    The opacity o of a splat that stays becomes o / (1 - rate), so that the expected sum of
+    opacities stays (Park et al. 2025, DropGaussian, eq. 4).
+
+    Args:
+        opacities: [N] logits.
+        rate: Share to leave out, in [0, 1).
+        generator: One number a splat is drawn from it.
+
+    Returns:
+        [N] logits, differentiable in `opacities`; those left out get no gradient, those that reach
+        the ceiling get one as if there were none, or they could never fade again.
+    """
+    stays = uniform(len(opacities), generator) >= rate
+    raised = torch.sigmoid(opacities) / (1 - rate)
+    raised = raised - (raised - _MOST).clamp_min(0).detach()
+    return torch.where(stays, torch.logit(raised), _GONE)
+
+
+def opacity_loss(alpha: torch.Tensor, mask: torch.Tensor) -> torch.Tensor:
+    """Mean absolute difference of rendered opacity and mask.
+
+    Args:
+        alpha: [H, W] float; differentiable in it.
+        mask: [H, W] uint8, 255 = opaque.
+    """
+    return (alpha - mask.to(alpha.dtype) * (1 / 255)).abs().mean()

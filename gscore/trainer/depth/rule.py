@@ -1,0 +1,83 @@
+"""Whether a capture has a use for depth supervision: a rule on facts that can be told the user."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...config import Switch
+from ...scene import Scene
+from ...words import count_words, number
+
+DENSE_VIEWS = 30
+"""Training views of a median point from which the photos alone settle the geometry."""
+DENSE_POINTS = 100
+"""Points in a median view below which SfM says too little, however many views there are."""
+_SAMPLE = 5000
+"""Points that stand for all."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Coverage:
+    """How well the training views cover the points of SfM; occlusion is not known and left out."""
+
+    views: int
+    """Training views."""
+    views_of_point: float
+    """Median number of training views whose frame a point lies in."""
+    points_in_view: float
+    """Median number of points in the frame of a training view."""
+
+    @property
+    def is_dense(self) -> bool:
+        """Whether photos alone do as well as with depth."""
+        return self.views_of_point >= DENSE_VIEWS and self.points_in_view >= DENSE_POINTS
+
+    def __str__(self) -> str:
+        return (
+            f"{count_words(self.views, 'training view')}, {self.views_of_point:.0f} of them on a "
+            f"median point, {number(round(self.points_in_view))} points in a median view"
+        )
+
+
+def coverage(scene: Scene, train: Sequence[int]) -> Coverage:
+    """Count which points lie in the frames of which training views."""
+    points = scene.points.points[np.isfinite(scene.points.points).all(axis=1)]
+    share = min(1.0, _SAMPLE / max(len(points), 1))
+    if share < 1:
+        chosen = np.random.default_rng(0).choice(len(points), _SAMPLE, replace=False)
+        points = points[chosen]
+    cameras, inside = scene.cameras, np.zeros((len(train), len(points)), bool)
+    for row, i in enumerate(train):
+        x, y, z = cameras.viewmats[i, :3, :3] @ points.T + cameras.viewmats[i, :3, 3:]
+        front = z > 0
+        z = np.where(front, z, 1.0)
+        K = cameras.Ks[i]
+        u, v = K[0, 0] * x / z + K[0, 2], K[1, 1] * y / z + K[1, 2]
+        width, height = cameras.widths[i], cameras.heights[i]
+        inside[row] = front & (u >= 0) & (u < width) & (v >= 0) & (v < height)
+    return Coverage(
+        views=len(train),
+        views_of_point=float(np.median(inside.sum(axis=0))) if len(points) else 0.0,
+        points_in_view=float(np.median(inside.sum(axis=1)) / share) if len(train) else 0.0,
+    )
+
+
+def decide(mode: Switch, facts: Coverage, *, usable: int) -> tuple[bool, str]:
+    """Whether to supervise depth, and a sentence that says so and why.
+
+    Args:
+        mode: The option `depth_mode`.
+        facts: Of the capture.
+        usable: Training views with a depth map that a loss can use.
+    """
+    if usable == 0:
+        return False, "No training view has a depth map that can be used, so depth is not used."
+    if mode is Switch.OFF:
+        return False, "Depth maps are read for the report only (depth_mode off)."
+    if mode is Switch.AUTO and facts.is_dense:
+        return False, (
+            f"The capture is dense ({facts}), so the photos settle the geometry and depth is not "
+            f"used; --depth-mode on uses it all the same."
+        )
+    return True, f"Depth supervises {count_words(usable, 'training view')} ({facts})."

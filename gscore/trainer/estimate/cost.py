@@ -1,0 +1,83 @@
+"""What the steps of a plan take, in seconds of one machine that others are compared with."""
+
+import math
+from functools import cached_property
+from itertools import accumulate
+
+from ...splats import SH_REST_BY_DEGREE
+from ..schedule.plan import Plan
+
+_SECONDS_A_STEP = 6.3e-4
+_SECONDS_A_PIXEL = 7.1e-8
+_SECONDS_A_SPLAT = 7.7e-8
+_SECONDS_A_NUMBER = 5.7e-10
+"""What a step took on two cores of a Xeon with AVX-512: itself, for each pixel, for each splat and
+for each number of a splat (`tools/measure/step_time.py`)."""
+_GROWTH = 0.5
+"""Most splats that `default` is expected to add at a refinement, as a share of those there."""
+_LATER_GROWTH = 2.2e-4
+"""What it is expected to add at the first refinement, times `grow_grad`; at the k-th k^-1.15 of
+that. Fitted to trainings with all presets (docs/benchmarks.md, "Captures")."""
+_SAMPLES = 64
+"""Steps looked at to tell what the rest of a run takes."""
+
+
+class Cost:
+    """The seconds, and the splats they depend on, of a run that follows a plan."""
+
+    def __init__(self, plan: Plan) -> None:
+        self.plan = plan
+
+    def seconds_at(self, step: int, splats: float) -> float:
+        """What `step` takes with that many splats on the machine of `_SECONDS_A_STEP`.
+
+        Other machines differ by a factor that is much the same for all steps.
+        """
+        plan = self.plan
+        numbers = 11 + 3 * (1 + SH_REST_BY_DEGREE[plan.sh_degree_at(step)])
+        a_splat = _SECONDS_A_SPLAT + _SECONDS_A_NUMBER * numbers
+        drawn = plan.pixels / plan.factor_at(step) ** 2
+        return _SECONDS_A_STEP + _SECONDS_A_PIXEL * drawn + a_splat * splats
+
+    def seconds_after(self, step: int, splats: int) -> float:
+        """What the steps after `step`, at which there are `splats`, take on that machine."""
+        plan = self.plan
+        left = plan.iterations - step
+        if left <= 0:
+            return 0.0
+        count = min(left, _SAMPLES)
+        total = 0.0
+        for i in range(count):
+            later = step + 1 + int((i + 0.5) * left / count)
+            later = min(later, plan.iterations)
+            total += self.seconds_at(later, self.splats_at(later, step, splats))
+        return total * left / count
+
+    def splats_at(self, later: int, step: int, splats: int) -> float:
+        """Splats to expect before step `later` where there are `splats` after `step`."""
+        plan = self.plan
+        kept = plan.kept if step < plan.refine_stop < later else 1.0
+        first = max(step + 1, plan.refine_start)
+        last = min(later - 1, plan.refine_stop)
+        last -= last % plan.refine_every
+        cap = plan.cap_for(plan.factor_at(last))
+        if last < first or splats >= cap:
+            return kept * splats
+        before, there = self._refinements(first - 1), self._refinements(last)
+        grown = math.log(max(splats, 1)) + self._growths[there] - self._growths[before]
+        return kept * min(math.exp(min(grown, 50.0)), cap)
+
+    def _refinements(self, step: int) -> int:
+        """How many there have been after `step`."""
+        plan = self.plan
+        return max(step // plan.refine_every - (plan.refine_start - 1) // plan.refine_every, 0)
+
+    @cached_property
+    def _growths(self) -> list[float]:
+        """By how much splats are expected to have multiplied after each number of refinements,
+        without a cap; its logarithm."""
+        plan = self.plan
+        count = self._refinements(min(plan.refine_stop, plan.iterations))
+        later = _LATER_GROWTH / plan.grow_grad if plan.grow_grad else _GROWTH
+        growths = (plan.mcmc_growth or min(_GROWTH, later * k**-1.15) for k in range(1, count + 1))
+        return [0.0, *accumulate(math.log1p(growth) for growth in growths)]

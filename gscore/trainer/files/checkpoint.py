@@ -1,0 +1,299 @@
+"""Checkpoints: one safetensors file with all state of a run; read without running any code.
+
+The tensors are those of `Trainer.tensors`; everything else is JSON in the file's metadata. Both are
+checked by CRC-32 when a checkpoint is read, because a flipped bit would go on silently.
+"""
+
+import hashlib
+import json
+import struct
+import zlib
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import torch
+
+from ..._version import __version__
+from ...config import TrainConfig, flag_of
+from ...config_file import differences, from_dict, to_dict
+from ...errors import ConfigError, FormatError
+from ...io.files import atomic_write, check_regular
+from ...json_text import parse_json
+from ...raster import backend
+from ...shown import shown
+from ..photos.views import Photos
+from ..rows.stored import whole
+from ..trainer import Trainer
+
+FORMAT = 3
+_DTYPES = {torch.float32: "F32", torch.float64: "F64", torch.uint8: "U8"}
+FREE = frozenset(
+    {
+        "iterations",
+        "time_budget",
+        "target_psnr",
+        "early_stop",
+        "threads",
+        "cache_mb",
+        "test_iterations",
+        "save_iterations",
+        "checkpoint_iterations",
+        "checkpoint_seconds",
+        "preview_seconds",
+        "snapshot_every",
+        "lpips",
+        "watchdog",
+        "detect_anomaly",
+        "start_splats",
+    }
+)
+"""Options that may change when a run goes on."""
+_OFTEN_CHANGED = ("iterations", "time_budget", "target_psnr", "early_stop", "threads")
+"""The most wanted of them, for messages."""
+_DEPTHS = "depths"
+"""Key of the depth maps in a checkpoint's capture."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Checkpoint:
+    """A checkpoint that was read."""
+
+    path: Path
+    config: TrainConfig
+    """Of the run that wrote it."""
+    capture: dict[str, Any]
+    """`fingerprint` of its capture."""
+    trainer: dict[str, Any]
+    """`Trainer.state`."""
+    session: dict[str, Any]
+    """What the session keeps: clock, history, evaluations."""
+    tensors: dict[str, torch.Tensor]
+    """`Trainer.tensors`."""
+    isa: str | None = None
+    """Instruction set it was written under; None: it does not say, as older ones."""
+
+    @property
+    def steps(self) -> int:
+        """Steps taken."""
+        return self.trainer["steps"]
+
+
+def save(path: Path, trainer: Trainer, session: dict[str, Any]) -> None:
+    """Write a checkpoint completely or not at all.
+
+    Raises:
+        GsError: the disk is full or read-only.
+    """
+    content = {
+        "format": FORMAT,
+        "gscore": __version__,
+        "torch": torch.__version__,
+        "isa": backend.isa(),
+        "config": to_dict(trainer.config),
+        "capture": fingerprint(trainer.photos) | depth_fingerprint(trainer),
+        "trainer": trainer.state(),
+        "session": session,
+    }
+    tensors = {key: tensor.contiguous() for key, tensor in trainer.tensors().items()}
+    content["tensors"] = {key: _facts(tensor) for key, tensor in tensors.items()}
+    text = json.dumps(content)
+    metadata = {"gscore": text, "crc32": str(zlib.crc32(text.encode()))}
+    atomic_write(path, lambda file: _write(file, tensors, metadata))
+
+
+def load(path: Path) -> Checkpoint:
+    """Read a checkpoint.
+
+    Raises:
+        FormatError: not a checkpoint, truncated, damaged, or of a later gscore.
+        ConfigError: there is no such file.
+    """
+    from safetensors import SafetensorError, safe_open
+
+    check_regular(path)
+    if not path.is_file():
+        raise ConfigError(f"{path}: there is no such checkpoint.")
+    try:
+        with safe_open(path, framework="pt") as file:
+            metadata, keys = file.metadata() or {}, list(file.keys())
+            text = metadata["gscore"]
+        tensors = {}
+        for key in keys:
+            # Tensors of safetensors are views of the mapped file, which counts as memory once it
+            # was read: so each is copied, and the file let go.
+            with safe_open(path, framework="pt") as file:
+                tensors[key] = file.get_tensor(key).clone()
+        content = parse_json(text)
+        if not isinstance(content, dict):
+            raise ValueError("its metadata is no object")
+        if "crc32" in metadata:  # older ones have none
+            _check_intact(text, metadata["crc32"], content, tensors)
+    except (SafetensorError, KeyError, ValueError, OSError, RecursionError, MemoryError) as error:
+        raise FormatError(
+            f"{path} is not a complete checkpoint of gscore ({shown(error)}); use an older one."
+        ) from error
+    if content.get("format") != FORMAT:
+        raise FormatError(
+            f"{path} was written by gscore {content.get('gscore')} in format "
+            f"{content.get('format')}; this gscore reads format {FORMAT}."
+        )
+    with understood(path):
+        whole("steps", content["trainer"]["steps"])
+        return Checkpoint(
+            path=path,
+            config=from_dict(TrainConfig, content["config"], where=str(path)),
+            capture=dict(content["capture"]),
+            trainer=dict(content["trainer"]),
+            session=dict(content["session"]),
+            tensors=tensors,
+            isa=None if content.get("isa") is None else str(content["isa"]),
+        )
+
+
+@contextmanager
+def understood(path: Path) -> Iterator[None]:
+    """FormatError where the content of a checkpoint is not what is looked for in it."""
+    try:
+        yield
+    except (
+        LookupError,
+        TypeError,
+        ValueError,
+        ArithmeticError,
+        AttributeError,
+        RuntimeError,
+    ) as error:
+        raise FormatError(
+            f"{path} is not a checkpoint that this gscore understands ({type(error).__name__}: "
+            f"{shown(error)}); use an older one."
+        ) from error
+
+
+def check_compatible(
+    checkpoint: Checkpoint, config: TrainConfig, photos: Photos, *, changed: Sequence[str] = ()
+) -> None:
+    """Raise ConfigError, and say what differs, unless the run can go on with these inputs.
+
+    `iterations` may change: schedules belong to the length of a run, so an extended run goes on
+    with the learning rates and refinements that a run of the new length has at this step.
+
+    Args:
+        checkpoint: To go on from.
+        config: How to train.
+        photos: What to train on.
+        changed: Sentences on options of the capture that are not what they were; told instead of
+            what comes of them.
+    """
+    different = differences(checkpoint.config, config, ignore=FREE)
+    now = fingerprint(photos)
+    unlike = [k for k, was in checkpoint.capture.items() if k != _DEPTHS and was != now.get(k)]
+    if unlike:
+        different += changed or [f"{key} of the capture are not the same" for key in unlike]
+    if different:
+        free = ", ".join(flag_of(name) for name in _OFTEN_CHANGED)
+        raise ConfigError(
+            f"{checkpoint.path} belongs to another run: {'; '.join(different)}. A run that goes on "
+            f"takes its options from its config.json, so leave them out; {free} and what is "
+            "written may change. For anything else start anew in another folder."
+        )
+    if checkpoint.steps > config.iterations and not config.time_budget:
+        raise ConfigError(
+            f"{checkpoint.path} is at step {checkpoint.steps}, beyond iterations = "
+            f"{config.iterations}; ask for more iterations."
+        )
+
+
+def other_isa(checkpoint: Checkpoint) -> str | None:
+    """A sentence for the user where the run goes on with another instruction set than it had."""
+    was, now = checkpoint.isa, backend.isa()
+    if was is None or was == now:
+        return None
+    return (
+        f"The run was computed with {was} up to step {checkpoint.steps} and goes on with {now}: "
+        "its numbers will differ in their last digits, and so its splats, from those of a run "
+        f"that keeps to one. Where this machine has {was}, GSCORE_ISA={was} keeps to it."
+    )
+
+
+def check_same_depth(checkpoint: Checkpoint, trainer: Trainer) -> None:
+    """Raise ConfigError unless `trainer` supervises depth with what the checkpoint's did."""
+    was, now = checkpoint.capture.get(_DEPTHS), depth_fingerprint(trainer).get(_DEPTHS)
+    if was == now:
+        return
+    if now is None:
+        how = "with depth maps in the loss, this one has none"
+    elif was is None:
+        how = "without depth maps in the loss, this one has some"
+    else:
+        how = "with other depth maps or another alignment of them"
+    raise ConfigError(
+        f"{checkpoint.path} belongs to another run: it was trained {how}. Use the same --depths "
+        "and depth options, or start anew in another folder."
+    )
+
+
+def depth_fingerprint(trainer: Trainer) -> dict[str, str]:
+    """Short hash of the depths in the loss; nothing where there are none."""
+    return {} if trainer.depth is None else {_DEPTHS: trainer.depth.targets.content_hash()}
+
+
+def fingerprint(photos: Photos) -> dict[str, Any]:
+    """What makes a capture the same capture, wherever it lies: short hashes by subject."""
+    cameras = photos.scene.cameras
+    parts = {
+        "names": "\n".join(cameras.names).encode(),
+        "sizes": cameras.widths.tobytes() + cameras.heights.tobytes(),
+        "cameras": cameras.viewmats.tobytes() + cameras.Ks.tobytes(),
+        "training views": json.dumps([int(i) for i in photos.train]).encode(),
+        "masks": photos.mask_mode.encode(),
+        "photos": photos.content_hash().encode(),
+    }
+    hashes = {key: hashlib.sha256(value).hexdigest()[:16] for key, value in parts.items()}
+    return hashes | {"points": photos.scene.points.content_hash()}
+
+
+def _write(file: BinaryIO, tensors: dict[str, torch.Tensor], metadata: dict[str, str]) -> None:
+    """The safetensors format, straight from the tensors' memory: its own writers copy it all."""
+    header: dict[str, Any] = {"__metadata__": metadata}
+    end = 0
+    for key, tensor in tensors.items():
+        start, end = end, end + tensor.numel() * tensor.element_size()
+        header[key] = {
+            "dtype": _DTYPES[tensor.dtype],
+            "shape": list(tensor.shape),
+            "data_offsets": [start, end],
+        }
+    encoded = json.dumps(header).encode()
+    encoded += b" " * (-len(encoded) % 8)
+    file.write(struct.pack("<Q", len(encoded)))
+    file.write(encoded)
+    for tensor in tensors.values():
+        file.write(_memory(tensor))
+
+
+def _memory(tensor: torch.Tensor) -> memoryview:
+    """The bytes of a contiguous tensor."""
+    return tensor.numpy().data.cast("B") if tensor.numel() else memoryview(b"")
+
+
+def _facts(tensor: torch.Tensor) -> list[Any]:
+    """What must come back: dtype, shape and CRC-32 of the bytes."""
+    return [_DTYPES[tensor.dtype], list(tensor.shape), zlib.crc32(_memory(tensor))]
+
+
+def _check_intact(
+    text: str, crc: str, content: dict[str, Any], tensors: dict[str, torch.Tensor]
+) -> None:
+    """ValueError unless metadata and tensors are what was written."""
+    if str(zlib.crc32(text.encode())) != crc:
+        raise ValueError("its metadata is damaged")
+    found = {key: _facts(tensor.contiguous()) for key, tensor in tensors.items()}
+    stated = content.get("tensors")
+    if not isinstance(stated, dict):
+        raise ValueError("it does not say which tensors it has")
+    if found != stated:
+        broken = sorted(k for k in found.keys() | stated.keys() if found.get(k) != stated.get(k))
+        raise ValueError(f"damaged: {', '.join(broken[:3])}")

@@ -1,0 +1,150 @@
+"""Writes what a run leaves behind, each file completely or not at all."""
+
+import argparse
+import datetime
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from ...config import Background, DataConfig
+from ...config_command import preset_words, train_command
+from ...config_file import config_json, to_dict
+from ...io.cameras_json import write_cameras
+from ...io.images import write_png
+from ...io.ply import MIP_COMMENT, write_splat_parts
+from ...io.runs import snapshots_in
+from ...metrics import PictureCollector, summarize, write_metrics, write_report
+from ...raster import backend
+from ..depth.report import DepthReport
+from ..evaluation import Evaluator, unmeasured
+from ..length.meter import Meter
+from ..trainer import Trainer
+from .folder import RunFolder
+
+_SNAPSHOTS_KEPT = 2
+
+
+class Results:
+    """The files of one run."""
+
+    def __init__(self, trainer: Trainer, folder: RunFolder, data: DataConfig) -> None:
+        self._trainer = trainer
+        self._folder = folder
+        self._data = data
+
+    @property
+    def threads(self) -> int:
+        """Threads that the rasterizer uses."""
+        return self._trainer.config.threads or backend.default_threads()
+
+    def write_inputs(self) -> None:
+        """Options and cameras, known before the first step."""
+        folder, config = self._folder, self._trainer.config
+        folder.write_text("config.json", config_json(self._data, config))
+        write_cameras(folder.path / "cameras.json", self._trainer.photos.scene.cameras)
+        # Viewers of the 3DGS authors look here for the SH degree and the background.
+        arguments = argparse.Namespace(
+            sh_degree=config.sh_degree,
+            source_path=str(self._data.source.resolve()),
+            model_path=str(folder.path.resolve()),
+            images=self._data.images,
+            resolution=self._data.resolution,
+            white_background=config.background is Background.WHITE,
+            data_device="cpu",
+            eval=self._data.eval,
+        )
+        folder.write_text("cfg_args", repr(arguments))
+
+    def write_splats(self, path: Any) -> None:
+        """The splats as they are now, in COLMAP world."""
+        trainer = self._trainer
+        # Viewers that know the mark compensate opacities as the training did.
+        comments = (MIP_COMMENT,) if trainer.config.antialias else ()
+        write_splat_parts(
+            path,
+            trainer.parts(),
+            count=len(trainer.model),
+            sh_degree=trainer.model.sh_degree,
+            comments=comments,
+        )
+
+    def write_snapshot(self) -> Any:
+        """The splats as they are now for a front end to show; the last two are kept."""
+        path = self._folder.snapshot(self._trainer.steps)
+        self.write_splats(path)
+        for old in list(snapshots_in(self._folder.path).values())[:-_SNAPSHOTS_KEPT]:
+            old.unlink(missing_ok=True)
+        return path
+
+    def write_preview(self, picture: np.ndarray) -> Any:
+        """A picture, [H, W, 3] float."""
+        path = self._folder.preview(self._trainer.steps)
+        write_png(path, (np.clip(picture, 0, 1) * 255 + 0.5).astype(np.uint8))
+        return path
+
+    def write_summary(
+        self,
+        evaluation: dict[str, Any] | None,
+        *,
+        evaluator: Evaluator,
+        collector: PictureCollector,
+        meter: Meter,
+        evals: list[dict[str, Any]],
+        warnings: list[str],
+        depth: DepthReport | None = None,
+        reason: str,
+    ) -> dict[str, Any]:
+        """report.html and metrics.json; `evaluation` and `depth` are None if there was none.
+
+        `reason` is why training ended.
+        """
+        trainer, folder, photos = self._trainer, self._folder, self._trainer.photos
+        names = photos.scene.cameras.names
+        metrics = summarize(
+            evaluation or unmeasured("training was stopped before its evaluation"),
+            split=evaluator.split,
+            train_views=[names[i] for i in photos.train],
+            test_views=[names[i] for i in photos.test],
+            mask_mode=photos.mask_mode,
+            background=trainer.fixed_background,
+            splats=len(trainer.model),
+            sh_degree=trainer.config.sh_degree,
+            storage_bytes=folder.point_cloud.stat().st_size,
+            steps=trainer.steps,
+            train_seconds=meter.train_seconds,
+            reason=reason,
+            trained_at=datetime.datetime.now().astimezone().isoformat(timespec="seconds"),
+            isa=backend.isa(),
+            threads=self.threads,
+        ) | {"history": meter.history, "evals": evals}
+        if depth is not None:
+            metrics["depth"] = depth.numbers
+        report = {
+            "title": self._data.source.resolve().name,
+            "metrics": metrics,
+            "views": collector.views if evaluation else [],
+            "history": meter.history,
+            "evals": evals,
+            "warnings": warnings,
+            "depth": None if depth is None else depth.section,
+            "config": {
+                "data": to_dict(self._data),
+                "train": to_dict(trainer.config),
+                "what was left open became": _resolved(trainer),
+            },
+            "preset": preset_words(self._data, trainer.config),
+            "command": train_command(self._data, trainer.config, folder.path),
+        }
+        write_report(folder.path / "report.html", report)
+        # The last file: by it a run that is to go on knows that everything is there.
+        write_metrics(folder.path / "metrics.json", metrics)
+        return metrics
+
+
+def _resolved(trainer: Trainer) -> dict[str, Any]:
+    """The trainer's plan under the names of the options, rates as they are applied."""
+    values = asdict(trainer.plan)
+    del values["stages"], values["kept"]  # made of several options
+    values["means_lr"], values["means_lr_final"] = values["means_lr"]
+    return values | {f"{name}_lr": rate for name, rate in values.pop("rates").items()}

@@ -1,0 +1,1 @@
+"""The process that a training runs in: its memory, random numbers, settings of torch, and clock."""

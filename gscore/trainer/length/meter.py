@@ -1,0 +1,169 @@
+"""Smoothed numbers of a run, its clock, and the history that the report draws."""
+
+import math
+import time
+from collections import deque
+from typing import Any
+
+from ...events import Progress
+from ..estimate.cost import Cost
+from ..rows.stored import number, rows, whole
+from ..schedule.plan import Plan
+
+_EVENTS_PER_SECOND = 5.0
+_HISTORY = 500
+_HISTORY_FIELDS = ("step", "elapsed_s", "loss", "psnr", "splats", "steps_per_s", "phase")
+_WINDOW = 50
+_TRUSTED = 0.1
+"""Share of the planned time from which on the speed of the steps alone tells what is left: the
+first ones are small, and among them are some that warm up."""
+
+
+class Meter:
+    """Follows a run step by step; only time spent in steps counts."""
+
+    def __init__(
+        self, plan: Plan, *, splats: int, pace: float = 1.0, budget: float = math.inf
+    ) -> None:
+        """`splats`: how many there are before the first step; `pace`: seconds expected for each
+        second of the plan, before steps tell; `budget`: seconds after which the run ends."""
+        self._cost = Cost(plan)
+        self.train_seconds = 0.0
+        """Seconds spent in steps, without evaluation, files and pauses."""
+        self.history: list[dict[str, Any]] = []
+        """Some fields of Progress and what the sides of the photos were divided by, at about 500
+        steps evenly spread; what is not finite is None."""
+        self._loss = math.nan
+        self._mse = math.nan
+        self._count = 0
+        self._step = 0
+        self._splats = splats
+        self._pace = pace
+        self._budget = budget
+        self._planned = 0.0
+        self._recent: deque[tuple[float, float]] = deque(maxlen=_WINDOW)
+        self._last_event = -math.inf
+
+    @property
+    def plan(self) -> Plan:
+        """What is to come; may be replaced on the way."""
+        return self._cost.plan
+
+    @plan.setter
+    def plan(self, plan: Plan) -> None:
+        if plan is not self._cost.plan:
+            self._cost = Cost(plan)
+
+    def update(
+        self,
+        *,
+        step: int,
+        loss: float,
+        mse: float,
+        splats: int,
+        seconds: float,
+        photo_factor: float = 1.0,
+    ) -> None:
+        """Take note of a step that took `seconds`, on photos whose sides were divided by
+        `photo_factor`."""
+        self.train_seconds += seconds
+        planned = self._cost.seconds_at(step, self._splats)
+        self._planned += planned
+        self._recent.append((seconds, planned))
+        self._step, self._splats = step, splats
+        if math.isfinite(loss) and math.isfinite(mse):
+            # A mean over the first steps, then an exponential one over about _WINDOW.
+            self._count += 1
+            weight = 1.0 / min(self._count, _WINDOW)
+            first = self._count == 1
+            self._loss = loss if first else self._loss + weight * (loss - self._loss)
+            self._mse = mse if first else self._mse + weight * (mse - self._mse)
+        every = max(1, self.plan.iterations // _HISTORY)
+        if step % every == 0 or step == self.plan.iterations:
+            fields = vars(self.progress())
+            row = {key: _finite(fields[key]) for key in _HISTORY_FIELDS}
+            self.history.append(row | {"photo_factor": photo_factor})
+
+    @property
+    def psnr(self) -> float:
+        """Of the smoothed mean squared error, dB."""
+        return -10 * math.log10(max(self._mse, 1e-12))
+
+    @property
+    def pace(self) -> float:
+        """Seconds to expect for each second of the plan: what was expected before, at first, and
+        more and more what the last steps took."""
+        return self._pace_before(self._planned_left())
+
+    def _planned_left(self) -> float:
+        return self._cost.seconds_after(self._step, self._splats)
+
+    def _pace_before(self, left: float) -> float:
+        planned = sum(planned for _, planned in self._recent)
+        if not planned:
+            return self._pace
+        found = sum(seconds for seconds, _ in self._recent) / planned
+        trust = min(self._planned / (_TRUSTED * (self._planned + left)), 1.0)
+        return self._pace + trust * (found - self._pace)
+
+    def progress(self, *, phase: str = "") -> Progress:
+        """Where the run stands."""
+        spent = sum(seconds for seconds, _ in self._recent)
+        left = self._planned_left()
+        rate = len(self._recent) / spent if spent > 0 else 0.0
+        return Progress(
+            step=self._step,
+            iterations=self.plan.iterations,
+            loss=self._loss,
+            psnr=self.psnr,
+            splats=self._splats,
+            steps_per_s=rate,
+            eta_s=min(self._pace_before(left) * left, max(self._budget - self.train_seconds, 0.0)),
+            elapsed_s=self.train_seconds,
+            phase=phase or ("adding splats" if self._step <= self.plan.refine_stop else "refining"),
+        )
+
+    def due(self) -> bool:
+        """Whether a progress event should be sent now; at most a few a second."""
+        now = time.monotonic()
+        last = self._step >= self.plan.iterations
+        if not last and now - self._last_event < 1 / _EVENTS_PER_SECOND:
+            return False
+        self._last_event = now
+        return True
+
+    def rewind(self, step: int, *, splats: int) -> None:
+        """Forget the steps after `step`, at which there were `splats`: they will be taken anew.
+        Their time was spent."""
+        self.history = [entry for entry in self.history if entry["step"] <= step]
+        self._step, self._splats, self._count, self._pace = step, splats, 0, self.pace
+        self._planned = 0.0
+        self._recent.clear()
+
+    def state(self) -> dict[str, Any]:
+        """As JSON values; see `restore`."""
+        return {
+            "train_seconds": self.train_seconds,
+            "history": self.history,
+            "loss": self._loss,
+            "mse": self._mse,
+            "count": self._count,
+            "step": self._step,
+            "splats": self._splats,
+            "pace": self.pace,
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from what `state` returned; ValueError or KeyError where it did not."""
+        self.train_seconds = number("train_seconds", state["train_seconds"], low=0)
+        self.history = rows("history", state["history"])
+        self._loss = number("loss", state["loss"], finite=False)
+        self._mse = number("mse", state["mse"], finite=False)
+        self._count = whole("count", state["count"])
+        self._step = whole("step", state.get("step", 0))
+        self._splats = whole("splats", state.get("splats", self._splats))
+        self._pace = number("pace", state.get("pace", 1.0), low=0)
+
+
+def _finite(value: Any) -> Any:
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,95 @@
+"""The views of a capture as the training step needs them, and the order they come in."""
+
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
+
+import numpy as np
+import torch
+
+from ...scene import Scene
+from ..host.random import order
+
+
+class Photos(Protocol):
+    """What the trainer asks of a dataset; see `gscore.datasets`."""
+
+    @property
+    def scene(self) -> Scene:
+        """Cameras at training resolution and points."""
+        ...
+
+    @property
+    def train(self) -> Sequence[int]:
+        """Views to train on."""
+        ...
+
+    @property
+    def test(self) -> Sequence[int]:
+        """Views held out."""
+        ...
+
+    @property
+    def mask_mode(self) -> str:
+        """`composite`, `ignore` or `none`."""
+        ...
+
+    def content_hash(self) -> str:
+        """Changes with any photo or mask."""
+        ...
+
+    def image(self, index: int) -> np.ndarray:
+        """[H, W, 3] uint8."""
+        ...
+
+    def mask(self, index: int) -> np.ndarray | None:
+        """[H, W] uint8, or None."""
+        ...
+
+
+class TrainingView(NamedTuple):
+    """A camera in the training world."""
+
+    viewmat: torch.Tensor
+    """[4, 4] float32, world to camera."""
+    K: torch.Tensor
+    """[3, 3] float32, pixels."""
+    width: int
+    height: int
+
+
+def view_of(viewmat: np.ndarray, K: np.ndarray, width: int, height: int) -> TrainingView:
+    """A camera of the training world, [4, 4] and [3, 3] float64, as tensors."""
+    return TrainingView(
+        torch.from_numpy(viewmat.astype(np.float32)),
+        torch.from_numpy(K.astype(np.float32)),
+        width,
+        height,
+    )
+
+
+class Sampler:
+    """Each view once an epoch, in another order each epoch."""
+
+    def __init__(self, indices: Sequence[int]) -> None:
+        self.indices = list(indices)
+        self.order: list[int] = []
+        """Views of this epoch."""
+        self.position = 0
+        """Next place in `order`."""
+
+    def upcoming(self, count: int) -> list[int]:
+        """The next views as far as they are drawn already, at most `count`."""
+        return self.order[self.position : self.position + count]
+
+    def next(self, generator: torch.Generator) -> int:
+        """The next view; draws an order where an epoch begins."""
+        if self.position >= len(self.order):
+            shuffled = order(len(self.indices), generator)
+            self.order = [self.indices[i] for i in shuffled]
+            self.position = 0
+        self.position += 1
+        return self.order[self.position - 1]
+
+    def put_back(self) -> None:
+        """Let the view drawn last come again: its photo was not to be had."""
+        self.position -= 1

@@ -1,0 +1,51 @@
+"""The splats that a training starts from, in the training world."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ...config import TrainConfig
+from ...errors import ConfigError
+from ...scene import PointCloud
+from ...splats import SH_REST_BY_DEGREE, Splats
+from ...words import number
+from ..schedule.plan import Plan
+from .frame import Frame
+from .near import Nearest
+from .params import splats_from_points
+
+
+def splats_of_cloud(
+    cloud: PointCloud, near: Nearest, config: TrainConfig, plan: Plan, frame: Frame
+) -> Splats:
+    """One splat a point of `cloud` (training world), thinned to `max_splats`; `near`: the points of
+    the cloud that are finite."""
+    return splats_from_points(
+        cloud,
+        extent=frame.extent,
+        opacity=plan.init_opacity,
+        scale=plan.init_scale,
+        max_splats=config.max_splats,
+        seed=config.seed,
+        near=near,
+    )
+
+
+def splats_to_go_on_with(start: Splats, config: TrainConfig, frame: Frame) -> Splats:
+    """Given splats (world), with no higher SH degree than the config has.
+
+    Raises:
+        ConfigError: they are none, or more than `max_splats`.
+    """
+    if not 0 < len(start) <= config.max_splats:
+        raise ConfigError(
+            f"The splats to start from are {number(len(start))}, expected 1 to max_splats = "
+            f"{number(config.max_splats)}; raise --max-splats or start from fewer."
+        )
+    rest = SH_REST_BY_DEGREE[config.sh_degree]
+    start = replace(start, shN=np.ascontiguousarray(start.shN[:, :rest]))
+    if config.start_opacity < 1:
+        opacity = config.start_opacity / (1 + np.exp(-start.opacities.astype(np.float64)))
+        logits = np.log(opacity) - np.log1p(-opacity)
+        start = replace(start, opacities=logits.astype(np.float32))
+    return frame.similarity.splats_to_training(start)

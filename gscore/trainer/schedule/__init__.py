@@ -1,0 +1,1 @@
+"""When things happen in a run of so many steps, and at which rates."""

@@ -1,0 +1,95 @@
+"""What each splat adds to the photos: its blending weights, summed over pixels."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from typing import NamedTuple
+
+import torch
+
+from ...raster.memory import ones, zeros
+from ...raster.painter import Painter
+from ...raster.request import Frustum, Settings
+from ...sh import SH_C0
+from ..photos.pyramid import Sized
+
+
+class Weights(NamedTuple):
+    """The blending weights of the splats in one view, summed over pixels; good until the next."""
+
+    kept: torch.Tensor
+    """[N] float32, px: over the pixels that the mask shows, as far as it does."""
+    whole: torch.Tensor
+    """[N] float32, px: over all pixels."""
+
+
+def weights_by_view(
+    painter: Painter,
+    params: Mapping[str, torch.Tensor],
+    shown: Iterable[Sized],
+    *,
+    near: float,
+    antialias: bool,
+    masks_hide: bool,
+    scratch: Mapping[str, torch.Tensor],
+    threads: int = 0,
+) -> Iterator[Weights]:
+    """With how much weight each splat was blended in each view.
+
+    The backward pass knows it: it is the gradient of the sum of a picture in the splat's colour.
+    Colours are made grey for that, since one that is clamped at zero passes no gradient. One
+    channel is summed over the pixels that masks show, another over all.
+
+    Args:
+        painter: What it drew last is lost.
+        params: The splats, raw, as in `Model.params`; their SH coefficients are not read.
+        shown: Views to look at.
+        near: Near plane, training units.
+        antialias: As in the training.
+        masks_hide: Pixels count as kept as far as masks show them; else all do.
+        scratch: Tensors of the shapes of `params` by name, which are overwritten; not shN.
+        threads: 0: all cores; the result does not depend on it.
+    """
+    no_rest = zeros(len(params["means"]), 0, 3)
+    grey = {**params, "sh0": torch.zeros_like(params["sh0"]), "shN": no_rest}
+    into = {**scratch, "shN": no_rest}
+    for view, _, mask, _, _ in shown:
+        painter.draw(
+            tuple(grey.values()),
+            Frustum(view.viewmat, view.K, view.width, view.height, near),
+            Settings(antialias=antialias, threads=threads),
+        )
+        counts = ones(view.height, view.width, 3)
+        if masks_hide and mask is not None:
+            counts[..., 0] = torch.from_numpy(mask).to(counts.dtype) / 255
+        painter.gradients(into, counts)
+        yield Weights(into["sh0"][:, 0, 0] / SH_C0, into["sh0"][:, 0, 1] / SH_C0)
+
+
+def most_in_a_view(weights: Iterable[Weights], count: int) -> torch.Tensor:
+    """[N] float32, px: what each of `count` splats adds to the view in which it adds most.
+
+    A splat that one view needs is needed; the sum over all views would favour the background, which
+    all show. Of half of the splats pruned that cost 0.1 to 0.2 dB more on plush.
+    """
+    most = zeros(count)
+    for kept, _ in weights:
+        torch.maximum(most, kept, out=most)
+    return most
+
+
+def mostly_hidden(weights: Iterable[Weights], count: int, *, share: float) -> torch.Tensor:
+    """[N] bool: which of `count` splats have less than `share` of their weight where masks show it.
+
+    No photo says what these should look like, and they veil what other photos show.
+    """
+    kept, whole = zeros(count), zeros(count)
+    for of_kept, of_whole in weights:
+        kept += of_kept
+        whole += of_whole
+    return kept < share * whole
+
+
+def least(weights: torch.Tensor, count: int) -> torch.Tensor:
+    """[N] bool: the `count` smallest of `weights` [N]; of equal ones, those that come first."""
+    out = zeros(len(weights), dtype=torch.bool)
+    out[torch.sort(weights, stable=True).indices[:count]] = True
+    return out

@@ -1,0 +1,56 @@
+"""Free space around the cameras: nothing was seen there, so no splat is kept there.
+
+Splats close before one camera hide little from it and everything from a camera beside it; training
+makes them, because they explain one photo each, and as a wall for cameras across the room. Points
+of structure from motion say how far away the first surface is.
+"""
+
+import numpy as np
+import torch
+
+from ...raster.memory import zeros
+from ..rows.near import Nearest
+
+_NEAREST = 10
+"""The distance to the first surface is that to this nearest point: single ones are often wrong."""
+_FEWEST_POINTS = 500
+"""Fewer points are too thinly sown to say that a place between them is empty."""
+_PRODUCTS = 1 << 19
+"""Distances that are looked at together."""
+
+
+class FreeSpace:
+    """Balls around cameras; float64 inside, for a ball may be small against its distance from the
+    origin."""
+
+    def __init__(self, centers: np.ndarray, surfaces: Nearest | None, *, share: float) -> None:
+        """Measure the balls.
+
+        Args:
+            centers: [C, 3] float64 positions of cameras, in any unit.
+            surfaces: Points of them, in that unit. None or fewer than 500 tell nothing: then there
+                are no balls.
+            share: Radius of a ball as a share of the distance of its camera from the tenth nearest
+                point.
+        """
+        if share <= 0 or surfaces is None or len(surfaces) < _FEWEST_POINTS:
+            centers = centers[:0]
+        radii = np.zeros(len(centers))
+        if len(centers) and surfaces is not None:
+            radii = share * surfaces.distances(centers, _NEAREST)[:, -1]
+        # |m - c|^2 < r^2 as |m|^2 + (|c|^2 - r^2 - 2 m c) < 0.
+        self._towards = torch.from_numpy(-2 * centers.T)
+        self._rest = torch.from_numpy(np.square(centers).sum(axis=1) - radii**2)
+
+    def holds(self, means: torch.Tensor) -> torch.Tensor:
+        """[N] bool: which of `means` [N, 3] lie in a ball."""
+        inside = zeros(len(means), dtype=torch.bool)
+        balls = len(self._rest)
+        if balls == 0:
+            return inside
+        rows = max(_PRODUCTS // balls, 1)
+        for at in range(0, len(means), rows):
+            part = means[at : at + rows].double()
+            least = torch.addmm(self._rest, part, self._towards).amin(dim=1)
+            inside[at : at + rows] = part.square().sum(dim=1) + least < 0
+        return inside

@@ -1,0 +1,40 @@
+"""Developers' scripts, which no test of their own runs; oracle: the modules they import from."""
+
+import ast
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+SCRIPTS = sorted(
+    path
+    for folder in ("tools", "experiments", "examples")
+    for path in (ROOT / folder).rglob("*.py")
+)
+
+
+@pytest.mark.parametrize("path", SCRIPTS, ids=lambda p: str(p.relative_to(ROOT)))
+def test_what_scripts_take_from_gscore_is_there(path: Path) -> None:
+    """Oracle: gscore itself; nobody notices otherwise when a name of it moves."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if not isinstance(node, ast.ImportFrom) or node.level or not node.module:
+            continue
+        if node.module.split(".")[0] != "gscore":
+            continue
+        module = import_module(node.module)
+        for alias in node.names:
+            there = hasattr(module, alias.name) or find_spec(f"{node.module}.{alias.name}")
+            assert there, f"line {node.lineno}: {node.module} has no {alias.name}"
+
+
+def test_each_script_has_one_place() -> None:
+    """Oracle: the folders: what makes something, what breaks it, what measures it."""
+    assert {path.name for path in (ROOT / "tools").iterdir() if path.name != "__pycache__"} == {
+        "build",
+        "break",
+        "measure",
+    }
+    names = [path.name for path in (ROOT / "tools").rglob("*.py")]
+    assert len(names) == len(set(names))

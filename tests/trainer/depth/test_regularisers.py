@@ -1,0 +1,82 @@
+"""Splats left out and opacity by masks; oracles: expectations, formulas, and counts."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from gscore.config import Background, TrainConfig
+from gscore.trainer.depth.regularisers import drop_rate_at, drop_splats, opacity_loss
+from gscore.trainer.trainer import Trainer
+
+
+def test_the_share_left_out_rises_evenly() -> None:
+    """Oracle: equation 5 of Park et al. 2025: rate * step / steps."""
+    assert [drop_rate_at(0.2, step, 1000) for step in (0, 500, 1000, 2000)] == pytest.approx(
+        [0, 0.1, 0.2, 0.2]
+    )
+
+
+def test_the_expected_opacity_stays() -> None:
+    """Oracle: the mean over many draws is the opacity itself; a share of `rate` is gone."""
+    logits = torch.full((200_000,), -0.5)
+    out = torch.sigmoid(drop_splats(logits, 0.25, torch.Generator().manual_seed(1)))
+    gone = out < 1e-9
+    assert float(gone.float().mean()) == pytest.approx(0.25, abs=0.005)
+    assert float(out.mean()) == pytest.approx(float(torch.sigmoid(logits[0])), rel=0.01)
+
+
+def test_gradients_are_those_of_the_scaled_opacity() -> None:
+    """Oracle: d o/(1-r) / d logit = o (1 - o) / (1 - r), at the ceiling too; none when gone."""
+    logits = torch.tensor([-2.0, 0.3, 4.0, 9.0], dtype=torch.float64).repeat(50).requires_grad_()
+    out = drop_splats(logits, 0.2, torch.Generator().manual_seed(0))
+    opacity = torch.sigmoid(out)
+    opacity.sum().backward()
+    o = torch.sigmoid(logits.detach())
+    expected = torch.where(out > -20, o * (1 - o) / 0.8, 0.0)
+    assert logits.grad is not None
+    torch.testing.assert_close(logits.grad, expected, rtol=1e-6, atol=1e-12)
+    assert float(opacity.max()) == pytest.approx(0.999)
+
+
+def test_opacity_loss_is_its_formula() -> None:
+    """Oracle: numpy."""
+    rng = np.random.default_rng(0)
+    alpha, mask = rng.uniform(size=(6, 7)), rng.integers(0, 256, (6, 7)).astype(np.uint8)
+    found = opacity_loss(torch.from_numpy(alpha), torch.from_numpy(mask))
+    assert float(found) == pytest.approx(np.abs(alpha - mask / 255).mean(), rel=1e-12)
+
+
+def test_splats_left_out_are_not_drawn_and_do_not_change(photos: Any) -> None:
+    """Oracle: in the last step of a run about half of the splats have no gradient at all."""
+    config = TrainConfig(iterations=1, max_splats=400, drop_rate=0.5, coarse_factor=1)
+    trainer = Trainer(config, photos)
+    before = trainer.model.params["opacities"].detach().clone()
+    trainer.step()
+    same = float((trainer.model.params["opacities"].detach() == before).float().mean())
+    whole = Trainer(replace(config, drop_rate=0.0), photos)
+    whole.step()
+    hidden = float((whole.model.params["opacities"].detach() == before).float().mean())
+    assert hidden < 0.2
+    assert 0.4 < same < 0.65
+
+
+def test_masks_ask_for_opacity(make_photos: Any) -> None:
+    """Oracle: black photos on black say nothing about opacity, so only the masks can raise it."""
+    photos = make_photos()
+    for i in range(len(photos.images)):
+        photos.images[i] = np.zeros((48, 48, 3), np.uint8)
+        photos.masks[i] = np.full((48, 48), 255, np.uint8)
+    photos.mask_mode = "composite"
+    config = TrainConfig(
+        iterations=40, max_splats=200, coarse_factor=1, sh_degree=0, background=Background.BLACK
+    )
+    means = []
+    for weight in (0.0, 1.0):
+        trainer = Trainer(replace(config, alpha_weight=weight), photos)
+        for _ in range(40):
+            trainer.step()
+        means.append(float(torch.sigmoid(trainer.model.params["opacities"]).detach().mean()))
+    assert means[1] > 2 * means[0], means

@@ -1,0 +1,224 @@
+"""Training with depth; oracles: known splats, bit equality, what the rasterizer is asked for."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from gscore.config import Strategy, TrainConfig
+from gscore.depth import DepthPrior
+from gscore.errors import ConfigError
+from gscore.raster.api import render
+from gscore.raster.autograd import rasterize
+from gscore.raster.header import OUT_INVERSE_DEPTH
+from gscore.raster.painter import Painter
+from gscore.scene import PointCloud
+from gscore.trainer.depth.targets import DepthTargets
+from gscore.trainer.files import checkpoint
+from gscore.trainer.trainer import Trainer
+from tests.trainer.short_run import CONFIG
+
+EVERYTHING = replace(CONFIG, drop_rate=0.3, alpha_weight=0.1, coarse_factor=2.0)
+
+
+def true_priors(photos: Any, splats: Any, *, unaligned: tuple[int, ...] = ()) -> list[DepthPrior]:
+    """Inverse depth of known splats, where they are nearly opaque; some as an affine of it."""
+    cameras, priors = photos.scene.cameras, []
+    for i in range(len(cameras.names)):
+        size = int(cameras.widths[i]), int(cameras.heights[i])
+        view = render(splats, cameras.Ks[i], cameras.viewmats[i], *size)
+        assert view.inverse_depth is not None
+        aligned = i not in unaligned
+        priors.append(
+            DepthPrior(
+                inverse_depth=view.inverse_depth if aligned else 3 * view.inverse_depth + 1,
+                confidence=(view.alpha > 0.9).astype(np.float32),
+                aligned=aligned,
+                fit=None,
+            )
+        )
+    return priors
+
+
+@pytest.fixture
+def masked(make_photos: Callable[..., Any], known_splats: Any) -> Any:
+    """The toy capture with its true opacity as masks."""
+    photos = make_photos()
+    cameras = photos.scene.cameras
+    for i in range(len(cameras.names)):
+        view = render(known_splats, cameras.Ks[i], cameras.viewmats[i], 48, 48)
+        photos.masks[i] = (view.alpha * 255 + 0.5).astype(np.uint8)
+    photos.mask_mode = "composite"
+    return photos
+
+
+@pytest.fixture
+def targets(photos: Any, known_splats: Any) -> DepthTargets:
+    """Exact depth of the toy capture, two views not aligned."""
+    return DepthTargets(
+        true_priors(photos, known_splats, unaligned=(1, 4)), train=photos.train, views=8
+    )
+
+
+def bits(trainer: Trainer) -> dict[str, bytes]:
+    return {name: t.contiguous().numpy().tobytes() for name, t in trainer.tensors().items()}
+
+
+def run(trainer: Trainer, steps: int) -> Trainer:
+    for _ in range(steps):
+        trainer.step()
+    return trainer
+
+
+def test_inverse_depth_is_that_of_the_world(photos: Any, known_splats: Any) -> None:
+    """Oracle: the same splats rendered in COLMAP world by another entry point."""
+    trainer = Trainer(CONFIG, photos, start=known_splats)
+    assert trainer.frame.similarity.scale != 1
+    cameras = photos.scene.cameras
+    view = render(known_splats, cameras.Ks[3], cameras.viewmats[3], 48, 48)
+    assert view.inverse_depth is not None and view.inverse_depth.max() > 0.3
+    np.testing.assert_allclose(trainer.inverse_depth(3)[0], view.inverse_depth, atol=2e-4)
+
+
+def test_true_splats_have_no_depth_loss(
+    photos: Any, known_splats: Any, targets: DepthTargets
+) -> None:
+    """Oracle: zero at the truth, in the training world and at a coarse size; not elsewhere."""
+    trainer = Trainer(CONFIG, photos, start=known_splats, depth=targets)
+    assert trainer.depth is not None
+    for index in (0, 1):  # aligned and not
+        for factor, limit in ((1.0, 4e-3), (2.0, 0.03)):
+            view = trainer._pyramid.at(index, factor).view
+            with torch.no_grad():
+                out = rasterize(
+                    *trainer.model.settled().values(),
+                    *view,
+                    raw=True,
+                    near=0.01,
+                    inverse_depth=True,
+                )
+            assert out.inverse_depth is not None
+            opaque = torch.ones_like(out.alpha)
+            assert float(trainer.depth(index, out.inverse_depth, opaque)) < limit
+            nothing = torch.zeros_like(out.inverse_depth)
+            assert float(trainer.depth(index, nothing, opaque)) > 0.05
+
+
+def test_depth_off_is_the_training_without_depth(
+    photos: Any, targets: DepthTargets, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: bit equality, and that the rasterizer is never asked for inverse depth."""
+    asked = []
+    plain = Painter.draw
+
+    def watched(painter: Painter, splats: Any, view: Any, settings: Any) -> Any:
+        asked.append(bool(settings.outputs & OUT_INVERSE_DEPTH))
+        return plain(painter, splats, view, settings)
+
+    monkeypatch.setattr(Painter, "draw", watched)
+    without = run(Trainer(CONFIG, photos), 30)
+    weightless = replace(CONFIG, depth_weight=0.0, depth_weight_final=0.0)
+    with_zero = run(Trainer(weightless, photos, depth=targets), 30)
+    assert bits(without) == bits(with_zero)
+    assert asked == [False] * 60
+    supervised = run(Trainer(CONFIG, photos, depth=targets), 30)
+    assert bits(supervised) != bits(without)
+    assert asked[60:] == [True] * 30
+
+
+def test_weights_scale_the_gradients_and_terms_add_up(
+    masked: Any, known_splats: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: the loss is linear in its weights, so gradients of the first picture are, too."""
+    given = []
+    plain = Painter.gradients
+
+    def watched(self: Painter, *args: Any, **options: Any) -> Any:
+        given.append([None if v is None else v.clone() for v in args[2:4]])
+        return plain(self, *args, **options)
+
+    monkeypatch.setattr(Painter, "gradients", watched)
+    targets = DepthTargets(true_priors(masked, known_splats), train=masked.train, views=8)
+    for depth, alpha in ((1.0, 0.0), (0.25, 0.0), (0.0, 0.5), (0.25, 0.5)):
+        config = replace(CONFIG, depth_weight=depth, depth_weight_final=depth, depth_warmup=0.0)
+        run(Trainer(replace(config, alpha_weight=alpha), masked, depth=targets), 1)
+    (full_alpha, full), (quarter_alpha, quarter), (mask_alpha, nothing), (both_alpha, both) = given
+    assert nothing is None and full.abs().max() > 0 and mask_alpha.abs().max() > 0
+    torch.testing.assert_close(quarter, 0.25 * full)
+    torch.testing.assert_close(quarter_alpha, 0.25 * full_alpha)
+    torch.testing.assert_close(both, quarter)
+    torch.testing.assert_close(both_alpha, quarter_alpha + mask_alpha)
+
+
+def test_depth_makes_depth_better(make_photos: Callable[..., Any], known_splats: Any) -> None:
+    """Oracle: the true inverse depth; four views, and points that say nothing about the shape."""
+    photos = make_photos(held_out=(1, 3, 5, 7))
+    rng = np.random.default_rng(0)
+    colors = photos.scene.points.colors
+    points = PointCloud(points=rng.uniform(-1.5, 1.5, (len(colors), 3)), colors=colors)
+    truth = true_priors(photos, known_splats)
+    config = TrainConfig(iterations=400, max_splats=400, sh_degree=0, depth_weight_final=0.1)
+    errors = []
+    for depth in (None, DepthTargets(truth, train=photos.train, views=8)):
+        trainer = run(Trainer(config, photos, points=points, depth=depth), config.iterations)
+        found = []
+        for i in photos.train:
+            sure = truth[i].confidence > 0
+            difference = trainer.inverse_depth(i)[0][sure] / truth[i].inverse_depth[sure] - 1
+            found.append(float(np.median(np.abs(difference))))
+        errors.append(np.mean(found))
+    assert errors[1] < 0.75 * errors[0], errors
+
+
+@pytest.mark.parametrize("strategy", list(Strategy))
+def test_resume_with_everything_on_is_bit_equal(
+    masked: Any, targets: DepthTargets, tmp_path: Path, strategy: Strategy
+) -> None:
+    """Oracle: all tensors and other state after the last step, from checkpoints on disk."""
+    config = replace(EVERYTHING, strategy=strategy)
+    whole = Trainer(config, masked, depth=targets)
+    stops = (1, 9, 20, 37)
+    for step in range(1, 61):
+        whole.step()
+        if step in stops:
+            checkpoint.save(tmp_path / f"{step}.safetensors", whole, {})
+    for stop in stops:
+        found = checkpoint.load(tmp_path / f"{stop}.safetensors")
+        checkpoint.check_compatible(found, config, masked)
+        resumed = Trainer(config, masked, depth=targets)
+        checkpoint.check_same_depth(found, resumed)
+        resumed.restore(found.trainer, found.tensors)
+        run(resumed, 60 - stop)
+        assert bits(resumed) == bits(whole), f"resumed at step {stop}"
+        assert resumed.state() == whole.state()
+
+
+def test_other_depths_cannot_go_on(
+    photos: Any, known_splats: Any, targets: DepthTargets, tmp_path: Path
+) -> None:
+    """Oracle: the message; the maps are the same for the same loss, other, or missing."""
+    path = tmp_path / "c.safetensors"
+    checkpoint.save(path, run(Trainer(CONFIG, photos, depth=targets), 2), {})
+    found = checkpoint.load(path)
+    checkpoint.check_compatible(found, CONFIG, photos)
+    other = DepthTargets(true_priors(photos, known_splats), train=photos.train, views=8)
+    with pytest.raises(ConfigError, match="other depth maps"):
+        checkpoint.check_same_depth(found, Trainer(CONFIG, photos, depth=other))
+    with pytest.raises(ConfigError, match="with depth maps"):
+        checkpoint.check_same_depth(found, Trainer(CONFIG, photos))
+    checkpoint.save(path, run(Trainer(CONFIG, photos), 2), {})
+    with pytest.raises(ConfigError, match="without depth maps"):
+        checkpoint.check_same_depth(checkpoint.load(path), Trainer(CONFIG, photos, depth=targets))
+
+
+def test_same_bits_for_any_number_of_threads(masked: Any, targets: DepthTargets) -> None:
+    """Oracle: bit equality of all state after 40 steps with every term on."""
+    seen = []
+    for threads in (1, 3):
+        config = replace(EVERYTHING, threads=threads)
+        seen.append(bits(run(Trainer(config, masked, depth=targets), 40)))
+    assert seen[0] == seen[1]

@@ -1,0 +1,172 @@
+"""What a run is said to take; oracles: sums over its steps, and memory that was measured."""
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from gscore.config import PRESETS, TrainConfig
+from gscore.errors import GsError
+from gscore.trainer.estimate.cost import Cost
+from gscore.trainer.estimate.forecast import Estimate, check_fits, estimate, machine_pace
+from gscore.trainer.estimate.memory import cache_bytes
+from gscore.trainer.schedule.plan import Plan
+
+SIZES = [(640, 480)] * 60
+GB = 1_000_000_000
+
+
+def test_seconds_are_those_of_the_plan() -> None:
+    """Oracle: the sum over all steps of a run whose count stays; twice as slow, twice as long."""
+    config = TrainConfig(iterations=400, max_splats=7000)
+    plan = Plan.of(config, extent=1.0, points=7000, side=480, pixels=640 * 480)
+    whole = sum(Cost(plan).seconds_at(step, 7000) for step in range(1, 401))
+    found = estimate(config, SIZES, points=7000, pace=2.0)
+    assert found.seconds == pytest.approx(2 * whole, rel=0.02)
+    budget = estimate(replace(config, time_budget=12.0), SIZES, points=7000, pace=2.0)
+    assert budget.seconds == 12.0
+
+
+def test_presets_take_more_and_more() -> None:
+    """Oracle: their order."""
+    configs = [preset(Path("photos"))[1] for preset in PRESETS.values()]
+    found = [estimate(c, SIZES, points=7000, pace=1.0) for c in configs]
+    assert [e.seconds for e in found] == sorted(e.seconds for e in found)
+    assert [e.peak_bytes for e in found] == sorted(e.peak_bytes for e in found)
+
+
+def test_what_does_not_fit_is_told_with_what_would() -> None:
+    """Oracle: what is proposed fits when it is asked for."""
+    config = TrainConfig(max_splats=800_000)
+    big = [(2000, 1500)] * 200
+    found = estimate(config, big, points=7000, free=7 * GB // 5, pace=1.0)
+    assert not found.fits
+    with pytest.raises(GsError, match=rf"--max-splats {found.fitting_splats} or .*-r \d+"):
+        check_fits(found, config)
+    fewer = replace(config, max_splats=found.fitting_splats)
+    assert estimate(fewer, big, points=7000, free=7 * GB // 5, pace=1.0).fits
+    width = found.fitting_width
+    assert 0 < width < 2000
+    small = [(width, width * 3 // 4)] * 200
+    assert estimate(config, small, points=7000, free=7 * GB // 5, pace=1.0).fits
+    nothing = estimate(config, big, points=7000, free=GB // 10, pace=1.0)
+    assert (nothing.fitting_splats, nothing.fitting_width) == (0, 0)
+    with pytest.raises(GsError, match="close programs"):
+        check_fits(nothing, config)
+
+
+def test_photos_that_do_not_fit_are_kept_in_part() -> None:
+    """Oracle: the definition; the whole stays below what is free."""
+    config = TrainConfig(max_splats=10_000)
+    many = [(4000, 3000)] * 500
+    found = estimate(config, many, points=7000, free=10 * GB, pace=1.0)
+    assert found.fits
+    assert not found.photos_kept
+    assert found.peak_bytes - 230_000_000 <= 10 * GB
+    assert estimate(config, many, points=7000, free=100 * GB, pace=1.0).photos_kept
+    asked = estimate(replace(config, cache_mb=500), many, points=7000, free=100 * GB, pace=1.0)
+    assert (asked.photos_kept, asked.photo_bytes) == (False, 500_000_000)
+    few = replace(config, cache_mb=500)
+    assert cache_bytes(few, 400_000_000, all_of_them=0, rest=0, free=0) is None
+
+
+def test_memory_of_a_million_splats() -> None:
+    """Oracle: a peak of 1.92 GB, measured with 100 photos of 1216 x 832 px (`gscore bench
+    memory`)."""
+    config = TrainConfig(max_splats=1_000_000, sh_degree=3, coarse_factor=1.0)
+    found = estimate(config, [(1216, 832)] * 100, points=7000, free=100 * GB, pace=1.0)
+    assert found.peak_bytes == pytest.approx(1.92e9, rel=0.08)
+
+
+def test_memory_of_measuring_counts_where_it_is_more(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Oracle: peaks of 0.50 to 0.60 GB, measured with LPIPS after previews (50,000 splats, some 50
+    photos of 400 x 300 px), and of 1.02 GB after a run with the preset `normal` (274,000 splats,
+    800 x 600 px)."""
+    network = tmp_path / "lpips_squeeze.onnx"
+    monkeypatch.setenv("GSCORE_LPIPS", str(network))
+    small = TrainConfig(iterations=1500, max_splats=50_000, sh_degree=1)
+    large = TrainConfig(iterations=7000, max_splats=274_000)
+
+    def peaks() -> list[int]:
+        runs = ((small, (400, 300)), (large, (800, 600)))
+        found = [estimate(c, [size] * 51, points=6900, free=9 * GB, pace=1.0) for c, size in runs]
+        return [e.peak_bytes for e in found]
+
+    without = peaks()
+    network.write_bytes(b"")
+    within = peaks()
+    assert without[0] < 0.42e9 < within[0] == pytest.approx(0.55e9, rel=0.1)
+    assert without[1] < 0.9e9 < within[1] == pytest.approx(1.02e9, rel=0.1)
+
+
+def test_masks_and_depth_maps_take_memory() -> None:
+    """Oracle: by hand: a mask has a byte where a photo has three; of a depth map are there, while
+    it is read, value and confidence in float32 and three bytes of the target."""
+    config = TrainConfig(max_splats=300_000, coarse_factor=1.0)
+    pixels, views = 1200 * 1000, [(1200, 1000)] * 100
+
+    def found(free: int = 100 * GB, **what: bool) -> Estimate:
+        return estimate(config, views, points=7000, free=free, pace=1.0, **what)
+
+    plain, masks, depths = found(), found(masks=True), found(depths=True)
+    assert plain.photo_bytes == 300 * pixels
+    assert masks.photo_bytes == 400 * pixels
+    assert masks.peak_bytes - plain.peak_bytes == 100 * pixels
+    assert depths.photo_bytes == 300 * pixels
+    assert depths.peak_bytes - plain.peak_bytes == 1100 * pixels
+    free = plain.peak_bytes - 230_000_000
+    assert found(free).photos_kept and not found(free, masks=True).photos_kept
+    assert found(free).fits and not found(free, depths=True).fits
+
+
+def test_photos_are_decoded_for_each_size_where_that_saves_much() -> None:
+    """Oracle: the definition; copies of half the size are half of the photos."""
+    config = TrainConfig(max_splats=300_000, iterations=5000)
+    many = [(1200, 1000)] * 100
+    anew = estimate(config, many, points=7000, free=100 * GB, pace=1.0)
+    short = estimate(replace(config, iterations=4999), many, points=7000, free=100 * GB, pace=1.0)
+    assert anew.photos_kept and anew.photos_anew and anew.photo_bytes == 360_000_000
+    assert short.photos_kept and not short.photos_anew and short.photo_bytes == 540_000_000
+    few = estimate(config, many[:10], points=7000, free=100 * GB, pace=1.0)
+    assert not few.photos_anew
+    scarce = estimate(config, many, points=7000, free=7 * GB // 10, pace=1.0)
+    assert not (scarce.photos_kept or scarce.photos_anew)
+
+
+def test_the_machine_is_measured_quickly_and_without_torch() -> None:
+    """Oracle: the modules of a fresh interpreter."""
+    code = (
+        "import sys; sys.modules['torch'] = None\n"
+        "import gscore\n"
+        "size = gscore.target_size(4000, 3000, -1, max_width=400)\n"
+        "found = gscore.estimate(gscore.TrainConfig(), [size] * 3, points=9)\n"
+        "print(size, found.seconds > 0, found.fits)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split("\n")[0] == "(400, 300) True True"
+    assert machine_pace(1) > 0
+
+
+@pytest.mark.parametrize(
+    ("preset", "size", "waits", "taken"),
+    [
+        ("preview", (400, 300), False, 13.0),
+        ("draft", (640, 480), False, 94.0),
+        ("normal", (800, 600), False, 268.0),
+        ("high", (800, 600), False, 546.0),
+        ("preview", (400, 300), True, 10.8),
+        ("draft", (640, 480), True, 75.3),
+    ],
+)
+def test_seconds_said_for_the_presets(
+    preset: str, size: tuple[int, int], waits: bool, taken: float
+) -> None:
+    """Oracle: what trainings of plush took on the machine whose step times the plan holds
+    (docs/benchmarks.md, "Captures"), some of them with growth that does not wait for photos."""
+    config = replace(PRESETS[preset](Path("plush"))[1], grow_with_photos=waits)
+    found = estimate(config, [size] * 51, points=6903, pace=1.0)
+    assert found.seconds == pytest.approx(taken, rel=0.25)

@@ -1,0 +1,258 @@
+"""What strategies decide; oracle: hand-made models in which the right decision is plain."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from gscore.config import Strategy, TrainConfig
+from gscore.trainer.rows.model import Model
+from gscore.trainer.schedule.plan import Plan
+from gscore.trainer.strategy import Change, Policy, make_strategy, ops
+from gscore.trainer.strategy.default import DefaultStrategy
+from gscore.trainer.strategy.mcmc import MCMCStrategy
+
+Make = Callable[..., Model]
+EXTENT = 1.0
+
+
+def plan_of(config: TrainConfig) -> Plan:
+    return Plan.of(config, extent=EXTENT, points=4, side=300, pixels=90_000)
+
+
+def default(config: TrainConfig, model: Model) -> DefaultStrategy:
+    strategy = make_strategy(config, plan_of(config), extent=EXTENT)
+    assert isinstance(strategy, DefaultStrategy)
+    strategy.start(model)
+    return strategy
+
+
+def opaque(model: Model, scale: float) -> Model:
+    """All splats solid and round with standard deviation `scale`."""
+    model.params["opacities"].data.fill_(2.0)
+    model.params["scales"].data.fill_(math.log(scale))
+    return model
+
+
+def see(strategy: DefaultStrategy, model: Model, pulls: list[float], step: int = 1) -> None:
+    """Show one view, 200 x 100 px, with pulls given in normalised coordinates, along x."""
+    v = torch.zeros(len(model), 2)
+    v[:, 0] = torch.tensor(pulls) / 100
+    radii = torch.ones(len(model), dtype=torch.int32)
+    strategy.observe(model, step=step, radii=radii, v_means2d=v, width=200, height=100)
+
+
+def after(
+    strategy: Policy, model: Model, step: int, cap: int, *, means_lr: float = 0.0, seed: int = 0
+) -> Change:
+    """What follows on a step of the optimizer."""
+    generator = torch.Generator().manual_seed(seed)
+    return strategy.after_step(model, step=step, means_lr=means_lr, cap=cap, generator=generator)
+
+
+def refine(strategy: Policy, model: Model, step: int, cap: int = 400_000) -> Change:
+    return after(strategy, model, step, cap)
+
+
+CONFIG = TrainConfig(
+    iterations=1000, refine_start=10, refine_every=10, refine_stop=500, grow_grad=2e-4
+)
+
+
+def test_pull_is_the_mean_over_views_that_drew_the_splat(marked_model: Make) -> None:
+    """Oracle: norm of (v_x W/2, v_y H/2), summed; views that culled the splat do not count."""
+    model = marked_model(2)
+    strategy = default(CONFIG, model)
+    v = torch.tensor([[3e-2, 8e-2], [0.0, 0.0]])
+    for radii in ([5, 0], [7, 0]):
+        strategy.observe(
+            model,
+            step=1,
+            radii=torch.tensor(radii, dtype=torch.int32),
+            v_means2d=v,
+            width=200,
+            height=100,
+        )
+    np.testing.assert_allclose(model.rows["pull"].numpy(), [2 * math.hypot(3, 4), 0], rtol=1e-6)
+    assert model.rows["seen"].tolist() == [2, 0]
+
+
+def test_small_splats_are_cloned_large_ones_split(marked_model: Make) -> None:
+    """Oracle: paper 5.2: a clone is a copy; a split replaces the splat by two smaller ones."""
+    model = opaque(marked_model(4), 0.005)
+    model.params["scales"].data[1] = math.log(0.05)
+    strategy = default(CONFIG, model)
+    see(strategy, model, [3e-4, 3e-4, 1e-4, 0.0])
+    change = refine(strategy, model, 10)
+    assert change == Change(added=3, removed=1)
+    marks = model.params["sh0"][:, 0, 0].tolist()
+    assert marks == [0, 2, 3, 0, 1, 1]
+    scales = model.params["scales"][:, 0]
+    np.testing.assert_allclose(scales[-2:].numpy(), math.log(0.05 / 1.6), rtol=1e-6)
+    torch.testing.assert_close(model.params["means"][3], torch.zeros(3))
+    assert model.rows["pull"].tolist() == [0] * 6
+
+
+def test_a_refinement_puts_neighbours_together(marked_model: Make) -> None:
+    """Oracle: along a line the Morton order is that of the coordinates; all of a row moves."""
+    model = opaque(marked_model(6), 0.005)
+    order = torch.tensor([4, 0, 5, 2, 1, 3])
+    ops.edit(model, keep=order)
+    strategy = default(CONFIG, model)
+    see(strategy, model, [0.0] * 6)
+    assert not refine(strategy, model, 10)
+    for p in (model.params["means"], model.params["sh0"], model.moments("sh0")[0] - 1000):
+        assert p.reshape(6, -1)[:, 0].tolist() == [0, 1, 2, 3, 4, 5]
+
+
+def test_nothing_happens_between_refinements(marked_model: Make) -> None:
+    """Oracle: steps off the grid, before the start and after the stop change nothing."""
+    model = opaque(marked_model(2), 0.005)
+    strategy = default(CONFIG, model)
+    see(strategy, model, [1.0, 1.0])
+    for step in (5, 11, 510, 1000):
+        assert not refine(strategy, model, step)
+    assert len(model) == 2
+    see(strategy, model, [1.0, 1.0], step=501)
+    assert model.rows["seen"].tolist() == [1, 1]
+
+
+def test_the_cap_takes_those_that_are_pulled_hardest(marked_model: Make) -> None:
+    """Oracle: sort by pull."""
+    config = TrainConfig(iterations=1000, refine_start=10, refine_every=10)
+    model = opaque(marked_model(4), 0.005)
+    strategy = default(config, model)
+    see(strategy, model, [3e-4, 9e-4, 5e-4, 7e-4])
+    refine(strategy, model, 10, cap=6)
+    assert model.params["sh0"][:, 0, 0].tolist() == [0, 1, 2, 3, 1, 3]
+
+
+def test_transparent_and_broken_splats_go(marked_model: Make) -> None:
+    """Oracle: opacity below 0.005, NaN opacity and a zero quaternion cannot be seen."""
+    model = opaque(marked_model(5), 0.005)
+    model.params["opacities"].data[1] = ops.logit(0.004)
+    model.params["opacities"].data[2] = math.nan
+    model.params["quats"].data[3] = 0
+    strategy = default(CONFIG, model)
+    assert refine(strategy, model, 10) == Change(removed=3)
+    assert model.params["sh0"][:, 0, 0].tolist() == [0, 4]
+
+
+def test_huge_splats_go_after_the_first_reset_only(marked_model: Make) -> None:
+    """Oracle: larger than 0.1 extents."""
+    config = TrainConfig(iterations=1000, refine_start=10, refine_every=10, reset_every=50)
+    model = opaque(marked_model(3), 0.05)
+    model.params["scales"].data[1, 2] = math.log(0.11)
+    strategy = default(config, model)
+    assert not refine(strategy, model, 40)
+    change = refine(strategy, model, 50)
+    assert change.reset
+    assert change.removed == 0
+    assert (torch.sigmoid(model.params["opacities"]) <= 0.0100001).all()
+    assert refine(strategy, model, 60).removed == 1
+    assert model.params["sh0"][:, 0, 0].tolist() == [0, 2]
+
+
+def test_the_last_splats_are_never_removed(marked_model: Make) -> None:
+    """Oracle: a model without splats cannot learn, so it is left alone."""
+    model = opaque(marked_model(2), 0.005)
+    model.params["opacities"].data.fill_(-20)
+    strategy = default(CONFIG, model)
+    assert not refine(strategy, model, 10)
+    assert len(model) == 2
+
+
+def mcmc(**options: float) -> tuple[MCMCStrategy, Plan]:
+    config = TrainConfig(
+        iterations=1000, refine_start=10, refine_every=10, strategy=Strategy.MCMC, **options
+    )
+    plan = plan_of(config)
+    strategy = make_strategy(config, plan, extent=EXTENT)
+    assert isinstance(strategy, MCMCStrategy)
+    return strategy, plan
+
+
+@pytest.mark.parametrize("kind", list(Strategy))
+def test_nothing_is_added_beyond_the_cap(marked_model: Make, kind: Strategy) -> None:
+    """Oracle: the caps, of splats that would all double; those above one stay."""
+    config = replace(CONFIG, strategy=kind, mcmc_growth=1)
+    strategy = make_strategy(config, plan_of(config), extent=EXTENT)
+    model = opaque(marked_model(4), 1e-4)
+    for step, cap, expected in ((10, 4, 4), (20, 5, 5), (30, 8, 8), (40, 5, 8)):
+        strategy.start(model)
+        if isinstance(strategy, DefaultStrategy):
+            see(strategy, model, [1.0] * len(model), step=step)
+        assert after(strategy, model, step, cap).removed == 0
+        assert len(model) == expected, step
+
+
+def test_mcmc_grows_to_the_cap_and_no_further(marked_model: Make) -> None:
+    """Oracle: floor(1.5 N) at each refinement, then exactly the cap."""
+    strategy, _ = mcmc(mcmc_growth=0.5)
+    model = marked_model(8)
+    sizes = []
+    for step in (10, 20, 30, 40):
+        after(strategy, model, step, 20, seed=step)
+        sizes.append(len(model))
+    assert sizes == [12, 18, 20, 20]
+
+
+def test_mcmc_counts_broken_splats_as_dead(marked_model: Make) -> None:
+    """Oracle: after a refinement every row is finite and has a direction."""
+    strategy, _ = mcmc()
+    model = opaque(marked_model(4), 0.01)
+    model.params["opacities"].data[0] = math.nan
+    model.params["quats"].data[1] = 0
+    change = after(strategy, model, 10, 4)
+    assert change == Change(moved=2)
+    for name, p in model.params.items():
+        assert torch.isfinite(p).all(), name
+    assert (model.params["quats"].norm(dim=1) > 0.1).all()
+
+
+def test_mcmc_gradients_are_those_of_its_penalties(marked_model: Make) -> None:
+    """Oracle: torch autograd of 0.01 mean(opacity) + 0.08 mean(scale), a fourth of both at the
+    end."""
+    strategy, plan = mcmc(opacity_reg=0.01, scale_reg=0.08, reg_final=0.25)
+    model = marked_model(5)
+    opacities = model.params["opacities"].clone().requires_grad_()
+    scales = model.params["scales"].clone().requires_grad_()
+    (0.0025 * torch.sigmoid(opacities).mean() + 0.02 * scales.exp().mean()).backward()
+    strategy.shape_gradients(model, step=plan.iterations)
+    torch.testing.assert_close(model.grads["opacities"], opacities.grad)
+    torch.testing.assert_close(model.grads["scales"], scales.grad)
+
+
+def test_mcmc_noise_moves_faint_splats_along_their_shape(marked_model: Make) -> None:
+    """Oracle: covariance of the shifts = gate^2 weight^2 Sigma^2; opaque splats stay."""
+    strategy, _ = mcmc(mcmc_noise=10.0)
+    n = 20_000
+    model = marked_model(n)
+    model.params["means"].data.zero_()
+    model.params["quats"].data[:] = torch.tensor([0.9, 0.3, -0.2, 0.4])
+    model.params["scales"].data[:] = torch.tensor([0.5, 0.2, 0.1]).log()
+    model.params["opacities"].data[:] = ops.logit(0.01)
+    model.params["opacities"].data[: n // 2] = 2.0
+    after(strategy, model, 1, n, means_lr=0.1)
+    means = model.params["means"].double().numpy()
+    assert not means[: n // 2].any()
+    gate = 1 / (1 + math.exp(100 * (0.01 - 0.005)))
+    axes = ops.rotate(model.params["quats"][:3], torch.eye(3)).double().numpy().T
+    sigma = axes @ np.diag([0.25, 0.04, 0.01]) @ axes.T
+    expected = (gate * 10.0 * 0.1) ** 2 * sigma @ sigma
+    found = np.cov(means[n // 2 :].T)
+    np.testing.assert_allclose(found, expected, atol=0.03 * expected.max())
+
+
+@pytest.mark.parametrize("strategy", list(Strategy))
+def test_both_strategies_take_a_model_of_one(marked_model: Make, strategy: Strategy) -> None:
+    """Oracle: no error."""
+    config = TrainConfig(iterations=100, refine_start=1, refine_every=1, strategy=strategy)
+    model = opaque(marked_model(1), 0.01)
+    policy = make_strategy(config, plan_of(config), extent=EXTENT)
+    policy.start(model)
+    after(policy, model, 5, len(model), means_lr=1e-4)
+    assert len(model) >= 1

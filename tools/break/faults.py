@@ -1,0 +1,415 @@
+"""Does to trainings what happens to them, and says what came of it: make faults [KILLS=50].
+
+Each fault is done to real processes in a folder of their own. What counts: the end has the bits of
+an undisturbed run (splats, losses of all steps, evaluation), nothing written before is lost, and
+errors are one sentence.
+"""
+
+import argparse
+import hashlib
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from gscore.trainer.files.checkpoint import load
+
+ROOT = Path(__file__).resolve().parents[2]
+CAPTURE = ROOT / "examples" / "studio"
+OPTIONS = ["--preset", "preview", "--iterations", "120", "--max-splats", "3000", "-r", "100"]
+OPTIONS += ["--mask-mode", "none", "--threads", "1", "--checkpoint-seconds", "0.05"]
+LIMIT = 600
+"""Seconds a process may take on a busy machine."""
+LAST = Path("checkpoints") / "step_00000120.safetensors"
+"""What is written after the last step, before the results."""
+RESULTS = ("point_cloud.ply", "metrics.json", "report.html")
+
+
+class HarmError(Exception):
+    """A fault that did harm."""
+
+
+class CannotError(Exception):
+    """A fault that cannot be made here."""
+
+
+@contextmanager
+def file_system(place: Path, options: str) -> Iterator[Path]:
+    """A new file system in memory at `place`, with these options of mount."""
+    place.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(place)]
+    if subprocess.run(mount, capture_output=True).returncode:
+        raise CannotError("mounting takes rights that this user does not have")
+    try:
+        yield place
+    finally:
+        subprocess.run(["umount", "-l", str(place)], check=False)
+
+
+def command(output: Path, *extra: str, capture: Path = CAPTURE) -> list[str]:
+    """A training; with --resume in `extra` one that goes on."""
+    given = [] if "--resume" in extra else [str(capture), *OPTIONS]
+    return [sys.executable, "-m", "gscore", "train", *given, "-o", str(output), *extra]
+
+
+def start(arguments: list[str], **options) -> subprocess.Popen:
+    """The process, silent."""
+    pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    return subprocess.Popen(arguments, cwd=ROOT, text=True, **pipes | options)
+
+
+def finish(arguments: list[str], **options) -> subprocess.CompletedProcess:
+    """Run to the end."""
+    process = start(arguments, **options)
+    out, err = process.communicate(timeout=LIMIT)
+    return subprocess.CompletedProcess(arguments, process.returncode, out, err)
+
+
+def expect(good: bool, what: str) -> None:
+    """Raise unless it is as it should be."""
+    if not good:
+        raise HarmError(what)
+
+
+def outcome(output: Path) -> dict[str, str]:
+    """What a run must leave: digests of the splats, and of the metrics without times and memory."""
+    lacking = [name for name in RESULTS if not (output / name).is_file()]
+    expect(not lacking, f"not written: {', '.join(lacking)}")
+    metrics = json.loads((output / "metrics.json").read_text())
+    views = [{k: v for k, v in view.items() if k != "render_seconds"} for view in metrics["views"]]
+    history = [[entry[key] for key in ("step", "loss", "splats")] for entry in metrics["history"]]
+    judged = [views, metrics["psnr"], metrics["ssim"], metrics["reason"], history]
+    whole = (output / "report.html").read_text().rstrip().endswith("</html>")
+    found = {"point_cloud.ply": (output / "point_cloud.ply").read_bytes()}
+    found["metrics.json"] = json.dumps(judged).encode()
+    found["report.html"] = b"whole" if whole else b"cut"
+    names = sorted(path.name for path in output.rglob("*") if path.suffix != ".damaged")
+    found["names of files"] = " ".join(names).encode()
+    return {name: hashlib.sha256(raw).hexdigest()[:16] for name, raw in found.items()}
+
+
+def checkpoints(output: Path) -> list[Path]:
+    return sorted((output / "checkpoints").glob("step_*.safetensors"))
+
+
+def is_writing(output: Path, before: int) -> bool:
+    """Whether a checkpoint is being written, after another one than those `before`."""
+    folder = output / "checkpoints"
+    return len(checkpoints(output)) != before and any(folder.glob(".*.tmp"))
+
+
+def written(path: Path) -> int:
+    """When, in ns; 0 if it is not there."""
+    try:
+        return path.stat().st_mtime_ns
+    except FileNotFoundError:
+        return 0
+
+
+def stage(output: Path) -> str:
+    """Where a killed run goes on: at the beginning, between two steps, or after the last."""
+    if (output / LAST).exists():
+        return "results"
+    return "steps" if checkpoints(output) else "begin"
+
+
+def wait_for(process: subprocess.Popen, ready: Callable[[], bool]) -> bool:
+    """Whether it came about before the process ended."""
+    end = time.monotonic() + LIMIT
+    while process.poll() is None and time.monotonic() < end:
+        if ready():
+            return True
+        time.sleep(0.002)
+    return False
+
+
+def pause(process: subprocess.Popen, seconds: float) -> None:
+    """Wait so long, or until the process ends."""
+    end = time.monotonic() + seconds
+    wait_for(process, lambda: time.monotonic() > end)
+
+
+def sentence(ended: subprocess.CompletedProcess) -> str:
+    """The error, which must be one line without a traceback."""
+    lines = ended.stderr.strip().splitlines()
+    errors = [line for line in lines if "error:" in line]
+    expect("Traceback" not in ended.stderr, f"a traceback: {ended.stderr[-300:]}")
+    expect(len(errors) == 1, f"{len(errors)} lines of error: {ended.stderr[-300:]}")
+    return errors[0].partition("error: ")[2]
+
+
+class Faults:
+    """The faults, each a method; `sound` is the outcome of an undisturbed run."""
+
+    def __init__(self, work: Path, *, kills: int, seed: int) -> None:
+        self.work = work
+        self.kills = kills
+        self.random = random.Random(seed)
+        output = work / "sound"
+        process = start(command(output), stdout=subprocess.DEVNULL)
+        wait_for(process, lambda: (output / ".gscore.lock").exists())
+        began = time.monotonic()
+        _, err = process.communicate(timeout=LIMIT)
+        self.seconds = time.monotonic() - began
+        expect(process.returncode == 0, f"the undisturbed run failed: {err[-500:]}")
+        self.results_seconds = (written(output / "report.html") - written(output / LAST)) / 1e9
+        self.sound = outcome(output)
+
+    def compare(self, output: Path) -> None:
+        """The outcome must be that of the undisturbed run, with nothing unfinished beside it."""
+        found = outcome(output)
+        others = [name for name, value in self.sound.items() if found[name] != value]
+        expect(not others, f"{', '.join(others)} differ from an undisturbed run")
+        expect(not list(output.rglob(".*.tmp")), "temporary files are left")
+
+    def resumed(self, output: Path, *extra: str) -> subprocess.CompletedProcess:
+        """Go on to the end, which must be that of the undisturbed run."""
+        ended = finish(command(output, "--resume", *extra))
+        expect(ended.returncode == 0, f"resume failed: {ended.stderr[-500:]}")
+        self.compare(output)
+        return ended
+
+    def again(self, output: Path) -> None:
+        """Go on, or begin again where there is no checkpoint; the end must be the same."""
+        if checkpoints(output):
+            self.resumed(output)
+            return
+        ended = finish(command(output, "--overwrite"))
+        expect(ended.returncode == 0, f"beginning again failed: {ended.stderr[-500:]}")
+        self.compare(output)
+
+    def kill_at_random_moments(self) -> str:
+        """kill -9, at any moment, while a checkpoint or while the results are written.
+
+        After each kill a copy of the folder goes on to the end, which is compared; the next kill
+        then hits the folder itself, as it was left. A folder that has all steps is thrown away one
+        time in two, so that runs that only write results again are killed as well.
+        """
+        output, copy = self.work / "killed", self.work / "copy"
+        moments = [self._any_moment, self._checkpoint_moment, self._results_moment]
+        kills, tally = 0, Counter()
+        while kills < self.kills:
+            extra = ["--resume"] if checkpoints(output) else ["--overwrite"]
+            process = start(
+                command(output, *extra), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+            )
+            moments[kills % len(moments)](process, output)
+            process.kill()
+            if process.wait() != -signal.SIGKILL:  # it came to its end before: no kill
+                expect(process.returncode == 0, f"a run ended with {process.returncode}")
+                self.compare(output)
+                shutil.rmtree(output)
+                continue
+            kills += 1
+            tally[stage(output)] += 1
+            tally["half a checkpoint"] += any((output / "checkpoints").glob(".*.tmp"))
+            if output.exists():
+                shutil.copytree(output, copy)
+            self.again(copy)
+            tally["same"] += 1
+            shutil.rmtree(copy)
+            if stage(output) == "results" and self.random.random() < 0.5:
+                shutil.rmtree(output)
+        return (
+            f"{tally['same']} of {kills} ended with the same splats and metrics: "
+            f"{tally['begin']} were begun again, having no checkpoint, {tally['steps']} resumed in "
+            f"the middle and {tally['results']} after the last step; "
+            f"{tally['half a checkpoint']} kills left half a checkpoint"
+        )
+
+    def _any_moment(self, process: subprocess.Popen, output: Path) -> None:
+        wait_for(process, lambda: (output / ".gscore.lock").exists())
+        pause(process, self.random.uniform(0, self.seconds))
+
+    def _checkpoint_moment(self, process: subprocess.Popen, output: Path) -> None:
+        number = len(checkpoints(output))
+        wait_for(process, lambda: is_writing(output, number))
+
+    def _results_moment(self, process: subprocess.Popen, output: Path) -> None:
+        """Between the last checkpoint and the end of the process."""
+        before = written(output / LAST)
+        wait_for(process, lambda: written(output / LAST) != before)
+        pause(process, self.random.uniform(0, self.results_seconds))
+
+    def full_disk(self) -> str:
+        """Too small for a checkpoint, for a second one, for the splats after the last."""
+        told = []
+        for size, extra, steps in (
+            ("400k", [], []),
+            ("1500k", [], None),
+            ("1200k", ["--checkpoint-seconds", "0"], [120]),
+        ):
+            with file_system(self.work / size, f"size={size}") as place:
+                output = place / "out"
+                ended = finish(command(output, *extra))
+                said = sentence(ended)
+                expect(ended.returncode == 2 and "disk is full" in said, said)
+                kept = [load(path).steps for path in checkpoints(output)]
+                good = len(kept) > 0 if steps is None else kept == steps
+                expect(good, f"with {size} the checkpoints of these steps are kept: {kept}")
+                told.append(f"{size}: {len(kept)} kept")
+                subprocess.run(["mount", "-o", "remount,size=200m", str(place)], check=True)
+                self.again(output)
+        return f"“{said[:60]}...”; {', '.join(told)} and whole; the same end after making room"
+
+    def read_only_output(self) -> str:
+        """A read-only file system."""
+        with file_system(self.work / "fixed", "ro") as place:
+            ended = finish(command(place / "out"))
+            said = sentence(ended)
+            expect(ended.returncode == 2 and "the disk is read-only" in said, said)
+            return f"“{said}”"
+
+    def photos_deleted_or_changed(self) -> str:
+        """Photos vanish while a run goes on; then one comes back changed."""
+        capture, output = self.work / "capture", self.work / "photos"
+        shutil.copytree(CAPTURE, capture)
+        process = start(command(output, capture=capture), stdout=subprocess.DEVNULL)
+        expect(
+            wait_for(process, lambda: len(checkpoints(output)) > 0), "it never wrote a checkpoint"
+        )
+        (capture / "images").rename(capture / "gone")
+        _, err = process.communicate(timeout=LIMIT)
+        expect("Traceback" not in err, err[-500:])
+        first = "ran to its end" if process.returncode == 0 else "stopped with one sentence"
+        (capture / "gone").rename(capture / "images")
+        photo = sorted((capture / "images").iterdir())[3]
+        kept = photo.read_bytes()
+        other = sorted((capture / "images").iterdir())[4]
+        photo.write_bytes(other.read_bytes())
+        ended = finish(command(output, "--resume", "--iterations", "150"))
+        said = sentence(ended)
+        expect(ended.returncode == 2 and "photos of the capture are not the same" in said, said)
+        photo.write_bytes(kept)
+        ended = finish(command(output, "--resume", "--iterations", "150"))
+        expect(ended.returncode == 0, ended.stderr[-300:])
+        return f"gone: {first}; changed: refused by name; restored: went on"
+
+    def two_runs_in_one_folder(self) -> str:
+        """The second must leave the first alone."""
+        output = self.work / "shared"
+        long = command(output, "--iterations", "100000")
+        process = start(long, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        expect(wait_for(process, lambda: len(checkpoints(output)) > 0), "it wrote no checkpoint")
+        said = sentence(finish(command(output, "--overwrite")))
+        expect("in use by another training" in said and str(process.pid) in said, said)
+        expect(process.poll() is None and len(checkpoints(output)) > 0, "the first was disturbed")
+        process.terminate()
+        expect(process.wait(timeout=LIMIT) == 143, "the first did not end in good order")
+        return "the second is refused and names the first, which goes on"
+
+    def signals(self) -> str:
+        """SIGTERM and SIGHUP end in good order; SIGINT twice ends at once. All go on."""
+        codes = []
+        for name, sent in (
+            ("term", [signal.SIGTERM]),
+            ("hup", [signal.SIGHUP, signal.SIGHUP]),
+            ("int", [signal.SIGINT, signal.SIGINT]),
+        ):
+            output = self.work / name
+            process = start(command(output), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+            expect(wait_for(process, lambda o=output: len(checkpoints(o)) > 0), "no checkpoint")
+            for number in sent:
+                process.send_signal(number)
+                time.sleep(0.05)
+            codes.append(process.wait(timeout=LIMIT))
+            self.resumed(output)
+        expect(codes == [143, 129, 130], f"exit codes {codes}")
+        return f"exit codes {', '.join(map(str, codes))}; resumed bit-equal"
+
+    def closed_pipes(self) -> str:
+        """stdin or stdout ends: checkpoint and end. All are closed from the start: it trains."""
+        output = self.work / "unread"
+        process = start(command(output, "--events", "jsonl"))
+        expect(wait_for(process, lambda: len(checkpoints(output)) > 0), "no checkpoint")
+        process.stdout.close()
+        expect(process.wait(timeout=LIMIT) == 141, f"exit code {process.returncode}")
+        expect("Traceback" not in process.stderr.read(), "a traceback")
+        self.resumed(output)
+        output = self.work / "pipes"
+        process = start(command(output, "--events", "jsonl"), stdin=subprocess.PIPE)
+        expect(wait_for(process, lambda: len(checkpoints(output)) > 0), "no checkpoint")
+        process.communicate(timeout=LIMIT)  # closes stdin
+        expect(process.returncode == 0, f"exit code {process.returncode}")
+        self.resumed(output)
+        closed = self.work / "closed"
+        line = " ".join(f"'{word}'" for word in command(closed)) + " <&- >&- 2>&-"
+        ended = finish(["sh", "-c", line])
+        expect(ended.returncode == 0, ended.stderr[-500:])
+        self.compare(closed)
+        return "end of either: checkpoint, resumed bit-equal; closed from the start: bit-equal"
+
+    def clock_jumps(self) -> str:
+        """The wall clock jumps by days, back and forth, at every look."""
+        output = self.work / "clock"
+        code = (
+            "import itertools, sys, time; real, jumps = time.time, itertools.count()\n"
+            "time.time = lambda: real() + 86400 * (next(jumps) % 7 - 3)\n"
+            "from gscore.commands import main; sys.exit(main(sys.argv[1:]))"
+        )
+        ended = finish([sys.executable, "-c", code, *command(output)[3:]])
+        expect(ended.returncode == 0, ended.stderr[-500:])
+        self.compare(output)
+        spent = json.loads((output / "metrics.json").read_text())["train_seconds"]
+        expect(0 < spent < LIMIT, f"it says that {spent} s were spent")
+        return f"bit-equal, {spent:.1f} s of training reported"
+
+    def damaged_files(self) -> str:
+        """Bits of the last checkpoint flip; then config.json is cut."""
+        output = self.work / "damaged"
+        process = start(command(output), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        expect(wait_for(process, lambda: len(checkpoints(output)) > 2), "too few checkpoints")
+        process.kill()
+        process.wait()
+        last = checkpoints(output)[-1]
+        raw = bytearray(last.read_bytes())
+        raw[-100] ^= 1
+        last.write_bytes(raw)
+        config = (output / "config.json").read_text()
+        (output / "config.json").write_text(config[: len(config) // 2])
+        said = sentence(finish(command(output, "--resume")))
+        expect("config.json" in said and "not a JSON config file" in said, said)
+        (output / "config.json").write_text(config)
+        ended = self.resumed(output)
+        expect(f"{last.name} is damaged" in ended.stderr, "it does not say so")
+        return "config.json: refused by name; checkpoint: told, set aside, resumed bit-equal"
+
+
+def main() -> int:
+    """Run all faults or those named; the exit code is 1 if one did harm."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--kills", type=int, default=50)
+    parser.add_argument("--seed", type=int, default=0)
+    helpers = {"compare", "resumed", "again"}
+    names = [name for name in vars(Faults) if not name.startswith("_") and name not in helpers]
+    parser.add_argument("faults", nargs="*", metavar="FAULT", help=", ".join(names))
+    args = parser.parse_args()
+    os.environ["PYTHONPATH"] = str(ROOT)
+    harm = 0
+    with tempfile.TemporaryDirectory(prefix="gscore-faults-") as folder:
+        faults = Faults(Path(folder), kills=args.kills, seed=args.seed)
+        print(f"undisturbed run: splats {faults.sound['point_cloud.ply']}", flush=True)
+        for name in args.faults or names:
+            began = time.monotonic()
+            try:
+                said, word = getattr(faults, name)(), "passed"
+            except CannotError as reason:
+                said, word = str(reason), "skipped"
+            except (HarmError, subprocess.TimeoutExpired) as error:
+                said, word, harm = str(error), "FAILED", harm + 1
+            took = time.monotonic() - began
+            print(f"{word:8} {name.replace('_', ' ')}: {said} ({took:.0f} s)", flush=True)
+    return 1 if harm else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

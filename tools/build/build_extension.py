@@ -1,0 +1,220 @@
+"""Builds the Blender extension: one zip for each platform in dist/, checked by Blender's validator.
+
+`python tools/build/build_extension.py` makes the zip of this machine's platform, `all` or names
+like `windows-x64 macos-arm64` those of others. Each holds the add-on, gscore's wheel and plyfile's.
+`--library` takes a library of this machine that is already compiled.
+"""
+
+import argparse
+import base64
+import hashlib
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+import venv
+import zipfile
+from pathlib import Path
+
+import bpy_venvs
+import native_builds
+
+ROOT = native_builds.ROOT
+STAGE = ROOT / "build" / "extension"
+ZIG = ROOT / ".venv-zig"
+PLYFILE = "plyfile==1.1.5"
+ZIGLANG = "ziglang==0.17.0"
+_MARK = re.compile(r"^# tools/build/build_extension\.py puts .*$", re.MULTILINE)
+_MEASURES = ("bench/", "stress/", "commands/bench/", "commands/stress.py")
+"""Files of gscore that measure it, which nobody does inside of Blender: its wheel goes without."""
+_DATE = (2020, 1, 1, 0, 0, 0)
+"""Of every member, so that the same sources give the same zip."""
+
+
+def build_wheels() -> tuple[Path, Path]:
+    """gscore's wheel without its library, and plyfile's; both for any platform."""
+    folder = STAGE / "wheels"
+    shutil.rmtree(folder, ignore_errors=True)
+    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check"]
+    no_library = "--config-settings=wheel.cmake=false"
+    subprocess.run([*pip, "wheel", "-q", "--no-deps", no_library, "-w", folder, ROOT], check=True)
+    only_wheels = ["--no-deps", "--only-binary=:all:", "-d", folder]
+    subprocess.run([*pip, "download", "-q", *only_wheels, PLYFILE], check=True)
+    (gscore,) = folder.glob("gscore-*.whl")
+    (plyfile,) = folder.glob("plyfile-*.whl")
+    return gscore, plyfile
+
+
+def add_library(wheel: Path, library: Path, name: str, tag: str, folder: Path) -> Path:
+    """A copy of a wheel with the native library, the platform's tag and a version of its own, and
+    without what measures gscore.
+
+    The version gets a part made of the content, because Blender does not unpack a wheel again whose
+    name and version it has unpacked before.
+    """
+    project, version, *_ = wheel.name.split("-")
+    old = f"{project}-{version}.dist-info"
+    with zipfile.ZipFile(wheel) as archive:
+        left_out = tuple(f"gscore/{name}" for name in _MEASURES)
+        wanted = [entry for entry in archive.namelist() if not entry.startswith(left_out)]
+        members = {entry: archive.read(entry) for entry in wanted if entry[-1] != "/"}
+    del members[f"{old}/RECORD"]
+    members[f"gscore/raster/{name}"] = library.read_bytes()
+    tags = members[f"{old}/WHEEL"].decode()
+    tags = tags.replace("Root-Is-Purelib: true", "Root-Is-Purelib: false")
+    members[f"{old}/WHEEL"] = tags.replace("py3-none-any", f"py3-none-{tag}").encode()
+    own = f"{version}+{hashlib.sha256(_record(members, '')).hexdigest()[:8]}"
+    metadata = members[f"{old}/METADATA"].decode()
+    metadata = metadata.replace(f"\nVersion: {version}\n", f"\nVersion: {own}\n", 1)
+    members[f"{old}/METADATA"] = metadata.encode()
+    info = f"{project}-{own}.dist-info"
+    members = {entry.replace(old, info, 1): data for entry, data in members.items()}
+    members[f"{info}/RECORD"] = _record(members, f"{info}/RECORD")
+    path = folder / f"{project}-{own}-py3-none-{tag}.whl"
+    write_zip(path, members)
+    return path
+
+
+def _record(members: dict[str, bytes], own: str) -> bytes:
+    """The RECORD of a wheel: name, SHA-256 and size of every member."""
+    lines = []
+    for name, data in sorted(members.items()):
+        digest = base64.urlsafe_b64encode(hashlib.sha256(data).digest()).rstrip(b"=").decode()
+        lines.append(f"{name},sha256={digest},{len(data)}")
+    return "\n".join([*lines, f"{own},,", ""]).encode()
+
+
+def write_zip(path: Path, members: dict[str, bytes]) -> None:
+    """Write a zip that depends on nothing but its members."""
+    partial = path.with_suffix(".partial")
+    with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
+        for name, data in sorted(members.items()):
+            entry = zipfile.ZipInfo(name, _DATE)
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            entry.external_attr = 0o644 << 16
+            archive.writestr(entry, data)
+    partial.replace(path)
+
+
+def manifest(platform: str, wheels: list[Path]) -> str:
+    """The manifest of one zip, whose version is gscore's."""
+    text = (ROOT / "blender_manifest.toml").read_text(encoding="utf-8")
+    names = ", ".join(f'"./wheels/{wheel.name}"' for wheel in wheels)
+    text, marks = _MARK.subn(f'platforms = ["{platform}"]\nwheels = [{names}]', text)
+    if marks != 1:
+        raise RuntimeError("blender_manifest.toml: the comment that marks where wheels go is gone")
+    stated, version = tomllib.loads(text)["version"], re.split("[-+]", wheels[0].name)[1]
+    if stated != version:
+        raise RuntimeError(f"blender_manifest.toml: version is {stated}, gscore's is {version}")
+    return text
+
+
+def build_zip(
+    platform: str, library: Path, tag: str, wheels: tuple[Path, Path], output: Path
+) -> Path:
+    """Put add-on, manifest and wheels of a platform into a zip in the folder `output`."""
+    stage = STAGE / platform
+    shutil.rmtree(stage, ignore_errors=True)
+    stage.mkdir(parents=True)
+    name = native_builds.PLATFORMS[platform].library
+    gscore = add_library(wheels[0], library, name, tag, stage)
+    text = manifest(platform, [gscore, wheels[1]])
+    sources = [ROOT / "__init__.py", ROOT / "LICENSE"]
+    sources += [p for p in (ROOT / "addon").rglob("*") if p.is_file() and p.suffix != ".pyc"]
+    members = {path.relative_to(ROOT).as_posix(): path.read_bytes() for path in sources}
+    members |= {f"wheels/{wheel.name}": wheel.read_bytes() for wheel in (gscore, wheels[1])}
+    members["blender_manifest.toml"] = text.encode()
+    values = tomllib.loads(text)
+    output.mkdir(parents=True, exist_ok=True)
+    path = output / f"{values['id']}-{values['version']}-{platform.replace('-', '_')}.zip"
+    write_zip(path, members)
+    return path
+
+
+def validate(path: Path) -> list[str]:
+    """Let every Blender at hand check a zip; the versions that did.
+
+    Raises:
+        RuntimeError: one of them refuses it; the message is its own.
+    """
+    checks = {}
+    for version in bpy_venvs.installed() or [bpy_venvs.choose("newest")[0]]:
+        packages = bpy_venvs.ensure(version).parent.parent
+        script = next(packages.rglob("bl_pkg/cli/blender_ext.py"))
+        checks[version] = [sys.executable, script, "validate", path]
+    if program := shutil.which("blender"):
+        checks[program] = [program, "--command", "extension", "validate", path]
+    for version, command in checks.items():
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode != 0:
+            raise RuntimeError(f"Blender {version} refuses {path}:\n{done.stdout}{done.stderr}")
+    return list(checks)
+
+
+def zig_python() -> Path | None:
+    """A Python with zig, installed into .venv-zig when first needed; None if that fails."""
+    python = ZIG / ("Scripts/python.exe" if sys.platform == "win32" else "bin/python")
+    if not (ZIG / ".installed").exists():
+        print(f"Installing {ZIGLANG} into .venv-zig (downloads 90 MB)", file=sys.stderr)
+        venv.create(ZIG, clear=True, with_pip=True)
+        pip = [python, "-m", "pip", "install", "-q", "--disable-pip-version-check", ZIGLANG]
+        if subprocess.run(pip, check=False).returncode != 0:
+            return None
+        (ZIG / ".installed").touch()
+    return python
+
+
+def compile_all(platforms: list[str]) -> dict[str, tuple[Path, str]]:
+    """The library and the wheel's tag for each platform, with the best compiler there is."""
+    if (zig := zig_python()) is not None:
+        return {name: native_builds.compile_with_zig(name, zig) for name in platforms}
+    here = native_builds.this_platform()
+    if platforms != [here]:
+        raise RuntimeError(f"{ZIGLANG} cannot be installed, and nothing else compiles for all")
+    library, tag = native_builds.compile_here()
+    print(f"{ZIGLANG} cannot be installed, so the system's compiler serves: {tag}")
+    return {here: (library, tag)}
+
+
+def parse() -> argparse.Namespace:
+    """The command line, with `platforms` spelled out."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    known, here = list(native_builds.PLATFORMS), native_builds.this_platform()
+    parser.add_argument("platforms", nargs="*", help=f"all, or some of {', '.join(known)}")
+    parser.add_argument("--library", type=Path, help="a library of this machine; none is compiled")
+    parser.add_argument("--output", type=Path, default=ROOT / "dist", help="folder for the zips")
+    options = parser.parse_args()
+    options.platforms = known if options.platforms == ["all"] else options.platforms or [here]
+    if unknown := [name for name in options.platforms if name not in known]:
+        parser.error(f"{', '.join(unknown)}: choose of all, {', '.join(known)}")
+    if options.library and options.platforms != [here]:
+        parser.error(f"--library is of this machine, which is {here}")
+    return options
+
+
+def main() -> int:
+    """Build, validate and name the zips."""
+    options = parse()
+    try:
+        if options.library:
+            tag = native_builds.tag_of(options.library)
+            libraries = {options.platforms[0]: (options.library, tag)}
+        else:
+            libraries = compile_all(options.platforms)
+        wheels = build_wheels()
+        for platform, (library, tag) in libraries.items():
+            path = build_zip(platform, library, tag, wheels, options.output)
+            versions, size = ", ".join(validate(path)), path.stat().st_size / 1e6
+            print(f"{path}: {size:.1f} MB, validated by Blender {versions}")
+    except (RuntimeError, bpy_venvs.NoPythonError) as error:
+        print(error, file=sys.stderr)
+        return 1
+    except subprocess.CalledProcessError as error:
+        print(f"{error.cmd[0]} failed; what it says stands above.", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

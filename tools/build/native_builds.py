@@ -1,0 +1,150 @@
+"""Compiles the native library for any platform Blender runs on, from any machine.
+
+The compiler is zig (clang with the C libraries of all platforms), so a library for Linux needs no
+newer glibc than Blender itself does. Without zig the system's compiler serves this machine alone.
+"""
+
+import os
+import platform
+import re
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+GLIBC = (2, 28)
+"""What Blender asks for on Linux."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Platform:
+    """One of Blender's platforms, as zig, CMake, wheels and ctypes call it."""
+
+    zig: str
+    system: str
+    processor: str
+    tag: str
+    library: str
+
+
+_LINUX = f"linux-gnu.{GLIBC[0]}.{GLIBC[1]}"
+_MANYLINUX = f"manylinux_{GLIBC[0]}_{GLIBC[1]}"
+PLATFORMS = {
+    "linux-x64": Platform(
+        zig=f"x86_64-{_LINUX}",
+        system="Linux",
+        processor="x86_64",
+        tag=f"{_MANYLINUX}_x86_64",
+        library="libgscore.so",
+    ),
+    "linux-arm64": Platform(
+        zig=f"aarch64-{_LINUX}",
+        system="Linux",
+        processor="aarch64",
+        tag=f"{_MANYLINUX}_aarch64",
+        library="libgscore.so",
+    ),
+    "windows-x64": Platform(
+        zig="x86_64-windows-gnu",
+        system="Windows",
+        processor="AMD64",
+        tag="win_amd64",
+        library="gscore.dll",
+    ),
+    "macos-x64": Platform(
+        zig="x86_64-macos.11.0",
+        system="Darwin",
+        processor="x86_64",
+        tag="macosx_11_0_x86_64",
+        library="libgscore.dylib",
+    ),
+    "macos-arm64": Platform(
+        zig="aarch64-macos.11.0",
+        system="Darwin",
+        processor="arm64",
+        tag="macosx_11_0_arm64",
+        library="libgscore.dylib",
+    ),
+}
+
+
+def this_platform() -> str:
+    """Blender's name of the machine this runs on."""
+    system = {"Darwin": "macos"}.get(platform.system(), platform.system().lower())
+    machine = {"x86_64": "x64", "amd64": "x64", "aarch64": "arm64"}
+    processor = platform.machine().lower()
+    return f"{system}-{machine.get(processor, processor)}"
+
+
+def needed_glibc(library: Path) -> tuple[int, int]:
+    """The glibc a Linux library asks for, from the names of its symbols' versions."""
+    found = re.findall(rb"GLIBC_(\d+)\.(\d+)", library.read_bytes())
+    return max((int(major), int(minor)) for major, minor in found)
+
+
+def compile_with_zig(name: str, zig_python: Path) -> tuple[Path, str]:
+    """Compile the library for a platform.
+
+    Args:
+        name: One of PLATFORMS.
+        zig_python: A Python that has the package ziglang.
+
+    Returns:
+        The library, and the platform tag of its wheel.
+    """
+    target = PLATFORMS[name]
+    build = ROOT / "build" / f"zig-{name}"
+    # CMake looks at CXX once, so the flags belong to the compiler: -s leaves debug symbols out.
+    environment = {
+        **os.environ,
+        "CXX": f"{zig_python} -m ziglang c++ -target {target.zig} -s",
+        "ZIG_GLOBAL_CACHE_DIR": str(ROOT / "build" / "zig-cache"),
+    }
+    _cmake(build, environment, target)
+    library = _library(build, target.library)
+    if target.system == "Linux" and needed_glibc(library) > GLIBC:
+        raise RuntimeError(f"{library} asks for glibc {needed_glibc(library)}")
+    return library, target.tag
+
+
+def compile_here() -> tuple[Path, str]:
+    """The same with the system's compiler, for this machine only."""
+    target = PLATFORMS[this_platform()]
+    build = ROOT / "build" / "system"
+    _cmake(build, dict(os.environ), target)
+    library = _library(build, target.library)
+    return library, tag_of(library)
+
+
+def tag_of(library: Path) -> str:
+    """The platform tag of a wheel with a library that was compiled on this machine."""
+    if platform.system() != "Linux":
+        return PLATFORMS[this_platform()].tag
+    major, minor = needed_glibc(library)
+    return f"manylinux_{major}_{minor}_{platform.machine()}"
+
+
+def _cmake(build: Path, environment: dict[str, str], target: Platform) -> None:
+    """Configure and build. Naming the system leaves the library in the checkout alone."""
+    tools = Path(sys.executable).parent
+    configure = ["-G", "Ninja", "-S", ROOT / "csrc", "-B", build, "-DCMAKE_BUILD_TYPE=Release"]
+    configure += [
+        f"-DCMAKE_MAKE_PROGRAM={tools / 'ninja'}",
+        f"-DCMAKE_SYSTEM_NAME={target.system}",
+        f"-DCMAKE_SYSTEM_PROCESSOR={target.processor}",
+    ]
+    for step in (configure, ["--build", build]):
+        done = subprocess.run(
+            [tools / "cmake", *step], env=environment, capture_output=True, text=True, check=False
+        )
+        if done.returncode != 0:
+            raise RuntimeError(f"cmake failed in {build}:\n{done.stdout[-3000:]}{done.stderr}")
+
+
+def _library(build: Path, name: str) -> Path:
+    """The library in a build folder; MinGW puts `lib` before a DLL's name."""
+    for path in (build / name, build / f"lib{name}"):
+        if path.exists():
+            return path
+    raise RuntimeError(f"{build}: no {name} came out of the build")

@@ -1,0 +1,54 @@
+"""Train every capture in GSCORE_DATA and the bundled one, and print a table in Markdown.
+
+python tools/measure/captures.py --presets preview draft
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+COLUMNS = (
+    "| capture | preset | steps | splats | train s | PSNR | SSIM | LPIPS-sq. | fps | peak MB |\n"
+    "|---|---|---|---|---|---|---|---|---|---|"
+)
+
+
+def main() -> int:
+    """Run the trainings one after another and print as they end."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--presets", nargs="+", default=["preview", "draft"])
+    parser.add_argument("--captures", nargs="+", help="names; default: all there are")
+    parser.add_argument("-o", "--output", type=Path, default=ROOT / "out" / "bench")
+    args = parser.parse_args()
+    captures = {"studio": ROOT / "examples" / "studio"}
+    if "GSCORE_DATA" in os.environ:
+        found = sorted((Path(os.environ["GSCORE_DATA"]) / "data").glob("*/sparse"))
+        captures |= {path.parent.name: path.parent for path in found}
+    print(COLUMNS, flush=True)
+    for name in args.captures or captures:
+        for preset in args.presets:
+            print(row(name, captures[name], preset, args.output / f"{name}-{preset}"), flush=True)
+    return 0
+
+
+def row(name: str, source: Path, preset: str, output: Path) -> str:
+    """Train one capture and return its line of the table."""
+    split = ["--test-every", "6", "--mask-mode", "none"] if name == "studio" else ["--eval"]
+    command = [sys.executable, "-m", "gscore", "train", source, "-o", output, "--overwrite"]
+    command += ["--preset", preset, "--quiet", "--json", *split]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
+    if done.returncode:
+        return f"| {name} | {preset} | {done.stderr.strip()} |"
+    m = json.loads(done.stdout.splitlines()[-1])
+    lpips = "-" if m["lpips"] is None else f"{m['lpips']:.3f}"
+    cells = [name, preset, f"{m['steps']:,}", f"{m['splats']:,}", f"{m['train_seconds']:.0f}"]
+    cells += [f"{m['psnr']:.2f}", f"{m['ssim']:.3f}", lpips, f"{m['fps']:.0f}"]
+    return "| " + " | ".join([*cells, f"{m['peak_memory_bytes'] / 1e6:.0f}"]) + " |"
+
+
+if __name__ == "__main__":
+    sys.exit(main())
