@@ -9,7 +9,7 @@ from ...config_file import from_dict, to_dict
 from ...errors import ConfigError
 from ...json_text import parse_json
 from ...shown import quoted
-from ...trainer.checkpoint import FREE
+from ...trainer.files.checkpoint import FREE
 
 _NOT_HERE = ("seed", "start_opacity", *sorted(FREE - {"iterations"}))
 """Options that benches set otherwise, or that change nothing in a training from points."""
