@@ -31,6 +31,9 @@ _ONE_FRAME = {
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `gscore train`, and those of the sequence."""
     train_command.add_arguments(parser)
+    for action in parser._actions:
+        if action.dest in _ONE_FRAME:
+            action.help = argparse.SUPPRESS
     group = parser.add_argument_group(
         "sequence",
         "SOURCE is a folder of PKU-DyMVHumans, a folder of numbered captures, or a path with "

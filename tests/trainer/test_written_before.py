@@ -1,7 +1,7 @@
 """Files of an earlier gscore; oracle: what is known of the run that wrote them.
 
-`written_before/` holds config.json (its capture renamed) and the checkpoint of four steps on the toy
-capture: `--iterations 4 --max-splats 160 --sh-degree 0 --strategy mcmc --seed 3 --test-every 4
+`written_before/` holds config.json (its capture renamed) and the checkpoint of four steps on the
+toy capture: `--iterations 4 --max-splats 160 --sh-degree 0 --strategy mcmc --seed 3 --test-every 4
 --without rare-sh --background white --checkpoint-seconds 0`.
 """
 
