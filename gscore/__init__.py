@@ -57,6 +57,7 @@ if TYPE_CHECKING:
     from .io.sequences import SequenceIndex, read_sequence
     from .metrics.colormap import colorize
     from .metrics.image import psnr
+    from .options import Option, options_of
     from .raster.api import Rendered, render
     from .raster.autograd import RasterAux, RasterOutput, rasterize
     from .raster.backend import CancelFlag
@@ -99,6 +100,7 @@ _HOME = {
     "ImageInfo": "io.image_header",
     "ImageLoss": "raster.loss",
     "MIP_COMMENT": "io.ply",
+    "Option": "options",
     "PRESETS": "config",
     "PointCloud": "scene",
     "Preview": "events",
@@ -134,6 +136,7 @@ _HOME = {
     "image_loss": "raster.loss",
     "is_antialiased": "io.ply",
     "load_dataset": "datasets",
+    "options_of": "options",
     "psnr": "metrics.image",
     "rasterize": "raster.autograd",
     "read_cameras": "io.cameras_json",
@@ -186,6 +189,7 @@ __all__ = [
     "GsError",
     "ImageInfo",
     "ImageLoss",
+    "Option",
     "PointCloud",
     "Preview",
     "Progress",
@@ -221,6 +225,7 @@ __all__ = [
     "is_antialiased",
     "judged_psnr",
     "load_dataset",
+    "options_of",
     "psnr",
     "rasterize",
     "read_cameras",
