@@ -63,10 +63,11 @@ if TYPE_CHECKING:
     from .raster.backend import CancelFlag
     from .raster.loss import ImageLoss, image_loss
     from .scene import Cameras, PointCloud, Scene
+    from .sequence_options import SequenceOptions
     from .sh import sh0_to_rgb
     from .splats import Splats
     from .trainer import Estimate, estimate, train
-    from .trainer.sequence import SequenceOptions, train_sequence
+    from .trainer.sequence import train_sequence
     from .transforms import rotmat_to_quat, transform_splats
 
 # Where a public name lives; `module:name` where it is called differently there.
@@ -113,7 +114,7 @@ _HOME = {
     "Scene": "scene",
     "SequenceDone": "events",
     "SequenceIndex": "io.sequences",
-    "SequenceOptions": "trainer.sequence",
+    "SequenceOptions": "sequence_options",
     "ShapeError": "errors",
     "Snapshot": "events",
     "Splats": "splats",

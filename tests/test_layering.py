@@ -18,6 +18,7 @@ BOTTOM = {
     "_version",
     "splats",
     "scene",
+    "sequence_options",
     "shown",
     "json_text",
     "options",

@@ -10,6 +10,7 @@ from ..config import DataConfig, TrainConfig
 from ..config_file import to_json
 from ..errors import ConfigError
 from ..options import Option, options_of
+from ..sequence_options import SequenceOptions
 from ..shown import quoted
 from .data_options import HOLD_OUT
 from .declared import plain, preset_values
@@ -48,8 +49,9 @@ def run(args: argparse.Namespace) -> int:
 
 
 def all_options() -> Iterator[Option]:
-    """The options of `gscore train` group by group."""
-    found = [*options_of(DataConfig).values(), HOLD_OUT, *options_of(TrainConfig).values()]
+    """The options of `gscore train` and `gscore sequence`, group by group."""
+    data, train, sequence = map(options_of, (DataConfig, TrainConfig, SequenceOptions))
+    found = [*data.values(), HOLD_OUT, *train.values(), *sequence.values()]
     groups = dict.fromkeys(one.group for one in found)
     return (one for group in groups for one in found if one.group == group)
 

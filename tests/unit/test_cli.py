@@ -174,6 +174,7 @@ def test_a_bad_option_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> Non
         ("train x -o y --set without=foo", "there is no 'foo'; there are: exact-cull, "),
         ("train x -o y --hold-out frist:3", "expected a number N of at least 2 (every N-th), "),
         ("train x -o y --max_spalts 3 --debgu", "--max-spalts: did you mean --max-splats? See"),
+        ("sequence x -o y --set nxt_iterations=3", "did you mean next_iterations?"),
         ("options opactiy_reg", "with 'opactiy_reg'; did you mean opacity_reg?"),
         ("render run -o y --pth orbit", "--pth: did you mean --path? See gscore render"),
     ],
