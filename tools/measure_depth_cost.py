@@ -15,7 +15,7 @@ from gscore.config import DataConfig, Switch, TrainConfig
 from gscore.datasets import load_dataset
 from gscore.io.ply import read_splats
 from gscore.trainer.depth_setup import prepare_depth
-from gscore.trainer.torch_threads import one_torch_thread
+from gscore.trainer.host_state import ordinary_state
 from gscore.trainer.trainer import Trainer
 
 STUDIO = Path(__file__).parent.parent / "examples" / "studio"
@@ -48,7 +48,7 @@ def main() -> None:
     photos = load_dataset(data)
     targets = prepare_depth(data, config, photos).loss_targets
     assert targets is not None
-    with one_torch_thread():
+    with ordinary_state():
         plain = Trainer(config, photos, start=splats)
         deep = Trainer(config, photos, start=splats, depth=targets)
         times = [(_step(plain), _step(deep)) for _ in range(WARM_UP + args.pairs)][WARM_UP:]
