@@ -14,8 +14,8 @@ _LARGEST_SEED = 2**63 - 1
 """Of generators of torch."""
 _RAREST = 1000
 """Steps between two steps of the higher colour coefficients, whose rate grows by the root."""
-MASK_MODES = ("auto", "composite", "ignore", "none")
-DEPTH_ALIGNMENTS = ("auto", "official", "robust", "none")
+_MASK_MODES = ("auto", "composite", "ignore", "none")
+_DEPTH_ALIGNMENTS = ("auto", "official", "robust", "none")
 
 
 def checked_threads(threads: int) -> int:
@@ -55,7 +55,7 @@ class DataConfig:
         "else is trained; `none`: masks are not read; `auto`: `composite` for photos with "
         "transparency and masks that cut out a subject, else `ignore`.",
         group="capture",
-        choices=MASK_MODES,
+        choices=_MASK_MODES,
         basic=True,
     )
     invert_masks: bool = option(
@@ -83,7 +83,7 @@ class DataConfig:
         "that COLMAP found; `none`: they have it already; `auto`: as depth_params.json says "
         "where it is there and agrees with the points, else `robust`.",
         group="depth",
-        choices=DEPTH_ALIGNMENTS,
+        choices=_DEPTH_ALIGNMENTS,
         when="depth",
     )
     resolution: float = option(
