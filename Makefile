@@ -65,7 +65,7 @@ install: $(LIBRARY)  ## .venv/bin/gscore with its native library, and nothing el
 # Trains the bundled capture and leaves out/demo/{point_cloud.ply,metrics.json,report.html}; then brings it into Blender
 # (the bpy module) with cameras and splats and renders it there: out/demo/{demo.blend,blender.png}.
 demo: $(LIBRARY)  ## trains the bundled capture into out/demo and ends in Blender (DEMO_BLENDER=none: without)
-	$(BIN)/gscore train examples/studio -o out/demo --overwrite --preset preview --mask-mode none --test-every 6
+	$(BIN)/gscore train examples/studio -o out/demo --overwrite --preset preview --mask-mode none --hold-out 6
 	$(BIN)/gscore render out/demo/point_cloud.ply --cameras examples/studio --test -o out/demo/renders
 ifneq ($(DEMO_BLENDER),none)
 	@mkdir -p build/blender-profile

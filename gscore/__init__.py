@@ -57,16 +57,18 @@ if TYPE_CHECKING:
     from .io.sequences import SequenceIndex, read_sequence
     from .metrics.colormap import colorize
     from .metrics.image import psnr
+    from .options import Option, options_of
     from .raster.api import Rendered, render
     from .raster.autograd import RasterAux, RasterOutput, rasterize
     from .raster.backend import CancelFlag
     from .raster.loss import ImageLoss, image_loss
     from .scene import Cameras, PointCloud, Scene
+    from .sequence_options import SequenceOptions
     from .sh import sh0_to_rgb
     from .splats import Splats
     from .trainer.estimate.forecast import Estimate, estimate
     from .trainer.run import train
-    from .trainer.sequence import SequenceOptions, train_sequence
+    from .trainer.sequence import train_sequence
     from .transforms import rotmat_to_quat, transform_splats
 
 # Where a public name lives; `module:name` where it is called differently there.
@@ -100,6 +102,7 @@ _HOME = {
     "ImageInfo": "io.image_header",
     "ImageLoss": "raster.loss",
     "MIP_COMMENT": "io.ply",
+    "Option": "options",
     "PRESETS": "config",
     "PointCloud": "scene",
     "Preview": "events",
@@ -112,7 +115,7 @@ _HOME = {
     "Scene": "scene",
     "SequenceDone": "events",
     "SequenceIndex": "io.sequences",
-    "SequenceOptions": "trainer.sequence",
+    "SequenceOptions": "sequence_options",
     "ShapeError": "errors",
     "Snapshot": "events",
     "Splats": "splats",
@@ -135,6 +138,7 @@ _HOME = {
     "image_loss": "raster.loss",
     "is_antialiased": "io.ply",
     "load_dataset": "datasets",
+    "options_of": "options",
     "psnr": "metrics.image",
     "rasterize": "raster.autograd",
     "read_cameras": "io.cameras_json",
@@ -187,6 +191,7 @@ __all__ = [
     "GsError",
     "ImageInfo",
     "ImageLoss",
+    "Option",
     "PointCloud",
     "Preview",
     "Progress",
@@ -222,6 +227,7 @@ __all__ = [
     "is_antialiased",
     "judged_psnr",
     "load_dataset",
+    "options_of",
     "psnr",
     "rasterize",
     "read_cameras",

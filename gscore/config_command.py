@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from .config import PRESETS, DataConfig, TrainConfig, flag_of
+from .hold_out import SPLIT, hold_out_word
 
-_OF_THE_SPLIT = ("eval", "test_every", "test_offset", "test_list", "test_first", "test_last")
+_OF_THE_SPLIT = ("eval", "test_offset", *SPLIT)
 _OF_A_PRESET = ("iterations", "max_splats", "sh_degree")
 
 
@@ -65,11 +66,8 @@ def _split(data: DataConfig) -> list[str]:
     """What chooses the test views, the rule that wins alone; a rule implies --eval."""
     if not data.eval:
         return []
-    given = {name for name, _ in _differences(DataConfig(source=data.source), data)}
-    for rules in (("test_list",), ("test_first", "test_last"), ("test_every",)):
-        if found := [name for name in rules if name in given]:
-            return [word for name in found for word in _option(name, getattr(data, name))]
-    return ["--eval"]
+    word = hold_out_word(data)
+    return ["--hold-out", word] if word else ["--eval"]
 
 
 def _option(name: str, value: Any) -> list[str]:

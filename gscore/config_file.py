@@ -17,11 +17,15 @@ from .shown import quoted
 
 ConfigT = TypeVar("ConfigT", DataConfig, TrainConfig)
 AnyT = TypeVar("AnyT")
+_REMOVED = {
+    "reg_final": (1.0, "the penalties of mcmc keep their weight to the end of a training"),
+}
+"""Options that files may still state, by name: the only value that can, and why."""
 
 
 def to_dict(config: DataConfig | TrainConfig) -> dict[str, Any]:
     """The options as JSON values: paths and enums as strings, tuples as lists."""
-    return {f.name: _to_json(getattr(config, f.name)) for f in fields(config)}
+    return {f.name: to_json(getattr(config, f.name)) for f in fields(config)}
 
 
 def from_dict(cls: type[AnyT], data: Any, *, where: str) -> AnyT:
@@ -40,6 +44,9 @@ def from_dict(cls: type[AnyT], data: Any, *, where: str) -> AnyT:
     hints = get_type_hints(cls)
     values = {}
     for name, value in data.items():
+        if cls is TrainConfig and name in _REMOVED:
+            _check_removed(name, value, where)
+            continue
         if name not in hints:
             guess = difflib.get_close_matches(name, hints, n=1)
             hint = f" Did you mean {quoted(guess[0])}?" if guess else ""
@@ -96,8 +103,17 @@ def differences(old: Any, new: Any, *, ignore: Collection[str] = ()) -> list[str
     ]
 
 
+def _check_removed(name: str, value: Any, where: str) -> None:
+    usual, reason = _REMOVED[name]
+    if value != usual:
+        raise ConfigError(
+            f"{where}: {name} is {quoted(value)}, but {reason}: there is no such option. Leave "
+            "it out and train anew."
+        )
+
+
 def _shown(value: Any) -> Any:
-    return f"{value:g}" if isinstance(value, float) else _to_json(value)
+    return f"{value:g}" if isinstance(value, float) else to_json(value)
 
 
 def _absolute(config: ConfigT) -> ConfigT:
@@ -107,12 +123,13 @@ def _absolute(config: ConfigT) -> ConfigT:
     return replace(config, **paths)
 
 
-def _to_json(value: Any) -> Any:
+def to_json(value: Any) -> Any:
+    """The value of an option as JSON: paths and enums as strings, tuples as lists."""
     if isinstance(value, Path):
         return value.as_posix()
     if isinstance(value, StrEnum):
         return value.value
-    return [_to_json(item) for item in value] if isinstance(value, tuple) else value
+    return [to_json(item) for item in value] if isinstance(value, tuple) else value
 
 
 def _from_json(value: Any, kind: Any, where: str) -> Any:

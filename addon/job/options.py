@@ -87,7 +87,7 @@ def new_run(
             arguments.append(_flag(name if getattr(settings, name) else f"no_{name}"))
     arguments.append("--eval" if settings.eval else "--no-eval")
     if settings.eval and settings.test_every != data.test_every:
-        arguments += ["--test-every", str(settings.test_every)]
+        arguments += ["--hold-out", str(settings.test_every)]
     if settings.images != data.images:
         arguments += ["--images", settings.images]
     arguments += _masks(settings, data.mask_mode)

@@ -8,7 +8,6 @@ from bpy.props import (
     BoolProperty,
     CollectionProperty,
     EnumProperty,
-    FloatProperty,
     IntProperty,
     PointerProperty,
     StringProperty,
@@ -17,6 +16,7 @@ from bpy.props import (
 from .. import compat, outcomes
 from ..core import PRESETS, Background, Strategy, Switch
 from . import facts
+from .declared import declared
 from .options import AS_PRESET, BY_WIDTH
 
 _DATA, _TRAIN = PRESETS["normal"](Path())
@@ -114,29 +114,9 @@ class SceneSettings(bpy.types.PropertyGroup):
         default="normal",
         update=_preset_changed,
     )
-    iterations: IntProperty(
-        name="Steps",
-        description="Training steps, one photo each",
-        default=_TRAIN.iterations,
-        min=1,
-        soft_min=100,
-        soft_max=30_000,
-    )
-    max_splats: IntProperty(
-        name="Most Splats",
-        description="Never more splats than this; memory and time grow with it",
-        default=_TRAIN.max_splats,
-        min=1,
-        soft_min=10_000,
-        soft_max=2_000_000,
-    )
-    sh_degree: IntProperty(
-        name="Color Degree",
-        description="Degree of the color that changes with the direction of view; 0: matt",
-        default=_TRAIN.sh_degree,
-        min=0,
-        max=3,
-    )
+    iterations: declared(_TRAIN, "iterations", "Steps", soft_min=100, soft_max=30_000)
+    max_splats: declared(_TRAIN, "max_splats", "Most Splats", soft_min=10_000, soft_max=2_000_000)
+    sh_degree: declared(_TRAIN, "sh_degree", "Color Degree")
     resolution: EnumProperty(
         name="Photo Size",
         description="Size at which photos are trained; half the width takes a quarter of the time",
@@ -152,11 +132,7 @@ class SceneSettings(bpy.types.PropertyGroup):
         soft_max=3200,
         subtype="PIXEL",
     )
-    eval: BoolProperty(
-        name="Hold Test Views Out",
-        description="Keep some photos out of the training, to measure quality on them",
-        default=True,
-    )
+    eval: declared(_DATA, "eval", "Hold Test Views Out", default=True)
     test_every: IntProperty(
         name="Every n-th View",
         description="Every n-th photo by name is a test view, unless the capture names its own",
@@ -169,89 +145,31 @@ class SceneSettings(bpy.types.PropertyGroup):
         description="Heed the photos' opacity or the masks folder of the capture",
         default=True,
     )
-    mask_mode: EnumProperty(
-        name="Masks Mean",
-        description="What masks are for",
-        items=_MASK_MODES,
-        default=_DATA.mask_mode,
-    )
-    invert_masks: BoolProperty(
-        name="Invert Masks",
-        description="Mask files are white where pixels do not count, instead of black",
-        default=_DATA.invert_masks,
-    )
-    depth_mode: EnumProperty(
-        name="Use Depth",
-        description="When the depth maps of the capture guide the training",
-        items=_items(Switch, _DEPTH_MODES),
-        default=str(_TRAIN.depth_mode),
-    )
+    mask_mode: declared(_DATA, "mask_mode", "Masks Mean", items=_MASK_MODES)
+    invert_masks: declared(_DATA, "invert_masks", "Invert Masks")
+    depth_mode: declared(_TRAIN, "depth_mode", "Use Depth", items=_items(Switch, _DEPTH_MODES))
     depth_shown: EnumProperty(
         name="Report",
         description="Which report on the depth maps is shown",
         items=_DEPTH_REPORTS,
         default="RUN",
     )
-    images: StringProperty(
-        name="Photo Folder",
-        description="Folder of the photos inside the capture",
-        default=_DATA.images,
-        update=_capture_changed,
-    )
-    strategy: EnumProperty(
-        name="Strategy",
-        description="How splats are added and removed",
-        items=_items(Strategy, _STRATEGIES),
-        default=str(_TRAIN.strategy),
-    )
-    background: EnumProperty(
-        name="Background",
-        description="What lies behind the splats while training",
-        items=_items(Background, _BACKGROUNDS),
-        default=str(_TRAIN.background),
-    )
-    antialias: BoolProperty(
-        name="Anti-Aliasing",
-        description="Make up for the widening of small splats; for renders at other distances",
-        default=_TRAIN.antialias,
-    )
-    free_space: FloatProperty(
-        name="Free Space",
-        description="Splats nearer to a camera than this share of its distance from the points are "
-        "taken out, for they veil views between the photos; 0: none",
-        default=_TRAIN.free_space,
-        min=0.0,
-        max=0.99,
-    )
-    seed: IntProperty(
-        name="Seed",
-        description="Same seed, capture and options: the same splats",
-        default=_TRAIN.seed,
-        min=0,
-    )
-    time_budget: FloatProperty(
-        name="Time Budget",
-        description="As many steps as fit into so much training time, seconds, instead of Steps; "
-        "0: no budget. Reading photos and measuring come on top",
-        default=_TRAIN.time_budget,
-        min=0.0,
+    images: declared(_DATA, "images", "Photo Folder", update=_capture_changed)
+    strategy: declared(_TRAIN, "strategy", "Strategy", items=_items(Strategy, _STRATEGIES))
+    background: declared(_TRAIN, "background", "Background", items=_items(Background, _BACKGROUNDS))
+    antialias: declared(_TRAIN, "antialias", "Anti-Aliasing")
+    free_space: declared(_TRAIN, "free_space", "Free Space")
+    seed: declared(_TRAIN, "seed", "Seed")
+    time_budget: declared(
+        _TRAIN,
+        "time_budget",
+        "Time Budget",
         soft_max=7200.0,
         subtype="TIME_ABSOLUTE",
         unit="TIME_ABSOLUTE",
     )
-    target_psnr: FloatProperty(
-        name="Target PSNR",
-        description="End when the test views reach this PSNR, dB; 0: no target. Without test "
-        "views, some training views decide",
-        default=_TRAIN.target_psnr,
-        min=0.0,
-        soft_max=40.0,
-    )
-    early_stop: BoolProperty(
-        name="Stop When Nothing Improves",
-        description="End early when the PSNR of the test views no longer rises",
-        default=_TRAIN.early_stop,
-    )
+    target_psnr: declared(_TRAIN, "target_psnr", "Target PSNR", soft_max=40.0)
+    early_stop: declared(_TRAIN, "early_stop", "Stop When Nothing Improves")
     live_splats: BoolProperty(
         name="Live Splats",
         description="Show the splats in the viewport while they are trained",

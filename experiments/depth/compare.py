@@ -257,7 +257,7 @@ def _capture(args: argparse.Namespace, source: Source, count: int, arm: str, see
             write_mono(source, names, part, seed=seed)
     if arm == "onnx" and not (folder / "depths-onnx").is_dir():
         command = [sys.executable, "-m", "gscore", "depth", folder, "--model", args.model]
-        command += ["-d", "depths-onnx", "--test-list", folder / "test.txt"]
+        command += ["-d", "depths-onnx", "--hold-out", folder / "test.txt"]
         subprocess.run(command, check=True, cwd=ROOT)
     return folder
 
@@ -290,7 +290,7 @@ def _run(
     masked = "composite" in options
     if "--mask-mode" not in options:
         options += ["--mask-mode", "none"]
-    options += ["--test-list", str(folder / "test.txt")]
+    options += ["--hold-out", str(folder / "test.txt")]
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     measured = _train(folder, out, setting, options, seed=seed)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)

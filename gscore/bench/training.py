@@ -64,7 +64,7 @@ def open_for_bench(data: DataConfig) -> Dataset:
     if not photos.test:
         raise DatasetError(
             f"{data.source}: no views are held out, so there is no error to measure; hold some out "
-            "with --eval or --test-every."
+            "with --eval or --hold-out."
         )
     return photos
 

@@ -28,6 +28,7 @@ from .streams import steady_streams
 VERBS = {
     "train": "train splats from photos with COLMAP cameras",
     "sequence": "train the frames of a multi-view video one after another",
+    "options": "list the options of a training",
     "eval": "measure trained splats against the photos",
     "depth": "predict depth maps and align them with the capture",
     "render": "render splats to pictures or a video",
@@ -40,6 +41,7 @@ VERBS = {
 _EXAMPLES = {
     "train": "Example: gscore train photos/ -o run --preset draft --eval",
     "sequence": "Example: gscore sequence CASE --frames 0:145:5 -o out",
+    "options": "Example: gscore options opacity",
     "eval": "Example: gscore eval run",
     "depth": "Example: gscore depth photos/ --model midas.onnx",
     "render": "Example: gscore render run -o orbit.mp4",

@@ -25,9 +25,6 @@ def add_output_options(parser: argparse.ArgumentParser) -> None:
         "--events", choices=("jsonl",), help="events as JSON lines on stdout, commands on stdin"
     )
     group.add_argument("--json", action="store_true", help="the results as JSON, last on stdout")
-    group.add_argument(
-        "--disable-viewer", action="store_true", help="for 3DGS scripts: there never is a viewer"
-    )
 
 
 def attend(

@@ -224,7 +224,7 @@ def _indices(split: str | None, dataset: Dataset) -> tuple[str, list[int]]:
     if split == "test" and not dataset.test:
         raise DatasetError(
             "The run held no views out, so there is no test split; choose another with --split, or "
-            "name test views with --test-every or --test-list."
+            "name test views with --hold-out."
         )
     if split == "test" or (split is None and dataset.test):
         return "test", dataset.test

@@ -4,6 +4,8 @@ import argparse
 from collections.abc import Callable
 
 from ..config import DataConfig, Skip, Strategy, Switch, TrainConfig, flag_of
+from ..hold_out import SPLIT
+from ..options import Option, options_of
 
 _Idle = Callable[[argparse.Namespace, DataConfig, TrainConfig], bool]
 _Rule = tuple[str, _Idle]
@@ -31,46 +33,44 @@ def _beyond(name: str) -> _Idle:
     return idle
 
 
-_MCMC: _Rule = ("--strategy mcmc alone uses it", lambda a, d, c: c.strategy is not Strategy.MCMC)
-_DEFAULT: _Rule = ("not used by --strategy mcmc", lambda a, d, c: c.strategy is Strategy.MCMC)
-_DEPTH: _Rule = ("depth supervises only with --depths, unless --depth-mode off", _no_depth)
-_BANDS: _Rule = ("--sh-degree 0 has no view-dependent colour", _no_bands)
-_SMALL: _Rule = ("--without small-photos", _large_photos)
-_STARTS: _Rule = ("--start-splats are as they are", lambda a, d, c: c.start_splats is not None)
-_SPLIT: _Rule = ("--no-eval holds no views out", lambda a, d, c: not d.eval)
-_VIEWER: _Rule = ("there is no network viewer", lambda a, d, c: True)
-
-RULES: dict[str, _Rule] = {
-    "ip": _VIEWER,
-    "port": _VIEWER,
-    "debug_from": ("there are no debug dumps", lambda a, d, c: True),
-    **dict.fromkeys(("mcmc_growth", "mcmc_noise", "opacity_reg", "scale_reg", "reg_final"), _MCMC),
-    **dict.fromkeys(
-        ("reset_every", "grow_grad", "grow_scale", "prune_scale", "grow_with_photos"), _DEFAULT
-    ),
-    **dict.fromkeys(
-        ("depth_align", "depth_weight", "depth_weight_final", "depth_warmup", "depth_pearson"),
-        _DEPTH,
-    ),
-    "depth_points": _DEPTH,
-    "depth_mode": ("there are no depth maps without --depths", lambda a, d, c: not d.depths),
-    "depths": ("--depth-mode off", lambda a, d, c: c.depth_mode is Switch.OFF),
-    **dict.fromkeys(("shN_lr", "shN_every", "sh_every"), _BANDS),
-    **dict.fromkeys(("coarse_factor", "coarse_until", "coarse_by_detail"), _SMALL),
-    **dict.fromkeys(("init_opacity", "init_scale"), _STARTS),
-    "start_opacity": ("of --start-splats alone", lambda a, d, c: c.start_splats is None),
-    **dict.fromkeys(("test_every", "test_list", "test_first", "test_last"), _SPLIT),
-    **{
-        name: ("all after the last step", _beyond(name))
-        for name in ("test_iterations", "save_iterations", "checkpoint_iterations")
-    },
-    **dict.fromkeys(
-        ("masks", "invert_masks"), ("--mask-mode none", lambda a, d, c: d.mask_mode == "none")
-    ),
-    "hidden_share": (
+_WHEN: dict[str, _Rule] = {
+    "mcmc": ("--strategy mcmc alone uses it", lambda a, d, c: c.strategy is not Strategy.MCMC),
+    "default": ("not used by --strategy mcmc", lambda a, d, c: c.strategy is Strategy.MCMC),
+    "depth": ("depth supervises only with --depths, unless --depth-mode off", _no_depth),
+    "depth_maps": ("there are no depth maps without --depths", lambda a, d, c: not d.depths),
+    "depth_on": ("--depth-mode off", lambda a, d, c: c.depth_mode is Switch.OFF),
+    "bands": ("--sh-degree 0 has no view-dependent colour", _no_bands),
+    "small_photos": ("--without small-photos", _large_photos),
+    "points": ("--start-splats are as they are", lambda a, d, c: c.start_splats is not None),
+    "start_splats": ("of --start-splats alone", lambda a, d, c: c.start_splats is None),
+    "masks": ("--mask-mode none", lambda a, d, c: d.mask_mode == "none"),
+    "hiding_masks": (
         "only where masks hide parts of a scene",
         lambda a, d, c: d.mask_mode in ("none", "composite"),
     ),
+}
+"""By `Option.when`: why an option can be idle, and whether it is."""
+_SPLIT: _Rule = ("--no-eval holds no views out", lambda a, d, c: not d.eval)
+_VIEWER: _Rule = ("there is no network viewer", lambda a, d, c: True)
+
+
+def _rule(one: Option) -> _Rule:
+    return (
+        ("all after the last step", _beyond(one.name)) if one.when == "steps" else _WHEN[one.when]
+    )
+
+
+RULES: dict[str, _Rule] = {
+    **{
+        one.name: _rule(one)
+        for cls in (DataConfig, TrainConfig)
+        for one in options_of(cls).values()
+        if one.when
+    },
+    **dict.fromkeys(("hold_out", *SPLIT), _SPLIT),
+    "ip": _VIEWER,
+    "port": _VIEWER,
+    "debug_from": ("there are no debug dumps", lambda a, d, c: True),
     "white_background": (
         "--background says otherwise",
         lambda a, d, c: a.background not in (None, "white"),
@@ -84,7 +84,12 @@ RULES: dict[str, _Rule] = {
         lambda a, d, c: a.sh0_lr is not None and a.shN_lr is not None,
     ),
 }
-"""By option: why it can be idle, and whether it is."""
+"""The same by option."""
+
+
+def reason_of(one: Option) -> str:
+    """Why an option can be without effect; empty where it never is."""
+    return RULES[one.name][0] if one.name in RULES else ""
 
 
 def idle_options(args: argparse.Namespace, data: DataConfig, config: TrainConfig) -> str:

@@ -132,11 +132,11 @@ def nearest(word: str, known: Sequence[str]) -> str:
 
 
 def _options(parser: argparse.ArgumentParser, *, hidden: bool = False) -> Iterator[str]:
-    """The long names, without dashes, of the options that help shows, also of parsers below; those
-    that it does not show too where `hidden` asks for them."""
+    """The long names, without dashes, of the options that are offered: those that help shows and
+    those of a training, also of parsers below; all others too where `hidden` asks for them."""
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             for below in action.choices.values():
                 yield from _options(below, hidden=hidden)
-        elif hidden or action.help != argparse.SUPPRESS:
+        elif hidden or action.help != argparse.SUPPRESS or "declared" in vars(action):
             yield from (name[2:] for name in action.option_strings if name.startswith("--"))

@@ -2,24 +2,25 @@
 
 import argparse
 import sys
-from dataclasses import fields, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from ..control import Control
 from ..errors import ConfigError
 from ..events import Warn
 from ..io.places import check_place
 from ..io.sequences import SEQUENCE_FILE
+from ..sequence_options import SequenceOptions
 from ..words import count_words, quality_words
 from . import train as train_command
 from .attend import Show, attend
+from .declared import declare, given_options
 from .output import others_in, print_json
 from .status import wrapped
 
 if TYPE_CHECKING:
     from ..trainer.sequence import SequenceResult
 
-_SWITCH: dict[str, Any] = {"action": argparse.BooleanOptionalAction, "default": None}
 _ONE_FRAME = {
     "frame": ("--frame", "choose frames with --frames"),
     "rig": ("--rig", "the cameras of the first frame are taken for all, unless --no-fixed-rig"),
@@ -31,33 +32,16 @@ _ONE_FRAME = {
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `gscore train`, and those of the sequence."""
     train_command.add_arguments(parser)
+    for action in parser._actions:
+        if action.dest in _ONE_FRAME:
+            action.help = argparse.SUPPRESS
     group = parser.add_argument_group(
         "sequence",
         "SOURCE is a folder of PKU-DyMVHumans, a folder of numbered captures, or a path with "
         "{frame:06d} where the number stands; --images and --masks may hold that too. Each frame "
         "gets a folder OUT/frame_NNNNNN with the results of a training.",
     )
-    group.add_argument(
-        "--frames", metavar="LIST", help="0,5,12 or 0:30 or 0:30:5 (first, last, step); all"
-    )
-    group.add_argument(
-        "--next-iterations", type=int, metavar="N", help="steps of later frames (a quarter)"
-    )
-    group.add_argument(
-        "--warm-start", **_SWITCH, help="start each frame from the splats of the one before (yes)"
-    )
-    group.add_argument(
-        "--carried-opacity",
-        type=float,
-        metavar="X",
-        help="share of its opacity that a splat takes into the next frame (0.6)",
-    )
-    group.add_argument(
-        "--fixed-rig", **_SWITCH, help="the cameras do not move from frame to frame (yes)"
-    )
-    group.add_argument(
-        "--keep-checkpoints", **_SWITCH, help="keep those of frames that are complete (no)"
-    )
+    declare(group, SequenceOptions)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -78,7 +62,7 @@ def _train(args: argparse.Namespace, show: Show, control: Control) -> "SequenceR
     for name, (option, instead) in _ONE_FRAME.items():
         if getattr(args, name) is not None:
             raise ConfigError(f"{option} is for one frame: {instead}.")
-    from ..trainer.sequence import SequenceOptions, read_options, train_sequence
+    from ..trainer.sequence import read_options, train_sequence
 
     check_place(args.output)
     frames = [path.name for path in args.output.glob("frame_*") if path.is_dir()]
@@ -86,8 +70,7 @@ def _train(args: argparse.Namespace, show: Show, control: Control) -> "SequenceR
     if others and not args.events:
         show(Warn(message=f"{args.output} holds other files too; they stay: {others}"))
     stored = read_options(args.output) if args.resume else None
-    names = [field.name for field in fields(SequenceOptions)]
-    given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
+    given = given_options(SequenceOptions, args)
     data, config = train_command.told_configs(args, show)
     return train_sequence(
         config,

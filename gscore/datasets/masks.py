@@ -5,17 +5,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ..config import DataConfig
-from ..errors import Cancelled, ConfigError, DatasetError
+from ..errors import Cancelled, DatasetError
 from ..io.images import ImageInfo, assumed_of_mask, read_image, read_info, read_mask
-from ..shown import quoted
 from ..words import count_words, number
 from .capture import Capture, View, listing
 from .dataset import map_threads
 from .folder import Folder
 from .mattes import are_mattes
 
-MASK_MODES = ("auto", "composite", "ignore", "none")
-"""Values of the option."""
 DEFAULT_FOLDER = "masks"
 """Folder looked for when none is given."""
 
@@ -58,14 +55,9 @@ def choose_masks(
 
     Raises:
         Cancelled: `cancelled` said so.
-        ConfigError: `mask_mode` is unknown.
         DatasetError: the folder is missing or has no mask of any view, or a mask has another size.
         FormatError: the first mask or a photo with alpha is corrupt.
     """
-    if config.mask_mode not in MASK_MODES:
-        raise ConfigError(
-            f"mask_mode is {quoted(config.mask_mode)}, expected one of {', '.join(MASK_MODES)}."
-        )
     none = MaskChoice(mode="none", files=[None] * len(views), use_alpha=[False] * len(views))
     if config.mask_mode == "none":
         return none

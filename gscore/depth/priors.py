@@ -11,8 +11,7 @@ from ..config import DataConfig
 from ..datasets import Dataset
 from ..datasets.dataset import map_threads
 from ..datasets.decode import fit_map
-from ..errors import ConfigError, DatasetError
-from ..shown import quoted
+from ..errors import DatasetError
 from ..words import count_words
 from .confidence import confidence
 from .fit import NO_FIT, Fit
@@ -22,8 +21,6 @@ from .observations import observations
 from .params import DEFAULT_FOLDER
 from .samples import unusable, view_samples
 
-ALIGNMENTS = ("auto", "official", "robust", "none")
-"""Values of the option `depth_align`."""
 _TOLERABLE = 1.0
 """Expected relative error of an aligned inverse depth at which a pixel counts half."""
 
@@ -82,12 +79,7 @@ def load_priors(
         DatasetError: the folder is missing or has no usable map of any view, or, with `official`,
             there is no depth_params.json.
         FormatError: depth_params.json is damaged.
-        ConfigError: `depth_align` is unknown.
     """
-    if data.depth_align not in ALIGNMENTS:
-        raise ConfigError(
-            f"depth_align is {quoted(data.depth_align)}, expected one of {', '.join(ALIGNMENTS)}."
-        )
     folder = MapFolder(dataset.source / (data.depths or DEFAULT_FOLDER))
     maps = [folder.find(name) for name in dataset.names]
     warnings = _missing(folder, maps, dataset.names)

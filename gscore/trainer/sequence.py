@@ -19,6 +19,7 @@ from ..io.places import check_place
 from ..io.runs import check_replaceable, clear_run, read_run, results_in
 from ..io.sequences import FRAME_FOLDER, SEQUENCE_FILE, SequenceIndex, read_sequence, write_sequence
 from ..metrics import headline
+from ..sequence_options import SequenceOptions
 from ..words import count_words
 from .files import checkpoint
 from .files.folder import RunFolder
@@ -32,33 +33,6 @@ def _means_of(metrics: list[dict[str, Any]]) -> list[str]:
     """Keys of the figures that frames are judged by: `psnr_masked` where any has it."""
     masked = any("psnr_masked" in m for m in metrics)
     return [key for key in _MEANS if masked or key != "psnr_masked"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class SequenceOptions:
-    """What a sequence has besides the options of its frames."""
-
-    frames: str = ":"
-    """Which frames: `0,5,12`, `0:30`, `0:30:5` (first, last, step)."""
-    next_iterations: int = 0
-    """Steps of the frames after the first; 0: a quarter of those of the first. A time budget of the
-    first is a quarter for them too."""
-    warm_start: bool = True
-    """False: every frame starts from its own points and takes as many steps as the first."""
-    carried_opacity: float = 0.6
-    """Opacities are multiplied by this from frame to frame, so that what no photo asks for fades
-    and what moved away makes room."""
-    fixed_rig: bool = True
-    """The cameras do not move: all frames get those of the first, in its world. False: the frames'
-    own cameras, which then must be in one world already."""
-    keep_checkpoints: bool = False
-    """Keep the last checkpoint of frames that are complete."""
-
-    def __post_init__(self) -> None:
-        if self.next_iterations < 0:
-            raise ConfigError(f"next_iterations must be at least 0, got {self.next_iterations}.")
-        if not 0 < self.carried_opacity <= 1:
-            raise ConfigError(f"carried_opacity must lie in (0, 1], got {self.carried_opacity}.")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -496,7 +496,7 @@ class Trainer:
     def _learn(self, step: int, v_means2d: torch.Tensor, view: TrainingView) -> tuple[Change, int]:
         """Step with the model's gradients; what changed, and how many rows were left out."""
         model, radii = self.model, self._painter.radii
-        self.strategy.shape_gradients(model, step=step)
+        self.strategy.shape_gradients(model)
         self.strategy.observe(
             model,
             step=step,

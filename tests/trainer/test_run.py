@@ -61,7 +61,7 @@ def test_a_report_knows_when_and_how_and_at_which_sizes(capture: Path, tmp_path:
     assert list(factors.values()) == sorted(factors.values(), reverse=True)
     page = (tmp_path / "run/report.html").read_text(encoding="utf-8")
     assert "Dashed lines: photos became larger" in page and "full size" in page
-    for words in (f"{trained_at:%Y-%m-%d %H:%M}", "--iterations 40", "--test-every 4"):
+    for words in (f"{trained_at:%Y-%m-%d %H:%M}", "--iterations 40", "--hold-out 4"):
         assert words in page
 
 

@@ -206,7 +206,10 @@ def test_the_command_line(frames: Path, tmp_path: Path, capsys: pytest.CaptureFi
         (["{video}", "-o", "{out}", "--rig", "x"], "--rig is for one frame"),
         (["{video}", "-o", "{out}", "--resume"], "holds no run to resume"),
         (["{video}", "-o", "{out}", "--next-iterations", "-1"], "next_iterations must be"),
-        (["{video}", "-o", "{out}", "--carried-opacity", "0"], "carried_opacity must lie in"),
+        (
+            ["{video}", "-o", "{out}", "--carried-opacity", "0"],
+            "carried_opacity must be more than 0, at most 1",
+        ),
         (["{video}/{{frame:06x}}", "-o", "{out}"], "{frame:06d}"),
         (["{video}/{{number}}", "-o", "{out}"], "{frame:06d}"),
         (["{video}/{{frame}}x", "-o", "{out}"], "Nothing fits"),

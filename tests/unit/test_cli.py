@@ -176,6 +176,17 @@ def test_a_bad_option_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> Non
         ("train x -o y --preset hihg", "there is no 'hihg'; did you mean high? There are: prev"),
         ("train x -o y --preset zzz", "there is no 'zzz'; there are: preview, draft, normal, high"),
         ("bench rastre", "there is no 'rastre'; did you mean raster? There are: raster, step"),
+        ("train x -o y --refine-evry 3", "--refine-evry: did you mean --refine-every? See"),
+        ("train x -o y --set lr_bost=1", "there is no option 'lr_bost'; did you mean lr_boost?"),
+        ("train x -o y --set zzz=1", "there is no option 'zzz'; `gscore options` lists all."),
+        ("train x -o y --set seed", "expected seed=VALUE, got 'seed'."),
+        ("train x -o y --set seed=x", "argument --seed: invalid int value: 'x'."),
+        ("train x -o y --set watchdog=maybe", "watchdog must be on or off, got 'maybe'."),
+        ("train x -o y --set without=foo", "there is no 'foo'; there are: exact-cull, "),
+        ("train x -o y --hold-out frist:3", "expected a number N of at least 2 (every N-th), "),
+        ("train x -o y --max_spalts 3 --debgu", "--max-spalts: did you mean --max-splats? See"),
+        ("sequence x -o y --set nxt_iterations=3", "did you mean next_iterations?"),
+        ("options opactiy_reg", "with 'opactiy_reg'; did you mean opacity_reg?"),
         ("render run -o y --pth orbit", "--pth: did you mean --path? See gscore render"),
     ],
 )
@@ -196,20 +207,31 @@ def test_names_keep_their_capitals(capsys: pytest.CaptureFixture[str]) -> None:
     assert "Say what a capture, a PLY or a run holds." in out
 
 
-def test_every_option_of_a_training_is_explained() -> None:
-    """Oracle: the words of TrainConfig's docstrings, and the defaults of its fields."""
+def test_every_option_of_a_training_is_explained(capsys: pytest.CaptureFixture[str]) -> None:
+    """Oracle: the first sentences in config.py, with the defaults of its fields and presets."""
     parser = argparse.ArgumentParser()
     train.add_arguments(parser)
-    texts = {action.dest: action.help for action in parser._actions}
+    texts = {
+        action.dest: action.help for action in parser._actions if action.help != "==SUPPRESS=="
+    }
     assert all(texts.values())
-    assert texts["prune_scale"] == (
-        "default: larger splats are removed after the first opacity reset; in extents (0.1)"
-    )
-    assert texts["drop_rate"].endswith(
-        "(Park et al. 2025, DropGaussian), against overfitting to few views; 0: none (0)"
-    )
-    assert texts["shN_lr"] == "learning rate of the view-dependent colour (0.000125)"
+    assert texts["antialias"] == "draw splats below the size of a pixel fainter (off)"
+    assert texts["threads"] == "CPU threads; 0: one per core that this process may use (0)"
     assert "preview 1,500, draft 4,000, normal 7,000, high 15,000" in texts["iterations"]
+
+
+@pytest.mark.parametrize("verb", ["train", "sequence"])
+def test_help_is_short(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Oracle: the lines of the help that begin with an option: 40 at most, some of each group."""
+    assert commands.main([verb, "--help"]) == 0
+    out = capsys.readouterr().out
+    flags = re.findall(r"^  (-.*?)(?:  |$)", out, flags=re.M)
+    assert 30 <= len(flags) <= 40
+    for word in ("--hold-out", "--set NAME=VALUE", "--iterations", "--depths", "--json"):
+        assert word in out
+    for word in ("--grow-grad", "--cap-max", "--test-every", "--white-background", "--ip"):
+        assert word not in out
+    assert ("--rig" in out) is (verb == "train")
 
 
 def test_extras_bring_what_is_said_to_be_missing() -> None:

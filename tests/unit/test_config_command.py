@@ -56,9 +56,9 @@ def test_a_training_command_gives_its_options_back(preset: str, options: dict) -
     ("changes", "words"),
     [
         ({"eval": True}, ["--eval"]),
-        ({"eval": True, "test_every": 6}, ["--test-every", "6"]),
-        ({"eval": True, "test_last": 3}, ["--test-last", "3"]),
-        ({"eval": True, "test_list": Path("names.txt")}, ["--test-list", "names.txt"]),
+        ({"eval": True, "test_every": 6}, ["--hold-out", "6"]),
+        ({"eval": True, "test_last": 3}, ["--hold-out", "last:3"]),
+        ({"eval": True, "test_list": Path("names.txt")}, ["--hold-out", "names.txt"]),
         ({"resolution": 2.0, "mask_mode": "none"}, ["--mask-mode", "none", "-r", "2"]),
         ({"depths": "depths", "rig": Path("other"), "frame": 5}, None),
         ({"eval": True, "test_first": 2, "test_last": 3}, None),

@@ -542,7 +542,7 @@ class TestMasks:
 
     def test_unknown_mode(self, make_capture: Callable) -> None:
         """Oracle: the sentence lists the values."""
-        with pytest.raises(ConfigError, match="expected one of auto, composite, ignore, none"):
+        with pytest.raises(ConfigError, match="must be one of auto, composite, ignore, none"):
             _load(make_capture().root, mask_mode="invert")
 
 

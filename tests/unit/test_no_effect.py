@@ -4,7 +4,7 @@ import argparse
 
 import pytest
 
-from gscore.commands import train
+from gscore.commands import names_3dgs, train
 from gscore.commands.no_effect import RULES, idle_options
 
 ALWAYS = """
@@ -14,10 +14,10 @@ strategy sh_degree seed threads cache_mb background antialias without near start
 checkpoint_seconds preview_seconds snapshot_every watchdog detect_anomaly means_lr
 means_lr_final sh0_lr opacities_lr scales_lr quats_lr lr_boost lr_final ssim_weight drop_rate
 alpha_weight refine_start refine_stop refine_every prune_opacity prune_share free_space quiet
-events json disable_viewer
+events json disable_viewer set
 """
 """Options that do something in every run, or whose effect the capture decides."""
-REFUSED = frozenset(name.lstrip("-").replace("-", "_") for (name,) in train._NOT_HERE)
+REFUSED = frozenset(name.lstrip("-").replace("-", "_") for name in names_3dgs.REFUSED)
 
 
 def told(line: str) -> str:
@@ -44,7 +44,7 @@ def test_no_option_is_forgotten() -> None:
     [
         ("--ip 127.0.0.1 --port 6009", "--ip, --port (there is no network viewer)"),
         ("--debug-from -1", "--debug-from (there are no debug dumps)"),
-        ("--mcmc-noise 1 --reg-final 0", "--mcmc-noise, --reg-final (--strategy mcmc alone"),
+        ("--mcmc-noise 1 --scale-reg 0", "--mcmc-noise, --scale-reg (--strategy mcmc alone"),
         ("--strategy mcmc --grow-grad 1", "--grow-grad (not used by --strategy mcmc)"),
         ("--strategy mcmc --no-grow-with-photos", ""),
         ("--depth-weight 1", "--depth-weight (depth supervises only with --depths"),
@@ -55,6 +55,8 @@ def test_no_option_is_forgotten() -> None:
         ("--start-opacity 0.5", "--start-opacity (of --start-splats alone)"),
         ("--start-splats a.ply --init-scale 2", "--init-scale (--start-splats are"),
         ("--no-eval --test-every 5", "--test-every (--no-eval holds no views out)"),
+        ("--no-eval --hold-out 5", "--hold-out (--no-eval holds no views out)"),
+        ("--set mcmc_noise=1", "--mcmc-noise (--strategy mcmc alone"),
         ("--iterations 10 --save-iterations 20 30", "--save-iterations (all after the last step)"),
         ("--iterations 10 --save-iterations 5 30", ""),
         ("--masks m --invert-masks --mask-mode none", "--masks, --invert-masks (--mask-mode none)"),

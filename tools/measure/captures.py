@@ -37,7 +37,7 @@ def main() -> int:
 
 def row(name: str, source: Path, preset: str, output: Path) -> str:
     """Train one capture and return its line of the table."""
-    split = ["--test-every", "6", "--mask-mode", "none"] if name == "studio" else ["--eval"]
+    split = ["--hold-out", "6", "--mask-mode", "none"] if name == "studio" else ["--eval"]
     command = [sys.executable, "-m", "gscore", "train", source, "-o", output, "--overwrite"]
     command += ["--preset", preset, "--quiet", "--json", *split]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)

@@ -22,6 +22,7 @@ from ...config_file import differences, from_dict, to_dict
 from ...errors import ConfigError, FormatError
 from ...io.files import atomic_write, check_regular
 from ...json_text import parse_json
+from ...options import options_of
 from ...raster import backend
 from ...shown import shown
 from ..photos.views import Photos
@@ -30,26 +31,7 @@ from ..trainer import Trainer
 
 FORMAT = 3
 _DTYPES = {torch.float32: "F32", torch.float64: "F64", torch.uint8: "U8"}
-FREE = frozenset(
-    {
-        "iterations",
-        "time_budget",
-        "target_psnr",
-        "early_stop",
-        "threads",
-        "cache_mb",
-        "test_iterations",
-        "save_iterations",
-        "checkpoint_iterations",
-        "checkpoint_seconds",
-        "preview_seconds",
-        "snapshot_every",
-        "lpips",
-        "watchdog",
-        "detect_anomaly",
-        "start_splats",
-    }
-)
+FREE = frozenset(name for name, one in options_of(TrainConfig).items() if one.free)
 """Options that may change when a run goes on."""
 _OFTEN_CHANGED = ("iterations", "time_budget", "target_psnr", "early_stop", "threads")
 """The most wanted of them, for messages."""

@@ -65,8 +65,6 @@ class Plan:
     """Pull above which `default` doubles a splat."""
     mcmc_growth: float
     """Share of splats that a refinement of `mcmc` adds; 0 with `default`, where pulls decide."""
-    reg_final: float
-    """What is left of the penalties of `mcmc` when refinements are over."""
     kept: float
     """Share of the splats that stay when refinements are over."""
 
@@ -149,7 +147,6 @@ class Plan:
             init_scale=config.init_scale or (0.1 if mcmc else 1.0),
             grow_grad=config.grow_grad or 2e-4 / min(boost, 2.0),
             mcmc_growth=(config.mcmc_growth or min(growth, 1.0)) if mcmc else 0.0,
-            reg_final=config.reg_final,
             kept=1.0 - config.prune_share,
         )
 
@@ -201,10 +198,6 @@ class Plan:
         return round(
             self.first_cap + min(max(share, 0.0), 1.0) * (self.max_splats - self.first_cap)
         )
-
-    def penalty_at(self, step: int) -> float:
-        """What is left of the penalties of `mcmc`, as a share."""
-        return 1.0 - (1.0 - self.reg_final) * min(step / max(self.refine_stop, 1), 1.0)
 
     def refines_at(self, step: int) -> bool:
         """Whether splats may be added or removed after `step`."""

@@ -32,8 +32,8 @@ class Policy(Protocol):
         """Make the counters that the strategy keeps."""
         ...
 
-    def shape_gradients(self, model: Model, *, step: int) -> None:
-        """Add the gradients of the strategy's own loss terms at `step`."""
+    def shape_gradients(self, model: Model) -> None:
+        """Add the gradients of the strategy's own loss terms."""
         ...
 
     def observe(

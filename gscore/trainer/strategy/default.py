@@ -33,7 +33,7 @@ class DefaultStrategy:
         model.rows["pull"] = zeros(len(model))
         model.rows["seen"] = zeros(len(model))
 
-    def shape_gradients(self, model: Model, *, step: int) -> None:
+    def shape_gradients(self, model: Model) -> None:
         pass
 
     def observe(

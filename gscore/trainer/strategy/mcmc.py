@@ -28,19 +28,17 @@ class MCMCStrategy:
     def start(self, model: Model) -> None:
         pass
 
-    def shape_gradients(self, model: Model, *, step: int) -> None:
-        """Gradients of opacity_reg * mean(opacity) + scale_reg * mean(scale), times what is left of
-        both at `step`."""
+    def shape_gradients(self, model: Model) -> None:
+        """Gradients of opacity_reg * mean(opacity) + scale_reg * mean(scale)."""
         if len(model) == 0:
             return
-        left = self._plan.penalty_at(step)
         scales, grads = model.params["scales"], model.grads
         if self._config.opacity_reg:
             opacity = torch.sigmoid(model.params["opacities"])
             slope = opacity * (1 - opacity)
-            grads["opacities"].add_(slope, alpha=left * self._config.opacity_reg / len(model))
+            grads["opacities"].add_(slope, alpha=self._config.opacity_reg / len(model))
         if self._config.scale_reg:
-            weight = left * self._config.scale_reg / scales.numel()
+            weight = self._config.scale_reg / scales.numel()
             grads["scales"].add_(scales.exp(), alpha=weight)
 
     def observe(

@@ -12,7 +12,7 @@ import bpy
 import pytest
 
 from addon import paths, preferences
-from addon.core import PRESETS, Background, RunInfo, Strategy
+from addon.core import PRESETS, Background, GsError, RunInfo, Strategy
 from addon.job import facts, lookups, options
 
 REAL = os.environ.get("GSCORE_TRAINER_PYTHON", "")
@@ -67,6 +67,33 @@ def test_defaults_are_those_of_gscore(scene: bpy.types.Scene) -> None:
     assert choices["background"].enum_items.keys() == [str(b) for b in Background]
     for item in choices["preset"].enum_items:
         assert item.description in (PRESETS[item.identifier].__doc__ or "")
+
+
+NUMBERS = ("iterations", "max_splats", "sh_degree", "free_space", "seed", "time_budget")
+
+
+@pytest.mark.parametrize("name", [*NUMBERS, "target_psnr"])
+def test_limits_are_those_of_gscore(scene: bpy.types.Scene, name: str) -> None:
+    """Oracle: TrainConfig, which takes both ends of what the panel takes."""
+    found = scene.gscore.bl_rna.properties[name]
+    _, train = PRESETS["normal"](Path())
+    for end in (found.hard_min, found.hard_max):
+        setattr(scene.gscore, name, end)
+        replace(train, **{name: getattr(scene.gscore, name)})
+    below = found.hard_min - 1
+    with pytest.raises(GsError, match=f"{name} must be"):
+        replace(train, **{name: below})
+
+
+def test_texts_are_those_of_gscore(scene: bpy.types.Scene) -> None:
+    """Oracle: the declarations; as Blender writes tips, without a full stop, of one sentence."""
+    found = scene.gscore.bl_rna.properties
+    assert found["iterations"].description == "Training steps, one view each"
+    assert found["sh_degree"].description == "Degree of view-dependent color, 0 to 3; 0: matt"
+    assert found["mask_mode"].description == "What masks mean"
+    for name in (*NUMBERS, "eval", "invert_masks", "images", "antialias", "early_stop"):
+        text = found[name].description
+        assert text and "`" not in text and "--" not in text and not text.endswith("."), text
 
 
 @pytest.mark.parametrize("name", PRESETS)

@@ -183,7 +183,7 @@ def test_off_reads_maps_but_trains_without(deep: Path, tmp_path: Path) -> None:
         (["--depth-points", "10"], "--depths"),
         (["-d", "nowhere"], "nowhere"),
         (["-d", "depths", "--depth-weight", "-2"], "depth_weight must be 0 to 1e+09"),
-        (["--drop-rate", "1"], "drop_rate must lie in [0, 1)"),
+        (["--drop-rate", "1"], "drop_rate must be 0 to less than 1, got 1"),
     ],
 )
 def test_bad_options_are_one_sentence_and_leave_nothing(

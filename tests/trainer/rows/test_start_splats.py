@@ -57,7 +57,7 @@ def test_opacities_may_be_carried_in_part(make_photos: Callable[..., Any]) -> No
     faded = Trainer(replace(CONFIG, start_opacity=0.6), photos, start=start).splats()
     before, after = (1 / (1 + np.exp(-s.opacities.astype(np.float64))) for s in (start, faded))
     np.testing.assert_allclose(after, 0.6 * before, rtol=1e-5)
-    with pytest.raises(ConfigError, match="start_opacity must lie"):
+    with pytest.raises(ConfigError, match="start_opacity must be more than 0, at most 1"):
         replace(CONFIG, start_opacity=0.0)
 
 

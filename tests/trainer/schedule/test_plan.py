@@ -92,14 +92,6 @@ def test_else_splats_grow_to_the_cap_at_once(config: TrainConfig) -> None:
     assert plan.refine_stop == plain.refine_stop
 
 
-def test_penalties_of_mcmc_fall_evenly() -> None:
-    """Oracle: the line from 1 to a fifth over the refinements, five sixths of the run."""
-    config = TrainConfig(iterations=600, strategy=Strategy.MCMC, reg_final=0.2)
-    found = [plan_of(config).penalty_at(step) for step in (0, 250, 500, 600)]
-    assert found == pytest.approx([1.0, 0.6, 0.2, 0.2])
-    assert plan_of(TrainConfig(iterations=600, strategy=Strategy.MCMC)).penalty_at(600) == 1.0
-
-
 def test_rates_fall_over_the_last_tenth() -> None:
     """Oracle: a fifth of the rate at the last step, its root half of the way there."""
     plan = plan_of(TrainConfig(iterations=1000))

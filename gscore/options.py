@@ -1,0 +1,170 @@
+"""How an option of a run is declared: once, at its field; all else said of it is derived."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from enum import StrEnum
+from functools import cache
+from types import MappingProxyType
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+
+from .errors import ConfigError
+from .shown import quoted
+
+LARGEST = 1e9
+"""Of every number that is no count: products of several must not leave float32."""
+_KEY = "option"
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Range:
+    """Which numbers an option takes; ends included unless said otherwise."""
+
+    low: float = 0
+    high: float | None = None
+    """None: as large as one likes."""
+    above: bool = False
+    """`low` itself is not taken."""
+    below: bool = False
+    """`high` itself is not taken."""
+    also: float | None = None
+    """A number outside that has a meaning of its own."""
+
+    def __contains__(self, value: float) -> bool:
+        if value == self.also:
+            return True
+        enough = self.low < value if self.above else self.low <= value  # False for NaN
+        if self.high is None:
+            return enough
+        return enough and (value < self.high if self.below else value <= self.high)
+
+    def __str__(self) -> str:
+        low, high = _digits(self.low), None if self.high is None else _digits(self.high)
+        if high is None:
+            words = f"more than {low}" if self.above else f"at least {low}"
+        elif self.above:
+            words = f"more than {low}, {'less than' if self.below else 'at most'} {high}"
+        else:
+            words = f"{low} to less than {high}" if self.below else f"{low} to {high}"
+        return words if self.also is None else f"{words}, or {_digits(self.also)}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Option:
+    """What is to be known of an option."""
+
+    name: str = ""
+    default: Any
+    kind: type
+    """bool, int, float, str, Path or a StrEnum; of the members where `several`."""
+    several: bool = False
+    """Its value is a tuple."""
+    text: str
+    """What it does; the first sentence stands alone in `--help`."""
+    group: str
+    """Under which it is listed."""
+    range: Range | None = None
+    unit: str = ""
+    choices: tuple[str, ...] = ()
+    """All values there are; empty: any of its kind."""
+    metavar: str = ""
+    """What stands for its value in `--help`."""
+    short: str = ""
+    """One-letter flag."""
+    basic: bool = False
+    """Shown by `--help`; the others are listed by `gscore options`."""
+    when: str = ""
+    """When it has an effect, a key of `commands.no_effect`; empty: always."""
+    free: bool = False
+    """It may change when a run goes on."""
+
+    @property
+    def flag(self) -> str:
+        """Its long name on the command line."""
+        return "--" + self.name.replace("_", "-")
+
+    @property
+    def values(self) -> str:
+        """Which values it takes, in words; empty: any of its kind."""
+        if self.choices:
+            return ", ".join(self.choices)
+        return "on, off" if self.kind is bool else str(self.range or "")
+
+    @property
+    def default_words(self) -> str:
+        """The default as one would give it; empty: none."""
+        return value_words(self.default)
+
+
+def option(default: T, text: str, **facts: Any) -> T:
+    """A field of a config that is an option of a run.
+
+    Args:
+        default: Its default.
+        text: What it does.
+        **facts: The other fields of `Option`, as far as types do not say them.
+    """
+    declared: Any = field(default=default, metadata={_KEY: {"text": text} | facts})
+    return declared
+
+
+@cache
+def options_of(cls: type[Any]) -> Mapping[str, Option]:
+    """The options of a config class by name, in the order in which they are declared."""
+    hints = get_type_hints(cls)
+    found = {}
+    for one in fields(cls):
+        if _KEY in one.metadata:
+            known = _of_type(hints[one.name]) | {"name": one.name, "default": one.default}
+            found[one.name] = Option(**(known | one.metadata[_KEY]))
+    return MappingProxyType(found)
+
+
+def check_options(config: Any) -> None:
+    """Raise ConfigError for the first value of a config that its option does not take."""
+    for name, declared in options_of(type(config)).items():
+        value = getattr(config, name)
+        members = value if declared.several else (value,)
+        if any(not _taken(declared, member) for member in members):
+            shown = quoted(value) if isinstance(value, str) else value
+            each = f"each of {name}" if declared.several else name
+            raise ConfigError(f"{each} must be {_wanted(declared)}, got {shown}.")
+
+
+def value_words(value: Any) -> str:
+    """A value as one would give it on the command line; empty for none."""
+    if isinstance(value, tuple):
+        return " ".join(value_words(member) for member in value)
+    if isinstance(value, bool):
+        return "on" if value else "off"
+    if isinstance(value, int | float):
+        return _digits(value)
+    return "" if value is None else str(value)
+
+
+def _taken(declared: Option, value: Any) -> bool:
+    if declared.choices:
+        return value in declared.choices
+    return declared.range is None or value is None or value in declared.range
+
+
+def _wanted(declared: Option) -> str:
+    return f"one of {declared.values}" if declared.choices else declared.values
+
+
+def _of_type(hint: Any) -> dict[str, Any]:
+    """What the annotation of a field says of its option."""
+    inner = [kind for kind in get_args(hint) if kind not in (type(None), ...)]
+    kind = inner[0] if inner else hint
+    facts: dict[str, Any] = {"kind": kind, "several": get_origin(hint) is tuple}
+    if issubclass(kind, StrEnum):
+        facts["choices"] = tuple(kind)
+    elif kind is float:
+        facts["range"] = Range(high=LARGEST)
+    return facts
+
+
+def _digits(number: float) -> str:
+    """A number as people write it, without losing digits of whole ones."""
+    return str(number) if isinstance(number, int) else f"{number:g}"
