@@ -14,7 +14,7 @@ from gscore.commands import main
 from gscore.config import PRESETS, Background, Skip, Strategy
 from gscore.config_file import load_config
 from gscore.io.ply import read_splats
-from gscore.trainer import checkpoint
+from gscore.trainer.files import checkpoint
 from gscore.trainer.files.folder import RunFolder
 
 BEFORE = Path(__file__).parent / "written_before"
