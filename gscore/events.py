@@ -193,6 +193,41 @@ class DepthDone(Event):
 
 
 @dataclass(frozen=True, kw_only=True)
+class SfmProgress(Event):
+    """How far the search for cameras of photos is."""
+
+    kind: ClassVar[str] = "sfm_progress"
+    phase: str
+    """reading photos, entering photos, finding features, comparing photos, placing cameras,
+    adjusting cameras or writing the capture; those in the middle come again where a further attempt
+    is made."""
+    done: int
+    """Photos, or pairs of them where photos are compared."""
+    total: int
+    """Of the phase; 0: not known."""
+    eta_s: float
+    """Seconds left in the phase; NaN: not known."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SfmDone(Event):
+    """Cameras of photos were found and written."""
+
+    kind: ClassVar[str] = "sfm"
+    photos: int
+    registered: int
+    """Photos that have a camera."""
+    models: int
+    """How many parts did not join; the largest was written."""
+    points: int
+    reprojection_px: float
+    """Mean over the points."""
+    seconds: float
+    path: str
+    """The capture."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class FrameStarted(Event):
     """A sequence goes on to a frame, whose own events follow up to its `done`."""
 
@@ -241,6 +276,8 @@ KINDS: dict[str, type[Event]] = {
         Failed,
         DepthProgress,
         DepthDone,
+        SfmProgress,
+        SfmDone,
         FrameStarted,
         SequenceDone,
     )

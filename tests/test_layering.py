@@ -38,6 +38,7 @@ ALLOWED = {
     **dict.fromkeys(BOTTOM, BOTTOM),
     "io": BOTTOM | {"io"},
     "datasets": BOTTOM | {"io", "datasets"},
+    "sfm": BOTTOM | {"io", "datasets", "sfm"},
     "depth": BOTTOM | {"io", "datasets", "depth"},
     "raster": BOTTOM | {"io", "raster"},
     "metrics": BOTTOM | {"io", "datasets", "depth", "raster", "metrics"},

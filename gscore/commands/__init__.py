@@ -26,6 +26,7 @@ from .status import beginning, wrapped
 from .streams import steady_streams
 
 VERBS = {
+    "sfm": "find the cameras of photos, which makes a capture of them",
     "train": "train splats from photos with COLMAP cameras",
     "sequence": "train the frames of a multi-view video one after another",
     "options": "list the options of a training",
@@ -39,6 +40,7 @@ VERBS = {
 }
 
 _EXAMPLES = {
+    "sfm": "Example: gscore sfm photos/ -o capture",
     "train": "Example: gscore train photos/ -o run --preset draft --eval",
     "sequence": "Example: gscore sequence CASE --frames 0:145:5 -o out",
     "options": "Example: gscore options opacity",

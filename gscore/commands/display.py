@@ -18,6 +18,8 @@ from ..events import (
     Progress,
     Saved,
     SequenceDone,
+    SfmDone,
+    SfmProgress,
     Started,
     Warn,
     to_line,
@@ -87,9 +89,11 @@ class Lines:
                 self._progress(event)
             case DepthProgress():
                 self._depth(event)
+            case SfmProgress():
+                self._sfm(event)
             case Eval():
                 self._measured = eval_text(event)
-            case Done() | DepthDone() | SequenceDone() | Failed():
+            case Done() | DepthDone() | SequenceDone() | SfmDone() | Failed():
                 self._end()
             case Saved():
                 self._saved(event)
@@ -114,6 +118,16 @@ class Lines:
         last = event.done == event.total
         share = event.done / event.total
         self._status.show([*parts, event.view], share=share, at_once=last)
+
+    def _sfm(self, event: SfmProgress) -> None:
+        if not event.done:
+            self._status.show([_capital(event.phase)])
+            return
+        what = "pair" if event.phase == "comparing photos" else "photo"
+        parts = [f"{event.phase}, {what} {event.done} of {event.total}"]
+        if event.eta_s == event.eta_s:
+            parts = [f"{clock(event.eta_s)} left", *parts]
+        self._status.show(parts, share=event.done / max(event.total, 1))
 
     def _saved(self, event: Saved) -> None:
         is_asked_for = "point_cloud/iteration_" in Path(event.path).as_posix()

@@ -4,6 +4,7 @@ One table for every place where a capture or a PLY was expected and something el
 """
 
 import os
+import shlex
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -33,8 +34,8 @@ _COLMAP = (
 _UNPACK = "Unpack it and give what it holds."
 _MESH = "It holds meshes. Give the 3DGS PLY of splats, or the photos and cameras of a capture."
 _MOVIE = (
-    "Take pictures out of it (ffmpeg -i FILE -vf fps=2 photos/images/%04d.jpg), run COLMAP on "
-    "them, and give the folder photos."
+    "Take pictures out of it (ffmpeg -i FILE -vf fps=2 photos/images/%04d.jpg), find their cameras "
+    "(gscore sfm photos -o photos), and give the folder photos."
 )
 
 
@@ -166,16 +167,31 @@ def _folder(path: Path) -> str:
     names = list(islice(path.iterdir(), _MOST_NAMES))
     if (path / "meta.json").is_file() and any(n.suffix == ".webp" for n in names):
         return f"{path} is an unpacked splat file of PlayCanvas (SOG). {_SPLATS}"
+    below = sum(_photos(n) for n in names if n.is_dir() and not n.name.startswith("."))
     for place in (path / "images", path / "input", path):
-        count = _photos(place)
+        count = _photos(place) + (below if place == path else 0)
         if count:
             return (
-                f"{place} holds {count_words(count, 'photo')}, but no cameras for them. Run COLMAP "
-                f"first, for instance: colmap automatic_reconstructor --workspace_path {path} "
-                f"--image_path {place}"
+                f"{place} holds {count_words(count, 'photo')}, but no cameras for them. Find them "
+                f"first: gscore sfm {_argument(path)} -o {_argument(_capture(path, place))}"
             )
     others = sorted(n for n in names if n.is_file() and n.suffix.lower() != ".json")
     return next((told for told in map(_file, others[:20]) if told), "")
+
+
+def _capture(path: Path, place: Path) -> Path:
+    """Where `gscore sfm` is to put the capture: in place where the photos are in `images`."""
+    if place.name == "images" and place != path:
+        return path
+    whole = path.absolute()
+    return (
+        path.parent / f"{whole.name}-capture" if path.name else Path("..", f"{whole.name}-capture")
+    )
+
+
+def _argument(path: Path) -> str:
+    """The path as a shell takes it."""
+    return shlex.quote(str(path))
 
 
 def _photos(folder: Path) -> int:

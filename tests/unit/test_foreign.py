@@ -102,17 +102,20 @@ def test_every_verb_says_so(line: str, tmp_path: Path, capsys: pytest.CaptureFix
     assert list(tmp_path.iterdir()) == [path]
 
 
-@pytest.mark.parametrize("place", ["images", "."])
+@pytest.mark.parametrize("verb", ["info {}", "train {} -o {}/run"])
+@pytest.mark.parametrize("place", ["images", ".", "monday"])
 def test_photos_without_cameras(
-    place: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    place: str, verb: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Oracle: the command that makes cameras, with the folder where the photos are."""
+    """Oracle: the command that finds cameras; the photos stay where they are if in `images`."""
+    folder = tmp_path / "my photos"
     for i in range(3):
-        write_png(tmp_path / place / f"{i}.png", np.zeros((4, 4, 3), np.uint8))
-    assert main(["info", str(tmp_path)]) == 2
+        write_png(folder / place / f"{i}.png", np.zeros((4, 4, 3), np.uint8))
+    assert main([word.replace("{}", str(folder)) for word in verb.split()]) == 2
     err = capsys.readouterr().err
-    assert "holds 3 photos, but no cameras" in err and "colmap automatic_reconstructor" in err
-    assert f"--image_path {tmp_path / place}" in err
+    assert "holds 3 photos, but no cameras" in err
+    made = folder if place == "images" else tmp_path / "my photos-capture"
+    assert f"gscore sfm '{folder}' -o '{made}'" in err
 
 
 def test_a_folder_of_other_things(tmp_path: Path) -> None:

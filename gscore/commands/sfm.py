@@ -1,0 +1,90 @@
+"""`gscore sfm`: find the cameras of a folder of photos, and make a capture of them."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from ..io.places import check_place
+from ..sfm import Request, find_cameras
+from ..sfm.request import MAPPERS, MATCHING
+from .attend import attend
+from .output import check_folder, print_json
+from .parser import add_threads_option
+from .status import wrapped
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of the verb."""
+    parser.add_argument("photos", type=Path, help="folder of the photos, sub-folders too")
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        required=True,
+        metavar="CAPTURE",
+        help="the capture to make: a new folder, which gets links to the photos, or the one in "
+        "whose images the photos are, which gets the cameras alone",
+    )
+    parser.add_argument(
+        "--matching",
+        choices=MATCHING,
+        default="auto",
+        help="which photos are compared: exhaustive, all with all; sequential, neighbours in the "
+        "order of their names and some far ones; auto: exhaustive up to 120 photos (auto)",
+    )
+    parser.add_argument(
+        "--mapper",
+        choices=MAPPERS,
+        default="auto",
+        help="global places all photos at once, incremental one after the other; auto: global, "
+        "then incremental where many photos are left out (auto)",
+    )
+    parser.add_argument(
+        "--camera-model",
+        default="SIMPLE_RADIAL",
+        metavar="NAME",
+        help="lens model by COLMAP's name, such as OPENCV or OPENCV_FISHEYE (SIMPLE_RADIAL)",
+    )
+    masks = parser.add_argument_group("masks", "No feature is taken from what they hide.")
+    masks.add_argument(
+        "--masks", type=Path, metavar="DIR", help="folder of masks (masks, where it is there)"
+    )
+    masks.add_argument("--no-masks", action="store_true", help="look at whole photos")
+    masks.add_argument(
+        "--invert-masks", action="store_true", help="masks are white where pixels do not count"
+    )
+    add_threads_option(parser)
+    parser.add_argument("--json", action="store_true", help="the results as JSON, last on stdout")
+    parser.add_argument(
+        "--events", choices=("jsonl",), help="events as JSON lines on stdout, commands on stdin"
+    )
+    parser.add_argument("--quiet", action="store_true", help="say nothing but errors")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Search, write the capture, say how good it is."""
+    request = Request(
+        photos=args.photos,
+        output=args.output,
+        masks=args.masks,
+        use_masks=not args.no_masks,
+        invert_masks=args.invert_masks,
+        matching=args.matching,
+        mapper=args.mapper,
+        camera_model=args.camera_model.upper(),
+        threads=args.threads,
+    )
+    check_place(request.output)
+    check_folder(request.output)
+    found, code = attend(
+        args,
+        lambda show, control: find_cameras(request, on_event=show, control=control),
+        stopped=lambda: "Stopped; the same command goes on where this one ended.",
+    )
+    if found is None:
+        return code
+    if args.json:
+        print_json(found.facts())
+    elif not (args.events or args.quiet):
+        print(wrapped("\n".join(found.lines()), sys.stdout))
+    return code

@@ -1,0 +1,61 @@
+"""What stands in COLMAP's database, read when nothing fills it.
+
+Through pycolmap alone: a second SQLite in the process, as Python's own is, would let go of the
+locks of the first when it closes the file, and the database would be torn.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from .watch import colmap
+
+
+@dataclass(frozen=True)
+class Overlap:
+    """How the photos of a database hang together."""
+
+    features: np.ndarray
+    """[n] int64, features of each photo."""
+    pairs: int
+    """Pairs of photos with enough matches that fit one geometry."""
+    flat: int
+    """Of them, pairs that a rotation or a plane explains."""
+    alone: tuple[str, ...]
+    """Photos in none of these pairs."""
+
+
+def overlap(database: Path, *, least: int) -> Overlap:
+    """Read how the photos hang together.
+
+    Args:
+        database: Filled by feature extraction and matching.
+        least: Matches of a pair that counts.
+    """
+    p = colmap()
+    kinds = p.TwoViewGeometryConfiguration
+    flat = (kinds.PLANAR, kinds.PANORAMIC, kinds.PLANAR_OR_PANORAMIC)
+    with p.Database.open(database) as link:
+        names = {image.image_id: image.name for image in link.read_all_images()}
+        features = [link.num_keypoints_for_image(i) for i in names]
+        numbers, geometries = link.read_two_view_geometries()
+    found = [
+        (p.pair_id_to_image_pair(number), geometry.config)
+        for number, geometry in zip(numbers, geometries, strict=True)
+        if len(geometry.inlier_matches) >= least
+    ]
+    joined = {i for pair, _ in found for i in pair}
+    return Overlap(
+        features=np.array(features, np.int64),
+        pairs=len(found),
+        flat=sum(kind in flat for _, kind in found),
+        alone=tuple(name for i, name in names.items() if i not in joined),
+    )
+
+
+def without_features(database: Path) -> list[str]:
+    """Photos that extraction has left out: COLMAP could not read them."""
+    with colmap().Database.open(database) as link:
+        images = link.read_all_images()
+        return sorted(image.name for image in images if not link.exists_keypoints(image.image_id))

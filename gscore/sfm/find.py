@@ -1,0 +1,271 @@
+"""The whole search: photos looked over, attempts made, the best model published as a capture."""
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from ..control import Control
+from ..datasets.capture import listing
+from ..errors import DatasetError
+from ..events import Event, SfmDone, SfmProgress, Warn
+from ..words import count_words
+from . import database, masks, photos, stages
+from .attempts import ENOUGH, Attempt, attempts
+from .diagnose import why_none
+from .pairs import in_parts
+from .request import USUAL_LENS, Request
+from .stages import Work
+from .verdict import Found, camera_facts, model_names, said_of_attempt
+from .watch import colmap, watched
+from .workspace import Workspace
+
+Show = Callable[[Event], None]
+
+
+def find_cameras(
+    request: Request, *, on_event: Show = lambda event: None, control: Control | None = None
+) -> Found:
+    """Find cameras and points of photos, and make a capture of them.
+
+    What was found is kept beside the output where this is stopped or killed, and the next call with
+    the same photos and options goes on from it.
+
+    Args:
+        request: Which photos, where to, and how.
+        on_event: Told how far it is: `SfmProgress`, `Warn`, at the end `SfmDone`.
+        control: Asked whether to stop.
+
+    Raises:
+        Cancelled: `control` said so.
+        DatasetError: there are too few photos, they cannot be read, or no cameras can be found.
+        ConfigError: the output is taken, or an option has a value that cannot work.
+        BackendError: pycolmap is missing or too old.
+        GsError: the output cannot be written.
+    """
+    colmap()
+    search = _Search(request, on_event, control or Control())
+    try:
+        return search.run()
+    except DatasetError:  # of these photos nothing can be made; other errors leave what was found
+        search.discard()
+        raise
+
+
+class _Search:
+    """One search from its beginning to its end."""
+
+    def __init__(self, request: Request, show: Show, control: Control) -> None:
+        self._request, self._show, self._control = request, show, control
+        self._began = time.monotonic()
+        self._warnings: list[str] = []
+        self._root = photos.photo_folder(request.photos)
+        self._space = Workspace(request.output, self._root)
+        self._opened = False
+
+    def run(self) -> Found:
+        """The search itself."""
+        folder = masks.mask_folder(self._root, self._request.masks)
+        leave_out = tuple(place for place in (folder, self._request.output) if place is not None)
+        names, unread = photos.list_photos(self._root, leave_out)
+        photos.check_enough(self._root, names, unread)
+        if unread:
+            self._warn(
+                f"{count_words(len(unread), 'photo')} of kinds that are not read left out: "
+                f"{listing(unread, 3)}. Convert them to JPEG."
+            )
+        for sentence in photos.check_copies(self._root, names, self._stopping):
+            self._warn(sentence)
+        read = photos.read_photos(
+            self._root, names, on_photo=self._counted("reading photos", len(names)),
+            cancelled=self._stopping,
+        )  # fmt: skip
+        found = masks.find_masks(folder if self._request.use_masks else None, read)
+        resumed = self._space.open(self._state(read, found))
+        self._opened = True
+        self._space.link_photos(read)
+        self._write_masks(found, read)
+        work = Work(
+            request=self._request,
+            root=self._space.links,
+            photos=read,
+            masks=self._space.masks if found else None,
+            folder=self._space.folder,
+        )
+        models, tried, last = self._attempts(work)
+        if not models:
+            raise DatasetError(self._why_none(work, last))
+        return self._publish(work, models, tried, resumed)
+
+    def discard(self) -> None:
+        """Leave nothing behind."""
+        if self._opened:
+            self._space.discard()
+
+    def _attempts(self, work: Work) -> tuple[list[Any], int, Attempt]:
+        """The models of the best attempt, how many were made, and the last of them."""
+        best: list[Any] = []
+        plan = attempts(self._request)
+        for tried, attempt in enumerate(plan, 1):
+            placed = best[0].num_reg_images() if best else 0
+            if attempt.name:
+                self._warn(said_of_attempt(placed, len(work.photos), attempt.name))
+            models = self._attempt(work, attempt)
+            if models and models[0].num_reg_images() > placed:
+                best = models
+            if best and best[0].num_reg_images() >= ENOUGH * len(work.photos):
+                return best, tried, attempt
+        return best, len(plan), plan[-1]
+
+    def _attempt(self, work: Work, attempt: Attempt) -> list[Any]:
+        file, count = work.database(attempt), len(work.photos)
+        self._tell("entering photos", 0, count)
+        stages.enter_photos(work, file)
+        features = [
+            (len(part), partial(stages.extract, work, attempt, part))
+            for part in stages.feature_parts(work)
+        ]
+        self._steps(features, "finding features")
+        if lost := database.without_features(file):
+            names = {photo.alias: photo.name for photo in work.photos}
+            raise DatasetError(
+                f"COLMAP cannot read {listing([names[alias] for alias in lost])}. Save them as "
+                "JPEG or PNG."
+            )
+        matches = [
+            (len(part), partial(stages.match, work, attempt, part))
+            for part in in_parts(work.photos, sequential=work.is_sequential(attempt))
+        ]
+        self._steps(matches, "comparing photos")
+        placed = [0]
+
+        def on_photo() -> None:
+            placed[0] += 1
+
+        def place(token: Any) -> list[Any]:
+            return stages.reconstruct(work, attempt, token, on_photo)
+
+        return self._watch(place, "placing cameras", count, lambda: min(placed[0], count))
+
+    def _steps(self, parts: list[tuple[int, Callable[[Any], None]]], phase: str) -> None:
+        """Do the parts of a phase; each comes with how much of it that is."""
+        done = [0]
+
+        def work(token: Any) -> None:
+            for size, part in parts:
+                if self._stopping():
+                    return
+                part(token)
+                done[0] += size
+
+        self._watch(work, phase, sum(size for size, _ in parts), lambda: done[0])
+
+    def _watch(
+        self, work: Callable[[Any], Any], phase: str, total: int, done: Callable[[], int]
+    ) -> Any:
+        progress = self._counted(phase, total)
+        self._tell(phase, 0, total)
+        return watched(work, tick=lambda: progress(done()), cancelled=self._stopping)
+
+    def _counted(self, phase: str, total: int) -> Callable[[int], None]:
+        """Tells how far a phase is."""
+        began = time.monotonic()
+
+        def tell(done: int) -> None:
+            left = (time.monotonic() - began) / done * (total - done) if done else float("nan")
+            self._tell(phase, done, total, left)
+
+        return tell
+
+    def _tell(self, phase: str, done: int, total: int, left: float = float("nan")) -> None:
+        self._show(SfmProgress(phase=phase, done=done, total=total, eta_s=left))
+
+    def _write_masks(self, found: dict[str, Path], read: list[photos.Photo]) -> None:
+        if not found:
+            return
+        for sentence in masks.write_masks(
+            found, read, self._space.masks,
+            inverted=self._request.invert_masks, cancelled=self._stopping,
+        ):  # fmt: skip
+            self._warn(sentence)
+
+    def _state(self, read: list[photos.Photo], found: dict[str, Path]) -> dict[str, Any]:
+        """What a stopped search must have in common with this one to be gone on from."""
+        options = asdict(self._request)
+        for name in ("output", "threads", "mapper"):
+            del options[name]  # these change neither features nor matches
+        return {
+            "pycolmap": colmap().__version__,
+            "options": {name: str(value) for name, value in options.items()},
+            "photos": [_stamp(photo.name, self._root / photo.name) for photo in read],
+            "masks": [_stamp(name, path) for name, path in sorted(found.items())],
+        }
+
+    def _why_none(self, work: Work, attempt: Attempt) -> str:
+        found = database.overlap(work.database(attempt), least=stages.LEAST_MATCHES)
+        return why_none(found, {photo.alias: photo.name for photo in work.photos})
+
+    def _publish(self, work: Work, models: list[Any], tried: int, resumed: bool) -> Found:
+        names = {photo.alias: photo.name for photo in work.photos}
+        model = models[0]
+        self._refine(model)
+        parts = tuple(model_names(each, names) for each in models)
+        placed = {name for part in parts for name in part}
+        cameras = camera_facts(model)
+        self._tell("writing the capture", 0, 0)
+        self._space.publish(model, work.photos)
+        found = Found(
+            output=self._request.output,
+            photos=len(work.photos),
+            registered=len(parts[0]),
+            models=parts,
+            alone=tuple(photo.name for photo in work.photos if photo.name not in placed),
+            points=model.num_points3D(),
+            reprojection_px=model.compute_mean_reprojection_error(),
+            track_length=model.compute_mean_track_length(),
+            cameras=cameras,
+            attempts=tried,
+            seconds=round(time.monotonic() - self._began, 2),
+            resumed=resumed,
+            warnings=tuple(self._warnings),
+        )
+        self._show(
+            SfmDone(
+                photos=found.photos,
+                registered=found.registered,
+                models=len(found.models),
+                points=found.points,
+                reprojection_px=found.reprojection_px,
+                seconds=found.seconds,
+                path=str(found.output),
+            )
+        )
+        return found
+
+    def _refine(self, model: Any) -> None:
+        may_free = self._request.camera_model == USUAL_LENS
+
+        def work(token: Any) -> float | None:
+            return stages.refine(model, may_free=may_free)
+
+        before = self._watch(work, "adjusting cameras", 0, lambda: 0)
+        if before is not None:
+            after = model.compute_mean_reprojection_error()
+            self._warn(
+                f"The mean error was {before:.2f} px with one focal length a lens; with two and "
+                f"more coefficients (OPENCV) it is {after:.2f} px."
+            )
+
+    def _warn(self, sentence: str) -> None:
+        self._warnings.append(sentence)
+        self._show(Warn(message=sentence))
+
+    def _stopping(self) -> bool:
+        return self._control.stopping
+
+
+def _stamp(name: str, path: Path) -> list[Any]:
+    stat = path.stat()
+    return [name, stat.st_size, stat.st_mtime_ns]

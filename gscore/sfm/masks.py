@@ -1,0 +1,75 @@
+"""Masks as COLMAP's feature extraction takes them: black where no feature is wanted."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from ..datasets.folder import Folder
+from ..datasets.masks import DEFAULT_FOLDER
+from ..errors import Cancelled, DatasetError
+from ..io.images import read_mask, write_png
+from ..words import count_words
+from .photos import Photo
+
+
+def mask_folder(root: Path, asked: Path | None) -> Path | None:
+    """The folder of the masks: the one asked for, else `masks` in `root` or beside it where `root`
+    is a capture's `images`; None: there is none.
+
+    Raises:
+        DatasetError: the one asked for is not there.
+    """
+    if asked is not None:
+        for place in (asked, root / asked, root.parent / asked):
+            if place.is_dir():
+                return place
+        raise DatasetError(f"There is no mask folder {asked}. Give its path with --masks.")
+    places = [root / DEFAULT_FOLDER]
+    if root.name in ("images", "input"):
+        places.append(root.parent / DEFAULT_FOLDER)
+    return next((place for place in places if place.is_dir()), None)
+
+
+def find_masks(folder: Path | None, photos: list[Photo]) -> dict[str, Path]:
+    """Mask files by the names of their photos."""
+    if folder is None:
+        return {}
+    there = Folder(folder)
+    found = {photo.name: there.find_mask(photo.name) for photo in photos}
+    return {name: path for name, path in found.items() if path is not None}
+
+
+def write_masks(
+    masks: dict[str, Path],
+    photos: list[Photo],
+    target: Path,
+    *,
+    inverted: bool,
+    cancelled: Callable[[], bool],
+) -> list[str]:
+    """Write `target`/ALIAS.png for each mask, white where features are looked for.
+
+    Returns:
+        Sentences on photos without a mask.
+
+    Raises:
+        DatasetError: a mask has another size than its photo.
+        FormatError: a mask cannot be read.
+        Cancelled: `cancelled` said so.
+    """
+    for photo in photos:
+        if photo.name not in masks:
+            continue
+        if cancelled():
+            raise Cancelled("Reading the masks was stopped.")
+        mask = read_mask(masks[photo.name], inverted=inverted)
+        if mask.shape != (photo.height, photo.width):
+            raise DatasetError(
+                f"The mask {masks[photo.name]} is {mask.shape[1]} x {mask.shape[0]} pixels, its "
+                f"photo {photo.name} is {photo.width} x {photo.height}. Scale the mask, or leave "
+                "masks out with --no-masks."
+            )
+        write_png(target / f"{photo.alias}.png", mask)
+    without = len(photos) - len(masks)
+    if not without:
+        return []
+    return [f"{count_words(without, 'photo has', 'photos have')} no mask and count as a whole."]

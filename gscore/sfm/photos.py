@@ -1,0 +1,173 @@
+"""The photos of a folder: which there are, whether they are whole, which share a camera."""
+
+import os
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..datasets.capture import listing
+from ..datasets.copies import find_copies
+from ..datasets.dataset import map_threads
+from ..errors import Cancelled, DatasetError, FormatError
+from ..io.images import IMAGE_ENDINGS
+from ..io.pillow import loaded
+from ..words import count_words, number
+
+LEAST = 3
+"""Photos that a model needs; with two, nothing tells a wrong match from a right one."""
+UNREAD = (".heic", ".heif", ".avif", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf")
+"""Endings of photos that are not read."""
+_EXIF_BLOCK = 0x8769
+_MAKE, _MODEL = 0x010F, 0x0110
+_FOCAL, _FOCAL_35, _LENS = 0x920A, 0xA405, 0xA434
+
+
+@dataclass(frozen=True)
+class Photo:
+    """A photo that was read whole."""
+
+    name: str
+    """Path below the folder, with '/'."""
+    alias: str
+    """Name for COLMAP, whose lists of pairs have no place for spaces; sorts as people count."""
+    width: int
+    """Pixels as stored; COLMAP does not turn photos as EXIF asks, and neither does gscore."""
+    height: int
+    camera: tuple[str, ...]
+    """Make, model, lens and focal lengths of EXIF; equal with equal sizes: one camera."""
+
+
+def photo_folder(path: Path) -> Path:
+    """Where the photos of a folder lie: in its `images` or `input` where none lies in it directly.
+
+    Raises:
+        DatasetError: there is no such folder.
+    """
+    if not path.is_dir():
+        raise DatasetError(
+            f"There is no folder {path}. Give the folder of the photos."
+            if not path.exists()
+            else f"{path} is a file. Give the folder of the photos."
+        )
+    if not any(_is_photo(file) for file in path.iterdir()):
+        for inner in (path / "images", path / "input"):
+            if inner.is_dir():
+                return inner
+    return path
+
+
+def list_photos(root: Path, leave_out: tuple[Path, ...]) -> tuple[list[str], list[str]]:
+    """Names of the photos below a folder in the order in which people count, and of files that are
+    photos of a kind that is not read; hidden files, and folders to `leave_out`, have none."""
+    skipped = {folder.resolve() for folder in leave_out}
+    names, unread = [], []
+    for folder, below, files in os.walk(root):
+        here = Path(folder)
+        below[:] = [n for n in below if n[0] != "." and (here / n).resolve() not in skipped]
+        for name in files:
+            shown = (here / name).relative_to(root).as_posix()
+            if _is_photo(here / name):
+                names.append(shown)
+            elif name[0] != "." and name.lower().endswith(UNREAD):
+                unread.append(shown)
+    return sorted(names, key=natural), sorted(unread, key=natural)
+
+
+def natural(name: str) -> tuple[list[tuple[int, str]], str]:
+    """Sorts view_9 before view_10."""
+    parts = re.split(r"(\d+)", name.lower())
+    return [(int(p), "") if p.isdecimal() else (0, p) for p in parts if p], name
+
+
+def check_enough(root: Path, names: list[str], unread: list[str]) -> None:
+    """Raise DatasetError where there are too few photos to find cameras."""
+    if len(names) >= LEAST:
+        return
+    other = ""
+    if unread:
+        other = (
+            f" {count_words(len(unread), 'photo is', 'photos are')} of a kind that is not read "
+            f"({listing(unread, 2)}): convert to JPEG."
+        )
+    raise DatasetError(
+        f"{root} holds {count_words(len(names), 'photo') if names else 'no photo'}, but at least "
+        f"{LEAST} that overlap are needed to find cameras.{other} Take 30 or more from different "
+        "places."
+    )
+
+
+def read_photos(
+    root: Path, names: list[str], *, on_photo: Callable[[int], None], cancelled: Callable[[], bool]
+) -> list[Photo]:
+    """Decode all photos once, so that a damaged one is told before the long work.
+
+    Raises:
+        DatasetError: photos are all copies of one, or cannot be read.
+        Cancelled: `cancelled` said so.
+    """
+
+    def look(i: int) -> Photo | str:
+        if cancelled():
+            raise Cancelled("Reading the photos was stopped.")
+        try:
+            with loaded(root / names[i]) as (image, _):
+                alias = f"{i:06}{Path(names[i]).suffix.lower()}"
+                return Photo(names[i], alias, image.width, image.height, _camera(image))
+        except (DatasetError, FormatError) as error:
+            return str(error)
+
+    photos, broken = [], []
+    for i, found in enumerate(map_threads(look, list(range(len(names))))):
+        (broken if isinstance(found, str) else photos).append(found)
+        on_photo(i + 1)
+    if broken:
+        more = f" {count_words(len(broken), 'photo')} cannot be read." if len(broken) > 1 else ""
+        raise DatasetError(f"{broken[0]}{more}")
+    return photos
+
+
+def check_copies(root: Path, names: list[str], cancelled: Callable[[], bool]) -> list[str]:
+    """A sentence on photos that are copies of others; none where there are none.
+
+    Raises:
+        DatasetError: fewer than `LEAST` are left without the copies.
+    """
+    pairs = find_copies([root / name for name in names], cancelled)
+    if not pairs:
+        return []
+    left = len(names) - len(pairs)
+    if left < LEAST:
+        raise DatasetError(
+            f"{number(len(pairs))} of the {count_words(len(names), 'photo')} in {root} are copies "
+            "of others, and only "
+            f"{left} {'is' if left == 1 else 'are'} left. Take photos from different places."
+        )
+    named = [f"{names[copy]} of {names[first]}" for first, copy in pairs]
+    return [
+        f"{count_words(len(pairs), 'photo is a copy', 'photos are copies')} of others: "
+        f"{listing(named, 3)}. Remove them."
+    ]
+
+
+def by_camera(photos: list[Photo]) -> list[list[Photo]]:
+    """The photos that share a camera and its lens, in the order of their first ones."""
+    groups: dict[tuple, list[Photo]] = {}
+    for photo in photos:
+        groups.setdefault((photo.width, photo.height, photo.camera), []).append(photo)
+    return list(groups.values())
+
+
+def _is_photo(path: Path) -> bool:
+    return path.name[0] != "." and path.suffix.lower() in IMAGE_ENDINGS and path.is_file()
+
+
+def _camera(image: Any) -> tuple[str, ...]:
+    try:
+        exif = image.getexif()
+        block = exif.get_ifd(_EXIF_BLOCK)
+        tags = (exif.get(_MAKE), exif.get(_MODEL), *map(block.get, (_LENS, _FOCAL, _FOCAL_35)))
+        return tuple("" if tag is None else str(tag).strip("\0 ") for tag in tags)
+    except Exception:  # damaged EXIF does not make the picture unusable
+        return ()

@@ -1,0 +1,58 @@
+"""What is asked for: which photos, where the capture goes, and how the work is done."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..config import checked_threads
+from ..errors import ConfigError
+from ..io.camera_models import CAMERA_MODELS
+from ..shown import quoted
+
+MATCHING = ("auto", "exhaustive", "sequential")
+"""Values of `Request.matching`."""
+MAPPERS = ("auto", "incremental", "global")
+"""Values of `Request.mapper`."""
+
+USUAL_LENS = "SIMPLE_RADIAL"
+"""One focal length and one coefficient: what few photos can tell."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Request:
+    """Options of a search for cameras.
+
+    Raises:
+        ConfigError: an option has a value that cannot work.
+    """
+
+    photos: Path
+    """Folder of photos, sub-folders too."""
+    output: Path
+    """The capture to make: a new folder, an empty one, or the one whose `images` the photos are."""
+    masks: Path | None = None
+    """Folder of masks; None: `masks` among the photos or beside their folder `images`."""
+    use_masks: bool = True
+    """Whether masks are looked for at all."""
+    invert_masks: bool = False
+    """Masks are white where pixels do not count."""
+    matching: str = "auto"
+    """Which photos are compared: one of `MATCHING`."""
+    mapper: str = "auto"
+    """Which of COLMAP's mappers: one of `MAPPERS`."""
+    camera_model: str = USUAL_LENS
+    """COLMAP's name of the lens model; the usual one may end as OPENCV where it fits badly."""
+    threads: int = 0
+    """CPU threads; 0: one a core."""
+
+    def __post_init__(self) -> None:
+        checked_threads(self.threads)
+        known = [model.name for model in CAMERA_MODELS]
+        for name, value, choices in (
+            ("matching", self.matching, MATCHING),
+            ("mapper", self.mapper, MAPPERS),
+            ("camera_model", self.camera_model, known),
+        ):
+            if value not in choices:
+                raise ConfigError(
+                    f"{name} is {quoted(value)}, expected one of {', '.join(choices)}."
+                )

@@ -1,0 +1,115 @@
+"""What a search for cameras has found: numbers for programs, sentences for people."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..datasets.capture import listing
+from ..words import count_words, number, time_words
+
+_BLURRED = 1.5
+"""Mean reprojection error, px, above which something is wrong with photos or lens model."""
+_SHORT_TRACKS = 2.7
+"""Photos that show a point, in the mean, below which photos are too few or too far apart."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Found:
+    """Cameras and points of the largest model."""
+
+    output: Path
+    """The capture."""
+    photos: int
+    registered: int
+    """Photos that have a camera."""
+    models: tuple[tuple[str, ...], ...]
+    """Names of the photos of every model, the largest first; it alone is kept."""
+    alone: tuple[str, ...]
+    """Photos in no model."""
+    points: int
+    reprojection_px: float
+    """Mean over the points."""
+    track_length: float
+    """Photos that show a point, in the mean."""
+    cameras: tuple[dict[str, Any], ...]
+    """Model, size and focal length in px of each camera."""
+    attempts: int
+    """How many settings were tried."""
+    seconds: float
+    resumed: bool
+    """Whether features and matches of a stopped search were used."""
+    warnings: tuple[str, ...]
+
+    def facts(self) -> dict[str, Any]:
+        """For JSON; `models` is their number, `others` the photos of all but the largest."""
+        return vars(self) | {
+            "output": str(self.output),
+            "models": len(self.models),
+            "others": self.models[1:],
+        }
+
+    def lines(self) -> list[str]:
+        """For people: how good it is, and what to do next."""
+        return [
+            f"{self.output}: {self.registered} of {count_words(self.photos, 'photo')} have a "
+            f"camera, {count_words(self.points, 'point')}",
+            f"  mean reprojection error {self.reprojection_px:.2f} px, each point seen in "
+            f"{self.track_length:.1f} photos, "
+            f"{count_words(len(self.cameras), 'camera and lens', 'cameras and lenses')}, "
+            f"{time_words(self.seconds)}",
+            *(f"  {sentence}" for sentence in self._findings()),
+            f"Next: gscore train {self.output} -o run --eval",
+        ]
+
+    def _findings(self) -> list[str]:
+        told = []
+        for other in self.models[1:]:
+            told.append(
+                f"{count_words(len(other), 'photo makes', 'photos make')} a model of their own "
+                f"and {'is' if len(other) == 1 else 'are'} left out: {listing(list(other))}. If "
+                "it is the same scene, take photos between the two; if not, use folders of their "
+                "own."
+            )
+        if self.alone:
+            told.append(
+                f"{count_words(len(self.alone), 'photo stands', 'photos stand')} alone: "
+                f"{listing(list(self.alone))}. Take photos between these and the others, or "
+                "remove them if they are blurred or show something else."
+            )
+        if self.reprojection_px > _BLURRED:
+            told.append(
+                "The error is high: photos may be blurred or scaled by different factors, or the "
+                "lens bends more than --camera-model tells; try --camera-model OPENCV."
+            )
+        if self.track_length < _SHORT_TRACKS:
+            told.append(
+                "Few photos show the same points: more photos, closer together, would make "
+                "cameras surer."
+            )
+        return told or ["All is well: every photo has its place."]
+
+
+def model_names(model: Any, names: dict[str, str]) -> tuple[str, ...]:
+    """Names of the photos of pycolmap's Reconstruction, sorted; `names` by alias."""
+    aliases = [model.images[i].name for i in model.reg_image_ids()]
+    return tuple(names[alias] for alias in sorted(aliases))
+
+
+def camera_facts(model: Any) -> tuple[dict[str, Any], ...]:
+    """The cameras of pycolmap's Reconstruction that photos with a place have."""
+    used = sorted({model.images[i].camera_id for i in model.reg_image_ids()})
+    return tuple(
+        {
+            "model": model.cameras[i].model_name,
+            "width": int(model.cameras[i].width),
+            "height": int(model.cameras[i].height),
+            "focal_px": float(model.cameras[i].mean_focal_length()),
+        }
+        for i in used
+    )
+
+
+def said_of_attempt(best: int, photos: int, name: str) -> str:
+    """The sentence before a further attempt."""
+    had = f"only {number(best)} of {count_words(photos, 'photo')}" if best else "no photo"
+    return f"So far {had} found a place. Trying again {name}."

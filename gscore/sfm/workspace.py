@@ -1,0 +1,154 @@
+"""The folder in which cameras are found, beside the capture that it becomes when all is done."""
+
+import contextlib
+import json
+import os
+import shutil
+from pathlib import Path
+from typing import Any
+
+from ..errors import ConfigError, DatasetError, GsError
+from ..io.files import atomic_write, read_bytes, reason
+from ..json_text import parse_json
+from .photos import Photo
+
+_STATE = "state.json"
+_CAPTURE = "capture"
+_MODEL = "sparse"
+
+
+class Workspace:
+    """A hidden folder beside the capture: what a stopped search goes on from."""
+
+    def __init__(self, capture: Path, root: Path) -> None:
+        """For the photos in `root`.
+
+        Raises:
+            ConfigError: the capture's folder holds something, or cameras already.
+        """
+        self.capture, self.root = capture, root
+        whole = capture.absolute()
+        self.folder = whole.parent / f".{whole.name}.sfm"
+        self._in_place = (capture / "images").resolve() == root.resolve()
+        self._made_parents = [p for p in whole.parents if not p.exists()]
+        if (capture / _MODEL).exists():
+            raise ConfigError(
+                f"{capture} holds cameras already, in {capture / _MODEL}. Remove that folder to "
+                "find them anew, or choose another output with -o."
+            )
+        is_taken = capture.exists() and not (capture.is_dir() and not any(capture.iterdir()))
+        if is_taken and not self._in_place:
+            raise ConfigError(
+                f"{capture} is not empty. Choose a new folder with -o, or the folder in whose "
+                "`images` the photos are."
+            )
+
+    def open(self, state: dict[str, Any]) -> bool:
+        """Make the folder; whether it goes on from a search for the same photos and options.
+
+        Raises:
+            ConfigError: a folder of this name holds something else.
+            GsError: it cannot be written.
+        """
+        with _told(self.folder):
+            if self.folder.is_dir() and any(self.folder.iterdir()):
+                if self._state() == state:
+                    return True
+                if self._state() is None:
+                    raise ConfigError(
+                        f"{self.folder} is where cameras are to be found, but holds something "
+                        "else. Move it away, or choose another output with -o."
+                    )
+                shutil.rmtree(self.folder)
+            self.folder.mkdir(parents=True, exist_ok=True)
+        atomic_write(self.folder / _STATE, json.dumps(state).encode())
+        return False
+
+    def discard(self) -> None:
+        """Leave nothing behind, not even the folders that were made above it."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+        for parent in self._made_parents:
+            with contextlib.suppress(OSError):
+                parent.rmdir()  # only an empty folder can be removed
+
+    @property
+    def links(self) -> Path:
+        """Folder of the photos under their aliases."""
+        return self.folder / "links"
+
+    @property
+    def masks(self) -> Path:
+        """Folder of their masks, white where features are looked for."""
+        return self.folder / "masks"
+
+    def link_photos(self, photos: list[Photo]) -> None:
+        """Make `links`; what is there already stays.
+
+        Raises:
+            GsError: it cannot be written.
+        """
+        with _told(self.links):
+            self.links.mkdir(exist_ok=True)
+            for photo in photos:
+                if not (self.links / photo.alias).exists():
+                    _link(self.root / photo.name, self.links / photo.alias)
+
+    def publish(self, model: Any, photos: list[Photo]) -> None:
+        """Put the capture in its place with one rename, and remove the rest.
+
+        Photos are linked, which takes no space and holds them even where the first name is removed,
+        and copied where the file system has no such links or is another one.
+
+        Args:
+            model: pycolmap's Reconstruction; its images get the names of their photos.
+            photos: With these names.
+
+        Raises:
+            GsError: it cannot be written.
+        """
+        made = self.folder / _CAPTURE
+        with _told(self.capture):
+            shutil.rmtree(made, ignore_errors=True)
+            sparse = made / _MODEL / "0"
+            sparse.mkdir(parents=True)
+            names = {photo.alias: photo.name for photo in photos}
+            for image in model.images.values():
+                image.name = names[image.name]
+            model.write(sparse)
+            if self._in_place:
+                (made / _MODEL).rename(self.capture / _MODEL)
+            else:
+                self._fill(made, photos)
+                with contextlib.suppress(FileNotFoundError):
+                    self.capture.rmdir()
+                made.rename(self.capture)
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+    def _fill(self, made: Path, photos: list[Photo]) -> None:
+        for photo in photos:
+            _link(self.root / photo.name, made / "images" / photo.name)
+            mask = self.masks / f"{photo.alias}.png"
+            if mask.is_file():
+                _link(mask, made / "masks" / f"{photo.name}.png")
+
+    def _state(self) -> Any:
+        try:
+            return parse_json(read_bytes(self.folder / _STATE))
+        except (DatasetError, ValueError):
+            return None
+
+
+@contextlib.contextmanager
+def _told(place: Path) -> Any:
+    try:
+        yield
+    except OSError as error:
+        raise GsError(f"Cannot write {place}: {reason(error)}") from error
+
+
+def _link(source: Path, target: Path) -> None:
+    target.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        os.link(source.resolve(), target)
+    except OSError:
+        shutil.copy2(source, target)

@@ -1,0 +1,278 @@
+"""gscore sfm: cameras of photos alone, its verdict, what stops it and what it refuses."""
+
+import json
+import shutil
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gscore.commands import main
+from gscore.config import DataConfig
+from gscore.control import Control
+from gscore.datasets import load_dataset
+from gscore.errors import Cancelled, GsError
+from gscore.events import Event, SfmDone, SfmProgress
+from gscore.io.colmap import read_model
+from gscore.sfm import Request, find_cameras
+from gscore.sfm.watch import watched
+
+from .conftest import NEAR, STUDIO, render_cloud
+
+Out = pytest.CaptureFixture[str]
+
+
+def _centers(capture: Path) -> dict[str, np.ndarray]:
+    images = read_model(capture).images
+    return {i.name: -i.viewmat[:3, :3].T @ i.viewmat[:3, 3] for i in images}
+
+
+def _aligned_errors(found: np.ndarray, true: np.ndarray) -> np.ndarray:
+    """Distances after the best similarity (Umeyama 1991), as shares of the true extent."""
+    a, b = true - true.mean(0), found - found.mean(0)
+    u, s, vt = np.linalg.svd(a.T @ b)
+    flip = np.array([1, 1, np.sign(np.linalg.det(u @ vt))])
+    turned = b @ (u * flip @ vt).T * (s * flip).sum() / (b**2).sum()
+    return np.linalg.norm(a - turned, axis=1) / np.linalg.norm(a, axis=1).max()
+
+
+def _hidden(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir() if path.name.startswith("."))
+
+
+@pytest.fixture(scope="module")
+def found(photos: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict, list[Event]]:
+    """A capture made of the photos, what was found and what was told."""
+    capture = tmp_path_factory.mktemp("made") / "capture"
+    told: list[Event] = []
+    result = find_cameras(Request(photos=photos, output=capture), on_event=told.append)
+    return capture, result.facts(), told
+
+
+def test_cameras_are_where_they_were(found: tuple[Path, dict, list[Event]]) -> None:
+    """Oracle: the cameras that rendered the photos, after a similarity alignment."""
+    capture, facts, _ = found
+    assert facts["photos"] == facts["registered"] == len(NEAR) and facts["models"] == 1
+    assert facts["alone"] == () and facts["reprojection_px"] < 0.6 and facts["points"] > 150
+    there = _centers(capture)
+    true = _centers(STUDIO)
+    names = sorted(there)
+    assert names == sorted(f"{'left side' if i > 20 else 'front'}/view {i:03}.jpg" for i in NEAR)
+    given = np.array([true[Path(name).name.replace(" ", "_")] for name in names])
+    assert _aligned_errors(np.array([there[name] for name in names]), given).max() < 0.05
+    assert facts["cameras"][0]["focal_px"] == pytest.approx(856.7 / 2, rel=0.03)
+
+
+def test_the_capture_is_one(found: tuple[Path, dict, list[Event]], photos: Path) -> None:
+    """Oracle: the reader of captures, and the bytes of the photos."""
+    capture, facts, _ = found
+    dataset = load_dataset(DataConfig(source=capture, resolution=1))
+    assert len(dataset) == len(NEAR) and len(dataset.scene.points) == facts["points"]
+    assert dataset.warnings == ()
+    for name in dataset.names:
+        assert (capture / "images" / name).read_bytes() == (photos / name).read_bytes()
+    assert sorted(path.name for path in capture.iterdir()) == ["images", "sparse"]
+    assert _hidden(capture.parent) == []
+
+
+def test_progress_is_told(found: tuple[Path, dict, list[Event]]) -> None:
+    """Oracle: the phases in their order, and the last event."""
+    _, facts, told = found
+    phases = [event.phase for event in told if isinstance(event, SfmProgress)]
+    assert list(dict.fromkeys(phases)) == [
+        "reading photos",
+        "entering photos",
+        "finding features",
+        "comparing photos",
+        "placing cameras",
+        "adjusting cameras",
+        "writing the capture",
+    ]
+    assert all(e.done <= e.total for e in told if isinstance(e, SfmProgress))
+    assert isinstance(told[-1], SfmDone) and told[-1].registered == facts["registered"]
+
+
+def test_the_same_photos_give_the_same_cameras(
+    found: tuple[Path, dict, list[Event]], photos: Path, tmp_path: Path
+) -> None:
+    """Oracle: the first model; threads add in another order, so up to rounding."""
+    again = tmp_path / "again"
+    result = find_cameras(Request(photos=photos, output=again))
+    assert result.points == found[1]["points"]
+    first, second = _centers(found[0]), _centers(again)
+    assert first.keys() == second.keys()
+    for name, center in first.items():
+        np.testing.assert_allclose(second[name], center, atol=1e-5)
+
+
+def test_a_stopped_search_goes_on(photos: Path, tmp_path: Path) -> None:
+    """Oracle: nothing but the hidden folder is left, and the second search has its features."""
+    capture, control = tmp_path / "capture", Control()
+
+    def stop(event: Event) -> None:
+        if isinstance(event, SfmProgress) and event.phase == "comparing photos":
+            control.stop()
+
+    request = Request(photos=photos, output=capture)
+    with pytest.raises(Cancelled):
+        find_cameras(request, on_event=stop, control=control)
+    assert [path.name for path in tmp_path.iterdir()] == [".capture.sfm"]
+    told: list[Event] = []
+    result = find_cameras(request, on_event=told.append)
+    assert result.resumed and result.registered == len(NEAR) and _hidden(tmp_path) == []
+
+
+def test_other_photos_begin_anew(photos: Path, tmp_path: Path) -> None:
+    """Oracle: nothing is gone on from where a photo was written again since the stop."""
+    mine, control = tmp_path / "photos", Control()
+    shutil.copytree(photos, mine)
+    request = Request(photos=mine, output=tmp_path / "capture")
+
+    def stop(event: Event) -> None:
+        if isinstance(event, SfmProgress) and event.phase == "finding features":
+            control.stop()
+
+    with pytest.raises(Cancelled):
+        find_cameras(request, on_event=stop, control=control)
+    (mine / "front/view 000.jpg").touch()
+    assert not find_cameras(request).resumed
+
+
+def test_an_error_of_colmap_is_a_sentence() -> None:
+    """Oracle: an error as pycolmap raises them."""
+
+    def work(token: object) -> None:
+        raise RuntimeError("[database.cc:7] database or disk is full")
+
+    with pytest.raises(GsError, match="disk is full"):
+        watched(work, tick=lambda: None, cancelled=lambda: False)
+
+
+def test_photos_of_a_capture_stay_in_place(photos: Path, tmp_path: Path, capsys: Out) -> None:
+    """Oracle: only sparse is added; the last line is JSON; a second search is refused."""
+    capture = tmp_path / "capture"
+    shutil.copytree(photos, capture / "images")
+    masks = {path: path.relative_to(photos) for path in photos.rglob("*.jpg")}
+    for path, name in masks.items():
+        with Image.open(path) as photo:
+            mask = np.full((photo.height, photo.width), 255, np.uint8)
+        mask[:, : mask.shape[1] // 3] = 0
+        target = capture / "masks" / f"{name}.png"
+        target.parent.mkdir(parents=True, exist_ok=True)
+        Image.fromarray(mask).save(target)
+    assert main(["sfm", str(capture), "-o", str(capture), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out.splitlines()[-1])
+    wanted = {"photos", "registered", "models", "points", "reprojection_px", "seconds"}
+    assert wanted <= facts.keys() and facts["registered"] >= 6
+    assert sorted(path.name for path in capture.iterdir()) == ["images", "masks", "sparse"]
+    model = read_model(capture)
+    seen = np.concatenate([i.xys[i.point3D_ids >= 0] for i in model.images])
+    assert len(seen) > 100 and seen[:, 0].min() >= 240 // 3, "features that a mask hides"
+    assert main(["sfm", str(capture), "-o", str(capture)]) == 2
+    assert "holds cameras already" in capsys.readouterr().err
+
+
+def _noise(folder: Path, count: int) -> None:
+    rng = np.random.default_rng(0)
+    for i in range(count):
+        pixels = rng.integers(0, 256, (60, 60, 3)).astype(np.uint8)
+        Image.fromarray(pixels).resize((240, 240)).save(folder / f"{i}.png")
+
+
+def _one(folder: Path) -> None:
+    _noise(folder, 1)
+
+
+def _none(folder: Path) -> None:
+    (folder / "IMG_1.HEIC").write_bytes(b"heic")
+
+
+def _copies(folder: Path) -> None:
+    _noise(folder, 1)
+    for i in range(1, 6):
+        shutil.copy(folder / "0.png", folder / f"{i}.png")
+
+
+def _smooth(folder: Path) -> None:
+    for i in range(4):
+        Image.new("RGB", (120, 90), (100 + i, 90, 80)).save(folder / f"{i}.png")
+
+
+def _strangers(folder: Path) -> None:
+    _noise(folder, 4)
+
+
+def _broken(folder: Path) -> None:
+    _noise(folder, 4)
+    whole = (folder / "2.png").read_bytes()
+    (folder / "2.png").write_bytes(whole[: len(whole) // 2])
+
+
+def _still(folder: Path) -> None:
+    """The same view four times, with a little noise."""
+    rng = np.random.default_rng(0)
+    with Image.open(STUDIO / "images/view_000.jpg") as photo:
+        pixels = np.asarray(photo.resize((240, 320)), np.int16)
+    for i in range(4):
+        noisy = np.clip(pixels + rng.integers(-3, 4, pixels.shape), 0, 255).astype(np.uint8)
+        Image.fromarray(noisy).save(folder / f"{i}.png")
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (_one, "1 photo"),
+        (_none, "convert to JPEG"),
+        (_copies, "copies of others"),
+        (_smooth, "too little texture"),
+        (_strangers, "None of the 4 photos shows the same"),
+        (_broken, "2.png cannot be read"),
+        (_still, "no parallax"),
+    ],
+)
+def test_bad_photos_are_a_sentence(make, words: str, tmp_path: Path, capsys: Out) -> None:
+    """Oracle: exit code 2, a sentence with what is wrong, and nothing written."""
+    photos = tmp_path / "photos"
+    photos.mkdir()
+    make(photos)
+    before = sorted(photos.rglob("*"))
+    assert main(["sfm", str(photos), "-o", str(tmp_path / "deep/capture"), "--quiet"]) == 2
+    err = capsys.readouterr().err
+    assert words.lower() in err.lower() and "Traceback" not in err
+    assert list(tmp_path.iterdir()) == [photos] and sorted(photos.rglob("*")) == before
+
+
+def test_what_is_there_is_not_touched(photos: Path, tmp_path: Path, capsys: Out) -> None:
+    """Oracle: exit code 2 and the file that was there."""
+    (tmp_path / "notes.txt").write_text("mine")
+    assert main(["sfm", str(photos), "-o", str(tmp_path)]) == 2
+    assert "is not empty" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
+@pytest.mark.slow
+def test_two_scenes_are_told_apart(tmp_path: Path) -> None:
+    """Oracle: the photos of each scene by their names; the larger is taken."""
+    render_cloud(tmp_path / "photos", 1, 8)
+    render_cloud(tmp_path / "photos", 2, 5)
+    capture = tmp_path / "capture"
+    result = find_cameras(Request(photos=tmp_path / "photos", output=capture))
+    assert {name[:2] for name in _centers(capture)} == {"s1"}
+    assert {name[:2] for part in result.models[1:] for name in part} <= {"s2"}
+    others = {*result.alone, *(name for part in result.models[1:] for name in part)}
+    assert {name for name in others if name[:2] == "s2"} == {f"s2_{i}.png" for i in range(5)}
+    said = " ".join(result.lines())
+    assert "s2_0.png" in said and ("model of their own" in said or "alone" in said)
+    assert result.attempts > 1 and any("Trying again" in text for text in result.warnings)
+
+
+def test_a_folder_of_something_else_stays(photos: Path, tmp_path: Path, capsys: Out) -> None:
+    """Oracle: exit code 2, and the file in the folder that the search would have taken."""
+    mine = tmp_path / ".capture.sfm" / "state.json"
+    mine.parent.mkdir()
+    mine.write_bytes(struct.pack("<I", 7))
+    assert main(["sfm", str(photos), "-o", str(tmp_path / "capture"), "--quiet"]) == 2
+    assert "holds something else" in capsys.readouterr().err
+    assert mine.read_bytes() == struct.pack("<I", 7)
