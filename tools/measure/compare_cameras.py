@@ -1,6 +1,6 @@
 """Find the cameras of captures from their photos alone and compare them with the given model.
 
-    python tools/compare_cameras.py examples/studio $GSCORE_DATA/data/lund
+    python tools/measure/compare_cameras.py examples/studio $GSCORE_DATA/data/lund
 
 Prints a row of the table in docs/sfm.md for each capture.
 """
