@@ -10,6 +10,9 @@ from .options import LARGEST, Range, check_options, option
 
 _MOST_THREADS = 1024
 """Most that the library takes."""
+_MOST = 10**9
+"""Steps and splats. Far beyond what machines do; forecasts walk through all refinements of a run,
+and much larger numbers are no floats."""
 _LARGEST_SEED = 2**63 - 1
 """Of generators of torch."""
 _RAREST = 1000
@@ -150,7 +153,7 @@ class TrainConfig:
         10_000,
         "Training steps, one view each. With `time_budget` not used.",
         group="run",
-        range=Range(low=1),
+        range=Range(low=1, high=_MOST),
         unit="steps",
         metavar="N",
         basic=True,
@@ -190,7 +193,7 @@ class TrainConfig:
         400_000,
         "Never more splats than this; memory and time grow with it.",
         group="run",
-        range=Range(low=1),
+        range=Range(low=1, high=_MOST),
         unit="splats",
         metavar="N",
         basic=True,

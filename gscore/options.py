@@ -127,9 +127,8 @@ def check_options(config: Any) -> None:
         value = getattr(config, name)
         members = value if declared.several else (value,)
         if any(not _taken(declared, member) for member in members):
-            shown = quoted(value) if isinstance(value, str) else value
             each = f"each of {name}" if declared.several else name
-            raise ConfigError(f"{each} must be {_wanted(declared)}, got {shown}.")
+            raise ConfigError(f"{each} must be {_wanted(declared)}, got {quoted(value)}.")
 
 
 def value_words(value: Any) -> str:

@@ -80,9 +80,11 @@ def _are_objects(value: Any) -> bool:
 
 
 def _are_rows(value: Any) -> bool:
-    """A list of objects of numbers, as curves are."""
+    """A list of objects of numbers, as curves are; the phase of a training is a word."""
     return _are_objects(value) and all(
-        number is None or is_number(number) for row in value for number in row.values()
+        item is None or (_is_text(item) if key == "phase" else is_number(item))
+        for row in value
+        for key, item in row.items()
     )
 
 

@@ -146,7 +146,7 @@ def run_folder(tmp_path, capture, cameras, splats):
             "steps": 700,
             "train_seconds": 12.5,
             "peak_memory_bytes": 123_456_789,
-            "history": [{"step": 1, "elapsed_s": 0.1, "loss": 1.0, "psnr": 5.0, "splats": 60}],
+            "history": [{"step": 1, "elapsed_s": 0.1, "psnr": 5.0, "phase": "refining"}],
             "evals": [],
         }
         (folder / "metrics.json").write_text(json.dumps(left))

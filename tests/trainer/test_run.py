@@ -32,6 +32,7 @@ from gscore.events import (
 )
 from gscore.io.cameras_json import read_cameras
 from gscore.io.images import read_image
+from gscore.io.metrics_file import metrics_problem, read_metrics
 from gscore.io.ply import read_splats, write_splats
 from gscore.trainer.estimate import memory
 from gscore.trainer.estimate.forecast import estimate
@@ -116,6 +117,7 @@ def test_a_run_tells_everything_in_order_and_leaves_all_files(
     assert "<html" in (tmp_path / "report.html").read_text()
 
     metrics = json.loads((tmp_path / "metrics.json").read_text())
+    assert read_metrics(tmp_path) == metrics and metrics_problem(tmp_path) == ""
     assert metrics["split"] == "test"
     assert metrics["psnr"] == result.metrics["psnr"] == done.metrics["psnr"]
     assert metrics["train_seconds"] == pytest.approx(done.train_seconds)

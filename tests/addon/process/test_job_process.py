@@ -166,7 +166,10 @@ def test_a_full_disk_is_said_in_the_trainers_words(start: Start) -> None:
                 '[train]" --extra-index-url https://example.org/cpu',
             ),
         ),
-        ("gscore train: error: max_splats must be at least 1, got 0.", ("Max_splats must be",)),
+        (
+            "gscore train: error: max_splats must be 1 to 1000000000, got 0.",
+            ("Max_splats must be",),
+        ),
     ],
 )
 def test_a_wrong_python_is_told_what_to_do(
