@@ -57,7 +57,7 @@ def test_folders_that_are_no_captures(tmp_path: Path) -> None:
     assert "no folder" in texts(facts, True) and not facts.can_train and facts.lines() == []
     assert "is empty" in texts(inspect(tmp_path), True)
     shutil.copytree(STUDIO / "images", tmp_path / "photos")
-    assert "Run COLMAP first" in texts(inspect(tmp_path), True)
+    assert "gscore sfm" in texts(inspect(tmp_path), True)
     (tmp_path / "database.db").write_bytes(b"")
     assert "mapper has not been run" in texts(inspect(tmp_path), True)
     (tmp_path / "transforms.json").write_text("{")
