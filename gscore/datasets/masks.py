@@ -62,14 +62,14 @@ def choose_masks(
     if config.mask_mode == "none":
         return none
     files, warnings = _find(config, capture.root, views)
-    if any(file is not None for file in files):
+    found = [file for file in files if file is not None]
+    if found:
         for view, file, size in zip(views, files, sizes, strict=True):
             if file is not None:
                 _check_size(view, file, size)
-        warnings += _assumed(next(file for file in files if file is not None))
+        warnings += _assumed(found[0])
         mode = config.mask_mode
         if mode == "auto":
-            found = [file for file in files if file is not None]
             mode = capture.masks_are or _meaning(found, inverted=config.invert_masks)
         return MaskChoice(
             mode=mode, files=files, use_alpha=none.use_alpha, warnings=tuple(warnings)
