@@ -530,8 +530,7 @@ class Trainer:
         if count == 0:
             return change
         weights = most_in_a_view(self._weights(), len(model))
-        self._painter.release()
-        ops.edit(model, keep=(~least(weights, count)).nonzero().flatten())
+        self._take_out(least(weights, count))
         self._pruned += count
         return replace(change, removed=change.removed + count)
 
@@ -559,10 +558,9 @@ class Trainer:
             return 0
         hidden = mostly_hidden(self._weights(), len(self.model), share=share)
         count = int(hidden.sum())
-        self._painter.release()
         if count == 0 or count == len(self.model):
             return 0
-        ops.edit(self.model, keep=(~hidden).nonzero().flatten())
+        self._take_out(hidden)
         return count
 
     def _clear(self, step: int) -> int:
@@ -574,10 +572,15 @@ class Trainer:
         self.crowded = count > _CROWD * len(self.model)
         if count == 0 or self.crowded:
             return 0
-        self._painter.release()
-        ops.edit(self.model, keep=(~inside).nonzero().flatten())
+        self._take_out(inside)
         self.cleared += count
         return count
+
+    def _take_out(self, rows: torch.Tensor) -> None:
+        """Edit the model so that it goes on without these splats, [N] bool; the rasterizer's memory
+        makes room for that."""
+        self._painter.release()
+        ops.edit(self.model, keep=(~rows).nonzero().flatten())
 
 
 def _of_counted(mse: float, counted: float) -> float:
