@@ -24,7 +24,9 @@ from gscore import (
 )
 from gscore.frontend import (
     MIP_COMMENT,
+    NO_PINHOLE,
     Capture,
+    CaptureFacts,
     ColmapCamera,
     ColmapImage,
     ColmapModel,
@@ -38,6 +40,7 @@ from gscore.frontend import (
     Folder,
     ImageInfo,
     Preview,
+    Problem,
     Progress,
     RunInfo,
     Saved,
@@ -53,8 +56,10 @@ from gscore.frontend import (
     colorize,
     downscale,
     estimate,
+    find_capture,
     find_colmap,
     from_line,
+    inspect_capture,
     is_antialiased,
     options_of,
     read_cameras,

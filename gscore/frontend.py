@@ -33,6 +33,9 @@ if TYPE_CHECKING:
         Warn,
         from_line,
     )
+    from .inspection import CaptureFacts, Problem, find_capture
+    from .inspection import inspect as inspect_capture
+    from .io.camera_models import NO_PINHOLE
     from .io.cameras_json import read_cameras
     from .io.colmap import find_model as find_colmap
     from .io.colmap import read_model as read_colmap
@@ -52,6 +55,7 @@ if TYPE_CHECKING:
 
 _HOME = {
     "Capture": "datasets",
+    "CaptureFacts": "inspection",
     "ColmapCamera": "io.colmap_model",
     "ColmapImage": "io.colmap_model",
     "ColmapModel": "io.colmap_model",
@@ -67,8 +71,10 @@ _HOME = {
     "FrameStarted": "events",
     "ImageInfo": "io.image_header",
     "MIP_COMMENT": "io.ply",
+    "NO_PINHOLE": "io.camera_models",
     "Option": "options",
     "Preview": "events",
+    "Problem": "inspection",
     "Progress": "events",
     "RunInfo": "io.runs",
     "Saved": "events",
@@ -88,8 +94,10 @@ _HOME = {
     "colorize": "metrics.colormap",
     "downscale": "io.resample",
     "estimate": "trainer.estimate.forecast",
+    "find_capture": "inspection",
     "find_colmap": "io.colmap:find_model",
     "from_line": "events",
+    "inspect_capture": "inspection:inspect",
     "is_antialiased": "io.ply",
     "options_of": "options",
     "read_cameras": "io.cameras_json",
@@ -108,7 +116,9 @@ _HOME = {
 
 __all__ = [
     "MIP_COMMENT",
+    "NO_PINHOLE",
     "Capture",
+    "CaptureFacts",
     "ColmapCamera",
     "ColmapImage",
     "ColmapModel",
@@ -125,6 +135,7 @@ __all__ = [
     "ImageInfo",
     "Option",
     "Preview",
+    "Problem",
     "Progress",
     "RunInfo",
     "Saved",
@@ -144,8 +155,10 @@ __all__ = [
     "colorize",
     "downscale",
     "estimate",
+    "find_capture",
     "find_colmap",
     "from_line",
+    "inspect_capture",
     "is_antialiased",
     "options_of",
     "read_cameras",
