@@ -11,7 +11,7 @@ from .copies import find_copies
 
 
 @dataclass(frozen=True, kw_only=True)
-class Fit:
+class PhotoFit:
     """How photos fit the cameras that were made from them."""
 
     upright: tuple[bool, ...]
@@ -22,7 +22,7 @@ class Fit:
     """Indices of photos that fit their cameras neither way."""
 
 
-def fit(views: Sequence[View], infos: Sequence[ImageInfo]) -> Fit:
+def fit_photos(views: Sequence[View], infos: Sequence[ImageInfo]) -> PhotoFit:
     """Compare photos with their cameras.
 
     Args:
@@ -40,10 +40,10 @@ def fit(views: Sequence[View], infos: Sequence[ImageInfo]) -> Fit:
         (info.height, info.width) if turn else (info.width, info.height)
         for info, turn in zip(infos, upright, strict=True)
     ]
-    return Fit(upright=tuple(upright), sizes=tuple(sizes), misfits=tuple(misfits))
+    return PhotoFit(upright=tuple(upright), sizes=tuple(sizes), misfits=tuple(misfits))
 
 
-def check_fit(views: Sequence[View], infos: Sequence[ImageInfo], found: Fit) -> None:
+def check_fit(views: Sequence[View], infos: Sequence[ImageInfo], found: PhotoFit) -> None:
     """Raise DatasetError where a photo fits its camera neither as stored nor turned."""
     if not found.misfits:
         return
@@ -60,13 +60,13 @@ def check_fit(views: Sequence[View], infos: Sequence[ImageInfo], found: Fit) -> 
 def told_of_photos(
     views: Sequence[View],
     infos: Sequence[ImageInfo],
-    found: Fit,
+    found: PhotoFit,
     cancelled: Callable[[], bool] = lambda: False,
 ) -> list[str]:
     """Sentences on photos that are used otherwise than their owner may think.
 
     Args:
-        views, infos: As for `fit`.
+        views, infos: As for `fit_photos`.
         found: What that found; misfits are not told of.
         cancelled: Asked between photos; true ends the call early.
     """
@@ -87,7 +87,7 @@ def _copies(views: Sequence[View], cancelled: Callable[[], bool]) -> list[str]:
     ]
 
 
-def _flipped(views: Sequence[View], infos: Sequence[ImageInfo], found: Fit) -> list[str]:
+def _flipped(views: Sequence[View], infos: Sequence[ImageInfo], found: PhotoFit) -> list[str]:
     """A sentence on photos of which their size does not tell whether they were calibrated turned:
     upside down, mirrored, or square and on their side."""
     unsure = [
@@ -105,7 +105,7 @@ def _flipped(views: Sequence[View], infos: Sequence[ImageInfo], found: Fit) -> l
     ]
 
 
-def _other_sizes(views: Sequence[View], found: Fit) -> list[str]:
+def _other_sizes(views: Sequence[View], found: PhotoFit) -> list[str]:
     other = [
         f"{view.name} ({size[0]} x {size[1]} for {view.camera.width} x {view.camera.height})"
         for i, (view, size) in enumerate(zip(views, found.sizes, strict=True))

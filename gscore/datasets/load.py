@@ -13,7 +13,7 @@ from ..words import count_words
 from .capture import View
 from .dataset import Dataset
 from .decode import ViewFile, decode_view
-from .headers import Fit, check_fit, fit, told_of_photos
+from .headers import PhotoFit, check_fit, fit_photos, told_of_photos
 from .masks import MaskChoice, choose_masks
 from .points import colors_from_photos, random_points, told_of_points
 from .read import read_capture
@@ -51,7 +51,7 @@ def load_dataset(config: DataConfig, *, cancelled: Callable[[], bool] = lambda: 
     for view in views:
         _go_on(cancelled)
         infos.append(read_info(view.image))
-    found = fit(views, infos)
+    found = fit_photos(views, infos)
     check_fit(views, infos, found)
     warnings = [*capture.warnings, *told_of_photos(views, infos, found, cancelled)]
     masks = choose_masks(config, capture, views, infos, found.sizes, cancelled=cancelled)
@@ -107,7 +107,7 @@ def _cut_off(views: list[View], files: list[ViewFile]) -> list[str]:
 
 def _files(
     views: list[View],
-    found: Fit,
+    found: PhotoFit,
     masks: MaskChoice,
     config: DataConfig,
 ) -> tuple[list[ViewFile], list[np.ndarray]]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..config import DataConfig
 from ..datasets import Capture, Folder, View, read_capture
-from ..datasets.headers import Fit, check_fit, fit, told_of_photos
+from ..datasets.headers import PhotoFit, check_fit, fit_photos, told_of_photos
 from ..datasets.masks import check_mask_size, find_masks
 from ..datasets.placement import told_of_axes, told_of_places
 from ..datasets.points import told_of_points
@@ -110,9 +110,9 @@ class _Seen:
         return [view for view, _ in pairs], [info for _, info in pairs]
 
     @cached_property
-    def fit(self) -> Fit:
+    def fit(self) -> PhotoFit:
         """How those photos fit their cameras."""
-        return fit(*self.known)
+        return fit_photos(*self.known)
 
 
 def _capture_problems(config: DataConfig, capture: Capture, seen: _Seen) -> Iterator[Problem]:
