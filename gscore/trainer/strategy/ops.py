@@ -122,9 +122,8 @@ def halve(model: Model, index: torch.Tensor) -> dict[str, torch.Tensor]:
     rows = duplicate(model, index)
     longest = torch.nn.functional.one_hot(rows["scales"].argmax(dim=1), 3).bool()
     offset = rotate(rows["quats"], HALF_OFFSET * rows["scales"].exp() * longest)
-    rows["scales"] = rows["scales"] + torch.where(
-        longest, math.log(HALF_LENGTH), math.log(HALF_WIDTH)
-    )
+    length, width = (rows["scales"] + math.log(f) for f in (HALF_LENGTH, HALF_WIDTH))
+    rows["scales"] = torch.where(longest, length, width)
     opacities = HALF_OPACITY * torch.sigmoid(rows["opacities"])
     rows["opacities"] = torch.logit(opacities, eps=1e-6)
     halves = {name: torch.cat([t, t]) for name, t in rows.items()}
