@@ -178,7 +178,7 @@ def test_what_is_no_measurement_of_this_run_is_not_replaced(gscore, run_folder, 
     before = {p: p.read_bytes() for p in (*other.iterdir(), *theirs.iterdir())}
     for place, words in (
         (other, "is the folder of another run"),
-        (theirs, "metrics.json was not written by gscore"),
+        (theirs, f"gscore did not write {theirs / 'metrics.json'}"),
         (capture, "is the capture itself"),
         (capture / "images", "is the folder of the photos"),
     ):
