@@ -130,8 +130,8 @@ def capture(tmp_path_factory, cameras, splats, picture):
 def trained(tmp_path_factory, capture):
     """A run of `STEPS` steps, as `gscore train` leaves it; views 0 and 8 were held out."""
     folder = tmp_path_factory.mktemp("trained") / "run"
-    line = ["train", capture, "-o", folder, "--eval", "--iterations", STEPS, "--quiet"]
-    assert main([str(word) for word in line]) == 0
+    options = ["--preset", "draft", "--iterations", STEPS, "--eval", "--quiet"]
+    assert main([str(word) for word in ("train", capture, "-o", folder, *options)]) == 0
     return folder
 
 

@@ -10,6 +10,7 @@ import pytest
 from gscore.io.images import write_png
 from gscore.io.ply import write_splats
 from gscore.io.sequences import SequenceIndex, write_sequence
+from gscore.words import time_words
 from tests.commands.conftest import STEPS
 
 
@@ -98,7 +99,7 @@ def test_run(gscore, run_folder, capture):
     assert facts["metrics"]["steps"] == STEPS and facts["model"]["splats"] == 60
     code, out, _ = gscore("info", folder)
     metrics = facts["metrics"]
-    took = f"{STEPS} steps in {metrics['train_seconds']:.1f} s"
+    took = f"{STEPS} steps in {time_words(metrics['train_seconds'])}"
     assert f"PSNR {metrics['psnr']:.2f}" in out and took in out and "60 splats" in out
     (folder / "point_cloud.ply").unlink()
     (folder / "metrics.json").unlink()
