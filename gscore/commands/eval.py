@@ -19,6 +19,7 @@ from ..metrics import (
     evaluate,
     find_lpips,
     headline,
+    lpips_warnings,
     summarize,
     write_metrics,
     write_report,
@@ -101,7 +102,8 @@ def _measure(args: argparse.Namespace, status: Status) -> int:
     status.show([f"Reading the capture {config.source}"])
     dataset = load_dataset(config)
     problem = metrics_problem(output) if output == model.run else ""
-    warnings = [*model.warnings, *dataset.warnings, *([problem] if problem else [])]
+    warnings = [*model.warnings, *dataset.warnings, *lpips_warnings(lpips_reason)]
+    warnings += [problem] if problem else []
     if model.data is None and dataset.test and args.split != "all":
         warnings.append(
             "It is not known which views this model was trained on; the test views are held out "

@@ -189,3 +189,15 @@ def test_what_is_no_measurement_of_this_run_is_not_replaced(gscore, run_folder, 
         code, _, err = gscore("eval", folder, "-o", place, "--quiet")
         assert code == 2 and words in err and err.count("\n") == 1
     assert {p: p.read_bytes() for p in files} == before
+
+
+def test_a_network_of_the_environment_that_does_not_work_is_told(
+    gscore, run_folder, tmp_path, monkeypatch
+):
+    """Oracle: the path that GSCORE_LPIPS names; no word where it is not set."""
+    folder = run_folder()
+    assert "LPIPS" not in gscore("eval", folder, "--quiet")[2]
+    monkeypatch.setenv("GSCORE_LPIPS", str(tmp_path / "lpips_none.onnx"))
+    code, _, err = gscore("eval", folder, "--quiet")
+    assert code == 0 and "Warning: LPIPS is not measured, though GSCORE_LPIPS names" in err
+    assert "lpips_none.onnx" in err
