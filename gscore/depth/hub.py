@@ -92,7 +92,7 @@ def _quiet(off: bool) -> bool:
     return before
 
 
-def _why(error: BaseException, network: KnownNetwork) -> str:
+def _why(error: Exception, network: KnownNetwork) -> str:
     """The cause and what to do, by the names of the hub's errors, which differ among its
     versions in what they derive from."""
     kinds = {cls.__name__ for each in _chain(error) for cls in type(each).__mro__}

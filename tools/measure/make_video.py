@@ -24,6 +24,8 @@ STILL, SHAKEN, HELD = (0.30, 0.36), ((0.15, 0.19), (0.62, 0.65)), ((0.45, 0.46),
 """Parts of the video, in shares of its length."""
 TREMBLE, SHAKE = 0.004, 0.06
 """Largest angles, in radians."""
+FINE = 24
+"""Moments of an exposure while the camera is shaken: fewer give several pictures, not a blur."""
 EXPOSURE = 0.5
 """Of the time between two frames."""
 
@@ -73,21 +75,29 @@ def turned(viewmat: np.ndarray, turn: np.ndarray) -> np.ndarray:
 
 
 def pictures(
-    run: Path, viewmats: np.ndarray, what: list[str], K: np.ndarray, size: tuple[int, int]
+    run: Path,
+    viewmats: np.ndarray,
+    what: list[str],
+    K: np.ndarray,
+    size: tuple[int, int],
+    samples: int,
 ) -> Iterator[np.ndarray]:
     """[H, W, 3] uint8 a frame: the mean of the exposure's moments; held ones come twice.
 
     Args:
         run: With the splats.
-        viewmats: [frames, samples, 4, 4].
+        viewmats: [frames, FINE, 4, 4].
         what: As `kinds` says.
         K: [3, 3].
         size: Width and height.
+        samples: Moments of an exposure that is not shaken.
     """
     model = open_model(run)
     last = None
     for moments, kind in zip(viewmats, what, strict=True):
         if kind != "held" or last is None:
+            if kind != "shaken":
+                moments = moments[:: max(1, FINE // samples)]
             total = sum(
                 np.clip(
                     gscore.render(
@@ -120,11 +130,10 @@ def main() -> None:
     height = round(float(cameras.heights[0]) * scale) // 2 * 2
     K = np.diag([scale, scale, 1.0]) @ cameras.Ks[0]
     what = kinds(round(args.seconds * RATE))
-    samples = args.samples
     steps = 4000
     path = orbit_path(cameras.viewmats, steps)
-    at = np.minimum((places(what, samples) * steps).astype(int), steps - 1)
-    turns = trembling(what, samples, args.seed)
+    at = np.minimum((places(what, FINE) * steps).astype(int), steps - 1)
+    turns = trembling(what, FINE, args.seed)
     viewmats = np.array(
         [
             [turned(path[i], turn) for i, turn in zip(row, rows, strict=True)]
@@ -132,13 +141,15 @@ def main() -> None:
         ]
     )
     write_video(
-        args.output, pictures(args.run, viewmats, what, K, (width, height)), fps=float(RATE)
+        args.output,
+        pictures(args.run, viewmats, what, K, (width, height), args.samples),
+        fps=float(RATE),
     )
     truth = {
         "K": K.tolist(),
         "frames": [
             {"kind": kind, "viewmat": middle.tolist()}
-            for kind, middle in zip(what, viewmats[:, samples // 2], strict=True)
+            for kind, middle in zip(what, viewmats[:, FINE // 2], strict=True)
         ],
     }
     args.output.with_suffix(".json").write_text(json.dumps(truth))
