@@ -3,6 +3,7 @@
 from .evaluate import evaluate
 from .image import d_ssim, image_metrics, ms_ssim, psnr, psnr_cc, psnr_u8, ssim
 from .lpips import Lpips, find_lpips, lpips_warnings
+from .lpips_net import LpipsNet
 from .machine import peak_memory_bytes
 from .pictures import PictureCollector
 from .report import write_report
@@ -10,6 +11,7 @@ from .summary import headline, summarize, write_metrics
 
 __all__ = [
     "Lpips",
+    "LpipsNet",
     "PictureCollector",
     "d_ssim",
     "evaluate",
