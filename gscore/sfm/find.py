@@ -1,5 +1,6 @@
 """The whole search: photos looked over, attempts made, the best model published as a capture."""
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import asdict
@@ -10,15 +11,16 @@ from typing import Any
 from ..control import Control
 from ..datasets.capture import listing
 from ..errors import DatasetError
-from ..events import Event, SfmDone, SfmProgress, Warn
+from ..events import Event, SfmDone, SfmEstimated, SfmProgress, Warn
 from ..words import count_words
 from . import database, masks, photos, stages
+from .adjust import Adjusted, adjust
 from .attempts import ENOUGH, Attempt, attempts
 from .diagnose import why_none
-from .pairs import in_parts
+from .forecast import ADJUSTING, FEATURES, MATCHING, PLACING, Forecast
 from .request import USUAL_LENS, Request
 from .stages import Work
-from .verdict import Found, camera_facts, model_names, said_of_attempt
+from .verdict import Found, camera_facts, model_names, said_of_attempt, said_of_focal
 from .watch import colmap, watched
 from .workspace import Workspace
 
@@ -52,6 +54,8 @@ def find_cameras(
     except DatasetError:  # of these photos nothing can be made; other errors leave what was found
         search.discard()
         raise
+    finally:
+        search.close()
 
 
 class _Search:
@@ -64,6 +68,7 @@ class _Search:
         self._root = photos.photo_folder(request.photos)
         self._space = Workspace(request.output, self._root)
         self._opened = False
+        self._forecast: Forecast | None = None
 
     def run(self) -> Found:
         """The search itself."""
@@ -97,7 +102,12 @@ class _Search:
         models, tried, last = self._attempts(work)
         if not models:
             raise DatasetError(self._why_none(work, last))
-        return self._publish(work, models, tried, resumed)
+        return self._publish(work, models, tried, last, resumed)
+
+    def close(self) -> None:
+        """Let the next search in."""
+        if self._opened:
+            self._space.close()
 
     def discard(self) -> None:
         """Leave nothing behind."""
@@ -121,13 +131,16 @@ class _Search:
 
     def _attempt(self, work: Work, attempt: Attempt) -> list[Any]:
         file, count = work.database(attempt), len(work.photos)
+        forecast = work.forecast(attempt, pace=self._forecast.pace if self._forecast else 1.0)
+        self._forecast = forecast
+        self._show(SfmEstimated(photos=count, seconds=forecast.seconds))
         self._tell("entering photos", 0, count)
         stages.enter_photos(work, file)
         features = [
             (len(part), partial(stages.extract, work, attempt, part))
             for part in stages.feature_parts(work)
         ]
-        self._steps(features, "finding features")
+        self._steps(features, FEATURES)
         if lost := database.without_features(file):
             names = {photo.alias: photo.name for photo in work.photos}
             raise DatasetError(
@@ -135,10 +148,10 @@ class _Search:
                 "JPEG or PNG."
             )
         matches = [
-            (len(part), partial(stages.match, work, attempt, part))
-            for part in in_parts(work.photos, sequential=work.is_sequential(attempt))
+            (len(part), partial(stages.match, work, attempt, part)) for part in work.parts(attempt)
         ]
-        self._steps(matches, "comparing photos")
+        forecast.has_features(sum(database.features(file)))
+        self._steps(matches, MATCHING)
         placed = [0]
 
         def on_photo() -> None:
@@ -147,7 +160,7 @@ class _Search:
         def place(token: Any) -> list[Any]:
             return stages.reconstruct(work, attempt, token, on_photo)
 
-        return self._watch(place, "placing cameras", count, lambda: min(placed[0], count))
+        return self._watch(place, PLACING, count, lambda: min(placed[0], count))
 
     def _steps(self, parts: list[tuple[int, Callable[[Any], None]]], phase: str) -> None:
         """Do the parts of a phase; each comes with how much of it that is."""
@@ -174,13 +187,15 @@ class _Search:
         began = time.monotonic()
 
         def tell(done: int) -> None:
-            left = (time.monotonic() - began) / done * (total - done) if done else float("nan")
-            self._tell(phase, done, total, left)
+            eta = (time.monotonic() - began) / done * (total - done) if done else math.nan
+            self._tell(phase, done, total, eta)
 
         return tell
 
-    def _tell(self, phase: str, done: int, total: int, left: float = float("nan")) -> None:
-        self._show(SfmProgress(phase=phase, done=done, total=total, eta_s=left))
+    def _tell(self, phase: str, done: int, total: int, eta: float = math.nan) -> None:
+        share = done / total if total else 0.0
+        left = self._forecast.left(phase, share) if self._forecast else math.nan
+        self._show(SfmProgress(phase=phase, done=done, total=total, eta_s=eta, left_s=left))
 
     def _write_masks(self, found: dict[str, Path], read: list[photos.Photo]) -> None:
         if not found:
@@ -207,10 +222,12 @@ class _Search:
         found = database.overlap(work.database(attempt), least=stages.LEAST_MATCHES)
         return why_none(found, {photo.alias: photo.name for photo in work.photos})
 
-    def _publish(self, work: Work, models: list[Any], tried: int, resumed: bool) -> Found:
+    def _publish(
+        self, work: Work, models: list[Any], tried: int, last: Attempt, resumed: bool
+    ) -> Found:
         names = {photo.alias: photo.name for photo in work.photos}
         model = models[0]
-        self._refine(model)
+        self._adjust(model, database.focal_lengths(work.database(last)))
         parts = tuple(model_names(each, names) for each in models)
         placed = {name for part in parts for name in part}
         cameras = camera_facts(model)
@@ -244,19 +261,21 @@ class _Search:
         )
         return found
 
-    def _refine(self, model: Any) -> None:
+    def _adjust(self, model: Any, stated: dict[int, tuple[float, bool]]) -> None:
         may_free = self._request.camera_model == USUAL_LENS
 
-        def work(token: Any) -> float | None:
-            return stages.refine(model, may_free=may_free)
+        def work(token: Any) -> Adjusted:
+            focal = {number: length for number, (length, _) in stated.items()}
+            return adjust(model, may_free=may_free, expected=focal)
 
-        before = self._watch(work, "adjusting cameras", 0, lambda: 0)
-        if before is not None:
-            after = model.compute_mean_reprojection_error()
+        found = self._watch(work, ADJUSTING, 0, lambda: 0)
+        if found.before is not None:
             self._warn(
-                f"The mean error was {before:.2f} px with one focal length a lens; with two and "
-                f"more coefficients (OPENCV) it is {after:.2f} px."
+                f"The mean error was {found.before:.2f} px with one focal length a lens; with two "
+                f"and more coefficients (OPENCV) it is {found.after:.2f} px."
             )
+        if found.held:
+            self._warn(said_of_focal([stated[number] for number in model.cameras]))
 
     def _warn(self, sentence: str) -> None:
         self._warnings.append(sentence)

@@ -113,3 +113,19 @@ def said_of_attempt(best: int, photos: int, name: str) -> str:
     """The sentence before a further attempt."""
     had = f"only {number(best)} of {count_words(photos, 'photo')}" if best else "no photo"
     return f"So far {had} found a place. Trying again {name}."
+
+
+def said_of_focal(cameras: list[tuple[float, bool]]) -> str:
+    """The sentence on focal lengths that the photos do not tell.
+
+    Args:
+        cameras: The focal length of each in px, and whether it was stated.
+    """
+    lengths = sorted({round(length) for length, _ in cameras})
+    shown = f"{lengths[0]} px" if len(lengths) == 1 else f"{lengths[0]} to {lengths[-1]} px"
+    whence = "stated" if all(stated for _, stated in cameras) else "that of a usual lens"
+    return (
+        "The photos do not tell the focal length: another one fits as well, as where the camera "
+        f"only moves ahead. It is taken as {shown}, {whence}; if you know it better, give it with "
+        "--focal-length."
+    )
