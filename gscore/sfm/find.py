@@ -8,16 +8,18 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from .._version import __version__
 from ..control import Control
 from ..datasets.capture import listing
 from ..errors import DatasetError
-from ..events import Event, SfmDone, SfmEstimated, SfmProgress, Warn
+from ..events import Event, SfmDone, SfmEstimated, SfmProgress, Warn, strict_json
 from ..words import count_words
 from . import database, masks, photos, stages
 from .adjust import Adjusted, adjust
 from .attempts import ENOUGH, Attempt, attempts
 from .diagnose import why_none
 from .forecast import ADJUSTING, FEATURES, MATCHING, PLACING, Forecast
+from .plain import apart_of, stamp
 from .request import USUAL_LENS, Request
 from .stages import Work
 from .verdict import Found, camera_facts, model_names, said_of_attempt, said_of_focal
@@ -72,9 +74,7 @@ class _Search:
 
     def run(self) -> Found:
         """The search itself."""
-        folder = masks.mask_folder(self._root, self._request.masks)
-        leave_out = tuple(place for place in (folder, self._request.output) if place is not None)
-        names, unread = photos.list_photos(self._root, leave_out)
+        names, unread = photos.list_photos(self._root, apart_of(self._request, self._root))
         photos.check_enough(self._root, names, unread)
         if unread:
             self._warn(
@@ -87,6 +87,7 @@ class _Search:
             self._root, names, on_photo=self._counted("reading photos", len(names)),
             cancelled=self._stopping,
         )  # fmt: skip
+        folder = masks.mask_folder(self._root, self._request.masks)
         found = masks.find_masks(folder if self._request.use_masks else None, read)
         resumed = self._space.open(self._state(read, found))
         self._opened = True
@@ -209,13 +210,13 @@ class _Search:
     def _state(self, read: list[photos.Photo], found: dict[str, Path]) -> dict[str, Any]:
         """What a stopped search must have in common with this one to be gone on from."""
         options = asdict(self._request)
-        for name in ("output", "threads", "mapper"):
+        for name in ("output", "apart", "threads", "mapper"):
             del options[name]  # these change neither features nor matches
         return {
             "pycolmap": colmap().__version__,
             "options": {name: str(value) for name, value in options.items()},
-            "photos": [_stamp(photo.name, self._root / photo.name) for photo in read],
-            "masks": [_stamp(name, path) for name, path in sorted(found.items())],
+            "photos": [stamp(photo.name, self._root / photo.name) for photo in read],
+            "masks": [stamp(name, path) for name, path in sorted(found.items())],
         }
 
     def _why_none(self, work: Work, attempt: Attempt) -> str:
@@ -231,8 +232,6 @@ class _Search:
         parts = tuple(model_names(each, names) for each in models)
         placed = {name for part in parts for name in part}
         cameras = camera_facts(model)
-        self._tell("writing the capture", 0, 0)
-        self._space.publish(model, work.photos)
         found = Found(
             output=self._request.output,
             photos=len(work.photos),
@@ -248,6 +247,10 @@ class _Search:
             resumed=resumed,
             warnings=tuple(self._warnings),
         )
+        self._tell("writing the capture", 0, 0)
+        read = [stamp(photo.name, self._root / photo.name) for photo in work.photos]
+        record = {"gscore": __version__} | found.facts() | {"photos_read": read}
+        self._space.publish(model, work.photos, strict_json(record))
         self._show(
             SfmDone(
                 photos=found.photos,
@@ -283,8 +286,3 @@ class _Search:
 
     def _stopping(self) -> bool:
         return self._control.stopping
-
-
-def _stamp(name: str, path: Path) -> list[Any]:
-    stat = path.stat()
-    return [name, stat.st_size, stat.st_mtime_ns]

@@ -12,7 +12,7 @@ from ..datasets.copies import find_copies
 from ..datasets.dataset import map_threads
 from ..errors import Cancelled, DatasetError, FormatError
 from ..io.images import IMAGE_ENDINGS
-from ..io.pillow import loaded
+from ..io.pillow import check_whole, opened
 from ..words import count_words, number
 
 LEAST = 3
@@ -99,9 +99,15 @@ def check_enough(root: Path, names: list[str], unread: list[str]) -> None:
 
 
 def read_photos(
-    root: Path, names: list[str], *, on_photo: Callable[[int], None], cancelled: Callable[[], bool]
+    root: Path,
+    names: list[str],
+    *,
+    on_photo: Callable[[int], None],
+    cancelled: Callable[[], bool],
+    whole: bool = True,
 ) -> list[Photo]:
-    """Decode all photos once, so that a damaged one is told before the long work.
+    """Decode all photos once, so that a damaged one is told before the long work; or, if not
+    `whole`, read their headers alone.
 
     Raises:
         DatasetError: photos are all copies of one, or cannot be read.
@@ -112,7 +118,9 @@ def read_photos(
         if cancelled():
             raise Cancelled("Reading the photos was stopped.")
         try:
-            with loaded(root / names[i]) as (image, _):
+            with opened(root / names[i]) as image:
+                if whole:
+                    check_whole(root / names[i], image)
                 alias = f"{i:06}{Path(names[i]).suffix.lower()}"
                 return Photo(names[i], alias, image.width, image.height, _camera(image))
         except (DatasetError, FormatError) as error:

@@ -31,6 +31,8 @@ class Request:
     """Folder of photos, sub-folders too."""
     output: Path
     """The capture to make: a new folder, an empty one, or the one whose `images` the photos are."""
+    apart: Path | None = None
+    """A folder of results, in which no photos are looked for."""
     masks: Path | None = None
     """Folder of masks; None: `masks` among the photos or beside their folder `images`."""
     use_masks: bool = True

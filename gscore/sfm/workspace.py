@@ -12,6 +12,7 @@ from ..io.files import atomic_write, read_bytes, reason
 from ..io.lock import FolderLock
 from ..json_text import parse_json
 from .photos import Photo
+from .plain import RECORD
 
 _LOCK = "lock"
 _STATE = "state.json"
@@ -125,7 +126,7 @@ class Workspace:
                 if not (self.links / photo.alias).exists():
                     _link(self.root / photo.name, self.links / photo.alias)
 
-    def publish(self, model: Any, photos: list[Photo]) -> None:
+    def publish(self, model: Any, photos: list[Photo], record: str) -> None:
         """Put the capture in its place with one rename, and remove the rest.
 
         Photos are linked, which takes no space and holds them even where the first name is removed,
@@ -134,6 +135,7 @@ class Workspace:
         Args:
             model: pycolmap's Reconstruction; its images get the names of their photos.
             photos: With these names.
+            record: What was found, and of which photos, as JSON.
 
         Raises:
             GsError: it cannot be written.
@@ -147,6 +149,7 @@ class Workspace:
             for image in model.images.values():
                 image.name = names[image.name]
             model.write(sparse)
+            atomic_write((self.capture if self._in_place else made) / RECORD, record.encode())
             if self._in_place:
                 (made / _MODEL).rename(self._place / _MODEL)
             else:

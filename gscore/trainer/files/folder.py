@@ -141,6 +141,17 @@ def _check_room(folder: RunFolder, *, overwrite: bool) -> None:
         )
 
 
+def check_writable(path: Path, *, resume: bool, overwrite: bool) -> None:
+    """Raise what `open_folder` would, before work that comes first; nothing is made.
+
+    Raises:
+        ConfigError, GsError: as `open_folder`.
+    """
+    check_free(path)
+    if not resume:
+        _check_room(RunFolder(path), overwrite=overwrite)
+
+
 def check_free(path: Path) -> None:
     """Raise unless nobody trains into a folder now.
 
