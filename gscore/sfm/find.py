@@ -19,6 +19,7 @@ from .adjust import Adjusted, adjust
 from .attempts import ENOUGH, Attempt, attempts
 from .diagnose import why_none
 from .forecast import ADJUSTING, FEATURES, MATCHING, PLACING, Forecast
+from .looks import Look, blurred, exposure_jumps
 from .plain import apart_of, stamp
 from .request import USUAL_LENS, Request
 from .stages import Work
@@ -238,6 +239,8 @@ class _Search:
             registered=len(parts[0]),
             models=parts,
             alone=tuple(photo.name for photo in work.photos if photo.name not in placed),
+            blurred=self._named(blurred, work.photos),
+            jumps=self._named(exposure_jumps, work.photos),
             points=model.num_points3D(),
             reprojection_px=model.compute_mean_reprojection_error(),
             track_length=model.compute_mean_track_length(),
@@ -263,6 +266,13 @@ class _Search:
             )
         )
         return found
+
+    def _named(
+        self, which: Callable[[list[Look]], list[int]], read: list[photos.Photo]
+    ) -> tuple[str, ...]:
+        """Names of the photos that stand out among those read."""
+        seen = [(photo.name, photo.look) for photo in read if photo.look is not None]
+        return tuple(seen[i][0] for i in which([look for _, look in seen]))
 
     def _adjust(self, model: Any, stated: dict[int, tuple[float, bool]]) -> None:
         may_free = self._request.camera_model == USUAL_LENS

@@ -26,6 +26,10 @@ class Found:
     """Names of the photos of every model, the largest first; it alone is kept."""
     alone: tuple[str, ...]
     """Photos in no model."""
+    blurred: tuple[str, ...] = ()
+    """Photos with much less detail than the others."""
+    jumps: tuple[str, ...] = ()
+    """Photos much brighter or darker than those beside them."""
     points: int
     reprojection_px: float
     """Mean over the points."""
@@ -75,6 +79,16 @@ class Found:
                 f"{count_words(len(self.alone), 'photo stands', 'photos stand')} alone: "
                 f"{listing(list(self.alone))}. Take photos between these and the others, or "
                 "remove them if they are blurred or show something else."
+            )
+        if self.blurred:
+            told.append(
+                f"{count_words(len(self.blurred), 'photo is', 'photos are')} blurred against the "
+                f"others: {listing(list(self.blurred))}. Without them splats come out sharper."
+            )
+        if self.jumps:
+            told.append(
+                f"The exposure jumps in {count_words(len(self.jumps), 'photo')}: "
+                f"{listing(list(self.jumps))}. Fix it in the camera, or even the photos out."
             )
         if self.reprojection_px > _BLURRED:
             told.append(
