@@ -20,6 +20,7 @@ from .attempts import ENOUGH, Attempt, attempts
 from .diagnose import why_none
 from .forecast import ADJUSTING, FEATURES, MATCHING, PLACING, Forecast
 from .looks import Look, blurred, exposure_jumps
+from .metres import to_metres
 from .plain import apart_of, stamp
 from .request import USUAL_LENS, Request
 from .stages import Work
@@ -230,6 +231,7 @@ class _Search:
         names = {photo.alias: photo.name for photo in work.photos}
         model = models[0]
         self._adjust(model, database.focal_lengths(work.database(last)))
+        in_metres = to_metres(model, database.places(work.database(last)))
         parts = tuple(model_names(each, names) for each in models)
         placed = {name for part in parts for name in part}
         cameras = camera_facts(model)
@@ -245,6 +247,7 @@ class _Search:
             reprojection_px=model.compute_mean_reprojection_error(),
             track_length=model.compute_mean_track_length(),
             cameras=cameras,
+            in_metres=in_metres,
             attempts=tried,
             seconds=round(time.monotonic() - self._began, 2),
             resumed=resumed,

@@ -37,6 +37,8 @@ class Found:
     """Photos that show a point, in the mean."""
     cameras: tuple[dict[str, Any], ...]
     """Model, size and focal length in px of each camera."""
+    in_metres: bool = False
+    """Whether GPS in EXIF gave the model its size."""
     attempts: int
     """How many settings were tried."""
     seconds: float
@@ -61,6 +63,7 @@ class Found:
             f"{self.track_length:.1f} photos, "
             f"{count_words(len(self.cameras), 'camera and lens', 'cameras and lenses')}, "
             f"{time_words(self.seconds)}",
+            *(["  sizes are in metres, by GPS in EXIF"] if self.in_metres else []),
             *(f"  {sentence}" for sentence in self._findings()),
             f"Next: gscore train {self.output} -o run --eval",
         ]
