@@ -18,7 +18,7 @@ _DOUBLED = 1.25
 """Features against those that are kept: some point two ways."""
 _VERIFY, _COMPARE = 0.010, 1.2e-5
 """CPU seconds of a pair of photos, and more for each feature of a photo."""
-_PLACE, _ADJUST = 1e-4, 4e-5
+_PLACE, _ADJUST = 5e-5, 4e-5
 """CPU seconds for each feature of all photos."""
 
 

@@ -32,6 +32,10 @@ _RICH_PEAK = 0.5
 """Strength of the weakest feature in the rich attempt, against COLMAP's usual one."""
 _PART = 8
 """Photos whose features are found at a time, at least two a thread: then the database has them."""
+_TRACKS = 200
+"""Tracks a photo that the global mapper begins with, where there are as many; the others join when
+cameras stand. It solves for all in one thread: studio takes 7 CPU s instead of 26, and gets the
+same points and focal length."""
 _MOST_EXHAUSTIVE = 400
 """Photos up to which the rich attempt compares all with all."""
 
@@ -178,6 +182,7 @@ def reconstruct(work: Work, attempt: Attempt, token: Any, on_photo: Any) -> list
     if attempt.mapper == "global":
         options = p.GlobalPipelineOptions(min_model_size=LEAST, num_threads=work.threads)
         options.random_seed = SEED
+        options.mapper.track_required_tracks_per_view = _TRACKS
         found = p.global_mapping(work.database(attempt), work.root, models, options)
     else:
         options = _incremental_options(work, lenient=attempt.lenient)
