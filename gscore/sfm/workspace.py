@@ -149,7 +149,7 @@ class Workspace:
             for image in model.images.values():
                 image.name = names[image.name]
             model.write(sparse)
-            atomic_write((self.capture if self._in_place else made) / RECORD, record.encode())
+            atomic_write((self._place if self._in_place else made) / RECORD, record.encode())
             if self._in_place:
                 (made / _MODEL).rename(self._place / _MODEL)
             else:
