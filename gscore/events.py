@@ -193,6 +193,18 @@ class DepthDone(Event):
 
 
 @dataclass(frozen=True, kw_only=True)
+class SfmEstimated(Event):
+    """What finding the cameras of photos will take, told once they are read and before each further
+    attempt."""
+
+    kind: ClassVar[str] = "sfm_estimate"
+    photos: int
+    seconds: float
+    """Of the attempt from its beginning, on a machine that does nothing else; those before it teach
+    how fast that is."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class SfmProgress(Event):
     """How far the search for cameras of photos is."""
 
@@ -207,6 +219,8 @@ class SfmProgress(Event):
     """Of the phase; 0: not known."""
     eta_s: float
     """Seconds left in the phase; NaN: not known."""
+    left_s: float = math.nan
+    """Seconds left in all, further attempts left out; NaN: not known."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -306,6 +320,7 @@ KINDS: dict[str, type[Event]] = {
         Failed,
         DepthProgress,
         DepthDone,
+        SfmEstimated,
         SfmProgress,
         SfmDone,
         FramesProgress,

@@ -21,6 +21,7 @@ from ..events import (
     Saved,
     SequenceDone,
     SfmDone,
+    SfmEstimated,
     SfmProgress,
     Started,
     Warn,
@@ -129,8 +130,8 @@ class Lines:
             return
         what = "pair" if event.phase == "comparing photos" else "photo"
         parts = [f"{event.phase}, {what} {event.done} of {event.total}"]
-        if event.eta_s == event.eta_s:
-            parts = [f"{clock(event.eta_s)} left", *parts]
+        if event.left_s == event.left_s:
+            parts = [f"{clock(event.left_s)} left", *parts]
         self._status.show(parts, share=event.done / max(event.total, 1))
 
     def _frames(self, event: FramesProgress) -> None:
@@ -165,6 +166,11 @@ def _texts(event: Event) -> Iterator[str]:
     match event:
         case Estimated():
             yield estimate_text(event)
+        case SfmEstimated():
+            yield (
+                f"Finding the cameras of {count_words(event.photos, 'photo')}, which takes about "
+                f"{time_words(float(f'{event.seconds:.1g}'))} where nothing else runs"
+            )
         case Started():
             if event.step:
                 yield f"Going on from step {number(event.step)} of {number(event.iterations)}"
