@@ -5,7 +5,7 @@ Structs that hold addresses are filled in `arguments.py` alone, which looks at t
 
 import ctypes as ct
 
-ABI_VERSION = 3
+ABI_VERSION = 4
 
 OUT_INVERSE_DEPTH, OUT_DEPTH, OUT_MEDIAN_DEPTH, COUNT_USEFUL = 1, 2, 4, 8
 NO_EXACT_CULL, NO_ZERO_TILE, NO_OPACITY_EXTENT, NO_ROW_RANGE = 1, 2, 4, 8
@@ -148,6 +148,7 @@ class LossArgsStruct(ct.Structure):
         ("background", ct.c_float * 3),
         ("ssim_weight", ct.c_float),
         ("threads", ct.c_int32),
+        ("gain", _pointer),
     )
 
 
@@ -159,6 +160,7 @@ class LossResultStruct(ct.Structure):
         ("l1", ct.c_double),
         ("ssim", ct.c_double),
         ("mse", ct.c_double),
+        ("v_log_gain", ct.c_double * 3),
     )
 
 
