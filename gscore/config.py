@@ -403,6 +403,25 @@ class TrainConfig:
         unit="points",
         when="depth",
     )
+    exposure: Switch = option(
+        Switch.AUTO,
+        "Learn how bright each photo is, and its white balance, apart from the scene; `auto`: "
+        "where photos differ. New and held-out views get the mean of the photos.",
+        group="colour",
+        basic=True,
+    )
+    exposure_lr: float = option(
+        0.01,
+        "Learning rate of photos' exposures at the first step, of the logarithm of their gain.",
+        group="learning rates",
+        when="exposure",
+    )
+    exposure_lr_final: float = option(
+        1e-3,
+        "The same at the last step, exponential in between.",
+        group="learning rates",
+        when="exposure",
+    )
     drop_rate: float = option(
         0.0,
         "Share of splats left out of a step at random, rising from 0 to this at the last step "

@@ -40,6 +40,8 @@ class Started(Event):
     depth: str = ""
     """A sentence on the depth that supervises; empty: none, and a warning says why if there are
     maps."""
+    exposure: str = ""
+    """A sentence on whether the exposure of photos is learnt; empty: nobody asked."""
     mask_mode: str = "none"
     """What masks are for, where the capture has some: `composite`, `ignore` or `none`."""
     config: dict[str, Any] = field(default_factory=dict)

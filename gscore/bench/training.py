@@ -16,6 +16,7 @@ from ..splats import Splats
 from ..trainer.host.state import ordinary_state
 from ..trainer.photos.views import Photos
 from ..trainer.trainer import Trainer
+from ..trainer.views.exposure import prepare_exposure
 
 Color = tuple[float, float, float]
 """RGB in [0, 1]."""
@@ -161,7 +162,7 @@ def train_measured(
         judged.preload(judged.test)
     seconds = forward = backward = 0.0
     with ordinary_state():
-        trainer = Trainer(config, photos)
+        trainer = Trainer(config, photos, gains=prepare_exposure(config, photos).gains)
         for step in range(1, config.iterations + 1):
             began = time.perf_counter()
             trainer.step()

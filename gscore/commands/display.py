@@ -185,8 +185,7 @@ def _texts(event: Event) -> Iterator[str]:
             )
             if sentence := _MASKS.get(event.mask_mode):
                 yield sentence
-            if event.depth:
-                yield event.depth
+            yield from filter(None, (event.depth, event.exposure))
         case Warn():
             yield f"Warning: {event.message}"
 

@@ -11,6 +11,7 @@ from ..config_file import load_config
 from ..errors import ConfigError, DatasetError
 from ..events import CONVERGED, FINISHED, TARGET, judged_psnr
 from ..json_text import parse_json
+from .exposure_json import EXPOSURE_FILE
 from .files import read_bytes
 from .metrics_file import read_metrics
 
@@ -20,6 +21,7 @@ RUN_FILES = (
     "config.json",
     "cfg_args",
     "cameras.json",
+    EXPOSURE_FILE,
     "point_cloud.ply",
     "metrics.json",
     "report.html",

@@ -21,6 +21,7 @@ from .photos.loading import load_photos, progress_of
 from .premises import look_over
 from .session import Session
 from .trainer import Trainer
+from .views.exposure import prepare_exposure
 
 
 def train(
@@ -84,6 +85,7 @@ def train(
             depth = prepare_depth(
                 data, config, photos, on_progress=progress_of("depth maps", config, emit, control)
             )
+            exposure = prepare_exposure(config, photos)
             trainer = Trainer(
                 config,
                 photos,
@@ -91,6 +93,7 @@ def train(
                 start=beginning.splats,
                 depth=depth.loss_targets,
                 points=depth.points,
+                gains=exposure.gains,
                 photo_cache=loaded.cache,
             )
             session = Session(
@@ -102,6 +105,7 @@ def train(
                 lpips=lpips,
                 lpips_reason=lpips_reason,
                 depth=depth,
+                exposure=exposure,
             )
             beginning.go_on(trainer, session)
             notes = (*photos.warnings, *loaded.warnings, *look_over(trainer))

@@ -29,6 +29,7 @@ from .length.steering import Steering
 from .length.watchdog import Watchdog
 from .rows.stored import rows, texts
 from .trainer import StepResult, Trainer
+from .views.exposure import Exposure
 
 _WARN_BAD_ROWS = (1, 100, 10_000)
 _WARN_LOST_ROWS = (1, 100, 10_000)
@@ -56,6 +57,7 @@ class Session:
         lpips: Lpips | LpipsNet | None,
         lpips_reason: str,
         depth: DepthSetup | None = None,
+        exposure: Exposure | None = None,
     ) -> None:
         self._trainer = trainer
         self._config = trainer.config
@@ -66,6 +68,7 @@ class Session:
         self._evaluator = Evaluator(trainer, lpips=lpips, lpips_reason=lpips_reason)
         self._results = Results(trainer, folder, data)
         self._depth = depth or DepthSetup()
+        self._exposure = exposure or Exposure()
         pace = machine_pace(self._config.threads)
         budget = self._config.time_budget or math.inf
         self._meter = Meter(trainer.plan, splats=len(trainer.model), pace=pace, budget=budget)
@@ -175,6 +178,7 @@ class Session:
                 isa=backend.isa(),
                 threads=self._results.threads,
                 depth=self._depth.why if self._depth.supervises else "",
+                exposure=self._exposure.why,
                 mask_mode=photos.mask_mode,
                 config={"data": to_dict(self._data), "train": to_dict(self._config)},
             )
@@ -349,6 +353,7 @@ class Session:
             evals=self._evals,
             warnings=self._warnings,
             depth=self._depth_report() if evaluation else None,
+            exposure=self._exposure.numbers,
             reason=reason,
         )
         result = TrainResult(

@@ -39,6 +39,7 @@ from .schedule.plan import Plan
 from .strategy import Change, make_strategy, ops
 from .strategy.contribution import Weights, least, most_in_a_view, mostly_hidden, weights_by_view
 from .strategy.free_space import FreeSpace
+from .views.gains import PhotoGains, behind, gain_rate_at, without_background
 
 _MAX_SKIPPED = 100
 _ABSURD_MSE = 1e4
@@ -86,12 +87,14 @@ class Trainer:
         start: Splats | None = None,
         depth: DepthTargets | None = None,
         points: PointCloud | None = None,
+        gains: PhotoGains | None = None,
         photo_cache: int | None = None,
     ) -> None:
         """Start from `start` or from `points`, in COLMAP world, or from the points of the capture.
 
-        `depth` holds what to supervise depth with; `photo_cache` is how many bytes of photos may
-        be kept, None: all.
+        `depth` holds what to supervise depth with; `gains` how photos were exposed, which is
+        learnt, None: they are taken as they are; `photo_cache` is how many bytes of photos may be
+        kept, None: all.
 
         Raises:
             DatasetError: nothing to train on.
@@ -122,6 +125,8 @@ class Trainer:
         """The depth loss, where depth is supervised."""
         if depth is not None:
             self.depth = DepthLoss(config, depth, scale=self.frame.similarity.scale)
+        self.gains = gains
+        """How photos were exposed, where that is learnt."""
         self.replan(config.iterations)
         self.generator = generator_of(config.seed)
         self.sampler = Sampler(photos.train)
@@ -204,6 +209,7 @@ class Trainer:
             self.sampler.put_back()
             raise
         background = self._step_background()
+        gain = None if self.gains is None else self.gains.of(index)
         depth_weight = self.depth.weight(index, step) if self.depth else 0.0
         laps.pixels = view.width * view.height
         laps.lap("photo")
@@ -215,7 +221,7 @@ class Trainer:
             view,
             Settings(
                 sh_degree=self._sh_degree_at(step),
-                background=background,
+                background=self._behind(background, gain),
                 antialias=config.antialias,
                 outputs=OUT_INVERSE_DEPTH if depth_weight > 0 else 0,
                 threads=config.threads,
@@ -235,6 +241,7 @@ class Trainer:
             mask_mode="none" if mask is None else self.photos.mask_mode,
             background=background,
             threads=config.threads,
+            gain=gain,
         )
         value, mse = loss.loss, _of_counted(loss.mse, counted)
         more, v_alpha, v_inverse_depth = self._further_terms(index, picture, mask, depth_weight)
@@ -253,6 +260,8 @@ class Trainer:
             grad = model.grads["opacities"]
             grad.copy_(torch.autograd.grad(opacities, leaf, grad)[0])
         laps.lap("gradients")
+        if gain is not None:
+            self._learn_gain(index, gain, background, loss.v_log_gain, picture.alpha)
         laps.raster = self._painter.stats()
         if config.detect_anomaly:
             guard.assert_finite(model, value, step=step, view=self._cameras.names[index])
@@ -273,8 +282,9 @@ class Trainer:
         return bool((self._show(small).alpha > 0).any())
 
     def picture(self, index: int, *, background: tuple[float, float, float]) -> torch.Tensor:
-        """The view `index` as the splats show it now, [H, W, 3] float32."""
-        return self._show(self._pyramid.view(index), background=background).rgb.clone()
+        """The view `index` as the splats show it now, [H, W, 3] float32: exposed as its photo
+        where that is learnt of it, else neutral."""
+        return self._exposed(index, self._pyramid.view(index), background).clone()
 
     def error(self, views: int = 8) -> float:
         """Root of the mean squared error of the pixels that count, in some training views at the
@@ -287,7 +297,7 @@ class Trainer:
                 index, self.plan.factor_at(self.steps + 1)
             )
             loss = image_loss(
-                self._show(view, background=background).rgb,
+                self._exposed(index, view, background),
                 torch.from_numpy(image),
                 mask=None if mask is None else torch.from_numpy(mask),
                 mask_mode="none" if mask is None else self.photos.mask_mode,
@@ -363,6 +373,8 @@ class Trainer:
             moment1, moment2 = self.model.moments(name)
             out |= {f"param/{name}": p, f"m1/{name}": moment1, f"m2/{name}": moment2}
         out |= {"gathered/shN": self.model.grads["shN"], "drift": self.model.drift}
+        if self.gains is not None:
+            out |= self.gains.tensors()
         return out | {f"row/{name}": counter for name, counter in self.model.rows.items()}
 
     def restore(self, state: dict[str, Any], tensors: dict[str, torch.Tensor]) -> None:
@@ -396,6 +408,10 @@ class Trainer:
         rows = {key.removeprefix("row/"): t for key, t in tensors.items() if key[:4] == "row/"}
         self.model.rows = rows
         self.model.drift = tensors["drift"]
+        self.gains = None  # a run that began without goes on without
+        if PhotoGains.are_in(tensors):
+            views = len(self._cameras)
+            self.gains = PhotoGains.restored(self.sampler.indices, views, tensors)
         self.generator.set_state(tensors["generator"])
         self.sampler.order = choices("order", state["order"], set(self.sampler.indices))
         self.sampler.position = whole("position", state["position"], high=len(state["order"]))
@@ -422,6 +438,39 @@ class Trainer:
         settings = Settings(antialias=config.antialias, threads=config.threads, **options)
         splats = self.model.settled(threads=config.threads)
         return self._painter.draw(tuple(splats.values()), view, settings)
+
+    def _exposed(
+        self, index: int, view: Frustum, background: tuple[float, float, float]
+    ) -> torch.Tensor:
+        """The picture of `view`, that of photo `index` at any size, as the photo was exposed."""
+        gain = None if self.gains is None else self.gains.of(index)
+        picture = self._show(view, background=self._behind(background, gain)).rgb
+        return picture if gain is None else picture.mul_(gain)
+
+    def _behind(
+        self, background: tuple[float, float, float], gain: torch.Tensor | None
+    ) -> tuple[float, float, float]:
+        """What splats are drawn over, so that `background` shows once the gain is applied: where
+        photos are laid over it. Elsewhere it is part of the scene, exposed with it."""
+        if gain is None or self.photos.mask_mode != "composite":
+            return background
+        return behind(background, gain)
+
+    def _learn_gain(
+        self,
+        index: int,
+        gain: torch.Tensor,
+        background: tuple[float, float, float],
+        v_log_gain: tuple[float, float, float],
+        alpha: torch.Tensor,
+    ) -> None:
+        config = self.config
+        assert self.gains is not None
+        if self.photos.mask_mode == "composite":
+            v_log_gain = without_background(v_log_gain, background, gain, self._v_rgb, alpha)
+        first, last = config.exposure_lr, config.exposure_lr_final
+        rate = gain_rate_at(first, last, self.steps, self.plan.iterations)
+        self.gains.learn(index, v_log_gain, self.rate_factor * rate)
 
     def _step_opacities(self, step: int) -> tuple[torch.Tensor, torch.Tensor | None]:
         """The opacities that this step draws, and, where they are not the model's own, the leaf

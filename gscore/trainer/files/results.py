@@ -11,6 +11,7 @@ from ...config import Background, DataConfig
 from ...config_command import preset_words, train_command
 from ...config_file import config_json, to_dict
 from ...io.cameras_json import write_cameras
+from ...io.exposure_json import EXPOSURE_FILE, write_exposures
 from ...io.images import write_png
 from ...io.ply import MIP_COMMENT, write_splat_parts
 from ...io.runs import snapshots_in
@@ -93,9 +94,11 @@ class Results:
         evals: list[dict[str, Any]],
         warnings: list[str],
         depth: DepthReport | None = None,
+        exposure: dict[str, Any] | None = None,
         reason: str,
     ) -> dict[str, Any]:
-        """report.html and metrics.json; `evaluation` and `depth` are None if there was none.
+        """report.html, metrics.json and, where it was learnt, exposure.json; `evaluation`, `depth`
+        and `exposure` are None if there was none.
 
         `reason` is why training ended.
         """
@@ -120,6 +123,12 @@ class Results:
         ) | {"history": meter.history, "evals": evals}
         if depth is not None:
             metrics["depth"] = depth.numbers
+        if exposure is not None:
+            metrics["exposure"] = exposure | {"learnt": trainer.gains is not None}
+        if trainer.gains is not None:
+            gains = np.exp(trainer.gains.log_gains)
+            by_name = {names[i]: gains[i] for i in photos.train}
+            write_exposures(folder.path / EXPOSURE_FILE, by_name)
         report = {
             "title": self._data.source.resolve().name,
             "metrics": metrics,
