@@ -71,7 +71,7 @@ TRAINER = {
     "evaluation": {"trainer"},
     "premises": {"trainer"},
     "length": {"estimate", "evaluation", "rows", "schedule", "trainer"},
-    "files": {"depth", "evaluation", "length", "photos", "rows", "trainer"},
+    "files": {"depth", "evaluation", "length", "photos", "rows", "trainer", "views"},
     "session": {"depth", "estimate", "evaluation", "files", "length", "rows", "trainer", "views"},
     "beginning": {"files", "photos", "rows", "session", "trainer"},
     "run": {

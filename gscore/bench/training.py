@@ -17,6 +17,7 @@ from ..trainer.host.state import ordinary_state
 from ..trainer.photos.views import Photos
 from ..trainer.trainer import Trainer
 from ..trainer.views.exposure import prepare_exposure
+from ..trainer.views.placing import place_cameras
 
 Color = tuple[float, float, float]
 """RGB in [0, 1]."""
@@ -162,7 +163,9 @@ def train_measured(
         judged.preload(judged.test)
     seconds = forward = backward = 0.0
     with ordinary_state():
-        trainer = Trainer(config, photos, gains=prepare_exposure(config, photos).gains)
+        placing = place_cameras(config, photos)
+        gains = prepare_exposure(config, photos).gains
+        trainer = Trainer(config, photos, gains=gains, placing=placing)
         for step in range(1, config.iterations + 1):
             began = time.perf_counter()
             trainer.step()

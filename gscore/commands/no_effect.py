@@ -43,6 +43,7 @@ _WHEN: dict[str, _Rule] = {
     "depth": ("depth supervises only with --depths, unless --depth-mode off", _no_depth),
     "depth_maps": ("there are no depth maps without --depths", lambda a, d, c: not d.depths),
     "depth_on": ("--depth-mode off", lambda a, d, c: c.depth_mode is Switch.OFF),
+    "poses": ("--refine-poses off", lambda a, d, c: c.refine_poses is Switch.OFF),
     "exposure": ("--exposure off", lambda a, d, c: c.exposure is Switch.OFF),
     "bands": ("--sh-degree 0 has no view-dependent colour", _no_bands),
     "small_photos": ("--without small-photos", _large_photos),

@@ -6,9 +6,10 @@ import numpy as np
 
 from ..errors import DatasetError
 from ..io.colmap import ColmapModel, find_model, read_model
-from ..io.colmap_model import PointIndex
+from ..io.colmap_model import ColmapCamera, PointIndex
 from ..scene import within_reach
 from .dataset import Dataset
+from .undistort import rays_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,8 +20,8 @@ class Tracks:
     """[P, 3] float64, world units."""
     seen: list[np.ndarray]
     """By view: [M] int64, rows of `points` that were seen there."""
-    at: list[np.ndarray]
-    """By view: [M, 2] float64, where, in pixels of the camera before undistortion."""
+    rays: list[np.ndarray]
+    """By view: [M, 2] float64, x / z and y / z of the rays along which they were seen."""
 
 
 def tracks_of(dataset: Dataset) -> Tracks | None:
@@ -35,14 +36,22 @@ def tracks_of(dataset: Dataset) -> Tracks | None:
     good = within_reach(model.points.xyz)
     images = {image.name: image for image in model.images}
     index = PointIndex(model.points)
-    seen, at = [], []
+    seen, rays = [], []
     for name in dataset.names:
         image = images[name]
         known, rows = index.find(image.point3D_ids)
         kept = good[rows]
         seen.append(rows[kept])
-        at.append(image.xys[known][kept])
-    return Tracks(points=model.points.xyz, seen=seen, at=at)
+        rays.append(_rays(model.cameras[image.camera_id], image.xys[known][kept]))
+    return Tracks(points=model.points.xyz, seen=seen, rays=rays)
+
+
+def _rays(camera: ColmapCamera, pixels: np.ndarray) -> np.ndarray:
+    """[M, 2]: x / z and y / z for pixels [M, 2] of a camera as the photo was taken."""
+    if not camera.is_pinhole:
+        return rays_of(camera, pixels)
+    K = camera.K
+    return (pixels - K[:2, 2]) / K[[0, 1], [0, 1]]
 
 
 def model_of(dataset: Dataset) -> ColmapModel | None:

@@ -14,6 +14,7 @@ from ..json_text import parse_json
 from .exposure_json import EXPOSURE_FILE
 from .files import read_bytes
 from .metrics_file import read_metrics
+from .poses_json import POSES_FILE
 
 RUN_LOCK = ".gscore.lock"
 """The file by which a training holds its folder."""
@@ -22,6 +23,7 @@ RUN_FILES = (
     "cfg_args",
     "cameras.json",
     EXPOSURE_FILE,
+    POSES_FILE,
     "point_cloud.ply",
     "metrics.json",
     "report.html",

@@ -90,10 +90,12 @@ def _finite(value: Any) -> Any:
 
 
 def headline(metrics: dict[str, Any]) -> dict[str, Any]:
-    """metrics.json without the long lists, those of depth too: what `--json` prints."""
+    """metrics.json without the long lists, those of depth and poses too: what `--json` prints."""
     short = {key: value for key, value in metrics.items() if key not in _LISTS}
     if "depth" in short:
         short["depth"] = {k: v for k, v in short["depth"].items() if k not in _LISTS}
+    if "poses" in short:
+        short["poses"] = {k: v for k, v in short["poses"].items() if k != "cameras"}
     return short
 
 

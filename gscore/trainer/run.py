@@ -22,6 +22,7 @@ from .premises import look_over
 from .session import Session
 from .trainer import Trainer
 from .views.exposure import prepare_exposure
+from .views.placing import place_cameras
 
 
 def train(
@@ -85,7 +86,7 @@ def train(
             depth = prepare_depth(
                 data, config, photos, on_progress=progress_of("depth maps", config, emit, control)
             )
-            exposure = prepare_exposure(config, photos)
+            exposure, placing = prepare_exposure(config, photos), place_cameras(config, photos)
             trainer = Trainer(
                 config,
                 photos,
@@ -94,6 +95,7 @@ def train(
                 depth=depth.loss_targets,
                 points=depth.points,
                 gains=exposure.gains,
+                placing=placing,
                 photo_cache=loaded.cache,
             )
             session = Session(
@@ -106,6 +108,7 @@ def train(
                 lpips_reason=lpips_reason,
                 depth=depth,
                 exposure=exposure,
+                placing=placing,
             )
             beginning.go_on(trainer, session)
             notes = (*photos.warnings, *loaded.warnings, *look_over(trainer))

@@ -2,7 +2,7 @@
 
 import argparse
 import datetime
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from ...io.cameras_json import write_cameras
 from ...io.exposure_json import EXPOSURE_FILE, write_exposures
 from ...io.images import write_png
 from ...io.ply import MIP_COMMENT, write_splat_parts
+from ...io.poses_json import POSES_FILE, write_poses
 from ...io.runs import snapshots_in
 from ...metrics import PictureCollector, summarize, write_metrics, write_report
 from ...raster import backend
@@ -21,6 +22,8 @@ from ..depth.report import DepthReport
 from ..evaluation import Evaluator, unmeasured
 from ..length.meter import Meter
 from ..trainer import Trainer
+from ..views.motion import apart
+from ..views.poses import PhotoPoses
 from .folder import RunFolder
 
 _SNAPSHOTS_KEPT = 2
@@ -94,11 +97,11 @@ class Results:
         evals: list[dict[str, Any]],
         warnings: list[str],
         depth: DepthReport | None = None,
-        exposure: dict[str, Any] | None = None,
+        learnt: dict[str, Any] | None = None,
         reason: str,
     ) -> dict[str, Any]:
-        """report.html, metrics.json and, where it was learnt, exposure.json; `evaluation`, `depth`
-        and `exposure` are None if there was none.
+        """report.html and metrics.json; `evaluation` and `depth` are None if there was none,
+        `learnt` is of `write_learnt`.
 
         `reason` is why training ended.
         """
@@ -123,12 +126,7 @@ class Results:
         ) | {"history": meter.history, "evals": evals}
         if depth is not None:
             metrics["depth"] = depth.numbers
-        if exposure is not None:
-            metrics["exposure"] = exposure | {"learnt": trainer.gains is not None}
-        if trainer.gains is not None:
-            gains = np.exp(trainer.gains.log_gains)
-            by_name = {names[i]: gains[i] for i in photos.train}
-            write_exposures(folder.path / EXPOSURE_FILE, by_name)
+        metrics |= learnt or {}
         report = {
             "title": self._data.source.resolve().name,
             "metrics": metrics,
@@ -149,6 +147,39 @@ class Results:
         # The last file: by it a run that is to go on knows that everything is there.
         write_metrics(folder.path / "metrics.json", metrics)
         return metrics
+
+    def write_learnt(self, exposure: dict[str, Any] | None, poses: str) -> dict[str, Any]:
+        """exposure.json and poses.json, of what was learnt of the photos; for metrics.json what.
+
+        Args:
+            exposure: What was found of the photos' exposure; None: nobody asked.
+            poses: Why cameras were moved.
+        """
+        trainer, found = self._trainer, {}
+        if exposure is not None:
+            found["exposure"] = exposure | {"learnt": trainer.gains is not None}
+        if trainer.gains is not None:
+            gains, names = np.exp(trainer.gains.log_gains), trainer.photos.scene.cameras.names
+            by_name = {names[i]: gains[i] for i in trainer.photos.train}
+            write_exposures(self._folder.path / EXPOSURE_FILE, by_name)
+        if trainer.poses is not None:
+            found["poses"] = {"why": poses, "cameras": self._write_poses(trainer.poses)}
+        return found
+
+    def _write_poses(self, poses: PhotoPoses) -> dict[str, dict[str, float]]:
+        """poses.json; how far each training camera moved from where the capture has it."""
+        frame, photos = self._trainer.frame, self._trainer.photos
+        cameras, train = photos.scene.cameras, list(photos.train)
+        now = replace(cameras, viewmats=poses.viewmats)
+        viewmats = frame.similarity.cameras_from_training(now).viewmats[train]
+        turned, moved = apart(viewmats, cameras.viewmats[train])
+        degrees, names = np.degrees(turned), [cameras.names[i] for i in train]
+        write_poses(self._folder.path / POSES_FILE, names, viewmats, degrees, moved)
+        extents = moved * frame.similarity.scale / frame.extent
+        return {
+            name: {"degrees": float(degrees[i]), "extents": float(extents[i])}
+            for i, name in enumerate(names)
+        }
 
 
 def _resolved(trainer: Trainer) -> dict[str, Any]:

@@ -11,21 +11,14 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from ..rows.stored import whole
+from .adam import PhotoAdam, checked
 
 Color = tuple[float, float, float]
 
 _BASIS = np.array([[1.0, 1.0, 1.0], [1.0, 0.0, -1.0], [-0.5, 1.0, -0.5]])
 """Rows: ln gain of R, G and B by exposure, by warmth and by green; orthogonal."""
-_BETAS, _EPS = (0.9, 0.999), 1e-15
-_KEYS = ("value", "moment1", "moment2")
-
-
-def gain_rate_at(first: float, last: float, step: int, iterations: int) -> float:
-    """Learning rate at `step`: from the first to the last, exponentially; 0 where one is 0."""
-    if first <= 0 or last <= 0:
-        return 0.0
-    return first * (last / first) ** min(step / iterations, 1.0)
+_NAME = "gain"
+"""Of its tensors in checkpoints."""
 
 
 class PhotoGains:
@@ -39,24 +32,22 @@ class PhotoGains:
         """Begin with `log_gains`, [V, 3] float64: ln gain of R, G, B of all views; those of `train`
         are learnt, the others not used."""
         self._train = list(train)
-        values = np.zeros_like(log_gains)
-        values[self._train] = log_gains[self._train] @ np.linalg.inv(_BASIS)
-        self._state = {key: np.zeros_like(values) for key in _KEYS}
-        self._state["value"] = values
-        self._steps = np.zeros(len(values), np.int64)
+        self._value = np.zeros_like(log_gains)
+        self._value[self._train] = log_gains[self._train] @ np.linalg.inv(_BASIS)
+        self._adam = PhotoAdam(len(log_gains), 3)
         self._centre()
 
     @property
     def log_gains(self) -> np.ndarray:
         """[V, 3] float64: ln gain of R, G, B of each view."""
-        return self._state["value"] @ _BASIS
+        return self._value @ _BASIS
 
     def of(self, index: int) -> torch.Tensor:
         """[3] float32: the gain of view `index`."""
-        return torch.from_numpy(np.exp(self._state["value"][index] @ _BASIS).astype(np.float32))
+        return torch.from_numpy(np.exp(self._value[index] @ _BASIS).astype(np.float32))
 
     def learn(self, index: int, v_log_gain: Sequence[float], rate: float) -> None:
-        """A step of Adam (Kingma and Ba 2015) for the gain of one photo; then all are centred.
+        """A step of Adam for the gain of one photo; then all are centred.
 
         Args:
             index: Of a training view.
@@ -64,26 +55,18 @@ class PhotoGains:
             rate: Learning rate.
         """
         grad = _BASIS @ np.asarray(v_log_gain, np.float64)
-        if not np.isfinite(grad).all():
-            return
-        self._steps[index] += 1
-        moments = []
-        for key, beta, sample in zip(_KEYS[1:], _BETAS, (grad, grad * grad), strict=True):
-            kept = self._state[key][index]
-            kept += (1 - beta) * (sample - kept)
-            moments.append(kept / (1 - beta ** int(self._steps[index])))
-        self._state["value"][index] -= rate * moments[0] / (np.sqrt(moments[1]) + _EPS)
-        self._centre()
+        if np.isfinite(grad).all():
+            self._value[index] += self._adam.step(index, grad, rate)
+            self._centre()
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """All that the next step depends on, by name; no copies."""
-        found = {f"gain/{key}": torch.from_numpy(self._state[key]) for key in _KEYS}
-        return found | {"gain/steps": torch.from_numpy(self._steps)}
+        return {f"{_NAME}/value": torch.from_numpy(self._value)} | self._adam.tensors(_NAME)
 
     @staticmethod
     def are_in(tensors: dict[str, torch.Tensor]) -> bool:
         """Whether a checkpoint has gains."""
-        return "gain/value" in tensors
+        return f"{_NAME}/value" in tensors
 
     @classmethod
     def restored(
@@ -95,22 +78,12 @@ class PhotoGains:
             ValueError, KeyError: they are not what that returns.
         """
         out = cls(train, np.zeros((views, 3)))
-        for key in _KEYS:
-            found = tensors[f"gain/{key}"].numpy()
-            if found.shape != (views, 3) or found.dtype != np.float64:
-                raise ValueError(f"gain/{key} is {found.dtype} {found.shape}")
-            if not np.isfinite(found).all():
-                raise ValueError(f"gain/{key} is not finite")
-            out._state[key] = found.copy()
-        steps = tensors["gain/steps"].tolist()
-        if len(steps) != views:
-            raise ValueError(f"gain/steps has {len(steps)} entries")
-        out._steps = np.array([whole("gain/steps", count) for count in steps], np.int64)
+        out._value = checked(f"{_NAME}/value", tensors, (views, 3))
+        out._adam.restore(_NAME, tensors)
         return out
 
     def _centre(self) -> None:
-        value = self._state["value"]
-        value[self._train] -= value[self._train].mean(axis=0)
+        self._value[self._train] -= self._value[self._train].mean(axis=0)
 
 
 def behind(background: Color, gain: torch.Tensor) -> Color:

@@ -60,12 +60,9 @@ def _in_view(dataset: Dataset, tracks: Tracks, index: int) -> tuple[np.ndarray, 
     small = max(1.0, max(height, width) / _SIDE)
     columns, lines = max(1, round(width / small)), max(1, round(height / small))
     rows = tracks.seen[index]
-    local = tracks.points[rows] @ cameras.viewmats[index, :3, :3].T
-    local += cameras.viewmats[index, :3, 3]
-    front = local[:, 2] > 0
-    rows, local = rows[front], local[front]
-    pixels = local @ cameras.Ks[index].T
-    pixels = pixels[:, :2] / pixels[:, 2:] * (columns / width, lines / height)
+    K = cameras.Ks[index]
+    pixels = tracks.rays[index] * K[[0, 1], [0, 1]] + K[:2, 2]
+    pixels = pixels * (columns / width, lines / height)
     inside = ((pixels >= 0) & (pixels < (columns, lines))).all(axis=1)
     rows, (u, v) = rows[inside], pixels[inside].astype(np.int64).T
     colors = resize(image, columns, lines)[v, u]

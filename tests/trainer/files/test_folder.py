@@ -50,6 +50,7 @@ OURS = (
     "cfg_args",
     "cameras.json",
     "exposure.json",
+    "poses.json",
     "point_cloud.ply",
     "metrics.json",
     "report.html",
