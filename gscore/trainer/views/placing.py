@@ -65,9 +65,7 @@ def place_cameras(config: TrainConfig, photos: Dataset) -> Placing:
         f"seen from there ({fact} in the median of all): {better} placed anew by these points"
     )
     learns = asked or left > _DOUBT * len(photos.train)
-    why += (
-        "." if not learns else f", and poses are learnt from the photos, {left} of them in doubt."
-    )
+    why += ", and poses are learnt from the photos." if learns else "."
     return Placing(viewmats=viewmats, learns=learns, why=why)
 
 
