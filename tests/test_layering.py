@@ -41,10 +41,13 @@ ALLOWED = {
     "sfm": BOTTOM | {"io", "datasets", "sfm"},
     "depth": BOTTOM | {"io", "datasets", "depth"},
     "raster": BOTTOM | {"io", "raster"},
+    "stereo": BOTTOM | {"io", "datasets", "depth", "raster", "stereo"},
     "metrics": BOTTOM | {"io", "datasets", "depth", "raster", "metrics"},
-    "trainer": BOTTOM | {"io", "datasets", "depth", "raster", "metrics", "trainer"},
-    "stress": BOTTOM | {"io", "datasets", "depth", "raster", "metrics", "trainer", "stress"},
-    "bench": BOTTOM | {"io", "datasets", "depth", "raster", "metrics", "trainer", "bench"},
+    "trainer": BOTTOM | {"io", "datasets", "depth", "raster", "stereo", "metrics", "trainer"},
+    "stress": BOTTOM
+    | {"io", "datasets", "depth", "raster", "stereo", "metrics", "trainer", "stress"},
+    "bench": BOTTOM
+    | {"io", "datasets", "depth", "raster", "stereo", "metrics", "trainer", "bench"},
 }
 OUTSIDE = {
     "torch": {"raster", "metrics", "trainer", "stress", "bench", "commands"},

@@ -13,6 +13,7 @@ from ..events import Event
 from ..metrics import find_lpips
 from .beginning import Beginning
 from .depth.setup import prepare_depth
+from .depth.stereo import stereo_start
 from .files.ended import TrainResult
 from .files.folder import open_folder
 from .host.heap import large_pieces_apart
@@ -84,13 +85,19 @@ def train(
             depth = prepare_depth(
                 data, config, photos, on_progress=progress_of("depth maps", config, emit, control)
             )
+            stereo = stereo_start(
+                config,
+                photos,
+                photos.scene.points if depth.points is None else depth.points,
+                on_view=progress_of("depth of photos", config, emit, control),
+            )
             trainer = Trainer(
                 config,
                 photos,
                 frame=frame,
                 start=beginning.splats,
                 depth=depth.loss_targets,
-                points=depth.points,
+                points=depth.points if stereo.points is None else stereo.points,
                 photo_cache=loaded.cache,
             )
             session = Session(
