@@ -17,7 +17,7 @@ RADIUS = 3
 _SURE, _SCORE = 0.9, 0.6
 """Score that is as good as any, and least one."""
 _CONTRAST = 3.0
-"""Least standard deviation of the grey values in a window: sky and bare walls agree at any depth."""
+"""Least standard deviation of grey values in a window: sky and walls agree at any depth."""
 _CLEAR = 0.85
 """The second best depth scores at most this share of the best."""
 AGREE = 2

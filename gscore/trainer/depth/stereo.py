@@ -16,7 +16,7 @@ _POINTS = 10_000
 _SHARE = 5
 """And at most one of so many splats: growth needs room to put them where photos ask for them."""
 _MOST_VIEWS = 120
-"""Photos that take part; of more, this many at even distances, which is enough for so few points."""
+"""Photos that take part; of more, this many at even distances: enough for so few points."""
 _FEWEST = 100
 """Fewer points than this are no surface: what few places agree on is mostly chance."""
 
