@@ -357,7 +357,7 @@ class TrainConfig:
         when="points",
     )
     stereo: Switch = option(
-        Switch.AUTO,
+        Switch.OFF,
         "Start from more points than SfM found: those whose depth the photos agree on. Found in "
         "the training photos alone, in some seconds; `auto`: where there is room for them.",
         group="start",

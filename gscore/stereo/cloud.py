@@ -7,6 +7,8 @@ from .maps import StereoMap, StereoMaps
 
 _ROUNDS = 24
 """Halvings of the range of cell sizes."""
+_A_POINT = 12
+"""Pixels that are looked at for a point; of more, every other row and column, or fewer."""
 _LARGEST = 64.0
 """Largest cell, in pixels."""
 
@@ -17,10 +19,14 @@ def dense_points(maps: StereoMaps, *, most: int) -> PointCloud:
     A point is the mean of all that the maps show in its cell, place and colour, so views that agree
     share a point. Cells double in size with the distance to the photo.
     """
-    parts = [_of_map(found) for found in maps.maps.values()]
-    if not parts or most <= 0:
+    if not maps.maps or most <= 0:
         return PointCloud.none()
+    known = sum(int((found.inverse_depth > 0).sum()) for found in maps.maps.values())
+    step = max(1, int((known / (_A_POINT * most)) ** 0.5))
+    parts = [_of_map(found, step) for found in maps.maps.values()]
     points, colors, footprints = (np.concatenate(column) for column in zip(*parts, strict=True))
+    if len(points) == 0:
+        return PointCloud.none()
     low, high = 0.0, np.log2(_LARGEST)
     cells = _cells(points, footprints, 2.0**high)
     for _ in range(_ROUNDS):
@@ -41,10 +47,11 @@ def dense_points(maps: StereoMaps, *, most: int) -> PointCloud:
     return PointCloud(points=places, colors=np.rint(tones).astype(np.uint8))
 
 
-def _of_map(found: StereoMap) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points [P, 3] in the world, colours [P, 3] and sizes of their pixels [P], world units."""
+def _of_map(found: StereoMap, step: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of every `step`-th row and column: points [P, 3] in the world, colours [P, 3] and sizes of
+    their pixels [P], world units."""
     view = found.photo.view
-    v, u = np.nonzero(found.inverse_depth > 0)
+    v, u = (step * a for a in np.nonzero(found.inverse_depth[::step, ::step] > 0))
     depth = 1 / found.inverse_depth[v, u].astype(np.float64)
     pixels = np.stack([u + 0.5, v + 0.5, np.ones(len(u))], axis=1)
     rays = pixels @ np.linalg.inv(view.K).T

@@ -12,6 +12,8 @@ from ..raster.stereo import Checked, Swept, check, sweep
 from .photos import SmallPhoto, small_photo
 from .plan import ViewPlan, plan_views, planes_of
 
+SIDE = 400
+"""Longer side of the photos that are compared, pixels, where nothing else is asked for."""
 RADIUS = 3
 """Windows are 7 x 7 pixels."""
 _SURE, _SCORE = 0.9, 0.6
@@ -59,6 +61,7 @@ def stereo_maps(
     dataset: Dataset,
     used: Sequence[int],
     *,
+    side: int = SIDE,
     threads: int = 0,
     on_view: Callable[[int, int], None] | None = None,
 ) -> StereoMaps:
@@ -67,6 +70,8 @@ def stereo_maps(
     Args:
         dataset: The capture.
         used: Indices of the views that take part; no other photo is looked at.
+        side: Pixels of the longer side of the photos that are compared; the time grows with its
+            cube.
         threads: 0: all cores.
         on_view: Called with (done, total) after each view; may raise to stop.
 
@@ -80,7 +85,9 @@ def stereo_maps(
     if not any(plans):
         return StereoMaps(maps={}, reason="no two photos show the same from different places")
     photos = list(
-        map_threads(lambda i: small_photo(dataset, i, rim=RADIUS), list(used), threads=threads)
+        map_threads(
+            lambda i: small_photo(dataset, i, side=side, rim=RADIUS), list(used), threads=threads
+        )
     )
     first: list[np.ndarray] = []
     trust: list[np.ndarray] = []

@@ -10,8 +10,6 @@ from ..datasets.resolution import scale_intrinsics
 from ..io.images import resize
 from ..raster.stereo import StereoView
 
-SIDE = 400
-"""Longer side of the photos, pixels, unless they are smaller."""
 _GREY = np.array([0.299, 0.587, 0.114], np.float32)
 """Luma of sRGB values (Rec. 601)."""
 _HIDDEN = 128
@@ -32,12 +30,13 @@ class SmallPhoto:
     """[H, W] bool, what the mask shows and its rim does not touch; None: everything."""
 
 
-def small_photo(dataset: Dataset, index: int, *, rim: int) -> SmallPhoto:
+def small_photo(dataset: Dataset, index: int, *, side: int, rim: int) -> SmallPhoto:
     """A view of the dataset, decoded if it is not yet.
 
     Args:
         dataset: The capture.
         index: Of the view.
+        side: Pixels of the longer side; photos that are smaller stay as they are.
         rim: Pixels next to what a mask hides that do not count either, for windows reach there.
     """
     image, mask = dataset.image(index), dataset.mask(index)
@@ -45,7 +44,7 @@ def small_photo(dataset: Dataset, index: int, *, rim: int) -> SmallPhoto:
         mask = None
     cameras = dataset.scene.cameras
     old = int(cameras.widths[index]), int(cameras.heights[index])
-    factor = max(1.0, max(old) / SIDE)
+    factor = max(1.0, max(old) / side)
     new = max(1, round(old[0] / factor)), max(1, round(old[1] / factor))
     image = resize(image, *new)
     grey = (image.astype(np.float32) @ _GREY + np.float32(0.5)).astype(np.uint8)

@@ -11,7 +11,7 @@ from gscore.io.images import write_png
 from gscore.stereo import dense_points, stereo_maps
 from gscore.stereo.maps import StereoMaps
 
-from .conftest import ANGLES, write_capture
+from .captures import ANGLES, write_capture
 from .scene import Scene
 
 

@@ -17,6 +17,8 @@ _SHARE = 5
 """And at most one of so many splats: growth needs room to put them where photos ask for them."""
 _MOST_VIEWS = 120
 """Photos that take part; of more, this many at even distances: enough for so few points."""
+_SIDE = 300
+"""Longer side of the photos, pixels: points may be a pixel off, and time is short."""
 _FEWEST = 100
 """Fewer points than this are no surface: what few places agree on is mostly chance."""
 
@@ -53,7 +55,7 @@ def stereo_start(
     if most <= 0:
         return _nothing(f"{number(len(known))} points leave no room for more")
     used = _evenly(list(photos.train))
-    found = stereo_maps(photos, used, threads=config.threads, on_view=on_view)
+    found = stereo_maps(photos, used, side=_SIDE, threads=config.threads, on_view=on_view)
     if found.reason:
         return _nothing(found.reason)
     added = dense_points(found, most=most)
