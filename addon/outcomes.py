@@ -13,7 +13,7 @@ from bpy.props import PointerProperty, StringProperty
 
 from . import compat
 from .capture.folders import means_capture, same_folder
-from .capture.inspection import find_capture
+from .core import find_capture
 from .paths import absolute
 
 _KEPT = ("output_path", "result", "preview")

@@ -8,7 +8,7 @@ from pathlib import Path
 import bpy
 
 from .capture.folders import means_capture
-from .capture.inspection import find_capture
+from .core import find_capture
 
 ROOT = __package__.removesuffix(".addon")
 """Name under which Blender knows the add-on."""

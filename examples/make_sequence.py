@@ -16,7 +16,14 @@ from pathlib import Path
 import numpy as np
 
 import gscore
-from gscore import ColmapCamera, ColmapImage, ColmapModel
+from gscore.frontend import (
+    ColmapCamera,
+    ColmapImage,
+    ColmapModel,
+    read_colmap,
+    rotmat_to_quat,
+    write_colmap,
+)
 from gscore.io.images import write_png
 
 STUDIO = Path(__file__).parent / "studio"
@@ -41,13 +48,13 @@ def main() -> int:
     parser.add_argument("--width", type=int, default=240, help="of the photos, pixels")
     parser.add_argument("--views", type=int, default=60, help="use the first so many cameras")
     args = parser.parse_args()
-    splats, model = gscore.read_splats(args.splats), gscore.read_colmap(STUDIO)
+    splats, model = gscore.read_splats(args.splats), read_colmap(STUDIO)
     model = replace(model, images=model.images[: args.views])
     for frame in range(args.frames):
         folder = args.output / "data_COLMAP" / f"{frame:06d}"
         angle = np.deg2rad(DEGREES_A_FRAME) * frame
         write_photos(folder, turn(splats, angle), model, args.width, frame)
-        gscore.write_colmap(recovered(model, angle, args.width, frame), folder / "sparse")
+        write_colmap(recovered(model, angle, args.width, frame), folder / "sparse")
         print(folder)
     return 0
 
@@ -117,7 +124,7 @@ def recovered(model: ColmapModel, angle: float, width: int, frame: int) -> Colma
                 id=number + 1,
                 name=photo_name(number, frame),
                 camera_id=image.camera_id,
-                qvec=gscore.rotmat_to_quat(turned),
+                qvec=rotmat_to_quat(turned),
                 tvec=-turned @ (scale * rotation @ place + shift),
                 xys=np.zeros((0, 2)),
                 point3D_ids=np.zeros(0, np.int64),

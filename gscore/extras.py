@@ -1,6 +1,7 @@
 """Packages that parts of gscore need: which extra brings each, and the words that say so."""
 
 import sys
+from collections.abc import Mapping
 from importlib import import_module
 from typing import Any
 
@@ -58,3 +59,30 @@ def need(module: str, purpose: str) -> Any:
         return import_module(module)
     except ImportError as error:
         raise BackendError(f"{missing(module, purpose)}.") from error
+
+
+def load(door: str, name: str, homes: Mapping[str, str]) -> Any:
+    """A name that a module offers but does not hold, for that module's `__getattr__`.
+
+    Args:
+        door: The module's own name, for messages.
+        name: Asked for.
+        homes: Where each name that the module offers lives within gscore, `module:name` where it is
+            called differently there.
+
+    Raises:
+        AttributeError: the module does not offer it.
+        ModuleNotFoundError: a package that it takes is not installed; the sentence says which.
+    """
+    home = homes.get(name)
+    if home is None:
+        raise AttributeError(f"module {door!r} has no attribute {name!r}")
+    module, _, inner = home.partition(":")
+    try:
+        return getattr(import_module(f".{module}", __package__), inner or name)
+    except ModuleNotFoundError as error:
+        needed = error.name or ""
+        if not how_to_install(needed):
+            raise
+        sentence = missing(needed, f"{door}.{name}")
+        raise ModuleNotFoundError(sentence, name=error.name) from error

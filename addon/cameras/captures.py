@@ -12,9 +12,17 @@ import bpy
 import numpy as np
 
 from .. import stored_paths
-from ..capture.inspection import NO_PINHOLE, find_capture
 from ..compat import matrix_to_numpy
-from ..core import Capture, DataConfig, Folder, View, read_capture, rotmat_to_quat
+from ..core import (
+    NO_PINHOLE,
+    Capture,
+    DataConfig,
+    Folder,
+    View,
+    find_capture,
+    read_capture,
+    rotmat_to_quat,
+)
 from . import alignment, sfm_points
 from . import formulas as cm
 from . import objects as co

@@ -14,7 +14,6 @@ import bpy
 import numpy as np
 
 from .. import outcomes, stored_paths
-from ..capture.inspection import find_capture
 from ..core import (
     Capture,
     ColmapCamera,
@@ -23,6 +22,7 @@ from ..core import (
     ColmapPoints,
     DataConfig,
     GsError,
+    find_capture,
     find_colmap,
     read_capture,
     read_colmap,

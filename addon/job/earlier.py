@@ -4,8 +4,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..capture.inspection import find_capture
-from ..core import RunInfo, read_run
+from ..core import RunInfo, find_capture, read_run
 
 
 @dataclass(frozen=True, kw_only=True)

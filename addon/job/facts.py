@@ -3,7 +3,7 @@
 import bpy
 
 from .. import preferences
-from ..capture.inspection import CaptureFacts
+from ..capture.inspection import ShownFacts
 from ..core import Estimate
 from ..paths import absolute, output_folder
 from ..process import beat
@@ -11,7 +11,7 @@ from . import forecast, lookups
 from .earlier import EarlierRun
 
 
-def capture(scene: bpy.types.Scene) -> tuple[CaptureFacts | None, str]:
+def capture(scene: bpy.types.Scene) -> tuple[ShownFacts | None, str]:
     """What the scene's capture holds, and a problem; (None, "") while it is looked up."""
     settings = scene.gscore
     if not settings.capture_path.strip():
@@ -25,7 +25,7 @@ def capture(scene: bpy.types.Scene) -> tuple[CaptureFacts | None, str]:
     return answer
 
 
-def look_again(scene: bpy.types.Scene) -> tuple[CaptureFacts | None, str]:
+def look_again(scene: bpy.types.Scene) -> tuple[ShownFacts | None, str]:
     """As `capture`, but looks now and waits; for scripts and before a training."""
     path = absolute(scene.gscore.capture_path, "Capture")
     return lookups.captures.wait((str(path), scene.gscore.images))

@@ -3,8 +3,7 @@
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from ..capture.inspection import CaptureFacts
-from ..core import PRESETS, Estimate, Strategy, TrainConfig, estimate, target_size
+from ..core import PRESETS, CaptureFacts, Estimate, Strategy, TrainConfig, estimate, target_size
 from .options import AS_PRESET, BY_WIDTH, Settings
 
 

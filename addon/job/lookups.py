@@ -3,12 +3,12 @@
 from pathlib import Path
 
 from ..capture.depth_maps import DepthReport, read_run_report
-from ..capture.inspection import CaptureFacts, inspect
+from ..capture.inspection import ShownFacts, inspect
 from ..core import Estimate
 from ..process.lookup import Lookup
 from . import earlier, forecast
 
-captures: Lookup[tuple[str, str], CaptureFacts] = Lookup(
+captures: Lookup[tuple[str, str], ShownFacts] = Lookup(
     lambda key: inspect(key[0], images=key[1]), max_age=600.0
 )
 """What a capture holds, by its path and the name of its photo folder."""

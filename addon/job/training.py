@@ -7,7 +7,7 @@ from pathlib import Path
 import bpy
 
 from .. import outcomes, preferences
-from ..capture.inspection import CaptureFacts
+from ..capture.inspection import ShownFacts
 from ..nodes import display as display_nodes
 from ..paths import absolute, capture_folder, output_folder, relative
 from ..process import beat
@@ -216,7 +216,7 @@ def _chosen_capture(scene: bpy.types.Scene) -> Path | None:
     return absolute(text, "Capture") if text.strip() else None
 
 
-def _check_capture(scene: bpy.types.Scene) -> CaptureFacts:
+def _check_capture(scene: bpy.types.Scene) -> ShownFacts:
     found, problem = facts.capture(scene)
     if found is None or not found.can_train:
         found, problem = facts.look_again(scene)  # it may have been mended

@@ -5,7 +5,7 @@ from typing import ClassVar
 import bpy
 
 from .. import preferences
-from ..capture.inspection import CaptureFacts
+from ..capture.inspection import ShownFacts
 from ..depth import colors, work
 from ..depth import job as depth_job
 from ..python import setup
@@ -40,7 +40,7 @@ class DepthPanel(TabPanel, bpy.types.Panel):
         draw_report(layout, context)
 
 
-def draw_work(layout: bpy.types.UILayout, context: bpy.types.Context, facts: CaptureFacts) -> None:
+def draw_work(layout: bpy.types.UILayout, context: bpy.types.Context, facts: ShownFacts) -> None:
     """How far a prediction is, or what can be started."""
     job = work.job_of(context.scene)
     if job is not None and not job.ended:

@@ -4,7 +4,7 @@ import bpy
 
 from .. import preferences
 from ..cameras.lookup import panel_root
-from ..capture.inspection import CaptureFacts
+from ..capture.inspection import ShownFacts
 from ..interface.questions import letters, wrapped
 from ..job import facts, training
 from ..job.job import Job
@@ -41,7 +41,7 @@ def rows(layout: bpy.types.UILayout, pairs: list[tuple[str, str]]) -> None:
         split.label(text=value)
 
 
-def found(context: bpy.types.Context) -> CaptureFacts | None:
+def found(context: bpy.types.Context) -> ShownFacts | None:
     """What is known of the scene's capture by now."""
     return facts.capture(context.scene)[0]
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..config import DataConfig
 from ..errors import DatasetError
-from ..io.colmap import find_model, read_model
+from ..inspection import CaptureFacts, inspect
 from ..io.metrics_file import metrics_problem, read_metrics
 from ..io.ply_compressed import is_compressed
 from ..io.ply_elements import read_elements
@@ -133,6 +133,7 @@ def _capture_facts(path: Path, args: argparse.Namespace) -> dict[str, Any]:
 
     config = with_data_options(DataConfig(source=path, resolution=1), args)
     dataset = load_dataset(config)
+    found = inspect(config)
     scene = dataset.scene
     cameras = scene.cameras
     sizes = Counter(
@@ -149,31 +150,26 @@ def _capture_facts(path: Path, args: argparse.Namespace) -> dict[str, Any]:
         "camera_extent": float(
             1.1 * np.linalg.norm(centers - centers.mean(axis=0), axis=1).max(initial=0.0)
         ),
-        "points": len(scene.points),
+        "points": found.points,
         "masks": dataset.mask_mode,
         "masks_inverted": config.invert_masks,
         "decoded_bytes": dataset.nbytes,
-        "warnings": list(dataset.warnings),
+        "depths": found.depths,
+        "warnings": list(dict.fromkeys((*dataset.warnings, *(p.text for p in found.problems)))),
     }
-    return facts | {"model": _colmap_facts(path)}
+    return facts | {"model": _colmap_facts(found)}
 
 
-def _colmap_facts(path: Path) -> dict[str, Any] | None:
-    """What COLMAP wrote, before undistortion; None for captures with a transforms.json."""
-    if path.is_file():
+def _colmap_facts(found: CaptureFacts) -> dict[str, Any] | None:
+    """What COLMAP wrote, before undistortion; None for other captures."""
+    if found.kind != "COLMAP":
         return None
-    try:
-        folder, _ = find_model(path)
-    except DatasetError:
-        return None
-    model = read_model(folder, observations=lambda points: False)
-    errors = model.points.error[model.points.error >= 0]
     return {
-        "path": str(folder),
-        "cameras": dict(Counter(camera.model for camera in model.cameras.values())),
-        "images": len(model.images),
-        "points": len(model.points),
-        "mean_error_px": float(errors.mean()) if len(errors) else None,
+        "path": str(found.model),
+        "cameras": found.cameras,
+        "images": found.photos + len(found.missing),
+        "points": found.points,
+        "mean_error_px": found.error_px,
     }
 
 

@@ -45,6 +45,8 @@ class Capture:
     """In any order."""
     points: PointCloud
     """World points; may be empty."""
+    error_px: float | None = None
+    """Mean reprojection error of the points, pixels; None: not stated."""
     test_names: frozenset[str] = frozenset()
     """Views the capture itself calls test views."""
     masks_are: str = ""

@@ -86,8 +86,15 @@ def read_colmap(config: DataConfig, *, photos_required: bool = True) -> Capture:
         root=config.source,
         views=views,
         points=points,
+        error_px=_mean_error(model.points),
         warnings=tuple(warnings),
     )
+
+
+def _mean_error(points: ColmapPoints) -> float | None:
+    """Pixels; None where no point states its error."""
+    stated = points.error[points.error >= 0]
+    return float(stated.mean()) if len(stated) else None
 
 
 def _all_black(points: ColmapPoints) -> bool:

@@ -6,16 +6,16 @@ from dataclasses import replace
 import numpy as np
 
 from ..config import DataConfig
-from ..errors import Cancelled, DatasetError
-from ..io.images import ImageInfo, read_info
-from ..scene import FARTHEST, Cameras, PointCloud, Scene, within_reach
-from ..words import count_words, number
-from .capture import View, listing
-from .copies import find_copies
+from ..errors import Cancelled
+from ..io.images import read_info
+from ..scene import Cameras, PointCloud, Scene, within_reach
+from ..words import count_words
+from .capture import View
 from .dataset import Dataset
 from .decode import ViewFile, decode_view
+from .headers import PhotoFit, check_fit, fit_photos, told_of_photos
 from .masks import MaskChoice, choose_masks
-from .points import colors_from_photos, random_points
+from .points import colors_from_photos, random_points, told_of_points
 from .read import read_capture
 from .resolution import check_resolution, scale_intrinsics, target_size
 from .split import split_views
@@ -51,18 +51,12 @@ def load_dataset(config: DataConfig, *, cancelled: Callable[[], bool] = lambda: 
     for view in views:
         _go_on(cancelled)
         infos.append(read_info(view.image))
-    warnings = list(capture.warnings)
-    upright = [_is_upright(view, info) for view, info in zip(views, infos, strict=True)]
-    sizes = [
-        (info.height, info.width) if turn else (info.width, info.height)
-        for info, turn in zip(infos, upright, strict=True)
-    ]
-    warnings += _copies(views, cancelled)
-    warnings += _flipped(views, infos, upright)
-    warnings += _other_sizes(views, sizes)
-    masks = choose_masks(config, capture, views, infos, sizes, cancelled=cancelled)
+    found = fit_photos(views, infos)
+    check_fit(views, infos, found)
+    warnings = [*capture.warnings, *told_of_photos(views, infos, found, cancelled)]
+    masks = choose_masks(config, capture, views, infos, found.sizes, cancelled=cancelled)
     warnings += masks.warnings
-    files, Ks = _files(views, sizes, upright, masks, config)
+    files, Ks = _files(views, found, masks, config)
     warnings += _cut_off(views, files)
     narrow = sum(1 for file in files if file.photo_size[0] < config.resolution)
     if narrow:
@@ -94,64 +88,6 @@ def _go_on(cancelled: Callable[[], bool]) -> None:
         raise Cancelled("Reading the photos was stopped.")
 
 
-def _is_upright(view: View, info: ImageInfo) -> bool:
-    """Whether the camera was calibrated on the photo as EXIF turns it, not as it is stored."""
-    stored = view.fits(info.width, info.height)
-    turned = info.is_sideways and view.fits(info.height, info.width)
-    if not stored and not turned:
-        raise DatasetError(
-            f"{view.image} is {info.width} x {info.height} pixels, its camera was calibrated for "
-            f"{view.camera.width} x {view.camera.height}. Give the folder of the photos that "
-            f"COLMAP was run on with --images, or photos scaled without cropping."
-        )
-    return turned and not stored
-
-
-def _copies(views: list[View], cancelled: Callable[[], bool]) -> list[str]:
-    """A sentence on photos that are copies of others: one of the two poses must be wrong."""
-    pairs = find_copies([view.image for view in views], cancelled)
-    if not pairs:
-        return []
-    named = [f"{views[copy].name} of {views[first].name}" for first, copy in pairs]
-    return [
-        f"{count_words(len(pairs), 'photo is a copy', 'photos are copies')} of others: "
-        f"{listing(named, 3)}. Copies count twice, and a test view that is a "
-        f"copy of a training view is no test; remove them."
-    ]
-
-
-def _flipped(views: list[View], infos: list[ImageInfo], upright: list[bool]) -> list[str]:
-    """A sentence on photos of which their size does not tell whether they were calibrated turned:
-    upside down, mirrored, or square and on their side."""
-    unsure = [
-        view.name
-        for view, info, turned in zip(views, infos, upright, strict=True)
-        if not turned
-        and (info.is_flipped or (info.is_sideways and view.fits(info.height, info.width)))
-    ]
-    if not unsure:
-        return []
-    return [
-        f"EXIF asks to turn {count_words(len(unsure), 'photo that is', 'photos that are')} used as "
-        f"stored, as COLMAP does: {listing(unsure)}. If the cameras were made from "
-        f"turned photos, save the photos turned."
-    ]
-
-
-def _other_sizes(views: list[View], sizes: list[tuple[int, int]]) -> list[str]:
-    other = [
-        f"{view.name} ({size[0]} x {size[1]} for {view.camera.width} x {view.camera.height})"
-        for view, size in zip(views, sizes, strict=True)
-        if size != (view.camera.width, view.camera.height)
-    ]
-    if not other:
-        return []
-    return [
-        f"{count_words(len(other), 'photo has', 'photos have')} another size than the camera; "
-        f"intrinsics are scaled by the actual ratio: {listing(other, 2)}."
-    ]
-
-
 def _cut_off(views: list[View], files: list[ViewFile]) -> list[str]:
     """A sentence on photos that lose their rim because the distortion folds back there."""
     cut = [
@@ -171,15 +107,14 @@ def _cut_off(views: list[View], files: list[ViewFile]) -> list[str]:
 
 def _files(
     views: list[View],
-    sizes: list[tuple[int, int]],
-    upright: list[bool],
+    found: PhotoFit,
     masks: MaskChoice,
     config: DataConfig,
 ) -> tuple[list[ViewFile], list[np.ndarray]]:
     """How to decode each view, and its K at the size delivered, [3, 3] float64 each."""
     plans: dict[tuple, Undistortion | None] = {}
     files, Ks = [], []
-    for i, (view, size) in enumerate(zip(views, sizes, strict=True)):
+    for i, (view, size) in enumerate(zip(views, found.sizes, strict=True)):
         camera = view.camera
         key = (camera.model, camera.width, camera.height, camera.params.tobytes())
         if key not in plans:
@@ -201,7 +136,7 @@ def _files(
                 mask=masks.files[i],
                 mask_inverted=config.invert_masks,
                 use_alpha=masks.use_alpha[i],
-                upright=upright[i],
+                upright=found.upright[i],
                 photo_size=size,
                 size=target,
                 plan=plan,
@@ -220,23 +155,11 @@ def _points(
 ) -> PointCloud:
     """The capture's points mended: in bounds, at least some, coloured."""
     usable = within_reach(points.points)
+    warnings += told_of_points(points, usable)
     if not usable.any():
-        warnings.append(
-            f"The capture has no {'usable ' if len(usable) else ''}points; starting from "
-            "random ones, which takes longer and gives floaters. Run COLMAP's triangulation for "
-            "better results."
-        )
         return random_points(cameras, RANDOM_POINTS, seed=RANDOM_SEED)
-    if points.colors[usable].any() and usable.all():
-        return points
     seen: list[np.ndarray | None] = [view.seen for view in views]
     if not usable.all():
-        first = int(np.flatnonzero(~usable)[0])
-        warnings.append(
-            f"{count_words(int((~usable).sum()), 'point is', 'points are')} not finite or beyond "
-            f"{FARTHEST:g}, the first of them number {first} at {points.points[first].tolist()}; "
-            "left out."
-        )
         new_index = np.cumsum(usable) - 1
         for i, index in enumerate(seen):
             if index is not None:
@@ -244,10 +167,6 @@ def _points(
         points = PointCloud(points=points.points[usable], colors=points.colors[usable])
     if points.colors.any():
         return points
-    warnings.append(
-        f"All points are black ({number(len(points))} of them; COLMAP was run without extracting "
-        "colours); they are coloured from the photos."
-    )
 
     # Not kept: whoever calls decides by `nbytes` whether all photos fit into memory.
     def load(i: int) -> tuple[np.ndarray, np.ndarray | None]:

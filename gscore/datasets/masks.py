@@ -1,6 +1,6 @@
 """Where the masks of a capture are and what they mean."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -36,7 +36,7 @@ def choose_masks(
     capture: Capture,
     views: list[View],
     infos: list[ImageInfo],
-    sizes: list[tuple[int, int]],
+    sizes: Sequence[tuple[int, int]],
     *,
     cancelled: Callable[[], bool] = lambda: False,
 ) -> MaskChoice:
@@ -61,12 +61,12 @@ def choose_masks(
     none = MaskChoice(mode="none", files=[None] * len(views), use_alpha=[False] * len(views))
     if config.mask_mode == "none":
         return none
-    files, warnings = _find(config, capture.root, views)
+    files, warnings = find_masks(config, capture.root, views)
     found = [file for file in files if file is not None]
     if found:
         for view, file, size in zip(views, files, sizes, strict=True):
             if file is not None:
-                _check_size(view, file, size)
+                check_mask_size(view, file, size)
         warnings += _assumed(found[0])
         mode = config.mask_mode
         if mode == "auto":
@@ -108,7 +108,19 @@ def _assumed(mask: Path) -> list[str]:
     return [f"The masks {assumed}, for example {mask}."] if assumed else []
 
 
-def _find(config: DataConfig, root: Path, views: list[View]) -> tuple[list[Path | None], list[str]]:
+def find_masks(
+    config: DataConfig, root: Path, views: list[View]
+) -> tuple[list[Path | None], list[str]]:
+    """The mask file of each view, and sentences on those that have none.
+
+    Args:
+        config: Option `masks`.
+        root: Folder of the capture.
+        views: Of the capture.
+
+    Raises:
+        DatasetError: the folder is missing, or there is no mask of any view.
+    """
     stated = [view.mask for view in views]
     place = root / (config.masks or DEFAULT_FOLDER)
     if any(file is not None for file in stated) and not config.masks:
@@ -146,7 +158,8 @@ def _find(config: DataConfig, root: Path, views: list[View]) -> tuple[list[Path 
     return files, []
 
 
-def _check_size(view: View, file: Path, size: tuple[int, int]) -> None:
+def check_mask_size(view: View, file: Path, size: tuple[int, int]) -> None:
+    """Raise DatasetError unless the mask in `file` has the `size` of its photo."""
     info = read_info(file)
     if (info.width, info.height) != size:
         raise DatasetError(

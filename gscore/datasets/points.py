@@ -4,11 +4,41 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..scene import Cameras, PointCloud
+from ..scene import FARTHEST, Cameras, PointCloud
+from ..words import count_words, number
 from .dataset import map_threads
 
 GREY = 128
 """Colour of points that no photo shows, sRGB byte."""
+
+
+def told_of_points(points: PointCloud, usable: np.ndarray) -> list[str]:
+    """Sentences on points that are left out, missing or black.
+
+    Args:
+        points: As the capture states them.
+        usable: [P] bool, `within_reach` of them.
+    """
+    if not usable.any():
+        return [
+            f"The capture has no {'usable ' if len(usable) else ''}points; starting from "
+            "random ones, which takes longer and gives floaters. Run COLMAP's triangulation for "
+            "better results."
+        ]
+    told = []
+    if not usable.all():
+        first = int(np.flatnonzero(~usable)[0])
+        told.append(
+            f"{count_words(int((~usable).sum()), 'point is', 'points are')} not finite or beyond "
+            f"{FARTHEST:g}, the first of them number {first} at {points.points[first].tolist()}; "
+            "left out."
+        )
+    if not points.colors[usable].any():
+        told.append(
+            f"All points are black ({number(int(usable.sum()))} of them; COLMAP was run without "
+            "extracting colours); they are coloured from the photos."
+        )
+    return told
 
 
 def random_points(cameras: Cameras, count: int, *, seed: int) -> PointCloud:

@@ -52,3 +52,5 @@ PINHOLE_WITHOUT_DISTORTION = frozenset(
     {"SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV"}
 )
 """Models that are a pinhole camera when every distortion parameter is 0."""
+NO_PINHOLE = frozenset({"EQUIRECTANGULAR"})
+"""Camera models without focal length and principal point."""

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ..raster.request import Frustum, Settings
 from ..splats import PARAMETERS
 from .native import BACKGROUND, PICTURES, random_weights
 from .scenes import SplatScene
@@ -63,13 +64,20 @@ def ask(
     from ..raster import reference
 
     options = {"raw": True, **options}
+    planes = {name: options[name] for name in ("near", "far") if name in options}
+    settings = {name: value for name, value in options.items() if name not in planes}
     inputs = tensors(scene, grad=gradients)
     arguments = [inputs[name] for name in PARAMETERS]
-    view = reference.PinholeView(
-        inputs["viewmat"], inputs["K"], scene.width, scene.height, orthographic
+    view = Frustum(
+        inputs["viewmat"],
+        inputs["K"],
+        scene.width,
+        scene.height,
+        orthographic=orthographic,
+        **planes,
     )
     with torch.set_grad_enabled(gradients):
-        splats = reference.project(reference.SplatTensors(*arguments), view, **options)
+        splats = reference.project(reference.SplatTensors(*arguments), view, Settings(**settings))
         if gradients:
             splats.means2d.retain_grad()
         out = reference.composite(

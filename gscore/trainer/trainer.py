@@ -27,7 +27,7 @@ from .host.random import generator_of, uniform
 from .photos.pyramid import AHEAD, Pyramid
 from .photos.skips import raster_bits
 from .photos.spectrum import detail
-from .photos.views import Photos, Sampler, TrainingView
+from .photos.views import Photos, Sampler
 from .rows import bounds, guard
 from .rows.frame import Frame
 from .rows.model import Model, Moments, ShN
@@ -144,7 +144,7 @@ class Trainer:
         self.laps = Laps()
         """What the parts of the last step took."""
         self._cameras = self.frame.similarity.cameras_to_training(photos.scene.cameras)
-        self._pyramid = Pyramid(photos, self._cameras, limit=photo_cache)
+        self._pyramid = Pyramid(photos, self._cameras, near=self.frame.near, limit=photo_cache)
         cloud = replace(cloud, points=self.frame.similarity.points_to_training(cloud.points))
         near = Nearest(cloud.points, asked=count)
         self._free_space = FreeSpace(
@@ -207,12 +207,12 @@ class Trainer:
         depth_weight = self.depth.weight(index, step) if self.depth else 0.0
         laps.pixels = view.width * view.height
         laps.lap("photo")
-        self._settle_for(view)
+        self.model.settle_for(view, threads=config.threads)
         laps.lap("settle")
         opacities, leaf = self._step_opacities(step)
         picture = self._painter.draw(
             tuple((model.params | {"opacities": opacities}).values()),
-            self._frustum(view),
+            view,
             Settings(
                 sh_degree=self._sh_degree_at(step),
                 background=background,
@@ -269,7 +269,8 @@ class Trainer:
         factor = min(_GLANCE, view.width, view.height)
         width, height = view.width // factor, view.height // factor
         K = view.K / view.K.new_tensor([[factor], [factor], [1]])
-        return bool((self._show(TrainingView(view.viewmat, K, width, height)).alpha > 0).any())
+        small = replace(view, K=K, width=width, height=height)
+        return bool((self._show(small).alpha > 0).any())
 
     def picture(self, index: int, *, background: tuple[float, float, float]) -> torch.Tensor:
         """The view `index` as the splats show it now, [H, W, 3] float32."""
@@ -414,19 +415,13 @@ class Trainer:
             self._painter.release()
             ops.widen_sh(self.model, degree)
 
-    def _show(self, view: TrainingView, **options: Any) -> Picture:
+    def _show(self, view: Frustum, **options: Any) -> Picture:
         """The whole view as the splats are now, good until the next one; `options` are those of
         `Settings`."""
         config = self.config
         settings = Settings(antialias=config.antialias, threads=config.threads, **options)
         splats = self.model.settled(threads=config.threads)
-        return self._painter.draw(tuple(splats.values()), self._frustum(view), settings)
-
-    def _frustum(self, view: TrainingView) -> Frustum:
-        return Frustum(view.viewmat, view.K, view.width, view.height, self.frame.near)
-
-    def _settle_for(self, view: TrainingView) -> None:
-        self.model.settle_for(self._frustum(view), threads=self.config.threads)
+        return self._painter.draw(tuple(splats.values()), view, settings)
 
     def _step_opacities(self, step: int) -> tuple[torch.Tensor, torch.Tensor | None]:
         """The opacities that this step draws, and, where they are not the model's own, the leaf
@@ -493,7 +488,7 @@ class Trainer:
         self.lost_rows += lost
         return lost
 
-    def _learn(self, step: int, v_means2d: torch.Tensor, view: TrainingView) -> tuple[Change, int]:
+    def _learn(self, step: int, v_means2d: torch.Tensor, view: Frustum) -> tuple[Change, int]:
         """Step with the model's gradients; what changed, and how many rows were left out."""
         model, radii = self.model, self._painter.radii
         self.strategy.shape_gradients(model)
@@ -544,7 +539,6 @@ class Trainer:
                 self._pyramid.at(index, self._factor, upcoming=indices[i + 1 :])
                 for i, index in enumerate(indices)
             ),
-            near=self.frame.near,
             antialias=self.config.antialias,
             masks_hide=self.photos.mask_mode == "ignore",
             scratch=self.model.grads,  # they were for the step that is done

@@ -5,10 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from gscore import stated_depth
 from gscore.config import DataConfig
 from gscore.datasets import load_dataset
 from gscore.depth import load_priors
+from gscore.frontend import stated_depth
 
 
 def _table(planes):

@@ -20,6 +20,7 @@ import torch
 from torch import Tensor
 
 from gscore.raster import reference
+from gscore.raster.request import Frustum
 from gscore.stress import derivatives, scenes
 from tests.isas import isa  # noqa: F401
 
@@ -49,11 +50,11 @@ class RasterScene:
         }
         return {**leaves, "K": self.K.to(dtype), "width": self.width, "height": self.height}
 
-    def tensors(self) -> tuple[reference.SplatTensors, reference.PinholeView]:
+    def tensors(self) -> tuple[reference.SplatTensors, Frustum]:
         """The arguments of the reference's stages."""
         return (
             reference.SplatTensors(*(getattr(self, name) for name in PARAMETERS)),
-            reference.PinholeView(self.viewmat, self.K, self.width, self.height),
+            Frustum(self.viewmat, self.K, self.width, self.height),
         )
 
     def activated(self) -> "RasterScene":

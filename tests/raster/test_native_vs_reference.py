@@ -8,6 +8,7 @@ import torch
 
 from gscore.raster import reference
 from gscore.raster.autograd import RasterAux, rasterize
+from gscore.raster.request import Frustum, Settings
 
 PARAMETERS = ("means", "quats", "scales", "opacities", "sh0", "shN", "viewmat")
 PICTURES = ("rgb", "alpha", "inverse_depth", "depth")
@@ -110,9 +111,8 @@ def ask_reference(scene, *, antialias=False, near=0.01, far=1e10, **options):
     planes = {"near": near, "far": far, "antialias": antialias}
     splats = reference.project(
         reference.SplatTensors(*(inputs[name] for name in PARAMETERS[:6])),
-        reference.PinholeView(inputs["viewmat"], scene.K, scene.width, scene.height),
-        **planes,
-        **options,
+        Frustum(inputs["viewmat"], scene.K, scene.width, scene.height, near, far),
+        Settings(antialias=antialias, **{"raw": False, **options}),
     )
     splats.means2d.retain_grad()
     out = reference.composite(

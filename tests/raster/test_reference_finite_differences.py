@@ -14,6 +14,7 @@ from gscore.raster.reference import (
     projection_jacobian,
     rasterize_reference,
 )
+from gscore.raster.request import Settings
 
 OUTPUTS = ("rgb", "alpha", "inverse_depth", "depth")
 BACKGROUND = torch.tensor([0.3, 0.6, 0.1], dtype=torch.float64)
@@ -73,7 +74,7 @@ def opaque_front(scene):
 
 def light_through_all(scene):
     """[P, M] alpha before the cap, and [P] transmittance if no pixel ever stopped."""
-    splats = project(*scene.tensors(), raw=True)
+    splats = project(*scene.tensors(), Settings())
     pixels = pixel_centers(scene.width, scene.height, like=scene.means)
     uncapped = gaussian_alpha(pixels, splats.means2d, splats.conics, splats.opacities)
     return uncapped, (1 - uncapped.clamp(max=0.99)).prod(1)

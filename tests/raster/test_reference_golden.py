@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from gscore.raster import reference
+from gscore.raster.request import Frustum, Settings
 
 FOLDER = Path(__file__).parent / "golden"
 PARAMETERS = ("means", "quats", "scales", "opacities", "sh0", "shN", "viewmat", "K")
@@ -48,9 +49,8 @@ def test_the_scene_is_worth_comparing(golden, inputs):
 def test_projection_and_colors(golden, inputs):
     splats = reference.project(
         reference.SplatTensors(*(inputs[name] for name in PARAMETERS[:6])),
-        reference.PinholeView(*(inputs[name] for name in ("viewmat", "K", "width", "height"))),
-        raw=True,
-        antialias=True,
+        Frustum(*(inputs[name] for name in ("viewmat", "K", "width", "height"))),
+        Settings(antialias=True),
     )
     index = splats.index.numpy()
     assert sorted(index) == list(range(24))

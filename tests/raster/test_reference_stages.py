@@ -8,6 +8,7 @@ from scipy.special import sph_harm_y
 from torch.autograd import gradcheck
 
 from gscore.raster import reference
+from gscore.raster.request import Settings
 
 WIDTH, HEIGHT = 40, 30
 K = torch.tensor([[35.0, 0, 17.0], [0, 42.0, 16.5], [0, 0, 1]], dtype=torch.float64)
@@ -241,7 +242,7 @@ def test_color_is_clamped_at_zero_without_gradient():
 def test_alpha_and_blend_gradients(smooth_scene):
     """Every input of the blend stage, on a scene without jumps."""
     scene = smooth_scene(800, count=5, width=9, height=8, sh_degree=0)
-    splats = reference.project(*scene.tensors(), raw=True)
+    splats = reference.project(*scene.tensors(), Settings())
     pixels = reference.pixel_centers(scene.width, scene.height, like=scene.means)
     geometry = (splats.means2d, splats.conics, splats.opacities)
     assert reference.gaussian_alpha(pixels, *geometry).max() > 0.1

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gscore import DataConfig, DatasetError, read_capture, read_colmap
+from gscore import DataConfig, DatasetError
+from gscore.frontend import read_capture, read_colmap
 
 STUDIO = Path(__file__).parent.parent.parent / "examples" / "studio"
 

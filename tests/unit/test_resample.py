@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from gscore import ShapeError, downscale
+from gscore import ShapeError
+from gscore.frontend import downscale
 from gscore.io.images import resize
 
 

@@ -17,6 +17,7 @@ from scipy.ndimage import binary_dilation
 import gscore
 from gscore import DataConfig, load_dataset
 from gscore.config_file import load_config
+from gscore.frontend import read_sequence
 
 MOVES = 0.02 * 255
 """Difference between two frames above which a pixel counts as moving."""
@@ -38,7 +39,7 @@ def main() -> int:
 
 def measure(folder: Path) -> np.ndarray:
     """[5] values of COLUMNS."""
-    index = gscore.read_sequence(folder)
+    index = read_sequence(folder)
     if index is None:
         raise SystemExit(f"{folder} holds no sequence.json; give what `gscore sequence` wrote.")
     rows: list[list[float]] = []

@@ -21,7 +21,6 @@ from .geometry import (
 from .harmonics import sh_basis, sh_colors
 from .loss import image_loss_reference
 from .rasterize import (
-    PinholeView,
     ProjectedSplats,
     ReferenceOutput,
     SplatTensors,
@@ -32,7 +31,6 @@ from .rasterize import (
 
 __all__ = [
     "Blended",
-    "PinholeView",
     "ProjectedSplats",
     "ReferenceOutput",
     "SplatTensors",

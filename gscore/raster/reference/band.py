@@ -3,9 +3,10 @@
 import torch
 from torch import Tensor
 
+from ..request import Frustum, Settings
 from .blending import PAIRS_PER_CHUNK, gaussian_alpha, pixel_centers
 from .constants import ALPHA_MAX, ALPHA_MIN, STOP_AT, TRANSMITTANCE_MIN
-from .rasterize import PinholeView, ProjectedSplats, SplatTensors, project
+from .rasterize import ProjectedSplats, SplatTensors, project
 
 
 @torch.no_grad()
@@ -58,14 +59,17 @@ def boundary_band(
     """
     splats = project(
         SplatTensors(means, quats, scales, opacities, sh0, shN),
-        PinholeView(viewmat, K, width, height, orthographic),
-        raw=raw,
-        sh_degree=sh_degree,
-        # A little wider than what is drawn, so that splats just culled are seen here.
-        near=near * (1 - depth_tolerance),
-        far=far * (1 + depth_tolerance),
-        eps2d=eps2d,
-        antialias=antialias,
+        # A little deeper than what is drawn, so that splats just culled are seen here.
+        Frustum(
+            viewmat,
+            K,
+            width,
+            height,
+            near * (1 - depth_tolerance),
+            far * (1 + depth_tolerance),
+            orthographic,
+        ),
+        Settings(raw=raw, sh_degree=sh_degree, eps2d=eps2d, antialias=antialias),
         dtype=dtype,
         min_opacity=ALPHA_MIN * (1 - alpha_tolerance),
     )

@@ -1,11 +1,13 @@
 """The whole chain in one place: parameters and a camera in, pictures out."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from ...errors import ShapeError
+from ..request import Frustum, Settings
 from .blending import PAIRS_PER_CHUNK, blend
 from .constants import ALPHA_MIN, COLOR_MAX, QUAT_NORM2_MIN
 from .geometry import (
@@ -45,21 +47,6 @@ class SplatTensors(NamedTuple):
         return SplatTensors(*(field[index] for field in self))
 
 
-class PinholeView(NamedTuple):
-    """One camera and its image: a pinhole, or parallel rays."""
-
-    viewmat: Tensor
-    """[4, 4], rigid, world to camera, OpenCV axes, column vectors."""
-    K: Tensor
-    """[3, 3], pixels, no skew; pixel centres at +0.5."""
-    width: int
-    """pixels."""
-    height: int
-    """pixels."""
-    orthographic: bool = False
-    """Parallel rays: K's focal lengths are pixels per world unit."""
-
-
 class ProjectedSplats(NamedTuple):
     """The M splats a camera can see, front to back; ties in depth stay in input order."""
 
@@ -92,7 +79,7 @@ class ReferenceOutput(NamedTuple):
     """[H, W], depth at which half the light is gone, 0 where it never is; not differentiable."""
 
 
-def check_inputs(splats: SplatTensors, view: PinholeView, sh_degree: int | None) -> int:
+def check_inputs(splats: SplatTensors, view: Frustum, sh_degree: int | None) -> int:
     """Raise on shapes and cameras the rasterizer does not define; return the SH degree to use."""
     n, K = len(splats.means), view.K
     shapes = {
@@ -128,27 +115,21 @@ def check_inputs(splats: SplatTensors, view: PinholeView, sh_degree: int | None)
     return degree
 
 
-def alive_rows(splats: SplatTensors, viewmat: Tensor, near: float, far: float) -> Tensor:
+def alive_rows(splats: SplatTensors, view: Frustum) -> Tensor:
     """[N] bool: rows with only finite parameters, a usable quaternion, and near < z <= far."""
     numbers = [field[:, None].flatten(1) for field in splats]
     finite = torch.cat(numbers, 1).isfinite()
     length2 = (splats.quats * splats.quats).sum(1)
-    z = means_to_camera(splats.means, viewmat)[:, 2]
-    return finite.all(1) & (length2 >= QUAT_NORM2_MIN) & (z > near) & (z <= far)
+    z = means_to_camera(splats.means, view.viewmat)[:, 2]
+    return finite.all(1) & (length2 >= QUAT_NORM2_MIN) & (z > view.near) & (z <= view.far)
 
 
 def project_rows(
-    splats: SplatTensors,
-    view: PinholeView,
-    *,
-    raw: bool,
-    sh_degree: int,
-    eps2d: float,
-    antialias: bool,
+    splats: SplatTensors, view: Frustum, settings: Settings, sh_degree: int
 ) -> ProjectedSplats:
     """The per-splat chain for every row given: activate, project, colour. Arguments as below."""
     scales, opacities = splats.scales, splats.opacities
-    if raw:
+    if settings.raw:
         scales, opacities = scales.exp(), opacities.sigmoid()
     means_cam = means_to_camera(splats.means, view.viewmat)
     covars_cam = covariance_to_camera(covariance(splats.quats, scales), view.viewmat)
@@ -157,12 +138,12 @@ def project_rows(
     else:
         means2d = project_means(means_cam, view.K)
         jacobian = projection_jacobian(means_cam, view.K, view.width, view.height)
-    conics, compensation = conic(project_covariance(covars_cam, jacobian), eps2d)
+    conics, compensation = conic(project_covariance(covars_cam, jacobian), settings.eps2d)
     return ProjectedSplats(
         index=torch.arange(len(means_cam), device=means_cam.device),
         means2d=means2d,
         conics=conics,
-        opacities=opacities * compensation if antialias else opacities,
+        opacities=opacities * compensation if settings.antialias else opacities,
         colors=sh_colors(
             splats.means,
             view.viewmat,
@@ -177,40 +158,28 @@ def project_rows(
 
 def project(
     splats: SplatTensors,
-    view: PinholeView,
+    view: Frustum,
+    settings: Settings,
     *,
-    raw: bool = False,
-    sh_degree: int | None = None,
-    near: float = 0.01,
-    far: float = 1e10,
-    eps2d: float = 0.3,
-    antialias: bool = False,
     dtype: torch.dtype = torch.float64,
     min_opacity: float = ALPHA_MIN,
 ) -> ProjectedSplats:
     """Everything that happens per splat: cull, activate, project, colour, sort.
 
-    Arguments as `rasterize_reference`; `min_opacity` is the opacity below which a splat cannot
-    reach the alpha threshold anywhere. What is culled is decided first, without gradients, and
-    left out of the differentiated chain: culled rows get an exact zero gradient, and a NaN or an
-    overflow in one row reaches no other and not the camera.
+    Of the settings those of a splat count. `dtype` is that of `rasterize_reference`; `min_opacity`
+    is the opacity below which a splat cannot reach the alpha threshold anywhere. What is culled is
+    decided first, without gradients, and left out of the differentiated chain: culled rows get an
+    exact zero gradient, and a NaN or an overflow in one row reaches no other and not the camera.
     """
-    degree = check_inputs(splats, view, sh_degree)
+    degree = check_inputs(splats, view, settings.sh_degree)
     splats = SplatTensors(*(field.to(dtype) for field in splats))
-    view = view._replace(viewmat=view.viewmat.to(dtype), K=view.K.to(dtype))
+    view = replace(view, viewmat=view.viewmat.to(dtype), K=view.K.to(dtype))
 
     def chain(index: Tensor) -> ProjectedSplats:
-        return project_rows(
-            splats.rows(index),
-            view,
-            raw=raw,
-            sh_degree=degree,
-            eps2d=eps2d,
-            antialias=antialias,
-        )
+        return project_rows(splats.rows(index), view, settings, degree)
 
     with torch.no_grad():
-        index = alive_rows(splats, view.viewmat, near, far).nonzero()[:, 0]
+        index = alive_rows(splats, view).nonzero()[:, 0]
         tried = chain(index)
         finite = torch.cat([tried.means2d, tried.conics, tried.colors], 1).isfinite().all(1)
         finite &= (tried.colors <= COLOR_MAX).all(1)
@@ -323,13 +292,8 @@ def rasterize_reference(
     """
     splats = project(
         SplatTensors(means, quats, scales, opacities, sh0, shN),
-        PinholeView(viewmat, K, width, height, orthographic),
-        raw=raw,
-        sh_degree=sh_degree,
-        near=near,
-        far=far,
-        eps2d=eps2d,
-        antialias=antialias,
+        Frustum(viewmat, K, width, height, near, far, orthographic),
+        Settings(raw=raw, sh_degree=sh_degree, eps2d=eps2d, antialias=antialias),
         dtype=dtype,
     )
     return composite(

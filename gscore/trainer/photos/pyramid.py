@@ -9,9 +9,10 @@ import torch
 
 from ...datasets.resolution import scale_intrinsics
 from ...io.images import resize
+from ...raster.request import Frustum
 from ...scene import Cameras
 from .skips import tiles_of_mask
-from .views import Photos, TrainingView, view_of
+from .views import Photos, view_of
 
 AHEAD = 3
 """Views that are made before they are needed."""
@@ -22,7 +23,7 @@ _WORKERS = 2
 class Sized(NamedTuple):
     """A view with its photo at some size."""
 
-    view: TrainingView
+    view: Frustum
     image: np.ndarray
     """[H, W, 3] uint8."""
     mask: np.ndarray | None
@@ -42,10 +43,14 @@ class Pyramid:
     same either way.
     """
 
-    def __init__(self, photos: Photos, cameras: Cameras, *, limit: int | None = None) -> None:
-        """`cameras` are those of `photos` in the training world; `limit`: bytes to keep."""
+    def __init__(
+        self, photos: Photos, cameras: Cameras, *, near: float, limit: int | None = None
+    ) -> None:
+        """`cameras` are those of `photos` in the training world, `near` is their near plane there;
+        `limit`: bytes to keep."""
         self._photos = photos
         self._cameras = cameras
+        self._near = near
         self._limit = limit
         self._factor = 1.0
         self._kept: dict[int, Sized] = {}
@@ -80,11 +85,11 @@ class Pyramid:
             self._kept[index] = found
             self._nbytes += nbytes
 
-    def view(self, index: int) -> TrainingView:
+    def view(self, index: int) -> Frustum:
         """View `index` at full size."""
         cameras = self._cameras
         size = int(cameras.widths[index]), int(cameras.heights[index])
-        return view_of(cameras.viewmats[index], cameras.Ks[index], *size)
+        return view_of(cameras.viewmats[index], cameras.Ks[index], *size, self._near)
 
     def _scaled(self, index: int, factor: float) -> Sized:
         photos, cameras = self._photos, self._cameras
@@ -103,5 +108,5 @@ class Pyramid:
         if mask is not None and photos.mask_mode == "ignore":
             tiles = torch.from_numpy(tiles_of_mask(mask))
             counted = float(mask.mean()) / 255
-        view = view_of(cameras.viewmats[index], K, *new)
+        view = view_of(cameras.viewmats[index], K, *new, self._near)
         return Sized(view, image, mask, tiles, counted)

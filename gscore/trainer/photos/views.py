@@ -1,11 +1,12 @@
 """The views of a capture as the training step needs them, and the order they come in."""
 
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 import torch
 
+from ...raster.request import Frustum
 from ...scene import Scene
 from ..host.random import order
 
@@ -46,24 +47,14 @@ class Photos(Protocol):
         ...
 
 
-class TrainingView(NamedTuple):
-    """A camera in the training world."""
-
-    viewmat: torch.Tensor
-    """[4, 4] float32, world to camera."""
-    K: torch.Tensor
-    """[3, 3] float32, pixels."""
-    width: int
-    height: int
-
-
-def view_of(viewmat: np.ndarray, K: np.ndarray, width: int, height: int) -> TrainingView:
-    """A camera of the training world, [4, 4] and [3, 3] float64, as tensors."""
-    return TrainingView(
+def view_of(viewmat: np.ndarray, K: np.ndarray, width: int, height: int, near: float) -> Frustum:
+    """A camera of the training world, [4, 4] and [3, 3] float64, as float32 tensors."""
+    return Frustum(
         torch.from_numpy(viewmat.astype(np.float32)),
         torch.from_numpy(K.astype(np.float32)),
         width,
         height,
+        near,
     )
 
 

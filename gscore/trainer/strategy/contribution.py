@@ -7,7 +7,7 @@ import torch
 
 from ...raster.memory import ones, zeros
 from ...raster.painter import Painter
-from ...raster.request import Frustum, Settings
+from ...raster.request import Settings
 from ...sh import SH_C0
 from ..photos.pyramid import Sized
 
@@ -26,7 +26,6 @@ def weights_by_view(
     params: Mapping[str, torch.Tensor],
     shown: Iterable[Sized],
     *,
-    near: float,
     antialias: bool,
     masks_hide: bool,
     scratch: Mapping[str, torch.Tensor],
@@ -42,7 +41,6 @@ def weights_by_view(
         painter: What it drew last is lost.
         params: The splats, raw, as in `Model.params`; their SH coefficients are not read.
         shown: Views to look at.
-        near: Near plane, training units.
         antialias: As in the training.
         masks_hide: Pixels count as kept as far as masks show them; else all do.
         scratch: Tensors of the shapes of `params` by name, which are overwritten; not shN.
@@ -52,11 +50,8 @@ def weights_by_view(
     grey = {**params, "sh0": torch.zeros_like(params["sh0"]), "shN": no_rest}
     into = {**scratch, "shN": no_rest}
     for view, _, mask, _, _ in shown:
-        painter.draw(
-            tuple(grey.values()),
-            Frustum(view.viewmat, view.K, view.width, view.height, near),
-            Settings(antialias=antialias, threads=threads),
-        )
+        settings = Settings(antialias=antialias, threads=threads)
+        painter.draw(tuple(grey.values()), view, settings)
         counts = ones(view.height, view.width, 3)
         if masks_hide and mask is not None:
             counts[..., 0] = torch.from_numpy(mask).to(counts.dtype) / 255

@@ -4,27 +4,38 @@ import json
 import shutil
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from addon.capture.inspection import CaptureFacts, find_capture, inspect
+from addon.capture.inspection import ShownFacts, inspect
+from addon.core import find_capture
+from gscore.io.images import write_png
 from tests.addon.captures import ROOT, STUDIO, write_capture, write_photo
 
 PINHOLE = {1: ("PINHOLE", 60, 40, (50.0, 50.0, 30.0, 20.0))}
 
 
-def texts(facts: CaptureFacts, errors: bool) -> str:
+def texts(facts: ShownFacts, errors: bool) -> str:
     """All problems of one kind."""
     return "\n".join(p.text for p in facts.problems if p.is_error == errors)
+
+
+def _write(folder: Path) -> None:
+    """Twenty small photos of one camera, each another one."""
+    rng = np.random.default_rng(0)
+    write_capture(folder, rng, cameras=PINHOLE, images=20, photos=True)
+    for photo in sorted((folder / "images" / "sub").iterdir()):
+        write_png(photo, rng.integers(0, 256, (40, 60, 3)).astype(np.uint8))
 
 
 @pytest.fixture
 def capture(tmp_path: Path) -> Path:
     """Twenty small photos of one camera."""
     folder = tmp_path / "c"
-    write_capture(folder, np.random.default_rng(0), cameras=PINHOLE, images=20, photos=True)
+    _write(folder)
     return folder
 
 
@@ -36,9 +47,9 @@ def test_studio() -> None:
     assert facts.camera_models == {"PINHOLE": 60} and facts.sizes == {(480, 640): 60}
     assert (facts.masks, facts.depths, facts.depth_params) == (60, 60, 60)
     assert facts.can_train and facts.problems == ()
-    lines = dict(facts.lines())
-    assert lines["Photos"] == "60 of 60" and lines["Size"] == "480 x 640 px"
-    assert lines["Points"] == "6,725" and lines["Depths"] == "60 maps, 60 scales"
+    rows = dict(facts.lines())
+    assert rows["Photos"] == "60 of 60" and rows["Size"] == "480 x 640 px"
+    assert rows["Points"] == "6,725" and rows["Depths"] == "60 maps, 60 scales"
 
 
 @pytest.mark.parametrize(
@@ -80,14 +91,14 @@ def test_missing_photos(capture: Path) -> None:
         file.unlink()
     facts = inspect(capture)
     assert facts.can_train and facts.missing == ("sub/v000.png", "sub/v001.png", "sub/v002.png")
-    assert "3 of 20 photos are missing" in texts(facts, False)
+    assert "3 of the 20 images of the model are missing" in texts(facts, False)
     for file in files[3:12]:
         file.unlink()
     facts = inspect(capture)
-    assert not facts.can_train and "12 of 20 photos are missing" in texts(facts, True)
+    assert not facts.can_train and "12 of the 20 images of the model in" in texts(facts, True)
     assert facts.photos == 8
     shutil.rmtree(capture / "images")
-    write_capture(capture, np.random.default_rng(0), cameras=PINHOLE, images=20, photos=True)
+    _write(capture)
     (capture / "images").rename(capture / "input")
     assert "They are in input" in texts(inspect(capture), True)
     assert inspect(capture, images="input").can_train
@@ -100,15 +111,20 @@ def test_photos_without_a_camera(capture: Path) -> None:
 
 
 def test_sizes(capture: Path) -> None:
-    """Oracle: half the size fits, another shape does not and is named, rubbish looks damaged."""
+    """Oracle: half the size fits and is told, another shape does not and is named, rubbish is
+    refused as training refuses it."""
     write_photo(capture / "images" / "sub" / "v004.png", 30, 20)
-    assert inspect(capture).problems == ()
+    (problem,) = inspect(capture).problems
+    assert not problem.is_error and "1 photo has another size than the camera" in problem.text
     write_photo(capture / "images" / "sub" / "v005.png", 40, 60)
     facts = inspect(capture)
-    assert "sub/v005.png with 40 x 60 pixels for 60 x 40" in texts(facts, True)
+    assert "v005.png is 40 x 60 pixels, its camera was calibrated for 60 x 40" in texts(facts, True)
     (capture / "images" / "sub" / "v005.png").write_bytes(b"rubbish")
     facts = inspect(capture)
-    assert facts.can_train and "1 photos look damaged" in texts(facts, False)
+    if find_spec("PIL") is None:
+        assert facts.can_train and "1 photo cannot be looked into here" in texts(facts, False)
+    else:
+        assert not facts.can_train and "v005.png" in texts(facts, True)
 
 
 def test_photos_stored_sideways(capture: Path) -> None:
@@ -123,12 +139,12 @@ def test_masks(capture: Path) -> None:
     for i in range(19):
         write_photo(capture / "masks" / "sub" / f"v{i:03}.png.png", 60, 40)
     facts = inspect(capture)
-    assert facts.masks == 19 and "1 of 20 photos have no mask" in texts(facts, False)
+    assert facts.masks == 19 and "1 of 20 views have no mask" in texts(facts, False)
     write_photo(capture / "masks" / "sub" / "v003.png.png", 60, 41)
     facts = inspect(capture)
     assert not facts.can_train and "60 x 41" in texts(facts, True)
     facts = inspect(capture, masks="nothing")
-    assert "mask folder nothing" in texts(facts, True)
+    assert f"no mask folder {capture / 'nothing'}" in texts(facts, True)
 
 
 def test_depths(capture: Path) -> None:
@@ -145,8 +161,9 @@ def test_depths(capture: Path) -> None:
     entries = {f"sub/v{i:03}": {"scale": 1, "offset": 0} for i in range(15)}
     file.write_text(json.dumps(entries | {"sub/v003": {"scale": 90, "offset": 0}}))
     facts = inspect(capture)
-    assert facts.depth_report.counts == {"accepted": 14, "refused": 6}
-    assert "times the median" in facts.depth_report.by_view["sub/v003.png"].reason
+    report = facts.depth_report
+    assert report.counts == {"accepted": 14, "refused": 6}
+    assert "times the median" in report.by_view["sub/v003.png"].reason
     assert facts.depth_params == 15 and "5 of 20 photos lack a depth map" in texts(facts, False)
 
 
@@ -159,7 +176,7 @@ def test_cameras_and_points(tmp_path: Path) -> None:
     assert "not square" in notes and "40.2%" in notes
     assert "Only 20 SfM points" in notes
     write_capture(tmp_path, np.random.default_rng(0), points=0)
-    assert "no SfM points" in texts(inspect(tmp_path), False)
+    assert "The capture has no points" in texts(inspect(tmp_path), False)
 
 
 def test_needs_neither_blender_nor_pillow() -> None:

@@ -6,8 +6,7 @@ from pathlib import Path
 import bpy
 import pytest
 
-from addon.capture.inspection import CaptureFacts
-from addon.core import PRESETS, Estimate, Strategy, estimate
+from addon.core import PRESETS, CaptureFacts, Estimate, Strategy, estimate
 from addon.job import facts, forecast
 from addon.process import beat
 from tests.addon.captures import STUDIO

@@ -142,8 +142,9 @@ def test_the_machine_is_measured_quickly_and_without_torch() -> None:
     code = (
         "import sys; sys.modules['torch'] = None\n"
         "import gscore\n"
-        "size = gscore.target_size(4000, 3000, -1, max_width=400)\n"
-        "found = gscore.estimate(gscore.TrainConfig(), [size] * 3, points=9)\n"
+        "from gscore import frontend\n"
+        "size = frontend.target_size(4000, 3000, -1, max_width=400)\n"
+        "found = frontend.estimate(gscore.TrainConfig(), [size] * 3, points=9)\n"
         "print(size, found.seconds > 0, found.fits)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

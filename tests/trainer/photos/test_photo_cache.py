@@ -99,7 +99,7 @@ def test_the_cache_is_bounded_and_the_next_views_come_in_time(
 ) -> None:
     """Oracle: bytes held, and which views were made when."""
     size = 48 * 48 * 3
-    pyramid = Pyramid(photos, photos.scene.cameras, limit=3 * size)
+    pyramid = Pyramid(photos, photos.scene.cameras, near=0.01, limit=3 * size)
     order = [5, 1, 7, 0, 3, 2]
     for place, index in enumerate(order):
         pyramid.at(index, 1.0, upcoming=order[place + 1 :])

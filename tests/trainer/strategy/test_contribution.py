@@ -42,12 +42,13 @@ def weights_of(
         assert name
         mask = None if masks is None else masks[i]
         blank = np.zeros((h, w, 3), np.uint8)
-        shown.append(Sized(view_of(cameras.viewmats[i], cameras.Ks[i], w, h), blank, mask, None))
+        shown.append(
+            Sized(view_of(cameras.viewmats[i], cameras.Ks[i], w, h, 0.01), blank, mask, None)
+        )
     weights = weights_by_view(
         Painter(),
         params,
         shown,
-        near=0.01,
         antialias=False,
         masks_hide=masks is not None,
         scratch={name: torch.zeros_like(p) for name, p in params.items()},

@@ -1,0 +1,183 @@
+"""What front ends need besides the names of `gscore`: a run's events and files, captures that are
+looked into, COLMAP models, estimates.
+
+The Blender add-on uses no others. A name is loaded when it is first used.
+"""
+
+from typing import TYPE_CHECKING, Any
+
+from .extras import load
+
+if TYPE_CHECKING:
+    from .config import Switch
+    from .datasets import Capture, Folder, View, read_capture
+    from .datasets.mattes import are_mattes
+    from .datasets.resolution import target_size
+    from .depth.stated import StatedDepth, stated_depth
+    from .events import (
+        DepthDone,
+        DepthProgress,
+        Done,
+        Estimated,
+        Eval,
+        Failed,
+        FrameStarted,
+        Preview,
+        Progress,
+        Saved,
+        SequenceDone,
+        SfmDone,
+        SfmProgress,
+        Snapshot,
+        Started,
+        Warn,
+        from_line,
+    )
+    from .inspection import CaptureFacts, Problem, find_capture
+    from .inspection import inspect as inspect_capture
+    from .io.camera_models import NO_PINHOLE
+    from .io.cameras_json import read_cameras
+    from .io.colmap import find_model as find_colmap
+    from .io.colmap import read_model as read_colmap
+    from .io.colmap import write_model as write_colmap
+    from .io.colmap_model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
+    from .io.files import atomic_write
+    from .io.image_header import ImageInfo, read_header
+    from .io.ply import MIP_COMMENT, is_antialiased
+    from .io.resample import downscale
+    from .io.runs import RunInfo, clear_run, read_run
+    from .io.sequences import SequenceIndex, read_sequence
+    from .metrics.colormap import colorize
+    from .options import Option, options_of
+    from .sh import sh0_to_rgb
+    from .trainer.estimate.forecast import Estimate, estimate
+    from .transforms import rotmat_to_quat
+
+_HOME = {
+    "Capture": "datasets",
+    "CaptureFacts": "inspection",
+    "ColmapCamera": "io.colmap_model",
+    "ColmapImage": "io.colmap_model",
+    "ColmapModel": "io.colmap_model",
+    "ColmapPoints": "io.colmap_model",
+    "DepthDone": "events",
+    "DepthProgress": "events",
+    "Done": "events",
+    "Estimate": "trainer.estimate.forecast",
+    "Estimated": "events",
+    "Eval": "events",
+    "Failed": "events",
+    "Folder": "datasets",
+    "FrameStarted": "events",
+    "ImageInfo": "io.image_header",
+    "MIP_COMMENT": "io.ply",
+    "NO_PINHOLE": "io.camera_models",
+    "Option": "options",
+    "Preview": "events",
+    "Problem": "inspection",
+    "Progress": "events",
+    "RunInfo": "io.runs",
+    "Saved": "events",
+    "SequenceDone": "events",
+    "SequenceIndex": "io.sequences",
+    "SfmDone": "events",
+    "SfmProgress": "events",
+    "Snapshot": "events",
+    "Started": "events",
+    "StatedDepth": "depth.stated",
+    "Switch": "config",
+    "View": "datasets",
+    "Warn": "events",
+    "are_mattes": "datasets.mattes",
+    "atomic_write": "io.files",
+    "clear_run": "io.runs",
+    "colorize": "metrics.colormap",
+    "downscale": "io.resample",
+    "estimate": "trainer.estimate.forecast",
+    "find_capture": "inspection",
+    "find_colmap": "io.colmap:find_model",
+    "from_line": "events",
+    "inspect_capture": "inspection:inspect",
+    "is_antialiased": "io.ply",
+    "options_of": "options",
+    "read_cameras": "io.cameras_json",
+    "read_capture": "datasets",
+    "read_colmap": "io.colmap:read_model",
+    "read_header": "io.image_header",
+    "read_run": "io.runs",
+    "read_sequence": "io.sequences",
+    "rotmat_to_quat": "transforms",
+    "sh0_to_rgb": "sh",
+    "stated_depth": "depth.stated",
+    "target_size": "datasets.resolution",
+    "write_colmap": "io.colmap:write_model",
+}
+"""Where a name lives; `module:name` where it is called differently there."""
+
+__all__ = [
+    "MIP_COMMENT",
+    "NO_PINHOLE",
+    "Capture",
+    "CaptureFacts",
+    "ColmapCamera",
+    "ColmapImage",
+    "ColmapModel",
+    "ColmapPoints",
+    "DepthDone",
+    "DepthProgress",
+    "Done",
+    "Estimate",
+    "Estimated",
+    "Eval",
+    "Failed",
+    "Folder",
+    "FrameStarted",
+    "ImageInfo",
+    "Option",
+    "Preview",
+    "Problem",
+    "Progress",
+    "RunInfo",
+    "Saved",
+    "SequenceDone",
+    "SequenceIndex",
+    "SfmDone",
+    "SfmProgress",
+    "Snapshot",
+    "Started",
+    "StatedDepth",
+    "Switch",
+    "View",
+    "Warn",
+    "are_mattes",
+    "atomic_write",
+    "clear_run",
+    "colorize",
+    "downscale",
+    "estimate",
+    "find_capture",
+    "find_colmap",
+    "from_line",
+    "inspect_capture",
+    "is_antialiased",
+    "options_of",
+    "read_cameras",
+    "read_capture",
+    "read_colmap",
+    "read_header",
+    "read_run",
+    "read_sequence",
+    "rotmat_to_quat",
+    "sh0_to_rgb",
+    "stated_depth",
+    "target_size",
+    "write_colmap",
+]
+
+
+def __getattr__(name: str) -> Any:
+    return load(__name__, name, _HOME)
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -1,0 +1,38 @@
+"""The capture that somebody means who picks a folder or file of it."""
+
+from pathlib import Path
+
+from ..datasets.transforms_json import find_transforms
+from ..errors import DatasetError
+from ..io.colmap import find_model
+
+
+def find_capture(path: str | Path) -> Path:
+    """The folder of the capture that a user means who picks `path`.
+
+    People pick `sparse/0`, `sparse`, the photos or a file of the model; trainers want the folder
+    above. What already is a capture, and what is none, stays.
+    """
+    path = Path(path)
+    if path.suffix.lower() == ".json":
+        return path
+    folder = path.parent if path.is_file() else path
+    if folder.name.isdigit() and folder.parent.name == "sparse":
+        return folder.parent.parent
+    if folder.name == "sparse":
+        return folder.parent
+    if not _has_capture(folder) and _has_capture(folder.parent):
+        return folder.parent
+    return folder
+
+
+def colmap_of(folder: Path) -> Path | None:
+    """The folder of the COLMAP model of a capture; None where there is none."""
+    try:
+        return find_model(folder)[0]
+    except (DatasetError, OSError):
+        return None
+
+
+def _has_capture(folder: Path) -> bool:
+    return colmap_of(folder) is not None or find_transforms(folder) is not None
