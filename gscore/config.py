@@ -359,7 +359,8 @@ class TrainConfig:
     stereo: Switch = option(
         Switch.OFF,
         "Start from more points than SfM found: those whose depth the photos agree on. Found in "
-        "the training photos alone, in some seconds; `auto`: where there is room for them.",
+        "the training photos alone, in some seconds; `auto`: unless SfM's points are half of "
+        "`max_splats` already.",
         group="start",
         basic=True,
         when="points",

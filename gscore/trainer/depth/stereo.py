@@ -74,9 +74,10 @@ def stereo_start(
 
 
 def _wanted(config: TrainConfig, known: PointCloud) -> int:
-    if config.stereo_points > 0:
-        return config.stereo_points
-    return min(_POINTS, config.max_splats // _SHARE, config.max_splats - len(known))
+    room = config.max_splats - len(known)
+    if config.stereo is Switch.AUTO and room < config.max_splats // 2:
+        return 0
+    return min(config.stereo_points or min(_POINTS, config.max_splats // _SHARE), room)
 
 
 def _nothing(why: str) -> StereoStart:

@@ -1,5 +1,6 @@
 """The dense start; oracles: traced scenes, runs without it, and its own option."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -57,6 +58,10 @@ def test_it_says_why_it_adds_nothing(arc: Path, tmp_path: Path) -> None:
     """Oracle: as many points as splats are allowed; two photos."""
     many = PointCloud(points=np.zeros((4000, 3)), colors=np.zeros((4000, 3), np.uint8))
     assert "leave no room" in start(arc, known=many).why
+    half = PointCloud(points=many.points[:2100], colors=many.colors[:2100])
+    assert "leave no room" in start(arc, known=half).why
+    asked = start(arc, replace(ON, stereo=Switch.ON), known=half)
+    assert 0 < asked.added <= 800
     scene = Scene(80, 60)
     write_capture(tmp_path, scene, [scene.viewmat(angle) for angle in ANGLES[:2]])
     found = start(tmp_path)
