@@ -92,8 +92,9 @@ def tracks(dataset: Dataset) -> Tracks:
         index = PointIndex(model.points)
         images = {image.name: image for image in model.images}
         rows = [np.unique(index.find(images[name].point3D_ids)[1]) for name in dataset.names]
-        good: np.ndarray = np.isfinite(model.points.xyz).all(axis=1)
-        return Tracks(points=model.points.xyz, seen=[part[good[part]] for part in rows])
+        xyz = model.points.xyz
+        seen = [part[np.isfinite(xyz[part]).all(axis=1)] for part in rows]
+        return Tracks(points=xyz, seen=seen)
     cloud = dataset.scene.points
     points = cloud.points[:0] if cloud.made_up else cloud.points
     return Tracks(points=points, seen=[_in_frame(dataset, points, i) for i in range(len(dataset))])

@@ -10,7 +10,7 @@ from ..datasets import load_dataset
 from ..depth.maps import MapFolder
 from ..errors import BackendError
 from ..events import Event
-from ..metrics import find_lpips
+from ..metrics import find_lpips, lpips_warnings
 from .beginning import Beginning
 from .depth.setup import prepare_depth
 from .depth.stereo import StereoStart, stereo_start
@@ -116,6 +116,8 @@ def train(
                 folder.clear()
             for message in notes:
                 session.warn(message, "capture")
+            for message in lpips_warnings(lpips_reason):
+                session.warn(message, "evaluation")
             for message in depth.warnings:
                 session.warn(message, "depth")
             if stereo.why and not stereo.added:
