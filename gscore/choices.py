@@ -7,9 +7,19 @@ class Strategy(StrEnum):
     """How the number of splats changes during training."""
 
     DEFAULT = "default"
-    """Clone, split, prune and reset by gradient: adaptive density control (Kerbl et al. 2023)."""
+    """Double, prune and reset by gradient: adaptive density control (Kerbl et al. 2023)."""
     MCMC = "mcmc"
     """Relocate dead splats, grow by 5 % up to the cap, add noise (Kheradmand et al. 2024)."""
+
+
+class Doubling(StrEnum):
+    """What becomes of a splat that one is not enough for."""
+
+    LONG_AXIS = "long-axis"
+    """Two halves side by side along its longest axis (Deng et al. 2024)."""
+    CLONE_SPLIT = "clone-split"
+    """A small one gets a copy in its place, a large one makes room for two that are drawn from it,
+    as in the paper of 3DGS (Kerbl et al. 2023)."""
 
 
 class Background(StrEnum):

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from .choices import Background, Skip, Strategy, Switch
+from .choices import Background, Doubling, Skip, Strategy, Switch
 from .errors import ConfigError
 from .options import LARGEST, Range, check_options, option
 
@@ -494,12 +494,20 @@ class TrainConfig:
         group="refinement",
         when="default",
     )
+    doubling: Doubling = option(
+        Doubling.LONG_AXIS,
+        "`default`: how a splat is doubled: `long-axis`: into two halves along its longest axis; "
+        "`clone-split`: small ones are copied, large ones replaced by two that are drawn from "
+        "them, as in the paper of 3DGS.",
+        group="refinement",
+        when="default",
+    )
     grow_scale: float = option(
         0.01,
-        "`default`: larger splats are split, smaller ones cloned; in extents.",
+        "`clone-split`: larger splats are split, smaller ones cloned; in extents.",
         group="refinement",
         unit="extents",
-        when="default",
+        when="clone_split",
     )
     prune_opacity: float = option(
         0.005,

@@ -74,15 +74,15 @@ class Control:
 
 
 def ending_signals() -> list[int]:
-    """The signals that end a command: SIGHUP unless it is ignored, as under nohup.
+    """The signals that end a command; those that are ignored from the start are left so.
 
-    Windows has no SIGHUP; a console that closes is a SIGBREAK there.
+    nohup ignores SIGHUP, and a shell without job control SIGINT for what it starts in the
+    background, so that Ctrl-C ends what is before the user alone. Windows has no SIGHUP; a console
+    that closes is a SIGBREAK there.
     """
     names = [name for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name)]
     numbers = [getattr(signal, name) for name in names]
-    hangup = getattr(signal, "SIGHUP", None)
-    ignored = hangup is not None and signal.getsignal(hangup) is signal.SIG_IGN
-    return [number for number in numbers if not (ignored and number == hangup)]
+    return [number for number in numbers if signal.getsignal(number) is not signal.SIG_IGN]
 
 
 def listen(control: Control, descriptor: int, *, on_end: Callable[[], None]) -> threading.Thread:

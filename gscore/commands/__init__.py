@@ -15,9 +15,10 @@ import traceback
 from collections.abc import Sequence
 from importlib import import_module
 from importlib.util import find_spec
+from pathlib import Path
 
 from .._version import __version__
-from ..errors import GsError
+from ..errors import ConfigError, GsError
 from ..extras import how_to_install, missing
 from ..shown import quoted, shown
 from .interrupt import Interrupt, interrupts
@@ -100,6 +101,7 @@ def dashed(arguments: Sequence[str]) -> list[str]:
 
 def _guarded(prog: str, verb: str, arguments: list[str], interrupt: Interrupt) -> int:
     try:
+        _check_working_folder()
         wants_help = any(word in ("-h", "--help", "--quiet", "--events") for word in arguments)
         with beginning(sys.stderr, "" if wants_help else f"Starting {prog}"):
             module = import_module(f".{verb}", __package__)
@@ -121,6 +123,22 @@ def _guarded(prog: str, verb: str, arguments: list[str], interrupt: Interrupt) -
             print("Stopped.", file=sys.stderr)
             return interrupt.exit_code or 130
         return _failure(prog, error)
+
+
+def _check_working_folder() -> None:
+    """Raise where the folder that relative paths begin in was removed: libraries that are loaded
+    later end the process then.
+
+    Raises:
+        ConfigError: it is not there any more, or must not be looked at.
+    """
+    try:
+        Path.cwd()
+    except OSError as error:
+        raise ConfigError(
+            "The working folder is not there any more, or must not be looked at; change into "
+            "another one with cd."
+        ) from error
 
 
 def _failure(prog: str, error: BaseException) -> int:

@@ -30,7 +30,7 @@ from ..trainer.depth.rule import coverage, decide
 from ..words import count_words
 from .attend import Show, attend
 from .data_options import add_mask_options, add_split_options, with_data_options
-from .output import check_folder, print_json
+from .output import check_folder, check_replaced, print_json
 from .parser import add_threads_option
 from .status import wrapped
 
@@ -83,8 +83,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--overwrite",
         action="store_true",
-        help="predict views again that have a map, and replace a depth_params.json that another "
-        "program wrote",
+        help="predict views again that have a map, and replace a depth_params.json or contact "
+        "sheet that another program wrote",
     )
     parser.add_argument(
         "--check",
@@ -167,6 +167,7 @@ def _work(args: argparse.Namespace, show: Show, control: Control, told: "_Told")
         )
     if not args.check:
         check_folder(folder)
+        check_replaced([folder / SHEET], overwrite=args.overwrite)
         _check_scales(params_path(dataset.source, folder, writing=True), args.overwrite, show)
     seen = observations(config, dataset)
     prediction = None

@@ -19,6 +19,7 @@ from ..metrics import (
     evaluate,
     find_lpips,
     headline,
+    lpips_warnings,
     write_results,
 )
 from ..raster import backend
@@ -26,7 +27,7 @@ from ..raster.api import render
 from ..words import count_words, psnr_name, quality_words
 from .data_options import add_data_options, with_data_options
 from .model import GivenModel, add_model_argument, model_path, open_model
-from .output import check_folder, check_ours, print_json
+from .output import check_folder, check_replaced, print_json
 from .parser import add_threads_option
 from .status import Counted, Status, wrapped
 
@@ -54,6 +55,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE.onnx",
         help="network of LPIPS, a measure of likeness as people see it; without it, not measured",
     )
+    parser.add_argument(
+        "--overwrite",
+        action="store_true",
+        help="replace a metrics.json or report.html that gscore did not write",
+    )
     add_threads_option(parser)
     parser.add_argument("--json", action="store_true", help="the results as JSON, last on stdout")
     parser.add_argument("--quiet", action="store_true", help="no progress")
@@ -78,11 +84,12 @@ def _measure(args: argparse.Namespace, status: Status) -> int:
         )
     check_folder(output)
     config = _data_config(args, model)
-    _check_output(output, config, model)
+    _check_output(output, config, model, overwrite=args.overwrite)
     status.show([f"Reading the capture {config.source}"])
     dataset = load_dataset(config)
     problem = metrics_problem(output) if output == model.run else ""
-    warnings = [*model.warnings, *dataset.warnings, *([problem] if problem else [])]
+    warnings = [*model.warnings, *dataset.warnings, *lpips_warnings(lpips_reason)]
+    warnings += [problem] if problem else []
     if model.data is None and dataset.test and args.split != "all":
         warnings.append(
             "It is not known which views this model was trained on; the test views are held out "
@@ -159,7 +166,7 @@ def _measure(args: argparse.Namespace, status: Status) -> int:
     return 0
 
 
-def _check_output(output: Path, config: DataConfig, model: GivenModel) -> None:
+def _check_output(output: Path, config: DataConfig, model: GivenModel, *, overwrite: bool) -> None:
     """Raise where metrics.json and report.html would mix with or replace something else's."""
     check_place(output, config)
     if model.run is not None and output.resolve() == model.run.resolve():
@@ -169,8 +176,7 @@ def _check_output(output: Path, config: DataConfig, model: GivenModel) -> None:
             f"{output} is the folder of another run, whose metrics.json tells what that reached; "
             "choose another output."
         )
-    for name in ("metrics.json", "report.html"):
-        check_ours(output / name)
+    check_replaced((output / "metrics.json", output / "report.html"), overwrite=overwrite)
 
 
 def _data_config(args: argparse.Namespace, model: GivenModel) -> DataConfig:

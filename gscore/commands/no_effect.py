@@ -3,7 +3,7 @@
 import argparse
 from collections.abc import Callable
 
-from ..config import DataConfig, Skip, Strategy, Switch, TrainConfig, flag_of
+from ..config import DataConfig, Doubling, Skip, Strategy, Switch, TrainConfig, flag_of
 from ..hold_out import SPLIT
 from ..options import Option, options_of
 
@@ -36,6 +36,10 @@ def _beyond(name: str) -> _Idle:
 _WHEN: dict[str, _Rule] = {
     "mcmc": ("--strategy mcmc alone uses it", lambda a, d, c: c.strategy is not Strategy.MCMC),
     "default": ("not used by --strategy mcmc", lambda a, d, c: c.strategy is Strategy.MCMC),
+    "clone_split": (
+        "--doubling clone-split alone uses it, and not --strategy mcmc",
+        lambda a, d, c: c.strategy is Strategy.MCMC or c.doubling is not Doubling.CLONE_SPLIT,
+    ),
     "depth": ("depth supervises only with --depths, unless --depth-mode off", _no_depth),
     "depth_maps": ("there are no depth maps without --depths", lambda a, d, c: not d.depths),
     "depth_on": ("--depth-mode off", lambda a, d, c: c.depth_mode is Switch.OFF),

@@ -1,8 +1,9 @@
 """What a verb gives back: JSON on stdout, and where it may write, asked before the work."""
 
 import contextlib
+import mmap
 import os
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,16 +18,40 @@ def print_json(content: Any) -> None:
     print(strict_json(content), flush=True)
 
 
-def check_ours(path: Path) -> None:
-    """Raise if a file that would be replaced is there and was written by another program.
+def check_replaced(paths: Iterable[Path], *, overwrite: bool) -> None:
+    """Raise unless files may be written under these names, of which some may be taken.
+
+    Args:
+        paths: Where files are going to be written.
+        overwrite: Files that gscore did not write may be replaced too. Its own always may: all of
+            them hold its name.
 
     Raises:
-        ConfigError: the word gscore is nowhere in it.
+        ConfigError: something else than a file has such a name, or somebody else's file.
     """
-    if path.is_file() and b"gscore" not in path.read_bytes():
+    there = [path for path in paths if path.exists()]
+    for path in there:
+        if not path.is_file():
+            what = "a folder" if path.is_dir() else "no regular file"
+            raise ConfigError(f"{shown(path)} is {what}, so no file can be written there.")
+    foreign = [] if overwrite else [path for path in there if not is_ours(path)]
+    if foreign:
         raise ConfigError(
-            f"{path} was not written by gscore, so it is not replaced; choose another output."
+            f"gscore did not write {first_few([str(path) for path in foreign])}, so it replaces "
+            "nothing there. Choose another output, or give --overwrite."
         )
+
+
+def is_ours(path: Path) -> bool:
+    """Whether nothing of anybody else's is lost with a file: it is empty, or names gscore."""
+    try:
+        with path.open("rb") as file:
+            if os.fstat(file.fileno()).st_size == 0:
+                return True
+            with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+                return content.find(b"gscore") >= 0
+    except (OSError, ValueError):
+        return False
 
 
 def check_folder(folder: Path) -> None:

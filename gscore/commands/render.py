@@ -13,7 +13,7 @@ import numpy as np
 from ..config import DataConfig
 from ..datasets.resolution import check_resolution
 from ..errors import ConfigError
-from ..io.images import write_png
+from ..io.images import SIGNED, write_png
 from ..io.places import check_apart, check_place
 from ..raster.api import Rendered
 from ..raster.api import render as render_view
@@ -21,7 +21,7 @@ from ..scene import Cameras
 from ..shown import quoted
 from ..words import count_words
 from .model import GivenModel, add_model_argument, model_path, open_model
-from .output import check_folder, others_in, print_json
+from .output import check_folder, check_replaced, is_ours, others_in, print_json
 from .parser import add_threads_option
 from .shots import find_shots
 from .status import Counted, Status, wrapped
@@ -107,6 +107,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="fainter splats below the size of a pixel; default: as the model was trained",
     )
     add_threads_option(parser)
+    parser.add_argument(
+        "--overwrite", action="store_true", help="replace files that gscore did not write"
+    )
     parser.add_argument("--json", action="store_true", help="what was written as JSON on stdout")
     parser.add_argument("--quiet", action="store_true", help="no progress")
 
@@ -134,7 +137,7 @@ def _render(args: argparse.Namespace, status: Status, *, is_video: bool) -> dict
     """Facts on what was written."""
     status.show(["Reading the splats"])
     model = open_model(model_path(args))
-    for data in _captures(args, model):
+    for data in (None, *_captures(args, model)):
         if _is_file(args.output):
             check_apart(args.output.parent, data)
         else:
@@ -158,6 +161,7 @@ def _render(args: argparse.Namespace, status: Status, *, is_video: bool) -> dict
     work = _Work(model, shots, options, status)
     if is_video:
         _check_one_size(shots)
+        check_replaced([args.output], overwrite=args.overwrite)
         write_video(args.output, (to_rgb(r) for r in work), fps=args.fps)
         result: dict[str, Any] = {"files": [str(args.output)]}
     else:
@@ -230,25 +234,38 @@ def _write_stills(args: argparse.Namespace, work: _Work) -> dict[str, Any]:
             "chosen; give a folder with -o, or one view with --view."
         )
     stems = [args.output.with_suffix("")] if is_file else []
-    stems = stems or [args.output / name for name in still_names(work.shots.names)]
-    files, depth_files, unit = [], [], 0.0
-    for stem, rendered in zip(stems, work, strict=True):
-        picture = stem.with_name(stem.name + ".png")
-        write_png(picture, to_rgba(rendered) if args.transparent else to_rgb(rendered))
-        files.append(str(picture))
+    stems = stems or [
+        args.output / name for name in still_names(work.shots.names, depths=bool(args.depth))
+    ]
+    pictures = [stem.with_name(f"{stem.name}.png") for stem in stems]
+    depths = [stem.with_name(f"{stem.name}_depth.{args.depth}") for stem in stems if args.depth]
+    _check_stills(pictures, depths, overwrite=args.overwrite)
+    unit = 0.0
+    for index, rendered in enumerate(work):
+        pixels = to_rgba(rendered) if args.transparent else to_rgb(rendered)
+        write_png(pictures[index], pixels, SIGNED)
         if args.depth and rendered.depth is not None:
-            path = stem.with_name(f"{stem.name}_depth.{args.depth}")
+            path = depths[index]
             unit = unit or float(rendered.depth.max()) / _DEPTH_STEPS
             if args.depth == "npy":
                 write_depth_npy(path, rendered.depth)
             else:
                 write_depth_png(path, rendered.depth, unit or 1.0)
-            depth_files.append(str(path))
-    result: dict[str, Any] = {"files": files}
+    result: dict[str, Any] = {"files": [str(path) for path in pictures]}
     if args.depth:
-        result["depth_files"] = depth_files
+        result["depth_files"] = [str(path) for path in depths]
         result["depth_unit"] = (unit or 1.0) if args.depth == "png" else 1.0
     return result
+
+
+def _check_stills(pictures: list[Path], depths: list[Path], *, overwrite: bool) -> None:
+    """ConfigError unless these files may be written; `depths` are empty or one a picture."""
+    files = list(pictures)
+    for picture, depth in zip(pictures, depths, strict=bool(depths)):
+        # An .npy cannot say who made it: it is whose its picture is.
+        is_told = depth.suffix == ".npy" and picture.is_file() and is_ours(picture)
+        files += [] if is_told else [depth]
+    check_replaced(files, overwrite=overwrite)
 
 
 def _check_options(args: argparse.Namespace, *, is_video: bool) -> None:

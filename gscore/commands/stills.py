@@ -1,29 +1,45 @@
 """Names, pictures and depth maps of rendered stills."""
 
-import struct
-import zlib
+from collections import Counter
 from collections.abc import Sequence
+from itertools import chain, count
 from pathlib import Path, PurePosixPath
 
 import numpy as np
 
 from ..io.files import atomic_write, is_unnameable
+from ..io.images import SIGNED, write_png
 from ..raster.api import Rendered
 
 
-def still_names(names: Sequence[str]) -> list[str]:
+def still_names(names: Sequence[str], *, depths: bool = False) -> list[str]:
     """A relative path without ending for each view, unique, whatever the capture calls them.
 
     Sub-folders stay; what would lead out of the output folder is dropped; names that differ in
-    their ending only keep it.
+    their ending only keep it. Names that differ in capitals only count as equal, as some systems
+    take them.
+
+    Args:
+        names: Of the views.
+        depths: Names with `_depth` behind them have to be free too.
     """
     stems = [_inside(str(PurePosixPath(n).with_suffix("")) if n else "view") for n in names]
     whole = [_inside(n.replace(".", "_")) for n in names]
+    counts = Counter(stem.lower() for stem in stems)
+    taken: set[str] = set()
     result: list[str] = []
     for i, stem in enumerate(stems):
-        wanted = stem if stems.count(stem) == 1 else whole[i]
-        result.append(wanted if wanted not in result else f"{wanted}_{i}")
+        wanted = stem if counts[stem.lower()] == 1 else whole[i]
+        choices = chain([wanted], (f"{wanted}_{number}" for number in count(i)))
+        name = next(name for name in choices if not _files(name, depths=depths) & taken)
+        taken |= _files(name, depths=depths)
+        result.append(name)
     return result
+
+
+def _files(name: str, *, depths: bool) -> set[str]:
+    """What lies under the name of a view, as systems see it that tell no capitals apart."""
+    return {name.lower(), f"{name}_depth".lower()} if depths else {name.lower()}
 
 
 def _inside(name: str) -> str:
@@ -63,18 +79,5 @@ def write_depth_png(path: Path, depth: np.ndarray, unit: float) -> None:
 
     Depths that do not fit are stored as 65535. The unit is in the file's text too: "depth_unit".
     """
-    values = np.where(depth > 0, np.clip(np.round(depth / unit), 1, 65535), 0).astype(">u2")
-    height, width = values.shape
-    rows = np.zeros((height, 1 + 2 * width), np.uint8)  # each row starts with filter 0: none
-    rows[:, 1:] = values.view(np.uint8).reshape(height, 2 * width)
-    chunks = (
-        (b"IHDR", struct.pack(">IIBBBBB", width, height, 16, 0, 0, 0, 0)),
-        (b"tEXt", b"depth_unit\0" + repr(unit).encode("ascii")),
-        (b"IDAT", zlib.compress(rows.tobytes(), 6)),
-        (b"IEND", b""),
-    )
-    content = [b"\x89PNG\r\n\x1a\n"]
-    for kind, body in chunks:
-        check = struct.pack(">I", zlib.crc32(kind + body))
-        content += [struct.pack(">I", len(body)), kind, body, check]
-    atomic_write(path, b"".join(content))
+    values = np.where(depth > 0, np.clip(np.round(depth / unit), 1, 65535), 0)
+    write_png(path, values.astype(np.uint16), {"depth_unit": repr(unit)} | SIGNED)

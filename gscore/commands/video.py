@@ -49,6 +49,7 @@ def write_video(path: Path, pictures: Iterable[np.ndarray], *, fps: float) -> No
         # FFmpeg takes what stands before a colon for a protocol, such as tcp or concat.
         options = {"movflags": "+faststart"}
         with av.open(f"file:{temporary}", "w", format="mp4", options=options) as file:
+            file.metadata["comment"] = "Rendered by gscore"
             stream = None
             for picture in pictures:
                 if stream is None:

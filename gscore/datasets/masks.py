@@ -15,6 +15,9 @@ from .mattes import are_mattes
 
 DEFAULT_FOLDER = "masks"
 """Folder looked for when none is given."""
+_HALF = 128
+"""Alpha from here on is taken for 255 where all photos have no less: encoders leave 254, and what
+cuts a subject out has pixels that are not there at all."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,8 +45,8 @@ def choose_masks(
 ) -> MaskChoice:
     """Find the masks: those the capture states, else those of a folder, else the photos' alpha.
 
-    Alpha that hides nothing in any photo is no mask. To know that, photos with alpha are decoded
-    until one hides something, which mostly is the first.
+    Alpha that hides half of no pixel of any photo is no mask. To know that, photos with alpha are
+    decoded until one hides something, which mostly is the first.
 
     Args:
         config: Options `masks`, `mask_mode` and `invert_masks`.
@@ -90,12 +93,12 @@ def _meaning(masks: list[Path], *, inverted: bool) -> str:
 
 
 def _hide_something(photos: list[Path], cancelled: Callable[[], bool]) -> bool:
-    """Whether any of these photos has a pixel that is not opaque."""
+    """Whether any of these photos has a pixel of which its alpha hides half or more."""
 
     def hides(i: int) -> bool:
         if cancelled():
             raise Cancelled("Reading the photos was stopped.")
-        return bool((read_image(photos[i])[..., 3:] < 255).any())
+        return bool((read_image(photos[i])[..., 3:] < _HALF).any())
 
     # One after the other first: mostly one is enough.
     rest = map_threads(hides, list(range(1, len(photos))))

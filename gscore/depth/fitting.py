@@ -104,7 +104,9 @@ def robust(
     trained = (fits[i] for i in dataset.train)
     median = median_scale([fit.scale for fit in trained if fit is not None and fit.accepted])
     return Alignment(
-        fits=reliable(fits, median), kind=kind, warnings=(*warnings, *_refusals(fits, median))
+        fits=reliable(fits, median),
+        kind=kind,
+        warnings=(*warnings, *_refusals(fits, samples, median)),
     )
 
 
@@ -184,7 +186,7 @@ def _stated(
         else:
             fit = _judged(entry.scale, entry.offset, part, entry.kind)
         fits.append(fit.refused(reason) if reason else fit)
-    return Alignment(fits=fits, kind=kind, warnings=_refusals(fits, median))
+    return Alignment(fits=fits, kind=kind, warnings=_refusals(fits, samples, median))
 
 
 def _checked(
@@ -226,13 +228,20 @@ def _judged(scale: float, offset: float, part: Samples, kind: DepthKind) -> Fit:
     return judge(scale, offset, values[use], part.inverse_depth[use], part.weights[use])
 
 
-def _refusals(fits: list[Fit | None], median: float) -> tuple[str, ...]:
-    """One sentence about all maps that are not used."""
-    refused = [fit for fit in reliable(fits, median) if fit is not None and not fit.accepted]
+def _refusals(
+    fits: list[Fit | None], samples: list[Samples | None], median: float
+) -> tuple[str, ...]:
+    """One sentence about all maps that are not used though their files can be read; `unusable` says
+    which cannot."""
+    judged = [
+        fit
+        for fit, part in zip(reliable(fits, median), samples, strict=True)
+        if fit is not None and part is not None and not part.trouble
+    ]
+    refused = [fit for fit in judged if not fit.accepted]
     if not refused:
         return ()
-    there = sum(1 for fit in fits if fit is not None)
     return (
-        f"{len(refused)} of {count_words(there, 'depth map')} were not aligned, the first because "
-        f"{refused[0].reason}.",
+        f"{len(refused)} of {count_words(len(judged), 'depth map')} were not aligned, the first "
+        f"because {refused[0].reason}.",
     )

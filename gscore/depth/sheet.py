@@ -9,7 +9,7 @@ import numpy as np
 from ..datasets import Dataset
 from ..datasets.decode import fit_map
 from ..errors import GsError
-from ..io.images import resize, resize_map, write_png
+from ..io.images import SIGNED, resize, resize_map, write_png
 from ..words import count_words
 from .fit import Fit
 from .maps import DepthKind, read_map, to_inverse
@@ -63,7 +63,7 @@ def write_sheet(
         row, column = divmod(place, columns)
         top, left = _GAP + row * (height + _GAP), _GAP + column * (width + _GAP)
         sheet[top : top + tile.shape[0], left : left + width] = tile
-    write_png(path, sheet)
+    write_png(path, sheet, SIGNED)
     return len(tiles)
 
 

@@ -2,6 +2,7 @@
 
 import struct
 import zlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -160,13 +161,18 @@ def reduce(image: np.ndarray, factor: int) -> np.ndarray:
     return np.array(pillow().fromarray(image).reduce(factor)) if factor > 1 else image
 
 
-def write_png(path: str | Path, image: np.ndarray) -> None:
+SIGNED = {"Software": "gscore"}
+"""Texts of a PNG that says who made it, so that another of its name may replace it unasked."""
+
+
+def write_png(path: str | Path, image: np.ndarray, texts: Mapping[str, str] | None = None) -> None:
     """Write a PNG with the standard library alone, completely or not at all.
 
     Args:
         path: The file to write; its folder is made.
         image: [H, W], [H, W, 3] or [H, W, 4] uint8; grey, RGB or RGBA (not premultiplied), sRGB. Or
             [H, W] uint16, grey.
+        texts: By keyword, ASCII both.
 
     Raises:
         ShapeError: another shape or dtype.
@@ -190,7 +196,8 @@ def write_png(path: str | Path, image: np.ndarray) -> None:
     rows[:, 1 : 1 + size] = pixels[:, 0]
     rows[:, 1 + size :] = (pixels[:, 1:] - pixels[:, :-1]).reshape(height, -1)
     head = struct.pack(">IIBBBBB", width, height, 16 if deep else 8, kinds[channels], 0, 0, 0)
-    chunks = [(b"IHDR", head), (b"IDAT", zlib.compress(rows.data, 6)), (b"IEND", b"")]
+    words = [(b"tEXt", f"{key}\0{text}".encode("ascii")) for key, text in (texts or {}).items()]
+    chunks = [(b"IHDR", head), *words, (b"IDAT", zlib.compress(rows.data, 6)), (b"IEND", b"")]
     out = [b"\x89PNG\r\n\x1a\n"]
     for kind, body in chunks:
         check = struct.pack(">I", zlib.crc32(kind + body))

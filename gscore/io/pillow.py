@@ -88,7 +88,7 @@ def opened(path: Path) -> Iterator[Any]:
         raise too_large(path, count_words(int(stated[1]), "pixel") if stated else "more") from error
     except MemoryError as error:
         raise FormatError(
-            f"{path} does not fit into memory. Close programs, or scale the photos down."
+            f"{path} does not fit into memory. Close programs, or scale the pictures down."
         ) from error
     except _BROKEN as error:
         raise _broken(path, (str(error) or type(error).__name__).rstrip(".")) from error
@@ -120,13 +120,13 @@ def too_large(path: Path, stated: str) -> FormatError:
     """The sentence for a header that states more than is read."""
     return FormatError(
         f"{path} states a size of {stated}, but pictures of more than "
-        f"{number(MOST_PIXELS)} pixels are not read. Scale the photos down, "
-        f"or copy this one again if it is damaged."
+        f"{number(MOST_PIXELS)} pixels are not read. Scale the pictures "
+        f"down, or copy this one again if it is damaged."
     )
 
 
 def _broken(path: Path, reason: str) -> FormatError:
     return FormatError(
-        f"{path} cannot be read as an image: {reason}. Copy the photo again, or remove it from the "
+        f"{path} cannot be read as an image: {reason}. Copy the file again, or remove it from the "
         f"capture."
     )

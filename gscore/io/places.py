@@ -1,10 +1,12 @@
 """Where results may go: not among what they are made from, and not where everything lies."""
 
+import contextlib
 from pathlib import Path
 
 from ..config import DataConfig
 from ..errors import ConfigError
 from ..shown import shown
+from .system_places import is_shared, system_tree
 
 
 def check_place(folder: Path, data: DataConfig | None = None, *, depths: bool = True) -> None:
@@ -16,21 +18,33 @@ def check_place(folder: Path, data: DataConfig | None = None, *, depths: bool = 
         depths: Whether its folder of depth maps is part of it.
 
     Raises:
-        ConfigError: the root, the home folder, the capture or a folder of its photos or maps.
+        ConfigError: the root, the home folder, one of the system or of all users, the capture or a
+            folder of its photos or maps.
     """
     place = _real(folder)
     if place == Path(place.anchor):
         raise _mixed(folder, "the root folder", "everything")
-    if place == _real(Path("~").expanduser()):
+    if place == _home():
         raise _mixed(folder, "your home folder", "everything")
-    if data is not None:
-        if place == _real(_root(data)):
-            raise _mixed(folder, "the capture itself", "photos")
-        check_apart(folder, data, depths=depths)
+    if data is not None and place == _real(_root(data)):
+        raise _mixed(folder, "the capture itself", "photos")
+    check_apart(folder, data, depths=depths)
+    if is_shared(place):
+        raise ConfigError(
+            f"{shown(folder)} is where the folders of many programs lie. Choose a folder of the "
+            f"results' own in it, such as {shown(folder / 'gscore')}."
+        )
 
 
-def check_apart(folder: Path, data: DataConfig, *, depths: bool = True) -> None:
-    """As `check_place`, for single files: the folder must not be that of the photos or maps."""
+def check_apart(folder: Path, data: DataConfig | None = None, *, depths: bool = True) -> None:
+    """As `check_place`, for single files, which may lie where everything lies: the folder must not
+    be the system's, nor that of the photos or maps."""
+    if what := system_tree(_real(folder)):
+        raise ConfigError(
+            f"{shown(folder)} {what}, which is no place for results. Choose a folder of your own."
+        )
+    if data is None:
+        return
     parts = {"photos": data.images or "images", "masks": data.masks or "masks"}
     if depths and data.depths:
         parts["depth maps"] = data.depths
@@ -48,6 +62,13 @@ def _mixed(folder: Path, what: str, others: str) -> ConfigError:
 
 def _root(data: DataConfig) -> Path:
     return data.source.parent if data.source.is_file() else data.source
+
+
+def _home() -> Path | None:
+    """The user's home folder; None for users without one, as containers have them."""
+    with contextlib.suppress(RuntimeError):
+        return _real(Path("~").expanduser())
+    return None
 
 
 def _real(path: Path) -> Path:

@@ -2,7 +2,7 @@
 
 from .evaluate import Evaluation, evaluate
 from .image import d_ssim, image_metrics, ms_ssim, psnr, psnr_cc, psnr_u8, ssim
-from .lpips import Lpips, find_lpips
+from .lpips import Lpips, find_lpips, lpips_warnings
 from .machine import peak_memory_bytes
 from .pictures import PictureCollector
 from .report import Report, write_report
@@ -21,6 +21,7 @@ __all__ = [
     "find_lpips",
     "headline",
     "image_metrics",
+    "lpips_warnings",
     "ms_ssim",
     "peak_memory_bytes",
     "psnr",

@@ -57,7 +57,7 @@ def figure(
     width = round(_PLOT + 48 + _LETTER * max(len(s.label) for s in series))
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {_HEIGHT}" '
-        f'width="{width}" height="{_HEIGHT}"><style>{_STYLE}</style>'
+        f'width="{width}" height="{_HEIGHT}"><metadata>gscore</metadata><style>{_STYLE}</style>'
         '<rect width="100%" height="100%" fill="#fff"/>',
         f'<text class="t" x="{_LEFT}" y="22">{html.escape(title)}</text>',
         *_grid(to_x, x_ticks, to_y, y_ticks),

@@ -119,3 +119,14 @@ def find_lpips(path: Path | None = None, *, threads: int = 0) -> tuple[Lpips | N
         if path is not None:
             raise
         return None, str(error)
+
+
+def lpips_warnings(reason: str) -> list[str]:
+    """A sentence where GSCORE_LPIPS names a network that was not found usable; else none.
+
+    Args:
+        reason: From `find_lpips`.
+    """
+    if not reason or not os.environ.get("GSCORE_LPIPS"):
+        return []
+    return [f"LPIPS is not measured, though GSCORE_LPIPS names a network: {reason}"]

@@ -17,17 +17,21 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import BackendError, Cancelled, ConfigError, ShapeError
-from ..io.files import reason, shown
+from ..io.files import reason
+from ..shown import shown
+from ..words import number
 from . import arguments, header
 from .buffers import INT32, Array, address, optional
 from .request import Frustum, Settings
+from .whole_library import bytes_missing
 
 _pointer = ct.c_void_p
 _REINSTALL = "Reinstall gscore so that both come from one version."
 
 
 def library_path() -> Path:
-    """Where the native library is looked for: GSCORE_LIBRARY, else beside this file."""
+    """Where the native library is looked for: GSCORE_LIBRARY unless that is empty, else beside this
+    file."""
     override = os.environ.get("GSCORE_LIBRARY")
     if override:
         return Path(override)
@@ -74,6 +78,7 @@ def _opened(path: Path) -> ct.CDLL:
         ) from error
     if not is_file:
         raise BackendError(f"{name} is no file, a library was expected. {_what_to_do()}")
+    _check_whole(path, name)
     try:
         # A name without a folder would be looked for where the system keeps its libraries.
         return ct.CDLL(str(path.absolute()))
@@ -81,6 +86,19 @@ def _opened(path: Path) -> ct.CDLL:
         raise BackendError(
             f"{name} is no library that this system can load: {error}. {_what_to_do()}"
         ) from error
+
+
+def _check_whole(path: Path, name: str) -> None:
+    """BackendError where the end of the file is missing."""
+    try:
+        missing = bytes_missing(path)
+    except OSError:  # whoever loads it says why it cannot be read
+        return
+    if missing:
+        raise BackendError(
+            f"{name} was cut short: {number(missing)} of its bytes are missing, perhaps because it "
+            f"was copied onto a full disk. {_what_to_do()}"
+        )
 
 
 def _who_says() -> str:

@@ -27,8 +27,10 @@ class Workspace:
             ConfigError: the capture's folder holds something, or cameras already.
         """
         self.capture, self.root = capture, root
-        whole = capture.absolute()
-        self.folder = whole.parent / f".{whole.name}.sfm"
+        self._place = whole = capture.resolve()  # a link stays; what it leads to is made
+        # Nothing can be renamed into another file system, nor what one is mounted on.
+        self._inside = os.path.ismount(whole)
+        self.folder = whole / ".sfm" if self._inside else whole.parent / f".{whole.name}.sfm"
         self._in_place = (capture / "images").resolve() == root.resolve()
         self._made_parents = [p for p in whole.parents if not p.exists()]
         if (capture / _MODEL).exists():
@@ -36,8 +38,7 @@ class Workspace:
                 f"{capture} holds cameras already, in {capture / _MODEL}. Remove that folder to "
                 "find them anew, or choose another output with -o."
             )
-        is_taken = capture.exists() and not (capture.is_dir() and not any(capture.iterdir()))
-        if is_taken and not self._in_place:
+        if self._is_taken() and not self._in_place:
             raise ConfigError(
                 f"{capture} is not empty. Choose a new folder with -o, or the folder in whose "
                 "`images` the photos are."
@@ -116,13 +117,26 @@ class Workspace:
                 image.name = names[image.name]
             model.write(sparse)
             if self._in_place:
-                (made / _MODEL).rename(self.capture / _MODEL)
+                (made / _MODEL).rename(self._place / _MODEL)
             else:
                 self._fill(made, photos)
-                with contextlib.suppress(FileNotFoundError):
-                    self.capture.rmdir()
-                made.rename(self.capture)
+                self._put_in_place(made)
         shutil.rmtree(self.folder, ignore_errors=True)
+
+    def _is_taken(self) -> bool:
+        """Whether something else than an empty folder is where the capture goes."""
+        if not self._place.is_dir():
+            return self._place.exists()
+        return any(path != self.folder for path in self._place.iterdir())
+
+    def _put_in_place(self, made: Path) -> None:
+        if self._inside:
+            for part in sorted(made.iterdir()):  # sparse last, which makes it a capture
+                part.rename(self._place / part.name)
+            return
+        with contextlib.suppress(FileNotFoundError):
+            self._place.rmdir()
+        made.rename(self._place)
 
     def _fill(self, made: Path, photos: list[Photo]) -> None:
         for photo in photos:

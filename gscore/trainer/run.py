@@ -10,7 +10,7 @@ from ..datasets import load_dataset
 from ..depth.maps import MapFolder
 from ..errors import BackendError
 from ..events import Event
-from ..metrics import find_lpips
+from ..metrics import find_lpips, lpips_warnings
 from .beginning import Beginning
 from .depth.setup import prepare_depth
 from .files.ended import TrainResult
@@ -109,6 +109,8 @@ def train(
                 folder.clear()
             for message in notes:
                 session.warn(message, "capture")
+            for message in lpips_warnings(lpips_reason):
+                session.warn(message, "evaluation")
             for message in depth.warnings:
                 session.warn(message, "depth")
             return session.run()

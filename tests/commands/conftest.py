@@ -1,15 +1,15 @@
-"""A small capture whose photos are renders of known splats, and a run that found those splats."""
+"""A small capture whose photos are renders of known splats, and a run whose splats are these."""
 
-import json
 import math
+import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from gscore.commands import main
-from gscore.config import Background, DataConfig, TrainConfig
-from gscore.config_file import config_json
-from gscore.io.cameras_json import write_cameras
+from gscore.config import Background
+from gscore.config_file import config_json, load_config
 from gscore.io.colmap import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints, write_model
 from gscore.io.images import write_png
 from gscore.io.ply import write_splats
@@ -20,6 +20,7 @@ from gscore.transforms import rotmat_to_quat
 from tests.commands.small_bench import small  # noqa: F401
 
 WIDTH, HEIGHT, FOCAL, VIEWS = 48, 36, 45.0, 9
+STEPS = 12
 
 
 def _ring(count):
@@ -125,31 +126,26 @@ def capture(tmp_path_factory, cameras, splats, picture):
     return folder
 
 
+@pytest.fixture(scope="session")
+def trained(tmp_path_factory, capture):
+    """A run of `STEPS` steps, as `gscore train` leaves it; views 0 and 8 were held out."""
+    folder = tmp_path_factory.mktemp("trained") / "run"
+    options = ["--preset", "draft", "--iterations", STEPS, "--eval", "--quiet"]
+    assert main([str(word) for word in ("train", capture, "-o", folder, *options)]) == 0
+    return folder
+
+
 @pytest.fixture
-def run_folder(tmp_path, capture, cameras, splats):
-    """A run as `gscore train` leaves it, trained perfectly; views 0 and 8 were held out."""
+def run_folder(tmp_path, trained, splats):
+    """A copy of that run, its splats replaced by those of which the photos are pictures."""
 
     def make(splats=splats, background=Background.AUTO):
         folder = tmp_path / "run"
-        folder.mkdir()
-        data = DataConfig(source=capture, eval=True)
-        train = TrainConfig(iterations=700, background=background)
-        (folder / "config.json").write_text(config_json(data, train))
+        shutil.copytree(trained, folder)
+        data, train = load_config(folder / "config.json")
+        changed = config_json(data, replace(train, background=background))
+        (folder / "config.json").write_text(changed)
         write_splats(folder / "point_cloud.ply", splats)
-        write_cameras(folder / "cameras.json", cameras)
-        left = {
-            "psnr": 1.0,
-            "ssim": 0.1,
-            "lpips": None,
-            "split": "test",
-            "test_views": ["a_0.png", "a_8.png"],
-            "steps": 700,
-            "train_seconds": 12.5,
-            "peak_memory_bytes": 123_456_789,
-            "history": [{"step": 1, "elapsed_s": 0.1, "psnr": 5.0, "phase": "refining"}],
-            "evals": [],
-        }
-        (folder / "metrics.json").write_text(json.dumps(left))
         return folder
 
     return make

@@ -97,11 +97,16 @@ def not_ours(tmp_path: Path) -> dict[str, str]:
     folder.mkdir()
     broken, own = tmp_path / "broken.so", backend.library_path()
     broken.write_bytes(own.read_bytes()[:40])
+    whole = own.read_bytes()
+    for name, length in (("half", len(whole) // 2), ("nearly", len(whole) - 1)):
+        (tmp_path / f"{name}.so").write_bytes(whole[:length])
     locked_out = "/" + "x" * 5000
     found = {
         "text": str(text),
         "folder": str(folder),
         "broken": str(broken),
+        "half": str(tmp_path / "half.so"),
+        "nearly": str(tmp_path / "nearly.so"),
         "other": _other_library(),
         "missing": str(tmp_path / "none.so"),
         "too long": locked_out,
@@ -118,6 +123,14 @@ def not_ours(tmp_path: Path) -> dict[str, str]:
         ("text", "notes.txt (GSCORE_LIBRARY) is no library that this system can load"),
         ("folder", "folder (GSCORE_LIBRARY) is no file, a library was expected"),
         ("broken", "broken.so (GSCORE_LIBRARY) is no library that this system can load"),
+        *(
+            pytest.param(
+                name,
+                f"{name}.so (GSCORE_LIBRARY) was cut short: ",
+                marks=pytest.mark.skipif(sys.platform != "linux", reason="other systems refuse it"),
+            )
+            for name in ("half", "nearly")
+        ),
         ("other", "is a library, but not gscore's: it has no gs_abi_version"),
         ("missing", "none.so (GSCORE_LIBRARY) cannot be opened: there is no such file"),
         ("too long", "(GSCORE_LIBRARY) cannot be opened: the name is too long"),
@@ -142,3 +155,10 @@ def test_a_library_in_the_working_folder_needs_no_path(
     monkeypatch.chdir(tmp_path)
     done = _python("-c", DRAW, GSCORE_LIBRARY="mine.so")
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("name", ["GSCORE_THREADS", "GSCORE_ISA", "GSCORE_LIBRARY"])
+def test_empty_variables_count_as_not_set(name: str) -> None:
+    """Oracle: what is drawn with, without the variable."""
+    done = _python("-c", DRAW, **{name: ""})
+    assert (done.returncode, done.stdout) == (0, _python("-c", DRAW).stdout), done.stderr

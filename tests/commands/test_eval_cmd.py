@@ -11,6 +11,7 @@ from PIL import Image
 
 from gscore.io.ply import write_splats
 from gscore.sh import SH_C0
+from tests.commands.conftest import STEPS
 
 
 def photo(capture, index):
@@ -51,12 +52,14 @@ def test_colours_that_are_off_are_told_apart(gscore, run_folder, splats):
 def test_what_the_training_knew_is_kept(gscore, run_folder):
     """Oracle: the metrics.json of the training."""
     folder = run_folder()
+    before = json.loads((folder / "metrics.json").read_text())
     gscore("eval", folder)
     written = json.loads((folder / "metrics.json").read_text())
-    assert written["steps"] == 700 and written["train_seconds"] == 12.5
-    assert written["peak_memory_bytes"] == 123_456_789 and len(written["history"]) == 1
-    assert written["psnr"] > 50  # not the old one
-    assert "stopped" not in (folder / "report.html").read_text()  # it is not known how it ended
+    kept = ("steps", "train_seconds", "peak_memory_bytes", "history", "evals", "reason")
+    assert {key: written[key] for key in kept} == {key: before[key] for key in kept}
+    assert written["steps"] == STEPS and written["train_seconds"] > 0
+    assert before["psnr"] < 50 < written["psnr"]
+    assert "stopped" not in (folder / "report.html").read_text()
 
 
 def test_a_report_tells_again_how_the_run_was_made(gscore, run_folder, capture):
@@ -67,9 +70,9 @@ def test_a_report_tells_again_how_the_run_was_made(gscore, run_folder, capture):
     path.write_text(json.dumps(json.loads(path.read_text()) | left))
     assert gscore("eval", folder)[0] == 0
     page = (folder / "report.html").read_text()
-    for words in ("2031-02-03 04:05", "to the PSNR asked for", "--iterations 700"):
+    for words in ("2031-02-03 04:05", "to the PSNR asked for", f"--iterations {STEPS}"):
         assert words in page
-    assert f"gscore train {capture} -o {folder} --preset high" in page
+    assert f"gscore train {capture} -o {folder} --preset draft" in page
 
 
 def test_no_splats_against_the_photo(gscore, run_folder, capture, splats, tmp_path):
@@ -148,7 +151,7 @@ def test_measuring_again_keeps_what_the_training_says_of_itself(gscore, run_fold
     """Oracle: the values in the metrics.json before: why it ended, and its depth."""
     folder = run_folder()
     path = folder / "metrics.json"
-    own = {"reason": "converged", "depth": {"abs_rel": 0.1}, "steps": 700}
+    own = {"reason": "converged", "depth": {"abs_rel": 0.1}, "steps": STEPS}
     path.write_text(json.dumps(json.loads(path.read_text()) | own))
     assert gscore("eval", folder, "--quiet")[0] == 0
     after = json.loads(path.read_text())
@@ -175,13 +178,26 @@ def test_what_is_no_measurement_of_this_run_is_not_replaced(gscore, run_folder, 
     theirs = tmp_path / "theirs"
     theirs.mkdir()
     (theirs / "metrics.json").write_text('{"accuracy": 1}')
-    before = {p: p.read_bytes() for p in (*other.iterdir(), *theirs.iterdir())}
+    files = [p for p in (*other.rglob("*"), *theirs.iterdir()) if p.is_file()]
+    before = {p: p.read_bytes() for p in files}
     for place, words in (
         (other, "is the folder of another run"),
-        (theirs, "metrics.json was not written by gscore"),
+        (theirs, f"gscore did not write {theirs / 'metrics.json'}"),
         (capture, "is the capture itself"),
         (capture / "images", "is the folder of the photos"),
     ):
         code, _, err = gscore("eval", folder, "-o", place, "--quiet")
         assert code == 2 and words in err and err.count("\n") == 1
-    assert {p: p.read_bytes() for p in (*other.iterdir(), *theirs.iterdir())} == before
+    assert {p: p.read_bytes() for p in files} == before
+
+
+def test_a_network_of_the_environment_that_does_not_work_is_told(
+    gscore, run_folder, tmp_path, monkeypatch
+):
+    """Oracle: the path that GSCORE_LPIPS names; no word where it is not set."""
+    folder = run_folder()
+    assert "LPIPS" not in gscore("eval", folder, "--quiet")[2]
+    monkeypatch.setenv("GSCORE_LPIPS", str(tmp_path / "lpips_none.onnx"))
+    code, _, err = gscore("eval", folder, "--quiet")
+    assert code == 0 and "Warning: LPIPS is not measured, though GSCORE_LPIPS names" in err
+    assert "lpips_none.onnx" in err

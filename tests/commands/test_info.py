@@ -10,6 +10,8 @@ import pytest
 from gscore.io.images import write_png
 from gscore.io.ply import write_splats
 from gscore.io.sequences import SequenceIndex, write_sequence
+from gscore.words import time_words
+from tests.commands.conftest import STEPS
 
 
 def test_capture(gscore, capture, ring):
@@ -94,9 +96,11 @@ def test_run(gscore, run_folder, capture):
     code, out, _ = gscore("info", folder, "--json")
     facts = json.loads(out)
     assert code == 0 and facts["kind"] == "run" and facts["source"] == str(capture)
-    assert facts["metrics"]["steps"] == 700 and facts["model"]["splats"] == 60
+    assert facts["metrics"]["steps"] == STEPS and facts["model"]["splats"] == 60
     code, out, _ = gscore("info", folder)
-    assert "PSNR 1.00" in out and "700 steps in 12.5 s" in out and "60 splats" in out
+    metrics = facts["metrics"]
+    took = f"{STEPS} steps in {time_words(metrics['train_seconds'])}"
+    assert f"PSNR {metrics['psnr']:.2f}" in out and took in out and "60 splats" in out
     (folder / "point_cloud.ply").unlink()
     (folder / "metrics.json").unlink()
     code, out, _ = gscore("info", folder)

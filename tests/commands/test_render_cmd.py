@@ -286,6 +286,9 @@ def test_names_of_pictures_stay_inside_and_apart():
     assert still_names(["x.jpg", "x.png"]) == ["x_jpg", "x_png"]
     assert still_names(["a\ud800b.png"]) == ["a_b"]
     assert still_names(["../../etc/x.jpg", "/abs/y.jpg", "C:\\z.jpg"]) == ["etc/x", "abs/y", "C_/z"]
+    assert still_names(["A.jpg", "a.jpg", "b.jpg"]) == ["A_jpg", "a_jpg_1", "b"]
+    assert still_names(["a.png", "a_depth.png"]) == ["a", "a_depth"]
+    assert still_names(["a.png", "a_depth.png"], depths=True) == ["a", "a_depth_1"]
     odd = still_names(["", "..", "a.b.jpg", "same", "same"])
     assert len(set(odd)) == 5 and all(name and ".." not in name.split("/") for name in odd)
 

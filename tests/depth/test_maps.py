@@ -224,3 +224,11 @@ def test_numbers_beyond_float32_are_unknown(tmp_path):
     np.save(tmp_path / "a.npy", np.array([[1e200, -1e200], [2.0, np.inf]]))
     back = read_map(tmp_path / "a.npy")
     assert back[1, 0] == 2 and np.isnan(back).sum() == 3
+
+
+def test_advice_about_a_broken_map_is_not_about_photos(tmp_path):
+    """Oracle: the sentence for a picture of depth that is none."""
+    (tmp_path / "a.png").write_bytes(b"no picture")
+    with pytest.raises(FormatError, match=r"Copy the file again") as told:
+        read_map(tmp_path / "a.png")
+    assert "photo" not in str(told.value)

@@ -172,6 +172,7 @@ def test_a_file_that_cannot_be_used_costs_its_view_alone(planes, align):
     assert "v_1.npy cannot be read as a NumPy array" in priors.table[1]["reason"]
     assert "50 x 80 pixels" in priors.table[3]["reason"]
     assert "2 depth maps are left out" in priors.warnings[0] and "v_1.npy" in priors.warnings[0]
+    assert sum("v_1.npy" in sentence for sentence in priors.warnings) == 1
     json.dumps(priors.table, allow_nan=False)
 
 

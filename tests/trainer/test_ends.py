@@ -2,6 +2,7 @@
 
 import os
 import random
+import shlex
 import signal
 import subprocess
 import sys
@@ -186,15 +187,27 @@ def test_a_stop_before_the_first_step_has_a_code_of_its_own(
     assert not (tmp_path / "out").exists()
 
 
-def test_a_hangup_that_is_ignored_stays_so(capture: Path, tmp_path: Path) -> None:
-    """Oracle: a run under nohup goes to its end."""
+@pytest.mark.parametrize("name", ["SIGHUP", "SIGINT", "SIGTERM"])
+def test_a_signal_that_is_ignored_stays_so(capture: Path, tmp_path: Path, name: str) -> None:
+    """Oracle: a run under nohup, or in the background of a script, goes to its end."""
     code = (
-        "import os, signal, sys; signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
+        f"import os, signal, sys; signal.signal(signal.{name}, signal.SIG_IGN)\n"
         "from gscore.__main__ import main; from gscore.trainer.trainer import Trainer\n"
         "real = Trainer.step\n"
-        "Trainer.step = lambda self: (os.kill(os.getpid(), signal.SIGHUP), real(self))[1]\n"
+        f"Trainer.step = lambda self: (os.kill(os.getpid(), signal.{name}), real(self))[1]\n"
         "sys.exit(main())"
     )
     arguments = command(capture, tmp_path, *SHORT, "--quiet")[3:]
     ended = subprocess.run([sys.executable, "-c", code, *arguments], stdin=subprocess.DEVNULL)
+    assert ended.returncode == 0
+
+
+@pytest.mark.skipif(os.name == "nt", reason="POSIX shells")
+def test_in_the_background_of_a_script_ctrl_c_ends_nothing(capture: Path, tmp_path: Path) -> None:
+    """Oracle: what sh ignores for a job in the background, pressed as often as the job looks."""
+    words = shlex.join([*command(capture, tmp_path, *SHORT, "--quiet")])
+    script = (
+        f"{words} & job=$!; for i in 1 2 3 4 5 6; do sleep 0.3; kill -INT $job; done; wait $job"
+    )
+    ended = subprocess.run(["sh", "-c", script], stdin=subprocess.DEVNULL, check=False)
     assert ended.returncode == 0

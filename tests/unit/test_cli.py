@@ -317,3 +317,18 @@ def test_threads_that_cannot_be_are_refused_in_python(threads: int) -> None:
         list(map_threads(abs, [1, 2, 3], threads=threads))
     with pytest.raises(ConfigError, match="threads must be"):
         TrainConfig(threads=threads)
+
+
+@pytest.mark.parametrize("verb", ["info", "doctor", "train"])
+def test_a_working_folder_that_was_removed(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, verb: str
+) -> None:
+    """Oracle: one sentence and exit code 2, where Python finds no current folder."""
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    with pytest.raises(FileNotFoundError):
+        Path.cwd()
+    assert commands.main([verb, str(tmp_path)]) == 2
+    err = capsys.readouterr().err
+    assert err.startswith(f"gscore {verb}: error: The working folder is not there any more")

@@ -409,14 +409,18 @@ class TestMasks:
         np.testing.assert_array_equal(mask, photo[..., 3])
         np.testing.assert_array_equal(data.image(2), photo[..., :3])
 
+    @pytest.mark.parametrize("least", [255, 254, 128])
     @pytest.mark.parametrize("mode", ["auto", "composite", "ignore"])
-    def test_alpha_that_hides_nothing_is_no_mask(self, mode: str, make_capture: Callable) -> None:
+    def test_alpha_that_hides_nothing_is_no_mask(
+        self, mode: str, least: int, make_capture: Callable
+    ) -> None:
         """Oracle: the same capture without alpha: mode, bytes, photos."""
         capture = make_capture()
         plain = _load(capture.root, mask_mode=mode)
         plain.preload()
         for name, photo in capture.photos.items():
             opaque = np.dstack([photo, np.full(photo.shape[:2], 255, np.uint8)])
+            opaque[5:9, 6, 3] = least
             write_png(capture.root / "images" / name, opaque)
         data = _load(capture.root, mask_mode=mode)
         assert data.mask_mode == plain.mask_mode == "none"
@@ -430,12 +434,12 @@ class TestMasks:
         capture = make_capture()
         for k, (name, photo) in enumerate(capture.photos.items()):
             rgba = np.dstack([photo, np.full(photo.shape[:2], 255, np.uint8)])
-            rgba[5, 6, 3] = 254 if k == 8 else 255
+            rgba[5, 6, 3] = 127 if k == 8 else 255
             write_png(capture.root / "images" / name, rgba)
         data = _load(capture.root)
         assert data.mask_mode == "composite" and data.mask(0) is None
         mask = data.mask(8)
-        assert mask is not None and mask[5, 6] == 254
+        assert mask is not None and mask[5, 6] == 127
         with pytest.raises(Cancelled):
             load_dataset(
                 DataConfig(source=capture.root), cancelled=iter([False] * 9 + [True]).__next__

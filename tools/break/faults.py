@@ -393,6 +393,9 @@ def main() -> int:
     names = [name for name in vars(Faults) if not name.startswith("_") and name not in helpers]
     parser.add_argument("faults", nargs="*", metavar="FAULT", help=", ".join(names))
     args = parser.parse_args()
+    for number in (signal.SIGINT, signal.SIGHUP):
+        # Ignored where this is started in the background, and trainings would leave it so.
+        signal.signal(number, signal.default_int_handler)
     os.environ["PYTHONPATH"] = str(ROOT)
     harm = 0
     with tempfile.TemporaryDirectory(prefix="gscore-faults-") as folder:

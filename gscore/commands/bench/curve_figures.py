@@ -8,13 +8,20 @@ from ...io.files import atomic_write
 from ...metrics.curves import Series
 from ...metrics.figure import figure
 
+_PSNR, _SSIM, _SPLATS = "psnr", "1-ssim", "splats"
+
+
+def figure_files(output: Path, name: str) -> list[Path]:
+    """What `draw` writes."""
+    return [_file(output, name, key) for key in (_PSNR, _SSIM, _SPLATS)]
+
 
 def draw(output: Path, name: str, curves: list[Curve]) -> None:
     """Write PSNR and 1 - SSIM over time, and PSNR over splats, of the capture `name`."""
     medians = [(label, c.median()) for label, c in zip(labels(curves), curves, strict=True)]
     pictures = {
-        "psnr": ("PSNR, dB", lambda p: p.psnr, False),
-        "1-ssim": ("1 - SSIM", lambda p: 1 - p.ssim, True),
+        _PSNR: ("PSNR, dB", lambda p: p.psnr, False),
+        _SSIM: ("1 - SSIM", lambda p: 1 - p.ssim, True),
     }
     for key, (label, value, log_y) in pictures.items():
         series = [
@@ -36,7 +43,7 @@ def draw(output: Path, name: str, curves: list[Curve]) -> None:
             log_x=True,
             log_y=log_y,
         )
-        atomic_write(output / f"{name}-{key}.svg", text.encode())
+        atomic_write(_file(output, name, key), text.encode())
     ends = [
         Series(
             label=f"{curve.label}, {curve.width} px", points=[(p[-1].splats, p[-1].psnr)], dots=True
@@ -52,7 +59,7 @@ def draw(output: Path, name: str, curves: list[Curve]) -> None:
             y_label="PSNR, dB",
             log_x=True,
         )
-        atomic_write(output / f"{name}-splats.svg", text.encode())
+        atomic_write(_file(output, name, _SPLATS), text.encode())
 
 
 def table(name: str, curves: list[Curve]) -> str:
@@ -70,3 +77,7 @@ def table(name: str, curves: list[Curve]) -> str:
             lines.append(f"| {' | '.join([row['label'], format(row['psnr'], '.2f'), *cells])} |")
         tables.append("\n".join(lines))
     return "\n\n".join(tables)
+
+
+def _file(output: Path, name: str, key: str) -> Path:
+    return output / f"{name}-{key}.svg"

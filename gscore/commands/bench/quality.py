@@ -11,7 +11,7 @@ from ...bench.quality import train_judged
 from ...config import PRESETS, DataConfig
 from ...io.places import check_place
 from ...metrics import Lpips, find_lpips
-from ..output import check_folder, check_ours
+from ..output import check_folder, check_replaced
 from ..status import Status
 from .numbers import check_numbers
 from .quality_plans import Cell, cells_of, variants_of
@@ -28,6 +28,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "-o", "--output", required=True, type=Path,
         help="folder for results.json; a run that was stopped goes on where it ended",
     )  # fmt: skip
+    parser.add_argument(
+        "--overwrite",
+        action="store_true",
+        help="begin anew, whatever results.json is there and whoever wrote it",
+    )
     parser.add_argument("--preset", choices=tuple(PRESETS), default="draft")
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
     parser.add_argument(
@@ -53,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
     check_folder(args.output)
     for source in args.sources:
         check_place(args.output, DataConfig(source=source))
-    check_ours(args.output / "results.json")
+    check_replaced([args.output / "results.json"], overwrite=args.overwrite)
     lpips, _ = find_lpips(args.lpips, threads=args.threads)
     cells = deque(cells_of(args, variants_of(args)))
     results = QualityResults(args, cells, lpips.net if lpips else None)

@@ -36,7 +36,7 @@ class QualityResults:
     """What was measured so far; docs/quality.md describes the file."""
 
     def __init__(self, args: argparse.Namespace, cells: Collection[Cell], net: str | None) -> None:
-        """Take over what the file of an earlier call holds.
+        """Take over what the file of an earlier call holds, unless `args.overwrite`.
 
         Raises:
             ConfigError: that call measured otherwise, or the file is damaged.
@@ -46,7 +46,7 @@ class QualityResults:
         self._setting = _setting(args, cells, net)
         self._trainings: dict[tuple[str, str, int, int], Training] = {}
         self._finished = False
-        if self._path.is_file():
+        if self._path.is_file() and not args.overwrite:
             self._take_over()
 
     def has(self, capture: str, variant: str, seed: int, offset: int) -> bool:

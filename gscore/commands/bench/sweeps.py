@@ -75,6 +75,11 @@ def plan_sizes(
     return SizesPlan(runs=runs, judged=judged)
 
 
+def sizes_file(output: Path, name: str) -> Path:
+    """Where `sweep` draws the sizes of a capture."""
+    return output / f"{name}-sizes.svg"
+
+
 def sweep(
     args: argparse.Namespace,
     name: str,
@@ -113,7 +118,7 @@ def sweep(
 
     measure_sizes(plan.runs, plan.judged, args.seeds, on_step=stepped, on_outcome=tell)
     fast, small = _fronts(outcomes)
-    _draw(args.output / f"{name}-sizes.svg", name, outcomes, fast, judged_on)
+    _draw(sizes_file(args.output, name), name, outcomes, fast, judged_on)
     if not args.json:
         print(_table(name, outcomes, fast, small), flush=True)
 

@@ -9,12 +9,12 @@ from pathlib import Path
 from ...bench.time_error import Curve, measure_variant
 from ...config import PRESETS, DataConfig, Skip
 from ...io.places import check_place
-from ..output import check_folder, check_ours
+from ..output import check_folder, check_replaced
 from ..status import Status
-from .curve_figures import draw, table
+from .curve_figures import draw, figure_files, table
 from .curve_plans import CapturePlan, plans_of
 from .curve_results import ResultsFile
-from .sweeps import add_sweep_options, check_sweeps, sweep
+from .sweeps import add_sweep_options, check_sweeps, sizes_file, sweep
 from .ticker import Ticker
 from .training_options import add_training_options
 
@@ -23,6 +23,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("sources", nargs="+", type=Path, metavar="SOURCE", help="captures")
     parser.add_argument("-o", "--output", required=True, type=Path, help="folder for the results")
+    parser.add_argument(
+        "--overwrite",
+        action="store_true",
+        help="replace a results.json and figures that gscore did not write",
+    )
     parser.add_argument("--presets", nargs="+", choices=tuple(PRESETS), default=["preview"])
     parser.add_argument(
         "--ablations",
@@ -49,8 +54,11 @@ def run(args: argparse.Namespace) -> int:
     check_folder(args.output)
     for source in args.sources:
         check_place(args.output, DataConfig(source=source))
-    check_ours(args.output / "results.json")
     plans = deque(plans_of(args))
+    written = [args.output / "results.json"]
+    for plan in plans:
+        written += [*figure_files(args.output, plan.name), sizes_file(args.output, plan.name)]
+    check_replaced(written, overwrite=args.overwrite)
     results = ResultsFile(args)
     while plans:
         _measure(args, plans.popleft(), results)  # whose photos go when it is done

@@ -1,11 +1,11 @@
-"""Adaptive density control of the 3DGS paper: clone, split, prune and reset (Kerbl et al. 2023)."""
+"""Adaptive density control of the 3DGS paper: double, prune and reset (Kerbl et al. 2023)."""
 
 import math
 
 import numpy as np
 import torch
 
-from ...config import TrainConfig
+from ...config import Doubling, TrainConfig
 from ...raster.memory import zeros
 from ...raster.pull import add_pull
 from ..rows.model import Model
@@ -63,23 +63,18 @@ class DefaultStrategy:
         return change
 
     def _refine(self, model: Model, step: int, cap: int, generator: torch.Generator) -> Change:
-        config = self._config
         before = len(model)
         pull = model.rows["pull"] / model.rows["seen"].clamp_min(1)
-        size = model.params["scales"].amax(dim=1)  # log
         doomed = self._to_prune(model.params, step)
-        large = size > _log(config.grow_scale * self._extent)
-
         grow = (pull >= self._plan.grow_grad) & ~doomed
         room = cap - before + int(doomed.sum())
         grow = _strongest(grow, pull, max(room, 0))
-        clone, divide = (grow & ~large).nonzero().flatten(), (grow & large).nonzero().flatten()
-        new = ops.join(ops.duplicate(model, clone), ops.split(model, divide, generator))
+        new, replaced = self._doubled(model, grow, generator)
         healthy = (~self._to_prune(new, step)).nonzero().flatten()
         new = {name: rows[healthy] for name, rows in new.items()}
 
         keep = ~doomed
-        keep[divide] = False
+        keep[replaced] = False
         kept = keep.nonzero().flatten()
         kept = kept[ops.by_place(model.params["means"][kept])]
         if len(kept) + len(healthy) == 0:  # everything would go: a blank model cannot recover
@@ -87,6 +82,18 @@ class DefaultStrategy:
         ops.edit(model, keep=kept, append=new)
         self.start(model)
         return Change(added=len(healthy), removed=before - len(kept))
+
+    def _doubled(
+        self, model: Model, grow: torch.Tensor, generator: torch.Generator
+    ) -> tuple[dict[str, torch.Tensor], torch.Tensor]:
+        """What the rows `grow`, [N] bool, are doubled by, and which of them, [M], it replaces."""
+        if self._config.doubling is Doubling.LONG_AXIS:
+            rows = grow.nonzero().flatten()
+            return ops.halve(model, rows), rows
+        size = model.params["scales"].amax(dim=1)  # log
+        large = size > _log(self._config.grow_scale * self._extent)
+        clone, divide = (grow & ~large).nonzero().flatten(), (grow & large).nonzero().flatten()
+        return ops.join(ops.duplicate(model, clone), ops.split(model, divide, generator)), divide
 
     def _to_prune(self, params: dict[str, torch.Tensor], step: int) -> torch.Tensor:
         """[N] bool: too transparent, too large once opacities have been reset, or not a splat."""

@@ -185,7 +185,12 @@ def test_a_linked_folder_is_refused(tmp_path: Path) -> None:
         ("capture/maps", "is the folder of the depth maps"),
         ("link", "is the capture itself"),
         ("file", "is a file"),
-        ("/dev/null", "is a file"),
+        ("/dev/null", "/dev/null lies among devices"),
+        ("/dev/new", "/dev/new lies among devices"),
+        ("/etc", "/etc belongs to the system"),
+        ("/usr/lib/new", "/usr/lib/new belongs to the system"),
+        ("/tmp", "where the folders of many programs lie"),
+        ("to_tmp", "where the folders of many programs lie"),
     ],
 )
 @pytest.mark.parametrize("overwrite", [False, True])
@@ -198,6 +203,7 @@ def test_places_that_are_not_for_results(
         folder.mkdir(parents=True)
     (tmp_path / "file").write_text("x")
     (tmp_path / "link").symlink_to(tmp_path / "capture")
+    (tmp_path / "to_tmp").symlink_to("/tmp")
     monkeypatch.setenv("HOME", str(home))
     monkeypatch.chdir(tmp_path)
     before = names(tmp_path)

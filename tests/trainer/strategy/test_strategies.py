@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from gscore.config import Strategy, TrainConfig
+from gscore.config import Doubling, Strategy, TrainConfig
 from gscore.trainer.rows.model import Model
 from gscore.trainer.schedule.plan import Plan
 from gscore.trainer.strategy import Change, Policy, make_strategy, ops
@@ -84,7 +84,7 @@ def test_small_splats_are_cloned_large_ones_split(marked_model: Make) -> None:
     """Oracle: paper 5.2: a clone is a copy; a split replaces the splat by two smaller ones."""
     model = opaque(marked_model(4), 0.005)
     model.params["scales"].data[1] = math.log(0.05)
-    strategy = default(CONFIG, model)
+    strategy = default(replace(CONFIG, doubling=Doubling.CLONE_SPLIT), model)
     see(strategy, model, [3e-4, 3e-4, 1e-4, 0.0])
     change = refine(strategy, model, 10)
     assert change == Change(added=3, removed=1)
@@ -93,6 +93,17 @@ def test_small_splats_are_cloned_large_ones_split(marked_model: Make) -> None:
     scales = model.params["scales"][:, 0]
     np.testing.assert_allclose(scales[-2:].numpy(), math.log(0.05 / 1.6), rtol=1e-6)
     torch.testing.assert_close(model.params["means"][3], torch.zeros(3))
+    assert model.rows["pull"].tolist() == [0] * 6
+
+
+def test_splats_that_are_pulled_become_their_halves(marked_model: Make) -> None:
+    """Oracle: all that is pulled above the threshold goes, whatever its size; two rows come."""
+    model = opaque(marked_model(4), 0.005)
+    model.params["scales"].data[1] = math.log(0.05)
+    strategy = default(CONFIG, model)
+    see(strategy, model, [3e-4, 3e-4, 1e-4, 0.0])
+    assert refine(strategy, model, 10) == Change(added=4, removed=2)
+    assert model.params["sh0"][:, 0, 0].tolist() == [2, 3, 0, 1, 0, 1]
     assert model.rows["pull"].tolist() == [0] * 6
 
 
@@ -127,7 +138,7 @@ def test_the_cap_takes_those_that_are_pulled_hardest(marked_model: Make) -> None
     strategy = default(config, model)
     see(strategy, model, [3e-4, 9e-4, 5e-4, 7e-4])
     refine(strategy, model, 10, cap=6)
-    assert model.params["sh0"][:, 0, 0].tolist() == [0, 1, 2, 3, 1, 3]
+    assert model.params["sh0"][:, 0, 0].tolist() == [0, 2, 1, 3, 1, 3]
 
 
 def test_transparent_and_broken_splats_go(marked_model: Make) -> None:
@@ -185,8 +196,10 @@ def test_nothing_is_added_beyond_the_cap(marked_model: Make, kind: Strategy) -> 
         strategy.start(model)
         if isinstance(strategy, DefaultStrategy):
             see(strategy, model, [1.0] * len(model), step=step)
-        assert after(strategy, model, step, cap).removed == 0
-        assert len(model) == expected, step
+        before = len(model)
+        change = after(strategy, model, step, cap)
+        assert change.removed in (0, change.added / 2), step  # halves take the place of one
+        assert len(model) == before + change.added - change.removed == expected, step
 
 
 def test_mcmc_grows_to_the_cap_and_no_further(marked_model: Make) -> None:

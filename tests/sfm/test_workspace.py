@@ -1,0 +1,84 @@
+"""Where a search works and where its capture ends up; oracle: the files in their places."""
+
+import os
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from gscore.errors import ConfigError
+from gscore.sfm.photos import Photo
+from gscore.sfm.workspace import Workspace
+
+
+def published(space: Workspace, photo: Photo) -> None:
+    """A search that found cameras for one photo, from its beginning to its end."""
+    assert space.open({"options": 1}) is False
+    model: Any = SimpleNamespace(images={1: SimpleNamespace(name=photo.alias)})
+    model.write = lambda folder: (folder / "cameras.bin").write_bytes(b"cameras")
+    space.publish(model, [photo])
+
+
+@pytest.fixture
+def photo(tmp_path: Path) -> Photo:
+    """One in `photos`."""
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "photos" / "a.jpg").write_bytes(b"photo")
+    return Photo(name="a.jpg", alias="000.jpg", width=4, height=3, camera=())
+
+
+def is_capture(folder: Path) -> bool:
+    """Whether photo and cameras are there, and nothing else."""
+    files = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
+    return files == {"images/a.jpg", "sparse/0/cameras.bin"}
+
+
+@pytest.mark.parametrize("kind", ["new", "empty", "link", "dangling"])
+def test_the_capture_takes_the_place_it_was_given(tmp_path: Path, photo: Photo, kind: str) -> None:
+    """Oracle: the capture behind the name; a link is still one, and nothing lies beside it."""
+    place = tmp_path / "capture"
+    if kind == "empty":
+        place.mkdir()
+    elif kind in ("link", "dangling"):
+        place.symlink_to(tmp_path / "elsewhere")
+    if kind == "link":
+        (tmp_path / "elsewhere").mkdir()
+    published(Workspace(place, tmp_path / "photos"), photo)
+    assert is_capture(place) and place.is_symlink() == (kind in ("link", "dangling"))
+    left = {path.name for path in tmp_path.iterdir()} - {"elsewhere"}
+    assert left == {"photos", "capture"}
+
+
+@pytest.mark.parametrize("in_place", [False, True])
+def test_a_folder_that_is_a_file_system_of_its_own(
+    tmp_path: Path, photo: Photo, monkeypatch: pytest.MonkeyPatch, in_place: bool
+) -> None:
+    """Oracle: nothing outside it is touched, as renaming across file systems fails."""
+    place, root = tmp_path / "capture", tmp_path / "photos"
+    place.mkdir()
+    if in_place:
+        root = root.rename(place / "images")
+    monkeypatch.setattr(os.path, "ismount", lambda path: Path(path) == place)
+    real = Path.rename
+
+    def within(self: Path, target: Path) -> Path:
+        assert place in self.parents and place in Path(target).parents
+        return real(self, target)
+
+    monkeypatch.setattr(Path, "rename", within)
+    space = Workspace(place, root)
+    assert space.folder.parent == place
+    space.open({"options": 1})
+    assert Workspace(place, root).open({"options": 1}) is True  # what a stopped search left
+    space.discard()
+    published(Workspace(place, root), photo)
+    assert is_capture(place)
+
+
+def test_a_place_that_is_taken(tmp_path: Path, photo: Photo) -> None:
+    """Oracle: a sentence for a file, and for a folder that holds something."""
+    (tmp_path / "file").write_text("x")
+    for name in ("file", "photos"):
+        with pytest.raises(ConfigError, match="is not empty"):
+            Workspace(tmp_path / name, tmp_path / "elsewhere")
