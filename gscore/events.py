@@ -228,6 +228,36 @@ class SfmDone(Event):
 
 
 @dataclass(frozen=True, kw_only=True)
+class FramesProgress(Event):
+    """How far the choice of frames of a video is."""
+
+    kind: ClassVar[str] = "frames_progress"
+    phase: str
+    """looking at frames or writing frames."""
+    done: int
+    """Frames."""
+    total: int
+    """Of the phase; 0: not known."""
+    eta_s: float
+    """Seconds left in the phase; NaN: not known."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FramesDone(Event):
+    """Frames of a video were chosen and written."""
+
+    kind: ClassVar[str] = "frames"
+    frames: int
+    total: int
+    """Frames of the video."""
+    blurred: int
+    repeated: int
+    seconds: float
+    path: str
+    """Folder of the frames."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class FrameStarted(Event):
     """A sequence goes on to a frame, whose own events follow up to its `done`."""
 
@@ -278,6 +308,8 @@ KINDS: dict[str, type[Event]] = {
         DepthDone,
         SfmProgress,
         SfmDone,
+        FramesProgress,
+        FramesDone,
         FrameStarted,
         SequenceDone,
     )

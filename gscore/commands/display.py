@@ -14,6 +14,8 @@ from ..events import (
     Eval,
     Event,
     Failed,
+    FramesDone,
+    FramesProgress,
     FrameStarted,
     Progress,
     Saved,
@@ -93,7 +95,9 @@ class Lines:
                 self._sfm(event)
             case Eval():
                 self._measured = eval_text(event)
-            case Done() | DepthDone() | SequenceDone() | SfmDone() | Failed():
+            case FramesProgress():
+                self._frames(event)
+            case Done() | DepthDone() | SequenceDone() | SfmDone() | FramesDone() | Failed():
                 self._end()
             case Saved():
                 self._saved(event)
@@ -128,6 +132,16 @@ class Lines:
         if event.eta_s == event.eta_s:
             parts = [f"{clock(event.eta_s)} left", *parts]
         self._status.show(parts, share=event.done / max(event.total, 1))
+
+    def _frames(self, event: FramesProgress) -> None:
+        if not event.done:
+            self._status.show([_capital(event.phase)])
+            return
+        parts = [f"{event.phase}, {event.done} of {event.total or 'an unknown number'}"]
+        if event.eta_s == event.eta_s:
+            parts = [f"{clock(event.eta_s)} left", *parts]
+        share = min(event.done / event.total, 1.0) if event.total else None
+        self._status.show(parts, share=share)
 
     def _saved(self, event: Saved) -> None:
         is_asked_for = "point_cloud/iteration_" in Path(event.path).as_posix()

@@ -52,8 +52,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--lpips",
         type=Path,
-        metavar="FILE.onnx",
-        help="network of LPIPS, a measure of likeness as people see it; without it, not measured",
+        metavar="NETWORK",
+        help="network of LPIPS, a measure of likeness as people see it: an ONNX file, or alex, vgg "
+        "or squeeze of the package lpips; without it, not measured",
+    )
+    parser.add_argument(
+        "--lpips-download",
+        action="store_true",
+        help="fetch the weights of a network named by --lpips where they are not in torch's cache",
     )
     parser.add_argument(
         "--overwrite",
@@ -74,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _measure(args: argparse.Namespace, status: Status) -> int:
     status.show(["Reading the splats"])
-    lpips, lpips_reason = find_lpips(args.lpips, threads=args.threads)
+    lpips, lpips_reason = find_lpips(args.lpips, threads=args.threads, download=args.lpips_download)
     model = open_model(model_path(args))
     output = args.output or model.run
     if output is None:

@@ -3,6 +3,7 @@
 from .evaluate import Evaluation, evaluate
 from .image import d_ssim, image_metrics, ms_ssim, psnr, psnr_cc, psnr_u8, ssim
 from .lpips import Lpips, find_lpips, lpips_warnings
+from .lpips_net import LpipsNet
 from .machine import peak_memory_bytes
 from .pictures import PictureCollector
 from .report import Report, write_report
@@ -13,6 +14,7 @@ __all__ = [
     "Course",
     "Evaluation",
     "Lpips",
+    "LpipsNet",
     "Metrics",
     "PictureCollector",
     "Report",

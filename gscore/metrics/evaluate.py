@@ -11,7 +11,9 @@ import numpy as np
 
 from ..errors import ShapeError
 from .image import EMPTY_MASK, image_metrics
-from .lpips import SHORTEST_SIDE, Lpips
+from .lpips import Lpips
+from .lpips_input import SHORTEST_SIDE
+from .lpips_net import LpipsNet
 
 METRICS = (
     *("psnr", "psnr_u8", "psnr_masked", "psnr_cc"),
@@ -90,7 +92,7 @@ def evaluate(
     dataset: Any,
     indices: Iterable[int],
     *,
-    lpips: Lpips | None = None,
+    lpips: Lpips | LpipsNet | None = None,
     lpips_reason: str = "",
     background: Sequence[float] = (0.0, 0.0, 0.0),
     on_view: ViewHook | None = None,
@@ -145,7 +147,7 @@ def _put_lpips(
     picture: np.ndarray,
     target: np.ndarray,
     weights: np.ndarray | None,
-    lpips: Lpips | None,
+    lpips: Lpips | LpipsNet | None,
     reason: str,
 ) -> None:
     values["lpips"] = None
@@ -161,7 +163,7 @@ def _put_lpips(
     values[lpips.key] = values["lpips"]
 
 
-def _means(views: list[dict[str, Any]], lpips: Lpips | None) -> dict[str, Any]:
+def _means(views: list[dict[str, Any]], lpips: Lpips | LpipsNet | None) -> dict[str, Any]:
     """Means over the views; None with the reason of the first view that lacks the value.
 
     A view that is masked out as a whole is not counted: it would be a perfect one.

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import Cancelled
-from ..metrics import Evaluation, Lpips, PictureCollector, evaluate
+from ..metrics import Evaluation, Lpips, LpipsNet, PictureCollector, evaluate
 from .trainer import Trainer
 
 _TRAIN_VIEWS_SHOWN = 8
@@ -16,7 +16,9 @@ _TRAIN_VIEWS_SHOWN = 8
 class Evaluator:
     """Knows which views are measured and how."""
 
-    def __init__(self, trainer: Trainer, *, lpips: Lpips | None, lpips_reason: str) -> None:
+    def __init__(
+        self, trainer: Trainer, *, lpips: Lpips | LpipsNet | None, lpips_reason: str
+    ) -> None:
         self._trainer = trainer
         self._lpips, self._lpips_reason = lpips, lpips_reason
         photos = trainer.photos

@@ -12,7 +12,7 @@ from ..config_file import to_dict
 from ..control import Control
 from ..errors import DatasetError, FormatError
 from ..events import Eval, Event, Preview, Saved, Snapshot, Started, Warn, judged_psnr
-from ..metrics import Evaluation, Lpips, PictureCollector
+from ..metrics import Evaluation, Lpips, LpipsNet, PictureCollector
 from ..raster import backend
 from ..shown import quoted
 from ..words import count_words
@@ -53,7 +53,7 @@ class Session:
         *,
         emit: Callable[[Event], None],
         control: Control,
-        lpips: Lpips | None,
+        lpips: Lpips | LpipsNet | None,
         lpips_reason: str,
         depth: DepthSetup | None = None,
     ) -> None:
