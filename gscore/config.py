@@ -659,9 +659,10 @@ class TrainConfig:
     )
     lpips: Path | None = option(
         None,
-        "Network of LPIPS, a measure of likeness as people see it; without it, not measured.",
+        "Network of LPIPS, a measure of likeness as people see it: an ONNX file, or alex, vgg or "
+        "squeeze of the package lpips; without it, not measured.",
         group="results",
-        metavar="FILE.onnx",
+        metavar="NETWORK",
         basic=True,
         free=True,
     )

@@ -196,6 +196,18 @@ class DepthDone(Event):
 
 
 @dataclass(frozen=True, kw_only=True)
+class SfmEstimated(Event):
+    """What finding the cameras of photos will take, told once they are read and before each further
+    attempt."""
+
+    kind: ClassVar[str] = "sfm_estimate"
+    photos: int
+    seconds: float
+    """Of the attempt from its beginning, on a machine that does nothing else; those before it teach
+    how fast that is."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class SfmProgress(Event):
     """How far the search for cameras of photos is."""
 
@@ -210,6 +222,8 @@ class SfmProgress(Event):
     """Of the phase; 0: not known."""
     eta_s: float
     """Seconds left in the phase; NaN: not known."""
+    left_s: float = math.nan
+    """Seconds left in all, further attempts left out; NaN: not known."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -228,6 +242,36 @@ class SfmDone(Event):
     seconds: float
     path: str
     """The capture."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FramesProgress(Event):
+    """How far the choice of frames of a video is."""
+
+    kind: ClassVar[str] = "frames_progress"
+    phase: str
+    """looking at frames or writing frames."""
+    done: int
+    """Frames."""
+    total: int
+    """Of the phase; 0: not known."""
+    eta_s: float
+    """Seconds left in the phase; NaN: not known."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FramesDone(Event):
+    """Frames of a video were chosen and written."""
+
+    kind: ClassVar[str] = "frames"
+    frames: int
+    total: int
+    """Frames of the video."""
+    blurred: int
+    repeated: int
+    seconds: float
+    path: str
+    """Folder of the frames."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -279,8 +323,11 @@ KINDS: dict[str, type[Event]] = {
         Failed,
         DepthProgress,
         DepthDone,
+        SfmEstimated,
         SfmProgress,
         SfmDone,
+        FramesProgress,
+        FramesDone,
         FrameStarted,
         SequenceDone,
     )

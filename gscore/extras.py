@@ -17,6 +17,9 @@ _EXTRAS = {
     "onnxruntime": "depth",
     "OpenEXR": "depth",
     "av": "video",
+    "huggingface_hub": "hub",
+    "lpips": "lpips-torch",
+    "torchvision": "lpips-torch",
     "bpy": "blender",
 }
 """Name of the module to name of the extra in pyproject.toml."""

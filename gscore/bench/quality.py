@@ -10,7 +10,7 @@ from ..config import TrainConfig
 from ..datasets import Dataset
 from ..errors import FormatError
 from ..events import finite, judged_psnr
-from ..metrics import Lpips, evaluate, psnr
+from ..metrics import Lpips, LpipsNet, evaluate, psnr
 from ..metrics.evaluate import target_picture
 from .paired import Difference, paired_difference, trimmed_mean
 from .training import Color, PictureOf, train_measured
@@ -101,7 +101,7 @@ def train_judged(
     capture: str,
     variant: str,
     offset: int,
-    lpips: Lpips | None = None,
+    lpips: Lpips | LpipsNet | None = None,
     on_step: Callable[[int], None] | None = None,
 ) -> Training:
     """Train once and measure every held-out view, and the PSNR of the training views.
@@ -119,7 +119,7 @@ def train_judged(
     def measure(picture_of: PictureOf, background: Color) -> None:
         found["views"] = evaluate(
             picture_of, judged, judged.test, lpips=lpips, background=background
-        )["views"]
+        ).views
         found["train"] = [
             value
             for index in judged.train

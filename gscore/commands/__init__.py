@@ -27,6 +27,7 @@ from .status import beginning, wrapped
 from .streams import steady_streams
 
 VERBS = {
+    "frames": "choose sharp frames of a video for a folder of photos",
     "sfm": "find the cameras of photos, which makes a capture of them",
     "train": "train splats from photos with COLMAP cameras",
     "sequence": "train the frames of a multi-view video one after another",
@@ -41,6 +42,7 @@ VERBS = {
 }
 
 _EXAMPLES = {
+    "frames": "Example: gscore frames walk.mp4 -o photos",
     "sfm": "Example: gscore sfm photos/ -o capture",
     "train": "Example: gscore train photos/ -o run --preset draft --eval",
     "sequence": "Example: gscore sequence CASE --frames 0:145:5 -o out",

@@ -13,6 +13,7 @@ from .interrupt import interrupts
 
 Result = TypeVar("Result")
 Show = Callable[[Event], None]
+STOPPED = "Stopped before the first step; nothing was written."
 STOPPED_WITH_NOTHING = 3
 """Exit code of work that was stopped, by no signal, before there was a result."""
 
@@ -31,7 +32,7 @@ def attend(
     args: argparse.Namespace,
     work: Callable[[Show, Control], Result],
     *,
-    stopped: Callable[[], str] = lambda: "Stopped before the first step; nothing was written.",
+    stopped: Callable[[], str] = lambda: STOPPED,
 ) -> tuple[Result | None, int]:
     """Do `work`; an error is told as an event too, before it is raised again.
 

@@ -11,8 +11,10 @@ from ..config import DataConfig, Switch
 from ..control import Control
 from ..datasets import Dataset, load_dataset
 from ..depth.align import align_official, reliable
+from ..depth.catalogue import all_networks, known, network_names
 from ..depth.fit import NO_FIT, Fit, median_scale
 from ..depth.fitting import Alignment, align_views, robust, settled_kind
+from ..depth.hub import cached_file, network_file, terms
 from ..depth.maps import SHEET, DepthKind, MapFolder, read_map, stem, to_inverse
 from ..depth.network import WHERE, Network, Normalization
 from ..depth.observations import Observations, observations
@@ -21,14 +23,15 @@ from ..depth.predict import Prediction, predict_views
 from ..depth.priors import fit_table
 from ..depth.samples import Samples, unusable, view_samples
 from ..depth.sheet import write_sheet
-from ..errors import Cancelled, ConfigError, FormatError
+from ..errors import BackendError, Cancelled, ConfigError, FormatError
 from ..events import DepthDone, DepthProgress, Saved, Warn
 from ..extras import need
 from ..io.places import check_place
 from ..metrics.colormap import colorize
+from ..shown import shown
 from ..stereo import files, stereo_maps
 from ..trainer.depth.rule import coverage, decide
-from ..words import count_words
+from ..words import count_words, size_words
 from .attend import Show, attend
 from .data_options import add_mask_options, add_split_options, with_data_options
 from .output import check_folder, check_replaced, print_json
@@ -38,12 +41,24 @@ from .status import wrapped
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
-    parser.add_argument("source", type=Path, help="the capture: photos with a COLMAP model")
+    parser.add_argument(
+        "source", type=Path, nargs="?", help="the capture: photos with a COLMAP model"
+    )
     parser.add_argument(
         "--model",
-        type=Path,
-        metavar="FILE.onnx",
-        help="network to predict with; without one the maps that are there are aligned",
+        metavar="NETWORK",
+        help="network to predict with: an ONNX file, or a name of --list-models; without one the "
+        "maps that are there are aligned",
+    )
+    parser.add_argument(
+        "--download",
+        action="store_true",
+        help="fetch a network given by name where it is not on this machine yet",
+    )
+    parser.add_argument(
+        "--list-models",
+        action="store_true",
+        help="list the networks that have a name, with size, licence and whether they are here",
     )
     parser.add_argument(
         "--method",
@@ -135,6 +150,12 @@ class _Result:
 
 def run(args: argparse.Namespace) -> int:
     """Predict, align, write depth_params.json and the contact sheet; or check and write nothing."""
+    if args.list_models:
+        return _list_models(args)
+    if args.source is None:
+        raise ConfigError("Say which capture: gscore depth CAPTURE --model NETWORK.")
+    if args.download and (args.model is None or known(args.model) is None):
+        raise ConfigError(f"--download needs a --model with a name: {', '.join(network_names())}.")
     if args.input_size < 0:
         raise ConfigError(f"--input-size is {args.input_size}, expected a positive number.")
     if args.check and (args.model is not None or args.overwrite):
@@ -177,9 +198,10 @@ def _work(args: argparse.Namespace, show: Show, control: Control, told: "_Told")
     network = None
     if args.model is not None:
         need("onnxruntime", "Predicting depth")
+        path, normalization = _network_of(args, show)
         network = Network(
-            args.model,
-            normalization=args.normalization,
+            path,
+            normalization=normalization,
             size=args.input_size,
             threads=args.threads,
         )
@@ -228,6 +250,7 @@ def _by_stereo(
 ) -> _Result:
     """Maps of the views that are not held out, from each other, in the scale of the capture."""
     check_folder(folder)
+    check_replaced([folder / SHEET], overwrite=args.overwrite)
     files.check_folder(folder, dataset.names, overwrite=args.overwrite)
     path = params_path(dataset.source, folder, writing=True)
     _check_scales(path, args.overwrite, show)
@@ -254,6 +277,55 @@ def _by_stereo(
         show,
         _Progress(show, control, told, "aligning"),
     )
+
+
+def _network_of(args: argparse.Namespace, show: Show) -> tuple[Path, Normalization]:
+    """The file of --model and how its photos are to be turned into numbers."""
+    entry = known(args.model)
+    path = Path(args.model)
+    if entry is None or path.is_file():
+        if entry is None and not path.suffix:
+            raise ConfigError(
+                f"There is no model {shown(path)}: give an ONNX file, or one of "
+                f"{', '.join(network_names())}."
+            )
+        return path, args.normalization
+    if args.download and cached_file(entry) is None:
+        phase = f"downloading {entry.name}: {terms(entry)}"
+        show(DepthProgress(done=0, total=0, view="", eta_s=float("nan"), phase=phase))
+    found = network_file(entry, download=args.download)
+    auto = args.normalization is Normalization.AUTO
+    return found, entry.normalization if auto else args.normalization
+
+
+def _list_models(args: argparse.Namespace) -> int:
+    """The networks that have a name."""
+    rows = []
+    for network in all_networks():
+        try:
+            here = cached_file(network)
+        except BackendError:  # nothing can have been downloaded through the hub's library
+            here = None
+        rows.append(
+            {
+                "name": network.name,
+                "bytes": network.bytes,
+                "licence": network.licence,
+                "input": network.input,
+                "kind": network.kind.value,
+                "page": network.page,
+                "source": network.source,
+                "file": None if here is None else str(here),
+            }
+        )
+    if args.json:
+        print_json({"models": rows})
+        return 0
+    for row in rows:
+        here = "on this machine" if row["file"] else f"{size_words(row['bytes'])} to download"
+        print(f"{row['name']}  ({here}; licence {row['licence']}; input {row['input']} px)")
+        print(f"    {row['page']}, weights of {row['source']}")
+    return 0
 
 
 def _check_scales(path: Path, overwrite: bool, show: Show) -> None:

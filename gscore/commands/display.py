@@ -14,11 +14,14 @@ from ..events import (
     Eval,
     Event,
     Failed,
+    FramesDone,
+    FramesProgress,
     FrameStarted,
     Progress,
     Saved,
     SequenceDone,
     SfmDone,
+    SfmEstimated,
     SfmProgress,
     Started,
     Warn,
@@ -93,7 +96,9 @@ class Lines:
                 self._sfm(event)
             case Eval():
                 self._measured = eval_text(event)
-            case Done() | DepthDone() | SequenceDone() | SfmDone() | Failed():
+            case FramesProgress():
+                self._frames(event)
+            case Done() | DepthDone() | SequenceDone() | SfmDone() | FramesDone() | Failed():
                 self._end()
             case Saved():
                 self._saved(event)
@@ -125,9 +130,19 @@ class Lines:
             return
         what = "pair" if event.phase == "comparing photos" else "photo"
         parts = [f"{event.phase}, {what} {event.done} of {event.total}"]
+        if event.left_s == event.left_s:
+            parts = [f"{clock(event.left_s)} left", *parts]
+        self._status.show(parts, share=event.done / max(event.total, 1))
+
+    def _frames(self, event: FramesProgress) -> None:
+        if not event.done:
+            self._status.show([_capital(event.phase)])
+            return
+        parts = [f"{event.phase}, {event.done} of {event.total or 'an unknown number'}"]
         if event.eta_s == event.eta_s:
             parts = [f"{clock(event.eta_s)} left", *parts]
-        self._status.show(parts, share=event.done / max(event.total, 1))
+        share = min(event.done / event.total, 1.0) if event.total else None
+        self._status.show(parts, share=share)
 
     def _saved(self, event: Saved) -> None:
         is_asked_for = "point_cloud/iteration_" in Path(event.path).as_posix()
@@ -151,6 +166,11 @@ def _texts(event: Event) -> Iterator[str]:
     match event:
         case Estimated():
             yield estimate_text(event)
+        case SfmEstimated():
+            yield (
+                f"Finding the cameras of {count_words(event.photos, 'photo')}, which takes about "
+                f"{time_words(float(f'{event.seconds:.1g}'))} where nothing else runs"
+            )
         case Started():
             if event.step:
                 yield f"Going on from step {number(event.step)} of {number(event.iterations)}"

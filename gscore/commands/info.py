@@ -16,11 +16,13 @@ from ..io.ply_compressed import is_compressed
 from ..io.ply_elements import read_elements
 from ..io.runs import checkpoints_in
 from ..io.sequences import read_sequence
+from ..sfm.plain import is_plain
 from ..splats import Splats
 from ..words import count_words, quality_words, size_words, time_words
 from .data_options import add_mask_options, with_data_options
 from .model import GivenModel, collected_warnings, find_ply, open_model
 from .output import print_json
+from .plain_photos import photos_facts, photos_text
 from .status import wrapped
 
 _QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
@@ -48,6 +50,8 @@ def run(args: argparse.Namespace) -> int:
         facts = {"kind": "sequence", "path": str(path), **vars(index)}
     elif path.is_dir() and _holds_model(path):
         facts = _run_facts(path)
+    elif is_plain(path):
+        facts = photos_facts(path, with_data_options(DataConfig(source=path), args))
     else:
         facts = _capture_facts(path, args)
     if args.json:
@@ -178,6 +182,7 @@ def _text(facts: dict[str, Any]) -> str:
         "splats": _splats_text,
         "run": _run_text,
         "sequence": _sequence_text,
+        "photos": photos_text,
         "capture": _capture_text,
     }[facts["kind"]]
     return "\n".join(lines(facts) + [f"Warning: {w}" for w in facts.get("warnings", [])])

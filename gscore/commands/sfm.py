@@ -45,6 +45,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         help="lens model by COLMAP's name, such as OPENCV or OPENCV_FISHEYE (SIMPLE_RADIAL)",
     )
+    parser.add_argument(
+        "--focal-length",
+        type=float,
+        default=0.0,
+        metavar="PX",
+        help="of the lens in pixels of the photos, where it is known; adjusted where the photos "
+        "tell it better (from EXIF)",
+    )
     masks = parser.add_argument_group("masks", "No feature is taken from what they hide.")
     masks.add_argument(
         "--masks", type=Path, metavar="DIR", help="folder of masks (masks, where it is there)"
@@ -72,6 +80,7 @@ def run(args: argparse.Namespace) -> int:
         matching=args.matching,
         mapper=args.mapper,
         camera_model=args.camera_model.upper(),
+        focal_length=args.focal_length,
         threads=args.threads,
     )
     check_place(request.output)

@@ -15,7 +15,8 @@ from ..events import CONVERGED, ENDED, FINISHED, TARGET, Warn
 from ..io.places import check_place
 from ..io.runs import others_in_run
 from ..words import count_words, quality_words
-from .attend import Show, add_output_options, attend
+from .attend import STOPPED, Show, add_output_options, attend
+from .cameras import is_finding, with_cameras
 from .data_options import add_data_options, with_data_options
 from .declared import Set, declare, given_options
 from .names_3dgs import add_3dgs_names, translate
@@ -39,7 +40,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "source",
         nargs="?",
         type=Path,
-        help="the capture: a folder with photos and COLMAP's model of their cameras",
+        help="the capture: a folder with photos and COLMAP's model of their cameras, or with "
+        "photos alone, of which the cameras are found first",
     )
     parser.add_argument(
         "-s", "--source", "--source-path", dest="source_option", type=Path, help=argparse.SUPPRESS
@@ -68,6 +70,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     existing.add_argument(
         "--start-checkpoint", type=Path, metavar="FILE", help="go on from this checkpoint"
     )
+    parser.add_argument(
+        "--no-sfm",
+        action="store_true",
+        help="refuse photos without cameras instead of finding these first",
+    )
     add_data_options(parser)
     declare(parser.add_argument_group("depth maps"), DataConfig, names=("depths", "depth_align"))
     group = parser.add_argument_group(
@@ -86,7 +93,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Train and say how it went; returns the exit code."""
-    result, code = attend(args, lambda show, control: _train(args, show, control))
+    result, code = attend(
+        args, lambda show, control: _train(args, show, control), stopped=lambda: _stopped(args)
+    )
     if result is None:
         return code
     if args.json:
@@ -144,12 +153,17 @@ def told_configs(args: argparse.Namespace, show: Show) -> tuple[DataConfig, Trai
 
 def _train(args: argparse.Namespace, show: Show, control: Control) -> "TrainResult":
     data, config = told_configs(args, show)
+    from ..trainer.files.folder import check_writable
     from ..trainer.run import train
 
     check_place(args.output, data)  # of / or the capture nobody wants to hear what is in it
     others = first_few(others_in_run(args.output))
     if others and not args.events:
         show(Warn(message=f"{args.output} holds other files too; they stay: {others}"))
+    check_writable(args.output, resume=args.resume, overwrite=args.overwrite)
+    data = with_cameras(
+        data, args.output, show, control, allowed=not args.no_sfm, threads=config.threads
+    )
     return train(
         config,
         data,
@@ -160,6 +174,12 @@ def _train(args: argparse.Namespace, show: Show, control: Control) -> "TrainResu
         overwrite=args.overwrite,
         start_checkpoint=args.start_checkpoint,
     )
+
+
+def _stopped(args: argparse.Namespace) -> str:
+    if is_finding(args.output):
+        return "Stopped while cameras were found; the same command goes on where this one ended."
+    return STOPPED
 
 
 def _summary(result: "TrainResult", config: TrainConfig) -> str:

@@ -15,9 +15,9 @@ from .maps import DepthKind
 from .onnx_graph import GraphFacts, read_facts
 
 WHERE = (
-    "Such files: model-small.onnx of https://github.com/isl-org/MiDaS/releases (v2_1), and Depth "
-    "Anything V2 exports of https://github.com/fabio-sim/Depth-Anything-ONNX/releases. Nothing is "
-    "downloaded by itself; look at their licences"
+    "`gscore depth --list-models` names networks that --download fetches. As files: "
+    "model-small.onnx of https://github.com/isl-org/MiDaS/releases (v2_1), and Depth Anything V2 "
+    "exports of https://github.com/fabio-sim/Depth-Anything-ONNX/releases; look at their licences"
 )
 """Where a user finds networks."""
 

@@ -104,10 +104,15 @@ def loaded(path: Path) -> Iterator[tuple[Any, bool]]:
     """
     with opened(path) as image:
         deep = any(";16" in str(tile[3]) for tile in image.tile)
-        image.load()
-        if reason := why_cut_short(path, image):
-            raise _broken(path, reason)
+        check_whole(path, image)
         yield image, deep
+
+
+def check_whole(path: Path, image: Any) -> None:
+    """Load the pixels of a picture that was `opened`; FormatError where some are missing."""
+    image.load()
+    if reason := why_cut_short(path, image):
+        raise _broken(path, reason)
 
 
 def check_size(path: Path, width: int, height: int) -> None:

@@ -27,6 +27,8 @@ RUN_FILES = (
 """Files that a training writes."""
 RUN_FOLDERS = ("checkpoints", "point_cloud", "previews", "snapshots")
 """Folders that a training writes."""
+CAPTURE = "capture"
+"""Folder of the capture made of plain photos, which a next training uses again."""
 
 _CHECKPOINT = re.compile(r"step_(\d{8,})\.safetensors")
 _SNAPSHOT = re.compile(r"step_(\d{6,})\.ply")
@@ -136,7 +138,7 @@ def results_in(path: Path) -> list[str]:
 def others_in_run(path: Path) -> list[str]:
     """What lies in the folder of a run and no training writes, as paths below it, hidden files of
     the folder itself left out."""
-    known = (*RUN_FILES, *RUN_FOLDERS)
+    known = (*RUN_FILES, *RUN_FOLDERS, CAPTURE)
     above = [file.name for file in _listed(path) if not file.name.startswith(".")]
     below = [file.relative_to(path).as_posix() for file in _below(path)]
     odd = [name for name in below if not (_NAMES.fullmatch(name) or _is_unfinished(name))]

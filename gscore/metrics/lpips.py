@@ -1,4 +1,4 @@
-"""LPIPS (Zhang et al. 2018) by onnxruntime from an ONNX file; its key names the net."""
+"""LPIPS (Zhang et al. 2018): which network measures it, and the one by onnxruntime from a file."""
 
 import os
 from pathlib import Path
@@ -7,12 +7,10 @@ from typing import Any
 import numpy as np
 
 from ..config import checked_threads
-from ..errors import BackendError, ConfigError, FormatError, ShapeError
+from ..errors import BackendError, ConfigError, FormatError
 from ..extras import need
-from .image import as_float
-
-SHORTEST_SIDE = 32
-"""Pixels; smaller pictures vanish in the pooling of the networks."""
+from .lpips_input import checked_pair
+from .lpips_net import NETS, LpipsNet
 
 
 class Lpips:
@@ -38,7 +36,8 @@ class Lpips:
         onnxruntime = need("onnxruntime", "LPIPS")
         if not path.is_file():
             raise ConfigError(
-                f"No LPIPS network at {path}: expected a file such as lpips_squeeze.onnx."
+                f"No LPIPS network at {path}: expected a file such as lpips_squeeze.onnx, or "
+                f"one of {', '.join(NETS)}, which the package lpips knows."
             )
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = checked_threads(threads)
@@ -66,20 +65,7 @@ class Lpips:
         Raises:
             ShapeError: Sizes differ or a side is shorter than 32 pixels.
         """
-        a, b = as_float("image", image), as_float("target", target)
-        if a.shape != b.shape:
-            raise ShapeError(
-                f"image and target must have one size, got {list(a.shape)} and {list(b.shape)}."
-            )
-        if min(a.shape[:2]) < SHORTEST_SIDE:
-            raise ShapeError(
-                f"LPIPS needs pictures of at least {SHORTEST_SIDE} x {SHORTEST_SIDE} pixels, "
-                f"got {a.shape[1]} x {a.shape[0]}."
-            )
-        feed = {
-            name: np.ascontiguousarray((x * 2.0 - 1.0).transpose(2, 0, 1)[None], dtype=np.float32)
-            for name, x in zip(self._inputs, (a, b), strict=True)
-        }
+        feed = dict(zip(self._inputs, checked_pair(image, target), strict=True))
         return float(np.asarray(self._session.run(None, feed)[0]).reshape(-1)[0])
 
 
@@ -97,12 +83,23 @@ def lpips_file(path: Path | None = None) -> Path | None:
     return Path(data) / "models" / "lpips_squeeze" / "lpips_squeeze.onnx" if data else None
 
 
-def find_lpips(path: Path | None = None, *, threads: int = 0) -> tuple[Lpips | None, str]:
+def named_net(path: Path | None) -> str:
+    """The network that was asked for by its name, `alex`, `vgg` or `squeeze`; empty: a file was,
+    or none."""
+    name = "" if path is None else str(path)
+    return name if name in NETS and path is not None and not path.is_file() else ""
+
+
+def find_lpips(
+    path: Path | None = None, *, threads: int = 0, download: bool = False
+) -> tuple[Lpips | LpipsNet | None, str]:
     """The LPIPS network to use, or None and the reason why there is none.
 
     Args:
-        path: A file the user named, or None: see `lpips_file`.
+        path: A file the user named, or the name of a network of the package `lpips`, or None: see
+            `lpips_file`.
         threads: As in `Lpips`.
+        download: As in `LpipsNet`, for a name.
 
     Returns:
         The metric and "", or None and a reason for metrics.json.
@@ -110,9 +107,11 @@ def find_lpips(path: Path | None = None, *, threads: int = 0) -> tuple[Lpips | N
     Raises:
         GsError: `path` does not work. What was not asked for may be absent.
     """
+    if net := named_net(path):
+        return LpipsNet(net, threads=threads, download=download), ""
     found = lpips_file(path)
     if found is None:
-        return None, "no LPIPS network: name an ONNX file with --lpips or GSCORE_LPIPS"
+        return None, "no LPIPS network: name one with --lpips or an ONNX file with GSCORE_LPIPS"
     try:
         return Lpips(found, threads=threads), ""
     except (BackendError, ConfigError, FormatError) as error:

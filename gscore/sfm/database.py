@@ -59,3 +59,31 @@ def without_features(database: Path) -> list[str]:
     with colmap().Database.open(database) as link:
         images = link.read_all_images()
         return sorted(image.name for image in images if not link.exists_keypoints(image.image_id))
+
+
+def features(database: Path) -> list[int]:
+    """Features of each photo."""
+    with colmap().Database.open(database) as link:
+        return [link.num_keypoints_for_image(image.image_id) for image in link.read_all_images()]
+
+
+def focal_lengths(database: Path) -> dict[int, tuple[float, bool]]:
+    """What was expected of each camera before it was looked for: its focal length in px, and
+    whether EXIF or the user has stated it."""
+    with colmap().Database.open(database) as link:
+        cameras = link.read_all_cameras()
+    return {c.camera_id: (c.mean_focal_length(), c.has_prior_focal_length) for c in cameras}
+
+
+def places(database: Path) -> dict[int, np.ndarray]:
+    """Where EXIF says that photos were taken: latitude and longitude in degrees, height in metres
+    (0 where it is not stated), [3] float64 by number of the image."""
+    p = colmap()
+    geodetic = p.PosePriorCoordinateSystem.WGS84
+    with p.Database.open(database) as link:
+        priors = link.read_all_pose_priors()
+    return {
+        prior.corr_data_id.id: np.nan_to_num(np.asarray(prior.position, np.float64))
+        for prior in priors
+        if prior.coordinate_system == geodetic and np.isfinite(prior.position[:2]).all()
+    }

@@ -1,5 +1,6 @@
 """The whole search: photos looked over, attempts made, the best model published as a capture."""
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import asdict
@@ -7,18 +8,23 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from .._version import __version__
 from ..control import Control
 from ..datasets.capture import listing
 from ..errors import DatasetError
-from ..events import Event, SfmDone, SfmProgress, Warn
+from ..events import Event, SfmDone, SfmEstimated, SfmProgress, Warn, strict_json
 from ..words import count_words
 from . import database, masks, photos, stages
+from .adjust import Adjusted, adjust
 from .attempts import ENOUGH, Attempt, attempts
 from .diagnose import why_none
-from .pairs import in_parts
+from .forecast import ADJUSTING, FEATURES, MATCHING, PLACING, Forecast
+from .looks import Look, blurred, exposure_jumps
+from .metres import to_metres
+from .plain import apart_of, stamp
 from .request import USUAL_LENS, Request
 from .stages import Work
-from .verdict import Found, camera_facts, model_names, said_of_attempt
+from .verdict import Found, camera_facts, model_names, said_of_attempt, said_of_focal
 from .watch import colmap, watched
 from .workspace import Workspace
 
@@ -52,6 +58,8 @@ def find_cameras(
     except DatasetError:  # of these photos nothing can be made; other errors leave what was found
         search.discard()
         raise
+    finally:
+        search.close()
 
 
 class _Search:
@@ -64,12 +72,11 @@ class _Search:
         self._root = photos.photo_folder(request.photos)
         self._space = Workspace(request.output, self._root)
         self._opened = False
+        self._forecast: Forecast | None = None
 
     def run(self) -> Found:
         """The search itself."""
-        folder = masks.mask_folder(self._root, self._request.masks)
-        leave_out = tuple(place for place in (folder, self._request.output) if place is not None)
-        names, unread = photos.list_photos(self._root, leave_out)
+        names, unread = photos.list_photos(self._root, apart_of(self._request, self._root))
         photos.check_enough(self._root, names, unread)
         if unread:
             self._warn(
@@ -82,6 +89,7 @@ class _Search:
             self._root, names, on_photo=self._counted("reading photos", len(names)),
             cancelled=self._stopping,
         )  # fmt: skip
+        folder = masks.mask_folder(self._root, self._request.masks)
         found = masks.find_masks(folder if self._request.use_masks else None, read)
         resumed = self._space.open(self._state(read, found))
         self._opened = True
@@ -97,7 +105,12 @@ class _Search:
         models, tried, last = self._attempts(work)
         if not models:
             raise DatasetError(self._why_none(work, last))
-        return self._publish(work, models, tried, resumed)
+        return self._publish(work, models, tried, last, resumed)
+
+    def close(self) -> None:
+        """Let the next search in."""
+        if self._opened:
+            self._space.close()
 
     def discard(self) -> None:
         """Leave nothing behind."""
@@ -121,13 +134,16 @@ class _Search:
 
     def _attempt(self, work: Work, attempt: Attempt) -> list[Any]:
         file, count = work.database(attempt), len(work.photos)
+        forecast = work.forecast(attempt, pace=self._forecast.pace if self._forecast else 1.0)
+        self._forecast = forecast
+        self._show(SfmEstimated(photos=count, seconds=forecast.seconds))
         self._tell("entering photos", 0, count)
         stages.enter_photos(work, file)
         features = [
             (len(part), partial(stages.extract, work, attempt, part))
             for part in stages.feature_parts(work)
         ]
-        self._steps(features, "finding features")
+        self._steps(features, FEATURES)
         if lost := database.without_features(file):
             names = {photo.alias: photo.name for photo in work.photos}
             raise DatasetError(
@@ -135,10 +151,10 @@ class _Search:
                 "JPEG or PNG."
             )
         matches = [
-            (len(part), partial(stages.match, work, attempt, part))
-            for part in in_parts(work.photos, sequential=work.is_sequential(attempt))
+            (len(part), partial(stages.match, work, attempt, part)) for part in work.parts(attempt)
         ]
-        self._steps(matches, "comparing photos")
+        forecast.has_features(sum(database.features(file)))
+        self._steps(matches, MATCHING)
         placed = [0]
 
         def on_photo() -> None:
@@ -147,7 +163,7 @@ class _Search:
         def place(token: Any) -> list[Any]:
             return stages.reconstruct(work, attempt, token, on_photo)
 
-        return self._watch(place, "placing cameras", count, lambda: min(placed[0], count))
+        return self._watch(place, PLACING, count, lambda: min(placed[0], count))
 
     def _steps(self, parts: list[tuple[int, Callable[[Any], None]]], phase: str) -> None:
         """Do the parts of a phase; each comes with how much of it that is."""
@@ -174,13 +190,15 @@ class _Search:
         began = time.monotonic()
 
         def tell(done: int) -> None:
-            left = (time.monotonic() - began) / done * (total - done) if done else float("nan")
-            self._tell(phase, done, total, left)
+            eta = (time.monotonic() - began) / done * (total - done) if done else math.nan
+            self._tell(phase, done, total, eta)
 
         return tell
 
-    def _tell(self, phase: str, done: int, total: int, left: float = float("nan")) -> None:
-        self._show(SfmProgress(phase=phase, done=done, total=total, eta_s=left))
+    def _tell(self, phase: str, done: int, total: int, eta: float = math.nan) -> None:
+        share = done / total if total else 0.0
+        left = self._forecast.left(phase, share) if self._forecast else math.nan
+        self._show(SfmProgress(phase=phase, done=done, total=total, eta_s=eta, left_s=left))
 
     def _write_masks(self, found: dict[str, Path], read: list[photos.Photo]) -> None:
         if not found:
@@ -194,43 +212,51 @@ class _Search:
     def _state(self, read: list[photos.Photo], found: dict[str, Path]) -> dict[str, Any]:
         """What a stopped search must have in common with this one to be gone on from."""
         options = asdict(self._request)
-        for name in ("output", "threads", "mapper"):
+        for name in ("output", "apart", "threads", "mapper"):
             del options[name]  # these change neither features nor matches
         return {
             "pycolmap": colmap().__version__,
             "options": {name: str(value) for name, value in options.items()},
-            "photos": [_stamp(photo.name, self._root / photo.name) for photo in read],
-            "masks": [_stamp(name, path) for name, path in sorted(found.items())],
+            "photos": [stamp(photo.name, self._root / photo.name) for photo in read],
+            "masks": [stamp(name, path) for name, path in sorted(found.items())],
         }
 
     def _why_none(self, work: Work, attempt: Attempt) -> str:
         found = database.overlap(work.database(attempt), least=stages.LEAST_MATCHES)
         return why_none(found, {photo.alias: photo.name for photo in work.photos})
 
-    def _publish(self, work: Work, models: list[Any], tried: int, resumed: bool) -> Found:
+    def _publish(
+        self, work: Work, models: list[Any], tried: int, last: Attempt, resumed: bool
+    ) -> Found:
         names = {photo.alias: photo.name for photo in work.photos}
         model = models[0]
-        self._refine(model)
+        self._adjust(model, database.focal_lengths(work.database(last)))
+        in_metres = to_metres(model, database.places(work.database(last)))
         parts = tuple(model_names(each, names) for each in models)
         placed = {name for part in parts for name in part}
         cameras = camera_facts(model)
-        self._tell("writing the capture", 0, 0)
-        self._space.publish(model, work.photos)
         found = Found(
             output=self._request.output,
             photos=len(work.photos),
             registered=len(parts[0]),
             models=parts,
             alone=tuple(photo.name for photo in work.photos if photo.name not in placed),
+            blurred=self._named(blurred, work.photos),
+            jumps=self._named(exposure_jumps, work.photos),
             points=model.num_points3D(),
             reprojection_px=model.compute_mean_reprojection_error(),
             track_length=model.compute_mean_track_length(),
             cameras=cameras,
+            in_metres=in_metres,
             attempts=tried,
             seconds=round(time.monotonic() - self._began, 2),
             resumed=resumed,
             warnings=tuple(self._warnings),
         )
+        self._tell("writing the capture", 0, 0)
+        read = [stamp(photo.name, self._root / photo.name) for photo in work.photos]
+        record = {"gscore": __version__} | found.facts() | {"photos_read": read}
+        self._space.publish(model, work.photos, strict_json(record))
         self._show(
             SfmDone(
                 photos=found.photos,
@@ -244,19 +270,28 @@ class _Search:
         )
         return found
 
-    def _refine(self, model: Any) -> None:
+    def _named(
+        self, which: Callable[[list[Look]], list[int]], read: list[photos.Photo]
+    ) -> tuple[str, ...]:
+        """Names of the photos that stand out among those read."""
+        seen = [(photo.name, photo.look) for photo in read if photo.look is not None]
+        return tuple(seen[i][0] for i in which([look for _, look in seen]))
+
+    def _adjust(self, model: Any, stated: dict[int, tuple[float, bool]]) -> None:
         may_free = self._request.camera_model == USUAL_LENS
 
-        def work(token: Any) -> float | None:
-            return stages.refine(model, may_free=may_free)
+        def work(token: Any) -> Adjusted:
+            focal = {number: length for number, (length, _) in stated.items()}
+            return adjust(model, may_free=may_free, expected=focal)
 
-        before = self._watch(work, "adjusting cameras", 0, lambda: 0)
-        if before is not None:
-            after = model.compute_mean_reprojection_error()
+        found = self._watch(work, ADJUSTING, 0, lambda: 0)
+        if found.before is not None:
             self._warn(
-                f"The mean error was {before:.2f} px with one focal length a lens; with two and "
-                f"more coefficients (OPENCV) it is {after:.2f} px."
+                f"The mean error was {found.before:.2f} px with one focal length a lens; with two "
+                f"and more coefficients (OPENCV) it is {found.after:.2f} px."
             )
+        if found.held:
+            self._warn(said_of_focal([stated[number] for number in model.cameras]))
 
     def _warn(self, sentence: str) -> None:
         self._warnings.append(sentence)
@@ -264,8 +299,3 @@ class _Search:
 
     def _stopping(self) -> bool:
         return self._control.stopping
-
-
-def _stamp(name: str, path: Path) -> list[Any]:
-    stat = path.stat()
-    return [name, stat.st_size, stat.st_mtime_ns]

@@ -12,8 +12,9 @@ from ..datasets.copies import find_copies
 from ..datasets.dataset import map_threads
 from ..errors import Cancelled, DatasetError, FormatError
 from ..io.images import IMAGE_ENDINGS
-from ..io.pillow import loaded
+from ..io.pillow import check_whole, opened
 from ..words import count_words, number
+from .looks import Look, look_at
 
 LEAST = 3
 """Photos that a model needs; with two, nothing tells a wrong match from a right one."""
@@ -37,6 +38,8 @@ class Photo:
     height: int
     camera: tuple[str, ...]
     """Make, model, lens and focal lengths of EXIF; equal with equal sizes: one camera."""
+    look: Look | None = None
+    """How sharp and bright it is; None where its header alone was read."""
 
 
 def photo_folder(path: Path) -> Path:
@@ -99,9 +102,15 @@ def check_enough(root: Path, names: list[str], unread: list[str]) -> None:
 
 
 def read_photos(
-    root: Path, names: list[str], *, on_photo: Callable[[int], None], cancelled: Callable[[], bool]
+    root: Path,
+    names: list[str],
+    *,
+    on_photo: Callable[[int], None],
+    cancelled: Callable[[], bool],
+    whole: bool = True,
 ) -> list[Photo]:
-    """Decode all photos once, so that a damaged one is told before the long work.
+    """Decode all photos once, so that a damaged one is told before the long work; or, if not
+    `whole`, read their headers alone.
 
     Raises:
         DatasetError: photos are all copies of one, or cannot be read.
@@ -112,9 +121,13 @@ def read_photos(
         if cancelled():
             raise Cancelled("Reading the photos was stopped.")
         try:
-            with loaded(root / names[i]) as (image, _):
+            with opened(root / names[i]) as image:
+                camera, look = _camera(image), None
+                if whole:
+                    check_whole(root / names[i], image)
+                    look = look_at(image)
                 alias = f"{i:06}{Path(names[i]).suffix.lower()}"
-                return Photo(names[i], alias, image.width, image.height, _camera(image))
+                return Photo(names[i], alias, image.width, image.height, camera, look)
         except (DatasetError, FormatError) as error:
             return str(error)
 

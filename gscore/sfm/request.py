@@ -16,6 +16,8 @@ MAPPERS = ("auto", "incremental", "global")
 USUAL_LENS = "SIMPLE_RADIAL"
 """One focal length and one coefficient: what few photos can tell."""
 
+_LONGEST_FOCAL = 1e6
+
 
 @dataclass(frozen=True, kw_only=True)
 class Request:
@@ -29,6 +31,8 @@ class Request:
     """Folder of photos, sub-folders too."""
     output: Path
     """The capture to make: a new folder, an empty one, or the one whose `images` the photos are."""
+    apart: Path | None = None
+    """A folder of results, in which no photos are looked for."""
     masks: Path | None = None
     """Folder of masks; None: `masks` among the photos or beside their folder `images`."""
     use_masks: bool = True
@@ -41,11 +45,18 @@ class Request:
     """Which of COLMAP's mappers: one of `MAPPERS`."""
     camera_model: str = USUAL_LENS
     """COLMAP's name of the lens model; the usual one may end as OPENCV where it fits badly."""
+    focal_length: float = 0.0
+    """Of all photos, px, where it is known; 0: from EXIF, else that of a usual lens."""
     threads: int = 0
     """CPU threads; 0: one a core."""
 
     def __post_init__(self) -> None:
         checked_threads(self.threads)
+        if not 0 <= self.focal_length < _LONGEST_FOCAL:  # False for NaN too
+            raise ConfigError(
+                f"focal_length is {self.focal_length:g}, expected more than 0 and less than "
+                f"{_LONGEST_FOCAL:g} px."
+            )
         known = [model.name for model in CAMERA_MODELS]
         for name, value, choices in (
             ("matching", self.matching, MATCHING),

@@ -26,6 +26,10 @@ class Found:
     """Names of the photos of every model, the largest first; it alone is kept."""
     alone: tuple[str, ...]
     """Photos in no model."""
+    blurred: tuple[str, ...] = ()
+    """Photos with much less detail than the others."""
+    jumps: tuple[str, ...] = ()
+    """Photos much brighter or darker than those beside them."""
     points: int
     reprojection_px: float
     """Mean over the points."""
@@ -33,6 +37,8 @@ class Found:
     """Photos that show a point, in the mean."""
     cameras: tuple[dict[str, Any], ...]
     """Model, size and focal length in px of each camera."""
+    in_metres: bool = False
+    """Whether GPS in EXIF gave the model its size."""
     attempts: int
     """How many settings were tried."""
     seconds: float
@@ -57,6 +63,7 @@ class Found:
             f"{self.track_length:.1f} photos, "
             f"{count_words(len(self.cameras), 'camera and lens', 'cameras and lenses')}, "
             f"{time_words(self.seconds)}",
+            *(["  sizes are in metres, by GPS in EXIF"] if self.in_metres else []),
             *(f"  {sentence}" for sentence in self._findings()),
             f"Next: gscore train {self.output} -o run --eval",
         ]
@@ -75,6 +82,16 @@ class Found:
                 f"{count_words(len(self.alone), 'photo stands', 'photos stand')} alone: "
                 f"{listing(list(self.alone))}. Take photos between these and the others, or "
                 "remove them if they are blurred or show something else."
+            )
+        if self.blurred:
+            told.append(
+                f"{count_words(len(self.blurred), 'photo is', 'photos are')} blurred against the "
+                f"others: {listing(list(self.blurred))}. Without them splats come out sharper."
+            )
+        if self.jumps:
+            told.append(
+                f"The exposure jumps in {count_words(len(self.jumps), 'photo')}: "
+                f"{listing(list(self.jumps))}. Fix it in the camera, or even the photos out."
             )
         if self.reprojection_px > _BLURRED:
             told.append(
@@ -113,3 +130,19 @@ def said_of_attempt(best: int, photos: int, name: str) -> str:
     """The sentence before a further attempt."""
     had = f"only {number(best)} of {count_words(photos, 'photo')}" if best else "no photo"
     return f"So far {had} found a place. Trying again {name}."
+
+
+def said_of_focal(cameras: list[tuple[float, bool]]) -> str:
+    """The sentence on focal lengths that the photos do not tell.
+
+    Args:
+        cameras: The focal length of each in px, and whether it was stated.
+    """
+    lengths = sorted({round(length) for length, _ in cameras})
+    shown = f"{lengths[0]} px" if len(lengths) == 1 else f"{lengths[0]} to {lengths[-1]} px"
+    whence = "stated" if all(stated for _, stated in cameras) else "that of a usual lens"
+    return (
+        "The photos do not tell the focal length: another one fits as well, as where the camera "
+        f"only moves ahead. It is taken as {shown}, {whence}; if you know it better, give it with "
+        "--focal-length."
+    )

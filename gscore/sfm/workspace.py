@@ -9,9 +9,12 @@ from typing import Any
 
 from ..errors import ConfigError, DatasetError, GsError
 from ..io.files import atomic_write, read_bytes, reason
+from ..io.lock import FolderLock
 from ..json_text import parse_json
 from .photos import Photo
+from .plain import RECORD
 
+_LOCK = "lock"
 _STATE = "state.json"
 _CAPTURE = "capture"
 _MODEL = "sparse"
@@ -33,44 +36,73 @@ class Workspace:
         self.folder = whole / ".sfm" if self._inside else whole.parent / f".{whole.name}.sfm"
         self._in_place = (capture / "images").resolve() == root.resolve()
         self._made_parents = [p for p in whole.parents if not p.exists()]
-        if (capture / _MODEL).exists():
-            raise ConfigError(
-                f"{capture} holds cameras already, in {capture / _MODEL}. Remove that folder to "
-                "find them anew, or choose another output with -o."
-            )
-        if self._is_taken() and not self._in_place:
-            raise ConfigError(
-                f"{capture} is not empty. Choose a new folder with -o, or the folder in whose "
-                "`images` the photos are."
-            )
+        self._lock = FolderLock(self.folder, _LOCK, "search for cameras")
+        self._check_room()
 
     def open(self, state: dict[str, Any]) -> bool:
         """Make the folder; whether it goes on from a search for the same photos and options.
 
         Raises:
             ConfigError: a folder of this name holds something else.
-            GsError: it cannot be written.
+            GsError: it cannot be written, or another search works in it.
         """
-        with _told(self.folder):
-            if self.folder.is_dir() and any(self.folder.iterdir()):
-                if self._state() == state:
-                    return True
-                if self._state() is None:
-                    raise ConfigError(
-                        f"{self.folder} is where cameras are to be found, but holds something "
-                        "else. Move it away, or choose another output with -o."
-                    )
-                shutil.rmtree(self.folder)
-            self.folder.mkdir(parents=True, exist_ok=True)
-        atomic_write(self.folder / _STATE, json.dumps(state).encode())
-        return False
+        self._lock.take()
+        try:
+            self._check_room()  # another search may have ended since it was first looked at
+            with _told(self.folder):
+                return self._goes_on(state)
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Let the next search in; the folder stays unless it is empty."""
+        self._lock.release()
+        with contextlib.suppress(OSError):
+            self.folder.rmdir()
 
     def discard(self) -> None:
         """Leave nothing behind, not even the folders that were made above it."""
-        shutil.rmtree(self.folder, ignore_errors=True)
+        with contextlib.suppress(OSError):
+            self._clear()
+        self.close()
         for parent in self._made_parents:
             with contextlib.suppress(OSError):
                 parent.rmdir()  # only an empty folder can be removed
+
+    def _check_room(self) -> None:
+        if (self.capture / _MODEL).exists():
+            raise ConfigError(
+                f"{self.capture} holds cameras already, in {self.capture / _MODEL}. Remove that "
+                "folder to find them anew, or choose another output with -o."
+            )
+        if self._is_taken() and not self._in_place:
+            raise ConfigError(
+                f"{self.capture} is not empty. Choose a new folder with -o, or the folder in whose "
+                "`images` the photos are."
+            )
+
+    def _goes_on(self, state: dict[str, Any]) -> bool:
+        if any(path.name != _LOCK for path in self.folder.iterdir()):
+            if self._state() == state:
+                return True
+            if self._state() is None:
+                raise ConfigError(
+                    f"{self.folder} is where cameras are to be found, but holds something "
+                    "else. Move it away, or choose another output with -o."
+                )
+            self._clear()
+        atomic_write(self.folder / _STATE, json.dumps(state).encode())
+        return False
+
+    def _clear(self) -> None:
+        """Remove all but the lock, and what tells whose folder it is last of all."""
+        paths = [path for path in self.folder.iterdir() if path.name != _LOCK]
+        for path in sorted(paths, key=lambda path: path.name == _STATE):
+            if path.is_dir() and not path.is_symlink():
+                shutil.rmtree(path)
+            else:
+                path.unlink(missing_ok=True)
 
     @property
     def links(self) -> Path:
@@ -94,7 +126,7 @@ class Workspace:
                 if not (self.links / photo.alias).exists():
                     _link(self.root / photo.name, self.links / photo.alias)
 
-    def publish(self, model: Any, photos: list[Photo]) -> None:
+    def publish(self, model: Any, photos: list[Photo], record: str) -> None:
         """Put the capture in its place with one rename, and remove the rest.
 
         Photos are linked, which takes no space and holds them even where the first name is removed,
@@ -103,6 +135,7 @@ class Workspace:
         Args:
             model: pycolmap's Reconstruction; its images get the names of their photos.
             photos: With these names.
+            record: What was found, and of which photos, as JSON.
 
         Raises:
             GsError: it cannot be written.
@@ -116,12 +149,14 @@ class Workspace:
             for image in model.images.values():
                 image.name = names[image.name]
             model.write(sparse)
+            atomic_write((self._place if self._in_place else made) / RECORD, record.encode())
             if self._in_place:
                 (made / _MODEL).rename(self._place / _MODEL)
             else:
                 self._fill(made, photos)
                 self._put_in_place(made)
-        shutil.rmtree(self.folder, ignore_errors=True)
+        with contextlib.suppress(OSError):
+            self._clear()
 
     def _is_taken(self) -> bool:
         """Whether something else than an empty folder is where the capture goes."""

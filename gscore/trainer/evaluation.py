@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import Cancelled
-from ..metrics import Lpips, PictureCollector, evaluate
+from ..metrics import Evaluation, Lpips, LpipsNet, PictureCollector, evaluate
 from .trainer import Trainer
 
 _TRAIN_VIEWS_SHOWN = 8
@@ -16,7 +16,9 @@ _TRAIN_VIEWS_SHOWN = 8
 class Evaluator:
     """Knows which views are measured and how."""
 
-    def __init__(self, trainer: Trainer, *, lpips: Lpips | None, lpips_reason: str) -> None:
+    def __init__(
+        self, trainer: Trainer, *, lpips: Lpips | LpipsNet | None, lpips_reason: str
+    ) -> None:
         self._trainer = trainer
         self._lpips, self._lpips_reason = lpips, lpips_reason
         photos = trainer.photos
@@ -36,8 +38,8 @@ class Evaluator:
 
     def measure(
         self, collector: PictureCollector | None, *, interrupted: Callable[[], bool]
-    ) -> dict[str, Any] | None:
-        """All metrics of all measured views as `gscore.metrics.evaluate` returns them.
+    ) -> Evaluation | None:
+        """All metrics of all measured views.
 
         Args:
             collector: Gets the pictures for the report.
@@ -71,11 +73,3 @@ class Evaluator:
             )
         except Cancelled:
             return None
-
-
-def unmeasured(reason: str) -> dict[str, Any]:
-    """What `measure` would return, with nulls and the reason."""
-    mean: dict[str, Any] = {}
-    for key in ("psnr", "ssim", "lpips"):
-        mean |= {key: None, f"{key}_reason": reason}
-    return {"mean": mean, "views": []}

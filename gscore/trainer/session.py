@@ -12,7 +12,7 @@ from ..config_file import to_dict
 from ..control import Control
 from ..errors import DatasetError, FormatError
 from ..events import Eval, Event, Preview, Saved, Snapshot, Started, Warn, judged_psnr
-from ..metrics import Lpips, PictureCollector
+from ..metrics import Evaluation, Lpips, LpipsNet, PictureCollector
 from ..raster import backend
 from ..shown import quoted
 from ..words import count_words
@@ -54,7 +54,7 @@ class Session:
         *,
         emit: Callable[[Event], None],
         control: Control,
-        lpips: Lpips | None,
+        lpips: Lpips | LpipsNet | None,
         lpips_reason: str,
         depth: DepthSetup | None = None,
         stereo: StereoStart | None = None,
@@ -308,15 +308,15 @@ class Session:
         checkpoint.save(path, self._trainer, state)
         return path
 
-    def _evaluate(self, collector: PictureCollector | None) -> dict[str, Any] | None:
+    def _evaluate(self, collector: PictureCollector | None) -> Evaluation | None:
         self._emit(self._meter.progress(phase="measuring"))
         self._trainer.make_room()
         found = self._evaluator.measure(collector, interrupted=lambda: self._control.stopping)
         if found is None:
             return None
-        entry = self._note(judged_psnr(found["mean"]))
+        entry = self._note(judged_psnr(found.mean))
         split = self._evaluator.split
-        self._emit(Eval(step=entry["step"], split=split, metrics=found["mean"]))
+        self._emit(Eval(step=entry["step"], split=split, metrics=found.mean))
         return found
 
     def _depth_report(self) -> DepthReport | None:

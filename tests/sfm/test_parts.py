@@ -1,17 +1,22 @@
 """Parts of the search for cameras that need no photo of a scene."""
 
+import math
 from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, ImageFilter
 
 from gscore.sfm.database import Overlap
 from gscore.sfm.diagnose import why_none
+from gscore.sfm.forecast import FEATURES, MATCHING, Forecast
+from gscore.sfm.looks import Look, blurred, exposure_jumps, look_at
 from gscore.sfm.pairs import in_parts, sequential_pairs
 from gscore.sfm.photos import Photo, by_camera, list_photos, natural, read_photos
 from gscore.sfm.verdict import Found
+
+from .conftest import STUDIO
 
 
 def _photo(i: int, name: str = "", camera: tuple[str, ...] = ()) -> Photo:
@@ -117,3 +122,53 @@ def test_the_verdict_names_what_to_do() -> None:
     for words in ("5 of 9 photos", "x, y, z", "lost.jpg", "--camera-model OPENCV", "gscore train"):
         assert words in text
     assert found.facts()["models"] == 2 and found.facts()["others"] == (("x", "y", "z"),)
+
+
+def _looks(paths: list[Path]) -> list[Look]:
+    looks = []
+    for path in paths:
+        with Image.open(path) as photo:
+            looks.append(look_at(photo))
+    return looks
+
+
+def test_blurred_photos_and_jumps_of_exposure_are_named(tmp_path: Path) -> None:
+    """Oracle: the photos that were blurred, along one axis too, and darkened by two stops."""
+    names = [f"view_{i:03}.jpg" for i in range(10)]
+    for i, name in enumerate(names):
+        with Image.open(STUDIO / "images" / name) as photo:
+            changed = photo.copy()
+        if i == 3:
+            changed = changed.filter(ImageFilter.GaussianBlur(2))
+        if i == 6:
+            rows = np.asarray(changed, np.float32)
+            moved = np.mean([np.roll(rows, k, axis=1) for k in range(9)], axis=0)
+            changed = Image.fromarray(moved.astype(np.uint8))
+        if i == 8:
+            changed = changed.point(lambda value: value * 0.25 ** (1 / 2.2))
+        changed.save(tmp_path / name, quality=95)
+    looks = _looks([tmp_path / name for name in names])
+    assert blurred(looks) == [3, 6] and exposure_jumps(looks) == [8]
+
+
+def test_good_photos_are_neither_blurred_nor_jump() -> None:
+    """Oracle: the bundled capture, which is rendered sharp with one light."""
+    looks = _looks(sorted((STUDIO / "images").iterdir()))
+    assert blurred(looks) == [] and exposure_jumps(looks) == []
+
+
+def test_a_forecast_learns_the_pace() -> None:
+    """Oracle: a machine half as fast, told by a clock that the test turns."""
+    now = [0.0]
+    forecast = Forecast(
+        megapixels=[0.5] * 60, most=3072, pairs=1770, threads=2, clock=lambda: now[0]
+    )
+    told = forecast.seconds
+    assert forecast.left(FEATURES, 0.0) == pytest.approx(told)
+    now[0] = 0.5 * 60 * 1.0 / 2 * 2.0 * 0.5  # half of the features, at half the pace
+    assert forecast.left(FEATURES, 0.5) == pytest.approx(2.0 * (told - 7.5))
+    assert forecast.pace == pytest.approx(2.0)
+    before = forecast.left(MATCHING, 0.0)
+    forecast.has_features(60 * 7000)
+    assert forecast.left(MATCHING, 0.0) > before
+    assert math.isnan(forecast.left("writing the capture", 0.0))

@@ -3,6 +3,8 @@
 import json
 import shutil
 import struct
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +16,9 @@ from gscore.config import DataConfig
 from gscore.control import Control
 from gscore.datasets import load_dataset
 from gscore.errors import Cancelled, GsError
-from gscore.events import Event, SfmDone, SfmProgress
+from gscore.events import Event, SfmDone, SfmEstimated, SfmProgress
 from gscore.io.colmap import read_model
-from gscore.sfm import Request, find_cameras
+from gscore.sfm import Request, database, find_cameras
 from gscore.sfm.watch import watched
 
 from .conftest import NEAR, STUDIO, render_cloud
@@ -73,7 +75,7 @@ def test_the_capture_is_one(found: tuple[Path, dict, list[Event]], photos: Path)
     assert dataset.warnings == ()
     for name in dataset.names:
         assert (capture / "images" / name).read_bytes() == (photos / name).read_bytes()
-    assert sorted(path.name for path in capture.iterdir()) == ["images", "sparse"]
+    assert sorted(path.name for path in capture.iterdir()) == ["images", "sfm.json", "sparse"]
     assert _hidden(capture.parent) == []
 
 
@@ -91,6 +93,10 @@ def test_progress_is_told(found: tuple[Path, dict, list[Event]]) -> None:
         "writing the capture",
     ]
     assert all(e.done <= e.total for e in told if isinstance(e, SfmProgress))
+    (forecast,) = (event for event in told if isinstance(event, SfmEstimated))
+    assert forecast.photos == len(NEAR) and 0 < forecast.seconds < 60
+    left = [e.left_s for e in told if isinstance(e, SfmProgress) and e.phase == "comparing photos"]
+    assert left[-1] == left[-1] and left[-1] < 600
     assert isinstance(told[-1], SfmDone) and told[-1].registered == facts["registered"]
 
 
@@ -122,6 +128,42 @@ def test_a_stopped_search_goes_on(photos: Path, tmp_path: Path) -> None:
     told: list[Event] = []
     result = find_cameras(request, on_event=told.append)
     assert result.resumed and result.registered == len(NEAR) and _hidden(tmp_path) == []
+
+
+_SEARCH = """
+import sys
+from pathlib import Path
+from gscore.events import SfmProgress
+from gscore.sfm import Request, find_cameras
+def tell(event):
+    if isinstance(event, SfmProgress):
+        print(event.phase, event.done, flush=True)
+find_cameras(Request(photos=Path(sys.argv[1]), output=Path(sys.argv[2])), on_event=tell)
+"""
+
+
+def test_a_killed_search_goes_on(photos: Path, tmp_path: Path) -> None:
+    """Oracle: killed while photos are compared, the next search has the features and the cameras;
+    while it lived, another was kept out by name."""
+    capture = tmp_path / "capture"
+    command = [sys.executable, "-c", _SEARCH, str(photos), str(capture)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as search:
+        assert search.stdout is not None
+        for line in search.stdout:
+            if line.startswith("comparing photos"):
+                break
+        request = Request(photos=photos, output=capture)
+        try:
+            with pytest.raises(GsError, match=rf"another search for cameras .*{search.pid}"):
+                find_cameras(request)
+        finally:
+            search.kill()
+    assert search.returncode < 0 and not capture.exists()
+    features = sum(database.features(tmp_path / ".capture.sfm/usual.db"))
+    told: list[Event] = []
+    result = find_cameras(request, on_event=told.append)
+    assert result.resumed and result.registered == len(NEAR) and _hidden(tmp_path) == []
+    assert features > 1000
 
 
 def test_other_photos_begin_anew(photos: Path, tmp_path: Path) -> None:
@@ -166,7 +208,12 @@ def test_photos_of_a_capture_stay_in_place(photos: Path, tmp_path: Path, capsys:
     facts = json.loads(capsys.readouterr().out.splitlines()[-1])
     wanted = {"photos", "registered", "models", "points", "reprojection_px", "seconds"}
     assert wanted <= facts.keys() and facts["registered"] >= 6
-    assert sorted(path.name for path in capture.iterdir()) == ["images", "masks", "sparse"]
+    assert sorted(path.name for path in capture.iterdir()) == [
+        "images",
+        "masks",
+        "sfm.json",
+        "sparse",
+    ]
     model = read_model(capture)
     seen = np.concatenate([i.xys[i.point3D_ids >= 0] for i in model.images])
     assert len(seen) > 100 and seen[:, 0].min() >= 240 // 3, "features that a mask hides"

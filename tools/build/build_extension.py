@@ -46,17 +46,19 @@ def build_wheels() -> tuple[Path, Path]:
     return gscore, plyfile
 
 
-def add_library(wheel: Path, library: Path, name: str, tag: str, folder: Path) -> Path:
-    """A copy of a wheel with the native library, the platform's tag and a version of its own, and
-    without what measures gscore.
+def add_library(
+    wheel: Path, library: Path, name: str, tag: str, folder: Path, *, for_blender: bool = True
+) -> Path:
+    """A copy of a wheel with the native library and the platform's tag.
 
-    The version gets a part made of the content, because Blender does not unpack a wheel again whose
-    name and version it has unpacked before.
+    Blender's goes without what measures gscore and has a version of its own, with a part made of
+    the content, because Blender does not unpack a wheel again whose name and version it has
+    unpacked before.
     """
     project, version, *_ = wheel.name.split("-")
     old = f"{project}-{version}.dist-info"
     with zipfile.ZipFile(wheel) as archive:
-        left_out = tuple(f"gscore/{name}" for name in _MEASURES)
+        left_out = tuple(f"gscore/{name}" for name in _MEASURES if for_blender)
         wanted = [entry for entry in archive.namelist() if not entry.startswith(left_out)]
         members = {entry: archive.read(entry) for entry in wanted if entry[-1] != "/"}
     del members[f"{old}/RECORD"]
@@ -64,7 +66,9 @@ def add_library(wheel: Path, library: Path, name: str, tag: str, folder: Path) -
     tags = members[f"{old}/WHEEL"].decode()
     tags = tags.replace("Root-Is-Purelib: true", "Root-Is-Purelib: false")
     members[f"{old}/WHEEL"] = tags.replace("py3-none-any", f"py3-none-{tag}").encode()
-    own = f"{version}+{hashlib.sha256(_record(members, '')).hexdigest()[:8]}"
+    own = version
+    if for_blender:
+        own += f"+{hashlib.sha256(_record(members, '')).hexdigest()[:8]}"
     metadata = members[f"{old}/METADATA"].decode()
     metadata = metadata.replace(f"\nVersion: {version}\n", f"\nVersion: {own}\n", 1)
     members[f"{old}/METADATA"] = metadata.encode()

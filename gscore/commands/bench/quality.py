@@ -10,7 +10,7 @@ from pathlib import Path
 from ...bench.quality import train_judged
 from ...config import PRESETS, DataConfig
 from ...io.places import check_place
-from ...metrics import Lpips, find_lpips
+from ...metrics import Lpips, LpipsNet, find_lpips
 from ..output import check_folder, check_replaced
 from ..status import Status
 from .numbers import check_numbers
@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "off, an option of gscore.TrainConfig (free-space=0), another preset (preset=normal)",
     )  # fmt: skip
     parser.add_argument(
-        "--lpips", type=Path, metavar="FILE.onnx", help="network of LPIPS; without it, not measured"
+        "--lpips", type=Path, metavar="NETWORK", help="as for gscore eval; without it, not measured"
     )
     add_training_options(parser)
 
@@ -70,7 +70,9 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _train(cell: Cell, results: QualityResults, lpips: Lpips | None, status: Status) -> None:
+def _train(
+    cell: Cell, results: QualityResults, lpips: Lpips | LpipsNet | None, status: Status
+) -> None:
     """Variants in turn for each seed, so that an hour in which the machine is slow meets all."""
     ticker = Ticker(f"{cell.capture}, offset {cell.offset}", status)
     for seed in cell.seeds:

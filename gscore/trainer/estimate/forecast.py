@@ -9,7 +9,7 @@ import numpy as np
 
 from ...config import TrainConfig
 from ...errors import GsError
-from ...metrics.lpips import lpips_file
+from ...metrics.lpips import lpips_file, named_net
 from ...raster.api import render
 from ...splats import Splats
 from ...words import count_words
@@ -106,7 +106,7 @@ def estimate(
     maps = depth_bytes(total) if depths else 0
     photos = total * (4 if masks else 3)
     network = lpips_file(config.lpips)
-    lpips = network is not None and network.is_file()
+    lpips = bool(named_net(config.lpips)) or (network is not None and network.is_file())
 
     def needed(splats: int, pixels: int) -> int:
         return training_bytes(splats=splats, sh_degree=config.sh_degree, pixels=pixels, lpips=lpips)

@@ -1,18 +1,14 @@
 """The output folder of a run: what lies where, whose it is, and that only one run writes there."""
 
 import contextlib
-import errno
-import json
-import os
-import sys
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO
 
 from ...config import DataConfig
 from ...errors import ConfigError, GsError
 from ...io.files import atomic_write, reason
+from ...io.lock import FolderLock
 from ...io.places import check_place
 from ...io.runs import (
     RUN_LOCK,
@@ -24,10 +20,7 @@ from ...io.runs import (
     results_in,
 )
 from ...io.sequences import SEQUENCE_FILE
-from ...json_text import parse_json
 from ...shown import shown
-
-_FAR = 1 << 20
 
 
 class RunFolder:
@@ -123,13 +116,16 @@ def open_folder(
     new = not path.exists()
     lock = _lock(path)
     try:
-        _sign(lock, path)
+        lock.take()
         if not resume:
             _check_room(folder, overwrite=overwrite)
         clear_unfinished(path)
         yield folder
     finally:
-        _release(lock, path, remove_folder=new)
+        lock.release()
+        if new:
+            with contextlib.suppress(OSError):
+                path.rmdir()  # only an empty folder can be removed
 
 
 def _check_room(folder: RunFolder, *, overwrite: bool) -> None:
@@ -145,92 +141,25 @@ def _check_room(folder: RunFolder, *, overwrite: bool) -> None:
         )
 
 
+def check_writable(path: Path, *, resume: bool, overwrite: bool) -> None:
+    """Raise what `open_folder` would, before work that comes first; nothing is made.
+
+    Raises:
+        ConfigError, GsError: as `open_folder`.
+    """
+    check_free(path)
+    if not resume:
+        _check_room(RunFolder(path), overwrite=overwrite)
+
+
 def check_free(path: Path) -> None:
     """Raise unless nobody trains into a folder now.
 
     Raises:
         GsError: another process does.
     """
-    try:
-        file = (path / RUN_LOCK).open("r+", encoding="utf-8")
-    except (OSError, ValueError):  # no folder, no lock
-        return
-    with file:
-        if not _try_lock(file):
-            raise _in_use(path, file)
+    _lock(path).check_free()
 
 
-def _in_use(path: Path, file: IO[str]) -> GsError:
-    """The error for a lock that another process has."""
-    file.seek(0)
-    holder = ""
-    with contextlib.suppress(ValueError, KeyError, TypeError, RecursionError):
-        holder = f" (process {parse_json(file.read())['pid']})"
-    return GsError(
-        f"{path} is in use by another training{holder}; wait for it, stop it, or choose "
-        "another output folder."
-    )
-
-
-def _lock(path: Path) -> IO[str]:
-    """Take the lock, which the system drops when this process ends, however it ends."""
-    while True:
-        try:
-            path.mkdir(parents=True, exist_ok=True)
-            file = (path / RUN_LOCK).open("a+", encoding="utf-8")
-        except FileExistsError:
-            raise ConfigError(f"{path} is a file; an output folder is needed.") from None
-        except (OSError, ValueError) as error:
-            raise GsError(f"Cannot write into {shown(path)}: {reason(error)}") from error
-        if not _try_lock(file):
-            with file:
-                raise _in_use(path, file)
-        try:
-            current = os.path.samestat(os.fstat(file.fileno()), (path / RUN_LOCK).stat())
-        except OSError:
-            current = False
-        if current:
-            break
-        file.close()  # its last owner has removed it since it was opened
-    return file
-
-
-def _sign(file: IO[str], path: Path) -> None:
-    """Say in the lock whose it is."""
-    try:
-        file.truncate(0)
-        # Not through its buffer, which would try again when the file is closed.
-        os.write(file.fileno(), json.dumps({"pid": os.getpid()}).encode())
-    except OSError as error:
-        raise GsError(f"Cannot write into {shown(path)}: {reason(error)}") from error
-
-
-def _try_lock(file: IO[str]) -> bool:
-    try:
-        if sys.platform == "win32":
-            import msvcrt
-
-            file.seek(_FAR)  # the lock is on a byte; the text before it stays readable
-            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
-        else:
-            import fcntl
-
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        # Anything else is a file system that knows no locks.
-        return error.errno not in (errno.EACCES, errno.EAGAIN, errno.EDEADLK)
-    return True
-
-
-def _release(file: IO[str], path: Path, *, remove_folder: bool) -> None:
-    with contextlib.suppress(OSError):
-        if sys.platform == "win32":
-            # An open file cannot be removed there; nor one that another run has opened since.
-            file.close()
-            (path / RUN_LOCK).unlink(missing_ok=True)
-        else:
-            # While it is still held: the moment it is not, the file there may be another run's.
-            (path / RUN_LOCK).unlink(missing_ok=True)
-            file.close()
-        if remove_folder:
-            path.rmdir()  # only an empty folder can be removed
+def _lock(path: Path) -> FolderLock:
+    return FolderLock(path, RUN_LOCK, "training")

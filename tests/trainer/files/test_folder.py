@@ -12,6 +12,7 @@ import pytest
 from gscore.config import DataConfig, TrainConfig
 from gscore.config_file import config_json
 from gscore.errors import ConfigError, GsError
+from gscore.io.lock import FolderLock
 from gscore.io.runs import RUN_LOCK, clear_run, others_in_run, remove_results
 from gscore.trainer.files import folder as folder_module
 from gscore.trainer.files.folder import open_folder
@@ -305,7 +306,7 @@ def test_a_disk_without_a_byte_left_is_named(
     path = tmp_path / "out"
     if there:
         path.mkdir()
-    monkeypatch.setattr(folder_module.os, "write", full)
+    monkeypatch.setattr(os, "write", full)
     with (
         pytest.raises(GsError, match=r"Cannot write into .*out: the disk is full"),
         open_folder(path, resume=False, overwrite=False),
@@ -367,20 +368,22 @@ def test_names_that_cannot_be_are_refused(tmp_path: Path, name: str, resume: boo
 def test_giving_up_the_lock_never_takes_that_of_the_next(tmp_path: Path) -> None:
     """Oracle: another run takes the lock the moment it is free, and a third is refused."""
     (tmp_path / "kept").write_text("")
-    held = folder_module._lock(tmp_path)
-    taken = []
+    held, following, third = (FolderLock(tmp_path, RUN_LOCK, "training") for _ in range(3))
+    held.take()
+    file = held._file
 
     class Closing:
         """The file; the next run comes right after it was closed."""
 
         def close(self) -> None:
-            held.close()
-            taken.append(folder_module._lock(tmp_path))
+            file.close()
+            following.take()
 
-    folder_module._release(Closing(), tmp_path, remove_folder=False)  # type: ignore[arg-type]
+    held._file = Closing()  # type: ignore[assignment]
+    held.release()
     with pytest.raises(GsError, match="in use by another training"):
-        folder_module._lock(tmp_path)
-    folder_module._release(taken[0], tmp_path, remove_folder=False)
+        third.take()
+    following.release()
     assert names(tmp_path) == {"kept"}
 
 

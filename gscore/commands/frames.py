@@ -1,0 +1,61 @@
+"""`gscore frames`: choose sharp frames of a video and write them as photos."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from ..io.places import check_place
+from ..video import FrameRequest, extract_frames
+from ..video.request import FORMATS
+from .attend import add_output_options, attend
+from .output import check_folder, print_json
+from .status import wrapped
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of the verb."""
+    parser.add_argument("video", type=Path, help="the video, of any kind that FFmpeg reads")
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        required=True,
+        metavar="FOLDER",
+        help="folder for the frames, a new or an empty one",
+    )
+    parser.add_argument(
+        "--frames",
+        type=int,
+        default=0,
+        metavar="N",
+        help="how many at most; without it one for each 5 %% of the picture that the camera "
+        "moves, 30 to 300",
+    )
+    parser.add_argument(
+        "--format",
+        choices=FORMATS,
+        default="jpg",
+        help="jpg, of quality 97 with full colour resolution, or png (jpg)",
+    )
+    add_output_options(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Look, choose, write, say what came out."""
+    request = FrameRequest(
+        video=args.video, output=args.output, frames=args.frames, format=args.format
+    )
+    check_place(request.output)
+    check_folder(request.output)
+    frames, code = attend(
+        args,
+        lambda show, control: extract_frames(request, on_event=show, control=control),
+        stopped=lambda: "Stopped; nothing was written.",
+    )
+    if frames is None:
+        return code
+    if args.json:
+        print_json(frames.facts())
+    elif not (args.events or args.quiet):
+        print(wrapped("\n".join(frames.lines()), sys.stdout))
+    return code

@@ -1,0 +1,72 @@
+"""What `gscore info` says of a folder of plain photos: what finding their cameras would need."""
+
+import shlex
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+from ..config import DataConfig
+from ..datasets.capture import listing
+from ..sfm.attempts import attempts
+from ..sfm.photos import LEAST, by_camera, list_photos, photo_folder, read_photos
+from ..sfm.plain import apart_of
+from ..sfm.request import Request
+from ..sfm.stages import Work
+from ..words import count_words, number, time_words
+
+
+def photos_facts(path: Path, data: DataConfig) -> dict[str, Any]:
+    """For JSON; of each photo only the header is read.
+
+    Raises:
+        DatasetError: a photo cannot be read.
+    """
+    masks = Path(data.masks) if data.masks else None
+    request = Request(photos=path, output=_capture(path), masks=masks)
+    root = photo_folder(path)
+    names, unread = list_photos(root, apart_of(request, root))
+    photos = read_photos(
+        root, names, on_photo=lambda done: None, cancelled=lambda: False, whole=False
+    )
+    work = Work(request=request, root=root, photos=photos, masks=None, folder=root)
+    first = attempts(request)[0]
+    return {
+        "kind": "photos",
+        "path": str(path),
+        "photos": len(photos),
+        "unread": unread,
+        "sizes": dict(Counter(f"{p.width} x {p.height}" for p in photos).most_common()),
+        "cameras": len(by_camera(photos)),
+        "enough": len(photos) >= LEAST,
+        "pairs": sum(map(len, work.parts(first))),
+        "sfm_seconds": round(work.forecast(first).seconds, 1),
+        "next": f"gscore train {shlex.quote(str(path))} -o run",
+        "warnings": [],
+    }
+
+
+def photos_text(facts: dict[str, Any]) -> list[str]:
+    """For people."""
+    sizes = ", ".join(f"{count} of {size}" for size, count in facts["sizes"].items())
+    cameras = count_words(facts["cameras"], "camera and lens", "cameras and lenses")
+    lines = [
+        f"{facts['path']}: {count_words(facts['photos'], 'photo')} without cameras",
+        f"  sizes: {sizes}; {cameras} by what EXIF says",
+    ]
+    if facts["unread"]:
+        left_out = count_words(len(facts["unread"]), "photo")
+        lines.append(f"  {left_out} of kinds that are not read: {listing(facts['unread'], 3)}")
+    if not facts["enough"]:
+        return [*lines, f"  at least {LEAST} photos that overlap are needed, 30 or more are good"]
+    about = time_words(float(f"{facts['sfm_seconds']:.1g}"))
+    return [
+        *lines,
+        f"  finding their cameras compares {number(facts['pairs'])} pairs and takes about {about} "
+        "here",
+        f"Next: {facts['next']}",
+    ]
+
+
+def _capture(path: Path) -> Path:
+    whole = path.absolute()
+    return whole.with_name(f"{whole.name}-capture")

@@ -1,0 +1,140 @@
+"""Files of known networks: in the cache that all users of the hub share, or downloaded into it."""
+
+import hashlib
+import os
+from pathlib import Path
+from typing import Any
+
+from ..errors import BackendError, ConfigError, FormatError, GsError
+from ..extras import need
+from ..io.files import reason
+from ..shown import shown
+from ..words import size_words
+from .catalogue import KnownNetwork
+
+
+def cached_file(network: KnownNetwork) -> Path | None:
+    """The file where it was downloaded before, by whatever program; None: it was not.
+
+    Raises:
+        BackendError: huggingface_hub is not installed.
+    """
+    hub = _hub()
+    found = hub.try_to_load_from_cache(network.repository, network.file, revision=network.revision)
+    return Path(found) if isinstance(found, str) else None
+
+
+def network_file(network: KnownNetwork, *, download: bool) -> Path:
+    """The file of a network, checked against its SHA-256.
+
+    Args:
+        network: Which one.
+        download: Whether it may be downloaded, with the user's own settings of the hub
+            (HF_HOME, HF_ENDPOINT, HF_TOKEN, HF_HUB_OFFLINE).
+
+    Raises:
+        BackendError: huggingface_hub is not installed, and the file may be downloaded.
+        ConfigError: it is not there and must not be downloaded.
+        GsError: the hub cannot be reached, has no such file, or the disk is full.
+        FormatError: what is there, or came, is another file; it was removed.
+    """
+    path = cached_file(network)
+    if path is None and not download:
+        raise ConfigError(
+            f"{network.name} is not on this machine. --download fetches it into the cache of "
+            f"huggingface_hub: {terms(network)}."
+        )
+    if path is None:
+        path = _downloaded(network)
+    _check(network, path)
+    return path
+
+
+def terms(network: KnownNetwork) -> str:
+    """Size, licence and where from, which a user should know before."""
+    return f"{size_words(network.bytes)}, licence {network.licence}, from {network.page}"
+
+
+def _hub() -> Any:
+    hub = need("huggingface_hub", "Depth networks by name")
+    if not hasattr(hub, "try_to_load_from_cache"):
+        raise BackendError(
+            "The installed huggingface_hub is too old; update it with: "
+            'pip install --upgrade "gscore[hub]"'
+        )
+    return hub
+
+
+def _downloaded(network: KnownNetwork) -> Path:
+    hub = _hub()
+    before = _quiet(True)
+    try:
+        found = hub.hf_hub_download(
+            network.repository, network.file, revision=network.revision, library_name="gscore"
+        )
+    except Exception as error:  # of the hub, of its HTTP library, of the disk
+        raise GsError(f"{network.name} cannot be downloaded: {_why(error, network)}") from error
+    finally:
+        _quiet(before)
+    return Path(found)
+
+
+def _quiet(off: bool) -> bool:
+    """Switch the hub's own bars off or on again; whether they were off."""
+    from huggingface_hub.utils import (
+        are_progress_bars_disabled,
+        disable_progress_bars,
+        enable_progress_bars,
+    )
+
+    before = are_progress_bars_disabled()
+    (disable_progress_bars if off else enable_progress_bars)()
+    return before
+
+
+def _why(error: Exception, network: KnownNetwork) -> str:
+    """The cause and what to do, by the names of the hub's errors, which differ among its
+    versions in what they derive from."""
+    kinds = {cls.__name__ for each in _chain(error) for cls in type(each).__mro__}
+    if "GatedRepoError" in kinds:
+        return f"its authors want you to agree first, at {network.page}; then set HF_TOKEN."
+    if kinds & {"EntryNotFoundError", "RepositoryNotFoundError", "RevisionNotFoundError"} and (
+        "LocalEntryNotFoundError" not in kinds
+    ):
+        return (
+            f"the hub has no {network.file} of {network.repository} any more. Give the path of a "
+            "file with --model."
+        )
+    if os.environ.get("HF_HUB_OFFLINE", "").lower() in ("1", "true", "yes", "on"):
+        return "HF_HUB_OFFLINE forbids it. Unset it, or give the path of a file with --model."
+    for each in _chain(error):
+        if isinstance(each, OSError) and each.errno and "Connect" not in type(each).__name__:
+            return reason(each)
+    return (
+        f"the hub cannot be reached ({shown(str(error).splitlines()[0] if str(error) else error)})"
+        f". Look at the connection, or fetch {network.file} from {network.page} and give its path "
+        "with --model."
+    )
+
+
+def _chain(error: BaseException | None) -> list[BaseException]:
+    found: list[BaseException] = []
+    while error is not None and error not in found:
+        found.append(error)
+        error = error.__cause__ or error.__context__
+    return found
+
+
+def _check(network: KnownNetwork, path: Path) -> None:
+    with path.open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    if digest == network.sha256:
+        return
+    # Of the cache both the name and what it leads to, or the next call would find it again.
+    for each in {path.resolve(), path}:
+        each.unlink(missing_ok=True)
+    raise FormatError(
+        f"What the hub gave for {network.name} is another file (SHA-256 {digest[:12]}..., "
+        f"{network.sha256[:12]}... was expected); it was removed. Try again with --download, or "
+        "fetch it in a browser and give its path with --model."
+    )

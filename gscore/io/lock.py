@@ -1,0 +1,126 @@
+"""A folder that one process at a time works in: the lock that says so, and whose it is."""
+
+import contextlib
+import errno
+import json
+import os
+import sys
+from pathlib import Path
+from typing import IO
+
+from ..errors import ConfigError, GsError
+from ..json_text import parse_json
+from ..shown import shown
+from .files import reason
+
+_FAR = 1 << 20
+
+
+class FolderLock:
+    """A file in a folder, locked by the system until the process that holds it ends, however it
+    ends."""
+
+    def __init__(self, folder: Path, name: str, work: str) -> None:
+        """Of a folder that need not exist yet.
+
+        Args:
+            folder: What is held.
+            name: Of the file in it.
+            work: What is done in it, such as `training`, for the sentence of the second one.
+        """
+        self._folder, self._path, self._work = folder, folder / name, work
+        self._file: IO[str] | None = None
+
+    def check_free(self) -> None:
+        """Raise GsError where another process holds the folder."""
+        try:
+            file = self._path.open("r+", encoding="utf-8")
+        except (OSError, ValueError):  # no folder, no lock
+            return
+        with file:
+            if not _try_lock(file):
+                raise self._in_use(file)
+
+    def take(self) -> None:
+        """Hold the folder, which is made if it is not there.
+
+        Raises:
+            GsError: another process holds it, or it cannot be written.
+            ConfigError: it is a file.
+        """
+        file = self._open()
+        try:
+            file.truncate(0)
+            # Not through its buffer, which would try again when the file is closed.
+            os.write(file.fileno(), json.dumps({"pid": os.getpid()}).encode())
+        except OSError as error:
+            self._file = file
+            self.release()
+            raise GsError(f"Cannot write into {shown(self._folder)}: {reason(error)}") from error
+        self._file = file
+
+    def release(self) -> None:
+        """Let go of the folder and remove the file."""
+        file, self._file = self._file, None
+        if file is None:
+            return
+        with contextlib.suppress(OSError):
+            if sys.platform == "win32":
+                # An open file cannot be removed there; nor one that another has opened since.
+                file.close()
+                self._path.unlink(missing_ok=True)
+            else:
+                # While it is still held: the moment it is not, the file there may be another's.
+                self._path.unlink(missing_ok=True)
+                file.close()
+
+    def _open(self) -> IO[str]:
+        while True:
+            try:
+                self._folder.mkdir(parents=True, exist_ok=True)
+                file = self._path.open("a+", encoding="utf-8")
+            except FileExistsError:
+                raise ConfigError(
+                    f"{self._folder} is a file; an output folder is needed."
+                ) from None
+            except (OSError, ValueError) as error:
+                raise GsError(
+                    f"Cannot write into {shown(self._folder)}: {reason(error)}"
+                ) from error
+            if not _try_lock(file):
+                with file:
+                    raise self._in_use(file)
+            try:
+                current = os.path.samestat(os.fstat(file.fileno()), self._path.stat())
+            except OSError:
+                current = False
+            if current:
+                return file
+            file.close()  # its last owner has removed it since it was opened
+
+    def _in_use(self, file: IO[str]) -> GsError:
+        file.seek(0)
+        holder = ""
+        with contextlib.suppress(ValueError, KeyError, TypeError, RecursionError):
+            holder = f" (process {parse_json(file.read())['pid']})"
+        return GsError(
+            f"{self._folder} is in use by another {self._work}{holder}; wait for it, stop it, or "
+            "choose another output folder."
+        )
+
+
+def _try_lock(file: IO[str]) -> bool:
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            file.seek(_FAR)  # the lock is on a byte; the text before it stays readable
+            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        # Anything else is a file system that knows no locks.
+        return error.errno not in (errno.EACCES, errno.EAGAIN, errno.EDEADLK)
+    return True

@@ -1,0 +1,105 @@
+"""LPIPS (Zhang et al. 2018) by its authors' package, with torchvision's weights: as papers do."""
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..config import checked_threads
+from ..errors import BackendError, ConfigError, GsError
+from ..extras import how_to_install, need
+from ..shown import shown
+from .lpips_input import checked_pair
+
+NETS = {
+    "alex": "alexnet-owt-7be5be79.pth",
+    "vgg": "vgg16-397923af.pth",
+    "squeeze": "squeezenet1_1-b8a52dc0.pth",
+}
+"""Names of the networks, and torchvision's files of their weights in torch's cache."""
+_MEGABYTES = {"alex": 233, "vgg": 528, "squeeze": 5}
+
+
+def weights_file(net: str) -> Path:
+    """Where torch keeps the weights of a network, whether or not they are there.
+
+    As torch decides: TORCH_HOME, else `torch` in XDG_CACHE_HOME, else in `~/.cache`.
+    """
+    cache = Path(os.environ.get("XDG_CACHE_HOME", "~/.cache"))
+    home = Path(os.environ.get("TORCH_HOME", cache / "torch")).expanduser()
+    return home / "hub" / "checkpoints" / NETS[net]
+
+
+class LpipsNet:
+    """The metric as the package `lpips` computes it, version 0.1, on RGB in [-1, 1]."""
+
+    def __init__(self, net: str, *, threads: int = 0, download: bool = False) -> None:
+        """Load the package and the weights.
+
+        Args:
+            net: One of `NETS`.
+            threads: Threads to use; 0: as torch is set.
+            download: Whether torchvision may fetch weights that are not in torch's cache.
+
+        Raises:
+            BackendError: the package or torchvision is not installed, or does not load.
+            ConfigError: the weights are not there and must not be downloaded.
+            GsError: they cannot be downloaded or read.
+        """
+        self._threads = checked_threads(threads)
+        self._torch = need("torch", "LPIPS")
+        package = _package()
+        path = weights_file(net)
+        if not path.is_file() and not download:
+            raise ConfigError(
+                f"The weights of LPIPS with {net} are not on this machine: {path} "
+                f"({_MEGABYTES[net]} MB of torchvision's). Put them there, or let them be fetched "
+                "with --lpips-download."
+            )
+        try:
+            self._metric = package.LPIPS(net=net, version="0.1", verbose=False).eval()
+        except Exception as error:  # of urllib, of torch, of the package
+            raise GsError(
+                f"LPIPS with {net} cannot be loaded from {path}: {shown(error)}. Remove the file "
+                "to have it fetched again, or look at the connection."
+            ) from error
+        self.path = path
+        """The file of the weights."""
+        self.net = net
+        self.key = f"lpips_{net}"
+        """Key of the number in metrics.json."""
+
+    def __call__(self, image: Any, target: Any) -> float:
+        """The distance of two [H, W, 3] pictures, float in [0, 1] or uint8.
+
+        Raises:
+            ShapeError: Sizes differ or a side is shorter than 32 pixels.
+        """
+        torch = self._torch
+        pair = [torch.from_numpy(np.ascontiguousarray(x)) for x in checked_pair(image, target)]
+        before = torch.get_num_threads()
+        try:
+            if self._threads:
+                torch.set_num_threads(self._threads)
+            with torch.no_grad():
+                return float(self._metric(*pair).reshape(-1)[0])
+        finally:
+            torch.set_num_threads(before)
+
+
+def _package() -> Any:
+    """The package `lpips`, which loads torchvision.
+
+    Raises:
+        BackendError: one of the two is missing, or torchvision was built for another torch.
+    """
+    try:
+        return need("lpips", "LPIPS by its name")
+    except RuntimeError as error:
+        if isinstance(error, BackendError):
+            raise
+        raise BackendError(
+            f"torchvision does not load: {shown(error)}. It was made for another build of torch; "
+            f"install both together: {how_to_install('lpips')}"
+        ) from error

@@ -1,0 +1,130 @@
+"""The folder of the frames: written beside its place, then renamed; known again by a second run."""
+
+import contextlib
+import io
+import json
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .._version import __version__
+from ..errors import ConfigError, GsError
+from ..io.files import atomic_write, read_bytes, reason
+from ..io.images import write_png
+from ..io.pillow import pillow
+from ..json_text import parse_json
+from ..shown import shown
+from .request import FrameRequest
+
+RECORD = "frames.json"
+"""File among the frames that says of which video they are, and when each was."""
+_QUALITY = 97
+"""Of JPEG, with full colour resolution: see docs/video.md for what that costs."""
+_METHOD = 1
+"""Changes where the same video would give other frames."""
+
+
+class FrameFolder:
+    """Where the frames of a request go."""
+
+    def __init__(self, request: FrameRequest) -> None:
+        """Look at what is there.
+
+        Raises:
+            ConfigError: the folder holds something else.
+        """
+        self._request, self._place = request, request.output
+        whole = request.output.absolute()
+        self._work = whole.parent / f".{whole.name}.frames"
+        there = _record(self._place / RECORD)
+        self.found: dict[str, Any] | None = None
+        """The record of a run before this one that wrote the same frames; None: there are none."""
+        if there is not None and self._is_same(there) and self._is_whole(there):
+            self.found = there
+        elif self._place.exists() and not _is_empty_folder(self._place):
+            what = "frames of another video, or of other options" if there else "something else"
+            raise ConfigError(
+                f"{shown(self._place)} holds {what}. Choose a new folder with -o, or remove it."
+            )
+
+    @contextlib.contextmanager
+    def writing(self) -> Iterator[None]:
+        """A block in which `put` may be called; what is there is removed where it fails.
+
+        Raises:
+            GsError: the folder cannot be written.
+        """
+        try:
+            # What a killed run left behind: its frames are soon made again.
+            shutil.rmtree(self._work, ignore_errors=True)
+            self._work.mkdir(parents=True)
+            yield
+        except OSError as error:
+            raise GsError(f"Cannot write {shown(self._place)}: {reason(error)}") from error
+        finally:
+            shutil.rmtree(self._work, ignore_errors=True)
+
+    def put(self, number: int, pixels: np.ndarray) -> str:
+        """Write one frame; its name.
+
+        Args:
+            number: Of the frame in the video, from 0.
+            pixels: [H, W, 3] uint8.
+        """
+        name = f"frame_{number:06}.{self._request.format}"
+        if self._request.format == "png":
+            write_png(self._work / name, pixels)
+        else:
+            encoded = io.BytesIO()
+            picture = pillow().fromarray(pixels)
+            picture.save(encoded, "JPEG", quality=_QUALITY, subsampling=0)
+            (self._work / name).write_bytes(encoded.getvalue())
+        return name
+
+    def publish(self, facts: dict[str, Any]) -> None:
+        """Put the folder in its place with one rename.
+
+        Args:
+            facts: For the record, with `frames`: rows with a `name` each.
+        """
+        record = {"gscore": __version__, "request": self._stamp(), **facts}
+        atomic_write(self._work / RECORD, (json.dumps(record, indent=1) + "\n").encode())
+        if self._place.exists():
+            self._place.rmdir()  # an empty one
+        self._work.replace(self._place)
+
+    def _stamp(self) -> dict[str, Any]:
+        """What frames must have in common to be the same."""
+        request, stat = self._request, self._request.video.stat()
+        return {
+            "method": _METHOD,
+            "video": request.video.name,
+            "bytes": stat.st_size,
+            "changed": stat.st_mtime_ns,
+            "frames": request.frames,
+            "format": request.format,
+        }
+
+    def _is_same(self, record: dict[str, Any]) -> bool:
+        return self._request.video.is_file() and record.get("request") == self._stamp()
+
+    def _is_whole(self, record: dict[str, Any]) -> bool:
+        rows = record.get("frames")
+        return isinstance(rows, list) and all(
+            isinstance(row, dict) and (self._place / str(row.get("name"))).is_file() for row in rows
+        )
+
+
+def _record(path: Path) -> dict[str, Any] | None:
+    try:
+        found = parse_json(read_bytes(path))
+    except (GsError, ValueError):
+        return None
+    return found if isinstance(found, dict) else None
+
+
+def _is_empty_folder(path: Path) -> bool:
+    return path.is_dir() and not any(path.iterdir())

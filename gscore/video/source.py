@@ -1,0 +1,273 @@
+"""A video file opened with PyAV: its frames in the order of display, or why there are none."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from ..errors import DatasetError, FormatError
+from ..extras import need
+from ..io.files import check_regular, is_file
+from ..shown import shown
+from ..words import count_words
+
+_ENCRYPTED = ("encv", "drmi", "p608")
+"""Four letters in the place of the codec's where the stream is encrypted."""
+_CONTAINERS = (
+    "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpegts,mpegtsraw,mpeg,mpegvideo,asf,flv,live_flv,mxf,"
+    "ogg,gif,dv,h264,hevc,av1,ivf,obu,rm,nut,swf,vob,gxf,wtv,yuv4mpegpipe,wav,mp3,aac,flac,w64"
+)
+"""Of FFmpeg's formats those that are files of their own. Playlists, which it reads too, name other
+files and addresses; it also takes text and photos for videos."""
+_HDR = {16: "HDR (PQ)", 18: "HDR (HLG)"}
+"""Transfer functions of ITU-T H.273 whose white is brighter than a screen's."""
+_LOOK = 12
+"""Frames that are looked at before the first is given: fields may begin late."""
+_DEINTERLACE = "bwdif"
+_STRICT = ("h264", "hevc")
+"""Decoders that would fill damaged places in with something, unless they are told to refuse."""
+_HOW = "Save it anew with a program that plays it, as MP4 with H.264"
+
+
+@dataclass(frozen=True, kw_only=True)
+class VideoFacts:
+    """What a video says of itself."""
+
+    width: int
+    """Pixels as stored."""
+    height: int
+    """Pixels as stored."""
+    aspect: float
+    """Width of a pixel over its height."""
+    frames: int
+    """As stated, or by length and rate; 0: not known."""
+    seconds: float
+    """As stated; 0: not known."""
+    codec: str
+    hdr: str
+    """Which kind; empty: none."""
+    interlaced: bool
+    rotation: int
+    """Degrees counter-clockwise by which frames are turned to stand upright: 0, 90, 180, 270."""
+
+
+class Video:
+    """An open video; made by `opened`."""
+
+    def __init__(self, path: Path, av: Any, container: Any, stream: Any) -> None:
+        self._path, self._av, self._container, self._stream = path, av, container, stream
+        self._encrypted = False
+        self.damaged = 0
+        """Packets and frames so far that could not be decoded whole."""
+        self._decoded = self._decode()
+        self._first = self._look()
+        self.facts = self._facts()
+        """What it says of itself."""
+
+    def frames(self) -> Iterator[Any]:
+        """Whole frames as av.VideoFrame, once, in the order in which they are shown.
+
+        Of interlaced video each is made of the first field's moment.
+        """
+        frames = self._all()
+        return _deinterlaced(self._av, frames) if self.facts.interlaced else frames
+
+    def _all(self) -> Iterator[Any]:
+        first, self._first = self._first, []
+        yield from first
+        yield from self._decoded
+
+    def _look(self) -> list[Any]:
+        first = []
+        for frame in self._decoded:
+            first.append(frame)
+            if len(first) == _LOOK:
+                break
+        if not first and self._encrypted:
+            raise _encrypted(self._path)
+        if not first:
+            raise FormatError(
+                f"No frame of {shown(self._path)} can be decoded: it is damaged or cut short. "
+                f"{_HOW}, or copy it from the camera again."
+            )
+        if len(first) == 1:
+            raise DatasetError(
+                f"{shown(self._path)} holds one picture only, a video was expected. Photos go into "
+                "a folder of their own."
+            )
+        return first
+
+    def _decode(self) -> Iterator[Any]:
+        """Frames without those that a damage reaches: up to the next one that needs no other."""
+        waiting = False
+        for packet in self._packets():
+            try:
+                frames = packet.decode()
+            except self._av.error.FFmpegError:
+                self._encrypted |= packet.has_sidedata("encryption_info")
+                self.damaged += 1
+                waiting = True
+                continue
+            for frame in frames:
+                waiting = frame.is_corrupt or (waiting and not frame.key_frame)
+                if waiting:
+                    self.damaged += 1
+                else:
+                    yield frame
+
+    def _packets(self) -> Iterator[Any]:
+        packets = self._container.demux(self._stream)
+        while True:
+            try:
+                packet = next(packets)
+            except StopIteration:
+                return
+            except self._av.error.FFmpegError:  # the file ends in the middle of something
+                self.damaged += 1
+                return
+            yield packet
+
+    def _facts(self) -> VideoFacts:
+        stream, frame = self._stream, self._first[0]
+        ratio = stream.sample_aspect_ratio or stream.codec_context.sample_aspect_ratio
+        seconds = float(stream.duration * stream.time_base) if stream.duration else 0.0
+        if not seconds and self._container.duration:
+            seconds = self._container.duration / self._av.time_base
+        count = stream.frames or round(seconds * float(stream.average_rate or 0))
+        return VideoFacts(
+            width=frame.width,
+            height=frame.height,
+            aspect=float(ratio) if ratio else 1.0,
+            frames=count,
+            seconds=seconds,
+            codec=stream.codec_context.name,
+            hdr=_HDR.get(frame.color_trc, ""),
+            interlaced=any(frame.interlaced_frame for frame in self._first),
+            rotation=round(frame.rotation / 90) % 4 * 90,
+        )
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[Video]:
+    """A video, closed at the end of the block.
+
+    Raises:
+        BackendError: PyAV is not installed.
+        DatasetError: there is no such file, or it has no moving pictures.
+        FormatError: it is no video, damaged, encrypted or of a codec that is not there.
+    """
+    av = need("av", "Reading a video")
+    if not path.exists():
+        raise DatasetError(f"There is no video {shown(path)}.")
+    check_regular(path)
+    try:
+        options = {"protocol_whitelist": "file", "format_whitelist": _CONTAINERS}
+        container = av.open(f"file:{path}", options=options, metadata_errors="replace")
+    except PermissionError as error:
+        raise DatasetError(f"Cannot read {shown(path)}: permission denied.") from error
+    except (av.error.FFmpegError, OSError, ValueError) as error:
+        raise FormatError(_why_not_opened(path)) from error
+    with container:
+        yield Video(path, av, container, _stream(path, container))
+
+
+def _why_not_opened(path: Path) -> str:
+    if is_file(path) and path.stat().st_size == 0:
+        return f"{shown(path)} is empty. Copy it from the camera again."
+    return (
+        f"{shown(path)} cannot be opened as a video: it is none, it is damaged, or the recording "
+        f"was cut off before its end was written. {_HOW}, or repair it with the camera's program."
+    )
+
+
+def _stream(path: Path, container: Any) -> Any:
+    """The stream of moving pictures.
+
+    Raises:
+        DatasetError: there is none.
+        FormatError: it is encrypted, or nothing here decodes it.
+    """
+    best = container.streams.best("video")
+    if best is None:
+        kinds = sorted({stream.type for stream in container.streams})
+        has = f", only {' and '.join(kinds)}" if kinds else ""
+        raise DatasetError(
+            f"{shown(path)} has no moving pictures{has}. Give the file of the video itself."
+        )
+    context = best.codec_context
+    tag = getattr(context, "codec_tag", "")
+    if tag in _ENCRYPTED:
+        raise _encrypted(path)
+    if context is None or not context.is_decoder:
+        raise FormatError(
+            f"Nothing here decodes the video in {shown(path)} (codec {tag or 'unknown'}). {_HOW}."
+        )
+    if context.name in _STRICT:
+        context.options = {"err_detect": "explode"}
+    best.thread_type = "AUTO"
+    return best
+
+
+def _encrypted(path: Path) -> FormatError:
+    return FormatError(
+        f"{shown(path)} is encrypted (DRM), so its pictures cannot be read. Take a recording of "
+        "your own."
+    )
+
+
+def damage_words(video: Video, last: float) -> str:
+    """A sentence on what was damaged or is missing at the end; empty: nothing.
+
+    Args:
+        video: Whose frames were all taken.
+        last: Seconds of the last one that was whole.
+    """
+    stated = video.facts.seconds
+    if stated and last < 0.95 * stated - 1.0:
+        return (
+            f"The video states {stated:.1f} s but its frames end at {last:.1f} s: it was cut "
+            "short. What is there is used."
+        )
+    if video.damaged:
+        return f"{count_words(video.damaged, 'damaged frame')} left out."
+    return ""
+
+
+def _deinterlaced(av: Any, frames: Iterator[Any]) -> Iterator[Any]:
+    """Frames of one moment each, from frames of two fields of different moments."""
+    graph = None
+    for frame in frames:
+        if graph is None:
+            graph = _graph(av, frame)
+        graph.vpush(frame)
+        yield from _pulled(av, graph)
+    if graph is not None:
+        graph.vpush(None)
+        yield from _pulled(av, graph)
+
+
+def _graph(av: Any, frame: Any) -> Any:
+    from av.filter import Graph
+
+    graph = Graph()
+    source = graph.add_buffer(
+        width=frame.width,
+        height=frame.height,
+        format=frame.format,
+        time_base=frame.time_base,
+    )
+    nodes = [source, graph.add(_DEINTERLACE, "mode=send_frame"), graph.add("buffersink")]
+    for before, after in pairwise(nodes):
+        before.link_to(after)
+    graph.configure()
+    return graph
+
+
+def _pulled(av: Any, graph: Any) -> Iterator[Any]:
+    while True:
+        try:
+            yield graph.vpull()
+        except (av.error.BlockingIOError, av.error.EOFError):
+            return

@@ -1,0 +1,86 @@
+"""HDR video brought to the range of a screen: the same curve for every frame.
+
+Sources: ITU-R BT.2100-2 (PQ and HLG), BT.2408 (reference white at 203 cd/m2), BT.2087 (colours of
+BT.2020 in those of BT.709), IEC 61966-2-1 (sRGB).
+"""
+
+import functools
+
+import numpy as np
+
+_WHITE = 203.0
+"""cd/m2 of a white sheet of paper in HDR."""
+_PEAK = 1000.0
+"""cd/m2 of the screen that HLG is seen on."""
+_SHOULDER = 0.75
+"""Of a screen's range: what is darker stays as it is."""
+_HEADROOM = 4.0
+"""Multiples of white that still differ from each other."""
+_TO_BT709 = np.array(
+    [
+        [1.660491, -0.587641, -0.072850],
+        [-0.124550, 1.132900, -0.008349],
+        [-0.018151, -0.100579, 1.118730],
+    ],
+    np.float32,
+)
+_BT2020_LUMA = np.array([0.2627, 0.6780, 0.0593], np.float32)
+_STEPS = 4096
+"""Entries of the table that encodes; 16 for each of the 256 values."""
+
+
+def to_screen(pixels: np.ndarray, kind: str, *, wide: bool) -> np.ndarray:
+    """[H, W, 3] uint8 sRGB of HDR pixels.
+
+    Reference white becomes 0.9 of a screen's; three quarters of the range keep their
+    contrast, and what is brighter is compressed, by the brightest channel so that hues stay.
+
+    Args:
+        pixels: [H, W, 3] uint16, RGB with the transfer function of `kind`, of full range.
+        kind: `HDR (PQ)` or `HDR (HLG)`.
+        wide: Whether the primaries are BT.2020's; else BT.709's.
+    """
+    light = np.take(_decode_table(kind), pixels)
+    if "HLG" in kind:
+        # The screen's own curve (OOTF), gamma 1.2 on luminance at 1000 cd/m2.
+        luma = light @ _BT2020_LUMA
+        light *= (np.maximum(luma, 1e-6) ** 0.2)[..., None] * np.float32(_PEAK / _WHITE)
+    if wide:
+        light = light @ _TO_BT709.T
+    light = np.maximum(light, 0) * np.float32(0.9)
+    bright = light.max(axis=2)
+    light *= (_compressed(bright) / np.maximum(bright, 1e-6))[..., None]
+    index = np.sqrt(np.clip(light, 0, 1)) * (_STEPS - 1) + 0.5
+    return np.take(_encode_table(), index.astype(np.int32))
+
+
+def _compressed(bright: np.ndarray) -> np.ndarray:
+    """Straight up to the shoulder, then a curve of equal slope that reaches 1 at the headroom."""
+    room = np.float32(1 - _SHOULDER)
+    over = np.maximum(bright - np.float32(_SHOULDER), 0) / room
+    most = (_HEADROOM - _SHOULDER) / room
+    bent = over * (1 + over / np.float32(most**2)) / (1 + over)  # Reinhard et al. 2002, eq. 4
+    return np.where(bright > _SHOULDER, _SHOULDER + room * np.minimum(bent, 1), bright)
+
+
+@functools.cache
+def _decode_table(kind: str) -> np.ndarray:
+    """[65536] float32: light of a 16-bit value; of PQ in units of reference white, of HLG of the
+    scene."""
+    value = np.arange(65536, dtype=np.float64) / 65535
+    if "PQ" in kind:
+        m1, m2, c1, c2, c3 = 0.1593017578125, 78.84375, 0.8359375, 18.8515625, 18.6875
+        root = value ** (1 / m2)
+        light = (np.maximum(root - c1, 0) / (c2 - c3 * root)) ** (1 / m1) * 10000 / _WHITE
+    else:
+        a, b, c = 0.17883277, 0.28466892, 0.55991073
+        light = np.where(value <= 0.5, value**2 / 3, (np.exp((value - c) / a) + b) / 12)
+    return light.astype(np.float32)
+
+
+@functools.cache
+def _encode_table() -> np.ndarray:
+    """uint8 sRGB by the square root of linear light."""
+    light = (np.arange(_STEPS) / (_STEPS - 1)) ** 2
+    code = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+    return np.rint(code * 255).astype(np.uint8)

@@ -1,0 +1,112 @@
+"""gscore train and gscore info on plain photos: cameras found first, kept, and refused."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from gscore.commands import main
+from gscore.io.colmap import read_model
+
+from .conftest import NEAR
+
+Out = pytest.CaptureFixture[str]
+SHORT = ["--iterations", "4", "--max-splats", "400", "-r", "4", "--json"]
+
+
+@pytest.fixture
+def mine(photos: Path, tmp_path: Path) -> Path:
+    """A copy of the photos, to be changed."""
+    shutil.copytree(photos, tmp_path / "holiday")
+    return tmp_path / "holiday"
+
+
+def _train(*words: object) -> int:
+    return main(["train", *map(str, words), *SHORT])
+
+
+def test_cameras_are_found_once_and_kept(mine: Path, tmp_path: Path, capsys: Out) -> None:
+    """Oracle: the capture in the output folder, its time of change, and what JSON says."""
+    out = tmp_path / "out"
+    assert _train(mine, "-o", out) == 0
+    said = capsys.readouterr()
+    assert "Finding the cameras of 8 photos, which takes about" in said.err
+    assert json.loads(said.out.splitlines()[-1])["splats"] > 0
+    model = out / "capture/sparse/0/images.bin"
+    assert len(read_model(out / "capture").images) == len(NEAR)
+    assert json.loads((out / "config.json").read_text())["data"]["source"] == str(out / "capture")
+    written = model.stat().st_mtime_ns
+
+    assert _train(mine, "-o", out, "--overwrite") == 0
+    again = capsys.readouterr().err
+    assert "Finding the cameras" not in again and "holds other files" not in again
+    assert model.stat().st_mtime_ns == written
+
+    assert main(["train", "-o", str(out), "--resume", "--iterations", "6", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["steps"] == 6
+    further = ["-o", str(out), "--resume", "--iterations", "8", "--json"]
+    assert main(["train", str(mine), *further]) == 0
+    assert "Finding the cameras" not in capsys.readouterr().err
+
+    (mine / "front/view 000.jpg").touch()
+    assert _train(mine, "-o", out, "--overwrite") == 2
+    assert "holds the cameras of other photos" in capsys.readouterr().err
+    assert model.stat().st_mtime_ns == written and (out / "point_cloud.ply").is_file()
+
+
+def test_a_taken_folder_is_refused_before_the_search(
+    mine: Path, tmp_path: Path, capsys: Out
+) -> None:
+    """Oracle: exit code 2 and the file that was there, alone."""
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "point_cloud.ply").write_bytes(b"mine")
+    assert _train(mine, "-o", out) == 2
+    assert "may be somebody else's" in capsys.readouterr().err
+    assert [path.name for path in out.iterdir()] == ["point_cloud.ply"]
+
+
+def test_without_sfm_photos_are_refused(mine: Path, tmp_path: Path, capsys: Out) -> None:
+    """Oracle: exit code 2, a sentence, nothing written."""
+    assert _train(mine, "-o", tmp_path / "out", "--no-sfm") == 2
+    assert "no cameras for them" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_photos_of_which_nothing_can_be_made_leave_nothing(tmp_path: Path, capsys: Out) -> None:
+    """Oracle: exit code 2, the reason, and no output folder."""
+    from PIL import Image
+
+    photos = tmp_path / "photos"
+    photos.mkdir()
+    for i in range(4):
+        Image.new("RGB", (120, 90), (100 + i, 90, 80)).save(photos / f"{i}.png")
+    assert _train(photos, "-o", tmp_path / "out") == 2
+    assert "too little texture" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_info_tells_what_photos_need(mine: Path, capsys: Out) -> None:
+    """Oracle: the photos, all pairs of them, and the next command."""
+    (mine / "x.heic").write_bytes(b"")
+    assert main(["info", str(mine), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    count = len(NEAR)
+    assert facts["kind"] == "photos" and facts["photos"] == count and facts["cameras"] == 1
+    assert facts["pairs"] == count * (count - 1) // 2 and facts["unread"] == ["x.heic"]
+    assert 0 < facts["sfm_seconds"] < 60
+    assert main(["info", str(mine)]) == 0
+    assert f"Next: gscore train {mine} -o run" in capsys.readouterr().out
+
+
+def test_a_capture_with_broken_cameras_is_none_of_plain_photos(
+    mine: Path, tmp_path: Path, capsys: Out
+) -> None:
+    """Oracle: cameras that are there but cannot be read are told, not found anew."""
+    sparse = mine / "sparse/0"
+    sparse.mkdir(parents=True)
+    (sparse / "cameras.bin").write_bytes(b"torn")
+    assert _train(mine, "-o", tmp_path / "out") == 2
+    assert "Finding the cameras" not in capsys.readouterr().err
+    assert not (tmp_path / "out/capture").exists()

@@ -1,0 +1,106 @@
+"""Which frames of a video are chosen: the true way of its camera, and what was done to frames."""
+
+import numpy as np
+import pytest
+
+from gscore.errors import Cancelled
+from gscore.video.choose import choose
+from gscore.video.motion import Travel
+from gscore.video.source import opened
+from gscore.video.survey import Survey, survey
+
+from . import films
+from .conftest import Film
+
+
+@pytest.fixture(scope="module")
+def looked(film: Film) -> Survey:
+    with opened(film.path) as video:
+        return survey(video, on_frame=lambda count: None, cancelled=lambda: False)
+
+
+def test_the_way_is_the_cameras(film: Film, looked: Survey) -> None:
+    """Oracle: the places the pictures were cut out at."""
+    true = film.places - film.places[0]
+    assert np.abs(looked.travel - true).max() < 0.05  # of 3.3 picture widths
+    assert looked.travel[-1] == pytest.approx(true[-1], rel=0.02)
+    assert (np.diff(looked.travel) >= 0).all()
+
+
+def test_trembling_does_not_add_up(film: Film, looked: Survey) -> None:
+    """Oracle: a camera that trembles by two pixels for a second stays within a few of them."""
+    still = [i for i, kind in enumerate(film.kinds) if kind == "still"]
+    assert looked.travel[still[-1]] - looked.travel[still[0]] < 6 / films.WIDTH
+
+
+def test_held_frames_are_known(film: Film, looked: Survey) -> None:
+    """Oracle: the frames that were written twice."""
+    held = {i for i, kind in enumerate(film.kinds) if kind == "held"}
+    among_others = np.flatnonzero(looked.repeated)
+    assert held <= set(among_others)
+    assert all(film.kinds[i] in ("held", "still") for i in among_others)
+
+
+@pytest.mark.parametrize("count", [12, 40, 0])
+def test_frames_are_sharp_and_evenly_spread(film: Film, looked: Survey, count: int) -> None:
+    """Oracle: no shaken or held frame; steps of the true way that are near their median."""
+    choice = choose(looked, count)
+    kinds = [film.kinds[i] for i in choice.frames]
+    assert "shaken" not in kinds and "held" not in kinds
+    assert kinds.count("still") <= 1
+    expected = count or 65  # one each 5 % of 3.3 widths
+    assert expected - 3 <= len(choice.frames) <= expected
+    steps = np.diff(film.places[choice.frames])
+    usual = np.median(steps)
+    wide = steps > 2 * usual
+    assert wide.sum() <= 1  # where all frames are shaken
+    assert steps[~wide].min() > 0.3 * usual
+
+
+def test_a_shaken_stretch_is_told(film: Film, looked: Survey) -> None:
+    """Oracle: frames 60 to 75 of 30 a second are shaken."""
+    ((begin, end),) = choose(looked, 0).gaps
+    assert 1.8 <= begin <= 2.0 and 2.5 <= end <= 2.7
+
+
+def test_the_sharpest_of_a_piece_is_taken() -> None:
+    """Oracle: by hand: one frame of each ten is twice as sharp as the others."""
+    n = 100
+    fine = np.full(n, 60.0)
+    best = np.arange(4, n, 10)
+    fine[best] = 120.0
+    made = Survey(
+        seconds=np.arange(n) / 30,
+        travel=np.arange(n) / n,
+        fine=fine,
+        coarse=np.ones(n),
+        repeated=np.zeros(n, bool),
+    )
+    assert choose(made, 10).frames.tolist() == best.tolist()
+
+
+def test_a_turn_too_fast_to_follow_counts_as_far() -> None:
+    """Oracle: pictures of different places have no displacement, yet the camera has moved."""
+    travel = Travel(256, 192)
+    rng = np.random.default_rng(0)
+    ways = [travel.add(rng.integers(0, 256, (192, 256), dtype=np.uint8)) for _ in range(5)]
+    assert (np.diff(ways) > 0.02).all()
+
+
+def test_a_blank_wall_stands_still() -> None:
+    """Oracle: pictures without texture, equal but for noise, show no motion."""
+    travel = Travel(256, 192)
+    rng = np.random.default_rng(0)
+    flat = np.full((192, 256), 128)
+    flat[60:120, 60:200] = 30
+    noise = (rng.integers(-1, 2, flat.shape) for _ in range(60))
+    ways = [travel.add((flat + part).astype(np.uint8)) for part in noise]
+    assert ways[-1] < 0.02
+
+
+def test_looking_ends_when_asked(film: Film) -> None:
+    """Oracle: the count of frames at which it was asked."""
+    seen: list[int] = []
+    with opened(film.path) as video, pytest.raises(Cancelled):
+        survey(video, on_frame=seen.append, cancelled=lambda: len(seen) == 7)
+    assert seen[-1] == 7

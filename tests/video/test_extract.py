@@ -1,0 +1,173 @@
+"""Frames of a video as files: what they hold, the folder they come in, and running again."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gscore.commands import main
+from gscore.control import Control
+from gscore.errors import Cancelled, ConfigError, DatasetError, GsError
+from gscore.events import Event, FramesDone, FramesProgress
+from gscore.video import FrameRequest, extract_frames, is_video
+
+from . import films
+from .conftest import Film
+
+Out = pytest.CaptureFixture[str]
+
+
+def _pixels(folder: Path) -> dict[str, np.ndarray]:
+    there = sorted(path for path in folder.iterdir() if path.suffix != ".json")
+    return {path.name: np.asarray(Image.open(path)).astype(int) for path in there}
+
+
+def _psnr(a: np.ndarray, b: np.ndarray) -> float:
+    return float(10 * np.log10(255**2 / max(((a - b) ** 2).mean(), 1e-9)))
+
+
+@pytest.mark.parametrize("kind", ["jpg", "png"])
+def test_files_hold_the_frames_their_names_say(film: Film, tmp_path: Path, kind: str) -> None:
+    """Oracle: the pictures the video was made of; JPEG costs less than the video did."""
+    done = extract_frames(
+        FrameRequest(video=film.path, output=tmp_path / "out", frames=20, format=kind)
+    )
+    found = _pixels(tmp_path / "out")
+    assert list(found) == list(done.names) and 17 <= len(found) <= 20
+    for name, pixels in found.items():
+        index = int(name[6:12])
+        true = film.pictures[index].astype(int)
+        right = _psnr(pixels, true)
+        assert right > 22  # what the video itself costs at its noise
+        for other in (index - 1, index + 1):
+            assert right > _psnr(pixels, film.pictures[other].astype(int)) + 3
+    record = json.loads((tmp_path / "out" / "frames.json").read_text())
+    times = [row["seconds"] for row in record["frames"]]
+    assert np.allclose(times, [int(name[6:12]) / 30 for name in found], atol=1e-3)
+
+
+def test_jpeg_costs_next_to_nothing(film: Film, tmp_path: Path) -> None:
+    """Oracle: the same frames as PNG: more than 40 dB, with the colours at full resolution."""
+    for kind in ("jpg", "png"):
+        request = FrameRequest(video=film.path, output=tmp_path / kind, frames=8, format=kind)
+        extract_frames(request)
+    pairs = zip(_pixels(tmp_path / "jpg").values(), _pixels(tmp_path / "png").values(), strict=True)
+    assert min(_psnr(a, b) for a, b in pairs) > 40
+    first = next((tmp_path / "jpg").glob("*.jpg"))
+    with Image.open(first) as picture:
+        assert [layer[1:3] for layer in picture.layer] == [(1, 1)] * 3  # type: ignore[attr-defined]
+
+
+def test_the_same_video_gives_the_same_bytes(film: Film, tmp_path: Path) -> None:
+    """Oracle: the files of another run."""
+    for name in ("one", "two"):
+        extract_frames(FrameRequest(video=film.path, output=tmp_path / name, frames=15))
+    one, two = ({p.name: p.read_bytes() for p in (tmp_path / n).iterdir()} for n in ("one", "two"))
+    assert one == two
+
+
+def test_a_second_run_finds_its_frames(film: Film, tmp_path: Path) -> None:
+    """Oracle: the times of the files; other options are refused, a lost file is noticed."""
+    out = tmp_path / "out"
+    first = extract_frames(FrameRequest(video=film.path, output=out, frames=10))
+    stamps = {path.name: path.stat().st_mtime_ns for path in out.iterdir()}
+    told: list[Event] = []
+    again = extract_frames(
+        FrameRequest(video=film.path, output=out, frames=10), on_event=told.append
+    )
+    assert again.found and not first.found and again.names == first.names
+    assert stamps == {path.name: path.stat().st_mtime_ns for path in out.iterdir()}
+    assert [type(event) for event in told] == [FramesDone]
+    with pytest.raises(ConfigError, match="other options"):
+        extract_frames(FrameRequest(video=film.path, output=out, frames=12))
+    (out / first.names[0]).unlink()
+    with pytest.raises(ConfigError, match="holds frames"):
+        extract_frames(FrameRequest(video=film.path, output=out, frames=10))
+
+
+def test_a_folder_of_others_is_left_alone(film: Film, tmp_path: Path) -> None:
+    """Oracle: the folder afterwards."""
+    (tmp_path / "mine.txt").write_text("x")
+    with pytest.raises(ConfigError, match="something else"):
+        extract_frames(FrameRequest(video=film.path, output=tmp_path))
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
+
+
+@pytest.mark.parametrize("phase", ["looking at frames", "writing frames"])
+def test_stopping_leaves_nothing(film: Film, tmp_path: Path, phase: str) -> None:
+    """Oracle: the folder after a stop in each phase."""
+    control = Control()
+
+    def show(event: Event) -> None:
+        if isinstance(event, FramesProgress) and event.phase == phase:
+            control.stop()
+
+    with pytest.raises(Cancelled):
+        request = FrameRequest(video=film.path, output=tmp_path / "out")
+        extract_frames(request, on_event=show, control=control)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_leaves_nothing(
+    film: Film, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: the sentence, and the folder."""
+    import errno
+
+    from gscore.video import folder
+
+    def full(*_: object) -> str:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(folder.FrameFolder, "put", full)
+    with pytest.raises(GsError, match="the disk is full"):
+        extract_frames(FrameRequest(video=film.path, output=tmp_path / "out"))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_standing_camera_is_refused(tmp_path: Path) -> None:
+    """Oracle: the sentence for a video of one view with noise."""
+    rng = np.random.default_rng(0)
+    view = films.seen(films.wall(600), 10).astype(int)
+    noisy = (np.clip(view + rng.integers(-3, 4, view.shape), 0, 255) for _ in range(30))
+    path = films.write(tmp_path / "still.mp4", (picture.astype(np.uint8) for picture in noisy))
+    with pytest.raises(DatasetError, match="stands still"):
+        extract_frames(FrameRequest(video=path, output=tmp_path / "out"))
+
+
+def test_the_command_says_what_it_did(film: Film, tmp_path: Path, capsys: Out) -> None:
+    """Oracle: the last line of --json, and the files."""
+    out = tmp_path / "out"
+    line = ["frames", str(film.path), "-o", str(out), "--frames", "12", "--json", "--quiet"]
+    assert main(line) == 0
+    facts = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert facts["frames"] == len(list(out.glob("*.jpg"))) == 12
+    assert facts["total"] == 240 and facts["blurred"] > 30 and facts["repeated"] >= 10
+    assert main(["frames", str(film.path), "-o", str(tmp_path / "x"), "--frames", "2"]) == 2
+    assert "expected 3 to" in capsys.readouterr().err
+
+
+def test_events_tell_how_far_it_is(film: Film, tmp_path: Path) -> None:
+    """Oracle: counts that rise to the totals of each phase."""
+    told: list[Event] = []
+    extract_frames(
+        FrameRequest(video=film.path, output=tmp_path / "out", frames=10), on_event=told.append
+    )
+    progress = [event for event in told if isinstance(event, FramesProgress)]
+    assert {event.phase for event in progress} == {"looking at frames", "writing frames"}
+    for phase, total in (("looking at frames", 240), ("writing frames", 10)):
+        counts = [event.done for event in progress if event.phase == phase]
+        assert counts == sorted(counts) and counts[-1] == total
+    assert isinstance(told[-1], FramesDone) and told[-1].frames == 10
+
+
+def test_what_is_called_a_video(tmp_path: Path) -> None:
+    """Oracle: names of files; a folder of that name is none."""
+    (tmp_path / "a.MOV").write_bytes(b"")
+    (tmp_path / "b.mp4").mkdir()
+    (tmp_path / "c.jpg").write_bytes(b"")
+    assert [is_video(tmp_path / n) for n in ("a.MOV", "b.mp4", "c.jpg", "d.mp4")] == [
+        True, False, False, False,
+    ]  # fmt: skip

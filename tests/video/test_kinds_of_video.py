@@ -1,0 +1,274 @@
+"""Videos as cameras and programs make them, and files that are none."""
+
+import wave
+from collections.abc import Callable
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gscore.commands import main
+from gscore.video import FrameRequest, Frames, extract_frames
+from gscore.video.source import opened
+from gscore.video.tone import to_screen
+
+from . import films
+
+Out = pytest.CaptureFixture[str]
+_TURNED = {90: (0, 1, -1, 0), 180: (-1, 0, 0, -1), 270: (0, -1, 1, 0)}
+"""a b c d of the matrix of a track (ISO 14496-12, 6.2.2), by degrees clockwise."""
+_UPRIGHT = b"".join(n.to_bytes(4, "big") for n in (0x10000, 0, 0, 0, 0x10000, 0, 0, 0, 0x40000000))
+
+
+@pytest.fixture
+def walk() -> list[np.ndarray]:
+    """A second and a half."""
+    return films.walk(45)
+
+
+def _frames(path: Path, tmp_path: Path, *, count: int = 6, kind: str = "png") -> Frames:
+    return extract_frames(
+        FrameRequest(video=path, output=tmp_path / "out", frames=count, format=kind)
+    )
+
+
+def _first(frames: Frames) -> tuple[int, np.ndarray]:
+    """Number and pixels of the first one."""
+    name = frames.names[0]
+    return int(name[6:12]), np.asarray(Image.open(frames.folder / name)).astype(int)
+
+
+@pytest.mark.parametrize("clockwise", [90, 180, 270])
+def test_turned_video_stands_upright(
+    walk: list[np.ndarray], tmp_path: Path, clockwise: int
+) -> None:
+    """Oracle: the matrix of ISO 14496-12, written into the file by hand."""
+    path = films.write(tmp_path / "phone.mp4", walk)
+    a, b, c, d = _TURNED[clockwise]
+    values = (a << 16, b << 16, 0, c << 16, d << 16, 0, 0, 0, 1 << 30)
+    matrix = b"".join(n.to_bytes(4, "big", signed=True) for n in values)
+    data = path.read_bytes()
+    track = data.index(b"tkhd")
+    at = data.index(_UPRIGHT, track)
+    path.write_bytes(data[:at] + matrix + data[at + len(matrix) :])
+    index, pixels = _first(_frames(path, tmp_path))
+    true = np.rot90(walk[index], -clockwise // 90).astype(int)
+    assert pixels.shape == true.shape
+    assert np.abs(pixels - true).mean() < 12
+
+
+def test_times_are_those_of_a_variable_rate(walk: list[np.ndarray], tmp_path: Path) -> None:
+    """Oracle: the times that the frames were written with."""
+    gaps = np.random.default_rng(0).integers(10, 120, len(walk)) / 1000
+    times = np.cumsum(gaps) - gaps[0]
+    path = films.write(tmp_path / "vfr.mp4", walk, times=times.tolist())
+    done = _frames(path, tmp_path)
+    assert np.allclose(done.seconds, [times[int(name[6:12])] for name in done.names], atol=2e-3)
+
+
+def test_pixels_become_square(walk: list[np.ndarray], tmp_path: Path) -> None:
+    """Oracle: 4:3 pixels make 480 columns 640, 3:4 pixels 272 lines 363; none is lost."""
+    wide = films.write(tmp_path / "wide.mp4", walk, aspect=Fraction(4, 3))
+    done = _frames(wide, tmp_path / "a")
+    assert (done.width, done.height) == (640, 272)
+    narrow = films.write(tmp_path / "narrow.mp4", walk, aspect=Fraction(3, 4))
+    done = _frames(narrow, tmp_path / "b")
+    assert (done.width, done.height) == (480, 363)
+
+
+def test_fields_of_two_moments_are_parted(tmp_path: Path) -> None:
+    """Oracle: the picture of one moment; lines of two moments form combs, which are gone."""
+    moments = films.walk(90, step=5.0)
+    woven = []
+    for first, second in zip(moments[::2], moments[1::2], strict=True):
+        both = first.copy()
+        both[1::2] = second[1::2]
+        woven.append(both)
+    path = films.write(
+        tmp_path / "tv.mp4", woven, options={"crf": "8", "x264-params": "tff=1"}, interlaced=True
+    )
+    with opened(path) as video:
+        assert video.facts.interlaced
+    index, pixels = _first(_frames(path, tmp_path))
+
+    def combs(picture: np.ndarray) -> float:
+        grey = picture.astype(float).mean(axis=2)
+        return float(np.abs(2 * grey[1:-1] - grey[:-2] - grey[2:]).mean())
+
+    assert combs(pixels) < 0.75 * combs(woven[index])
+    assert combs(pixels) < 1.1 * combs(moments[2 * index])
+
+
+def test_ten_bits_are_rounded(walk: list[np.ndarray], tmp_path: Path) -> None:
+    """Oracle: the pictures that went in."""
+    path = films.write(tmp_path / "ten.mp4", walk, codec="libx265", pix_fmt="yuv420p10le")
+    index, pixels = _first(_frames(path, tmp_path))
+    assert np.abs(pixels - walk[index]).mean() < 12
+
+
+@pytest.mark.parametrize(("kind", "white"), [("HDR (PQ)", 0.5807), ("HDR (HLG)", 0.75)])
+def test_paper_is_white_in_hdr(kind: str, white: float) -> None:
+    """Oracle: BT.2408: these signals are a white sheet; greys stay grey and in their order."""
+    signal = np.linspace(0, 1, 257)
+    signal[200] = white
+    signal.sort()
+    codes = np.rint(signal * 65535).astype(np.uint16)
+    grey = np.repeat(codes[None, :, None], 3, axis=2)
+    out = to_screen(grey, kind, wide=True)[0].astype(int)
+    assert np.ptp(out, axis=1).max() <= 1
+    assert (np.diff(out[:, 0]) >= 0).all() and out[0, 0] == 0 and out[-1, 0] >= 254
+    paper = out[np.searchsorted(signal, white), 0]
+    assert 225 <= paper <= 245
+
+
+def test_colours_of_bt2020_are_turned() -> None:
+    """Oracle: BT.2087: red of BT.709 has these shares of BT.2020's primaries."""
+    share = np.array([0.6274, 0.0691, 0.0164])
+    light = share * 100 / 10000  # 100 cd/m2
+    m1, m2, c1, c2, c3 = 0.1593017578125, 78.84375, 0.8359375, 18.8515625, 18.6875
+    signal = ((c1 + c2 * light**m1) / (1 + c3 * light**m1)) ** m2
+    pixel = np.rint(signal * 65535).astype(np.uint16)[None, None]
+    red, green, blue = to_screen(pixel, "HDR (PQ)", wide=True)[0, 0]
+    linear = 0.9 * 100 / 203
+    assert red == pytest.approx(255 * (1.055 * linear ** (1 / 2.4) - 0.055), abs=2)
+    assert max(green, blue) <= 6
+
+
+@pytest.mark.parametrize(("transfer", "white"), [(16, 0.5807), (18, 0.75)])
+def test_hdr_video_comes_out_for_a_screen(tmp_path: Path, transfer: int, white: float) -> None:
+    """Oracle: BT.2408's white in a file with the numbers of H.273 for BT.2020."""
+    shades = np.stack([picture.mean(axis=2) for picture in films.walk(45)])
+    shades = (shades - shades.min()) / np.ptp(shades)  # 0 black, 1 paper
+    deep = [np.rint(s[..., None].repeat(3, 2) * white * 65535).astype(np.uint16) for s in shades]
+    path = films.write(
+        tmp_path / "hdr.mp4",
+        deep,
+        codec="libx265",
+        pix_fmt="yuv420p10le",
+        color=(9, transfer, 9),
+        source="rgb48le",
+    )
+    with opened(path) as video:
+        assert video.facts.hdr
+    done = _frames(path, tmp_path)
+    assert any("HDR" in sentence for sentence in done.warnings)
+    index, pixels = _first(done)
+    paper = shades[index] > 0.97
+    if paper.any():
+        assert 215 <= pixels[paper].mean() <= 248
+    dark = shades[index] < 0.05
+    assert pixels[dark].mean() < 40
+
+
+def _sound(path: Path, walk: list[np.ndarray]) -> None:
+    with wave.open(str(path), "wb") as file:
+        file.setnchannels(1)
+        file.setsampwidth(2)
+        file.setframerate(8000)
+        file.writeframes(bytes(16000))
+
+
+def _noise(path: Path, walk: list[np.ndarray]) -> None:
+    path.write_bytes(np.random.default_rng(0).bytes(50_000))
+
+
+def _no_index(path: Path, walk: list[np.ndarray]) -> None:
+    films.write(path, walk)
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def _encrypted(path: Path, walk: list[np.ndarray]) -> None:
+    keys = {"encryption_key": "76a6c65c5ea762046bd749a2e632ccbb", "encryption_kid": "a7" * 16}
+    films.write(path, walk, muxer={"encryption_scheme": "cenc-aes-ctr", **keys})
+
+
+def _unknown_codec(path: Path, walk: list[np.ndarray]) -> None:
+    films.write(path, walk)
+    path.write_bytes(path.read_bytes().replace(b"avc1", b"zzzz"))
+
+
+def _photo(path: Path, walk: list[np.ndarray]) -> None:
+    Image.fromarray(walk[0]).save(path, "JPEG")
+
+
+def _one_frame(path: Path, walk: list[np.ndarray]) -> None:
+    films.write(path, walk[:1])
+
+
+def _text(path: Path, walk: list[np.ndarray]) -> None:
+    path.write_text("no video\n" * 200)
+
+
+def _playlist(path: Path, walk: list[np.ndarray]) -> None:
+    path.write_text("#EXTM3U\n#EXT-X-TARGETDURATION:9\n#EXTINF:9,\nhttp://127.0.0.1:9/a.ts\n")
+
+
+def _all_blurred(path: Path, walk: list[np.ndarray]) -> None:
+    texture = films.wall(1200)
+    films.write(path, (films.seen(texture, 8 * i, blur=1 if i == 20 else 60) for i in range(45)))
+
+
+@pytest.mark.parametrize(
+    ("name", "make", "says"),
+    [
+        ("sound.wav", _sound, "has no moving pictures, only audio"),
+        ("noise.mp4", _noise, "cannot be opened as a video"),
+        ("cut.mp4", _no_index, "the recording was cut off"),
+        ("film.mp4", _encrypted, "is encrypted"),
+        ("odd.mp4", _unknown_codec, "Nothing here decodes"),
+        ("photo.mp4", _photo, "cannot be opened as a video"),
+        ("one.mp4", _one_frame, "one picture only"),
+        ("text.txt", _text, "cannot be opened as a video"),
+        ("list.m3u8", _playlist, "cannot be opened as a video"),
+        ("empty.mp4", lambda path, walk: path.write_bytes(b""), "is empty"),
+        ("folder.mp4", lambda path, walk: path.mkdir(), "is a folder"),
+        ("missing.mp4", lambda path, walk: None, "There is no video"),
+    ],
+)
+def test_what_is_no_video_is_refused_in_words(
+    name: str,
+    make: Callable[[Path, list[np.ndarray]], object],
+    says: str,
+    walk: list[np.ndarray],
+    tmp_path: Path,
+    capsys: Out,
+) -> None:
+    """Oracle: exit code 2, one sentence that says what, and nothing written."""
+    make(tmp_path / name, walk)
+    assert main(["frames", str(tmp_path / name), "-o", str(tmp_path / "out"), "--quiet"]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert says in said and "Traceback" not in said
+    assert [p.name for p in tmp_path.iterdir()] == [name] * (name != "missing.mp4")
+
+
+def test_a_video_cut_short_is_used_as_far_as_it_goes(tmp_path: Path) -> None:
+    """Oracle: a file whose index stands at its beginning, cut in the middle of its pictures."""
+    path = films.write(
+        tmp_path / "cut.mp4", films.walk(120), options={"crf": "12", "g": "10"},
+        muxer={"movflags": "+faststart"},
+    )  # fmt: skip
+    path.write_bytes(path.read_bytes()[: round(path.stat().st_size * 0.5)])
+    done = _frames(path, tmp_path)
+    assert 40 < done.total < 80
+    assert any("cut short" in sentence for sentence in done.warnings)
+
+
+def test_damaged_frames_are_left_out(tmp_path: Path) -> None:
+    """Oracle: the pictures that went in: none that was chosen shows the damage."""
+    walk = films.walk(120)
+    path = films.write(tmp_path / "hurt.mp4", walk, options={"crf": "12", "g": "10"})
+    data = bytearray(path.read_bytes())
+    middle = len(data) // 2
+    data[middle : middle + 3000] = np.random.default_rng(0).bytes(3000)
+    path.write_bytes(bytes(data))
+    done = _frames(path, tmp_path, count=12)
+    assert any("damaged" in sentence for sentence in done.warnings)
+    for name in done.names:
+        pixels = np.asarray(Image.open(done.folder / name)).astype(int)
+        near = min(
+            np.abs(pixels - walk[i]).mean()
+            for i in range(max(0, int(name[6:12]) - 1), min(120, int(name[6:12]) + 25))
+        )
+        assert near < 15
