@@ -40,6 +40,9 @@ class Started(Event):
     depth: str = ""
     """A sentence on the depth that supervises; empty: none, and a warning says why if there are
     maps."""
+    stereo: str = ""
+    """A sentence on the points that stereo added; empty: none, and a warning says why where some
+    were wanted."""
     mask_mode: str = "none"
     """What masks are for, where the capture has some: `composite`, `ignore` or `none`."""
     config: dict[str, Any] = field(default_factory=dict)

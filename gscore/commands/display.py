@@ -185,6 +185,8 @@ def _texts(event: Event) -> Iterator[str]:
             )
             if sentence := _MASKS.get(event.mask_mode):
                 yield sentence
+            if event.stereo:
+                yield event.stereo
             if event.depth:
                 yield event.depth
         case Warn():

@@ -18,6 +18,7 @@ from ..shown import quoted
 from ..words import count_words
 from .depth.report import DepthReport, measure_depth
 from .depth.setup import DepthSetup
+from .depth.stereo import StereoStart
 from .estimate.forecast import machine_pace
 from .evaluation import Evaluator
 from .files import checkpoint
@@ -56,6 +57,7 @@ class Session:
         lpips: Lpips | LpipsNet | None,
         lpips_reason: str,
         depth: DepthSetup | None = None,
+        stereo: StereoStart | None = None,
     ) -> None:
         self._trainer = trainer
         self._config = trainer.config
@@ -66,6 +68,7 @@ class Session:
         self._evaluator = Evaluator(trainer, lpips=lpips, lpips_reason=lpips_reason)
         self._results = Results(trainer, folder, data)
         self._depth = depth or DepthSetup()
+        self._stereo = stereo or StereoStart()
         pace = machine_pace(self._config.threads)
         budget = self._config.time_budget or math.inf
         self._meter = Meter(trainer.plan, splats=len(trainer.model), pace=pace, budget=budget)
@@ -175,6 +178,7 @@ class Session:
                 isa=backend.isa(),
                 threads=self._results.threads,
                 depth=self._depth.why if self._depth.supervises else "",
+                stereo=self._stereo.why if self._stereo.added else "",
                 mask_mode=photos.mask_mode,
                 config={"data": to_dict(self._data), "train": to_dict(self._config)},
             )
@@ -299,6 +303,7 @@ class Session:
             "warnings": self._warnings,
             "steering": self._steering.state(),
             "watchdog": self._watchdog.state(),
+            "stereo": self._stereo.added > 0,
         }
         checkpoint.save(path, self._trainer, state)
         return path
