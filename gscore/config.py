@@ -356,6 +356,23 @@ class TrainConfig:
         group="start",
         when="points",
     )
+    stereo: Switch = option(
+        Switch.OFF,
+        "Start from more points than SfM found: those whose depth the photos agree on. Found in "
+        "the training photos alone, in some seconds; `auto`: unless SfM's points are half of "
+        "`max_splats` already.",
+        group="start",
+        basic=True,
+        when="points",
+    )
+    stereo_points: int = option(
+        0,
+        "How many points `stereo` adds at most; 0: 10,000, and a fifth of `max_splats`.",
+        group="start",
+        range=Range(high=_MOST),
+        unit="points",
+        when="stereo",
+    )
     depth_mode: Switch = option(
         Switch.AUTO,
         "Let depth maps guide the training; `auto`: where photos are few. They are those of "

@@ -40,6 +40,9 @@ class Started(Event):
     depth: str = ""
     """A sentence on the depth that supervises; empty: none, and a warning says why if there are
     maps."""
+    stereo: str = ""
+    """A sentence on the points that stereo added; empty: none, and a warning says why where some
+    were wanted."""
     exposure: str = ""
     """A sentence on whether the exposure of photos is learnt; empty: nobody asked."""
     poses: str = ""

@@ -44,10 +44,13 @@ ALLOWED = {
     "depth": BOTTOM | {"io", "datasets", "depth"},
     "inspection": BOTTOM | {"io", "datasets", "depth", "inspection"},
     "raster": BOTTOM | {"io", "raster"},
+    "stereo": BOTTOM | {"io", "datasets", "depth", "raster", "stereo"},
     "metrics": BOTTOM | {"io", "datasets", "depth", "raster", "metrics"},
-    "trainer": BOTTOM | {"io", "datasets", "depth", "raster", "metrics", "trainer"},
-    "stress": BOTTOM | {"io", "datasets", "depth", "raster", "metrics", "trainer", "stress"},
-    "bench": BOTTOM | {"io", "datasets", "depth", "raster", "metrics", "trainer", "bench"},
+    "trainer": BOTTOM | {"io", "datasets", "depth", "raster", "stereo", "metrics", "trainer"},
+    "stress": BOTTOM
+    | {"io", "datasets", "depth", "raster", "stereo", "metrics", "trainer", "stress"},
+    "bench": BOTTOM
+    | {"io", "datasets", "depth", "raster", "stereo", "metrics", "trainer", "bench"},
 }
 TOP = {"__init__", "__main__", "frontend", "commands"}
 """May import any layer."""

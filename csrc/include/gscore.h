@@ -281,6 +281,77 @@ GS_API gs_status gs_adam_step(const gs_adam *adam, int64_t *bad_rows);
 GS_API gs_status gs_adam_catch_up(const gs_adam_tensor *tensor, const gs_splats *splats, const gs_camera *camera,
                                   float eps2d, float *out, int32_t threads);
 
+/* Depth of a photo from others whose cameras are known: a sweep of planes over inverse depth (Collins 1996). */
+#define GS_STEREO_SOURCES_MAX 8
+#define GS_STEREO_RADIUS_MAX 7
+#define GS_STEREO_PLANES_MIN 3
+#define GS_STEREO_PLANES_MAX 1024
+/* Largest side of its photos, px. */
+#define GS_STEREO_SIDE_MAX 8192
+
+/* A point that the reference shows at pixel (x, y) with inverse depth d is seen by another camera at (u, v):
+ * (u w, v w, w) = rotation (x, y, 1) + d translation, where it lies 1 / d * w in front of it. */
+typedef struct gs_stereo_warp {
+    float rotation[9];    /* K_other R K_reference^-1, row-major */
+    float translation[3]; /* K_other t */
+} gs_stereo_warp;
+
+typedef struct gs_stereo_source {
+    int32_t width, height; /* at least 2 */
+    const uint8_t *grey;   /* [height, width] */
+    gs_stereo_warp warp;
+} gs_stereo_source;
+
+typedef struct gs_stereo_sweep_args {
+    int32_t width, height;
+    const uint8_t *grey; /* [H, W], the reference */
+    int32_t source_count; /* 1 to GS_STEREO_SOURCES_MAX */
+    const gs_stereo_source *sources;
+    float farthest, nearest; /* inverse depths of the first and the last plane, 0 <= farthest < nearest */
+    int32_t planes; /* GS_STEREO_PLANES_MIN to GS_STEREO_PLANES_MAX, evenly spaced in inverse depth */
+    int32_t radius; /* windows are 2 radius + 1 px wide and high, 1 to GS_STEREO_RADIUS_MAX */
+    int32_t best;   /* 1 or 2: a plane's score is the mean over so many sources, those that agree best */
+    float noise;    /* standard deviation of grey values that counts as noise: scores in flat windows sink */
+    int32_t threads;
+    const volatile int32_t *cancel; /* may be null; polled between bands of rows */
+} gs_stereo_sweep_args;
+
+/* What the sweep found at each pixel of the reference. Where there is no peak of the score inside the range, and within
+ * `radius` of the photo's sides, inverse_depth is 0 and score and rival are -1. */
+typedef struct gs_stereo_found {
+    float *inverse_depth; /* [H, W], 1/world unit; between planes by a parabola */
+    float *score;         /* [H, W] zero-mean normalised cross-correlation at the highest peak, up to 1 */
+    float *rival;         /* [H, W] that of the second highest peak, more than 2 planes away; -1 where there is none */
+    float *contrast;      /* [H, W] standard deviation of the grey values in the window */
+} gs_stereo_found;
+
+/* Numbers of the planes are floats in the order of the sweep, so results do not depend on threads. */
+GS_API gs_status gs_stereo_sweep(const gs_stereo_sweep_args *args, const gs_stereo_found *found);
+
+/* A view whose depth map judges that of the reference. */
+typedef struct gs_stereo_witness {
+    int32_t width, height;
+    const float *inverse_depth; /* [height, width]; 0: unknown */
+    gs_stereo_warp warp;        /* from the reference to it */
+    gs_stereo_warp back;        /* from it to the reference */
+} gs_stereo_witness;
+
+typedef struct gs_stereo_check_args {
+    int32_t width, height;
+    const float *inverse_depth; /* [H, W] of the reference; 0: unknown */
+    int32_t witness_count;      /* 0 to 255 */
+    const gs_stereo_witness *witnesses;
+    float pixels;   /* a witness agrees where its own depth leads back to within so many pixels of the reference, */
+    float relative; /* and to within this share of the reference's inverse depth */
+    float passed;   /* it contradicts where its own surface lies this share farther than the point it looks through */
+    int32_t threads;
+} gs_stereo_check_args;
+
+/* How many witnesses agree with each pixel of the reference, how many contradict it, and the mean inverse depth of the
+ * reference and of those that agree. Pixels of unknown depth get 0. */
+GS_API gs_status gs_stereo_check(const gs_stereo_check_args *args, uint8_t *agree, uint8_t *contradict,
+                                 float *inverse_depth);
+
 #ifdef __cplusplus
 }
 #endif

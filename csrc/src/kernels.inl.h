@@ -7,12 +7,13 @@
 #include "exp2.inl.h"
 #include "loss.inl.h"
 #include "project.inl.h"
+#include "stereo.inl.h"
 
 namespace gs::GS_NAMESPACE {
 
 static constexpr Kernels make_kernels(const char *name) {
     return {name, project, bin, blend, blend_backward, project_backward, image_loss,
-            adam_step, adam_catch_up, exp2_array};
+            adam_step, adam_catch_up, exp2_array, stereo_sweep};
 }
 
 } // namespace gs::GS_NAMESPACE

@@ -143,6 +143,22 @@ static inline uint32_t bits(Mask m) {
 
 #endif
 
+// Words of a table, one a lane.
+static inline IVec gather(const uint32_t *table, IVec at) {
+#if defined(GS_ISA_AVX512)
+    return (IVec)_mm512_i32gather_epi32((__m512i)at, table, 4);
+#elif defined(GS_ISA_AVX2)
+    return (IVec)_mm256_i32gather_epi32((const int *)table, (__m256i)at, 4);
+#else
+    IVec v;
+    for (int i = 0; i < kLanes; ++i)
+        v[i] = int32_t(table[at[i]]);
+    return v;
+#endif
+}
+static inline IVec to_int(Vec v) { return __builtin_convertvector(v, IVec); } // towards zero
+static inline Vec to_float(IVec v) { return __builtin_convertvector(v, Vec); }
+
 static inline Vec fma(Vec a, float b, Vec c) { return fma(a, set1(b), c); }
 static inline Vec fma(float a, Vec b, Vec c) { return fma(set1(a), b, c); }
 static inline float clamp01(float x) { return x < 0 ? 0 : x > 1 ? 1 : x; }

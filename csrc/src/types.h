@@ -165,6 +165,19 @@ struct CatchUpArgs {
     float *out; // [rows, width], or null: in place
 };
 
+// A photo of a stereo sweep, each pixel in a word with those to its right, below it, and right below it.
+struct StereoSource {
+    const uint32_t *quads; // [height, width]
+    int32_t width, height;
+    gs_stereo_warp warp;
+};
+
+struct StereoArgs {
+    const gs_stereo_sweep_args *args;
+    const StereoSource *sources;
+    gs_stereo_found found;
+};
+
 // One instruction set's kernels.
 struct Kernels {
     const char *name;
@@ -181,6 +194,8 @@ struct Kernels {
     int64_t (*adam_step)(const AdamArgs &, int64_t chunk);
     void (*adam_catch_up)(const CatchUpArgs &, int64_t chunk);
     void (*exp2)(const float *x, float *y, int64_t count);
+    // One band of rows of `StereoBand`; `scratch` holds its scratch_floats().
+    void (*stereo_sweep)(const StereoArgs &, int band, float *scratch);
 };
 
 } // namespace gs

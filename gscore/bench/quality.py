@@ -119,7 +119,7 @@ def train_judged(
     def measure(picture_of: PictureOf, background: Color) -> None:
         found["views"] = evaluate(
             picture_of, judged, judged.test, lpips=lpips, background=background
-        )["views"]
+        ).views
         found["train"] = [
             value
             for index in judged.train

@@ -13,6 +13,7 @@ from ..metrics.evaluate import masked_pair, target_picture
 from ..metrics.image import psnr, ssim
 from ..raster.api import render
 from ..splats import Splats
+from ..trainer.depth.stereo import stereo_start
 from ..trainer.host.state import ordinary_state
 from ..trainer.photos.views import Photos
 from ..trainer.trainer import Trainer
@@ -45,7 +46,7 @@ class Trained:
     """A training from its first to its last step."""
 
     seconds: float
-    """Spent in steps."""
+    """Spent in steps, and before them on the points to start from."""
     points: list[Point]
     """Measurements, the last one after the last step."""
     forward_pairs: float
@@ -163,9 +164,12 @@ def train_measured(
         judged.preload(judged.test)
     seconds = forward = backward = 0.0
     with ordinary_state():
+        began = time.perf_counter()
+        start = stereo_start(config, photos, photos.scene.points)
+        seconds += time.perf_counter() - began
         placing = place_cameras(config, photos)
         gains = prepare_exposure(config, photos).gains
-        trainer = Trainer(config, photos, gains=gains, placing=placing)
+        trainer = Trainer(config, photos, points=start.points, gains=gains, placing=placing)
         for step in range(1, config.iterations + 1):
             began = time.perf_counter()
             trainer.step()

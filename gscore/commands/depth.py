@@ -29,6 +29,7 @@ from ..extras import need
 from ..io.places import check_place
 from ..metrics.colormap import colorize
 from ..shown import shown
+from ..stereo import files, stereo_maps
 from ..trainer.depth.rule import coverage, decide
 from ..words import count_words, size_words
 from .attend import Show, attend
@@ -58,6 +59,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--list-models",
         action="store_true",
         help="list the networks that have a name, with size, licence and whether they are here",
+    )
+    parser.add_argument(
+        "--method",
+        choices=("network", "stereo"),
+        help="how maps are made: by a network (--model), or by stereo from the photos themselves, "
+        "which needs none and states depths where other photos confirm them",
     )
     parser.add_argument(
         "-d",
@@ -115,7 +122,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     held_out = parser.add_argument_group(
         "test views",
         "Those that a training is to hold out: their maps are fitted to their own points alone and "
-        "have no part in placing the others.",
+        "have no part in placing the others. Stereo does not look at them and makes no map of "
+        "them.",
     )
     add_split_options(held_out)
     add_threads_option(parser)
@@ -152,6 +160,10 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(f"--input-size is {args.input_size}, expected a positive number.")
     if args.check and (args.model is not None or args.overwrite):
         raise ConfigError("--check writes nothing; leave --model and --overwrite out.")
+    if args.method == "stereo":
+        _check_stereo(args)
+    elif args.method == "network" and args.model is None:
+        raise ConfigError(f"--method network takes a network: --model FILE.onnx. {WHERE}.")
     told = _Told()
     result, code = attend(
         args, lambda show, control: _work(args, show, control, told), stopped=told
@@ -163,6 +175,21 @@ def run(args: argparse.Namespace) -> int:
     elif not (args.events or args.quiet):
         _print(args, result)
     return code
+
+
+def _check_stereo(args: argparse.Namespace) -> None:
+    """Raise ConfigError for options of other methods."""
+    given = {
+        "--model": args.model is not None,
+        "--check": args.check,
+        "--align official": args.align == "official",
+        "--input-size": args.input_size > 0,
+    }
+    for flag in (flag for flag, is_given in given.items() if is_given):
+        raise ConfigError(
+            f"--method stereo and {flag} exclude each other: its maps are made without a network, "
+            "and have the scale of the capture."
+        )
 
 
 def _work(args: argparse.Namespace, show: Show, control: Control, told: "_Told") -> _Result:
@@ -182,6 +209,8 @@ def _work(args: argparse.Namespace, show: Show, control: Control, told: "_Told")
     dataset = load_dataset(config)
     folder = dataset.source / args.depths
     check_place(folder, config, depths=False)
+    if args.method == "stereo":
+        return _by_stereo(args, config, dataset, folder, show, control, told)
     if network is None and not folder.is_dir():
         raise ConfigError(
             f"There is no folder {folder} with depth maps to align, and no network to make them: "
@@ -208,6 +237,46 @@ def _work(args: argparse.Namespace, show: Show, control: Control, told: "_Told")
         )
     progress = _Progress(show, control, told, "aligning")
     return _finish(args, config, dataset, seen, folder, network, prediction, show, progress)
+
+
+def _by_stereo(
+    args: argparse.Namespace,
+    config: DataConfig,
+    dataset: Dataset,
+    folder: Path,
+    show: Show,
+    control: Control,
+    told: "_Told",
+) -> _Result:
+    """Maps of the views that are not held out, from each other, in the scale of the capture."""
+    check_folder(folder)
+    check_replaced([folder / SHEET], overwrite=args.overwrite)
+    files.check_folder(folder, dataset.names, overwrite=args.overwrite)
+    path = params_path(dataset.source, folder, writing=True)
+    _check_scales(path, args.overwrite, show)
+    progress = _Progress(show, control, told, "comparing photos")
+    dataset.keep_few()
+    found = stereo_maps(
+        dataset,
+        dataset.train,
+        threads=args.threads,
+        on_view=lambda done, total: progress(done, total, dataset.names[dataset.train[done - 1]]),
+    )
+    if found.reason:
+        raise ConfigError(f"Stereo finds no depth in {dataset.source}: {found.reason}.")
+    fits = files.write_maps(found, dataset, dataset.train, folder)
+    write_params(path, fits, DepthKind.INVERSE)
+    return _finish(
+        args,
+        replace(config, depth_align="official"),
+        dataset,
+        observations(config, dataset),
+        folder,
+        None,
+        Prediction(written=[dataset.names[i] for i in found.maps], kept=[], kind=DepthKind.INVERSE),
+        show,
+        _Progress(show, control, told, "aligning"),
+    )
 
 
 def _network_of(args: argparse.Namespace, show: Show) -> tuple[Path, Normalization]:
@@ -315,8 +384,12 @@ def _finish(
         alignment = align_views(config, dataset, folder, samples, kind=kind)
         alignment = replace(alignment, warnings=(*unusable(samples), *alignment.warnings))
     else:
-        official = args.align == "official"
-        alignment, fits = _align(dataset, maps, seen, samples, kind, official=official)
+        if args.method == "stereo":  # placed already; the points say how well
+            alignment = align_views(config, dataset, folder, samples, kind=kind, together=False)
+            fits = _by_stem(dataset, alignment.fits)
+        else:
+            official = args.align == "official"
+            alignment, fits = _align(dataset, maps, seen, samples, kind, official=official)
         path, sheet = params_path(dataset.source, folder, writing=True), folder / SHEET
         write_params(path, fits, alignment.kind)
         show(Saved(step=0, path=str(path)))
@@ -423,7 +496,7 @@ def _facts(args: argparse.Namespace, result: _Result) -> dict[str, Any]:
         "predicted": done.predicted,
         "kept": done.kept,
         "accepted": done.accepted,
-        "align": "auto" if args.check else args.align,
+        "align": _rule(args),
         "kind": result.alignment.kind.value,
         "folder": done.folder,
         "params": done.params or None,
@@ -433,6 +506,13 @@ def _facts(args: argparse.Namespace, result: _Result) -> dict[str, Any]:
         "table": done.table,
         "warnings": result.warnings,
     }
+
+
+def _rule(args: argparse.Namespace) -> str:
+    """By which rule maps got their scale."""
+    if args.method == "stereo":
+        return "stereo"
+    return "auto" if args.check else args.align
 
 
 def _print(args: argparse.Namespace, result: _Result) -> None:
@@ -445,7 +525,10 @@ def _print(args: argparse.Namespace, result: _Result) -> None:
     if args.check:
         lines.append(f"{count} would be used with their scale; nothing was written")
     else:
-        lines.append(f"{count} aligned by the {args.align} rule: {done.params}")
+        rule = (
+            "placed by stereo" if args.method == "stereo" else f"aligned by the {args.align} rule"
+        )
+        lines.append(f"{count} {rule}: {done.params}")
         lines.append(f"{count_words(result.shown, 'view')} on {done.sheet}")
     print(wrapped("\n".join([*lines, done.why]), sys.stdout))
 
@@ -483,6 +566,6 @@ class _Progress:
         if self._phase == "predicting":
             self._told.predicted = done
         elif self._control.stopping:
-            raise Cancelled("Aligning depth was stopped.")
+            raise Cancelled(f"Depth was stopped while {self._phase}.")
         left = (time.monotonic() - self._start) / done * (total - done)
         self._show(DepthProgress(done=done, total=total, view=name, eta_s=left, phase=self._phase))

@@ -7,22 +7,20 @@ from pathlib import Path
 from typing import Any
 
 from ..config import DataConfig
-from ..config_command import preset_words, train_command
-from ..config_file import to_dict
 from ..datasets import Dataset, load_dataset
 from ..errors import ConfigError, DatasetError
 from ..events import judged_psnr
 from ..io.metrics_file import metrics_problem, read_metrics
 from ..io.places import check_place
 from ..metrics import (
+    Course,
+    Metrics,
     PictureCollector,
     evaluate,
     find_lpips,
     headline,
     lpips_warnings,
-    summarize,
-    write_metrics,
-    write_report,
+    write_results,
 )
 from ..raster import backend
 from ..raster.api import render
@@ -32,18 +30,6 @@ from .model import GivenModel, add_model_argument, model_path, open_model
 from .output import check_folder, check_replaced, print_json
 from .parser import add_threads_option
 from .status import Counted, Status, wrapped
-
-_KEPT = (
-    "steps",
-    "train_seconds",
-    "reason",
-    "trained_at",
-    "history",
-    "evals",
-    "peak_memory_bytes",
-    "depth",
-)
-"""What only the training knows; a run that is measured again keeps it."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -153,8 +139,8 @@ def _measure(args: argparse.Namespace, status: Status) -> int:
         on_view=on_view,
     )
     names = dataset.scene.cameras.names
-    metrics = summarize(
-        evaluation,
+    metrics = Metrics(
+        evaluation=evaluation,
         split=split,
         train_views=[names[i] for i in dataset.train],
         test_views=[names[i] for i in dataset.test],
@@ -163,30 +149,26 @@ def _measure(args: argparse.Namespace, status: Status) -> int:
         splats=len(model.splats),
         sh_degree=model.splats.sh_degree,
         storage_bytes=model.ply.stat().st_size,
-        steps=None,
-        train_seconds=None,
         isa=backend.isa(),
         threads=args.threads or backend.default_threads(),
-    ) | _of_the_training(model)
-    write_metrics(output / "metrics.json", metrics)
-    options = {"data": to_dict(config)}
-    if model.train is not None:
-        options["train"] = to_dict(model.train)
-    report = {
-        "title": config.source.resolve().name,
-        "metrics": metrics,
-        "views": collector.views,
-        "warnings": warnings,
-        "config": options,
-    } | _how_trained(model)
-    write_report(output / "report.html", report)
+        course=_of_the_training(model),
+    )
+    content = write_results(
+        output,
+        metrics,
+        data=config,
+        run=model.run,
+        trained=(model.data, model.train) if model.data and model.train else None,
+        views=collector.views,
+        warnings=warnings,
+    )
     status.clear()
     for sentence in warnings:
         print(wrapped(f"Warning: {sentence}", sys.stderr), file=sys.stderr)
     if args.json:
-        print_json(headline(metrics) | {"output": str(output)})
+        print_json(headline(content) | {"output": str(output)})
     else:
-        print(wrapped(_summary(metrics, output), sys.stdout))
+        print(wrapped(_summary(content, output), sys.stdout))
     return 0
 
 
@@ -245,22 +227,11 @@ def _indices(split: str | None, dataset: Dataset) -> tuple[str, list[int]]:
     return "train", dataset.train
 
 
-def _of_the_training(model: GivenModel) -> dict[str, Any]:
+def _of_the_training(model: GivenModel) -> Course:
     """How the training went and why it ended, from the metrics.json that it wrote."""
     if model.run is None or model.ply != model.run / "point_cloud.ply":
-        return {}
-    old = read_metrics(model.run)
-    return {key: old[key] for key in _KEPT if old.get(key) is not None}
-
-
-def _how_trained(model: GivenModel) -> dict[str, Any]:
-    """Preset and command of the run for the report; nothing for a bare PLY."""
-    if model.run is None or model.data is None or model.train is None:
-        return {}
-    return {
-        "preset": preset_words(model.data, model.train),
-        "command": train_command(model.data, model.train, model.run),
-    }
+        return Course()
+    return Course.of_file(read_metrics(model.run))
 
 
 def _summary(metrics: dict[str, Any], output: Path) -> str:

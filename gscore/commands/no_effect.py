@@ -48,6 +48,10 @@ _WHEN: dict[str, _Rule] = {
     "bands": ("--sh-degree 0 has no view-dependent colour", _no_bands),
     "small_photos": ("--without small-photos", _large_photos),
     "points": ("--start-splats are as they are", lambda a, d, c: c.start_splats is not None),
+    "stereo": (
+        "stereo adds no points: --stereo off or --start-splats",
+        lambda a, d, c: c.stereo is Switch.OFF or c.start_splats is not None,
+    ),
     "start_splats": ("of --start-splats alone", lambda a, d, c: c.start_splats is None),
     "masks": ("--mask-mode none", lambda a, d, c: d.mask_mode == "none"),
     "hiding_masks": (

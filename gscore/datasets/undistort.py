@@ -40,6 +40,12 @@ class Undistortion:
         rays[:, 1] = (points[:, 1] - self.K[1, 2]) / self.K[1, 1]
         return pycolmap_camera(pycolmap, self.camera).img_from_cam(rays)
 
+    def undistort(self, points: np.ndarray) -> np.ndarray:
+        """The way back: pixels of the pinhole camera for those of the distorted one, both [P, 2]
+        float64; NaN where the distortion has no inverse."""
+        rays = np.asarray(pycolmap_camera(_pycolmap(), self.camera).cam_from_img(points))
+        return rays[:, :2] * np.diag(self.K)[:2] + self.K[:2, 2]
+
     def remap(
         self,
         image: np.ndarray,

@@ -27,7 +27,12 @@ def confidence(values: np.ndarray, mask: np.ndarray | None) -> np.ndarray:
     half = _STEP_SHARE * max(float(high - low), 1e-30)
     out = 1.0 / (1.0 + (bend / np.float32(half)) ** 2)
     out[~(known & np.isfinite(bend))] = 0
-    return out if mask is None else out * _eroded(mask.astype(np.float32) / 255)
+    return out if mask is None else shown_by(mask, out)
+
+
+def shown_by(mask: np.ndarray, trust: np.ndarray) -> np.ndarray:
+    """[H, W] float32 trust in the pixels that a mask [H, W] uint8 shows, without its rim."""
+    return (trust * _eroded(mask.astype(np.float32) / 255)).astype(np.float32)
 
 
 def _bend(values: np.ndarray) -> np.ndarray:

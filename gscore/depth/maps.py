@@ -19,6 +19,8 @@ ENDINGS = (".png", ".npy", ".exr", ".tif", ".tiff")
 """Kinds of depth maps, in the order in which they are preferred."""
 SHEET = "contact_sheet.png"
 """Picture of all maps that `gscore depth` leaves beside them; not a map."""
+CONFIDENCE = ".confidence.png"
+"""What a map's name ends with in the name of its confidence, 8-bit grey, 255: sure."""
 PNG_UNIT = 65536.0
 """Values of PNGs, of 8 and of 16 bit alike, are divided by this, as 3DGS trainers do."""
 FARTHEST = 1e9
@@ -54,7 +56,7 @@ class MapFolder:
         self._files: dict[str, Path] = {}
         for folder, _, names in os.walk(root):
             for name in names:
-                hidden = name.startswith(".") or name == SHEET
+                hidden = name.startswith(".") or name == SHEET or name.endswith(CONFIDENCE)
                 if not hidden and Path(name).suffix.lower() in ENDINGS:
                     path = Path(folder) / name
                     self._files[path.relative_to(root).as_posix().lower()] = path

@@ -71,6 +71,46 @@ def observed(model: ColmapModel, image: ColmapImage, index: PointIndex) -> Obser
     )
 
 
+@dataclass(frozen=True, kw_only=True)
+class Tracks:
+    """Points of structure from motion and which views see them."""
+
+    points: np.ndarray
+    """[P, 3] float64, world."""
+    seen: list[np.ndarray]
+    """By view: [M] int64, rows of the points it sees, rising."""
+
+
+def tracks(dataset: Dataset) -> Tracks:
+    """Which points are seen in which views of `dataset`.
+
+    Without a COLMAP model whose images are the views a point counts as seen wherever it lies in the
+    frame, hidden ones too. Points that were made up are none.
+    """
+    model = model_of(dataset)
+    if model is not None:
+        index = PointIndex(model.points)
+        images = {image.name: image for image in model.images}
+        rows = [np.unique(index.find(images[name].point3D_ids)[1]) for name in dataset.names]
+        xyz = model.points.xyz
+        seen = [part[np.isfinite(xyz[part]).all(axis=1)] for part in rows]
+        return Tracks(points=xyz, seen=seen)
+    cloud = dataset.scene.points
+    points = cloud.points[:0] if cloud.made_up else cloud.points
+    return Tracks(points=points, seen=[_in_frame(dataset, points, i) for i in range(len(dataset))])
+
+
+def _in_frame(dataset: Dataset, points: np.ndarray, index: int) -> np.ndarray:
+    """Rows of the points [P, 3] that fall into a view."""
+    cameras = dataset.scene.cameras
+    viewmat = cameras.viewmats[index]
+    x, y, z = cameras.Ks[index] @ (viewmat[:3, :3] @ points.T + viewmat[:3, 3:])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        u, v = x / z, y / z
+    inside = (z > 0) & (u >= 0) & (v >= 0)
+    return np.flatnonzero(inside & (u < cameras.widths[index]) & (v < cameras.heights[index]))
+
+
 def _projected(dataset: Dataset, points: np.ndarray, index: int) -> Observations:
     """All points [P, 3] that fall into a view."""
     file, viewmat = dataset.files[index], dataset.scene.cameras.viewmats[index]

@@ -11,13 +11,15 @@ from ..config import DataConfig
 from ..datasets import Dataset
 from ..datasets.dataset import map_threads
 from ..datasets.decode import fit_map
-from ..errors import DatasetError
+from ..errors import DatasetError, FormatError
+from ..io.images import read_mask
 from ..words import count_words
-from .confidence import confidence
+from .confidence import confidence, shown_by
 from .fit import NO_FIT, Fit
 from .fitting import Alignment, align_views
-from .maps import DepthKind, MapFolder, read_map, to_inverse
+from .maps import CONFIDENCE, DepthKind, MapFolder, read_map, to_inverse
 from .observations import observations
+from .origin import held_out_part
 from .params import DEFAULT_FOLDER
 from .samples import unusable, view_samples
 
@@ -82,7 +84,10 @@ def load_priors(
     """
     folder = MapFolder(dataset.source / (data.depths or DEFAULT_FOLDER))
     maps = [folder.find(name) for name in dataset.names]
-    warnings = _missing(folder, maps, dataset.names)
+    warnings = [
+        *_missing(folder, maps, dataset.names),
+        *held_out_part(folder.root, [dataset.names[i] for i in dataset.test]),
+    ]
     seen = observations(data, dataset)
     samples = view_samples(maps, seen, dataset)
     alignment = align_views(data, dataset, folder.root, samples, kind=kind, together=together)
@@ -93,7 +98,8 @@ def load_priors(
         path, fit, part = maps[index], alignment.fits[index], samples[index]
         if path is None or part is None or part.trouble:
             return None
-        return _prior(dataset, index, to_inverse(read_map(path), alignment.kind), fit)
+        values = to_inverse(read_map(path), alignment.kind)
+        return _prior(dataset, index, values, _stated_confidence(path, values), fit)
 
     for done, view in enumerate(map_threads(prior, list(range(total))), start=1):
         views.append(view)
@@ -149,11 +155,39 @@ def _missing(folder: MapFolder, maps: list[Path | None], names: tuple[str, ...])
     ]
 
 
-def _prior(dataset: Dataset, index: int, values: np.ndarray, fit: Fit | None) -> DepthPrior:
-    """The map of a view at training resolution, aligned where the fit allows it."""
+def _stated_confidence(path: Path, values: np.ndarray) -> np.ndarray | None:
+    """[H, W] float32 of a map whose maker says how sure its pixels are; None: it does not.
+
+    Raises:
+        FormatError: it has another size than the map.
+    """
+    file = path.with_name(path.stem + CONFIDENCE)
+    if not file.is_file():
+        return None
+    sure = read_mask(file).astype(np.float32) / 255
+    if sure.shape != values.shape:
+        raise FormatError(
+            f"{file} is {sure.shape[1]} x {sure.shape[0]} pixels, its map {values.shape[1]} x "
+            f"{values.shape[0]}. Remove it, or make both again: gscore depth SOURCE"
+        )
+    return np.where(np.isfinite(values), sure, np.float32(np.nan))
+
+
+def _prior(
+    dataset: Dataset, index: int, values: np.ndarray, stated: np.ndarray | None, fit: Fit | None
+) -> DepthPrior:
+    """The map of a view at training resolution, aligned where the fit allows it.
+
+    `stated` is how sure its pixels are, where its maker says; else its edges tell.
+    """
     file = dataset.files[index]
     values = fit_map(file, values)
-    trust = confidence(values, dataset.mask(index) if dataset.mask_mode != "none" else None)
+    mask = dataset.mask(index) if dataset.mask_mode != "none" else None
+    if stated is None:
+        trust = confidence(values, mask)
+    else:
+        trust = np.nan_to_num(fit_map(file, stated), nan=0.0) * np.isfinite(values)
+        trust = trust.astype(np.float32) if mask is None else shown_by(mask, trust)
     aligned = fit is not None and fit.accepted
     if fit is not None and fit.accepted:
         if fit.deviation > 0:

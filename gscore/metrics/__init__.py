@@ -1,18 +1,23 @@
 """Metrics of renders against photos, metrics.json and report.html."""
 
-from .evaluate import evaluate
+from .evaluate import Evaluation, evaluate
 from .image import d_ssim, image_metrics, ms_ssim, psnr, psnr_cc, psnr_u8, ssim
 from .lpips import Lpips, find_lpips, lpips_warnings
 from .lpips_net import LpipsNet
 from .machine import peak_memory_bytes
 from .pictures import PictureCollector
-from .report import write_report
-from .summary import headline, summarize, write_metrics
+from .report import Report, write_report
+from .results import write_results
+from .summary import Course, Metrics, headline, write_metrics
 
 __all__ = [
+    "Course",
+    "Evaluation",
     "Lpips",
     "LpipsNet",
+    "Metrics",
     "PictureCollector",
+    "Report",
     "d_ssim",
     "evaluate",
     "find_lpips",
@@ -25,7 +30,7 @@ __all__ = [
     "psnr_cc",
     "psnr_u8",
     "ssim",
-    "summarize",
     "write_metrics",
     "write_report",
+    "write_results",
 ]

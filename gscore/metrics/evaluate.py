@@ -4,6 +4,7 @@ import math
 import statistics
 import time
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,25 @@ METRICS = (
     *("ssim", "ssim_valid", "d_ssim", "ms_ssim", "lpips"),
 )
 """Keys of the metrics of a view and of their means, in the order tables show them."""
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What the renders of some views reached."""
+
+    mean: dict[str, Any]
+    """By METRICS, and the key that names the net of LPIPS. A value that does not exist is None, and
+    `<key>_reason` says why. Also `lpips_net`, and `fps`, 1 / the median time a render takes."""
+    views: list[dict[str, Any]] = field(default_factory=list)
+    """The same of each view, with its `name`, `width`, `height` and `render_seconds`."""
+
+    @classmethod
+    def none(cls, reason: str) -> "Evaluation":
+        """Where nothing was measured, and why."""
+        mean: dict[str, Any] = {}
+        for key in ("psnr", "ssim", "lpips"):
+            mean |= {key: None, f"{key}_reason": reason}
+        return cls(mean)
 
 
 ViewHook = Callable[[int, np.ndarray, np.ndarray, np.ndarray | None, dict[str, Any]], None]
@@ -76,7 +96,7 @@ def evaluate(
     lpips_reason: str = "",
     background: Sequence[float] = (0.0, 0.0, 0.0),
     on_view: ViewHook | None = None,
-) -> dict[str, Any]:
+) -> Evaluation:
     """Score a model on some views of a dataset.
 
     Args:
@@ -90,10 +110,7 @@ def evaluate(
         on_view: Called after each view, to collect pictures or show progress.
 
     Returns:
-        {"mean": {...}, "views": [{"name", "width", "height", ..., "render_seconds"}, ...]}.
-        Keys are METRICS (`psnr_masked` only where masks are ignored); `lpips` also appears under
-        the key that names the net. A value that does not exist is None with `<key>_reason`.
-        `mean` also holds `fps`, 1 / the median time of rendering a view, warm.
+        Means and views, `psnr_masked` only where masks are ignored; rendered warm.
 
     Raises:
         ShapeError: A render has another size than its photo or is not finite.
@@ -122,7 +139,7 @@ def evaluate(
         views.append(view)
         if on_view is not None:
             on_view(place, target, np.asarray(picture), weights, view)
-    return {"mean": _means(views, lpips), "views": views}
+    return Evaluation(_means(views, lpips), views)
 
 
 def _put_lpips(

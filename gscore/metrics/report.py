@@ -2,6 +2,7 @@
 
 import html
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -13,59 +14,62 @@ from ..io.files import atomic_write
 from ..words import count_words, number_words, psnr_name, size_words
 from .colormap import colorize
 from .curves import Mark, Series, chart, clean_points, legend
-from .depth import depth_html
+from .depth import DepthSection, depth_html
 from .pictures import ERROR_GAIN, ViewPictures
 from .poses import poses_html
 from .report_head import TIMES, head_html, meaning_html, tiles_html
 
 
-def write_report(path: Path, run: dict[str, Any]) -> None:
+@dataclass(frozen=True, kw_only=True)
+class Report:
+    """What a report shows; what is empty is left out."""
+
+    title: str
+    """Usually the capture's name."""
+    metrics: dict[str, Any]
+    """The content of metrics.json, of this gscore or one before."""
+    views: Sequence[ViewPictures] = ()
+    """From a `PictureCollector` given to `evaluate`."""
+    warnings: Sequence[str] = ()
+    """Sentences."""
+    preset: str = ""
+    """How it was trained, in words."""
+    command: str = ""
+    """The same for a shell."""
+    depth: DepthSection | None = None
+    config: dict[str, dict[str, Any]] = field(default_factory=dict)
+    """Value by option by section."""
+
+
+def write_report(path: Path, report: Report) -> None:
     """Write the report of a run completely or not at all.
 
     Args:
         path: The HTML file.
-        run: What to show:
-            title: str, usually the capture's name.
-            metrics: the content of metrics.json, see `summarize`.
-            views: list of ViewPictures, from a `PictureCollector` given to `evaluate`.
-            history, evals: curves as in `summarize`; without them those in metrics are drawn.
-            warnings: list of sentences; may be missing or empty.
-            preset, command: how it was trained; may be missing or empty.
-            depth: a DepthSection; may be missing or None.
-            config: {section: {option: value}}; may be missing or empty.
+        report: What to show.
 
     Raises:
         GsError: The file cannot be written.
     """
     # Names of files may hold bytes that are no UTF-8.
-    atomic_write(path, report_html(run).encode("utf-8", "backslashreplace"))
+    atomic_write(path, report_html(report).encode("utf-8", "backslashreplace"))
 
 
-def report_html(run: dict[str, Any]) -> str:
-    """The page itself; see `write_report`."""
-    metrics, views = run["metrics"], run.get("views") or []
-    title = str(run["title"])
+def report_html(report: Report) -> str:
+    """The page itself."""
+    metrics, views, title = report.metrics, report.views, report.title
     body = "".join(
         (
-            head_html(
-                title,
-                metrics,
-                preset=run.get("preset") or "",
-                command=run.get("command") or "",
-            ),
-            _warnings(run.get("warnings") or []),
+            head_html(title, metrics, preset=report.preset, command=report.command),
+            _warnings(report.warnings),
             tiles_html(metrics),
             meaning_html(metrics),
-            _curves(
-                run.get("history") or metrics.get("history") or [],
-                run.get("evals") or metrics.get("evals") or [],
-                metrics,
-            ),
+            _curves(metrics.get("history") or [], metrics.get("evals") or [], metrics),
             _view_cards(views, metrics),
             _view_table(views),
-            depth_html(run["depth"]) if run.get("depth") else "",
+            depth_html(report.depth) if report.depth else "",
             poses_html(metrics["poses"]) if metrics.get("poses") else "",
-            _details(metrics, run.get("config") or {}),
+            _details(metrics, report.config),
         )
     )
     return (

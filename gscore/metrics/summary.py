@@ -2,91 +2,110 @@
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 from .._version import __version__
 from ..io.files import atomic_write
+from .evaluate import Evaluation
 from .machine import machine, peak_memory_bytes
 
-HISTORY = ("step", "elapsed_s", "loss", "psnr", "splats", "photo_factor")
-"""Keys of a row of the history."""
 _LISTS = frozenset({"views", "train_views", "test_views", "history", "evals"})
 
 
-def summarize(
-    evaluation: dict[str, Any],
-    *,
-    split: str,
-    train_views: Sequence[str],
-    test_views: Sequence[str],
-    mask_mode: str,
-    background: Sequence[float],
-    splats: int,
-    sh_degree: int,
-    storage_bytes: int,
-    steps: int | None,
-    train_seconds: float | None,
-    reason: str | None = None,
-    trained_at: str | None = None,
-    isa: str,
-    threads: int,
-    history: Sequence[dict[str, Any]] = (),
-    evals: Sequence[dict[str, Any]] = (),
-) -> dict[str, Any]:
-    """The content of metrics.json.
+@dataclass(frozen=True, kw_only=True)
+class Course:
+    """How a training went: what no evaluation after it can know. None: not known."""
 
-    Args:
-        evaluation: Result of `evaluate`.
-        split: `test` if the scored views were held out of the training, `train` if not, `all` for
-            views of both kinds.
-        train_views, test_views: Names of the views of both splits.
-        mask_mode, background: How masks counted, as in `evaluate`.
-        splats, sh_degree: Size of the model.
-        storage_bytes: Size of its PLY.
-        steps, train_seconds: Length of the training without evaluation; None if not known.
-        reason: Why the training ended, as in `events.Done`; None if not known.
-        trained_at: When it ended, as ISO 8601 with the time zone; None if not known.
-        isa, threads: What the rasterizer ran with.
-        history: Fields of `events.Progress` over the training, and `photo_factor`, what the sides
-            of the photos were divided by; those in `HISTORY` are kept.
-        evals: {"step", "elapsed_s", "psnr"} measured on the same split during the training.
+    steps: int | None = None
+    train_seconds: float | None = None
+    """Without evaluation."""
+    reason: str | None = None
+    """Why it ended, as in `events.Done`."""
+    trained_at: str | None = None
+    """When it ended, ISO 8601 with the time zone."""
+    history: Sequence[dict[str, Any]] = ()
+    """Fields of `events.Progress` over the training, and `photo_factor`, what the sides of the
+    photos were divided by."""
+    evals: Sequence[dict[str, Any]] = ()
+    """{"step", "elapsed_s", "psnr"} measured on the same split during it."""
+    peak_memory_bytes: int | None = None
+    """None: that of this process."""
+    depth: dict[str, Any] | None = None
+    """Numbers of `DepthReport`; None: there were no maps."""
+    exposure: dict[str, Any] | None = None
+    """How far photos lie apart in exposure; None: nobody asked."""
+    poses: dict[str, Any] | None = None
+    """How far each training camera was moved, and why; None: none was."""
 
-    Returns:
-        Means first (psnr, psnr_u8, psnr_cc, ssim, ssim_valid, d_ssim, ms_ssim, lpips, lpips_net,
-        lpips_<net>, fps), then the model, the training, peak_memory_bytes of this process, the
-        split, the machine, one entry a view under `views`, and `history` and `evals`. A value that
-        is not known is None; `<key>_reason` says why.
-    """
-    return {
-        **evaluation["mean"],
-        "splats": splats,
-        "sh_degree": sh_degree,
-        "storage_bytes": storage_bytes,
-        "steps": steps,
-        "train_seconds": train_seconds,
-        "reason": reason,
-        "trained_at": trained_at,
-        "peak_memory_bytes": peak_memory_bytes(),
-        "split": split,
-        "train_views": list(train_views),
-        "test_views": list(test_views),
-        "mask_mode": mask_mode,
-        "background": [float(x) for x in background],
-        "gscore": __version__,
-        "machine": machine() | {"isa": isa, "threads": threads},
-        "views": evaluation["views"],
-        "history": [{key: _finite(row.get(key)) for key in HISTORY} for row in history],
-        "evals": [dict(row) for row in evals],
-    }
+    @classmethod
+    def of_file(cls, metrics: Mapping[str, Any]) -> "Course":
+        """What a training wrote into its metrics.json, as `read_metrics` gives it."""
+        names = (each.name for each in fields(cls))
+        return cls(**{name: metrics[name] for name in names if metrics.get(name) is not None})
 
 
-def _finite(value: Any) -> Any:
-    """Six digits of a float, None for one that is not finite: JSON has no NaN."""
-    if isinstance(value, float):
-        return float(f"{value:.6g}") if math.isfinite(value) else None
-    return value
+@dataclass(frozen=True, kw_only=True)
+class Metrics:
+    """What metrics.json says."""
+
+    evaluation: Evaluation
+    split: str
+    """`test` if the scored views were held out of the training, `train` if not, `all` for views of
+    both kinds."""
+    train_views: Sequence[str]
+    """Names."""
+    test_views: Sequence[str]
+    """Names."""
+    mask_mode: str
+    """How masks counted, as in `evaluate`."""
+    background: Sequence[float]
+    """RGB in [0, 1], as in `evaluate`."""
+    splats: int
+    sh_degree: int
+    storage_bytes: int
+    """Size of the PLY."""
+    isa: str
+    """What the rasterizer ran with."""
+    threads: int
+    course: Course = field(default_factory=Course)
+
+    def content(self) -> dict[str, Any]:
+        """The file: means first (psnr, psnr_u8, psnr_cc, ssim, ssim_valid, d_ssim, ms_ssim, lpips,
+        lpips_net, lpips_<net>, fps), then the model, the training, the split, the machine, an entry
+        a view, curves and depth. A value that is not known is None; `<key>_reason` says why."""
+        course = self.course
+        content = {
+            **self.evaluation.mean,
+            "splats": self.splats,
+            "sh_degree": self.sh_degree,
+            "storage_bytes": self.storage_bytes,
+            "steps": course.steps,
+            "train_seconds": course.train_seconds,
+            "reason": course.reason,
+            "trained_at": course.trained_at,
+            "peak_memory_bytes": course.peak_memory_bytes or peak_memory_bytes(),
+            "split": self.split,
+            "train_views": list(self.train_views),
+            "test_views": list(self.test_views),
+            "mask_mode": self.mask_mode,
+            "background": [float(x) for x in self.background],
+            "gscore": __version__,
+            "machine": machine() | {"isa": self.isa, "threads": self.threads},
+            "views": self.evaluation.views,
+            "history": [_finite_row(row) for row in course.history],
+            "evals": [dict(row) for row in course.evals],
+        }
+        parts = {"depth": course.depth, "exposure": course.exposure, "poses": course.poses}
+        return content | {key: part for key, part in parts.items() if part is not None}
+
+
+def _finite_row(row: dict[str, Any]) -> dict[str, Any]:
+    """None for numbers that are not finite: JSON has no NaN."""
+    odd = {k for k, v in row.items() if isinstance(v, float) and not math.isfinite(v)}
+    return {key: None if key in odd else value for key, value in row.items()}
 
 
 def headline(metrics: dict[str, Any]) -> dict[str, Any]:

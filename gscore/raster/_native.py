@@ -175,6 +175,14 @@ def _declare(lib: ct.CDLL) -> None:
         _pointer,
         ct.c_int32,
     ]
+    lib.gs_stereo_sweep.argtypes = [
+        ct.POINTER(header.StereoSweepArgsStruct),
+        ct.POINTER(header.StereoFoundStruct),
+    ]
+    lib.gs_stereo_check.argtypes = [
+        ct.POINTER(header.StereoCheckArgsStruct),
+        *[_pointer] * 3,
+    ]
 
 
 _lock = threading.Lock()

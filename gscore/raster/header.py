@@ -1,6 +1,7 @@
 """Constants and structs of `csrc/include/gscore.h` for ctypes; that header is their manual.
 
-Structs that hold addresses are filled in `arguments.py` alone, which looks at the arrays first.
+Structs that hold addresses are filled in `arguments.py` and, those of stereo, in `stereo.py`, which
+look at the arrays first.
 """
 
 import ctypes as ct
@@ -18,6 +19,8 @@ THREADS_MAX = 1024
 ADAM_ALL, ADAM_SEEN, ADAM_WAIT = 0, 1, 2
 ADAM_LAGS = 256
 MASK_MODES = {"none": 0, "composite": 1, "ignore": 2}
+STEREO_SOURCES_MAX, STEREO_RADIUS_MAX, STEREO_SIDE_MAX = 8, 7, 8192
+STEREO_PLANES_MIN, STEREO_PLANES_MAX = 3, 1024
 OK, BAD_ARGUMENT, OUT_OF_MEMORY, CANCELLED = 0, 1, 2, 3
 
 _pointer = ct.c_void_p
@@ -190,5 +193,81 @@ class AdamStruct(ct.Structure):
         ("tensor_count", ct.c_int32),
         ("tensors", ct.POINTER(AdamTensorStruct)),
         ("radii", _pointer),
+        ("threads", ct.c_int32),
+    )
+
+
+class StereoWarpStruct(ct.Structure):
+    """gs_stereo_warp"""
+
+    _fields_ = (("rotation", ct.c_float * 9), ("translation", ct.c_float * 3))
+
+
+class StereoSourceStruct(ct.Structure):
+    """gs_stereo_source"""
+
+    _fields_ = (
+        ("width", ct.c_int32),
+        ("height", ct.c_int32),
+        ("grey", _pointer),
+        ("warp", StereoWarpStruct),
+    )
+
+
+class StereoSweepArgsStruct(ct.Structure):
+    """gs_stereo_sweep_args"""
+
+    _fields_ = (
+        ("width", ct.c_int32),
+        ("height", ct.c_int32),
+        ("grey", _pointer),
+        ("source_count", ct.c_int32),
+        ("sources", ct.POINTER(StereoSourceStruct)),
+        ("farthest", ct.c_float),
+        ("nearest", ct.c_float),
+        ("planes", ct.c_int32),
+        ("radius", ct.c_int32),
+        ("best", ct.c_int32),
+        ("noise", ct.c_float),
+        ("threads", ct.c_int32),
+        ("cancel", ct.POINTER(ct.c_int32)),
+    )
+
+
+class StereoFoundStruct(ct.Structure):
+    """gs_stereo_found"""
+
+    _fields_ = (
+        ("inverse_depth", _pointer),
+        ("score", _pointer),
+        ("rival", _pointer),
+        ("contrast", _pointer),
+    )
+
+
+class StereoWitnessStruct(ct.Structure):
+    """gs_stereo_witness"""
+
+    _fields_ = (
+        ("width", ct.c_int32),
+        ("height", ct.c_int32),
+        ("inverse_depth", _pointer),
+        ("warp", StereoWarpStruct),
+        ("back", StereoWarpStruct),
+    )
+
+
+class StereoCheckArgsStruct(ct.Structure):
+    """gs_stereo_check_args"""
+
+    _fields_ = (
+        ("width", ct.c_int32),
+        ("height", ct.c_int32),
+        ("inverse_depth", _pointer),
+        ("witness_count", ct.c_int32),
+        ("witnesses", ct.POINTER(StereoWitnessStruct)),
+        ("pixels", ct.c_float),
+        ("relative", ct.c_float),
+        ("passed", ct.c_float),
         ("threads", ct.c_int32),
     )

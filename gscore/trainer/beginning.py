@@ -64,6 +64,13 @@ class Beginning:
         """Whether steps were taken before."""
         return self._checkpoint is not None
 
+    @property
+    def wants_stereo(self) -> bool:
+        """Whether stereo is to be asked for points: those before steps that were taken without it
+        started from others."""
+        found = self._checkpoint
+        return found is None or bool(found.session.get("stereo"))
+
     def frame(self, photos: Photos) -> Frame | None:
         """The training world of the steps before; None: there are none, so `photos` make it.
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import Cancelled
-from ..metrics import Lpips, LpipsNet, PictureCollector, evaluate
+from ..metrics import Evaluation, Lpips, LpipsNet, PictureCollector, evaluate
 from ..metrics.image import psnr
 from .trainer import Trainer
 
@@ -40,8 +40,8 @@ class Evaluator:
 
     def measure(
         self, collector: PictureCollector | None, *, interrupted: Callable[[], bool]
-    ) -> dict[str, Any] | None:
-        """All metrics of all measured views as `gscore.metrics.evaluate` returns them.
+    ) -> Evaluation | None:
+        """All metrics of all measured views.
 
         Args:
             collector: Gets the pictures for the report.
@@ -82,19 +82,11 @@ class Evaluator:
         except Cancelled:
             return None
         if self._aligns:
-            each = [value for v in found["views"] if (value := v["psnr_aligned"]) is not None]
-            found["mean"]["psnr_aligned"] = math.fsum(each) / len(each) if each else None
+            each = [value for v in found.views if (value := v["psnr_aligned"]) is not None]
+            found.mean["psnr_aligned"] = math.fsum(each) / len(each) if each else None
         return found
 
     @property
     def _aligns(self) -> bool:
         """Whether held-out cameras may stand elsewhere too: training cameras did."""
         return self.split == "test" and self._trainer.poses is not None
-
-
-def unmeasured(reason: str) -> dict[str, Any]:
-    """What `measure` would return, with nulls and the reason."""
-    mean: dict[str, Any] = {}
-    for key in ("psnr", "ssim", "lpips"):
-        mean |= {key: None, f"{key}_reason": reason}
-    return {"mean": mean, "views": []}

@@ -13,6 +13,7 @@ from ..events import Event
 from ..metrics import find_lpips, lpips_warnings
 from .beginning import Beginning
 from .depth.setup import prepare_depth
+from .depth.stereo import StereoStart, stereo_start
 from .files.ended import TrainResult
 from .files.folder import open_folder
 from .host.heap import large_pieces_apart
@@ -86,6 +87,11 @@ def train(
             depth = prepare_depth(
                 data, config, photos, on_progress=progress_of("depth maps", config, emit, control)
             )
+            points = photos.scene.points if depth.points is None else depth.points
+            stereo = StereoStart()
+            if beginning.wants_stereo:
+                telling = progress_of("depth of photos", config, emit, control)
+                stereo = stereo_start(config, photos, points, on_view=telling)
             exposure, placing = prepare_exposure(config, photos), place_cameras(config, photos)
             trainer = Trainer(
                 config,
@@ -93,7 +99,7 @@ def train(
                 frame=frame,
                 start=beginning.splats,
                 depth=depth.loss_targets,
-                points=depth.points,
+                points=points if stereo.points is None else stereo.points,
                 gains=exposure.gains,
                 placing=placing,
                 photo_cache=loaded.cache,
@@ -107,6 +113,7 @@ def train(
                 lpips=lpips,
                 lpips_reason=lpips_reason,
                 depth=depth,
+                stereo=stereo,
                 exposure=exposure,
                 placing=placing,
             )
@@ -120,6 +127,8 @@ def train(
                 session.warn(message, "evaluation")
             for message in depth.warnings:
                 session.warn(message, "depth")
+            if stereo.why and not stereo.added:
+                session.warn(stereo.why, "stereo")
             return session.run()
 
 

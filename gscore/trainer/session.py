@@ -12,12 +12,13 @@ from ..config_file import to_dict
 from ..control import Control
 from ..errors import DatasetError, FormatError
 from ..events import Eval, Event, Preview, Saved, Snapshot, Started, Warn, judged_psnr
-from ..metrics import Lpips, LpipsNet, PictureCollector
+from ..metrics import Evaluation, Lpips, LpipsNet, PictureCollector
 from ..raster import backend
 from ..shown import quoted
 from ..words import count_words
 from .depth.report import DepthReport, measure_depth
 from .depth.setup import DepthSetup
+from .depth.stereo import StereoStart
 from .estimate.forecast import machine_pace
 from .evaluation import Evaluator
 from .files import checkpoint
@@ -58,6 +59,7 @@ class Session:
         lpips: Lpips | LpipsNet | None,
         lpips_reason: str,
         depth: DepthSetup | None = None,
+        stereo: StereoStart | None = None,
         exposure: Exposure | None = None,
         placing: Placing | None = None,
     ) -> None:
@@ -70,6 +72,7 @@ class Session:
         self._evaluator = Evaluator(trainer, lpips=lpips, lpips_reason=lpips_reason)
         self._results = Results(trainer, folder, data)
         self._depth = depth or DepthSetup()
+        self._stereo = stereo or StereoStart()
         self._exposure = exposure or Exposure()
         self._placing = placing or Placing()
         pace = machine_pace(self._config.threads)
@@ -181,6 +184,7 @@ class Session:
                 isa=backend.isa(),
                 threads=self._results.threads,
                 depth=self._depth.why if self._depth.supervises else "",
+                stereo=self._stereo.why if self._stereo.added else "",
                 exposure=self._exposure.why,
                 poses=self._placing.why,
                 mask_mode=photos.mask_mode,
@@ -307,19 +311,20 @@ class Session:
             "warnings": self._warnings,
             "steering": self._steering.state(),
             "watchdog": self._watchdog.state(),
+            "stereo": self._stereo.added > 0,
         }
         checkpoint.save(path, self._trainer, state)
         return path
 
-    def _evaluate(self, collector: PictureCollector | None) -> dict[str, Any] | None:
+    def _evaluate(self, collector: PictureCollector | None) -> Evaluation | None:
         self._emit(self._meter.progress(phase="measuring"))
         self._trainer.make_room()
         found = self._evaluator.measure(collector, interrupted=lambda: self._control.stopping)
         if found is None:
             return None
-        entry = self._note(judged_psnr(found["mean"]))
+        entry = self._note(judged_psnr(found.mean))
         split = self._evaluator.split
-        self._emit(Eval(step=entry["step"], split=split, metrics=found["mean"]))
+        self._emit(Eval(step=entry["step"], split=split, metrics=found.mean))
         return found
 
     def _depth_report(self) -> DepthReport | None:

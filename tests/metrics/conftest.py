@@ -46,7 +46,9 @@ def fake_dataset():
 @pytest.fixture
 def metrics_dict(fake_dataset, wave_pair):
     """A complete metrics.json of one small view and the pictures of its report."""
-    from gscore.metrics import PictureCollector, evaluate, summarize
+    from dataclasses import fields
+
+    from gscore.metrics import Course, Metrics, PictureCollector, evaluate
 
     def make(views=1, size=(48, 64), **changes):
         image, target = wave_pair(*size)
@@ -68,6 +70,13 @@ def metrics_dict(fake_dataset, wave_pair):
             "isa": "scalar",
             "threads": 2,
         }
-        return summarize(evaluation, **(values | changes)), collector.views
+        values |= changes
+        course = {each.name for each in fields(Course)} & set(values)
+        metrics = Metrics(
+            evaluation=evaluation,
+            course=Course(**{name: values.pop(name) for name in course}),
+            **values,
+        )
+        return metrics.content(), collector.views
 
     return make

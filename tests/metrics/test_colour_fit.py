@@ -135,5 +135,5 @@ def test_what_has_no_halves_says_so(fake_dataset):
     assert math.isfinite(psnr_cc(image, target, mask=uneven))
     photos = [(target * 255).astype(np.uint8)] * 2
     masks = [np.zeros((9, 12), np.uint8), None]
-    mean = evaluate(lambda i: image, fake_dataset(photos, masks, "ignore"), range(2))["mean"]
+    mean = evaluate(lambda i: image, fake_dataset(photos, masks, "ignore"), range(2)).mean
     assert mean["psnr_cc"] == pytest.approx(psnr_cc(image, photos[1]))

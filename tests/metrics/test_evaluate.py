@@ -33,10 +33,10 @@ def test_views_and_their_mean(fake_dataset):
     pictures = photos(3)
     renders = [np.clip(p / 255 + 0.02 * (i + 1), 0, 1) for i, p in enumerate(pictures)]
     result = evaluate(lambda i: renders[i], fake_dataset(pictures), [2, 0], lpips=FakeLpips())
-    assert [v["name"] for v in result["views"]] == ["view_2.png", "view_0.png"]
+    assert [v["name"] for v in result.views] == ["view_2.png", "view_0.png"]
     want = [psnr(renders[i], pictures[i]) for i in (2, 0)]
-    assert [v["psnr"] for v in result["views"]] == want
-    mean = result["mean"]
+    assert [v["psnr"] for v in result.views] == want
+    mean = result.mean
     assert mean["psnr"] == pytest.approx(sum(want) / 2)
     assert mean["lpips"] == mean["lpips_fake"] > 0
     assert mean["lpips_net"] == "fake" and "lpips_reason" not in mean
@@ -49,8 +49,8 @@ def test_without_lpips_the_reason_is_kept(fake_dataset):
     result = evaluate(
         lambda i: np.zeros((40, 50, 3)), fake_dataset(photos(1)), [0], lpips_reason="no file"
     )
-    assert result["mean"]["lpips"] is None and result["mean"]["lpips_reason"] == "no file"
-    assert result["mean"]["lpips_net"] is None
+    assert result.mean["lpips"] is None and result.mean["lpips_reason"] == "no file"
+    assert result.mean["lpips_net"] is None
 
 
 def test_composite_lays_the_photo_over_the_background():
@@ -75,21 +75,21 @@ def test_ignored_pixels_do_not_count(fake_dataset):
     renders[1] = renders[1] * 0.9
     dataset = fake_dataset(pictures, [mask, None], "ignore")
     result = evaluate(lambda i: renders[i], dataset, [0, 1], lpips=FakeLpips())
-    first, second = result["views"]
+    first, second = result.views
     assert first["psnr_masked"] == pytest.approx(psnr(renders[0][10:], pictures[0][10:]))
     assert first["psnr"] > first["psnr_masked"]
     assert psnr(renders[0], pictures[0], mask=mask) == pytest.approx(first["psnr_masked"])
     assert math.isnan(psnr(renders[0], pictures[0], mask=np.zeros_like(mask)))
-    assert judged_psnr(result["mean"]) == result["mean"]["psnr_masked"]
-    words = f"PSNR inside the masks {result['mean']['psnr_masked']:.2f} dB ("
-    assert words in quality_words(result["mean"])
+    assert judged_psnr(result.mean) == result.mean["psnr_masked"]
+    words = f"PSNR inside the masks {result.mean['psnr_masked']:.2f} dB ("
+    assert words in quality_words(result.mean)
     assert second["psnr_masked"] == pytest.approx(second["psnr"])
     kept = np.abs(renders[0][10:] - pictures[0][10:] / 255).sum()
     assert first["lpips"] == pytest.approx(kept / (40 * 50 * 3))
     ignoring_nothing = evaluate(lambda i: renders[i], fake_dataset(pictures, [mask, None]), [0])
-    assert ignoring_nothing["mean"]["psnr"] < first["psnr_masked"]
-    assert judged_psnr(ignoring_nothing["mean"]) == ignoring_nothing["mean"]["psnr"]
-    assert "masks" not in quality_words(ignoring_nothing["mean"])
+    assert ignoring_nothing.mean["psnr"] < first["psnr_masked"]
+    assert judged_psnr(ignoring_nothing.mean) == ignoring_nothing.mean["psnr"]
+    assert "masks" not in quality_words(ignoring_nothing.mean)
 
 
 def test_only_rendering_is_timed_and_warm(fake_dataset):
@@ -103,7 +103,7 @@ def test_only_rendering_is_timed_and_warm(fake_dataset):
 
     result = evaluate(render, fake_dataset(photos(3)), range(3))
     assert calls == [0, 0, 1, 2]
-    assert 25 < result["mean"]["fps"] <= 50
+    assert 25 < result.mean["fps"] <= 50
 
 
 def test_a_broken_render_names_the_view(fake_dataset):
@@ -116,7 +116,7 @@ def test_a_broken_render_names_the_view(fake_dataset):
 
 def test_no_views_give_nulls(fake_dataset):
     """Oracle: every metric is null and says why."""
-    mean = evaluate(lambda i: None, fake_dataset([]), [])["mean"]
+    mean = evaluate(lambda i: None, fake_dataset([]), []).mean
     assert mean["psnr"] is None and mean["psnr_reason"] == "no view to score"
     assert mean["fps"] is None
 
@@ -125,8 +125,8 @@ def test_identical_pictures_become_null_not_infinity(fake_dataset, tmp_path):
     """Oracle: strict JSON has no infinity."""
     pictures = photos(1)
     result = evaluate(lambda i: pictures[i] / 255.0, fake_dataset(pictures), [0])
-    assert result["mean"]["psnr"] is None and "view_0.png" in result["mean"]["psnr_reason"]
-    write_metrics(tmp_path / "m.json", result)
+    assert result.mean["psnr"] is None and "view_0.png" in result.mean["psnr_reason"]
+    write_metrics(tmp_path / "m.json", vars(result))
 
 
 def test_metrics_json(metrics_dict, tmp_path):

@@ -4,6 +4,7 @@ import base64
 import io
 import json
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 from xml.etree import ElementTree
 
@@ -12,7 +13,7 @@ import pytest
 from PIL import Image
 
 from gscore.errors import GsError
-from gscore.metrics import PictureCollector, headline, write_report
+from gscore.metrics import PictureCollector, Report, headline, write_report
 from gscore.metrics.colormap import colorize
 from gscore.metrics.curves import Series, chart, clean_points, log_ticks, nice_ticks, short_number
 from gscore.metrics.pictures import BYTES_IN_ALL, ERROR_GAIN, MAX_VIEWS
@@ -59,18 +60,17 @@ def run(metrics_dict):
             {"step": s, "elapsed_s": s / 7, "loss": 1 / (s + 3), "psnr": 10 + s / 50, "splats": s}
             for s in steps
         ]
-        return {
-            "title": "a <script>alert(1)</script> capture",
-            "metrics": metrics,
-            "views": views,
-            "history": history,
-            "evals": [
-                {"step": 100, "elapsed_s": 14.0, "psnr": 12.0},
-                {"step": 500, "elapsed_s": 71.0, "psnr": 19.0},
-            ],
-            "warnings": ["3 photos & no camera"],
-            "config": {"train": {"iterations": 500, "lpips": None}},
-        }
+        evals = [
+            {"step": 100, "elapsed_s": 14.0, "psnr": 12.0},
+            {"step": 500, "elapsed_s": 71.0, "psnr": 19.0},
+        ]
+        return Report(
+            title="a <script>alert(1)</script> capture",
+            metrics=metrics | {"history": history, "evals": evals},
+            views=views,
+            warnings=["3 photos & no camera"],
+            config={"train": {"iterations": 500, "lpips": None}},
+        )
 
     return make
 
@@ -90,8 +90,9 @@ def test_page_is_whole_and_alone(run, tmp_path):
 def test_the_head_says_what_was_done(run):
     """Oracle: preset, command, date, photos and their size, as given."""
     content = run()
-    content["metrics"]["trained_at"] = "2031-02-03T04:05:06+01:00"
-    content |= {"preset": "preset draft, changed", "command": "gscore train 'a <b>' -o run"}
+    content.metrics["trained_at"] = "2031-02-03T04:05:06+01:00"
+    command = "gscore train 'a <b>' -o run"
+    content = replace(content, preset="preset draft, changed", command=command)
     shown = Page(report_html(content)).shown
     head = shown[: shown.index("Warnings")]
     for words in ("Preset draft, changed", "2031-02-03 04:05", "3 photos, 64 \u00d7 48 px"):
@@ -102,9 +103,9 @@ def test_the_head_says_what_was_done(run):
 def test_old_metrics_make_a_page(run):
     """Oracle: a metrics.json without what later ones have, and rows of a history without sizes."""
     content = run()
-    metrics = json.loads(json.dumps(content["metrics"]))
+    metrics = json.loads(json.dumps(content.metrics))
     del metrics["trained_at"], metrics["reason"]
-    page = Page(report_html({"title": "x", "metrics": metrics, "history": content["history"]}))
+    page = Page(report_html(Report(title="x", metrics=metrics)))
     assert "None" not in page.shown and "Dashed lines" not in page.shown
     assert "500 steps" in page.shown
 
@@ -113,9 +114,9 @@ def test_old_metrics_make_a_page(run):
 def test_no_tile_says_only_that_nothing_is_known(run, missing):
     """Oracle: the tiles of a page whose metrics lack a number; its reason stands elsewhere."""
     content = run()
-    content["metrics"] |= {missing: None}
+    content.metrics.update({missing: None})
     if missing in ("lpips", "ms_ssim"):
-        content["metrics"][f"{missing}_reason"] = "there was no time"
+        content.metrics[f"{missing}_reason"] = "there was no time"
     text = report_html(content)
     tiles = re.findall(r'<div class="tile"><dt>(.*?)</dt><dd>(.*?)<small>', text)
     assert len(tiles) >= 6 and all(re.fullmatch(r"[\d ]+.*", value) for _, value in tiles)
@@ -129,7 +130,7 @@ def test_sizes_of_photos_are_marked(run):
     """Oracle: the steps at which the history's sizes change, to scale; none where none change."""
     content = run()
     assert 'class="mark"' not in report_html(content)
-    for row in content["history"]:
+    for row in content.metrics["history"]:
         row["photo_factor"] = 4.0 if row["step"] < 100 else 2.0 if row["step"] < 300 else 1.0
     text = report_html(content)
     assert "Dashed lines: photos became larger" in text
@@ -151,7 +152,7 @@ def test_sizes_of_photos_are_marked(run):
 def test_splats_that_fit_only_the_photos_are_explained(run, trained, split, told):
     """Oracle: the difference of both numbers, where views were held out."""
     content = run(split=split)
-    content["metrics"] |= {"psnr": 15.25, "history": [{"step": 1, "psnr": trained}]}
+    content.metrics.update({"psnr": 15.25, "history": [{"step": 1, "psnr": trained}]})
     shown = Page(report_html(content)).shown
     assert ("What this means" in shown) is told
     if told:
@@ -164,7 +165,7 @@ def test_how_a_training_ended_is_told(run):
     content = run()
     told = {}
     for reason in ("finished", "target", "converged", "interrupted"):
-        content["metrics"]["reason"] = reason
+        content.metrics["reason"] = reason
         told[reason] = " ".join(Page(report_html(content)).words)
     assert "500 steps, " not in told["finished"]
     assert "500 steps, to the PSNR asked for" in told["target"]
@@ -176,7 +177,7 @@ def test_numbers_are_shown(run):
     """Oracle: the metrics the page was made from."""
     content = run()
     words = Page(report_html(content)).words
-    metrics = content["metrics"]
+    metrics = content.metrics
     shown = " ".join(words)
     for piece in (f"{metrics['psnr']:.2f}", f"{metrics['ssim']:.4f}", "1,234", "1 min 15 s"):
         assert piece in shown
@@ -188,8 +189,8 @@ def test_numbers_are_shown(run):
 def test_where_pixels_are_ignored_those_that_count_come_first(run):
     """Oracle: both numbers with their names, in the order of the page."""
     content = run()
-    content["metrics"] |= {"psnr_masked": 25.4321, "mask_mode": "ignore"}
-    content["views"][0].numbers["psnr_masked"] = 25.25
+    content.metrics.update({"psnr_masked": 25.4321, "mask_mode": "ignore"})
+    content.views[0].numbers["psnr_masked"] = 25.25
     words = Page(report_html(content)).words
     first = words.index("PSNR inside the masks")
     assert words[first + 1] == "25.43" and first < words.index("PSNR")
@@ -205,10 +206,10 @@ def test_scores_on_training_views_say_so(run):
 def test_a_run_without_history_or_pictures_still_has_a_page(run):
     """Oracle: no curves, no cards, but the numbers of the views."""
     content = run()
-    bare = {"title": "x", "metrics": content["metrics"]}
+    bare = Report(title="x", metrics=content.metrics | {"history": [], "evals": []})
     page = Page(report_html(bare))
     assert not any(tag == "svg" for tag, _ in page.tags)
-    assert f"{content['metrics']['psnr']:.2f}" in page.words
+    assert f"{content.metrics['psnr']:.2f}" in page.words
 
 
 def test_curves_kept_in_the_metrics_are_drawn(metrics_dict):
@@ -218,7 +219,7 @@ def test_curves_kept_in_the_metrics_are_drawn(metrics_dict):
         for s in range(1, 50)
     ]
     metrics, _ = metrics_dict(history=history, evals=[{"step": 49, "elapsed_s": 6, "psnr": 9.0}])
-    page = Page(report_html({"title": "x", "metrics": json.loads(json.dumps(metrics))}))
+    page = Page(report_html(Report(title="x", metrics=json.loads(json.dumps(metrics)))))
     assert sum(tag == "svg" for tag, _ in page.tags) == 4  # loss and splats, by step and seconds
     assert metrics["history"][2]["psnr"] is None and "history" not in headline(metrics)
 
@@ -230,7 +231,7 @@ def test_a_run_stopped_before_its_evaluation_has_a_page(metrics_dict):
         metrics |= {key: None, f"{key}_reason": "training was stopped"}
     for key in ("d_ssim", "ms_ssim", "ssim_valid", "psnr_u8", "fps", "lpips_net"):
         del metrics[key]
-    page = Page(report_html({"title": "x", "metrics": metrics | {"views": []}}))
+    page = Page(report_html(Report(title="x", metrics=metrics | {"views": []})))
     shown = page.shown
     assert "no views scored: training was stopped" in shown and "n/a" not in shown
 
@@ -368,8 +369,8 @@ def test_a_folder_that_cannot_be_written_is_an_error(run, tmp_path):
 def test_colour_corrected_psnr_is_shown_and_explained(run):
     """Oracle: the number given, in a tile, in the table of views and among the definitions."""
     content = run()
-    content["metrics"]["psnr_cc"] = 31.4159
-    content["views"][0].numbers["psnr_cc"] = 32.71
+    content.metrics["psnr_cc"] = 31.4159
+    content.views[0].numbers["psnr_cc"] = 32.71
     shown = Page(report_html(content)).shown
     assert "PSNR colour-corrected31.42 dB" in shown and "32.71" in shown
     assert "PSNR colour-corrected 31.416after gain and offset per channel" in shown

@@ -9,6 +9,7 @@ import pytest
 
 from gscore.errors import ConfigError
 from gscore.sfm.photos import Photo
+from gscore.sfm.plain import RECORD
 from gscore.sfm.workspace import Workspace
 
 
@@ -17,7 +18,8 @@ def published(space: Workspace, photo: Photo) -> None:
     assert space.open({"options": 1}) is False
     model: Any = SimpleNamespace(images={1: SimpleNamespace(name=photo.alias)})
     model.write = lambda folder: (folder / "cameras.bin").write_bytes(b"cameras")
-    space.publish(model, [photo])
+    space.publish(model, [photo], "{}")
+    space.close()
 
 
 @pytest.fixture
@@ -29,9 +31,9 @@ def photo(tmp_path: Path) -> Photo:
 
 
 def is_capture(folder: Path) -> bool:
-    """Whether photo and cameras are there, and nothing else."""
+    """Whether photo, cameras and what was found are there, and nothing else."""
     files = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
-    return files == {"images/a.jpg", "sparse/0/cameras.bin"}
+    return files == {"images/a.jpg", "sparse/0/cameras.bin", RECORD}
 
 
 @pytest.mark.parametrize("kind", ["new", "empty", "link", "dangling"])
@@ -70,8 +72,10 @@ def test_a_folder_that_is_a_file_system_of_its_own(
     space = Workspace(place, root)
     assert space.folder.parent == place
     space.open({"options": 1})
-    assert Workspace(place, root).open({"options": 1}) is True  # what a stopped search left
-    space.discard()
+    space.close()
+    again = Workspace(place, root)
+    assert again.open({"options": 1}) is True  # what a stopped search left
+    again.discard()
     published(Workspace(place, root), photo)
     assert is_capture(place)
 

@@ -34,9 +34,9 @@ from gscore.io.cameras_json import read_cameras
 from gscore.io.images import read_image
 from gscore.io.metrics_file import metrics_problem, read_metrics
 from gscore.io.ply import read_splats, write_splats
+from gscore.metrics import results
 from gscore.trainer.estimate import memory
 from gscore.trainer.estimate.forecast import estimate
-from gscore.trainer.files import results
 from gscore.trainer.files.folder import RunFolder
 from gscore.trainer.run import train
 from gscore.trainer.trainer import Trainer

@@ -68,6 +68,6 @@ def test_kinds_are_those_of_the_protocol() -> None:
     """Oracle: the protocol's words."""
     words = "estimate started progress preview snapshot eval warning saved done error"
     words += " sequence frame depth depth_progress"
-    words += " sfm sfm_estimate sfm_progress"
+    words += " sfm sfm_estimate sfm_progress frames frames_progress"
     assert set(KINDS) == set(words.split())
     assert KINDS["started"] is Started

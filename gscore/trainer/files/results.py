@@ -8,18 +8,17 @@ from typing import Any
 import numpy as np
 
 from ...config import Background, DataConfig
-from ...config_command import preset_words, train_command
-from ...config_file import config_json, to_dict
+from ...config_file import config_json
 from ...io.cameras_json import write_cameras
 from ...io.exposure_json import EXPOSURE_FILE, write_exposures
 from ...io.images import write_png
 from ...io.ply import MIP_COMMENT, write_splat_parts
 from ...io.poses_json import POSES_FILE, write_poses
 from ...io.runs import snapshots_in
-from ...metrics import PictureCollector, summarize, write_metrics, write_report
+from ...metrics import Course, Evaluation, Metrics, PictureCollector, write_results
 from ...raster import backend
 from ..depth.report import DepthReport
-from ..evaluation import Evaluator, unmeasured
+from ..evaluation import Evaluator
 from ..length.meter import Meter
 from ..trainer import Trainer
 from ..views.motion import apart
@@ -89,7 +88,7 @@ class Results:
 
     def write_summary(
         self,
-        evaluation: dict[str, Any] | None,
+        evaluation: Evaluation | None,
         *,
         evaluator: Evaluator,
         collector: PictureCollector,
@@ -107,8 +106,19 @@ class Results:
         """
         trainer, folder, photos = self._trainer, self._folder, self._trainer.photos
         names = photos.scene.cameras.names
-        metrics = summarize(
-            evaluation or unmeasured("training was stopped before its evaluation"),
+        course = Course(
+            steps=trainer.steps,
+            train_seconds=meter.train_seconds,
+            reason=reason,
+            trained_at=datetime.datetime.now().astimezone().isoformat(timespec="seconds"),
+            history=meter.history,
+            evals=evals,
+            depth=None if depth is None else depth.numbers,
+            **(learnt or {}),
+        )
+        stopped = Evaluation.none("training was stopped before its evaluation")
+        metrics = Metrics(
+            evaluation=evaluation or stopped,
             split=evaluator.split,
             train_views=[names[i] for i in photos.train],
             test_views=[names[i] for i in photos.test],
@@ -117,36 +127,21 @@ class Results:
             splats=len(trainer.model),
             sh_degree=trainer.config.sh_degree,
             storage_bytes=folder.point_cloud.stat().st_size,
-            steps=trainer.steps,
-            train_seconds=meter.train_seconds,
-            reason=reason,
-            trained_at=datetime.datetime.now().astimezone().isoformat(timespec="seconds"),
             isa=backend.isa(),
             threads=self.threads,
-        ) | {"history": meter.history, "evals": evals}
-        if depth is not None:
-            metrics["depth"] = depth.numbers
-        metrics |= learnt or {}
-        report = {
-            "title": self._data.source.resolve().name,
-            "metrics": metrics,
-            "views": collector.views if evaluation else [],
-            "history": meter.history,
-            "evals": evals,
-            "warnings": warnings,
-            "depth": None if depth is None else depth.section,
-            "config": {
-                "data": to_dict(self._data),
-                "train": to_dict(trainer.config),
-                "what was left open became": _resolved(trainer),
-            },
-            "preset": preset_words(self._data, trainer.config),
-            "command": train_command(self._data, trainer.config, folder.path),
-        }
-        write_report(folder.path / "report.html", report)
-        # The last file: by it a run that is to go on knows that everything is there.
-        write_metrics(folder.path / "metrics.json", metrics)
-        return metrics
+            course=course,
+        )
+        return write_results(
+            folder.path,
+            metrics,
+            data=self._data,
+            run=folder.path,
+            trained=(self._data, trainer.config),
+            resolved=_resolved(trainer),
+            views=collector.views if evaluation else (),
+            warnings=warnings,
+            depth=None if depth is None else depth.section,
+        )
 
     def write_learnt(self, exposure: dict[str, Any] | None, poses: str) -> dict[str, Any]:
         """exposure.json and poses.json, of what was learnt of the photos; for metrics.json what.

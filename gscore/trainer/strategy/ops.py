@@ -16,7 +16,7 @@ SPLIT_COUNT = 2
 """Splats that replace one that is split (Kerbl et al. 2023, section 5.2)."""
 SPLIT_SHRINK = 1.6
 """Divisor of their scales."""
-HALF_OFFSET, HALF_LENGTH, HALF_WIDTH, HALF_OPACITY = 1.0, 0.5, 0.85, 0.6
+HALF_OFFSET, HALF_LENGTH, HALF_WIDTH, HALF_OPACITY = 0.7, 0.5, 0.85, 0.6
 """Of the halves of a splat: distance from its centre and length along the longest axis, width
 along the others, and opacity, in its own (the factors are those of Deng et al. 2024; the distance
 was measured)."""

@@ -1,0 +1,36 @@
+// Sizes of the stereo sweep, shared by its driver and its kernels; and both stages of stereo.
+#pragma once
+
+#include "types.h"
+
+namespace gs {
+
+// Rows that a thread sweeps at once: what is remembered of their pixels stays in the second cache.
+constexpr int kStereoRows = 24;
+// Floats that a vector may reach beyond a row.
+constexpr int kStereoMargin = 16;
+// Scores of the planes before the first and behind the last.
+constexpr float kNoScore = -1.0f, kOutside = -2.0f;
+// Planes around the highest peak in which another one is no rival.
+constexpr float kStereoNear = 2.0f;
+
+// How the rows of a band lie in memory.
+struct StereoBand {
+    int radius, window;
+    int64_t stride; // floats of a row
+
+    StereoBand(int width, int r)
+        : radius(r), window(2 * r + 1), stride(int64_t(ceil_div(width, kStereoMargin) + 2) * kStereoMargin) {}
+    // Rows of the reference that windows of a band reach, with a window's height of zeros above.
+    int reference_rows() const { return kStereoRows + 2 * radius + window; }
+    // Maps of a band's pixels of `StereoSweep`.
+    static constexpr int kMaps = 11;
+    size_t scratch_floats() const {
+        return size_t(reference_rows() + 2 * window + 3 + kMaps * kStereoRows) * size_t(stride);
+    }
+};
+
+gs_status stereo_sweep(const gs_stereo_sweep_args &args, const gs_stereo_found &found);
+void stereo_check(const gs_stereo_check_args &args, uint8_t *agree, uint8_t *contradict, float *inverse_depth);
+
+} // namespace gs

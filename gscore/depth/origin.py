@@ -1,0 +1,56 @@
+"""Which photos had a part in depth maps that stereo made, beside the maps themselves."""
+
+import json
+from collections.abc import Collection, Sequence
+from pathlib import Path
+
+from .._version import __version__
+from ..errors import FormatError
+from ..io.files import atomic_write
+from ..json_text import parse_json
+from ..shown import shown
+from ..words import count_words
+
+STEREO_RECORD = "stereo.json"
+"""File beside maps that stereo made."""
+
+
+def write_record(folder: Path, views: Sequence[str], maps: Sequence[str]) -> None:
+    """Say which photos took part, and which maps of views came of it."""
+    record = {"gscore": __version__, "method": "stereo", "photos": [*views], "maps": [*maps]}
+    text = json.dumps(record, indent=2, ensure_ascii=False) + "\n"
+    atomic_write(folder / STEREO_RECORD, text.encode("utf-8"))
+
+
+def read_record(folder: Path) -> dict[str, list[str]] | None:
+    """`photos` and `maps` of the record in a folder of maps; None: there is none.
+
+    Raises:
+        FormatError: it is damaged.
+    """
+    path = folder / STEREO_RECORD
+    if not path.is_file():
+        return None
+    try:
+        content = parse_json(path.read_bytes())
+        found = {key: [str(name) for name in content[key]] for key in ("photos", "maps")}
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise FormatError(
+            f"{path} is damaged ({shown(error)}). Make the maps again: gscore depth SOURCE "
+            "--method stereo --overwrite"
+        ) from error
+    return found
+
+
+def held_out_part(folder: Path, held_out: Collection[str]) -> tuple[str, ...]:
+    """A sentence where photos that a run holds out had a part in its maps."""
+    record = read_record(folder)
+    among = [] if record is None else sorted(set(record["photos"]) & set(held_out))
+    if not among:
+        return ()
+    return (
+        f"{count_words(len(among), 'held-out photo', 'held-out photos')} had a part in the depth "
+        f"maps in {folder}, for example {shown(among[0])}, so that held-out views look better than "
+        "views nobody has seen would. Make the maps again with the test views held out: gscore "
+        "depth SOURCE --method stereo --hold-out 8",
+    )

@@ -1,0 +1,68 @@
+"""Writes what was measured: metrics.json and report.html, for a training and for `gscore eval`."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from ..config import DataConfig, TrainConfig
+from ..config_command import preset_words, train_command
+from ..config_file import to_dict
+from .depth import DepthSection
+from .pictures import ViewPictures
+from .report import Report, write_report
+from .summary import Metrics, write_metrics
+
+
+def write_results(
+    folder: Path,
+    metrics: Metrics,
+    *,
+    data: DataConfig,
+    run: Path | None = None,
+    trained: tuple[DataConfig, TrainConfig] | None = None,
+    resolved: dict[str, Any] | None = None,
+    views: Sequence[ViewPictures] = (),
+    warnings: Sequence[str] = (),
+    depth: DepthSection | None = None,
+) -> dict[str, Any]:
+    """Write both files, each completely or not at all.
+
+    Args:
+        folder: For the files.
+        metrics: What was measured.
+        data: The capture it was measured on.
+        run: Folder of the training, for the command that does it again; None: not known.
+        trained: Its options; None: not known.
+        resolved: What became of options that were left open; None: not known.
+        views: Pictures for the report.
+        warnings: Sentences for the report.
+        depth: What the report says of depth.
+
+    Returns:
+        The content of metrics.json.
+
+    Raises:
+        GsError: a file cannot be written.
+    """
+    content = metrics.content()
+    config = {"data": to_dict(data)}
+    if trained is not None:
+        config["train"] = to_dict(trained[1])
+    if resolved is not None:
+        config["what was left open became"] = resolved
+    how = {}
+    if trained is not None and run is not None:
+        how = {"preset": preset_words(*trained), "command": train_command(*trained, run)}
+    report = Report(
+        title=data.source.resolve().name,
+        metrics=content,
+        views=views,
+        warnings=warnings,
+        depth=depth,
+        config=config,
+        **how,
+    )
+    write_report(folder / "report.html", report)
+    # The last file: by it a run that is to go on knows that everything is there.
+    write_metrics(folder / "metrics.json", content)
+    return content

@@ -1,0 +1,210 @@
+"""Depth of photos from each other by the native library: a sweep of planes, and maps checked."""
+
+import ctypes as ct
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import ShapeError
+from . import _native, arguments, header
+from .buffers import UINT8, address
+from .request import CancelFlag
+
+MOST_SOURCES = header.STEREO_SOURCES_MAX
+"""Photos that one is compared with at most."""
+MOST_PLANES = header.STEREO_PLANES_MAX
+MOST_WITNESSES = 255
+"""Maps that judge one at most."""
+
+
+@dataclass(frozen=True)
+class Warp:
+    """How pixels of one view lie in another: a point at (x, y) with inverse depth d is seen there
+    at (u, v), where (u w, v w, w) = rotation (x, y, 1) + d translation."""
+
+    rotation: np.ndarray
+    """[3, 3] float64."""
+    translation: np.ndarray
+    """[3] float64."""
+
+
+@dataclass(frozen=True)
+class StereoView:
+    """A photo in grey and its camera."""
+
+    grey: np.ndarray
+    """[H, W] uint8, contiguous."""
+    K: np.ndarray
+    """[3, 3] float64, pixels; pixel centres lie at +0.5."""
+    viewmat: np.ndarray
+    """[4, 4] float64, world to camera, OpenCV axes."""
+
+    def warp_to(self, other: "StereoView") -> Warp:
+        """From pixels of this view to those of another."""
+        pose = other.viewmat @ np.linalg.inv(self.viewmat)
+        return Warp(other.K @ pose[:3, :3] @ np.linalg.inv(self.K), other.K @ pose[:3, 3])
+
+
+@dataclass(frozen=True)
+class Swept:
+    """What a sweep found at the pixels of its reference; all arrays [H, W] float32."""
+
+    inverse_depth: np.ndarray
+    """1/world unit; 0 where no plane inside the range stands out."""
+    score: np.ndarray
+    """Zero-mean normalised cross-correlation there, from -1 to 1."""
+    rival: np.ndarray
+    """The score of the second best depth, more than two planes away; -1: there is none."""
+    contrast: np.ndarray
+    """Standard deviation of the grey values around the pixel."""
+
+
+def sweep(
+    reference: StereoView,
+    sources: Sequence[StereoView],
+    *,
+    farthest: float,
+    nearest: float,
+    planes: int,
+    radius: int = 3,
+    best: int = 2,
+    noise: float = 1.5,
+    threads: int = 0,
+    cancel: CancelFlag | None = None,
+) -> Swept:
+    """The inverse depth of each pixel at which other photos look most like the reference.
+
+    Planes parallel to the reference's picture are evenly spaced in inverse depth (Collins 1996);
+    windows are compared by zero-mean normalised cross-correlation, and the score of a plane is the
+    mean over the `best` sources that agree most, for others may be occluded.
+
+    Args:
+        reference: Whose depth is wanted.
+        sources: 1 to 8 others that see the same.
+        farthest: Inverse depth of the first plane, 1/world unit, at least 0.
+        nearest: That of the last plane.
+        planes: 3 to 1024.
+        radius: Windows are 2 radius + 1 pixels wide and high; 1 to 7.
+        best: 1 or 2; no more than there are sources.
+        noise: Standard deviation of grey values that counts as noise: flat windows score less.
+        threads: 0: all cores.
+        cancel: Set it from another thread to stop.
+
+    Raises:
+        ShapeError: an array, a size or a number that cannot be used.
+        BackendError: the native library is missing or out of memory.
+        Cancelled: `cancel` was set.
+    """
+    shape = _shape(reference.grey)
+    array = (header.StereoSourceStruct * len(sources))()
+    for struct, source in zip(array, sources, strict=True):
+        height, width = size = _shape(source.grey)
+        struct.width, struct.height = width, height
+        struct.grey = address("grey", source.grey, size, UINT8)
+        struct.warp = _warp(reference.warp_to(source))
+    found = Swept(*(np.zeros(shape, np.float32) for _ in range(4)))
+    args = header.StereoSweepArgsStruct(
+        width=shape[1],
+        height=shape[0],
+        grey=address("grey", reference.grey, shape, UINT8),
+        source_count=len(sources),
+        sources=array,
+        farthest=farthest,
+        nearest=nearest,
+        planes=planes,
+        radius=radius,
+        best=min(best, max(len(sources), 1)),
+        noise=noise,
+        threads=arguments.checked_threads(threads),
+    )
+    if cancel is not None:
+        args.cancel = ct.pointer(cancel.value)
+    out = header.StereoFoundStruct(
+        *(address(name, getattr(found, name), shape) for name in Swept.__dataclass_fields__)
+    )
+    _native.check(_native.library().gs_stereo_sweep(ct.byref(args), ct.byref(out)))
+    return found
+
+
+@dataclass(frozen=True)
+class Checked:
+    """What other views say to a depth map; all arrays [H, W]."""
+
+    agree: np.ndarray
+    """uint8, how many have the same surface there."""
+    contradict: np.ndarray
+    """uint8, how many look through it at something farther."""
+    inverse_depth: np.ndarray
+    """float32, mean of the map and of those that agree, 1/world unit; 0: unknown."""
+
+
+def check(
+    reference: StereoView,
+    inverse_depth: np.ndarray,
+    witnesses: Sequence[tuple[StereoView, np.ndarray]],
+    *,
+    pixels: float = 1.0,
+    relative: float = 0.01,
+    passed: float = 0.05,
+    threads: int = 0,
+) -> Checked:
+    """Compare the depth map of a view with those of others.
+
+    Args:
+        reference: The view.
+        inverse_depth: [H, W] float32, its map, 1/world unit; 0: unknown.
+        witnesses: At most 255 other views with their maps.
+        pixels: A view agrees where its own depth leads back to within so many pixels,
+        relative: and to within this share of the inverse depth.
+        passed: It contradicts where its surface lies farther than the point by this share.
+        threads: 0: all cores.
+
+    Raises:
+        ShapeError: an array or a number that cannot be used.
+        BackendError: the native library is missing or out of memory.
+    """
+    shape = _shape(reference.grey)
+    array = (header.StereoWitnessStruct * len(witnesses))()
+    for struct, (view, known) in zip(array, witnesses, strict=True):
+        height, width = size = _shape(view.grey)
+        struct.width, struct.height = width, height
+        struct.inverse_depth = address("inverse_depth", known, size)
+        struct.warp, struct.back = _warp(reference.warp_to(view)), _warp(view.warp_to(reference))
+    args = header.StereoCheckArgsStruct(
+        width=shape[1],
+        height=shape[0],
+        inverse_depth=address("inverse_depth", inverse_depth, shape),
+        witness_count=len(witnesses),
+        witnesses=array,
+        pixels=pixels,
+        relative=relative,
+        passed=passed,
+        threads=arguments.checked_threads(threads),
+    )
+    counts = np.zeros((2, *shape), np.uint8)
+    fused = np.zeros(shape, np.float32)
+    _native.check(
+        _native.library().gs_stereo_check(
+            ct.byref(args),
+            *(address("counts", part, shape, UINT8) for part in counts),
+            address("inverse_depth", fused, shape),
+        )
+    )
+    return Checked(counts[0], counts[1], fused)
+
+
+def _shape(grey: np.ndarray) -> tuple[int, int]:
+    if grey.ndim != 2:
+        raise ShapeError(f"grey must be [H, W] uint8, got {list(grey.shape)}.")
+    return grey.shape[0], grey.shape[1]
+
+
+def _warp(warp: Warp) -> header.StereoWarpStruct:
+    with np.errstate(over="ignore"):
+        rotation, translation = (
+            np.float32(part).ravel() for part in (warp.rotation, warp.translation)
+        )
+    return header.StereoWarpStruct(
+        (ct.c_float * 9)(*rotation.tolist()), (ct.c_float * 3)(*translation.tolist())
+    )

@@ -1,0 +1,172 @@
+"""Which photos are compared with which, and in which range of depths."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..depth.observations import Tracks
+from ..raster.stereo import MOST_PLANES, StereoView
+from ..scene import Cameras
+
+SOURCES = 4
+"""Photos that one is compared with."""
+WITNESSES = 8
+"""Depth maps that judge one; its sources are among them."""
+_BEST_ANGLE = 9.0
+"""Degrees between the rays of two photos to a point at which they serve best: less tells depths
+worse, more makes surfaces look different."""
+_NARROWER, _WIDER = 4.0, 9.0
+"""Deviations from it, in degrees, at which a point counts 0.6."""
+_POINTS = 4000
+"""Points that stand for all when photos are chosen."""
+_FEWEST_SHARED = 1e-3
+"""Least sum of a pair's weights to be compared at all."""
+_ENDS = (0.01, 0.99)
+"""Quantiles of the inverse depths of a view's points."""
+_FARTHER, _NEARER = 0.5, 1.3
+"""The range goes beyond them by these factors."""
+_FEWEST_POINTS = 8
+"""Points that a view must see for them to tell its range."""
+_STEP = 1.0
+"""Pixels between the places of a point on neighbouring planes."""
+_FEWEST_PLANES = 16
+PLANES = 128
+"""Most planes: the time a sweep takes grows with them."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewPlan:
+    """How the depth of one view is found. Views are counted among those that take part."""
+
+    sources: tuple[int, ...]
+    """Those it is compared with, best first."""
+    witnesses: tuple[int, ...]
+    """Those whose depth judges its own, best first."""
+    farthest: float
+    """Inverse depth of the first plane, 1/world unit."""
+    nearest: float
+    """That of the last plane."""
+
+
+def plan_views(cameras: Cameras, tracks: Tracks, used: Sequence[int]) -> list[ViewPlan | None]:
+    """A plan for each of the views `used`; None where nothing can be compared with it.
+
+    Args:
+        cameras: Of all views.
+        tracks: Points and who sees them; may be none.
+        used: Views that take part: no other one has a say.
+    """
+    centers, axes = cameras.centers[list(used)], cameras.viewmats[list(used), 2, :3]
+    seen = _seen(tracks, used)
+    plans: list[ViewPlan | None] = []
+    for place, index in enumerate(used):
+        points = tracks.points[tracks.seen[index]]
+        depth_range = _range(points, cameras.viewmats[index]) or _range_by_axes(
+            centers, axes, place
+        )
+        if depth_range is None:
+            plans.append(None)
+            continue
+        if len(points) >= _FEWEST_POINTS:
+            weights = _shared(tracks, seen, centers, place)
+        else:
+            weights = _facing(centers, axes, place, depth_range)
+        weights[place] = 0
+        order = np.argsort(-weights, kind="stable")[:WITNESSES]
+        order = [int(i) for i in order if weights[i] > _FEWEST_SHARED]
+        if not order:
+            plans.append(None)
+            continue
+        far, near = depth_range
+        plans.append(
+            ViewPlan(
+                sources=tuple(order[:SOURCES]), witnesses=tuple(order), farthest=far, nearest=near
+            )
+        )
+    return plans
+
+
+def planes_of(plan: ViewPlan, views: Sequence[StereoView]) -> int:
+    """Planes between which a point moves by a pixel in the middle one of the sources.
+
+    Args:
+        plan: Of the reference, the first of `views`.
+        views: The reference and its sources.
+    """
+    height, width = views[0].grey.shape
+    x, y = np.meshgrid([0.1 * width, 0.5 * width, 0.9 * width], [0.2 * height, 0.8 * height])
+    pixels = np.stack([x.ravel(), y.ravel(), np.ones(6)])
+    moved = []
+    for source in views[1:]:
+        warp = views[0].warp_to(source)
+        ends = [
+            warp.rotation @ pixels + inverse * warp.translation[:, None]
+            for inverse in (plan.farthest, plan.nearest)
+        ]
+        front = (ends[0][2] > 1e-9) & (ends[1][2] > 1e-9)
+        if front.any():
+            a, b = (end[:2, front] / end[2, front] for end in ends)
+            moved.append(float(np.median(np.hypot(*(b - a)))))
+    path = float(np.median(moved)) if moved else 0.0
+    most = min(PLANES, MOST_PLANES)
+    return int(np.clip(np.ceil(min(path / _STEP, most)) + 1, _FEWEST_PLANES, most))
+
+
+def _seen(tracks: Tracks, used: Sequence[int]) -> np.ndarray:
+    """[V, P] bool of some points, evenly chosen: whether a view sees a point."""
+    stride = max(1, len(tracks.points) // _POINTS)
+    out = np.zeros((len(used), len(tracks.points[::stride])), bool)
+    for place, index in enumerate(used):
+        rows = tracks.seen[index]
+        out[place, rows[rows % stride == 0] // stride] = True
+    return out
+
+
+def _shared(tracks: Tracks, seen: np.ndarray, centers: np.ndarray, place: int) -> np.ndarray:
+    """[V] how much the points that a view shares with each other one are worth."""
+    stride = max(1, len(tracks.points) // _POINTS)
+    mine = np.flatnonzero(seen[place])
+    rays = tracks.points[mine * stride][None] - centers[:, None]
+    rays /= np.maximum(np.linalg.norm(rays, axis=2, keepdims=True), 1e-300)
+    cosines = np.einsum("vpi,pi->vp", rays, rays[place])
+    return (_worth(cosines) * seen[:, mine]).sum(axis=1)
+
+
+def _facing(
+    centers: np.ndarray, axes: np.ndarray, place: int, depth_range: tuple[float, float]
+) -> np.ndarray:
+    """[V] how well each view serves one without points, by the middle of what it looks at."""
+    middle = centers[place] + axes[place] * (2 / (depth_range[0] + depth_range[1]))
+    rays = middle - centers
+    rays /= np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-300)
+    looking = np.clip((rays * axes).sum(axis=1), 0, 1)
+    return _worth(rays @ rays[place]) * looking
+
+
+def _worth(cosines: np.ndarray) -> np.ndarray:
+    angles = np.degrees(np.arccos(np.clip(cosines, -1, 1)))
+    width = np.where(angles < _BEST_ANGLE, _NARROWER, _WIDER)
+    # Photos from one place show no depth at all, however many points they share.
+    return np.exp(-0.5 * ((angles - _BEST_ANGLE) / width) ** 2) * np.minimum(angles, 1.0)
+
+
+def _range(points: np.ndarray, viewmat: np.ndarray) -> tuple[float, float] | None:
+    """Inverse depths between which what a view shows lies, by its points [P, 3]; None: too few."""
+    z = points @ viewmat[2, :3] + viewmat[2, 3]
+    z = z[z > 0]
+    if len(z) < _FEWEST_POINTS:
+        return None
+    far, near = np.quantile(1 / z, _ENDS)
+    return float(_FARTHER * far), float(_NEARER * near)
+
+
+def _range_by_axes(centers: np.ndarray, axes: np.ndarray, place: int) -> tuple[float, float] | None:
+    """The same around where the axes of all views meet; None where they do not."""
+    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
+    matrix = across.sum(axis=0)
+    if np.linalg.eigvalsh(matrix)[0] < 1e-3 * len(axes):
+        return None
+    focus = np.linalg.solve(matrix, np.einsum("cij,cj->i", across, centers))
+    z = float((focus - centers[place]) @ axes[place])
+    return (1 / (2.5 * z), 1 / (0.4 * z)) if z > 0 else None

@@ -1,0 +1,91 @@
+"""A dense start: points of surfaces that the photos themselves show, beside those of SfM."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...config import Switch, TrainConfig
+from ...datasets import Dataset
+from ...scene import PointCloud
+from ...stereo import dense_points, stereo_maps
+from ...words import count_words, number
+
+_POINTS = 10_000
+"""Most points that are added where the option leaves it open."""
+_SHARE = 5
+"""And at most one of so many splats: growth needs room to put them where photos ask for them."""
+_MOST_VIEWS = 120
+"""Photos that take part; of more, this many at even distances: enough for so few points."""
+_SIDE = 300
+"""Longer side of the photos, pixels: points may be a pixel off, and time is short."""
+_FEWEST = 100
+"""Fewer points than this are no surface: what few places agree on is mostly chance."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StereoStart:
+    """What stereo adds to the points that a run starts from."""
+
+    points: PointCloud | None = None
+    """Those of the capture and more; None: nothing is added."""
+    added: int = 0
+    why: str = ""
+    """A sentence that says how many were added, or why none were; empty where nobody asks."""
+
+
+def stereo_start(
+    config: TrainConfig,
+    photos: Dataset,
+    known: PointCloud,
+    *,
+    on_view: Callable[[int, int], None] | None = None,
+) -> StereoStart:
+    """Points to start from, by the training views alone.
+
+    Args:
+        config: How to train; `start_splats` leave nothing to add.
+        photos: The capture.
+        known: Points that the run starts from otherwise.
+        on_view: Called with (done, total) after each photo; may raise to stop.
+    """
+    if config.stereo is Switch.OFF or config.start_splats is not None:
+        return StereoStart()
+    most = _wanted(config, known)
+    if most <= 0:
+        return _nothing(f"{number(len(known))} points leave no room for more")
+    used = _evenly(list(photos.train))
+    found = stereo_maps(photos, used, side=_SIDE, threads=config.threads, on_view=on_view)
+    if found.reason:
+        return _nothing(found.reason)
+    added = dense_points(found, most=most)
+    if len(added) < min(_FEWEST, most):
+        return _nothing("photos agree on the depth of hardly anything")
+    return StereoStart(
+        points=PointCloud(
+            points=np.concatenate([known.points, added.points]),
+            colors=np.concatenate([known.colors, added.colors]),
+            made_up=known.made_up,
+        ),
+        added=len(added),
+        why=f"{count_words(len(added), 'point')} of surfaces that photos agree on were added to "
+        f"{number(len(known))} of the capture.",
+    )
+
+
+def _wanted(config: TrainConfig, known: PointCloud) -> int:
+    room = config.max_splats - len(known)
+    if config.stereo is Switch.AUTO and room < config.max_splats // 2:
+        return 0
+    return min(config.stereo_points or min(_POINTS, config.max_splats // _SHARE), room)
+
+
+def _nothing(why: str) -> StereoStart:
+    return StereoStart(why=f"No points were added by stereo: {why}.")
+
+
+def _evenly(indices: list[int]) -> list[int]:
+    if len(indices) <= _MOST_VIEWS:
+        return indices
+    places = np.linspace(0, len(indices) - 1, _MOST_VIEWS).round().astype(int)
+    return [indices[i] for i in places]

@@ -1,0 +1,127 @@
+"""The dense start; oracles: traced scenes, runs without it, and its own option."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gscore.commands import main
+from gscore.config import DataConfig, Switch, TrainConfig
+from gscore.datasets import load_dataset
+from gscore.io.ply import read_splats
+from gscore.scene import PointCloud
+from gscore.trainer.depth.stereo import stereo_start
+from gscore.trainer.files.folder import RunFolder
+from tests.stereo.captures import ANGLES, write_capture
+from tests.stereo.scene import Scene
+
+ON = TrainConfig(stereo=Switch.AUTO, max_splats=4000)
+
+
+def start(folder: Path, config: TrainConfig = ON, known: PointCloud | None = None):
+    """What stereo adds to the points of a capture."""
+    dataset = load_dataset(DataConfig(source=folder))
+    return stereo_start(config, dataset, dataset.scene.points if known is None else known)
+
+
+def test_points_are_added_and_none_is_lost(arc: Path) -> None:
+    """Oracle: the capture's points come first, a fifth of `max_splats` is added, on surfaces."""
+    dataset = load_dataset(DataConfig(source=arc))
+    found = start(arc)
+    assert found.points is not None and 0 < found.added <= 800
+    known = dataset.scene.points
+    np.testing.assert_array_equal(found.points.points[: len(known)], known.points)
+    assert len(found.points) == len(known) + found.added
+    x, y, z = found.points.points[len(known) :].T
+    off = np.minimum(np.abs(6 - 0.1 * x - z), np.abs(np.hypot(np.hypot(x - 0.3, y), z - 4.6) - 0.8))
+    assert np.quantile(off, 0.95) < 0.06
+    assert f"{found.added:,} points" in found.why
+
+
+def test_the_option_says_how_many(arc: Path) -> None:
+    """Oracle: the number that is asked for."""
+    found = start(arc, TrainConfig(stereo=Switch.ON, stereo_points=300, max_splats=4000))
+    assert 200 < found.added <= 300
+
+
+@pytest.mark.parametrize("config", [
+    TrainConfig(stereo=Switch.OFF), TrainConfig(stereo=Switch.ON, start_splats=Path("x.ply")),
+])  # fmt: skip
+def test_nothing_is_looked_for_where_nobody_asks(config: TrainConfig, arc: Path) -> None:
+    """Oracle: no points and no sentence."""
+    found = start(arc, config)
+    assert found.points is None and found.why == ""
+
+
+def test_it_says_why_it_adds_nothing(arc: Path, tmp_path: Path) -> None:
+    """Oracle: as many points as splats are allowed; two photos."""
+    many = PointCloud(points=np.zeros((4000, 3)), colors=np.zeros((4000, 3), np.uint8))
+    assert "leave no room" in start(arc, known=many).why
+    half = PointCloud(points=many.points[:2100], colors=many.colors[:2100])
+    assert "leave no room" in start(arc, known=half).why
+    asked = start(arc, replace(ON, stereo=Switch.ON), known=half)
+    assert 0 < asked.added <= 800
+    scene = Scene(80, 60)
+    write_capture(tmp_path, scene, [scene.viewmat(angle) for angle in ANGLES[:2]])
+    found = start(tmp_path)
+    assert found.points is None and "at least 3 photos" in found.why
+
+
+LINE = ["--max-splats", "900", "--stereo", "auto", "--seed", "3", "--quiet"]
+
+
+def test_a_training_starts_from_them_and_goes_on_bit_equal(
+    arc: Path,
+    tmp_path: Path,
+) -> None:
+    """Oracle: an uninterrupted run; and a run without stereo, which has fewer splats."""
+    whole, halves, without = (tmp_path / name for name in ("whole", "halves", "without"))
+    steps = ["--iterations", "40"]
+    assert main(["train", str(arc), "-o", str(whole), *steps, *LINE]) == 0
+    line = ["train", str(arc), "-o", str(halves), *LINE, "--iterations", "40"]
+    assert main([*line[:-1], "40", "--checkpoint-iterations", "20"]) == 0
+    first = RunFolder(halves).checkpoint(20)
+    again = tmp_path / "again"
+    more = ["--start-checkpoint", str(first), *steps, *LINE]
+    assert main(["train", str(arc), "-o", str(again), *more]) == 0
+    a, b = (read_splats(folder / "point_cloud.ply") for folder in (whole, again))
+    assert a.means.tobytes() == b.means.tobytes() and a.sh0.tobytes() == b.sh0.tobytes()
+    line = ["train", str(arc), "-o", str(without), *LINE[:2], "--stereo", "off", "--quiet"]
+    assert main([*line, "--iterations", "1"]) == 0
+    plain = read_splats(without / "point_cloud.ply")
+    assert len(plain) == len(load_dataset(DataConfig(source=arc)).scene.points) < len(a)
+
+
+def test_a_checkpoint_of_a_run_without_goes_on_without(
+    arc: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Oracle: photos are compared only where the steps before began so."""
+    out = tmp_path / "out"
+    line = ["train", str(arc), "-o", str(out), *LINE[:2], "--iterations", "10"]
+    assert main([*line, "--stereo", "off", "--quiet"]) == 0
+    config = out / "config.json"
+    text = config.read_text()
+    assert '"stereo": "off"' in text
+    resumed = ["train", "-o", str(out), "--resume", "--iterations", "12"]
+    assert main(resumed) == 0
+    assert "surfaces" not in capsys.readouterr().out
+
+
+def test_the_sentence_reaches_the_user(
+    arc: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Oracle: how many were added; where none can be, a warning that says why."""
+    line = ["--iterations", "2", "--max-splats", "900", "--stereo", "auto"]
+    assert main(["train", str(arc), "-o", str(tmp_path / "a"), *line]) == 0
+    captured = capsys.readouterr()
+    assert "of surfaces that photos agree on were added" in captured.out + captured.err
+    scene = Scene(80, 60)
+    write_capture(tmp_path / "two", scene, [scene.viewmat(angle) for angle in ANGLES[:2]])
+    assert main(["train", str(tmp_path / "two"), "-o", str(tmp_path / "b"), *line]) == 0
+    captured = capsys.readouterr()
+    assert "No points were added by stereo" in captured.out + captured.err
