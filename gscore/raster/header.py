@@ -6,7 +6,7 @@ look at the arrays first.
 
 import ctypes as ct
 
-ABI_VERSION = 3
+ABI_VERSION = 4
 
 OUT_INVERSE_DEPTH, OUT_DEPTH, OUT_MEDIAN_DEPTH, COUNT_USEFUL = 1, 2, 4, 8
 NO_EXACT_CULL, NO_ZERO_TILE, NO_OPACITY_EXTENT, NO_ROW_RANGE = 1, 2, 4, 8
@@ -151,6 +151,7 @@ class LossArgsStruct(ct.Structure):
         ("background", ct.c_float * 3),
         ("ssim_weight", ct.c_float),
         ("threads", ct.c_int32),
+        ("gain", _pointer),
     )
 
 
@@ -162,6 +163,7 @@ class LossResultStruct(ct.Structure):
         ("l1", ct.c_double),
         ("ssim", ct.c_double),
         ("mse", ct.c_double),
+        ("v_log_gain", ct.c_double * 3),
     )
 
 
