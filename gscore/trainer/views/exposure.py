@@ -16,9 +16,14 @@ from .gains import PhotoGains
 from .seeds import fit_gains
 from .sightings import Sightings, sightings
 
-LEAST = 0.08
-"""Stops that photos lie apart, as a standard deviation, from which on their exposure is learnt:
-light that depends on the direction it is looked at from makes 0.04 of photos exposed alike."""
+LEAST = 0.2
+"""Stops between photos and their neighbours from which on exposure is learnt. Below, colours that
+depend on the view follow the exposures, which gains by hand measured no better."""
+FAR = 1.0
+"""Stops between one photo and its neighbours from which on exposure is learnt, however alike the
+others are."""
+_NEIGHBOURS = 4
+"""Photos taken nearest to one, that it is compared with."""
 _SHARED = 20
 """Sightings of a median photo below which its points tell nothing."""
 _STOP = math.log(2.0) / 2.2
@@ -54,8 +59,9 @@ def prepare_exposure(config: TrainConfig, photos: Dataset) -> Exposure:
     expected = np.zeros((len(train), 3)) if stated is None else stated
     found = fit_gains(seen, expected) if measured and seen is not None else expected
     known = "points seen in several photos" if measured else "EXIF" if stated is not None else ""
-    apart = _spread(found)
-    learns, why = decide(config.exposure, apart, known=known)
+    off = stops_off_neighbours(found, photos.scene.cameras.centers[train])
+    apart = float(np.sqrt((off**2).mean())) if len(off) else 0.0
+    learns, why = decide(config.exposure, apart, float(off.max(initial=0.0)), known=known)
     log_gains = np.zeros((len(photos), 3))
     log_gains[train] = found
     return Exposure(
@@ -65,15 +71,16 @@ def prepare_exposure(config: TrainConfig, photos: Dataset) -> Exposure:
     )
 
 
-def decide(mode: Switch, apart: float, *, known: str) -> tuple[bool, str]:
+def decide(mode: Switch, apart: float, farthest: float, *, known: str) -> tuple[bool, str]:
     """Whether to learn exposures, and a sentence that says so and why.
 
     Args:
         mode: The option `exposure`.
-        apart: Standard deviation of the photos' exposures, stops; where they are not known 0.
+        apart: Root of the mean square of `stops_off_neighbours`; where exposures are not known 0.
+        farthest: The largest of these.
         known: By what they are known; empty: they are not.
     """
-    fact = f"{apart:.2f} stops apart by {known}"
+    fact = f"{apart:.2f} stops, {farthest:.1f} at most, by {known}"
     if mode is Switch.ON:
         return True, f"The exposure of each photo is learnt ({fact if known else 'asked for'})."
     if not known:
@@ -81,21 +88,40 @@ def decide(mode: Switch, apart: float, *, known: str) -> tuple[bool, str]:
             "How the photos were exposed is not known: no points are seen in several of them, nor "
             "does EXIF say so. Their colours are taken as they are; --exposure on learns them."
         )
-    if apart < LEAST:
+    if apart < LEAST and farthest < FAR:
         return False, (
-            f"The photos are exposed alike ({fact}), so their colours are taken as they are."
+            f"Photos side by side are exposed alike ({fact}), so their colours are taken as they "
+            "are."
         )
     return True, (
-        f"The photos are exposed differently ({fact}), so the exposure of each is learnt; new "
-        f"views get the mean one. --exposure off takes colours as they are."
+        f"Photos side by side are exposed differently ({fact}), so the exposure of each is learnt; "
+        "new views get the mean one. --exposure off takes colours as they are."
     )
 
 
-def _spread(log_gains: np.ndarray) -> float:
-    """Root of the mean square of ln gains [V, 3] about their mean, in stops."""
-    if not len(log_gains):
-        return 0.0
-    return float(np.sqrt(((log_gains - log_gains.mean(axis=0)) ** 2).mean())) / _STOP
+def stops_off_neighbours(log_gains: np.ndarray, centers: np.ndarray) -> np.ndarray:
+    """How differently each photo is exposed from those that were taken nearest to it: on average
+    the standard deviation where exposures are random, and little where they change smoothly along
+    the camera's way, which view-dependent colour follows.
+
+    Args:
+        log_gains: [V, 3] ln gains in encoded values.
+        centers: [V, 3] places of the cameras, any unit.
+
+    Returns:
+        [V] float64, stops, root of the mean square over the channels.
+    """
+    from scipy.spatial import KDTree
+
+    others = min(_NEIGHBOURS, len(log_gains) - 1)
+    if others < 1:
+        return np.zeros(len(log_gains))
+    _, near = KDTree(centers).query(centers, k=others + 1)
+    own = np.arange(len(near))[:, None]
+    # Of cameras in one place any may come first; each is left out of its own neighbours.
+    near[:, -1] = np.where((near == own).any(axis=1), near[:, -1], own[:, 0])
+    mean = (log_gains[near].sum(axis=1) - log_gains) / others
+    return np.sqrt(((log_gains - mean) ** 2).mean(axis=1) / (1 + 1 / others)) / _STOP
 
 
 def _stated(photos: Dataset, train: Sequence[int], threads: int) -> np.ndarray | None:

@@ -15,7 +15,13 @@ from gscore.events import Started
 from gscore.io.exposure_exif import stated_exposure
 from gscore.io.images import read_image
 from gscore.trainer.run import train
-from gscore.trainer.views.exposure import LEAST, decide, prepare_exposure
+from gscore.trainer.views.exposure import (
+    FAR,
+    LEAST,
+    decide,
+    prepare_exposure,
+    stops_off_neighbours,
+)
 
 STUDIO = Path(__file__).parents[3] / "examples" / "studio"
 STOP = np.log(2) / 2.2
@@ -83,13 +89,42 @@ def test_a_single_bright_photo_is_found(studio: Dataset) -> None:
 
 @pytest.mark.parametrize("mode", list(Switch))
 @pytest.mark.parametrize("apart", [0.01, 0.5])
+@pytest.mark.parametrize("farthest", [0.6, 1.5])
 @pytest.mark.parametrize("known", ["", "EXIF"])
-def test_the_rule(mode: Switch, apart: float, known: str) -> None:
-    """Oracle: the rule in words: `on` and `off` as they say, `auto` where photos are known to
-    differ; every answer says why."""
-    learns, why = decide(mode, apart, known=known) if mode is not Switch.OFF else (False, "off.")
-    assert learns is (mode is Switch.ON or (mode is Switch.AUTO and bool(known) and apart > LEAST))
+def test_the_rule(mode: Switch, apart: float, farthest: float, known: str) -> None:
+    """Oracle: the rule in words: `on` and `off` as they say, `auto` where photos, or one of them,
+    are known to differ; every answer says why."""
+    learns, why = False, "off."
+    if mode is not Switch.OFF:
+        learns, why = decide(mode, apart, farthest, known=known)
+    differ = bool(known) and (apart > LEAST or farthest > FAR)
+    assert learns is (mode is Switch.ON or (mode is Switch.AUTO and differ))
     assert why.endswith(".")
+
+
+def test_photos_are_compared_with_their_neighbours() -> None:
+    """Oracle: the standard deviation of random exposures, whatever the places; along a way the
+    differences from four neighbours one by one; cameras in one place; one photo."""
+    rng = np.random.default_rng(1)
+    places = rng.normal(size=(4000, 3))
+    random = np.repeat(rng.normal(0, 0.4 * STOP, (4000, 1)), 3, axis=1)
+    assert together(random, places) == pytest.approx(0.4, rel=0.03)
+    assert together(random, np.zeros((4000, 3))) == pytest.approx(0.4, rel=0.03)
+    way = np.arange(100.0)[:, None] * [1.0, 0, 0]
+    slowly = np.repeat(np.sin(way[:, :1] / 30), 3, axis=1)
+    slow = [
+        slowly[i, 0]
+        - np.mean([slowly[j, 0] for j in sorted(range(100), key=lambda j: (abs(j - i), j))[1:5]])
+        for i in range(100)
+    ]
+    expected = np.sqrt(np.mean(np.square(slow)) / 1.25) / STOP
+    assert together(slowly, way) == pytest.approx(expected, rel=0.05)
+    assert together(slowly, way) < 0.05 * slowly.std() / STOP
+    assert stops_off_neighbours(random[:1], places[:1]).tolist() == [0.0]
+
+
+def together(log_gains: np.ndarray, centers: np.ndarray) -> float:
+    return float(np.sqrt((stops_off_neighbours(log_gains, centers) ** 2).mean()))
 
 
 def test_off_looks_at_nothing(studio: Dataset) -> None:
