@@ -116,7 +116,7 @@ def stops_off_neighbours(log_gains: np.ndarray, centers: np.ndarray) -> np.ndarr
     others = min(_NEIGHBOURS, len(log_gains) - 1)
     if others < 1:
         return np.zeros(len(log_gains))
-    _, near = KDTree(centers).query(centers, k=others + 1)
+    near = np.array(KDTree(centers).query(centers, k=others + 1)[1])
     own = np.arange(len(near))[:, None]
     # Of cameras in one place any may come first; each is left out of its own neighbours.
     near[:, -1] = np.where((near == own).any(axis=1), near[:, -1], own[:, 0])
