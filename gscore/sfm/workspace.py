@@ -71,11 +71,7 @@ class Workspace:
                 parent.rmdir()  # only an empty folder can be removed
 
     def _check_room(self) -> None:
-        if (self.capture / _MODEL).exists():
-            raise ConfigError(
-                f"{self.capture} holds cameras already, in {self.capture / _MODEL}. Remove that "
-                "folder to find them anew, or choose another output with -o."
-            )
+        check_without_cameras(self.capture)
         if self._is_taken() and not self._in_place:
             raise ConfigError(
                 f"{self.capture} is not empty. Choose a new folder with -o, or the folder in whose "
@@ -185,6 +181,15 @@ class Workspace:
             return parse_json(read_bytes(self.folder / _STATE))
         except (DatasetError, ValueError):
             return None
+
+
+def check_without_cameras(capture: Path) -> None:
+    """Raise ConfigError where a capture has cameras already."""
+    if (capture / _MODEL).exists():
+        raise ConfigError(
+            f"{capture} holds cameras already, in {capture / _MODEL}. Remove that folder to find "
+            "them anew, or choose another output with -o."
+        )
 
 
 @contextlib.contextmanager
