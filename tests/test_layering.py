@@ -42,7 +42,7 @@ ALLOWED = {
     "video": BOTTOM | {"io", "video"},
     "sfm": BOTTOM | {"io", "datasets", "video", "sfm"},
     "depth": BOTTOM | {"io", "datasets", "depth"},
-    "inspection": BOTTOM | {"io", "datasets", "depth", "inspection"},
+    "inspection": BOTTOM | {"io", "datasets", "video", "sfm", "depth", "inspection"},
     "raster": BOTTOM | {"io", "raster"},
     "stereo": BOTTOM | {"io", "datasets", "depth", "raster", "stereo"},
     "metrics": BOTTOM | {"io", "datasets", "depth", "raster", "metrics"},
@@ -113,9 +113,10 @@ ROOMS = {
     "cameras": _SHARED,
     "splats": _SHARED | {"cameras", "nodes"},
     "job": _OBJECTS | {"python"},
+    "search": _OBJECTS | {"python", "job"},
     "depth": _OBJECTS | {"python", "job"},
     "render": _OBJECTS,
-    "panels": _OBJECTS | {"python", "job", "depth", "render"},
+    "panels": _OBJECTS | {"python", "job", "search", "depth", "render"},
 }
 """What each room of the add-on, or file beside them, may import besides itself."""
 WITHOUT_BPY = (
@@ -129,11 +130,15 @@ WITHOUT_BPY = (
     "depth.registry",
     "job.lookups",
     "job.session",
+    "job.verb_job",
+    "job.verb_jobs",
     "process.background",
     "process.lookup",
     "process.program",
     "python.environment",
     "python.installer",
+    "search.job",
+    "search.registry",
     "splats.filters",
 )
 """Modules of the add-on that serve scripts outside Blender."""
