@@ -63,7 +63,7 @@ def test_what_people_pick(inside: str) -> None:
 
 def test_folders_that_are_no_captures(tmp_path: Path) -> None:
     """Oracle: a sentence with the folder and what to do; never an exception."""
-    assert "Choose the folder" in texts(inspect(""), True)
+    assert "Choose a folder" in texts(inspect(""), True)
     facts = inspect(tmp_path / "nowhere")
     assert "no folder" in texts(facts, True) and not facts.can_train and facts.lines() == []
     assert "is empty" in texts(inspect(tmp_path), True)
