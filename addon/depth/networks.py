@@ -14,6 +14,11 @@ OFFLINE = (
 )
 
 
+def may_go_online() -> bool:
+    """Whether Blender allows add-ons to go online."""
+    return bpy.app.online_access
+
+
 def known(name: str) -> KnownNetwork | None:
     """The network of a name; None: it is none of them."""
     return next((network for network in depth_networks() if network.name == name), None)
@@ -40,7 +45,7 @@ def is_here(network: KnownNetwork) -> bool | None:
 
 def check_download(network: KnownNetwork, download: bool) -> None:
     """Raise ValueError where a download is asked for and not allowed, or needed and not asked."""
-    if download and not bpy.app.online_access:
+    if download and not may_go_online():
         raise ValueError(OFFLINE)
     if not download and is_here(network) is False:
         raise ValueError(f"{network.name} is not on this computer; press Download and Predict.")

@@ -83,7 +83,7 @@ def draw_network(layout: bpy.types.UILayout, context: bpy.types.Context) -> bool
         return False
     if here is None:
         layout.label(text="Looking for it...", icon="TIME")
-    elif not here and not bpy.app.online_access:
+    elif not here and not networks.may_go_online():
         text = f"It is not on this computer ({networks.terms(network)}). {networks.OFFLINE}"
         sentence(layout, context, text, icon="ERROR")
     elif not here:

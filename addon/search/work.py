@@ -41,9 +41,7 @@ def find(
     source = capture_folder(scene)
     found, problem = facts.look_again(scene)
     if found is None or not found.bare:
-        raise ValueError(
-            problem or f"{source} is no folder of photos without cameras, and no video."
-        )
+        raise ValueError(problem or f"{source} holds no photos without cameras, and is no video.")
     if errors := [p.text for p in found.problems if p.is_error]:
         raise ValueError(errors[0])
     if (other := JOBS.of_source(source)) is not None and not other.ended:

@@ -10,9 +10,9 @@ from typing import Any
 from ..errors import ConfigError, DatasetError, GsError
 from ..io.files import atomic_write, read_bytes, reason
 from ..io.lock import FolderLock
+from ..io.runs import SEARCH_RECORD
 from ..json_text import parse_json
 from .photos import Photo
-from .plain import RECORD
 
 _LOCK = "lock"
 _STATE = "state.json"
@@ -145,7 +145,7 @@ class Workspace:
             for image in model.images.values():
                 image.name = names[image.name]
             model.write(sparse)
-            atomic_write((self._place if self._in_place else made) / RECORD, record.encode())
+            atomic_write((self._place if self._in_place else made) / SEARCH_RECORD, record.encode())
             if self._in_place:
                 (made / _MODEL).rename(self._place / _MODEL)
             else:
