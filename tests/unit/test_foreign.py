@@ -102,7 +102,7 @@ def test_every_verb_says_so(line: str, tmp_path: Path, capsys: pytest.CaptureFix
     assert list(tmp_path.iterdir()) == [path]
 
 
-@pytest.mark.parametrize("verb", ["info {}", "train {} -o {}/run"])
+@pytest.mark.parametrize("verb", ["depth {} --check", "train {} -o {}/run --no-sfm"])
 @pytest.mark.parametrize("place", ["images", ".", "monday"])
 def test_photos_without_cameras(
     place: str, verb: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
