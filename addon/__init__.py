@@ -20,6 +20,8 @@ MODULES: tuple[str, ...] = (
     "job.properties",
     "job.follow",
     "job.operators",
+    "search.follow",
+    "search.operators",
     "depth.follow",
     "depth.operators",
     "depth.colors",

@@ -5,10 +5,19 @@ from collections.abc import Callable
 import bpy
 from bpy.props import EnumProperty, FloatProperty, IntProperty, StringProperty
 
+from .core import depth_networks
 from .paths import ROOT
+
+FILE = "FILE"
+"""Value of `depth_network` where a file of the user's own is meant."""
 
 SECTIONS: list[Callable[[bpy.types.UILayout, "Preferences"], None]] = []
 """What else draws here, above the rest."""
+
+
+def _file_chosen(prefs: "Preferences", context: bpy.types.Context) -> None:
+    if prefs.depth_model.strip():
+        prefs.depth_network = FILE
 
 
 class Preferences(bpy.types.AddonPreferences):
@@ -74,11 +83,21 @@ class Preferences(bpy.types.AddonPreferences):
         description="ONNX file of the network that measures LPIPS; empty: LPIPS is not measured",
         subtype="FILE_PATH",
     )
-    depth_model: StringProperty(
+    depth_network: EnumProperty(
         name="Depth Network",
+        description="Network that predicts depth maps; one that is not on this computer is "
+        "downloaded when a button says so",
+        items=[
+            *((n.name, n.name, f"{n.bytes / 1e6:.0f} MB, {n.licence}") for n in depth_networks()),
+            (FILE, "ONNX File", "A file of your own; docs/depth.md says where there are some"),
+        ],
+    )
+    depth_model: StringProperty(
+        name="Depth Network File",
         description="ONNX file of the network that predicts depth maps, such as MiDaS or Depth "
-        "Anything; nothing is downloaded, docs/depth.md says where they are",
+        "Anything",
         subtype="FILE_PATH",
+        update=_file_chosen,
     )
     output_folder: StringProperty(
         name="Default Output Folder",
@@ -96,7 +115,9 @@ class Preferences(bpy.types.AddonPreferences):
         for name in ("threads", "live_seconds", "live_most", "preview_seconds"):
             column.prop(self, name)
         column.prop(self, "lpips_path")
-        column.prop(self, "depth_model")
+        column.prop(self, "depth_network")
+        if self.depth_network == FILE:
+            column.prop(self, "depth_model")
         column.prop(self, "output_folder")
 
 

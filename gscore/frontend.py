@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from .datasets import Capture, Folder, View, read_capture
     from .datasets.mattes import are_mattes
     from .datasets.resolution import target_size
+    from .depth.catalogue import KnownNetwork
+    from .depth.catalogue import all_networks as depth_networks
     from .depth.stated import StatedDepth, stated_depth
     from .events import (
         DepthDone,
@@ -21,6 +23,8 @@ if TYPE_CHECKING:
         Estimated,
         Eval,
         Failed,
+        FramesDone,
+        FramesProgress,
         FrameStarted,
         Preview,
         Progress,
@@ -51,9 +55,11 @@ if TYPE_CHECKING:
     from .io.sequences import SequenceIndex, read_sequence
     from .metrics.colormap import colorize
     from .options import Option, options_of
+    from .sfm.beside import capture_beside
     from .sh import sh0_to_rgb
     from .trainer.estimate.forecast import Estimate, estimate
     from .transforms import rotmat_to_quat
+    from .video import VIDEO_ENDINGS, is_video
 
 _HOME = {
     "Capture": "datasets",
@@ -71,7 +77,10 @@ _HOME = {
     "Failed": "events",
     "Folder": "datasets",
     "FrameStarted": "events",
+    "FramesDone": "events",
+    "FramesProgress": "events",
     "ImageInfo": "io.image_header",
+    "KnownNetwork": "depth.catalogue",
     "MIP_COMMENT": "io.ply",
     "NO_PINHOLE": "io.camera_models",
     "Option": "options",
@@ -90,12 +99,15 @@ _HOME = {
     "Started": "events",
     "StatedDepth": "depth.stated",
     "Switch": "config",
+    "VIDEO_ENDINGS": "video",
     "View": "datasets",
     "Warn": "events",
     "are_mattes": "datasets.mattes",
     "atomic_write": "io.files",
+    "capture_beside": "sfm.beside",
     "clear_run": "io.runs",
     "colorize": "metrics.colormap",
+    "depth_networks": "depth.catalogue:all_networks",
     "downscale": "io.resample",
     "estimate": "trainer.estimate.forecast",
     "find_capture": "inspection",
@@ -103,6 +115,7 @@ _HOME = {
     "from_line": "events",
     "inspect_capture": "inspection:inspect",
     "is_antialiased": "io.ply",
+    "is_video": "video",
     "options_of": "options",
     "read_cameras": "io.cameras_json",
     "read_capture": "datasets",
@@ -123,6 +136,7 @@ __all__ = [
     "MIP_COMMENT",
     "NO_PINHOLE",
     "POSES_FILE",
+    "VIDEO_ENDINGS",
     "Capture",
     "CaptureFacts",
     "ColmapCamera",
@@ -138,7 +152,10 @@ __all__ = [
     "Failed",
     "Folder",
     "FrameStarted",
+    "FramesDone",
+    "FramesProgress",
     "ImageInfo",
+    "KnownNetwork",
     "Option",
     "Preview",
     "Problem",
@@ -158,8 +175,10 @@ __all__ = [
     "Warn",
     "are_mattes",
     "atomic_write",
+    "capture_beside",
     "clear_run",
     "colorize",
+    "depth_networks",
     "downscale",
     "estimate",
     "find_capture",
@@ -167,6 +186,7 @@ __all__ = [
     "from_line",
     "inspect_capture",
     "is_antialiased",
+    "is_video",
     "options_of",
     "read_cameras",
     "read_capture",

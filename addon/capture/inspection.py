@@ -20,9 +20,12 @@ class ShownFacts(CaptureFacts):
 
     def lines(self) -> list[tuple[str, str]]:
         """Label and value of each finding, for a panel."""
+        sizes = [f"{w} x {h} px" for w, h in self.sizes]
+        if self.bare and self.photos:
+            size = sizes[0] if len(sizes) == 1 else f"{len(sizes)} different"
+            return [("Photos", str(self.photos)), ("Size", size)]
         if not self.kind:
             return []
-        sizes = [f"{w} x {h} px" for w, h in self.sizes]
         rows = [
             (self.kind, str(self.model or self.source)),
             ("Photos", f"{self.photos} of {self.photos + len(self.missing)}"),
@@ -50,7 +53,7 @@ def inspect(
         depths: Folder of the depth maps.
     """
     if not str(path):
-        problem = Problem(is_error=True, text="Choose the folder of a capture.")
+        problem = Problem(is_error=True, text="Choose a folder of photos, or a video.")
         return ShownFacts(source=Path(), problems=(problem,))
     config = DataConfig(source=find_capture(path), images=images, masks=masks)
     found = inspect_capture(config, depths=depths)

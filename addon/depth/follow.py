@@ -4,34 +4,31 @@ import atexit
 
 from ..job import lookups
 from ..process import beat
-from . import registry
+from .registry import JOBS
 
 
 def _collect() -> bool:
     stale = False
-    for job in registry.jobs():
+    for job in JOBS.jobs():
         if job.poll():
             stale = True
             if job.ended:
                 lookups.captures.expire()
+                lookups.networks.expire()
     return stale
 
 
-def _waits() -> bool:
-    return any(not job.ended for job in registry.jobs())
-
-
-_FOLLOWER = beat.Follower(_collect, _waits)
+_FOLLOWER = beat.Follower(_collect, JOBS.waits)
 
 
 def on_register() -> None:
     """Follow depth jobs, and let go of them when Blender ends."""
     beat.FOLLOWERS.append(_FOLLOWER)
-    atexit.register(registry.leave_all)
+    atexit.register(JOBS.leave_all)
 
 
 def on_unregister() -> None:
-    """Let go of all of them."""
+    """Let go of all of them: predictions end after a view."""
     beat.FOLLOWERS.remove(_FOLLOWER)
-    atexit.unregister(registry.leave_all)
-    registry.leave_all()
+    atexit.unregister(JOBS.leave_all)
+    JOBS.leave_all()

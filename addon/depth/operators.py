@@ -9,9 +9,9 @@ from .. import preferences
 from ..interface.images import show_image
 from ..interface.operators import Acting
 from ..interface.questions import Asking
+from ..job.verb_job import FAILED
 from ..process import beat
-from . import job as depth_job
-from . import work
+from . import networks, work
 from .job import DepthJob
 
 
@@ -28,7 +28,7 @@ class _DepthWork(Acting):
 
     def act(self, context: bpy.types.Context) -> str:
         job = self.start(context.scene)
-        if job.status == depth_job.FAILED:
+        if job.status == FAILED:
             raise ValueError(job.sentence)
         return job.sentence if job.ended else ""
 
@@ -56,16 +56,29 @@ class PredictDepth(Asking, _DepthWork, bpy.types.Operator):
         options={"SKIP_SAVE"},
     )
 
+    download: BoolProperty(
+        name="Download",
+        description="Fetch the network, where it is not on this computer",
+        options={"HIDDEN", "SKIP_SAVE"},
+    )
+
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Ask for a network where none is chosen, else before maps are replaced."""
-        if not (self.filepath or preferences.get().depth_model.strip()):
+        prefs = preferences.get()
+        if not (self.filepath or networks.chosen() or prefs.depth_model.strip()):
             context.window_manager.fileselect_add(self)
             return {"RUNNING_MODAL"}
         return super().invoke(context, event)
 
     def question(self, context: bpy.types.Context) -> list[str]:
-        """Name the maps that are replaced."""
-        return work.replaced(context.scene) if self.overwrite else []
+        """Name what is downloaded, and the maps that are replaced."""
+        lines = work.replaced(context.scene) if self.overwrite else []
+        network = networks.chosen()
+        if self.download and network is not None:
+            networks.check_download(network, True)
+            self.confirm = "Download"
+            lines += networks.question(network)
+        return lines
 
     def draw(self, context: bpy.types.Context) -> None:
         """The question; in the file browser, which comes without one, the choice."""
@@ -76,7 +89,9 @@ class PredictDepth(Asking, _DepthWork, bpy.types.Operator):
     def start(self, scene: bpy.types.Scene) -> DepthJob:
         """Start, and remember the network."""
         chosen = self.filepath
-        job = work.predict(scene, chosen, overwrite=self.overwrite, wait=self.wait)
+        job = work.predict(
+            scene, chosen, overwrite=self.overwrite, download=self.download, wait=self.wait
+        )
         if chosen:
             preferences.get().depth_model = chosen
         return job

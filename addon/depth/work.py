@@ -11,8 +11,9 @@ from ..job import facts, lookups, options
 from ..paths import absolute, capture_folder, output_folder
 from ..process import beat
 from ..python import setup
-from . import registry
+from . import networks
 from .job import DepthJob
+from .registry import JOBS
 
 MAPS, RUN = "MAPS", "RUN"
 """Reports of a scene: of the maps as they are, of the last training."""
@@ -24,6 +25,7 @@ def predict(
     model: str | Path = "",
     *,
     overwrite: bool = False,
+    download: bool = False,
     wait: bool = False,
     python: str | Path | None = None,
 ) -> DepthJob:
@@ -31,8 +33,9 @@ def predict(
 
     Args:
         scene: Its `gscore` settings name the capture, its photos and masks.
-        model: ONNX file; empty: that of the preferences.
+        model: ONNX file, or name of a network; empty: that of the preferences.
         overwrite: Predict all views anew; else those that have no map by this network.
+        download: Fetch a network with a name where it is not on this computer.
         wait: Return when it has ended.
         python: The Python that predicts; None: as the preferences say.
 
@@ -40,12 +43,22 @@ def predict(
         ValueError: something is missing or in the way; the message says what to do.
     """
     prefs = preferences.get()
-    network = absolute(str(model) or prefs.depth_model, "Depth Network")
-    if not network.is_file():
-        raise ValueError(f"There is no depth network {network}; choose an ONNX file.")
+    known = networks.known(str(model) or prefs.depth_network)
+    if known is not None:
+        networks.check_download(known, download)
+        network: Path | str = known.name
+    else:
+        network = absolute(str(model) or prefs.depth_model, "Depth Network")
+        if not network.is_file():
+            raise ValueError(f"There is no depth network {network}; choose an ONNX file.")
     source = capture_folder(scene)
     arguments = options.depth_run(
-        scene.gscore, source=source, threads=prefs.threads, model=network, overwrite=overwrite
+        scene.gscore,
+        source=source,
+        threads=prefs.threads,
+        model=network,
+        download=download and known is not None,
+        overwrite=overwrite,
     )
     _show(scene, MAPS)
     return _start(arguments, source, wait=wait, python=python)
@@ -79,7 +92,7 @@ def check(
 def job_of(scene: bpy.types.Scene) -> DepthJob | None:
     """The last work on the depth maps of a scene's capture, under way or ended."""
     found = facts.capture(scene)[0]
-    return None if found is None else registry.of_capture(found.source)
+    return None if found is None else JOBS.of_source(found.source)
 
 
 def reports(scene: bpy.types.Scene) -> dict[str, DepthReport]:
@@ -87,7 +100,7 @@ def reports(scene: bpy.types.Scene) -> dict[str, DepthReport]:
     known = {}
     found = facts.capture(scene)[0]
     if found is not None and found.kind:
-        job = registry.of_capture(found.source)
+        job = JOBS.of_source(found.source)
         if job is not None and job.report is not None:
             known[MAPS] = job.report
         elif found.depths:
@@ -135,7 +148,7 @@ def _start(
     wait: bool,
     python: str | Path | None,
 ) -> DepthJob:
-    other = registry.of_capture(source)
+    other = JOBS.of_source(source)
     if other is not None and not other.ended:
         raise ValueError(f"Depth maps of {source} are worked on already; cancel that first.")
     program = python or setup.trainer_python(preferences.get())
@@ -146,7 +159,7 @@ def _start(
             f"{program} cannot be run ({error.strerror or error}); press Check in the add-on's "
             "preferences."
         ) from error
-    registry.add(job)
+    JOBS.add(job)
     beat.ensure()
     while wait and not job.ended:
         beat.tick()

@@ -7,6 +7,7 @@ from ..capture.inspection import ShownFacts, inspect
 from ..core import Estimate
 from ..process.lookup import Lookup
 from . import earlier, forecast
+from .networks import networks_here
 
 captures: Lookup[tuple[str, str], ShownFacts] = Lookup(
     lambda key: inspect(key[0], images=key[1]), max_age=600.0
@@ -20,7 +21,9 @@ depth_runs: Lookup[Path, DepthReport | None] = Lookup(read_run_report, max_age=1
 """What became of the depth maps in the training in an output folder."""
 forecasts: Lookup[forecast.Question, Estimate] = Lookup(forecast.answer, max_age=20.0)
 """What a training would take."""
-_ALL = (captures, runs, depth_runs, forecasts)
+networks: Lookup[str, frozenset[str]] = Lookup(networks_here, max_age=300.0)
+"""Names of the depth networks that are on this computer, by the Python that predicts."""
+_ALL = (captures, runs, depth_runs, forecasts, networks)
 
 
 def collect() -> bool:

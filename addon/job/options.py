@@ -157,7 +157,8 @@ def depth_run(
     *,
     source: Path,
     threads: int,
-    model: Path | None = None,
+    model: Path | str | None = None,
+    download: bool = False,
     overwrite: bool = False,
 ) -> list[str]:
     """Arguments that predict depth maps, or compare those that are there with the points.
@@ -166,17 +167,37 @@ def depth_run(
         settings: Of the scene.
         source: Folder of the capture.
         threads: CPU threads; 0: all.
-        model: ONNX file to predict with; None: compare, and write nothing.
+        model: ONNX file or name of the network to predict with; None: compare, and write nothing.
+        download: Fetch a network with a name where it is not on this computer.
         overwrite: Predict views that have a map.
     """
     data, _ = PRESETS[settings.preset](source)
     arguments = ["depth", str(source), "--depths", DEPTHS]
     arguments += ["--check"] if model is None else ["--model", str(model)]
+    if download:
+        arguments.append("--download")
     if overwrite:
         arguments.append("--overwrite")
     if settings.images != data.images:
         arguments += ["--images", settings.images]
     arguments += _masks(settings, data.mask_mode)
+    return [*arguments, "--threads", str(threads), "--events", "jsonl"]
+
+
+def search(settings: Settings, *, source: Path, capture: Path, threads: int) -> list[str]:
+    """Arguments that find the cameras of photos or of a video.
+
+    Args:
+        settings: Of the scene.
+        source: The photos or the video.
+        capture: The capture to make.
+        threads: CPU threads; 0: all.
+    """
+    arguments = ["sfm", str(source), "-o", str(capture)]
+    if not settings.use_masks:
+        arguments.append("--no-masks")
+    elif settings.invert_masks:
+        arguments.append("--invert-masks")
     return [*arguments, "--threads", str(threads), "--events", "jsonl"]
 
 

@@ -96,7 +96,7 @@ class SceneSettings(bpy.types.PropertyGroup):
 
     capture_path: StringProperty(
         name="Capture",
-        description="Folder with the photos and their COLMAP model",
+        description="Folder of photos, with or without a COLMAP model of their cameras; or a video",
         subtype="DIR_PATH",
         options=compat.BLEND_RELATIVE,
         update=_capture_chosen,

@@ -222,6 +222,8 @@ def _check_capture(scene: bpy.types.Scene) -> ShownFacts:
         found, problem = facts.look_again(scene)  # it may have been mended
     if found is None:
         raise ValueError(problem or "The capture could not be looked into; try again.")
+    if found.bare:
+        raise ValueError(f"{found.source} has no cameras yet; press Find Cameras first.")
     errors = [p.text for p in found.problems if p.is_error]
     if errors or not found.can_train:
         raise ValueError(errors[0] if errors else f"{found.source} holds no capture.")

@@ -2,8 +2,12 @@
 
 import bpy
 
+from .. import preferences
+from ..capture.inspection import ShownFacts
 from ..job import facts
-from .widgets import TabPanel, rows, sentence
+from ..python import setup
+from ..search import work
+from .widgets import TabPanel, open_preferences, rows, sentence
 
 
 class CapturePanel(TabPanel, bpy.types.Panel):
@@ -16,9 +20,11 @@ class CapturePanel(TabPanel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
         layout, settings = self.layout, context.scene.gscore
-        layout.prop(settings, "capture_path", text="")
+        row = layout.row(align=True)
+        row.prop(settings, "capture_path", text="")
+        row.operator("gscore.choose_video", text="", icon="FILE_MOVIE")
         if not settings.capture_path.strip():
-            text = "Choose the folder that holds the photos and their COLMAP model (sparse/0)."
+            text = "Choose a folder of photos, or a video; or drop a video on the 3D view."
             sentence(layout, context, text, icon="INFO")
             return
         found, problem = facts.capture(context.scene)
@@ -33,7 +39,31 @@ class CapturePanel(TabPanel, bpy.types.Panel):
                 sentence(layout, context, item.text, icon=icon)
             if found.can_train:
                 layout.label(text=f"Good to train on ({found.kind})", icon="CHECKMARK")
+            if found.bare:
+                draw_search(layout, context, found)
+                return
         layout.prop(settings, "images", text="Photos in")
+
+
+def draw_search(layout: bpy.types.UILayout, context: bpy.types.Context, found: ShownFacts) -> None:
+    """The button that finds cameras; or why that is not possible yet."""
+    job = work.job_of(context.scene)
+    if job is not None and not job.ended:
+        layout.label(text="Finding cameras; see Progress", icon="TIME")
+        return
+    what = "A video" if found.photos == 0 else "Photos"
+    text = f"{what} without cameras. Find Cameras makes a capture of it beside it."
+    sentence(layout, context, text, icon="INFO")
+    try:
+        setup.trainer_python(preferences.get())
+    except ValueError as error:
+        sentence(layout, context, str(error), icon="ERROR")
+        open_preferences(layout)
+        return
+    big = layout.column()
+    big.scale_y = 1.4
+    big.enabled = not any(problem.is_error for problem in found.problems)
+    big.operator("gscore.find_cameras", icon="VIEW_CAMERA")
 
 
 CLASSES = (CapturePanel,)

@@ -6,8 +6,9 @@ import bpy
 
 from .. import preferences
 from ..capture.inspection import ShownFacts
-from ..depth import colors, work
-from ..depth import job as depth_job
+from ..depth import colors, networks, work
+from ..depth.job import DepthJob
+from ..job import verb_job
 from ..python import setup
 from .depth_table import draw_counts, draw_table
 from .progress import clock
@@ -55,22 +56,52 @@ def draw_work(layout: bpy.types.UILayout, context: bpy.types.Context, facts: Sho
         open_preferences(layout)
         return
     if job is not None:
-        icon = "ERROR" if job.status == depth_job.FAILED else "CHECKMARK"
+        icon = "ERROR" if job.status == verb_job.FAILED else "CHECKMARK"
         sentence(layout, context, job.sentence, icon=icon)
         for text in job.warnings[-2:]:
             sentence(layout, context, text, icon="ERROR")
     column = layout.column(align=True)
-    column.prop(preferences.get(), "depth_model", text="Network")
-    row = column.row(align=True)
+    column.prop(preferences.get(), "depth_network", text="Network")
+    if draw_network(column, context):
+        draw_predict(column, facts)
+    if facts.depths:
+        row = layout.row(align=True)
+        row.operator("gscore.check_depth", icon="VIEWZOOM")
+        row.operator("gscore.show_depth_sheet", icon="IMAGE_DATA")
+
+
+def draw_network(layout: bpy.types.UILayout, context: bpy.types.Context) -> bool:
+    """The chosen network: its file, or its size, licence and download; whether it is here."""
+    network = networks.chosen()
+    if network is None:
+        layout.prop(preferences.get(), "depth_model", text="File")
+        return True
+    try:
+        here = networks.is_here(network)
+    except ValueError as error:
+        sentence(layout, context, str(error), icon="ERROR")
+        return False
+    if here is None:
+        layout.label(text="Looking for it...", icon="TIME")
+    elif not here and not networks.may_go_online():
+        text = f"It is not on this computer ({networks.terms(network)}). {networks.OFFLINE}"
+        sentence(layout, context, text, icon="ERROR")
+    elif not here:
+        sentence(layout, context, f"To download: {networks.terms(network)}", icon="INFO")
+        button = layout.operator("gscore.predict_depth", text="Download and Predict", icon="IMPORT")
+        button.download = True
+    return bool(here)
+
+
+def draw_predict(layout: bpy.types.UILayout, facts: ShownFacts) -> None:
+    """Buttons that predict the maps that are missing, or all."""
+    row = layout.row(align=True)
     if facts.depths < facts.photos:
         text = "Predict Rest" if facts.depths else "Predict Depth Maps"
         row.operator("gscore.predict_depth", text=text, icon="PLAY")
     if facts.depths:
         again = row.operator("gscore.predict_depth", text="Predict Anew", icon="FILE_REFRESH")
         again.overwrite = True
-        row = layout.row(align=True)
-        row.operator("gscore.check_depth", icon="VIEWZOOM")
-        row.operator("gscore.show_depth_sheet", icon="IMAGE_DATA")
 
 
 def draw_report(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
@@ -100,10 +131,10 @@ def draw_report(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     draw_table(layout, context, report)
 
 
-def bar_text(job: depth_job.DepthJob) -> str:
+def bar_text(job: DepthJob) -> str:
     """What stands in the progress bar."""
     told = job.progress
-    if job.status == depth_job.STOPPING:
+    if job.status == verb_job.STOPPING:
         return "Ending"
     if told is None:
         return "Starting"

@@ -1,12 +1,14 @@
-"""A training under way or just ended: numbers, loss curve, warnings, buttons."""
+"""A training, or a search for cameras, under way or just ended: how far it is, and its buttons."""
 
 import sys
 
 import bpy
 
 from ..core import judged_psnr
-from ..job import session
+from ..job import session, verb_job
 from ..job.job import Job
+from ..search import work as search_work
+from ..search.job import SearchJob
 from . import curve_icon
 from .widgets import TabPanel, job, rows, sentence
 
@@ -15,7 +17,7 @@ _CURVE_SCALE = 6.0
 
 
 class ProgressPanel(TabPanel, bpy.types.Panel):
-    """How the training is going"""
+    """How the training, or the search for cameras, is going"""
 
     bl_idname = "GSCORE_PT_progress"
     bl_label = "Progress"
@@ -23,12 +25,16 @@ class ProgressPanel(TabPanel, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """The scene has a training."""
-        return job(context) is not None
+        """The scene has a training, or a search."""
+        return job(context) is not None or search_work.job_of(context.scene) is not None
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
         layout, current = self.layout, job(context)
+        search = search_work.job_of(context.scene)
+        if search is not None and (current is None or not search.ended):
+            draw_search(layout, context, search)
+            return
         if current is None:
             return
         state = current.state
@@ -45,6 +51,40 @@ class ProgressPanel(TabPanel, bpy.types.Panel):
         if len(state.warnings) > _WARNINGS_SHOWN:
             layout.label(text=f"{len(state.warnings) - _WARNINGS_SHOWN} earlier warnings")
         draw_buttons(layout, context, current)
+
+
+def draw_search(layout: bpy.types.UILayout, context: bpy.types.Context, search: SearchJob) -> None:
+    """A search for cameras: its bar with *Cancel*, and how it ended."""
+    if not search.ended:
+        row = layout.row(align=True)
+        row.progress(factor=search.share, text=search_text(search))
+        row.operator("gscore.cancel_search", text="", icon="X")
+        rows(layout, search_numbers(search))
+    if search.sentence:
+        icon = "ERROR" if search.status == verb_job.FAILED else "CHECKMARK"
+        sentence(layout, context, search.sentence, icon=icon)
+    for text in search.warnings[-_WARNINGS_SHOWN:]:
+        sentence(layout, context, text, icon="ERROR")
+
+
+def search_text(search: SearchJob) -> str:
+    """What stands in the bar of a search."""
+    if search.status == verb_job.STOPPING:
+        return "Ending"
+    if search.progress is None:
+        return "Starting"
+    left = "" if search.left is None else f", {clock(search.left)} left"
+    return f"{search.progress.phase.capitalize()}{left}"
+
+
+def search_numbers(search: SearchJob) -> list[tuple[str, str]]:
+    """Labels and values of a search."""
+    told, pairs = search.progress, []
+    if told is not None and told.total:
+        pairs.append(("Done", f"{told.done:,} / {told.total:,}"))
+    if search.frames is not None:
+        pairs.append(("Frames", f"{search.frames.frames:,} of {search.frames.total:,}"))
+    return [*pairs, ("Time", clock(search.elapsed))]
 
 
 def draw_numbers(layout: bpy.types.UILayout, current: Job) -> None:

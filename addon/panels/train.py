@@ -141,6 +141,8 @@ def draw_buttons(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
     big.scale_y = 1.4
     if before is None:
         captured = found(context)
+        if captured is not None and captured.bare:
+            sentence(layout, context, "Find the cameras first, under Capture.", icon="INFO")
         big.enabled = captured is not None and captured.can_train
         big.operator("gscore.train", icon="PLAY")
         return

@@ -35,7 +35,7 @@ VERBS = {
     "eval": "measure trained splats against the photos",
     "depth": "predict depth maps and align them with the capture",
     "render": "render splats to pictures or a video",
-    "info": "say what a capture, a PLY or a run holds",
+    "info": "say what a capture, photos, a video, a PLY or a run holds",
     "doctor": "say what this machine can do and what is missing",
     "bench": "measure speed",
     "stress": "measure numerical errors",

@@ -1,4 +1,4 @@
-"""A training of plain photos: their cameras are found first, and kept in its folder."""
+"""A training of plain photos or a video: cameras are found first, and kept in its folder."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -11,7 +11,10 @@ from ..events import Event
 from ..io.foreign import foreign
 from ..io.runs import CAPTURE
 from ..sfm import Request, find_cameras
-from ..sfm.plain import is_plain, photos_of, same_photos
+from ..sfm.beside import has_no_cameras
+from ..sfm.plain import photos_of, same_photos
+from ..sfm.video_frames import frames_request, of_frames, with_frames
+from ..video import extract_frames, is_video
 
 
 def with_cameras(
@@ -23,10 +26,10 @@ def with_cameras(
     allowed: bool,
     threads: int,
 ) -> DataConfig:
-    """What to train on: as given, or the capture made of a folder of plain photos.
+    """What to train on: as given, or the capture made of plain photos or a video.
 
     Args:
-        data: Its source may be a folder of photos without cameras.
+        data: Its source may be a folder of photos without cameras, or a video.
         output: Folder of the training; the capture goes into it, and is used again where it is made
             of the same photos.
         show: Told how far it is.
@@ -38,14 +41,16 @@ def with_cameras(
         Cancelled: `control` said so; the same call goes on from there.
         DatasetError: not `allowed`, or no cameras can be found.
         ConfigError: the folder holds a capture of other photos.
-        BackendError: pycolmap is missing or too old.
-        GsError: the output cannot be written.
+        BackendError: pycolmap is missing or too old, or PyAV is missing.
+        GsError: the video cannot be read, or the output cannot be written.
     """
-    if not is_plain(data.source):
+    if not has_no_cameras(data.source):
         return data
     if not allowed:
         raise DatasetError(f"{foreign(data.source)} Or leave out --no-sfm: they are found then.")
     capture = output / CAPTURE
+    # Masks are written as training reads them by itself, white where pixels count.
+    found = replace(data, source=capture, images="images", masks="", invert_masks=False)
     request = Request(
         photos=data.source,
         output=capture,
@@ -55,15 +60,19 @@ def with_cameras(
         threads=threads,
         apart=output,
     )
-    if not capture.exists():
+    if not (capture / "sparse").exists():
+        request = with_frames(request, on_event=show, control=control)
         find_cameras(request, on_event=show, control=control)
-    elif not same_photos(capture, photos_of(request)):
+        return found
+    if is_video(data.source):
+        extract_frames(frames_request(request), on_event=show, control=control)  # finds them there
+        request = of_frames(request)
+    if not same_photos(capture, photos_of(request)):
         raise ConfigError(
             f"{capture} holds the cameras of other photos than those in {data.source}. Choose "
             "another output folder, or remove that one to find them anew."
         )
-    # Masks are written as training reads them by itself, white where pixels count.
-    return replace(data, source=capture, images="images", masks="", invert_masks=False)
+    return found
 
 
 def is_finding(output: Path) -> bool:

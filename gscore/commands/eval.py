@@ -16,6 +16,7 @@ from ..metrics import (
     Course,
     Metrics,
     PictureCollector,
+    cameras_section,
     evaluate,
     find_lpips,
     headline,
@@ -161,6 +162,7 @@ def _measure(args: argparse.Namespace, status: Status) -> int:
         trained=(model.data, model.train) if model.data and model.train else None,
         views=collector.views,
         warnings=warnings,
+        cameras=cameras_section(config.source, dataset.scene),
     )
     status.clear()
     for sentence in warnings:

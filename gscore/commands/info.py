@@ -1,4 +1,4 @@
-"""`gscore info`: what a capture, a PLY or the folder of a run or a sequence holds."""
+"""`gscore info`: what a capture, photos, a video, a PLY or the folder of a run holds."""
 
 import argparse
 import sys
@@ -18,12 +18,14 @@ from ..io.runs import checkpoints_in
 from ..io.sequences import read_sequence
 from ..sfm.plain import is_plain
 from ..splats import Splats
+from ..video import is_video
 from ..words import count_words, quality_words, size_words, time_words
 from .data_options import add_mask_options, with_data_options
 from .model import GivenModel, collected_warnings, find_ply, open_model
 from .output import print_json
 from .plain_photos import photos_facts, photos_text
 from .status import wrapped
+from .video_facts import video_facts, video_text
 
 _QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
 _EXPONENT = 350.0
@@ -31,7 +33,9 @@ _EXPONENT = 350.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
-    parser.add_argument("path", type=Path, help="a capture's folder, a run's folder or a PLY")
+    parser.add_argument(
+        "path", type=Path, help="a capture's folder, photos, a video, a run's folder or a PLY"
+    )
     parser.add_argument(
         "-i", "--images", default="images", help="folder of the photos in a capture"
     )
@@ -44,7 +48,9 @@ def run(args: argparse.Namespace) -> int:
     path = args.path
     if not path.exists():
         raise DatasetError(f"There is no file or folder {path}.")
-    if path.is_file() and path.suffix.lower() != ".json":
+    if is_video(path):
+        facts = video_facts(path)
+    elif path.is_file() and path.suffix.lower() != ".json":
         facts = _model_facts(open_model(path))
     elif path.is_dir() and (index := read_sequence(path)):
         facts = {"kind": "sequence", "path": str(path), **vars(index)}
@@ -183,6 +189,7 @@ def _text(facts: dict[str, Any]) -> str:
         "run": _run_text,
         "sequence": _sequence_text,
         "photos": photos_text,
+        "video": video_text,
         "capture": _capture_text,
     }[facts["kind"]]
     return "\n".join(lines(facts) + [f"Warning: {w}" for w in facts.get("warnings", [])])

@@ -1,13 +1,18 @@
-"""`gscore sfm`: find the cameras of a folder of photos, and make a capture of them."""
+"""`gscore sfm`: find the cameras of photos or of a video, and make a capture of them."""
 
 import argparse
 import sys
 from pathlib import Path
 
+from ..control import Control
+from ..errors import ConfigError
 from ..io.places import check_place
-from ..sfm import Request, find_cameras
+from ..sfm import Found, Request, find_cameras
 from ..sfm.request import MAPPERS, MATCHING
-from .attend import attend
+from ..sfm.video_frames import with_frames
+from ..shown import shown
+from ..video import is_video
+from .attend import Show, attend
 from .output import check_folder, print_json
 from .parser import add_threads_option
 from .status import wrapped
@@ -15,7 +20,12 @@ from .status import wrapped
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
-    parser.add_argument("photos", type=Path, help="folder of the photos, sub-folders too")
+    parser.add_argument(
+        "source",
+        type=Path,
+        help="folder of the photos, sub-folders too; or a video, of which sharp frames are taken "
+        "into images of CAPTURE first",
+    )
     parser.add_argument(
         "-o",
         "--output",
@@ -53,6 +63,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="of the lens in pixels of the photos, where it is known; adjusted where the photos "
         "tell it better (from EXIF)",
     )
+    parser.add_argument(
+        "--frames",
+        type=int,
+        default=0,
+        metavar="N",
+        help="of a video: how many at most (as many as the motion asks for, 30 to 300)",
+    )
     masks = parser.add_argument_group("masks", "No feature is taken from what they hide.")
     masks.add_argument(
         "--masks", type=Path, metavar="DIR", help="folder of masks (masks, where it is there)"
@@ -72,7 +89,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Search, write the capture, say how good it is."""
     request = Request(
-        photos=args.photos,
+        photos=args.source,
         output=args.output,
         masks=args.masks,
         use_masks=not args.no_masks,
@@ -83,11 +100,13 @@ def run(args: argparse.Namespace) -> int:
         focal_length=args.focal_length,
         threads=args.threads,
     )
+    if args.frames and not is_video(args.source):
+        raise ConfigError(f"--frames is for videos; {shown(args.source)} is none.")
     check_place(request.output)
     check_folder(request.output)
     found, code = attend(
         args,
-        lambda show, control: find_cameras(request, on_event=show, control=control),
+        lambda show, control: _find(request, args.frames, show, control),
         stopped=lambda: "Stopped; the same command goes on where this one ended.",
     )
     if found is None:
@@ -97,3 +116,8 @@ def run(args: argparse.Namespace) -> int:
     elif not (args.events or args.quiet):
         print(wrapped("\n".join(found.lines()), sys.stdout))
     return code
+
+
+def _find(request: Request, frames: int, show: Show, control: Control) -> Found:
+    request = with_frames(request, frames=frames, on_event=show, control=control)
+    return find_cameras(request, on_event=show, control=control)

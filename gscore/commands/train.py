@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="?",
         type=Path,
         help="the capture: a folder with photos and COLMAP's model of their cameras, or with "
-        "photos alone, of which the cameras are found first",
+        "photos alone, or a video, of which the cameras are found first",
     )
     parser.add_argument(
         "-s", "--source", "--source-path", dest="source_option", type=Path, help=argparse.SUPPRESS

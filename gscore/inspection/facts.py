@@ -24,6 +24,9 @@ class CaptureFacts:
     """The folder (or transforms file) to train on."""
     kind: str = ""
     """`COLMAP`, `transforms.json` or `video`; empty: no capture."""
+    bare: str = ""
+    """`photos` or `a video`: these are all there is, and cameras can be found from them; empty:
+    they are there, or it is no source at all."""
     model: Path | None = None
     """Folder of the COLMAP model, or the transforms file; None for videos."""
     photos: int = 0

@@ -5,6 +5,7 @@ from pathlib import Path
 from ..datasets.transforms_json import find_transforms
 from ..errors import DatasetError
 from ..io.colmap import find_model
+from ..video import is_video
 
 
 def find_capture(path: str | Path) -> Path:
@@ -14,7 +15,7 @@ def find_capture(path: str | Path) -> Path:
     above. What already is a capture, and what is none, stays.
     """
     path = Path(path)
-    if path.suffix.lower() == ".json":
+    if path.suffix.lower() == ".json" or is_video(path):
         return path
     folder = path.parent if path.is_file() else path
     if folder.name.isdigit() and folder.parent.name == "sparse":

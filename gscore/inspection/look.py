@@ -23,9 +23,11 @@ from ..io.camera_models import NO_PINHOLE
 from ..io.image_header import ImageInfo
 from ..io.images import read_info
 from ..scene import Cameras, PointCloud, Scene, within_reach
+from ..sfm.beside import has_no_cameras
 from ..words import count_words
 from .facts import CaptureFacts, Problem
 from .find import colmap_of, find_transforms
+from .plain import bare_facts
 
 FEW_PHOTOS = 15
 """Fewer photos than this seldom give a model that can be looked at from all sides."""
@@ -50,6 +52,8 @@ def inspect(config: DataConfig, *, depths: str = DEFAULT_FOLDER) -> CaptureFacts
     """
     try:
         check_resolution(config.resolution)
+        if has_no_cameras(config.source):
+            return bare_facts(config.source)
         capture = read_capture(config, photos_required=False)
     except (GsError, OSError) as error:
         return CaptureFacts(

@@ -33,10 +33,7 @@ _COLMAP = (
 )
 _UNPACK = "Unpack it and give what it holds."
 _MESH = "It holds meshes. Give the 3DGS PLY of splats, or the photos and cameras of a capture."
-_MOVIE = (
-    "Take pictures out of it (ffmpeg -i FILE -vf fps=2 photos/images/%04d.jpg), find their cameras "
-    "(gscore sfm photos -o photos), and give the folder photos."
-)
+_MOVIE = "Find them first with gscore sfm, or give it to gscore train, which does both."
 
 
 @dataclass(frozen=True)
@@ -56,6 +53,7 @@ class _Format:
     name: str
     advice: str
     holds: Callable[[_Sample], bool]
+    but: str = ", which gscore does not read"
 
 
 def _starts(*magics: bytes) -> Callable[[_Sample], bool]:
@@ -116,7 +114,7 @@ _FORMATS = (
     _Format("a Blocks Exchange file of ContextCapture", _COLMAP, _text(b"<BlocksExchange")),
     _Format("a mesh of FBX", _MESH, _starts(b"Kaydara FBX Binary")),
     _Format("a mesh (OBJ or STL)", _MESH, _ends(".obj", ".stl")),
-    _Format("a video", _MOVIE, _is_movie),
+    _Format("a video", _MOVIE, _is_movie, but=" without cameras"),
     _Format("a single photo", "Give the folder of a capture: photos, and the cameras that COLMAP "
             "found for them.",
             lambda s: _starts(b"\xff\xd8\xff", b"\x89PNG", b"II*\0", b"MM\0*")(s)
@@ -145,7 +143,7 @@ def foreign(path: Path) -> str:
 def _file(path: Path) -> str:
     sample = _sample(path)
     found = next((kind for kind in _FORMATS if kind.holds(sample)), None)
-    return f"{path} is {found.name}, which gscore does not read. {found.advice}" if found else ""
+    return f"{path} is {found.name}{found.but}. {found.advice}" if found else ""
 
 
 def _sample(path: Path) -> _Sample:

@@ -33,6 +33,8 @@ RUN_FOLDERS = ("checkpoints", "point_cloud", "previews", "snapshots")
 """Folders that a training writes."""
 CAPTURE = "capture"
 """Folder of the capture made of plain photos, which a next training uses again."""
+SEARCH_RECORD = "sfm.json"
+"""In a capture whose cameras gscore found: what was found, and of which photos."""
 
 _CHECKPOINT = re.compile(r"step_(\d{8,})\.safetensors")
 _SNAPSHOT = re.compile(r"step_(\d{6,})\.ply")

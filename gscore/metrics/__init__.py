@@ -1,5 +1,6 @@
 """Metrics of renders against photos, metrics.json and report.html."""
 
+from .cameras_plan import cameras_section
 from .evaluate import Evaluation, evaluate
 from .image import d_ssim, image_metrics, ms_ssim, psnr, psnr_cc, psnr_u8, ssim
 from .lpips import Lpips, find_lpips, lpips_warnings
@@ -18,6 +19,7 @@ __all__ = [
     "Metrics",
     "PictureCollector",
     "Report",
+    "cameras_section",
     "d_ssim",
     "evaluate",
     "find_lpips",

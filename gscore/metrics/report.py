@@ -12,6 +12,7 @@ import numpy as np
 from ..events import judged_psnr
 from ..io.files import atomic_write
 from ..words import count_words, number_words, psnr_name, size_words
+from .cameras_plan import CamerasSection, cameras_html
 from .colormap import colorize
 from .curves import Mark, Series, chart, clean_points, legend
 from .depth import DepthSection, depth_html
@@ -37,6 +38,7 @@ class Report:
     command: str = ""
     """The same for a shell."""
     depth: DepthSection | None = None
+    cameras: CamerasSection | None = None
     config: dict[str, dict[str, Any]] = field(default_factory=dict)
     """Value by option by section."""
 
@@ -69,6 +71,7 @@ def report_html(report: Report) -> str:
             _view_table(views),
             depth_html(report.depth) if report.depth else "",
             poses_html(metrics["poses"]) if metrics.get("poses") else "",
+            cameras_html(report.cameras) if report.cameras else "",
             _details(metrics, report.config),
         )
     )

@@ -7,6 +7,7 @@ from typing import Any
 from ..config import DataConfig, TrainConfig
 from ..config_command import preset_words, train_command
 from ..config_file import to_dict
+from .cameras_plan import CamerasSection
 from .depth import DepthSection
 from .pictures import ViewPictures
 from .report import Report, write_report
@@ -24,6 +25,7 @@ def write_results(
     views: Sequence[ViewPictures] = (),
     warnings: Sequence[str] = (),
     depth: DepthSection | None = None,
+    cameras: CamerasSection | None = None,
 ) -> dict[str, Any]:
     """Write both files, each completely or not at all.
 
@@ -37,6 +39,7 @@ def write_results(
         views: Pictures for the report.
         warnings: Sentences for the report.
         depth: What the report says of depth.
+        cameras: What it says of cameras that gscore found.
 
     Returns:
         The content of metrics.json.
@@ -59,6 +62,7 @@ def write_results(
         views=views,
         warnings=warnings,
         depth=depth,
+        cameras=cameras,
         config=config,
         **how,
     )

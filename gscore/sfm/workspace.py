@@ -10,9 +10,9 @@ from typing import Any
 from ..errors import ConfigError, DatasetError, GsError
 from ..io.files import atomic_write, read_bytes, reason
 from ..io.lock import FolderLock
+from ..io.runs import SEARCH_RECORD
 from ..json_text import parse_json
 from .photos import Photo
-from .plain import RECORD
 
 _LOCK = "lock"
 _STATE = "state.json"
@@ -71,11 +71,7 @@ class Workspace:
                 parent.rmdir()  # only an empty folder can be removed
 
     def _check_room(self) -> None:
-        if (self.capture / _MODEL).exists():
-            raise ConfigError(
-                f"{self.capture} holds cameras already, in {self.capture / _MODEL}. Remove that "
-                "folder to find them anew, or choose another output with -o."
-            )
+        check_without_cameras(self.capture)
         if self._is_taken() and not self._in_place:
             raise ConfigError(
                 f"{self.capture} is not empty. Choose a new folder with -o, or the folder in whose "
@@ -149,7 +145,7 @@ class Workspace:
             for image in model.images.values():
                 image.name = names[image.name]
             model.write(sparse)
-            atomic_write((self._place if self._in_place else made) / RECORD, record.encode())
+            atomic_write((self._place if self._in_place else made) / SEARCH_RECORD, record.encode())
             if self._in_place:
                 (made / _MODEL).rename(self._place / _MODEL)
             else:
@@ -185,6 +181,15 @@ class Workspace:
             return parse_json(read_bytes(self.folder / _STATE))
         except (DatasetError, ValueError):
             return None
+
+
+def check_without_cameras(capture: Path) -> None:
+    """Raise ConfigError where a capture has cameras already."""
+    if (capture / _MODEL).exists():
+        raise ConfigError(
+            f"{capture} holds cameras already, in {capture / _MODEL}. Remove that folder to find "
+            "them anew, or choose another output with -o."
+        )
 
 
 @contextlib.contextmanager

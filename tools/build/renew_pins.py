@@ -48,7 +48,9 @@ def wanted() -> list[str]:
     """What the project asks for in order to train, with the project's version of torch."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras = project["optional-dependencies"]
-    names = [*project["dependencies"], *extras["train"], *extras["lpips"], "pip"]
+    names = [*project["dependencies"], "pip"]
+    for extra in ("train", "lpips", "video", "hub"):
+        names += extras[extra]
     lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
     return [*names, *(line for line in lines if line and not line.startswith("#"))]
 

@@ -63,14 +63,16 @@ def test_what_people_pick(inside: str) -> None:
 
 def test_folders_that_are_no_captures(tmp_path: Path) -> None:
     """Oracle: a sentence with the folder and what to do; never an exception."""
-    assert "Choose the folder" in texts(inspect(""), True)
+    assert "Choose a folder" in texts(inspect(""), True)
     facts = inspect(tmp_path / "nowhere")
     assert "no folder" in texts(facts, True) and not facts.can_train and facts.lines() == []
     assert "is empty" in texts(inspect(tmp_path), True)
-    shutil.copytree(STUDIO / "images", tmp_path / "photos")
-    assert "gscore sfm" in texts(inspect(tmp_path), True)
     (tmp_path / "database.db").write_bytes(b"")
     assert "mapper has not been run" in texts(inspect(tmp_path), True)
+    shutil.copytree(STUDIO / "images", tmp_path / "photos")
+    bare = inspect(tmp_path)  # cameras can be found, so nothing is wrong with it
+    assert (bare.bare, bare.problems, bare.can_train) == ("photos", (), False)
+    assert bare.lines() == [("Photos", "60"), ("Size", "480 x 640 px")]
     (tmp_path / "transforms.json").write_text("{")
     assert "is not JSON" in texts(inspect(tmp_path), True)
 

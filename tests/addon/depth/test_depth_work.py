@@ -15,9 +15,9 @@ import pytest
 from addon import preferences
 from addon.capture import depth_maps
 from addon.core import read_colmap, write_colmap
-from addon.depth import job as depth_job
-from addon.depth import registry, work
-from addon.job import facts, lookups
+from addon.depth import work
+from addon.depth.registry import JOBS
+from addon.job import facts, lookups, verb_job
 from addon.panels import depth_table
 from addon.process import beat
 from tests.addon.captures import STUDIO
@@ -58,9 +58,9 @@ def studio(scene: bpy.types.Scene, tmp_path: Path) -> Iterator[bpy.types.Scene]:
     before = (prefs.python_path, prefs.depth_model)
     facts.look_again(scene)
     yield scene
-    for job in registry.jobs():
+    for job in JOBS.jobs():
         job.kill(wait=10)
-    registry._jobs.clear()
+    JOBS._jobs.clear()
     prefs.python_path, prefs.depth_model = before
 
 
@@ -98,7 +98,7 @@ def test_a_prediction_from_click_to_table(studio: bpy.types.Scene, play) -> None
         bpy.ops.gscore.check_depth()
     job._process.send("go")
     until(lambda: job.ended)
-    assert job.status == depth_job.FINISHED
+    assert job.status == verb_job.FINISHED
     assert job.sentence == "2 maps predicted. 1 of 2 maps are accepted."
     report = work.report(studio)
     assert report is job.report
@@ -135,16 +135,16 @@ def test_cancelling_asks_and_then_ends(
     until(lambda: job.progress is not None)
     assert bpy.ops.gscore.cancel_depth() == {"FINISHED"}
     until(lambda: job.ended)
-    assert (job.status, job.report) == (depth_job.CANCELLED, None)
+    assert (job.status, job.report) == (verb_job.CANCELLED, None)
     with pytest.raises(RuntimeError, match="No depth maps are worked on"):
         bpy.ops.gscore.cancel_depth()
-    monkeypatch.setattr(depth_job, "STOP_GRACE", 0.2)
+    monkeypatch.setattr(verb_job, "STOP_GRACE", 0.2)
     play(progress(1), {"sleep": 60})
     job = work.predict(studio)
     until(lambda: job.progress is not None)
     job.cancel()
     until(lambda: job.ended, timeout=10)
-    assert job.status == depth_job.CANCELLED
+    assert job.status == verb_job.CANCELLED
 
 
 @pytest.mark.parametrize(
@@ -162,7 +162,7 @@ def test_failures_are_said(studio: bpy.types.Scene, play, script: list, words: s
     before = work.report(studio)
     with pytest.raises(RuntimeError, match=words):
         bpy.ops.gscore.predict_depth(wait=True)
-    assert work.job_of(studio).status == depth_job.FAILED
+    assert work.job_of(studio).status == verb_job.FAILED
     assert work.report(studio) == before
 
 
@@ -182,7 +182,7 @@ def test_what_is_missing_is_said_before_anything_starts(
     studio.gscore.capture_path = ""
     with pytest.raises(RuntimeError, match="Capture is empty"):
         bpy.ops.gscore.check_depth()
-    assert registry.jobs() == []
+    assert JOBS.jobs() == []
 
 
 def test_the_training_has_a_report_of_its_own(studio: bpy.types.Scene, tmp_path: Path) -> None:
@@ -238,7 +238,7 @@ def test_the_real_thing(scene: bpy.types.Scene, tmp_path: Path) -> None:
     scene.gscore.output_path = str(tmp_path / "out")
     assert facts.look_again(scene)[0].depths == 0 and work.report(scene) is None
     job = work.predict(scene, model, wait=True, python=REAL)
-    assert job.status == depth_job.FINISHED, job.sentence
+    assert job.status == verb_job.FINISHED, job.sentence
     assert len(list((capture / "depths").glob("*.png"))) == 10 + 1  # the contact sheet
     params = json.loads((capture / "sparse" / "0" / "depth_params.json").read_text())
     rows = work.report(scene).rows
@@ -249,10 +249,10 @@ def test_the_real_thing(scene: bpy.types.Scene, tmp_path: Path) -> None:
         assert row.points == entry["points"]
     before = {path: path.stat().st_mtime_ns for path in capture.rglob("*")}
     checked = work.check(scene, wait=True, python=REAL)
-    assert checked.status == depth_job.FINISHED, checked.sentence
+    assert checked.status == verb_job.FINISHED, checked.sentence
     assert {path: path.stat().st_mtime_ns for path in capture.rglob("*")} == before
     assert [r.verdict for r in work.report(scene).rows] == [r.verdict for r in rows]
     until(lambda: facts.capture(scene)[0].depths == 10)
     assert bpy.ops.gscore.show_depth_sheet() == {"FINISHED"}
     assert bpy.data.images["contact_sheet.png"].size[0] > 500
-    registry._jobs.clear()
+    JOBS._jobs.clear()

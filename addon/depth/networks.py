@@ -1,0 +1,66 @@
+"""Depth networks with a name: which is chosen, whether it is here, whether it may be fetched."""
+
+import bpy
+
+from .. import preferences
+from ..core import KnownNetwork, depth_networks
+from ..job import lookups
+from ..process import beat
+from ..python import setup
+
+OFFLINE = (
+    "Blender does not allow add-ons to go online; allow it in Preferences > System > Network, or "
+    "choose an ONNX file."
+)
+
+
+def may_go_online() -> bool:
+    """Whether Blender allows add-ons to go online."""
+    return bpy.app.online_access
+
+
+def known(name: str) -> KnownNetwork | None:
+    """The network of a name; None: it is none of them."""
+    return next((network for network in depth_networks() if network.name == name), None)
+
+
+def chosen() -> KnownNetwork | None:
+    """That of the preferences; None: a file."""
+    return known(preferences.get().depth_network)
+
+
+def is_here(network: KnownNetwork) -> bool | None:
+    """Whether it needs no download; None: that is being looked up.
+
+    Raises:
+        ValueError: it cannot be told; the message says why.
+    """
+    python = str(setup.trainer_python(preferences.get()))
+    answer, problem = lookups.networks.get(python)
+    beat.ensure()
+    if problem:
+        raise ValueError(problem)
+    return None if answer is None else network.name in answer
+
+
+def check_download(network: KnownNetwork, download: bool) -> None:
+    """Raise ValueError where a download is asked for and not allowed, or needed and not asked."""
+    if download and not may_go_online():
+        raise ValueError(OFFLINE)
+    if not download and is_here(network) is False:
+        raise ValueError(f"{network.name} is not on this computer; press Download and Predict.")
+
+
+def terms(network: KnownNetwork) -> str:
+    """Size and licence, which a user should know before."""
+    return f"{network.bytes / 1e6:.0f} MB, licence {network.licence}"
+
+
+def question(network: KnownNetwork) -> list[str]:
+    """What a download does, in sentences."""
+    return [
+        f"{network.name} is downloaded: {terms(network)}.",
+        f"From {network.page}, weights of {network.source}.",
+        "It goes into the cache of huggingface_hub, where other programs find it too, and is "
+        "checked against its SHA-256.",
+    ]

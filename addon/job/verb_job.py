@@ -1,0 +1,132 @@
+"""A verb of gscore beside Blender: its process, what it tells, and how it ended; no bpy."""
+
+import re
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from ..core import Event, Failed, Warn
+from ..process.program import Process
+from . import session
+
+BUDGET = 0.005
+"""Seconds that a poll may spend on lines."""
+STOP_GRACE = 10.0
+"""Seconds after which work that was asked to end is ended."""
+
+_LACKS = re.compile(r"which is not installed|needs the package \w+; install it with")
+
+RUNNING, STOPPING, FINISHED, CANCELLED, FAILED = (
+    "running",
+    "stopping",
+    "finished",
+    "cancelled",
+    "failed",
+)
+
+
+class VerbJob:
+    """One run of a verb; those of one kind say what its events mean."""
+
+    kept = ""
+    """The sentence of work that was cancelled."""
+    less = ""
+    """What to do where memory ran out."""
+
+    def __init__(self, python: str | Path, arguments: Sequence[str], *, source: Path) -> None:
+        """Start it.
+
+        Args:
+            python: The Python that has gscore.
+            arguments: Of `gscore`.
+            source: What it works on.
+
+        Raises:
+            OSError: `python` cannot be run.
+        """
+        self.python, self.source = str(python), source
+        self.status = RUNNING
+        self.warnings: list[str] = []
+        self.sentence = ""
+        """How it ended, for people; empty before the end."""
+        self._failure: Failed | None = None
+        self._stopped_at = 0.0
+        self._process = Process([str(python), "-u", "-m", "gscore", *arguments])
+
+    @property
+    def ended(self) -> bool:
+        """Whether nothing will change any more."""
+        return self.status in (FINISHED, CANCELLED, FAILED)
+
+    def poll(self, budget: float = BUDGET) -> bool:
+        """Take in what it told since the last call; whether something changed."""
+        if self.ended:
+            return False
+        changed = False
+        for line in self._process.lines(budget):
+            event = session.read_event(line)
+            if event is None:
+                continue
+            changed = True
+            if isinstance(event, Failed):
+                self._failure = event
+            elif isinstance(event, Warn):
+                self.warnings.append(event.message)
+            else:
+                self.take(event)
+        if self._process.ended:
+            self._end()
+            return True
+        if self.status == STOPPING and time.monotonic() - self._stopped_at > STOP_GRACE:
+            self._process.kill()
+        return changed
+
+    def cancel(self) -> None:
+        """Ask it to end."""
+        if self.status == RUNNING:
+            self.status, self._stopped_at = STOPPING, time.monotonic()
+            self._process.send("stop")
+
+    def leave(self) -> None:
+        """Let go because Blender ends: it ends by itself soon."""
+        self._process.end_input()
+
+    def kill(self, *, wait: float = 0.0) -> None:
+        """End it at once."""
+        self._process.kill(wait=wait)
+
+    def take(self, event: Event) -> None:
+        """Take note of an event of its own."""
+        raise NotImplementedError
+
+    def finish(self) -> str:
+        """The sentence of work that came to its end; empty: it did not.
+
+        Raises:
+            ValueError: what it told makes no sense.
+        """
+        raise NotImplementedError
+
+    def _end(self) -> None:
+        asked = self.status == STOPPING
+        try:
+            told = self.finish()
+        except ValueError as error:
+            self.status, self.sentence = FAILED, str(error)
+            return
+        if told:
+            self.status, self.sentence = FINISHED, told
+        elif asked or (self._failure is not None and self._failure.type == "Cancelled"):
+            self.status, self.sentence = CANCELLED, self.kept
+        else:
+            self.status = FAILED
+            failure = session.failure_sentence(
+                self._failure,
+                self._process.returncode,
+                self._process.stderr_tail,
+                python=self.python,
+                less=self.less,
+            )
+            self.sentence = failure
+            if _LACKS.search(failure):
+                self.sentence += " Make Environment in the add-on's preferences does that too."

@@ -1,0 +1,39 @@
+"""The jobs of one verb in this Blender session, whichever file is open; no bpy."""
+
+from pathlib import Path
+from typing import Generic, TypeVar
+
+from ..capture.folders import same_folder
+from .verb_job import VerbJob
+
+JobT = TypeVar("JobT", bound=VerbJob)
+
+
+class VerbJobs(Generic[JobT]):
+    """The last job of each source."""
+
+    def __init__(self) -> None:
+        self._jobs: list[JobT] = []
+
+    def add(self, job: JobT) -> None:
+        """Keep a job; an earlier one of the same source, which has ended, is forgotten."""
+        self._jobs[:] = [other for other in self._jobs if not same_folder(other.source, job.source)]
+        self._jobs.append(job)
+
+    def jobs(self) -> list[JobT]:
+        """All of them."""
+        return list(self._jobs)
+
+    def of_source(self, source: Path) -> JobT | None:
+        """The last job of a source."""
+        return next((job for job in self._jobs if same_folder(job.source, source)), None)
+
+    def waits(self) -> bool:
+        """Whether any is under way."""
+        return any(not job.ended for job in self._jobs)
+
+    def leave_all(self) -> None:
+        """Let go of all: they end by themselves soon."""
+        for job in self._jobs:
+            job.leave()
+        self._jobs.clear()

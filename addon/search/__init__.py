@@ -1,0 +1,1 @@
+"""Cameras of photos or of a video, found beside Blender and brought in."""

@@ -1,0 +1,126 @@
+"""Operators of the search for cameras: choose photos or a video, find cameras, cancel."""
+
+from pathlib import Path
+from typing import ClassVar
+
+import bpy
+from bpy.props import BoolProperty, StringProperty
+
+from ..core import VIDEO_ENDINGS
+from ..interface.operators import Acting
+from ..job.verb_job import FAILED
+from ..paths import relative
+from ..process import beat
+from . import work
+
+
+class ChooseVideo(Acting, bpy.types.Operator):
+    """Choose a video that was filmed around the subject; sharp frames of it become the photos"""
+
+    bl_idname = "gscore.choose_video"
+    bl_label = "Choose Video"
+    bl_options: ClassVar = {"REGISTER", "UNDO"}
+
+    filepath: StringProperty(
+        name="Video",
+        description="File of the video",
+        subtype="FILE_PATH",
+        options={"SKIP_SAVE"},
+    )
+    directory: StringProperty(
+        name="Folder", description="Folder of photos", subtype="DIR_PATH", options={"SKIP_SAVE"}
+    )
+    filter_glob: StringProperty(
+        default=";".join(f"*{end}" for end in VIDEO_ENDINGS), options={"HIDDEN"}
+    )
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask for a file, unless one was dropped."""
+        if self.filepath:
+            return self.execute(context)
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Choose it, and show the panel."""
+        chosen = Path(bpy.path.abspath(self.filepath or self.directory))
+        if not chosen.exists():
+            raise ValueError(f"There is no video {chosen}; choose a file.")
+        context.scene.gscore.capture_path = relative(chosen.absolute())
+        _show_tab(context)
+        return ""
+
+
+class FindCameras(Acting, bpy.types.Operator):
+    """Find out where each photo was taken, in the background; Blender stays free.
+    Of a video, sharp frames are taken first"""
+
+    bl_idname = "gscore.find_cameras"
+    bl_label = "Find Cameras"
+    bl_options: ClassVar = {"REGISTER"}
+
+    wait: BoolProperty(
+        name="Wait",
+        description="Return when the cameras are in the scene; for scripts",
+        options={"HIDDEN", "SKIP_SAVE"},
+    )
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Start."""
+        job = work.find(context.scene, wait=self.wait)
+        if job is None:
+            return "These cameras were found before; they are brought in."
+        if job.status == FAILED:
+            raise ValueError(job.sentence)
+        return job.sentence if job.ended else ""
+
+
+class CancelSearch(Acting, bpy.types.Operator):
+    """End the search; what was found is kept, and Find Cameras goes on from there"""
+
+    bl_idname = "gscore.cancel_search"
+    bl_label = "Cancel"
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Ask it to end."""
+        job = work.job_of(context.scene)
+        if job is None or job.ended:
+            raise ValueError("No cameras are being looked for.")
+        job.cancel()
+        beat.redraw()
+        return ""
+
+
+def _show_tab(context: bpy.types.Context) -> None:
+    """Open the sidebar of the 3D view on which a file was dropped."""
+    space, region = context.space_data, None
+    if space is None or space.type != "VIEW_3D":
+        return
+    space.show_region_ui = True
+    for region in context.area.regions:
+        if region.type == "UI" and hasattr(region, "active_panel_category"):
+            with_tab = region
+            try:
+                with_tab.active_panel_category = "Train Splats"
+            except (AttributeError, TypeError):
+                return  # older Blenders only tell it, and some regions have none before a redraw
+
+
+CLASSES = [ChooseVideo, FindCameras, CancelSearch]
+
+if hasattr(bpy.types, "FileHandler"):
+
+    class VideoHandler(bpy.types.FileHandler):
+        """Takes videos that are dropped on a 3D view"""
+
+        bl_idname = "GSCORE_FH_video"
+        bl_label = "Video for Splats"
+        bl_import_operator = "gscore.choose_video"
+        bl_file_extensions = ";".join(VIDEO_ENDINGS)
+
+        @classmethod
+        def poll_drop(cls, context: bpy.types.Context) -> bool:
+            """3D views."""
+            return context.area is not None and context.area.type == "VIEW_3D"
+
+    CLASSES.append(VideoHandler)

@@ -1,0 +1,115 @@
+"""The search for cameras from scripts and operators: begin, cancel, bring in what was found."""
+
+import time
+from pathlib import Path
+
+import bpy
+
+from .. import preferences
+from ..cameras.lookup import chosen_root
+from ..capture.folders import same_folder
+from ..core import capture_beside
+from ..interface import undo
+from ..job import facts, lookups, options
+from ..paths import absolute, capture_folder, relative
+from ..process import beat
+from ..python import setup
+from .job import SearchJob
+from .registry import JOBS
+
+_BEAT = 0.02
+
+
+def find(
+    scene: bpy.types.Scene, *, wait: bool = False, python: str | Path | None = None
+) -> SearchJob | None:
+    """Find the cameras of the scene's photos or video, and bring them in.
+
+    The capture is made beside the source; where one was made of it before, that is taken at once.
+
+    Args:
+        scene: Its `gscore` settings name photos or a video.
+        wait: Return when it has ended and the cameras are there.
+        python: The Python that searches; None: as the preferences say.
+
+    Returns:
+        The search; None: there was nothing to search for.
+
+    Raises:
+        ValueError: something is missing or in the way; the message says what to do.
+    """
+    source = capture_folder(scene)
+    found, problem = facts.look_again(scene)
+    if found is None or not found.bare:
+        raise ValueError(problem or f"{source} holds no photos without cameras, and is no video.")
+    if errors := [p.text for p in found.problems if p.is_error]:
+        raise ValueError(errors[0])
+    if (other := JOBS.of_source(source)) is not None and not other.ended:
+        raise ValueError(f"The cameras of {source} are being looked for already.")
+    beside = capture_beside(source)
+    if beside.is_there:
+        _arrive(scene, beside.capture)
+        return None
+    arguments = options.search(
+        scene.gscore, source=source, capture=beside.capture, threads=preferences.get().threads
+    )
+    program = python or setup.trainer_python(preferences.get())
+    try:
+        job = SearchJob(
+            program, arguments, source=source, capture=beside.capture, scene_uid=scene.session_uid
+        )
+    except OSError as error:
+        raise ValueError(
+            f"{program} cannot be run ({error.strerror or error}); press Check in the add-on's "
+            "preferences."
+        ) from error
+    JOBS.add(job)
+    beat.ensure()
+    while wait and (not job.ended or job.wanted):
+        beat.tick()
+        time.sleep(_BEAT)
+    return job
+
+
+def job_of(scene: bpy.types.Scene) -> SearchJob | None:
+    """The last search for the cameras of the scene's photos or video, or of the capture made of
+    them, under way or ended."""
+    try:
+        chosen = absolute(scene.gscore.capture_path, "Capture")
+    except ValueError:
+        return None
+    places = (job for job in JOBS.jobs() if same_folder(job.capture, chosen))
+    return JOBS.of_source(chosen) or next(places, None)
+
+
+def bring_in(job: SearchJob) -> bool:
+    """Bring in what a search has found, when nothing is in the way; whether it did.
+
+    Nothing is touched while Blender renders or a mesh is edited. Where another capture has been
+    chosen meanwhile, or another file opened, the cameras stay on the disk.
+    """
+    if not job.wanted or bpy.app.is_job_running("RENDER") or bpy.context.mode != "OBJECT":
+        return False
+    job.wanted = False
+    scenes = [scene for scene in bpy.data.scenes if scene.session_uid == job.scene_uid]
+    for scene in scenes:
+        if job_of(scene) is job:
+            lookups.captures.expire()
+            try:
+                _arrive(scene, job.capture)
+            except (RuntimeError, ValueError) as error:
+                job.warnings.append(str(error).removeprefix("Error: ").strip())
+    return True
+
+
+def _arrive(scene: bpy.types.Scene, capture: Path) -> None:
+    """Choose the capture, and import its cameras, points and photos unless they are there."""
+    scene.gscore.capture_path = relative(capture)
+    scene.gscore.images = "images"
+    facts.capture(scene)
+    if chosen_root(scene) is None:
+        windows = [w for w in bpy.context.window_manager.windows if w.scene == scene]
+        place = {"window": windows[0]} if windows else {"scene": scene}
+        with bpy.context.temp_override(**place, view_layer=scene.view_layers[0]):
+            bpy.ops.gscore.import_cameras()
+    undo.push("Cameras Found")

@@ -1,0 +1,49 @@
+"""What is known of photos or a video without cameras before these are looked for."""
+
+from collections import Counter
+from pathlib import Path
+
+from ..datasets.capture import listing
+from ..errors import GsError
+from ..io.images import read_info
+from ..sfm.photos import LEAST, list_photos, photo_folder
+from ..video import is_video
+from ..words import count_words
+from .facts import CaptureFacts, Problem
+
+PHOTOS, VIDEO = "photos", "a video"
+"""Values of `CaptureFacts.bare`."""
+
+
+def bare_facts(source: Path) -> CaptureFacts:
+    """Facts of a source of which `has_no_cameras` is true; the headers of photos are read.
+
+    Args:
+        source: A video, or a folder of photos.
+    """
+    if is_video(source):
+        return CaptureFacts(source=source, bare=VIDEO)
+    root = photo_folder(source)
+    names, unread = list_photos(root, (root / "masks",))
+    sizes: Counter[tuple[int, int]] = Counter()
+    problems = []
+    for name in names:
+        try:
+            info = read_info(root / name)
+            sizes[info.width, info.height] += 1
+        except GsError as error:
+            problems.append(Problem(is_error=True, text=str(error)))
+    if len(names) < LEAST:
+        few = f"Only {count_words(len(names), 'photo')}: at least {LEAST} that overlap are needed, "
+        problems.append(Problem(is_error=True, text=f"{few}30 or more are good."))
+    if unread:
+        left = count_words(len(unread), "photo is of a kind", "photos are of kinds")
+        text = f"{left} that is not read: {listing(unread, 2)}. Convert to JPEG."
+        problems.append(Problem(is_error=False, text=text))
+    return CaptureFacts(
+        source=source,
+        bare=PHOTOS,
+        photos=len(names),
+        sizes=dict(sizes.most_common()),
+        problems=tuple(problems[:3]),
+    )

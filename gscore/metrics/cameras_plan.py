@@ -1,0 +1,157 @@
+"""The cameras part of the report: where cameras were found, and points, from above and beside."""
+
+import html
+from collections import defaultdict
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import GsError
+from ..io.files import read_bytes
+from ..io.runs import SEARCH_RECORD
+from ..json_text import parse_json
+from ..scene import Scene
+from ..words import count_words
+
+SIZE = 420
+"""Sides of a picture in its own units; the page scales it."""
+MOST_POINTS = 3000
+"""Points drawn, evenly chosen."""
+_MARGIN = 18.0
+_MOST_CAMERAS = 1000
+_INNER = (0.02, 0.98)
+"""Quantiles of the points that the picture has room for: a few far ones would shrink the rest."""
+_SHADES = 6
+"""Steps of each colour channel."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CamerasSection:
+    """What the report shows of cameras that gscore found."""
+
+    found: Mapping[str, Any]
+    """The record of the search, sfm.json."""
+    scene: Scene
+    """Of the training."""
+
+
+def cameras_section(source: Path, scene: Scene) -> CamerasSection | None:
+    """The section of a run, None where somebody else found the cameras.
+
+    Args:
+        source: The capture.
+        scene: Its cameras and points, in any scale.
+    """
+    try:
+        found = parse_json(read_bytes(source / SEARCH_RECORD))
+    except (GsError, ValueError):
+        return None
+    return CamerasSection(found=found, scene=scene) if isinstance(found, dict) else None
+
+
+def cameras_html(section: CamerasSection) -> str:
+    """The section: what the search found, and two pictures."""
+    views = plan_axes(section.scene)
+    pictures = "".join(
+        f'<figure class="plot"><h3>{name}</h3>{_svg(section.scene, axes, name)}</figure>'
+        for name, axes in (("From above", views[:2]), ("From the side", views[::2]))
+    )
+    return (
+        f'<section id="cameras"><h2>Cameras</h2><p class="hint">{_words(section.found)}</p>'
+        f'<div class="plots two">{pictures}</div></section>\n'
+    )
+
+
+def plan_axes(scene: Scene) -> np.ndarray:
+    """[3, 3] float64, unit rows: to the right, away and up in a plan of the scene.
+
+    Up is what photos have in common as up, or across the cameras' plane where they have nothing;
+    to the right is where the cameras' places spread most.
+    """
+    rotations = np.asarray(scene.cameras.viewmats, np.float64)[:, :3, :3]
+    centers = np.asarray(scene.cameras.centers, np.float64)
+    spread = np.linalg.svd(centers - centers.mean(axis=0), full_matrices=True)[2]
+    up = -rotations[:, 1].mean(axis=0)
+    if np.linalg.norm(up) < 0.1:
+        up = spread[2]
+    up /= np.linalg.norm(up)
+    # Of the directions of spread, the one that is most level: never up itself.
+    level = spread - np.outer(spread @ up, up)
+    lengths = np.linalg.norm(level, axis=1)
+    right = level[0] / lengths[0] if lengths[0] > 0.3 else level[1] / lengths[1]
+    return np.stack([right, np.cross(up, right), up])
+
+
+def _words(found: Mapping[str, Any]) -> str:
+    """One line on how good they are; what the record lacks is left out."""
+    parts = []
+    if isinstance(count := found.get("registered"), int):
+        photos = found.get("photos")
+        parts.append(f"{count} of {photos} photos have a camera")
+    if isinstance(points := found.get("points"), int):
+        parts.append(count_words(points, "point"))
+    if isinstance(error := found.get("reprojection_px"), float):
+        parts.append(f"mean reprojection error {error:.2f} px")
+    alone = found.get("alone")
+    if isinstance(alone, list) and alone:
+        parts.append(f"without a camera: {', '.join(map(str, alone[:5]))}")
+    return html.escape("Found by gscore: " + ", ".join(parts) + ".")
+
+
+def _svg(scene: Scene, axes: np.ndarray, name: str) -> str:
+    """One picture: points in their colours, cameras as wedges that open where they look."""
+    cameras, points = scene.cameras, scene.points
+    usable = np.isfinite(points.points).all(axis=1)
+    every = max(1, -(-int(usable.sum()) // MOST_POINTS))
+    cloud = points.points[usable][::every].astype(np.float64) @ axes.T
+    colors = points.colors[usable][::every]
+    centers = np.asarray(cameras.centers, np.float64) @ axes.T
+    low, high = centers.min(axis=0), centers.max(axis=0)
+    if len(cloud):
+        inner = np.quantile(cloud, _INNER, axis=0)
+        low, high = np.minimum(low, inner[0]), np.maximum(high, inner[1])
+    scale = (SIZE - 2 * _MARGIN) / max(float((high - low).max()), 1e-12)
+    middle = (low + high) / 2
+
+    def place(values: np.ndarray) -> np.ndarray:
+        return SIZE / 2 + (values - middle) * scale * [1, -1]
+
+    kept = place(cloud)
+    inside = ((kept > 0) & (kept < SIZE)).all(axis=1)
+    looks = np.asarray(cameras.viewmats, np.float64)[:, 2, :3] @ axes.T
+    every = max(1, -(-len(centers) // _MOST_CAMERAS))
+    wedges = "".join(
+        _wedge(at, look * [1, -1], cameras.names[i * every])
+        for i, (at, look) in enumerate(zip(place(centers)[::every], looks[::every], strict=True))
+    )
+    label = html.escape(f"{name}: {len(centers)} cameras and {int(usable.sum())} points")
+    return (
+        f'<svg class="chart plan" viewBox="0 0 {SIZE} {SIZE}" role="img" aria-label="{label}">'
+        f"{_dots(kept[inside], colors[inside])}{wedges}</svg>"
+    )
+
+
+def _dots(places: np.ndarray, colors: np.ndarray) -> str:
+    """Points as one path for each shade."""
+    step = 256 // _SHADES
+    shades = np.minimum(np.asarray(colors, np.int64) // step * step + step // 2, 255)
+    groups: dict[tuple[int, ...], list[str]] = defaultdict(list)
+    for (x, y), shade in zip(places.tolist(), shades.tolist(), strict=True):
+        groups[tuple(shade)].append(f"M{x:.1f} {y:.1f}h0")
+    return "".join(
+        f'<path class="dots" stroke="rgb({r},{g},{b})" d="{"".join(marks)}"/>'
+        for (r, g, b), marks in sorted(groups.items())
+    )
+
+
+def _wedge(at: np.ndarray, look: np.ndarray, name: str) -> str:
+    """A triangle that opens to where a camera looks; shorter where that is at the reader."""
+    side = np.array([-look[1], look[0]])
+    length = float(np.linalg.norm(look))
+    side = side / length if length > 1e-6 else np.array([1.0, 0.0])
+    corners = [at, at + 13 * look + 5 * side, at + 13 * look - 5 * side]
+    path = " ".join(f"{x:.1f},{y:.1f}" for x, y in corners)
+    return f'<polygon class="wedge" points="{path}"><title>{html.escape(name)}</title></polygon>'

@@ -1,0 +1,75 @@
+"""Where the capture of a source goes that names none: beside it, or where it was made before."""
+
+import itertools
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..errors import GsError
+from ..video import is_video
+from ..video.folder import FrameFolder
+from .photos import photo_folder
+from .plain import is_plain, photos_of, same_photos
+from .request import Request
+from .video_frames import IMAGES, frames_request, of_frames
+
+
+@dataclass(frozen=True)
+class Beside:
+    """The capture of photos or of a video."""
+
+    capture: Path
+    """Its folder."""
+    is_there: bool
+    """Whether it was made before, of the same photos or video."""
+
+
+def has_no_cameras(source: Path) -> bool:
+    """Whether a path is a video, or a folder of photos alone: cameras can be found from it."""
+    return is_video(source) or is_plain(source)
+
+
+def capture_beside(source: Path) -> Beside:
+    """The capture for a source of which `has_no_cameras` is true; looks, and makes nothing.
+
+    Photos in `images` of a folder get their cameras there. Else it is `NAME-capture` beside the
+    source, or with a number where that is taken by something else.
+    """
+    whole = source.absolute()
+    if whole.is_dir() and whole.parts and photo_folder(whole) == whole / IMAGES:
+        return Beside(whole, False)
+    if whole.is_dir() and whole.name == IMAGES:
+        return Beside(whole.parent, False)
+    name = whole.stem if is_video(whole) else whole.name
+    for number in itertools.count(1):
+        place = whole.with_name(f"{name}-capture" + (f"-{number}" if number > 1 else ""))
+        request = Request(photos=whole, output=place)
+        if _is_made_of(request):
+            return Beside(place, True)
+        if _is_free(request):
+            return Beside(place, False)
+    raise AssertionError("there are numbers without end")
+
+
+def _is_made_of(request: Request) -> bool:
+    if not (request.output / "sparse").exists():
+        return False
+    if not is_video(request.photos):
+        return same_photos(request.output, photos_of(request))
+    return _has_frames(request) and same_photos(request.output, photos_of(of_frames(request)))
+
+
+def _is_free(request: Request) -> bool:
+    """Whether a search can begin there, or go on: from frames that were taken before it ended."""
+    place = request.output
+    if (place / "sparse").exists():
+        return False
+    if not place.exists() or (place.is_dir() and not any(place.iterdir())):
+        return True
+    return is_video(request.photos) and _has_frames(request)
+
+
+def _has_frames(request: Request) -> bool:
+    try:
+        return FrameFolder(frames_request(request)).found is not None
+    except GsError:
+        return False

@@ -1,0 +1,74 @@
+"""A video as the source of a search: its frames are taken into the capture that is to be."""
+
+import contextlib
+from collections.abc import Callable
+from dataclasses import replace
+
+from ..control import Control
+from ..errors import ConfigError
+from ..events import Event
+from ..shown import shown
+from ..video import FrameRequest, extract_frames, is_video
+from .request import Request
+from .workspace import check_without_cameras
+
+IMAGES = "images"
+"""Folder of the frames in the capture."""
+
+
+def with_frames(
+    request: Request,
+    *,
+    frames: int = 0,
+    on_event: Callable[[Event], None] = lambda event: None,
+    control: Control | None = None,
+) -> Request:
+    """The search for the photos that a request means: as given, or the frames of its video.
+
+    Frames go into `images` of the capture, in which the cameras are then found in place; frames
+    that are there already are not taken again.
+
+    Args:
+        request: Its `photos` may be a video.
+        frames: How many at most; 0: as many as the motion asks for.
+        on_event: Told how far it is.
+        control: Asked whether to stop.
+
+    Raises:
+        Cancelled: `control` said so; nothing is left behind.
+        ConfigError: the capture's folder holds something else, or cameras already.
+        GsError: the video cannot be read, or the frames not be written; see `extract_frames`.
+    """
+    if not is_video(request.photos):
+        return request
+    check_without_cameras(request.output)
+    asked = frames_request(request, frames)
+    _check_room(request)
+    made = [p for p in (request.output, *request.output.absolute().parents) if not p.exists()]
+    try:
+        extract_frames(asked, on_event=on_event, control=control)
+    except BaseException:
+        for folder in made:
+            with contextlib.suppress(OSError):
+                folder.rmdir()  # only an empty one can be removed
+        raise
+    return of_frames(request)
+
+
+def frames_request(request: Request, frames: int = 0) -> FrameRequest:
+    """Which frames of the request's video are taken, and where to."""
+    return FrameRequest(video=request.photos, output=request.output / IMAGES, frames=frames)
+
+
+def of_frames(request: Request) -> Request:
+    """The request for cameras of the frames, once they are there."""
+    return replace(request, photos=request.output)
+
+
+def _check_room(request: Request) -> None:
+    """Raise where the frames would mix with other files."""
+    place = request.output
+    if (place / IMAGES).exists() or not place.exists():
+        return  # of that folder the frames' own rules hold
+    if not place.is_dir() or any(not file.name.startswith(".") for file in place.iterdir()):
+        raise ConfigError(f"{shown(place)} is not empty. Choose a new folder with -o.")

@@ -1,0 +1,57 @@
+"""A layout that notes what panels put into it, for Blenders without a window."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import bpy
+
+
+class Layout:
+    """Takes the calls of a UILayout that the add-on makes, and checks names as Blender does."""
+
+    def __init__(self, notes: list[str] | None = None) -> None:
+        self.notes: list[str] = [] if notes is None else notes
+        """Texts of labels and bars, names of operators and properties, in order."""
+        self.enabled = True
+        self.scale_y = 1.0
+
+    def _part(self, **_: Any) -> "Layout":
+        return Layout(self.notes)
+
+    row = column = box = split = _part
+
+    def label(self, *, text: str = "", icon: str = "NONE") -> None:
+        """Note a text."""
+        self.notes.append(text)
+
+    def progress(self, *, factor: float, text: str) -> None:
+        """Note a bar."""
+        assert 0 <= factor <= 1
+        self.notes.append(f"[{factor:.0%}] {text}")
+
+    def prop(self, owner: Any, name: str, **_: Any) -> None:
+        """Note a property."""
+        assert name in owner.bl_rna.properties, name
+        self.notes.append(f"<{name}>")
+
+    def operator(self, name: str, *, text: str | None = None, **_: Any) -> SimpleNamespace:
+        """Note a button."""
+        room, verb = name.split(".")
+        kind = getattr(getattr(bpy.ops, room), verb).get_rna_type()
+        self.notes.append(f"({text if text is not None else kind.name})")
+        return SimpleNamespace()
+
+    @property
+    def text(self) -> str:
+        """All notes, with wrapped sentences in one piece."""
+        return " ".join(self.notes)
+
+
+def drawn(panel: type) -> str:
+    """What a panel shows of the current scene; empty where it does not show."""
+    poll = getattr(panel, "poll", None)
+    if poll is not None and not poll(bpy.context):
+        return ""
+    layout = Layout()
+    panel.draw(SimpleNamespace(layout=layout), bpy.context)
+    return layout.text

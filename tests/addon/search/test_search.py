@@ -1,0 +1,228 @@
+"""Oracle: the scene after a scripted `gscore sfm`, the real one's files, and what panels show."""
+
+import json
+import os
+import shutil
+import subprocess
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import bpy
+import pytest
+
+from addon import preferences
+from addon.cameras.captures import cameras_of
+from addon.cameras.lookup import chosen_root
+from addon.cameras.objects import points_of
+from addon.job import facts, registry, training, verb_job
+from addon.panels.capture import CapturePanel
+from addon.panels.progress import ProgressPanel
+from addon.panels.train import TrainPanel
+from addon.search import work
+from addon.search.registry import JOBS
+from tests.addon.captures import STUDIO
+from tests.addon.drawn import drawn
+from tests.addon.fake_trainer import fake_python
+from tests.addon.trainings import until
+
+REAL = os.environ.get("GSCORE_TRAINER_PYTHON", "")
+needs_trainer = pytest.mark.skipif(not REAL, reason="GSCORE_TRAINER_PYTHON names no Python")
+Play = Callable[..., Path]
+NEAR = (0, 1, 2, 19, 20, 21, 39, 40)
+FRAMES = {"event": "frames_progress", "phase": "looking at frames", "done": 30, "total": 120}
+TAKEN = {"event": "frames", "frames": 40, "total": 120, "blurred": 3, "repeated": 1}
+STEP = {"event": "sfm_progress", "phase": "finding features", "done": 10, "total": 40}
+DONE = {"event": "sfm", "photos": 8, "registered": 7, "models": 1, "points": 1234}
+DONE |= {"reprojection_px": 0.456, "seconds": 9.0, "path": "p"}
+
+
+@pytest.fixture
+def holiday(scene: bpy.types.Scene, tmp_path: Path) -> Iterator[bpy.types.Scene]:
+    """A scene whose capture is a folder of plain photos; no job is left when the test ends."""
+    folder = tmp_path / "holiday"
+    folder.mkdir()
+    for i in NEAR:
+        shutil.copy(STUDIO / f"images/view_{i:03}.jpg", folder)
+    scene.gscore.capture_path = str(folder)
+    facts.look_again(scene)
+    prefs = preferences.get()
+    before = prefs.python_path, prefs.live_seconds
+    yield scene
+    for job in JOBS.jobs():
+        job.kill(wait=10)
+    JOBS._jobs.clear()
+    for run in registry.jobs():
+        run.kill()
+        run.wait(10)
+        registry.remove(run)
+    prefs.python_path, prefs.live_seconds = before
+
+
+@pytest.fixture
+def play(tmp_path: Path) -> Play:
+    """The preferences' Python becomes a fake that plays a script; gives where its call is noted."""
+
+    def choose(*script: dict) -> Path:
+        preferences.get().python_path = str(fake_python(tmp_path / "python", list(script)))
+        return tmp_path / "python" / "script.args"
+
+    return choose
+
+
+def _made(capture: Path) -> list[dict]:
+    """Steps of a script that leave the studio's model in a capture."""
+    model = STUDIO / "sparse" / "0"
+    for file in model.iterdir():
+        target = capture.parent / "waiting" / "sparse" / "0" / file.name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(file, target)
+    return [{"await": "go"}, {"say": DONE}]
+
+
+def test_from_button_to_cameras(holiday: bpy.types.Scene, tmp_path: Path, play: Play) -> None:
+    """Oracle: the command line, the script's events, and Blender's objects at the end."""
+    capture = tmp_path / "holiday-capture"
+    called = play({"say": STEP | {"eta_s": 9.0, "left_s": 75.0}}, *_made(capture))
+    assert "Photos without cameras" in drawn(CapturePanel) and "(Find Cameras)" in drawn(
+        CapturePanel
+    )
+    assert "Find the cameras first" in drawn(TrainPanel)
+    with pytest.raises(RuntimeError, match="press Find Cameras first"):
+        bpy.ops.gscore.train()
+
+    assert bpy.ops.gscore.find_cameras() == {"FINISHED"}
+    job = work.job_of(holiday)
+    until(lambda: job.progress is not None)
+    shown = drawn(ProgressPanel)
+    assert "[25%] Finding features, 1:15 left" in shown and "()" in shown and "10 / 40" in shown
+    assert "see Progress" in drawn(CapturePanel)
+    with pytest.raises(RuntimeError, match="looked for already"):
+        bpy.ops.gscore.find_cameras()
+
+    (tmp_path / "waiting").rename(capture)
+    job._process.send("go")
+    until(lambda: job.ended and not job.wanted)
+    words = json.loads(called.read_text())
+    assert words[words.index("sfm") :][:4] == ["sfm", str(tmp_path / "holiday"), "-o", str(capture)]
+    assert holiday.gscore.capture_path == str(capture)
+    root = chosen_root(holiday)
+    assert len(cameras_of(root)) == 60 and points_of(root) is not None
+    assert "7 of 8 photos have a camera; the others are left out" in drawn(ProgressPanel)
+
+
+def test_a_video_takes_frames_first(holiday: bpy.types.Scene, tmp_path: Path, play: Play) -> None:
+    """Oracle: the script's events, and the name beside the video."""
+    (tmp_path / "walk.mp4").write_bytes(b"not looked into here")
+    called = play({"say": FRAMES | {"eta_s": 5.0}}, {"await": "go"},
+                  {"say": TAKEN | {"seconds": 1.0, "path": "p"}}, {"await": "stop"})  # fmt: skip
+    assert bpy.ops.gscore.choose_video(filepath=str(tmp_path / "walk.mp4")) == {"FINISHED"}
+    facts.look_again(holiday)
+    assert "A video without cameras" in drawn(CapturePanel)
+    bpy.ops.gscore.find_cameras()
+    job = work.job_of(holiday)
+    until(lambda: job.progress is not None)
+    assert "[25%] Looking at frames, 0:05 left" in drawn(ProgressPanel)
+    job._process.send("go")
+    until(lambda: job.frames is not None)
+    assert "40 of 120" in drawn(ProgressPanel)
+    assert str(tmp_path / "walk-capture") in called.read_text()
+
+    assert bpy.ops.gscore.cancel_search() == {"FINISHED"}
+    assert "Ending" in drawn(ProgressPanel)
+    until(lambda: job.ended)
+    assert job.status == verb_job.CANCELLED and "goes on from there" in drawn(ProgressPanel)
+    assert "(Find Cameras)" in drawn(CapturePanel)
+    with pytest.raises(RuntimeError, match="No cameras are being looked for"):
+        bpy.ops.gscore.cancel_search()
+
+
+def test_a_package_that_is_missing(holiday: bpy.types.Scene, tmp_path: Path, play: Play) -> None:
+    """Oracle: gscore's sentence, and the add-on's way to get the package."""
+    message = 'Reading a video needs the package av; install it with: pip install "gscore[video]".'
+    play({"say": {"event": "error", "message": message, "type": "BackendError"}}, {"exit": 2})
+    with pytest.raises(RuntimeError, match="Make Environment in the add-on's preferences"):
+        bpy.ops.gscore.find_cameras(wait=True)
+    assert "needs the package av" in drawn(ProgressPanel)
+    assert "==" in (Path(work.__file__).parents[1] / "python/pinned/packages.txt").read_text()
+    pins = (Path(work.__file__).parents[1] / "python/pinned/packages.txt").read_text()
+    assert "\nav==" in pins and "\nhuggingface-hub==" in pins
+
+
+def test_another_capture_chosen_meanwhile_stays(
+    holiday: bpy.types.Scene, tmp_path: Path, play: Play
+) -> None:
+    """Oracle: the settings and objects of the scene."""
+    capture = tmp_path / "holiday-capture"
+    play(*_made(capture))
+    bpy.ops.gscore.find_cameras()
+    job = work.job_of(holiday)
+    holiday.gscore.capture_path = str(STUDIO)
+    (tmp_path / "waiting").rename(capture)
+    job._process.send("go")
+    until(lambda: job.ended and not job.wanted)
+    assert holiday.gscore.capture_path == str(STUDIO) and not holiday.objects
+
+
+def test_what_cannot_be_searched(holiday: bpy.types.Scene, tmp_path: Path, play: Play) -> None:
+    """Oracle: a sentence for each; no process is started."""
+    called = play({"say": DONE})
+    for photo in list((tmp_path / "holiday").iterdir())[2:]:
+        photo.unlink()
+    facts.look_again(holiday)
+    assert "at least 3 that overlap are needed" in drawn(CapturePanel)
+    with pytest.raises(RuntimeError, match="at least 3 that overlap"):
+        bpy.ops.gscore.find_cameras()
+    holiday.gscore.capture_path = str(STUDIO)
+    with pytest.raises(RuntimeError, match="holds no photos without cameras"):
+        bpy.ops.gscore.find_cameras()
+    with pytest.raises(RuntimeError, match="There is no video"):
+        bpy.ops.gscore.choose_video(filepath=str(tmp_path / "gone.mp4"))
+    assert not called.exists()
+
+
+@pytest.mark.skipif(not hasattr(bpy.types, "FileHandler"), reason="this Blender takes no drops")
+def test_videos_can_be_dropped() -> None:
+    """Oracle: what Blender registered."""
+    handler = bpy.types.GSCORE_FH_video
+    assert ".mp4" in handler.bl_file_extensions.split(";")
+    operator = bpy.ops.gscore.choose_video.get_rna_type()
+    assert handler.bl_import_operator == "gscore.choose_video"
+    assert {"filepath", "directory"} <= set(operator.properties.keys())
+
+
+FILM = """
+import av, numpy as np, sys
+from PIL import Image
+from pathlib import Path
+photos = sorted(Path(sys.argv[1]).glob("*.jpg"))[:20]
+with av.open(sys.argv[2], "w") as file:
+    stream = file.add_stream("libx264", rate=4, options={"crf": "12"})
+    stream.width, stream.height, stream.pix_fmt = *Image.open(photos[0]).size, "yuv420p"
+    for photo in photos:
+        picture = Image.open(photo)
+        frame = av.VideoFrame.from_ndarray(np.array(picture.convert("RGB")), format="rgb24")
+        file.mux(stream.encode(frame))
+    file.mux(stream.encode())
+"""
+
+
+@needs_trainer
+@pytest.mark.slow
+def test_three_clicks_from_a_video_to_splats(holiday: bpy.types.Scene, tmp_path: Path) -> None:
+    """Oracle: the real programs; splats in the scene, upright below the capture's empty."""
+    film = tmp_path / "walk.mp4"
+    subprocess.run([REAL, "-c", FILM, str(STUDIO / "images"), str(film)], check=True)
+    preferences.get().python_path = REAL
+    holiday.gscore.preset = "preview"
+    bpy.ops.gscore.choose_video(filepath=str(film))
+    assert bpy.ops.gscore.find_cameras(wait=True) == {"FINISHED"}
+    assert len(cameras_of(chosen_root(holiday))) >= 10
+    holiday.gscore.iterations = 60
+    facts.look_again(holiday)
+    job = training.train(holiday, wait=True)
+    assert job.state.result is not None
+    assert len(holiday.gscore.result.data.vertices) > 100
+
+    holiday.gscore.capture_path = str(film)
+    assert bpy.ops.gscore.find_cameras() == {"FINISHED"}  # found before
+    assert holiday.gscore.capture_path == str(tmp_path / "walk-capture")
