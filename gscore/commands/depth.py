@@ -18,7 +18,7 @@ from ..depth.hub import cached_file, network_file, terms
 from ..depth.maps import SHEET, DepthKind, MapFolder, read_map, stem, to_inverse
 from ..depth.network import WHERE, Network, Normalization
 from ..depth.observations import Observations, observations
-from ..depth.params import DEFAULT_FOLDER, params_path, read_params, write_params
+from ..depth.params import DEPTH_FOLDER, params_path, read_params, write_params
 from ..depth.predict import Prediction, predict_views
 from ..depth.priors import fit_table
 from ..depth.samples import Samples, unusable, view_samples
@@ -69,7 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-d",
         "--depths",
-        default=DEFAULT_FOLDER,
+        default=DEPTH_FOLDER,
         metavar="DIR",
         help="folder of the depth maps in SOURCE (depths)",
     )
@@ -251,7 +251,7 @@ def _by_stereo(
     """Maps of the views that are not held out, from each other, in the scale of the capture."""
     check_folder(folder)
     check_replaced([folder / SHEET], overwrite=args.overwrite)
-    files.check_folder(folder, dataset.names, overwrite=args.overwrite)
+    files.check_maps_folder(folder, dataset.names, overwrite=args.overwrite)
     path = params_path(dataset.source, folder, writing=True)
     _check_scales(path, args.overwrite, show)
     progress = _Progress(show, control, told, "comparing photos")

@@ -33,7 +33,7 @@ def check_size(width: int, height: int) -> None:
         raise ShapeError(f"The image must be 1 to {most} px a side, got {width} x {height}.")
 
 
-def checked_threads(threads: int) -> int:
+def library_threads(threads: int) -> int:
     """`threads` if the library takes so many; ShapeError otherwise."""
     most = header.THREADS_MAX
     if not isinstance(threads, int | np.integer) or not 0 <= threads <= most:
@@ -61,7 +61,7 @@ def splat_shapes(n: int, rest: int) -> dict[str, tuple[int, ...]]:
     return dict(zip(PARAMETERS, shapes, strict=True))
 
 
-def places(means: Array, scales: Array, count: int) -> header.SplatsStruct:
+def placed_splats(means: Array, scales: Array, count: int) -> header.SplatsStruct:
     """gs_splats that tells only where raw splats are."""
     return header.SplatsStruct(
         count=count,
@@ -101,7 +101,7 @@ def options(view: Frustum, settings: Settings) -> header.OptionsStruct:
         antialias=int(s.antialias),
         outputs=s.outputs,
         disable=s.disable,
-        threads=checked_threads(s.threads),
+        threads=library_threads(s.threads),
     )
     found.background = (ct.c_float * 3)(*s.background)
     if s.cancel is not None:
@@ -193,7 +193,7 @@ def loss_args(
         target=address("target", target, shape, UINT8),
         mask_mode=header.MASK_MODES[mask_mode],
         ssim_weight=ssim_weight,
-        threads=checked_threads(threads),
+        threads=library_threads(threads),
     )
     if mask_mode != "none":
         found.mask = address("mask", mask, (height, width), UINT8)

@@ -231,7 +231,7 @@ class _Search:
         names = {photo.alias: photo.name for photo in work.photos}
         model = models[0]
         self._adjust(model, database.focal_lengths(work.database(last)))
-        in_metres = to_metres(model, database.places(work.database(last)))
+        in_metres = to_metres(model, database.gps_places(work.database(last)))
         parts = tuple(model_names(each, names) for each in models)
         placed = {name for part in parts for name in part}
         cameras = camera_facts(model)

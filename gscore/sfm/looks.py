@@ -25,7 +25,7 @@ class Look:
     """Mean linear brightness, stops."""
 
 
-def look_at(image: Any) -> Look:
+def look_of(image: Any) -> Look:
     """Measure a decoded photo of Pillow."""
     grey = image.convert("L")
     grey.thumbnail((_SIDE, _SIDE))

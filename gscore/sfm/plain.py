@@ -12,7 +12,7 @@ from .masks import mask_folder
 from .photos import list_photos, photo_folder
 from .request import Request
 
-RECORD = "sfm.json"
+SFM_FILE = "sfm.json"
 """In a capture: what was found, and of which photos."""
 _MODELS = ("sparse", "colmap", "cameras.bin", "cameras.txt")
 
@@ -51,6 +51,6 @@ def stamp(name: str, path: Path) -> list[Any]:
 def same_photos(capture: Path, photos: list[list[Any]]) -> bool:
     """Whether a capture was made of these, as `photos_of` gives them."""
     try:
-        return parse_json(read_bytes(capture / RECORD))["photos_read"] == photos
+        return parse_json(read_bytes(capture / SFM_FILE))["photos_read"] == photos
     except (DatasetError, ValueError, KeyError, TypeError):
         return False

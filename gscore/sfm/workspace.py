@@ -12,7 +12,7 @@ from ..io.files import atomic_write, read_bytes, reason
 from ..io.lock import FolderLock
 from ..json_text import parse_json
 from .photos import Photo
-from .plain import RECORD
+from .plain import SFM_FILE
 
 _LOCK = "lock"
 _STATE = "state.json"
@@ -149,7 +149,7 @@ class Workspace:
             for image in model.images.values():
                 image.name = names[image.name]
             model.write(sparse)
-            atomic_write((self._place if self._in_place else made) / RECORD, record.encode())
+            atomic_write((self._place if self._in_place else made) / SFM_FILE, record.encode())
             if self._in_place:
                 (made / _MODEL).rename(self._place / _MODEL)
             else:

@@ -34,7 +34,7 @@ from .rows.model import Model, Moments, ShN
 from .rows.near import Nearest
 from .rows.params import splats_of_tensors, tensors_from_splats
 from .rows.start import splats_of_cloud, splats_to_go_on_with
-from .rows.stored import check_tensors, choices, number, whole
+from .rows.stored import check_tensors, choices, real, whole
 from .schedule.plan import Plan
 from .strategy import Change, make_strategy, ops
 from .strategy.contribution import Weights, least, most_in_a_view, mostly_hidden, weights_by_view
@@ -380,7 +380,7 @@ class Trainer:
             length = whole("iterations", state.get("iterations", length), low=1)
         self.replan(length)
         factor = state.get("factor")
-        self._factor = math.inf if factor is None else number("factor", factor, low=1)
+        self._factor = math.inf if factor is None else real("factor", factor, low=1)
         names = list(self.model.params)
         moments = {
             name: Moments(

@@ -15,7 +15,7 @@ from .choose import Choice, choose
 from .folder import FrameFolder
 from .picture import upright_rgb
 from .request import FEWEST_FRAMES, FrameRequest
-from .source import VideoFacts, damage_words, opened
+from .source import VideoFacts, damage_words, opened_video
 from .survey import Survey, survey
 
 Show = Callable[[Event], None]
@@ -113,7 +113,7 @@ class _Extraction:
         folder = FrameFolder(self._request)
         if folder.found is not None:
             return self._done(folder.found, found=True)
-        with opened(self._request.video) as video:
+        with opened_video(self._request.video) as video:
             facts = video.facts
             looked = survey(
                 video,
@@ -168,7 +168,7 @@ class _Extraction:
         wanted = set(choice.frames.tolist())
         last, rows, size = int(choice.frames[-1]), [], (0, 0)
         tell = self._counted("writing frames", len(wanted))
-        with opened(self._request.video) as video:
+        with opened_video(self._request.video) as video:
             for index, frame in enumerate(video.frames()):
                 if self._stopping():
                     raise Cancelled("Writing frames was stopped.")

@@ -7,7 +7,7 @@ from typing import Any
 
 from ...events import Progress
 from ..estimate.cost import Cost
-from ..rows.stored import number, rows, whole
+from ..rows.stored import real, records, whole
 from ..schedule.plan import Plan
 
 _EVENTS_PER_SECOND = 5.0
@@ -155,14 +155,14 @@ class Meter:
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from what `state` returned; ValueError or KeyError where it did not."""
-        self.train_seconds = number("train_seconds", state["train_seconds"], low=0)
-        self.history = rows("history", state["history"])
-        self._loss = number("loss", state["loss"], finite=False)
-        self._mse = number("mse", state["mse"], finite=False)
+        self.train_seconds = real("train_seconds", state["train_seconds"], low=0)
+        self.history = records("history", state["history"])
+        self._loss = real("loss", state["loss"], finite=False)
+        self._mse = real("mse", state["mse"], finite=False)
         self._count = whole("count", state["count"])
         self._step = whole("step", state.get("step", 0))
         self._splats = whole("splats", state.get("splats", self._splats))
-        self._pace = number("pace", state.get("pace", 1.0), low=0)
+        self._pace = real("pace", state.get("pace", 1.0), low=0)
 
 
 def _finite(value: Any) -> Any:
