@@ -8,10 +8,9 @@ from .. import preferences
 from ..capture.inspection import ShownFacts
 from ..depth import colors, work
 from ..depth import job as depth_job
-from ..python import setup
 from .depth_table import draw_counts, draw_table
 from .progress import clock
-from .widgets import TabPanel, found, open_preferences, root, rows, sentence
+from .widgets import TabPanel, found, has_python, root, rows, sentence
 
 
 class DepthPanel(TabPanel, bpy.types.Panel):
@@ -48,11 +47,7 @@ def draw_work(layout: bpy.types.UILayout, context: bpy.types.Context, facts: Sho
         row.progress(factor=job.share, text=bar_text(job))
         row.operator("gscore.cancel_depth", text="", icon="X")
         return
-    try:
-        setup.trainer_python(preferences.get())
-    except ValueError as error:
-        sentence(layout, context, str(error), icon="ERROR")
-        open_preferences(layout)
+    if not has_python(layout, context):
         return
     if job is not None:
         icon = "ERROR" if job.status == depth_job.FAILED else "CHECKMARK"

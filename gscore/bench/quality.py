@@ -263,7 +263,7 @@ def _change(pairs: Sequence[tuple[Training, Training]], judged: list[list[float]
 
 
 def _differences(pairs: Iterable[tuple[Training, Training]], key: str) -> list[list[float]]:
-    """Of each view that was held out, what the second training of each pair has above the first."""
+    """What the second training of each pair has above the first, by view that was held out."""
     views: dict[str, list[float]] = {}
     for before, after in pairs:
         known = {view.name: getattr(view, key) for view in before.views}

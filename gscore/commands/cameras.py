@@ -1,13 +1,12 @@
 """A training of plain photos: their cameras are found first, and kept in its folder."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 from ..config import DataConfig
 from ..control import Control
 from ..errors import ConfigError, DatasetError
-from ..events import Event
+from ..events import Show
 from ..io.foreign import foreign
 from ..io.runs import CAPTURE
 from ..sfm import Request, find_cameras
@@ -17,7 +16,7 @@ from ..sfm.plain import is_plain, photos_of, same_photos
 def with_cameras(
     data: DataConfig,
     output: Path,
-    show: Callable[[Event], None],
+    show: Show,
     control: Control,
     *,
     allowed: bool,

@@ -24,7 +24,7 @@ from ..depth.priors import fit_table
 from ..depth.samples import Samples, unusable, view_samples
 from ..depth.sheet import write_sheet
 from ..errors import BackendError, Cancelled, ConfigError, FormatError
-from ..events import DepthDone, DepthProgress, Saved, Warn
+from ..events import DepthDone, DepthProgress, Saved, Show, Warn
 from ..extras import need
 from ..io.places import check_place
 from ..metrics.colormap import colorize
@@ -32,7 +32,7 @@ from ..shown import shown
 from ..stereo import files, stereo_maps
 from ..trainer.depth.rule import coverage, decide
 from ..words import count_words, size_words
-from .attend import Show, attend
+from .attend import attend
 from .data_options import add_mask_options, add_split_options, with_data_options
 from .output import check_folder, check_replaced, print_json
 from .parser import add_threads_option
@@ -509,7 +509,7 @@ def _facts(args: argparse.Namespace, result: _Result) -> dict[str, Any]:
 
 
 def _rule(args: argparse.Namespace) -> str:
-    """By which rule maps got their scale."""
+    """The rule by which maps got their scale."""
     if args.method == "stereo":
         return "stereo"
     return "auto" if args.check else args.align

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ..io.places import check_place
 from ..sfm import Request, find_cameras
-from ..sfm.request import MAPPERS, MATCHING
+from ..sfm.request import MAPPERS, MATCHERS
 from .attend import attend
 from .output import check_folder, print_json
 from .parser import add_threads_option
@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--matching",
-        choices=MATCHING,
+        choices=MATCHERS,
         default="auto",
         help="which photos are compared: exhaustive, all with all; sequential, neighbours in the "
         "order of their names and some far ones; auto: exhaustive up to 120 photos (auto)",

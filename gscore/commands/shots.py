@@ -141,7 +141,7 @@ def _scaled(cameras: Cameras, resolution: float, *, even: bool) -> Cameras:
 
 
 def _size(photo: tuple[int, int], resolution: float) -> tuple[int, int]:
-    """Of a picture, px: as the photo's, but a width that was asked for may exceed it."""
+    """The size of a picture, px: as the photo's, but a width that was asked for may exceed it."""
     width, height = photo
     if resolution > LARGEST_FACTOR:
         return round(resolution), max(1, round(height * resolution / width))

@@ -232,7 +232,7 @@ def _cut(text: str, width: int) -> str:
 
 
 def _columns(stream: TextIO) -> int:
-    """Of the terminal as it is at this moment."""
+    """The width of the terminal at this moment, columns."""
     try:
         found = os.get_terminal_size(stream.fileno()).columns
     except (OSError, ValueError):  # a stream of a test, or one that is closed

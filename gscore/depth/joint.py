@@ -77,7 +77,7 @@ def _penalty(r: np.ndarray, sigma: float) -> np.ndarray:
 
 
 def _weight(r: np.ndarray, sigma: float) -> np.ndarray:
-    """Of r^2 / 2 in a sum of squares with the same derivative; 0 for NaN."""
+    """The weight of r^2 / 2 in a sum of squares with the same derivative; 0 for NaN."""
     weight = (2 * _BOUND / ((r / sigma) ** 2 + 2 * _BOUND)) ** 2 / sigma**2
     return np.where(np.isfinite(r), weight, 0.0)
 

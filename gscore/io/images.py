@@ -42,8 +42,8 @@ def read_image(path: str | Path, *, upright: bool = False) -> np.ndarray:
     """Decode an image.
 
     Args:
-        path: The file, of the formats in `pillow.PICTURE_FORMATS`. Grey, palette, CMYK and 16-bit images
-            are converted, floats from 0 to 1 too; of several pictures in a file the first is taken.
+        path: The file, of `pillow.PICTURE_FORMATS`. Grey, palette, CMYK and 16-bit images are
+            converted, floats from 0 to 1 too; of several pictures in a file the first is taken.
         upright: Turn it as EXIF asks. COLMAP does not, so neither does gscore by default.
 
     Returns:

@@ -11,7 +11,7 @@ from ..words import count_words
 from .colormap import colorize
 from .pictures import data_uri, shrink, size_within
 
-WIDTH = 240
+PICTURE_WIDTH = 240
 """Longer side of a picture, pixels."""
 ERROR_WHITE = 0.25
 """Relative difference that is drawn brightest."""
@@ -98,7 +98,7 @@ class DepthPictures:
             numbers: The view's row.
         """
         height, width = photo.shape[:2]
-        size = size_within(width, height, WIDTH)
+        size = size_within(width, height, PICTURE_WIDTH)
         known = confidence > 0
         low, high = np.quantile(prior[known], (0.02, 0.98)) if known.any() else (0.0, 1.0)
         spread = float(high - low) or 1.0

@@ -112,13 +112,6 @@ def options(view: Frustum, settings: Settings) -> header.OptionsStruct:
     return found
 
 
-_ASKED_FOR = {
-    "inverse_depth": header.OUT_INVERSE_DEPTH,
-    "depth": header.OUT_DEPTH,
-    "median_depth": header.OUT_MEDIAN_DEPTH,
-}
-
-
 def image(
     pictures: Mapping[str, Array], view: Frustum, outputs: int, count: int
 ) -> header.ImageStruct:
@@ -130,7 +123,7 @@ def image(
         alpha=address("alpha", pictures.get("alpha"), size),
         radii=optional("radii", pictures.get("radii"), (count,), INT32),
     )
-    for name, bit in _ASKED_FOR.items():
+    for name, bit in header.DEPTH_OUTPUTS.items():
         if outputs & bit:
             setattr(found, name, address(name, pictures.get(name), size))
     return found
@@ -147,7 +140,7 @@ def image_grads(
     )
     for name in ("inverse_depth", "depth"):
         v = v_pictures.get(name)
-        if v is not None and not outputs & _ASKED_FOR[name]:
+        if v is not None and not outputs & header.DEPTH_OUTPUTS[name]:
             raise ShapeError(f"There is a gradient of {name}, which was not drawn.")
         setattr(found, name, optional(f"v_{name}", v, size))
     return found

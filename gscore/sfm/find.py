@@ -12,7 +12,7 @@ from .._version import __version__
 from ..control import Control
 from ..datasets.capture import listing
 from ..errors import DatasetError
-from ..events import Event, SfmDone, SfmEstimated, SfmProgress, Warn, strict_json
+from ..events import SfmDone, SfmEstimated, SfmProgress, Show, Warn, strict_json
 from ..words import count_words
 from . import database, masks, photos, stages
 from .adjust import Adjusted, adjust
@@ -27,8 +27,6 @@ from .stages import Work
 from .verdict import Found, camera_facts, model_names, said_of_attempt, said_of_focal
 from .watch import colmap, watched
 from .workspace import Workspace
-
-Show = Callable[[Event], None]
 
 
 def find_cameras(

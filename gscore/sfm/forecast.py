@@ -45,7 +45,7 @@ class Forecast:
         pace: float = 1.0,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """For photos of which nothing is known but their sizes.
+        """Begin with photos of which nothing is known but their sizes.
 
         Args:
             megapixels: Of each photo, as features are looked for.
@@ -64,7 +64,7 @@ class Forecast:
 
     @property
     def seconds(self) -> float:
-        """Of the whole search."""
+        """Seconds that the whole search takes."""
         return self._share * sum(self._seconds.values()) * self.pace
 
     def has_features(self, count: int) -> None:

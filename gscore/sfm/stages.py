@@ -55,7 +55,7 @@ class Work:
 
     @property
     def threads(self) -> int:
-        """As pycolmap counts: -1 is one a core."""
+        """The number of threads as pycolmap counts: -1 is one a core."""
         return checked_threads(self.request.threads) or -1
 
     def database(self, attempt: Attempt) -> Path:

@@ -315,7 +315,7 @@ class Trainer:
         return self._in_world({name: p.clone() for name, p in settled.items()})
 
     def parts(self) -> Iterator[Splats]:
-        """As `splats`, some rows at a time, which are only good until the next step."""
+        """What `splats` gives, some rows at a time, which are only good until the next step."""
         for at in range(0, len(self.model), _ROWS_A_PART):
             rows = slice(at, at + _ROWS_A_PART)
             yield self._in_world(self.model.settled_rows(rows, threads=self.config.threads))
@@ -326,8 +326,8 @@ class Trainer:
         self._painter.release()
 
     def finish(self) -> Splats:
-        """As `splats`, when no step will follow: without a copy, and the memory that only steps
-        need is given back. Views can still be drawn."""
+        """What `splats` gives, when no step will follow: without a copy, and the memory that only
+        steps need is given back. Views can still be drawn."""
         self.make_room()
         self.model.settle(threads=self.config.threads)
         self.model.drop_moments()

@@ -8,7 +8,7 @@ from typing import Any
 
 from ..control import Control
 from ..errors import Cancelled, DatasetError, FormatError
-from ..events import Event, FramesDone, FramesProgress, Warn
+from ..events import FramesDone, FramesProgress, Show, Warn
 from ..shown import shown
 from ..words import count_words, number, time_words
 from .choose import Choice, choose
@@ -18,7 +18,6 @@ from .request import FEWEST_FRAMES, FrameRequest
 from .source import VideoFacts, damage_words, opened_video
 from .survey import Survey, survey
 
-Show = Callable[[Event], None]
 _STILL = 0.02
 """Of the longer side: a camera that goes less far has seen one view."""
 
@@ -49,7 +48,7 @@ class Frames:
     warnings: tuple[str, ...]
 
     def facts(self) -> dict[str, Any]:
-        """For JSON."""
+        """The outcome for JSON."""
         return {
             "folder": str(self.folder),
             "frames": len(self.names),
@@ -64,7 +63,7 @@ class Frames:
         }
 
     def lines(self) -> list[str]:
-        """For people."""
+        """The outcome for people."""
         count = count_words(len(self.names), "frame")
         if self.found:
             return [f"{shown(self.folder)} holds the {count} of this video already."]

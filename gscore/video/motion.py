@@ -41,7 +41,7 @@ class Travel:
     """The way so far, in shares of the longer side of the picture."""
 
     def __init__(self, width: int, height: int) -> None:
-        """For pictures of this size; both sides at least 64."""
+        """Begin with pictures of this size; both sides at least 64."""
         self._corners = _corners(width, height)
         self._longer = max(width, height)
         window = np.hanning(BLOCK_SIDE + 2)[1:-1].astype(np.float32)
@@ -78,9 +78,7 @@ class Travel:
         return self.so_far
 
     def _picture(self, grey: np.ndarray) -> _Picture:
-        blocks = np.stack(
-            [grey[y : y + BLOCK_SIDE, x : x + BLOCK_SIDE] for x, y in self._corners]
-        )
+        blocks = np.stack([grey[y : y + BLOCK_SIDE, x : x + BLOCK_SIDE] for x, y in self._corners])
         blocks = blocks.astype(np.float32)
         blocks -= blocks.mean(axis=(1, 2), keepdims=True)
         return _Picture(

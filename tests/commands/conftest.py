@@ -18,6 +18,7 @@ from gscore.scene import Cameras
 from gscore.splats import Splats
 from gscore.transforms import rotmat_to_quat
 from tests.commands.small_bench import small  # noqa: F401
+from tests.run_verb import gscore  # noqa: F401
 
 WIDTH, HEIGHT, FOCAL, VIEWS = 48, 36, 45.0, 9
 STEPS = 12
@@ -149,17 +150,3 @@ def run_folder(tmp_path, trained, splats):
         return folder
 
     return make
-
-
-@pytest.fixture
-def gscore(capsys, monkeypatch):
-    """Run a verb; gives the exit code, what it printed, and what it printed on stderr."""
-    monkeypatch.delenv("GSCORE_LPIPS", raising=False)
-    monkeypatch.delenv("GSCORE_DATA", raising=False)
-
-    def call(*arguments):
-        code = main([str(a) for a in arguments])
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err
-
-    return call

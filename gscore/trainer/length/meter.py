@@ -86,7 +86,7 @@ class Meter:
 
     @property
     def psnr(self) -> float:
-        """Of the smoothed mean squared error, dB."""
+        """The PSNR of the smoothed mean squared error, dB."""
         return -10 * math.log10(max(self._mse, 1e-12))
 
     @property
@@ -141,7 +141,7 @@ class Meter:
         self._recent.clear()
 
     def state(self) -> dict[str, Any]:
-        """As JSON values; see `restore`."""
+        """What a checkpoint keeps, as JSON values; `restore` takes it back."""
         return {
             "train_seconds": self.train_seconds,
             "history": self.history,

@@ -125,7 +125,7 @@ class Watchdog:
         return back
 
     def state(self) -> dict[str, Any]:
-        """As JSON values; see `restore`."""
+        """What a checkpoint keeps, as JSON values; `restore` takes it back."""
         return {
             "rescues": self.rescues,
             "good": self._good,

@@ -60,7 +60,7 @@ class Frame:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """As JSON values; `from_dict` gives exactly this frame again."""
+        """The frame as JSON values, of which `from_dict` makes exactly this frame again."""
         return {
             "scale": self.similarity.scale,
             "shift": self.similarity.shift.tolist(),

@@ -162,7 +162,7 @@ class Plan:
         return first * math.exp(math.log(last / first) * min(step / self.iterations, 1.0))
 
     def rates_at(self, step: int) -> dict[str, float]:
-        """Of the other parameters: constant, then exponential over the last tenth of the run.
+        """Rates of the other parameters: constant, then exponential over the last tenth of the run.
 
         Constant rates leave the parameters jumping about their best by as much as a step.
         """
