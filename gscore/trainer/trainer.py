@@ -26,7 +26,6 @@ from .host.laps import Laps
 from .host.random import generator_of, uniform
 from .photos.pyramid import AHEAD, Pyramid
 from .photos.skips import raster_bits
-from .photos.spectrum import detail
 from .photos.views import Photos, Sampler
 from .rows import bounds, guard
 from .rows.frame import Frame
@@ -115,8 +114,6 @@ class Trainer:
             side=int(min(cameras.widths.min(), cameras.heights.min())),
             pixels=int((cameras.widths * cameras.heights)[list(photos.train)].mean()),
         )
-        if config.coarse_by_detail:
-            self._plan_of = partial(self._plan_of, detail=detail(photos, photos.train))
         self._factor = math.inf
         self.depth: DepthLoss | None = None
         """The depth loss, where depth is supervised."""
