@@ -25,6 +25,7 @@ from gscore import (
 from gscore.frontend import (
     MIP_COMMENT,
     NO_PINHOLE,
+    POSES_FILE,
     Capture,
     CaptureFacts,
     ColmapCamera,
@@ -66,6 +67,7 @@ from gscore.frontend import (
     read_capture,
     read_colmap,
     read_header,
+    read_moves,
     read_run,
     rotmat_to_quat,
     sh0_to_rgb,

@@ -420,6 +420,61 @@ class TrainConfig:
         unit="points",
         when="depth",
     )
+    exposure: Switch = option(
+        Switch.AUTO,
+        "Learn how bright each photo is, and its white balance, apart from the scene; `auto`: "
+        "where photos differ. New and held-out views get the mean of the photos.",
+        group="colour",
+        basic=True,
+    )
+    exposure_lr: float = option(
+        0.01,
+        "Learning rate of photos' exposures at the first step, of the logarithm of their gain.",
+        group="learning rates",
+        when="exposure",
+    )
+    exposure_lr_final: float = option(
+        1e-3,
+        "The same at the last step, exponential in between.",
+        group="learning rates",
+        when="exposure",
+    )
+    refine_poses: Switch = option(
+        Switch.AUTO,
+        "Move training cameras to where their photos were taken; `auto`: where the points of the "
+        "capture say that they stand elsewhere. Held-out cameras stay.",
+        group="poses",
+        basic=True,
+    )
+    pose_lr: float = option(
+        1e-3,
+        "Learning rate of poses at the first step at which they are learnt, radians, and shares "
+        "of the extent.",
+        group="poses",
+        when="poses",
+    )
+    pose_lr_final: float = option(
+        1e-5,
+        "The same at the last such step, exponential in between.",
+        group="poses",
+        when="poses",
+    )
+    pose_start: float = option(
+        0.1,
+        "Share of the run after which poses are learnt.",
+        group="poses",
+        range=Range(high=1),
+        unit="share of the run",
+        when="poses",
+    )
+    pose_stop: float = option(
+        0.8,
+        "Share of the run after which poses stay.",
+        group="poses",
+        range=Range(high=1),
+        unit="share of the run",
+        when="poses",
+    )
     drop_rate: float = option(
         0.0,
         "Share of splats left out of a step at random, rising from 0 to this at the last step "

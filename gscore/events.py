@@ -47,6 +47,10 @@ class Started(Event):
     stereo: str = ""
     """A sentence on the points that stereo added; empty: none, and a warning says why where some
     were wanted."""
+    exposure: str = ""
+    """A sentence on whether the exposure of photos is learnt; empty: nobody asked."""
+    poses: str = ""
+    """A sentence on whether training cameras stand where photos were taken; empty: nobody asked."""
     mask_mode: str = "none"
     """What masks are for, where the capture has some: `composite`, `ignore` or `none`."""
     config: dict[str, Any] = field(default_factory=dict)

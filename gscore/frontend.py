@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from .io.files import atomic_write
     from .io.image_header import ImageInfo, read_header
     from .io.ply import MIP_COMMENT, is_antialiased
+    from .io.poses_json import POSES_FILE, read_moves
     from .io.resample import downscale
     from .io.runs import RunInfo, clear_run, read_run
     from .io.sequences import SequenceIndex, read_sequence
@@ -74,6 +75,7 @@ _HOME = {
     "MIP_COMMENT": "io.ply",
     "NO_PINHOLE": "io.camera_models",
     "Option": "options",
+    "POSES_FILE": "io.poses_json",
     "Preview": "events",
     "Problem": "inspection",
     "Progress": "events",
@@ -106,6 +108,7 @@ _HOME = {
     "read_capture": "datasets",
     "read_colmap": "io.colmap:read_model",
     "read_header": "io.image_header",
+    "read_moves": "io.poses_json",
     "read_run": "io.runs",
     "read_sequence": "io.sequences",
     "rotmat_to_quat": "transforms",
@@ -119,6 +122,7 @@ _HOME = {
 __all__ = [
     "MIP_COMMENT",
     "NO_PINHOLE",
+    "POSES_FILE",
     "Capture",
     "CaptureFacts",
     "ColmapCamera",
@@ -168,6 +172,7 @@ __all__ = [
     "read_capture",
     "read_colmap",
     "read_header",
+    "read_moves",
     "read_run",
     "read_sequence",
     "rotmat_to_quat",

@@ -69,14 +69,18 @@ TRAINER = {
     "photos": {"estimate", "host", "rows", "schedule"},
     "depth": {"host", "photos", "rows"},
     "strategy": {"host", "photos", "rows", "schedule"},
-    "trainer": {"depth", "host", "photos", "rows", "schedule", "strategy"},
+    "views": {"photos", "rows"},
+    "trainer": {"depth", "host", "photos", "rows", "schedule", "strategy", "views"},
     "evaluation": {"trainer"},
     "premises": {"trainer"},
     "length": {"estimate", "evaluation", "rows", "schedule", "trainer"},
-    "files": {"depth", "evaluation", "length", "photos", "rows", "trainer"},
-    "session": {"depth", "estimate", "evaluation", "files", "length", "rows", "trainer"},
+    "files": {"depth", "evaluation", "length", "photos", "rows", "trainer", "views"},
+    "session": {"depth", "estimate", "evaluation", "files", "length", "rows", "trainer", "views"},
     "beginning": {"files", "photos", "rows", "session", "trainer"},
-    "run": {"beginning", "depth", "files", "host", "photos", "premises", "session", "trainer"},
+    "run": {
+        *("beginning", "depth", "files", "host", "photos", "premises", "session", "trainer"),
+        "views",
+    },
     "sequence": {"files", "run"},
 }
 """What each hall of the trainer, or file beside them, may import of the trainer besides itself."""

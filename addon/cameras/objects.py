@@ -1,6 +1,7 @@
 """Blender cameras that stand for photos: how they are marked, made and read back."""
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,8 @@ from . import formulas as cm
 
 KIND = "gs_kind"
 """Custom property that says what an object is: capture, camera, points or splats."""
+TURNED, MOVED = "gs_turned_degrees", "gs_moved"
+"""Custom properties of a camera that a training moved: degrees, and world units of the capture."""
 _TURN, _MOVE, _LENS = 1e-5, 1e-6, 1e-6
 """What Blender's single precision does to a camera that nobody touched: radians, and relative."""
 
@@ -116,6 +119,23 @@ def stated(ob: bpy.types.Object) -> PhotoCamera:
             f"Camera {ob.name} has lost what the capture says about it (custom property {error}). "
             f"Import the capture again."
         ) from error
+
+
+def note_moves(root: bpy.types.Object, moves: Mapping[str, tuple[float, float]]) -> None:
+    """Say on the cameras below `root` how far a training moved them: custom properties in degrees
+    and world units of the capture; none on those that it did not.
+
+    Args:
+        root: The empty of the capture.
+        moves: Degrees and distance by image name.
+    """
+    for ob in cameras_of(root):
+        move = moves.get(str(ob.get("gs_image")))
+        for key, value in zip((TURNED, MOVED), move or (None, None), strict=True):
+            if value is None:
+                ob.pop(key, None)
+            else:
+                ob[key] = value
 
 
 def set_pose(ob: bpy.types.Object, viewmat: np.ndarray) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from .. import outcomes, preferences, stored_paths
 from ..attributes import NO_SPLATS
-from ..cameras.objects import is_kind
+from ..cameras.objects import is_kind, note_moves
 from ..capture.folders import same_folder
 from ..interface import undo
 from ..paths import absolute, output_folder
@@ -220,6 +220,8 @@ def _update_splats(job: Job, place: Place) -> bool:
         replace(ob, mesh)
         ob[_FILLED], ob[_FILLED_BY] = _signature(ob), job.id
         job.result_wanted = job.result_wanted and not filling.loaded.final
+        if filling.loaded.final and (root := _root(place.scene, job.source)) is not None:
+            note_moves(root, filling.loaded.moves)
         if filling.loaded.final or ob != before:
             undo.push("Training Result" if filling.loaded.final else "Live Splats")
     except ValueError as error:

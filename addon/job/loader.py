@@ -2,14 +2,15 @@
 
 import threading
 from collections import deque
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from .. import attributes
 from ..cameras import alignment
-from ..core import GsError, Splats, read_cameras, read_splats
+from ..core import POSES_FILE, GsError, Splats, read_cameras, read_moves, read_splats
 from ..process import threads
 
 _GROUND_POINTS = 20_000
@@ -32,6 +33,8 @@ class Loaded:
     """Median of the largest standard deviations, world units."""
     upright: np.ndarray | None = None
     """[4, 4] that puts up and ground right, found from the cameras of the run; None: not known."""
+    moves: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Degrees and world units that the run moved its cameras, by image name; of a result."""
 
 
 class Loader:
@@ -95,6 +98,7 @@ def _load(path: Path, most: int, final: bool) -> Loaded:
             columns=tuple(attributes.columns(splats)),
             typical_size=float(np.exp(np.median(sizes))) if len(splats) else 0.0,
             upright=_upright(path, splats),
+            moves=read_moves(path.with_name(POSES_FILE)) if final else {},
         )
     except GsError as error:
         return Loaded(path=path, final=final, problem=str(error))

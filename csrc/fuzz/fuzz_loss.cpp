@@ -26,6 +26,8 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
         m = flags & 4 ? uint8_t(noise(0, 256)) : flags & 8 ? 0 : 255;
     gs_loss_args args = {width,      height, image.data(), target.data(), mask.data(), flags >> 4 & 3,
                          {0, 0.5, 1}, 0.2f,   1 + (flags >> 6)};
+    float gain[3] = {noise(0.5f, 2), 1, noise(0.5f, 2)};
+    args.gain = flags & 1 ? gain : nullptr;
     float largest = 1;
     while (!in.empty()) {
         const uint8_t what = in.byte();
@@ -36,14 +38,18 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
             args.background[what % 3] = in.hostile();
         } else if (what < 245) {
             args.ssim_weight = in.hostile();
-        } else if (what < 250) {
+        } else if (what < 248) {
             args.mask_mode = int(at) - 2;
+        } else if (what < 252) {
+            gain[at % 3] = in.hostile();
         } else {
             args.mask = nullptr;
         }
     }
     for (const float x : image)
         largest = std::isfinite(x) ? std::max(largest, std::fabs(x)) : INFINITY;
+    for (int c = 0; args.gain && c < 3; ++c)
+        largest *= std::max(1.0f, std::fabs(gain[c]));
     if (args.mask_mode == GS_MASK_COMPOSITE)
         for (const float b : args.background)
             largest = std::isfinite(b) ? std::max(largest, std::fabs(b)) : INFINITY;

@@ -36,7 +36,7 @@ extern "C" {
 #endif
 
 /* Changes whenever a struct or a signature below changes. */
-#define GS_ABI_VERSION 3
+#define GS_ABI_VERSION 4
 
 /* A splat contributes to a pixel where its alpha is at least this. */
 #define GS_ALPHA_MIN (1.0f / 255.0f)
@@ -203,7 +203,9 @@ enum {
 };
 
 /* loss = (1 - ssim_weight) * mean|x - y| + ssim_weight * (1 - mean SSIM(x, y)), with x the image, y the target.
- * SSIM (Wang et al. 2004): Gaussian window of 11 px, sigma 1.5, zero padding, C1 = 0.01^2, C2 = 0.03^2, per channel. */
+ * SSIM (Wang et al. 2004): Gaussian window of 11 px, sigma 1.5, zero padding, C1 = 0.01^2, C2 = 0.03^2, per channel.
+ * With a gain, x is the image times it: a neutral picture as the photo was exposed. Where the photo is white (255) such
+ * a picture may be brighter than that: it counts as white there, and teaches nothing. */
 typedef struct gs_loss_args {
     int32_t width, height;
     const float *image;    /* [H, W, 3] */
@@ -213,10 +215,12 @@ typedef struct gs_loss_args {
     float background[3];
     float ssim_weight;
     int32_t threads;
+    const float *gain; /* [3] by channel, above 0; null: none */
 } gs_loss_args;
 
 typedef struct gs_loss_result {
     double loss, l1, ssim, mse; /* mse of x against y, both as they enter the loss */
+    double v_log_gain[3];       /* derivative of the loss in ln gain; 0 without gain or v_image */
 } gs_loss_result;
 
 /* Loss and, where v_image is not null, its gradient [H, W, 3] with respect to the image. The gs_raster lends its

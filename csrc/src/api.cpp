@@ -6,6 +6,7 @@
 #include "stereo.h"
 #include "thread_count.h"
 
+#include <cfloat>
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
@@ -197,6 +198,9 @@ gs_status gs_image_loss(gs_raster *raster, const gs_loss_args *args, gs_loss_res
         return fail(GS_BAD_ARGUMENT, "mask_mode must be 0, 1 or 2, with a mask unless 0; got %d", args->mask_mode);
     if (!(args->ssim_weight >= 0 && args->ssim_weight <= 1))
         return fail(GS_BAD_ARGUMENT, "ssim_weight must be 0 to 1, got %g", double(args->ssim_weight));
+    for (int c = 0; args->gain && c < 3; ++c)
+        if (!(args->gain[c] > 0 && args->gain[c] <= FLT_MAX))
+            return fail(GS_BAD_ARGUMENT, "gain must be above 0 and finite, got %g", double(args->gain[c]));
     if (const gs_status s = check_threads(args->threads))
         return s;
     return guarded("gs_image_loss", [&] { return raster->image_loss(*args, *result, v_image); });

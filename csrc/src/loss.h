@@ -15,6 +15,8 @@ constexpr int kLossRing = 3;
 constexpr int kLossMargin = 16;
 // Maps that SSIM is made of, and derivatives with respect to them that its gradient is made of.
 constexpr int kLossMaps = 4, kLossDerivatives = 3;
+// Sums of a tile: L1, SSIM, squares, and by channel the derivative in ln gain.
+constexpr int kLossSums = 6;
 
 // The tiles a picture is cut into: a thread takes one at once. Sums are per tile, so they are part of the numeric
 // definition. An even number of bands, so that two threads have the same to do; wide strips, for what lies beside a tile
@@ -34,7 +36,8 @@ struct LossGrid {
     size_t stride() const { return size_t(ceil_div(3 * columns, 16) * 16 + 5 * kLossMargin); }
     // Floats that a thread needs.
     size_t scratch_floats() const {
-        return size_t(((2 + kLossDerivatives) * kLossRing + kLossMaps) * kLossGroup) * stride();
+        const int rows_of_gain = 2; // it, side by side, and its sums
+        return size_t(((2 + kLossDerivatives) * kLossRing + kLossMaps) * kLossGroup + rows_of_gain) * stride();
     }
 };
 

@@ -92,6 +92,15 @@ static inline void read_row(const gs_loss_args &a, int row, int begin, int end, 
     }
 }
 
+// The image's floats of a row, shifted, as the photo was exposed; white at most where the photo is.
+static inline void expose(float *x, const float *y, const float *gain, int n) {
+    constexpr float white = 1.0f - kShift;
+    for (int i = 0; i < n; ++i) {
+        const float exposed = (x[i] + kShift) * gain[i] - kShift;
+        x[i] = y[i] >= white && exposed > white ? white : exposed;
+    }
+}
+
 static inline void fill(float *row, int begin, int end, float value) {
     for (int i = begin; i < end; ++i)
         row[i] = value;
@@ -148,6 +157,13 @@ class LossTile {
         for (LossRing &ring : derivatives_)
             ring = take_ring();
         down_ = scratch;
+        if (!in_.gain)
+            return;
+        gain_ = scratch + size_t(kLossMaps * kLossGroup) * stride_;
+        by_gain_ = gain_ + stride_;
+        for (int i = 0; i < int(stride_); ++i)
+            gain_[i] = in_.gain[i % 3];
+        fill(by_gain_, 0, int(stride_), 0.0f);
     }
 
     void run(double *sums) {
@@ -168,6 +184,9 @@ class LossTile {
         sums[0] = l1_;
         sums[1] = ssim_;
         sums[2] = mse_;
+        sums[3] = sums[4] = sums[5] = 0;
+        for (int i = 0; gain_ && gradient && i < n_; ++i)
+            sums[3 + i % 3] += double(by_gain_[i]);
     }
 
   private:
@@ -190,6 +209,8 @@ class LossTile {
             float *const x = x_.row(group, j), *const y = y_.row(group, j);
             if (in_picture(row)) {
                 read_row(in_, row, from, to, x + at, y + at);
+                if (gain_)
+                    expose(x + at, y + at, gain_, 3 * (to - from));
             } else {
                 fill(x, at, at + 3 * (to - from), -kShift);
                 fill(y, at, at + 3 * (to - from), -kShift);
@@ -282,6 +303,8 @@ class LossTile {
                 const Vec sign = keep(gt(x, y), l1_weight) - keep(gt(y, x), l1_weight);
                 store(out + i, fnma(ssim_weight, v, sign));
             }
+            if (gain_)
+                chain_gain(xs, ys, out);
             const size_t at = size_t(begin + j) * size_t(w_) + size_t(left_);
             float *const v = a_.v_image + 3 * at;
             if (in_.mask_mode == GS_MASK_IGNORE)
@@ -289,6 +312,17 @@ class LossTile {
                     v[i] = out[i] * (float(in_.mask[at + size_t(i / 3)]) * (1.0f / 255.0f));
             else
                 std::memcpy(v, out, size_t(n_) * sizeof(float));
+        }
+    }
+
+    // From a row's gradient in what entered the loss to that in the image; the share of ln gain is noted.
+    void chain_gain(const float *xs, const float *ys, float *v) {
+        const Vec white = set1(1.0f - kShift);
+        for (int i = 0; i < n_; i += kLanes) {
+            const Vec x = load(xs + i), taught = load(v + i);
+            const Vec learnt = taught - keep(both(ge(x, white), ge(load(ys + i), white)), taught);
+            store(by_gain_ + i, fma(inside(i, learnt), x + kShift, load(by_gain_ + i)));
+            store(v + i, learnt * load(gain_ + i));
         }
     }
 
@@ -303,11 +337,13 @@ class LossTile {
     // What entered the loss, two margins before the tile, and the derivatives, one margin before it.
     LossRing x_, y_, derivatives_[kLossDerivatives];
     float *down_; // a group of rows of each map, filtered downwards
+    float *gain_ = nullptr;    // by float of a row; null: none
+    float *by_gain_ = nullptr; // sums over rows of the gradient in its logarithm
     double l1_ = 0, ssim_ = 0, mse_ = 0;
 };
 
 static void image_loss(const LossArgs &a, int tile, float *scratch) {
-    LossTile(a, tile, scratch).run(a.partial + 3 * tile);
+    LossTile(a, tile, scratch).run(a.partial + kLossSums * tile);
 }
 
 } // namespace gs::GS_NAMESPACE

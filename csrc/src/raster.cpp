@@ -297,17 +297,19 @@ gs_status gs_raster::image_loss(const gs_loss_args &args, gs_loss_result &result
     const int threads = threads_of(args.threads), tiles = grid.tiles();
     const size_t scratch = grid.scratch_floats();
     float *scratches = loss_scratch_.ensure(scratch * size_t(std::min(threads, tiles)));
-    const LossArgs loss = {&args, loss_partial_.ensure(size_t(tiles) * 3), v_image};
+    const LossArgs loss = {&args, loss_partial_.ensure(size_t(tiles) * kLossSums), v_image};
     parallel_for(size_t(tiles), threads,
                  [&](size_t t, int worker) { k.image_loss(loss, int(t), scratches + scratch * size_t(worker)); });
-    double sums[3] = {};
+    double sums[kLossSums] = {};
     for (int t = 0; t < tiles; ++t)
-        for (int i = 0; i < 3; ++i)
-            sums[i] += loss.partial[3 * t + i];
+        for (int i = 0; i < kLossSums; ++i)
+            sums[i] += loss.partial[kLossSums * t + i];
     const double n = 3.0 * args.width * args.height;
     result.l1 = sums[0] / n;
     result.ssim = sums[1] / n;
     result.mse = sums[2] / n;
+    for (int c = 0; c < 3; ++c)
+        result.v_log_gain[c] = sums[3 + c];
     const double w = double(args.ssim_weight);
     result.loss = (1.0 - w) * result.l1 + w * (1.0 - result.ssim);
     return GS_OK;

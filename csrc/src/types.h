@@ -137,7 +137,7 @@ struct ProjectBackwardArgs {
 
 struct LossArgs {
     const gs_loss_args *args;
-    double *partial; // [tiles * 3] l1, ssim, mse sums
+    double *partial; // [tiles * kLossSums] sums of l1, ssim, mse and, by channel, of the derivative in ln gain
     float *v_image;  // null: no gradient
 };
 

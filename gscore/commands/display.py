@@ -185,10 +185,7 @@ def _texts(event: Event) -> Iterator[str]:
             )
             if sentence := _MASKS.get(event.mask_mode):
                 yield sentence
-            if event.stereo:
-                yield event.stereo
-            if event.depth:
-                yield event.depth
+            yield from filter(None, (event.stereo, event.depth, event.exposure, event.poses))
         case Warn():
             yield f"Warning: {event.message}"
 

@@ -3,7 +3,7 @@
 import argparse
 from typing import Any, NamedTuple
 
-from ..config import Background, TrainConfig
+from ..config import Background, Switch, TrainConfig
 from ..errors import ConfigError
 from ..options import options_of
 from .declared import argument_facts
@@ -16,6 +16,7 @@ ALIASES = {
     "opacities_lr": "--opacity-lr",
     "scales_lr": "--scaling-lr",
     "quats_lr": "--rotation-lr",
+    "exposure_lr": "--exposure-lr-init",
     "ssim_weight": "--lambda-dssim",
     "depth_weight": "--depth-l1-weight-init",
     "depth_weight_final": "--depth-l1-weight-final",
@@ -33,9 +34,10 @@ _WITHOUT_EFFECT = ("--ip", "--port", "--debug-from")
 _SWITCHES = {
     "white_background": ("-w", "--white-background"),
     "random_background": ("--random-background",),
+    "train_test_exp": ("--train-test-exp",),
     "disable_viewer": ("--disable-viewer",),
 }
-"""The first two choose a background; there never is a viewer."""
+"""The first two choose a background, the third learns exposures; there never is a viewer."""
 _FEATURE_LR_SHARE = 20
 """--feature-lr also sets the rate of the higher SH bands, divided by this."""
 REFUSED = {
@@ -44,7 +46,8 @@ REFUSED = {
     "--position-lr-delay-mult": "the rate of positions is not delayed at the start",
     "--data-device": "photos are always kept as bytes in main memory",
     "--optimizer-type": "there is one optimizer, Adam",
-    "--train-test-exp": "exposure is not optimised",
+    "--exposure-lr-delay-steps": "the rate of exposures is not delayed at the start",
+    "--exposure-lr-delay-mult": "the rate of exposures is not delayed at the start",
 }
 """Those that have no meaning here, with the reason."""
 
@@ -78,6 +81,7 @@ def rows() -> list[Row]:
         Row("--feature-lr X", f"sh0_lr X and shN_lr X / {_FEATURE_LR_SHARE}"),
         Row("-w, --white-background", "background white"),
         Row("--random-background", "background random"),
+        Row("--train-test-exp", "exposure on; psnr_cc judges held-out views by their halves"),
         *(Row(flag, "without effect") for flag in (*_WITHOUT_EFFECT, "--disable-viewer")),
         *(Row(flag, f"refused: {reason}") for flag, reason in REFUSED.items()),
     ]
@@ -94,6 +98,8 @@ def translate(args: argparse.Namespace) -> None:
     if args.white_background or args.random_background:
         asked = Background.WHITE if args.white_background else Background.RANDOM
         args.background = args.background or asked
+    if args.train_test_exp:
+        args.exposure = args.exposure or Switch.ON
     if args.feature_lr is not None:
         args.sh0_lr = args.feature_lr if args.sh0_lr is None else args.sh0_lr
         args.shN_lr = args.feature_lr / _FEATURE_LR_SHARE if args.shN_lr is None else args.shN_lr

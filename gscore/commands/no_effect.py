@@ -43,6 +43,8 @@ _WHEN: dict[str, _Rule] = {
     "depth": ("depth supervises only with --depths, unless --depth-mode off", _no_depth),
     "depth_maps": ("there are no depth maps without --depths", lambda a, d, c: not d.depths),
     "depth_on": ("--depth-mode off", lambda a, d, c: c.depth_mode is Switch.OFF),
+    "poses": ("--refine-poses off", lambda a, d, c: c.refine_poses is Switch.OFF),
+    "exposure": ("--exposure off", lambda a, d, c: c.exposure is Switch.OFF),
     "bands": ("--sh-degree 0 has no view-dependent colour", _no_bands),
     "small_photos": ("--without small-photos", _large_photos),
     "points": ("--start-splats are as they are", lambda a, d, c: c.start_splats is not None),
@@ -87,6 +89,7 @@ RULES: dict[str, _Rule] = {
         "--background says otherwise",
         lambda a, d, c: a.background not in (None, "random"),
     ),
+    "train_test_exp": ("--exposure says otherwise", lambda a, d, c: c.exposure is not Switch.ON),
     "feature_lr": (
         "--sh0-lr and --shN-lr are given",
         lambda a, d, c: a.sh0_lr is not None and a.shN_lr is not None,

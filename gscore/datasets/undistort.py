@@ -90,6 +90,17 @@ class Undistortion:
         return out
 
 
+def rays_of(camera: ColmapCamera, pixels: np.ndarray) -> np.ndarray:
+    """x / z and y / z of the rays that a distorted camera sees at its pixels, both [P, 2] float64.
+
+    Raises:
+        BackendError: pycolmap is not installed.
+    """
+    if not len(pixels):
+        return np.zeros((0, 2))
+    return np.asarray(pycolmap_camera(_pycolmap(), camera).cam_from_img(pixels))[:, :2]
+
+
 def plan_undistortion(camera: ColmapCamera) -> Undistortion | None:
     """How to undistort a camera so that no blank pixels appear; None if it is a pinhole camera.
 

@@ -6,8 +6,8 @@ import numpy as np
 
 from ..config import DataConfig
 from ..datasets import Dataset, read_capture
-from ..errors import DatasetError
-from ..io.colmap import ColmapImage, ColmapModel, find_model, read_model
+from ..datasets.tracks import model_of
+from ..io.colmap import ColmapImage, ColmapModel
 from ..io.colmap_model import PointIndex
 
 _LONG_TRACK = 10
@@ -41,7 +41,7 @@ def observations(data: DataConfig, dataset: Dataset) -> list[Observations]:
     Captures with a COLMAP model have observations; for others the points are projected, hidden ones
     too, which a robust fit has to bear.
     """
-    model = _model(dataset)
+    model = model_of(dataset)
     if model is None:
         # Not the dataset's points: those may be made up.
         points = read_capture(data, photos_required=False).points.points
@@ -87,7 +87,7 @@ def tracks(dataset: Dataset) -> Tracks:
     Without a COLMAP model whose images are the views a point counts as seen wherever it lies in the
     frame, hidden ones too. Points that were made up are none.
     """
-    model = _model(dataset)
+    model = model_of(dataset)
     if model is not None:
         index = PointIndex(model.points)
         images = {image.name: image for image in model.images}
@@ -109,22 +109,6 @@ def _in_frame(dataset: Dataset, points: np.ndarray, index: int) -> np.ndarray:
         u, v = x / z, y / z
     inside = (z > 0) & (u >= 0) & (v >= 0)
     return np.flatnonzero(inside & (u < cameras.widths[index]) & (v < cameras.heights[index]))
-
-
-def _model(dataset: Dataset) -> ColmapModel | None:
-    """The COLMAP model of a capture if its images are the views, and stand where these do.
-
-    A transforms.json beside it, or cameras of another capture, may be of another world.
-    """
-    try:
-        find_model(dataset.source)
-    except DatasetError:
-        return None
-    model = read_model(dataset.source)
-    poses = {image.name: image.viewmat for image in model.images}
-    views = zip(dataset.names, dataset.scene.cameras.viewmats, strict=True)
-    same = all(name in poses and np.allclose(poses[name], pose) for name, pose in views)
-    return model if same else None
 
 
 def _projected(dataset: Dataset, points: np.ndarray, index: int) -> Observations:

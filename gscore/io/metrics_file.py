@@ -88,6 +88,30 @@ def _are_rows(value: Any) -> bool:
     )
 
 
+def _is_exposure(value: Any) -> bool:
+    """`learnt`, `why`, `stops_apart` and `known_by`."""
+    return (
+        _is_object(value)
+        and isinstance(value.get("learnt"), bool)
+        and _is_text(value.get("why"))
+        and is_number(value.get("stops_apart"))
+        and (value.get("known_by") is None or _is_text(value["known_by"]))
+    )
+
+
+def _are_poses(value: Any) -> bool:
+    """`why`, and `degrees` and `extents` by name under `cameras`."""
+    return (
+        _is_object(value)
+        and _is_text(value.get("why"))
+        and _is_object(value.get("cameras"))
+        and all(
+            _is_object(one) and is_number(one.get("degrees")) and is_number(one.get("extents"))
+            for one in value["cameras"].values()
+        )
+    )
+
+
 _Kind = Callable[[Any], bool]
 _KEYS: tuple[tuple[re.Pattern[str], _Kind], ...] = tuple(
     (re.compile(names), kind)
@@ -99,6 +123,8 @@ _KEYS: tuple[tuple[re.Pattern[str], _Kind], ...] = tuple(
         (r"history|evals", _are_rows),
         (r"views", _are_objects),
         (r"machine|depth", _is_object),
+        (r"exposure", _is_exposure),
+        (r"poses", _are_poses),
     )
 )
 """What the keys of metrics.json hold where they are not null; the first that fits counts."""

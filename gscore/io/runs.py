@@ -11,8 +11,10 @@ from ..config_file import load_config
 from ..errors import ConfigError, DatasetError
 from ..events import CONVERGED, FINISHED, TARGET, judged_psnr
 from ..json_text import parse_json
+from .exposure_json import EXPOSURE_FILE
 from .files import read_bytes
 from .metrics_file import read_metrics
+from .poses_json import POSES_FILE
 
 RUN_LOCK = ".gscore.lock"
 """The file by which a training holds its folder."""
@@ -20,6 +22,8 @@ RUN_FILES = (
     "config.json",
     "cfg_args",
     "cameras.json",
+    EXPOSURE_FILE,
+    POSES_FILE,
     "point_cloud.ply",
     "metrics.json",
     "report.html",

@@ -16,6 +16,7 @@ from .colormap import colorize
 from .curves import Mark, Series, clean_points, legend, line_chart
 from .depth import DepthSection, depth_html
 from .pictures import ERROR_GAIN, ViewPictures
+from .poses import poses_html
 from .report_head import TIMES, head_html, meaning_html, tiles_html
 
 
@@ -67,6 +68,7 @@ def report_html(report: Report) -> str:
             _view_cards(views, metrics),
             _view_table(views),
             depth_html(report.depth) if report.depth else "",
+            poses_html(metrics["poses"]) if metrics.get("poses") else "",
             _details(metrics, report.config),
         )
     )
@@ -216,6 +218,7 @@ _COLUMNS: tuple[tuple[str, str, int], ...] = (
     ("psnr_u8", "PSNR 8 bit", 2),
     ("psnr_masked", "PSNR inside the masks", 2),
     ("psnr_cc", "PSNR colour-corrected", 2),
+    ("psnr_aligned", "PSNR from an aligned camera", 2),
     ("ssim", "SSIM", 4),
     ("ssim_valid", "SSIM valid", 4),
     ("d_ssim", "D-SSIM", 4),

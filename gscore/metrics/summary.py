@@ -35,6 +35,10 @@ class Course:
     """None: that of this process."""
     depth: dict[str, Any] | None = None
     """Numbers of `DepthReport`; None: there were no maps."""
+    exposure: dict[str, Any] | None = None
+    """How far photos lie apart in exposure; None: nobody asked."""
+    poses: dict[str, Any] | None = None
+    """How far each training camera was moved, and why; None: none was."""
 
     @classmethod
     def of_file(cls, metrics: Mapping[str, Any]) -> "Course":
@@ -94,7 +98,8 @@ class Metrics:
             "history": [_finite_row(row) for row in course.history],
             "evals": [dict(row) for row in course.evals],
         }
-        return content if course.depth is None else content | {"depth": course.depth}
+        parts = {"depth": course.depth, "exposure": course.exposure, "poses": course.poses}
+        return content | {key: part for key, part in parts.items() if part is not None}
 
 
 def _finite_row(row: dict[str, Any]) -> dict[str, Any]:
@@ -104,10 +109,12 @@ def _finite_row(row: dict[str, Any]) -> dict[str, Any]:
 
 
 def headline(metrics: dict[str, Any]) -> dict[str, Any]:
-    """metrics.json without the long lists, those of depth too: what `--json` prints."""
+    """metrics.json without the long lists, those of depth and poses too: what `--json` prints."""
     short = {key: value for key, value in metrics.items() if key not in _LISTS}
     if "depth" in short:
         short["depth"] = {k: v for k, v in short["depth"].items() if k not in _LISTS}
+    if "poses" in short:
+        short["poses"] = {k: v for k, v in short["poses"].items() if k != "cameras"}
     return short
 
 

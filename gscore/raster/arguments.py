@@ -169,8 +169,10 @@ def loss_args(
     mask_mode: str,
     background: tuple[float, float, float],
     threads: int,
+    gain: Array | None = None,
 ) -> header.LossArgsStruct:
-    """gs_loss_args of [H, W, 3] pictures and, unless the mode is `none`, an [H, W] mask."""
+    """gs_loss_args of [H, W, 3] pictures, unless the mode is `none` an [H, W] mask, and a gain [3];
+    None: without."""
     shape = tuple(rendered.shape)
     if len(shape) != 3 or shape[2] != 3:
         raise ShapeError(f"image must be [H, W, 3] float32, got {list(shape)} {rendered.dtype}.")
@@ -187,6 +189,7 @@ def loss_args(
         mask_mode=header.MASK_MODES[mask_mode],
         ssim_weight=ssim_weight,
         threads=library_threads(threads),
+        gain=optional("gain", gain, (3,)),
     )
     if mask_mode != "none":
         found.mask = address("mask", mask, (height, width), UINT8)

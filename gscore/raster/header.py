@@ -6,7 +6,7 @@ look at the arrays first.
 
 import ctypes as ct
 
-ABI_VERSION = 3
+ABI_VERSION = 4
 
 OUT_INVERSE_DEPTH, OUT_DEPTH, OUT_MEDIAN_DEPTH, COUNT_USEFUL = 1, 2, 4, 8
 DEPTH_OUTPUTS = {
@@ -157,6 +157,7 @@ class LossArgsStruct(ct.Structure):
         ("background", ct.c_float * 3),
         ("ssim_weight", ct.c_float),
         ("threads", ct.c_int32),
+        ("gain", _pointer),
     )
 
 
@@ -168,6 +169,7 @@ class LossResultStruct(ct.Structure):
         ("l1", ct.c_double),
         ("ssim", ct.c_double),
         ("mse", ct.c_double),
+        ("v_log_gain", ct.c_double * 3),
     )
 
 

@@ -29,6 +29,8 @@ class LossValues:
     l1: float
     ssim: float
     mse: float
+    v_log_gain: tuple[float, float, float]
+    """Its derivative in the logarithm of the gain; zeros without one."""
 
 
 class _Loss(torch.autograd.Function):
@@ -97,16 +99,20 @@ def image_loss_gradient(
     mask_mode: str = "none",
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
     threads: int = 0,
+    gain: Tensor | None = None,
 ) -> LossValues:
     """`image_loss` and its gradient at once, without autograd.
 
-    `v_image` [H, W, 3] float32, contiguous, is overwritten with the gradient in `image`; the other
-    arguments and errors are those of `image_loss`.
+    `v_image` [H, W, 3] float32, contiguous, is overwritten with the gradient in `image`. With
+    `gain` [3] float32, above 0, the loss is that of the image times it, which counts as white, and
+    teaches nothing, where it is brighter and the photo is white. The other arguments and errors
+    are those of `image_loss`.
     """
-    args, _kept = _arguments(image, target, ssim_weight, mask, mask_mode, background, threads)
+    args, _kept = _arguments(image, target, ssim_weight, mask, mask_mode, background, threads, gain)
     with _native.pool.lend() as raster:
         found = raster.image_loss(args, v_image)
-    return LossValues(found.loss, found.l1, found.ssim, found.mse)
+    r, g, b = found.v_log_gain
+    return LossValues(found.loss, found.l1, found.ssim, found.mse, (r, g, b))
 
 
 def _arguments(
@@ -117,10 +123,12 @@ def _arguments(
     mask_mode: str,
     background: tuple[float, float, float],
     threads: int,
+    gain: Tensor | None = None,
 ) -> tuple[header.LossArgsStruct, list[Tensor]]:
     """Checked arguments, and the tensors whose memory they point at, the image first."""
     image, target = image.contiguous(), target.contiguous()
     mask = mask.contiguous() if mask is not None else None
+    gain = gain.contiguous() if gain is not None else None
     args = arguments.loss_args(
         image,
         target,
@@ -129,5 +137,6 @@ def _arguments(
         mask_mode=mask_mode,
         background=background,
         threads=threads,
+        gain=gain,
     )
-    return args, [image, target] if mask is None else [image, target, mask]
+    return args, [image, *(t for t in (target, mask, gain) if t is not None)]

@@ -72,6 +72,8 @@ class Painter:
         rgb: Tensor,
         alpha: Tensor | None = None,
         inverse_depth: Tensor | None = None,
+        *,
+        viewmat: Tensor | None = None,
     ) -> Tensor:
         """Gradients of the last view.
 
@@ -81,6 +83,7 @@ class Painter:
             rgb: [H, W, 3], gradient of the loss in the picture.
             alpha: [H, W], as the next; None: zero.
             inverse_depth: Only where it was drawn.
+            viewmat: [4, 4] float32, where the gradient in the camera's pose goes; None: nowhere.
 
         Returns:
             [N, 2], gradient in the projected means, px.
@@ -98,7 +101,7 @@ class Painter:
             view,
             settings,
             {name: None if v is None else v.contiguous() for name, v in v_pictures.items()},
-            {**into, "means2d": means2d},
+            {**into, "means2d": means2d} | ({} if viewmat is None else {"viewmat": viewmat}),
             add_shN=True,
         )
         return means2d

@@ -1,5 +1,6 @@
 """Measuring a model in training against the photos, and the pictures of it."""
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -7,6 +8,7 @@ import numpy as np
 
 from ..errors import Cancelled
 from ..metrics import Evaluation, Lpips, LpipsNet, PictureCollector, evaluate
+from ..metrics.image import psnr
 from .trainer import Trainer
 
 _TRAIN_VIEWS_SHOWN = 8
@@ -58,11 +60,17 @@ class Evaluator:
         ) -> None:
             if interrupted():
                 raise Cancelled("The evaluation was interrupted.")
+            if self._aligns:
+                shown = self._trainer.aligned_picture(
+                    self.indices[place], background=self._trainer.fixed_background
+                )
+                worth = psnr(shown.numpy(), target, mask=weights)
+                values["psnr_aligned"] = worth if math.isfinite(worth) else None
             if collector:
                 collector(place, target, render, weights, values)
 
         try:
-            return evaluate(
+            found = evaluate(
                 self.picture,
                 self._trainer.photos,
                 self.indices,
@@ -73,3 +81,12 @@ class Evaluator:
             )
         except Cancelled:
             return None
+        if self._aligns:
+            each = [value for v in found.views if (value := v["psnr_aligned"]) is not None]
+            found.mean["psnr_aligned"] = math.fsum(each) / len(each) if each else None
+        return found
+
+    @property
+    def _aligns(self) -> bool:
+        """Whether held-out cameras may stand elsewhere too: training cameras did."""
+        return self.split == "test" and self._trainer.poses is not None

@@ -22,6 +22,8 @@ from .photos.loading import load_photos, progress_of
 from .premises import look_over
 from .session import Session
 from .trainer import Trainer
+from .views.exposure import prepare_exposure
+from .views.placing import place_cameras
 
 
 def train(
@@ -90,6 +92,7 @@ def train(
             if beginning.wants_stereo:
                 telling = progress_of("depth of photos", config, emit, control)
                 stereo = stereo_start(config, photos, points, on_view=telling)
+            exposure, placing = prepare_exposure(config, photos), place_cameras(config, photos)
             trainer = Trainer(
                 config,
                 photos,
@@ -97,6 +100,8 @@ def train(
                 start=beginning.splats,
                 depth=depth.loss_targets,
                 points=points if stereo.points is None else stereo.points,
+                gains=exposure.gains,
+                placing=placing,
                 photo_cache=loaded.cache,
             )
             session = Session(
@@ -109,6 +114,8 @@ def train(
                 lpips_reason=lpips_reason,
                 depth=depth,
                 stereo=stereo,
+                exposure=exposure,
+                placing=placing,
             )
             beginning.go_on(trainer, session)
             notes = (*photos.warnings, *loaded.warnings, *look_over(trainer))

@@ -30,6 +30,8 @@ from .length.steering import Steering
 from .length.watchdog import Watchdog
 from .rows.stored import records, texts
 from .trainer import StepResult, Trainer
+from .views.exposure import Exposure
+from .views.placing import Placing
 
 _WARN_BAD_ROWS = (1, 100, 10_000)
 _WARN_LOST_ROWS = (1, 100, 10_000)
@@ -58,6 +60,8 @@ class Session:
         lpips_reason: str,
         depth: DepthSetup | None = None,
         stereo: StereoStart | None = None,
+        exposure: Exposure | None = None,
+        placing: Placing | None = None,
     ) -> None:
         self._trainer = trainer
         self._config = trainer.config
@@ -69,6 +73,8 @@ class Session:
         self._results = Results(trainer, folder, data)
         self._depth = depth or DepthSetup()
         self._stereo = stereo or StereoStart()
+        self._exposure = exposure or Exposure()
+        self._placing = placing or Placing()
         pace = machine_pace(self._config.threads)
         budget = self._config.time_budget or math.inf
         self._meter = Meter(trainer.plan, splats=len(trainer.model), pace=pace, budget=budget)
@@ -179,6 +185,8 @@ class Session:
                 threads=self._results.threads,
                 depth=self._depth.why if self._depth.supervises else "",
                 stereo=self._stereo.why if self._stereo.added else "",
+                exposure=self._exposure.why,
+                poses=self._placing.why,
                 mask_mode=photos.mask_mode,
                 config={"data": to_dict(self._data), "train": to_dict(self._config)},
             )
@@ -342,6 +350,7 @@ class Session:
             )
         self._checkpoint(keep=1 if finished else _CHECKPOINTS_KEPT, finished=finished)
         splats = trainer.finish()
+        learnt = self._results.write_learnt(self._exposure.numbers, self._placing.why)
         self._results.write_splats(self._folder.point_cloud)
         self._emit(Saved(step=trainer.steps, path=str(self._folder.point_cloud)))
         collector = PictureCollector(count=len(self._evaluator.indices))
@@ -354,6 +363,7 @@ class Session:
             evals=self._evals,
             warnings=self._warnings,
             depth=self._depth_report() if evaluation else None,
+            learnt=learnt,
             reason=reason,
         )
         result = TrainResult(

@@ -1,7 +1,7 @@
 """The training step and all state it depends on; no files, no events, no clock."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -24,7 +24,7 @@ from .depth.regularisers import drop_rate_at, drop_splats, opacity_loss
 from .depth.targets import DepthTargets
 from .host.laps import Laps
 from .host.random import generator_of, uniform
-from .photos.pyramid import AHEAD, Pyramid
+from .photos.pyramid import AHEAD, Pyramid, Sized
 from .photos.skips import raster_bits
 from .photos.views import Photos, Sampler
 from .rows import bounds, guard
@@ -38,10 +38,18 @@ from .schedule.plan import Plan
 from .strategy import Change, make_strategy, ops
 from .strategy.contribution import Weights, least, most_in_a_view, mostly_hidden, weights_by_view
 from .strategy.free_space import FreeSpace
+from .views.adam import rate_at
+from .views.alignment import aligned
+from .views.gains import PhotoGains, behind, without_background
+from .views.placing import Placing
+from .views.poses import LIMIT as POSE_LIMIT
+from .views.poses import PhotoPoses
 
 _MAX_SKIPPED = 100
 _ABSURD_MSE = 1e4
 """Pictures are 0 to 1; colours of 100 come from splats that ran away."""
+_ALIGNED_SIDE = 400
+"""Longer side of the picture by which a held-out camera is aligned, px."""
 _CROWD = 0.2
 """Share of the splats in the free space around cameras from which on it is not free."""
 _GLANCE = 8
@@ -85,12 +93,16 @@ class Trainer:
         start: Splats | None = None,
         depth: DepthTargets | None = None,
         points: PointCloud | None = None,
+        gains: PhotoGains | None = None,
+        placing: Placing | None = None,
         photo_cache: int | None = None,
     ) -> None:
         """Start from `start` or from `points`, in COLMAP world, or from the points of the capture.
 
-        `depth` holds what to supervise depth with; `photo_cache` is how many bytes of photos may
-        be kept, None: all.
+        `depth` holds what to supervise depth with; `gains` how photos were exposed, which is
+        learnt, None: they are taken as they are; `placing` where training cameras stand, None:
+        where the capture has them; `photo_cache` is how many bytes of photos may be kept, None:
+        all.
 
         Raises:
             DatasetError: nothing to train on.
@@ -119,6 +131,10 @@ class Trainer:
         """The depth loss, where depth is supervised."""
         if depth is not None:
             self.depth = DepthLoss(config, depth, scale=self.frame.similarity.scale)
+        self.gains = gains
+        """How photos were exposed, where that is learnt."""
+        self.poses: PhotoPoses | None = None
+        """Where training cameras stand, unless all stay where the capture has them."""
         self.replan(config.iterations)
         self.generator = generator_of(config.seed)
         self.sampler = Sampler(photos.train)
@@ -141,6 +157,9 @@ class Trainer:
         self.laps = Laps()
         """What the parts of the last step took."""
         self._cameras = self.frame.similarity.cameras_to_training(photos.scene.cameras)
+        if placing is not None and placing.viewmats is not None:
+            self.poses = self._poses_of(placing)
+        self._v_viewmat = empty(4, 4)
         self._pyramid = Pyramid(photos, self._cameras, near=self.frame.near, limit=photo_cache)
         cloud = replace(cloud, points=self.frame.similarity.points_to_training(cloud.points))
         near = Nearest(cloud.points, asked=count)
@@ -194,13 +213,14 @@ class Trainer:
         # A run that becomes longer does not go back to smaller photos.
         self._factor = min(self._factor, self.plan.factor_at(step))
         try:
-            view, image, mask, tiles, counted = self._pyramid.at(
+            view, image, mask, tiles, counted = self._sized(
                 index, self._factor, upcoming=self.sampler.upcoming(AHEAD)
             )
         except GsError:  # nothing was done, so that a checkpoint can be written and gone on from
             self.sampler.put_back()
             raise
         background = self._step_background()
+        gain = None if self.gains is None else self.gains.of(index)
         depth_weight = self.depth.weight(index, step) if self.depth else 0.0
         laps.pixels = view.width * view.height
         laps.lap("photo")
@@ -212,7 +232,7 @@ class Trainer:
             view,
             Settings(
                 sh_degree=self._sh_degree_at(step),
-                background=background,
+                background=self._behind(background, gain),
                 antialias=config.antialias,
                 outputs=OUT_INVERSE_DEPTH if depth_weight > 0 else 0,
                 threads=config.threads,
@@ -232,6 +252,7 @@ class Trainer:
             mask_mode="none" if mask is None else self.photos.mask_mode,
             background=background,
             threads=config.threads,
+            gain=gain,
         )
         value, mse = loss.loss, _of_counted(loss.mse, counted)
         more, v_alpha, v_inverse_depth = self._further_terms(index, picture, mask, depth_weight)
@@ -245,11 +266,22 @@ class Trainer:
         if lost_rows or not math.isfinite(value):
             return self._skip(value, mse, lost_rows)
         self._skipped = 0
-        v_means2d = self._painter.gradients(model.grads, self._v_rgb, v_alpha, v_inverse_depth)
+        pose_rate = self._pose_rate_at(step)
+        v_means2d = self._painter.gradients(
+            model.grads,
+            self._v_rgb,
+            v_alpha,
+            v_inverse_depth,
+            viewmat=self._v_viewmat if pose_rate else None,
+        )
+        if pose_rate and self.poses is not None:
+            self.poses.learn(index, self._v_viewmat, self.rate_factor * pose_rate)
         if leaf is not None:
             grad = model.grads["opacities"]
             grad.copy_(torch.autograd.grad(opacities, leaf, grad)[0])
         laps.lap("gradients")
+        if gain is not None:
+            self._learn_gain(index, gain, background, loss.v_log_gain, picture.alpha)
         laps.raster = self._painter.stats()
         if config.detect_anomaly:
             guard.assert_finite(model, value, step=step, view=self._cameras.names[index])
@@ -262,7 +294,7 @@ class Trainer:
 
     def shows_splats(self, index: int) -> bool:
         """Whether any splat is drawn in view `index`; looked at in an eighth of its size."""
-        view = self._pyramid.view(index)
+        view = self._view(index)
         factor = min(_GLANCE, view.width, view.height)
         width, height = view.width // factor, view.height // factor
         K = view.K / view.K.new_tensor([[factor], [factor], [1]])
@@ -270,8 +302,27 @@ class Trainer:
         return bool((self._show(small).alpha > 0).any())
 
     def picture(self, index: int, *, background: tuple[float, float, float]) -> torch.Tensor:
-        """The view `index` as the splats show it now, [H, W, 3] float32."""
-        return self._show(self._pyramid.view(index), background=background).rgb.clone()
+        """The view `index` as the splats show it now, [H, W, 3] float32: exposed as its photo
+        where that is learnt of it, else neutral."""
+        return self._exposed(index, self._view(index), background).clone()
+
+    def aligned_picture(
+        self, index: int, *, background: tuple[float, float, float]
+    ) -> torch.Tensor:
+        """The view `index` from where it looks most like its photo; its camera stays."""
+        config, full = self.config, self._view(index)
+        factor = max(1.0, max(full.width, full.height) / _ALIGNED_SIDE)
+        settings = Settings(
+            antialias=config.antialias, threads=config.threads, background=background
+        )
+        pose = aligned(
+            self.model.settled(threads=config.threads),
+            self._sized(index, factor),
+            settings,
+            mask_mode=self.photos.mask_mode,
+            unit=self.frame.extent,
+        )
+        return self._show(replace(full, viewmat=pose), background=background).rgb.clone()
 
     def error(self, views: int = 8) -> float:
         """Root of the mean squared error of the pixels that count, in some training views at the
@@ -280,11 +331,9 @@ class Trainer:
         chosen = indices[:: -(-len(indices) // views)]
         background, total = self.fixed_background, 0.0
         for index in chosen:
-            view, image, mask, _, counted = self._pyramid.at(
-                index, self.plan.factor_at(self.steps + 1)
-            )
+            view, image, mask, _, counted = self._sized(index, self.plan.factor_at(self.steps + 1))
             loss = image_loss(
-                self._show(view, background=background).rgb,
+                self._exposed(index, view, background),
                 torch.from_numpy(image),
                 mask=None if mask is None else torch.from_numpy(mask),
                 mask_mode="none" if mask is None else self.photos.mask_mode,
@@ -296,7 +345,7 @@ class Trainer:
 
     def inverse_depth(self, index: int) -> tuple[np.ndarray, np.ndarray]:
         """Accumulated inverse depth of view `index`, [H, W] float32, 1/world unit, and opacity."""
-        found = self._show(self._pyramid.view(index), outputs=OUT_INVERSE_DEPTH)
+        found = self._show(self._view(index), outputs=OUT_INVERSE_DEPTH)
         assert found.inverse_depth is not None
         scale = np.float32(self.frame.similarity.scale)
         return found.inverse_depth.numpy() * scale, found.alpha.numpy().copy()
@@ -360,6 +409,9 @@ class Trainer:
             moment1, moment2 = self.model.moments(name)
             out |= {f"param/{name}": p, f"m1/{name}": moment1, f"m2/{name}": moment2}
         out |= {"gathered/shN": self.model.grads["shN"], "drift": self.model.drift}
+        for learnt in (self.gains, self.poses):
+            if learnt is not None:
+                out |= learnt.tensors()
         return out | {f"row/{name}": counter for name, counter in self.model.rows.items()}
 
     def restore(self, state: dict[str, Any], tensors: dict[str, torch.Tensor]) -> None:
@@ -393,6 +445,12 @@ class Trainer:
         rows = {key.removeprefix("row/"): t for key, t in tensors.items() if key[:4] == "row/"}
         self.model.rows = rows
         self.model.drift = tensors["drift"]
+        # A run that began without goes on without.
+        train, views = self.sampler.indices, len(self._cameras)
+        found = PhotoGains.are_in(tensors)
+        self.gains = PhotoGains.restored(train, views, tensors) if found else None
+        found = PhotoPoses.are_in(tensors)
+        self.poses = PhotoPoses.restored(train, views, tensors) if found else None
         self.generator.set_state(tensors["generator"])
         self.sampler.order = choices("order", state["order"], set(self.sampler.indices))
         self.sampler.position = whole("position", state["position"], high=len(state["order"]))
@@ -419,6 +477,73 @@ class Trainer:
         settings = Settings(antialias=config.antialias, threads=config.threads, **options)
         splats = self.model.settled(threads=config.threads)
         return self._painter.draw(tuple(splats.values()), view, settings)
+
+    def _poses_of(self, placing: Placing) -> PhotoPoses:
+        assert placing.viewmats is not None
+        cameras = replace(self.photos.scene.cameras, viewmats=placing.viewmats)
+        return PhotoPoses(
+            self.photos.train,
+            self.frame.similarity.cameras_to_training(cameras).viewmats,
+            unit=self.frame.extent,
+            limit=POSE_LIMIT,
+            learns=placing.learns,
+        )
+
+    def _view(self, index: int) -> Frustum:
+        """View `index` at full size, from where its camera stands."""
+        view = self._pyramid.view(index)
+        return view if self.poses is None else replace(view, viewmat=self.poses.of(index))
+
+    def _sized(self, index: int, factor: float, *, upcoming: Sequence[int] = ()) -> Sized:
+        """View `index` with its photo, sides divided by `factor`, from where its camera stands."""
+        found = self._pyramid.at(index, factor, upcoming=upcoming)
+        if self.poses is None:
+            return found
+        return found._replace(view=replace(found.view, viewmat=self.poses.of(index)))
+
+    def _pose_rate_at(self, step: int) -> float:
+        """Learning rate of poses; 0: they stay."""
+        if self.poses is None or not self.poses.learns:
+            return 0.0
+        config = self.config
+        done = step / self.plan.iterations - config.pose_start
+        span = config.pose_stop - config.pose_start
+        if not 0 <= done < span:
+            return 0.0
+        return rate_at(config.pose_lr, config.pose_lr_final, done / span)
+
+    def _exposed(
+        self, index: int, view: Frustum, background: tuple[float, float, float]
+    ) -> torch.Tensor:
+        """The picture of `view`, that of photo `index` at any size, as the photo was exposed."""
+        gain = None if self.gains is None else self.gains.of(index)
+        picture = self._show(view, background=self._behind(background, gain)).rgb
+        return picture if gain is None else picture.mul_(gain)
+
+    def _behind(
+        self, background: tuple[float, float, float], gain: torch.Tensor | None
+    ) -> tuple[float, float, float]:
+        """What splats are drawn over, so that `background` shows once the gain is applied: where
+        photos are laid over it. Elsewhere it is part of the scene, exposed with it."""
+        if gain is None or self.photos.mask_mode != "composite":
+            return background
+        return behind(background, gain)
+
+    def _learn_gain(
+        self,
+        index: int,
+        gain: torch.Tensor,
+        background: tuple[float, float, float],
+        v_log_gain: tuple[float, float, float],
+        alpha: torch.Tensor,
+    ) -> None:
+        config = self.config
+        assert self.gains is not None
+        if self.photos.mask_mode == "composite":
+            v_log_gain = without_background(v_log_gain, background, gain, self._v_rgb, alpha)
+        first, last = config.exposure_lr, config.exposure_lr_final
+        rate = rate_at(first, last, self.steps / self.plan.iterations)
+        self.gains.learn(index, v_log_gain, self.rate_factor * rate)
 
     def _step_opacities(self, step: int) -> tuple[torch.Tensor, torch.Tensor | None]:
         """The opacities that this step draws, and, where they are not the model's own, the leaf
@@ -533,7 +658,7 @@ class Trainer:
             self._painter,
             self.model.params,
             (
-                self._pyramid.at(index, self._factor, upcoming=indices[i + 1 :])
+                self._sized(index, self._factor, upcoming=indices[i + 1 :])
                 for i, index in enumerate(indices)
             ),
             antialias=self.config.antialias,

@@ -18,7 +18,7 @@ from gscore.scene import Cameras
 from gscore.splats import Splats
 from gscore.transforms import rotmat_to_quat
 from tests.commands.small_bench import small  # noqa: F401
-from tests.run_verb import gscore  # noqa: F401
+from tests.run_verb import gscore, hide_networks  # noqa: F401
 
 WIDTH, HEIGHT, FOCAL, VIEWS = 48, 36, 45.0, 9
 STEPS = 12
@@ -132,7 +132,9 @@ def trained(tmp_path_factory, capture):
     """A run of `STEPS` steps, as `gscore train` leaves it; views 0 and 8 were held out."""
     folder = tmp_path_factory.mktemp("trained") / "run"
     options = ["--preset", "draft", "--iterations", STEPS, "--eval", "--quiet"]
-    assert main([str(word) for word in ("train", capture, "-o", folder, *options)]) == 0
+    with pytest.MonkeyPatch.context() as patch:
+        hide_networks(patch)
+        assert main([str(word) for word in ("train", capture, "-o", folder, *options)]) == 0
     return folder
 
 

@@ -41,7 +41,13 @@ def measured(gscore, run_folder):
     path = folder / "metrics.json"
     before = json.loads(path.read_text())
     assert gscore("eval", folder, "--quiet")[0] == 0
-    full = json.loads(path.read_text()) | {"psnr_masked": 20.0, "reason": "finished", "depth": {}}
+    moved = {"why": "They missed.", "cameras": {"a.png": {"degrees": 0.5, "extents": 0.01}}}
+    full = json.loads(path.read_text()) | {
+        "psnr_masked": 20.0,
+        "reason": "finished",
+        "depth": {},
+        "poses": moved,
+    }
     assert before.keys() <= full.keys()
     return folder, full
 
@@ -88,6 +94,19 @@ def test_a_metrics_json_with_odd_values_goes_through_all_verbs(gscore, measured,
     ):
         (folder / "metrics.json").write_text(text)
         _assert_said(gscore(*arguments))
+
+
+@pytest.mark.parametrize("key", ["exposure", "poses"])
+def test_parts_of_what_a_training_found_may_be_odd(gscore, measured, key):
+    """Oracle: what it is made of, one part after the other; measuring again does without it."""
+    folder, full = measured
+    assert full[key], "nothing to break"
+    for part in full[key]:
+        for value in ODD:
+            text = json.dumps(full | {key: full[key] | {part: "@"}}).replace('"@"', value)
+            (folder / "metrics.json").write_text(text)
+            assert read_metrics(folder).get(key) is None or not metrics_problem(folder)
+        _assert_said(gscore("eval", folder, "--quiet"), (0,))
 
 
 @pytest.mark.parametrize("value", [*ODD, "-1", "5"])

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from gscore.commands import dashed, main, names_3dgs, train
-from gscore.config import PRESETS, Background, Skip, Strategy, TrainConfig
+from gscore.config import PRESETS, Background, Skip, Strategy, Switch, TrainConfig
 from gscore.options import options_of
 
 
@@ -113,3 +113,6 @@ def test_switches_of_3dgs() -> None:
     assert configured("--random_background").background is Background.RANDOM
     found = configured("--feature-lr 0.02")
     assert (found.sh0_lr, found.shN_lr) == (0.02, 0.001)
+    found = configured("--train_test_exp --exposure_lr_init 0.02 --exposure_lr_final 0.002")
+    assert found.exposure is Switch.ON
+    assert (found.exposure_lr, found.exposure_lr_final) == (0.02, 0.002)

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from gscore.errors import ShapeError
-from gscore.raster.loss import image_loss
+from gscore.raster.loss import image_loss, image_loss_gradient
 from gscore.raster.reference import image_loss_reference
 
 BACKGROUND = (0.2, 0.5, 0.9)
@@ -151,3 +151,64 @@ def test_bad_input_is_named() -> None:
         image_loss(image, target, mask=mask, mask_mode="soft")
     with pytest.raises(ShapeError, match="ssim_weight must be 0 to 1"):
         image_loss(image, target, ssim_weight=2)
+
+
+@pytest.mark.parametrize("mode", ["none", "composite", "ignore"])
+@pytest.mark.parametrize("size", [(1, 1), (33, 47), (23, 1030), (389, 7)])
+def test_a_gain_and_what_it_learns(isa: str, size: tuple[int, int], mode: str) -> None:
+    """Oracle: `image_loss_reference` with the gain as a leaf, in pictures of which parts are white
+    in the photo and brighter than that; gradients to 1e-5 of the largest, those in ln gain by the
+    chain rule."""
+    image, target, mask = pictures(*size)
+    image = image * 1.2
+    target[image > 1.1] = 255
+    mask[image[..., 0] > 1.1] = 255
+    gain = torch.tensor([1.3, 0.9, 0.7])
+    exact, by = image.double().requires_grad_(), gain.double().requires_grad_()
+    loss, _ = image_loss_reference(
+        exact, target, mask=mask, mask_mode=mode, background=BACKGROUND, gain=by
+    )
+    loss.backward()
+    v_image = torch.full_like(image, torch.nan)
+    found = image_loss_gradient(
+        image, target, v_image, mask=mask, mask_mode=mode, background=BACKGROUND, gain=gain
+    )
+    assert exact.grad is not None and by.grad is not None
+    assert found.loss == pytest.approx(loss.item(), abs=1e-6)
+    assert (v_image - exact.grad).abs().max() < 1e-5 * exact.grad.abs().max() + 1e-7
+    in_log = by.grad * by.detach()
+    scale = (exact.grad * exact.detach()).abs().sum().item()
+    assert torch.tensor(found.v_log_gain).double() == pytest.approx(in_log, abs=1e-5 * scale)
+    if size == (33, 47) and mode != "composite":
+        assert (v_image == 0).any(), "nothing was white and brighter than that"
+
+
+def test_a_gain_of_one_changes_nothing(isa: str) -> None:
+    """Oracle: the loss without one, of a picture that is nowhere brighter than white."""
+    image, target, _ = pictures(70, 90)
+    image = image.clamp(0, 0.99)
+    one, none = torch.empty_like(image), torch.empty_like(image)
+    found = image_loss_gradient(image, target, one, gain=torch.ones(3))
+    plain = image_loss_gradient(image, target, none)
+    assert found.loss == pytest.approx(plain.loss, abs=1e-7)
+    torch.testing.assert_close(one, none, rtol=1e-5, atol=1e-10)
+    assert plain.v_log_gain == (0.0, 0.0, 0.0)
+
+
+def test_bits_of_a_gain_do_not_depend_on_threads() -> None:
+    """Oracle: one thread."""
+    image, target, _ = pictures(390, 600)
+    gain, v_image = torch.tensor([1.1, 0.9, 1.0]), torch.empty_like(image)
+    one = image_loss_gradient(image, target, v_image, gain=gain, threads=1)
+    for threads in (2, 3, 8):
+        many = torch.empty_like(image)
+        assert image_loss_gradient(image, target, many, gain=gain, threads=threads) == one
+        assert torch.equal(many, v_image)
+
+
+@pytest.mark.parametrize("bad", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_gain_that_is_none_is_named(bad: float) -> None:
+    """Oracle: the message."""
+    image, target, _ = pictures(9, 7)
+    with pytest.raises(ShapeError, match="gain must be above 0"):
+        image_loss_gradient(image, target, image.clone(), gain=torch.tensor([1.0, bad, 1.0]))

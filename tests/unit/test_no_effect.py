@@ -14,7 +14,7 @@ strategy sh_degree seed threads cache_mb background antialias without near start
 checkpoint_seconds preview_seconds snapshot_every watchdog detect_anomaly means_lr
 means_lr_final sh0_lr opacities_lr scales_lr quats_lr lr_boost lr_final ssim_weight drop_rate
 alpha_weight refine_start refine_stop refine_every prune_opacity prune_share free_space quiet
-events json disable_viewer set
+events exposure refine_poses no_sfm json disable_viewer set
 """
 """Options that do something in every run, or whose effect the capture decides."""
 REFUSED = frozenset(name.lstrip("-").replace("-", "_") for name in names_3dgs.REFUSED)
@@ -64,6 +64,10 @@ def test_no_option_is_forgotten() -> None:
         ("--hidden-share 0.1", ""),
         ("-w --background black", "--white-background (--background says otherwise)"),
         ("-w", ""),
+        ("--refine-poses off --pose-stop 1", "--pose-stop (--refine-poses off)"),
+        ("--exposure off --exposure-lr 1", "--exposure-lr (--exposure off)"),
+        ("--exposure off --train-test-exp", "--train-test-exp (--exposure says otherwise)"),
+        ("--train-test-exp --exposure-lr-init 1", ""),
         ("--feature-lr 1", ""),
         ("--feature-lr 1 --sh0-lr 1 --shN-lr 1", "--feature-lr (--sh0-lr and --shN-lr are given)"),
         ("--without small-photos --coarse-until 0.1", "--coarse-until (--without small-photos)"),

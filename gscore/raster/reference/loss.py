@@ -19,6 +19,7 @@ def image_loss_reference(
     mask: Tensor | None = None,
     mask_mode: str = "none",
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    gain: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:
     """Loss and SSIM of a picture, in the picture's dtype.
 
@@ -30,17 +31,21 @@ def image_loss_reference(
         mask_mode: "none", "composite" (target = photo * mask + background * (1 - mask)) or
             "ignore" (image and photo are both multiplied by the mask).
         background: RGB used by "composite".
+        gain: [3] float64: the image is multiplied by it, and no brighter than white where the
+            target is white.
 
     Returns:
         The scalar loss and the mean SSIM, zero padded.
     """
     y = target.to(image.dtype) / 255
-    if mask is not None and mask_mode != "none":
-        m = mask.to(image.dtype)[..., None] / 255
-        if mask_mode == "composite":
-            y = y * m + torch.tensor(background, dtype=image.dtype) * (1 - m)
-        else:
-            image, y = image * m, y * m
+    m = None if mask is None or mask_mode == "none" else mask.to(image.dtype)[..., None] / 255
+    if m is not None and mask_mode == "composite":
+        y = y * m + torch.tensor(background, dtype=image.dtype) * (1 - m)
+    elif m is not None:
+        image, y = image * m, y * m
+    if gain is not None:
+        image = image * gain
+        image = torch.where((y >= 1) & (image > 1), torch.ones_like(image), image)
     taps = torch.arange(WINDOW, dtype=image.dtype) - WINDOW // 2
     taps = torch.exp(-(taps**2) / (2 * SIGMA**2))
     taps = taps / taps.sum()

@@ -30,7 +30,7 @@ from ..rows.stored import whole
 from ..trainer import Trainer
 
 FORMAT = 3
-_DTYPES = {torch.float32: "F32", torch.float64: "F64", torch.uint8: "U8"}
+_DTYPES = {torch.float32: "F32", torch.float64: "F64", torch.uint8: "U8", torch.int64: "I64"}
 FREE = frozenset(name for name, one in options_of(TrainConfig).items() if one.free)
 """Options that may change when a run goes on."""
 _OFTEN_CHANGED = ("iterations", "time_budget", "target_psnr", "early_stop", "threads")

@@ -2,7 +2,7 @@
 
 import argparse
 import datetime
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -10,8 +10,10 @@ import numpy as np
 from ...config import Background, DataConfig
 from ...config_file import config_json
 from ...io.cameras_json import write_cameras
+from ...io.exposure_json import EXPOSURE_FILE, write_exposures
 from ...io.images import write_png
 from ...io.ply import MIP_COMMENT, write_splat_parts
+from ...io.poses_json import POSES_FILE, write_poses
 from ...io.runs import snapshots_in
 from ...metrics import Course, Evaluation, Metrics, PictureCollector, write_results
 from ...raster import backend
@@ -19,6 +21,8 @@ from ..depth.report import DepthReport
 from ..evaluation import Evaluator
 from ..length.meter import Meter
 from ..trainer import Trainer
+from ..views.motion import apart
+from ..views.poses import PhotoPoses
 from .folder import RunFolder
 
 _SNAPSHOTS_KEPT = 2
@@ -92,9 +96,11 @@ class Results:
         evals: list[dict[str, Any]],
         warnings: list[str],
         depth: DepthReport | None = None,
+        learnt: dict[str, Any] | None = None,
         reason: str,
     ) -> dict[str, Any]:
-        """report.html and metrics.json; `evaluation` and `depth` are None if there was none.
+        """report.html and metrics.json; `evaluation` and `depth` are None if there was none,
+        `learnt` is of `write_learnt`.
 
         `reason` is why training ended.
         """
@@ -108,6 +114,7 @@ class Results:
             history=meter.history,
             evals=evals,
             depth=None if depth is None else depth.numbers,
+            **(learnt or {}),
         )
         stopped = Evaluation.none("training was stopped before its evaluation")
         metrics = Metrics(
@@ -135,6 +142,39 @@ class Results:
             warnings=warnings,
             depth=None if depth is None else depth.section,
         )
+
+    def write_learnt(self, exposure: dict[str, Any] | None, poses: str) -> dict[str, Any]:
+        """exposure.json and poses.json, of what was learnt of the photos; for metrics.json what.
+
+        Args:
+            exposure: What was found of the photos' exposure; None: nobody asked.
+            poses: Why cameras were moved.
+        """
+        trainer, found = self._trainer, {}
+        if exposure is not None:
+            found["exposure"] = exposure | {"learnt": trainer.gains is not None}
+        if trainer.gains is not None:
+            gains, names = np.exp(trainer.gains.log_gains), trainer.photos.scene.cameras.names
+            by_name = {names[i]: gains[i] for i in trainer.photos.train}
+            write_exposures(self._folder.path / EXPOSURE_FILE, by_name)
+        if trainer.poses is not None:
+            found["poses"] = {"why": poses, "cameras": self._write_poses(trainer.poses)}
+        return found
+
+    def _write_poses(self, poses: PhotoPoses) -> dict[str, dict[str, float]]:
+        """poses.json; how far each training camera moved from where the capture has it."""
+        frame, photos = self._trainer.frame, self._trainer.photos
+        cameras, train = photos.scene.cameras, list(photos.train)
+        now = replace(cameras, viewmats=poses.viewmats)
+        viewmats = frame.similarity.cameras_from_training(now).viewmats[train]
+        turned, moved = apart(viewmats, cameras.viewmats[train])
+        degrees, names = np.degrees(turned), [cameras.names[i] for i in train]
+        write_poses(self._folder.path / POSES_FILE, names, viewmats, degrees, moved)
+        extents = moved * frame.similarity.scale / frame.extent
+        return {
+            name: {"degrees": float(degrees[i]), "extents": float(extents[i])}
+            for i, name in enumerate(names)
+        }
 
 
 def _resolved(trainer: Trainer) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from mathutils import Matrix, Quaternion, Vector
 
 from addon import job as job_api
 from addon import preferences
+from addon.cameras.captures import import_capture
 from addon.core import write_splats
 from addon.job import display, filling, registry, session, training
 from addon.job.job import Job
@@ -117,6 +118,23 @@ def test_the_result_stands_upright(studio: bpy.types.Scene, play: Play, tmp_path
     training.train(studio, overwrite=True, wait=True)
     up = studio.gscore.result.matrix_world.to_3x3() @ (world @ Vector((0, 0, 1)))
     np.testing.assert_allclose(up, (0, 0, 1), atol=1e-4)
+
+
+def test_cameras_say_how_far_they_were_moved(
+    studio: bpy.types.Scene, play: Play, tmp_path: Path
+) -> None:
+    """Oracle: the poses.json of the run; cameras that it does not name say nothing, also those that
+    an earlier run had moved."""
+    made = import_capture(bpy.context, STUDIO, photos=False, points=False)
+    first, second = made.cameras[:2]
+    second["gs_turned_degrees"] = 7.0
+    facts = {"degrees": 0.25, "distance": 0.5, "viewmat": np.eye(4).tolist()}
+    write_splats(tmp_path / "out" / "point_cloud.ply", splats(30, 1))
+    (tmp_path / "out" / "poses.json").write_text(json.dumps({first["gs_image"]: facts}))
+    play({"say": STARTED}, finish())
+    training.train(studio, overwrite=True, wait=True)
+    assert (first["gs_turned_degrees"], first["gs_moved"]) == (0.25, 0.5)
+    assert not any(key in second for key in ("gs_turned_degrees", "gs_moved"))
 
 
 def test_the_trainer_gets_the_settings(studio: bpy.types.Scene, play: Play) -> None:

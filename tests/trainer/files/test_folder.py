@@ -49,6 +49,8 @@ def test_another_run_is_refused_and_untouched(tmp_path: Path) -> None:
 OURS = (
     "cfg_args",
     "cameras.json",
+    "exposure.json",
+    "poses.json",
     "point_cloud.ply",
     "metrics.json",
     "report.html",

@@ -1,0 +1,73 @@
+"""Which points of structure from motion were seen in which views."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import DatasetError
+from ..io.colmap import ColmapModel, find_model, read_model
+from ..io.colmap_model import ColmapCamera, PointIndex
+from ..scene import within_reach
+from .dataset import Dataset
+from .undistort import rays_of
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tracks:
+    """The points that structure from motion found, and where it saw them."""
+
+    points: np.ndarray
+    """[P, 3] float64, world units."""
+    seen: list[np.ndarray]
+    """By view: [M] int64, rows of `points` that were seen there."""
+    rays: list[np.ndarray]
+    """By view: [M, 2] float64, x / z and y / z of the rays along which they were seen."""
+
+
+def tracks_of(dataset: Dataset) -> Tracks | None:
+    """The tracks of a capture; None where it keeps none: it has no COLMAP model of its views.
+
+    Raises:
+        FormatError: the model is corrupt.
+    """
+    model = model_of(dataset)
+    if model is None:
+        return None
+    good = within_reach(model.points.xyz)
+    images = {image.name: image for image in model.images}
+    index = PointIndex(model.points)
+    seen, rays = [], []
+    for name in dataset.names:
+        image = images[name]
+        known, rows = index.find(image.point3D_ids)
+        kept = good[rows]
+        seen.append(rows[kept])
+        rays.append(_rays(model.cameras[image.camera_id], image.xys[known][kept]))
+    return Tracks(points=model.points.xyz, seen=seen, rays=rays)
+
+
+def _rays(camera: ColmapCamera, pixels: np.ndarray) -> np.ndarray:
+    """[M, 2]: x / z and y / z for pixels [M, 2] of a camera as the photo was taken."""
+    if not camera.is_pinhole:
+        return rays_of(camera, pixels)
+    K = camera.K
+    return (pixels - K[:2, 2]) / K[[0, 1], [0, 1]]
+
+
+def model_of(dataset: Dataset) -> ColmapModel | None:
+    """The COLMAP model of a capture if its images are the views, and stand where these do.
+
+    A transforms.json beside it, or cameras of another capture, may be of another world.
+
+    Raises:
+        FormatError: the model is corrupt.
+    """
+    try:
+        find_model(dataset.source)
+    except DatasetError:
+        return None
+    model = read_model(dataset.source)
+    poses = {image.name: image.viewmat for image in model.images}
+    views = zip(dataset.names, dataset.scene.cameras.viewmats, strict=True)
+    same = all(name in poses and np.allclose(poses[name], pose) for name, pose in views)
+    return model if same else None

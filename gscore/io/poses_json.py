@@ -1,0 +1,62 @@
+"""poses.json: where a training moved the cameras of its photos."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import FormatError
+from ..json_text import parse_json
+from .files import atomic_write, read_bytes
+
+POSES_FILE = "poses.json"
+
+
+def write_poses(
+    path: Path,
+    names: list[str],
+    viewmats: np.ndarray,
+    degrees: np.ndarray,
+    distances: np.ndarray,
+) -> None:
+    """Write {name of the photo: {"degrees", "distance", "viewmat"}}.
+
+    Args:
+        path: The file.
+        names: Of V photos.
+        viewmats: [V, 4, 4] world to camera, world units: where cameras stand after the training.
+        degrees: [V] how far they turned.
+        distances: [V] how far they moved, world units.
+
+    Raises:
+        GsError: it cannot be written.
+    """
+    facts = {
+        name: {
+            "degrees": float(degrees[i]),
+            "distance": float(distances[i]),
+            "viewmat": viewmats[i].tolist(),
+        }
+        for i, name in enumerate(names)
+    }
+    atomic_write(path, json.dumps(facts, indent=1).encode())
+
+
+def read_moves(path: Path) -> dict[str, tuple[float, float]]:
+    """Degrees and distance, world units, that each camera of a run moved, by name of its photo;
+    nothing where there is no such file.
+
+    Raises:
+        FormatError: it is damaged.
+    """
+    if not path.is_file():
+        return {}
+    try:
+        facts: Any = parse_json(read_bytes(path))
+        return {
+            str(name): (float(one["degrees"]), float(one["distance"]))
+            for name, one in facts.items()
+        }
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        raise FormatError(f"{path} is damaged ({error}). Train again to write it anew.") from error

@@ -1,0 +1,84 @@
+"""Cameras placed anew by the points that structure from motion saw in them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .motion import cross_matrix, moved
+
+_ROUNDS = 15
+"""Of Gauss and Newton."""
+_LEAST = 12
+"""Points below which a camera stays where it is."""
+_TUNING = 2.0
+"""Residuals beyond so many medians count less (Cauchy)."""
+_FLOOR = 1e-4
+"""Least scale of residuals, x / z: a tenth of a pixel of a photo of 1,000."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Seen:
+    """What a camera saw of the points."""
+
+    points: np.ndarray
+    """[M, 3] float64, world units."""
+    rays: np.ndarray
+    """[M, 2] float64, x / z and y / z."""
+
+
+def residuals(viewmat: np.ndarray, seen: Seen) -> np.ndarray:
+    """[M, 2]: x / z and y / z of the points as seen by a pose, less those that were seen; NaN
+    behind the camera."""
+    local = seen.points @ viewmat[:3, :3].T + viewmat[:3, 3]
+    z = np.where(local[:, 2] > 0, local[:, 2], np.nan)
+    return local[:, :2] / z[:, None] - seen.rays
+
+
+def typical(viewmat: np.ndarray, seen: Seen) -> float:
+    """Median length of the residuals, x / z; infinite where there are too few points."""
+    length = np.linalg.norm(residuals(viewmat, seen), axis=1)
+    return (
+        float(np.median(np.where(np.isfinite(length), length, np.inf))) if len(length) else np.inf
+    )
+
+
+def placed(viewmat: np.ndarray, seen: Seen) -> np.ndarray:
+    """The pose, [4, 4], at which a camera sees the points where it saw them; where there are fewer
+    than twelve, or no better pose is found, the one it has.
+
+    Iteratively reweighted least squares over the motion of `moved`, with Cauchy's weights.
+    """
+    if len(seen.points) < _LEAST:
+        return viewmat
+    pose = viewmat
+    for _ in range(_ROUNDS):
+        step = _step(pose, seen)
+        if step is None:
+            break
+        pose = moved(pose, step)
+        if np.abs(step).max() < 1e-9:
+            break
+    better = typical(pose, seen) < typical(viewmat, seen)
+    return pose if better and np.isfinite(pose).all() else viewmat
+
+
+def _step(pose: np.ndarray, seen: Seen) -> np.ndarray | None:
+    """[6]: the motion that solves the linear problem; None where it has no solution."""
+    off = residuals(pose, seen)
+    good = np.isfinite(off).all(axis=1)
+    if good.sum() < _LEAST:
+        return None
+    local = seen.points[good] @ pose[:3, :3].T + pose[:3, 3]
+    off = off[good]
+    length = np.linalg.norm(off, axis=1)
+    scale = _TUNING * max(float(np.median(length)), _FLOOR)
+    weight = 1 / (1 + (length / scale) ** 2)
+    by_place = np.zeros((len(local), 2, 3))
+    by_place[:, 0, 0] = by_place[:, 1, 1] = 1 / local[:, 2]
+    by_place[:, :, 2] = -local[:, :2] / local[:, 2:] ** 2
+    by_motion = np.concatenate([by_place @ -cross_matrix(local), by_place], axis=2)
+    weighted = (by_motion * weight[:, None, None]).reshape(-1, 6)
+    try:
+        return np.linalg.solve(weighted.T @ by_motion.reshape(-1, 6), -weighted.T @ off.ravel())
+    except np.linalg.LinAlgError:
+        return None

@@ -1,0 +1,218 @@
+"""Whether exposure is learnt, by the studio example and copies of it; and what a run writes."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gscore.config import DataConfig, Switch, TrainConfig
+from gscore.datasets import Dataset, load_dataset
+from gscore.events import Started
+from gscore.io.exposure_exif import stated_exposure
+from gscore.io.images import read_image
+from gscore.trainer.run import train
+from gscore.trainer.views.exposure import (
+    FAR,
+    LEAST,
+    decide,
+    prepare_exposure,
+    stops_off_neighbours,
+)
+
+STUDIO = Path(__file__).parents[3] / "examples" / "studio"
+STOP = np.log(2) / 2.2
+"""ln gain of encoded values that is told as a stop."""
+
+
+class Exposed(Dataset):
+    """A capture whose photos were multiplied by gains."""
+
+    def __init__(self, plain: Dataset, log_gains: np.ndarray) -> None:
+        super().__init__(
+            scene=plain.scene,
+            files=list(plain.files),
+            train=plain.train,
+            test=plain.test,
+            mask_mode=plain.mask_mode,
+            source=plain.source,
+        )
+        self._plain, self._gains = plain, np.exp(log_gains)
+
+    def image(self, index: int) -> np.ndarray:
+        image = self._plain.image(index) * self._gains[index]
+        return np.clip(image + 0.5, 0, 255).astype(np.uint8)
+
+
+@pytest.fixture(scope="module")
+def studio() -> Dataset:
+    """The example at 240 px, all of it without masks."""
+    return load_dataset(DataConfig(source=STUDIO, resolution=240, eval=True, mask_mode="none"))
+
+
+def test_a_studio_is_exposed_alike(studio: Dataset) -> None:
+    """Oracle: the example was rendered with one exposure."""
+    found = prepare_exposure(TrainConfig(), studio)
+    assert found.gains is None
+    assert "exposed alike (0.0" in found.why
+    assert found.numbers is not None and found.numbers["stops_apart"] < LEAST / 1.5
+
+
+def test_gains_of_a_capture_begin_near_the_truth(studio: Dataset) -> None:
+    """Oracle: the gains that the photos were multiplied by, about their mean; photos that lie a
+    third of a stop apart are learnt by themselves."""
+    truth = np.random.default_rng(0).normal(0, 0.12, (len(studio), 3))
+    found = prepare_exposure(TrainConfig(), Exposed(studio, truth))
+    assert found.gains is not None
+    assert "exposed differently (0.3" in found.why and "points seen" in found.why
+    train_views = studio.train
+    error = found.gains.log_gains[train_views] - truth[train_views]
+    error -= error.mean(axis=0)
+    assert np.sqrt((error**2).mean()) < 0.02
+    assert not found.gains.log_gains[studio.test].any()
+
+
+def test_a_single_bright_photo_is_found(studio: Dataset) -> None:
+    """Oracle: one photo of 52 brighter by one stop and a half; its gain, others near one."""
+    truth = np.zeros((len(studio), 3))
+    truth[studio.train[5]] = 1.5 * STOP
+    found = prepare_exposure(TrainConfig(), Exposed(studio, truth))
+    assert found.gains is not None
+    gains = found.gains.log_gains / STOP
+    assert gains[studio.train[5]] == pytest.approx(np.full(3, 1.5), abs=0.15)
+    others = np.delete(gains[studio.train], 5, axis=0)
+    assert np.abs(others).max() < 0.15
+
+
+@pytest.mark.parametrize("mode", list(Switch))
+@pytest.mark.parametrize("apart", [0.01, 0.5])
+@pytest.mark.parametrize("farthest", [0.6, 1.5])
+@pytest.mark.parametrize("known", ["", "EXIF"])
+def test_the_rule(mode: Switch, apart: float, farthest: float, known: str) -> None:
+    """Oracle: the rule in words: `on` and `off` as they say, `auto` where photos, or one of them,
+    are known to differ; every answer says why."""
+    learns, why = False, "off."
+    if mode is not Switch.OFF:
+        learns, why = decide(mode, apart, farthest, known=known)
+    differ = bool(known) and (apart > LEAST or farthest > FAR)
+    assert learns is (mode is Switch.ON or (mode is Switch.AUTO and differ))
+    assert why.endswith(".")
+
+
+def test_photos_are_compared_with_their_neighbours() -> None:
+    """Oracle: the standard deviation of random exposures, whatever the places; along a way the
+    differences from four neighbours one by one; cameras in one place; one photo."""
+    rng = np.random.default_rng(1)
+    places = rng.normal(size=(4000, 3))
+    random = np.repeat(rng.normal(0, 0.4 * STOP, (4000, 1)), 3, axis=1)
+    assert together(random, places) == pytest.approx(0.4, rel=0.03)
+    assert together(random, np.zeros((4000, 3))) == pytest.approx(0.4, rel=0.03)
+    way = np.arange(100.0)[:, None] * [1.0, 0, 0]
+    slowly = np.repeat(np.sin(way[:, :1] / 30), 3, axis=1)
+    slow = [
+        slowly[i, 0]
+        - np.mean([slowly[j, 0] for j in sorted(range(100), key=lambda j: (abs(j - i), j))[1:5]])
+        for i in range(100)
+    ]
+    expected = np.sqrt(np.mean(np.square(slow)) / 1.25) / STOP
+    assert together(slowly, way) == pytest.approx(expected, rel=0.05)
+    assert together(slowly, way) < 0.05 * slowly.std() / STOP
+    assert stops_off_neighbours(random[:1], places[:1]).tolist() == [0.0]
+
+
+def together(log_gains: np.ndarray, centers: np.ndarray) -> float:
+    return float(np.sqrt((stops_off_neighbours(log_gains, centers) ** 2).mean()))
+
+
+def test_off_looks_at_nothing(studio: Dataset) -> None:
+    """Oracle: no sentence, no numbers, no gains."""
+    found = prepare_exposure(TrainConfig(exposure=Switch.OFF), studio)
+    assert (found.gains, found.why, found.numbers) == (None, "", None)
+
+
+def _photo(path: Path, tags: dict[int, Any]) -> Path:
+    exif = Image.Exif()
+    exif.get_ifd(0x8769).update(tags)
+    Image.new("RGB", (8, 8), (90, 90, 90)).save(path, exif=exif)
+    return path
+
+
+def test_exif_says_how_photos_were_exposed(tmp_path: Path) -> None:
+    """Oracle: twice the time, ISO speed, or aperture's area is a stop; numbers that are none or
+    missing say nothing."""
+    time, aperture, speed = 0x829A, 0x829D, 0x8827
+    tags = {time: 0.01, aperture: 2.0, speed: 100}
+    base = stated_exposure(_photo(tmp_path / "a.jpg", tags))
+    assert base == pytest.approx(np.log2(0.01 * 100 / 4), abs=1e-3)
+    assert stated_exposure(_photo(tmp_path / "b.jpg", tags | {time: 0.04})) == pytest.approx(
+        base + 2, abs=1e-3
+    )
+    assert stated_exposure(_photo(tmp_path / "c.jpg", tags | {aperture: 4.0})) == pytest.approx(
+        base - 2, abs=1e-3
+    )
+    assert stated_exposure(_photo(tmp_path / "d.jpg", {time: 0.01, speed: 100})) is None
+    assert stated_exposure(_photo(tmp_path / "e.jpg", tags | {speed: 0})) is None
+    plain = tmp_path / "f.png"
+    Image.new("RGB", (8, 8)).save(plain)
+    assert stated_exposure(plain) is None
+
+
+def test_a_run_writes_its_exposures(capture: Path, tmp_path: Path) -> None:
+    """Oracle: the gains of the trainer's checkpoint in the layout of 3DGS, [3][4] by name, of the
+    training photos alone; and the sentence in the event and in metrics.json."""
+    config = TrainConfig(
+        iterations=40, max_splats=200, exposure=Switch.ON, exposure_lr=0.05, exposure_lr_final=0.05
+    )
+    data = DataConfig(source=capture, eval=True, test_every=4)
+    told: list[Any] = []
+    result = train(config, data, tmp_path / "out", told.append)
+    stated = json.loads((tmp_path / "out/exposure.json").read_text())
+    names = sorted(p.name for p in (capture / "images").iterdir())
+    assert sorted(stated) == [name for i, name in enumerate(names) if i % 4]
+    maps = np.array(list(stated.values()))
+    assert maps.shape == (6, 3, 4)
+    diagonal = maps[:, range(3), range(3)]
+    assert (maps.sum(axis=(1, 2)) == diagonal.sum(axis=1)).all(), "more than gains"
+    np.testing.assert_allclose(np.log(diagonal).mean(axis=0), 0, atol=1e-12)
+    assert np.abs(np.log(diagonal)).max() > 0.005, "nothing was learnt"
+    (started,) = (event for event in told if isinstance(event, Started))
+    assert started.exposure == "The exposure of each photo is learnt (asked for)."
+    assert result.metrics["exposure"]["learnt"] is True
+
+
+def test_photos_that_are_alike_train_as_without(capture: Path, tmp_path: Path) -> None:
+    """Oracle: the bytes of the splats with `exposure` off; no exposure.json is written."""
+    written = []
+    for mode in (Switch.AUTO, Switch.OFF):
+        config = TrainConfig(iterations=12, max_splats=200, exposure=mode)
+        train(config, DataConfig(source=capture), tmp_path / mode)
+        written.append((tmp_path / mode / "point_cloud.ply").read_bytes())
+        assert not (tmp_path / mode / "exposure.json").exists()
+    assert written[0] == written[1]
+
+
+def test_exposed_photos_are_measured_as_photos(capture: Path, tmp_path: Path) -> None:
+    """Oracle: without held-out views the training photos are measured, through their gains: the
+    PSNR stays near that of one exposure, where neutral pictures would lose it."""
+    dark = tmp_path / "dark"
+    for path in capture.rglob("*"):
+        if path.is_file() and path.parent.name != "images":
+            copy = dark / path.relative_to(capture)
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            copy.write_bytes(path.read_bytes())
+    (dark / "images").mkdir()
+    for i, path in enumerate(sorted((capture / "images").iterdir())):
+        image = read_image(path)[..., :3] * (1.0 if i % 2 else 0.7)
+        Image.fromarray(image.astype(np.uint8)).save(dark / "images" / path.name)
+    config = TrainConfig(
+        iterations=300, max_splats=300, exposure=Switch.ON, exposure_lr=0.05, sh_degree=0
+    )
+    learnt = train(config, DataConfig(source=dark), tmp_path / "on").psnr
+    plain = train(
+        replace(config, exposure=Switch.OFF), DataConfig(source=dark), tmp_path / "off"
+    ).psnr
+    assert learnt is not None and plain is not None
+    assert learnt > plain + 2

@@ -1,0 +1,225 @@
+"""Poses of photos: motions, the chain of their derivative, steps, what a training finds."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from scipy.linalg import expm
+
+from gscore.config import Background
+from gscore.raster.loss import image_loss_gradient
+from gscore.raster.painter import Painter
+from gscore.raster.reference import image_loss_reference, rasterize_reference
+from gscore.raster.request import Frustum
+from gscore.trainer.files import checkpoint
+from gscore.trainer.trainer import Trainer
+from gscore.trainer.views.motion import apart, centers, cross_matrix, moved, slope
+from gscore.trainer.views.placing import Placing
+from gscore.trainer.views.poses import PhotoPoses
+from tests.trainer.short_run import CONFIG
+
+NAMES = ("means", "quats", "scales", "opacities", "sh0", "shN")
+
+
+def disturbed(photos: Any, *, degrees: float, shift: float, seed: int = 0) -> np.ndarray:
+    """[V, 4, 4]: training cameras turned and shifted at random by so much."""
+    rng = np.random.default_rng(seed)
+    out = photos.scene.cameras.viewmats.copy()
+    for i in photos.train:
+        axis, way = rng.normal(size=(2, 3))
+        axis *= np.radians(degrees) / np.linalg.norm(axis)
+        out[i] = moved(out[i], np.concatenate([axis, way * shift / np.linalg.norm(way)]))
+    return out
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-9, 1e-3, 1.0, 3.0])
+def test_a_motion_is_an_exponential(size: float) -> None:
+    """Oracle: scipy's matrix exponential of the cross matrix; the shift is added after the turn."""
+    vector = size * np.array([0.6, -0.48, 0.64])
+    pose = np.eye(4)
+    pose[:3, 3] = [1.0, 2.0, 3.0]
+    found = moved(pose, np.concatenate([vector, [0.1, 0.2, 0.3]]))
+    turn = expm(cross_matrix(vector))
+    np.testing.assert_allclose(found[:3, :3], turn, atol=1e-14)
+    np.testing.assert_allclose(found[:3, 3], turn @ [1, 2, 3] + [0.1, 0.2, 0.3], atol=1e-14)
+    angle, distance = apart(found[None], pose[None])
+    assert angle[0] == pytest.approx(size, abs=1e-12)
+    where = centers(np.stack([found, pose]))
+    assert distance[0] == pytest.approx(np.linalg.norm(where[0] - where[1]))
+
+
+def test_the_chain_from_the_loss_to_a_motion(known_splats: Any, photos: Any) -> None:
+    """Oracle: central differences of the float64 twins of rasterizer and loss, of a camera that is
+    turned and shifted by `moved`, in all six directions."""
+    cameras, size = photos.scene.cameras, 24
+    K, viewmat = cameras.Ks[0] * [[0.5], [0.5], [1.0]], cameras.viewmats[0]
+    generator = torch.Generator().manual_seed(0)
+    target = torch.randint(0, 256, (size, size, 3), generator=generator, dtype=torch.uint8)
+    raw = [torch.from_numpy(getattr(known_splats, name)) for name in NAMES]
+    painter, v_viewmat = Painter(), torch.empty(4, 4)
+    view = Frustum(torch.from_numpy(viewmat).float(), torch.from_numpy(K).float(), size, size)
+    picture = painter.draw(raw, view)
+    v_rgb = torch.empty_like(picture.rgb)
+    image_loss_gradient(picture.rgb, target, v_rgb)
+    grads = {name: torch.zeros_like(t) for name, t in zip(NAMES, raw, strict=True)}
+    painter.gradients(grads, v_rgb, viewmat=v_viewmat)
+    found = slope(viewmat, v_viewmat.numpy().astype(np.float64))
+    exact = [t.double() for t in raw]
+
+    def loss_of(motion: np.ndarray) -> float:
+        pose = torch.from_numpy(moved(viewmat, motion))
+        out = rasterize_reference(*exact, pose, torch.from_numpy(K), size, size, raw=True)
+        return image_loss_reference(out.rgb, target)[0].item()
+
+    step, slopes = 1e-6, []
+    for axis in np.eye(6):
+        slopes.append((loss_of(step * axis) - loss_of(-step * axis)) / (2 * step))
+    assert np.abs(slopes).max() > 1e-2
+    np.testing.assert_allclose(found, slopes, rtol=2e-3, atol=2e-3 * np.abs(slopes).max())
+
+
+def test_all_cameras_together_stay(photos: Any) -> None:
+    """Oracle: the mean over the training cameras of their motions in the world, to first order;
+    held-out cameras keep every bit."""
+    first = photos.scene.cameras.viewmats
+    poses = PhotoPoses([0, 1, 2, 4, 5], first, unit=2.0)
+    rng = np.random.default_rng(0)
+    for index in (0, 4, 2, 5, 1, 0):
+        poses.learn(index, torch.from_numpy(rng.normal(size=(4, 4))).float(), 1e-5)
+    motions = np.linalg.inv(first) @ poses.viewmats - np.eye(4)
+    largest = np.abs(motions).max()
+    assert largest > 1e-5
+    assert np.abs(motions[[0, 1, 2, 4, 5]].mean(axis=0)).max() < 1e-3 * largest
+    assert (poses.viewmats[[3, 6, 7]] == first[[3, 6, 7]]).all()
+
+
+def test_no_camera_leaves_its_limit(photos: Any) -> None:
+    """Oracle: the limit, for a gradient that always pulls the same way; and poses stay rigid."""
+    poses = PhotoPoses(photos.train, photos.scene.cameras.viewmats, unit=1.0, limit=0.02)
+    pull = torch.zeros(4, 4)
+    pull[0, 3] = -1.0
+    for _ in range(100):
+        poses.learn(2, pull, 1e-3)
+    turned, shifted = apart(poses.viewmats, photos.scene.cameras.viewmats)
+    assert 0.015 < shifted[2] <= 0.02 + 0.005
+    assert turned.max() < 0.02
+    turns = poses.viewmats[:, :3, :3]
+    assert np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)).max() < 1e-12
+
+
+def test_a_derivative_that_is_not_finite_moves_nothing(photos: Any) -> None:
+    """Oracle: the poses before."""
+    poses = PhotoPoses(photos.train, photos.scene.cameras.viewmats, unit=1.0)
+    poses.learn(1, torch.full((4, 4), torch.nan), 1e-3)
+    assert (poses.viewmats == photos.scene.cameras.viewmats).all()
+
+
+def test_disturbed_poses_come_back(make_photos: Callable[..., Any]) -> None:
+    """Oracle: where the cameras that drew the photos see the points; half of the disturbance, a
+    motion of all of them apart, is left at most, and the training error falls."""
+    photos = make_photos()
+    wrong = disturbed(photos, degrees=1.5, shift=0.02)
+    config = replace(
+        CONFIG,
+        iterations=600,
+        background=Background.BLACK,
+        sh_degree=0,
+        pose_start=0.05,
+        pose_lr=3e-3,
+    )
+
+    def trained(placing: Placing) -> Trainer:
+        trainer = Trainer(config, photos, placing=placing)
+        for _ in range(config.iterations):
+            trainer.step()
+        return trainer
+
+    learnt = trained(Placing(viewmats=wrong, learns=True))
+    kept = trained(Placing(viewmats=wrong))
+    similarity = learnt.frame.similarity
+    truth = similarity.cameras_to_training(photos.scene.cameras).viewmats
+    points = similarity.points_to_training(photos.scene.points.points)
+
+    def missed(trainer: Trainer) -> float:
+        assert trainer.poses is not None
+        seen = [p[:, :2] / p[:, 2:] for p in _local(trainer.poses.viewmats, points)]
+        true = [p[:, :2] / p[:, 2:] for p in _local(truth, points)]
+        off = np.array(seen) - np.array(true)
+        slopes = _slopes(truth, points)
+        common = np.linalg.lstsq(slopes.reshape(-1, 6), off.ravel(), rcond=None)[0]
+        return float(np.sqrt(((off.ravel() - slopes.reshape(-1, 6) @ common) ** 2).mean()))
+
+    assert missed(learnt) < missed(kept) / 2
+    assert learnt.error() < 0.9 * kept.error()
+
+
+def _local(viewmats: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """[V, P, 3]: points [P, 3] in the axes of each camera."""
+    return points @ viewmats[:, :3, :3].transpose(0, 2, 1) + viewmats[:, None, :3, 3]
+
+
+def _slopes(viewmats: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """[V, P, 2, 6]: how x / z and y / z change as the world turns and shifts, by differences."""
+    found, step = [], 1e-6
+    for axis in np.eye(6):
+        ways = []
+        for sign in (step, -step):
+            world = moved(np.eye(4), sign * axis)
+            local = _local(viewmats @ world, points)
+            ways.append(local[..., :2] / local[..., 2:])
+        found.append((ways[0] - ways[1]) / (2 * step))
+    return np.stack(found, axis=-1)
+
+
+def test_poses_stay_before_and_after_their_time(photos: Any) -> None:
+    """Oracle: the bits of the poses up to `pose_start` and from `pose_stop` on."""
+    config = replace(CONFIG, pose_start=0.25, pose_stop=0.5)
+    placing = Placing(viewmats=photos.scene.cameras.viewmats, learns=True)
+    trainer, seen = Trainer(config, photos, placing=placing), []
+    assert trainer.poses is not None
+    for _ in range(60):
+        trainer.step()
+        seen.append(trainer.poses.viewmats.copy())
+    assert all((now == seen[0]).all() for now in seen[:14])
+    assert not (seen[20] == seen[0]).all()
+    assert all((now == seen[-1]).all() for now in seen[30:])
+
+
+def test_resume_is_bit_equal(photos: Any, tmp_path: Path) -> None:
+    """Oracle: all tensors and other state of a run that never stopped, with other threads."""
+    placing = Placing(viewmats=disturbed(photos, degrees=0.5, shift=0.01), learns=True)
+    whole = Trainer(replace(CONFIG, threads=1), photos, placing=placing)
+    for step in range(1, 61):
+        whole.step()
+        if step in (3, 21, 50):
+            checkpoint.save(tmp_path / f"{step}.safetensors", whole, {})
+    for stop in (3, 21, 50):
+        found = checkpoint.load(tmp_path / f"{stop}.safetensors")
+        resumed = Trainer(replace(CONFIG, threads=2), photos)
+        resumed.restore(found.trainer, found.tensors)
+        while resumed.steps < 60:
+            resumed.step()
+        mine, theirs = resumed.tensors(), whole.tensors()
+        assert mine.keys() == theirs.keys()
+        assert all(torch.equal(tensor, theirs[name]) for name, tensor in mine.items())
+        assert resumed.state() == whole.state()
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        {"pose/viewmats": torch.zeros(3, 4, 4, dtype=torch.float64)},
+        {"pose/first": torch.full((8, 4, 4), torch.nan, dtype=torch.float64)},
+        {"pose/facts": torch.zeros(2, dtype=torch.float64)},
+        {"pose/steps": torch.full((8,), -1)},
+    ],
+)
+def test_a_damaged_checkpoint_is_refused(photos: Any, damage: dict[str, torch.Tensor]) -> None:
+    """Oracle: the exception that becomes a FormatError."""
+    poses = PhotoPoses(photos.train, photos.scene.cameras.viewmats, unit=1.0)
+    with pytest.raises(ValueError, match="pose/"):
+        PhotoPoses.restored(photos.train, 8, poses.tensors() | damage)
