@@ -24,6 +24,14 @@ POSITION, SCALE, ROTATION = "position", "scale", "rotation"
 BASE, SH = "radiance:base", "radiance:sh_"
 SH_COUNTS = (0, 3, 8, 15)
 """Numbers of `radiance:sh_<k>` attributes of SH degrees 0 to 3."""
+NO_SPLATS = Splats(
+    means=np.zeros((0, 3), np.float32),
+    quats=np.zeros((0, 4), np.float32),
+    scales=np.zeros((0, 3), np.float32),
+    opacities=np.zeros(0, np.float32),
+    sh0=np.zeros((0, 1, 3), np.float32),
+    shN=np.zeros((0, 0, 3), np.float32),
+)
 
 _KINDS = {
     "FLOAT_VECTOR": ("vector", 3),

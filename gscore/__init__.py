@@ -8,7 +8,7 @@ torch nor the native library.
 from typing import TYPE_CHECKING, Any
 
 from ._version import __version__
-from .extras import load
+from .extras import offered
 
 if TYPE_CHECKING:
     from .config import PRESETS, Background, DataConfig, Strategy, TrainConfig
@@ -122,7 +122,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    return load(__name__, name, _HOME)
+    return offered(__name__, name, _HOME)
 
 
 def __dir__() -> list[str]:

@@ -505,14 +505,6 @@ class TrainConfig:
         unit="share of the run",
         when="small_photos",
     )
-    coarse_by_detail: bool = option(
-        False,
-        "Photos stay at each size in proportion to the detail that it adds, which their "
-        "frequencies tell; soft photos train faster. Else the number of pixels rises with the "
-        "square of the step.",
-        group="photos",
-        when="small_photos",
-    )
     grow_with_photos: bool = option(
         True,
         "`default`: the largest number of splats rises with the sides of the photos, from the "

@@ -18,6 +18,7 @@ from .shown import quoted
 ConfigT = TypeVar("ConfigT", DataConfig, TrainConfig)
 AnyT = TypeVar("AnyT")
 _REMOVED = {
+    "coarse_by_detail": (False, "photos become larger at times that do not depend on their detail"),
     "reg_final": (1.0, "the penalties of mcmc keep their weight to the end of a training"),
 }
 """Options that files may still state, by name: the only value that can, and why."""

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, ClassVar
 
@@ -19,6 +19,10 @@ class Event:
     """Base of all events; `kind` is the value of the JSON key "event"."""
 
     kind: ClassVar[str] = ""
+
+
+Show = Callable[[Event], None]
+"""Takes events as they come."""
 
 
 @dataclass(frozen=True, kw_only=True)

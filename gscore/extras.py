@@ -64,7 +64,7 @@ def need(module: str, purpose: str) -> Any:
         raise BackendError(f"{missing(module, purpose)}.") from error
 
 
-def load(door: str, name: str, homes: Mapping[str, str]) -> Any:
+def offered(door: str, name: str, homes: Mapping[str, str]) -> Any:
     """A name that a module offers but does not hold, for that module's `__getattr__`.
 
     Args:

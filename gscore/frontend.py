@@ -6,7 +6,7 @@ The Blender add-on uses no others. A name is loaded when it is first used.
 
 from typing import TYPE_CHECKING, Any
 
-from .extras import load
+from .extras import offered
 
 if TYPE_CHECKING:
     from .config import Switch
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from .inspection import CaptureFacts, Problem, find_capture
     from .inspection import inspect as inspect_capture
     from .io.camera_models import NO_PINHOLE
-    from .io.cameras_json import read_cameras
+    from .io.cameras_json import read_cameras_json as read_cameras
     from .io.colmap import find_model as find_colmap
     from .io.colmap import read_model as read_colmap
     from .io.colmap import write_model as write_colmap
@@ -117,7 +117,7 @@ _HOME = {
     "is_antialiased": "io.ply",
     "is_video": "video",
     "options_of": "options",
-    "read_cameras": "io.cameras_json",
+    "read_cameras": "io.cameras_json:read_cameras_json",
     "read_capture": "datasets",
     "read_colmap": "io.colmap:read_model",
     "read_header": "io.image_header",
@@ -204,7 +204,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    return load(__name__, name, _HOME)
+    return offered(__name__, name, _HOME)
 
 
 def __dir__() -> list[str]:

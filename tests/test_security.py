@@ -154,7 +154,7 @@ import torch; torch.zeros(3)
 
 OPENING = """
 from PIL import Image; Image.open("x", formats=("PNG",))
-pil = pillow(); pil.open("x", formats=FORMATS)
+pil = pillow(); pil.open("x", formats=PICTURE_FORMATS)
 import av; av.open(f"file:{path}", "w")
 """.strip().splitlines()
 """Each line opens what it names, and nothing else."""

@@ -10,9 +10,9 @@ import bpy
 import numpy as np
 
 from .. import outcomes, preferences, stored_paths
+from ..attributes import NO_SPLATS
 from ..cameras.objects import is_kind, note_moves
 from ..capture.folders import same_folder
-from ..core import Splats
 from ..interface import undo
 from ..paths import absolute, output_folder
 from ..splats import files, objects
@@ -26,15 +26,6 @@ _FILLED = "gs_filled"
 """Custom property of a result: its `_signature` as it came, to know whether it was edited."""
 _FILLED_BY = "gs_job"
 """Custom property of a result: the id of the job that filled it last."""
-EMPTY = Splats(
-    means=np.zeros((0, 3), np.float32),
-    quats=np.zeros((0, 4), np.float32),
-    scales=np.zeros((0, 3), np.float32),
-    opacities=np.zeros(0, np.float32),
-    sh0=np.zeros((0, 1, 3), np.float32),
-    shN=np.zeros((0, 0, 3), np.float32),
-)
-"""No splats."""
 
 
 @dataclass(frozen=True)
@@ -140,7 +131,7 @@ def result_object(place: Place, job: Job, loaded: Loaded) -> bpy.types.Object:
     root = _root(scene, job.source)
     collection = root.users_collection[0] if root and root.users_collection else scene.collection
     name = f"{job.source.name} splats"
-    ob = objects.create(EMPTY, name, collection=collection, parent=root)
+    ob = objects.create(NO_SPLATS, name, collection=collection, parent=root)
     stored_paths.write(ob, stored_paths.RUN, job.output)
     stored_paths.write(ob, stored_paths.SOURCE, job.source)
     if loaded.typical_size:

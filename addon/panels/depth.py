@@ -9,10 +9,9 @@ from ..capture.inspection import ShownFacts
 from ..depth import colors, networks, work
 from ..depth.job import DepthJob
 from ..job import verb_job
-from ..python import setup
 from .depth_table import draw_counts, draw_table
 from .progress import clock
-from .widgets import TabPanel, found, open_preferences, root, rows, sentence
+from .widgets import TabPanel, found, has_python, root, rows, sentence
 
 
 class DepthPanel(TabPanel, bpy.types.Panel):
@@ -49,11 +48,7 @@ def draw_work(layout: bpy.types.UILayout, context: bpy.types.Context, facts: Sho
         row.progress(factor=job.share, text=bar_text(job))
         row.operator("gscore.cancel_depth", text="", icon="X")
         return
-    try:
-        setup.trainer_python(preferences.get())
-    except ValueError as error:
-        sentence(layout, context, str(error), icon="ERROR")
-        open_preferences(layout)
+    if not has_python(layout, context):
         return
     if job is not None:
         icon = "ERROR" if job.status == verb_job.FAILED else "CHECKMARK"

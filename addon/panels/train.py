@@ -10,8 +10,7 @@ from ..core import PRESETS, Estimate, RunInfo
 from ..job import facts, forecast
 from ..job.options import AS_PRESET, BY_WIDTH, continuation
 from ..paths import output_folder
-from ..python import setup
-from .widgets import TabPanel, found, job, open_preferences, sentence
+from .widgets import TabPanel, found, has_python, job, sentence
 
 _estimates: dict[str, Estimate] = {}
 """The last estimate of each scene, by its name."""
@@ -128,11 +127,7 @@ def draw_buttons(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
     if running is not None and not running.state.ended:
         layout.label(text="Training; see Progress", icon="TIME")
         return
-    try:
-        setup.trainer_python(preferences.get())
-    except ValueError as error:
-        sentence(layout, context, str(error), icon="ERROR")
-        open_preferences(layout)
+    if not has_python(layout, context):
         return
     before, problem = facts.run(context.scene)
     if problem:

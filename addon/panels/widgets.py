@@ -8,6 +8,7 @@ from ..capture.inspection import ShownFacts
 from ..interface.questions import letters, wrapped
 from ..job import facts, training
 from ..job.job import Job
+from ..python import setup
 
 
 class TabPanel:
@@ -56,7 +57,14 @@ def job(context: bpy.types.Context) -> Job | None:
     return training.job_of(context.scene)
 
 
-def open_preferences(layout: bpy.types.UILayout) -> None:
-    """A button that leads to the add-on's preferences."""
-    operator = layout.operator("preferences.addon_show", text="Preferences", icon="PREFERENCES")
-    operator.module = preferences.ROOT
+def has_python(layout: bpy.types.UILayout, context: bpy.types.Context) -> bool:
+    """Whether the preferences name a Python that trains; else what is wrong is drawn, with a button
+    that leads there."""
+    try:
+        setup.trainer_python(preferences.get())
+    except ValueError as error:
+        sentence(layout, context, str(error), icon="ERROR")
+        operator = layout.operator("preferences.addon_show", text="Preferences", icon="PREFERENCES")
+        operator.module = preferences.ROOT
+        return False
+    return True

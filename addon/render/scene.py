@@ -231,7 +231,7 @@ def _kept(frozen: FrozenMesh, filters: Filters) -> np.ndarray:
 
 def _check_similar(placed: Placed) -> None:
     try:
-        transform_splats(_NONE, placed.matrix)
+        transform_splats(attributes.NO_SPLATS, placed.matrix)
     except ValueError as error:
         raise ValueError(f"{placed.name} cannot be rendered. {error}") from error
 
@@ -248,13 +248,3 @@ def _concatenated(parts: list[Splats]) -> Splats:
     names = ("means", "quats", "scales", "opacities", "sh0")
     joined = {n: np.concatenate([getattr(p, n) for p in parts]) for n in names}
     return Splats(**joined, shN=np.concatenate(padded))
-
-
-_NONE = Splats(
-    means=np.zeros((0, 3), np.float32),
-    quats=np.zeros((0, 4), np.float32),
-    scales=np.zeros((0, 3), np.float32),
-    opacities=np.zeros(0, np.float32),
-    sh0=np.zeros((0, 1, 3), np.float32),
-    shN=np.zeros((0, 0, 3), np.float32),
-)

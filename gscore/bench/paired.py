@@ -69,7 +69,7 @@ def paired_difference(
 
 
 def _medians(rows: np.ndarray) -> np.ndarray:
-    """Of each row of [R, n], without NaN."""
+    """The median of each row of [R, n], without NaN."""
     ordered = np.sort(rows, axis=1)  # NaN last
     count = np.isfinite(rows).sum(axis=1)
     places = np.stack([(count - 1) // 2, count // 2], axis=1)

@@ -16,7 +16,7 @@ from .paired import Difference, paired_difference, trimmed_mean
 from .training import Color, PictureOf, train_measured
 from .verdict import CaptureChange, Verdict, judge
 
-METRICS = ("psnr", "psnr_cc", "ssim", "lpips")
+COMPARED = ("psnr", "psnr_cc", "ssim", "lpips")
 """What is known of a view."""
 
 
@@ -179,7 +179,7 @@ def read_training(content: Any) -> Training:
         if not (all(isinstance(text, str) for text in texts) and training.seconds > 0):
             raise ValueError("names are no text, or it took no time")
         numbers = [training.seconds, training.splats, training.seed, training.offset]
-        numbers += [getattr(view, key) for view in views for key in METRICS]
+        numbers += [getattr(view, key) for view in views for key in COMPARED]
         math.fsum(0.0 if number is None else number for number in (*numbers, training.gap))
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise FormatError(f"not a training of this bench ({error})") from error
@@ -188,7 +188,7 @@ def read_training(content: Any) -> Training:
 
 def summarize(trainings: Sequence[Training]) -> Summary:
     """One variant on one capture; at least one training."""
-    columns = {key: _column(trainings, key) for key in METRICS}
+    columns = {key: _column(trainings, key) for key in COMPARED}
     gaps = [training.gap for training in trainings if training.gap is not None]
     return Summary(
         median={key: statistics.median(c) if c else None for key, c in columns.items()},
@@ -263,7 +263,7 @@ def _change(pairs: Sequence[tuple[Training, Training]], judged: list[list[float]
 
 
 def _differences(pairs: Iterable[tuple[Training, Training]], key: str) -> list[list[float]]:
-    """Of each view that was held out, what the second training of each pair has above the first."""
+    """What the second training of each pair has above the first, by view that was held out."""
     views: dict[str, list[float]] = {}
     for before, after in pairs:
         known = {view.name: getattr(view, key) for view in before.views}

@@ -18,7 +18,7 @@ from .synthetic import SyntheticPhotos
 SPLATS = (10_000, 30_000, 100_000, 300_000, 1_000_000, 2_000_000)
 SIZES = ((400, 250), (640, 400), (1280, 800), (1920, 1200), (2560, 1600), (3584, 2240))
 """0.1 to 8 megapixels."""
-VIEWS = (10, 30, 100, 300, 1000)
+VIEW_COUNTS = (10, 30, 100, 300, 1000)
 CACHE_MB = 64
 """Photos that stay in memory in the second row of each number of views."""
 
@@ -64,7 +64,7 @@ def bench_scaling(
     splats: Sequence[int] = SPLATS,
     sizes: Sequence[tuple[int, int]] = SIZES,
     threads: Sequence[int],
-    views: Sequence[int] = VIEWS,
+    views: Sequence[int] = VIEW_COUNTS,
     cloud: int = 100_000,
     steps: int = 20,
     on_row: Callable[[str, dict[str, Any]], None] | None = None,

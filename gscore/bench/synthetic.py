@@ -45,7 +45,7 @@ class SyntheticPhotos:
         self._images = [self._photo(i, width, height) for i in self.train]
 
     def content_hash(self) -> str:
-        """Of the pictures."""
+        """The hash of what the pictures show."""
         return hashlib.sha256(b"".join(i.tobytes() for i in self._images)).hexdigest()[:16]
 
     def image(self, index: int) -> np.ndarray:

@@ -7,12 +7,11 @@ from typing import TypeVar
 
 from ..control import Control, listen
 from ..errors import Cancelled
-from ..events import Event, Failed
+from ..events import Failed, Show
 from .display import JsonLines, Lines, Silent
 from .interrupt import interrupts
 
 Result = TypeVar("Result")
-Show = Callable[[Event], None]
 STOPPED = "Stopped before the first step; nothing was written."
 STOPPED_WITH_NOTHING = 3
 """Exit code of work that was stopped, by no signal, before there was a result."""

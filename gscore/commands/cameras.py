@@ -1,13 +1,12 @@
 """A training of plain photos or a video: cameras are found first, and kept in its folder."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 from ..config import DataConfig
 from ..control import Control
 from ..errors import ConfigError, DatasetError
-from ..events import Event
+from ..events import Show
 from ..io.foreign import foreign
 from ..io.runs import CAPTURE
 from ..sfm import Request, find_cameras
@@ -20,7 +19,7 @@ from ..video import extract_frames, is_video
 def with_cameras(
     data: DataConfig,
     output: Path,
-    show: Callable[[Event], None],
+    show: Show,
     control: Control,
     *,
     allowed: bool,

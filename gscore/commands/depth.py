@@ -18,13 +18,13 @@ from ..depth.hub import cached_file, network_file, terms
 from ..depth.maps import SHEET, DepthKind, MapFolder, read_map, stem, to_inverse
 from ..depth.network import WHERE, Network, Normalization
 from ..depth.observations import Observations, observations
-from ..depth.params import DEFAULT_FOLDER, params_path, read_params, write_params
+from ..depth.params import DEPTH_FOLDER, params_path, read_params, write_params
 from ..depth.predict import Prediction, predict_views
 from ..depth.priors import fit_table
 from ..depth.samples import Samples, unusable, view_samples
 from ..depth.sheet import write_sheet
 from ..errors import BackendError, Cancelled, ConfigError, FormatError
-from ..events import DepthDone, DepthProgress, Saved, Warn
+from ..events import DepthDone, DepthProgress, Saved, Show, Warn
 from ..extras import need
 from ..io.places import check_place
 from ..metrics.colormap import colorize
@@ -32,7 +32,7 @@ from ..shown import shown
 from ..stereo import files, stereo_maps
 from ..trainer.depth.rule import coverage, decide
 from ..words import count_words, size_words
-from .attend import Show, attend
+from .attend import attend
 from .data_options import add_mask_options, add_split_options, with_data_options
 from .output import check_folder, check_replaced, print_json
 from .parser import add_threads_option
@@ -69,7 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-d",
         "--depths",
-        default=DEFAULT_FOLDER,
+        default=DEPTH_FOLDER,
         metavar="DIR",
         help="folder of the depth maps in SOURCE (depths)",
     )
@@ -251,7 +251,7 @@ def _by_stereo(
     """Maps of the views that are not held out, from each other, in the scale of the capture."""
     check_folder(folder)
     check_replaced([folder / SHEET], overwrite=args.overwrite)
-    files.check_folder(folder, dataset.names, overwrite=args.overwrite)
+    files.check_maps_folder(folder, dataset.names, overwrite=args.overwrite)
     path = params_path(dataset.source, folder, writing=True)
     _check_scales(path, args.overwrite, show)
     progress = _Progress(show, control, told, "comparing photos")
@@ -509,7 +509,7 @@ def _facts(args: argparse.Namespace, result: _Result) -> dict[str, Any]:
 
 
 def _rule(args: argparse.Namespace) -> str:
-    """By which rule maps got their scale."""
+    """The rule by which maps got their scale."""
     if args.method == "stereo":
         return "stereo"
     return "auto" if args.check else args.align

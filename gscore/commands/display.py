@@ -191,7 +191,7 @@ def _texts(event: Event) -> Iterator[str]:
 
 
 def progress_parts(event: Progress) -> list[str]:
-    """For the moving line, what matters most first."""
+    """Parts of the moving line, what matters most first."""
     if not event.splats:
         return [_capital(event.phase)]
     step = f"step {number(event.step)} of {number(event.iterations)}"

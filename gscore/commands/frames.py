@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ..io.places import check_place
 from ..video import FrameRequest, extract_frames
-from ..video.request import FORMATS
+from ..video.request import FRAME_FORMATS
 from .attend import add_output_options, attend
 from .output import check_folder, print_json
 from .status import wrapped
@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--format",
-        choices=FORMATS,
+        choices=FRAME_FORMATS,
         default="jpg",
         help="jpg, of quality 97 with full colour resolution, or png (jpg)",
     )

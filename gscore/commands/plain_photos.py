@@ -16,7 +16,7 @@ from ..words import count_words, number, time_words
 
 
 def photos_facts(path: Path, data: DataConfig) -> dict[str, Any]:
-    """For JSON; of each photo only the header is read.
+    """What photos are, for JSON; of each only the header is read.
 
     Raises:
         DatasetError: a photo cannot be read.
@@ -46,7 +46,7 @@ def photos_facts(path: Path, data: DataConfig) -> dict[str, Any]:
 
 
 def photos_text(facts: dict[str, Any]) -> list[str]:
-    """For people."""
+    """What photos are, for people."""
     sizes = ", ".join(f"{count} of {size}" for size, count in facts["sizes"].items())
     cameras = count_words(facts["cameras"], "camera and lens", "cameras and lenses")
     lines = [

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 from ..control import Control
 from ..errors import ConfigError
-from ..events import Warn
+from ..events import Show, Warn
 from ..io.places import check_place
 from ..io.sequences import SEQUENCE_FILE
 from ..sequence_options import SequenceOptions
 from ..words import count_words, quality_words
 from . import train as train_command
-from .attend import Show, attend
+from .attend import attend
 from .declared import declare, given_options
 from .output import others_in, print_json
 from .status import wrapped

@@ -8,7 +8,7 @@ from ..control import Control
 from ..errors import ConfigError
 from ..io.places import check_place
 from ..sfm import Found, Request, find_cameras
-from ..sfm.request import MAPPERS, MATCHING
+from ..sfm.request import MAPPERS, MATCHERS
 from ..sfm.video_frames import with_frames
 from ..shown import shown
 from ..video import is_video
@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--matching",
-        choices=MATCHING,
+        choices=MATCHERS,
         default="auto",
         help="which photos are compared: exhaustive, all with all; sequential, neighbours in the "
         "order of their names and some far ones; auto: exhaustive up to 120 photos (auto)",

@@ -9,7 +9,7 @@ import numpy as np
 from ..config import DataConfig
 from ..datasets.resolution import LARGEST_FACTOR, scale_intrinsics, target_size
 from ..errors import ConfigError, DatasetError
-from ..io.cameras_json import read_cameras
+from ..io.cameras_json import read_cameras_json
 from ..io.metrics_file import read_metrics
 from ..scene import Cameras
 from .camera_path import orbit_path, spline_path
@@ -106,7 +106,7 @@ def _captured(args: argparse.Namespace, model: GivenModel) -> _Captured:
             config = model.data
         dataset = load_dataset(replace(config, mask_mode="none"))  # cameras are all that is wanted
         return _Captured(dataset.scene.cameras, dataset.test)
-    cameras = read_cameras(source)
+    cameras = read_cameras_json(source)
     if not len(cameras):
         raise DatasetError(f"{source} holds no cameras.")
     return _Captured(cameras, _test_views(model, cameras.names))
@@ -141,7 +141,7 @@ def _scaled(cameras: Cameras, resolution: float, *, even: bool) -> Cameras:
 
 
 def _size(photo: tuple[int, int], resolution: float) -> tuple[int, int]:
-    """Of a picture, px: as the photo's, but a width that was asked for may exceed it."""
+    """The size of a picture, px: as the photo's, but a width that was asked for may exceed it."""
     width, height = photo
     if resolution > LARGEST_FACTOR:
         return round(resolution), max(1, round(height * resolution / width))

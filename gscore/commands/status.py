@@ -73,7 +73,7 @@ class Status:
             self._stream.write("  ".join([*_percent(share), *parts]) + "\n")
         else:
             width = min(_columns(self._stream), _WIDEST) - 1
-            text = fitted(parts, share, width)
+            text = line_within(parts, share, width)
             rest = max(min(self._shown, width) - cells(text), 0)
             self._stream.write("\r" + text + " " * rest)
             self._shown = cells(text)
@@ -169,7 +169,7 @@ def can_move(stream: TextIO) -> bool:
     return stream.isatty() and os.environ.get("TERM") != "dumb"
 
 
-def fitted(parts: Sequence[str], share: float | None, width: int) -> str:
+def line_within(parts: Sequence[str], share: float | None, width: int) -> str:
     """As many of the parts, from the first, as `width` columns hold, behind a bar and per cent.
 
     Args:
@@ -232,7 +232,7 @@ def _cut(text: str, width: int) -> str:
 
 
 def _columns(stream: TextIO) -> int:
-    """Of the terminal as it is at this moment."""
+    """The width of the terminal at this moment, columns."""
     try:
         found = os.get_terminal_size(stream.fileno()).columns
     except (OSError, ValueError):  # a stream of a test, or one that is closed

@@ -11,11 +11,11 @@ from ..config import PRESETS, DataConfig, TrainConfig
 from ..config_file import load_config
 from ..control import Control
 from ..errors import ConfigError
-from ..events import CONVERGED, ENDED, FINISHED, TARGET, Warn
+from ..events import CONVERGED, ENDED, FINISHED, TARGET, Show, Warn
 from ..io.places import check_place
 from ..io.runs import others_in_run
 from ..words import count_words, quality_words
-from .attend import STOPPED, Show, add_output_options, attend
+from .attend import STOPPED, add_output_options, attend
 from .cameras import is_finding, with_cameras
 from .data_options import add_data_options, with_data_options
 from .declared import Set, declare, given_options

@@ -4,7 +4,7 @@ import shlex
 from pathlib import Path
 from typing import Any
 
-from ..video.source import opened
+from ..video.source import opened_video
 from ..words import count_words, time_words
 
 
@@ -15,7 +15,7 @@ def video_facts(path: Path) -> dict[str, Any]:
         BackendError: PyAV is not installed.
         GsError: it is no video, damaged, encrypted or of a codec that is not there.
     """
-    with opened(path) as video:
+    with opened_video(path) as video:
         facts = video.facts
     width, height = round(facts.width * max(facts.aspect, 1)), facts.height
     if facts.aspect < 1:

@@ -15,7 +15,7 @@ from ..config import checked_threads
 from ..errors import BackendError, Cancelled
 from ..scene import Scene
 from .decode import DECODED_AT_ONCE, ViewFile, decode_view
-from .unchanged import Unchanged, changed
+from .unchanged import Unchanged, changed_error
 
 T = TypeVar("T")
 
@@ -180,7 +180,7 @@ class Dataset:
             # Size and time may be kept on purpose, as `cp -p` and `rsync -t` do.
             found = _print(view)
             if self._prints.setdefault(i, found) != found:
-                raise changed(file.image)
+                raise changed_error(file.image)
         return view
 
 

@@ -191,7 +191,7 @@ def _undistorted_size(file: ViewFile, plan: Undistortion) -> tuple[float, float]
 
 
 def _factor(full: tuple[float, float], size: tuple[int, int]) -> int:
-    """By what a photo is averaged before it is undistorted to `full` and scaled down to `size`.
+    """The factor a photo is averaged by before it is undistorted to `full`, scaled down to `size`.
 
     Interpolation at twice the final size leaves no trace after scaling down, so large photos are
     first averaged by whole factors, many times cheaper.

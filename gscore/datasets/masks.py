@@ -13,7 +13,7 @@ from .dataset import map_threads
 from .folder import Folder
 from .mattes import are_mattes
 
-DEFAULT_FOLDER = "masks"
+MASK_FOLDER = "masks"
 """Folder looked for when none is given."""
 _HALF = 128
 """Alpha from here on is taken for 255 where all photos have no less: encoders leave 254, and what
@@ -64,7 +64,7 @@ def choose_masks(
     none = MaskChoice(mode="none", files=[None] * len(views), use_alpha=[False] * len(views))
     if config.mask_mode == "none":
         return none
-    files, warnings = find_masks(config, capture.root, views)
+    files, warnings = masks_of_views(config, capture.root, views)
     found = [file for file in files if file is not None]
     if found:
         for view, file, size in zip(views, files, sizes, strict=True):
@@ -111,7 +111,7 @@ def _assumed(mask: Path) -> list[str]:
     return [f"The masks {assumed}, for example {mask}."] if assumed else []
 
 
-def find_masks(
+def masks_of_views(
     config: DataConfig, root: Path, views: list[View]
 ) -> tuple[list[Path | None], list[str]]:
     """The mask file of each view, and sentences on those that have none.
@@ -125,7 +125,7 @@ def find_masks(
         DatasetError: the folder is missing, or there is no mask of any view.
     """
     stated = [view.mask for view in views]
-    place = root / (config.masks or DEFAULT_FOLDER)
+    place = root / (config.masks or MASK_FOLDER)
     if any(file is not None for file in stated) and not config.masks:
         files = [file if file is not None and file.is_file() else None for file in stated]
         if not any(files):

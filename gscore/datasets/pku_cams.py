@@ -13,7 +13,7 @@ from ..scene import PointCloud
 from ..words import count_words
 from .capture import Capture, View, listing
 from .colmap_source import read_colmap
-from .pku_photos import VIEW_FOLDER, by_camera, camera_number, mattes, photo_folder
+from .pku_photos import VIEW_FOLDER, camera_number, mattes, photo_folder_name, pictures_by_camera
 from .poses import pinhole_camera, rigid_matrix
 
 _SAME = 0.02
@@ -24,7 +24,7 @@ def read_model_frame(
     config: DataConfig, case: Path, path: Path, frame: int, photos_required: bool
 ) -> Capture:
     """`data_COLMAP/<frame>`: photos, mattes and a COLMAP model in `sparse` or `sparse/0`."""
-    images = photo_folder(path, config.images) if photos_required else config.images
+    images = photo_folder_name(path, config.images) if photos_required else config.images
     options = replace(config, source=path, images=images)
     capture = read_colmap(options, photos_required=photos_required)
     soft = mattes(path, images)
@@ -42,8 +42,8 @@ def read_per_frame(
     """`per_frame/<frame>`: photos and mattes; cameras of its own model, else of `cams`."""
     if any(has_model(path / name) for name in ("sparse/0", "sparse")):
         return read_model_frame(config, case, path, frame, photos_required)
-    images = photo_folder(path, config.images)
-    photos = by_camera(path / images)
+    images = photo_folder_name(path, config.images)
+    photos = pictures_by_camera(path / images)
     if not photos:
         raise DatasetError(
             f"{path / images} has no photo of a known camera; expected names like "
@@ -65,9 +65,9 @@ def read_per_view(
         if match is None or not folder.is_dir():
             continue
         number = int(match[1])
-        images = photo_folder(folder, config.images)
+        images = photo_folder_name(folder, config.images)
         # Pictures of a view are numbered by frame, so "by camera" finds the frame here.
-        found = by_camera(folder / images).get(frame)
+        found = pictures_by_camera(folder / images).get(frame)
         if found is None:
             missing.append(folder.name)
             continue

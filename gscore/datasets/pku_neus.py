@@ -14,7 +14,7 @@ from ..scene import FARTHEST, PointCloud
 from ..shown import shown
 from ..words import count_words
 from .capture import Capture, View, listing
-from .pku_photos import by_camera, mattes, photo_folder
+from .pku_photos import mattes, photo_folder_name, pictures_by_camera
 from .poses import pinhole_camera, rigid_matrix
 
 _FILE = "cameras_sphere.npz"
@@ -34,8 +34,8 @@ def read_neus(
         FormatError: the npz is corrupt or its matrices are no cameras.
     """
     projections = _projections(path / _FILE)
-    images = photo_folder(path, config.images)
-    photos = by_camera(path / images)
+    images = photo_folder_name(path, config.images)
+    photos = pictures_by_camera(path / images)
     # Matrices are counted through the sorted photos, whatever numbers these have.
     if len(photos) != len(projections):
         raise DatasetError(

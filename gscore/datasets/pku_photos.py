@@ -24,7 +24,7 @@ def camera_number(name: str) -> int | None:
     return int(match[1]) if match else None
 
 
-def by_camera(folder: Path) -> dict[int, Path]:
+def pictures_by_camera(folder: Path) -> dict[int, Path]:
     """The pictures in a folder by camera number, rising; empty without the folder.
 
     Raises:
@@ -44,7 +44,7 @@ def by_camera(folder: Path) -> dict[int, Path]:
     return dict(sorted(found.items()))
 
 
-def photo_folder(root: Path, asked: str, *, default: str = "images") -> str:
+def photo_folder_name(root: Path, asked: str, *, default: str = "images") -> str:
     """Name of the photo folder in `root`: what was asked for, or one of the usual names.
 
     Raises:
@@ -65,4 +65,4 @@ def mattes(root: Path, images: str) -> dict[int, Path]:
     """Soft opacity by camera number; none for photos that carry it themselves."""
     if Path(images).name not in PLAIN_FOLDERS:
         return {}
-    return next((found for name in MATTE_FOLDERS if (found := by_camera(root / name))), {})
+    return next((found for name in MATTE_FOLDERS if (found := pictures_by_camera(root / name))), {})

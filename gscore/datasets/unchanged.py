@@ -25,7 +25,7 @@ class Unchanged:
         if path not in self._hashes:
             found = _hash(path)
             if _stamp(path) != self._stamps[path]:
-                raise changed(path)
+                raise changed_error(path)
             self._hashes[path] = found
         return self._hashes[path]
 
@@ -39,11 +39,11 @@ class Unchanged:
         if stamp == self._stamps[path]:
             return
         if path not in self._hashes or _hash(path) != self._hashes[path]:
-            raise changed(path)
+            raise changed_error(path)
         self._stamps[path] = stamp
 
 
-def changed(path: Path) -> DatasetError:
+def changed_error(path: Path) -> DatasetError:
     """The sentence for a file that is another one than it was."""
     return DatasetError(
         f"{path} changed after the capture was read: it is another file now. Put the first one "

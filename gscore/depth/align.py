@@ -3,7 +3,7 @@
 import numpy as np
 
 from ..words import count_words, number
-from .fit import NO_FIT, Fit, judge, scale_reason, tolerance
+from .fit import NO_FIT, Fit, fit_of, scale_reason, tolerance
 from .maps import sample
 from .observations import Observations
 
@@ -67,7 +67,7 @@ def align_official(values: np.ndarray, seen: Observations) -> Fit:
         return NO_FIT.refused("the map has one value at all points")
     scale = float(deviation / mono_deviation)
     offset = float(middle - mono_middle * scale)
-    return judge(scale, offset, mono, known, seen.weights[inside])
+    return fit_of(scale, offset, mono, known, seen.weights[inside])
 
 
 def align_robust(
@@ -108,7 +108,7 @@ def align_robust(
     near = tolerance(s) / middle
     slope, height = _refined(*unit, w, near, *_ransac(*unit, w, near, seed))
     scale = slope * middle / spread
-    fit = judge(scale, height * middle - scale * center, m, s, w)
+    fit = fit_of(scale, height * middle - scale * center, m, s, w)
     inside = round(fit.inliers * len(m))
     if inside < LEAST_POINTS or fit.inliers < LEAST_SHARE:
         return fit.refused(

@@ -108,7 +108,7 @@ def known(name: str) -> KnownNetwork | None:
 
 
 def all_networks() -> tuple[KnownNetwork, ...]:
-    """As they are listed."""
+    """All networks, in the order of the list."""
     return NETWORKS
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from ..scene import Cameras
 from .align import LEAST_SHARE, REVERSED, beyond_chance
 from .chart import Chart, chart, inverse_depth
-from .fit import Fit, judge
+from .fit import Fit, fit_of
 from .joint import Web, covariances, place
 from .samples import Samples
 
@@ -70,7 +70,7 @@ def agreed(
     for k, i in enumerate(views):
         reason = reasons[k]
         if reason is not None and i not in settled:
-            fit = judge(*web.charts[k].line(np.exp(logs[k])), *_own_points(maps[i]))
+            fit = fit_of(*web.charts[k].line(np.exp(logs[k])), *_own_points(maps[i]))
             found[i] = fit.refused(reason) if reason else fit
     return with_errors(found, maps, cameras)
 

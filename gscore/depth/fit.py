@@ -100,7 +100,7 @@ def scale_reason(scale: float, median: float) -> str:
     )
 
 
-def judge(
+def fit_of(
     scale: float, offset: float, mono: np.ndarray, inverse_depth: np.ndarray, weights: np.ndarray
 ) -> Fit:
     """A scale and offset with what the points say to it; accepted for now.

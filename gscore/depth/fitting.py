@@ -10,7 +10,7 @@ from ..datasets import Dataset
 from ..words import count_words
 from .align import align_robust, reliable
 from .consensus import agreed, with_errors
-from .fit import NO_FIT, Fit, judge, median_scale
+from .fit import NO_FIT, Fit, fit_of, median_scale
 from .maps import DepthKind, stem
 from .params import Params, params_path, read_params, refusal
 from .samples import Samples
@@ -225,7 +225,7 @@ def _judged(scale: float, offset: float, part: Samples, kind: DepthKind) -> Fit:
         return NO_FIT.refused(part.trouble)
     values = part.inverse(kind).values
     use = np.isfinite(values)
-    return judge(scale, offset, values[use], part.inverse_depth[use], part.weights[use])
+    return fit_of(scale, offset, values[use], part.inverse_depth[use], part.weights[use])
 
 
 def _refusals(

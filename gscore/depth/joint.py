@@ -17,13 +17,13 @@ import numpy as np
 
 from .chart import Chart, inverse_depth
 
-SIGMA = 0.1
+MAP_SIGMA = 0.1
 """Standard deviation of r: maps err by some per cents, in large parts of them alike."""
 _BOUND = 2.0
 """No single r adds more to the sum; as much as 2 standard deviations would to a sum of squares."""
 POINTS = 0.3
 """Independent observations that all points of a view are worth: they lie in a part of the picture
-where the map errs alike. Chosen on simulated maps of studio, as SIGMA and _ALIKE were."""
+where the map errs alike. Chosen on simulated maps of studio, as MAP_SIGMA and _ALIKE were."""
 PAIRS = 1.0
 """Independent observations that a map is worth to a neighbour that sees all of it."""
 _ALIKE = 0.7
@@ -77,7 +77,7 @@ def _penalty(r: np.ndarray, sigma: float) -> np.ndarray:
 
 
 def _weight(r: np.ndarray, sigma: float) -> np.ndarray:
-    """Of r^2 / 2 in a sum of squares with the same derivative; 0 for NaN."""
+    """The weight of r^2 / 2 in a sum of squares with the same derivative; 0 for NaN."""
     weight = (2 * _BOUND / ((r / sigma) ** 2 + 2 * _BOUND)) ** 2 / sigma**2
     return np.where(np.isfinite(r), weight, 0.0)
 
@@ -87,14 +87,14 @@ def place(
 ) -> tuple[float, np.ndarray]:
     """Logs [V, 2] of the ends, from `logs` downhill, and how much the maps contradict each other.
 
-    Bounded penalties have many minima, wide ones fewer: `factors` are multiples of SIGMA to go
+    Bounded penalties have many minima, wide ones fewer: `factors` are multiples of MAP_SIGMA to go
     downhill with, one after the other. What is returned with the logs is the mean penalty, with the
     last factor, of pixels that a neighbour shows plus that of points: maps that are not seen by
     others do not look better by it.
     """
     system = None
     for factor in factors:
-        logs, system = _descend(web, logs, factor * SIGMA)
+        logs, system = _descend(web, logs, factor * MAP_SIGMA)
     assert system is not None
     return system.doubt, logs
 
@@ -127,7 +127,7 @@ def _descend(web: Web, logs: np.ndarray, sigma: float) -> tuple[np.ndarray, "_Sy
 def covariances(web: Web, logs: np.ndarray) -> np.ndarray:
     """[V, 2, 2] of the logs of each map's ends, as the curvature of the sum at `logs` has them."""
     typical = float(np.median(logs[:, 1] - logs[:, 0]))
-    curvature = _linearised(web, logs, SIGMA, typical).curvature
+    curvature = _linearised(web, logs, MAP_SIGMA, typical).curvature
     # Where nothing is known, a factor of e^10.
     inverse = np.linalg.inv(curvature + 1e-2 * np.eye(len(curvature)))
     count = len(logs)

@@ -23,7 +23,7 @@ CONFIDENCE = ".confidence.png"
 """What a map's name ends with in the name of its confidence, 8-bit grey, 255: sure."""
 PNG_UNIT = 65536.0
 """Values of PNGs, of 8 and of 16 bit alike, are divided by this, as 3DGS trainers do."""
-FARTHEST = 1e9
+FARTHEST_DEPTH = 1e9
 """Blender's Z pass holds 1e10 where there is nothing; from here on a value is not a depth."""
 
 
@@ -111,7 +111,7 @@ def read_map(path: Path) -> np.ndarray:
         )
     with np.errstate(invalid="ignore", over="ignore"):
         values = values.astype(np.float32)
-        values[~(np.abs(values) < FARTHEST)] = np.nan
+        values[~(np.abs(values) < FARTHEST_DEPTH)] = np.nan
     return values / np.float32(PNG_UNIT) if kind == ".png" else values
 
 

@@ -16,7 +16,7 @@ from .fit import Fit, scale_reason
 from .maps import DepthKind
 
 FILE = "depth_params.json"
-DEFAULT_FOLDER = "depths"
+DEPTH_FOLDER = "depths"
 """Where `gscore depth` writes maps, relative to the capture."""
 _REMAKE = "Make it again: gscore depth SOURCE"
 
@@ -56,7 +56,7 @@ def params_path(root: Path, maps: Path, *, writing: bool = False) -> Path:
         writing: Where to write it, not where it may be read.
     """
     own = maps / FILE
-    if own.is_file() or (writing and maps.resolve() != (root / DEFAULT_FOLDER).resolve()):
+    if own.is_file() or (writing and maps.resolve() != (root / DEPTH_FOLDER).resolve()):
         return own
     official = root / "sparse" / "0" / FILE
     if official.is_file():

@@ -24,7 +24,7 @@ from .network import Network
 from .observations import Observations
 from .samples import sampled
 
-RECORD = "prediction.json"
+PREDICTION_FILE = "prediction.json"
 """File beside the maps that says which network made them."""
 _HIDDEN = 127
 """Grey that lies behind photos with opacity while the network looks at them."""
@@ -83,7 +83,7 @@ def predict_views(
         kind, outputs = _find_kind(network, dataset, seen, todo)
     if todo:
         text = json.dumps(record | {"kind": kind.value}, indent=2) + "\n"
-        atomic_write(folder / RECORD, text.encode("utf-8"))
+        atomic_write(folder / PREDICTION_FILE, text.encode("utf-8"))
     for done, index in enumerate(todo, start=1):
         if cancelled is not None and cancelled():
             raise Cancelled("Predicting depth was stopped.")
@@ -160,7 +160,7 @@ def _kept(folder: Path, record: dict[str, Any], names: tuple[str, ...]) -> list[
     there = [name for name in names if maps.find(name) is not None]
     if not there:
         return []
-    path = folder / RECORD
+    path = folder / PREDICTION_FILE
     by = "they do not say by which model they were made"
     if path.is_file():
         try:

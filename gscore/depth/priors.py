@@ -20,7 +20,7 @@ from .fitting import Alignment, align_views
 from .maps import CONFIDENCE, DepthKind, MapFolder, read_map, to_inverse
 from .observations import observations
 from .origin import held_out_part
-from .params import DEFAULT_FOLDER
+from .params import DEPTH_FOLDER
 from .samples import unusable, view_samples
 
 _TOLERABLE = 1.0
@@ -82,7 +82,7 @@ def load_priors(
             there is no depth_params.json.
         FormatError: depth_params.json is damaged.
     """
-    folder = MapFolder(dataset.source / (data.depths or DEFAULT_FOLDER))
+    folder = MapFolder(dataset.source / (data.depths or DEPTH_FOLDER))
     maps = [folder.find(name) for name in dataset.names]
     warnings = [
         *_missing(folder, maps, dataset.names),

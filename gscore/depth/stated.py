@@ -8,7 +8,7 @@ from typing import Any
 from ..errors import DatasetError, GsError
 from .fit import median_scale
 from .maps import MapFolder, stem
-from .params import DEFAULT_FOLDER, params_path, read_params, refusal
+from .params import DEPTH_FOLDER, params_path, read_params, refusal
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,9 +26,7 @@ class StatedDepth:
     is known yet, and numbers that are not stated are None."""
 
 
-def stated_depth(
-    source: Path, views: Sequence[str], *, folder: str = DEFAULT_FOLDER
-) -> StatedDepth:
+def stated_depth(source: Path, views: Sequence[str], *, folder: str = DEPTH_FOLDER) -> StatedDepth:
     """Read depth_params.json and list the maps; quick, and never raises on bad ones.
 
     Whether the points agree is not looked at; `gscore depth SOURCE --check` does.

@@ -11,12 +11,12 @@ import numpy as np
 from ..config import DataConfig
 from ..datasets import Capture, Folder, View, read_capture
 from ..datasets.headers import PhotoFit, check_fit, fit_photos, told_of_photos
-from ..datasets.masks import check_mask_size, find_masks
+from ..datasets.masks import check_mask_size, masks_of_views
 from ..datasets.placement import told_of_axes, told_of_places
 from ..datasets.points import told_of_points
 from ..datasets.resolution import check_resolution
 from ..datasets.split import split_views
-from ..depth.params import DEFAULT_FOLDER
+from ..depth.params import DEPTH_FOLDER
 from ..depth.stated import StatedDepth, stated_depth
 from ..errors import BackendError, DatasetError, GsError
 from ..io.camera_models import NO_PINHOLE
@@ -39,7 +39,7 @@ PHOTO_FOLDERS = ("images", "input", "photos", "rgb", "images_2", "images_4", "im
 """Folders looked into when the one that was named does not hold the photos."""
 
 
-def inspect(config: DataConfig, *, depths: str = DEFAULT_FOLDER) -> CaptureFacts:
+def inspect(config: DataConfig, *, depths: str = DEPTH_FOLDER) -> CaptureFacts:
     """Look into a capture; never raises on a bad one, the facts say what is wrong.
 
     Reads the model and the headers of photos and masks, decodes none: about a second for 1000
@@ -204,7 +204,7 @@ def _masks(
     if config.mask_mode == "none" or not seen.views:
         return none, []
     try:
-        files, warnings = find_masks(config, capture.root, seen.views)
+        files, warnings = masks_of_views(config, capture.root, seen.views)
     except GsError as error:
         return none, [_error(str(error))]
     file_of = dict(zip((view.name for view in seen.views), files, strict=True))

@@ -43,7 +43,7 @@ def write_cameras(path: str | Path, cameras: Cameras) -> None:
     atomic_write(path, f"[\n{lines}\n]\n".encode())
 
 
-def read_cameras(path: str | Path) -> Cameras:
+def read_cameras_json(path: str | Path) -> Cameras:
     """Read a cameras.json; without `cx` and `cy` the principal point is the centre.
 
     Raises:

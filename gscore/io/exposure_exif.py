@@ -4,7 +4,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from .pillow import opened
+from .pillow import opened_picture
 
 _EXIF, _TIME, _APERTURE, _SPEED = 0x8769, 0x829A, 0x829D, 0x8827
 """Tags: the directory of the photo, exposure time in s, f-number, ISO speed."""
@@ -17,7 +17,7 @@ def stated_exposure(path: Path) -> float | None:
     Raises:
         DatasetError, FormatError, BackendError: as `read_info`.
     """
-    with opened(path) as image:
+    with opened_picture(path) as image:
         time, aperture, speed = _stated(image)
     value = time * speed / aperture**2 if aperture > 0 else 0.0
     return math.log2(value) if 0 < value < math.inf else None

@@ -11,7 +11,7 @@ import numpy as np
 from ..errors import ShapeError
 from .files import atomic_write
 from .image_header import FLIPPED, SIDEWAYS, ImageInfo, read_header
-from .pillow import check_size, loaded, opened, pillow
+from .pillow import check_pixels, loaded, opened_picture, pillow
 from .pixels import has_alpha, mask_bytes, photo_bytes
 
 IMAGE_ENDINGS = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp", ".tga")
@@ -30,9 +30,9 @@ def read_info(path: str | Path) -> ImageInfo:
     """
     path = Path(path)
     if info := read_header(path):
-        check_size(path, info.width, info.height)
+        check_pixels(path, info.width, info.height)
         return info
-    with opened(path) as image:
+    with opened_picture(path) as image:
         turn = _exif_turn(image)
         alpha = has_alpha(image)
         return ImageInfo(image.width, image.height, alpha, turn in SIDEWAYS, turn in FLIPPED)
@@ -42,8 +42,8 @@ def read_image(path: str | Path, *, upright: bool = False) -> np.ndarray:
     """Decode an image.
 
     Args:
-        path: The file, of the formats in `pillow.FORMATS`. Grey, palette, CMYK and 16-bit images
-            are converted, floats from 0 to 1 too; of several pictures in a file the first is taken.
+        path: The file, of `pillow.PICTURE_FORMATS`. Grey, palette, CMYK and 16-bit images are
+            converted, floats from 0 to 1 too; of several pictures in a file the first is taken.
         upright: Turn it as EXIF asks. COLMAP does not, so neither does gscore by default.
 
     Returns:

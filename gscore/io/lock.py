@@ -21,7 +21,7 @@ class FolderLock:
     ends."""
 
     def __init__(self, folder: Path, name: str, work: str) -> None:
-        """Of a folder that need not exist yet.
+        """Name the lock of a folder, which need not exist yet.
 
         Args:
             folder: What is held.

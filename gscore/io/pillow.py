@@ -17,7 +17,7 @@ from .files import check_regular
 from .image_header import read_header
 from .whole_pictures import why_cut_short
 
-FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "TGA", "PPM")
+PICTURE_FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "TGA", "PPM")
 """What is read, by Pillow's names. Pillow takes a file for what its first bytes say, whatever its
 name, and opens EPS by starting Ghostscript: so no picture is opened without this list."""
 MOST_PIXELS = 178_956_970
@@ -55,7 +55,7 @@ def pillow() -> Any:
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[Any]:
+def opened_picture(path: Path) -> Iterator[Any]:
     """A picture of which the header is read, as PIL.Image.Image; its pixels come with `load`.
 
     What goes wrong with the picture inside the block becomes one of the errors below too.
@@ -68,10 +68,10 @@ def opened(path: Path) -> Iterator[Any]:
     pil = pillow()
     check_regular(path)
     if info := read_header(path):  # tells width and height, where Pillow has but their product
-        check_size(path, info.width, info.height)
+        check_pixels(path, info.width, info.height)
     try:
-        with pil.open(path, formats=FORMATS) as image:
-            check_size(path, image.width, image.height)
+        with pil.open(path, formats=PICTURE_FORMATS) as image:
+            check_pixels(path, image.width, image.height)
             yield image
     except GsError:  # some are ValueErrors and RuntimeErrors too
         raise
@@ -100,22 +100,22 @@ def loaded(path: Path) -> Iterator[tuple[Any, bool]]:
     keeps 8 in colours.
 
     Raises:
-        DatasetError, FormatError, BackendError: as `opened`, or pixels are missing.
+        DatasetError, FormatError, BackendError: as `opened_picture`, or pixels are missing.
     """
-    with opened(path) as image:
+    with opened_picture(path) as image:
         deep = any(";16" in str(tile[3]) for tile in image.tile)
         check_whole(path, image)
         yield image, deep
 
 
 def check_whole(path: Path, image: Any) -> None:
-    """Load the pixels of a picture that was `opened`; FormatError where some are missing."""
+    """Load the pixels of a picture that was opened; FormatError where some are missing."""
     image.load()
     if reason := why_cut_short(path, image):
         raise _broken(path, reason)
 
 
-def check_size(path: Path, width: int, height: int) -> None:
+def check_pixels(path: Path, width: int, height: int) -> None:
     """Raise FormatError for a picture of more than `MOST_PIXELS`."""
     if width * height > MOST_PIXELS:
         raise too_large(path, f"{width} x {height} pixels")

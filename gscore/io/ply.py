@@ -13,7 +13,7 @@ from ..shown import shown
 from ..splats import SH_REST_BY_DEGREE, Splats
 from .files import atomic_write, open_regular, reason
 from .ply_compressed import decompress, is_compressed
-from .ply_elements import HEADER_END, columns, read_elements
+from .ply_elements import HEADER_END, HEADER_LIMIT, columns, read_elements
 
 __all__ = ["MIP_COMMENT", "is_antialiased", "read_splats", "write_splat_parts", "write_splats"]
 
@@ -21,7 +21,6 @@ _log = logging.getLogger(__name__)
 
 MIP_COMMENT = "SplatRenderMode: mip"
 """Header comment of models trained with the anti-aliasing compensation."""
-_HEADER_LIMIT = 1 << 20
 _POSITION = ["x", "y", "z"]
 _SCALE = ["scale_0", "scale_1", "scale_2"]
 _QUAT = ["rot_0", "rot_1", "rot_2", "rot_3"]
@@ -88,7 +87,7 @@ def header_comments(path: str | Path) -> tuple[str, ...]:
     path = Path(path)
     try:
         with open_regular(path) as file:
-            header = HEADER_END.split(file.read(_HEADER_LIMIT), maxsplit=1)[0]
+            header = HEADER_END.split(file.read(HEADER_LIMIT), maxsplit=1)[0]
     except (OSError, ValueError) as error:
         raise DatasetError(f"Cannot read {shown(path)}: {reason(error)}") from error
     lines = header.decode("utf-8", "replace").splitlines()

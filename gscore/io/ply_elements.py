@@ -17,7 +17,8 @@ from .foreign import foreign
 
 _log = logging.getLogger(__name__)
 
-_HEADER_LIMIT = 1 << 20
+HEADER_LIMIT = 1 << 20
+"""Bytes that a header may have; those of known programs have a few thousand."""
 HEADER_END = re.compile(rb"[\r\n]end_header(?:\r\n|[\r\n])")
 """The last line of a header, with the end of the line before it."""
 _MOST_DIGITS = 18
@@ -119,7 +120,7 @@ def _check_header(path: Path) -> tuple[int, int]:
     """
     try:
         with open_regular(path) as file:
-            head = file.read(_HEADER_LIMIT)
+            head = file.read(HEADER_LIMIT)
         size = path.stat().st_size
     except (OSError, ValueError) as error:
         raise DatasetError(f"Cannot read {shown(path)}: {reason(error)}") from error

@@ -73,7 +73,7 @@ def short_number(value: float) -> str:
     return f"{value:.4g}" if size >= 1000 else f"{value:.3g}"
 
 
-def chart(
+def line_chart(
     series: Sequence[Series],
     *,
     label: str,

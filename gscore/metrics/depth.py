@@ -9,20 +9,20 @@ import numpy as np
 
 from ..words import count_words
 from .colormap import colorize
-from .pictures import data_uri, fitted, shrink
+from .pictures import data_uri, shrink, size_within
 
-WIDTH = 240
+PICTURE_WIDTH = 240
 """Longer side of a picture, pixels."""
 ERROR_WHITE = 0.25
 """Relative difference that is drawn brightest."""
-KINDS = ("photo", "prior", "aligned prior", "rendered", "difference")
+PICTURE_KINDS = ("photo", "prior", "aligned prior", "rendered", "difference")
 _SURE = 0.5
 """Confidence from which a pixel counts."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DepthViewPictures:
-    """One row of pictures, `data:` URIs by the names of KINDS; empty: does not exist."""
+    """One row of pictures, `data:` URIs by the names of PICTURE_KINDS; empty: does not exist."""
 
     name: str
     width: int
@@ -98,7 +98,7 @@ class DepthPictures:
             numbers: The view's row.
         """
         height, width = photo.shape[:2]
-        size = fitted(width, height, WIDTH)
+        size = size_within(width, height, PICTURE_WIDTH)
         known = confidence > 0
         low, high = np.quantile(prior[known], (0.02, 0.98)) if known.any() else (0.0, 1.0)
         spread = float(high - low) or 1.0
@@ -136,7 +136,7 @@ def _card(view: DepthViewPictures) -> str:
         f'loading="lazy" alt="{kind} of {name}"><figcaption>{kind}</figcaption></figure>'
         if kind in view.uris
         else f'<figure><p class="empty">no {kind}</p></figure>'
-        for kind in KINDS
+        for kind in PICTURE_KINDS
     )
     return (
         f'<div class="depth-card"><h3>{name} <small>{html.escape(str(view.numbers["split"]))} '

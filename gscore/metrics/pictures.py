@@ -90,7 +90,7 @@ def _encode_all(
     """The largest of the usual widths at which all three pictures together fit their budget."""
     encoded, size = [], (0, 0)
     for width in _WIDTHS:
-        size = fitted(target.shape[1], target.shape[0], min(width, MAX_WIDTH))
+        size = size_within(target.shape[1], target.shape[0], min(width, MAX_WIDTH))
         # The error is averaged first and coloured then: colours cannot be averaged.
         pictures = [
             shrink(_bytes(target), size),
@@ -112,7 +112,7 @@ def _uri(jpeg: bytes) -> str:
     return "data:image/jpeg;base64," + base64.b64encode(jpeg).decode("ascii")
 
 
-def fitted(width: int, height: int, widest: int) -> tuple[int, int]:
+def size_within(width: int, height: int, widest: int) -> tuple[int, int]:
     """Size within a square of `widest` pixels at the same aspect; never enlarged."""
     scale = min(1.0, widest / max(width, height))
     return max(1, round(width * scale)), max(1, round(height * scale))

@@ -14,7 +14,7 @@ from ..io.files import atomic_write
 from ..words import count_words, number_words, psnr_name, size_words
 from .cameras_plan import CamerasSection, cameras_html
 from .colormap import colorize
-from .curves import Mark, Series, chart, clean_points, legend
+from .curves import Mark, Series, clean_points, legend, line_chart
 from .depth import DepthSection, depth_html
 from .pictures import ERROR_GAIN, ViewPictures
 from .poses import poses_html
@@ -115,7 +115,9 @@ def _curves(history: list[dict[str, Any]], evals: list[dict[str, Any]], metrics:
             if exact and key == "psnr":
                 series.append(Series(label=f"mean of the {held_out}", points=exact, dots=True))
             marks = photo_marks(history, axis)
-            svg = chart(series, label=name, x_unit=unit, log=log, from_zero=from_zero, marks=marks)
+            svg = line_chart(
+                series, label=name, x_unit=unit, log=log, from_zero=from_zero, marks=marks
+            )
             charts.append(f'<div class="by-{axis}">{svg}</div>')
             keys = keys or legend(series)
         scale = " <small>log scale</small>" if log else ""

@@ -166,6 +166,6 @@ def meaning_html(metrics: dict[str, Any]) -> str:
 
 
 def _trained_psnr(metrics: dict[str, Any]) -> float | None:
-    """Of the training views over the last steps, dB."""
+    """The PSNR of the training views over the last steps, dB."""
     rows = metrics.get("history") or []
     return rows[-1].get("psnr") if rows else None

@@ -214,7 +214,7 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_unlock)
 
 
-def check(status: int) -> None:
+def raise_status(status: int) -> None:
     """Raise the error that belongs to a gs_status."""
     if status == header.OK:
         return
@@ -242,7 +242,7 @@ def isa() -> str:
 
 def set_isa(name: str) -> None:
     """Use another instruction set from now on. Raises BackendError if it is not available."""
-    check(library().gs_set_isa(name.encode()))
+    raise_status(library().gs_set_isa(name.encode()))
 
 
 def default_threads() -> int:
@@ -253,7 +253,7 @@ def default_threads() -> int:
 def exp2(x: np.ndarray) -> np.ndarray:
     """gs_exp2: 2^x of C-contiguous float32 values in [-126, 127], as the blend loops compute it."""
     y = np.empty_like(x)
-    check(library().gs_exp2(address("x", x, x.shape), address("y", y, x.shape), x.size))
+    raise_status(library().gs_exp2(address("x", x, x.shape), address("y", y, x.shape), x.size))
     return y
 
 
@@ -263,7 +263,7 @@ class Raster:
     def __init__(self) -> None:
         handle = _pointer()
         self._lib = library()
-        check(self._lib.gs_raster_create(ct.byref(handle)))
+        raise_status(self._lib.gs_raster_create(ct.byref(handle)))
         self.handle = handle
 
     def __del__(self) -> None:
@@ -287,7 +287,7 @@ class Raster:
             pictures: Arrays to write to, by the names of gs_image.
         """
         image = arguments.image(pictures, view, settings.outputs, len(splats[0]))
-        check(
+        raise_status(
             self._lib.gs_raster_forward(
                 self.handle,
                 ct.byref(arguments.splats(splats, settings)),
@@ -322,7 +322,7 @@ class Raster:
         v_image = arguments.image_grads(v_pictures, view, settings.outputs)
         v_splats = arguments.splat_grads(grads, count, rest, add_shN=add_shN)
         cancel = settings.cancel
-        check(
+        raise_status(
             self._lib.gs_raster_backward(
                 self.handle,
                 ct.byref(arguments.splats(splats, settings)),
@@ -338,13 +338,13 @@ class Raster:
         """gs_image_loss; `v_image` [H, W, 3] is where the gradient goes, None: nowhere."""
         result = header.LossResultStruct()
         found = optional("v_image", v_image, (args.height, args.width, 3))
-        check(self._lib.gs_image_loss(self.handle, ct.byref(args), ct.byref(result), found))
+        raise_status(self._lib.gs_image_loss(self.handle, ct.byref(args), ct.byref(result), found))
         return result
 
     def stats(self) -> header.StatsStruct:
         """gs_raster_stats"""
         stats = header.StatsStruct()
-        check(self._lib.gs_raster_stats(self.handle, ct.byref(stats)))
+        raise_status(self._lib.gs_raster_stats(self.handle, ct.byref(stats)))
         return stats
 
     def projected(self, count: int) -> dict[str, np.ndarray]:
@@ -357,7 +357,7 @@ class Raster:
             "opacities": np.zeros(count, np.float32),
         }
         found = [address(name, a, a.shape) for name, a in arrays.items()]
-        check(self._lib.gs_raster_projected(self.handle, *found))
+        raise_status(self._lib.gs_raster_projected(self.handle, *found))
         return arrays
 
 
@@ -405,10 +405,10 @@ def adam_step(
     """
     array = (header.AdamTensorStruct * len(tensors))(*tensors)
     drawn = optional("radii", radii, (count,), INT32)
-    threads = arguments.checked_threads(threads)
+    threads = arguments.library_threads(threads)
     args = header.AdamStruct(count, len(tensors), array, drawn, threads)
     bad = ct.c_int64(0)
-    check(library().gs_adam_step(ct.byref(args), ct.byref(bad)))
+    raise_status(library().gs_adam_step(ct.byref(args), ct.byref(bad)))
     return bad.value
 
 
@@ -422,7 +422,7 @@ def add_pull(
 ) -> None:
     """gs_add_pull; arrays of N rows."""
     n = len(pull)
-    check(
+    raise_status(
         library().gs_add_pull(
             n,
             address("v_means2d", v_means2d, (n, 2)),
@@ -430,7 +430,7 @@ def add_pull(
             address("pull", pull, (n,)),
             address("seen", seen, (n,)),
             *scale,
-            arguments.checked_threads(threads),
+            arguments.library_threads(threads),
         )
     )
 
@@ -446,13 +446,13 @@ def adam_catch_up(
     threads: int,
 ) -> None:
     """gs_adam_catch_up; `out` is of the tensor's `shape`, or None."""
-    check(
+    raise_status(
         library().gs_adam_catch_up(
             ct.byref(tensor),
             ct.byref(splats),
             None if view is None else ct.byref(arguments.camera(view)),
             eps2d,
             optional("out", out, shape),
-            arguments.checked_threads(threads),
+            arguments.library_threads(threads),
         )
     )

@@ -87,7 +87,7 @@ def catch_up(
     count = len(slot.value)
     _native.adam_catch_up(
         _struct(slot, count),
-        arguments.places(params["means"], params["scales"], count),
+        arguments.placed_splats(params["means"], params["scales"], count),
         view,
         eps2d=eps2d,
         out=out,

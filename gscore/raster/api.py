@@ -11,12 +11,6 @@ from ..splats import PARAMETERS, Splats
 from . import _native, arguments, header
 from .request import CancelFlag, Frustum, Settings
 
-_DEPTHS = {
-    "inverse_depth": header.OUT_INVERSE_DEPTH,
-    "depth": header.OUT_DEPTH,
-    "median_depth": header.OUT_MEDIAN_DEPTH,
-}
-
 
 @dataclass(frozen=True, kw_only=True)
 class Rendered:
@@ -104,7 +98,7 @@ def render(
         eps2d=eps2d,
         antialias=antialias,
         background=background,
-        outputs=sum(_DEPTHS.values()) if depths else 0,
+        outputs=sum(header.DEPTH_OUTPUTS.values()) if depths else 0,
         tiles=tiles,
         threads=threads,
         cancel=cancel,
@@ -112,7 +106,7 @@ def render(
     arrays = [np.require(getattr(splats, name), requirements=["C", "A"]) for name in PARAMETERS]
     shape = (height, width)
     pictures = {"rgb": np.zeros((*shape, 3), np.float32), "alpha": np.zeros(shape, np.float32)}
-    pictures |= {name: np.zeros(shape, np.float32) for name in _DEPTHS if depths}
+    pictures |= {name: np.zeros(shape, np.float32) for name in header.DEPTH_OUTPUTS if depths}
     with _native.pool.lend() as raster:
         raster.forward(arrays, view, settings, pictures)
         visible = raster.stats().visible
@@ -121,7 +115,7 @@ def render(
         with np.errstate(all="ignore"):
             np.divide(depth, alpha, out=depth, where=alpha > 0)
     drawn = {name: picture[part] for name, picture in pictures.items()}
-    return Rendered(**dict.fromkeys(_DEPTHS) | drawn, visible=visible)  # pyright: ignore
+    return Rendered(**dict.fromkeys(header.DEPTH_OUTPUTS) | drawn, visible=visible)  # pyright: ignore
 
 
 def _window(

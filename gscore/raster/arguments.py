@@ -33,7 +33,7 @@ def check_size(width: int, height: int) -> None:
         raise ShapeError(f"The image must be 1 to {most} px a side, got {width} x {height}.")
 
 
-def checked_threads(threads: int) -> int:
+def library_threads(threads: int) -> int:
     """`threads` if the library takes so many; ShapeError otherwise."""
     most = header.THREADS_MAX
     if not isinstance(threads, int | np.integer) or not 0 <= threads <= most:
@@ -61,7 +61,7 @@ def splat_shapes(n: int, rest: int) -> dict[str, tuple[int, ...]]:
     return dict(zip(PARAMETERS, shapes, strict=True))
 
 
-def places(means: Array, scales: Array, count: int) -> header.SplatsStruct:
+def placed_splats(means: Array, scales: Array, count: int) -> header.SplatsStruct:
     """gs_splats that tells only where raw splats are."""
     return header.SplatsStruct(
         count=count,
@@ -101,7 +101,7 @@ def options(view: Frustum, settings: Settings) -> header.OptionsStruct:
         antialias=int(s.antialias),
         outputs=s.outputs,
         disable=s.disable,
-        threads=checked_threads(s.threads),
+        threads=library_threads(s.threads),
     )
     found.background = (ct.c_float * 3)(*s.background)
     if s.cancel is not None:
@@ -110,13 +110,6 @@ def options(view: Frustum, settings: Settings) -> header.OptionsStruct:
         shape = (-(-view.height // header.TILE), -(-view.width // header.TILE))
         found.tiles = address("tiles", s.tiles, shape, UINT8)
     return found
-
-
-_ASKED_FOR = {
-    "inverse_depth": header.OUT_INVERSE_DEPTH,
-    "depth": header.OUT_DEPTH,
-    "median_depth": header.OUT_MEDIAN_DEPTH,
-}
 
 
 def image(
@@ -130,7 +123,7 @@ def image(
         alpha=address("alpha", pictures.get("alpha"), size),
         radii=optional("radii", pictures.get("radii"), (count,), INT32),
     )
-    for name, bit in _ASKED_FOR.items():
+    for name, bit in header.DEPTH_OUTPUTS.items():
         if outputs & bit:
             setattr(found, name, address(name, pictures.get(name), size))
     return found
@@ -147,7 +140,7 @@ def image_grads(
     )
     for name in ("inverse_depth", "depth"):
         v = v_pictures.get(name)
-        if v is not None and not outputs & _ASKED_FOR[name]:
+        if v is not None and not outputs & header.DEPTH_OUTPUTS[name]:
             raise ShapeError(f"There is a gradient of {name}, which was not drawn.")
         setattr(found, name, optional(f"v_{name}", v, size))
     return found
@@ -195,7 +188,7 @@ def loss_args(
         target=address("target", target, shape, UINT8),
         mask_mode=header.MASK_MODES[mask_mode],
         ssim_weight=ssim_weight,
-        threads=checked_threads(threads),
+        threads=library_threads(threads),
         gain=optional("gain", gain, (3,)),
     )
     if mask_mode != "none":

@@ -13,12 +13,6 @@ from .memory import empty, zeros
 from .once import once
 from .request import CancelFlag, Frustum, Settings
 
-_DEPTHS = {
-    "inverse_depth": header.OUT_INVERSE_DEPTH,
-    "depth": header.OUT_DEPTH,
-    "median_depth": header.OUT_MEDIAN_DEPTH,
-}
-
 
 @dataclass
 class RasterAux:
@@ -55,7 +49,8 @@ class _Rasterize(torch.autograd.Function):
         *splats, _viewmat, view, settings, aux = args
         size = (view.height, view.width)
         pictures = {"rgb": zeros(*size, 3), "alpha": zeros(*size)}
-        pictures |= {n: zeros(*size) for n, bit in _DEPTHS.items() if settings.outputs & bit}
+        asked = (n for n, bit in header.DEPTH_OUTPUTS.items() if settings.outputs & bit)
+        pictures |= {name: zeros(*size) for name in asked}
         radii = {} if aux is None else {"radii": zeros(len(splats[0]), dtype=torch.int32)}
         raster = _native.pool.take()
         try:
@@ -71,7 +66,7 @@ class _Rasterize(torch.autograd.Function):
         else:
             _native.pool.give_back(raster)
         ctx.set_materialize_grads(False)
-        found = [pictures.get(name, zeros(0)) for name in ("rgb", "alpha", *_DEPTHS)]
+        found = [pictures.get(name, zeros(0)) for name in ("rgb", "alpha", *header.DEPTH_OUTPUTS)]
         ctx.mark_non_differentiable(found[-1])
         return tuple(found)
 
@@ -194,7 +189,7 @@ def rasterize(
         eps2d=eps2d,
         antialias=antialias,
         background=color,
-        outputs=sum(bit for name, bit in _DEPTHS.items() if wanted[name]),
+        outputs=sum(bit for name, bit in header.DEPTH_OUTPUTS.items() if wanted[name]),
         tiles=None if tiles is None else tiles.contiguous(),
         threads=threads,
         disable=disable,

@@ -9,6 +9,12 @@ import ctypes as ct
 ABI_VERSION = 4
 
 OUT_INVERSE_DEPTH, OUT_DEPTH, OUT_MEDIAN_DEPTH, COUNT_USEFUL = 1, 2, 4, 8
+DEPTH_OUTPUTS = {
+    "inverse_depth": OUT_INVERSE_DEPTH,
+    "depth": OUT_DEPTH,
+    "median_depth": OUT_MEDIAN_DEPTH,
+}
+"""Bits of the pictures besides RGB and alpha."""
 NO_EXACT_CULL, NO_ZERO_TILE, NO_OPACITY_EXTENT, NO_ROW_RANGE = 1, 2, 4, 8
 TILE = 16
 """Side of the tiles of `tiles`, px (GS_TILE)."""

@@ -116,14 +116,14 @@ def sweep(
         radius=radius,
         best=min(best, max(len(sources), 1)),
         noise=noise,
-        threads=arguments.checked_threads(threads),
+        threads=arguments.library_threads(threads),
     )
     if cancel is not None:
         args.cancel = ct.pointer(cancel.value)
     out = header.StereoFoundStruct(
         *(address(name, getattr(found, name), shape) for name in Swept.__dataclass_fields__)
     )
-    _native.check(_native.library().gs_stereo_sweep(ct.byref(args), ct.byref(out)))
+    _native.raise_status(_native.library().gs_stereo_sweep(ct.byref(args), ct.byref(out)))
     return found
 
 
@@ -180,11 +180,11 @@ def check(
         pixels=pixels,
         relative=relative,
         passed=passed,
-        threads=arguments.checked_threads(threads),
+        threads=arguments.library_threads(threads),
     )
     counts = np.zeros((2, *shape), np.uint8)
     fused = np.zeros(shape, np.float32)
-    _native.check(
+    _native.raise_status(
         _native.library().gs_stereo_check(
             ct.byref(args),
             *(address("counts", part, shape, UINT8) for part in counts),

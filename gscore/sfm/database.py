@@ -75,7 +75,7 @@ def focal_lengths(database: Path) -> dict[int, tuple[float, bool]]:
     return {c.camera_id: (c.mean_focal_length(), c.has_prior_focal_length) for c in cameras}
 
 
-def places(database: Path) -> dict[int, np.ndarray]:
+def gps_places(database: Path) -> dict[int, np.ndarray]:
     """Where EXIF says that photos were taken: latitude and longitude in degrees, height in metres
     (0 where it is not stated), [3] float64 by number of the image."""
     p = colmap()

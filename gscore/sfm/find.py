@@ -12,7 +12,7 @@ from .._version import __version__
 from ..control import Control
 from ..datasets.capture import listing
 from ..errors import DatasetError
-from ..events import Event, SfmDone, SfmEstimated, SfmProgress, Warn, strict_json
+from ..events import SfmDone, SfmEstimated, SfmProgress, Show, Warn, strict_json
 from ..words import count_words
 from . import database, masks, photos, stages
 from .adjust import Adjusted, adjust
@@ -27,8 +27,6 @@ from .stages import Work
 from .verdict import Found, camera_facts, model_names, said_of_attempt, said_of_focal
 from .watch import colmap, watched
 from .workspace import Workspace
-
-Show = Callable[[Event], None]
 
 
 def find_cameras(
@@ -231,7 +229,7 @@ class _Search:
         names = {photo.alias: photo.name for photo in work.photos}
         model = models[0]
         self._adjust(model, database.focal_lengths(work.database(last)))
-        in_metres = to_metres(model, database.places(work.database(last)))
+        in_metres = to_metres(model, database.gps_places(work.database(last)))
         parts = tuple(model_names(each, names) for each in models)
         placed = {name for part in parts for name in part}
         cameras = camera_facts(model)

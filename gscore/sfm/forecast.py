@@ -22,7 +22,7 @@ _PLACE, _ADJUST = 5e-5, 4e-5
 """CPU seconds for each feature of all photos."""
 
 
-def cores(threads: int) -> int:
+def working_cores(threads: int) -> int:
     """How many work, of an option that is 0 for one a core."""
     return threads or os.cpu_count() or 1
 
@@ -45,7 +45,7 @@ class Forecast:
         pace: float = 1.0,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """For photos of which nothing is known but their sizes.
+        """Begin with photos of which nothing is known but their sizes.
 
         Args:
             megapixels: Of each photo, as features are looked for.
@@ -55,7 +55,7 @@ class Forecast:
             pace: Seconds that one of the forecast takes, as an earlier one has learned.
             clock: Seconds.
         """
-        self._share = 1.0 / cores(threads)
+        self._share = 1.0 / working_cores(threads)
         self._photos, self._pairs, self._clock = len(megapixels), pairs, clock
         self._seconds = {FEATURES: _FIND * sum(megapixels)}
         self._expect(sum(features_of(size, most) for size in megapixels))
@@ -64,7 +64,7 @@ class Forecast:
 
     @property
     def seconds(self) -> float:
-        """Of the whole search."""
+        """Seconds that the whole search takes."""
         return self._share * sum(self._seconds.values()) * self.pace
 
     def has_features(self, count: int) -> None:

@@ -16,7 +16,7 @@ _DARK = 1e-4
 
 @dataclass(frozen=True)
 class Look:
-    """Of one photo."""
+    """How sharp and bright one photo is."""
 
     detail: float
     """Energy of second differences against that of first ones, along the axis where it is less:
@@ -25,7 +25,7 @@ class Look:
     """Mean linear brightness, stops."""
 
 
-def look_at(image: Any) -> Look:
+def look_of(image: Any) -> Look:
     """Measure a decoded photo of Pillow."""
     grey = image.convert("L")
     grey.thumbnail((_SIDE, _SIDE))

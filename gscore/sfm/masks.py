@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ..datasets.folder import Folder
-from ..datasets.masks import DEFAULT_FOLDER
+from ..datasets.masks import MASK_FOLDER
 from ..errors import Cancelled, DatasetError
 from ..io.images import read_mask, write_png
 from ..words import count_words
@@ -23,9 +23,9 @@ def mask_folder(root: Path, asked: Path | None) -> Path | None:
             if place.is_dir():
                 return place
         raise DatasetError(f"There is no mask folder {asked}. Give its path with --masks.")
-    places = [root / DEFAULT_FOLDER]
+    places = [root / MASK_FOLDER]
     if root.name in ("images", "input"):
-        places.append(root.parent / DEFAULT_FOLDER)
+        places.append(root.parent / MASK_FOLDER)
     return next((place for place in places if place.is_dir()), None)
 
 

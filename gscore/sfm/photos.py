@@ -12,9 +12,9 @@ from ..datasets.copies import find_copies
 from ..datasets.dataset import map_threads
 from ..errors import Cancelled, DatasetError, FormatError
 from ..io.images import IMAGE_ENDINGS
-from ..io.pillow import check_whole, opened
+from ..io.pillow import check_whole, opened_picture
 from ..words import count_words, number
-from .looks import Look, look_at
+from .looks import Look, look_of
 
 LEAST = 3
 """Photos that a model needs; with two, nothing tells a wrong match from a right one."""
@@ -121,11 +121,11 @@ def read_photos(
         if cancelled():
             raise Cancelled("Reading the photos was stopped.")
         try:
-            with opened(root / names[i]) as image:
+            with opened_picture(root / names[i]) as image:
                 camera, look = _camera(image), None
                 if whole:
                     check_whole(root / names[i], image)
-                    look = look_at(image)
+                    look = look_of(image)
                 alias = f"{i:06}{Path(names[i]).suffix.lower()}"
                 return Photo(names[i], alias, image.width, image.height, camera, look)
         except (DatasetError, FormatError) as error:

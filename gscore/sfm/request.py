@@ -8,7 +8,7 @@ from ..errors import ConfigError
 from ..io.camera_models import CAMERA_MODELS
 from ..shown import quoted
 
-MATCHING = ("auto", "exhaustive", "sequential")
+MATCHERS = ("auto", "exhaustive", "sequential")
 """Values of `Request.matching`."""
 MAPPERS = ("auto", "incremental", "global")
 """Values of `Request.mapper`."""
@@ -40,7 +40,7 @@ class Request:
     invert_masks: bool = False
     """Masks are white where pixels do not count."""
     matching: str = "auto"
-    """Which photos are compared: one of `MATCHING`."""
+    """Which photos are compared: one of `MATCHERS`."""
     mapper: str = "auto"
     """Which of COLMAP's mappers: one of `MAPPERS`."""
     camera_model: str = USUAL_LENS
@@ -59,7 +59,7 @@ class Request:
             )
         known = [model.name for model in CAMERA_MODELS]
         for name, value, choices in (
-            ("matching", self.matching, MATCHING),
+            ("matching", self.matching, MATCHERS),
             ("mapper", self.mapper, MAPPERS),
             ("camera_model", self.camera_model, known),
         ):

@@ -7,7 +7,7 @@ from typing import Any
 from ..config import checked_threads
 from ..io.files import atomic_write
 from .attempts import Attempt
-from .forecast import Forecast, cores
+from .forecast import Forecast, working_cores
 from .pairs import Pair, in_parts, is_sequential
 from .photos import LEAST, Photo, by_camera
 from .request import Request
@@ -17,7 +17,7 @@ SEED = 0
 """Of all random choices."""
 LEAST_MATCHES = 15
 """Matches that fit one geometry without which a pair of photos says nothing; COLMAP's own."""
-LARGEST = 3200
+LARGEST_SIDE = 3200
 """Longer side, px, to which photos are scaled for features."""
 _FEW_PHOTOS = 40
 """Photos up to which there is time for more features in each."""
@@ -55,7 +55,7 @@ class Work:
 
     @property
     def threads(self) -> int:
-        """As pycolmap counts: -1 is one a core."""
+        """The number of threads as pycolmap counts: -1 is one a core."""
         return checked_threads(self.request.threads) or -1
 
     def database(self, attempt: Attempt) -> Path:
@@ -74,7 +74,7 @@ class Work:
 
     def forecast(self, attempt: Attempt, *, pace: float = 1.0) -> Forecast:
         """How long an attempt takes; `pace` as an earlier forecast has learned it."""
-        scales = [min(1.0, LARGEST / max(p.width, p.height)) for p in self.photos]
+        scales = [min(1.0, LARGEST_SIDE / max(p.width, p.height)) for p in self.photos]
         return Forecast(
             megapixels=[
                 p.width * p.height * scale**2 / 1e6
@@ -119,7 +119,7 @@ def _state_focal(database: Path, focal: float) -> None:
 
 def feature_parts(work: Work) -> list[list[str]]:
     """Aliases of the photos whose features are found at a time."""
-    size = max(_PART, 2 * cores(checked_threads(work.request.threads)))
+    size = max(_PART, 2 * working_cores(checked_threads(work.request.threads)))
     names = [photo.alias for photo in work.photos]
     return [names[i : i + size] for i in range(0, len(names), size)]
 
@@ -140,7 +140,7 @@ def extract(work: Work, attempt: Attempt, names: list[str], token: Any) -> None:
         reading.mask_path = work.masks
     options = p.FeatureExtractionOptions()
     options.num_threads = work.threads
-    options.max_image_size = LARGEST
+    options.max_image_size = LARGEST_SIDE
     options.sift.max_num_features = most_features(len(work.photos), rich=attempt.rich)
     if attempt.rich:
         options.sift.peak_threshold *= _RICH_PEAK

@@ -47,7 +47,7 @@ class Found:
     warnings: tuple[str, ...]
 
     def facts(self) -> dict[str, Any]:
-        """For JSON; `models` is their number, `others` the photos of all but the largest."""
+        """Facts for JSON; `models` is their number, `others` the photos of all but the largest."""
         return vars(self) | {
             "output": str(self.output),
             "models": len(self.models),
@@ -55,7 +55,7 @@ class Found:
         }
 
     def lines(self) -> list[str]:
-        """For people: how good it is, and what to do next."""
+        """The verdict for people: how good it is, and what to do next."""
         return [
             f"{self.output}: {self.registered} of {count_words(self.photos, 'photo')} have a "
             f"camera, {count_words(self.points, 'point')}",

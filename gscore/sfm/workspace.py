@@ -24,7 +24,7 @@ class Workspace:
     """A hidden folder beside the capture: what a stopped search goes on from."""
 
     def __init__(self, capture: Path, root: Path) -> None:
-        """For the photos in `root`.
+        """Name the workspace of the photos in `root`.
 
         Raises:
             ConfigError: the capture's folder holds something, or cameras already.

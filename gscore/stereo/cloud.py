@@ -48,8 +48,8 @@ def dense_points(maps: StereoMaps, *, most: int) -> PointCloud:
 
 
 def _of_map(found: StereoMap, step: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of every `step`-th row and column: points [P, 3] in the world, colours [P, 3] and sizes of
-    their pixels [P], world units."""
+    """What every `step`-th row and column shows: points [P, 3] in the world, colours [P, 3] and
+    sizes of their pixels [P], world units."""
     view = found.photo.view
     v, u = (step * a for a in np.nonzero(found.inverse_depth[::step, ::step] > 0))
     depth = 1 / found.inverse_depth[v, u].astype(np.float64)

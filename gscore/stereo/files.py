@@ -19,7 +19,7 @@ _FARTHEST_KEPT = 0.999
 """Quantile of a map's inverse depths that is still stored; nearer places are left out."""
 
 
-def check_folder(folder: Path, names: tuple[str, ...], *, overwrite: bool) -> None:
+def check_maps_folder(folder: Path, names: tuple[str, ...], *, overwrite: bool) -> None:
     """Raise ConfigError where `folder` holds maps of these views that stereo did not make."""
     if overwrite or not folder.is_dir() or read_record(folder) is not None:
         return

@@ -12,7 +12,7 @@ from ..raster.stereo import Checked, Swept, check, sweep
 from .photos import SmallPhoto, small_photo
 from .plan import ViewPlan, plan_views, planes_of
 
-SIDE = 400
+MAP_SIDE = 400
 """Longer side of the photos that are compared, pixels, where nothing else is asked for."""
 RADIUS = 3
 """Windows are 7 x 7 pixels."""
@@ -61,7 +61,7 @@ def stereo_maps(
     dataset: Dataset,
     used: Sequence[int],
     *,
-    side: int = SIDE,
+    side: int = MAP_SIDE,
     threads: int = 0,
     on_view: Callable[[int, int], None] | None = None,
 ) -> StereoMaps:

@@ -61,19 +61,24 @@ def toy_splats(seed: int = 0, count: int = 150) -> Splats:
     )
 
 
+def facing_origin(center: np.ndarray) -> np.ndarray:
+    """[4, 4] world to camera of one at `center` that looks at the origin; y points down."""
+    z = -center / np.linalg.norm(center)
+    x = np.cross([0.0, 1.0, 0.0], z)
+    x /= np.linalg.norm(x)
+    viewmat = np.eye(4)
+    viewmat[:3, :3] = np.stack([x, np.cross(z, x), z])
+    viewmat[:3, 3] = -viewmat[:3, :3] @ center
+    return viewmat
+
+
 def toy_cameras(views: int = VIEWS, size: int = SIZE) -> Cameras:
     """Cameras on a wavy circle of radius 3, all looking at the origin."""
     viewmats = []
     for i in range(views):
         angle = 2 * math.pi * i / views
         center = np.array([3 * math.sin(angle), 0.7 * math.cos(2 * angle), -3 * math.cos(angle)])
-        z = -center / np.linalg.norm(center)
-        x = np.cross([0.0, 1.0, 0.0], z)
-        x /= np.linalg.norm(x)
-        viewmat = np.eye(4)
-        viewmat[:3, :3] = np.stack([x, np.cross(z, x), z])
-        viewmat[:3, 3] = -viewmat[:3, :3] @ center
-        viewmats.append(viewmat)
+        viewmats.append(facing_origin(center))
     focal = 1.1 * size
     K = np.array([[focal, 0, size / 2], [0, focal, size / 2], [0, 0, 1.0]])
     return Cameras(

@@ -88,14 +88,14 @@ def chain(full: bool) -> Iterator[Measure]:
 
 
 @case("S28", "gradients of the camera")
-def camera(full: bool) -> Iterator[Measure]:
+def camera_by_differences(full: bool) -> Iterator[Measure]:
     """Oracle: as S01, for all entries of the view matrix, which also turn the covariances."""
     for seed in range(300, 303 + 5 * full):
         yield from _check(seed, ("viewmat",))
 
 
 @case("S02", "gradients of single stages", per_isa=False)
-def stages(full: bool) -> Iterator[Measure]:
+def stages_by_differences(full: bool) -> Iterator[Measure]:
     """Oracle: fourth-order differences of each stage, on random and on nearly flat splats."""
     import torch
 

@@ -8,7 +8,7 @@ from .case import EmptyTestError, Measure
 from .native import PICTURES, Drawn
 from .truth import Truth
 
-INTERIOR, FLIPPED, FLIP_RATE = 1e-5, 1e-3, 1e-3
+INTERIOR, FLIP_ERROR, FLIP_RATE = 1e-5, 1e-3, 1e-3
 """Largest error outside the band; error of a flipped pixel, and their largest share."""
 MEDIAN, TAIL = 1e-5, 1e-3
 """Median and 99.9th percentile of the gradients' errors, relative to their rows."""
@@ -58,7 +58,7 @@ def picture_measures(
     error = picture_errors(drawn, truth)
     inside = error[~truth.band]
     # One pixel of a small picture is more than the rate allows; it says nothing about the rate.
-    flipped = max(0, int((error > FLIPPED).sum()) - 1) / error.size
+    flipped = max(0, int((error > FLIP_ERROR).sum()) - 1) / error.size
     return [
         Measure("picture", float(inside.max()), tolerance),
         Measure("picture, mean", float(inside.mean()), mean or tolerance / 20),

@@ -113,7 +113,7 @@ def picture_sizes(full: bool) -> Iterator[Measure]:
 
 
 @case("S17", "nothing to draw", needs=())
-def empty(full: bool) -> Iterator[Measure]:
+def empty_scenes(full: bool) -> Iterator[Measure]:
     """Oracle: the background, exactly, and gradients of zero."""
     scene = draw_scene(1700, count=5)
     behind = draw_scene(1700, count=5, depths=(-6.0, -1.0))

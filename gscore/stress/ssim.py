@@ -29,7 +29,7 @@ def _pairs(full: bool) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
 
 
 @case("S22", "image loss")
-def image_loss(full: bool) -> Iterator[Measure]:
+def loss_by_autograd(full: bool) -> Iterator[Measure]:
     """Oracle: the loss written out in float64 torch, with its autograd.
 
     Flat pictures have a tolerance of their own: their variances are zero, and what is left of

@@ -47,7 +47,7 @@ class FrameResult:
     """metrics.json without its lists."""
 
     def to_dict(self, root: Path) -> dict[str, Any]:
-        """As JSON values, paths relative to the folder of the sequence."""
+        """The result as JSON values, with paths relative to the folder of the sequence."""
         keys = ("splats", "steps", "train_seconds", "split", *_means_of([self.metrics]))
         return {
             "frame": self.number,
@@ -233,7 +233,7 @@ class _Run:
         )
 
     def _data_of(self, place: int) -> DataConfig:
-        """Of a frame; with the rig of the first, unless both read the same cameras anyway."""
+        """What to read of a frame: with the first one's rig, unless both read the same cameras."""
         data, first = self._frames[place].data, self._frames[0].data
         if not self._options.fixed_rig or data.source == first.source:
             return data

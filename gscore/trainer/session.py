@@ -28,7 +28,7 @@ from .files.results import Results
 from .length.meter import Meter
 from .length.steering import Steering
 from .length.watchdog import Watchdog
-from .rows.stored import rows, texts
+from .rows.stored import records, texts
 from .trainer import StepResult, Trainer
 from .views.exposure import Exposure
 from .views.placing import Placing
@@ -92,7 +92,7 @@ class Session:
             ValueError, KeyError, TypeError: it states something that no session writes.
         """
         self._meter.restore(state["meter"])
-        self._evals = rows("evals", state["evals"])
+        self._evals = records("evals", state["evals"])
         self._warnings = texts("warnings", state["warnings"])
         self._steering.restore(state.get("steering"))
         self._last_checkpoint = self._last_preview = self._meter.train_seconds

@@ -26,7 +26,6 @@ from .host.laps import Laps
 from .host.random import generator_of, uniform
 from .photos.pyramid import AHEAD, Pyramid, Sized
 from .photos.skips import raster_bits
-from .photos.spectrum import detail
 from .photos.views import Photos, Sampler
 from .rows import bounds, guard
 from .rows.frame import Frame
@@ -34,7 +33,7 @@ from .rows.model import Model, Moments, ShN
 from .rows.near import Nearest
 from .rows.params import splats_of_tensors, tensors_from_splats
 from .rows.start import splats_of_cloud, splats_to_go_on_with
-from .rows.stored import check_tensors, choices, number, whole
+from .rows.stored import check_tensors, choices, real, whole
 from .schedule.plan import Plan
 from .strategy import Change, make_strategy, ops
 from .strategy.contribution import Weights, least, most_in_a_view, mostly_hidden, weights_by_view
@@ -127,8 +126,6 @@ class Trainer:
             side=int(min(cameras.widths.min(), cameras.heights.min())),
             pixels=int((cameras.widths * cameras.heights)[list(photos.train)].mean()),
         )
-        if config.coarse_by_detail:
-            self._plan_of = partial(self._plan_of, detail=detail(photos, photos.train))
         self._factor = math.inf
         self.depth: DepthLoss | None = None
         """The depth loss, where depth is supervised."""
@@ -364,7 +361,7 @@ class Trainer:
         return self._in_world({name: p.clone() for name, p in settled.items()})
 
     def parts(self) -> Iterator[Splats]:
-        """As `splats`, some rows at a time, which are only good until the next step."""
+        """What `splats` gives, some rows at a time, which are only good until the next step."""
         for at in range(0, len(self.model), _ROWS_A_PART):
             rows = slice(at, at + _ROWS_A_PART)
             yield self._in_world(self.model.settled_rows(rows, threads=self.config.threads))
@@ -375,8 +372,8 @@ class Trainer:
         self._painter.release()
 
     def finish(self) -> Splats:
-        """As `splats`, when no step will follow: without a copy, and the memory that only steps
-        need is given back. Views can still be drawn."""
+        """What `splats` gives, when no step will follow: without a copy, and the memory that only
+        steps need is given back. Views can still be drawn."""
         self.make_room()
         self.model.settle(threads=self.config.threads)
         self.model.drop_moments()
@@ -432,7 +429,7 @@ class Trainer:
             length = whole("iterations", state.get("iterations", length), low=1)
         self.replan(length)
         factor = state.get("factor")
-        self._factor = math.inf if factor is None else number("factor", factor, low=1)
+        self._factor = math.inf if factor is None else real("factor", factor, low=1)
         names = list(self.model.params)
         moments = {
             name: Moments(

@@ -8,17 +8,16 @@ from typing import Any
 
 from ..control import Control
 from ..errors import Cancelled, DatasetError, FormatError
-from ..events import Event, FramesDone, FramesProgress, Warn
+from ..events import FramesDone, FramesProgress, Show, Warn
 from ..shown import shown
 from ..words import count_words, number, time_words
 from .choose import Choice, choose
 from .folder import FrameFolder
 from .picture import upright_rgb
 from .request import FEWEST_FRAMES, FrameRequest
-from .source import VideoFacts, damage_words, opened
+from .source import VideoFacts, damage_words, opened_video
 from .survey import Survey, survey
 
-Show = Callable[[Event], None]
 _STILL = 0.02
 """Of the longer side: a camera that goes less far has seen one view."""
 
@@ -49,7 +48,7 @@ class Frames:
     warnings: tuple[str, ...]
 
     def facts(self) -> dict[str, Any]:
-        """For JSON."""
+        """The outcome for JSON."""
         return {
             "folder": str(self.folder),
             "frames": len(self.names),
@@ -64,7 +63,7 @@ class Frames:
         }
 
     def lines(self) -> list[str]:
-        """For people."""
+        """The outcome for people."""
         count = count_words(len(self.names), "frame")
         if self.found:
             return [f"{shown(self.folder)} holds the {count} of this video already."]
@@ -113,7 +112,7 @@ class _Extraction:
         folder = FrameFolder(self._request)
         if folder.found is not None:
             return self._done(folder.found, found=True)
-        with opened(self._request.video) as video:
+        with opened_video(self._request.video) as video:
             facts = video.facts
             looked = survey(
                 video,
@@ -168,7 +167,7 @@ class _Extraction:
         wanted = set(choice.frames.tolist())
         last, rows, size = int(choice.frames[-1]), [], (0, 0)
         tell = self._counted("writing frames", len(wanted))
-        with opened(self._request.video) as video:
+        with opened_video(self._request.video) as video:
             for index, frame in enumerate(video.frames()):
                 if self._stopping():
                     raise Cancelled("Writing frames was stopped.")

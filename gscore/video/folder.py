@@ -19,7 +19,7 @@ from ..json_text import parse_json
 from ..shown import shown
 from .request import FrameRequest
 
-RECORD = "frames.json"
+FRAMES_FILE = "frames.json"
 """File among the frames that says of which video they are, and when each was."""
 _QUALITY = 97
 """Of JPEG, with full colour resolution: see docs/video.md for what that costs."""
@@ -39,7 +39,7 @@ class FrameFolder:
         self._request, self._place = request, request.output
         whole = request.output.absolute()
         self._work = whole.parent / f".{whole.name}.frames"
-        there = _record(self._place / RECORD)
+        there = _record(self._place / FRAMES_FILE)
         self.found: dict[str, Any] | None = None
         """The record of a run before this one that wrote the same frames; None: there are none."""
         if there is not None and self._is_same(there) and self._is_whole(there):
@@ -91,7 +91,7 @@ class FrameFolder:
             facts: For the record, with `frames`: rows with a `name` each.
         """
         record = {"gscore": __version__, "request": self._stamp(), **facts}
-        atomic_write(self._work / RECORD, (json.dumps(record, indent=1) + "\n").encode())
+        atomic_write(self._work / FRAMES_FILE, (json.dumps(record, indent=1) + "\n").encode())
         if self._place.exists():
             self._place.rmdir()  # an empty one
         self._work.replace(self._place)

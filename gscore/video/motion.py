@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-SIDE = 64
+BLOCK_SIDE = 64
 """Pixels of a block."""
 _STEP = 0.05
 """Of the longer side: the displacement after which a new picture is compared with."""
@@ -41,12 +41,12 @@ class Travel:
     """The way so far, in shares of the longer side of the picture."""
 
     def __init__(self, width: int, height: int) -> None:
-        """For pictures of this size; both sides at least 64."""
+        """Begin with pictures of this size; both sides at least 64."""
         self._corners = _corners(width, height)
         self._longer = max(width, height)
-        window = np.hanning(SIDE + 2)[1:-1].astype(np.float32)
+        window = np.hanning(BLOCK_SIDE + 2)[1:-1].astype(np.float32)
         self._window = window[:, None] * window
-        fy, fx = np.fft.fftfreq(SIDE)[:, None], np.fft.rfftfreq(SIDE)
+        fy, fx = np.fft.fftfreq(BLOCK_SIDE)[:, None], np.fft.rfftfreq(BLOCK_SIDE)
         weight = np.exp(-((fx**2 + fy**2) / _FINEST**2) * 2)
         weight[0, 0] = 0
         self._weight = weight.astype(np.float32)
@@ -78,7 +78,7 @@ class Travel:
         return self.so_far
 
     def _picture(self, grey: np.ndarray) -> _Picture:
-        blocks = np.stack([grey[y : y + SIDE, x : x + SIDE] for x, y in self._corners])
+        blocks = np.stack([grey[y : y + BLOCK_SIDE, x : x + BLOCK_SIDE] for x, y in self._corners])
         blocks = blocks.astype(np.float32)
         blocks -= blocks.mean(axis=(1, 2), keepdims=True)
         return _Picture(
@@ -97,14 +97,14 @@ class Travel:
         # Only frequencies above the noise have a phase worth comparing.
         cross *= self._weight / (strength + _NOISE)
         whole = (self._weight * self._twice * strength / (strength + _NOISE)).sum(axis=(1, 2))
-        peaks = np.fft.irfft2(cross, s=(SIDE, SIDE)).reshape(len(one), -1)
-        peaks *= (SIDE * SIDE / whole)[:, None]
+        peaks = np.fft.irfft2(cross, s=(BLOCK_SIDE, BLOCK_SIDE)).reshape(len(one), -1)
+        peaks *= (BLOCK_SIDE * BLOCK_SIDE / whole)[:, None]
         places = peaks.argmax(axis=1)
         trusted = peaks[np.arange(len(one)), places] > _TRUSTED
         if trusted.mean() < _ENOUGH:
             return None
-        y, x = np.divmod(places[trusted], SIDE)
-        y, x = (np.where(v > SIDE // 2, v - SIDE, v) for v in (y, x))
+        y, x = np.divmod(places[trusted], BLOCK_SIDE)
+        y, x = (np.where(v > BLOCK_SIDE // 2, v - BLOCK_SIDE, v) for v in (y, x))
         far = float(np.hypot(x, y).mean())
         return far / self._longer if far >= _STILL else 0.0
 
@@ -112,7 +112,7 @@ class Travel:
 def _corners(width: int, height: int) -> list[tuple[int, int]]:
     """Upper left corners of the blocks, spread over the picture."""
     xs, ys = (
-        np.linspace(0, side - SIDE, max(1, round(side / SIDE))).round().astype(int)
+        np.linspace(0, side - BLOCK_SIDE, max(1, round(side / BLOCK_SIDE))).round().astype(int)
         for side in (width, height)
     )
     return [(int(x), int(y)) for y in ys for x in xs]

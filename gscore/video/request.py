@@ -13,7 +13,7 @@ VIDEO_ENDINGS = (
     *(".3gp", ".wmv", ".flv", ".insv", ".lrv", ".mxf", ".ogv"),
 )
 """What a file is called that is taken for a video without being opened."""
-FORMATS = ("jpg", "png")
+FRAME_FORMATS = ("jpg", "png")
 """Values of `FrameRequest.format`."""
 MOST_FRAMES = 100_000
 FEWEST_FRAMES = 3
@@ -40,7 +40,7 @@ class FrameRequest:
     frames: int = 0
     """How many at most; 0: as many as the motion asks for, 30 to 300."""
     format: str = "jpg"
-    """One of `FORMATS`; JPEG of quality 97 with full colour resolution, or PNG."""
+    """One of `FRAME_FORMATS`; JPEG of quality 97 with full colour resolution, or PNG."""
 
     def __post_init__(self) -> None:
         if self.frames != 0 and not FEWEST_FRAMES <= self.frames <= MOST_FRAMES:
@@ -48,7 +48,7 @@ class FrameRequest:
                 f"frames is {self.frames}, expected {FEWEST_FRAMES} to {number(MOST_FRAMES)}, or 0 "
                 "for as many as the motion asks for."
             )
-        if self.format not in FORMATS:
+        if self.format not in FRAME_FORMATS:
             raise ConfigError(
-                f"format is {quoted(self.format)}, expected one of {', '.join(FORMATS)}."
+                f"format is {quoted(self.format)}, expected one of {', '.join(FRAME_FORMATS)}."
             )

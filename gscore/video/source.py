@@ -54,7 +54,7 @@ class VideoFacts:
 
 
 class Video:
-    """An open video; made by `opened`."""
+    """An open video; made by `opened_video`."""
 
     def __init__(self, path: Path, av: Any, container: Any, stream: Any) -> None:
         self._path, self._av, self._container, self._stream = path, av, container, stream
@@ -150,7 +150,7 @@ class Video:
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[Video]:
+def opened_video(path: Path) -> Iterator[Video]:
     """A video, closed at the end of the block.
 
     Raises:

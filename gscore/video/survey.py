@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import Cancelled
-from .motion import SIDE, Travel
+from .motion import BLOCK_SIDE, Travel
 from .source import Video
 
 _SHARP_SIDE = 1280
@@ -79,7 +79,7 @@ def _seconds(frame: Any, count: int) -> float:
 def _look_size(width: int, height: int) -> tuple[int, int]:
     """The longer side at most 1280 px, both a multiple of 4 and at least 256."""
     scale = min(1.0, _SHARP_SIDE / max(width, height))
-    least = SIDE * _REDUCED
+    least = BLOCK_SIDE * _REDUCED
     wide, high = (
         max(round(side * scale) // _REDUCED * _REDUCED, least) for side in (width, height)
     )

@@ -18,6 +18,7 @@ from gscore.scene import Cameras
 from gscore.splats import Splats
 from gscore.transforms import rotmat_to_quat
 from tests.commands.small_bench import small  # noqa: F401
+from tests.run_verb import gscore, hide_networks  # noqa: F401
 
 WIDTH, HEIGHT, FOCAL, VIEWS = 48, 36, 45.0, 9
 STEPS = 12
@@ -132,15 +133,9 @@ def trained(tmp_path_factory, capture):
     folder = tmp_path_factory.mktemp("trained") / "run"
     options = ["--preset", "draft", "--iterations", STEPS, "--eval", "--quiet"]
     with pytest.MonkeyPatch.context() as patch:
-        _hide_networks(patch)
+        hide_networks(patch)
         assert main([str(word) for word in ("train", capture, "-o", folder, *options)]) == 0
     return folder
-
-
-def _hide_networks(patch):
-    """So that a run and its `eval` measure the same on any machine: without LPIPS."""
-    patch.delenv("GSCORE_LPIPS", raising=False)
-    patch.delenv("GSCORE_DATA", raising=False)
 
 
 @pytest.fixture
@@ -157,16 +152,3 @@ def run_folder(tmp_path, trained, splats):
         return folder
 
     return make
-
-
-@pytest.fixture
-def gscore(capsys, monkeypatch):
-    """Run a verb; gives the exit code, what it printed, and what it printed on stderr."""
-    _hide_networks(monkeypatch)
-
-    def call(*arguments):
-        code = main([str(a) for a in arguments])
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err
-
-    return call

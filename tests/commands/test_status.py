@@ -10,7 +10,7 @@ import sys
 import pytest
 
 from gscore.commands import status
-from gscore.commands.status import Counted, Status, cells, fitted, wrapped
+from gscore.commands.status import Counted, Status, cells, line_within, wrapped
 from tests.commands.screen import drawn, gscore, resize, run_in_terminal
 
 PARTS = ["1:02:03 left", "step 14,878 of 15,000", "PSNR 28.8 dB", "431,526 splats", "53.4 steps/s"]
@@ -20,7 +20,7 @@ PARTS = ["1:02:03 left", "step 14,878 of 15,000", "PSNR 28.8 dB", "431,526 splat
 @pytest.mark.parametrize("share", [None, 0.0, 0.597, 1.0])
 def test_a_line_of_any_width(width: int, share: float | None) -> None:
     """Oracle: the width; the parts that are shown are the first ones, whole."""
-    text = fitted(PARTS, share, width)
+    text = line_within(PARTS, share, width)
     assert 0 < cells(text) <= width
     if share is None and width >= len(PARTS[0]):
         assert text == "  ".join(PARTS[: text.count("  ") + 1])
@@ -36,7 +36,7 @@ def test_a_line_of_any_width(width: int, share: float | None) -> None:
 def test_wide_letters_count_twice() -> None:
     """Oracle: the Unicode standard's East Asian widths."""
     assert cells("é") == 1 and cells("e\u0301") == 1 and cells("写真") == 4
-    assert cells(fitted(["写真" * 30], None, 39)) == 38
+    assert cells(line_within(["写真" * 30], None, 39)) == 38
 
 
 class Terminal(io.TextIOWrapper):

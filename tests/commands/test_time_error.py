@@ -22,7 +22,7 @@ from gscore.bench.time_error import (
 )
 from gscore.bench.training import Point, Trained, load_for_bench, open_sizes, train_measured
 from gscore.commands import main
-from gscore.commands.bench.curve_figures import draw, table
+from gscore.commands.bench.curve_figures import table, write_curves
 from gscore.config import PRESETS, Skip, Strategy, TrainConfig
 from gscore.trainer.trainer import Trainer
 from tests.commands.small_bench import EXAMPLE, bench_json
@@ -244,7 +244,7 @@ def test_what_a_peer_leaves_out_stays_unknown(tmp_path: Path) -> None:
     again = tmp_path / "again.json"
     again.write_text(json.dumps({"capture": capture, "curves": [json.loads(text)]}))
     assert curve_json(read_peers(again)[1][0]) == content
-    draw(tmp_path, "studio", [curve])
+    write_curves(tmp_path, "studio", [curve])
     assert [p.name for p in sorted(tmp_path.glob("*.svg"))] == ["studio-psnr.svg"]
 
 

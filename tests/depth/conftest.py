@@ -8,10 +8,10 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-from gscore.commands import main
 from gscore.io.colmap import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints, write_model
 from gscore.io.images import write_png
 from gscore.transforms import rotmat_to_quat
+from tests.run_verb import gscore  # noqa: F401
 
 PLANES = ((np.array([0.3, 0.1, -1.0]), -4.0), (np.array([-0.9, 0.2, -1.0]), -5.5))
 """Normals n and distances d of the planes n.p = d; what is seen is the nearer one."""
@@ -185,19 +185,6 @@ def make_planes(tmp_path):
         return Planes(tmp_path / name, **options)
 
     return make
-
-
-@pytest.fixture
-def gscore(capsys, monkeypatch):
-    """Run a verb; gives the exit code, what it printed, and what it printed on stderr."""
-    monkeypatch.delenv("GSCORE_DATA", raising=False)
-
-    def call(*arguments):
-        code = main([str(a) for a in arguments])
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err
-
-    return call
 
 
 IMAGENET = (np.array([0.485, 0.456, 0.406]), np.array([0.229, 0.224, 0.225]))

@@ -10,6 +10,19 @@ PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
 SPANS = set(re.findall(r"`([^`\n]+)`", PAGE))
 PLACES = (ROOT, ROOT / "gscore", ROOT / "csrc" / "src", ROOT / "csrc", ROOT / "addon")
 """Folders from which the page names files."""
+CHANGES = (
+    "an option of a training",
+    "a loss term on opacity or depth",
+    "a strategy",
+    "a PLY dialect",
+    "a camera model",
+    "a metric",
+    "an event",
+    "a panel button",
+    "a kernel for another instruction set",
+    "a fault test",
+)
+"""What a stranger is expected to find the files for with this page alone."""
 SUFFIXES = (".py", ".cpp", ".h", ".md", ".txt")
 
 
@@ -55,3 +68,38 @@ def test_every_path_on_the_page_leads_somewhere() -> None:
         and not list((ROOT / "gscore").rglob(span.rstrip("/")))
     ]
     assert lost == []
+
+
+def _found(span: str) -> list[Path]:
+    """Files that a name on the page leads to."""
+    there = [path for place in PLACES for path in place.glob(span.rstrip("/"))]
+    return there or list((ROOT / "gscore").rglob(span.rstrip("/")))
+
+
+def _to_add() -> dict[str, tuple[str, str]]:
+    """Cells of "Where to add what" by what is to be added: what to touch, and the test."""
+    (table,) = re.findall(
+        r"^\| to add \| touch \| test \|\n\|---\|---\|---\|\n((?:\|.*\n)+)",
+        PAGE,
+        flags=re.MULTILINE,
+    )
+    rows = ([cell.strip() for cell in row.split("|")[1:-1]] for row in table.splitlines())
+    return {what: (touch, test) for what, touch, test in rows}
+
+
+@pytest.mark.parametrize("what", sorted({*CHANGES, *_to_add()}))
+def test_who_adds_something_is_led_to_files_that_hold_it(what: str) -> None:
+    """Oracle: the files: each that a row names is there, and one of them holds each other name."""
+    touch, test = _to_add()[what]
+    spans = re.findall(r"`([^`]+)`", touch)
+    paths = [span for span in spans if span.endswith((*SUFFIXES, "/")) and "NAME" not in span]
+    pages = re.findall(r"\bdocs/[\w-]+\.md", touch)
+    assert all(_found(path) for path in [*paths, *pages]), touch
+    files = [file for path in paths for file in _found(path) if file.is_file()]
+    assert files or any(file.is_dir() for path in spans for file in _found(path))
+    texts = [file.read_text(encoding="utf-8") for file in files]
+    names = [word for span in spans if (word := re.fullmatch(r"@?(\w+)(\(\))?", span))]
+    for name in names:
+        assert any(re.search(rf"\b{name[1]}\b", text) for text in texts), f"{name[0]}: {touch}"
+    tests = [span for span in re.findall(r"`([^`]+)`", test) if "/" in span]
+    assert all(_found(span) for span in tests), test

@@ -171,6 +171,12 @@ _STEPS = ("steps 6 to 30", "steps 61 to 106", "steps 61 to 106, the same")
 _PLUSH = "plush, 800 x 600"
 _TIMES = tuple(cell(EXPERIMENTS.format("opensplat"), _OPENSPLAT, s, "times") for s in _STEPS)
 
+_PRESET_SECONDS = (
+    _captures("studio | preview", "train s"),
+    _captures("plush | draft, 640 x 480 px", "train s"),
+    _before("plush | normal, 800 x 600 px", "train s"),
+    _before("plush | high, 800 x 600 px", "train s"),
+)
 QUOTES = (
     Quote("README.md", r"its training takes (\d+) s", (_captures("studio | preview", "train s"),)),
     Quote(
@@ -219,24 +225,14 @@ QUOTES = (
         "README.md",
         r"a first look \| (a quarter of a minute) .* capture \| (a minute and a quarter) .* "
         r"results \| (five minutes) .* gives \| (ten minutes) to half an hour",
-        (
-            _captures("studio | preview", "train s"),
-            _captures("plush | draft, 640 x 480 px", "train s"),
-            _before("plush | normal, 800 x 600 px", "train s"),
-            _before("plush | high, 800 x 600 px", "train s"),
-        ),
+        _PRESET_SECONDS,
         within=0.15,
     ),
     Quote(
         "gscore/config.py",
         r"about (a quarter of a minute) .* about (a minute and a quarter) .* "
         r"about (five minutes) .* gives, (ten minutes) to half an hour",
-        (
-            _captures("studio | preview", "train s"),
-            _captures("plush | draft, 640 x 480 px", "train s"),
-            _before("plush | normal, 800 x 600 px", "train s"),
-            _before("plush | high, 800 x 600 px", "train s"),
-        ),
+        _PRESET_SECONDS,
         within=0.15,
     ),
     Quote(

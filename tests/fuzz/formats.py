@@ -17,7 +17,7 @@ from gscore.datasets.transforms_json import read_transforms
 from gscore.depth.maps import read_map
 from gscore.depth.params import read_params
 from gscore.events import Event, Progress, from_line, to_line
-from gscore.io.cameras_json import read_cameras, write_cameras
+from gscore.io.cameras_json import read_cameras_json, write_cameras
 from gscore.io.cams_txt import read_cam
 from gscore.io.colmap import read_model, write_model
 from gscore.io.colmap_model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
@@ -236,7 +236,7 @@ def _write_cameras(root: Path) -> None:
 
 
 def _read_cameras(root: Path) -> None:
-    cameras = read_cameras(root / "cameras.json")
+    cameras = read_cameras_json(root / "cameras.json")
     assert np.isfinite(cameras.viewmats).all() and np.isfinite(cameras.Ks).all()
 
 

@@ -15,7 +15,14 @@ from PIL import Image
 from gscore.errors import GsError
 from gscore.metrics import PictureCollector, Report, headline, write_report
 from gscore.metrics.colormap import colorize
-from gscore.metrics.curves import Series, chart, clean_points, log_ticks, nice_ticks, short_number
+from gscore.metrics.curves import (
+    Series,
+    clean_points,
+    line_chart,
+    log_ticks,
+    nice_ticks,
+    short_number,
+)
 from gscore.metrics.pictures import BYTES_IN_ALL, ERROR_GAIN, MAX_VIEWS
 from gscore.metrics.report import report_html
 from gscore.words import size_words, time_words
@@ -294,7 +301,7 @@ def test_chart_puts_points_where_the_axes_say():
     """Oracle: a straight line from the first to the last point; ticks at known heights."""
     points = [(float(x), 2.0 * x) for x in range(101)]
     svg = ElementTree.fromstring(
-        chart([Series(label="a", points=points, dots=True)], label="up", x_unit="steps")
+        line_chart([Series(label="a", points=points, dots=True)], label="up", x_unit="steps")
     )
     dots = [(float(c.get("cx")), float(c.get("cy"))) for c in svg.iter("circle") if c.get("cx")]
     assert len(dots) == 101
@@ -310,7 +317,7 @@ def test_chart_keeps_means_of_noisy_points_and_ignores_spikes():
     rng = np.random.default_rng(0)
     points = [(float(i), 5 + float(n)) for i, n in enumerate(rng.normal(0, 0.5, 20_000))]
     points[9000] = (9000.0, 1e6)
-    text = chart([Series(label="a", points=points)], label="n", x_unit="steps")
+    text = line_chart([Series(label="a", points=points)], label="n", x_unit="steps")
     assert len(text) < 40_000
     ticks = [float(t) for t in re.findall(r'text-anchor="end">([\d.]+)</text>', text)]
     assert ticks and max(ticks) < 10
@@ -320,8 +327,8 @@ def test_chart_needs_two_points():
     """Oracle: a sentence instead of an empty drawing; values that are not numbers are left out."""
     nothing = clean_points([(1, None), (2, float("nan")), (3, 4.0)])
     assert nothing == [(3.0, 4.0)]
-    assert "Not enough" in chart([Series(label="a", points=nothing)], label="x", x_unit="s")
-    same = chart([Series(label="a", points=[(0, 7.0), (9, 7.0)])], label="x", x_unit="s")
+    assert "Not enough" in line_chart([Series(label="a", points=nothing)], label="x", x_unit="s")
+    same = line_chart([Series(label="a", points=[(0, 7.0), (9, 7.0)])], label="x", x_unit="s")
     assert "svg" in same and "nan" not in same
 
 

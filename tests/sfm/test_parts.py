@@ -11,7 +11,7 @@ from PIL import Image, ImageFilter
 from gscore.sfm.database import Overlap
 from gscore.sfm.diagnose import why_none
 from gscore.sfm.forecast import FEATURES, MATCHING, Forecast
-from gscore.sfm.looks import Look, blurred, exposure_jumps, look_at
+from gscore.sfm.looks import Look, blurred, exposure_jumps, look_of
 from gscore.sfm.pairs import in_parts, sequential_pairs
 from gscore.sfm.photos import Photo, by_camera, list_photos, natural, read_photos
 from gscore.sfm.verdict import Found
@@ -128,7 +128,7 @@ def _looks(paths: list[Path]) -> list[Look]:
     looks = []
     for path in paths:
         with Image.open(path) as photo:
-            looks.append(look_at(photo))
+            looks.append(look_of(photo))
     return looks
 
 

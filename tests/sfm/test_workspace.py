@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from gscore.errors import ConfigError
+from gscore.io.runs import SEARCH_RECORD
 from gscore.sfm.photos import Photo
-from gscore.sfm.plain import RECORD
 from gscore.sfm.workspace import Workspace
 
 
@@ -33,7 +33,7 @@ def photo(tmp_path: Path) -> Photo:
 def is_capture(folder: Path) -> bool:
     """Whether photo, cameras and what was found are there, and nothing else."""
     files = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
-    return files == {"images/a.jpg", "sparse/0/cameras.bin", RECORD}
+    return files == {"images/a.jpg", "sparse/0/cameras.bin", SEARCH_RECORD}
 
 
 @pytest.mark.parametrize("kind", ["new", "empty", "link", "dangling"])

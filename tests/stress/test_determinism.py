@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from gscore.config import Background, Strategy, TrainConfig
-from gscore.depth import DepthPrior
 from gscore.raster import backend
 from gscore.raster.api import render
 from gscore.stress.capture import toy_photos, toy_splats
@@ -19,6 +18,7 @@ from gscore.stress.training import mean_psnr
 from gscore.trainer.depth.targets import DepthTargets
 from gscore.trainer.files import checkpoint
 from gscore.trainer.trainer import Trainer
+from tests.true_priors import true_priors
 
 SPLATS = toy_splats(9, count=2500)
 SIZE = 96
@@ -55,21 +55,12 @@ def photos() -> Any:
 def masked(photos: Any) -> tuple[Any, DepthTargets]:
     """The same with their opacity as masks, and depth for all views, two of them of unknown
     scale."""
-    cameras, masks, priors = photos.scene.cameras, [], []
+    cameras, masks = photos.scene.cameras, []
     for i in range(len(photos.images)):
         view = render(SPLATS, cameras.Ks[i], cameras.viewmats[i], SIZE, SIZE)
         masks.append((np.clip(view.alpha, 0, 1) * 255 + 0.5).astype(np.uint8))
-        assert view.inverse_depth is not None
-        aligned = i not in (1, 4)
-        priors.append(
-            DepthPrior(
-                inverse_depth=view.inverse_depth if aligned else 3 * view.inverse_depth + 1,
-                confidence=(view.alpha > 0.9).astype(np.float32),
-                aligned=aligned,
-                fit=None,
-            )
-        )
     composite = replace(photos, masks=masks, mask_mode="composite")
+    priors = true_priors(photos, SPLATS, unaligned=(1, 4))
     return composite, DepthTargets(priors, train=photos.train, views=6)
 
 

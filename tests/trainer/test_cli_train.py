@@ -21,6 +21,7 @@ from gscore.config_file import load_config
 from gscore.events import Done, Estimated, Event, Failed, Progress, Saved, from_line
 from gscore.io.images import read_image, write_png
 from gscore.trainer.files.folder import RunFolder
+from tests.run_verb import assert_one_sentence
 
 SHORT = ["--iterations", "12", "--max-splats", "200", "--sh-degree", "0"]
 
@@ -201,10 +202,7 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(
     """Oracle: code 2, one line that says what is wrong, no output folder."""
     out = tmp_path / "out"
     filled = [a.format(capture=capture, out=out) for a in arguments]
-    assert main(["train", *filled, "--quiet"]) == 2
-    err = capsys.readouterr().err
-    assert message.format(capture=capture) in err
-    assert err.count("\n") == 1
+    assert_one_sentence(["train", *filled], message.format(capture=capture), capsys)
     assert not out.exists()
 
 

@@ -30,7 +30,7 @@ from gscore.events import (
     from_line,
     to_line,
 )
-from gscore.io.cameras_json import read_cameras
+from gscore.io.cameras_json import read_cameras_json
 from gscore.io.images import read_image
 from gscore.io.metrics_file import metrics_problem, read_metrics
 from gscore.io.ply import read_splats, write_splats
@@ -109,7 +109,7 @@ def test_a_run_tells_everything_in_order_and_leaves_all_files(
     assert len(read_splats(tmp_path / "point_cloud/iteration_20/point_cloud.ply")) >= 150
     assert len(list((tmp_path / "snapshots").iterdir())) == 2
     assert read_image(next((tmp_path / "previews").iterdir())).shape == (48, 48, 3)
-    assert len(read_cameras(tmp_path / "cameras.json")) == 8
+    assert len(read_cameras_json(tmp_path / "cameras.json")) == 8
     assert load_config(tmp_path / "config.json") == (data_of(capture), config)
     checkpoints = [p.name for p in RunFolder(tmp_path).checkpoints()]
     assert checkpoints == ["step_00000015.safetensors", "step_00000040.safetensors"]

@@ -24,6 +24,7 @@ from gscore.io.ply import read_splats
 from gscore.io.sequences import read_sequence
 from gscore.trainer.sequence import SequenceOptions, train_sequence
 from gscore.transforms import rotmat_to_quat
+from tests.run_verb import assert_one_sentence
 
 CONFIG = TrainConfig(iterations=40, max_splats=200, sh_degree=1, checkpoint_seconds=0)
 
@@ -226,10 +227,7 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(
     """Oracle: code 2, one line that says what is wrong, no output folder."""
     out = tmp_path / "out"
     filled = [argument.format(video=frames, out=out) for argument in arguments]
-    assert main(["sequence", *filled, "--quiet"]) == 2
-    err = capsys.readouterr().err
-    assert message in err
-    assert err.count("\n") == 1
+    assert_one_sentence(["sequence", *filled], message, capsys)
     assert not out.exists()
 
 

@@ -11,7 +11,7 @@ from gscore.config_file import config_json, load_config
 from gscore.datasets.split import split_views
 from gscore.datasets.transforms_json import load_transforms
 from gscore.depth.params import read_params
-from gscore.io.cameras_json import read_cameras
+from gscore.io.cameras_json import read_cameras_json
 from gscore.io.cams_txt import read_cam
 from gscore.io.sequences import SequenceIndex, read_sequence, write_sequence
 
@@ -42,7 +42,7 @@ def test_json(mark: str, tmp_path: Path) -> None:
     assert load_transforms(write("transforms.json", '{"frames": []}')) == {"frames": []}
     entry = {"a": {"scale": 2.0, "offset": 0.5}}
     assert read_params(write("depth_params.json", json.dumps(entry)))["a"].scale == 2.0
-    assert len(read_cameras(write("cameras.json", "[]"))) == 0
+    assert len(read_cameras_json(write("cameras.json", "[]"))) == 0
     config = config_json(DataConfig(source=tmp_path), TrainConfig(iterations=77))
     assert load_config(write("config.json", config))[1].iterations == 77
     write_sequence(tmp_path, SequenceIndex(options={}, frames=[], mean={"psnr": 1}), version="0")

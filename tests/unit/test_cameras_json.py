@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gscore.errors import FormatError, GsError
-from gscore.io.cameras_json import read_cameras, write_cameras
+from gscore.io.cameras_json import read_cameras_json, write_cameras
 from gscore.scene import Cameras
 
 
@@ -47,7 +47,7 @@ def test_official_layout(cameras: Cameras, tmp_path: Path) -> None:
 def test_round_trip(cameras: Cameras, tmp_path: Path) -> None:
     """Oracle: the cameras written."""
     write_cameras(tmp_path / "cameras.json", cameras)
-    again = read_cameras(tmp_path / "cameras.json")
+    again = read_cameras_json(tmp_path / "cameras.json")
     np.testing.assert_allclose(again.viewmats, cameras.viewmats, atol=1e-12)
     np.testing.assert_array_equal(again.Ks, cameras.Ks)
     np.testing.assert_array_equal(again.widths, cameras.widths)
@@ -61,7 +61,7 @@ def test_official_files_have_no_principal_point(cameras: Cameras, tmp_path: Path
     for entry in entries:
         del entry["cx"], entry["cy"]
     (tmp_path / "cameras.json").write_text(json.dumps(entries))
-    again = read_cameras(tmp_path / "cameras.json")
+    again = read_cameras_json(tmp_path / "cameras.json")
     np.testing.assert_array_equal(again.Ks[:, 0, 2], cameras.widths / 2)
     np.testing.assert_array_equal(again.Ks[:, 1, 2], cameras.heights / 2)
 
@@ -96,12 +96,12 @@ def test_unusable_entries(key: str, value: object, cameras: Cameras, tmp_path: P
     entries[1][key] = value
     (tmp_path / "cameras.json").write_text(json.dumps(entries))
     with pytest.raises(FormatError, match=rf"cameras\.json: camera 1 lacks or misstates .*{key}"):
-        read_cameras(tmp_path / "cameras.json")
+        read_cameras_json(tmp_path / "cameras.json")
     if key not in ("cx", "cy"):
         del entries[1][key]
         (tmp_path / "cameras.json").write_text(json.dumps(entries))
         with pytest.raises(FormatError, match=rf"camera 1 lacks or misstates '{key}'"):
-            read_cameras(tmp_path / "cameras.json")
+            read_cameras_json(tmp_path / "cameras.json")
 
 
 def test_hostile(cameras: Cameras, mutations: Callable, tmp_path: Path) -> None:
@@ -111,7 +111,7 @@ def test_hostile(cameras: Cameras, mutations: Callable, tmp_path: Path) -> None:
     for raw in [*mutations(path.read_bytes()), b"{}", b"[1]", b"[[]]", b"null", b"[" * 9999]:
         path.write_bytes(raw)
         try:
-            read_cameras(path)
+            read_cameras_json(path)
         except GsError as error:
             assert "cameras.json" in str(error)
             refused += 1

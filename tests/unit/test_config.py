@@ -93,6 +93,7 @@ def test_missing_options_keep_their_defaults() -> None:
         ({"drop_rate": 1}, "x: drop_rate must be 0 to less than 1, got 1.0."),
         ({"depth_points": -2}, "x: depth_points must be at least -1, got -2."),
         ({"reg_final": 0.5}, "x: reg_final is 0.5, but the penalties of mcmc keep their weight"),
+        ({"coarse_by_detail": True}, "x: coarse_by_detail is True, but photos become larger at"),
         ([1], "x: expected an object with options, got list."),
     ],
 )
@@ -106,7 +107,8 @@ def test_bad_options_are_named(values: Any, message: str) -> None:
 
 def test_a_removed_option_may_state_its_default() -> None:
     """Oracle: a file that says nothing of it."""
-    assert from_dict(TrainConfig, {"reg_final": 1.0}, where="x") == TrainConfig()
+    stated = {"reg_final": 1.0, "coarse_by_detail": False}
+    assert from_dict(TrainConfig, stated, where="x") == TrainConfig()
 
 
 def test_the_largest_seed_and_steps_that_never_come_are_taken() -> None:

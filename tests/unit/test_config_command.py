@@ -24,7 +24,6 @@ ODD = {
     "means_lr": 0.1 + 0.2,
     "depth_weight": 0.5,
     "reset_every": -1,
-    "coarse_by_detail": True,
     "grow_with_photos": False,
     "watchdog": False,
     "cache_mb": 12,

@@ -16,7 +16,7 @@ from gscore.datasets import load_dataset
 from gscore.datasets.unchanged import _hash
 from gscore.depth.maps import MapFolder, read_map
 from gscore.errors import Cancelled, ConfigError, DatasetError
-from gscore.io.cameras_json import read_cameras
+from gscore.io.cameras_json import read_cameras_json
 from gscore.io.colmap_binary import count_images
 from gscore.io.exr_header import check_exr_size
 from gscore.io.files import read_bytes
@@ -57,7 +57,7 @@ def alarm() -> Iterator[None]:
         (read_map, "a.exr"),
         (read_splats, "a.ply"),
         (is_antialiased, "a.ply"),
-        (read_cameras, "cameras.json"),
+        (read_cameras_json, "cameras.json"),
         (checkpoint.load, "step_00000001.safetensors"),
         (_hash, "a.png"),
     ],

@@ -26,6 +26,7 @@ from gscore.io.images import read_image, write_png
 from gscore.raster.api import render
 from gscore.sh import rgb_to_sh0
 from gscore.splats import Splats
+from gscore.stress.capture import facing_origin
 from gscore.transforms import opengl_from_viewmat, rotmat_to_quat, transform_splats
 
 VIEWS, WIDTH, HEIGHT = 12, 64, 36
@@ -41,13 +42,7 @@ def viewmats() -> np.ndarray:
     for i in range(VIEWS):
         angle = 2 * np.pi * i / VIEWS
         center = np.array([3 * np.cos(angle), -0.5 + 0.1 * (i % 3), 3 * np.sin(angle)])
-        z = -center / np.linalg.norm(center)
-        x = np.cross([0.0, 1.0, 0.0], z)
-        x /= np.linalg.norm(x)
-        viewmat = np.eye(4)
-        viewmat[:3, :3] = np.stack([x, np.cross(z, x), z])
-        viewmat[:3, 3] = -viewmat[:3, :3] @ center
-        out.append(viewmat)
+        out.append(facing_origin(center))
     return np.stack(out)
 
 

@@ -6,7 +6,7 @@ import pytest
 from gscore.errors import Cancelled
 from gscore.video.choose import choose
 from gscore.video.motion import Travel
-from gscore.video.source import opened
+from gscore.video.source import opened_video
 from gscore.video.survey import Survey, survey
 
 from . import films
@@ -15,7 +15,7 @@ from .conftest import Film
 
 @pytest.fixture(scope="module")
 def looked(film: Film) -> Survey:
-    with opened(film.path) as video:
+    with opened_video(film.path) as video:
         return survey(video, on_frame=lambda count: None, cancelled=lambda: False)
 
 
@@ -101,6 +101,6 @@ def test_a_blank_wall_stands_still() -> None:
 def test_looking_ends_when_asked(film: Film) -> None:
     """Oracle: the count of frames at which it was asked."""
     seen: list[int] = []
-    with opened(film.path) as video, pytest.raises(Cancelled):
+    with opened_video(film.path) as video, pytest.raises(Cancelled):
         survey(video, on_frame=seen.append, cancelled=lambda: len(seen) == 7)
     assert seen[-1] == 7

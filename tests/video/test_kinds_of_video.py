@@ -11,7 +11,7 @@ from PIL import Image
 
 from gscore.commands import main
 from gscore.video import FrameRequest, Frames, extract_frames
-from gscore.video.source import opened
+from gscore.video.source import opened_video
 from gscore.video.tone import to_screen
 
 from . import films
@@ -89,7 +89,7 @@ def test_fields_of_two_moments_are_parted(tmp_path: Path) -> None:
     path = films.write(
         tmp_path / "tv.mp4", woven, options={"crf": "8", "x264-params": "tff=1"}, interlaced=True
     )
-    with opened(path) as video:
+    with opened_video(path) as video:
         assert video.facts.interlaced
     index, pixels = _first(_frames(path, tmp_path))
 
@@ -150,7 +150,7 @@ def test_hdr_video_comes_out_for_a_screen(tmp_path: Path, transfer: int, white: 
         color=(9, transfer, 9),
         source="rgb48le",
     )
-    with opened(path) as video:
+    with opened_video(path) as video:
         assert video.facts.hdr
     done = _frames(path, tmp_path)
     assert any("HDR" in sentence for sentence in done.warnings)

@@ -19,6 +19,7 @@ from pathlib import Path
 
 import bpy_venvs
 import native_builds
+from told import told
 
 ROOT = native_builds.ROOT
 STAGE = ROOT / "build" / "extension"
@@ -197,27 +198,20 @@ def parse() -> argparse.Namespace:
     return options
 
 
-def main() -> int:
+@told
+def main() -> None:
     """Build, validate and name the zips."""
     options = parse()
-    try:
-        if options.library:
-            tag = native_builds.tag_of(options.library)
-            libraries = {options.platforms[0]: (options.library, tag)}
-        else:
-            libraries = compile_all(options.platforms)
-        wheels = build_wheels()
-        for platform, (library, tag) in libraries.items():
-            path = build_zip(platform, library, tag, wheels, options.output)
-            versions, size = ", ".join(validate(path)), path.stat().st_size / 1e6
-            print(f"{path}: {size:.1f} MB, validated by Blender {versions}")
-    except (RuntimeError, bpy_venvs.NoPythonError) as error:
-        print(error, file=sys.stderr)
-        return 1
-    except subprocess.CalledProcessError as error:
-        print(f"{error.cmd[0]} failed; what it says stands above.", file=sys.stderr)
-        return 1
-    return 0
+    if options.library:
+        tag = native_builds.tag_of(options.library)
+        libraries = {options.platforms[0]: (options.library, tag)}
+    else:
+        libraries = compile_all(options.platforms)
+    wheels = build_wheels()
+    for platform, (library, tag) in libraries.items():
+        path = build_zip(platform, library, tag, wheels, options.output)
+        versions, size = ", ".join(validate(path)), path.stat().st_size / 1e6
+        print(f"{path}: {size:.1f} MB, validated by Blender {versions}")
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ import sys
 from pathlib import Path
 
 import bpy_venvs
+from told import told
 
 VERSION = "v1"
 """Of the format of the index."""
@@ -51,7 +52,8 @@ def checked(index: dict, zips: list[Path]) -> list[dict]:
     return entries
 
 
-def main() -> int:
+@told
+def main() -> None:
     """Write the index and say what is in it."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path, help="of the zips")
@@ -60,23 +62,15 @@ def main() -> int:
     zips = sorted(options.folder.glob("*.zip"))
     if not zips:
         parser.error(f"{options.folder} holds no zip; make some: make extension PLATFORMS=all")
-    try:
-        subprocess.run(command(options.folder), check=True)
-        path = options.folder / "index.json"
-        index = json.loads(path.read_text(encoding="utf-8"))
-        for entry in checked(index, zips):
-            if options.base:
-                name = entry["archive_url"].removeprefix("./")
-                entry["archive_url"] = f"{options.base.rstrip('/')}/{name}"
-            print(f"{', '.join(entry['platforms'])}: {entry['archive_url']}")
-        path.write_text(json.dumps(index, indent=2) + "\n", encoding="utf-8")
-    except (RuntimeError, bpy_venvs.NoPythonError) as error:
-        print(error, file=sys.stderr)
-        return 1
-    except subprocess.CalledProcessError as error:
-        print(f"{error.cmd[0]} failed; what it says stands above.", file=sys.stderr)
-        return 1
-    return 0
+    subprocess.run(command(options.folder), check=True)
+    path = options.folder / "index.json"
+    index = json.loads(path.read_text(encoding="utf-8"))
+    for entry in checked(index, zips):
+        if options.base:
+            name = entry["archive_url"].removeprefix("./")
+            entry["archive_url"] = f"{options.base.rstrip('/')}/{name}"
+        print(f"{', '.join(entry['platforms'])}: {entry['archive_url']}")
+    path.write_text(json.dumps(index, indent=2) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

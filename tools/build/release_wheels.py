@@ -5,15 +5,16 @@ choose. Afterwards `make extension PLATFORMS=all` finds the libraries compiled.
 """
 
 import argparse
-import subprocess
 import sys
 from pathlib import Path
 
 import build_extension
 import native_builds
+from told import told
 
 
-def main() -> int:
+@told
+def main() -> None:
     """Build and name the wheels."""
     known = list(native_builds.PLATFORMS)
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -23,23 +24,15 @@ def main() -> int:
     platforms = options.platforms or known
     if unknown := [name for name in platforms if name not in known]:
         parser.error(f"{', '.join(unknown)}: choose of {', '.join(known)}")
-    try:
-        libraries = build_extension.compile_all(platforms)
-        plain, _ = build_extension.build_wheels()
-        options.output.mkdir(parents=True, exist_ok=True)
-        for platform, (library, tag) in libraries.items():
-            name = native_builds.PLATFORMS[platform].library
-            path = build_extension.add_library(
-                plain, library, name, tag, options.output, for_blender=False
-            )
-            print(f"{path}: {path.stat().st_size / 1e6:.1f} MB")
-    except RuntimeError as error:
-        print(error, file=sys.stderr)
-        return 1
-    except subprocess.CalledProcessError as error:
-        print(f"{error.cmd[0]} failed; what it says stands above.", file=sys.stderr)
-        return 1
-    return 0
+    libraries = build_extension.compile_all(platforms)
+    plain, _ = build_extension.build_wheels()
+    options.output.mkdir(parents=True, exist_ok=True)
+    for platform, (library, tag) in libraries.items():
+        name = native_builds.PLATFORMS[platform].library
+        path = build_extension.add_library(
+            plain, library, name, tag, options.output, for_blender=False
+        )
+        print(f"{path}: {path.stat().st_size / 1e6:.1f} MB")
 
 
 if __name__ == "__main__":

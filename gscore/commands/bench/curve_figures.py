@@ -12,11 +12,11 @@ _PSNR, _SSIM, _SPLATS = "psnr", "1-ssim", "splats"
 
 
 def figure_files(output: Path, name: str) -> list[Path]:
-    """What `draw` writes."""
+    """What `write_curves` writes."""
     return [_file(output, name, key) for key in (_PSNR, _SSIM, _SPLATS)]
 
 
-def draw(output: Path, name: str, curves: list[Curve]) -> None:
+def write_curves(output: Path, name: str, curves: list[Curve]) -> None:
     """Write PSNR and 1 - SSIM over time, and PSNR over splats, of the capture `name`."""
     medians = [(label, c.median()) for label, c in zip(labels(curves), curves, strict=True)]
     pictures = {

@@ -64,7 +64,7 @@ class QualityResults:
         self._write()
 
     def report(self) -> Report:
-        """Of what this call asked for, as far as it is there."""
+        """The tables of what this call asked for, as far as it is there."""
         there = [self._trainings[key] for key in self._asked if key in self._trainings]
         variants = list(dict.fromkeys(key[1] for key in self._asked))
         captures: dict[str, dict[str, list[Training]]] = {}

@@ -5,7 +5,7 @@ import sys
 from dataclasses import asdict
 from typing import Any
 
-from ...bench.scaling import SIZES, SPLATS, VIEWS, Scaling, bench_scaling
+from ...bench.scaling import SIZES, SPLATS, VIEW_COUNTS, Scaling, bench_scaling
 from ...metrics.machine import cores, machine
 from ...raster import backend
 from ...shown import quoted
@@ -22,7 +22,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--sizes", nargs="*", type=size, default=SIZES, metavar="WxH", help="of the picture, px"
     )
     parser.add_argument("--threads", nargs="*", type=int, help="1 to all cores")
-    parser.add_argument("--views", nargs="*", type=int, default=VIEWS, help="numbers of photos")
+    parser.add_argument(
+        "--views", nargs="*", type=int, default=VIEW_COUNTS, help="numbers of photos"
+    )
     parser.add_argument("--cloud", type=int, default=100_000, help="splats where others vary")
     parser.add_argument("--steps", type=int, default=20, help="steps a point (default 20)")
 

@@ -76,11 +76,11 @@ def plan_sizes(
 
 
 def sizes_file(output: Path, name: str) -> Path:
-    """Where `sweep` draws the sizes of a capture."""
+    """Where `train_sizes` draws the sizes of a capture."""
     return output / f"{name}-sizes.svg"
 
 
-def sweep(
+def train_sizes(
     args: argparse.Namespace,
     name: str,
     plan: SizesPlan,

@@ -11,10 +11,10 @@ from ...config import PRESETS, DataConfig, Skip
 from ...io.places import check_place
 from ..output import check_folder, check_replaced
 from ..status import Status
-from .curve_figures import draw, figure_files, table
+from .curve_figures import figure_files, table, write_curves
 from .curve_plans import CapturePlan, plans_of
 from .curve_results import ResultsFile
-from .sweeps import add_sweep_options, check_sweeps, sizes_file, sweep
+from .sweeps import add_sweep_options, check_sweeps, sizes_file, train_sizes
 from .ticker import Ticker
 from .training_options import add_training_options
 
@@ -76,11 +76,11 @@ def _measure(args: argparse.Namespace, plan: CapturePlan, results: ResultsFile) 
         results.add_curves(plan, [*curves, *plan.peers])
         _say(args, plan.name, curves[-1])
     curves += plan.peers
-    draw(args.output, plan.name, curves)
+    write_curves(args.output, plan.name, curves)
     if not args.json:
         print(table(plan.name, curves), flush=True)
     if plan.sizes is not None:
-        sweep(
+        train_sizes(
             args,
             plan.name,
             plan.sizes,

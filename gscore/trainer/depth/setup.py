@@ -13,14 +13,9 @@ from ...errors import ConfigError
 from ...scene import PointCloud
 from ...words import count_words, number
 from .loss import with_weights
-from .points import depth_points
+from .points import MOST_ADDED, SPLATS_A_POINT, depth_points
 from .rule import coverage, decide
 from .targets import DepthTargets
-
-_POINTS = 10_000
-"""Most points that are added where the option leaves it open."""
-_SHARE = 5
-"""And at most one of so many splats."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,7 +87,7 @@ def prepare_depth(
             )
     if supervises and (count := _points_wanted(resolved)):
         # Splats that start on walls are missing on the subject where few are allowed.
-        most = config.max_splats // _SHARE if config.depth_points < 0 else None
+        most = config.max_splats // SPLATS_A_POINT if config.depth_points < 0 else None
         added = depth_points(photos, priors.views, count=count, seed=config.seed, most=most)
         known = photos.scene.points
         points = PointCloud(
@@ -127,4 +122,4 @@ def _points_wanted(config: TrainConfig) -> int:
         return 0
     if config.depth_points >= 0:
         return config.depth_points
-    return _POINTS if max(config.depth_weight, config.depth_weight_final) > 0 else 0
+    return MOST_ADDED if max(config.depth_weight, config.depth_weight_final) > 0 else 0

@@ -10,11 +10,8 @@ from ...datasets import Dataset
 from ...scene import PointCloud
 from ...stereo import dense_points, stereo_maps
 from ...words import count_words, number
+from .points import MOST_ADDED, SPLATS_A_POINT
 
-_POINTS = 10_000
-"""Most points that are added where the option leaves it open."""
-_SHARE = 5
-"""And at most one of so many splats: growth needs room to put them where photos ask for them."""
 _MOST_VIEWS = 120
 """Photos that take part; of more, this many at even distances: enough for so few points."""
 _SIDE = 300
@@ -77,7 +74,7 @@ def _wanted(config: TrainConfig, known: PointCloud) -> int:
     room = config.max_splats - len(known)
     if config.stereo is Switch.AUTO and room < config.max_splats // 2:
         return 0
-    return min(config.stereo_points or min(_POINTS, config.max_splats // _SHARE), room)
+    return min(config.stereo_points or min(MOST_ADDED, config.max_splats // SPLATS_A_POINT), room)
 
 
 def _nothing(why: str) -> StereoStart:

@@ -21,7 +21,7 @@ from .memory import (
     decoded_anew,
     depth_bytes,
     free_memory,
-    photo_bytes,
+    photo_memory,
     point_bytes,
     training_bytes,
 )
@@ -114,7 +114,7 @@ def estimate(
     stay, at_start = point_bytes(points if cloud is None else cloud, splats=config.max_splats)
     rest = maps + stay + max(needed(config.max_splats, largest), at_start)
     anew = decoded_anew(config, photos, views=len(sizes), rest=rest)
-    held = photo_bytes(photos, config, anew=anew)
+    held = photo_memory(photos, config, anew=anew)
     reading = stay + decoding  # before everything else is there
     kept = cache_bytes(config, photos, all_of_them=held, rest=max(rest, reading), free=free)
     if kept is not None or anew:

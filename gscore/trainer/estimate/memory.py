@@ -59,7 +59,7 @@ def training_bytes(*, splats: int, sh_degree: int, pixels: int, lpips: bool = Fa
     return max(step, look) + _BASE
 
 
-def photo_bytes(photos: int, config: TrainConfig, *, anew: bool) -> int:
+def photo_memory(photos: int, config: TrainConfig, *, anew: bool) -> int:
     """Memory of photos that take `photos` bytes and of the scaled copies that training makes;
     `anew`: see `decoded_anew`."""
     copies = _SMALLER_COPIES if _starts_small(config) and not anew else 0

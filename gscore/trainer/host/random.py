@@ -15,7 +15,7 @@ def uniform(
     return torch.rand(count, generator=generator, dtype=dtype, device="cpu")
 
 
-def normal(shape: tuple[int, ...], generator: torch.Generator) -> torch.Tensor:
+def gaussian(shape: tuple[int, ...], generator: torch.Generator) -> torch.Tensor:
     """Numbers of mean 0 and deviation 1."""
     return torch.randn(shape, generator=generator, dtype=torch.float32, device="cpu")
 

@@ -83,7 +83,7 @@ class Goals:
         return True
 
     def state(self) -> dict[str, Any]:
-        """As JSON values; see `restore`."""
+        """What a checkpoint keeps, as JSON values; `restore` takes it back."""
         return {"found": self._found, "length": self.length}
 
     def restore(self, state: dict[str, Any]) -> None:

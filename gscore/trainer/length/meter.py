@@ -7,7 +7,7 @@ from typing import Any
 
 from ...events import Progress
 from ..estimate.cost import Cost
-from ..rows.stored import number, rows, whole
+from ..rows.stored import real, records, whole
 from ..schedule.plan import Plan
 
 _EVENTS_PER_SECOND = 5.0
@@ -86,7 +86,7 @@ class Meter:
 
     @property
     def psnr(self) -> float:
-        """Of the smoothed mean squared error, dB."""
+        """The PSNR of the smoothed mean squared error, dB."""
         return -10 * math.log10(max(self._mse, 1e-12))
 
     @property
@@ -141,7 +141,7 @@ class Meter:
         self._recent.clear()
 
     def state(self) -> dict[str, Any]:
-        """As JSON values; see `restore`."""
+        """What a checkpoint keeps, as JSON values; `restore` takes it back."""
         return {
             "train_seconds": self.train_seconds,
             "history": self.history,
@@ -155,14 +155,14 @@ class Meter:
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from what `state` returned; ValueError or KeyError where it did not."""
-        self.train_seconds = number("train_seconds", state["train_seconds"], low=0)
-        self.history = rows("history", state["history"])
-        self._loss = number("loss", state["loss"], finite=False)
-        self._mse = number("mse", state["mse"], finite=False)
+        self.train_seconds = real("train_seconds", state["train_seconds"], low=0)
+        self.history = records("history", state["history"])
+        self._loss = real("loss", state["loss"], finite=False)
+        self._mse = real("mse", state["mse"], finite=False)
         self._count = whole("count", state["count"])
         self._step = whole("step", state.get("step", 0))
         self._splats = whole("splats", state.get("splats", self._splats))
-        self._pace = number("pace", state.get("pace", 1.0), low=0)
+        self._pace = real("pace", state.get("pace", 1.0), low=0)
 
 
 def _finite(value: Any) -> Any:

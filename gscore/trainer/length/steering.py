@@ -53,7 +53,7 @@ class Steering:
         return found
 
     def state(self) -> dict[str, Any]:
-        """As JSON values; see `restore`."""
+        """What a checkpoint keeps, as JSON values; `restore` takes it back."""
         return self._goals.state()
 
     def restore(self, state: dict[str, Any] | None) -> None:

@@ -9,7 +9,7 @@ import math
 from typing import Any
 
 from ...errors import GsError
-from ..rows.stored import measurements, number, whole
+from ..rows.stored import measurements, real, whole
 from ..schedule.plan import Plan
 
 MAX_RESCUES = 3
@@ -125,7 +125,7 @@ class Watchdog:
         return back
 
     def state(self) -> dict[str, Any]:
-        """As JSON values; see `restore`."""
+        """What a checkpoint keeps, as JSON values; `restore` takes it back."""
         return {
             "rescues": self.rescues,
             "good": self._good,
@@ -141,11 +141,11 @@ class Watchdog:
         """Go on from what `state` returned; ValueError or KeyError where it did not."""
         self.rescues = whole("rescues", state["rescues"], high=MAX_RESCUES)
         self._good = measurements("good", state["good"])
-        self._error, self._count = number("error", state["error"]), whole("count", state["count"])
-        self._best = math.inf if state["best"] is None else number("best", state["best"])
-        self._spoilt = number("spoilt", state["spoilt"])
+        self._error, self._count = real("error", state["error"]), whole("count", state["count"])
+        self._best = math.inf if state["best"] is None else real("best", state["best"])
+        self._spoilt = real("spoilt", state["spoilt"])
         self._quiet_until = whole("quiet_until", state["quiet_until"])
-        self._lost = number("lost", state["lost"])
+        self._lost = real("lost", state["lost"])
 
     def _begin(self, best: float) -> None:
         self._error, self._best, self._count = 0.0, best, 0

@@ -140,7 +140,7 @@ def progress_of(
 
 
 def _brightest(photos: Dataset, index: int) -> int:
-    """Of the mask of a view, 0 to 255; 255 without a mask."""
+    """The largest value of a view's mask, 0 to 255; 255 without a mask."""
     mask = photos.mask(index)
     return 255 if mask is None else int(mask.max())
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...scene import Scene, distances, within_reach
 from ...transforms import SMALLEST, Similarity
-from .stored import number
+from .stored import real
 
 _MARGIN = 1.1
 _DEGENERATE = 1e-3
@@ -60,7 +60,7 @@ class Frame:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """As JSON values; `from_dict` gives exactly this frame again."""
+        """The frame as JSON values, of which `from_dict` makes exactly this frame again."""
         return {
             "scale": self.similarity.scale,
             "shift": self.similarity.shift.tolist(),
@@ -72,7 +72,7 @@ class Frame:
     def from_dict(cls, data: dict[str, Any]) -> "Frame":
         """The frame that `to_dict` described; ValueError or KeyError where it did not."""
         shift = np.array(data["shift"], np.float64)
-        scale, extent, near = (number(key, data[key]) for key in ("scale", "extent", "near"))
+        scale, extent, near = (real(key, data[key]) for key in ("scale", "extent", "near"))
         if not (extent > 0 and near > 0):
             raise ValueError(f"extent and near must be positive, got {extent} and {near}")
         return cls(similarity=Similarity(scale=scale, shift=shift), extent=extent, near=near)

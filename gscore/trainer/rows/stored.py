@@ -24,7 +24,7 @@ def whole(what: str, value: Any, *, low: int = 0, high: int = _MOST) -> int:
     return value
 
 
-def number(what: str, value: Any, *, finite: bool = True, low: float = -math.inf) -> float:
+def real(what: str, value: Any, *, finite: bool = True, low: float = -math.inf) -> float:
     """`value` if it is a number, at least `low` or, where not `finite`, NaN."""
     if type(value) is int:
         value = float(whole(what, value, low=-_MOST))
@@ -45,10 +45,10 @@ def measurements(what: str, value: Any) -> list[tuple[int, float]]:
     pairs = isinstance(value, list) and all(isinstance(v, list | tuple) for v in value)
     if not pairs or any(len(v) != 2 for v in value):
         raise ValueError(f"{what} is {quoted(value)}, expected pairs of a step and a number")
-    return [(whole(what, step), number(what, found, finite=False)) for step, found in value]
+    return [(whole(what, step), real(what, found, finite=False)) for step, found in value]
 
 
-def rows(what: str, value: Any) -> list[dict[str, Any]]:
+def records(what: str, value: Any) -> list[dict[str, Any]]:
     """`value` if it is a list of objects of numbers, each with its step; a phase is text."""
     if not isinstance(value, list) or not all(isinstance(row, dict) for row in value):
         raise ValueError(f"{what} is {quoted(value)}, expected a list of objects")
@@ -56,7 +56,7 @@ def rows(what: str, value: Any) -> list[dict[str, Any]]:
         whole(f"a step of {what}", row.get("step"))
         for key, found in row.items():
             if found is not None and not (key == "phase" and isinstance(found, str)):
-                number(f"{key} of {what}", found, finite=False)
+                real(f"{key} of {what}", found, finite=False)
     return list(value)
 
 

@@ -1,7 +1,6 @@
 """What a TrainConfig means for a run of its length: the numbers behind every "0: by itself"."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ...config import Skip, Strategy, TrainConfig
@@ -77,7 +76,6 @@ class Plan:
         points: int,
         side: int,
         pixels: int,
-        detail: Sequence[float] | None = None,
     ) -> "Plan":
         """Resolve `config` for a capture.
 
@@ -87,7 +85,6 @@ class Plan:
             points: Number of splats at the start.
             side: Shorter side of the smallest photo, pixels.
             pixels: Of a photo, on average.
-            detail: What `spectrum.detail` found in the photos; None: does not matter.
         """
         n = config.iterations
         mcmc = config.strategy is Strategy.MCMC
@@ -104,7 +101,7 @@ class Plan:
         # 240 x 320 px, 500 steps from the frame before ended 1.1 dB higher at full size.
         coarse = 1.0 if config.start_splats else min(max(side / _COARSE_SIDE, 1.0), 8.0)
         coarse = 1.0 if Skip.SMALL_PHOTOS in config.without else config.coarse_factor or coarse
-        sizes, coarse_until = stages(coarse, detail), round(config.coarse_until * n)
+        sizes, coarse_until = stages(coarse), round(config.coarse_until * n)
         # With the photos, splats grow until these are at full size, and a little beyond it.
         long_enough = len(sizes) >= _FEWEST_SIZES and n >= _FEWEST_STEPS
         coupled = config.grow_with_photos and long_enough and not mcmc
@@ -162,7 +159,7 @@ class Plan:
         return first * math.exp(math.log(last / first) * min(step / self.iterations, 1.0))
 
     def rates_at(self, step: int) -> dict[str, float]:
-        """Of the other parameters: constant, then exponential over the last tenth of the run.
+        """Rates of the other parameters: constant, then exponential over the last tenth of the run.
 
         Constant rates leave the parameters jumping about their best by as much as a step.
         """

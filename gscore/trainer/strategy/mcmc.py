@@ -4,7 +4,7 @@
 import torch
 
 from ...config import TrainConfig
-from ..host.random import normal
+from ..host.random import gaussian
 from ..rows.model import Model
 from ..schedule.plan import Plan
 from . import ops
@@ -83,7 +83,7 @@ class MCMCStrategy:
         gate = torch.sigmoid(-GATE_SHARPNESS * (opacity - GATE_OPACITY))
         variance = (2 * model.params["scales"][faint]).exp()
         quats = model.params["quats"][faint]
-        noise = normal((len(faint), 3), generator) * (gate * weight)[:, None]
+        noise = gaussian((len(faint), 3), generator) * (gate * weight)[:, None]
         back = quats * quats.new_tensor([1.0, -1.0, -1.0, -1.0])
         shift = ops.rotate(quats, variance * ops.rotate(back, noise))
         model.params["means"].index_add_(0, faint, shift)

@@ -9,7 +9,7 @@ import torch
 
 from ...raster.memory import zeros
 from ...splats import PARAMETERS, SH_REST_BY_DEGREE
-from ..host.random import normal, uniform
+from ..host.random import gaussian, uniform
 from ..rows.model import Model
 
 SPLIT_COUNT = 2
@@ -105,7 +105,7 @@ def split(model: Model, index: torch.Tensor, generator: torch.Generator) -> dict
         name: t.repeat(SPLIT_COUNT, *[1] * (t.ndim - 1))
         for name, t in duplicate(model, index).items()
     }
-    noise = normal(tuple(rows["means"].shape), generator)
+    noise = gaussian(tuple(rows["means"].shape), generator)
     rows["means"] = rows["means"] + rotate(rows["quats"], rows["scales"].exp() * noise)
     rows["scales"] = rows["scales"] - math.log(SPLIT_SHRINK)
     return rows

@@ -22,6 +22,7 @@ from addon.panels import depth_table
 from addon.process import beat
 from tests.addon.captures import STUDIO
 from tests.addon.fake_trainer import fake_python
+from tests.addon.trainings import until
 
 ROOT = Path(__file__).parents[3]
 REAL = os.environ.get("GSCORE_TRAINER_PYTHON", "")
@@ -76,15 +77,6 @@ def play(tmp_path: Path) -> Callable[..., Path]:
         return tmp_path / "python" / "script.args"
 
     return choose
-
-
-def until(condition: Callable[[], bool], timeout: float = 20.0) -> None:
-    """Tick as Blender does until something is so."""
-    end = time.monotonic() + timeout
-    while not condition():
-        assert time.monotonic() < end, "waited in vain"
-        beat.tick()
-        time.sleep(0.01)
 
 
 def test_a_prediction_from_click_to_table(studio: bpy.types.Scene, play) -> None:

@@ -10,7 +10,6 @@ import pytest
 import torch
 
 from gscore.config import Strategy, TrainConfig
-from gscore.depth import DepthPrior
 from gscore.errors import ConfigError
 from gscore.raster.api import render
 from gscore.raster.autograd import rasterize
@@ -21,27 +20,9 @@ from gscore.trainer.depth.targets import DepthTargets
 from gscore.trainer.files import checkpoint
 from gscore.trainer.trainer import Trainer
 from tests.trainer.short_run import CONFIG
+from tests.true_priors import true_priors
 
 EVERYTHING = replace(CONFIG, drop_rate=0.3, alpha_weight=0.1, coarse_factor=2.0)
-
-
-def true_priors(photos: Any, splats: Any, *, unaligned: tuple[int, ...] = ()) -> list[DepthPrior]:
-    """Inverse depth of known splats, where they are nearly opaque; some as an affine of it."""
-    cameras, priors = photos.scene.cameras, []
-    for i in range(len(cameras.names)):
-        size = int(cameras.widths[i]), int(cameras.heights[i])
-        view = render(splats, cameras.Ks[i], cameras.viewmats[i], *size)
-        assert view.inverse_depth is not None
-        aligned = i not in unaligned
-        priors.append(
-            DepthPrior(
-                inverse_depth=view.inverse_depth if aligned else 3 * view.inverse_depth + 1,
-                confidence=(view.alpha > 0.9).astype(np.float32),
-                aligned=aligned,
-                fit=None,
-            )
-        )
-    return priors
 
 
 @pytest.fixture

@@ -57,10 +57,6 @@ def test_splats_grow_with_the_photos() -> None:
     assert Cost(plan).seconds_after(0, 1000) < Cost(at_once).seconds_after(0, 1000)
 
 
-DETAIL = (0.98, 0.9, 0.7, 0.5, 0.3, 0.2, 0.1)
-"""Of soft photos: nearly nothing is lost at half of the pixels."""
-
-
 @pytest.mark.parametrize(("side", "first"), [(220, 2.0**1.5), (300, 4.0), (900, 8.0)])
 def test_growth_with_photos_is_whole(side: int, first: float) -> None:
     """Oracle: the number at the start at the first size, the cap at full size, and refinements
@@ -69,8 +65,6 @@ def test_growth_with_photos_is_whole(side: int, first: float) -> None:
     plan = plan_of(config, points=5000, side=side)
     assert (plan.factor_at(1), plan.cap_for(plan.factor_at(1))) == (first, 5000)
     assert plan.cap_for(plan.factor_at(plan.refine_stop)) == 50_000
-    soft = Plan.of(config, extent=1.0, points=9, side=side, pixels=9, detail=DETAIL)
-    assert soft.factor_at(soft.refine_stop) == 1.0 < soft.factor_at(8000)
     given = replace(config, start_splats=Path("a.ply"))
     assert plan_of(given).refine_stop == 5000
 
