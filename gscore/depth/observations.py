@@ -6,7 +6,7 @@ import numpy as np
 
 from ..config import DataConfig
 from ..datasets import Dataset, read_capture
-from ..datasets.tracks import model_of
+from ..datasets.tracks import model_of, tracks_of
 from ..io.colmap import ColmapImage, ColmapModel
 from ..io.colmap_model import PointIndex
 
@@ -72,7 +72,7 @@ def observed(model: ColmapModel, image: ColmapImage, index: PointIndex) -> Obser
 
 
 @dataclass(frozen=True, kw_only=True)
-class Tracks:
+class SeenPoints:
     """Points of structure from motion and which views see them."""
 
     points: np.ndarray
@@ -81,23 +81,19 @@ class Tracks:
     """By view: [M] int64, rows of the points it sees, rising."""
 
 
-def tracks(dataset: Dataset) -> Tracks:
+def seen_points(dataset: Dataset) -> SeenPoints:
     """Which points are seen in which views of `dataset`.
 
     Without a COLMAP model whose images are the views a point counts as seen wherever it lies in the
     frame, hidden ones too. Points that were made up are none.
     """
-    model = model_of(dataset)
-    if model is not None:
-        index = PointIndex(model.points)
-        images = {image.name: image for image in model.images}
-        rows = [np.unique(index.find(images[name].point3D_ids)[1]) for name in dataset.names]
-        xyz = model.points.xyz
-        seen = [part[np.isfinite(xyz[part]).all(axis=1)] for part in rows]
-        return Tracks(points=xyz, seen=seen)
+    tracks = tracks_of(dataset)
+    if tracks is not None:
+        return SeenPoints(points=tracks.points, seen=[np.unique(rows) for rows in tracks.seen])
     cloud = dataset.scene.points
     points = cloud.points[:0] if cloud.made_up else cloud.points
-    return Tracks(points=points, seen=[_in_frame(dataset, points, i) for i in range(len(dataset))])
+    seen = [_in_frame(dataset, points, i) for i in range(len(dataset))]
+    return SeenPoints(points=points, seen=seen)
 
 
 def _in_frame(dataset: Dataset, points: np.ndarray, index: int) -> np.ndarray:

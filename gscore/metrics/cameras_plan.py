@@ -16,7 +16,7 @@ from ..json_text import parse_json
 from ..scene import Scene
 from ..words import count_words
 
-SIZE = 420
+_SIDE = 420
 """Sides of a picture in its own units; the page scales it."""
 MOST_POINTS = 3000
 """Points drawn, evenly chosen."""
@@ -113,14 +113,14 @@ def _svg(scene: Scene, axes: np.ndarray, name: str) -> str:
     if len(cloud):
         inner = np.quantile(cloud, _INNER, axis=0)
         low, high = np.minimum(low, inner[0]), np.maximum(high, inner[1])
-    scale = (SIZE - 2 * _MARGIN) / max(float((high - low).max()), 1e-12)
+    scale = (_SIDE - 2 * _MARGIN) / max(float((high - low).max()), 1e-12)
     middle = (low + high) / 2
 
     def place(values: np.ndarray) -> np.ndarray:
-        return SIZE / 2 + (values - middle) * scale * [1, -1]
+        return _SIDE / 2 + (values - middle) * scale * [1, -1]
 
     kept = place(cloud)
-    inside = ((kept > 0) & (kept < SIZE)).all(axis=1)
+    inside = ((kept > 0) & (kept < _SIDE)).all(axis=1)
     looks = np.asarray(cameras.viewmats, np.float64)[:, 2, :3] @ axes.T
     every = max(1, -(-len(centers) // _MOST_CAMERAS))
     wedges = "".join(
@@ -129,7 +129,7 @@ def _svg(scene: Scene, axes: np.ndarray, name: str) -> str:
     )
     label = html.escape(f"{name}: {len(centers)} cameras and {int(usable.sum())} points")
     return (
-        f'<svg class="chart plan" viewBox="0 0 {SIZE} {SIZE}" role="img" aria-label="{label}">'
+        f'<svg class="chart plan" viewBox="0 0 {_SIDE} {_SIDE}" role="img" aria-label="{label}">'
         f"{_dots(kept[inside], colors[inside])}{wedges}</svg>"
     )
 

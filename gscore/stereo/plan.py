@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..depth.observations import Tracks
+from ..depth.observations import SeenPoints
 from ..raster.stereo import MOST_PLANES, StereoView
 from ..scene import Cameras
 
@@ -49,7 +49,7 @@ class ViewPlan:
     """That of the last plane."""
 
 
-def plan_views(cameras: Cameras, tracks: Tracks, used: Sequence[int]) -> list[ViewPlan | None]:
+def plan_views(cameras: Cameras, tracks: SeenPoints, used: Sequence[int]) -> list[ViewPlan | None]:
     """A plan for each of the views `used`; None where nothing can be compared with it.
 
     Args:
@@ -113,7 +113,7 @@ def planes_of(plan: ViewPlan, views: Sequence[StereoView]) -> int:
     return int(np.clip(np.ceil(min(path / _STEP, most)) + 1, _FEWEST_PLANES, most))
 
 
-def _seen(tracks: Tracks, used: Sequence[int]) -> np.ndarray:
+def _seen(tracks: SeenPoints, used: Sequence[int]) -> np.ndarray:
     """[V, P] bool of some points, evenly chosen: whether a view sees a point."""
     stride = max(1, len(tracks.points) // _POINTS)
     out = np.zeros((len(used), len(tracks.points[::stride])), bool)
@@ -123,7 +123,7 @@ def _seen(tracks: Tracks, used: Sequence[int]) -> np.ndarray:
     return out
 
 
-def _shared(tracks: Tracks, seen: np.ndarray, centers: np.ndarray, place: int) -> np.ndarray:
+def _shared(tracks: SeenPoints, seen: np.ndarray, centers: np.ndarray, place: int) -> np.ndarray:
     """[V] how much the points that a view shares with each other one are worth."""
     stride = max(1, len(tracks.points) // _POINTS)
     mine = np.flatnonzero(seen[place])

@@ -11,7 +11,7 @@ from ...raster.painter import Painter
 from ...raster.request import Frustum, Settings
 from ..photos.pyramid import Sized
 from .adam import PhotoAdam, rate_at
-from .motion import moved, slope
+from .motion import after_motion, slope
 
 _STEPS = 60
 _RATES = 2e-3, 5e-5
@@ -56,7 +56,7 @@ def aligned(
         grad = slope(pose, v_viewmat.numpy().astype(np.float64)) * scale
         if not np.isfinite(grad).all():
             break
-        pose = moved(pose, adam.step(0, grad, rate_at(*_RATES, step / _STEPS)) * scale)
+        pose = after_motion(pose, adam.step(0, grad, rate_at(*_RATES, step / _STEPS)) * scale)
     return _from(sized.view, pose).viewmat  # pyright: ignore[reportReturnType]
 
 

@@ -16,10 +16,10 @@ from .gains import PhotoGains
 from .seeds import fit_gains
 from .sightings import Sightings, sightings
 
-LEAST = 0.2
+LEAST_STOPS = 0.2
 """Stops between photos and their neighbours from which on exposure is learnt. Below, colours that
 depend on the view follow the exposures, which gains by hand measured no better."""
-FAR = 1.0
+FAR_STOPS = 1.0
 """Stops between one photo and its neighbours from which on exposure is learnt, however alike the
 others are."""
 _NEIGHBOURS = 4
@@ -61,7 +61,7 @@ def prepare_exposure(config: TrainConfig, photos: Dataset) -> Exposure:
     known = "points seen in several photos" if measured else "EXIF" if stated is not None else ""
     off = stops_off_neighbours(found, photos.scene.cameras.centers[train])
     apart = float(np.sqrt((off**2).mean())) if len(off) else 0.0
-    learns, why = decide(config.exposure, apart, float(off.max(initial=0.0)), known=known)
+    learns, why = learns_exposure(config.exposure, apart, float(off.max(initial=0.0)), known=known)
     log_gains = np.zeros((len(photos), 3))
     log_gains[train] = found
     return Exposure(
@@ -71,7 +71,7 @@ def prepare_exposure(config: TrainConfig, photos: Dataset) -> Exposure:
     )
 
 
-def decide(mode: Switch, apart: float, farthest: float, *, known: str) -> tuple[bool, str]:
+def learns_exposure(mode: Switch, apart: float, farthest: float, *, known: str) -> tuple[bool, str]:
     """Whether to learn exposures, and a sentence that says so and why.
 
     Args:
@@ -88,7 +88,7 @@ def decide(mode: Switch, apart: float, farthest: float, *, known: str) -> tuple[
             "How the photos were exposed is not known: no points are seen in several of them, nor "
             "does EXIF say so. Their colours are taken as they are; --exposure on learns them."
         )
-    if apart < LEAST and farthest < FAR:
+    if apart < LEAST_STOPS and farthest < FAR_STOPS:
         return False, (
             f"Photos side by side are exposed alike ({fact}), so their colours are taken as they "
             "are."

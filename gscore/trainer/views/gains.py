@@ -13,7 +13,7 @@ import torch
 
 from .adam import PhotoAdam, checked
 
-Color = tuple[float, float, float]
+_Color = tuple[float, float, float]
 
 _BASIS = np.array([[1.0, 1.0, 1.0], [1.0, 0.0, -1.0], [-0.5, 1.0, -0.5]])
 """Rows: ln gain of R, G and B by exposure, by warmth and by green; orthogonal."""
@@ -86,7 +86,7 @@ class PhotoGains:
         self._value[self._train] -= self._value[self._train].mean(axis=0)
 
 
-def behind(background: Color, gain: torch.Tensor) -> Color:
+def behind(background: _Color, gain: torch.Tensor) -> _Color:
     """The colour that looks like `background` once it is multiplied by a gain [3].
 
     Where photos are laid over a background (`composite`), their exposure is not its own: splats are
@@ -97,12 +97,12 @@ def behind(background: Color, gain: torch.Tensor) -> Color:
 
 
 def without_background(
-    v_log_gain: Color,
-    background: Color,
+    v_log_gain: _Color,
+    background: _Color,
     gain: torch.Tensor,
     v_rgb: torch.Tensor,
     alpha: torch.Tensor,
-) -> Color:
+) -> _Color:
     """The derivative in ln gain where `behind` moves with the gain, so that what shows of the
     background stays as it is.
 

@@ -11,7 +11,7 @@ def cross_matrix(vectors: np.ndarray) -> np.ndarray:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def moved(viewmat: np.ndarray, motion: np.ndarray) -> np.ndarray:
+def after_motion(viewmat: np.ndarray, motion: np.ndarray) -> np.ndarray:
     """A pose after a motion in the axes of its camera.
 
     Args:

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from .adam import PhotoAdam, checked
-from .motion import apart, moved, slope
+from .motion import after_motion, apart, slope
 
 LIMIT = 0.05
 """Most that a learnt camera moves from where it began: rad, and shares of the extent."""
@@ -70,7 +70,7 @@ class PhotoPoses:
         if not np.isfinite(grad).all():
             return
         motion = self._adam.step(index, grad, rate) * scale
-        self._viewmats[index] = self._limited(index, moved(before, motion))
+        self._viewmats[index] = self._limited(index, after_motion(before, motion))
         self._take_back(np.linalg.inv(before) @ self._viewmats[index])
 
     def _limited(self, index: int, pose: np.ndarray) -> np.ndarray:
@@ -84,7 +84,7 @@ class PhotoPoses:
         turn, count = motion[:3, :3], len(self._train)
         axis = [turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]
         mean = np.concatenate([np.array(axis) / 2, motion[:3, 3]]) / count
-        self._viewmats[self._train] = self._viewmats[self._train] @ moved(np.eye(4), -mean)
+        self._viewmats[self._train] = self._viewmats[self._train] @ after_motion(np.eye(4), -mean)
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """All that the next step depends on, by name; no copies."""

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .motion import cross_matrix, moved
+from .motion import after_motion, cross_matrix
 
 _ROUNDS = 15
 """Of Gauss and Newton."""
@@ -55,7 +55,7 @@ def placed(viewmat: np.ndarray, seen: Seen) -> np.ndarray:
         step = _step(pose, seen)
         if step is None:
             break
-        pose = moved(pose, step)
+        pose = after_motion(pose, step)
         if np.abs(step).max() < 1e-9:
             break
     better = typical(pose, seen) < typical(viewmat, seen)

@@ -16,9 +16,9 @@ from gscore.io.exposure_exif import stated_exposure
 from gscore.io.images import read_image
 from gscore.trainer.run import train
 from gscore.trainer.views.exposure import (
-    FAR,
-    LEAST,
-    decide,
+    FAR_STOPS,
+    LEAST_STOPS,
+    learns_exposure,
     prepare_exposure,
     stops_off_neighbours,
 )
@@ -58,7 +58,7 @@ def test_a_studio_is_exposed_alike(studio: Dataset) -> None:
     found = prepare_exposure(TrainConfig(), studio)
     assert found.gains is None
     assert "exposed alike (0.0" in found.why
-    assert found.numbers is not None and found.numbers["stops_apart"] < LEAST / 1.5
+    assert found.numbers is not None and found.numbers["stops_apart"] < LEAST_STOPS / 1.5
 
 
 def test_gains_of_a_capture_begin_near_the_truth(studio: Dataset) -> None:
@@ -96,8 +96,8 @@ def test_the_rule(mode: Switch, apart: float, farthest: float, known: str) -> No
     are known to differ; every answer says why."""
     learns, why = False, "off."
     if mode is not Switch.OFF:
-        learns, why = decide(mode, apart, farthest, known=known)
-    differ = bool(known) and (apart > LEAST or farthest > FAR)
+        learns, why = learns_exposure(mode, apart, farthest, known=known)
+    differ = bool(known) and (apart > LEAST_STOPS or farthest > FAR_STOPS)
     assert learns is (mode is Switch.ON or (mode is Switch.AUTO and differ))
     assert why.endswith(".")
 

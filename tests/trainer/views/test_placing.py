@@ -14,7 +14,7 @@ from gscore.errors import FormatError
 from gscore.io.colmap import read_model, write_model
 from gscore.io.poses_json import read_moves
 from gscore.trainer.run import train
-from gscore.trainer.views.motion import apart, moved
+from gscore.trainer.views.motion import after_motion, apart
 from gscore.trainer.views.placing import place_cameras
 from gscore.trainer.views.resection import Seen, placed, typical
 from gscore.transforms import rotmat_to_quat
@@ -36,9 +36,9 @@ def sights(pose: np.ndarray, count: int = 200, *, wrong: float = 0.0) -> Seen:
 @pytest.mark.parametrize("wrong", [0.0, 0.3])
 def test_a_pose_is_found_by_its_points(wrong: float) -> None:
     """Oracle: the pose that saw them, from one a tenth of a radian and of the depth away."""
-    truth = moved(np.eye(4), np.array([0.3, -0.2, 0.5, 1.0, 2.0, 3.0]))
+    truth = after_motion(np.eye(4), np.array([0.3, -0.2, 0.5, 1.0, 2.0, 3.0]))
     seen = sights(truth, wrong=wrong)
-    begun = moved(truth, np.array([0.05, -0.08, 0.04, 0.2, -0.1, 0.3]))
+    begun = after_motion(truth, np.array([0.05, -0.08, 0.04, 0.2, -0.1, 0.3]))
     angle, distance = apart(placed(begun, seen)[None], truth[None])
     assert angle[0] < 1e-6 and distance[0] < 1e-6
 
@@ -47,14 +47,14 @@ def test_a_pose_is_found_by_its_points(wrong: float) -> None:
 def test_few_points_move_no_camera(count: int) -> None:
     """Oracle: the pose it had, bit for bit."""
     seen = sights(np.eye(4), count)
-    pose = moved(np.eye(4), np.full(6, 0.1))
+    pose = after_motion(np.eye(4), np.full(6, 0.1))
     assert (placed(pose, seen) == pose).all()
 
 
 def test_points_in_one_place_move_no_camera() -> None:
     """Oracle: a pose at least as good as before, and finite."""
     seen = Seen(points=np.tile([0.0, 0.0, 2.0], (50, 1)), rays=np.zeros((50, 2)))
-    pose = moved(np.eye(4), np.array([0, 0, 0, 0.1, 0, 0]))
+    pose = after_motion(np.eye(4), np.array([0, 0, 0, 0.1, 0, 0]))
     found = placed(pose, seen)
     assert np.isfinite(found).all()
     assert typical(found, seen) <= typical(pose, seen)
@@ -73,7 +73,7 @@ def _disturbed(root: Path) -> Path:
         motion = np.concatenate(
             [axis * np.radians(0.5) / np.linalg.norm(axis), way * 0.032 / np.linalg.norm(way)]
         )
-        pose = moved(image.viewmat, motion * bool(i % 8))
+        pose = after_motion(image.viewmat, motion * bool(i % 8))
         images.append(replace(image, qvec=rotmat_to_quat(pose[:3, :3]), tvec=pose[:3, 3].copy()))
     write_model(replace(model, images=images), root / "sparse/0")
     (root / "images").symlink_to(STUDIO / "images")

@@ -17,7 +17,7 @@ from gscore.raster.reference import image_loss_reference, rasterize_reference
 from gscore.raster.request import Frustum
 from gscore.trainer.files import checkpoint
 from gscore.trainer.trainer import Trainer
-from gscore.trainer.views.motion import apart, centers, cross_matrix, moved, slope
+from gscore.trainer.views.motion import after_motion, apart, centers, cross_matrix, slope
 from gscore.trainer.views.placing import Placing
 from gscore.trainer.views.poses import PhotoPoses
 from tests.trainer.short_run import CONFIG
@@ -32,7 +32,7 @@ def disturbed(photos: Any, *, degrees: float, shift: float, seed: int = 0) -> np
     for i in photos.train:
         axis, way = rng.normal(size=(2, 3))
         axis *= np.radians(degrees) / np.linalg.norm(axis)
-        out[i] = moved(out[i], np.concatenate([axis, way * shift / np.linalg.norm(way)]))
+        out[i] = after_motion(out[i], np.concatenate([axis, way * shift / np.linalg.norm(way)]))
     return out
 
 
@@ -42,7 +42,7 @@ def test_a_motion_is_an_exponential(size: float) -> None:
     vector = size * np.array([0.6, -0.48, 0.64])
     pose = np.eye(4)
     pose[:3, 3] = [1.0, 2.0, 3.0]
-    found = moved(pose, np.concatenate([vector, [0.1, 0.2, 0.3]]))
+    found = after_motion(pose, np.concatenate([vector, [0.1, 0.2, 0.3]]))
     turn = expm(cross_matrix(vector))
     np.testing.assert_allclose(found[:3, :3], turn, atol=1e-14)
     np.testing.assert_allclose(found[:3, 3], turn @ [1, 2, 3] + [0.1, 0.2, 0.3], atol=1e-14)
@@ -71,7 +71,7 @@ def test_the_chain_from_the_loss_to_a_motion(known_splats: Any, photos: Any) -> 
     exact = [t.double() for t in raw]
 
     def loss_of(motion: np.ndarray) -> float:
-        pose = torch.from_numpy(moved(viewmat, motion))
+        pose = torch.from_numpy(after_motion(viewmat, motion))
         out = rasterize_reference(*exact, pose, torch.from_numpy(K), size, size, raw=True)
         return image_loss_reference(out.rgb, target)[0].item()
 
@@ -168,7 +168,7 @@ def _slopes(viewmats: np.ndarray, points: np.ndarray) -> np.ndarray:
     for axis in np.eye(6):
         ways = []
         for sign in (step, -step):
-            world = moved(np.eye(4), sign * axis)
+            world = after_motion(np.eye(4), sign * axis)
             local = _local(viewmats @ world, points)
             ways.append(local[..., :2] / local[..., 2:])
         found.append((ways[0] - ways[1]) / (2 * step))
