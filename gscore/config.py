@@ -362,7 +362,6 @@ class TrainConfig:
         "the training photos alone, in some seconds; `auto`: unless SfM's points are half of "
         "`max_splats` already.",
         group="start",
-        basic=True,
         when="points",
     )
     stereo_points: int = option(
@@ -444,7 +443,6 @@ class TrainConfig:
         "Move training cameras to where their photos were taken; `auto`: where the points of the "
         "capture say that they stand elsewhere. Held-out cameras stay.",
         group="poses",
-        basic=True,
     )
     pose_lr: float = option(
         1e-3,

@@ -57,7 +57,8 @@ def photos_text(facts: dict[str, Any]) -> list[str]:
         left_out = count_words(len(facts["unread"]), "photo")
         lines.append(f"  {left_out} of kinds that are not read: {listing(facts['unread'], 3)}")
     if not facts["enough"]:
-        return [*lines, f"  at least {LEAST} photos that overlap are needed, 30 or more are good"]
+        least = count_words(LEAST, "photo")
+        return [*lines, f"  at least {least} that overlap are needed, 30 or more are good"]
     about = time_words(float(f"{facts['sfm_seconds']:.1g}"))
     return [
         *lines,

@@ -234,7 +234,11 @@ def _depth_problems(stated: StatedDepth) -> list[Problem]:
         )
         return [_note(text)]
     short = views - min(stated.entries, maps)
-    return [_note(f"{short} of {views} photos lack a depth map or its scale.")] if short else []
+    return (
+        [_note(f"{short} of {count_words(views, 'photo')} lack a depth map or its scale.")]
+        if short
+        else []
+    )
 
 
 def _facts(

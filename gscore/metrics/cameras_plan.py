@@ -88,9 +88,9 @@ def plan_axes(scene: Scene) -> np.ndarray:
 def _words(found: Mapping[str, Any]) -> str:
     """One line on how good they are; what the record lacks is left out."""
     parts = []
-    if isinstance(count := found.get("registered"), int):
-        photos = found.get("photos")
-        parts.append(f"{count} of {photos} photos have a camera")
+    count, photos = found.get("registered"), found.get("photos")
+    if isinstance(count, int) and isinstance(photos, int):
+        parts.append(f"{count} of {count_words(photos, 'photo')} have a camera")
     if isinstance(points := found.get("points"), int):
         parts.append(count_words(points, "point"))
     if isinstance(error := found.get("reprojection_px"), float):
@@ -127,7 +127,9 @@ def _svg(scene: Scene, axes: np.ndarray, name: str) -> str:
         _wedge(at, look * [1, -1], cameras.names[i * every])
         for i, (at, look) in enumerate(zip(place(centers)[::every], looks[::every], strict=True))
     )
-    label = html.escape(f"{name}: {len(centers)} cameras and {int(usable.sum())} points")
+    label = html.escape(
+        f"{name}: {count_words(len(centers), 'camera')}, {count_words(int(usable.sum()), 'point')}"
+    )
     return (
         f'<svg class="chart plan" viewBox="0 0 {_SIDE} {_SIDE}" role="img" aria-label="{label}">'
         f"{_dots(kept[inside], colors[inside])}{wedges}</svg>"

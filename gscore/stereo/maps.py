@@ -9,6 +9,7 @@ from ..datasets import Dataset
 from ..datasets.dataset import map_threads
 from ..depth.observations import seen_points
 from ..raster.stereo import Checked, Swept, check, sweep
+from ..words import count_words
 from .photos import SmallPhoto, small_photo
 from .plan import ViewPlan, plan_views, planes_of
 
@@ -80,7 +81,7 @@ def stereo_maps(
         threads.
     """
     if len(used) < FEWEST_VIEWS:
-        return StereoMaps(maps={}, reason=f"it takes at least {FEWEST_VIEWS} photos")
+        return StereoMaps(maps={}, reason=f"it takes at least {count_words(FEWEST_VIEWS, 'photo')}")
     plans = plan_views(dataset.scene.cameras, seen_points(dataset), used)
     if not any(plans):
         return StereoMaps(maps={}, reason="no two photos show the same from different places")

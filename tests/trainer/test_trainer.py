@@ -230,8 +230,8 @@ def test_bad_gradients_are_left_out_and_counted(
     trainer = Trainer(SHORT, photos)
     real = Painter.gradients
 
-    def poisoned(painter: Painter, into: dict[str, torch.Tensor], *args: Any) -> torch.Tensor:
-        means2d = real(painter, into, *args)
+    def poisoned(painter: Any, into: dict[str, torch.Tensor], *args: Any, **options: Any) -> Any:
+        means2d = real(painter, into, *args, **options)
         into["scales"][4, 1] = math.nan
         return means2d
 

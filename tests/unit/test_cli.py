@@ -204,7 +204,7 @@ def test_names_keep_their_capitals(capsys: pytest.CaptureFixture[str]) -> None:
         assert commands.main(line.split()) == 0
     out = capsys.readouterr().out
     assert "Train splats from photos with COLMAP cameras." in out
-    assert "Say what a capture, a PLY or a run holds." in out
+    assert "Say what a capture, photos, a video, a PLY or a run holds." in out
 
 
 def test_every_option_of_a_training_is_explained(capsys: pytest.CaptureFixture[str]) -> None:

@@ -199,5 +199,5 @@ def test_messages(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match=r"There is no image .*none\.png"):
         read_image(tmp_path / "none.png")
     (tmp_path / "text.png").write_text("hello")
-    with pytest.raises(FormatError, match=r"text\.png cannot be read as an image.*Copy the photo"):
+    with pytest.raises(FormatError, match=r"text\.png cannot be read as an image.*Copy the file"):
         read_image(tmp_path / "text.png")

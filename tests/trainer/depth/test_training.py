@@ -77,7 +77,10 @@ def test_true_splats_have_no_depth_loss(
             with torch.no_grad():
                 out = rasterize(
                     *trainer.model.settled().values(),
-                    *view,
+                    view.viewmat,
+                    view.K,
+                    view.width,
+                    view.height,
                     raw=True,
                     near=0.01,
                     inverse_depth=True,
