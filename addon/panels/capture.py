@@ -2,12 +2,10 @@
 
 import bpy
 
-from .. import preferences
 from ..capture.inspection import ShownFacts
 from ..job import facts
-from ..python import setup
 from ..search import work
-from .widgets import TabPanel, open_preferences, rows, sentence
+from .widgets import TabPanel, has_python, rows, sentence
 
 
 class CapturePanel(TabPanel, bpy.types.Panel):
@@ -54,11 +52,7 @@ def draw_search(layout: bpy.types.UILayout, context: bpy.types.Context, found: S
     what = "A video" if found.photos == 0 else "Photos"
     text = f"{what} without cameras. Find Cameras makes a capture of it beside it."
     sentence(layout, context, text, icon="INFO")
-    try:
-        setup.trainer_python(preferences.get())
-    except ValueError as error:
-        sentence(layout, context, str(error), icon="ERROR")
-        open_preferences(layout)
+    if not has_python(layout, context):
         return
     big = layout.column()
     big.scale_y = 1.4
