@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from addon import panels
+from addon.attributes import NO_SPLATS
 from addon.core import PRESETS, Progress, RunInfo, Started
 from addon.job.curve import LossCurve
-from addon.job.display import EMPTY
 from addon.job.session import PAUSED, RunState
 from addon.panels import progress, result, train
 from addon.splats import objects
@@ -45,7 +45,7 @@ def test_buttons_lead_somewhere() -> None:
 
 def test_a_deleted_result_is_not_shown(scene: bpy.types.Scene) -> None:
     """Oracle: Blender's delete, which keeps what a setting names out of the scene."""
-    ob = objects.create(EMPTY, "splats")
+    ob = objects.create(NO_SPLATS, "splats")
     scene.gscore.result = ob
     assert result.shown(bpy.context) == ob
     ob.select_set(True)
