@@ -6,6 +6,7 @@ from importlib import import_module
 from typing import Any
 
 from .errors import BackendError
+from .signal_keeping import signals_kept
 
 _TRAIN = "train"
 _EXTRAS = {
@@ -53,15 +54,24 @@ def missing(module: str, purpose: str) -> str:
 
 
 def need(module: str, purpose: str) -> Any:
-    """The module, loaded; `purpose` as in `missing`.
+    """The module, loaded, which leaves signals where they went; `purpose` as in `missing`.
 
     Raises:
         BackendError: It is not installed.
     """
+    loaded = sys.modules.get(module)
+    if loaded is not None and not _is_loading(loaded):
+        return loaded
     try:
-        return import_module(module)
+        with signals_kept():
+            return import_module(module)
     except ImportError as error:
         raise BackendError(f"{missing(module, purpose)}.") from error
+
+
+def _is_loading(module: Any) -> bool:
+    """Whether another thread, or a caller of this one, is in the middle of importing it."""
+    return bool(getattr(getattr(module, "__spec__", None), "_initializing", False))
 
 
 def offered(door: str, name: str, homes: Mapping[str, str]) -> Any:

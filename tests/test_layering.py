@@ -21,6 +21,7 @@ BOTTOM = {
     "scene",
     "sequence_options",
     "shown",
+    "signal_keeping",
     "json_text",
     "options",
     "choices",

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import BackendError, DatasetError, FormatError
-from ..extras import missing
+from ..extras import need
 from ..io.colmap_model import ColmapCamera
 from ..shown import shown
 
@@ -160,11 +160,9 @@ def pycolmap_camera(pycolmap: Any, camera: ColmapCamera) -> Any:
 def _pycolmap() -> Any:
     """The module, loaded when first needed."""
     try:
-        import pycolmap
-    except ImportError as error:
-        raise BackendError(
-            f"{missing('pycolmap', 'Undistorting the photos')}. Or undistort them with COLMAP."
-        ) from error
+        pycolmap = need("pycolmap", "Undistorting the photos")
+    except BackendError as error:
+        raise BackendError(f"{error} Or undistort them with COLMAP.") from error
     if not hasattr(pycolmap, "undistort_camera"):
         raise BackendError(
             f"The installed pycolmap {pycolmap.__version__} cannot undistort single cameras, "
