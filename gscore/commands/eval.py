@@ -103,6 +103,11 @@ def _measure(args: argparse.Namespace, status: Status) -> int:
             "only if it was trained with the same split."
         )
     split, indices = _indices(args.split, dataset)
+    if output == model.run and split != "test" and read_metrics(output).get("split") == "test":
+        raise ConfigError(
+            f"{output} holds the metrics of held-out views; say with -o where those of the "
+            f"{'training' if split == 'train' else 'other'} views go."
+        )
     collector = PictureCollector(count=len(indices))
     told = Counted(status, len(indices), "view")
     background = model.background

@@ -29,6 +29,9 @@ __all__ = [
 ]
 
 
+_ADVICE = "Give the folder above `sparse`, or one with photos, whose cameras `gscore sfm` finds."
+
+
 def has_model(folder: Path) -> bool:
     """Whether cameras and images of a model, binary or text, lie directly in `folder`."""
     return any(
@@ -68,8 +71,7 @@ def find_model(path: str | Path) -> tuple[Path, tuple[str, ...]]:
             return root, ()
     raise DatasetError(
         f"No COLMAP model in {path}: expected cameras and images (.bin or .txt) in sparse/0, in "
-        f"sparse or in the folder itself, or a transforms.json. "
-        + (foreign(path) or "Run COLMAP first, or give the folder above `sparse`.")
+        f"sparse or in the folder itself, or a transforms.json. " + (foreign(path) or _ADVICE)
     )
 
 

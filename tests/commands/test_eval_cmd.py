@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from gscore.io.metrics_file import read_metrics
 from gscore.io.ply import write_splats
 from gscore.sh import SH_C0
 from tests.commands.conftest import STEPS
@@ -110,6 +111,19 @@ def test_another_split_and_resolution(gscore, run_folder, tmp_path):
     views = json.loads((tmp_path / "e" / "metrics.json").read_text())["views"]
     assert code == 0 and [v["name"] for v in views] == ["a_0.png", "a_3.png", "a_6.png"]
     assert all((v["width"], v["height"]) == (24, 18) and v["psnr"] > 25 for v in views)
+
+
+def test_held_out_views_are_not_replaced_by_others(gscore, run_folder, tmp_path):
+    """Oracle: the file of the run, byte for byte; another output takes the measurement."""
+    folder = run_folder()
+    before = (folder / "metrics.json").read_bytes()
+    for split in ("train", "all"):
+        code, _, err = gscore("eval", folder, "--split", split, "--quiet")
+        assert code == 2 and "-o" in err and "held-out" in err
+        assert (folder / "metrics.json").read_bytes() == before
+        assert gscore("eval", folder, "--split", split, "-o", tmp_path / split, "--quiet")[0] == 0
+        assert read_metrics(tmp_path / split)["split"] == split
+    assert gscore("eval", folder, "--quiet")[0] == 0
 
 
 def test_bad_input(gscore, capture, run_folder, splats, tmp_path):

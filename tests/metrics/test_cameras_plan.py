@@ -82,7 +82,7 @@ def test_pictures_show_places_to_scale(tmp_path: Path) -> None:
         steps = np.linalg.norm(np.diff(at, axis=0), axis=1)
         assert steps[2] / steps[0] == pytest.approx(7, rel=0.02)
         assert steps.sum() > 250 and (at > 0).all() and (at < 420).all()
-        assert "4 cameras and 200 points" in picture.get("aria-label", "")
+        assert "4 cameras, 200 points" in picture.get("aria-label", "")
 
 
 def test_large_clouds_stay_small_and_none_is_no_trouble(tmp_path: Path) -> None:

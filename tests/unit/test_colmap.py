@@ -217,7 +217,9 @@ class TestFinding:
 
     def test_none(self, tmp_path: Path) -> None:
         """Oracle: the sentence says where was looked and what to do."""
-        with pytest.raises(DatasetError, match=r"No COLMAP model in .*sparse/0.*Run COLMAP first"):
+        with pytest.raises(
+            DatasetError, match=r"No COLMAP model in .*sparse/0.*Give the folder above"
+        ):
             read_model(tmp_path)
         with pytest.raises(DatasetError, match="There is no folder"):
             read_model(tmp_path / "nowhere")
