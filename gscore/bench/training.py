@@ -17,8 +17,7 @@ from ..trainer.depth.stereo import stereo_start
 from ..trainer.host.state import ordinary_state
 from ..trainer.photos.views import Photos
 from ..trainer.trainer import Trainer
-from ..trainer.views.exposure import prepare_exposure
-from ..trainer.views.placing import place_cameras
+from ..trainer.views.judged import judge_photos
 
 Color = tuple[float, float, float]
 """RGB in [0, 1]."""
@@ -167,9 +166,10 @@ def train_measured(
         began = time.perf_counter()
         start = stereo_start(config, photos, photos.scene.points)
         seconds += time.perf_counter() - began
-        placing = place_cameras(config, photos)
-        gains = prepare_exposure(config, photos).gains
-        trainer = Trainer(config, photos, points=start.points, gains=gains, placing=placing)
+        exposure, placing = judge_photos(config, photos)
+        trainer = Trainer(
+            config, photos, points=start.points, gains=exposure.gains, placing=placing
+        )
         for step in range(1, config.iterations + 1):
             began = time.perf_counter()
             trainer.step()

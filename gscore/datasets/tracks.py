@@ -11,10 +11,15 @@ from ..scene import within_reach
 from .dataset import Dataset
 from .undistort import rays_of
 
+_ENOUGH = 2000
+"""Points of a view that are looked at: more make neither its pose nor its exposure surer, and some
+captures have a hundred thousand."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Tracks:
-    """The points that structure from motion found, and where it saw them."""
+    """The points that structure from motion found, and where it saw them: in each view 2,000 at
+    most, those seen in most other views."""
 
     points: np.ndarray
     """[P, 3] float64, world units."""
@@ -30,7 +35,7 @@ def tracks_of(dataset: Dataset) -> Tracks | None:
     Raises:
         FormatError: the model is corrupt.
     """
-    model = model_of(dataset)
+    model = model_of(dataset, most=_ENOUGH)
     if model is None:
         return None
     good = within_reach(model.points.xyz)
@@ -54,10 +59,14 @@ def _rays(camera: ColmapCamera, pixels: np.ndarray) -> np.ndarray:
     return (pixels - K[:2, 2]) / K[[0, 1], [0, 1]]
 
 
-def model_of(dataset: Dataset) -> ColmapModel | None:
+def model_of(dataset: Dataset, *, most: int | None = None) -> ColmapModel | None:
     """The COLMAP model of a capture if its images are the views, and stand where these do.
 
     A transforms.json beside it, or cameras of another capture, may be of another world.
+
+    Args:
+        dataset: The capture.
+        most: As `read_model` takes it.
 
     Raises:
         FormatError: the model is corrupt.
@@ -66,7 +75,7 @@ def model_of(dataset: Dataset) -> ColmapModel | None:
         find_model(dataset.source)
     except DatasetError:
         return None
-    model = read_model(dataset.source)
+    model = read_model(dataset.source, most=most)
     poses = {image.name: image.viewmat for image in model.images}
     views = zip(dataset.names, dataset.scene.cameras.viewmats, strict=True)
     same = all(name in poses and np.allclose(poses[name], pose) for name, pose in views)

@@ -1,7 +1,7 @@
 """COLMAP reconstructions read from and written to folders, binary or text, with numpy alone."""
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from types import ModuleType
@@ -13,7 +13,14 @@ from ..scene import FARTHEST, FOCAL_RANGE, is_focal
 from ..shown import quoted
 from ..words import count_words
 from . import colmap_binary, colmap_text
-from .colmap_model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
+from .colmap_model import (
+    ColmapCamera,
+    ColmapImage,
+    ColmapModel,
+    ColmapPoints,
+    PointIndex,
+    longest_seen,
+)
 from .files import LONGEST_NAME, LONGEST_PATH, atomic_write, is_unnameable
 from .foreign import foreign
 
@@ -86,7 +93,10 @@ def _no_folder(path: Path) -> str:
 
 
 def read_model(
-    path: str | Path, *, observations: Callable[[ColmapPoints], bool] = lambda points: True
+    path: str | Path,
+    *,
+    observations: Callable[[ColmapPoints], bool] = lambda points: True,
+    most: int | None = None,
 ) -> ColmapModel:
     """Read the COLMAP model in or at `path`.
 
@@ -95,6 +105,8 @@ def read_model(
             win over text files. Missing points are allowed and give none.
         observations: Asked, with the points, whether images are wanted with what was observed in
             them: 24 bytes an observation, usually more than all else. Images without have none.
+        most: Observations of points that are kept of each image, those of the points with the
+            longest tracks; None: all, and those of no point too.
 
     Raises:
         DatasetError: there is no model.
@@ -111,8 +123,12 @@ def read_model(
         points = ColmapPoints.none()
         warnings = (*warnings, f"{points_file} is missing; the model has no points.")
     images = _images(folder / f"images{end}", reader, cameras, observations(points))
+    if most is not None:
+        index = PointIndex(points)
+        images = (longest_seen(image, points, index, most) for image in images)
+    by_id = _by_id(folder / f"images{end}", images)
     return ColmapModel(
-        cameras=cameras, images=images, points=points, path=folder, warnings=warnings
+        cameras=cameras, images=list(by_id.values()), points=points, path=folder, warnings=warnings
     )
 
 
@@ -196,14 +212,20 @@ def _cameras(path: Path, reader: ModuleType) -> dict[int, ColmapCamera]:
 
 def _images(
     path: Path, reader: ModuleType, cameras: dict[int, ColmapCamera], observations: bool
-) -> list[ColmapImage]:
-    found: dict[int, ColmapImage] = {}
+) -> Iterator[ColmapImage]:
+    """The images of a file, one at a time: what was observed in all of them may be too much."""
     for image in reader.read_images(path, observations=observations):
         _check_image(path, image, cameras)
+        yield image
+
+
+def _by_id(path: Path, images: Iterable[ColmapImage]) -> dict[int, ColmapImage]:
+    found: dict[int, ColmapImage] = {}
+    for image in images:
         if image.id in found:
             raise _twice(path, f"image {image.id}")
         found[image.id] = image
-    return list(found.values())
+    return found
 
 
 def _twice(path: Path, what: str) -> FormatError:

@@ -1,6 +1,6 @@
 """A COLMAP reconstruction as plain numpy arrays."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -130,6 +130,22 @@ class PointIndex:
         known = (ids != -1) & (at < len(self._ids))
         known[known] = self._ids[at[known]] == ids[known]
         return known, self._order[at[known]]
+
+
+def longest_seen(
+    image: ColmapImage, points: ColmapPoints, index: PointIndex, most: int
+) -> ColmapImage:
+    """The image with the points seen in it alone, so many at most, in their order.
+
+    Points with the longest tracks stay, because they tie it to most other images; of equals those
+    that stand first in the model, so that images keep the same ones.
+    """
+    known, rows = index.find(image.point3D_ids)
+    at = np.flatnonzero(known)
+    if len(at) > most:
+        first = np.lexsort((rows, -points.track_lengths[rows]))[:most]
+        at = at[np.sort(first)]
+    return replace(image, xys=image.xys[at], point3D_ids=image.point3D_ids[at])
 
 
 @dataclass(frozen=True, kw_only=True)

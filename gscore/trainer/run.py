@@ -22,8 +22,7 @@ from .photos.loading import load_photos, progress_of
 from .premises import look_over
 from .session import Session
 from .trainer import Trainer
-from .views.exposure import prepare_exposure
-from .views.placing import place_cameras
+from .views.judged import judge_photos
 
 
 def train(
@@ -92,7 +91,7 @@ def train(
             if beginning.wants_stereo:
                 telling = progress_of("depth of photos", config, emit, control)
                 stereo = stereo_start(config, photos, points, on_view=telling)
-            exposure, placing = prepare_exposure(config, photos), place_cameras(config, photos)
+            exposure, placing = judge_photos(config, photos)
             trainer = Trainer(
                 config,
                 photos,

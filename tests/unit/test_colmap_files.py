@@ -2,6 +2,7 @@
 
 import struct
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -51,6 +52,34 @@ def test_observations_that_nobody_wants(
     assert asked == [len(model.points)]
     assert [image.name for image in found.images] == [image.name for image in model.images]
     assert not any(len(image.xys) + len(image.point3D_ids) for image in found.images)
+
+
+@pytest.mark.parametrize("binary", [True, False])
+def test_the_longest_tracks_of_an_image(
+    binary: bool, make_capture: Callable, tmp_path: Path
+) -> None:
+    """Oracle: track lengths counted over all images; nothing of what is kept is another's."""
+    made = make_capture(write=False, views=6, points=40).model
+    rng = np.random.default_rng(0)
+    keep = [rng.random(len(image.xys)) < 0.6 for image in made.images]
+    images = [
+        replace(image, xys=image.xys[good], point3D_ids=image.point3D_ids[good])
+        for image, good in zip(made.images, keep, strict=True)
+    ]
+    write_model(replace(made, images=images), tmp_path, binary=binary)
+    whole, few = read_model(tmp_path), read_model(tmp_path, most=7)
+    ids = np.concatenate([image.point3D_ids for image in whole.images])
+    lengths = dict(zip(*np.unique(ids[ids != -1], return_counts=True), strict=True))
+    cut = 0
+    for all_of, image in zip(whole.images, few.images, strict=True):
+        seen = all_of.point3D_ids[all_of.point3D_ids != -1]
+        assert len(image.point3D_ids) == min(7, len(seen))
+        longest = sorted(lengths[i] for i in seen)[-7:]
+        assert sorted(lengths[i] for i in image.point3D_ids) == longest
+        places = {int(i): tuple(xy) for i, xy in zip(all_of.point3D_ids, all_of.xys, strict=True)}
+        assert [places[int(i)] for i in image.point3D_ids] == [tuple(xy) for xy in image.xys]
+        cut += len(seen) > 7
+    assert cut >= 3
 
 
 def test_rows_by_id() -> None:

@@ -10,11 +10,11 @@ import numpy as np
 from ...config import Switch, TrainConfig
 from ...datasets import Dataset
 from ...datasets.dataset import map_threads
-from ...datasets.tracks import tracks_of
+from ...datasets.tracks import Tracks
 from ...io.exposure_exif import stated_exposure
 from .gains import PhotoGains
 from .seeds import fit_gains
-from .sightings import Sightings, sightings
+from .sightings import sightings
 
 LEAST_STOPS = 0.2
 """Stops between photos and their neighbours from which on exposure is learnt. Below, colours that
@@ -42,8 +42,13 @@ class Exposure:
     """For metrics.json; None: nobody asked."""
 
 
-def prepare_exposure(config: TrainConfig, photos: Dataset) -> Exposure:
+def prepare_exposure(config: TrainConfig, photos: Dataset, tracks: Tracks | None) -> Exposure:
     """Find how the training photos were exposed, and decide whether that is learnt.
+
+    Args:
+        config: Its option `exposure` says what is asked for.
+        photos: Of the capture.
+        tracks: The points that its views saw; None where nothing is known of them.
 
     Raises:
         DatasetError, FormatError: a photo cannot be read.
@@ -52,7 +57,7 @@ def prepare_exposure(config: TrainConfig, photos: Dataset) -> Exposure:
         return Exposure()
     train = list(photos.train)
     stated = _stated(photos, train, config.threads)
-    seen = _seen(photos, train, config.threads)
+    seen = None if tracks is None else sightings(photos, tracks, train, threads=config.threads)
     measured = (
         seen is not None and np.median(np.bincount(seen.view, minlength=len(train))) >= _SHARED
     )
@@ -136,8 +141,3 @@ def _stated(photos: Dataset, train: Sequence[int], threads: int) -> np.ndarray |
         return None
     values = np.array(stops, np.float64)
     return np.repeat((values - values.mean())[:, None] * _STOP, 3, axis=1)
-
-
-def _seen(photos: Dataset, train: list[int], threads: int) -> Sightings | None:
-    tracks = tracks_of(photos)
-    return None if tracks is None else sightings(photos, tracks, train, threads=threads)

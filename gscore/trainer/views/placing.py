@@ -7,7 +7,7 @@ import numpy as np
 
 from ...config import Switch, TrainConfig
 from ...datasets import Dataset
-from ...datasets.tracks import Tracks, tracks_of
+from ...datasets.tracks import Tracks
 from ...words import count_words
 from .resection import Seen, placed, typical
 
@@ -34,16 +34,18 @@ class Placing:
     """A sentence that says so; empty: nobody asked."""
 
 
-def place_cameras(config: TrainConfig, photos: Dataset) -> Placing:
+def place_cameras(config: TrainConfig, photos: Dataset, tracks: Tracks | None) -> Placing:
     """Compare the training cameras with the points they saw, and decide what becomes of them.
 
-    Raises:
-        FormatError: the capture's model is corrupt.
+    Args:
+        config: Its option `refine_poses` says what is asked for.
+        photos: Of the capture.
+        tracks: The points that its views saw; None where nothing is known of them.
     """
     if config.refine_poses is Switch.OFF:
         return Placing()
     asked = config.refine_poses is Switch.ON
-    viewmats, tracks = photos.scene.cameras.viewmats.copy(), tracks_of(photos)
+    viewmats = photos.scene.cameras.viewmats.copy()
     seen = _sights(photos, tracks) if tracks is not None else {}
     errors = {i: _pixels(photos, i, typical(viewmats[i], one)) for i, one in seen.items()}
     known = [error for error in errors.values() if np.isfinite(error)]

@@ -11,6 +11,7 @@ from PIL import Image
 
 from gscore.config import DataConfig, Switch, TrainConfig
 from gscore.datasets import Dataset, load_dataset
+from gscore.datasets.tracks import tracks_of
 from gscore.events import Started
 from gscore.io.exposure_exif import stated_exposure
 from gscore.io.images import read_image
@@ -55,7 +56,7 @@ def studio() -> Dataset:
 
 def test_a_studio_is_exposed_alike(studio: Dataset) -> None:
     """Oracle: the example was rendered with one exposure."""
-    found = prepare_exposure(TrainConfig(), studio)
+    found = prepare_exposure(TrainConfig(), studio, tracks_of(studio))
     assert found.gains is None
     assert "exposed alike (0.0" in found.why
     assert found.numbers is not None and found.numbers["stops_apart"] < LEAST_STOPS / 1.5
@@ -65,7 +66,7 @@ def test_gains_of_a_capture_begin_near_the_truth(studio: Dataset) -> None:
     """Oracle: the gains that the photos were multiplied by, about their mean; photos that lie a
     third of a stop apart are learnt by themselves."""
     truth = np.random.default_rng(0).normal(0, 0.12, (len(studio), 3))
-    found = prepare_exposure(TrainConfig(), Exposed(studio, truth))
+    found = prepare_exposure(TrainConfig(), Exposed(studio, truth), tracks_of(studio))
     assert found.gains is not None
     assert "exposed differently (0.3" in found.why and "points seen" in found.why
     train_views = studio.train
@@ -79,7 +80,7 @@ def test_a_single_bright_photo_is_found(studio: Dataset) -> None:
     """Oracle: one photo of 52 brighter by one stop and a half; its gain, others near one."""
     truth = np.zeros((len(studio), 3))
     truth[studio.train[5]] = 1.5 * STOP
-    found = prepare_exposure(TrainConfig(), Exposed(studio, truth))
+    found = prepare_exposure(TrainConfig(), Exposed(studio, truth), tracks_of(studio))
     assert found.gains is not None
     gains = found.gains.log_gains / STOP
     assert gains[studio.train[5]] == pytest.approx(np.full(3, 1.5), abs=0.15)
@@ -129,7 +130,7 @@ def together(log_gains: np.ndarray, centers: np.ndarray) -> float:
 
 def test_off_looks_at_nothing(studio: Dataset) -> None:
     """Oracle: no sentence, no numbers, no gains."""
-    found = prepare_exposure(TrainConfig(exposure=Switch.OFF), studio)
+    found = prepare_exposure(TrainConfig(exposure=Switch.OFF), studio, None)
     assert (found.gains, found.why, found.numbers) == (None, "", None)
 
 

@@ -14,6 +14,7 @@ from gscore.errors import FormatError
 from gscore.io.colmap import read_model, write_model
 from gscore.io.poses_json import read_moves
 from gscore.trainer.run import train
+from gscore.trainer.views.judged import judge_photos
 from gscore.trainer.views.motion import after_motion, apart
 from gscore.trainer.views.placing import place_cameras
 from gscore.trainer.views.resection import Seen, placed, typical
@@ -82,7 +83,7 @@ def _disturbed(root: Path) -> Path:
 
 def test_good_cameras_stay() -> None:
     """Oracle: the example, whose cameras structure from motion found: nothing is moved."""
-    found = place_cameras(TrainConfig(), _studio(STUDIO))
+    found = judge_photos(TrainConfig(exposure=Switch.OFF), _studio(STUDIO))[1]
     assert found.viewmats is None and not found.learns
     assert found.why.startswith("Cameras agree with the points they saw (0.")
 
@@ -91,7 +92,7 @@ def test_disturbed_cameras_come_back(tmp_path: Path) -> None:
     """Oracle: the cameras of the example before they were disturbed; held-out ones stay."""
     true = _studio(STUDIO).scene.cameras.viewmats
     photos = _studio(_disturbed(tmp_path))
-    found = place_cameras(TrainConfig(), photos)
+    found = judge_photos(TrainConfig(exposure=Switch.OFF), photos)[1]
     assert found.viewmats is not None and not found.learns
     assert "52 training cameras miss the points" in found.why
     before, _ = apart(photos.scene.cameras.viewmats[photos.train], true[photos.train])
@@ -104,9 +105,9 @@ def test_disturbed_cameras_come_back(tmp_path: Path) -> None:
 def test_off_and_on(tmp_path: Path) -> None:
     """Oracle: `off` looks at nothing, `on` learns the poses of good cameras too."""
     photos = _studio(STUDIO)
-    off = place_cameras(TrainConfig(refine_poses=Switch.OFF), photos)
+    off = place_cameras(TrainConfig(refine_poses=Switch.OFF), photos, None)
     assert (off.viewmats, off.learns, off.why) == (None, False, "")
-    on = place_cameras(TrainConfig(refine_poses=Switch.ON), photos)
+    on = place_cameras(TrainConfig(refine_poses=Switch.ON), photos, tracks_of(photos))
     assert on.learns and on.viewmats is not None
     assert (on.viewmats == photos.scene.cameras.viewmats).all()
 
@@ -124,6 +125,19 @@ def test_rays_are_those_of_the_points() -> None:
         for i, rows in enumerate(tracks.seen)
     ]
     assert 0.1 < focal * np.median(off) < 0.6
+
+
+def test_few_of_many_points_are_looked_at(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: all points of the example, by which its cameras come back to the same places."""
+    photos = _studio(_disturbed(tmp_path))
+    found = judge_photos(TrainConfig(exposure=Switch.OFF), photos)[1]
+    monkeypatch.setattr("gscore.datasets.tracks._ENOUGH", 60)
+    tracks = tracks_of(photos)
+    assert tracks is not None and max(map(len, tracks.seen)) == 60
+    few = judge_photos(TrainConfig(exposure=Switch.OFF), photos)[1]
+    assert found.viewmats is not None and few.viewmats is not None
+    turned, moved = apart(found.viewmats[photos.train], few.viewmats[photos.train])
+    assert np.median(turned) < 0.002 and np.median(moved) < 0.005
 
 
 def test_a_run_says_how_far_cameras_moved(tmp_path: Path) -> None:
