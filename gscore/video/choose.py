@@ -49,10 +49,10 @@ def choose(survey: Survey, count: int) -> Choice:
     sharpness = relative_sharpness(survey)
     blurred = sharpness < _BLURRED
     usable = ~blurred & ~survey.repeated
+    way = _way(survey, blurred)
     if count == 0:
-        way = survey.travel[-1] - survey.travel[0]
-        count = int(np.clip(round(way / SPACING), FEWEST, MOST))
-    taken = _most_pieces(survey, sharpness, usable, count)
+        count = int(np.clip(round(way[-1] / SPACING), FEWEST, MOST))
+    taken = _most_pieces(way, sharpness, usable, count)
     return Choice(
         frames=taken,
         sharpness=sharpness,
@@ -77,15 +77,24 @@ def relative_sharpness(survey: Survey) -> np.ndarray:
     return detail / np.maximum(np.maximum(sharp, usual / 2), 1e-12)
 
 
+def _way(survey: Survey, blurred: np.ndarray) -> np.ndarray:
+    """[n]: how far the camera went, in blurred frames no faster than it usually does: a shake goes
+    far and shows nothing, and would take the frames from where there is something to see."""
+    steps = np.diff(survey.travel, prepend=survey.travel[0])
+    sharp = ~blurred & ~survey.repeated
+    usual = float(steps[sharp].mean()) if sharp.any() else 0.0
+    return np.where(blurred, np.minimum(steps, usual), steps).cumsum()
+
+
 def _most_pieces(
-    survey: Survey, sharpness: np.ndarray, usable: np.ndarray, count: int
+    way: np.ndarray, sharpness: np.ndarray, usable: np.ndarray, count: int
 ) -> np.ndarray:
     """The frames of as many pieces as give no more than `count`; some pieces have none."""
-    best = _taken(survey, sharpness, usable, count)
+    best = _taken(way, sharpness, usable, count)
     low, high = count, max(4 * count, count + 1)
     while low + 1 < high and len(best) < count:
         middle = (low + high) // 2
-        found = _taken(survey, sharpness, usable, middle)
+        found = _taken(way, sharpness, usable, middle)
         if len(found) > count:
             high = middle
         else:
@@ -94,12 +103,11 @@ def _most_pieces(
     return best
 
 
-def _taken(survey: Survey, sharpness: np.ndarray, usable: np.ndarray, pieces: int) -> np.ndarray:
-    start, end = survey.travel[0], survey.travel[-1]
-    length = (end - start) / pieces
+def _taken(way: np.ndarray, sharpness: np.ndarray, usable: np.ndarray, pieces: int) -> np.ndarray:
+    length = way[-1] / pieces
     if length <= 0:
         return np.flatnonzero(usable)[:1]
-    place = (survey.travel - start) / length
+    place = way / length
     piece = np.minimum(place.astype(np.int64), pieces - 1)
     worth = np.minimum(sharpness, 1.5) * (1 - _CENTRE * (2 * np.abs(place - piece - 0.5)) ** 2)
     taken: list[int] = []

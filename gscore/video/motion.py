@@ -1,7 +1,8 @@
-"""How far a camera has gone since the beginning of a video, as its pictures move.
+"""How far a camera has gone since the beginning of a video, as its pictures move and change.
 
 Displacements of blocks are found by phase correlation (Kuglin and Hines 1975) with a picture some
-frames back, so that the trembling of a hand does not add up.
+frames back, so that the trembling of a hand does not add up. Around a subject the camera goes far
+while little is displaced: the blocks become unlike, and their peaks lower.
 """
 
 from dataclasses import dataclass, replace
@@ -16,6 +17,11 @@ _TRUSTED = 0.25
 """Least height of a block's peak; 1 for equal pictures, up to 0.22 for unrelated ones."""
 _ENOUGH = 0.25
 """Share of the blocks with texture that must be trusted."""
+_SLACK = 0.05
+"""By which the height of peaks differs between pictures that show the same."""
+_TURN = 0.15
+"""Of the longer side: the way that wholly unlike blocks stand for. A sixth of a right angle around
+a person is then 5 %, as many pixels as it displaces before a wall."""
 _TEXTURE = 3.0
 """Standard deviation of a block that has some; less is noise."""
 _FINEST = 0.30
@@ -35,6 +41,16 @@ class _Picture:
     textured: np.ndarray
     """[blocks] bool."""
     travel: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Likeness:
+    """How two pictures compare."""
+
+    shift: float | None
+    """Mean displacement of the trusted blocks, pixels; None: too few are."""
+    height: float
+    """Mean height of the peaks of all blocks with texture."""
 
 
 class Travel:
@@ -67,11 +83,13 @@ class Travel:
         if self._reference is None or self._before is None:
             self._reference = self._before = picture
             return 0.0
-        base, moved = self._reference, self._moved(self._reference, picture)
-        if moved is None:
-            base, moved = self._before, self._moved(self._before, picture)
-        followed = moved is not None and base is self._reference and moved <= _STEP
-        self.so_far = max(base.travel + (_LOST if moved is None else moved), self.so_far)
+        near = self._compare(self._before, picture)
+        base, far = self._reference, self._compare(self._reference, picture)
+        if far.shift is None:
+            base, far = self._before, near
+        moved = self._way(far, near)
+        followed = far.shift is not None and base is self._reference and moved <= _STEP
+        self.so_far = max(base.travel + moved, self.so_far)
         self._before = replace(picture, travel=self.so_far)
         if not followed:
             self._reference = self._before
@@ -86,11 +104,18 @@ class Travel:
             textured=blocks.std(axis=(1, 2)) > _TEXTURE,
         )
 
-    def _moved(self, before: _Picture, after: _Picture) -> float | None:
-        """Mean displacement of the trusted blocks, in shares; None: too few are."""
+    def _way(self, far: _Likeness, near: _Likeness) -> float:
+        """The way to a picture, in shares, of how it compares with one some frames back and with
+        the one before, which tells how unlike pictures are by noise."""
+        if far.shift is None:
+            return _LOST
+        turned = _TURN * max(near.height - far.height - _SLACK, 0.0)
+        return max(far.shift / self._longer if far.shift >= _STILL else 0.0, turned)
+
+    def _compare(self, before: _Picture, after: _Picture) -> _Likeness:
         textured = before.textured | after.textured
         if not textured.any():
-            return 0.0
+            return _Likeness(shift=0.0, height=1.0)
         one, other = before.spectra[textured], after.spectra[textured]
         cross = other * one.conj()
         strength = np.abs(cross)
@@ -98,15 +123,16 @@ class Travel:
         cross *= self._weight / (strength + _NOISE)
         whole = (self._weight * self._twice * strength / (strength + _NOISE)).sum(axis=(1, 2))
         peaks = np.fft.irfft2(cross, s=(BLOCK_SIDE, BLOCK_SIDE)).reshape(len(one), -1)
-        peaks *= (BLOCK_SIDE * BLOCK_SIDE / whole)[:, None]
+        peaks *= (BLOCK_SIDE * BLOCK_SIDE / np.maximum(whole, 1e-9))[:, None]
         places = peaks.argmax(axis=1)
-        trusted = peaks[np.arange(len(one)), places] > _TRUSTED
+        heights = peaks[np.arange(len(one)), places]
+        trusted = heights > _TRUSTED
+        height = float(heights.mean())
         if trusted.mean() < _ENOUGH:
-            return None
+            return _Likeness(shift=None, height=height)
         y, x = np.divmod(places[trusted], BLOCK_SIDE)
         y, x = (np.where(v > BLOCK_SIDE // 2, v - BLOCK_SIDE, v) for v in (y, x))
-        far = float(np.hypot(x, y).mean())
-        return far / self._longer if far >= _STILL else 0.0
+        return _Likeness(shift=float(np.hypot(x, y).mean()), height=height)
 
 
 def _corners(width: int, height: int) -> list[tuple[int, int]]:
