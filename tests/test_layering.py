@@ -47,6 +47,7 @@ ALLOWED = {
     "raster": BOTTOM | {"io", "raster"},
     "stereo": BOTTOM | {"io", "datasets", "depth", "raster", "stereo"},
     "metrics": BOTTOM | {"io", "datasets", "depth", "raster", "metrics"},
+    "page": BOTTOM | {"io", "page"},
     "trainer": BOTTOM | {"io", "datasets", "depth", "raster", "stereo", "metrics", "trainer"},
     "stress": BOTTOM
     | {"io", "datasets", "depth", "raster", "stereo", "metrics", "trainer", "stress"},
