@@ -32,6 +32,7 @@ BOTTOM = {
     "events",
     "extras",
     "hold_out",
+    "live_options",
     "sh",
     "transforms",
     "words",
@@ -48,11 +49,13 @@ ALLOWED = {
     "stereo": BOTTOM | {"io", "datasets", "depth", "raster", "stereo"},
     "metrics": BOTTOM | {"io", "datasets", "depth", "raster", "metrics"},
     "page": BOTTOM | {"io", "page"},
-    "trainer": BOTTOM | {"io", "datasets", "depth", "raster", "stereo", "metrics", "trainer"},
+    "live": BOTTOM | {"live"},
+    "trainer": BOTTOM
+    | {"io", "datasets", "depth", "raster", "stereo", "metrics", "live", "trainer"},
     "stress": BOTTOM
-    | {"io", "datasets", "depth", "raster", "stereo", "metrics", "trainer", "stress"},
+    | {"io", "datasets", "depth", "raster", "stereo", "metrics", "live", "trainer", "stress"},
     "bench": BOTTOM
-    | {"io", "datasets", "depth", "raster", "stereo", "metrics", "trainer", "bench"},
+    | {"io", "datasets", "depth", "raster", "stereo", "metrics", "live", "trainer", "bench"},
 }
 TOP = {"__init__", "__main__", "frontend", "commands"}
 """May import any layer."""

@@ -30,7 +30,8 @@ def difference(
     found = unpack(packed)
     squares, differences = [], []
     for place in places:
-        before, after = (_drawn(model, one, chosen[place], threads) for one in (model.splats, found))
+        camera = chosen[place]
+        before, after = (_drawn(model, one, camera, threads) for one in (model.splats, found))
         squares.append(float(np.mean((before - after) ** 2)))
         differences.append(float(np.abs(before - after).mean()) * 255)
     worth = [-10 * math.log10(square) for square in squares if square]

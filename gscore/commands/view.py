@@ -99,7 +99,9 @@ def _write(
     status.show(["Packing the splats"])
     packed = pack(model.splats)
     if not packed.head["count"]:
-        raise ConfigError(f"{model.ply} holds no splat that can be seen, so there is no page of it.")
+        raise ConfigError(
+            f"{model.ply} holds no splat that can be seen, so there is no page of it."
+        )
     status.show(["Measuring what the packing costs"])
     cost = difference(model, packed, views, threads=args.threads)
     warnings = [*model.warnings, *views.warnings]

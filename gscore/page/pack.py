@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..sh import rgb_to_sh0, sh0_to_rgb
-from ..splats import Splats
+from ..splats import PARAMETERS, Splats
 from . import ascii85
 
 BYTES_EACH = 20
@@ -150,10 +150,9 @@ def _deflated(content: bytes) -> bytes:
 
 def _drawn(splats: Splats) -> np.ndarray:
     """[N] bool: which can ever be seen."""
-    columns = (splats.means, splats.quats, splats.scales, splats.opacities[:, None], splats.sh0[:, 0])
-    good = np.isfinite(splats.shN).all(axis=(1, 2))
-    for column in columns:
-        good &= np.isfinite(column).all(axis=1)
+    good = np.ones(len(splats), bool)
+    for name in PARAMETERS:
+        good &= np.isfinite(getattr(splats, name).reshape(len(splats), -1)).all(axis=1)
     good &= np.abs(splats.quats).max(axis=1) > 1e-18
     return good & (_sigmoid(splats.opacities) >= FAINTEST)
 
@@ -180,9 +179,9 @@ def _geometry(splats: Splats) -> bytes:
     """Boxes of the blocks, places in them, turns and sizes."""
     count = len(splats)
     starts = np.arange(0, count, BLOCK)
-    low = np.minimum.reduceat(splats.means, starts) if count else np.zeros((0, 3), np.float32)
+    low = np.minimum.reduceat(splats.means, starts) if count else splats.means
     high = np.maximum.reduceat(splats.means, starts) if count else low
-    boxes = np.stack([low, high], axis=1).astype("<f4")
+    boxes = np.stack([low, high], axis=1, dtype="<f4")
     of_each = np.arange(count) // BLOCK
     side = np.maximum(high - low, np.float32(1e-30))[of_each].astype(np.float64)
     places = _rounded((splats.means - low[of_each]) / side * (PLACE_LEVELS - 1), PLACE_LEVELS - 1)
@@ -235,7 +234,8 @@ _OTHERS = np.array([[j for j in range(4) if j != i] for i in range(4)])
 
 def _rest_along_axes(splats: Splats) -> np.ndarray:
     """[N, 3 (K - 1)] higher coefficients along `COLOR_AXES`."""
-    return (splats.shN @ COLOR_AXES.T.astype(np.float32)).reshape(len(splats), -1)
+    turned = splats.shN @ COLOR_AXES.T.astype(np.float32)
+    return turned.reshape(len(splats), 3 * splats.shN.shape[1])
 
 
 def _whole(rest: np.ndarray, step: float) -> np.ndarray:

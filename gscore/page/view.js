@@ -104,8 +104,8 @@ class Viewer {
   }
 
   drag(yaw, pitch) {
-    if (this.flies) this.eye.look(-yaw, pitch);
-    else this.eye.orbit(yaw, -pitch);
+    if (this.flies) this.eye.look(yaw, pitch);
+    else this.eye.orbit(-yaw, -pitch);
     this.change();
   }
 

@@ -34,8 +34,9 @@ class Chromium:
         line = [program, "--headless=new", "--no-sandbox", "--remote-debugging-pipe"]
         line += [f"--user-data-dir={profile}", "--hide-scrollbars", "--disable-dev-shm-usage"]
         line += SOFTWARE_GL if gl else ("--disable-gpu", "--disable-webgl", "--disable-3d-apis")
-        # Chromium reads from the third and writes to the fourth handle, whatever these were here.
-        shell = ["sh", "-c", f'exec "$@" 3<&{to_child} 4>&{from_child}', "sh", *line]
+        # Chromium reads from handle 3 and writes to 4; some shells know one-digit ones alone.
+        handles = f'exec "$@" 3</dev/fd/{to_child} 4>/dev/fd/{from_child}'
+        shell = ["sh", "-c", handles, "sh", *line]
         passed = (to_child, from_child)
         quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
         self._process = subprocess.Popen(shell, pass_fds=passed, **quiet)

@@ -175,8 +175,8 @@ def test_the_view_follows_hands_and_keys(browser, tmp_path):
 
     before, found = after(fly)
     assert found["p"] == before["p"] and found["r"] != before["r"]
-    # What was under the mouse stays under it: to the right means looking left.
-    assert np.dot(before["r"][0], found["r"][2]) < 0
+    # What was under the mouse stays under it: to the right and down means looking left and up.
+    assert np.dot(before["r"][0], found["r"][2]) < 0 > np.dot(before["r"][1], found["r"][2])
 
     def walk() -> None:
         browser.call("Input.dispatchKeyEvent", type="keyDown", key="w")
@@ -217,7 +217,7 @@ def test_dragging_moves_what_is_seen_along(browser, tmp_path):
 
 def test_a_window_of_another_size_is_filled(browser, tmp_path):
     """Oracle: the sizes of canvas and window; the picture of the camera lies in the middle."""
-    path, page = written(tmp_path, cloud(1500, 0))
+    path, _ = written(tmp_path, cloud(1500, 0))
     original = shown(browser, path, 0)
     browser.size(2 * SIZE[0] + 80, 2 * SIZE[1])
     found = browser.canvas().astype(float)
@@ -273,7 +273,7 @@ def test_a_run_becomes_a_page(gscore, run_folder, splats, browser):
     browser.key("p")
     browser.canvas()
     box = browser.value("document.querySelector('figure img').getBoundingClientRect().width")
-    assert box == pytest.approx(350, abs=3) and browser.canvas().shape[1] == 350
+    assert box == pytest.approx(350, abs=2) and abs(browser.canvas().shape[1] - 350) <= 2
     assert browser.value("document.querySelector('figure img').naturalWidth") == 48
     assert 'href="view.html"' in (folder / "report.html").read_text()
     assert gscore("view", folder, "--photos", "0", "--quiet")[0] == 0

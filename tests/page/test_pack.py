@@ -24,7 +24,7 @@ def cloud(count: int, degree: int, seed: int = 3) -> Splats:
         scales=rng.normal(-4.5, 0.7, (count, 3)).astype(np.float32),
         opacities=rng.normal(1, 2, count).astype(np.float32),
         sh0=(np.sin(3 * place[:, :1, None]) + rng.normal(0, 0.3, (count, 1, 3))).astype(np.float32),
-        shN=rng.normal(0, 0.06, (count, rest, 3)).astype(np.float32),
+        shN=rng.laplace(0, 0.02, (count, rest, 3)).astype(np.float32),
     )
 
 
