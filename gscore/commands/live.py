@@ -42,7 +42,7 @@ def watched(
 
     with Server(options, text=str(source.resolve()), after_the_end=after_the_end) as server:
         if not _is_own(options.ip):
-            message = f"Whoever reaches {server.address} can watch this training and make it wait."
+            message = f"Whoever reaches {options.ip} can watch this training and make it wait."
             show(Warn(message=message, code="viewer"))
         yield server.onlookers
 

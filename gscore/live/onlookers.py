@@ -40,8 +40,10 @@ class Onlooker:
 class Onlookers:
     """All who watch. Without them, `answer` looks at one attribute."""
 
-    def __init__(self, *, after_the_end: bool = False) -> None:
+    def __init__(self, *, why: str = "", after_the_end: bool = False) -> None:
         """`after_the_end`: they may look on when the last step is done."""
+        self.why = why
+        """A sentence on how they come here."""
         self._after_the_end = after_the_end
         self._all: list[Onlooker] = []
         self._lock = threading.Lock()

@@ -34,17 +34,13 @@ class Server:
             ConfigError: the port is taken or may not be used, or this computer has no such address.
         """
         self._options = options
-        self.onlookers = Onlookers(after_the_end=after_the_end)
+        why = f"Viewers can connect to {options.ip}, port {options.port}."
+        self.onlookers = Onlookers(why=why, after_the_end=after_the_end)
         """Who watches."""
         self._text = text
         self._socket = self._listening()
         self._connections: set[socket.socket] = set()
         self._lock = threading.Lock()
-
-    @property
-    def address(self) -> str:
-        """As one would give it to a viewer."""
-        return f"{self._options.ip}:{self._options.port}"
 
     def __enter__(self) -> Self:
         threading.Thread(target=self._accept, name="gscore-live", daemon=True).start()

@@ -152,7 +152,8 @@ def _drawn(splats: Splats) -> np.ndarray:
     """[N] bool: which can ever be seen."""
     good = np.ones(len(splats), bool)
     for name in PARAMETERS:
-        good &= np.isfinite(getattr(splats, name).reshape(len(splats), -1)).all(axis=1)
+        numbers = getattr(splats, name)
+        good &= np.isfinite(numbers).all(axis=tuple(range(1, numbers.ndim)))
     good &= np.abs(splats.quats).max(axis=1) > 1e-18
     return good & (_sigmoid(splats.opacities) >= FAINTEST)
 

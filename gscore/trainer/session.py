@@ -210,6 +210,7 @@ class Session:
                 stereo=self._stereo.why if self._stereo.added else "",
                 exposure=self._exposure.why,
                 poses=self._placing.why,
+                viewer=self._onlookers.why,
                 mask_mode=photos.mask_mode,
                 config={"data": to_dict(self._data), "train": to_dict(self._config)},
             )
