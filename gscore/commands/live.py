@@ -19,7 +19,7 @@ def add_live_options(group: argparse._ActionsContainer) -> None:
 
 
 @contextmanager
-def watched(
+def onlookers_of(
     args: argparse.Namespace, source: Path, show: Show, *, after_the_end: bool = False
 ) -> Iterator[Onlookers | None]:
     """Those who watch the training within the block; None without `--port`, or where

@@ -15,7 +15,7 @@ from ..words import count_words, quality_words
 from . import train as train_command
 from .attend import attend
 from .declared import declare, given_options
-from .live import watched
+from .live import onlookers_of
 from .output import others_in, print_json
 from .status import wrapped
 
@@ -75,7 +75,7 @@ def _train(args: argparse.Namespace, show: Show, control: Control) -> "SequenceR
     stored = read_options(args.output) if args.resume else None
     given = given_options(SequenceOptions, args)
     data, config = train_command.told_configs(args, show)
-    with watched(args, data.source, show) as onlookers:
+    with onlookers_of(args, data.source, show) as onlookers:
         return train_sequence(
             config,
             data,

@@ -19,7 +19,7 @@ from .attend import STOPPED, add_output_options, attend
 from .cameras import is_finding, with_cameras
 from .data_options import add_data_options, with_data_options
 from .declared import Set, declare, given_options
-from .live import add_live_options, watched
+from .live import add_live_options, onlookers_of
 from .names_3dgs import add_3dgs_names, translate
 from .no_effect import idle_options
 from .output import first_few, print_json
@@ -166,7 +166,7 @@ def _train(args: argparse.Namespace, show: Show, control: Control) -> "TrainResu
     data = with_cameras(
         data, args.output, show, control, allowed=not args.no_sfm, threads=config.threads
     )
-    with watched(args, data.source, show, after_the_end=True) as onlookers:
+    with onlookers_of(args, data.source, show, after_the_end=True) as onlookers:
         return train(
             config,
             data,

@@ -4,9 +4,11 @@ import threading
 import time
 from collections.abc import Callable
 
-from .protocol import Request
+from .protocol import Wish
 
-Draw = Callable[[Request], bytes]
+HOLD = 60.0
+"""Seconds for which a request holds the training; viewers ask many times a second."""
+Draw = Callable[[Wish], bytes]
 """Gives the picture of a request, 3 bytes a pixel."""
 
 
@@ -17,18 +19,22 @@ class Onlooker:
         self._crowd = crowd
         self._answered = threading.Event()
         self._picture = b""
-        self.request: Request | None = None
+        self.request: Wish | None = None
         """What waits for an answer."""
         self.trains, self.stays = True, False
         """As its last request said."""
+        self.asked_at = 0.0
+        """When that came, seconds of the monotonic clock."""
 
-    def ask(self, request: Request) -> bytes | None:
+    def ask(self, request: Wish) -> bytes | None:
         """The picture, as soon as the training has drawn it; None: the training is over."""
         self.trains, self.stays = request.trains, request.stays
+        self.asked_at = time.monotonic()
         self._answered.clear()
         self.request = request
         self._crowd.wake()
-        self._answered.wait()
+        if not self._crowd.closed:  # else nobody is there who would answer
+            self._answered.wait()
         return None if self._crowd.closed else self._picture
 
     def answer(self, picture: bytes) -> None:
@@ -71,8 +77,10 @@ class Onlookers:
 
     @property
     def hold(self) -> bool:
-        """Whether somebody wants the training to wait."""
-        return any(not one.trains for one in list(self._all))
+        """Whether somebody wants the training to wait, and has lately said so: a connection that
+        was cut somewhere on the way looks like one that is silent."""
+        since = time.monotonic() - HOLD
+        return any(not one.trains and one.asked_at > since for one in list(self._all))
 
     @property
     def stay(self) -> bool:

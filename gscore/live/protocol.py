@@ -28,7 +28,7 @@ LENGTH = 4
 """Bytes of a length."""
 LONGEST = 1 << 16
 """Bytes of a request; the viewer's have about a thousand."""
-MOST_PIXELS = 3840 * 2160
+LARGEST_PICTURE = 3840 * 2160
 """Of a picture."""
 _LONGEST_SIDE = 8192
 _FOV = (1e-3, math.pi - 1e-3)
@@ -39,7 +39,7 @@ _SKEWED = 1e-2
 
 
 @dataclass(frozen=True, kw_only=True)
-class Request:
+class Wish:
     """What one viewer wants to see."""
 
     width: int
@@ -70,7 +70,7 @@ def length_of(head: bytes) -> int:
     return length
 
 
-def parse(text: bytes) -> Request:
+def parse(text: bytes) -> Wish:
     """What a request asks for.
 
     Raises:
@@ -86,12 +86,12 @@ def parse(text: bytes) -> Request:
     trains, stays = (bool(_number(content, key, 0)) for key in ("train", "keep_alive"))
     if not (width and height):
         nothing = {"width": 0, "height": 0, "viewmat": np.eye(4), "K": np.eye(3), "scaling": 1.0}
-        return Request(**nothing, trains=trains, stays=stays)
-    if width * height > MOST_PIXELS:
+        return Wish(**nothing, trains=trains, stays=stays)
+    if width * height > LARGEST_PICTURE:
         raise ValueError(f"a picture of {width} x {height} px")
     fov_x, fov_y = (_number(content, f"fov_{axis}", within=_FOV) for axis in "xy")
     focal = width / 2 / math.tan(fov_x / 2), height / 2 / math.tan(fov_y / 2)
-    return Request(
+    return Wish(
         width=width,
         height=height,
         viewmat=_viewmat(content),

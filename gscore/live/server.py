@@ -11,7 +11,7 @@ from ..live_options import LiveOptions
 from . import protocol
 from .onlookers import Onlooker, Onlookers
 
-MOST = 8
+MOST_VIEWERS = 8
 """Viewers at once."""
 PATIENCE = 20.0
 """Seconds for the rest of a request that has begun, and for taking an answer."""
@@ -71,7 +71,7 @@ class Server:
             else:
                 listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             listening.bind(place)
-            listening.listen(MOST)
+            listening.listen(MOST_VIEWERS)
         except OSError as error:
             listening.close()
             raise ConfigError(
@@ -88,7 +88,7 @@ class Server:
                 if self.onlookers.closed:
                     return
                 continue
-            one = self.onlookers.enter(MOST)
+            one = self.onlookers.enter(MOST_VIEWERS)
             if one is None:
                 connection.close()
                 continue

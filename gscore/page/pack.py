@@ -15,7 +15,7 @@ from ..sh import rgb_to_sh0, sh0_to_rgb
 from ..splats import PARAMETERS, Splats
 from . import ascii85
 
-BYTES_EACH = 20
+PAGE_BYTES = 20
 """Of the page, for a splat, as text."""
 BLOCK = 256
 """Splats that share a box in which their places are counted."""
@@ -61,7 +61,7 @@ class Packed:
         return ascii85.length(len(self.body))
 
 
-def pack(splats: Splats, *, budget: float = BYTES_EACH) -> Packed:
+def pack(splats: Splats, *, budget: float = PAGE_BYTES) -> Packed:
     """Quantise and deflate; splats that are never drawn, or have numbers that are not finite, are
     left out, and the others come in another order.
 

@@ -15,7 +15,7 @@ from ..control import Control
 from ..errors import DatasetError, FormatError
 from ..events import Eval, Event, Preview, Saved, Snapshot, Started, Warn, judged_psnr
 from ..live.onlookers import Onlookers
-from ..live.protocol import Request
+from ..live.protocol import Wish
 from ..metrics import Evaluation, Lpips, LpipsNet, PictureCollector
 from ..raster import backend
 from ..shown import quoted
@@ -160,7 +160,7 @@ class Session:
         """Draw what those who watch want to see."""
         self._onlookers.answer(self._drawn, at_leisure=at_leisure)
 
-    def _drawn(self, request: Request) -> bytes:
+    def _drawn(self, request: Wish) -> bytes:
         picture = self._trainer.seen(request).clamp_(0, 1).mul_(255).add_(0.5)
         return picture.to(torch.uint8).numpy().tobytes()
 

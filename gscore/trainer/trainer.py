@@ -11,7 +11,7 @@ import torch
 
 from ..config import Background, Skip, TrainConfig
 from ..errors import DatasetError, GsError
-from ..live.protocol import Request
+from ..live.protocol import Wish
 from ..raster.header import OUT_INVERSE_DEPTH
 from ..raster.loss import image_loss, image_loss_gradient
 from ..raster.memory import empty
@@ -307,7 +307,7 @@ class Trainer:
         where that is learnt of it, else neutral."""
         return self._exposed(index, self._view(index), background).clone()
 
-    def seen(self, request: Request) -> torch.Tensor:
+    def seen(self, request: Wish) -> torch.Tensor:
         """What somebody who watches wants to see, [height, width, 3] float32, good until the next
         picture; the training goes on as if nobody had looked."""
         viewmats = self.frame.similarity.viewmats_to_training(request.viewmat[None])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gscore.errors import ConfigError
-from gscore.live import protocol, server
+from gscore.live import onlookers, protocol, server
 from gscore.live_options import LiveOptions
 from tests.live.client import Client, free_port, wish
 
@@ -24,7 +24,7 @@ class Training:
     def __init__(self, *, pause: float = 0.002) -> None:
         self.port = free_port()
         self.server = server.Server(LiveOptions(port=self.port), text="/über/capture")
-        self.seen: list[protocol.Request] = []
+        self.seen: list[protocol.Wish] = []
         self.over = threading.Event()
         self._pause = pause
 
@@ -63,7 +63,7 @@ def test_a_viewer_gets_what_it_asks_for(training):
         assert picture.shape == (30, 40, 3) and (picture == (7, 8, 9)).all()
         assert text == "/über/capture"
         (seen,) = training.seen
-        assert seen.viewmat == pytest.approx(POSE) and seen.K == pytest.approx(K)
+        assert seen.viewmat == pytest.approx(POSE) and pytest.approx(K) == seen.K
         assert seen.scaling == 0.5 and seen.trains and not seen.stays
         picture, text = client.look({"resolution_x": 0, "resolution_y": 0})
         assert picture.size == 0 and text == "/über/capture" and len(training.seen) == 1
@@ -78,7 +78,7 @@ def test_several_viewers_at_once_and_after_each_other(training):
             two.send(b)
             assert two.receive(b)[0].shape == (4, 10, 3)
             assert one.receive(a)[0].shape == (6, 8, 3)
-    for _ in range(2 * server.MOST):
+    for _ in range(2 * server.MOST_VIEWERS):
         with Client(training.port) as client:
             assert client.look(wish(POSE, K, 8, 6))[0].shape == (6, 8, 3)
             time.sleep(0.01)
@@ -86,7 +86,7 @@ def test_several_viewers_at_once_and_after_each_other(training):
 
 def test_one_more_than_there_may_be_is_let_go(training):
     """Oracle: the number; a place that gets free is given again."""
-    clients = [Client(training.port) for _ in range(server.MOST)]
+    clients = [Client(training.port) for _ in range(server.MOST_VIEWERS)]
     for client in clients:
         client.look(wish(POSE, K, 4, 4))
     with Client(training.port) as late:
@@ -219,6 +219,29 @@ def test_viewers_that_vanish_leave_no_threads(training):
     assert not training.server.onlookers.hold
 
 
+def test_a_viewer_that_falls_silent_holds_nothing(training, monkeypatch):
+    """Oracle: the time for which a request holds; one that trains holds nothing."""
+    monkeypatch.setattr(onlookers, "HOLD", 0.5)
+    with Client(training.port) as client:
+        client.look({"resolution_x": 0, "resolution_y": 0, "train": 0})
+        assert training.server.onlookers.hold
+        client.look({"resolution_x": 0, "resolution_y": 0, "train": 1})
+        assert not training.server.onlookers.hold
+        client.look({"resolution_x": 0, "resolution_y": 0, "train": 0})
+        time.sleep(0.6)
+        assert not training.server.onlookers.hold
+
+
+def test_who_asks_when_it_is_over_does_not_wait():
+    """Oracle: None, at once."""
+    crowd = onlookers.Onlookers()
+    one = crowd.enter(1)
+    assert one is not None and crowd.enter(1) is None
+    crowd.close()
+    assert one.ask(protocol.parse(json.dumps(GOOD).encode())) is None
+    assert crowd.enter(5) is None
+
+
 def test_drawing_takes_half_of_the_time_at_most():
     """Oracle: a slow picture and a client that never rests; the steps that are done meanwhile."""
     port = free_port()
@@ -236,7 +259,7 @@ def test_drawing_takes_half_of_the_time_at_most():
         thread.start()
         drawing, steps, began = 0.0, 0, time.monotonic()
 
-        def draw(request: protocol.Request) -> bytes:
+        def draw(request: protocol.Wish) -> bytes:
             nonlocal drawing
             start = time.monotonic()
             time.sleep(0.05)

@@ -7,7 +7,7 @@ import pytest
 
 from gscore import Splats, render
 from gscore.page import ascii85
-from gscore.page.pack import BYTES_EACH, COLOR_STEP, PLACE_LEVELS, SIZE_STEP, pack, unpack
+from gscore.page.pack import COLOR_STEP, PAGE_BYTES, PLACE_LEVELS, SIZE_STEP, pack, unpack
 from gscore.sh import sh0_to_rgb
 from gscore.transforms import quat_to_rotmat
 
@@ -67,9 +67,9 @@ def test_twenty_bytes_a_splat_are_enough(count: int, degree: int) -> None:
     splats = cloud(count, degree)
     packed = pack(splats)
     text = ascii85.encode(packed.body)
-    assert len(text) == packed.text_bytes <= BYTES_EACH * packed.head["count"]
+    assert len(text) == packed.text_bytes <= PAGE_BYTES * packed.head["count"]
     if degree:
-        assert packed.text_bytes > 0.9 * BYTES_EACH * packed.head["count"]
+        assert packed.text_bytes > 0.9 * PAGE_BYTES * packed.head["count"]
         assert pack(splats, budget=18).head["rest_step"] > packed.head["rest_step"]
 
 
