@@ -130,9 +130,10 @@ def _size(content: dict[str, Any], key: str) -> int:
 
 def _viewmat(content: dict[str, Any]) -> np.ndarray:
     values = content.get("view_matrix")
-    is_list = isinstance(values, list) and len(values) == 16
-    if not is_list or not all(isinstance(value, int | float) for value in values):
+    if not isinstance(values, list) or len(values) != 16:
         raise ValueError("no view_matrix of 16 numbers")
+    if not all(isinstance(value, int | float) for value in values):
+        raise ValueError("a view_matrix that is not of numbers")
     matrix = np.array(values, np.float64).reshape(4, 4).T
     viewmat = np.diag([1.0, -1.0, -1.0, 1.0]) @ matrix
     rotation = viewmat[:3, :3]

@@ -66,10 +66,9 @@ class Server:
         try:
             # A port that a training has just left can be taken again; one in use cannot. Windows
             # takes the first for the second.
-            if hasattr(socket, "SO_EXCLUSIVEADDRUSE"):
-                listening.setsockopt(socket.SOL_SOCKET, socket.SO_EXCLUSIVEADDRUSE, 1)
-            else:
-                listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            alone = getattr(socket, "SO_EXCLUSIVEADDRUSE", None)
+            option = socket.SO_REUSEADDR if alone is None else alone
+            listening.setsockopt(socket.SOL_SOCKET, option, 1)
             listening.bind(place)
             listening.listen(MOST_VIEWERS)
         except OSError as error:
