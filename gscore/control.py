@@ -67,9 +67,20 @@ class Control:
             lines.append(self._unknown.popleft())
         return lines
 
-    def wait_while_paused(self) -> None:
-        """Return when training may go on or must end, or when something else was asked for."""
-        while self.paused and not (self.stopping or self._snapshots or self._unknown):
+    def wait_while_paused(
+        self,
+        *,
+        held: Callable[[], bool] = lambda: False,
+        meanwhile: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Return when training may go on or must end, or when something else was asked for.
+
+        Args:
+            held: Whether somebody else wants it to wait.
+            meanwhile: Called over and over.
+        """
+        while (self.paused or held()) and not (self.stopping or self._snapshots or self._unknown):
+            meanwhile()
             time.sleep(0.02)
 
 

@@ -51,6 +51,8 @@ class Started(Event):
     """A sentence on whether the exposure of photos is learnt; empty: nobody asked."""
     poses: str = ""
     """A sentence on whether training cameras stand where photos were taken; empty: nobody asked."""
+    viewer: str = ""
+    """A sentence on where viewers can connect to; empty: nowhere."""
     mask_mode: str = "none"
     """What masks are for, where the capture has some: `composite`, `ignore` or `none`."""
     config: dict[str, Any] = field(default_factory=dict)

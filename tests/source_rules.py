@@ -12,10 +12,10 @@ def _words(text: str) -> frozenset[str]:
 MODULES = _words(
     """__future__ argparse ast atexit base64 codecs collections concurrent contextlib ctypes
     dataclasses datetime difflib enum errno fcntl fractions functools hashlib html importlib
-    inspect io itertools json logging math mmap msvcrt os pathlib platform queue re reprlib
-    resource secrets shlex shutil signal stat statistics string struct subprocess sys tempfile
-    textwrap threading time traceback types typing unicodedata uuid warnings weakref zipfile
-    zlib
+    inspect io ipaddress itertools json logging math mmap msvcrt os pathlib platform queue re
+    reprlib resource secrets shlex shutil signal stat statistics string struct subprocess sys
+    tempfile textwrap threading time traceback types typing unicodedata uuid warnings weakref
+    zipfile zlib
     av bpy bpy_extras gpu gpu_extras gscore huggingface_hub lpips mathutils numpy onnxruntime
     OpenEXR PIL plyfile pycolmap safetensors scipy torch"""
 )

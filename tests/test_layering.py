@@ -32,6 +32,7 @@ BOTTOM = {
     "events",
     "extras",
     "hold_out",
+    "live_options",
     "sh",
     "transforms",
     "words",
@@ -47,11 +48,14 @@ ALLOWED = {
     "raster": BOTTOM | {"io", "raster"},
     "stereo": BOTTOM | {"io", "datasets", "depth", "raster", "stereo"},
     "metrics": BOTTOM | {"io", "datasets", "depth", "raster", "metrics"},
-    "trainer": BOTTOM | {"io", "datasets", "depth", "raster", "stereo", "metrics", "trainer"},
+    "page": BOTTOM | {"io", "page"},
+    "live": BOTTOM | {"live"},
+    "trainer": BOTTOM
+    | {"io", "datasets", "depth", "raster", "stereo", "metrics", "live", "trainer"},
     "stress": BOTTOM
-    | {"io", "datasets", "depth", "raster", "stereo", "metrics", "trainer", "stress"},
+    | {"io", "datasets", "depth", "raster", "stereo", "metrics", "live", "trainer", "stress"},
     "bench": BOTTOM
-    | {"io", "datasets", "depth", "raster", "stereo", "metrics", "trainer", "bench"},
+    | {"io", "datasets", "depth", "raster", "stereo", "metrics", "live", "trainer", "bench"},
 }
 TOP = {"__init__", "__main__", "frontend", "commands"}
 """May import any layer."""

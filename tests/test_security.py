@@ -51,6 +51,8 @@ STARTS = {
     "addon/process/program.py:Process.__init__",
 }
 """The functions that start processes, from lists of words."""
+LISTENS = ROOT / "gscore" / "live" / "server.py"
+"""The only file that opens a port."""
 WRITES = {
     "addon/cameras/export_colmap.py:export_colmap ..core.write_colmap": "the user's choice",
     "addon/cameras/export_transforms.py:export_transforms ..core.atomic_write": "the user's choice",
@@ -165,12 +167,14 @@ def where(path: Path, site: Site) -> str:
 
 
 def test_nothing_runs_code_from_files_or_shells_or_opens_ports() -> None:
-    """Oracle: modules that are known, no pickles, no evaluated text, no shell, no server."""
+    """Oracle: modules that are known, no pickles, no evaluated text, no shell; sockets in one file,
+    and nothing else there."""
     assert len(SHIPPED) > 200
     starts = set()
     for path in SHIPPED:
         source = Source(path.read_text(encoding="utf-8"))
-        assert not list(source.dangers()), path
+        dangers = [danger.partition(": ")[2] for danger in source.dangers()]
+        assert dangers == (["imports socket"] if path == LISTENS else []), path
         starts |= {where(path, site) for site in source.starts()}
     assert starts == STARTS
 

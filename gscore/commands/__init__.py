@@ -35,6 +35,7 @@ VERBS = {
     "eval": "measure trained splats against the photos",
     "depth": "predict depth maps and align them with the capture",
     "render": "render splats to pictures or a video",
+    "view": "write a page that shows splats in a browser",
     "info": "say what a capture, photos, a video, a PLY or a run holds",
     "doctor": "say what this machine can do and what is missing",
     "bench": "measure speed",
@@ -50,6 +51,7 @@ _EXAMPLES = {
     "eval": "Example: gscore eval run",
     "depth": "Example: gscore depth photos/ --model midas.onnx",
     "render": "Example: gscore render run -o orbit.mp4",
+    "view": "Example: gscore view run -o page.html",
     "info": "Example: gscore info photos/",
 }
 """At the end of a verb's help."""

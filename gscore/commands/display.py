@@ -185,7 +185,9 @@ def _texts(event: Event) -> Iterator[str]:
             )
             if sentence := _MASKS.get(event.mask_mode):
                 yield sentence
-            yield from filter(None, (event.stereo, event.depth, event.exposure, event.poses))
+            yield from filter(
+                None, (event.stereo, event.depth, event.exposure, event.poses, event.viewer)
+            )
         case Warn():
             yield f"Warning: {event.message}"
 

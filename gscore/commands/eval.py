@@ -23,6 +23,7 @@ from ..metrics import (
     lpips_warnings,
     write_results,
 )
+from ..metrics.page_link import link_page
 from ..raster import backend
 from ..raster.api import render
 from ..words import count_words, psnr_name, quality_words
@@ -169,6 +170,7 @@ def _measure(args: argparse.Namespace, status: Status) -> int:
         warnings=warnings,
         cameras=cameras_section(config.source, dataset.scene),
     )
+    link_page(output)
     status.clear()
     for sentence in warnings:
         print(wrapped(f"Warning: {sentence}", sys.stderr), file=sys.stderr)

@@ -29,15 +29,15 @@ ALIASES = {
     "mcmc_noise": "--noise-lr",
 }
 """Other names of options of `TrainConfig`."""
-_WITHOUT_EFFECT = ("--ip", "--port", "--debug-from")
-"""They concern its network viewer and its debug dumps, not the result."""
+_WITHOUT_EFFECT = ("--debug-from",)
+"""It concerns its debug dumps, not the result."""
 _SWITCHES = {
     "white_background": ("-w", "--white-background"),
     "random_background": ("--random-background",),
     "train_test_exp": ("--train-test-exp",),
     "disable_viewer": ("--disable-viewer",),
 }
-"""The first two choose a background, the third learns exposures; there never is a viewer."""
+"""The first two choose a background, the third learns exposures, the last wins over `--port`."""
 _FEATURE_LR_SHARE = 20
 """--feature-lr also sets the rate of the higher SH bands, divided by this."""
 REFUSED = {
@@ -82,7 +82,8 @@ def rows() -> list[Row]:
         Row("-w, --white-background", "background white"),
         Row("--random-background", "background random"),
         Row("--train-test-exp", "exposure on; psnr_cc judges held-out views by their halves"),
-        *(Row(flag, "without effect") for flag in (*_WITHOUT_EFFECT, "--disable-viewer")),
+        Row("--disable-viewer", "port 0, whatever --port says"),
+        *(Row(flag, "without effect") for flag in _WITHOUT_EFFECT),
         *(Row(flag, f"refused: {reason}") for flag, reason in REFUSED.items()),
     ]
 

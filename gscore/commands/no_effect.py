@@ -5,6 +5,7 @@ from collections.abc import Callable
 
 from ..config import DataConfig, Doubling, Skip, Strategy, Switch, TrainConfig, flag_of
 from ..hold_out import SPLIT
+from ..live_options import LiveOptions
 from ..options import Option, options_of
 
 _Idle = Callable[[argparse.Namespace, DataConfig, TrainConfig], bool]
@@ -53,6 +54,11 @@ _WHEN: dict[str, _Rule] = {
         lambda a, d, c: c.stereo is Switch.OFF or c.start_splats is not None,
     ),
     "start_splats": ("of --start-splats alone", lambda a, d, c: c.start_splats is None),
+    "viewer": ("--disable-viewer", lambda a, d, c: a.disable_viewer),
+    "port": (
+        "only with --port, and not with --disable-viewer",
+        lambda a, d, c: not a.port or a.disable_viewer,
+    ),
     "masks": ("--mask-mode none", lambda a, d, c: d.mask_mode == "none"),
     "hiding_masks": (
         "only where masks hide parts of a scene",
@@ -61,7 +67,6 @@ _WHEN: dict[str, _Rule] = {
 }
 """By `Option.when`: why an option can be idle, and whether it is."""
 _SPLIT: _Rule = ("--no-eval holds no views out", lambda a, d, c: not d.eval)
-_VIEWER: _Rule = ("there is no network viewer", lambda a, d, c: True)
 
 
 def _rule(one: Option) -> _Rule:
@@ -73,13 +78,11 @@ def _rule(one: Option) -> _Rule:
 RULES: dict[str, _Rule] = {
     **{
         one.name: _rule(one)
-        for cls in (DataConfig, TrainConfig)
+        for cls in (DataConfig, TrainConfig, LiveOptions)
         for one in options_of(cls).values()
         if one.when
     },
     **dict.fromkeys(("hold_out", *SPLIT), _SPLIT),
-    "ip": _VIEWER,
-    "port": _VIEWER,
     "debug_from": ("there are no debug dumps", lambda a, d, c: True),
     "white_background": (
         "--background says otherwise",

@@ -9,6 +9,7 @@ from typing import Any
 from ..config import DataConfig, TrainConfig
 from ..config_file import to_json
 from ..errors import ConfigError
+from ..live_options import LiveOptions
 from ..options import Option, options_of
 from ..sequence_options import SequenceOptions
 from ..shown import quoted
@@ -50,8 +51,10 @@ def run(args: argparse.Namespace) -> int:
 
 def all_options() -> Iterator[Option]:
     """The options of `gscore train` and `gscore sequence`, group by group."""
-    data, train, sequence = map(options_of, (DataConfig, TrainConfig, SequenceOptions))
-    found = [*data.values(), HOLD_OUT, *train.values(), *sequence.values()]
+    data, train, live, sequence = map(
+        options_of, (DataConfig, TrainConfig, LiveOptions, SequenceOptions)
+    )
+    found = [*data.values(), HOLD_OUT, *train.values(), *live.values(), *sequence.values()]
     groups = dict.fromkeys(one.group for one in found)
     return (one for group in groups for one in found if one.group == group)
 

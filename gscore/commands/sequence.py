@@ -15,6 +15,7 @@ from ..words import count_words, quality_words
 from . import train as train_command
 from .attend import attend
 from .declared import declare, given_options
+from .live import onlookers_of
 from .output import others_in, print_json
 from .status import wrapped
 
@@ -27,13 +28,15 @@ _ONE_FRAME = {
     "start_checkpoint": ("--start-checkpoint", "go on with --resume, or use --start-splats"),
 }
 """Options of `gscore train` that concern one frame only."""
+_SELDOM = ("port",)
+"""Those that matter less here than what a sequence has besides; `gscore options` lists them."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `gscore train`, and those of the sequence."""
     train_command.add_arguments(parser)
     for action in parser._actions:
-        if action.dest in _ONE_FRAME:
+        if action.dest in _ONE_FRAME or action.dest in _SELDOM:
             action.help = argparse.SUPPRESS
     group = parser.add_argument_group(
         "sequence",
@@ -72,16 +75,18 @@ def _train(args: argparse.Namespace, show: Show, control: Control) -> "SequenceR
     stored = read_options(args.output) if args.resume else None
     given = given_options(SequenceOptions, args)
     data, config = train_command.told_configs(args, show)
-    return train_sequence(
-        config,
-        data,
-        args.output,
-        show,
-        control,
-        options=replace(stored or SequenceOptions(), **given),
-        resume=args.resume,
-        overwrite=args.overwrite,
-    )
+    with onlookers_of(args, data.source, show) as onlookers:
+        return train_sequence(
+            config,
+            data,
+            args.output,
+            show,
+            control,
+            options=replace(stored or SequenceOptions(), **given),
+            resume=args.resume,
+            overwrite=args.overwrite,
+            onlookers=onlookers,
+        )
 
 
 def _summary(result: "SequenceResult") -> str:

@@ -19,6 +19,7 @@ from .attend import STOPPED, add_output_options, attend
 from .cameras import is_finding, with_cameras
 from .data_options import add_data_options, with_data_options
 from .declared import Set, declare, given_options
+from .live import add_live_options, onlookers_of
 from .names_3dgs import add_3dgs_names, translate
 from .no_effect import idle_options
 from .output import first_few, print_json
@@ -84,6 +85,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     declare(group, DataConfig, names=("eval",))
     declare(group, TrainConfig)
+    add_live_options(group)
     group.add_argument(
         "--set", action=Set, metavar="NAME=VALUE", help="give an option by name; repeatable"
     )
@@ -164,16 +166,18 @@ def _train(args: argparse.Namespace, show: Show, control: Control) -> "TrainResu
     data = with_cameras(
         data, args.output, show, control, allowed=not args.no_sfm, threads=config.threads
     )
-    return train(
-        config,
-        data,
-        args.output,
-        show,
-        control,
-        resume=args.resume,
-        overwrite=args.overwrite,
-        start_checkpoint=args.start_checkpoint,
-    )
+    with onlookers_of(args, data.source, show, after_the_end=True) as onlookers:
+        return train(
+            config,
+            data,
+            args.output,
+            show,
+            control,
+            resume=args.resume,
+            overwrite=args.overwrite,
+            start_checkpoint=args.start_checkpoint,
+            onlookers=onlookers,
+        )
 
 
 def _stopped(args: argparse.Namespace) -> str:

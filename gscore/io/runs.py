@@ -27,8 +27,9 @@ RUN_FILES = (
     "point_cloud.ply",
     "metrics.json",
     "report.html",
+    "view.html",
 )
-"""Files that a training writes."""
+"""Files that a training writes, and the page made of it."""
 RUN_FOLDERS = ("checkpoints", "point_cloud", "previews", "snapshots")
 """Folders that a training writes."""
 CAPTURE = "capture"

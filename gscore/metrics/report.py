@@ -16,6 +16,7 @@ from .cameras_plan import CamerasSection, cameras_html
 from .colormap import colorize
 from .curves import Mark, Series, clean_points, legend, line_chart
 from .depth import DepthSection, depth_html
+from .page_link import SEAM
 from .pictures import ERROR_GAIN, ViewPictures
 from .poses import poses_html
 from .report_head import TIMES, head_html, meaning_html, tiles_html
@@ -66,6 +67,7 @@ def report_html(report: Report) -> str:
             _warnings(report.warnings),
             tiles_html(metrics),
             meaning_html(metrics),
+            SEAM,
             _curves(metrics.get("history") or [], metrics.get("evals") or [], metrics),
             _view_cards(views, metrics),
             _view_table(views),

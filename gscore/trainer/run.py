@@ -10,6 +10,7 @@ from ..datasets import load_dataset
 from ..depth.maps import MapFolder
 from ..errors import BackendError
 from ..events import Event
+from ..live.onlookers import Onlookers
 from ..metrics import find_lpips, lpips_warnings
 from .beginning import Beginning
 from .depth.setup import prepare_depth
@@ -35,6 +36,7 @@ def train(
     resume: bool = False,
     overwrite: bool = False,
     start_checkpoint: Path | None = None,
+    onlookers: Onlookers | None = None,
 ) -> TrainResult:
     """Train splats from a capture and write them, their metrics and a report into a folder.
 
@@ -49,6 +51,7 @@ def train(
         resume: Go on from the last checkpoint in `output`.
         overwrite: Replace another run in `output`; files that no training writes stay.
         start_checkpoint: Go on from this checkpoint of another folder.
+        onlookers: Those who watch, whose pictures are drawn between steps.
 
     Returns:
         How it ended. Stopping by `control` is no error.
@@ -115,6 +118,7 @@ def train(
                 stereo=stereo,
                 exposure=exposure,
                 placing=placing,
+                onlookers=onlookers,
             )
             beginning.go_on(trainer, session)
             notes = (*photos.warnings, *loaded.warnings, *look_over(trainer))

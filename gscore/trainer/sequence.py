@@ -18,6 +18,7 @@ from ..io.metrics_file import read_metrics
 from ..io.places import check_place
 from ..io.runs import check_replaceable, clear_run, read_run, results_in
 from ..io.sequences import FRAME_FOLDER, SEQUENCE_FILE, SequenceIndex, read_sequence, write_sequence
+from ..live.onlookers import Onlookers
 from ..metrics import headline
 from ..sequence_options import SequenceOptions
 from ..words import count_words
@@ -91,6 +92,7 @@ def train_sequence(
     options: SequenceOptions | None = None,
     resume: bool = False,
     overwrite: bool = False,
+    onlookers: Onlookers | None = None,
 ) -> SequenceResult:
     """Train every frame into a folder of its own below `output`.
 
@@ -108,6 +110,7 @@ def train_sequence(
         options: Which frames, and what goes from one to the next.
         resume: Go on with the sequence in `output`.
         overwrite: Replace the sequence in `output`.
+        onlookers: Those who watch, whose pictures are drawn between steps.
 
     Returns:
         How it ended. Stopping by `control` is no error.
@@ -121,7 +124,8 @@ def train_sequence(
     check_place(output, data)
     frames = choose_frames(find_frames(data), options.frames)
     _open(output, resume=resume, overwrite=overwrite)
-    run = _Run(config, data, output, options, frames, on_event or (lambda event: None))
+    emit = on_event or (lambda event: None)
+    run = _Run(config, data, output, options, frames, emit, onlookers)
     return run.through(control or Control(), resume=resume)
 
 
@@ -154,6 +158,7 @@ class _Run:
         options: SequenceOptions,
         frames: list[SequenceFrame],
         emit: Callable[[Event], None],
+        onlookers: Onlookers | None,
     ) -> None:
         self._config = config
         self._data = data
@@ -161,6 +166,7 @@ class _Run:
         self._options = options
         self._frames = frames
         self._emit = emit
+        self._onlookers = onlookers
         self._complete: list[FrameResult] = []
 
     def through(self, control: Control, *, resume: bool) -> SequenceResult:
@@ -194,7 +200,14 @@ class _Run:
             goes_on = resume and bool(RunFolder(folder).checkpoints())
             try:
                 result = train(
-                    config, data, folder, self._tell, control, resume=goes_on, overwrite=not goes_on
+                    config,
+                    data,
+                    folder,
+                    self._tell,
+                    control,
+                    resume=goes_on,
+                    overwrite=not goes_on,
+                    onlookers=self._onlookers,
                 )
             except Cancelled:
                 if not self._complete:

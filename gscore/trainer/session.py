@@ -7,11 +7,15 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from ..config import DataConfig
 from ..config_file import to_dict
 from ..control import Control
 from ..errors import DatasetError, FormatError
 from ..events import Eval, Event, Preview, Saved, Snapshot, Started, Warn, judged_psnr
+from ..live.onlookers import Onlookers
+from ..live.protocol import Wish
 from ..metrics import Evaluation, Lpips, LpipsNet, PictureCollector
 from ..raster import backend
 from ..shown import quoted
@@ -36,6 +40,8 @@ from .views.placing import Placing
 _WARN_BAD_ROWS = (1, 100, 10_000)
 _WARN_LOST_ROWS = (1, 100, 10_000)
 _CHECKPOINTS_KEPT = 2
+_PAUSE = 0.02
+"""Seconds between two looks at what those who watch want, after the last step."""
 _CROWDED = (
     "Many splats stand closer before a camera than the points of the capture let expect. They are "
     "left there, as with --free-space 0."
@@ -62,6 +68,7 @@ class Session:
         stereo: StereoStart | None = None,
         exposure: Exposure | None = None,
         placing: Placing | None = None,
+        onlookers: Onlookers | None = None,
     ) -> None:
         self._trainer = trainer
         self._config = trainer.config
@@ -75,6 +82,7 @@ class Session:
         self._stereo = stereo or StereoStart()
         self._exposure = exposure or Exposure()
         self._placing = placing or Placing()
+        self._onlookers = onlookers or Onlookers()
         pace = machine_pace(self._config.threads)
         budget = self._config.time_budget or math.inf
         self._meter = Meter(trainer.plan, splats=len(trainer.model), pace=pace, budget=budget)
@@ -114,9 +122,12 @@ class Session:
         self._watch()
         self._steer()
         while not (self._steering.reason or control.stopping):
-            if control.paused:
+            if control.paused or self._onlookers.hold:
                 self._emit(self._meter.progress(phase="paused"))
-                control.wait_while_paused()
+                control.wait_while_paused(
+                    held=lambda: self._onlookers.hold,
+                    meanwhile=lambda: self._show_around(at_leisure=True),
+                )
                 self._answer()
                 continue
             began = time.perf_counter()
@@ -139,7 +150,19 @@ class Session:
             with self._work_kept():
                 self._steer()
                 self._between_steps()
-        return self._finish()
+        result = self._finish()
+        while self._onlookers.stay and not control.stopping:
+            self._show_around(at_leisure=True)
+            time.sleep(_PAUSE)
+        return result
+
+    def _show_around(self, *, at_leisure: bool = False) -> None:
+        """Draw what those who watch want to see."""
+        self._onlookers.answer(self._drawn, at_leisure=at_leisure)
+
+    def _drawn(self, request: Wish) -> bytes:
+        picture = self._trainer.seen(request).clamp_(0, 1).mul_(255).add_(0.5)
+        return picture.to(torch.uint8).numpy().tobytes()
 
     @contextmanager
     def _work_kept(self) -> Iterator[None]:
@@ -187,6 +210,7 @@ class Session:
                 stereo=self._stereo.why if self._stereo.added else "",
                 exposure=self._exposure.why,
                 poses=self._placing.why,
+                viewer=self._onlookers.why,
                 mask_mode=photos.mask_mode,
                 config={"data": to_dict(self._data), "train": to_dict(self._config)},
             )
@@ -271,6 +295,7 @@ class Session:
         if config.snapshot_every and step % config.snapshot_every == 0:
             self._control.snapshot()
         self._answer()
+        self._show_around()
         if config.preview_seconds and clock - self._last_preview >= config.preview_seconds:
             self._last_preview = clock
             self._preview()

@@ -11,6 +11,7 @@ import torch
 
 from ..config import Background, Skip, TrainConfig
 from ..errors import DatasetError, GsError
+from ..live.protocol import Wish
 from ..raster.header import OUT_INVERSE_DEPTH
 from ..raster.loss import image_loss, image_loss_gradient
 from ..raster.memory import empty
@@ -24,7 +25,7 @@ from .depth.regularisers import drop_rate_at, drop_splats, opacity_loss
 from .depth.targets import DepthTargets
 from .host.laps import Laps
 from .host.random import generator_of, uniform
-from .photos.pyramid import AHEAD, Pyramid, Sized
+from .photos.pyramid import AHEAD, Pyramid, Sized, view_of
 from .photos.skips import raster_bits
 from .photos.views import Photos, Sampler
 from .rows import bounds, guard
@@ -305,6 +306,21 @@ class Trainer:
         """The view `index` as the splats show it now, [H, W, 3] float32: exposed as its photo
         where that is learnt of it, else neutral."""
         return self._exposed(index, self._view(index), background).clone()
+
+    def seen(self, request: Wish) -> torch.Tensor:
+        """What somebody who watches wants to see, [height, width, 3] float32, good until the next
+        picture; the training goes on as if nobody had looked."""
+        viewmats = self.frame.similarity.viewmats_to_training(request.viewmat[None])
+        size = request.width, request.height
+        view = view_of(viewmats[0], request.K, *size, self.frame.near)
+        shown = dict(self.model.settled(threads=self.config.threads))
+        if request.scaling != 1:
+            shown["scales"] = shown["scales"] + math.log(request.scaling)
+        config, background = self.config, self.fixed_background
+        settings = Settings(
+            antialias=config.antialias, threads=config.threads, background=background
+        )
+        return self._painter.draw(tuple(shown.values()), view, settings).rgb
 
     def aligned_picture(
         self, index: int, *, background: tuple[float, float, float]

@@ -23,6 +23,7 @@ from gscore.metrics.curves import (
     nice_ticks,
     short_number,
 )
+from gscore.metrics.page_link import PAGE, link_page
 from gscore.metrics.pictures import BYTES_IN_ALL, ERROR_GAIN, MAX_VIEWS
 from gscore.metrics.report import report_html
 from gscore.words import size_words, time_words
@@ -92,6 +93,21 @@ def test_page_is_whole_and_alone(run, tmp_path):
     assert not re.search(r"https?://|url\(|@import", text)
     assert "<script>alert" not in text and "a <script>alert(1)</script> capture" in page.words
     assert "3 photos & no camera" in page.words
+
+
+def test_the_page_with_the_splats_is_shown_where_it_lies_beside(run, tmp_path):
+    """Oracle: an HTML parser; once, however often it is asked for; a foreign report stays."""
+    report = tmp_path / "report.html"
+    write_report(report, run())
+    before = report.read_text()
+    assert not link_page(tmp_path) and report.read_text() == before
+    (tmp_path / PAGE).write_text("x")
+    assert link_page(tmp_path) and link_page(tmp_path)
+    page = Page(report.read_text())
+    assert [link for link in page.links if not link.startswith("data:")] == [PAGE, PAGE]
+    assert "Look around in 3D" in page.words
+    report.write_text("<p>mine</p>")
+    assert not link_page(tmp_path) and report.read_text() == "<p>mine</p>"
 
 
 def test_the_head_says_what_was_done(run):

@@ -42,7 +42,9 @@ def test_no_option_is_forgotten() -> None:
 @pytest.mark.parametrize(
     ("line", "words"),
     [
-        ("--ip 127.0.0.1 --port 6009", "--ip, --port (there is no network viewer)"),
+        ("--ip 127.0.0.1", "--ip (only with --port"),
+        ("--ip 127.0.0.1 --port 6009", ""),
+        ("--port 6009 --disable-viewer", "--port (--disable-viewer)"),
         ("--debug-from -1", "--debug-from (there are no debug dumps)"),
         ("--mcmc-noise 1 --scale-reg 0", "--mcmc-noise, --scale-reg (--strategy mcmc alone"),
         ("--strategy mcmc --grow-grad 1", "--grow-grad (not used by --strategy mcmc)"),

@@ -1,0 +1,176 @@
+"""`gscore view`: a page that shows splats in a browser, to look at and to send."""
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+from ..config import DataConfig
+from ..errors import ConfigError
+from ..io.places import check_apart
+from ..metrics.page_link import PAGE, link_page
+from ..page.pack import pack
+from ..page.page import Page, write_page
+from ..words import count_words, number, size_words
+from .model import GivenModel, add_model_argument, model_path, open_model
+from .output import check_folder, check_replaced, print_json
+from .page_views import PageViews, find_views
+from .parser import add_threads_option
+from .status import Status, wrapped
+from .unpacked import difference
+
+_MOST_SPLATS = 8_000_000
+"""Above it the texture of the page would be higher than most graphics cards take."""
+_MANY = 1_500_000
+"""Splats that an integrated graphics card hardly moves thirty times a second."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of the verb."""
+    add_model_argument(parser)
+    parser.add_argument(
+        "-o", "--output", type=Path, help=f"the page, an .html; default: {PAGE} of the run"
+    )
+    parser.add_argument(
+        "-s",
+        "--source",
+        "--cameras",
+        dest="source",
+        type=Path,
+        help="a capture's folder, or a cameras.json, which has no photos; default: the run's",
+    )
+    parser.add_argument(
+        "--photos",
+        type=int,
+        default=40,
+        metavar="N",
+        help="photos to put in, at even distances; 0: none (40)",
+    )
+    parser.add_argument(
+        "--title", help="name of the page; default: that of the capture or of the file"
+    )
+    add_threads_option(parser)
+    parser.add_argument(
+        "--overwrite", action="store_true", help="replace a file that gscore did not write"
+    )
+    parser.add_argument("--json", action="store_true", help="what was written as JSON on stdout")
+    parser.add_argument("--quiet", action="store_true", help="no progress")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write the page and say how large it is."""
+    with Status(sys.stderr, quiet=args.quiet) as status:
+        status.show(["Reading the splats"])
+        model = open_model(model_path(args))
+        output = _output(args, model)
+        result = _write(args, model, output, status)
+    if args.json:
+        print_json(result)
+    else:
+        print(wrapped(_summary(result), sys.stdout))
+    return 0
+
+
+def _output(args: argparse.Namespace, model: GivenModel) -> Path:
+    """Where the page goes, if it may be written there."""
+    if args.photos < 0:
+        raise ConfigError(f"--photos must be at least 0, got {args.photos}.")
+    if args.output is None and model.run is None:
+        raise ConfigError(f"{model.ply} lies in no run's folder; say with -o where the page goes.")
+    output: Path = args.output or model.run / PAGE  # pyright: ignore
+    if output.suffix.lower() not in (".html", ".htm"):
+        raise ConfigError(f"{output}: a page is written; give a name that ends in .html.")
+    if output.name == "report.html":
+        raise ConfigError(f"{output} is the name of a run's report; give another one.")
+    check_folder(output.parent)
+    check_replaced([output], overwrite=args.overwrite)
+    return output
+
+
+def _write(
+    args: argparse.Namespace, model: GivenModel, output: Path, status: Status
+) -> dict[str, Any]:
+    """Facts on what was written."""
+    given = [DataConfig(source=args.source)] if args.source and args.source.is_dir() else []
+    for data in (None, *given, *([model.data] if model.data else [])):
+        check_apart(output.parent, data)
+    _check_splats(model)
+    views = find_views(args, model, status)
+    status.show(["Packing the splats"])
+    packed = pack(model.splats)
+    if not packed.head["count"]:
+        raise ConfigError(
+            f"{model.ply} holds no splat that can be seen, so there is no page of it."
+        )
+    status.show(["Measuring what the packing costs"])
+    cost = difference(model, packed, views, threads=args.threads)
+    warnings = [*model.warnings, *views.warnings]
+    if packed.head["count"] > _MANY:
+        warnings.append(
+            f"{number(packed.head['count'])} splats move slowly on a laptop; a training with a "
+            f"smaller --max-splats gives a lighter page."
+        )
+    for sentence in warnings:
+        status.clear()
+        print(wrapped(f"Warning: {sentence}", sys.stderr), file=sys.stderr)
+    title = args.title or _title(model)
+    size = write_page(output, _page(title, model, packed, views))
+    if output.name == PAGE and output.parent == model.run:
+        link_page(output.parent)
+    count = packed.head["count"]
+    return {
+        "file": str(output),
+        "bytes": size,
+        "splats": count,
+        "splats_left_out": len(model.splats) - count,
+        "bytes_per_splat": packed.text_bytes / count,
+        "sh_degree": packed.head["degree"],
+        "cameras": len(views.cameras),
+        "photos": sum(1 for camera in views.cameras if camera.photo),
+        **cost,
+    }
+
+
+def _page(title: str, model: GivenModel, packed: Any, views: PageViews) -> Page:
+    count = count_words(packed.head["count"], "splat")
+    return Page(
+        title=title,
+        splats=packed,
+        cameras=views.cameras,
+        first=views.first,
+        focus=views.focus,
+        up=views.up,
+        background=model.background,
+        near=model.near,
+        antialias=model.antialias,
+        facts=f"{count}, {count_words(len(views.cameras), 'camera')}. Made with gscore.",
+    )
+
+
+def _title(model: GivenModel) -> str:
+    """Of the capture where it is known, else of the file."""
+    if model.data is not None and model.data.source.name:
+        return model.data.source.name
+    plain = model.ply.name == "point_cloud.ply" and model.ply.parent.name
+    return model.ply.parent.name if plain else model.ply.stem
+
+
+def _check_splats(model: GivenModel) -> None:
+    if len(model.splats) > _MOST_SPLATS:
+        raise ConfigError(
+            f"{model.ply} holds {number(len(model.splats))} splats; a page takes at most "
+            f"{number(_MOST_SPLATS)}. Train with a smaller --max-splats."
+        )
+
+
+def _summary(result: dict[str, Any]) -> str:
+    size = size_words(result["bytes"])
+    parts = [count_words(result["splats"], "splat"), count_words(result["cameras"], "camera")]
+    parts.append(count_words(result["photos"], "photo"))
+    text = (
+        f"Wrote {result['file']}: {size}, {', '.join(parts)}; "
+        f"{result['bytes_per_splat']:.1f} bytes a splat."
+    )
+    if result["packing_psnr"] is not None:
+        text += f"\nRenders of the packed splats differ by {result['packing_psnr']:.1f} dB."
+    return f"{text}\nOpen it in a browser, or send it: it needs nothing else."

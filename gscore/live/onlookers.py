@@ -1,0 +1,114 @@
+"""What a training sees of those who watch it: what they want, between two steps."""
+
+import threading
+import time
+from collections.abc import Callable
+
+from .protocol import Wish
+
+HOLD = 60.0
+"""Seconds for which a request holds the training; viewers ask many times a second."""
+Draw = Callable[[Wish], bytes]
+"""Gives the picture of a request, 3 bytes a pixel."""
+
+
+class Onlooker:
+    """One viewer: the thread of its connection waits in `ask`, the training's answers."""
+
+    def __init__(self, crowd: "Onlookers") -> None:
+        self._crowd = crowd
+        self._answered = threading.Event()
+        self._picture = b""
+        self.request: Wish | None = None
+        """What waits for an answer."""
+        self.trains, self.stays = True, False
+        """As its last request said."""
+        self.asked_at = 0.0
+        """When that came, seconds of the monotonic clock."""
+
+    def ask(self, request: Wish) -> bytes | None:
+        """The picture, as soon as the training has drawn it; None: the training is over."""
+        self.trains, self.stays = request.trains, request.stays
+        self.asked_at = time.monotonic()
+        self._answered.clear()
+        self.request = request
+        self._crowd.wake()
+        if not self._crowd.closed:  # else nobody is there who would answer
+            self._answered.wait()
+        return None if self._crowd.closed else self._picture
+
+    def answer(self, picture: bytes) -> None:
+        """Let `ask` return."""
+        self._picture = picture
+        self._answered.set()
+
+
+class Onlookers:
+    """All who watch. Without them, `answer` looks at one attribute."""
+
+    def __init__(self, *, why: str = "", after_the_end: bool = False) -> None:
+        """`after_the_end`: they may look on when the last step is done."""
+        self.why = why
+        """A sentence on how they come here."""
+        self._after_the_end = after_the_end
+        self._all: list[Onlooker] = []
+        self._lock = threading.Lock()
+        self._asked = threading.Event()
+        self._rest = 0.0
+        self.closed = False
+        """Nobody is answered any more."""
+
+    def enter(self, most: int) -> Onlooker | None:
+        """Another one; None: there are as many as there may be, or it is over."""
+        with self._lock:
+            if self.closed or len(self._all) >= most:
+                return None
+            self._all.append(Onlooker(self))
+            return self._all[-1]
+
+    def leave(self, one: Onlooker) -> None:
+        """One does not watch any more."""
+        with self._lock:
+            self._all.remove(one)
+
+    def wake(self) -> None:
+        """Somebody asks."""
+        self._asked.set()
+
+    @property
+    def hold(self) -> bool:
+        """Whether somebody wants the training to wait, and has lately said so: a connection that
+        was cut somewhere on the way looks like one that is silent."""
+        since = time.monotonic() - HOLD
+        return any(not one.trains and one.asked_at > since for one in list(self._all))
+
+    @property
+    def stay(self) -> bool:
+        """Whether somebody wants to look on after the last step."""
+        return self._after_the_end and any(one.stays for one in list(self._all))
+
+    def answer(self, draw: Draw, *, at_leisure: bool = False) -> None:
+        """Draw what is asked for, for each at most once.
+
+        Args:
+            draw: Called in this thread.
+            at_leisure: No step waits for this; else drawing rests as long as it took, so that it
+                takes half of the time at most.
+        """
+        if not self._asked.is_set() or (not at_leisure and time.monotonic() < self._rest):
+            return
+        self._asked.clear()
+        began = time.monotonic()
+        for one in list(self._all):
+            request, one.request = one.request, None
+            if request is not None:
+                one.answer(draw(request) if request.width else b"")
+        ended = time.monotonic()
+        self._rest = ended + (ended - began)
+
+    def close(self) -> None:
+        """Let go of everybody."""
+        with self._lock:
+            self.closed = True
+            for one in self._all:
+                one.answer(b"")

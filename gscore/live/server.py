@@ -1,0 +1,143 @@
+"""The only file that opens a port: viewers connect to it, each in a thread of its own."""
+
+import contextlib
+import socket
+import threading
+import time
+from typing import Self
+
+from ..errors import ConfigError
+from ..live_options import LiveOptions
+from . import protocol
+from .onlookers import Onlooker, Onlookers
+
+MOST_VIEWERS = 8
+"""Viewers at once."""
+PATIENCE = 20.0
+"""Seconds for the rest of a request that has begun, and for taking an answer."""
+
+
+class Server:
+    """Listens in a `with`; the training answers `onlookers`."""
+
+    def __init__(
+        self, options: LiveOptions, *, text: str = "", after_the_end: bool = False
+    ) -> None:
+        """Take the port.
+
+        Args:
+            options: Address and port.
+            text: Told with each answer: viewers look for the capture there.
+            after_the_end: Viewers may look on when the last step is done.
+
+        Raises:
+            ConfigError: the port is taken or may not be used, or this computer has no such address.
+        """
+        self._options = options
+        why = f"Viewers can connect to {options.ip}, port {options.port}."
+        self.onlookers = Onlookers(why=why, after_the_end=after_the_end)
+        """Who watches."""
+        self._text = text
+        self._socket = self._listening()
+        self._connections: set[socket.socket] = set()
+        self._lock = threading.Lock()
+
+    def __enter__(self) -> Self:
+        threading.Thread(target=self._accept, name="gscore-live", daemon=True).start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.onlookers.close()
+        with self._lock:
+            for connection in (self._socket, *self._connections):
+                _end(connection)
+
+    def _listening(self) -> socket.socket:
+        ip, port = self._options.ip, self._options.port
+        try:
+            family, *_, place = socket.getaddrinfo(
+                ip, port, type=socket.SOCK_STREAM, flags=socket.AI_NUMERICHOST
+            )[0]
+            listening = socket.socket(family, socket.SOCK_STREAM)
+        except (OSError, UnicodeError) as error:
+            raise ConfigError(
+                f"ip must be an address of numbers, such as 127.0.0.1 or 0.0.0.0, got {ip!r:.60}."
+            ) from error
+        try:
+            # A port that a training has just left can be taken again; one in use cannot. Windows
+            # takes the first for the second.
+            alone = getattr(socket, "SO_EXCLUSIVEADDRUSE", None)
+            option = socket.SO_REUSEADDR if alone is None else alone
+            listening.setsockopt(socket.SOL_SOCKET, option, 1)
+            listening.bind(place)
+            listening.listen(MOST_VIEWERS)
+        except OSError as error:
+            listening.close()
+            raise ConfigError(
+                f"Viewers cannot connect to {ip}, port {port}: {error.strerror or error}. Another "
+                "training may use it; choose another --port, or leave --port out."
+            ) from error
+        return listening
+
+    def _accept(self) -> None:
+        while True:
+            try:
+                connection, _ = self._socket.accept()
+            except OSError:
+                if self.onlookers.closed:
+                    return
+                continue
+            one = self.onlookers.enter(MOST_VIEWERS)
+            if one is None:
+                connection.close()
+                continue
+            with self._lock:
+                self._connections.add(connection)
+            threading.Thread(
+                target=self._serve, args=(connection, one), name="gscore-viewer", daemon=True
+            ).start()
+
+    def _serve(self, connection: socket.socket, one: Onlooker) -> None:
+        """Answer until the viewer goes, says what no viewer says, or does not take its answers."""
+        try:
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            while True:
+                request = protocol.parse(_request(connection))
+                picture = one.ask(request)
+                if picture is None:
+                    return
+                connection.settimeout(PATIENCE)  # for all of an answer, not for each piece
+                connection.sendall(protocol.answer(picture, self._text))
+        except (OSError, ValueError):
+            return
+        finally:
+            self.onlookers.leave(one)
+            with self._lock:
+                self._connections.discard(connection)
+            connection.close()
+
+
+def _request(connection: socket.socket) -> bytes:
+    """The text of the next request, for which one may wait for ever; not for its rest."""
+    connection.settimeout(None)
+    head = connection.recv(1)
+    end = time.monotonic() + PATIENCE  # for all of it, not for each piece
+    head += _exactly(connection, protocol.LENGTH - len(head), end)
+    return _exactly(connection, protocol.length_of(head), end)
+
+
+def _exactly(connection: socket.socket, count: int, end: float) -> bytes:
+    found = b""
+    while len(found) < count:
+        connection.settimeout(max(end - time.monotonic(), 0.001))
+        piece = connection.recv(count - len(found))
+        if not piece:
+            raise ConnectionError("the viewer is gone")
+        found += piece
+    return found
+
+
+def _end(connection: socket.socket) -> None:
+    with contextlib.suppress(OSError):
+        connection.shutdown(socket.SHUT_RDWR)  # wakes the thread that waits in it
+    connection.close()

@@ -1,0 +1,26 @@
+"""Bytes as letters that HTML, JSON and every server let through: five for each four bytes."""
+
+import numpy as np
+
+ALPHABET = "".join(chr(code) for code in range(33, 127) if chr(code) not in "\"&'<>\\`")[:85]
+"""Printable ASCII without what has a meaning in HTML or in strings of JavaScript."""
+_LETTERS = np.frombuffer(ALPHABET.encode(), np.uint8)
+_GROUP = 4
+_WEIGHTS = 85 ** np.arange(4, -1, -1, dtype=np.uint32)
+
+
+def encode(content: bytes) -> str:
+    """The bytes as text of `ALPHABET`, 5/4 as long, where base64 takes 4/3.
+
+    Four bytes are a big-endian number, written in base 85 with the highest digit first. The last
+    group is filled up with zero bytes: whoever decodes knows the length.
+    """
+    padded = content + bytes(-len(content) % _GROUP)
+    numbers = np.frombuffer(padded, ">u4").astype(np.uint32)
+    digits = numbers[:, None] // _WEIGHTS % 85
+    return _LETTERS[digits].tobytes().decode()
+
+
+def length(count: int) -> int:
+    """Letters that `encode` makes of so many bytes."""
+    return -(-count // _GROUP) * len(_WEIGHTS)

@@ -1,0 +1,261 @@
+"""Splats in at most twenty bytes each: quantised, ordered along a curve, deflated.
+
+Each number becomes a whole one; the bytes of a kind are stored behind one another, so that deflate
+finds how they are distributed. Spherical harmonics beyond the constant get what the other numbers
+leave of the budget: their step is the smallest that fits.
+"""
+
+import zlib
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..sh import rgb_to_sh0, sh0_to_rgb
+from ..splats import PARAMETERS, Splats
+from . import ascii85
+
+PAGE_BYTES = 20
+"""Of the page, for a splat, as text."""
+BLOCK = 256
+"""Splats that share a box in which their places are counted."""
+PLACE_LEVELS = 1 << 12
+"""Places along each side of that box."""
+TURN_LEVELS = 1 << 7
+"""Values of each of the three smaller components of a quaternion."""
+SIZE_STEP = 0.06
+"""Of the logarithm of a standard deviation: sizes are within 3 % of what they were."""
+COLOR_STEP = 1 / 64
+"""Of the constant colour, along each of `COLOR_AXES`."""
+COLOR_AXES = np.array(
+    [
+        [3**-0.5, 3**-0.5, 3**-0.5],
+        [2**-0.5, 0, -(2**-0.5)],
+        [6**-0.5, -2 * 6**-0.5, 6**-0.5],
+    ]
+)
+"""[3, 3], orthonormal rows: grey and two differences, in which colours vary least dependently."""
+FAINTEST = 1 / 255
+"""Splats of less opacity are never drawn."""
+_CURVE_BITS = 16
+_STEPS = 0.004 * 1.15 ** np.arange(64)
+"""Steps of the higher harmonics to choose from; with the last, next to nothing is left of them."""
+_SAMPLE = 256
+"""Blocks that the choice looks at first."""
+_MOST = 127
+"""Largest whole number of a higher coefficient."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Packed:
+    """Splats as the page holds them."""
+
+    head: dict[str, Any]
+    """What the numbers mean, as JSON; docs/view.md lists the keys."""
+    body: bytes
+    """The numbers, deflated."""
+
+    @property
+    def text_bytes(self) -> int:
+        """Letters of the body in the page."""
+        return ascii85.length(len(self.body))
+
+
+def pack(splats: Splats, *, budget: float = PAGE_BYTES) -> Packed:
+    """Quantise and deflate; splats that are never drawn, or have numbers that are not finite, are
+    left out, and the others come in another order.
+
+    Args:
+        splats: What to pack.
+        budget: Letters a splat that the text of all of them may take. Below about a thousand
+            splats, what they share can need more.
+    """
+    kept = _in_order(splats.subset(_drawn(splats)))
+    count = len(kept)
+    rest = _rest_along_axes(kept)
+    head: dict[str, Any] = {
+        "count": count,
+        "degree": kept.sh_degree,
+        "block": BLOCK,
+        "places": PLACE_LEVELS,
+        "turns": TURN_LEVELS,
+        "size_low": float(kept.scales.min(initial=0.0)),
+        "size_step": SIZE_STEP,
+        "color_step": COLOR_STEP,
+        "color_axes": COLOR_AXES.tolist(),
+    }
+    first = _geometry(kept) + _opacity_and_color(kept)
+    room = budget * count / ascii85.length(4) * 4
+    step = _step_that_fits(rest, room - len(_deflated(first)))
+    while True:
+        body = _deflated(first + _whole(rest, step).T.tobytes())
+        if len(body) <= room or step >= _STEPS[-1]:
+            return Packed(head=head | {"rest_step": step}, body=body)
+        step *= 1.05
+
+
+def unpack(packed: Packed) -> Splats:
+    """The splats that a page shows: what its script makes of the same bytes."""
+    head, reader = packed.head, _Reader(zlib.decompress(packed.body))
+    count, block = head["count"], head["block"]
+    boxes = reader.take(-(-count // block) * 6, "<f4").reshape(-1, 2, 3)
+    places = reader.wide(3, count).astype(np.float32) / (head["places"] - 1)
+    low, high = np.repeat(boxes, block, axis=0)[:count].transpose(1, 0, 2)
+    largest, three = reader.narrow(1, count)[:, 0], reader.narrow(3, count)
+    sizes = reader.wide(3, count) * head["size_step"] + head["size_low"]
+    alpha = reader.narrow(1, count)[:, 0] / 255.0
+    axes = np.array(head["color_axes"])
+    color = reader.wide(3, count).view(np.int16) * head["color_step"] @ axes
+    coefficients = (head["degree"] + 1) ** 2 - 1
+    whole = reader.narrow(3 * coefficients, count).view(np.int8)
+    rest = whole.reshape(count, coefficients, 3) * head["rest_step"] @ axes
+    alpha = np.minimum(alpha, 1 - 1e-6)
+    return Splats(
+        means=(low + places * (high - low)).astype(np.float32),
+        quats=_quats(largest, three, head["turns"]),
+        scales=sizes.astype(np.float32),
+        opacities=np.log(alpha / (1 - alpha)).astype(np.float32),
+        sh0=rgb_to_sh0(color).astype(np.float32)[:, None],
+        shN=rest.astype(np.float32),
+    )
+
+
+class _Reader:
+    """Takes numbers from the front of bytes."""
+
+    def __init__(self, content: bytes) -> None:
+        self._content, self._at = content, 0
+
+    def take(self, count: int, dtype: str) -> np.ndarray:
+        found = np.frombuffer(self._content, dtype, count, self._at)
+        self._at += found.nbytes
+        return found
+
+    def narrow(self, columns: int, count: int) -> np.ndarray:
+        """[count, columns] uint8."""
+        return np.ascontiguousarray(self.take(columns * count, "u1").reshape(columns, count).T)
+
+    def wide(self, columns: int, count: int) -> np.ndarray:
+        """[count, columns] uint16."""
+        low, high = (self.narrow(columns, count).astype(np.uint16) for _ in range(2))
+        return low | high << 8
+
+
+def _deflated(content: bytes) -> bytes:
+    """As deflate packs it that looks for repeated bytes alone: among such numbers nothing else does
+    repeat, and it is a hundred times as fast."""
+    packer = zlib.compressobj(9, zlib.DEFLATED, 15, 9, zlib.Z_RLE)
+    return packer.compress(content) + packer.flush()
+
+
+def _drawn(splats: Splats) -> np.ndarray:
+    """[N] bool: which can ever be seen."""
+    good = np.ones(len(splats), bool)
+    for name in PARAMETERS:
+        numbers = getattr(splats, name)
+        good &= np.isfinite(numbers).all(axis=tuple(range(1, numbers.ndim)))
+    good &= np.abs(splats.quats).max(axis=1) > 1e-18
+    return good & (_sigmoid(splats.opacities) >= FAINTEST)
+
+
+def _sigmoid(logits: np.ndarray) -> np.ndarray:
+    return 1 / (1 + np.exp(-np.clip(logits.astype(np.float64), -60, 60)))
+
+
+def _in_order(splats: Splats) -> Splats:
+    """Along a Morton curve, so that neighbours in a file are neighbours in space."""
+    if not len(splats):
+        return splats
+    # Ranks instead of coordinates: a few splats far away take no bits from the others.
+    ranks = splats.means.argsort(axis=0, kind="stable").argsort(axis=0, kind="stable")
+    cells = (ranks * ((1 << _CURVE_BITS) / len(splats))).astype(np.uint64)
+    code = np.zeros(len(splats), np.uint64)
+    for bit in range(_CURVE_BITS):
+        for axis in range(3):
+            code |= (cells[:, axis] >> np.uint64(bit) & np.uint64(1)) << np.uint64(3 * bit + axis)
+    return splats.subset(code.argsort(kind="stable"))
+
+
+def _geometry(splats: Splats) -> bytes:
+    """Boxes of the blocks, places in them, turns and sizes."""
+    count = len(splats)
+    starts = np.arange(0, count, BLOCK)
+    low = np.minimum.reduceat(splats.means, starts) if count else splats.means
+    high = np.maximum.reduceat(splats.means, starts) if count else low
+    boxes = np.stack([low, high], axis=1, dtype="<f4")
+    of_each = np.arange(count) // BLOCK
+    side = np.maximum(high - low, np.float32(1e-30))[of_each].astype(np.float64)
+    places = _rounded((splats.means - low[of_each]) / side * (PLACE_LEVELS - 1), PLACE_LEVELS - 1)
+    largest, three = _three_of(splats.quats)
+    sizes = _rounded((splats.scales - splats.scales.min(initial=0.0)) / SIZE_STEP, 0xFFFF)
+    turns = largest.astype(np.uint8).tobytes() + three.T.tobytes()
+    return boxes.tobytes() + _bytes_of(places) + turns + _bytes_of(sizes)
+
+
+def _opacity_and_color(splats: Splats) -> bytes:
+    alpha = np.round(_sigmoid(splats.opacities) * 255).astype(np.uint8)
+    color = sh0_to_rgb(splats.sh0[:, 0].astype(np.float64)) @ COLOR_AXES.T
+    whole = np.clip(np.round(color / COLOR_STEP), -0x8000, 0x7FFF).astype(np.int16)
+    return alpha.tobytes() + _bytes_of(whole.view(np.uint16))
+
+
+def _rounded(values: np.ndarray, most: int) -> np.ndarray:
+    return np.clip(np.round(values), 0, most).astype(np.uint16)
+
+
+def _bytes_of(whole: np.ndarray) -> bytes:
+    """Columns of [N, C] uint16, one behind the other: all low bytes, then all high ones."""
+    return (whole & 0xFF).astype(np.uint8).T.tobytes() + (whole >> 8).astype(np.uint8).T.tobytes()
+
+
+def _three_of(quats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """[N] which component is largest, which is made positive, and [N, 3] uint8 the others."""
+    scaled = quats / np.abs(quats).max(axis=1, keepdims=True, initial=1e-18)
+    unit = scaled / np.linalg.norm(scaled, axis=1, keepdims=True)
+    largest = np.abs(unit).argmax(axis=1)
+    unit *= np.where(np.take_along_axis(unit, largest[:, None], axis=1) < 0, -1, 1)
+    three = np.take_along_axis(unit, _OTHERS[largest], axis=1)
+    whole = np.round((three * 2**0.5 * 0.5 + 0.5) * (TURN_LEVELS - 1))
+    return largest, np.clip(whole, 0, TURN_LEVELS - 1).astype(np.uint8)
+
+
+def _quats(largest: np.ndarray, three: np.ndarray, levels: int) -> np.ndarray:
+    """[N, 4] float32 unit quaternions of what `_three_of` made of them."""
+    parts = (three / (levels - 1) - 0.5) * 2**0.5
+    quats = np.empty((len(three), 4), np.float32)
+    np.put_along_axis(quats, _OTHERS[largest], parts.astype(np.float32), axis=1)
+    rest = np.sqrt(np.maximum(1 - (parts**2).sum(axis=1, keepdims=True), 0))
+    np.put_along_axis(quats, largest[:, None].astype(np.int64), rest.astype(np.float32), axis=1)
+    return quats
+
+
+_OTHERS = np.array([[j for j in range(4) if j != i] for i in range(4)])
+"""Of a quaternion: the components besides one."""
+
+
+def _rest_along_axes(splats: Splats) -> np.ndarray:
+    """[N, 3 (K - 1)] higher coefficients along `COLOR_AXES`."""
+    turned = splats.shN @ COLOR_AXES.T.astype(np.float32)
+    return turned.reshape(len(splats), 3 * splats.shN.shape[1])
+
+
+def _whole(rest: np.ndarray, step: float) -> np.ndarray:
+    return np.clip(np.round(rest / np.float32(step)), -_MOST, _MOST).astype(np.int8)
+
+
+def _step_that_fits(rest: np.ndarray, room: float) -> float:
+    """The first step at which some of the blocks, taken for all, fit into their share of `room`."""
+    if not rest.size:
+        return float(_STEPS[0])
+    blocks = np.arange(0, len(rest), BLOCK)
+    chosen = blocks[:: max(1, len(blocks) // _SAMPLE)]
+    rows = np.concatenate([rest[at : at + BLOCK] for at in chosen])
+    share = max(room, 0.0) * len(rows) / len(rest)
+    low, high = 0, len(_STEPS) - 1
+    while low < high:
+        middle = (low + high) // 2
+        if len(_deflated(_whole(rows, _STEPS[middle]).T.tobytes())) <= share:
+            high = middle
+        else:
+            low = middle + 1
+    return float(_STEPS[low])

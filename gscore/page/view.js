@@ -1,0 +1,265 @@
+// The viewer: what is shown, when it is sorted and drawn, and what the buttons do.
+
+const MOST_PIXELS = 4e6;
+const SLOW = 34; // ms a frame: below 30 a second, pictures in motion get smaller
+const FAST = 18;
+const COARSEST = 0.35;
+const REST = 150; // ms without motion, after which the picture is drawn at its full size
+const PACE = 0.6; // of the distance to the focus that keys move in a second
+
+const SENTENCES = {
+  webgl2:
+    "This browser shows no WebGL 2, which the page draws with. Switch on hardware acceleration in its settings, or open the page in a newer Firefox, Chrome, Edge or Safari.",
+  inflate:
+    "This browser cannot unpack the splats. Open the page in Firefox 113, Chrome 80, Safari 16.4 or newer.",
+  lost: "The graphics card has dropped the picture. It comes back by itself in most cases; if it does not, load the page again.",
+};
+
+const $ = (id) => document.getElementById(id);
+
+class Viewer {
+  constructor(scene, canvas, splats) {
+    this.scene = scene;
+    this.canvas = canvas;
+    this.splats = splats;
+    this.painter = new Painter(canvas, scene, splats);
+    this.eye = new Eye(scene.up);
+    this.camera = scene.first;
+    this.at = -1; // the camera that is chosen
+    this.flies = false;
+    this.scale = 1; // of a picture in motion
+    this.moved = -Infinity;
+    this.version = 0; // of the view
+    this.sorted = -1; // the version whose order is drawn
+    this.waiting = []; // for a picture in its right order
+    this.startSorter();
+    new ResizeObserver(() => this.wake()).observe(canvas);
+    this.home();
+  }
+
+  startSorter() {
+    const url = URL.createObjectURL(new Blob([$("sorter").textContent], { type: "text/javascript" }));
+    this.sorter = new Worker(url);
+    URL.revokeObjectURL(url);
+    this.sorter.postMessage({ means: this.splats.means });
+    this.sorting = false;
+    this.sorter.onmessage = ({ data }) => {
+      this.sorting = false;
+      this.sortMs = data.ms;
+      this.painter.setOrder(data.order);
+      this.sorted = data.number;
+      this.wake();
+    };
+  }
+
+  // Something else is to be seen from now on.
+  change() {
+    this.version++;
+    this.moved = performance.now();
+    this.wake();
+  }
+
+  wake() {
+    if (this.awake) return;
+    this.awake = true;
+    requestAnimationFrame((now) => this.frame(now));
+  }
+
+  frame(now) {
+    this.awake = false;
+    if (!this.sorting && this.sorted !== this.version) {
+      this.sorting = true;
+      const { position, forward } = this.eye;
+      this.sorter.postMessage({ position, forward, near: this.scene.near, number: this.version });
+    }
+    const moves = now - this.moved < REST;
+    this.pace(now, moves);
+    this.resize(moves ? this.scale : 1);
+    if (this.sorted >= 0) this.painter.draw(this.eye, fitted(this.camera, this.canvas));
+    if (moves) this.wake();
+    else if (this.sorted === this.version) this.waiting.splice(0).forEach((done) => done());
+  }
+
+  // Smaller pictures in motion where frames take long, larger ones where they do not.
+  pace(now, moves) {
+    const took = now - (this.last ?? now);
+    this.last = moves ? now : null;
+    if (took > SLOW && took < 1000) this.scale = Math.max(COARSEST, this.scale * 0.93);
+    else if (took && took < FAST) this.scale = Math.min(1, this.scale * 1.02);
+  }
+
+  resize(scale) {
+    const { clientWidth, clientHeight } = this.canvas;
+    const pixels = clientWidth * clientHeight || 1;
+    const dense = Math.min(window.devicePixelRatio || 1, Math.sqrt(MOST_PIXELS / pixels)) * scale;
+    const size = [clientWidth, clientHeight].map((side) => Math.max(1, Math.round(side * dense)));
+    if (this.canvas.width !== size[0]) this.canvas.width = size[0];
+    if (this.canvas.height !== size[1]) this.canvas.height = size[1];
+  }
+
+  // Resolves when the picture at rest is drawn in its right order.
+  settled() {
+    this.wake();
+    return new Promise((done) => this.waiting.push(done));
+  }
+
+  drag(yaw, pitch) {
+    if (this.flies) this.eye.look(yaw, pitch);
+    else this.eye.orbit(-yaw, -pitch);
+    this.change();
+  }
+
+  shift(dx, dy) {
+    const wide = (this.eye.distance * this.camera.height) / this.camera.fy;
+    this.eye.move(-dx * wide, -dy * wide, 0);
+    this.change();
+  }
+
+  approach(factor) {
+    if (this.flies) this.eye.move(0, 0, (1 - factor) * this.eye.distance);
+    else this.eye.approach(factor);
+    this.change();
+  }
+
+  walk(way) {
+    if (!way.some(Boolean)) return;
+    this.eye.move(...scaled(way, PACE * this.eye.distance));
+    this.change();
+  }
+
+  // Turn about the nearest solid splat close to a place of the canvas, given from 0 to 1.
+  focusOn(x, y) {
+    const { means, opacity, count } = this.splats;
+    const lens = fitted(this.camera, this.canvas);
+    const [right, down, forward] = this.eye.rotation;
+    const [px, py] = [x * this.canvas.width, y * this.canvas.height];
+    const close = 0.012 * this.canvas.height;
+    let nearest = Infinity;
+    for (let i = 0; i < count; i++) {
+      if (opacity[i] < 100) continue;
+      const away = plus([means[3 * i], means[3 * i + 1], means[3 * i + 2]], this.eye.position, -1);
+      const z = dot(away, forward);
+      if (z <= this.scene.near || z >= nearest) continue;
+      const u = (lens.fx * dot(away, right)) / z + lens.cx - px;
+      const v = (lens.fy * dot(away, down)) / z + lens.cy - py;
+      if (Math.hypot(u, v) < close) nearest = z;
+    }
+    if (nearest === Infinity) return;
+    const ray = [(px - lens.cx) / lens.fx, (py - lens.cy) / lens.fy, 1];
+    this.eye.focus = ray.reduce((sum, part, k) => plus(sum, this.eye.rotation[k], part * nearest), this.eye.position);
+  }
+
+  // From a camera of the capture, or from the first view where there is none of that number.
+  show(number) {
+    const { cameras } = this.scene;
+    this.at = cameras[number] ? number : -1;
+    this.camera = cameras[number] || this.scene.first;
+    this.eye.take(this.camera, this.scene.focus);
+    $("cameras").value = String(this.at);
+    this.showPhoto();
+    this.change();
+  }
+
+  step(by) {
+    const { length } = this.scene.cameras;
+    if (length) this.show(this.at < 0 ? (by > 0 ? 0 : length - 1) : (this.at + by + length) % length);
+  }
+
+  home() {
+    this.show(this.scene.first.number ?? -1);
+  }
+
+  get photos() {
+    return $("photo").getAttribute("aria-pressed") === "true";
+  }
+
+  togglePhoto() {
+    if (!this.scene.cameras.some((camera) => camera.photo)) return;
+    $("photo").setAttribute("aria-pressed", String(!this.photos));
+    this.showPhoto();
+  }
+
+  showPhoto() {
+    const figure = document.querySelector("figure");
+    const { photo, name } = this.camera;
+    figure.hidden = !this.photos;
+    figure.classList.toggle("none", !photo);
+    if (photo) Object.assign(figure.firstElementChild, { src: photo, alt: `Photo ${name}` });
+    this.wake();
+  }
+
+  toggleFly() {
+    this.flies = !this.flies;
+    $("fly").setAttribute("aria-pressed", String(this.flies));
+  }
+
+  toggleHelp(open = $("words").hidden) {
+    $("words").hidden = !open;
+    $("help").setAttribute("aria-pressed", String(open));
+  }
+}
+
+function say(sentence) {
+  $("message").textContent = sentence;
+}
+
+function fillCameras(scene, viewer) {
+  const { cameras } = scene;
+  $("steps").hidden = !cameras.length;
+  $("photo").hidden = !cameras.some((camera) => camera.photo);
+  if (!scene.cameras[scene.first.number]) $("cameras").append(new Option("first view", "-1"));
+  cameras.forEach((camera, i) => $("cameras").append(new Option(camera.label, String(i))));
+  $("cameras").value = String(viewer.at);
+  $("cameras").addEventListener("change", (event) => {
+    viewer.show(Number(event.target.value));
+    viewer.canvas.focus();
+  });
+}
+
+function connect(viewer, scene) {
+  const { canvas } = viewer;
+  fillCameras(scene, viewer);
+  const clicks = {
+    before: () => viewer.step(-1),
+    after: () => viewer.step(1),
+    photo: () => viewer.togglePhoto(),
+    fly: () => viewer.toggleFly(),
+    home: () => viewer.home(),
+    help: () => viewer.toggleHelp(),
+  };
+  for (const [id, act] of Object.entries(clicks)) $(id).addEventListener("click", act);
+  $("facts").textContent = scene.facts;
+  followPointers(canvas, viewer);
+  followKeys(viewer);
+  canvas.addEventListener("webglcontextlost", (event) => {
+    event.preventDefault();
+    say(SENTENCES.lost);
+  });
+  canvas.addEventListener("webglcontextrestored", () => {
+    viewer.painter.setUp();
+    viewer.version++;
+    viewer.wake();
+    say("");
+  });
+}
+
+async function begin() {
+  const canvas = document.querySelector("canvas");
+  const scene = JSON.parse($("scene").textContent);
+  if (!document.createElement("canvas").getContext("webgl2")) return say(SENTENCES.webgl2);
+  if (!window.DecompressionStream) return say(SENTENCES.inflate);
+  try {
+    const splats = await unpack(scene.splats, $("splats").textContent);
+    $("splats").remove();
+    const viewer = new Viewer(scene, canvas, splats);
+    connect(viewer, scene);
+    await viewer.settled();
+    say("");
+    window.viewer = viewer; // for consoles and tests
+  } catch (error) {
+    say(`The splats cannot be shown here: ${error.message}. Load the page again, or open it in another browser.`);
+    throw error;
+  }
+}
+
+begin();

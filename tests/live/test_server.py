@@ -1,0 +1,301 @@
+"""The server by itself, with pictures of one colour; oracle: the protocol, and what survives."""
+
+import json
+import random
+import socket
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from gscore.errors import ConfigError
+from gscore.live import onlookers, protocol, server
+from gscore.live_options import LiveOptions
+from tests.live.client import Client, free_port, wish
+
+K = np.array([[50.0, 0, 20], [0, 60, 15], [0, 0, 1]])
+POSE = np.array([[0.0, 0, 1, 4], [1, 0, 0, 5], [0, 1, 0, 6], [0, 0, 0, 1]])
+
+
+class Training:
+    """Steps that do nothing, between which those who watch are answered."""
+
+    def __init__(self, *, pause: float = 0.002) -> None:
+        self.port = free_port()
+        self.server = server.Server(LiveOptions(port=self.port), text="/über/capture")
+        self.seen: list[protocol.Wish] = []
+        self.over = threading.Event()
+        self._pause = pause
+
+    def __enter__(self):
+        self.server.__enter__()
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_):
+        self.over.set()
+        self._thread.join()
+        self.server.__exit__()
+
+    def _run(self):
+        while not self.over.is_set():
+            self.server.onlookers.answer(self._draw)
+            time.sleep(self._pause)
+
+    def _draw(self, request):
+        self.seen.append(request)
+        return bytes([7, 8, 9]) * (request.width * request.height)
+
+
+@pytest.fixture
+def training(monkeypatch):
+    monkeypatch.setattr(server, "PATIENCE", 0.5)
+    with Training() as one:
+        yield one
+
+
+def test_a_viewer_gets_what_it_asks_for(training):
+    """Oracle: the camera that the client made its request of."""
+    with Client(training.port) as client:
+        picture, text = client.look(wish(POSE, K, 40, 30, scaling_modifier=0.5))
+        assert picture.shape == (30, 40, 3) and (picture == (7, 8, 9)).all()
+        assert text == "/über/capture"
+        (seen,) = training.seen
+        assert seen.viewmat == pytest.approx(POSE) and pytest.approx(K) == seen.K
+        assert seen.scaling == 0.5 and seen.trains and not seen.stays
+        picture, text = client.look({"resolution_x": 0, "resolution_y": 0})
+        assert picture.size == 0 and text == "/über/capture" and len(training.seen) == 1
+
+
+def test_several_viewers_at_once_and_after_each_other(training):
+    """Oracle: each gets pictures of its own size, again and again."""
+    with Client(training.port) as one, Client(training.port) as two:
+        for _ in range(5):
+            a, b = wish(POSE, K, 8, 6), wish(POSE, K, 10, 4)
+            one.send(a)
+            two.send(b)
+            assert two.receive(b)[0].shape == (4, 10, 3)
+            assert one.receive(a)[0].shape == (6, 8, 3)
+    for _ in range(2 * server.MOST_VIEWERS):
+        with Client(training.port) as client:
+            assert client.look(wish(POSE, K, 8, 6))[0].shape == (6, 8, 3)
+            time.sleep(0.01)
+
+
+def test_one_more_than_there_may_be_is_let_go(training):
+    """Oracle: the number; a place that gets free is given again."""
+    clients = [Client(training.port) for _ in range(server.MOST_VIEWERS)]
+    for client in clients:
+        client.look(wish(POSE, K, 4, 4))
+    with Client(training.port) as late:
+        assert late.is_dropped()
+    clients.pop().socket.close()
+    time.sleep(0.2)
+    with Client(training.port) as client:
+        assert client.look(wish(POSE, K, 4, 4))[0].shape == (4, 4, 3)
+    for client in clients:
+        client.socket.close()
+
+
+GOOD = wish(POSE, K, 40, 30)
+SKEWED = [2 * value for value in GOOD["view_matrix"]]
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"resolution_x": -5},
+        {"resolution_x": 10**9},
+        {"resolution_x": 8000, "resolution_y": 8000},
+        {"resolution_x": 40.5},
+        {"resolution_x": "40"},
+        {"resolution_x": True},
+        {"fov_x": 0.0},
+        {"fov_x": 3.2},
+        {"fov_y": float("nan")},
+        {"fov_y": None},
+        {"scaling_modifier": 1e9},
+        {"scaling_modifier": float("inf")},
+        {"view_matrix": GOOD["view_matrix"][:15]},
+        {"view_matrix": ["1"] * 16},
+        {"view_matrix": [float("nan")] * 16},
+        {"view_matrix": [1e300] * 16},
+        {"view_matrix": SKEWED},
+        {"view_matrix": [0.0] * 16},
+        {"view_matrix": {}},
+        {"train": "yes"},
+    ],
+)
+def test_what_no_camera_shows_is_refused(changes):
+    """Oracle: ValueError, and nothing else; the request without the change is good."""
+    assert protocol.parse(json.dumps(GOOD).encode()).width == 40
+    with pytest.raises(ValueError, match=r"\S"):
+        protocol.parse(json.dumps(GOOD | changes).encode())
+
+
+@pytest.mark.parametrize(
+    "raw",
+    [
+        b"GET / HTTP/1.1\r\n\r\n",
+        b"\x00\x00\x00\x00",
+        b"\xff\xff\xff\xff",
+        b"\x05\x00\x00\x00{}{}{",
+        b"\x02\x00\x00\x00[]",
+        b"\x04\x00\x00\x00\xff\xfe\xfd\xfc",
+        (20_000).to_bytes(4, "little") + b"[" * 20_000,
+        (40).to_bytes(4, "little") + b'{"resolution_x": 99999999999999999999999}',
+    ],
+)
+def test_garbage_is_let_go(training, raw):
+    """Oracle: the connection ends; another viewer is answered as before."""
+    with Client(training.port) as bad, Client(training.port) as good:
+        bad.socket.sendall(raw)
+        assert bad.is_dropped()
+        assert good.look(wish(POSE, K, 4, 4))[0].shape == (4, 4, 3)
+
+
+def test_random_bytes_end_no_thread(training):
+    """Oracle: 300 random messages, half of them good ones with changed bytes; then a good one."""
+    chance = random.Random(5)
+    text = json.dumps(GOOD).encode()
+    for _ in range(300):
+        raw = bytearray(text)
+        for _ in range(chance.randrange(1, 8)):
+            raw[chance.randrange(len(raw))] = chance.randrange(256)
+        try:
+            protocol.parse(bytes(raw if chance.random() < 0.5 else chance.randbytes(50)))
+        except ValueError:
+            continue
+    with Client(training.port) as client:
+        assert client.look(wish(POSE, K, 4, 4))[0].shape == (4, 4, 3)
+
+
+@pytest.mark.parametrize("slowly", [False, True])
+def test_half_a_message_is_waited_for_only_so_long(training, slowly):
+    """Oracle: the patience, for all of a message, however many pieces it comes in."""
+    text = json.dumps(GOOD).encode()
+    raw = len(text).to_bytes(4, "little") + text
+    began = time.monotonic()
+    with Client(training.port) as half, Client(training.port) as good:
+        half.socket.sendall(raw[:3])
+        for at in range(3, 40) if slowly else ():
+            time.sleep(0.05)
+            try:
+                half.socket.sendall(raw[at : at + 1])
+            except ConnectionError:
+                break
+        assert good.look(wish(POSE, K, 4, 4))[0].shape == (4, 4, 3)
+        assert half.is_dropped() and time.monotonic() - began < 5
+
+
+def test_a_slow_reader_holds_nobody_up(training):
+    """Oracle: it asks for large pictures and reads none; others are answered, and it is let go."""
+    large = wish(POSE, K, 3000, 2500)
+    with Client(training.port) as slow, Client(training.port) as good:
+        slow.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        slow.send(large)
+        began = time.monotonic()
+        for _ in range(5):
+            assert good.look(wish(POSE, K, 4, 4))[0].shape == (4, 4, 3)
+        assert time.monotonic() - began < 5
+        time.sleep(1.0)
+        with pytest.raises(ConnectionError):
+            slow.receive(large)
+
+
+def test_viewers_that_vanish_leave_no_threads(training):
+    """Oracle: the threads of this process."""
+    before = threading.active_count()
+    for at in (0, 2, 10, 10_000):
+        with Client(training.port) as client:
+            text = json.dumps(GOOD).encode()
+            client.socket.sendall((len(text).to_bytes(4, "little") + text)[:at])
+    end = time.monotonic() + 5
+    while threading.active_count() > before and time.monotonic() < end:
+        time.sleep(0.05)
+    assert threading.active_count() == before
+    assert not training.server.onlookers.hold
+
+
+def test_a_viewer_that_falls_silent_holds_nothing(training, monkeypatch):
+    """Oracle: the time for which a request holds; one that trains holds nothing."""
+    monkeypatch.setattr(onlookers, "HOLD", 0.5)
+    with Client(training.port) as client:
+        client.look({"resolution_x": 0, "resolution_y": 0, "train": 0})
+        assert training.server.onlookers.hold
+        client.look({"resolution_x": 0, "resolution_y": 0, "train": 1})
+        assert not training.server.onlookers.hold
+        client.look({"resolution_x": 0, "resolution_y": 0, "train": 0})
+        time.sleep(0.6)
+        assert not training.server.onlookers.hold
+
+
+def test_who_asks_when_it_is_over_does_not_wait():
+    """Oracle: None, at once."""
+    crowd = onlookers.Onlookers()
+    one = crowd.enter(1)
+    assert one is not None and crowd.enter(1) is None
+    crowd.close()
+    assert one.ask(protocol.parse(json.dumps(GOOD).encode())) is None
+    assert crowd.enter(5) is None
+
+
+def test_drawing_takes_half_of_the_time_at_most():
+    """Oracle: a slow picture and a client that never rests; the steps that are done meanwhile."""
+    port = free_port()
+    with server.Server(LiveOptions(port=port)) as one, Client(port) as client:
+        over = threading.Event()
+
+        def ask() -> None:
+            while not over.is_set():
+                try:
+                    client.look(wish(POSE, K, 4, 4))
+                except (OSError, ValueError):
+                    return
+
+        thread = threading.Thread(target=ask)
+        thread.start()
+        drawing, steps, began = 0.0, 0, time.monotonic()
+
+        def draw(request: protocol.Wish) -> bytes:
+            nonlocal drawing
+            start = time.monotonic()
+            time.sleep(0.05)
+            drawing += time.monotonic() - start
+            return bytes(48)
+
+        while time.monotonic() - began < 1.5:
+            one.onlookers.answer(draw)
+            time.sleep(0.002)
+            steps += 1
+        passed = time.monotonic() - began
+        over.set()
+        one.onlookers.close()
+        client.socket.close()
+        thread.join()
+    assert 0.1 < drawing < 0.55 * passed and steps > 50
+
+
+def test_ports_that_are_taken_are_told():
+    """Oracle: a second server at the port of the first; one after it may have it again."""
+    port = free_port()
+    with server.Server(LiveOptions(port=port)), pytest.raises(ConfigError, match=r"choose another"):
+        server.Server(LiveOptions(port=port))
+    with server.Server(LiveOptions(port=port)):
+        pass
+
+
+@pytest.mark.parametrize("ip", ["example.org", "", "1.2.3", "203.0.113.7", "\ud800"])
+def test_addresses_that_cannot_be_are_told(ip):
+    """Oracle: one sentence; no name is looked up. The fourth is nobody's (RFC 5737)."""
+    with pytest.raises(ConfigError, match=r"ip must be an address|cannot connect to"):
+        server.Server(LiveOptions(port=free_port(), ip=ip))
+
+
+def test_it_listens_at_one_address_alone():
+    """Oracle: the socket's own name."""
+    one = server.Server(LiveOptions(port=free_port()))
+    with one:
+        assert one._socket.getsockname()[0] == "127.0.0.1"
