@@ -32,6 +32,7 @@ BOTTOM = {
     "events",
     "extras",
     "hold_out",
+    "logged",
     "sh",
     "transforms",
     "words",
@@ -39,15 +40,17 @@ BOTTOM = {
 ALLOWED = {
     **dict.fromkeys(BOTTOM, BOTTOM),
     "io": BOTTOM | {"io"},
+    "formats": BOTTOM | {"io", "formats"},
     "datasets": BOTTOM | {"io", "datasets"},
     "video": BOTTOM | {"io", "video"},
     "sfm": BOTTOM | {"io", "datasets", "video", "sfm"},
     "depth": BOTTOM | {"io", "datasets", "depth"},
     "inspection": BOTTOM | {"io", "datasets", "video", "sfm", "depth", "inspection"},
-    "raster": BOTTOM | {"io", "raster"},
+    "raster": BOTTOM | {"io", "formats", "raster"},
     "stereo": BOTTOM | {"io", "datasets", "depth", "raster", "stereo"},
     "metrics": BOTTOM | {"io", "datasets", "depth", "raster", "metrics"},
-    "trainer": BOTTOM | {"io", "datasets", "depth", "raster", "stereo", "metrics", "trainer"},
+    "trainer": BOTTOM
+    | {"io", "formats", "datasets", "depth", "raster", "stereo", "metrics", "trainer"},
     "stress": BOTTOM
     | {"io", "datasets", "depth", "raster", "stereo", "metrics", "trainer", "stress"},
     "bench": BOTTOM

@@ -12,6 +12,7 @@ from ..errors import FormatError
 from ..sh import rgb_to_sh0
 from ..words import count_words
 from .ply_elements import columns
+from .splat_rows import LOGIT_OF_BYTE
 
 CHUNK = 256
 """Splats a chunk."""
@@ -59,13 +60,11 @@ def decompress(path: Path, elements: dict[str, np.ndarray]) -> dict[str, np.ndar
     rgb = np.stack([_unorm(packed[3], shift, 8) for shift in (24, 16, 8)], axis=1)
     if has_colors:
         rgb = _lerp(chunk, "{}_{}", "rgb", of, rgb)
-    # A byte of 0 or 255 stands for the half step next to it: a logit has to stay finite.
-    alpha = np.clip(_unorm(packed[3], 0, 8), 0.25 / 255, 1 - 0.25 / 255)
     return {
         "means": _lerp(chunk, "{}_{}", "xyz", of, _unpack_11_10_11(packed[0])),
         "quats": _unpack_rotation(packed[1]),
         "scales": _lerp(chunk, "{}_scale_{}", "xyz", of, _unpack_11_10_11(packed[2])),
-        "opacities": np.log(alpha / (1 - alpha)).astype(np.float32),
+        "opacities": LOGIT_OF_BYTE[packed[3] & np.uint32(255)],
         "sh0": rgb_to_sh0(rgb).astype(np.float32),
         "rest": _unpack_rest(path, elements.get("sh"), count),
     }

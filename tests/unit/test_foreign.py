@@ -28,16 +28,16 @@ def _zip(*names: str) -> bytes:
 
 _METASHAPE = b'<?xml version="1.0"?>\n<document version="2.0.0">\n<chunk label="1">\n<cameras/>'
 FILES = {
-    "spz": (gzip.compress(b"NGSP" + bytes(60)), "SPZ", "SuperSplat"),
-    "spz 4": (b"NGSP" + bytes(60), "SPZ", "SuperSplat"),
-    "splat": (bytes(64), "antimatter15", "SuperSplat"),
-    "ksplat": (bytes(4096), "mkkellogg", "SuperSplat"),
-    "sog": (_zip("means_l.webp", "sh0.webp", "meta.json"), "SOG", "SuperSplat"),
-    "gltf": (json.dumps({"asset": {"version": "2.0"}}).encode(), "glTF", "SuperSplat"),
-    "glb": (b"glTF\2\0\0\0" + bytes(20), "glTF", "SuperSplat"),
-    "usda": (b"#usda 1.0\n", "USD", "SuperSplat"),
-    "usdc": (b"PXR-USDC" + bytes(80), "USD", "SuperSplat"),
-    "usdz": (_zip("scene.usdc"), "USD", "SuperSplat"),
+    "spz": (gzip.compress(b"NGSP" + bytes(60)), "SPZ", "gscore info"),
+    "spz 4": (b"NGSP" + bytes(60), "SPZ", "gscore info"),
+    "splat": (bytes(64), "antimatter15", "gscore info"),
+    "ksplat": (bytes(4096), "mkkellogg", "gscore info"),
+    "sog": (_zip("means_l.webp", "sh0.webp", "meta.json"), "SOG", "gscore info"),
+    "gltf": (json.dumps({"asset": {"version": "2.0"}}).encode(), "glTF", "gscore info"),
+    "glb": (b"glTF\2\0\0\0" + bytes(20), "glTF", "gscore info"),
+    "usda": (b"#usda 1.0\n", "USD", "gscore info"),
+    "usdc": (b"PXR-USDC" + bytes(80), "USD", "gscore info"),
+    "usdz": (_zip("scene.usdc"), "USD", "gscore info"),
     "mp4": (b"\0\0\0\x20ftypisom" + bytes(20), "a video", "gscore sfm"),
     "mov": (b"\0\0\0\x14ftypqt  " + bytes(20), "a video", "gscore sfm"),
     "mkv": (b"\x1a\x45\xdf\xa3" + bytes(20), "a video", "gscore sfm"),
@@ -98,7 +98,7 @@ def test_every_verb_says_so(line: str, tmp_path: Path, capsys: pytest.CaptureFix
     path.write_bytes(FILES["spz"][0])
     assert main(line.replace("{}", str(path)).split()) == 2
     err = capsys.readouterr().err
-    assert "SPZ" in err and "SuperSplat" in err and "Traceback" not in err
+    assert "SPZ" in err and "gscore info" in err and "Traceback" not in err
     assert list(tmp_path.iterdir()) == [path]
 
 

@@ -1,0 +1,71 @@
+"""Models as PLY, read and written: the official 3DGS layout and SuperSplat's compressed one."""
+
+from pathlib import Path
+
+from ..io.file_sample import FileSample
+from ..io.ply import (
+    MIP_COMMENT,
+    header_comments,
+    is_antialiased,
+    read_splats,
+    says_antialias,
+    write_splats,
+)
+from ..splats import Splats
+from .splat_file import Decoded, SplatFormat, WriteOptions
+
+
+def _is_ply(path: Path, sample: FileSample) -> bool:
+    return sample.head.removeprefix(b"\xef\xbb\xbf").startswith((b"ply\n", b"ply\r"))
+
+
+def _is_compressed(path: Path, sample: FileSample) -> bool:
+    return _is_ply(path, sample) and b" packed_position" in sample.head
+
+
+def read(path: Path) -> Decoded:
+    """Read a PLY of any dialect, as `gscore.io.ply.read_splats` does."""
+    splats, comments = read_splats(path), header_comments(path)
+    return Decoded(
+        splats=splats,
+        layout="3DGS",
+        antialiased=says_antialias(comments),
+        comments=comments,
+    )
+
+
+def _read_compressed(path: Path) -> Decoded:
+    found = read(path)
+    return Decoded(**{**vars(found), "layout": "compressed (SuperSplat)"})
+
+
+def comments_of(options: WriteOptions) -> tuple[str, ...]:
+    """Lines for the header, with the mark of the compensation."""
+    others = tuple(line for line in options.comments if not says_antialias((line,)))
+    return (MIP_COMMENT, *others) if options.antialiased else others
+
+
+def write(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
+    """Write the official layout."""
+    write_splats(path, splats, comments=comments_of(options))
+    return []
+
+
+COMPRESSED = SplatFormat(
+    key="compressed-ply",
+    name="compressed PLY of SuperSplat",
+    endings=(".compressed.ply",),
+    holds=_is_compressed,
+    read=_read_compressed,
+    write=None,
+    says_antialiased=is_antialiased,
+)
+PLY = SplatFormat(
+    key="ply",
+    name="3DGS PLY",
+    endings=(".ply",),
+    holds=_is_ply,
+    read=read,
+    write=write,
+    says_antialiased=is_antialiased,
+)
