@@ -14,10 +14,10 @@ from ..io.foreign import foreign
 from ..logged import collected_warnings
 from ..shown import shown
 from ..splats import SH_REST_BY_DEGREE, Splats
-from . import ply, splat
+from . import ply, splat, spz
 from .splat_file import SplatFile, SplatFormat, WriteOptions, WrittenFile
 
-FORMATS: tuple[SplatFormat, ...] = (ply.COMPRESSED, ply.PLY, splat.SPLAT)
+FORMATS: tuple[SplatFormat, ...] = (ply.COMPRESSED, ply.PLY, spz.SPZ, splat.SPLAT)
 """In the order in which a file is asked for them: those without a signature come last."""
 ENDINGS = tuple(ending for one in FORMATS for ending in one.endings)
 """Of names of files with splats, each with its dot."""
