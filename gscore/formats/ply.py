@@ -1,4 +1,4 @@
-"""Models as PLY, read and written: the official 3DGS layout and SuperSplat's compressed one."""
+"""Models as PLY, read in every dialect and written in the official 3DGS layout."""
 
 from pathlib import Path
 
@@ -15,12 +15,9 @@ from ..splats import Splats
 from .splat_file import Decoded, SplatFormat, WriteOptions
 
 
-def _is_ply(path: Path, sample: FileSample) -> bool:
+def is_ply(path: Path, sample: FileSample) -> bool:
+    """Whether a file begins as a PLY, after a byte order mark."""
     return sample.head.removeprefix(b"\xef\xbb\xbf").startswith((b"ply\n", b"ply\r"))
-
-
-def _is_compressed(path: Path, sample: FileSample) -> bool:
-    return _is_ply(path, sample) and b" packed_position" in sample.head
 
 
 def read(path: Path) -> Decoded:
@@ -32,11 +29,6 @@ def read(path: Path) -> Decoded:
         antialiased=says_antialias(comments),
         comments=comments,
     )
-
-
-def _read_compressed(path: Path) -> Decoded:
-    found = read(path)
-    return Decoded(**{**vars(found), "layout": "compressed (SuperSplat)"})
 
 
 def comments_of(options: WriteOptions) -> tuple[str, ...]:
@@ -51,20 +43,11 @@ def write(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
     return []
 
 
-COMPRESSED = SplatFormat(
-    key="compressed-ply",
-    name="compressed PLY of SuperSplat",
-    endings=(".compressed.ply",),
-    holds=_is_compressed,
-    read=_read_compressed,
-    write=None,
-    says_antialiased=is_antialiased,
-)
 PLY = SplatFormat(
     key="ply",
     name="3DGS PLY",
     endings=(".ply",),
-    holds=_is_ply,
+    holds=is_ply,
     read=read,
     write=write,
     says_antialiased=is_antialiased,

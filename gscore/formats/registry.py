@@ -9,15 +9,21 @@ from typing import NoReturn
 
 from ..errors import ConfigError, DatasetError, FormatError
 from ..io.file_sample import FileSample, sample_file
-from ..io.files import reason
+from ..io.files import is_file, reason
 from ..io.foreign import foreign
 from ..logged import collected_warnings
 from ..shown import shown
 from ..splats import SH_REST_BY_DEGREE, Splats
-from . import ply, splat, spz
+from . import ply, ply_compressed, sog, splat, spz
 from .splat_file import SplatFile, SplatFormat, WriteOptions, WrittenFile
 
-FORMATS: tuple[SplatFormat, ...] = (ply.COMPRESSED, ply.PLY, spz.SPZ, splat.SPLAT)
+FORMATS: tuple[SplatFormat, ...] = (
+    ply_compressed.COMPRESSED_PLY,
+    ply.PLY,
+    spz.SPZ,
+    sog.SOG,
+    splat.SPLAT,
+)
 """In the order in which a file is asked for them: those without a signature come last."""
 ENDINGS = tuple(ending for one in FORMATS for ending in one.endings)
 """Of names of files with splats, each with its dot."""
@@ -38,9 +44,10 @@ def read_splat_file(path: str | Path) -> SplatFile:
         BackendError: a package that the format needs is not installed.
     """
     path = Path(path)
-    found = _format_of(path)
+    file = _file_of(path)
+    found = _format_of(file)
     with collected_warnings() as notes:
-        decoded = found.read(path)
+        decoded = found.read(file)
     return SplatFile(
         **vars(decoded),
         path=path,
@@ -52,8 +59,8 @@ def read_splat_file(path: str | Path) -> SplatFile:
 
 def read_splats(path: str | Path) -> Splats:
     """The model of `read_splat_file` alone; what would be its notes is logged as warnings."""
-    path = Path(path)
-    return _format_of(path).read(path).splats
+    file = _file_of(Path(path))
+    return _format_of(file).read(file).splats
 
 
 def is_antialiased(path: str | Path) -> bool:
@@ -62,10 +69,10 @@ def is_antialiased(path: str | Path) -> bool:
     Raises:
         GsError: as `read_splat_file`.
     """
-    path = Path(path)
-    found = _format_of(path)
+    file = _file_of(Path(path))
+    found = _format_of(file)
     says = found.says_antialiased
-    return says(path) if says else found.read(path).antialiased
+    return says(file) if says else found.read(file).antialiased
 
 
 def write_splat_file(
@@ -154,10 +161,17 @@ def cut_degree(splats: Splats, degree: int) -> Splats:
 
 def is_splat_file(path: Path) -> bool:
     """Whether a file, or the folder of an unpacked SOG, looks like a model of splats."""
+    file = _file_of(path)
     try:
-        return _known(path, _sample(path)) is not None
+        return _known(file, _sample(file)) is not None
     except DatasetError:
         return False
+
+
+def _file_of(path: Path) -> Path:
+    """The file to begin with: of a folder its meta.json, if it has one."""
+    inside = path / sog.META
+    return inside if is_file(inside) else path
 
 
 def _format_of(path: Path) -> SplatFormat:
@@ -187,5 +201,6 @@ def _refuse(path: Path) -> NoReturn:
 
 
 def _bytes_of(path: Path) -> int:
-    files = path.rglob("*") if path.is_dir() else [path]
-    return sum(file.stat().st_size for file in files if file.is_file())
+    file = _file_of(path)
+    beside = file.parent.glob("*.webp") if file.name == sog.META else ()
+    return sum(one.stat().st_size for one in (file, *beside))
