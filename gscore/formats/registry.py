@@ -14,7 +14,7 @@ from ..io.foreign import foreign
 from ..logged import collected_warnings
 from ..shown import shown
 from ..splats import SH_REST_BY_DEGREE, Splats
-from . import ply, ply_compressed, sog, splat, spz
+from . import gltf_splats, ksplat, ply, ply_compressed, sog, splat, spz, usd
 from .splat_file import SplatFile, SplatFormat, WriteOptions, WrittenFile
 
 FORMATS: tuple[SplatFormat, ...] = (
@@ -22,6 +22,10 @@ FORMATS: tuple[SplatFormat, ...] = (
     ply.PLY,
     spz.SPZ,
     sog.SOG,
+    gltf_splats.GLTF,
+    gltf_splats.GLTF_SPZ,
+    usd.USD,
+    ksplat.KSPLAT,
     splat.SPLAT,
 )
 """In the order in which a file is asked for them: those without a signature come last."""
@@ -52,7 +56,7 @@ def read_splat_file(path: str | Path) -> SplatFile:
         **vars(decoded),
         path=path,
         format=found.key,
-        storage_bytes=_bytes_of(path),
+        storage_bytes=_bytes_of(found, file),
         notes=tuple(notes),
     )
 
@@ -126,7 +130,7 @@ def write_splat_file(
     assert found.write is not None
     notes += found.write(path, kept, options)
     return WrittenFile(
-        path=path, format=found.key, storage_bytes=_bytes_of(path), notes=tuple(notes)
+        path=path, format=found.key, storage_bytes=_bytes_of(found, path), notes=tuple(notes)
     )
 
 
@@ -200,7 +204,5 @@ def _refuse(path: Path) -> NoReturn:
     )
 
 
-def _bytes_of(path: Path) -> int:
-    file = _file_of(path)
-    beside = file.parent.glob("*.webp") if file.name == sog.META else ()
-    return sum(one.stat().st_size for one in (file, *beside))
+def _bytes_of(kind: SplatFormat, file: Path) -> int:
+    return sum(one.stat().st_size for one in (file, *kind.beside(file)) if one.is_file())

@@ -376,4 +376,5 @@ SOG = SplatFormat(
     holds=_is_sog,
     read=_read,
     write=_write,
+    beside=lambda path: path.parent.glob("*.webp") if path.name == META else (),
 )

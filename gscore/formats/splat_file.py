@@ -1,6 +1,6 @@
 """What readers and writers of splats hand over: a model, and what its file says of it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -81,6 +81,8 @@ class SplatFormat:
     says_antialiased: Callable[[Path], bool] | None = None
     """Whether a file says that its splats want the compensation, where that takes no reading of all
     of it; raises GsError."""
+    beside: Callable[[Path], Iterable[Path]] = lambda path: ()
+    """Files that belong to one besides."""
     most_degree: int = 3
     """The highest SH degree that it holds."""
     keeps_antialiased: bool = True

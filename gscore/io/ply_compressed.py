@@ -113,7 +113,10 @@ def _unpack_rest(path: Path, table: np.ndarray | None, count: int) -> np.ndarray
             f"properties {', '.join(names[:4])}..., expected {count} rows of f_rest_0 onwards. "
             f"Export it again."
         )
-    raw = columns(table, [f"f_rest_{k}" for k in range(len(names))])
-    # The ends stand for themselves, everything between for the middle of its step.
-    unit = np.where(raw == 0, 0.0, np.where(raw == 255, 1.0, (raw + 0.5) / 256))
-    return ((unit - 0.5) * 8).astype(np.float32)
+    out = np.empty((count, len(names)), np.float32)
+    for k in range(len(names)):  # one at a time: in float64 all of them take twice the result
+        raw = columns(table, [f"f_rest_{k}"])[:, 0]
+        # The ends stand for themselves, everything between for the middle of its step.
+        unit = np.where(raw == 0, 0.0, np.where(raw == 255, 1.0, (raw + 0.5) / 256))
+        out[:, k] = (unit - 0.5) * 8
+    return out

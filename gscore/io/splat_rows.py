@@ -17,10 +17,26 @@ _FLAT = 1e-12
 """World units, for a size of zero, of which there is no logarithm."""
 
 
-def opacity_bytes(logits: np.ndarray) -> np.ndarray:
-    """Opacities of logits [N] as bytes, 0 to 255."""
+_MOST_LOGIT = 20.0
+"""Of opacities of 0 and 1, which have none that is finite."""
+
+
+def opacities_of(raw: np.ndarray) -> np.ndarray:
+    """Opacities from 0 to 1 of logits, float32."""
     with np.errstate(over="ignore"):
-        return np.rint(255 / (1 + np.exp(-logits.astype(np.float32)))).astype(np.uint8)
+        return (1 / (1 + np.exp(-raw.astype(np.float32)))).astype(np.float32)
+
+
+def opacity_bytes(raw: np.ndarray) -> np.ndarray:
+    """Opacities of logits [N] as bytes, 0 to 255."""
+    return np.rint(255 * opacities_of(raw)).astype(np.uint8)
+
+
+def logits(opacities: np.ndarray) -> np.ndarray:
+    """Logits of opacities, float32; NaN outside of 0 to 1."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = np.log(opacities) - np.log1p(-opacities)
+    return np.clip(found, -_MOST_LOGIT, _MOST_LOGIT).astype(np.float32)
 
 
 def log_scales(linear: np.ndarray) -> np.ndarray:
