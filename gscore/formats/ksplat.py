@@ -73,9 +73,11 @@ def _is_ksplat(path: Path, sample: FileSample) -> bool:
     if sample.size < _HEADER_BYTES + _SECTION_BYTES:
         return False
     major, minor, room, sections, _, count, level, *_ = _HEADER.unpack_from(sample.head)
-    plausible = (major, minor) == (0, 1) and 0 < sections <= room <= 1 << 16 and level < 3
+    plausible = (major, minor) == (0, 1) and 0 < sections <= room <= 1 << 16 and count > 0
+    if not plausible or level >= len(_LEVELS):
+        return False
     least = _HEADER_BYTES + room * _SECTION_BYTES + count * _row(level, 0).itemsize
-    return plausible and count > 0 and least <= sample.size
+    return least <= sample.size
 
 
 def _read(path: Path) -> Decoded:

@@ -3,7 +3,6 @@
 A format is a `SplatFormat` in a file of its own, and an entry of `FORMATS`.
 """
 
-from dataclasses import replace
 from pathlib import Path
 from typing import NoReturn
 
@@ -15,6 +14,7 @@ from ..logged import collected_warnings
 from ..shown import shown
 from ..splats import SH_REST_BY_DEGREE, Splats
 from . import gltf_splats, ksplat, ply, ply_compressed, sog, splat, spz, usd
+from .joined import cut_degree
 from .splat_file import SplatFile, SplatFormat, WriteOptions, WrittenFile
 
 FORMATS: tuple[SplatFormat, ...] = (
@@ -154,13 +154,6 @@ def format_to_write(path: Path) -> SplatFormat:
             f"{', '.join(end for one in FORMATS if one.write for end in one.endings)}."
         )
     return found
-
-
-def cut_degree(splats: Splats, degree: int) -> Splats:
-    """The model with SH coefficients up to this degree; itself where it has no more."""
-    if degree >= splats.sh_degree:
-        return splats
-    return replace(splats, shN=splats.shN[:, : SH_REST_BY_DEGREE[degree]])
 
 
 def is_splat_file(path: Path) -> bool:

@@ -59,7 +59,7 @@ def _read(path: Path) -> Decoded:
 
 def _write(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
     parts = (slice(at, at + _BLOCK) for at in range(0, len(splats), _BLOCK))
-    atomic_write(path, lambda file: [file.write(_rows(splats, part)) for part in parts])
+    atomic_write(path, lambda file: file.writelines(_rows(splats, part) for part in parts))
     return []
 
 

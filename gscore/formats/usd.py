@@ -14,13 +14,13 @@ import numpy as np
 from ..errors import BackendError, FormatError, ShapeError
 from ..extras import need
 from ..io.file_sample import FileSample
-from ..io.files import atomic_write, read_bytes
+from ..io.files import atomic_write, check_readable
 from ..io.splat_rows import drawable, linear_scales, log_scales, logits, opacities_of, whole_bands
 from ..sh import sh_count
 from ..splats import Splats
 from ..transforms import transform_splats
-from .axes import X, half_turn
-from .joined import joined
+from .axes import X, half_turn, harmonic_signs
+from .joined import cut_degree, joined
 from .splat_file import Decoded, SplatFormat, WriteOptions
 
 _TYPE = "ParticleField3DGaussianSplat"
@@ -55,7 +55,7 @@ def _library() -> Any:
 def _read(path: Path) -> Decoded:
     _library()
     Usd, Tf, UsdGeom = need("pxr.Usd", "USD"), need("pxr.Tf", "USD"), need("pxr.UsdGeom", "USD")
-    read_bytes(path)[:0]  # whether it can be read, in our words
+    check_readable(path)  # in our words
     try:
         stage = Usd.Stage.Open(str(path))
         prims = [prim for prim in stage.Traverse() if prim.GetTypeName() == _TYPE]
@@ -137,7 +137,7 @@ def _rows(
         values = attribute.Get(Usd.TimeCode.EarliestTime()) if attribute else None
         if values is None or not len(values):
             continue
-        found = np.array(values, np.float32).reshape(-1, width)
+        found = np.asarray(values, np.float32).reshape(-1, width)
         if count is not None and len(found) < count:
             raise _damaged(path, prim, f"has {len(found)} {name}, expected {count}")
         return found[:count]
@@ -147,7 +147,7 @@ def _rows(
 def _write(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
     _library()
     UsdUtils = need("pxr.UsdUtils", "USD")
-    stage = _stage(half_turn(splats, X), options)
+    stage = _stage(splats, options)
     with tempfile.TemporaryDirectory(prefix="gscore-") as folder:
         ending = ".usdc" if path.suffix.lower() in (".usd", ".usdz") else path.suffix.lower()
         made = Path(folder, f"splats{ending}")
@@ -162,23 +162,27 @@ def _write(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
 
 
 def _stage(splats: Splats, options: WriteOptions) -> Any:
-    """A stage with one prim, for splats with Y up."""
+    """A stage with one prim, Y up."""
     Usd, UsdGeom, Vt = (need(f"pxr.{name}", "USD") for name in ("Usd", "UsdGeom", "Vt"))
     stage = Usd.Stage.CreateInMemory()
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     prim = getattr(_library(), _TYPE).Define(stage, "/Splats")
     stage.SetDefaultPrim(prim.GetPrim())
+    # Turned without the harmonics, of which a copy more would be the largest thing in memory.
+    rest, splats = splats, half_turn(cut_degree(splats, 0), X)
     unit = splats.quats / np.linalg.norm(splats.quats, axis=1, keepdims=True)
     scales = linear_scales(splats.scales)
-    harmonics = np.concatenate([splats.sh0, splats.shN], axis=1).reshape(-1, 3)
+    harmonics = np.empty((len(splats), sh_count(rest.sh_degree), 3), np.float32)
+    harmonics[:, :1] = splats.sh0
+    np.multiply(rest.shN, harmonic_signs(rest.sh_degree, X)[:, None], out=harmonics[:, 1:])
     vectors = Vt.Vec3fArray.FromNumpy
     prim.CreatePositionsAttr(vectors(splats.means))
     prim.CreateOrientationsAttr(Vt.QuatfArray.FromNumpy(unit[:, [1, 2, 3, 0]]))
     prim.CreateScalesAttr(vectors(scales))
     prim.CreateOpacitiesAttr(Vt.FloatArray.FromNumpy(opacities_of(splats.opacities)))
-    prim.CreateRadianceSphericalHarmonicsDegreeAttr(splats.sh_degree)
-    prim.CreateRadianceSphericalHarmonicsCoefficientsAttr(vectors(harmonics))
+    prim.CreateRadianceSphericalHarmonicsDegreeAttr(rest.sh_degree)
+    prim.CreateRadianceSphericalHarmonicsCoefficientsAttr(vectors(harmonics.reshape(-1, 3)))
     prim.CreateExtentAttr(vectors(_extent(splats.means, scales)))
     if options.antialiased:
         prim.GetPrim().SetCustomDataByKey(_MARK, True)
