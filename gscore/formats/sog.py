@@ -34,7 +34,8 @@ _MOST_META = 1 << 22
 _MOST_SPLATS_A_BYTE = 1024
 """Of all textures together: the lower bits of positions are noise, so real files have far fewer."""
 _SLACK = 1 << 16
-_MOST_RATIO = 1032
+_MOST_RATIO = 64
+"""Of unpacked to packed bytes of a texture, which is packed already."""
 _FIRST_TAG = 252
 _GAP = "Copy or export it again."
 _BROKEN_ZIP = (

@@ -21,6 +21,10 @@ _SPLATS = (
     "cameras of a capture."
 )
 _MODEL = ", not a capture"
+_SCENE = (
+    "If it holds splats, look at them with gscore info or gscore render; for a training give the "
+    "photos and cameras of a capture."
+)
 _CLOUD = (
     "It has points without cameras. Export the cameras in COLMAP's format from the program that "
     "made it, and give the folder that holds them and the photos."
@@ -77,12 +81,12 @@ _FORMATS = (
     _Format("a splat file of PlayCanvas (SOG)", _SPLATS, _zip_of(b"meta.json", b".webp"), _MODEL),
     _Format("a PyTorch checkpoint", "Export a 3DGS PLY with the program that wrote it, and give "
             "that.", _zip_of(b"/data.pkl")),
-    _Format("a USD scene", _SPLATS,
+    _Format("a USD scene", _SCENE,
             lambda s: _starts(b"PXR-USDC", b"#usda")(s) or _zip_of(b".usd")(s), _MODEL),
     _Format("a ZIP archive", _UNPACK, _starts(b"PK\x03\x04", b"PK\x05\x06")),
     _Format("an archive", _UNPACK,
             _starts(b"\x1f\x8b", b"7z\xbc\xaf\x27\x1c", b"Rar!", b"BZh", b"\xfd7zXZ")),
-    _Format("a glTF scene", _SPLATS,
+    _Format("a glTF scene", _SCENE,
             lambda s: _starts(b"glTF")(s)
             or (_text(b'"asset"')(s) and _text(b'"version"')(s) and s.ending == ".gltf"),
             _MODEL),
