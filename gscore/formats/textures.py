@@ -3,10 +3,12 @@
 import io
 import struct
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 
 from ..errors import FormatError, GsError
+from ..extras import need
 from ..io.pillow import BROKEN, pillow
 
 _MOST_SIDE = 16383
@@ -35,7 +37,7 @@ def decode(what: str, raw: bytes, least: int) -> np.ndarray:
             f"{what} has {width} x {height} pixels for {least} values, which does not fit. Copy or "
             f"export it again."
         )
-    pil = pillow()
+    pil = _pillow()
     try:
         with pil.open(io.BytesIO(raw), formats=("WEBP", "PNG")) as image:
             if image.size != (width, height) or getattr(image, "n_frames", 1) != 1:
@@ -55,7 +57,7 @@ def encode_all(pictures: dict[str, np.ndarray]) -> dict[str, bytes]:
     Raises:
         BackendError: Pillow is not installed.
     """
-    pillow()
+    _pillow()
     with ThreadPoolExecutor(2, "gscore-webp") as pool:
         return dict(zip(pictures, pool.map(_encode, pictures.values()), strict=True))
 
@@ -69,6 +71,11 @@ def size_for(count: int) -> tuple[int, int]:
 def fits(count: int) -> bool:
     """Whether a texture can hold so many splats."""
     return max(size_for(count)) <= _MOST_SIDE
+
+
+def _pillow() -> Any:
+    need("PIL.Image", "SOG")
+    return pillow()
 
 
 def _encode(pixels: np.ndarray) -> bytes:

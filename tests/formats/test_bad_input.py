@@ -5,6 +5,7 @@ import gzip
 import io
 import json
 import struct
+import sys
 import time
 import tracemalloc
 import zipfile
@@ -15,7 +16,7 @@ import numpy as np
 import pytest
 
 from gscore.commands import main
-from gscore.errors import DatasetError, FormatError, GsError
+from gscore.errors import BackendError, DatasetError, FormatError, GsError
 from gscore.formats import read_splat_file, write_splat_file
 
 from .conftest import MakeModel
@@ -246,6 +247,32 @@ def test_numbers_that_are_not_finite(make_model: MakeModel, tmp_path: Path) -> N
     write_splat_file(tmp_path / "a.glb", model)
     found = read_splat_file(tmp_path / "a.glb")
     assert len(found.splats) == 8 and "2 of 10 splats" in found.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("name", "module", "extra"),
+    [("a.spz", "zstandard", "formats"), ("a.sog", "PIL.Image", "train"), ("a.usdc", "pxr", "usd")],
+)
+def test_a_package_that_is_not_there(
+    name: str,
+    module: str,
+    extra: str,
+    make_model: MakeModel,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    """Oracle: the command that installs it, for reading and for writing; nothing is written."""
+    if module == "pxr":
+        pytest.importorskip("pxr.UsdVol")
+    write_splat_file(tmp_path / name, make_model(5), spz_version=4)
+    for loaded in [key for key in sys.modules if key == module or key.startswith(f"{module}.")]:
+        monkeypatch.setitem(sys.modules, loaded, None)
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(BackendError, match=rf"gscore\[{extra}\]"):
+        read_splat_file(tmp_path / name)
+    with pytest.raises(BackendError, match=rf"gscore\[{extra}\]"):
+        write_splat_file(tmp_path / f"other_{name}", make_model(5), spz_version=4)
+    assert [path.name for path in tmp_path.iterdir()] == [name]
 
 
 def test_nothing_is_written_where_it_fails(make_model: MakeModel, tmp_path: Path) -> None:
