@@ -47,6 +47,7 @@ UNSAFE_NAMES = (
 
 STARTS = {
     "gscore/bench/child.py:run_child",
+    "gscore/formats/usd.py:_in_child",
     "gscore/metrics/machine.py:cpu_name",
     "addon/process/program.py:Process.__init__",
 }

@@ -6,9 +6,10 @@ SIZE = 256
 """Numbers of a codebook."""
 MOST_ROWS = 1 << 16
 """Of a palette."""
-_BINS = 1 << 14
+_BINS, _BINS_A_GUESS = 1 << 14, 1 << 5
 _ROUNDS = 20
 _LOOKED_AT = 200_000
+_FEW = 1024
 
 
 def codebook(values: np.ndarray) -> np.ndarray:
@@ -18,14 +19,16 @@ def codebook(values: np.ndarray) -> np.ndarray:
     the values; the rounds run on a histogram.
     """
     values = values.ravel()
-    low, high = float(values.min(initial=0)), float(values.max(initial=0))
+    low, high = (float(values.min()), float(values.max())) if len(values) else (0.0, 0.0)
     if not high > low:
         return np.full(SIZE, low, np.float32)
     counts, edges = np.histogram(values, _BINS, (low, high))
     middles = (edges[:-1] + edges[1:]) / 2
     amount = np.concatenate([[0.0], np.cumsum(counts)])
     moment = np.concatenate([[0.0], np.cumsum(counts * middles)])
-    share = np.cumsum(np.cbrt(counts) + 1e-9)
+    # Over wider bins: in fine ones the tails hold one value or none, whose cube roots say little.
+    density = counts.reshape(-1, _BINS_A_GUESS).sum(axis=1)
+    share = np.cumsum(np.repeat(np.cbrt(density), _BINS_A_GUESS) + 1e-9)
     at = np.searchsorted(share, (np.arange(SIZE) + 0.5) / SIZE * share[-1])
     found = middles[np.minimum(at, _BINS - 1)]
     for _ in range(_ROUNDS):
@@ -43,9 +46,10 @@ def nearest(book: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def palette(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """At most 65,536 rows near which all rows lie, and which of them each one is.
+    """Few rows near which all rows lie, and which of them each one is: a half to a quarter of them,
+    65,536 at most; all of them where there are 1,024 or fewer.
 
-    More rows than that are halved again and again at the median of a principal component, so that
+    They are halved again and again at the median of a principal component, so that
     groups are of one size; each gets the mean of its rows. Which component a halving takes is
     settled beforehand for all groups: the one with the largest variance left.
 
@@ -56,9 +60,9 @@ def palette(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         The palette [P, D] float32 and labels [N] uint16.
     """
     count = len(rows)
-    if count <= MOST_ROWS:
+    if count <= _FEW:
         return rows, np.arange(count, dtype=np.uint16)
-    groups = MOST_ROWS
+    groups = min(MOST_ROWS, 1 << ((count // 2).bit_length() - 1))
     order = np.arange(count)
     each = -(-count // groups)
     # Groups of one size make each halving one call; the last rows are repeated to fill them.

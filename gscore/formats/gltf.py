@@ -5,12 +5,13 @@ before it is used.
 """
 
 import base64
-import binascii
 import json
+import os
+import re
+import string
 import struct
 from pathlib import Path
 from typing import Any, BinaryIO
-from urllib.parse import unquote
 
 import numpy as np
 
@@ -27,6 +28,7 @@ _HEADER = struct.Struct("<4sII")
 _CHUNK = struct.Struct("<I4s")
 _JSON, _BINARY = b"JSON", b"BIN\0"
 _ADVICE = "Export it again."
+_UNRESERVED = frozenset(string.ascii_letters + string.digits + "-._~")
 
 
 class Gltf:
@@ -169,9 +171,9 @@ class Gltf:
         if uri.startswith("data:"):
             try:
                 return memoryview(base64.b64decode(uri.partition(",")[2], validate=True))
-            except (binascii.Error, ValueError) as error:
+            except ValueError as error:
                 raise self.damaged(f"buffer {index} is no base64 ({error})") from error
-        name = unquote(uri)
+        name = _unescaped(uri)
         if Path(name).name != name or "\\" in name or ":" in name or name in ("", ".", ".."):
             raise self.damaged(f"buffer {index} names the file {quoted(uri)}, outside its folder")
         try:
@@ -243,6 +245,22 @@ def write_glb(file: BinaryIO, content: dict[str, Any], buffer: GltfBuffer) -> No
     file.write(_CHUNK.pack(len(text), _JSON) + text)
     file.write(_CHUNK.pack(buffer.size, _BINARY))
     buffer.write_to(file)
+
+
+def escaped(name: str) -> str:
+    """The name of a file as a URI (RFC 3986): bytes of UTF-8 that may not stand there as %20."""
+    return "".join(
+        chr(byte) if chr(byte) in _UNRESERVED else f"%{byte:02X}" for byte in os.fsencode(name)
+    )
+
+
+def _unescaped(uri: str) -> str:
+    raw = re.sub(
+        rb"%([0-9A-Fa-f]{2})",
+        lambda found: bytes([int(found[1], 16)]),
+        uri.encode("utf-8", "replace"),
+    )
+    return os.fsdecode(raw)
 
 
 def _object(value: Any) -> dict[str, Any]:

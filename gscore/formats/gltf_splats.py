@@ -22,7 +22,7 @@ from ..splats import SH_REST_BY_DEGREE, Splats
 from ..transforms import transform_splats
 from . import spz
 from .axes import Z, half_turn
-from .gltf import MAGIC, Gltf, GltfBuffer, write_glb
+from .gltf import MAGIC, Gltf, GltfBuffer, escaped, write_glb
 from .joined import joined
 from .splat_file import Decoded, SplatFormat, WriteOptions
 
@@ -331,7 +331,7 @@ def _write_file(path: Path, content: dict[str, Any], buffer: GltfBuffer) -> None
         atomic_write(path, lambda file: write_glb(file, content, buffer))
         return
     (beside,) = _buffer_of(path)
-    content["buffers"][0]["uri"] = beside.name
+    content["buffers"][0]["uri"] = escaped(beside.name)
     atomic_write(beside, buffer.write_to)
     atomic_write(path, json.dumps(content).encode())  # last, so that it names what is there
 

@@ -275,6 +275,22 @@ def test_a_package_that_is_not_there(
     assert [path.name for path in tmp_path.iterdir()] == [name]
 
 
+@pytest.mark.parametrize("content", [b"#usda 1.0\n(", b'#usda 1.0\ndef Mesh "A" {}\n', None])
+def test_usd(content: bytes | None, make_model: MakeModel, tmp_path: Path) -> None:
+    """Oracle: a sentence for text that does not parse, for a scene of meshes, and for a binary file
+    of which the middle is gone: Pixar's library may end its process over that, not ours."""
+    pytest.importorskip("pxr.UsdVol")
+    path = tmp_path / ("a.usda" if content else "a.usdc")
+    if content is None:
+        write_splat_file(path, make_model(50, 1))
+        raw = path.read_bytes()
+        content = raw[:100] + bytes(len(raw) // 2) + raw[100 + len(raw) // 2 :]
+    path.write_bytes(content)
+    with pytest.raises(FormatError, match=r"damaged|without splats") as caught:
+        read_splat_file(path)
+    assert str(path) in str(caught.value)
+
+
 def test_nothing_is_written_where_it_fails(make_model: MakeModel, tmp_path: Path) -> None:
     """Oracle: the folder, after a write into a folder that is a file."""
     (tmp_path / "file").write_bytes(b"")

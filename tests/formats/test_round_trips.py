@@ -1,7 +1,9 @@
 """Every format written and read again: what survives, and that the loss of the rest is said."""
 
+import json
 from dataclasses import fields, replace
 from pathlib import Path
+from urllib.parse import unquote
 
 import numpy as np
 import pytest
@@ -25,8 +27,6 @@ WRITTEN = {
     "a.spz.glb": "gltf",
     "a.spz.gltf": "gltf",
     "a.usdc": "usd",
-    "a.usda": "usd",
-    "a.usdz": "usd",
 }
 """Names of files, and the format that they turn out to be of."""
 LEAST_DB = {"splat": 38.0}
@@ -199,6 +199,25 @@ def test_an_unpacked_sog_is_its_folder(make_model: MakeModel, tmp_path: Path) ->
     by_file = read_splat_file(tmp_path / "deep" / "meta.json")
     assert len(by_folder.splats) == len(by_file.splats) == 50
     assert by_folder.storage_bytes == by_file.storage_bytes
+
+
+@pytest.mark.parametrize("name", ["a.usda", "a.usdz", "a.usd"])
+def test_other_names_of_usd(name: str, make_model: MakeModel, tmp_path: Path) -> None:
+    """Oracle: the positions that were written, in text, in a package, in the binary form."""
+    pytest.importorskip("pxr.UsdVol")
+    model = make_model(20, 1)
+    write_splat_file(tmp_path / name, model)
+    found = gscore.read_splats(tmp_path / name)
+    np.testing.assert_allclose(found.means, model.means, rtol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["two words.gltf", "100% grün#1.gltf", "a%20b.gltf"])
+def test_names_that_are_no_uris(name: str, make_model: MakeModel, tmp_path: Path) -> None:
+    """Oracle: the model read again, whose buffer is named by a URI without spaces."""
+    write_splat_file(tmp_path / name, make_model(20, 0))
+    uri = json.loads((tmp_path / name).read_text())["buffers"][0]["uri"]
+    assert uri.isascii() and " " not in uri and unquote(uri) == name.replace(".gltf", ".bin")
+    assert len(gscore.read_splats(tmp_path / name)) == 20
 
 
 def test_spz_of_version_4(make_model: MakeModel, draw: Draw, tmp_path: Path) -> None:

@@ -481,10 +481,10 @@ def test_import_and_undo(scene: bpy.types.Scene, ply: Path) -> None:
 
 
 def test_drop_handler(scene: bpy.types.Scene) -> None:
-    """Oracle: Blender knows a handler for .ply that calls our import."""
+    """Oracle: Blender knows a handler that calls our import, for what Blender has no meshes in."""
     handler = bpy.types.GSCORE_FH_splats
     assert handler.bl_import_operator == "gscore.import_splats"
-    assert handler.bl_file_extensions == ".ply"
+    assert handler.bl_file_extensions == ".ply;.spz;.sog;.splat;.ksplat"
 
 
 def test_join_keeps_order(make_splats: Make) -> None:
