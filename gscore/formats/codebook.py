@@ -10,6 +10,8 @@ _BINS, _BINS_A_GUESS = 1 << 14, 1 << 5
 _ROUNDS = 20
 _LOOKED_AT = 200_000
 _FEW = 1024
+_MOST_ERROR = 0.02
+"""Root mean square of what SH coefficients may lose to a short palette where a whole one fits."""
 
 
 def codebook(values: np.ndarray) -> np.ndarray:
@@ -47,7 +49,7 @@ def nearest(book: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 def palette(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Few rows near which all rows lie, and which of them each one is: a half to a quarter of them,
-    65,536 at most; all of them where there are 1,024 or fewer.
+    65,536 at most; all of them where there are 1,024 or fewer, or where fewer would lose much.
 
     They are halved again and again at the median of a principal component, so that
     groups are of one size; each gets the mean of its rows. Which component a halving takes is
@@ -74,7 +76,11 @@ def palette(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         half = grouped.shape[1] // 2
         split = np.argpartition(values[grouped], half, axis=1)
         order = np.take_along_axis(grouped, split, axis=1).ravel()
-    return _means(rows, order.reshape(groups, each), count)
+    found, labels = _means(rows, order.reshape(groups, each), count)
+    error = float(np.sqrt(np.mean((found[labels] - rows) ** 2, dtype=np.float64)))
+    if error > _MOST_ERROR and count <= MOST_ROWS:
+        return rows, np.arange(count, dtype=np.uint16)
+    return found, labels
 
 
 def _halvings(rows: np.ndarray, groups: int) -> tuple[np.ndarray, list[int]]:
