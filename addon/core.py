@@ -17,15 +17,18 @@ from gscore import (
     __version__,
     judged_psnr,
     psnr,
+    read_splat_file,
     read_splats,
     render,
     transform_splats,
+    write_splat_file,
     write_splats,
 )
 from gscore.frontend import (
     MIP_COMMENT,
     NO_PINHOLE,
     POSES_FILE,
+    SPLAT_ENDINGS,
     VIDEO_ENDINGS,
     Capture,
     CaptureFacts,

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
         ShapeError,
     )
     from .events import Event, judged_psnr
-    from .io.ply import read_splats, write_splats
+    from .formats import read_splat_file, read_splats, write_splat_file
+    from .io.ply import write_splats
     from .metrics.image import psnr
     from .raster.api import Rendered, render
     from .raster.autograd import RasterAux, RasterOutput, rasterize
@@ -70,11 +71,13 @@ _HOME = {
     "load_dataset": "datasets",
     "psnr": "metrics.image",
     "rasterize": "raster.autograd",
-    "read_splats": "io.ply",
+    "read_splat_file": "formats",
+    "read_splats": "formats",
     "render": "raster.api",
     "train": "trainer.run",
     "train_sequence": "trainer.sequence",
     "transform_splats": "transforms",
+    "write_splat_file": "formats",
     "write_splats": "io.ply",
 }
 """Where a public name lives."""
@@ -112,11 +115,13 @@ __all__ = [
     "load_dataset",
     "psnr",
     "rasterize",
+    "read_splat_file",
     "read_splats",
     "render",
     "train",
     "train_sequence",
     "transform_splats",
+    "write_splat_file",
     "write_splats",
 ]
 

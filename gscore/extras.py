@@ -18,6 +18,8 @@ _EXTRAS = {
     "onnxruntime": "depth",
     "OpenEXR": "depth",
     "av": "video",
+    "zstandard": "formats",
+    "pxr": "usd",
     "huggingface_hub": "hub",
     "lpips": "lpips-torch",
     "torchvision": "lpips-torch",
@@ -49,7 +51,7 @@ def missing(module: str, purpose: str) -> str:
         purpose: What needs it, the beginning of a sentence.
     """
     package = module.partition(".")[0]
-    package = {"PIL": "pillow"}.get(package, package)
+    package = {"PIL": "pillow", "pxr": "usd-core"}.get(package, package)
     return f"{purpose} needs the package {package}; install it with: {how_to_install(module)}"
 
 

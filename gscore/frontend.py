@@ -38,6 +38,7 @@ if TYPE_CHECKING:
         Warn,
         from_line,
     )
+    from .formats import SPLAT_ENDINGS, is_antialiased
     from .inspection import CaptureFacts, Problem, find_capture
     from .inspection import inspect as inspect_capture
     from .io.camera_models import NO_PINHOLE
@@ -48,7 +49,7 @@ if TYPE_CHECKING:
     from .io.colmap_model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
     from .io.files import atomic_write
     from .io.image_header import ImageInfo, read_header
-    from .io.ply import MIP_COMMENT, is_antialiased
+    from .io.ply import MIP_COMMENT
     from .io.poses_json import POSES_FILE, read_moves
     from .io.resample import downscale
     from .io.runs import RunInfo, clear_run, read_run
@@ -85,6 +86,7 @@ _HOME = {
     "NO_PINHOLE": "io.camera_models",
     "Option": "options",
     "POSES_FILE": "io.poses_json",
+    "SPLAT_ENDINGS": "formats",
     "Preview": "events",
     "Problem": "inspection",
     "Progress": "events",
@@ -114,7 +116,7 @@ _HOME = {
     "find_colmap": "io.colmap:find_model",
     "from_line": "events",
     "inspect_capture": "inspection:inspect",
-    "is_antialiased": "io.ply",
+    "is_antialiased": "formats",
     "is_video": "video",
     "options_of": "options",
     "read_cameras": "io.cameras_json:read_cameras_json",
@@ -136,6 +138,7 @@ __all__ = [
     "MIP_COMMENT",
     "NO_PINHOLE",
     "POSES_FILE",
+    "SPLAT_ENDINGS",
     "VIDEO_ENDINGS",
     "Capture",
     "CaptureFacts",

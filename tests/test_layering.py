@@ -33,6 +33,7 @@ BOTTOM = {
     "extras",
     "hold_out",
     "live_options",
+    "logged",
     "sh",
     "transforms",
     "words",
@@ -40,18 +41,19 @@ BOTTOM = {
 ALLOWED = {
     **dict.fromkeys(BOTTOM, BOTTOM),
     "io": BOTTOM | {"io"},
+    "formats": BOTTOM | {"io", "formats"},
     "datasets": BOTTOM | {"io", "datasets"},
     "video": BOTTOM | {"io", "video"},
     "sfm": BOTTOM | {"io", "datasets", "video", "sfm"},
     "depth": BOTTOM | {"io", "datasets", "depth"},
     "inspection": BOTTOM | {"io", "datasets", "video", "sfm", "depth", "inspection"},
-    "raster": BOTTOM | {"io", "raster"},
+    "raster": BOTTOM | {"io", "formats", "raster"},
     "stereo": BOTTOM | {"io", "datasets", "depth", "raster", "stereo"},
     "metrics": BOTTOM | {"io", "datasets", "depth", "raster", "metrics"},
     "page": BOTTOM | {"io", "page"},
     "live": BOTTOM | {"live"},
     "trainer": BOTTOM
-    | {"io", "datasets", "depth", "raster", "stereo", "metrics", "live", "trainer"},
+    | {"io", "formats", "datasets", "depth", "raster", "stereo", "metrics", "live", "trainer"},
     "stress": BOTTOM
     | {"io", "datasets", "depth", "raster", "stereo", "metrics", "live", "trainer", "stress"},
     "bench": BOTTOM

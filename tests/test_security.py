@@ -47,6 +47,7 @@ UNSAFE_NAMES = (
 
 STARTS = {
     "gscore/bench/child.py:run_child",
+    "gscore/formats/usd.py:_in_child",
     "gscore/metrics/machine.py:cpu_name",
     "addon/process/program.py:Process.__init__",
 }
@@ -56,7 +57,7 @@ LISTENS = ROOT / "gscore" / "live" / "server.py"
 WRITES = {
     "addon/cameras/export_colmap.py:export_colmap ..core.write_colmap": "the user's choice",
     "addon/cameras/export_transforms.py:export_transforms ..core.atomic_write": "the user's choice",
-    "addon/splats/files.py:export_splats ..core.write_splats": "the user's choice",
+    "addon/splats/files.py:export_splats ..core.write_splat_file": "the user's choice",
     "addon/python/installer.py:make shutil.rmtree": "Blender's folder of it",
     "addon/python/installer.py:_make_venv folder.parent.mkdir": "Blender's folder of it",
     "addon/python/installer.py:_put_in_place shutil.rmtree": "Blender's folder of it",

@@ -1,4 +1,4 @@
-"""Splat PLYs into the scene and out of it, in Blender's world or in that of the photos."""
+"""Files of splats into the scene and out of it, in Blender's world or in that of the photos."""
 
 import logging
 from collections.abc import Iterator, Sequence
@@ -11,7 +11,7 @@ from mathutils import Matrix
 
 from ..cameras.objects import local_matrix, root_of
 from ..compat import matrix_to_numpy
-from ..core import MIP_COMMENT, Splats, is_antialiased, read_splats, write_splats
+from ..core import Splats, read_splat_file, write_splat_file
 from . import objects
 from .objects import ANTIALIAS
 
@@ -33,7 +33,7 @@ def import_splats(
     parent: bpy.types.Object | None = None,
     up: str = "-Y",
 ) -> bpy.types.Object:
-    """Read a splat PLY of any dialect as a new splat object.
+    """Read a file of splats of any format as a new splat object.
 
     Args:
         context: Its collection gets the object.
@@ -46,9 +46,9 @@ def import_splats(
         GsError: the file is missing, corrupt or holds no splats; the scene is untouched.
     """
     path = Path(bpy.path.abspath(str(path)))
-    splats, antialiased = read_splats(path), is_antialiased(path)
-    ob = objects.create(splats, path.stem, collection=context.collection, parent=parent)
-    if antialiased:
+    found = read_splat_file(path)
+    ob = objects.create(found.splats, path.stem, collection=context.collection, parent=parent)
+    if found.antialiased:
         ob[ANTIALIAS] = True
     if parent is None:
         turn_up(ob, up)
@@ -70,7 +70,7 @@ class _Collector(logging.Handler):
 @contextmanager
 def collected_warnings() -> Iterator[list[str]]:
     """The warnings that gscore logs inside, one sentence each: splats or coefficients left out."""
-    logger, collector = logging.getLogger(read_splats.__module__.split(".")[0]), _Collector()
+    logger, collector = logging.getLogger(read_splat_file.__module__.split(".")[0]), _Collector()
     logger.addHandler(collector)
     try:
         yield collector.sentences
@@ -99,18 +99,18 @@ def export_splats(
     *,
     world: str = SOURCE,
     filtered: bool = False,
-) -> int:
-    """Write splat objects, edited and moved as they are, as one 3DGS PLY.
+) -> tuple[int, tuple[str, ...]]:
+    """Write splat objects, edited and moved as they are, as one file.
 
     Args:
         obs: At least one; several are joined.
-        path: The file to write.
+        path: The file to write; its ending says in which format.
         world: SOURCE for the world of the first object's photos (or of its file), BLENDER for the
             scene's.
         filtered: Leave out what the display filters hide.
 
     Returns:
-        Number of splats written.
+        Number of splats written, and sentences on what of them the format does not hold.
 
     Raises:
         ValueError: no objects, no splats, or a matrix that is no similarity; nothing is written.
@@ -128,9 +128,9 @@ def export_splats(
     if not len(splats):
         names = ", ".join(ob.name for ob in obs)
         raise ValueError(f"{names}: no splats left to export; relax the filters or undo deletions.")
-    comments = (MIP_COMMENT,) if all(ob.get(ANTIALIAS) for ob in obs) else ()
-    write_splats(Path(bpy.path.abspath(str(path))), splats, comments=comments)
-    return len(splats)
+    antialiased = all(ob.get(ANTIALIAS) for ob in obs)
+    made = write_splat_file(Path(bpy.path.abspath(str(path))), splats, antialiased=antialiased)
+    return len(splats), made.notes
 
 
 def source_matrix(ob: bpy.types.Object) -> np.ndarray:

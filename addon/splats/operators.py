@@ -9,11 +9,22 @@ from bpy_extras.io_utils import ExportHelper, ImportHelper
 
 from ..cameras.objects import root_of
 from ..compat import native_splat_type
-from ..core import GsError
+from ..core import SPLAT_ENDINGS, GsError
 from ..interface.operators import Acting
 from . import edit, files, native, settings
 from .objects import can_export, is_splats
 
+_GLOB = ";".join(f"*{ending}" for ending in SPLAT_ENDINGS)
+_ENDINGS = [
+    (".ply", "PLY", "The official 3DGS layout: everything, to the bit"),
+    (".compressed.ply", "Compressed PLY", "SuperSplat's layout, a quarter of the size"),
+    (".spz", "SPZ", "Niantic's layout, a fifth of the size"),
+    (".splat", "splat", "32 bytes a splat for small viewers; colors do not change with the view"),
+    (".glb", "glTF", "KHR_gaussian_splatting: everything, as floats"),
+    (".spz.glb", "glTF with SPZ", "KHR_gaussian_splatting, packed as SPZ"),
+]
+_DROPPED = ".ply;.spz;.sog;.splat;.ksplat"
+"""Endings of files that are dropped; Blender itself takes glTF and USD, which hold meshes too."""
 _UP = [
     ("-Y", "-Y Up", "The file's +Y points down, as COLMAP and most trainers write it"),
     ("Y", "+Y Up", "The file's +Y points up"),
@@ -45,14 +56,14 @@ class _OnSplats(Acting):
 
 
 class ImportSplats(Acting, bpy.types.Operator, ImportHelper):
-    """Import Gaussian splats from a PLY file of any trainer or viewer"""
+    """Import Gaussian splats of any trainer or viewer: PLY, SPZ, SOG, .splat, .ksplat, glTF, USD"""
 
     bl_idname = "gscore.import_splats"
     bl_label = "Import Splats"
     bl_options: ClassVar = {"REGISTER", "UNDO", "PRESET"}
 
     filename_ext = ".ply"
-    filter_glob: StringProperty(default="*.ply", options={"HIDDEN"})
+    filter_glob: StringProperty(default=_GLOB, options={"HIDDEN"})
     files: CollectionProperty(
         type=bpy.types.OperatorFileListElement, options={"HIDDEN", "SKIP_SAVE"}
     )
@@ -95,14 +106,16 @@ class ImportSplats(Acting, bpy.types.Operator, ImportHelper):
 
 
 class ExportSplats(Acting, bpy.types.Operator, ExportHelper):
-    """Export the selected splats, edited and moved as they are, as one 3DGS PLY file"""
+    """Export the selected splats, edited and moved as they are, as one file"""
 
     bl_idname = "gscore.export_splats"
     bl_label = "Export Splats"
     bl_options: ClassVar = {"REGISTER", "PRESET"}
 
-    filename_ext = ".ply"
-    filter_glob: StringProperty(default="*.ply", options={"HIDDEN"})
+    filter_glob: StringProperty(default=_GLOB, options={"HIDDEN"})
+    ending: EnumProperty(
+        name="Format", description="What the name of the file ends in", items=_ENDINGS
+    )
     world: EnumProperty(name="World", description="Axes and scale of the file", items=_WORLDS)
     filtered: BoolProperty(
         name="Only Visible",
@@ -115,6 +128,20 @@ class ExportSplats(Acting, bpy.types.Operator, ExportHelper):
         "the exporters of collections",
         options={"HIDDEN", "SKIP_SAVE"},
     )
+
+    @property
+    def filename_ext(self) -> str:
+        """Of the name that the file browser begins with."""
+        return self.ending
+
+    def check(self, context: bpy.types.Context) -> bool:
+        """Give the name the ending of the format that was chosen."""
+        known = sorted((end for end, *_ in _ENDINGS), key=len, reverse=True)
+        stem = next((self.filepath[: -len(e)] for e in known if self.filepath.endswith(e)), "")
+        named = (stem or self.filepath) + self.ending
+        changed = named != self.filepath
+        self.filepath = named
+        return changed
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -135,7 +162,10 @@ class ExportSplats(Acting, bpy.types.Operator, ExportHelper):
         """Write the file."""
         context.view_layer.update()
         chosen = _chosen(context, self.collection)
-        count = files.export_splats(chosen, self.filepath, world=self.world, filtered=self.filtered)
+        count, notes = files.export_splats(
+            chosen, self.filepath, world=self.world, filtered=self.filtered
+        )
+        self.warn(notes)
         return f"Wrote {count:,} splats to {self.filepath}."
 
 
@@ -261,13 +291,13 @@ class MakeNativeSplats(_OnSplats, bpy.types.Operator):
 
 
 class GSCORE_FH_splats(bpy.types.FileHandler):  # noqa: N801 - Blender's rule
-    """Drop a splat PLY into the 3D view."""
+    """Drop a file of splats into the 3D view."""
 
     bl_idname = "GSCORE_FH_splats"
     bl_label = "Gaussian Splats (Train Splats)"
     bl_import_operator = "gscore.import_splats"
     bl_export_operator = "gscore.export_splats"
-    bl_file_extensions = ".ply"
+    bl_file_extensions = _DROPPED
 
     @classmethod
     def poll_drop(cls, context: bpy.types.Context) -> bool:
@@ -290,11 +320,11 @@ CLASSES = (
 
 
 def _draw_import(self: bpy.types.Menu, context: bpy.types.Context) -> None:
-    self.layout.operator(ImportSplats.bl_idname, text="Gaussian Splats (.ply)")
+    self.layout.operator(ImportSplats.bl_idname, text="Gaussian Splats (.ply, .spz, .splat, ...)")
 
 
 def _draw_export(self: bpy.types.Menu, context: bpy.types.Context) -> None:
-    self.layout.operator(ExportSplats.bl_idname, text="Gaussian Splats (.ply)")
+    self.layout.operator(ExportSplats.bl_idname, text="Gaussian Splats (.ply, .spz, .splat, ...)")
 
 
 def on_register() -> None:

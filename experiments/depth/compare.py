@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 
 from gscore.io.images import resize, write_png
-from gscore.io.ply import read_splats
+from gscore.io.ply import read_ply
 from gscore.metrics.colormap import colorize
 from gscore.raster.api import render
 
@@ -220,7 +220,7 @@ def _with_reference(args: argparse.Namespace, name: str) -> Source:
         _train(folder, out / "run", setting, ["--eval", "--mask-mode", "none"], seed=0)
         cameras = json.loads((out / "run" / "cameras.json").read_text())
         metrics = json.loads((out / "run" / "metrics.json").read_text())
-        splats = read_splats(out / "run" / "point_cloud.ply")
+        splats = read_ply(out / "run" / "point_cloud.ply")
         maps = {}
         for camera in cameras:
             K, viewmat = pinhole(camera)

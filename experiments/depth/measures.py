@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from gscore.io.images import read_mask, resize
-from gscore.io.ply import read_splats
+from gscore.io.ply import read_ply
 from gscore.raster.api import Rendered, render
 
 from .captures import Source, exact, photo
@@ -31,7 +31,7 @@ class TestView:
 
 def test_views(source: Source, out: Path) -> list[TestView]:
     """Render the held-out views of the training in `out`."""
-    splats, cameras = read_splats(out / "point_cloud.ply"), {}
+    splats, cameras = read_ply(out / "point_cloud.ply"), {}
     for camera in json.loads((out / "cameras.json").read_text()):
         cameras[Path(camera["img_name"]).stem] = camera
     names = {Path(name).stem: name for name in source.test}

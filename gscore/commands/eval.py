@@ -87,7 +87,7 @@ def _measure(args: argparse.Namespace, status: Status) -> int:
     output = args.output or model.run
     if output is None:
         raise ConfigError(
-            f"{model.ply} lies in no run's folder; say with -s which capture to measure it on and "
+            f"{model.path} lies in no run's folder; say with -s which capture to measure it on and "
             "with -o where to write metrics.json."
         )
     check_folder(output)
@@ -155,7 +155,7 @@ def _measure(args: argparse.Namespace, status: Status) -> int:
         background=background,
         splats=len(model.splats),
         sh_degree=model.splats.sh_degree,
-        storage_bytes=model.ply.stat().st_size,
+        storage_bytes=model.file.storage_bytes,
         isa=backend.isa(),
         threads=args.threads or backend.default_threads(),
         course=_of_the_training(model),
@@ -215,7 +215,7 @@ def _data_config(args: argparse.Namespace, model: GivenModel) -> DataConfig:
             )
     elif args.source is None:
         raise ConfigError(
-            f"{model.ply} does not say what it was trained on; give the capture with -s SOURCE."
+            f"{model.path} does not say what it was trained on; give the capture with -s SOURCE."
         )
     else:
         config = DataConfig(source=args.source, eval=True)
@@ -238,7 +238,7 @@ def _indices(split: str | None, dataset: Dataset) -> tuple[str, list[int]]:
 
 def _of_the_training(model: GivenModel) -> Course:
     """How the training went and why it ended, from the metrics.json that it wrote."""
-    if model.run is None or model.ply != model.run / "point_cloud.ply":
+    if model.run is None or model.path != model.run / "point_cloud.ply":
         return Course()
     return Course.of_file(read_metrics(model.run))
 

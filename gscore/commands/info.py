@@ -1,4 +1,4 @@
-"""`gscore info`: what a capture, photos, a video, a PLY or the folder of a run holds."""
+"""`gscore info`: what a capture, photos, a video, a file of splats or the folder of a run holds."""
 
 import argparse
 import sys
@@ -10,10 +10,9 @@ import numpy as np
 
 from ..config import DataConfig
 from ..errors import DatasetError
+from ..formats import is_splat_file
 from ..inspection import CaptureFacts, inspect
 from ..io.metrics_file import metrics_problem, read_metrics
-from ..io.ply_compressed import is_compressed
-from ..io.ply_elements import read_elements
 from ..io.runs import checkpoints_in
 from ..io.sequences import read_sequence
 from ..sfm.plain import is_plain
@@ -21,7 +20,7 @@ from ..splats import Splats
 from ..video import is_video
 from ..words import count_words, quality_words, size_words, time_words
 from .data_options import add_mask_options, with_data_options
-from .model import GivenModel, collected_warnings, find_ply, open_model
+from .model import GivenModel, find_splats, open_model
 from .output import print_json
 from .plain_photos import photos_facts, photos_text
 from .status import wrapped
@@ -34,7 +33,9 @@ _EXPONENT = 350.0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
     parser.add_argument(
-        "path", type=Path, help="a capture's folder, photos, a video, a run's folder or a PLY"
+        "path",
+        type=Path,
+        help="a capture's folder, photos, a video, a run's folder or splats",
     )
     parser.add_argument(
         "-i", "--images", default="images", help="folder of the photos in a capture"
@@ -50,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
         raise DatasetError(f"There is no file or folder {path}.")
     if is_video(path):
         facts = video_facts(path)
-    elif path.is_file() and path.suffix.lower() != ".json":
+    elif path.is_file() and (path.suffix.lower() != ".json" or is_splat_file(path)):
         facts = _model_facts(open_model(path))
     elif path.is_dir() and (index := read_sequence(path)):
         facts = {"kind": "sequence", "path": str(path), **vars(index)}
@@ -69,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _holds_model(folder: Path) -> bool:
     try:
-        find_ply(folder)
+        find_splats(folder)
     except DatasetError:
         return (folder / "config.json").is_file()
     return True
@@ -77,19 +78,18 @@ def _holds_model(folder: Path) -> bool:
 
 def _model_facts(model: GivenModel) -> dict[str, Any]:
     splats = model.splats
-    with collected_warnings():  # `model` has them
-        elements = read_elements(model.ply)
-    size = model.ply.stat().st_size
+    size = model.file.storage_bytes
     return {
         "kind": "splats",
-        "path": str(model.ply),
+        "path": str(model.path),
         "splats": len(splats),
         "sh_degree": splats.sh_degree,
         "storage_bytes": size,
         "bytes_per_splat": round(size / len(splats), 1) if len(splats) else None,
-        "layout": "compressed (SuperSplat)" if is_compressed(elements) else "3DGS",
+        "format": model.file.format,
+        "layout": model.file.layout,
         "antialias": model.antialias,
-        "comments": list(model.comments),
+        "comments": list(model.file.comments),
         **(_statistics(splats) if len(splats) else {}),
         "warnings": list(model.warnings),
     }
@@ -130,7 +130,7 @@ def _run_facts(folder: Path) -> dict[str, Any]:
     problem = metrics_problem(folder)
     facts["warnings"] = [problem] if problem else []
     try:
-        find_ply(folder)
+        find_splats(folder)
     except DatasetError:
         return facts | {"model": None, "source": None}
     model = open_model(folder)

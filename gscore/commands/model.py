@@ -1,19 +1,16 @@
-"""The model a verb is given: a PLY file, or the folder of a run with its options."""
+"""The model a verb is given: a file of splats, or the folder of a run with its options."""
 
 import argparse
-import logging
 import re
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 from ..config import Background, DataConfig, TrainConfig
 from ..config_file import load_config
 from ..errors import ConfigError, DatasetError
+from ..formats import SplatFile, is_splat_file, read_splat_file
 from ..io.colmap import find_model
 from ..io.foreign import foreign
-from ..io.ply import header_comments, read_splats, says_antialias
 from ..splats import Splats
 
 
@@ -21,25 +18,34 @@ from ..splats import Splats
 class GivenModel:
     """Splats and what is known of their training."""
 
-    ply: Path
-    """The file."""
     run: Path | None
     """Folder of the run that made it, if it lies in one."""
-    splats: Splats
-    """What it holds."""
-    comments: tuple[str, ...]
-    """Comment lines of its header."""
+    file: SplatFile
+    """What was read."""
     data: DataConfig | None
     """Options of the run; None: not known."""
     train: TrainConfig | None
     """Options of the run; None: not known."""
-    warnings: tuple[str, ...]
-    """Sentences for the user."""
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences for the user."""
+        return self.file.notes
+
+    @property
+    def splats(self) -> Splats:
+        """What it holds."""
+        return self.file.splats
+
+    @property
+    def path(self) -> Path:
+        """The file."""
+        return self.file.path
 
     @property
     def antialias(self) -> bool:
-        """Whether it was trained with opacity compensation: its header or its run says so."""
-        return says_antialias(self.comments) or bool(self.train and self.train.antialias)
+        """Whether it was trained with opacity compensation: its file or its run says so."""
+        return self.file.antialiased or bool(self.train and self.train.antialias)
 
     @property
     def background(self) -> tuple[float, float, float]:
@@ -55,7 +61,7 @@ class GivenModel:
 
 def add_model_argument(parser: argparse.ArgumentParser) -> None:
     """The model as the first argument, or as the 3DGS tools take it."""
-    parser.add_argument("model", nargs="?", type=Path, help="folder of a run, or a PLY")
+    parser.add_argument("model", nargs="?", type=Path, help="folder of a run, or a file of splats")
     parser.add_argument(
         "-m", "--model-path", dest="model_option", type=Path, help=argparse.SUPPRESS
     )
@@ -70,46 +76,41 @@ def model_path(args: argparse.Namespace) -> Path:
     given = [path for path in (args.model, args.model_option) if path is not None]
     if len(given) != 1:
         raise ConfigError(
-            "Give one model: the folder of a run, or a PLY."
+            "Give one model: the folder of a run, or a file of splats."
             + (f" Got {given[0]} and {given[1]}." if given else "")
         )
     return given[0]
 
 
 def open_model(path: Path) -> GivenModel:
-    """Read a PLY, or the newest one in the folder of a run.
+    """Read a file of splats of any format, or the newest one in the folder of a run.
 
     Raises:
         DatasetError: There is no such file, or no model in the folder.
         FormatError: The file holds no splats.
         ConfigError: The run's config.json cannot be used.
     """
-    ply = find_ply(path)
-    run = find_run(ply)
+    found = find_splats(path)
+    run = find_run(found)
     data, train = load_config(run / "config.json") if run else (None, None)
-    with collected_warnings() as warnings:
-        splats = read_splats(ply)
-    return GivenModel(
-        ply=ply,
-        run=run,
-        splats=splats,
-        comments=header_comments(ply),
-        data=data,
-        train=train,
-        warnings=tuple(warnings),
-    )
+    return GivenModel(file=read_splat_file(found), run=run, data=data, train=train)
 
 
-def find_ply(path: Path) -> Path:
-    """`path` if it is a file; in a folder point_cloud.ply, else the last iteration as 3DGS saves.
+def find_splats(path: Path) -> Path:
+    """`path` if it is a file or an unpacked SOG; in other folders point_cloud.ply, else the last
+    iteration as 3DGS saves.
 
     Raises:
         DatasetError: There is none.
     """
     if path.is_file():
         return path
+    if path.is_dir() and is_splat_file(path):
+        return path
     if not path.exists():
-        raise DatasetError(f"There is no file or folder {path}; give a PLY or the folder of a run.")
+        raise DatasetError(
+            f"There is no file or folder {path}; give a file of splats or the folder of a run."
+        )
     found = path / "point_cloud.ply"
     if found.is_file():
         return found
@@ -119,7 +120,7 @@ def find_ply(path: Path) -> Path:
     other = f"{path} is a capture; train it first: gscore train {path} -o run"
     raise DatasetError(
         f"No model in {path}: expected point_cloud.ply or point_cloud/iteration_*/point_cloud.ply; "
-        "give the PLY itself or the folder a training wrote. "
+        "give the file itself or the folder a training wrote. "
         + (other if _is_capture(path) else foreign(path))
     )
 
@@ -137,28 +138,11 @@ def _iteration(ply: Path) -> int:
     return int(digits[0]) if digits else -1
 
 
-def find_run(ply: Path) -> Path | None:
+def find_run(file: Path) -> Path | None:
     """The folder with config.json the file belongs to, or None."""
-    folders = [ply.parent]
-    if ply.parent.name.startswith("iteration_"):
-        folders.append(ply.parent.parent.parent)
-    if ply.parent.name == "snapshots":
-        folders.append(ply.parent.parent)
+    folders = [file.parent]
+    if file.parent.name.startswith("iteration_"):
+        folders.append(file.parent.parent.parent)
+    if file.parent.name == "snapshots":
+        folders.append(file.parent.parent)
     return next((f for f in folders if (f / "config.json").is_file()), None)
-
-
-@contextmanager
-def collected_warnings() -> Iterator[list[str]]:
-    """The messages gscore logs as warnings within the block, instead of printing them."""
-    collected: list[str] = []
-
-    class Keep(logging.Handler):
-        def emit(self, record: logging.LogRecord) -> None:
-            collected.append(record.getMessage())
-
-    logger, keep = logging.getLogger("gscore"), Keep(level=logging.WARNING)
-    logger.addHandler(keep)
-    try:
-        yield collected
-    finally:
-        logger.removeHandler(keep)

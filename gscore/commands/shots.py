@@ -91,10 +91,10 @@ def _captured(args: argparse.Namespace, model: GivenModel) -> _Captured:
     """The cameras of the capture or run, and its test views where they are known."""
     source = args.cameras
     if source is None:
-        beside = (model.run or model.ply.parent) / "cameras.json"
+        beside = (model.run or model.path.parent) / "cameras.json"
         if not beside.is_file():
             raise ConfigError(
-                f"There is no cameras.json beside {model.ply}; say with -s where cameras are: the "
+                f"There is no cameras.json beside {model.path}; say with -s where cameras are: the "
                 "capture's folder or a cameras.json."
             )
         source = beside
@@ -114,7 +114,7 @@ def _captured(args: argparse.Namespace, model: GivenModel) -> _Captured:
 
 def _test_views(model: GivenModel, names: tuple[str, ...]) -> list[int]:
     """Indices of the views the run's metrics.json calls test views."""
-    held_out = read_metrics(model.run or model.ply.parent).get("test_views")
+    held_out = read_metrics(model.run or model.path.parent).get("test_views")
     if not isinstance(held_out, list):
         return []
     return [i for i, name in enumerate(names) if name in held_out]

@@ -91,6 +91,19 @@ def open_regular(path: str | Path) -> BufferedReader:
     return Path(path).open("rb")
 
 
+def check_readable(path: str | Path) -> None:
+    """Refuse a file that another library is to open and that cannot be read.
+
+    Raises:
+        DatasetError: it is missing, cannot be read or is no regular file.
+    """
+    try:
+        with open_regular(path):
+            return
+    except (OSError, ValueError) as error:
+        raise DatasetError(f"Cannot read {shown(path)}: {reason(error)}") from error
+
+
 def read_bytes(path: str | Path) -> bytes:
     """All bytes of a file.
 

@@ -3,9 +3,7 @@
 One table for every place where a capture or a PLY was expected and something else was given.
 """
 
-import os
 import shlex
-import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import islice
@@ -13,16 +11,20 @@ from pathlib import Path
 
 from ..errors import GsError
 from ..words import count_words
-from .files import open_regular
+from .file_sample import FileSample, sample_file
 
-_HEAD = 1 << 14
-"""Bytes looked at from the start of a file."""
-_TAIL = 1 << 16
-"""And from its end, where ZIP archives list what they hold."""
 _MOST_NAMES = 10_000
 """Of a folder that are looked at."""
 _PHOTOS = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp", ".heic", ".dng", ".cr2")
-_SPLATS = "Export it as a 3DGS PLY, for instance with SuperSplat or splat-transform, and give that."
+_SPLATS = (
+    "It is a trained model: look at it with gscore info or gscore render, or give the photos and "
+    "cameras of a capture."
+)
+_MODEL = ", not a capture"
+_SCENE = (
+    "If it holds splats, look at them with gscore info or gscore render; for a training give the "
+    "photos and cameras of a capture."
+)
 _CLOUD = (
     "It has points without cameras. Export the cameras in COLMAP's format from the program that "
     "made it, and give the folder that holds them and the photos."
@@ -37,48 +39,35 @@ _MOVIE = "Find them first with gscore sfm, or give it to gscore train, which doe
 
 
 @dataclass(frozen=True)
-class _Sample:
-    """What is looked at of a file."""
-
-    head: bytes
-    inflated: bytes
-    """The first bytes inside, of gzip; else empty."""
-    tail: bytes
-    size: int
-    ending: str
-
-
-@dataclass(frozen=True)
 class _Format:
     name: str
     advice: str
-    holds: Callable[[_Sample], bool]
+    holds: Callable[[FileSample], bool]
     but: str = ", which gscore does not read"
 
 
-def _starts(*magics: bytes) -> Callable[[_Sample], bool]:
+def _starts(*magics: bytes) -> Callable[[FileSample], bool]:
     return lambda s: s.head.startswith(magics)
 
 
-def _text(*words: bytes) -> Callable[[_Sample], bool]:
+def _text(*words: bytes) -> Callable[[FileSample], bool]:
     """XML or another text in whose beginning one of the words stands."""
     return lambda s: b"\0" not in s.head and any(word in s.head for word in words)
 
 
-def _zip_of(*names: bytes) -> Callable[[_Sample], bool]:
-    """A ZIP archive in whose list of files all the words stand."""
-    return lambda s: s.head.startswith(b"PK\x03\x04") and all(n in s.head + s.tail for n in names)
+def _zip_of(*names: bytes) -> Callable[[FileSample], bool]:
+    return lambda s: s.is_zip_of(*names)
 
 
-def _ends(*endings: str) -> Callable[[_Sample], bool]:
+def _ends(*endings: str) -> Callable[[FileSample], bool]:
     return lambda s: s.ending in endings
 
 
-def _is_splat(s: _Sample) -> bool:
+def _is_splat(s: FileSample) -> bool:
     return s.ending == ".splat" and s.size % 32 == 0  # rows of 32 bytes, and nothing else
 
 
-def _is_movie(s: _Sample) -> bool:
+def _is_movie(s: FileSample) -> bool:
     boxes = (b"ftyp", b"moov", b"mdat", b"wide")
     is_still = s.head[8:12] in (b"heic", b"heix", b"mif1", b"avif")
     is_riff = s.head.startswith(b"RIFF") and s.head[8:12] == b"AVI "
@@ -88,18 +77,19 @@ def _is_movie(s: _Sample) -> bool:
 
 _FORMATS = (
     _Format("a compressed splat file of Niantic (SPZ)", _SPLATS,
-            lambda s: b"NGSP" in (s.head[:4], s.inflated[:4])),
-    _Format("a splat file of PlayCanvas (SOG)", _SPLATS, _zip_of(b"meta.json", b".webp")),
+            lambda s: b"NGSP" in (s.head[:4], s.inflated[:4]), _MODEL),
+    _Format("a splat file of PlayCanvas (SOG)", _SPLATS, _zip_of(b"meta.json", b".webp"), _MODEL),
     _Format("a PyTorch checkpoint", "Export a 3DGS PLY with the program that wrote it, and give "
             "that.", _zip_of(b"/data.pkl")),
-    _Format("a USD scene", _SPLATS,
-            lambda s: _starts(b"PXR-USDC", b"#usda")(s) or _zip_of(b".usd")(s)),
+    _Format("a USD scene", _SCENE,
+            lambda s: _starts(b"PXR-USDC", b"#usda")(s) or _zip_of(b".usd")(s), _MODEL),
     _Format("a ZIP archive", _UNPACK, _starts(b"PK\x03\x04", b"PK\x05\x06")),
     _Format("an archive", _UNPACK,
             _starts(b"\x1f\x8b", b"7z\xbc\xaf\x27\x1c", b"Rar!", b"BZh", b"\xfd7zXZ")),
-    _Format("a glTF scene", _SPLATS,
+    _Format("a glTF scene", _SCENE,
             lambda s: _starts(b"glTF")(s)
-            or (_text(b'"asset"')(s) and _text(b'"version"')(s) and s.ending == ".gltf")),
+            or (_text(b'"asset"')(s) and _text(b'"version"')(s) and s.ending == ".gltf"),
+            _MODEL),
     _Format("a Blender file", "Open it in Blender and export its splats with the add-on.",
             _starts(b"BLENDER")),
     _Format("an E57 point cloud", _CLOUD, _starts(b"ASTM-E57")),
@@ -119,8 +109,9 @@ _FORMATS = (
             "found for them.",
             lambda s: _starts(b"\xff\xd8\xff", b"\x89PNG", b"II*\0", b"MM\0*")(s)
             or s.head[8:12] in (b"WEBP", b"heic", b"heix", b"mif1", b"avif")),
-    _Format("a splat file of antimatter15's viewer (.splat)", _SPLATS, _is_splat),
-    _Format("a splat file of mkkellogg's viewer (.ksplat)", _SPLATS, _ends(".ksplat")),
+    _Format("a splat file of antimatter15's viewer (.splat)", _SPLATS, _is_splat, _MODEL),
+    _Format("a splat file of mkkellogg's viewer (.ksplat)", _SPLATS, _ends(".ksplat"),
+            _MODEL),
 )  # fmt: skip
 """What is told apart, the first that fits; those without a signature by their ending, last."""
 
@@ -141,30 +132,15 @@ def foreign(path: Path) -> str:
 
 
 def _file(path: Path) -> str:
-    sample = _sample(path)
+    sample = sample_file(path)
     found = next((kind for kind in _FORMATS if kind.holds(sample)), None)
     return f"{path} is {found.name}{found.but}. {found.advice}" if found else ""
-
-
-def _sample(path: Path) -> _Sample:
-    with open_regular(path) as file:
-        head = file.read(_HEAD)
-        size = file.seek(0, os.SEEK_END)
-        file.seek(max(size - _TAIL, 0))
-        tail = file.read(_TAIL)
-    inflated = b""
-    if head.startswith(b"\x1f\x8b"):
-        try:
-            inflated = zlib.decompressobj(31).decompress(head, 16)
-        except zlib.error:
-            inflated = b""
-    return _Sample(head, inflated, tail, size, path.suffix.lower())
 
 
 def _folder(path: Path) -> str:
     names = list(islice(path.iterdir(), _MOST_NAMES))
     if (path / "meta.json").is_file() and any(n.suffix == ".webp" for n in names):
-        return f"{path} is an unpacked splat file of PlayCanvas (SOG). {_SPLATS}"
+        return f"{path} is an unpacked splat file of PlayCanvas (SOG){_MODEL}. {_SPLATS}"
     below = sum(_photos(n) for n in names if n.is_dir() and not n.name.startswith("."))
     for place in (path / "images", path / "input", path):
         count = _photos(place) + (below if place == path else 0)

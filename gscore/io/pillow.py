@@ -23,7 +23,7 @@ name, and opens EPS by starting Ghostscript: so no picture is opened without thi
 MOST_PIXELS = 178_956_970
 """Pixels of the largest picture that is read; Pillow refuses what is larger."""
 
-_BROKEN: tuple[type[Exception], ...] = (
+BROKEN: tuple[type[Exception], ...] = (
     OSError,
     ValueError,
     SyntaxError,
@@ -90,7 +90,7 @@ def opened_picture(path: Path) -> Iterator[Any]:
         raise FormatError(
             f"{path} does not fit into memory. Close programs, or scale the pictures down."
         ) from error
-    except _BROKEN as error:
+    except BROKEN as error:
         raise _broken(path, (str(error) or type(error).__name__).rstrip(".")) from error
 
 

@@ -1,6 +1,5 @@
 """Splat models as PLY: every dialect in, the official 3DGS layout out."""
 
-import logging
 from collections.abc import Iterable
 from pathlib import Path
 from typing import BinaryIO
@@ -14,10 +13,9 @@ from ..splats import SH_REST_BY_DEGREE, Splats
 from .files import atomic_write, open_regular, reason
 from .ply_compressed import decompress, is_compressed
 from .ply_elements import HEADER_END, HEADER_LIMIT, columns, read_elements
+from .splat_rows import drawable, whole_bands
 
-__all__ = ["MIP_COMMENT", "is_antialiased", "read_splats", "write_splat_parts", "write_splats"]
-
-_log = logging.getLogger(__name__)
+__all__ = ["MIP_COMMENT", "is_antialiased_ply", "read_ply", "write_splat_parts", "write_splats"]
 
 MIP_COMMENT = "SplatRenderMode: mip"
 """Header comment of models trained with the anti-aliasing compensation."""
@@ -29,7 +27,7 @@ _RGB = ["red", "green", "blue"]
 _ROWS_A_BLOCK = 1 << 15
 
 
-def read_splats(path: str | Path) -> Splats:
+def read_ply(path: str | Path) -> Splats:
     """Read a splat model; properties are found by name, in any order and among any others.
 
     Understood are the official layout and its relatives (no normals, SH degree 0 to 4, colours as
@@ -54,28 +52,7 @@ def read_splats(path: str | Path) -> Splats:
     else:
         raw = _plain(path, elements.get("vertex", np.zeros(0, [("none", "f4")])))
     rest = _rest_by_coefficient(path, raw.pop("rest"))
-    # Programs that store opacity as a byte write +inf for 255; that splat is opaque, not broken.
-    raw["opacities"] = np.where(np.isposinf(raw["opacities"]), np.float32(20), raw["opacities"])
-    good = np.isfinite(rest).all(axis=(1, 2)) & (np.abs(raw["quats"]).max(axis=1, initial=0) > 0)
-    for values in raw.values():
-        good &= np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
-    splats = Splats(
-        means=raw["means"],
-        quats=raw["quats"],
-        scales=raw["scales"],
-        opacities=raw["opacities"],
-        sh0=raw["sh0"][:, None, :],
-        shN=rest,
-    )
-    if good.all():
-        return splats
-    _log.warning(
-        "%s: %d of %d splats have numbers that are not finite or a zero quaternion; left out.",
-        path,
-        int((~good).sum()),
-        len(good),
-    )
-    return splats.subset(good)
+    return drawable(path, **raw, shN=rest)
 
 
 def header_comments(path: str | Path) -> tuple[str, ...]:
@@ -100,7 +77,7 @@ def says_antialias(comments: tuple[str, ...]) -> bool:
     return any(line.lower().startswith(marks) for line in comments)
 
 
-def is_antialiased(path: str | Path) -> bool:
+def is_antialiased_ply(path: str | Path) -> bool:
     """Whether the header of a PLY says that its splats want the anti-aliasing compensation.
 
     Raises:
@@ -215,15 +192,5 @@ def _rest_by_coefficient(path: Path, rest: np.ndarray) -> np.ndarray:
             f"{path} has {count} properties f_rest_*, expected 0, 9, 24 or 45 (three colour "
             f"channels of SH degree 0 to 3). Export it again."
         )
-    each = count // 3
-    keep = max(kept for kept in SH_REST_BY_DEGREE.values() if kept <= each)
-    if keep < each:
-        _log.warning(
-            "%s has %d SH coefficients a channel beyond the constant one; only the first %d "
-            "(whole bands, degree 3 at most) are used.",
-            path,
-            each,
-            keep,
-        )
-    by_channel = rest.reshape(len(rest), 3, each)[:, :, :keep]
-    return np.ascontiguousarray(by_channel.transpose(0, 2, 1))
+    by_channel = rest.reshape(len(rest), 3, count // 3).transpose(0, 2, 1)
+    return np.ascontiguousarray(whole_bands(path, by_channel))

@@ -12,6 +12,7 @@ from ..errors import FormatError
 from ..sh import rgb_to_sh0
 from ..words import count_words
 from .ply_elements import columns
+from .splat_rows import LOGIT_OF_BYTE
 
 CHUNK = 256
 """Splats a chunk."""
@@ -59,13 +60,11 @@ def decompress(path: Path, elements: dict[str, np.ndarray]) -> dict[str, np.ndar
     rgb = np.stack([_unorm(packed[3], shift, 8) for shift in (24, 16, 8)], axis=1)
     if has_colors:
         rgb = _lerp(chunk, "{}_{}", "rgb", of, rgb)
-    # A byte of 0 or 255 stands for the half step next to it: a logit has to stay finite.
-    alpha = np.clip(_unorm(packed[3], 0, 8), 0.25 / 255, 1 - 0.25 / 255)
     return {
         "means": _lerp(chunk, "{}_{}", "xyz", of, _unpack_11_10_11(packed[0])),
         "quats": _unpack_rotation(packed[1]),
         "scales": _lerp(chunk, "{}_scale_{}", "xyz", of, _unpack_11_10_11(packed[2])),
-        "opacities": np.log(alpha / (1 - alpha)).astype(np.float32),
+        "opacities": LOGIT_OF_BYTE[packed[3] & np.uint32(255)],
         "sh0": rgb_to_sh0(rgb).astype(np.float32),
         "rest": _unpack_rest(path, elements.get("sh"), count),
     }
@@ -114,7 +113,10 @@ def _unpack_rest(path: Path, table: np.ndarray | None, count: int) -> np.ndarray
             f"properties {', '.join(names[:4])}..., expected {count} rows of f_rest_0 onwards. "
             f"Export it again."
         )
-    raw = columns(table, [f"f_rest_{k}" for k in range(len(names))])
-    # The ends stand for themselves, everything between for the middle of its step.
-    unit = np.where(raw == 0, 0.0, np.where(raw == 255, 1.0, (raw + 0.5) / 256))
-    return ((unit - 0.5) * 8).astype(np.float32)
+    out = np.empty((count, len(names)), np.float32)
+    for k in range(len(names)):  # one at a time: in float64 all of them take twice the result
+        raw = columns(table, [f"f_rest_{k}"])[:, 0]
+        # The ends stand for themselves, everything between for the middle of its step.
+        unit = np.where(raw == 0, 0.0, np.where(raw == 255, 1.0, (raw + 0.5) / 256))
+        out[:, k] = (unit - 0.5) * 8
+    return out

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import ShapeError
-from ..io.ply import read_splats
+from ..formats import read_splats
 from ..splats import PARAMETERS, Splats
 from . import _native, arguments, header
 from .request import CancelFlag, Frustum, Settings
@@ -52,7 +52,7 @@ def render(
     """Render splats from one camera (Kerbl et al. 2023; EWA of Zwicker et al. 2001).
 
     Args:
-        splats: The model, or the path of a 3DGS PLY.
+        splats: The model, or the path of a file of splats.
         K: [3, 3] pixels, [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]; pixel centres lie at +0.5.
         viewmat: [4, 4] world to camera, OpenCV axes (+x right, +y down, +z forward).
         width: Pixels.
@@ -76,7 +76,7 @@ def render(
 
     Raises:
         ShapeError: K, viewmat, size, window or degree cannot be used.
-        FormatError: The file is not a splat PLY.
+        FormatError: The file holds no splats that can be read.
         BackendError: The native library is missing or out of memory.
         Cancelled: `cancel` was set.
     """

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..io.ply import read_splats, write_splats
+from ..io.ply import read_ply, write_splats
 from ..splats import PARAMETERS, Splats
 from . import native
 from .case import EmptyTestError, Measure, NotHereError, case
@@ -27,12 +27,12 @@ def round_trip(full: bool) -> Iterator[Measure]:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "model.ply"
             write_splats(path, model)
-            back = read_splats(path)
+            back = read_ply(path)
             broken = scene.with_row(7, means=np.nan).with_row(9, sh0=np.inf)
             write_splats(path, Splats(**{name: getattr(broken, name) for name in PARAMETERS}))
             logging.getLogger("gscore.io.ply").setLevel(logging.ERROR)
             try:
-                filtered = read_splats(path)
+                filtered = read_ply(path)
             finally:
                 logging.getLogger("gscore.io.ply").setLevel(logging.NOTSET)
         before = {name: getattr(model, name) for name in PARAMETERS}

@@ -6,7 +6,7 @@ from pathlib import Path
 from ..config import DataConfig, TrainConfig, flag_of
 from ..config_file import differences, load_config
 from ..errors import ConfigError, FormatError, GsError
-from ..io.ply import read_splats
+from ..formats import read_splats
 from ..splats import Splats
 from .files import checkpoint
 from .files.checkpoint import Checkpoint

@@ -7,7 +7,7 @@ import numpy as np
 from ..datasets.capture import listing
 from ..datasets.placement import told_of_axes, told_of_places
 from ..errors import DatasetError
-from ..io.ply import is_antialiased
+from ..formats import is_antialiased
 from ..words import count_words, number
 from .trainer import Trainer
 

@@ -35,7 +35,9 @@ def _rows(room: str) -> set[str]:
     return {name for cell in cells for name in re.findall(r"`([^`]+)`", cell)}
 
 
-@pytest.mark.parametrize("room", ["trainer", "commands", "bench", "sfm", "video", "page", "live"])
+@pytest.mark.parametrize(
+    "room", ["trainer", "commands", "formats", "bench", "sfm", "video", "page", "live"]
+)
 def test_every_file_of_a_room_has_its_line(room: str) -> None:
     """Oracle: the folder; a new file is named in the table of its room, a removed one is not."""
     folder = ROOT / "gscore" / room

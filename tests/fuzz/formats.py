@@ -1,5 +1,6 @@
 """Every format that gscore reads: a valid file of each, its reader, and what a good result is."""
 
+import gzip
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,12 +18,13 @@ from gscore.datasets.transforms_json import read_transforms
 from gscore.depth.maps import read_map
 from gscore.depth.params import read_params
 from gscore.events import Event, Progress, from_line, to_line
+from gscore.formats import read_splat_file, write_splat_file
 from gscore.io.cameras_json import read_cameras_json, write_cameras
 from gscore.io.cams_txt import read_cam
 from gscore.io.colmap import read_model, write_model
 from gscore.io.colmap_model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
 from gscore.io.images import read_image, read_info, read_mask, write_png
-from gscore.io.ply import read_splats, write_splats
+from gscore.io.ply import read_ply, write_splats
 from gscore.io.ply_points import read_point_cloud
 from gscore.io.runs import read_run
 from gscore.io.sequences import read_sequence
@@ -35,6 +37,7 @@ from gscore.trainer.rows.frame import Frame
 from gscore.trainer.session import Session
 from gscore.trainer.trainer import Trainer
 from tests.checkpoint_files import checkpoint_json, with_checkpoint_json
+from tests.formats.test_layouts import ksplat_bytes
 
 
 @dataclass(frozen=True)
@@ -106,7 +109,7 @@ def _splats(count: int = 4, rest: int = 3) -> Splats:
 
 
 def _read_splats(root: Path) -> None:
-    splats = read_splats(root / "a.ply")
+    splats = read_ply(root / "a.ply")
     for array in vars(splats).values():
         assert np.isfinite(array).all()
 
@@ -388,7 +391,54 @@ def _plain_ply(root: Path) -> None:
     write_splats(root / "a.ply", _splats())
 
 
+def _write_model(name: str, **options: Any) -> Callable[[Path], Any]:
+    """A model of three splats in the format of its ending."""
+    return lambda root: write_splat_file(root / name, _splats(3), **options)
+
+
+def _read_model(name: str) -> Callable[[Path], Any]:
+    def read(root: Path) -> None:
+        for array in vars(read_splat_file(root / name).splats).values():
+            assert np.isfinite(array).all()
+
+    return read
+
+
+def _model_format(
+    key: str, name: str, file: str = "", *, structured: bool = False, **options: Any
+) -> Format:
+    return Format(key, file or name, _write_model(name, **options), _read_model(name), structured)
+
+
+def _write_inflated_spz(root: Path) -> None:
+    """What lies within gzip, which is read too: damage to the packed bytes stops at gzip."""
+    _write_model("b.spz")(root)
+    (root / "a.spz").write_bytes(gzip.decompress((root / "b.spz").read_bytes()))
+
+
+def _write_ksplat(root: Path) -> None:
+    (root / "a.ksplat").write_bytes(ksplat_bytes(2))
+
+
+SPLAT_FORMATS = [
+    _model_format("splat", "a.splat"),
+    _model_format("spz", "a.spz"),
+    _model_format("spz_4", "a.spz", spz_version=4),
+    Format("spz_inflated", "a.spz", _write_inflated_spz, _read_model("a.spz")),
+    _model_format("sog", "a.sog"),
+    _model_format("sog_meta", "meta.json", structured=True),
+    _model_format("sog_means", "meta.json", "means_l.webp"),
+    _model_format("sog_palette", "meta.json", "shN_centroids.webp"),
+    _model_format("glb", "a.glb"),
+    _model_format("gltf", "a.gltf", structured=True),
+    _model_format("gltf_buffer", "a.gltf", "a.bin"),
+    _model_format("gltf_spz", "a.spz.glb"),
+    Format("ksplat", "a.ksplat", _write_ksplat, _read_model("a.ksplat")),
+    _model_format("ply_compressed_written", "a.compressed.ply"),
+]
+"""Formats of splats but PLY's and USD, which Pixar's library reads."""
 FORMATS = [
+    *SPLAT_FORMATS,
     *(
         _colmap(name, binary)
         for name in ("cameras", "images", "points3D")

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from gscore.config import Background, DataConfig, Strategy, Switch, TrainConfig
-from gscore.io.ply import read_splats
+from gscore.io.ply import read_ply
 from gscore.raster.api import render
 
 _SHORT = {
@@ -74,7 +74,7 @@ def _pictures(path: Path) -> bytes:
     from gscore.raster.autograd import RasterAux, rasterize
     from gscore.raster.loss import image_loss
 
-    splats = read_splats(path)
+    splats = read_ply(path)
     K = np.array([[40.0, 0, 24], [0, 40, 20], [0, 0, 1]])
     viewmat = np.eye(4)
     viewmat[2, 3] = 3

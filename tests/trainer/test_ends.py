@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from gscore.events import Failed, from_line
-from gscore.io.ply import read_splats
+from gscore.io.ply import read_ply
 from gscore.trainer.files import checkpoint
 from gscore.trainer.files.folder import RunFolder
 
@@ -120,7 +120,7 @@ def test_ctrl_c_at_any_moment(
         assert not any(word in err for word in ("Traceback", "Exception", "rror")), err
         assert all(checkpoint.load(path) for path in RunFolder(out).checkpoints())
         if (out / "point_cloud.ply").exists():
-            read_splats(out / "point_cloud.ply")
+            read_ply(out / "point_cloud.ply")
 
 
 @pytest.mark.parametrize(

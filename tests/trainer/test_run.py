@@ -33,7 +33,7 @@ from gscore.events import (
 from gscore.io.cameras_json import read_cameras_json
 from gscore.io.images import read_image
 from gscore.io.metrics_file import metrics_problem, read_metrics
-from gscore.io.ply import read_splats, write_splats
+from gscore.io.ply import read_ply, write_splats
 from gscore.metrics import results
 from gscore.trainer.estimate import memory
 from gscore.trainer.estimate.forecast import estimate
@@ -103,10 +103,10 @@ def test_a_run_tells_everything_in_order_and_leaves_all_files(
 
     assert isinstance(done, Done)
     assert done.reason == result.reason == "finished"
-    splats = read_splats(tmp_path / "point_cloud.ply")
+    splats = read_ply(tmp_path / "point_cloud.ply")
     assert len(splats) == done.splats == len(result.splats)
     assert splats.sh_degree == 1
-    assert len(read_splats(tmp_path / "point_cloud/iteration_20/point_cloud.ply")) >= 150
+    assert len(read_ply(tmp_path / "point_cloud/iteration_20/point_cloud.ply")) >= 150
     assert len(list((tmp_path / "snapshots").iterdir())) == 2
     assert read_image(next((tmp_path / "previews").iterdir())).shape == (48, 48, 3)
     assert len(read_cameras_json(tmp_path / "cameras.json")) == 8
@@ -279,7 +279,7 @@ def test_bad_input_leaves_the_other_run_alone(capture: Path, tmp_path: Path) -> 
         bad = replace(CONFIG, lpips=capture / "no.onnx")
         train(bad, data_of(capture), tmp_path, overwrite=True)
     aside = tmp_path.parent / f"{tmp_path.name}-aside.ply"
-    splats = read_splats(tmp_path / "point_cloud.ply")
+    splats = read_ply(tmp_path / "point_cloud.ply")
     write_splats(aside, replace(splats, means=splats.means + np.float32(1e5)))
     with pytest.raises(DatasetError, match="None of the"):
         train(replace(CONFIG, start_splats=aside), data_of(capture), tmp_path, overwrite=True)

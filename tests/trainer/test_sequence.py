@@ -20,7 +20,7 @@ from gscore.errors import Cancelled, ConfigError, DatasetError, FormatError
 from gscore.events import Done, Event, FrameStarted, SequenceDone, Started, from_line
 from gscore.io.colmap import read_model, write_model
 from gscore.io.images import read_image, write_png
-from gscore.io.ply import read_splats
+from gscore.io.ply import read_ply
 from gscore.io.sequences import read_sequence
 from gscore.trainer.sequence import SequenceOptions, train_sequence
 from gscore.transforms import rotmat_to_quat
@@ -285,7 +285,7 @@ def test_frames_are_found_by_pattern(frames: Path, capture: Path, tmp_path: Path
     result = train_sequence(replace(CONFIG, iterations=4), rig, tmp_path / "out", options=options)
     stored = [load_config(frame.folder / "config.json")[0] for frame in result.frames]
     assert [data.rig for data in stored] == [None, None], "they share their cameras already"
-    assert len(read_splats(result.frames[1].folder / "point_cloud.ply")) > 100
+    assert len(read_ply(result.frames[1].folder / "point_cloud.ply")) > 100
     with pytest.raises(ConfigError, match="twice in one name"):
         find_frames(replace(rig, images="{frame}_{frame}"))
     shutil.copytree(frames / "000005", frames / "again_5")

@@ -13,7 +13,7 @@ import numpy as np
 from gscore.commands import main
 from gscore.config import PRESETS, Background, Skip, Strategy
 from gscore.config_file import load_config
-from gscore.io.ply import read_splats
+from gscore.io.ply import read_ply
 from gscore.trainer.files import checkpoint
 from gscore.trainer.files.folder import RunFolder
 
@@ -55,6 +55,6 @@ def test_a_training_goes_on_from_them(capture: Path, tmp_path: Path) -> None:
     assert main(["train", str(capture), "-o", str(new), *options]) == 0
     assert main(["train", "-o", str(new), "--resume", "--iterations", "8", "--quiet"]) == 0
     assert RunFolder(old).checkpoints()[-1].name == RunFolder(new).checkpoints()[-1].name
-    a, b = (read_splats(folder / "point_cloud.ply") for folder in (old, new))
+    a, b = (read_ply(folder / "point_cloud.ply") for folder in (old, new))
     np.testing.assert_allclose(a.means, b.means, atol=1e-4)
     np.testing.assert_allclose(a.opacities, b.opacities, atol=1e-3)

@@ -22,7 +22,7 @@ from gscore.io.exr_header import check_exr_size
 from gscore.io.files import read_bytes
 from gscore.io.images import read_image, read_info, read_mask
 from gscore.io.metrics_file import read_metrics
-from gscore.io.ply import is_antialiased, read_splats
+from gscore.io.ply import is_antialiased_ply, read_ply
 from gscore.trainer.files import checkpoint
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="named pipes in folders are POSIX's")
@@ -55,8 +55,8 @@ def alarm() -> Iterator[None]:
         (read_map, "a.png"),
         (read_map, "a.npy"),
         (read_map, "a.exr"),
-        (read_splats, "a.ply"),
-        (is_antialiased, "a.ply"),
+        (read_ply, "a.ply"),
+        (is_antialiased_ply, "a.ply"),
         (read_cameras_json, "cameras.json"),
         (checkpoint.load, "step_00000001.safetensors"),
         (_hash, "a.png"),

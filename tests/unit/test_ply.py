@@ -15,8 +15,8 @@ from gscore.errors import DatasetError, FormatError, GsError
 from gscore.io.ply import (
     MIP_COMMENT,
     header_comments,
-    is_antialiased,
-    read_splats,
+    is_antialiased_ply,
+    read_ply,
     write_splats,
 )
 from gscore.io.ply_points import read_point_cloud
@@ -98,7 +98,7 @@ def test_round_trip_to_the_bit(degree: int, make_splats: Callable, tmp_path: Pat
     splats = make_splats(40_000, degree)
     splats.means[:3, 0] = [-0.0, 1e-42, 3.4e38]
     write_splats(tmp_path / "a.ply", splats)
-    again = read_splats(tmp_path / "a.ply")
+    again = read_ply(tmp_path / "a.ply")
     _assert_equal(again, splats)
     assert np.signbit(again.means[0, 0])
     assert all(getattr(again, item.name).flags.c_contiguous for item in fields(Splats))
@@ -110,7 +110,7 @@ def test_million_splats_in_seconds(make_splats: Callable, tmp_path: Path) -> Non
     start = time.perf_counter()
     write_splats(tmp_path / "a.ply", splats)
     middle = time.perf_counter()
-    read_splats(tmp_path / "a.ply")
+    read_ply(tmp_path / "a.ply")
     assert middle - start < 2
     assert time.perf_counter() - middle < 2
 
@@ -128,7 +128,7 @@ class TestDialects:
             mixed[name] = columns[name]
         mixed["segment"] = np.arange(50, dtype=np.int32)
         _write(tmp_path / "a.ply", mixed)
-        _assert_equal(read_splats(tmp_path / "a.ply"), splats)
+        _assert_equal(read_ply(tmp_path / "a.ply"), splats)
 
     @pytest.mark.parametrize(("text", "order"), [(True, "="), (False, ">")])
     def test_text_and_big_endian(
@@ -137,7 +137,7 @@ class TestDialects:
         """Oracle: the same splats as plyfile writes them (text with 8 digits)."""
         splats = make_splats(degree=1)
         _write(tmp_path / "a.ply", _columns(splats), text=text, order=order)
-        again = read_splats(tmp_path / "a.ply")
+        again = read_ply(tmp_path / "a.ply")
         np.testing.assert_allclose(again.shN, splats.shN, rtol=1e-6 if text else 0)
         np.testing.assert_allclose(again.quats, splats.quats, rtol=1e-6 if text else 0)
 
@@ -146,7 +146,7 @@ class TestDialects:
         splats = make_splats(degree=0)
         wide = {name: column.astype(np.float64) for name, column in _columns(splats).items()}
         _write(tmp_path / "a.ply", wide)
-        _assert_equal(read_splats(tmp_path / "a.ply"), splats)
+        _assert_equal(read_ply(tmp_path / "a.ply"), splats)
 
     def test_bytes_as_color(self, make_splats: Callable, tmp_path: Path) -> None:
         """Oracle: colour = 0.5 + 0.2820948 f_dc gives the byte back."""
@@ -156,7 +156,7 @@ class TestDialects:
         for c, name in enumerate(("red", "green", "blue")):
             columns[name] = rgb[:, c]
         _write(tmp_path / "a.ply", columns)
-        again = read_splats(tmp_path / "a.ply")
+        again = read_ply(tmp_path / "a.ply")
         np.testing.assert_allclose(
             (0.5 + 0.28209479177387814 * again.sh0[:, 0]) * 255, rgb, atol=1e-4
         )
@@ -173,7 +173,7 @@ class TestDialects:
             columns[f"f_rest_{k}"] = np.full(50, rest[k])
         _write(tmp_path / "a.ply", columns)
         with caplog.at_level(logging.WARNING):
-            again = read_splats(tmp_path / "a.ply")
+            again = read_ply(tmp_path / "a.ply")
         assert again.sh_degree == 3
         np.testing.assert_array_equal(again.shN[0], rest.reshape(3, 24)[:, :15].T)
         assert "24 SH coefficients" in caplog.text and "first 15" in caplog.text
@@ -184,7 +184,7 @@ class TestDialects:
         for k in range(15):
             columns[f"f_rest_{k}"] = np.full(50, k, np.float32)
         _write(tmp_path / "a.ply", columns)
-        again = read_splats(tmp_path / "a.ply")
+        again = read_ply(tmp_path / "a.ply")
         np.testing.assert_array_equal(again.shN[0], [[0, 5, 10], [1, 6, 11], [2, 7, 12]])
 
     def test_broken_rows_are_left_out(
@@ -200,7 +200,7 @@ class TestDialects:
         splats.opacities[8] = -np.inf
         write_splats(tmp_path / "a.ply", splats)
         with caplog.at_level(logging.WARNING):
-            again = read_splats(tmp_path / "a.ply")
+            again = read_ply(tmp_path / "a.ply")
         assert len(again) == 45
         assert again.opacities[3] == 20
         assert "5 of 50 splats have numbers that are not finite" in caplog.text
@@ -208,7 +208,7 @@ class TestDialects:
     def test_no_splats(self, make_splats: Callable, tmp_path: Path) -> None:
         """Oracle: an empty model is a model."""
         write_splats(tmp_path / "a.ply", make_splats(0))
-        again = read_splats(tmp_path / "a.ply")
+        again = read_ply(tmp_path / "a.ply")
         assert len(again) == 0 and again.sh_degree == 3
 
 
@@ -220,7 +220,7 @@ class TestRefusals:
         points = {name: np.zeros(4, np.float32) for name in "xyz"}
         _write(tmp_path / "points.ply", points | {"red": np.zeros(4, np.uint8)})
         with pytest.raises(FormatError) as caught:
-            read_splats(tmp_path / "points.ply")
+            read_ply(tmp_path / "points.ply")
         message = str(caught.value)
         assert "points.ply holds no Gaussian splats: its vertices lack opacity, scale_0" in message
         assert "plain mesh or point cloud" in message and message.count(". ") == 0
@@ -231,18 +231,18 @@ class TestRefusals:
         element = plyfile.PlyElement.describe(face, "face")
         plyfile.PlyData([element]).write(str(tmp_path / "a.ply"))
         with pytest.raises(FormatError, match="holds no Gaussian splats"):
-            read_splats(tmp_path / "a.ply")
+            read_ply(tmp_path / "a.ply")
 
     def test_other_files(self, tmp_path: Path) -> None:
         """Oracle: missing file, other contents, header without an end."""
         with pytest.raises(DatasetError, match=r"Cannot read .*none\.ply"):
-            read_splats(tmp_path / "none.ply")
+            read_ply(tmp_path / "none.ply")
         (tmp_path / "a.ply").write_bytes(b"\x7fELF\r\n")
         with pytest.raises(FormatError, match="is not a PLY file"):
-            read_splats(tmp_path / "a.ply")
+            read_ply(tmp_path / "a.ply")
         (tmp_path / "a.ply").write_bytes(b"ply\nformat ascii 1.0\n")
         with pytest.raises(FormatError, match="no end_header"):
-            read_splats(tmp_path / "a.ply")
+            read_ply(tmp_path / "a.ply")
 
     def test_gaps_in_rest(self, make_splats: Callable, tmp_path: Path) -> None:
         """Oracle: f_rest_2 left out."""
@@ -250,7 +250,7 @@ class TestRefusals:
         del columns["f_rest_2"]
         _write(tmp_path / "a.ply", columns)
         with pytest.raises(FormatError, match="not numbered 0 to 7"):
-            read_splats(tmp_path / "a.ply")
+            read_ply(tmp_path / "a.ply")
 
     def test_rest_not_of_three_channels(self, make_splats: Callable, tmp_path: Path) -> None:
         """Oracle: seven coefficients cannot be three channels."""
@@ -258,7 +258,7 @@ class TestRefusals:
         del columns["f_rest_8"], columns["f_rest_7"]
         _write(tmp_path / "a.ply", columns)
         with pytest.raises(FormatError, match="expected 0, 9, 24 or 45"):
-            read_splats(tmp_path / "a.ply")
+            read_ply(tmp_path / "a.ply")
 
     def test_list_in_place_of_number(self, make_splats: Callable, tmp_path: Path) -> None:
         """Oracle: opacity stored as a list."""
@@ -269,7 +269,7 @@ class TestRefusals:
             [plyfile.PlyElement.describe(table, "vertex", val_types={"opacity": "f4"})]
         ).write(str(tmp_path / "a.ply"))
         with pytest.raises(FormatError, match="opacity is a list"):
-            read_splats(tmp_path / "a.ply")
+            read_ply(tmp_path / "a.ply")
 
     def test_every_truncation(self, make_splats: Callable, tmp_path: Path) -> None:
         """Oracle: a file cut anywhere is refused, naming the file."""
@@ -279,7 +279,7 @@ class TestRefusals:
         for cut in range(len(good)):
             path.write_bytes(good[:cut])
             with pytest.raises(FormatError, match=r"a\.ply"):
-                read_splats(path)
+                read_ply(path)
 
     def test_huge_count(self, make_splats: Callable, tmp_path: Path) -> None:
         """Oracle: 10^15 vertices are refused without allocating."""
@@ -287,7 +287,7 @@ class TestRefusals:
         write_splats(path, make_splats(3, 0))
         path.write_bytes(path.read_bytes().replace(b"vertex 3", b"vertex 1000000000000000"))
         with pytest.raises(FormatError, match="announces 1000000000000000 rows of vertex"):
-            read_splats(path)
+            read_ply(path)
 
     @pytest.mark.parametrize("text", [True, False])
     def test_hostile(
@@ -298,7 +298,7 @@ class TestRefusals:
         _write(path, _columns(make_splats(4, 1)), text=text)
         for raw in mutations(path.read_bytes()):
             path.write_bytes(raw)
-            for read in (read_splats, read_point_cloud):
+            for read in (read_ply, read_point_cloud):
                 try:
                     read(path)
                 except GsError:
@@ -351,12 +351,12 @@ def test_antialiasing_is_told_by_the_header(
     splats = make_splats(5, 0)
     write_splats(tmp_path / "plain.ply", splats, comments=("SplatRenderMode: default",))
     write_splats(tmp_path / "mip.ply", splats, comments=("made by hand", MIP_COMMENT))
-    assert not is_antialiased(tmp_path / "plain.ply")
-    assert is_antialiased(tmp_path / "mip.ply")
+    assert not is_antialiased_ply(tmp_path / "plain.ply")
+    assert is_antialiased_ply(tmp_path / "mip.ply")
     write_splats(tmp_path / "other.ply", splats, comments=("Antialiased: 1",))
-    assert is_antialiased(tmp_path / "other.ply")
+    assert is_antialiased_ply(tmp_path / "other.ply")
     with pytest.raises(DatasetError, match=r"none\.ply"):
-        is_antialiased(tmp_path / "none.ply")
+        is_antialiased_ply(tmp_path / "none.ply")
 
 
 def test_a_negative_count_is_told(make_splats: Callable, tmp_path: Path) -> None:
@@ -368,7 +368,7 @@ def test_a_negative_count_is_told(make_splats: Callable, tmp_path: Path) -> None
     end = raw.index(b"\n", at)
     path.write_bytes(raw[:at] + b"element vertex -5" + raw[end:])
     with pytest.raises(FormatError, match="its header announces '-5' rows"):
-        read_splats(path)
+        read_ply(path)
 
 
 def test_bytes_after_the_last_row_are_told(
@@ -378,12 +378,12 @@ def test_bytes_after_the_last_row_are_told(
     path = tmp_path / "a.ply"
     splats = make_splats()
     write_splats(path, splats)
-    assert len(read_splats(path)) == len(splats)
+    assert len(read_ply(path)) == len(splats)
     assert not caplog.records
     raw = path.read_bytes()
     fewer = f"element vertex {len(splats) - 1}".encode()
     path.write_bytes(raw.replace(f"element vertex {len(splats)}".encode(), fewer, 1))
-    assert len(read_splats(path)) == len(splats) - 1
+    assert len(read_ply(path)) == len(splats) - 1
     width = 4 * (17 + splats.shN.shape[1] * 3)
     assert f"{width} bytes after the last row its header announces" in caplog.text
 
@@ -395,10 +395,10 @@ def test_lines_after_the_last_row_are_told(
     path = tmp_path / "a.ply"
     _write(path, _columns(make_splats(9)), text=True)
     path.write_bytes(path.read_bytes() + b"\n\n")
-    assert len(read_splats(path)) == 9
+    assert len(read_ply(path)) == 9
     assert not caplog.records
     path.write_bytes(path.read_bytes().replace(b"element vertex 9", b"element vertex 7", 1))
-    assert len(read_splats(path)) == 7
+    assert len(read_ply(path)) == 7
     assert "2 lines after the last row its header announces are not read" in caplog.text
 
 
@@ -410,15 +410,15 @@ def test_any_letters_in_comments_and_a_byte_order_mark(
     """Oracle: the same model without them; plyfile alone takes neither."""
     path = tmp_path / "a.ply"
     _write(path, _columns(make_splats(9)), text=text)
-    plain = read_splats(path)
+    plain = read_ply(path)
     comment = "comment größer, 大, \xad\ncomment SplatRenderMode: mip\n".encode()
     raw = path.read_bytes()
     path.write_bytes(mark + raw.replace(b"element vertex", comment + b"element vertex", 1))
-    found = read_splats(path)
+    found = read_ply(path)
     for field in fields(plain):
         np.testing.assert_array_equal(getattr(found, field.name), getattr(plain, field.name))
     assert header_comments(path)[0].startswith("größer, 大")
-    assert is_antialiased(path)
+    assert is_antialiased_ply(path)
 
 
 def test_comments_of_any_letters_and_lines_are_written(
@@ -429,7 +429,7 @@ def test_comments_of_any_letters_and_lines_are_written(
     write_splats(path, make_splats(), comments=("größer\nend_header\r\nzwei", MIP_COMMENT))
     found = plyfile.PlyData.read(str(path))
     assert found.comments == ["gr\\xf6\\xdfer", "end_header", "zwei", MIP_COMMENT]
-    assert len(found["vertex"]) == len(read_splats(path)) == 50
+    assert len(found["vertex"]) == len(read_ply(path)) == 50
 
 
 @pytest.mark.parametrize("count", [b"9" * 400, b"9" * 5000])
@@ -439,5 +439,5 @@ def test_counts_of_many_digits(count: bytes, make_splats: Callable, tmp_path: Pa
     write_splats(path, make_splats())
     path.write_bytes(path.read_bytes().replace(b"vertex 50", b"vertex " + count, 1))
     with pytest.raises(FormatError, match="its header announces '999") as error:
-        read_splats(path)
+        read_ply(path)
     assert len(str(error.value)) < 500

@@ -8,7 +8,7 @@ import plyfile
 import pytest
 
 from gscore.errors import FormatError, GsError
-from gscore.io.ply import read_splats
+from gscore.io.ply import read_ply
 from gscore.sh import sh0_to_rgb
 
 _BOUNDS = [
@@ -108,7 +108,7 @@ def test_values_within_half_a_step(
 ) -> None:
     """Oracle: the numbers encoded, within half a quantisation step of each field."""
     _encode(tmp_path / "a.ply", **parts, color_bounds=color_bounds)
-    splats = read_splats(tmp_path / "a.ply")
+    splats = read_ply(tmp_path / "a.ply")
     assert len(splats) == 600 and splats.sh_degree == 0
     steps = np.array([1 / 2047, 1 / 1023, 1 / 2047])
     assert (np.abs(splats.means - parts["means"]) <= 10 * steps * 0.51 + 1e-6).all()
@@ -129,7 +129,7 @@ def test_coefficients(
     """Oracle: coefficients encoded channel-major, within half of a 256th of the range of 8."""
     rest = rng.uniform(-3.9, 3.9, (600, 3 * each))
     _encode(tmp_path / "a.ply", **parts, rest=rest)
-    splats = read_splats(tmp_path / "a.ply")
+    splats = read_ply(tmp_path / "a.ply")
     expected = rest.reshape(600, 3, each).transpose(0, 2, 1)
     assert np.abs(splats.shN - expected).max() <= 0.5 * 8 / 256 + 1e-6
 
@@ -150,7 +150,7 @@ def test_values_by_hand(tmp_path: Path) -> None:
     plyfile.PlyData([plyfile.PlyElement.describe(t, n) for t, n in elements]).write(
         str(tmp_path / "a.ply")
     )
-    splats = read_splats(tmp_path / "a.ply")
+    splats = read_ply(tmp_path / "a.ply")
     assert splats.means.tolist() == [[3, 5, 7]]
     assert splats.scales.tolist() == [[0, 0, 0]]
     np.testing.assert_allclose(splats.quats[0], [0.7071, -0.7071, 0.0, 0.0007], atol=1e-3)
@@ -172,13 +172,13 @@ def test_damaged_layouts(parts: dict[str, np.ndarray], tmp_path: Path) -> None:
 
     write(chunk=np.array(chunk[:2]), vertex=np.array(vertex))
     with pytest.raises(FormatError, match=r"2 chunks for 600 splats \(expected 3\)"):
-        read_splats(path)
+        read_ply(path)
     write(vertex=np.array(vertex))
     with pytest.raises(FormatError, match="missing properties: min_x"):
-        read_splats(path)
+        read_ply(path)
     write(chunk=np.array(chunk), vertex=np.array(vertex), sh=np.array(sh[:5]))
     with pytest.raises(FormatError, match="element sh has 5 rows"):
-        read_splats(path)
+        read_ply(path)
 
 
 def test_hostile(parts: dict[str, np.ndarray], mutations: Callable, tmp_path: Path) -> None:
@@ -189,7 +189,7 @@ def test_hostile(parts: dict[str, np.ndarray], mutations: Callable, tmp_path: Pa
     for raw in mutations(path.read_bytes()):
         path.write_bytes(raw)
         try:
-            read_splats(path)
+            read_ply(path)
         except GsError:
             refused += 1
     assert refused > 20

@@ -20,7 +20,7 @@ BUILD = ROOT / "build" / "fuzz"
 TARGETS = {"raster": 0.25, "loss": 0.05, "adam": 0.05, "catch_up": 0.1, "arrays": 0.05}
 READERS, SCENES = 0.3, 0.2
 """Shares of the time, together all of it."""
-FORMATS = 28
+FORMATS = 50
 
 
 def run(*command: str, **environment: str) -> int:

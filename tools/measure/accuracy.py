@@ -14,7 +14,7 @@ from PIL import Image, ImageDraw
 
 from gscore.config import DataConfig
 from gscore.datasets import load_dataset
-from gscore.io.ply import read_splats
+from gscore.io.ply import read_ply
 from gscore.raster import backend
 from gscore.splats import PARAMETERS
 from gscore.stress import native, truth
@@ -102,7 +102,7 @@ def away(scene: SplatScene, offset: float) -> SplatScene:
 
 def trained(ply: Path, capture: Path, view: int) -> SplatScene:
     """A window of 64 x 48 px in the middle of a view of a trained model."""
-    splats = read_splats(ply)
+    splats = read_ply(ply)
     cameras = load_dataset(DataConfig(source=capture)).scene.cameras
     K = cameras.Ks[view].copy()
     width, height = 64, 48

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from gscore.config import DataConfig, Switch, TrainConfig
 from gscore.datasets import load_dataset
-from gscore.io.ply import read_splats
+from gscore.io.ply import read_ply
 from gscore.trainer.depth.setup import prepare_depth
 from gscore.trainer.host.state import ordinary_state
 from gscore.trainer.trainer import Trainer
@@ -32,7 +32,7 @@ def main() -> None:
     parser.add_argument("--pairs", type=int, default=50)
     parser.add_argument("--threads", type=int, default=0)
     args = parser.parse_args()
-    splats = read_splats(args.splats)
+    splats = read_ply(args.splats)
     data = DataConfig(source=STUDIO, mask_mode="none", depths="depths")
     # Full size, no refinement and next to no learning: all steps of both do the same work.
     config = TrainConfig(

@@ -21,7 +21,7 @@ from gscore.bench.raster import bench_raster, synthetic_scene
 from gscore.config import DataConfig
 from gscore.datasets import load_dataset
 from gscore.io.files import atomic_write
-from gscore.io.ply import read_splats
+from gscore.io.ply import read_ply
 from gscore.metrics.curves import Series
 from gscore.metrics.figure import figure
 from gscore.raster import backend
@@ -121,7 +121,7 @@ def speed(ply: Path | None, cameras: Path | None) -> dict[str, float]:
         splats, views = synthetic_scene()
         chosen = [0]
     else:
-        splats = read_splats(ply)
+        splats = read_ply(ply)
         views = load_dataset(DataConfig(source=cameras)).scene.cameras
         chosen = np.linspace(0, len(views) - 1, 4).round().astype(int).tolist()
     found = bench_raster(splats, views, chosen, repeats=5)

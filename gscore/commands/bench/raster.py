@@ -11,7 +11,7 @@ from ...bench.raster import RasterBench, bench_raster, synthetic_scene
 from ...config import DataConfig
 from ...datasets import load_dataset
 from ...errors import ConfigError
-from ...io.ply import read_splats
+from ...formats import read_splats
 from ...metrics.machine import machine
 from ...raster import backend
 from ...words import count_words, number

@@ -10,7 +10,7 @@ from ...bench.synthetic import SyntheticPhotos
 from ...config import DataConfig, Skip, Strategy, TrainConfig
 from ...datasets import load_dataset
 from ...errors import ConfigError
-from ...io.ply import read_splats
+from ...formats import read_splats
 from ...metrics.machine import machine
 from ...raster import backend
 from ...words import count_words

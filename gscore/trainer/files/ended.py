@@ -9,7 +9,7 @@ from ...config_file import config_json
 from ...events import ENDED, FINISHED, Done, judged_psnr
 from ...io.files import read_bytes
 from ...io.metrics_file import read_metrics
-from ...io.ply import read_splats
+from ...io.ply import read_ply
 from ...metrics import headline
 from ...splats import Splats
 from .checkpoint import Checkpoint
@@ -82,7 +82,7 @@ def ended_run(
     return TrainResult(
         reason=reason,
         steps=last.steps,
-        splats=read_splats(folder.point_cloud),
+        splats=read_ply(folder.point_cloud),
         train_seconds=float(metrics.get("train_seconds") or 0.0),
         metrics=metrics,
         output=folder.path,

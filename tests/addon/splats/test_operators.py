@@ -1,5 +1,6 @@
 """Operators as a script calls them. Oracle: files read back with gscore, and the scene before."""
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -110,6 +111,30 @@ def test_untouched_round_trip(ob: bpy.types.Object, tmp_path: Path, ply: Path) -
     close(got, wanted)
     header = [path.read_bytes().split(b"end_header")[0] for path in (out, ply)]
     assert header[0] == header[1]
+
+
+@pytest.mark.parametrize("ending", [".compressed.ply", ".spz", ".splat", ".glb", ".spz.glb"])
+def test_other_formats(
+    ending: str, ob: bpy.types.Object, scene: bpy.types.Scene, ply: Path, tmp_path: Path
+) -> None:
+    """Oracle: the file that came in, as this format keeps it; the same import without its name."""
+    out = tmp_path / f"out{ending}"
+    assert bpy.ops.gscore.export_splats(filepath=str(out)) == {"FINISHED"}
+    shutil.copy(out, tmp_path / "some.bin")
+    for path in (out, tmp_path / "some.bin"):
+        assert bpy.ops.gscore.import_splats(filepath=str(path)) == {"FINISHED"}
+        got, wanted = objects.read(bpy.context.object), read_splats(ply)
+        assert len(got) == len(wanted)
+        by_place = [np.lexsort(s.means.round(1).T) for s in (got, wanted)]
+        means = got.means[by_place[0]] - wanted.means[by_place[1]]
+        assert np.median(np.abs(means)) < 2e-3
+
+
+def test_other_endings_are_refused(ob: bpy.types.Object, tmp_path: Path) -> None:
+    """Oracle: a sentence that lists what there is, and no file."""
+    with pytest.raises(RuntimeError, match=r"no format of splats has this ending.*\.spz"):
+        bpy.ops.gscore.export_splats(filepath=str(tmp_path / "out.obj"))
+    assert not (tmp_path / "out.obj").exists()
 
 
 def test_untouched_below_a_root(scene: bpy.types.Scene, ply: Path, tmp_path: Path) -> None:
@@ -456,10 +481,10 @@ def test_import_and_undo(scene: bpy.types.Scene, ply: Path) -> None:
 
 
 def test_drop_handler(scene: bpy.types.Scene) -> None:
-    """Oracle: Blender knows a handler for .ply that calls our import."""
+    """Oracle: Blender knows a handler that calls our import, for what Blender has no meshes in."""
     handler = bpy.types.GSCORE_FH_splats
     assert handler.bl_import_operator == "gscore.import_splats"
-    assert handler.bl_file_extensions == ".ply"
+    assert handler.bl_file_extensions == ".ply;.spz;.sog;.splat;.ksplat"
 
 
 def test_join_keeps_order(make_splats: Make) -> None:

@@ -9,7 +9,7 @@ import pytest
 from gscore.commands import main
 from gscore.config import DataConfig, Switch, TrainConfig
 from gscore.datasets import load_dataset
-from gscore.io.ply import read_splats
+from gscore.io.ply import read_ply
 from gscore.scene import PointCloud
 from gscore.trainer.depth.stereo import stereo_start
 from gscore.trainer.files.folder import RunFolder
@@ -85,11 +85,11 @@ def test_a_training_starts_from_them_and_goes_on_bit_equal(
     again = tmp_path / "again"
     more = ["--start-checkpoint", str(first), *steps, *LINE]
     assert main(["train", str(arc), "-o", str(again), *more]) == 0
-    a, b = (read_splats(folder / "point_cloud.ply") for folder in (whole, again))
+    a, b = (read_ply(folder / "point_cloud.ply") for folder in (whole, again))
     assert a.means.tobytes() == b.means.tobytes() and a.sh0.tobytes() == b.sh0.tobytes()
     line = ["train", str(arc), "-o", str(without), *LINE[:2], "--stereo", "off", "--quiet"]
     assert main([*line, "--iterations", "1"]) == 0
-    plain = read_splats(without / "point_cloud.ply")
+    plain = read_ply(without / "point_cloud.ply")
     assert len(plain) == len(load_dataset(DataConfig(source=arc)).scene.points) < len(a)
 
 

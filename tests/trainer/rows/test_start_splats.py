@@ -13,7 +13,7 @@ from gscore.config import DataConfig, TrainConfig
 from gscore.config_file import load_config
 from gscore.errors import ConfigError, DatasetError
 from gscore.events import Event, Started, Warn
-from gscore.io.ply import read_splats, write_splats
+from gscore.io.ply import read_ply, write_splats
 from gscore.raster.api import render
 from gscore.splats import Splats
 from gscore.trainer.run import train
@@ -80,7 +80,7 @@ def test_a_run_starts_from_a_ply_and_goes_on_from_its_checkpoint(
     base = ["train", str(capture), "--max-splats", "400", "--sh-degree", "1", "--quiet"]
     assert main([*base, "-o", str(tmp_path / "first"), "--iterations", "5"]) == 0
     ply = tmp_path / "some.ply"
-    grown = read_splats(tmp_path / "first" / "point_cloud.ply")
+    grown = read_ply(tmp_path / "first" / "point_cloud.ply")
     write_splats(ply, grown.subset(np.arange(0, len(grown), 2)))
     warm = [*base, "--iterations", "12", "--start-splats", str(ply)]
     whole = tmp_path / "whole"
@@ -125,7 +125,7 @@ def test_bad_starts_are_named(capture: Path, tmp_path: Path) -> None:
         lambda event: told.append(event.message) if isinstance(event, Warn) else None,
     )
     assert any("was trained with antialiasing" in message for message in told)
-    write_splats(tmp_path / "many.ply", first := read_splats(tmp_path / "mip" / "point_cloud.ply"))
+    write_splats(tmp_path / "many.ply", first := read_ply(tmp_path / "mip" / "point_cloud.ply"))
     few = replace(CONFIG, start_splats=tmp_path / "many.ply", max_splats=len(first) - 1)
     with pytest.raises(ConfigError, match="max_splats"):
         train(few, data, tmp_path / "other")

@@ -1,0 +1,26 @@
+"""Models of splats as files: every format in, every one with a public layout out."""
+
+from .registry import (
+    FORMATS,
+    SPLAT_ENDINGS,
+    format_to_write,
+    is_antialiased,
+    is_splat_file,
+    read_splat_file,
+    read_splats,
+    write_splat_file,
+)
+from .splat_file import SplatFile, WrittenFile
+
+__all__ = [
+    "FORMATS",
+    "SPLAT_ENDINGS",
+    "SplatFile",
+    "WrittenFile",
+    "format_to_write",
+    "is_antialiased",
+    "is_splat_file",
+    "read_splat_file",
+    "read_splats",
+    "write_splat_file",
+]

@@ -1,0 +1,267 @@
+"""glTF 2.0 files: JSON and buffers, as .glb or .gltf, and the numbers that accessors name.
+
+Source: the specification of the Khronos Group. Everything is checked against the bytes there are
+before it is used.
+"""
+
+import base64
+import json
+import os
+import re
+import string
+import struct
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from ..errors import ConfigError, DatasetError, FormatError
+from ..io.files import read_bytes
+from ..json_text import parse_json
+from ..shown import quoted
+
+GLB_MAGIC = b"glTF"
+FLOAT, UNSIGNED_BYTE = 5126, 5121
+_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+_HEADER = struct.Struct("<4sII")
+_CHUNK = struct.Struct("<I4s")
+_JSON, _BINARY = b"JSON", b"BIN\0"
+_ADVICE = "Export it again."
+_UNRESERVED = frozenset(string.ascii_letters + string.digits + "-._~")
+
+
+class Gltf:
+    """A file that was read: its JSON, and its buffers when they are asked for."""
+
+    def __init__(self, path: Path) -> None:
+        """Read the JSON.
+
+        Raises:
+            DatasetError: the file is missing.
+            FormatError: it is no glTF 2.0, or damaged.
+        """
+        self.path = path
+        raw = memoryview(read_bytes(path))
+        text, self._binary = raw, None
+        if raw[:4] == GLB_MAGIC:
+            text, self._binary = self._chunks(raw)
+        try:
+            content = parse_json(bytes(text))
+        except (ValueError, UnicodeDecodeError) as error:
+            raise self.damaged(f"its JSON cannot be read ({error})") from error
+        if not isinstance(content, dict):
+            raise self.damaged("its JSON is no object")
+        self.content: dict[str, Any] = content
+        asset = content.get("asset")
+        version = asset.get("version") if isinstance(asset, dict) else None
+        if version != "2.0":
+            raise FormatError(
+                f"{path} is a glTF file of version {quoted(version)}; 2.0 is read. {_ADVICE}"
+            )
+        self._buffers: dict[int, memoryview] = {}
+
+    def damaged(self, why: str) -> FormatError:
+        """The error for what the file should not hold."""
+        return FormatError(f"{self.path} is a damaged glTF file: {why}. {_ADVICE}")
+
+    def entry(self, kind: str, index: Any) -> dict[str, Any]:
+        """The object with this index in one of the lists of the JSON."""
+        listed = self.content.get(kind)
+        found = None
+        if isinstance(listed, list) and type(index) is int and 0 <= index < len(listed):
+            found = listed[index]
+        if not isinstance(found, dict):
+            raise self.damaged(f"it has no {quoted(index)} among its {kind}")
+        return found
+
+    def listed(self, place: dict[str, Any], key: str) -> list[Any]:
+        """A list that an object may have."""
+        value = place.get(key, [])
+        if not isinstance(value, list):
+            raise self.damaged(f"{key} is no list")
+        return value
+
+    def whole(self, place: dict[str, Any], key: str, default: int | None = None) -> int:
+        """A whole number of at least 0 that an object has."""
+        value = place.get(key, default)
+        if type(value) is not int or value < 0:
+            raise self.damaged(f"{key} is {quoted(value)}")
+        return value
+
+    def view(self, index: Any) -> memoryview:
+        """The bytes of a bufferView."""
+        view = self.entry("bufferViews", index)
+        if "EXT_meshopt_compression" in _object(view.get("extensions")):
+            raise FormatError(
+                f"{self.path} packs its numbers with EXT_meshopt_compression, which is not read. "
+                f"Export it without compression, or with that of SPZ."
+            )
+        buffer = self._buffer(self.whole(view, "buffer"))
+        start, size = self.whole(view, "byteOffset", 0), self.whole(view, "byteLength")
+        if start + size > len(buffer):
+            raise self.damaged(
+                f"bufferView {index} ends at byte {start + size} of a buffer of {len(buffer)}"
+            )
+        return buffer[start : start + size]
+
+    def numbers(self, index: Any, kind: str) -> np.ndarray:
+        """[N, width] float32 of an accessor of type `kind`, scaled where it is normalized."""
+        accessor = self.entry("accessors", index)
+        stored = accessor.get("componentType")
+        dtype = np.dtype(_TYPES[stored]) if type(stored) is int and stored in _TYPES else None
+        if dtype is None or accessor.get("type") != kind:
+            raise self.damaged(
+                f"accessor {index} holds {quoted(accessor.get('type'))} of {quoted(stored)}, "
+                f"expected {kind}"
+            )
+        if "sparse" in accessor or "bufferView" not in accessor:
+            raise FormatError(
+                f"{self.path}: accessor {index} is sparse or holds nothing by itself, which is not "
+                f"read. {_ADVICE}"
+            )
+        count, width = self.whole(accessor, "count"), _WIDTHS[kind]
+        data, start = self.view(accessor["bufferView"]), self.whole(accessor, "byteOffset", 0)
+        row = width * dtype.itemsize
+        stride = self.whole(self.entry("bufferViews", accessor["bufferView"]), "byteStride", row)
+        stride = stride or row
+        if stride < row or (count and start + (count - 1) * stride + row > len(data)):
+            raise self.damaged(f"accessor {index} of {count} rows goes on beyond its bufferView")
+        if not count:
+            return np.zeros((0, width), np.float32)
+        found = np.ndarray((count, width), dtype, data, start, (stride, dtype.itemsize))
+        values = found.astype(np.float32)
+        if accessor.get("normalized") is True and dtype.kind in "iu":
+            values = np.maximum(values / np.float32(np.iinfo(dtype).max), -1)
+        return values
+
+    def _chunks(self, raw: memoryview) -> tuple[memoryview, memoryview | None]:
+        """JSON and binary chunk of a .glb."""
+        if len(raw) < _HEADER.size + _CHUNK.size:
+            raise self.damaged("it ends within its header")
+        _, version, length = _HEADER.unpack_from(raw)
+        if version != 2:
+            raise FormatError(f"{self.path} is a .glb of version {version}; 2 is read. {_ADVICE}")
+        if length > len(raw):
+            raise self.damaged(f"its header states {length} bytes, it has {len(raw)}")
+        found: dict[bytes, memoryview] = {}
+        at = _HEADER.size
+        while at + _CHUNK.size <= length and len(found) < 2:
+            size, kind = _CHUNK.unpack_from(raw, at)
+            at += _CHUNK.size
+            if at + size > len(raw):
+                raise self.damaged(f"a chunk states {size} bytes, {len(raw) - at} are left")
+            found.setdefault(kind, raw[at : at + size])
+            at += size
+        if _JSON not in found:
+            raise self.damaged("it has no JSON")
+        return found[_JSON], found.get(_BINARY)
+
+    def _buffer(self, index: int) -> memoryview:
+        if index not in self._buffers:
+            buffer = self.entry("buffers", index)
+            self._buffers[index] = self._load(index, buffer.get("uri"))
+        return self._buffers[index]
+
+    def _load(self, index: int, uri: Any) -> memoryview:
+        if uri is None and index == 0 and self._binary is not None:
+            return self._binary
+        if not isinstance(uri, str):
+            raise self.damaged(f"buffer {index} has no bytes")
+        if uri.startswith("data:"):
+            try:
+                return memoryview(base64.b64decode(uri.partition(",")[2], validate=True))
+            except ValueError as error:
+                raise self.damaged(f"buffer {index} is no base64 ({error})") from error
+        name = _unescaped(uri)
+        if Path(name).name != name or "\\" in name or ":" in name or name in ("", ".", ".."):
+            raise self.damaged(f"buffer {index} names the file {quoted(uri)}, outside its folder")
+        try:
+            return memoryview(read_bytes(self.path.parent / name))
+        except DatasetError as error:
+            raise DatasetError(f"{self.path} needs {quoted(name)} beside it. {error}") from error
+
+
+class GltfBuffer:
+    """A buffer that is written piece by piece, and the JSON that describes it."""
+
+    def __init__(self) -> None:
+        self.accessors: list[dict[str, Any]] = []
+        self.views: list[dict[str, Any]] = []
+        self.size = 0
+        self._pieces: list[np.ndarray | bytes] = []
+
+    def add_bytes(self, raw: bytes) -> int:
+        """A bufferView of bytes."""
+        return self._add(raw, len(raw))
+
+    def add(self, array: np.ndarray, kind: str, **more: Any) -> int:
+        """An accessor of rows, which are copied when the file is written.
+
+        Args:
+            array: [N, width] or [N], float32 or uint8.
+            kind: Its type in glTF.
+            more: Of the accessor besides.
+        """
+        stored = UNSIGNED_BYTE if array.dtype == np.uint8 else FLOAT
+        self.accessors.append(
+            {
+                "bufferView": self._add(array, array.nbytes),
+                "componentType": stored,
+                "count": len(array),
+                "type": kind,
+                **more,
+            }
+        )
+        return len(self.accessors) - 1
+
+    def write_to(self, file: BinaryIO) -> None:
+        """All pieces, each padded to four bytes."""
+        for piece in self._pieces:
+            raw = piece if isinstance(piece, bytes) else np.ascontiguousarray(piece).data
+            file.write(raw)
+            size = len(raw) if isinstance(raw, bytes) else raw.nbytes
+            file.write(bytes(-size % 4))
+
+    def _add(self, piece: np.ndarray | bytes, size: int) -> int:
+        self.views.append({"buffer": 0, "byteOffset": self.size, "byteLength": size})
+        self._pieces.append(piece)
+        self.size += size + -size % 4
+        return len(self.views) - 1
+
+
+def write_glb(file: BinaryIO, content: dict[str, Any], buffer: GltfBuffer) -> None:
+    """A .glb of JSON and one buffer.
+
+    Raises:
+        ConfigError: it would be larger than a .glb can be.
+    """
+    text = json.dumps(content).encode()
+    text += b" " * (-len(text) % 4)
+    length = _HEADER.size + 2 * _CHUNK.size + len(text) + buffer.size
+    if length >= 2**32:
+        raise ConfigError("A .glb holds 4 GiB at most; write a .gltf, or one with SPZ (.spz.glb).")
+    file.write(_HEADER.pack(GLB_MAGIC, 2, length))
+    file.write(_CHUNK.pack(len(text), _JSON) + text)
+    file.write(_CHUNK.pack(buffer.size, _BINARY))
+    buffer.write_to(file)
+
+
+def escaped(name: str) -> str:
+    """The name of a file as a URI (RFC 3986): bytes of UTF-8 that may not stand there as %20."""
+    return "".join(
+        chr(byte) if chr(byte) in _UNRESERVED else f"%{byte:02X}" for byte in os.fsencode(name)
+    )
+
+
+def _unescaped(uri: str) -> str:
+    raw = re.sub(
+        rb"%([0-9A-Fa-f]{2})",
+        lambda found: bytes([int(found[1], 16)]),
+        uri.encode("utf-8", "replace"),
+    )
+    return os.fsdecode(raw)
+
+
+def _object(value: Any) -> dict[str, Any]:
+    return value if isinstance(value, dict) else {}

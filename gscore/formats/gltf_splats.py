@@ -1,0 +1,365 @@
+"""Splats in glTF: KHR_gaussian_splatting, plain or packed as SPZ, read and written.
+
+Source: the extensions' texts in github.com/KhronosGroup/glTF. Sizes are linear and opacities from 0
+to 1; drafts had logarithms of sizes, which are told by their signs. Axes are left-up-front.
+"""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .._version import __version__
+from ..errors import FormatError, ShapeError
+from ..io.file_sample import FileSample
+from ..io.files import atomic_write
+from ..io.splat_rows import drawable, linear_scales, log_scales, logits, opacities_of
+from ..sh import rgb_to_sh0, sh0_to_rgb
+from ..shown import quoted
+from ..splats import SH_REST_BY_DEGREE, Splats
+from ..transforms import transform_splats
+from . import spz
+from .axes import Z, half_turn
+from .gltf import GLB_MAGIC, Gltf, GltfBuffer, escaped, write_glb
+from .joined import joined
+from .splat_file import Decoded, SplatFormat, WriteOptions
+
+EXTENSION = "KHR_gaussian_splatting"
+_PACKED = (f"{EXTENSION}_compression_spz_2", f"{EXTENSION}_compression_spz")
+_HARMLESS = ("KHR_materials_", "KHR_texture_", "KHR_mesh_quantization", "KHR_lights_")
+"""Required extensions with which splats can be read nevertheless."""
+_POINTS = 0
+_MOST_DEPTH = 256
+_PROPERTIES = {
+    "kernel": "ellipse",
+    "colorSpace": "srgb_rec709_display",
+    "projection": "perspective",
+    "sortingMethod": "cameraDistance",
+}
+_MARK = "antialiased"
+"""In the extras of a primitive; the extension has no place for it."""
+
+
+def _is_gltf(path: Path, sample: FileSample) -> bool:
+    if sample.head.startswith(GLB_MAGIC):
+        return True
+    is_text = b"\0" not in sample.head and sample.head.lstrip(b"\xef\xbb\xbf \r\n\t")[:1] == b"{"
+    named = sample.ending == ".gltf" and b'"asset"' in sample.head + sample.tail
+    return is_text and (named or EXTENSION.encode() in sample.head + sample.tail)
+
+
+def _read(path: Path) -> Decoded:
+    file = Gltf(path)
+    _check_required(file)
+    parts, layouts, marks = [], [], []
+    for matrix, primitive in _primitives(file):
+        splats, layout = _splats(file, primitive)
+        parts.append(half_turn(_placed(file, splats, matrix), Z))
+        layouts.append(layout)
+        marks.append(_object(primitive.get("extras")).get(_MARK) is True)
+    if not parts:
+        meshes = len(file.listed(file.content, "meshes"))
+        raise FormatError(
+            f"{path} is a glTF file without splats: none of its {meshes} meshes has the extension "
+            f"{EXTENSION}. Give the file of a trained model."
+        )
+    return Decoded(splats=joined(parts), layout=layouts[0], antialiased=all(marks))
+
+
+def _check_required(file: Gltf) -> None:
+    known = (EXTENSION, *_PACKED)
+    required = file.listed(file.content, "extensionsRequired")
+    strange = [
+        name
+        for name in required
+        if name not in known and not (isinstance(name, str) and name.startswith(_HARMLESS))
+    ]
+    if strange:
+        raise FormatError(
+            f"{file.path} needs extensions of glTF that are not read: "
+            f"{', '.join(quoted(name) for name in strange)}. Export it without them."
+        )
+
+
+def _primitives(file: Gltf) -> Iterator[tuple[np.ndarray, dict[str, Any]]]:
+    """Matrices and primitives of splats: of the nodes of the scene, or of all meshes without it."""
+    scenes = file.listed(file.content, "scenes")
+    if not scenes:
+        for index in range(len(file.listed(file.content, "meshes"))):
+            yield from ((np.eye(4), found) for found in _of_mesh(file, index))
+        return
+    scene = file.entry("scenes", file.content.get("scene", 0))
+    left = [(node, np.eye(4), 0) for node in file.listed(scene, "nodes")]
+    seen = set()
+    while left:
+        index, above, depth = left.pop()
+        node = file.entry("nodes", index)
+        if index in seen or depth > _MOST_DEPTH:
+            raise file.damaged(f"node {index} stands below two nodes")
+        seen.add(index)
+        matrix = above @ _matrix(file, node)
+        if "mesh" in node:
+            yield from ((matrix, found) for found in _of_mesh(file, node["mesh"]))
+        left += [(child, matrix, depth + 1) for child in file.listed(node, "children")]
+
+
+def _of_mesh(file: Gltf, index: Any) -> Iterator[dict[str, Any]]:
+    for primitive in file.listed(file.entry("meshes", index), "primitives"):
+        if EXTENSION in _object(_object(primitive).get("extensions")):
+            if primitive.get("mode", 4) != _POINTS:
+                raise file.damaged(f"mesh {index} has splats whose mode is not POINTS")
+            yield primitive
+
+
+def _matrix(file: Gltf, node: dict[str, Any]) -> np.ndarray:
+    """[4, 4] of a node, that acts on column vectors."""
+    if "matrix" in node:
+        return _numbers(file, node, "matrix", np.eye(4).ravel()).reshape(4, 4).T
+    x, y, z, w = _numbers(file, node, "rotation", np.array([0.0, 0, 0, 1]))
+    turn = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    out = np.eye(4)
+    out[:3, :3] = turn * _numbers(file, node, "scale", np.ones(3))
+    out[:3, 3] = _numbers(file, node, "translation", np.zeros(3))
+    return out
+
+
+def _numbers(file: Gltf, node: dict[str, Any], key: str, default: np.ndarray) -> np.ndarray:
+    values = node.get(key)
+    if values is None:
+        return default
+    fine = isinstance(values, list) and len(values) == len(default)
+    if not fine or not all(type(v) in (int, float) and abs(v) < 1e30 for v in values):
+        raise file.damaged(f"{key} of a node is {quoted(values)}")
+    return np.array(values, np.float64)
+
+
+def _placed(file: Gltf, splats: Splats, matrix: np.ndarray) -> Splats:
+    if np.array_equal(matrix, np.eye(4)):
+        return splats
+    try:
+        return transform_splats(splats, matrix)
+    except ShapeError as error:
+        raise FormatError(
+            f"{file.path}: a node cannot be applied to its splats. {error}"
+        ) from error
+
+
+def _splats(file: Gltf, primitive: dict[str, Any]) -> tuple[Splats, str]:
+    """The splats of a primitive in the axes of glTF, and the layout's name."""
+    extension = _object(primitive["extensions"][EXTENSION])
+    inner = _object(extension.get("extensions"))
+    for name in _PACKED:
+        if name in inner:
+            raw = file.view(_object(inner[name]).get("bufferView"))
+            try:
+                found = spz.decode_spz(file.path, raw)
+            except FormatError as error:
+                raise FormatError(f"The SPZ within a glTF file: {error}") from error
+            return half_turn(found.splats, Z), f"glTF with {found.layout}"
+    if inner:
+        raise FormatError(
+            f"{file.path} packs its splats with {', '.join(map(quoted, inner))}, which is not "
+            f"read; {' and '.join(_PACKED)} are. Export it without compression."
+        )
+    _check_kind(file, extension)
+    return _plain(file, _object(primitive.get("attributes"))), "glTF"
+
+
+def _check_kind(file: Gltf, extension: dict[str, Any]) -> None:
+    kernel = extension.get("kernel", "ellipse")
+    color = extension.get("colorSpace", "srgb_rec709_display")
+    if kernel != "ellipse":
+        raise FormatError(
+            f"{file.path} has splats of the kernel {quoted(kernel)}; ellipse is drawn. {_AGAIN}"
+        )
+    if color != "srgb_rec709_display":
+        raise FormatError(
+            f"{file.path} has splats in the colour space {quoted(color)}; srgb_rec709_display is "
+            f"drawn. {_AGAIN}"
+        )
+
+
+_AGAIN = "Export it in that, or as a 3DGS PLY."
+
+
+def _plain(file: Gltf, attributes: dict[str, Any]) -> Splats:
+    """Splats of accessors."""
+    means = file.numbers(attributes.get("POSITION"), "VEC3")
+    quats = file.numbers(attributes.get(f"{EXTENSION}:ROTATION"), "VEC4")
+    scales = file.numbers(attributes.get(f"{EXTENSION}:SCALE"), "VEC3")
+    opacities = file.numbers(attributes.get(f"{EXTENSION}:OPACITY"), "SCALAR")[:, 0]
+    base = attributes.get(f"{EXTENSION}:SH_DEGREE_0_COEF_0")
+    if base is None and "COLOR_0" in attributes:
+        kind = file.entry("accessors", attributes["COLOR_0"]).get("type")
+        colors = file.numbers(attributes["COLOR_0"], "VEC4" if kind == "VEC4" else "VEC3")
+        sh0 = rgb_to_sh0(colors[:, :3]).astype(np.float32)
+    else:
+        sh0 = file.numbers(base, "VEC3")
+    shN = _harmonics(file, attributes, len(means))
+    if len({len(a) for a in (means, quats, scales, opacities, sh0, shN)}) != 1:
+        raise file.damaged("the attributes of its splats have different numbers of rows")
+    is_log = bool((scales < 0).any())
+    return drawable(
+        file.path,
+        means=means,
+        quats=quats[:, [3, 0, 1, 2]],
+        scales=scales if is_log else log_scales(scales),
+        opacities=logits(opacities),
+        sh0=sh0,
+        shN=shN,
+    )
+
+
+def _harmonics(file: Gltf, attributes: dict[str, Any], count: int) -> np.ndarray:
+    """[N, K-1, 3] of the bands that are whole."""
+    names = [_harmonic(degree, index) for degree in (1, 2, 3) for index in range(2 * degree + 1)]
+    there = next((k for k, name in enumerate(names) if name not in attributes), len(names))
+    width = max(w for w in SH_REST_BY_DEGREE.values() if w <= there)
+    out = np.empty((count, width, 3), np.float32)
+    for k in range(width):
+        values = file.numbers(attributes[names[k]], "VEC3")
+        if len(values) != count:
+            raise file.damaged(f"{names[k]} has {len(values)} rows, expected {count}")
+        out[:, k] = values
+    return out
+
+
+def _harmonic(degree: int, index: int) -> str:
+    return f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{index}"
+
+
+def _write(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
+    buffer = GltfBuffer()
+    content = _content(_attributes(buffer, half_turn(splats, Z)), {}, options, buffer)
+    _write_file(path, content, buffer)
+    return []
+
+
+def _write_packed(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
+    buffer = GltfBuffer()
+    raw, notes = spz.encode_spz(splats, antialiased=options.antialiased, version=3)
+    name = _PACKED[0]
+    packed = {"extensions": {name: {"bufferView": buffer.add_bytes(raw)}}}
+    kinds = [
+        ("POSITION", "VEC3"),
+        (f"{EXTENSION}:ROTATION", "VEC4"),
+        (f"{EXTENSION}:SCALE", "VEC3"),
+    ]
+    kinds += [(f"{EXTENSION}:OPACITY", "SCALAR"), (f"{EXTENSION}:SH_DEGREE_0_COEF_0", "VEC3")]
+    kinds += [
+        (_harmonic(degree, index), "VEC3")
+        for degree in range(1, splats.sh_degree + 1)
+        for index in range(2 * degree + 1)
+    ]
+    attributes = {}
+    for attribute, kind in kinds:  # without bufferViews: the bytes of SPZ stand for them
+        attributes[attribute] = len(buffer.accessors)
+        buffer.accessors.append({"componentType": 5126, "count": len(splats), "type": kind})
+    buffer.accessors[0] |= _bounds(half_turn(splats, Z).means)
+    content = _content(attributes, packed, options, buffer)
+    content["extensionsUsed"] = content["extensionsRequired"] = [EXTENSION, name]
+    _write_file(path, content, buffer)
+    return notes
+
+
+def _attributes(buffer: GltfBuffer, splats: Splats) -> dict[str, int]:
+    """Accessors of all parameters, for splats in the axes of glTF."""
+    opacities = opacities_of(splats.opacities)
+    colors = np.empty((len(splats), 4), np.uint8)
+    colors[:, :3] = np.clip(np.rint(sh0_to_rgb(splats.sh0[:, 0]) * 255), 0, 255)
+    colors[:, 3] = np.rint(opacities * 255)
+    unit = splats.quats / np.linalg.norm(splats.quats, axis=1, keepdims=True)
+    out = {
+        "POSITION": buffer.add(splats.means, "VEC3", **_bounds(splats.means)),
+        "COLOR_0": buffer.add(colors, "VEC4", normalized=True),
+        f"{EXTENSION}:ROTATION": buffer.add(unit[:, [1, 2, 3, 0]], "VEC4"),
+        f"{EXTENSION}:SCALE": buffer.add(linear_scales(splats.scales), "VEC3"),
+        f"{EXTENSION}:OPACITY": buffer.add(opacities, "SCALAR"),
+        f"{EXTENSION}:SH_DEGREE_0_COEF_0": buffer.add(splats.sh0[:, 0], "VEC3"),
+    }
+    at = 0
+    for degree in range(1, splats.sh_degree + 1):
+        for index in range(2 * degree + 1):
+            out[_harmonic(degree, index)] = buffer.add(splats.shN[:, at], "VEC3")
+            at += 1
+    return out
+
+
+def _bounds(means: np.ndarray) -> dict[str, list[float]]:
+    if not len(means):
+        return {}
+    return {"min": means.min(axis=0).tolist(), "max": means.max(axis=0).tolist()}
+
+
+def _content(
+    attributes: dict[str, int],
+    packed: dict[str, Any],
+    options: WriteOptions,
+    buffer: GltfBuffer,
+) -> dict[str, Any]:
+    """The JSON of a file with one node, but for its buffer."""
+    primitive: dict[str, Any] = {
+        "attributes": attributes,
+        "mode": _POINTS,
+        "extensions": {EXTENSION: {**_PROPERTIES, **packed}},
+    }
+    if options.antialiased:
+        primitive["extras"] = {_MARK: True}
+    return {
+        "asset": {"version": "2.0", "generator": f"gscore {__version__}"},
+        "extensionsUsed": [EXTENSION],
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [primitive]}],
+        "accessors": buffer.accessors,
+        "bufferViews": buffer.views,
+        "buffers": [{"byteLength": buffer.size}],
+    }
+
+
+def _write_file(path: Path, content: dict[str, Any], buffer: GltfBuffer) -> None:
+    if path.suffix.lower() == ".glb":
+        atomic_write(path, lambda file: write_glb(file, content, buffer))
+        return
+    (beside,) = _buffer_of(path)
+    content["buffers"][0]["uri"] = escaped(beside.name)
+    atomic_write(beside, buffer.write_to)
+    atomic_write(path, json.dumps(content).encode())  # last, so that it names what is there
+
+
+def _buffer_of(path: Path) -> tuple[Path, ...]:
+    """Where the buffer of a .gltf lies that is written here."""
+    return () if path.suffix.lower() == ".glb" else (path.with_suffix(".bin"),)
+
+
+def _object(value: Any) -> dict[str, Any]:
+    return value if isinstance(value, dict) else {}
+
+
+GLTF = SplatFormat(
+    key="gltf",
+    name="glTF",
+    endings=(".glb", ".gltf"),
+    holds=_is_gltf,
+    read=_read,
+    write=_write,
+    beside=_buffer_of,
+)
+GLTF_SPZ = SplatFormat(
+    key="gltf-spz",
+    name="glTF with SPZ",
+    endings=(".spz.glb", ".spz.gltf"),
+    holds=lambda path, sample: False,  # `GLTF` reads both
+    read=_read,
+    write=_write_packed,
+    beside=_buffer_of,
+)

@@ -1,0 +1,54 @@
+"""Models as PLY, read in every dialect and written in the official 3DGS layout."""
+
+from pathlib import Path
+
+from ..io.file_sample import FileSample
+from ..io.ply import (
+    MIP_COMMENT,
+    header_comments,
+    is_antialiased_ply,
+    read_ply,
+    says_antialias,
+    write_splats,
+)
+from ..splats import Splats
+from .splat_file import Decoded, SplatFormat, WriteOptions
+
+
+def is_ply(path: Path, sample: FileSample) -> bool:
+    """Whether a file begins as a PLY, after a byte order mark."""
+    return sample.head.removeprefix(b"\xef\xbb\xbf").startswith((b"ply\n", b"ply\r"))
+
+
+def read(path: Path) -> Decoded:
+    """Read a PLY of any dialect, as `gscore.io.ply.read_splats` does."""
+    splats, comments = read_ply(path), header_comments(path)
+    return Decoded(
+        splats=splats,
+        layout="3DGS",
+        antialiased=says_antialias(comments),
+        comments=comments,
+    )
+
+
+def comments_of(options: WriteOptions) -> tuple[str, ...]:
+    """Lines for the header, with the mark of the compensation."""
+    others = tuple(line for line in options.comments if not says_antialias((line,)))
+    return (MIP_COMMENT, *others) if options.antialiased else others
+
+
+def write(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
+    """Write the official layout."""
+    write_splats(path, splats, comments=comments_of(options))
+    return []
+
+
+PLY = SplatFormat(
+    key="ply",
+    name="3DGS PLY",
+    endings=(".ply",),
+    holds=is_ply,
+    read=read,
+    write=write,
+    says_antialiased=is_antialiased_ply,
+)

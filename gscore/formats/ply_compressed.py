@@ -1,0 +1,130 @@
+"""SuperSplat's compressed PLY, read and written: 256 splats a chunk, 16 bytes each.
+
+Source: the public layout, as `gscore.io.ply_compressed` reads it. A chunk holds the bounds of its
+splats, so they are written in the order of a space-filling curve: the closer they lie, the finer
+the steps.
+"""
+
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from ..io.file_sample import FileSample
+from ..io.files import atomic_write
+from ..io.ply import is_antialiased_ply
+from ..io.ply_compressed import CHUNK
+from ..io.splat_rows import opacity_bytes
+from ..sh import sh0_to_rgb
+from ..splats import Splats
+from ..words import count_words
+from . import ply
+from .morton import morton_order
+from .splat_file import Decoded, SplatFormat, WriteOptions
+
+_BOUNDS = [
+    *(f"{end}_{axis}" for end in ("min", "max") for axis in "xyz"),
+    *(f"{end}_scale_{axis}" for end in ("min", "max") for axis in "xyz"),
+    *(f"{end}_{axis}" for end in ("min", "max") for axis in "rgb"),
+]
+_PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
+_LARGEST_LOG = 20.0
+_REACH = 4.0
+"""SH coefficients lie between this and its negative."""
+_CHUNKS_A_BLOCK = 1 << 10
+
+
+def _is_compressed(path: Path, sample: FileSample) -> bool:
+    return ply.is_ply(path, sample) and b" packed_position" in sample.head
+
+
+def _read(path: Path) -> Decoded:
+    return Decoded(**{**vars(ply.read(path)), "layout": "compressed (SuperSplat)"})
+
+
+def _write(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
+    order = morton_order(splats.means)
+    chunks = -(-len(splats) // CHUNK)
+    rest = 3 * splats.shN.shape[1]
+    lines = [line for text in ply.comments_of(options) for line in text.splitlines()]
+    header = ["ply", "format binary_little_endian 1.0", *(f"comment {line}" for line in lines)]
+    header += [f"element chunk {chunks}", *(f"property float {name}" for name in _BOUNDS)]
+    header += [f"element vertex {len(splats)}", *(f"property uint {name}" for name in _PACKED)]
+    if rest:
+        header += [f"element sh {len(splats)}"]
+        header += [f"property uchar f_rest_{k}" for k in range(rest)]
+    packed = [
+        _pack(splats.subset(order[at : at + _CHUNKS_A_BLOCK * CHUNK]))
+        for at in range(0, len(splats), _CHUNKS_A_BLOCK * CHUNK)
+    ]
+
+    def write(file: BinaryIO) -> None:
+        file.write("\n".join([*header, "end_header\n"]).encode("ascii", "backslashreplace"))
+        for element in range(3):
+            file.writelines(parts[element] for parts in packed)
+
+    atomic_write(path, write)
+    wide = int((np.abs(splats.shN) > _REACH).any(axis=(1, 2)).sum())
+    told = f"{count_words(wide, 'splat')} had SH coefficients beyond -4 to 4, and got its ends."
+    return [told] if wide else []
+
+
+def _pack(part: Splats) -> tuple[bytes, bytes, bytes]:
+    """Rows of the elements chunk, vertex and sh, for whole chunks but for the last."""
+    count = len(part)
+    scales = np.clip(part.scales, -_LARGEST_LOG, _LARGEST_LOG)
+    places, place_ends = _within_chunks(part.means)
+    sizes, size_ends = _within_chunks(scales)
+    colors, color_ends = _within_chunks(sh0_to_rgb(part.sh0[:, 0]))
+    rows = np.empty((count, 4), "<u4")
+    rows[:, 0] = _fields(places, (11, 10, 11))
+    rows[:, 1] = _pack_rotations(part.quats)
+    rows[:, 2] = _fields(sizes, (11, 10, 11))
+    rows[:, 3] = _fields(colors, (8, 8, 8)) << np.uint32(8) | opacity_bytes(part.opacities)
+    bounds = np.concatenate([place_ends, size_ends, color_ends], axis=1).astype("<f4")
+    by_channel = part.shN.transpose(0, 2, 1).reshape(count, -1)
+    rest = np.clip((by_channel / (2 * _REACH) + 0.5) * 256, 0, 255).astype(np.uint8)
+    return bounds.tobytes(), rows.tobytes(), rest.tobytes()
+
+
+def _within_chunks(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """[N, 3] from 0 to 1 between the ends of a chunk, and the ends [chunks, 6], lower first."""
+    count = len(values)
+    padded = np.pad(values.astype(np.float32), ((0, -count % CHUNK), (0, 0)), mode="edge")
+    grouped = padded.reshape(-1, CHUNK, 3)
+    low, high = grouped.min(axis=1), grouped.max(axis=1)
+    width = np.where(high > low, high - low, 1)
+    return ((grouped - low[:, None]) / width[:, None]).reshape(-1, 3)[:count], np.concatenate(
+        [low, high], axis=1
+    )
+
+
+def _fields(values: np.ndarray, bits: tuple[int, int, int]) -> np.ndarray:
+    """[N] uint32: numbers [N, 3] from 0 to 1 as fields, the first one highest."""
+    out = np.zeros(len(values), np.uint32)
+    for k, width in enumerate(bits):
+        field = np.rint(values[:, k] * ((1 << width) - 1)).astype(np.uint32)
+        out = out << np.uint32(width) | field
+    return out
+
+
+def _pack_rotations(quats: np.ndarray) -> np.ndarray:
+    """[N] uint32: two bits name the largest of w, x, y, z, ten bits each hold the others."""
+    unit = quats / np.linalg.norm(quats, axis=1, keepdims=True)
+    largest = np.abs(unit).argmax(axis=1)
+    unit *= np.where(unit[np.arange(len(unit)), largest] < 0, -1, 1)[:, None]
+    others = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])[largest]
+    parts = np.take_along_axis(unit, others, axis=1) * np.sqrt(0.5) + 0.5
+    fields = _fields(np.clip(parts, 0, 1), (10, 10, 10))
+    return largest.astype(np.uint32) << np.uint32(30) | fields
+
+
+COMPRESSED_PLY = SplatFormat(
+    key="compressed-ply",
+    name="SuperSplat's compressed PLY",
+    endings=(".compressed.ply",),
+    holds=_is_compressed,
+    read=_read,
+    write=_write,
+    says_antialiased=is_antialiased_ply,
+)

@@ -1,0 +1,201 @@
+"""Which formats of splats there are; the one place that reads and writes them.
+
+A format is a `SplatFormat` in a file of its own, and an entry of `FORMATS`.
+"""
+
+from pathlib import Path
+from typing import NoReturn
+
+from ..errors import ConfigError, DatasetError, FormatError
+from ..io.file_sample import FileSample, sample_file
+from ..io.files import is_file, reason
+from ..io.foreign import foreign
+from ..logged import collected_warnings
+from ..shown import shown
+from ..splats import SH_REST_BY_DEGREE, Splats
+from . import gltf_splats, ksplat, ply, ply_compressed, sog, splat, spz, usd
+from .joined import cut_degree
+from .splat_file import SplatFile, SplatFormat, WriteOptions, WrittenFile
+
+FORMATS: tuple[SplatFormat, ...] = (
+    ply_compressed.COMPRESSED_PLY,
+    ply.PLY,
+    spz.SPZ,
+    sog.SOG,
+    gltf_splats.GLTF,
+    gltf_splats.GLTF_SPZ,
+    usd.USD,
+    ksplat.KSPLAT,
+    splat.SPLAT,
+)
+"""In the order in which a file is asked for them: those without a signature come last."""
+SPLAT_ENDINGS = tuple(ending for one in FORMATS for ending in one.endings)
+"""Of names of files with splats, each with its dot."""
+
+
+def read_splat_file(path: str | Path) -> SplatFile:
+    """Read a model of any format, told apart by its content and not by its name.
+
+    Args:
+        path: The file; or the folder or the meta.json of an unpacked SOG.
+
+    Returns:
+        The model, in the axes of a 3DGS PLY whatever the format's are, and what the file says.
+
+    Raises:
+        DatasetError: the file is missing or cannot be read.
+        FormatError: it is of no format of splats, holds none, or is damaged.
+        BackendError: a package that the format needs is not installed.
+    """
+    path = Path(path)
+    file = _file_of(path)
+    found = _format_of(file)
+    with collected_warnings() as notes:
+        decoded = found.read(file)
+    return SplatFile(
+        **vars(decoded),
+        path=path,
+        format=found.key,
+        storage_bytes=_bytes_of(found, file),
+        notes=tuple(notes),
+    )
+
+
+def read_splats(path: str | Path) -> Splats:
+    """The model of `read_splat_file` alone; what would be its notes is logged as warnings."""
+    file = _file_of(Path(path))
+    return _format_of(file).read(file).splats
+
+
+def is_antialiased(path: str | Path) -> bool:
+    """Whether a file says that its splats want the anti-aliasing compensation.
+
+    Raises:
+        GsError: as `read_splat_file`.
+    """
+    file = _file_of(Path(path))
+    found = _format_of(file)
+    says = found.says_antialiased
+    return says(file) if says else found.read(file).antialiased
+
+
+def write_splat_file(
+    path: str | Path,
+    splats: Splats,
+    *,
+    antialiased: bool = False,
+    sh_degree: int | None = None,
+    comments: tuple[str, ...] = (),
+    spz_version: int = 3,
+) -> WrittenFile:
+    """Write a model in the format that the name asks for, completely or not at all.
+
+    Args:
+        path: The file; its ending is one of `SPLAT_ENDINGS`, and its folder is made.
+        splats: The model, raw parameters in the axes of a 3DGS PLY.
+        antialiased: Whether its splats want the anti-aliasing compensation.
+        sh_degree: The highest degree written; None: all that the model and the format hold.
+        comments: For headers that have room for them.
+        spz_version: Of SPZ: 3, which every reader knows, or 4, with zstd.
+
+    Returns:
+        What was written, and sentences on what of the model it does not hold.
+
+    Raises:
+        ConfigError: no format has this ending, or it is only read; or an option cannot work.
+        GsError: the file cannot be written.
+        BackendError: a package that the format needs is not installed.
+    """
+    path = Path(path)
+    found = format_to_write(path)
+    if sh_degree is not None and sh_degree not in SH_REST_BY_DEGREE:
+        raise ConfigError(f"The SH degree must be 0 to 3, got {sh_degree!r}.")
+    notes = []
+    most = min(splats.sh_degree, found.most_degree)
+    kept = splats if sh_degree is None else cut_degree(splats, sh_degree)
+    if kept.sh_degree > most:
+        notes.append(
+            f"{found.name} holds colours of SH degree {most} at most; what depends on the "
+            f"direction beyond it is lost."
+        )
+        kept = cut_degree(kept, most)
+    if antialiased and not found.keeps_antialiased:
+        notes.append(
+            f"{found.name} cannot say that splats were trained with antialiasing; who draws it has "
+            f"to know."
+        )
+    options = WriteOptions(
+        antialiased=antialiased, comments=tuple(comments), spz_version=spz_version
+    )
+    assert found.write is not None
+    notes += found.write(path, kept, options)
+    return WrittenFile(
+        path=path, format=found.key, storage_bytes=_bytes_of(found, path), notes=tuple(notes)
+    )
+
+
+def format_to_write(path: Path) -> SplatFormat:
+    """The format that a name asks for, by its longest ending that fits.
+
+    Raises:
+        ConfigError: there is none, or it is only read.
+    """
+    name = path.name.lower()
+    fitting = [(len(end), one) for one in FORMATS for end in one.endings if name.endswith(end)]
+    if not fitting:
+        raise ConfigError(
+            f"{shown(path)}: no format of splats has this ending. Choose one of "
+            f"{', '.join(end for one in FORMATS if one.write for end in one.endings)}."
+        )
+    found = max(fitting, key=lambda pair: pair[0])[1]
+    if found.write is None:
+        raise ConfigError(
+            f"{shown(path)}: {found.name} is read, but not written. Choose one of "
+            f"{', '.join(end for one in FORMATS if one.write for end in one.endings)}."
+        )
+    return found
+
+
+def is_splat_file(path: Path) -> bool:
+    """Whether a file, or the folder of an unpacked SOG, looks like a model of splats."""
+    file = _file_of(path)
+    try:
+        return _known(file, _sample(file)) is not None
+    except DatasetError:
+        return False
+
+
+def _file_of(path: Path) -> Path:
+    """The file to begin with: of a folder its meta.json, if it has one."""
+    inside = path / sog.META
+    return inside if is_file(inside) else path
+
+
+def _format_of(path: Path) -> SplatFormat:
+    found = _known(path, _sample(path))
+    if found is None:
+        _refuse(path)
+    return found
+
+
+def _known(path: Path, sample: FileSample) -> SplatFormat | None:
+    return next((one for one in FORMATS if one.holds(path, sample)), None)
+
+
+def _sample(path: Path) -> FileSample:
+    try:
+        return sample_file(path)
+    except (OSError, ValueError) as error:
+        raise DatasetError(f"Cannot read {shown(path)}: {reason(error)}") from error
+
+
+def _refuse(path: Path) -> NoReturn:
+    raise FormatError(
+        foreign(path)
+        or f"{path} holds no splats in a format that is known: {', '.join(SPLAT_ENDINGS)}. Choose "
+        f"the point_cloud.ply that a 3D Gaussian Splatting trainer wrote, or export it again."
+    )
+
+
+def _bytes_of(kind: SplatFormat, file: Path) -> int:
+    return sum(one.stat().st_size for one in (file, *kind.beside(file)) if one.is_file())

@@ -1,0 +1,89 @@
+"""What readers and writers of splats hand over: a model, and what its file says of it."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..io.file_sample import FileSample
+from ..splats import Splats
+
+
+@dataclass(frozen=True, kw_only=True)
+class Decoded:
+    """A model as the reader of one format found it."""
+
+    splats: Splats
+    """Raw parameters, in the axes of a 3DGS PLY: as COLMAP's, usually +Y down."""
+    layout: str
+    """Which of the layouts of its format the file has, for people."""
+    antialiased: bool = False
+    """Whether the file says that its splats want the anti-aliasing compensation."""
+    comments: tuple[str, ...] = ()
+    """What else its header tells, line by line."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SplatFile(Decoded):
+    """A file that was read."""
+
+    path: Path
+    """The file; of an unpacked SOG, its folder."""
+    format: str
+    """A key of `FORMATS`."""
+    storage_bytes: int
+    """Bytes on the disk, of all files."""
+    notes: tuple[str, ...]
+    """Sentences on what the file holds that the model does not: splats or coefficients left out."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class WriteOptions:
+    """How a model is written."""
+
+    antialiased: bool
+    """Whether its splats want the anti-aliasing compensation."""
+    comments: tuple[str, ...]
+    """For headers that have room for them."""
+    spz_version: int
+    """Of SPZ: 3 or 4."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class WrittenFile:
+    """A file that was written."""
+
+    path: Path
+    """As it was given."""
+    format: str
+    """A key of `FORMATS`."""
+    storage_bytes: int
+    """Bytes on the disk, of all files."""
+    notes: tuple[str, ...]
+    """Sentences on what of the model the file does not hold."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SplatFormat:
+    """A format: how its files are known, read and written."""
+
+    key: str
+    """Its name in options and in JSON."""
+    name: str
+    """Its name in sentences."""
+    endings: tuple[str, ...]
+    """Of the names of its files, the usual one first; the longest that fits decides."""
+    holds: Callable[[Path, FileSample], bool]
+    """Whether a file is of this format, by what it begins with."""
+    read: Callable[[Path], Decoded]
+    """Raises GsError."""
+    write: Callable[[Path, Splats, WriteOptions], list[str]] | None
+    """Returns the notes of `WrittenFile`; raises GsError; None: it is read only."""
+    says_antialiased: Callable[[Path], bool] | None = None
+    """Whether a file says that its splats want the compensation, where that takes no reading of all
+    of it; raises GsError."""
+    beside: Callable[[Path], Iterable[Path]] = lambda path: ()
+    """Files that belong to one besides."""
+    most_degree: int = 3
+    """The highest SH degree that it holds."""
+    keeps_antialiased: bool = True
+    """Whether it can say that splats want the compensation."""

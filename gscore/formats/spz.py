@@ -1,0 +1,354 @@
+"""Niantic's SPZ: arrays of bytes one after the other, within gzip (versions 2, 3) or zstd (4).
+
+Source: the layout published with github.com/nianticlabs/spz. Positions are fixed-point numbers of
+24 bits, sizes log bytes, colours and SH coefficients bytes, rotations three bytes (2) or the three
+smallest components in 32 bits (3, 4). Its axes are right-up-back.
+"""
+
+import logging
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import ConfigError, FormatError
+from ..io.file_sample import FileSample
+from ..io.files import atomic_write, read_bytes
+from ..io.splat_rows import LOGIT_OF_BYTE, drawable, opacity_bytes, whole_bands
+from ..splats import Splats
+from ..words import count_words
+from .axes import X, harmonic_signs
+from .packed_bytes import (
+    gunzip_exactly,
+    gzip_quickly,
+    unzstd_exactly,
+    zstd_quickly,
+)
+from .splat_file import Decoded, SplatFormat, WriteOptions
+
+_MAGIC = b"NGSP"
+VERSIONS = (3, 4)
+"""That are written."""
+_REST = (0, 3, 8, 15, 24)
+"""SH coefficients beyond the constant one, by degree."""
+_HEADER = struct.Struct("<4sIIBBBB")
+_HEADER_4 = struct.Struct("<4sIIBBBBI12x")
+_STREAM = struct.Struct("<QQ")
+_RECORD = struct.Struct("<II")
+_ANTIALIASED, _EXTENDED = 1, 2
+_MOST_BITS = 23
+"""Of the fraction of a position, of 24."""
+_MOST_EXTENSIONS = 1 << 20
+"""Bytes of extensions that are looked at."""
+_COLOR_SCALE = 0.15
+_BYTES = np.arange(256, dtype=np.float64)
+_COLOR = ((_BYTES / 255 - 0.5) / _COLOR_SCALE).astype(np.float32)
+_SCALE = (_BYTES / 16 - 10).astype(np.float32)
+_HARMONIC = ((_BYTES - 128) / 128).astype(np.float32)
+_SIGNS = np.array([1, -1, -1], np.float32)
+"""Of positions and of quaternions' vectors, between right-up-back and right-down-front."""
+_ROTATION_STEPS = 511
+_BLOCK = 1 << 17
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class _Header:
+    version: int
+    count: int
+    degree: int
+    bits: int
+    flags: int
+
+    @property
+    def sizes(self) -> list[int]:
+        """Bytes of the arrays, in their order."""
+        rotation = 3 if self.version == 2 else 4
+        return [self.count * each for each in (9, 1, 3, 3, rotation, 3 * _REST[self.degree])]
+
+
+def decode_spz(path: Path, raw: bytes | memoryview) -> Decoded:
+    """The model in the bytes of an SPZ file; `path` is named in errors.
+
+    Raises:
+        FormatError: they are no SPZ, of an unknown version, or damaged.
+        BackendError: version 4 without the package zstandard.
+    """
+    if bytes(raw[:2]) == b"\x1f\x8b":
+        header, arrays = _inflated(path, raw)
+    elif bytes(raw[:4]) == _MAGIC and len(raw) >= _HEADER.size:
+        header, arrays = _streams(path, raw)
+    else:
+        raise _damaged(path, "it does not begin as one")
+    return Decoded(
+        splats=_unpack(path, header, arrays),
+        layout=f"SPZ {header.version}",
+        antialiased=bool(header.flags & _ANTIALIASED),
+    )
+
+
+def encode_spz(splats: Splats, *, antialiased: bool, version: int) -> tuple[bytes, list[str]]:
+    """The bytes of an SPZ file, and sentences on what they do not hold.
+
+    Raises:
+        ConfigError: the version is not written, or there are too many splats.
+        BackendError: version 4 without the package zstandard.
+    """
+    if version not in VERSIONS:
+        raise ConfigError(f"SPZ is written in version 3 or 4, got {version!r}.")
+    if len(splats) >= 2**32:
+        raise ConfigError("SPZ holds 4,294,967,295 splats at most.")
+    bits, notes = _fraction_bits(splats)
+    notes += _clamped(splats)
+    arrays = _pack(splats, bits)
+    flags = _ANTIALIASED if antialiased else 0
+    head = (_MAGIC, version, len(splats), splats.sh_degree, bits, flags)
+    if version == 3:
+        return gzip_quickly([_HEADER.pack(*head, 0), *arrays]), notes
+    arrays = [array for array in arrays if len(array)]
+    streams = [zstd_quickly(array) for array in arrays]
+    table = b"".join(_STREAM.pack(len(s), len(a)) for s, a in zip(streams, arrays, strict=True))
+    header = _HEADER_4.pack(*head, len(streams), _HEADER_4.size)
+    return b"".join([header, table, *streams]), notes
+
+
+def _header(path: Path, raw: bytes | memoryview) -> _Header:
+    """The fields that all versions share, checked."""
+    if len(raw) < _HEADER.size:
+        raise _damaged(path, f"it ends within its header of {_HEADER.size} bytes")
+    magic, version, count, degree, bits, flags, _ = _HEADER.unpack_from(raw)
+    if magic != _MAGIC:
+        raise _damaged(path, "it does not begin as one")
+    if version not in (2, 3, 4):
+        raise FormatError(
+            f"{path} is an SPZ file of version {version}; versions 2, 3 and 4 are read. Export it "
+            f"again in one of these, or as a 3DGS PLY."
+        )
+    if degree >= len(_REST):
+        raise _damaged(path, f"it states SH degree {degree}, expected 0 to 4")
+    if bits > _MOST_BITS:
+        raise _damaged(path, f"it states {bits} bits of fraction in numbers of 24 bits")
+    return _Header(version, count, degree, bits, flags)
+
+
+def _inflated(path: Path, raw: bytes | memoryview) -> tuple[_Header, list[memoryview]]:
+    """Header and arrays of versions 2 and 3."""
+    what = f"{path} is a damaged SPZ file"
+    header = _header(path, gunzip_exactly(what, raw, _HEADER.size, at_least=0))
+    if header.version == 4:
+        raise _damaged(path, "it is of version 4, but within gzip")
+    extra = _MOST_EXTENSIONS if header.flags & _EXTENDED else 0
+    whole = memoryview(
+        gunzip_exactly(
+            what,
+            raw,
+            _HEADER.size + sum(header.sizes) + extra,
+            at_least=_HEADER.size + sum(header.sizes),
+        )
+    )
+    arrays, rest = _split(whole[_HEADER.size :], header.sizes)
+    _tell_of_extensions(path, rest)
+    return header, arrays
+
+
+def _streams(path: Path, raw: bytes | memoryview) -> tuple[_Header, list[memoryview]]:
+    """Header and arrays of version 4, and of 2 and 3 that somebody unpacked."""
+    view = memoryview(raw)
+    header = _header(path, view)
+    if header.version < 4:
+        body = view[_HEADER.size :]
+        if len(body) < sum(header.sizes):
+            raise _damaged(path, f"{header.count} splats take more than its {len(view)} bytes")
+        return header, _split(body, header.sizes)[0]
+    if len(view) < _HEADER_4.size:
+        raise _damaged(path, "it ends within its header")
+    streams, start = _HEADER_4.unpack_from(view)[6:]
+    first = start + streams * _STREAM.size
+    wanted = [size for size in header.sizes if size]
+    # Blender's importer wants six streams, so some programs write an empty one too.
+    if streams not in (len(wanted), len(header.sizes)) or not _HEADER_4.size <= start:
+        raise _damaged(path, f"it has {streams} streams, expected {len(wanted)}")
+    if first > len(view):
+        raise _damaged(path, "it ends within the table of its streams")
+    _tell_of_extensions(path, view[_HEADER_4.size : start])
+    arrays, at = [], first
+    for index in range(streams):
+        packed, size = _STREAM.unpack_from(view, start + index * _STREAM.size)
+        expected = wanted[index] if index < len(wanted) else 0
+        if size != expected or packed > len(view) - at:
+            raise _damaged(
+                path, f"stream {index + 1} states {size} bytes in {packed}, expected {expected}"
+            )
+        what = f"{path} is a damaged SPZ file"
+        arrays.append(unzstd_exactly(what, view[at : at + packed], size))
+        at += packed
+    return header, [*arrays, *[memoryview(b"")] * (len(header.sizes) - len(arrays))]
+
+
+def _split(view: memoryview, sizes: list[int]) -> tuple[list[memoryview], memoryview]:
+    arrays = []
+    for size in sizes:
+        arrays.append(view[:size])
+        view = view[size:]
+    return arrays, view
+
+
+def _tell_of_extensions(path: Path, records: memoryview) -> None:
+    """Log the vendors' records, none of which is taken."""
+    while len(records) >= _RECORD.size:
+        kind, size = _RECORD.unpack_from(records)
+        _log.warning("%s: its extension %#010x of %d bytes is not read.", path, kind, size)
+        records = records[_RECORD.size + size :]
+
+
+def _unpack(path: Path, header: _Header, arrays: list[memoryview]) -> Splats:
+    count = header.count
+    places, alphas, colors, scales, rotations, rest = (
+        np.frombuffer(array, np.uint8) for array in arrays
+    )
+    harmonics = whole_bands(path, rest.reshape(count, _REST[header.degree], 3))
+    shN = _HARMONIC[harmonics]
+    if header.degree:
+        shN *= harmonic_signs(min(header.degree, 3), X)[:, None]
+    unpack = _first_three if header.version == 2 else _smallest_three
+    return drawable(
+        path,
+        means=_fixed_point(places.reshape(count, 3, 3)) * (_SIGNS * np.float32(2.0**-header.bits)),
+        quats=unpack(rotations),
+        scales=_SCALE[scales].reshape(count, 3),
+        opacities=LOGIT_OF_BYTE[alphas],
+        sh0=_COLOR[colors].reshape(count, 3),
+        shN=shN,
+    )
+
+
+def _fixed_point(parts: np.ndarray) -> np.ndarray:
+    """[N, 3] float32 of signed integers of three bytes each, the lowest first."""
+    high = parts[..., 2].view(np.int8).astype(np.int32) << 16
+    return (high | parts[..., 1].astype(np.int32) << 8 | parts[..., 0]).astype(np.float32)
+
+
+def _first_three(packed: np.ndarray) -> np.ndarray:
+    """[N, 4] wxyz of bytes for x, y, z; w is positive."""
+    vector = packed.reshape(-1, 3).astype(np.float32) / 127.5 - 1
+    quats = np.empty((len(vector), 4), np.float32)
+    quats[:, 0] = np.sqrt(np.maximum(0, 1 - (vector**2).sum(axis=1)))
+    quats[:, 1:] = vector * _SIGNS
+    return quats
+
+
+def _smallest_three(packed: np.ndarray) -> np.ndarray:
+    """[N, 4] wxyz: two bits name the largest of x, y, z, w, the others follow as sign and size."""
+    words = np.frombuffer(packed, "<u4")
+    largest = (words >> np.uint32(30)).astype(np.intp)
+    parts = np.empty((len(words), 4), np.float32)
+    for k in range(3):
+        field = words >> np.uint32(20 - 10 * k)
+        size = (field & np.uint32(_ROTATION_STEPS)).astype(np.float32)
+        sign = 1 - 2 * ((field >> np.uint32(9)) & np.uint32(1)).astype(np.float32)
+        parts[:, k + 1] = sign * size * np.float32(np.sqrt(0.5) / _ROTATION_STEPS)
+    parts[:, 0] = np.sqrt(np.maximum(0, 1 - (parts[:, 1:] ** 2).sum(axis=1)))
+    # Row i lists where w, x, y, z come from if the largest is the i-th of x, y, z, w.
+    order = np.array([[3, 0, 1, 2], [3, 1, 0, 2], [3, 1, 2, 0], [0, 1, 2, 3]])
+    quats = np.take_along_axis(parts, order[largest], axis=1)
+    quats[:, 1:] *= _SIGNS
+    return quats
+
+
+def _fraction_bits(splats: Splats) -> tuple[int, list[str]]:
+    """The finest fixed point in which all positions fit, and a note where none is."""
+    farthest = float(np.abs(splats.means).max(initial=0))
+    bits = _MOST_BITS
+    while bits > 0 and farthest * 2.0**bits > 2**23 - 1:
+        bits -= 1
+    if farthest > 2**23 - 1:
+        return 0, ["SPZ holds positions up to 8,388,607 units; those beyond were moved there."]
+    if 2.0**-bits > 1e-3:
+        told = f"A splat {farthest:.0f} units away leaves steps of {2.0**-bits:g} for positions."
+        return bits, [f"{told} Remove far splats first for finer ones."]
+    return bits, []
+
+
+def _clamped(splats: Splats) -> list[str]:
+    """Notes on numbers that SPZ has no byte for."""
+    notes = []
+    beyond = int(((splats.scales < -10.03) | (splats.scales > 5.97)).any(axis=1).sum())
+    if beyond:
+        notes.append(
+            f"{count_words(beyond, 'splat')} had a size outside of SPZ's range, e^-10 to e^5.9, "
+            f"and got its end."
+        )
+    wide = int((np.abs(splats.shN) > 1.004).any(axis=(1, 2)).sum())
+    if wide:
+        notes.append(
+            f"{count_words(wide, 'splat')} had SH coefficients beyond -1 to 1, which SPZ holds, "
+            f"and got its ends."
+        )
+    return notes
+
+
+def _pack(splats: Splats, bits: int) -> list[bytes]:
+    """The arrays in their order, packed block by block."""
+    blocks = [slice(at, at + _BLOCK) for at in range(0, len(splats), _BLOCK)]
+    signs = harmonic_signs(splats.sh_degree, X)[:, None]
+    parts = [
+        (_pack_places(splats.means[b], bits) for b in blocks),
+        (opacity_bytes(splats.opacities[b]) for b in blocks),
+        (_to_bytes(splats.sh0[b] * (_COLOR_SCALE * 255) + 127.5) for b in blocks),
+        (_to_bytes((splats.scales[b] + 10) * 16) for b in blocks),
+        (_pack_rotations(splats.quats[b]) for b in blocks),
+        (_to_bytes(splats.shN[b] * (128 * signs) + 128) for b in blocks),
+    ]
+    return [b"".join(part.tobytes() for part in array) for array in parts]
+
+
+def _to_bytes(values: np.ndarray) -> np.ndarray:
+    return np.clip(np.rint(values), 0, 255).astype(np.uint8)
+
+
+def _pack_places(means: np.ndarray, bits: int) -> np.ndarray:
+    """[N, 3, 3] bytes."""
+    fixed = np.rint(means.astype(np.float64) * _SIGNS * 2.0**bits)
+    fixed = np.clip(fixed, -(2**23), 2**23 - 1).astype("<i4")
+    return fixed.view(np.uint8).reshape(-1, 3, 4)[..., :3]
+
+
+def _pack_rotations(quats: np.ndarray) -> np.ndarray:
+    """[N] uint32, as `_smallest_three` reads them."""
+    unit = (quats / np.linalg.norm(quats, axis=1, keepdims=True)).astype(np.float32)
+    unit = unit[:, [1, 2, 3, 0]] * np.append(_SIGNS, np.float32(1))
+    largest = np.abs(unit).argmax(axis=1)
+    rows = np.arange(len(unit))
+    unit *= np.where(unit[rows, largest] < 0, -1, 1)[:, None].astype(np.float32)
+    others = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])[largest]
+    parts = np.take_along_axis(unit, others, axis=1)
+    sizes = np.rint(np.abs(parts) * (_ROTATION_STEPS * np.sqrt(2)))
+    sizes = np.minimum(sizes, _ROTATION_STEPS).astype(np.uint32)
+    words = largest.astype(np.uint32)
+    for k in range(3):
+        sign = (parts[:, k] < 0).astype(np.uint32)
+        words = words << np.uint32(10) | sign << np.uint32(9) | sizes[:, k]
+    return words.astype("<u4")
+
+
+def _damaged(path: Path, why: str) -> FormatError:
+    return FormatError(f"{path} is a damaged SPZ file: {why}. Copy or export it again.")
+
+
+def _is_spz(path: Path, sample: FileSample) -> bool:
+    return _MAGIC in (sample.head[:4], sample.inflated[:4])
+
+
+def _read(path: Path) -> Decoded:
+    return decode_spz(path, read_bytes(path))
+
+
+def _write(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
+    raw, notes = encode_spz(splats, antialiased=options.antialiased, version=options.spz_version)
+    atomic_write(path, raw)
+    return notes
+
+
+SPZ = SplatFormat(key="spz", name="SPZ", endings=(".spz",), holds=_is_spz, read=_read, write=_write)

@@ -1,0 +1,152 @@
+"""OpenUSD's ParticleField3DGaussianSplat, read and written by Pixar's library (usd-core).
+
+Source: the schema UsdVol of OpenUSD 26.03. Sizes are linear, opacities from 0 to 1; axes are those
+of the stage. Files are written right-up-back, with Y up.
+"""
+
+import json
+import logging
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import BackendError, FormatError
+from ..extras import need
+from ..io.file_sample import FileSample
+from ..io.files import atomic_write, check_readable
+from ..io.ply import read_ply
+from ..io.splat_rows import linear_scales, opacities_of
+from ..sh import sh_count
+from ..splats import Splats
+from . import usd_reading
+from .axes import X, half_turn, harmonic_signs
+from .joined import cut_degree
+from .splat_file import Decoded, SplatFormat, WriteOptions
+from .usd_reading import MARK, TYPE, usd_library
+
+_REACH = 3.0
+"""Standard deviations within the extent."""
+_SECONDS, _BYTES_A_SECOND = 30.0, 2e6
+"""After which a reading is given up: some, and more for large files."""
+
+_log = logging.getLogger(__name__)
+
+
+def _is_usd(path: Path, sample: FileSample) -> bool:
+    return sample.head.startswith((b"PXR-USDC", b"#usda")) or sample.is_zip_of(b".usd")
+
+
+def _read(path: Path) -> Decoded:
+    """Read it in a process of its own: a damaged file can make Pixar's library end the process that
+    it runs in, or keep it busy for ever."""
+    usd_library()
+    check_readable(path)
+    with tempfile.TemporaryDirectory(prefix="gscore-") as folder:
+        made = Path(folder, "splats.ply")
+        told = _in_child(path, made)
+        for sentence in told["warnings"]:
+            _log.warning("%s", sentence)
+        if told["error"]:
+            raise FormatError(told["error"])
+        splats = read_ply(made)
+    return Decoded(splats=splats, layout="USD", antialiased=told["antialiased"])
+
+
+def _in_child(path: Path, made: Path) -> dict[str, Any]:
+    """What `usd_reading` tells, once it has written the splats as a PLY."""
+    command = [sys.executable, "-P", "-m", usd_reading.__name__, str(path.absolute()), str(made)]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    size = path.stat().st_size
+    try:
+        done = subprocess.run(
+            command,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            timeout=_SECONDS + size / _BYTES_A_SECOND,
+            env=environment,
+            check=False,
+        )
+    except subprocess.TimeoutExpired as error:
+        raise _unreadable(path, f"took longer than {error.timeout:.0f} s over it") from error
+    except OSError as error:
+        raise BackendError(f"USD is read by a process of its own, which fails: {error}") from error
+    if done.returncode:
+        raise _unreadable(path, f"ended with code {done.returncode}")
+    return json.loads(done.stdout.decode("utf-8").splitlines()[-1])
+
+
+def _unreadable(path: Path, how: str) -> FormatError:
+    return FormatError(
+        f"{path} is a damaged USD file: Pixar's library {how}. Copy or export it again."
+    )
+
+
+def _write(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
+    usd_library()
+    UsdUtils = need("pxr.UsdUtils", "USD")
+    stage = _stage(splats, options)
+    with tempfile.TemporaryDirectory(prefix="gscore-") as folder:
+        ending = ".usdc" if path.suffix.lower() in (".usd", ".usdz") else path.suffix.lower()
+        made = Path(folder, f"splats{ending}")
+        stage.GetRootLayer().Export(str(made))
+        if path.suffix.lower() == ".usdz":
+            packed = made.with_suffix(".usdz")
+            UsdUtils.CreateNewUsdzPackage(str(made), str(packed))
+            made = packed
+        with made.open("rb") as source:
+            atomic_write(path, lambda file: shutil.copyfileobj(source, file, 1 << 22))
+    return []
+
+
+def _stage(splats: Splats, options: WriteOptions) -> Any:
+    """A stage with one prim, Y up."""
+    Usd, UsdGeom, Vt = (need(f"pxr.{name}", "USD") for name in ("Usd", "UsdGeom", "Vt"))
+    stage = Usd.Stage.CreateInMemory()
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    prim = getattr(usd_library(), TYPE).Define(stage, "/Splats")
+    stage.SetDefaultPrim(prim.GetPrim())
+    # Turned without the harmonics, of which a copy more would be the largest thing in memory.
+    rest, splats = splats, half_turn(cut_degree(splats, 0), X)
+    unit = splats.quats / np.linalg.norm(splats.quats, axis=1, keepdims=True)
+    scales = linear_scales(splats.scales)
+    harmonics = np.empty((len(splats), sh_count(rest.sh_degree), 3), np.float32)
+    harmonics[:, :1] = splats.sh0
+    np.multiply(rest.shN, harmonic_signs(rest.sh_degree, X)[:, None], out=harmonics[:, 1:])
+    vectors = Vt.Vec3fArray.FromNumpy
+    prim.CreatePositionsAttr(vectors(splats.means))
+    prim.CreateOrientationsAttr(Vt.QuatfArray.FromNumpy(unit[:, [1, 2, 3, 0]]))
+    prim.CreateScalesAttr(vectors(scales))
+    prim.CreateOpacitiesAttr(Vt.FloatArray.FromNumpy(opacities_of(splats.opacities)))
+    prim.CreateRadianceSphericalHarmonicsDegreeAttr(rest.sh_degree)
+    prim.CreateRadianceSphericalHarmonicsCoefficientsAttr(vectors(harmonics.reshape(-1, 3)))
+    prim.CreateExtentAttr(vectors(_extent(splats.means, scales)))
+    if options.antialiased:
+        prim.GetPrim().SetCustomDataByKey(MARK, True)
+    return stage
+
+
+def _extent(means: np.ndarray, scales: np.ndarray) -> np.ndarray:
+    """[2, 3]: the corners of a box around all splats."""
+    if not len(means):
+        return np.zeros((2, 3), np.float32)
+    reach = _REACH * scales.max(axis=1, keepdims=True)
+    with np.errstate(over="ignore"):
+        ends = [(means - reach).min(axis=0), (means + reach).max(axis=0)]
+    return np.stack(ends).astype(np.float32)
+
+
+USD = SplatFormat(
+    key="usd",
+    name="USD",
+    endings=(".usd", ".usdc", ".usda", ".usdz"),
+    holds=_is_usd,
+    read=_read,
+    write=_write,
+)

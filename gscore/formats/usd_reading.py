@@ -1,0 +1,163 @@
+"""Reads the splats of a USD file: `python -m gscore.formats.usd_reading FILE PLY`, as usd.py asks.
+
+Writes them to PLY and one JSON object to stdout: error, antialiased, warnings.
+"""
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import BackendError, FormatError, GsError, ShapeError
+from ..extras import need
+from ..io.ply import write_splats
+from ..io.splat_rows import drawable, log_scales, logits, whole_bands
+from ..logged import collected_warnings
+from ..sh import sh_count
+from ..splats import Splats
+from ..transforms import transform_splats
+from .axes import X, half_turn
+from .joined import joined
+
+TYPE = "ParticleField3DGaussianSplat"
+MARK = "antialiased"
+"""In the custom data of a prim; the schema has no place for it."""
+_Y_OF_Z = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+"""From a stage with Z up to one with Y up."""
+_MOST_DEGREE = 4
+
+
+def hand_over(file: Path, ply: Path) -> dict[str, Any]:
+    """Read, write, and say what there is to say."""
+    told: dict[str, Any] = {"error": "", "antialiased": False}
+    with collected_warnings() as warnings:
+        try:
+            splats, told["antialiased"] = read_usd(file)
+            write_splats(ply, splats)
+        except GsError as error:
+            told["error"] = str(error)
+    return told | {"warnings": warnings}
+
+
+def usd_library() -> Any:
+    """The schemas, of a release that knows splats.
+
+    Raises:
+        BackendError: usd-core is not installed, or older than 26.03.
+    """
+    found = need("pxr.UsdVol", "USD")
+    if not hasattr(found, TYPE):
+        raise BackendError(
+            "This usd-core does not know Gaussian splats; version 26.3 does: "
+            'pip install --upgrade "usd-core>=26.3"'
+        )
+    return found
+
+
+def read_usd(path: Path) -> tuple[Splats, bool]:
+    """The splats of a file, in the axes of a 3DGS PLY, and whether they want the compensation.
+
+    Raises:
+        FormatError: it holds none, or is damaged.
+        BackendError: usd-core is not installed, or older than 26.03.
+    """
+    usd_library()
+    Usd, Tf, UsdGeom = need("pxr.Usd", "USD"), need("pxr.Tf", "USD"), need("pxr.UsdGeom", "USD")
+    try:
+        stage = Usd.Stage.Open(str(path))
+        prims = [prim for prim in stage.Traverse() if prim.GetTypeName() == TYPE]
+        parts = [_splats(path, prim) for prim in prims]
+        matrices = [_matrix(prim) for prim in prims]
+        marks = [prim.GetCustomDataByKey(MARK) is True for prim in prims]
+        has_z_up = UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z
+    except (Tf.ErrorException, RuntimeError, UnicodeDecodeError) as error:
+        reason = (str(error) or type(error).__name__).strip().splitlines()[-1].strip()
+        raise FormatError(
+            f"{path} is a damaged USD file: {reason} Copy or export it again."
+        ) from error
+    if not parts:
+        raise FormatError(
+            f"{path} is a USD scene without splats: it has no prim of the type {TYPE}. Give the "
+            f"file of a trained model."
+        )
+    up = _Y_OF_Z if has_z_up else np.eye(4)
+    try:
+        placed = [
+            part if np.array_equal(up @ matrix, np.eye(4)) else transform_splats(part, up @ matrix)
+            for part, matrix in zip(parts, matrices, strict=True)
+        ]
+    except ShapeError as error:
+        raise FormatError(f"{path}: a prim cannot be placed. {error}") from error
+    return half_turn(joined(placed), X), all(marks)
+
+
+def _matrix(prim: Any) -> np.ndarray:
+    """[4, 4] of a prim to the stage, that acts on column vectors."""
+    UsdGeom, Usd = need("pxr.UsdGeom", "USD"), need("pxr.Usd", "USD")
+    found = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.EarliestTime())
+    return np.array(found, np.float64).T
+
+
+def _splats(path: Path, prim: Any) -> Splats:
+    means = _rows(path, prim, "positions", 3)
+    if means is None:
+        raise _damaged(path, prim, "has no positions")
+    count = len(means)
+    # The schema's defaults for what is not there.
+    quats = _rows(path, prim, "orientations", 4, count)
+    scales = _rows(path, prim, "scales", 3, count)
+    opacities = _rows(path, prim, "opacities", 1, count)
+    if quats is None or scales is None or opacities is None:
+        raise _damaged(path, prim, "lacks orientations, scales or opacities")
+    harmonics = _harmonics(path, prim, count)
+    return drawable(
+        path,
+        means=means,
+        quats=quats[:, [3, 0, 1, 2]],
+        scales=log_scales(scales),
+        opacities=logits(opacities[:, 0]),
+        sh0=np.ascontiguousarray(harmonics[:, 0]),
+        shN=np.ascontiguousarray(whole_bands(path, harmonics[:, 1:])),
+    )
+
+
+def _harmonics(path: Path, prim: Any, count: int) -> np.ndarray:
+    """[N, K, 3], the constant one first; zero where there are none."""
+    degree = prim.GetAttribute("radiance:sphericalHarmonicsDegree").Get()
+    if not isinstance(degree, int) or not 0 <= degree <= _MOST_DEGREE:
+        raise _damaged(path, prim, f"states SH degree {degree}")
+    found = _rows(path, prim, "radiance:sphericalHarmonicsCoefficients", 3)
+    each = sh_count(degree)
+    if found is None or not len(found):
+        return np.zeros((count, 1, 3), np.float32)
+    if len(found) < count * each:
+        raise _damaged(path, prim, f"has {len(found)} SH coefficients, expected {count * each}")
+    return found[: count * each].reshape(count, each, 3)
+
+
+def _rows(
+    path: Path, prim: Any, name: str, width: int, count: int | None = None
+) -> np.ndarray | None:
+    """[N, width] float32 of an attribute in float or in half, at its first time."""
+    Usd = need("pxr.Usd", "USD")
+    for attribute in (prim.GetAttribute(name), prim.GetAttribute(f"{name}h")):
+        values = attribute.Get(Usd.TimeCode.EarliestTime()) if attribute else None
+        if values is None or not len(values):
+            continue
+        found = np.asarray(values, np.float32).reshape(-1, width)
+        if count is not None and len(found) < count:
+            raise _damaged(path, prim, f"has {len(found)} {name}, expected {count}")
+        return found[:count]
+    return None if count != 0 else np.zeros((0, width), np.float32)
+
+
+def _damaged(path: Path, prim: Any, why: str) -> FormatError:
+    return FormatError(
+        f"{path} is a USD scene with damaged splats: {prim.GetPath()} {why}. Export it again."
+    )
+
+
+if __name__ == "__main__":
+    sys.stdout.write(json.dumps(hand_over(Path(sys.argv[1]), Path(sys.argv[2]))) + "\n")

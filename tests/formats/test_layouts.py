@@ -1,0 +1,420 @@
+"""Bytes written here by hand, from the published layouts and without a writer of ours."""
+
+import gzip
+import io
+import json
+import logging
+import struct
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gscore.formats import read_splat_file, write_splat_file
+from gscore.sh import SH_C0
+from gscore.splats import Splats
+
+HALF = np.sqrt(0.5)
+_ONE = np.float32(1)
+
+
+def _one(**values: object) -> Splats:
+    """A splat of degree 0 at the origin, of size 1, half opaque, grey, not turned."""
+    given = {"means": [0, 0, 0], "quats": [1, 0, 0, 0], "scales": [0, 0, 0], "sh0": [0, 0, 0]}
+    given |= values
+    arrays = {k: np.array([v], np.float32) for k, v in given.items() if k != "shN"}
+    arrays["sh0"] = arrays["sh0"].reshape(1, 1, 3)
+    rest = np.array(given.get("shN", np.zeros((0, 3))), np.float32)[None]
+    return Splats(opacities=np.zeros(1, np.float32), shN=rest, **arrays)
+
+
+def _spz_body(version: int) -> bytes:
+    """Two splats of SH degree 1 with 4 bits of fraction."""
+    places = [(1.5, -2.0, 0.25), (-0.0625, 3.0, -4.0)]
+    body = b"".join(int(v * 16).to_bytes(3, "little", signed=True) for p in places for v in p)
+    body += bytes([255, 51])  # opacities
+    body += bytes([128, 0, 255, 90, 128, 166])  # colours
+    body += bytes([160, 144, 176, 0, 255, 16])  # sizes
+    if version == 2:
+        body += bytes([0, 127, 127, 255, 255, 127])
+    else:
+        # The first: x the largest, y = -sqrt(1/2) 511/511, z = 0, w = 0.
+        body += struct.pack("<I", 0 << 30 | (1 << 9 | 511) << 20)
+        # The second: w the largest, x = y = 0, z = sqrt(1/2) 73/511.
+        body += struct.pack("<I", 3 << 30 | 73)
+    return body + bytes(range(128, 137)) + bytes(range(137, 128, -1))
+
+
+def _check_spz(splats: Splats, version: int) -> None:
+    """By the layout: right-up-back, so y and z change their signs here."""
+    np.testing.assert_array_equal(splats.means, [[1.5, 2.0, -0.25], [-0.0625, -3.0, 4.0]])
+    alpha = 51 / 255
+    assert splats.opacities[0] > 5
+    np.testing.assert_allclose(splats.opacities[1], np.log(alpha / (1 - alpha)), rtol=1e-5)
+    colors = (np.array([[128, 0, 255], [90, 128, 166]]) / 255 - 0.5) / 0.15
+    np.testing.assert_allclose(splats.sh0[:, 0], colors, rtol=1e-5)
+    np.testing.assert_array_equal(splats.scales, [[0, -1, 1], [-10, 5.9375, -9]])
+    if version == 2:
+        first = np.array([0, 127, 127]) / 127.5 - 1
+        np.testing.assert_allclose(splats.quats[0, 1:], first * [1, -1, -1], atol=1e-6)
+    else:
+        np.testing.assert_allclose(splats.quats[0], [0, HALF, HALF, 0], atol=1e-6)
+        z = -HALF * 73 / 511
+        np.testing.assert_allclose(splats.quats[1], [np.sqrt(1 - z * z), 0, 0, z], atol=1e-6)
+    # Degree 1 is -y, z, -x: the first two turn with y and z. Channels are innermost.
+    wanted = np.arange(9).reshape(3, 3) / 128 * [[-1], [-1], [1]]
+    np.testing.assert_allclose(splats.shN[0], wanted, atol=1e-7)
+    wanted = np.arange(9, 0, -1).reshape(3, 3) / 128 * [[-1], [-1], [1]]
+    np.testing.assert_allclose(splats.shN[1], wanted, atol=1e-7)
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_spz_in_gzip(version: int, tmp_path: Path) -> None:
+    """Oracle: numbers worked out from the layout of github.com/nianticlabs/spz."""
+    header = struct.pack("<4sIIBBBB", b"NGSP", version, 2, 1, 4, 1, 0)
+    (tmp_path / "a").write_bytes(gzip.compress(header + _spz_body(version)))
+    found = read_splat_file(tmp_path / "a")
+    assert (found.format, found.layout, found.antialiased) == ("spz", f"SPZ {version}", True)
+    _check_spz(found.splats, version)
+
+
+@pytest.mark.parametrize("extension", [b"", struct.pack("<III", 0xADBE0002, 4, 7)])
+def test_spz_in_zstd(extension: bytes, tmp_path: Path) -> None:
+    """Oracle: the same, in the streams of version 4, with and without a vendor's record."""
+    zstandard = pytest.importorskip("zstandard")
+    body, arrays = _spz_body(4), []
+    for size in (18, 2, 6, 6, 8, 18):
+        arrays.append(body[:size])
+        body = body[size:]
+    streams = [zstandard.compress(array) for array in arrays]
+    flags, start = 2 if extension else 0, 32 + len(extension)
+    header = struct.pack("<4sIIBBBBI12x", b"NGSP", 4, 2, 1, 4, flags, 6, start)
+    table = b"".join(
+        struct.pack("<QQ", len(s), len(a)) for s, a in zip(streams, arrays, strict=True)
+    )
+    (tmp_path / "a").write_bytes(header + extension + table + b"".join(streams))
+    found = read_splat_file(tmp_path / "a")
+    assert (found.layout, found.antialiased) == ("SPZ 4", False)
+    assert len(found.notes) == bool(extension)
+    _check_spz(found.splats, 4)
+
+
+def test_spz_of_degree_4_is_cut(tmp_path: Path) -> None:
+    """Oracle: the first 15 of 24 coefficients, and a sentence."""
+    header = struct.pack("<4sIIBBBB", b"NGSP", 3, 1, 4, 12, 0, 0)
+    body = bytes(9 + 1 + 3 + 3 + 4) + bytes(range(128, 200))
+    (tmp_path / "a.spz").write_bytes(gzip.compress(header + body))
+    found = read_splat_file(tmp_path / "a.spz")
+    assert found.splats.sh_degree == 3
+    assert len(found.notes) == 1 and "degree 3 at most" in found.notes[0]
+    np.testing.assert_allclose(np.abs(found.splats.shN[0, 14]), np.arange(42, 45) / 128)
+
+
+def test_spz_as_written(tmp_path: Path) -> None:
+    """Oracle: the fields of the header and the bytes of one splat, by the layout."""
+    one = _one(
+        means=[1, -2, 4], quats=[HALF, 0, HALF, 0], scales=[-2, 0, 1], sh0=[0, 1, -1],
+        shN=[[0.5, 0, 0], [0, 0.25, 0], [0, 0, -1]],
+    )  # fmt: skip
+    write_splat_file(tmp_path / "a.spz", one, antialiased=True)
+    raw = gzip.decompress((tmp_path / "a.spz").read_bytes())
+    magic, version, count, degree, bits, flags, zero = struct.unpack_from("<4sIIBBBB", raw)
+    assert (magic, version, count, degree, flags, zero) == (b"NGSP", 3, 1, 1, 1, 0)
+    places = [int.from_bytes(raw[16 + 3 * k : 19 + 3 * k], "little", signed=True) for k in range(3)]
+    np.testing.assert_array_equal(np.array(places) / 2**bits, [1, 2, -4])
+    assert bits == 20  # 4 units take 22 bits and a sign
+    assert raw[25] == 128 and list(raw[26:29]) == [128, 166, 89]
+    assert list(raw[29:32]) == [128, 160, 176]
+    (word,) = struct.unpack_from("<I", raw, 32)
+    # w and y are as large; the first of x, y, z, w wins. y = -sqrt(1/2) there, made positive.
+    assert word >> 30 == 1 and word & 0x1FF == 511 and word >> 9 & 1 == 1
+    assert list(raw[36:]) == [64, 128, 128, 128, 96, 128, 128, 128, 0]
+
+
+def test_splat(tmp_path: Path) -> None:
+    """Oracle: 32 bytes by the layout of github.com/antimatter15/splat, read and written."""
+    row = struct.pack("<6f", 1, 2, 3, 1, np.e, 0.5) + bytes([255, 0, 51, 102, 218, 128, 38, 128])
+    (tmp_path / "a.splat").write_bytes(row * 2)
+    splats = read_splat_file(tmp_path / "a.splat").splats
+    assert len(splats) == 2
+    np.testing.assert_array_equal(splats.means[0], [1, 2, 3])
+    np.testing.assert_allclose(splats.scales[0], [0, 1, np.log(0.5)], atol=1e-6)
+    np.testing.assert_allclose(splats.sh0[0, 0] * SH_C0 + 0.5, [1, 0, 0.2], atol=1e-6)
+    np.testing.assert_allclose(1 / (1 + np.exp(-splats.opacities[0])), 0.4, atol=1e-6)
+    np.testing.assert_allclose(splats.quats[0] / 0.703125, [1, 0, -1, 0], atol=1e-6)
+    write_splat_file(tmp_path / "b.splat", splats)
+    again = (tmp_path / "b.splat").read_bytes()
+    assert again[:12] + again[24:28] == row[:12] + row[24:28]
+    assert list(again[28:32]) == [219, 128, 37, 128]  # of unit length
+
+
+def _webp(pixels: np.ndarray) -> bytes:
+    file = io.BytesIO()
+    Image.fromarray(pixels.astype(np.uint8), "RGBA").save(file, "WEBP", lossless=True, exact=True)
+    return file.getvalue()
+
+
+def _sog_parts() -> dict[str, bytes]:
+    """Three splats of SH degree 1 by the published specification; the palette has two rows."""
+    texture = lambda *rows: _webp(np.array([*rows, [9, 9, 9, 9]]).reshape(2, 2, 4))  # noqa: E731
+    palette = np.full((1, 192, 4), 255)
+    palette[0, :6, :3] = np.arange(18).reshape(6, 3)
+    meta = {
+        "version": 2,
+        "count": 3,
+        "antialias": True,
+        "means": {"mins": [0, -1, 2], "maxs": [1, 1, 2], "files": ["l.webp", "u.webp"]},
+        "scales": {"codebook": [k / 10 - 8 for k in range(256)], "files": ["s.webp"]},
+        "quats": {"files": ["q.webp"]},
+        "sh0": {"codebook": [k / 100 for k in range(256)], "files": ["c.webp"]},
+        "shN": {
+            "count": 2,
+            "bands": 1,
+            "codebook": [k / 50 for k in range(256)],
+            "files": ["p.webp", "i.webp"],
+        },
+    }
+    return {
+        "meta.json": json.dumps(meta).encode(),
+        "l.webp": texture([255, 0, 0, 255], [0, 255, 0, 255], [0, 255, 7, 255]),
+        "u.webp": texture([255, 0, 0, 255], [0, 255, 0, 255], [128, 127, 9, 255]),
+        "s.webp": texture([0, 10, 255, 255], [1, 2, 3, 255], [80, 80, 80, 255]),
+        "q.webp": texture([255, 128, 0, 252], [128, 0, 128, 255], [1, 2, 3, 100]),
+        "c.webp": texture([0, 100, 255, 51], [1, 2, 3, 0], [4, 5, 6, 255]),
+        "p.webp": _webp(palette),
+        "i.webp": texture([1, 0, 0, 255], [0, 0, 0, 255], [1, 0, 0, 255]),
+    }
+
+
+def _check_sog(splats: Splats) -> None:
+    e = np.e
+    np.testing.assert_allclose(splats.means[0], [e - 1, 1 - e, e * e - 1], rtol=1e-5)
+    np.testing.assert_allclose(splats.means[1], [0, e - 1, e * e - 1], atol=1e-6)
+    middle = np.expm1(128 * 256 / 65535)
+    np.testing.assert_allclose(splats.means[2, 0], middle, rtol=1e-5)
+    np.testing.assert_allclose(splats.scales[0], [-8, -7, 17.5], atol=1e-5)
+    step = np.sqrt(2) * (128 / 255 - 0.5)
+    np.testing.assert_allclose(splats.quats[0], [0, HALF, step, -HALF], atol=1e-3)
+    np.testing.assert_allclose(splats.quats[1], [step, -HALF, step, HALF], atol=3e-3)
+    np.testing.assert_array_equal(splats.quats[2], [1, 0, 0, 0])
+    np.testing.assert_allclose(splats.sh0[0, 0], [0, 1, 2.55], atol=1e-6)
+    np.testing.assert_allclose(1 / (1 + np.exp(-splats.opacities[0])), 0.2, atol=1e-6)
+    np.testing.assert_allclose(splats.shN[0], np.arange(9, 18).reshape(3, 3) / 50, atol=1e-6)
+    np.testing.assert_allclose(splats.shN[1], np.arange(9).reshape(3, 3) / 50, atol=1e-6)
+
+
+@pytest.mark.parametrize("packing", [zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED])
+def test_sog(packing: int, tmp_path: Path) -> None:
+    """Oracle: numbers worked out from the specification of version 2, in a ZIP archive."""
+    with zipfile.ZipFile(tmp_path / "a", "w", packing) as archive:
+        for name, raw in _sog_parts().items():
+            archive.writestr(f"scan/{name}", raw)
+    found = read_splat_file(tmp_path / "a")
+    assert (found.format, found.antialiased) == ("sog", True)
+    _check_sog(found.splats)
+
+
+def test_sog_unpacked(tmp_path: Path) -> None:
+    """Oracle: the same in a folder."""
+    for name, raw in _sog_parts().items():
+        (tmp_path / name).write_bytes(raw)
+    _check_sog(read_splat_file(tmp_path).splats)
+
+
+def ksplat_bytes(level: int) -> bytes:
+    """Two sections by the layout of GaussianSplats3D: three splats of degree 1 in a full bucket of
+    two and a partly filled one, and one of degree 0."""
+    header = bytearray(4096)
+    struct.pack_into("<BBxxIIIIH", header, 0, 0, 1, 2, 2, 4, 4, level)
+    struct.pack_into("<ff", header, 36, -2.0, 2.0)
+    heads = b""
+    for count, full, partial, degree in ((3, 1, 1, 1), (1, 0, 1, 0)):
+        head = bytearray(1024)
+        buckets = full + partial
+        fields = (count, count, 2, buckets, 8.0, 12, 1000, 0, full, partial, degree)
+        struct.pack_into("<IIIIfHxxIIIIH", head, 0, *fields)
+        heads += bytes(head)
+    body = struct.pack("<I", 1) + struct.pack("<6f", 10, 20, 30, -10, -20, -30)
+    body += b"".join(_ksplat_row(level, k, 9) for k in range(3))
+    body += struct.pack("<I", 1) + struct.pack("<3f", 1, 1, 1) + _ksplat_row(level, 3, 0)
+    return bytes(header) + heads + body
+
+
+def _ksplat_row(level: int, k: int, rest: int) -> bytes:
+    number = "f" if level == 0 else "e"
+    place = struct.pack("<3f", k, 0, -k) if level == 0 else struct.pack("<3H", 1000 + k, 1000, 0)
+    row = place + struct.pack(f"<3{number}4{number}", 1, 2, 4, 0.5, 0.5, -0.5, 0.5)
+    row += bytes([0, 51, 255, 102])
+    values = [j / 8 for j in range(rest)]
+    if level == 2:
+        return row + bytes(round((v + 2) / 4 * 255) for v in values)
+    return row + struct.pack(f"<{rest}{number}", *values)
+
+
+@pytest.mark.parametrize("level", [0, 1, 2])
+def test_ksplat(level: int, tmp_path: Path) -> None:
+    """Oracle: numbers worked out from the layout, in floats, halves and bytes."""
+    (tmp_path / "a").write_bytes(ksplat_bytes(level))
+    found = read_splat_file(tmp_path / "a")
+    splats = found.splats
+    assert found.format == "ksplat" and splats.sh_degree == 1 and len(splats) == 4
+    if level == 0:
+        np.testing.assert_array_equal(splats.means[:, 0], [0, 1, 2, 3])
+    else:
+        step = 8 / 2 / 1000
+        first = [[10, 20, 26], [10 + step, 20, 26], [-10 + 2 * step, -20, -34]]
+        np.testing.assert_allclose(splats.means, [*first, [1 + 3 * step, 1, -3]], rtol=1e-6)
+    np.testing.assert_allclose(splats.scales[0], np.log([1, 2, 4]), atol=1e-6)
+    np.testing.assert_array_equal(splats.quats[3], [0.5, 0.5, -0.5, 0.5])
+    np.testing.assert_allclose(splats.sh0[2, 0] * SH_C0 + 0.5, [0, 0.2, 1], atol=1e-6)
+    # A band has its reds, then its greens, then its blues.
+    wanted = np.arange(9).reshape(3, 3).T / 8
+    np.testing.assert_allclose(splats.shN[0], wanted, atol=4 / 255)
+    assert not splats.shN[3].any()
+
+
+def _gltf(rows: dict[str, tuple], **primitive: object) -> dict:
+    """A file with its buffer within, of attributes as (type, componentType, bytes)."""
+    import base64
+
+    raw, views, accessors, attributes = b"", [], [], {}
+    for name, (kind, stored, data, *more) in rows.items():
+        views.append({"buffer": 0, "byteOffset": len(raw), "byteLength": len(data)})
+        attributes[name] = len(accessors)
+        accessors.append(
+            {"bufferView": len(views) - 1, "componentType": stored, "count": 1, "type": kind}
+            | (more[0] if more else {})
+        )
+        raw += data + bytes(-len(data) % 4)
+    extension = {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}
+    uri = "data:application/octet-stream;base64," + base64.b64encode(raw).decode()
+    return {
+        "asset": {"version": "2.0"},
+        "extensionsUsed": ["KHR_gaussian_splatting"],
+        "buffers": [{"byteLength": len(raw), "uri": uri}],
+        "bufferViews": views,
+        "accessors": accessors,
+        "meshes": [{"primitives": [{
+            "attributes": attributes, "mode": 0,
+            "extensions": {"KHR_gaussian_splatting": extension}, **primitive,
+        }]}],
+    }  # fmt: skip
+
+
+_K = "KHR_gaussian_splatting:"
+PLAIN_ROWS = {
+    "POSITION": ("VEC3", 5126, struct.pack("<3f", 1, 2, 3)),
+    f"{_K}ROTATION": ("VEC4", 5120, struct.pack("<4b", 0, 127, 0, 0), {"normalized": True}),
+    f"{_K}SCALE": ("VEC3", 5126, struct.pack("<3f", 1, np.e, 0.5)),
+    f"{_K}OPACITY": ("SCALAR", 5121, bytes([51]), {"normalized": True}),
+    f"{_K}SH_DEGREE_0_COEF_0": ("VEC3", 5126, struct.pack("<3f", 0.1, 0.2, 0.3)),
+    **{
+        f"{_K}SH_DEGREE_1_COEF_{k}": ("VEC3", 5126, struct.pack("<3f", k + 1, 0, -k))
+        for k in range(3)
+    },
+}
+
+
+def test_gltf(tmp_path: Path) -> None:
+    """Oracle: numbers worked out from the extension's text; left-up-front, so x and y change."""
+    (tmp_path / "a.gltf").write_text(json.dumps(_gltf(PLAIN_ROWS)))
+    found = read_splat_file(tmp_path / "a.gltf")
+    splats = found.splats
+    np.testing.assert_array_equal(splats.means, [[-1, -2, 3]])
+    np.testing.assert_allclose(splats.quats, [[0, 0, -1, 0]], atol=1e-6)
+    np.testing.assert_allclose(splats.scales, [[0, 1, np.log(0.5)]], atol=1e-6)
+    np.testing.assert_allclose(splats.opacities, np.log([0.25]), rtol=1e-5)
+    np.testing.assert_allclose(splats.sh0[0, 0], [0.1, 0.2, 0.3], rtol=1e-6)
+    np.testing.assert_array_equal(splats.shN[0], [[-1, 0, 0], [2, 0, -1], [-3, 0, 2]])
+
+
+def test_gltf_of_the_drafts(tmp_path: Path) -> None:
+    """Oracle: sizes below zero are logarithms, as drafts of the extension had them."""
+    rows = PLAIN_ROWS | {f"{_K}SCALE": ("VEC3", 5126, struct.pack("<3f", -4, -5, 0.5))}
+    (tmp_path / "a.gltf").write_text(json.dumps(_gltf(rows)))
+    splats = read_splat_file(tmp_path / "a.gltf").splats
+    np.testing.assert_array_equal(splats.scales, [[-4, -5, 0.5]])
+
+
+def test_gltf_applies_nodes(tmp_path: Path) -> None:
+    """Oracle: the position that the nodes' translation, rotation and scale give, worked out."""
+    content = _gltf(PLAIN_ROWS)
+    content |= {
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [
+            {"translation": [10, 0, 0], "scale": [2, 2, 2], "children": [1]},
+            {"rotation": [0, 0, HALF, HALF], "mesh": 0},  # a quarter about z: (-2, 1, 3)
+        ],
+    }
+    (tmp_path / "a.gltf").write_text(json.dumps(content))
+    splats = read_splat_file(tmp_path / "a.gltf").splats
+    np.testing.assert_allclose(splats.means, [[-6, -2, 6]], atol=1e-5)
+    np.testing.assert_allclose(splats.scales[0, 0], np.log(2), atol=1e-6)
+
+
+def test_gltf_as_written(tmp_path: Path) -> None:
+    """Oracle: header, chunks and accessors of a .glb by the specification of glTF 2.0."""
+    write_splat_file(tmp_path / "a.glb", _one(means=[1, 2, 3], quats=[2, 0, 0, 0]))
+    raw = (tmp_path / "a.glb").read_bytes()
+    magic, version, length, size, kind = struct.unpack_from("<4sIII4s", raw)
+    assert (magic, version, length, kind) == (b"glTF", 2, len(raw), b"JSON") and size % 4 == 0
+    content = json.loads(raw[20 : 20 + size])
+    rest, tag = struct.unpack_from("<I4s", raw, 20 + size)
+    assert tag == b"BIN\0" and rest == len(raw) - 28 - size
+    assert content["buffers"] == [{"byteLength": rest}]
+    primitive = content["meshes"][0]["primitives"][0]
+    assert primitive["mode"] == 0 and content["extensionsUsed"] == ["KHR_gaussian_splatting"]
+    accessors = content["accessors"]
+    position = accessors[primitive["attributes"]["POSITION"]]
+    assert position["min"] == position["max"] == [-1, -2, 3]
+
+    def values(name: str, count: int) -> tuple:
+        accessor = accessors[primitive["attributes"][name]]
+        view = content["bufferViews"][accessor["bufferView"]]
+        assert view["byteOffset"] % 4 == 0 and accessor["componentType"] == 5126
+        return struct.unpack_from(f"<{count}f", raw, 28 + size + view["byteOffset"])
+
+    assert values("KHR_gaussian_splatting:ROTATION", 4) == (0, 0, 0, 1)
+    assert values("KHR_gaussian_splatting:SCALE", 3) == (1, 1, 1)
+    assert values("KHR_gaussian_splatting:OPACITY", 1) == (0.5,)
+
+
+def test_usd(tmp_path: Path) -> None:
+    """Oracle: a scene in text by the schema of OpenUSD 26.03, with Z up and a moved prim."""
+    pytest.importorskip("pxr.UsdVol")
+    (tmp_path / "a.usda").write_text(
+        """#usda 1.0
+( upAxis = "Z" )
+def ParticleField3DGaussianSplat "A" {
+    point3f[] positions = [(1, 2, 3)]
+    quatf[] orientations = [(1, 0, 0, 0)]
+    float3[] scales = [(1, 2.7182817, 0.5)]
+    half[] opacitiesh = [0.25]
+    uniform int radiance:sphericalHarmonicsDegree = 0
+    float3[] radiance:sphericalHarmonicsCoefficients = [(1, 0.5, 0)]
+    double3 xformOp:translate = (10, 0, 0)
+    uniform token[] xformOpOrder = ["xformOp:translate"]
+}
+"""
+    )
+    found = read_splat_file(tmp_path / "a.usda")
+    splats = found.splats
+    # Up is -y here and +z there: (11, 2, 3) is (11, -3, 2).
+    np.testing.assert_allclose(splats.means, [[11, -3, 2]], atol=1e-5)
+    np.testing.assert_allclose(splats.scales, [[0, 1, np.log(0.5)]], atol=1e-6)
+    np.testing.assert_allclose(splats.opacities, np.log([1 / 3]), rtol=1e-5)
+    np.testing.assert_array_equal(splats.sh0[0, 0], [1, 0.5, 0])
+
+
+def test_what_is_left_out_is_told_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Oracle: a splat with NaN in a .splat: left out, in the notes and in the log."""
+    good = struct.pack("<6f", 1, 2, 3, 1, 1, 1) + bytes([255, 0, 51, 102, 255, 128, 128, 128])
+    bad = struct.pack("<6f", np.nan, 2, 3, 1, 1, 1) + good[24:]
+    (tmp_path / "a.splat").write_bytes(good + bad)
+    with caplog.at_level(logging.WARNING):
+        found = read_splat_file(tmp_path / "a.splat")
+    assert len(found.splats) == 1 and "1 of 2 splats" in found.notes[0]
+    assert [record.getMessage() for record in caplog.records] == list(found.notes)
