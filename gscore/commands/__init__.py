@@ -36,6 +36,7 @@ VERBS = {
     "depth": "predict depth maps and align them with the capture",
     "render": "render splats to pictures or a video",
     "view": "write a page that shows splats in a browser",
+    "convert": "write splats as another file: cropped, cleaned, thinned out, moved",
     "info": "say what a capture, photos, a video, a PLY or a run holds",
     "doctor": "say what this machine can do and what is missing",
     "bench": "measure speed",
@@ -52,6 +53,7 @@ _EXAMPLES = {
     "depth": "Example: gscore depth photos/ --model midas.onnx",
     "render": "Example: gscore render run -o orbit.mp4",
     "view": "Example: gscore view run -o page.html",
+    "convert": "Example: gscore convert run small.ply --clean --count 100000",
     "info": "Example: gscore info photos/",
 }
 """At the end of a verb's help."""
