@@ -25,7 +25,7 @@ for (const button of document.querySelectorAll("button[data-order]")) {
   });
 }
 
-for (const chart of document.querySelectorAll("svg.chart")) {
+for (const chart of document.querySelectorAll("svg.chart[data-hover]")) {
   const points = JSON.parse(chart.dataset.hover);
   const cursor = chart.querySelector(".cursor");
   const [line, circle, text] = cursor.children;
