@@ -16,6 +16,7 @@ from .cameras_plan import CamerasSection, cameras_html
 from .colormap import colorize
 from .curves import Mark, Series, clean_points, legend, line_chart
 from .depth import DepthSection, depth_html
+from .histograms import Histogram, histograms_html
 from .page_link import SEAM
 from .pictures import ERROR_GAIN, ViewPictures
 from .poses import poses_html
@@ -40,6 +41,8 @@ class Report:
     """The same for a shell."""
     depth: DepthSection | None = None
     cameras: CamerasSection | None = None
+    histograms: Sequence[Histogram] = ()
+    """Of the splats."""
     config: dict[str, dict[str, Any]] = field(default_factory=dict)
     """Value by option by section."""
 
@@ -73,7 +76,8 @@ def report_html(report: Report) -> str:
             _view_table(views),
             depth_html(report.depth) if report.depth else "",
             poses_html(metrics["poses"]) if metrics.get("poses") else "",
-            cameras_html(report.cameras) if report.cameras else "",
+            cameras_html(report.cameras, _worths(metrics)) if report.cameras else "",
+            histograms_html(report.histograms),
             _details(metrics, report.config),
         )
     )
@@ -84,6 +88,11 @@ def report_html(report: Report) -> str:
         f"<style>\n{_asset('report.css')}</style>\n</head>\n<body>\n<main>\n{body}</main>\n"
         f"<script>\n{_asset('report.js')}</script>\n</body>\n</html>\n"
     )
+
+
+def _worths(metrics: dict[str, Any]) -> dict[str, float | None]:
+    """What each scored view is judged by, dB."""
+    return {view["name"]: judged_psnr(view) for view in metrics["views"]}
 
 
 def _asset(name: str) -> str:
