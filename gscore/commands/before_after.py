@@ -39,15 +39,19 @@ class PictureLoss:
     """Of these, equal to the bit."""
 
 
-def picture_loss(before: Splats, after: Splats, views: EditViews, status: Status) -> PictureLoss:
-    """How far pictures lie apart, clamped to [0, 1], over a black background."""
-    cameras = views.looked_at
-    told = Counted(status, len(cameras), "view")
+def picture_loss(
+    before: Splats, after: Splats, views: EditViews, most: int, status: Status
+) -> PictureLoss:
+    """How far pictures lie apart, clamped to [0, 1], over black, in `most` views evenly chosen."""
+    cameras = views.cameras
+    count = min(most, len(cameras))
+    chosen = np.linspace(0, len(cameras) - 1, count).round().astype(int).tolist()
+    told = Counted(status, count, "view")
     found: dict[str, float] = {}
-    for i, name in enumerate(cameras.names):
+    for done, i in enumerate(chosen, start=1):
         pictures = [_picture(splats, cameras, i, views) for splats in (after, before)]
-        found[name] = psnr(*pictures)
-        told(i + 1, "measuring")
+        found[cameras.names[i]] = psnr(*pictures)
+        told(done, "measuring")
     changed = {name: worth for name, worth in found.items() if math.isfinite(worth)}
     worst = min(changed, key=changed.__getitem__, default="")
     return PictureLoss(

@@ -23,7 +23,7 @@ from .before_after import PictureLoss, picture_loss, some_view, write_before_aft
 from .model import GivenModel, open_model
 from .output import check_folder, check_replaced, print_json
 from .parser import add_threads_option
-from .shots import captured_cameras, some_cameras, view_index
+from .shots import captured_cameras, view_index
 from .status import Status, wrapped
 
 _ENDINGS = (".ply",)
@@ -51,7 +51,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="a capture, the folder of a run or a cameras.json; default: the run's",
     )
     group.add_argument(
-        "--views", type=_count, default=60, metavar="N", help="most views that are rendered (60)"
+        "--views",
+        type=_count,
+        default=60,
+        metavar="N",
+        help="most views that the loss is measured in (60)",
     )
     group.add_argument(
         "--picture", type=Path, metavar="FILE.png", help="a view before, and beside it after"
@@ -228,7 +232,7 @@ def _convert(args: argparse.Namespace, request: EditRequest, status: Status) -> 
     )
     lost = None
     if views is not None and edited.kept is not edited.cropped:
-        lost = picture_loss(edited.cropped, edited.kept, views, status)
+        lost = picture_loss(edited.cropped, edited.kept, views, args.views, status)
     if args.picture is not None:
         status.show(["Rendering the picture"])
         _write_picture(args, edited, views)
@@ -249,12 +253,8 @@ def _views(args: argparse.Namespace, model: GivenModel) -> EditViews | None:
     """The cameras of the capture or run; None where there are none and none were named."""
     if args.source is None and not _has_cameras(model):
         return None
-    cameras = captured_cameras(args.source, model).cameras
-    count = min(args.views, len(cameras))
-    chosen = np.linspace(0, len(cameras) - 1, count).round().astype(int)
     return EditViews(
-        cameras=cameras,
-        looked_at=some_cameras(cameras, chosen.tolist()),
+        cameras=captured_cameras(args.source, model).cameras,
         antialias=model.antialias,
         near=model.near,
         threads=args.threads,
@@ -296,8 +296,7 @@ def _bytes_of(splats: Splats, ending: str, write: Callable[[Path, Splats], None]
 
 def _write_picture(args: argparse.Namespace, edited: Edited, views: EditViews | None) -> None:
     if views is None:
-        cameras = some_view(edited.joined)
-        views = EditViews(cameras=cameras, looked_at=cameras, threads=args.threads)
+        views = EditViews(cameras=some_view(edited.joined), threads=args.threads)
         if args.picture_view is not None:
             raise ConfigError(
                 "No cameras are known, so none can be chosen by name; say with -s where they are."

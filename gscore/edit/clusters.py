@@ -11,6 +11,8 @@ _REACH = 2.0
 """Standard deviations as far as an ellipsoid goes; there it has an eighth of its opacity."""
 _STEPS = (-1.0, -0.5, 0.5, 1.0)
 """Places along an axis of an ellipsoid, as shares of its reach, that it joins to its middle."""
+_EXPONENT = 88.0
+"""Of scales, at most: float32 holds no more, and squares stay finite."""
 _BITS = 20
 """Of a cell's number along an axis."""
 _FORWARD = [step for step in itertools.product((-1, 0, 1), repeat=3) if step > (0, 0, 0)]
@@ -57,7 +59,7 @@ def cluster_sizes(splats: Splats, gap: float) -> np.ndarray:
 def _ends(splats: Splats, means: np.ndarray, shortest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Places [M, 3] along the axes of ellipsoids that reach farther than `shortest` [N], and the
     row [M] that each belongs to."""
-    reaches = _REACH * np.exp(np.minimum(splats.scales.astype(np.float64), 300))
+    reaches = _REACH * np.exp(np.minimum(splats.scales.astype(np.float64), _EXPONENT))
     places, owners = [np.zeros((0, 3))], [np.zeros(0, np.int64)]
     for axis in range(3):
         rows = np.flatnonzero(reaches[:, axis] > shortest)

@@ -4,12 +4,10 @@ import numpy as np
 
 
 def box_matrix(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """[4, 4] float64 that takes a box from `low` [3] to `high` [3] to the cube [-1, 1]^3.
-
-    An axis along which the box has no extent takes in that plane alone.
-    """
+    """[4, 4] float64 that takes a box from `low` [3] to `high` [3], which is larger, to the cube
+    [-1, 1]^3."""
     low, high = np.asarray(low, np.float64), np.asarray(high, np.float64)
-    half = np.maximum((high - low) / 2, np.finfo(np.float64).tiny)
+    half = (high - low) / 2
     matrix = np.diag([*(1 / half), 1.0])
     matrix[:3, 3] = -(low + high) / 2 / half
     return matrix

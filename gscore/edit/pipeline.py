@@ -24,6 +24,8 @@ from .similarity import similarity_matrix
 
 _TRIES = 8
 """Files that are written to find how many splats fit."""
+_EXPONENT = 88.0
+"""Whose exponential float32 still holds."""
 _AIM, _ENOUGH = 0.998, 0.99
 """Shares of a file size: what is aimed at, and from where on it is near enough."""
 
@@ -33,9 +35,7 @@ class EditViews:
     """Cameras that look at the splats, and how these are drawn."""
 
     cameras: Cameras
-    """All there are; `frustum` of a request counts them."""
-    looked_at: Cameras
-    """Those from which contributions are taken."""
+    """All from which the splats may be seen: what none of them shows adds nothing."""
     antialias: bool = False
     near: float = 0.01
     """World units."""
@@ -137,7 +137,7 @@ class _Work:
         if (least := r.min_opacity) is not None:
             self._keep("opacity", lambda s: at_least_opaque(_sigmoid(s.opacities), least))
         if (most := r.max_size) is not None:
-            self._keep("size", lambda s: of_size(np.exp(s.scales), most=most))
+            self._keep("size", lambda s: of_size(_exp(s.scales), most=most))
         if (added := r.min_contribution) is not None:
             self._keep("contribution", lambda _: self._contributions() >= added)
         if (alone := r.max_isolation) is not None:
@@ -217,11 +217,11 @@ class _Work:
             views = needed_views(self._views, "What splats add to pictures")
             self._added = contributions(
                 self.splats,
-                views.looked_at,
+                views.cameras,
                 antialias=views.antialias,
                 near=views.near,
                 threads=views.threads,
-                on_view=lambda n: self._told(f"contribution, view {n} of {len(views.looked_at)}"),
+                on_view=lambda n: self._told(f"contribution, view {n} of {len(views.cameras)}"),
             )
         return self._added
 
@@ -288,6 +288,10 @@ def _seen(means: np.ndarray, indices: Sequence[int], views: EditViews) -> np.nda
         width, height = int(cameras.widths[i]), int(cameras.heights[i])
         seen |= in_frustum(means, cameras.Ks[i], cameras.viewmats[i], width, height, views.near)
     return seen
+
+
+def _exp(logs: np.ndarray) -> np.ndarray:
+    return np.exp(np.minimum(logs, np.float32(_EXPONENT)))
 
 
 def _sigmoid(logits: np.ndarray) -> np.ndarray:

@@ -151,12 +151,17 @@ def _same_network(runs: Sequence[ComparedRun]) -> bool:
 def _pair(
     name: str, first: Mapping[str, Any], second: Mapping[str, Any], *, lpips: bool
 ) -> ViewPair:
-    values = {"psnr": (judged_psnr(first), judged_psnr(second))}
-    values |= {key: (first.get(key), second.get(key)) for key in ("ssim", "lpips")[: 1 + lpips]}
-    numbers = {
-        key: (float(a), float(b)) for key, (a, b) in values.items() if is_number(a) and is_number(b)
-    }
+    numbers: dict[str, tuple[float, float]] = {}
+    for key in HIGHER_IS_BETTER:
+        a, b = _number(first, key), _number(second, key)
+        if a is not None and b is not None and (lpips or key != "lpips"):
+            numbers[key] = (a, b)
     return ViewPair(name=name, numbers=numbers)
+
+
+def _number(view: Mapping[str, Any], key: str) -> float | None:
+    value = judged_psnr(view) if key == "psnr" else view.get(key)
+    return float(value) if value is not None and is_number(value) else None
 
 
 def _means(values: Sequence[tuple[float, float]]) -> tuple[float, float]:

@@ -19,8 +19,8 @@ Make = Callable[..., Splats]
 
 @pytest.fixture
 def views(cameras: Cameras) -> EditViews:
-    """All cameras, looked at by all."""
-    return EditViews(cameras=cameras, looked_at=cameras)
+    """All cameras."""
+    return EditViews(cameras=cameras)
 
 
 def test_steps_come_in_their_order(make_splats: Make, views: EditViews) -> None:
@@ -74,7 +74,7 @@ def test_count_keeps_what_adds_most(make_splats: Make, views: EditViews) -> None
     """Oracle: the ranks of contributions of what was there when they were asked for, whatever
     was removed since; without cameras opacity and area, which is said."""
     splats = make_splats(300)
-    added = contributions(splats, views.looked_at)
+    added = contributions(splats, views.cameras)
     request = EditRequest(min_contribution=0.5, max_isolation=1.5, count=50)
     edited = apply_edits([splats], request, views=views)
     alone = EditRequest(min_contribution=0.5, max_isolation=1.5)
@@ -153,3 +153,28 @@ def test_requests_that_cannot_be(given: dict[str, Any], words: str) -> None:
     """Oracle: the sentence."""
     with pytest.raises(ConfigError, match=words):
         EditRequest(**given)
+
+
+@pytest.mark.filterwarnings("error")
+def test_numbers_at_the_ends_of_float32(make_splats: Make, views: EditViews) -> None:
+    """Oracle: no warning of numpy, and what is sound stays."""
+    splats = make_splats(200)
+    means, scales, opacities = splats.means.copy(), splats.scales.copy(), splats.opacities.copy()
+    means[:3] = 3e38, -3e38, 1e-38
+    scales[3:6] = 3e38, -3e38, 88.7
+    opacities[6:8] = 3e38, -3e38
+    wild = replace(splats, means=means, scales=scales, opacities=opacities)
+    request = EditRequest(
+        sphere=(0, 0, 0, 1e39),
+        min_opacity=0.001,
+        max_size=1e30,
+        min_contribution=1e-6,
+        max_isolation=1e3,
+        min_cluster=1,
+        sh_degree=0,
+        count=150,
+    )
+    edited = apply_edits([wild], request, views=views)
+    assert 100 < len(edited.splats) <= 150
+    blind = apply_edits([wild], EditRequest(max_isolation=1e6, min_cluster=1, count=150))
+    assert len(blind.splats) == 150
