@@ -22,9 +22,7 @@ if TYPE_CHECKING:
         contributions,
         in_unit_shape,
         isolation_of,
-        join_splats,
         most_important,
-        narrow_sh,
         of_size,
     )
     from .edit.pipeline import EditViews, apply_edits
@@ -51,7 +49,10 @@ if TYPE_CHECKING:
         Warn,
         from_line,
     )
+    from .formats import ENDINGS as SPLAT_ENDINGS
     from .formats import SPLAT_ENDINGS, is_antialiased
+    from .formats.joined import cut_degree
+    from .formats.joined import joined as join_splats
     from .inspection import CaptureFacts, Problem, find_capture
     from .inspection import inspect as inspect_capture
     from .io.camera_models import NO_PINHOLE
@@ -128,6 +129,7 @@ _HOME = {
     "cluster_sizes": "edit",
     "colorize": "metrics.colormap",
     "contributions": "edit",
+    "cut_degree": "formats.joined",
     "depth_networks": "depth.catalogue:all_networks",
     "downscale": "io.resample",
     "estimate": "trainer.estimate.forecast",
@@ -139,9 +141,8 @@ _HOME = {
     "is_antialiased": "formats",
     "is_video": "video",
     "isolation_of": "edit",
-    "join_splats": "edit",
+    "join_splats": "formats.joined:joined",
     "most_important": "edit",
-    "narrow_sh": "edit",
     "of_size": "edit",
     "options_of": "options",
     "read_cameras": "io.cameras_json:read_cameras_json",
@@ -212,6 +213,7 @@ __all__ = [
     "cluster_sizes",
     "colorize",
     "contributions",
+    "cut_degree",
     "depth_networks",
     "downscale",
     "estimate",
@@ -225,7 +227,6 @@ __all__ = [
     "isolation_of",
     "join_splats",
     "most_important",
-    "narrow_sh",
     "of_size",
     "options_of",
     "read_cameras",

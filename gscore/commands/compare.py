@@ -17,7 +17,7 @@ from ..io.metrics_file import read_metrics
 from ..metrics.compare_page import PairPictures, names_of, write_comparison
 from ..metrics.comparison import ComparedRun, RunComparison, compare_runs
 from ..metrics.evaluate import target_picture
-from ..metrics.pictures import MAX_VIEWS, budget_each, encode_all, has_pictures
+from ..metrics.pictures import MAX_VIEWS, budget_each, has_pictures, thumbnails
 from ..raster.api import render
 from ..shown import shown
 from ..words import count_words
@@ -169,7 +169,7 @@ def _pictures(
         photo, _ = target_picture(
             dataset.image(index), dataset.mask(index), dataset.mask_mode, models[0].background
         )
-        uris, size = encode_all([*renders, photo], budget)
+        uris, size = thumbnails([*renders, photo], budget)
         width, height = size
         found.append(PairPictures(
             name=name, width=width, height=height, first=uris[0], second=uris[1], photo=uris[2]

@@ -14,22 +14,22 @@ import numpy as np
 from ..edit.pipeline import Edited, EditViews, apply_edits
 from ..edit.request import GAP, USUAL, EditRequest
 from ..errors import ConfigError
+from ..formats import FORMATS, WrittenFile, format_to_write, read_splats, write_splat_file
 from ..io.files import read_bytes
-from ..io.ply import MIP_COMMENT, write_splats
 from ..shown import quoted, shown
 from ..splats import Splats
 from ..words import count_words, number, size_words
-from .before_after import PictureLoss, picture_loss, some_view, write_before_after
+from .before_after import picture_loss, some_view, write_before_after
 from .model import GivenModel, open_model
 from .output import check_folder, check_replaced, print_json
 from .parser import add_threads_option
 from .shots import captured_cameras, view_index
 from .status import Status, wrapped
 
-_ENDINGS = (".ply",)
-"""Of files that are written."""
+_EXACT = "ply"
+"""The format that holds splats to the bit."""
 _MARK = "gscore convert"
-"""A comment of files that are written: they may be replaced."""
+"""A comment of files that have room for it: they may be replaced."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -39,7 +39,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "whatever the order of the options."
     ).strip()
     parser.add_argument("input", metavar="IN", type=Path, help="splats, or the folder of a run")
-    parser.add_argument("output", metavar="OUT", type=Path, help="the file to write: .ply")
+    parser.add_argument(
+        "output",
+        metavar="OUT",
+        type=Path,
+        help=f"the file to write; its ending says the format: {', '.join(_written_endings())}",
+    )
     _add_join_and_crop(parser)
     _add_clean(parser)
     _add_fewer_and_place(parser)
@@ -63,12 +68,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--picture-view", metavar="NAME", help="which, by name or number; default: the middle one"
     )
+    parser.add_argument(
+        "--spz-version", type=int, choices=(3, 4), default=3, help="3, which all read; 4, with zstd"
+    )
     add_threads_option(parser)
     parser.add_argument(
         "--overwrite", action="store_true", help="replace files that gscore did not write"
     )
     parser.add_argument("--json", action="store_true", help="what was done as JSON on stdout")
     parser.add_argument("--quiet", action="store_true", help="no progress")
+
+
+def _written_endings() -> list[str]:
+    return [ending for one in FORMATS if one.write for ending in one.endings]
 
 
 def _add_join_and_crop(parser: argparse.ArgumentParser) -> None:
@@ -200,10 +212,7 @@ def _request(args: argparse.Namespace) -> EditRequest:
 
 def _check_output(args: argparse.Namespace) -> None:
     """Raise where something would be replaced, or written in a way that nobody can read."""
-    if args.output.suffix.lower() not in _ENDINGS:
-        raise ConfigError(
-            f"{shown(args.output)} must end in {' or '.join(_ENDINGS)}: that says what is written."
-        )
+    format_to_write(args.output)
     if args.picture is not None and args.picture.suffix.lower() != ".png":
         raise ConfigError(f"{shown(args.picture)}: the picture is a PNG; give a name with .png.")
     if args.picture is None and args.picture_view is not None:
@@ -222,28 +231,31 @@ def _convert(args: argparse.Namespace, request: EditRequest, status: Status) -> 
     views = _views(args, models[0])
     count = sum(len(model.splats) for model in models)
     request = _with_views(request, args, views, count)
-    write = _writer(models)
+    write = _writer(models, args.spz_version)
     edited = apply_edits(
         [model.splats for model in models],
         request,
         views=views,
-        bytes_of=lambda splats: _bytes_of(splats, args.output.suffix, write),
+        bytes_of=lambda splats: _bytes_of(splats, args.output.name, write),
         told=lambda step: status.show([step]),
     )
+    status.show(["Writing the splats"])
+    written = write(args.output, edited.splats)
+    after = edited.kept
+    if written.format != _EXACT and not request.moves:
+        after = read_splats(args.output)  # with what the format itself costs
     lost = None
-    if views is not None and edited.kept is not edited.cropped:
-        lost = picture_loss(edited.cropped, edited.kept, views, args.views, status)
+    if views is not None and after is not edited.cropped:
+        lost = picture_loss(edited.cropped, after, views, args.views, status)
     if args.picture is not None:
         status.show(["Rendering the picture"])
-        _write_picture(args, edited, views)
-    status.show(["Writing the splats"])
-    write(args.output, edited.splats)
-    return _facts(args, models, edited, lost)
+        _write_picture(args, edited.joined, after, views)
+    return _facts(args, models, edited, written) | {"error": None if lost is None else asdict(lost)}
 
 
 def _check_not_read(args: argparse.Namespace, models: list[GivenModel]) -> None:
     for model in models:
-        if args.output.exists() and args.output.samefile(model.ply):
+        if args.output.exists() and args.output.samefile(model.path):
             raise ConfigError(
                 f"{shown(args.output)} is what is read; choose another output, so that it stays."
             )
@@ -276,27 +288,35 @@ def _with_views(
     return request.cleaned(count, with_cameras=views is not None) if args.clean else request
 
 
-def _writer(models: list[GivenModel]) -> Callable[[Path, Splats], None]:
-    """Writes splats in the format of a file's ending."""
-    comments = (_MARK, MIP_COMMENT) if models[0].antialias else (_MARK,)
+_Write = Callable[[Path, Splats], WrittenFile]
 
-    def write(path: Path, splats: Splats) -> None:
-        write_splats(path, splats, comments=comments)
+
+def _writer(models: list[GivenModel], spz_version: int) -> _Write:
+    """Writes splats in the format of a file's name."""
+
+    def write(path: Path, splats: Splats) -> WrittenFile:
+        return write_splat_file(
+            path,
+            splats,
+            antialiased=models[0].antialias,
+            comments=(_MARK,),
+            spz_version=spz_version,
+        )
 
     return write
 
 
-def _bytes_of(splats: Splats, ending: str, write: Callable[[Path, Splats], None]) -> int:
+def _bytes_of(splats: Splats, name: str, write: _Write) -> int:
     """Size of a file of these splats, which is written and thrown away: codings differ."""
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"splats{ending}"
-        write(path, splats)
-        return path.stat().st_size
+        return write(Path(folder) / name, splats).storage_bytes
 
 
-def _write_picture(args: argparse.Namespace, edited: Edited, views: EditViews | None) -> None:
+def _write_picture(
+    args: argparse.Namespace, before: Splats, after: Splats, views: EditViews | None
+) -> None:
     if views is None:
-        views = EditViews(cameras=some_view(edited.joined), threads=args.threads)
+        views = EditViews(cameras=some_view(before), threads=args.threads)
         if args.picture_view is not None:
             raise ConfigError(
                 "No cameras are known, so none can be chosen by name; say with -s where they are."
@@ -305,34 +325,34 @@ def _write_picture(args: argparse.Namespace, edited: Edited, views: EditViews | 
     index = len(names) // 2
     if args.picture_view is not None:
         index = view_index(args.picture_view, names)
-    write_before_after(args.picture, edited.joined, edited.kept, views, index)
+    write_before_after(args.picture, before, after, views, index)
 
 
 def _facts(
     args: argparse.Namespace,
     models: list[GivenModel],
     edited: Edited,
-    lost: PictureLoss | None,
+    written: WrittenFile,
 ) -> dict[str, Any]:
     warnings = [sentence for model in models for sentence in model.warnings]
     if len({model.antialias for model in models}) > 1:
         warnings.append(
             "Some of the joined splats were trained with antialiasing and some were not; all are "
-            f"marked as those of {models[0].ply}."
+            f"marked as those of {models[0].path}."
         )
     return {
-        "input": [str(model.ply) for model in models],
+        "input": [str(model.path) for model in models],
         "output": str(args.output),
+        "format": written.format,
         "splats_before": len(edited.joined),
         "splats": len(edited.splats),
         "sh_degree_before": edited.joined.sh_degree,
-        "sh_degree": edited.splats.sh_degree,
-        "bytes_before": sum(model.ply.stat().st_size for model in models),
-        "bytes": args.output.stat().st_size,
+        "sh_degree": min(edited.splats.sh_degree, format_to_write(args.output).most_degree),
+        "bytes_before": sum(model.file.storage_bytes for model in models),
+        "bytes": written.storage_bytes,
         "steps": [asdict(step) for step in edited.steps],
-        "error": None if lost is None else asdict(lost),
         "picture": None if args.picture is None else str(args.picture),
-        "warnings": [*warnings, *edited.notes],
+        "warnings": [*warnings, *edited.notes, *written.notes],
     }
 
 

@@ -6,9 +6,7 @@ from .contribution import contributions
 from .crop import box_matrix, in_frustum, in_unit_shape, sphere_matrix
 from .importance import importance_of, most_important
 from .isolation import isolation_of
-from .join import join_splats
 from .limits import at_least_opaque, of_size
-from .narrow import narrow_sh
 from .similarity import similarity_matrix
 
 __all__ = [
@@ -20,9 +18,7 @@ __all__ = [
     "in_frustum",
     "in_unit_shape",
     "isolation_of",
-    "join_splats",
     "most_important",
-    "narrow_sh",
     "of_size",
     "similarity_matrix",
     "sphere_matrix",

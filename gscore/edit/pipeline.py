@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..errors import ConfigError
+from ..formats.joined import cut_degree, joined
 from ..scene import Cameras
 from ..splats import Splats
 from ..transforms import transform_splats
@@ -16,9 +17,7 @@ from .contribution import contributions
 from .crop import box_matrix, in_frustum, in_unit_shape, sphere_matrix
 from .importance import importance_of, most_important
 from .isolation import isolation_of
-from .join import join_splats
 from .limits import at_least_opaque, of_size
-from .narrow import narrow_sh
 from .request import GAP, EditRequest
 from .similarity import similarity_matrix
 
@@ -97,7 +96,7 @@ def apply_edits(
         ConfigError: a step that lacks its views, or leaves no splat.
         ShapeError: a matrix that is no similarity.
     """
-    work = _Work(join_splats(parts), views, told)
+    work = _Work(joined(parts), views, told)
     work.crop(request)
     cropped = work.splats
     work.clean(request)
@@ -118,8 +117,8 @@ def apply_edits(
 class _Work:
     """The splats as they are, and what was done to them."""
 
-    def __init__(self, joined: Splats, views: EditViews | None, told: Told) -> None:
-        self.splats = self.joined = joined
+    def __init__(self, splats: Splats, views: EditViews | None, told: Told) -> None:
+        self.splats = self.joined = splats
         self.steps: list[Step] = []
         self.notes: list[str] = []
         self._views, self._told = views, told
@@ -155,7 +154,7 @@ class _Work:
                 f"The splats have SH degree {self.splats.sh_degree}, so none were taken away for "
                 f"{degree}."
             )
-        self._change("sh degree", lambda s: narrow_sh(s, degree))
+        self._change("sh degree", lambda s: cut_degree(s, degree))
 
     def thin(self, request: EditRequest, bytes_of: Callable[[Splats], int] | None) -> None:
         """Keep as many splats as there may be, those that matter most."""

@@ -69,7 +69,7 @@ class PictureCollector:
         if weights is not None:
             error *= weights / 255.0
         budget = budget_each(min(self.count, MAX_VIEWS))
-        uris, size = encode_all([target, render, error * ERROR_GAIN], budget, colored=(2,))
+        uris, size = thumbnails([target, render, error * ERROR_GAIN], budget, colored=(2,))
         self.views.append(
             ViewPictures(
                 name=numbers["name"],
@@ -83,7 +83,7 @@ class PictureCollector:
         )
 
 
-def encode_all(
+def thumbnails(
     pictures: Sequence[np.ndarray], budget: int, *, colored: Sequence[int] = ()
 ) -> tuple[list[str], tuple[int, int]]:
     """The largest of the usual widths at which all pictures of a view together fit their budget.

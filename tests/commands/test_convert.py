@@ -8,6 +8,7 @@ import pytest
 from PIL import Image
 
 from gscore.edit import contributions, most_important
+from gscore.formats import read_splats as read_any
 from gscore.io.ply import MIP_COMMENT, header_comments, read_splats, write_splats
 from gscore.metrics.image import psnr
 from gscore.raster.api import render
@@ -215,4 +216,39 @@ def test_nothing_is_lost(gscore, ply, tmp_path):
     assert code == 2 and "did not write" in err and other.read_text() == "mine"
     assert gscore("convert", ply, other, "--overwrite")[0] == 0
     code, _, err = gscore("convert", ply, tmp_path / "a.xyz")
-    assert code == 2 and "must end in .ply" in err
+    assert code == 2 and "no format of splats has this ending" in err
+
+
+@pytest.mark.parametrize("ending", [".splat", ".spz", ".sog", ".glb", ".compressed.ply"])
+def test_formats_by_their_ending(gscore, run_folder, tmp_path, splats, ending):
+    """Oracle: what is read back has been thinned, and the error is that of the file: renders of it
+    against those of the run, by hand."""
+    from gscore.io.cameras_json import read_cameras_json
+
+    run, out = run_folder(), tmp_path / f"a{ending}"
+    code, text, err = gscore("convert", run, out, "--json")
+    facts = json.loads(text)
+    assert code == 0, err
+    back = read_any(out)
+    assert facts["splats"] == len(back) == 60 and facts["bytes"] == out.stat().st_size
+    cameras = read_cameras_json(run / "cameras.json")
+    worths = []
+    for K, viewmat in zip(cameras.Ks, cameras.viewmats, strict=True):
+        a, b = (render(s, K, viewmat, 48, 36).rgb for s in (back, splats))
+        worths.append(psnr(a, b))
+    if ending != ".glb":
+        assert 20 < facts["error"]["psnr"] < 80
+        assert facts["error"]["psnr"] == pytest.approx(np.mean(worths))
+    assert facts["sh_degree"] == back.sh_degree
+    if ending == ".splat":
+        assert any("SH degree 0" in sentence for sentence in facts["warnings"])
+    code, text, err = gscore("convert", out, tmp_path / "again.ply", "--count", 30, "--json")
+    assert code == 0 and json.loads(text)["format"] == "ply"
+    assert len(read_splats(tmp_path / "again.ply")) == 30
+
+
+def test_size_of_a_packed_file(gscore, run_folder, tmp_path):
+    """Oracle: the file, whatever its coding makes of the number of splats."""
+    code, _, err = gscore("convert", run_folder(), tmp_path / "a.spz", "--size", 0.0012)
+    assert code == 0, err
+    assert 900 < (tmp_path / "a.spz").stat().st_size <= 1200

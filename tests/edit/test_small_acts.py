@@ -10,12 +10,11 @@ from scipy.spatial.transform import Rotation
 from gscore.edit import (
     at_least_opaque,
     importance_of,
-    join_splats,
     most_important,
-    narrow_sh,
     of_size,
     similarity_matrix,
 )
+from gscore.formats.joined import cut_degree, joined
 from gscore.raster.api import render
 from gscore.scene import Cameras
 from gscore.splats import Splats
@@ -26,12 +25,12 @@ Make = Callable[..., Splats]
 def test_join_keeps_order(make_splats: Make) -> None:
     """Oracle: concatenation by hand."""
     a, b = make_splats(5, 0), make_splats(6, 15, seed=1)
-    joined = join_splats([a, b])
-    np.testing.assert_array_equal(joined.opacities, [*a.opacities, *b.opacities])
-    np.testing.assert_array_equal(joined.means[5:], b.means)
-    assert not joined.shN[:5].any()
-    np.testing.assert_array_equal(joined.shN[5:], b.shN)
-    assert join_splats([a]) is a
+    both = joined([a, b])
+    np.testing.assert_array_equal(both.opacities, [*a.opacities, *b.opacities])
+    np.testing.assert_array_equal(both.means[5:], b.means)
+    assert not both.shN[:5].any()
+    np.testing.assert_array_equal(both.shN[5:], b.shN)
+    assert joined([a]) is a
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2])
@@ -39,11 +38,11 @@ def test_fewer_harmonics(degree: int, make_splats: Make, cameras: Cameras) -> No
     """Oracle: a render of the whole model with the higher bands left out."""
     splats = make_splats(60, 15)
     view = cameras.Ks[0], cameras.viewmats[0], 40, 40
-    narrow = narrow_sh(splats, degree)
+    narrow = cut_degree(splats, degree)
     assert narrow.sh_degree == degree
     got, wanted = render(narrow, *view).rgb, render(splats, *view, sh_degree=degree).rgb
     np.testing.assert_array_equal(got, wanted)
-    assert narrow_sh(narrow, 3) is narrow
+    assert cut_degree(narrow, 3) is narrow
 
 
 def test_most_important_takes_the_first_of_equals() -> None:
