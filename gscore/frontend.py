@@ -49,7 +49,6 @@ if TYPE_CHECKING:
         Warn,
         from_line,
     )
-    from .formats import ENDINGS as SPLAT_ENDINGS
     from .formats import SPLAT_ENDINGS, is_antialiased
     from .formats.joined import cut_degree
     from .formats.joined import joined as join_splats

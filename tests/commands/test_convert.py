@@ -9,7 +9,7 @@ from PIL import Image
 
 from gscore.edit import contributions, most_important
 from gscore.formats import read_splats as read_any
-from gscore.io.ply import MIP_COMMENT, header_comments, read_splats, write_splats
+from gscore.io.ply import MIP_COMMENT, header_comments, read_ply, write_splats
 from gscore.metrics.image import psnr
 from gscore.raster.api import render
 from gscore.transforms import transform_splats
@@ -34,7 +34,7 @@ def test_without_options_nothing_changes(gscore, ply, tmp_path, splats):
     for _ in range(2):
         code, text, _ = gscore("convert", ply, out)
         assert code == 0 and f"Wrote {out}: 60 splats, SH degree 1" in text
-    same(read_splats(out), splats)
+    same(read_ply(out), splats)
 
 
 def test_the_mark_of_antialiasing_stays(gscore, tmp_path, splats):
@@ -54,7 +54,7 @@ def test_count_and_error_of_a_run(gscore, run_folder, tmp_path, splats, capture,
     run = run_folder()
     code, text, _ = gscore("convert", run, tmp_path / "small.ply", "--count", 40, "--json")
     facts = json.loads(text)
-    small = read_splats(tmp_path / "small.ply")
+    small = read_ply(tmp_path / "small.ply")
     from gscore.io.cameras_json import read_cameras_json
 
     cameras = read_cameras_json(run / "cameras.json")
@@ -82,7 +82,7 @@ def test_cameras_of_every_kind(gscore, ply, tmp_path, run_folder, capture, sourc
     gscore("convert", run, wanted, "--count", 30)
     code, _, err = gscore("convert", ply, tmp_path / "got.ply", "--count", 30, "-s", named)
     assert code == 0 and "Warning" not in err
-    same(read_splats(tmp_path / "got.ply"), read_splats(wanted))
+    same(read_ply(tmp_path / "got.ply"), read_ply(wanted))
 
 
 def test_size_of_the_file(gscore, run_folder, tmp_path):
@@ -97,7 +97,7 @@ def test_frustum_by_name(gscore, run_folder, tmp_path, splats):
 
     run = run_folder(splats=replace(splats, means=splats.means * 4))
     cameras = read_cameras_json(run / "cameras.json")
-    means = read_splats(run / "point_cloud.ply").means
+    means = read_ply(run / "point_cloud.ply").means
     seen = means @ cameras.viewmats[3, :3, :3].T + cameras.viewmats[3, :3, 3]
     places = seen @ cameras.Ks[3].T
     x, y = places[:, 0] / seen[:, 2], places[:, 1] / seen[:, 2]
@@ -106,7 +106,7 @@ def test_frustum_by_name(gscore, run_folder, tmp_path, splats):
     for view, more, wanted in (("a_3.png", [], inside), ("3", ["--outside"], ~inside)):
         code, _, _ = gscore("convert", run, tmp_path / "a.ply", "--frustum", view, *more)
         assert code == 0
-        np.testing.assert_array_equal(read_splats(tmp_path / "a.ply").means, means[wanted])
+        np.testing.assert_array_equal(read_ply(tmp_path / "a.ply").means, means[wanted])
 
 
 def test_placed_at_last(gscore, run_folder, tmp_path, splats):
@@ -120,10 +120,10 @@ def test_placed_at_last(gscore, run_folder, tmp_path, splats):
     run = run_folder()
     code, text, _ = gscore("convert", run, tmp_path / "a.ply", "--matrix", file, "--json")
     assert code == 0 and json.loads(text)["error"] is None
-    same(read_splats(tmp_path / "a.ply"), transform_splats(splats, matrix))
+    same(read_ply(tmp_path / "a.ply"), transform_splats(splats, matrix))
     words = ["--scale", 2, "--rotate", 90, 0, 90, "--move", 1, -2, 5e-1]
     gscore("convert", run, tmp_path / "b.ply", *words)
-    moved = read_splats(tmp_path / "b.ply")
+    moved = read_ply(tmp_path / "b.ply")
     np.testing.assert_allclose(moved.means, transform_splats(splats, matrix).means, atol=1e-5)
 
 
@@ -244,7 +244,7 @@ def test_formats_by_their_ending(gscore, run_folder, tmp_path, splats, ending):
         assert any("SH degree 0" in sentence for sentence in facts["warnings"])
     code, text, err = gscore("convert", out, tmp_path / "again.ply", "--count", 30, "--json")
     assert code == 0 and json.loads(text)["format"] == "ply"
-    assert len(read_splats(tmp_path / "again.ply")) == 30
+    assert len(read_ply(tmp_path / "again.ply")) == 30
 
 
 def test_size_of_a_packed_file(gscore, run_folder, tmp_path):
