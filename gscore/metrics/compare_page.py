@@ -9,7 +9,7 @@ from typing import Any
 from ..words import count_words, number, number_words, size_words, time_words
 from .comparison import HIGHER_IS_BETTER, RunComparison, ViewPair
 from .curves import Series, clean_points, legend, line_chart
-from .html_parts import AXES, switch, warnings_html, whole_page, write_page
+from .html_parts import AXES, switch, warnings_html, whole_page, write_html
 
 _DIGITS = {"psnr": 2, "ssim": 4, "lpips": 4}
 _AXES = (("step", "steps"), ("elapsed_s", "s"))
@@ -41,7 +41,7 @@ def write_comparison(
     Raises:
         GsError: the file cannot be written.
     """
-    write_page(path, comparison_html(comparison, pictures, title=title))
+    write_html(path, comparison_html(comparison, pictures, title=title))
 
 
 def comparison_html(

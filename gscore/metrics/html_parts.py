@@ -31,7 +31,7 @@ def whole_page(
     )
 
 
-def write_page(path: Path, page: str) -> None:
+def write_html(path: Path, page: str) -> None:
     """Write a page completely or not at all.
 
     Raises:

@@ -16,7 +16,7 @@ from .colormap import colorize
 from .curves import Mark, Series, clean_points, legend, line_chart
 from .depth import DepthSection, depth_html
 from .histograms import Histogram, histograms_html
-from .html_parts import AXES, switch, warnings_html, whole_page, write_page
+from .html_parts import AXES, switch, warnings_html, whole_page, write_html
 from .page_link import SEAM
 from .pictures import ERROR_GAIN, ViewPictures
 from .poses import poses_html
@@ -57,7 +57,7 @@ def write_report(path: Path, report: Report) -> None:
     Raises:
         GsError: The file cannot be written.
     """
-    write_page(path, report_html(report))
+    write_html(path, report_html(report))
 
 
 def report_html(report: Report) -> str:
