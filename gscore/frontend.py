@@ -16,6 +16,17 @@ if TYPE_CHECKING:
     from .depth.catalogue import KnownNetwork
     from .depth.catalogue import all_networks as depth_networks
     from .depth.stated import StatedDepth, stated_depth
+    from .edit import (
+        at_least_opaque,
+        cluster_sizes,
+        contributions,
+        in_unit_shape,
+        isolation_of,
+        most_important,
+        of_size,
+    )
+    from .edit.pipeline import EditViews, apply_edits
+    from .edit.request import EditRequest
     from .events import (
         DepthDone,
         DepthProgress,
@@ -39,6 +50,8 @@ if TYPE_CHECKING:
         from_line,
     )
     from .formats import SPLAT_ENDINGS, is_antialiased
+    from .formats.joined import cut_degree
+    from .formats.joined import joined as join_splats
     from .inspection import CaptureFacts, Problem, find_capture
     from .inspection import inspect as inspect_capture
     from .io.camera_models import NO_PINHOLE
@@ -72,6 +85,8 @@ _HOME = {
     "DepthDone": "events",
     "DepthProgress": "events",
     "Done": "events",
+    "EditRequest": "edit.request",
+    "EditViews": "edit.pipeline",
     "Estimate": "trainer.estimate.forecast",
     "Estimated": "events",
     "Eval": "events",
@@ -104,20 +119,30 @@ _HOME = {
     "VIDEO_ENDINGS": "video",
     "View": "datasets",
     "Warn": "events",
+    "apply_edits": "edit.pipeline",
     "are_mattes": "datasets.mattes",
+    "at_least_opaque": "edit",
     "atomic_write": "io.files",
     "capture_beside": "sfm.beside",
     "clear_run": "io.runs",
+    "cluster_sizes": "edit",
     "colorize": "metrics.colormap",
+    "contributions": "edit",
+    "cut_degree": "formats.joined",
     "depth_networks": "depth.catalogue:all_networks",
     "downscale": "io.resample",
     "estimate": "trainer.estimate.forecast",
     "find_capture": "inspection",
     "find_colmap": "io.colmap:find_model",
     "from_line": "events",
+    "in_unit_shape": "edit",
     "inspect_capture": "inspection:inspect",
     "is_antialiased": "formats",
     "is_video": "video",
+    "isolation_of": "edit",
+    "join_splats": "formats.joined:joined",
+    "most_important": "edit",
+    "of_size": "edit",
     "options_of": "options",
     "read_cameras": "io.cameras_json:read_cameras_json",
     "read_capture": "datasets",
@@ -149,6 +174,8 @@ __all__ = [
     "DepthDone",
     "DepthProgress",
     "Done",
+    "EditRequest",
+    "EditViews",
     "Estimate",
     "Estimated",
     "Eval",
@@ -176,20 +203,30 @@ __all__ = [
     "Switch",
     "View",
     "Warn",
+    "apply_edits",
     "are_mattes",
+    "at_least_opaque",
     "atomic_write",
     "capture_beside",
     "clear_run",
+    "cluster_sizes",
     "colorize",
+    "contributions",
+    "cut_degree",
     "depth_networks",
     "downscale",
     "estimate",
     "find_capture",
     "find_colmap",
     "from_line",
+    "in_unit_shape",
     "inspect_capture",
     "is_antialiased",
     "is_video",
+    "isolation_of",
+    "join_splats",
+    "most_important",
+    "of_size",
     "options_of",
     "read_cameras",
     "read_capture",

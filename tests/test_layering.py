@@ -48,6 +48,7 @@ ALLOWED = {
     "depth": BOTTOM | {"io", "datasets", "depth"},
     "inspection": BOTTOM | {"io", "datasets", "video", "sfm", "depth", "inspection"},
     "raster": BOTTOM | {"io", "formats", "raster"},
+    "edit": BOTTOM | {"io", "formats", "raster", "edit"},
     "stereo": BOTTOM | {"io", "datasets", "depth", "raster", "stereo"},
     "metrics": BOTTOM | {"io", "datasets", "depth", "raster", "metrics"},
     "page": BOTTOM | {"io", "page"},

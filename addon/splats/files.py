@@ -11,7 +11,7 @@ from mathutils import Matrix
 
 from ..cameras.objects import local_matrix, root_of
 from ..compat import matrix_to_numpy
-from ..core import Splats, read_splat_file, write_splat_file
+from ..core import join_splats, read_splat_file, write_splat_file
 from . import objects
 from .objects import ANTIALIAS
 
@@ -124,7 +124,7 @@ def export_splats(
         own = source_matrix_of_data(ob) if world == SOURCE and ob == obs[0] else None
         matrix = to_world @ matrix_to_numpy(ob.matrix_world) if own is None else own
         parts.append(objects.transformed(ob, matrix, filtered=filtered))
-    splats = join(parts)
+    splats = join_splats(parts)
     if not len(splats):
         names = ", ".join(ob.name for ob in obs)
         raise ValueError(f"{names}: no splats left to export; relax the filters or undo deletions.")
@@ -160,14 +160,3 @@ def source_matrix_of_data(ob: bpy.types.Object) -> np.ndarray:
     else:
         matrix = np.linalg.inv(source_matrix(ob)) @ matrix_to_numpy(ob.matrix_world)
     return np.eye(4) if np.abs(matrix - np.eye(4)).max() < _NOISE else matrix
-
-
-def join(parts: Sequence[Splats]) -> Splats:
-    """One model of several; SH coefficients that a part lacks are zero."""
-    if len(parts) == 1:
-        return parts[0]
-    width = max(part.shN.shape[1] for part in parts)
-    rest = [np.pad(p.shN, ((0, 0), (0, width - p.shN.shape[1]), (0, 0))) for p in parts]
-    names = ("means", "quats", "scales", "opacities", "sh0")
-    arrays = {name: np.concatenate([getattr(p, name) for p in parts]) for name in names}
-    return Splats(**arrays, shN=np.concatenate(rest))

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from .. import attributes
+from ..core import at_least_opaque, in_unit_shape, of_size
 
 SPHERE = "SPHERE"
 BOX = "BOX"
@@ -40,17 +41,10 @@ def mask(
         opacities: [N] in [0, 1].
         filters: The limits; the ends belong to what is shown.
     """
-    keep = opacities >= np.float32(filters.opacity_min)
-    sizes = scales.max(axis=1, initial=-np.inf)
-    keep &= sizes >= np.float32(filters.size_min)
-    if filters.size_max > 0:
-        keep &= sizes <= np.float32(filters.size_max)
+    keep = at_least_opaque(opacities, filters.opacity_min)
+    keep &= of_size(scales, filters.size_min, filters.size_max)
     if filters.crop is not None:
-        local = means @ filters.crop[:3, :3].T + filters.crop[:3, 3]
-        if filters.crop_shape == SPHERE:
-            inside = (local * local).sum(axis=1) <= 1
-        else:
-            inside = np.abs(local).max(axis=1, initial=0) <= 1
+        inside = in_unit_shape(means, filters.crop, sphere=filters.crop_shape == SPHERE)
         keep &= inside != filters.crop_invert
     return keep
 

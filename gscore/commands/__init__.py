@@ -33,9 +33,11 @@ VERBS = {
     "sequence": "train the frames of a multi-view video one after another",
     "options": "list the options of a training",
     "eval": "measure trained splats against the photos",
+    "compare": "compare two runs on one capture, view by view",
     "depth": "predict depth maps and align them with the capture",
     "render": "render splats to pictures or a video",
     "view": "write a page that shows splats in a browser",
+    "convert": "write splats as another file: cropped, cleaned, thinned out, moved",
     "info": "say what a capture, photos, a video, a PLY or a run holds",
     "doctor": "say what this machine can do and what is missing",
     "bench": "measure speed",
@@ -49,9 +51,11 @@ _EXAMPLES = {
     "sequence": "Example: gscore sequence CASE --frames 0:145:5 -o out",
     "options": "Example: gscore options opacity",
     "eval": "Example: gscore eval run",
+    "compare": "Example: gscore compare run1 run2 -o compare.html",
     "depth": "Example: gscore depth photos/ --model midas.onnx",
     "render": "Example: gscore render run -o orbit.mp4",
     "view": "Example: gscore view run -o page.html",
+    "convert": "Example: gscore convert run small.ply --clean --count 100000",
     "info": "Example: gscore info photos/",
 }
 """At the end of a verb's help."""

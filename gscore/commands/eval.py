@@ -21,6 +21,7 @@ from ..metrics import (
     find_lpips,
     headline,
     lpips_warnings,
+    splat_histograms,
     write_results,
 )
 from ..metrics.page_link import link_page
@@ -169,6 +170,7 @@ def _measure(args: argparse.Namespace, status: Status) -> int:
         views=collector.views,
         warnings=warnings,
         cameras=cameras_section(config.source, dataset.scene),
+        histograms=splat_histograms([model.splats]),
     )
     link_page(output)
     status.clear()

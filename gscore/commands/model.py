@@ -121,11 +121,12 @@ def find_splats(path: Path) -> Path:
     raise DatasetError(
         f"No model in {path}: expected point_cloud.ply or point_cloud/iteration_*/point_cloud.ply; "
         "give the file itself or the folder a training wrote. "
-        + (other if _is_capture(path) else foreign(path))
+        + (other if is_capture(path) else foreign(path))
     )
 
 
-def _is_capture(folder: Path) -> bool:
+def is_capture(folder: Path) -> bool:
+    """Whether a folder holds photos with cameras."""
     try:
         find_model(folder)
     except DatasetError:

@@ -2,6 +2,7 @@
 
 import argparse
 import difflib
+import re
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -14,6 +15,8 @@ from .status import wrapped
 
 _REQUIRED = "the following arguments are required: "
 """How argparse begins; what follows are all names of each, between slashes."""
+_NEGATIVE = re.compile(r"-\.?\d")
+"""How a negative number begins."""
 _MEANT = {
     **dict.fromkeys(("fast", "fastest", "quick", "test", "tiny"), "preview"),
     **dict.fromkeys(("low", "rough"), "draft"),
@@ -44,6 +47,11 @@ def _threads(text: str) -> int:
 
 class Parser(argparse.ArgumentParser):
     """Says what is wrong in a sentence, without the page of usage before it."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        """As argparse does, but -1e-3 is a number for every Python, not the name of an option."""
+        super().__init__(*args, **kwargs)
+        self._negative_number_matcher = _NEGATIVE
 
     def error(self, message: str) -> NoReturn:
         """End with the sentence and exit code 2."""

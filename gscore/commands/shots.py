@@ -1,8 +1,9 @@
 """The cameras that `gscore render` takes: views of a capture or run, or a path among them."""
 
 import argparse
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from ..io.cameras_json import read_cameras_json
 from ..io.metrics_file import read_metrics
 from ..scene import Cameras
 from .camera_path import orbit_path, spline_path
-from .model import GivenModel
+from .model import GivenModel, is_capture
 
 _ORBIT_SECONDS = 8.0
 """Of an orbit, at its usual length."""
@@ -49,7 +50,7 @@ def find_shots(args: argparse.Namespace, model: GivenModel, *, is_video: bool) -
         ConfigError: A path or view that there cannot be.
         DatasetError: No cameras, or no such view.
     """
-    captured = _captured(args, model)
+    captured = captured_cameras(args.cameras, model)
     cameras = _scaled(captured.cameras, args.resolution, even=is_video)
     if args.path:
         return _along(cameras, args.path, args)
@@ -59,10 +60,10 @@ def find_shots(args: argparse.Namespace, model: GivenModel, *, is_video: bool) -
                 "No view was held out, or the split is not known: give the folder of a run that "
                 "was trained with --eval, or choose views with --view or --all."
             )
-        return Shots(cameras=_subset(cameras, captured.test), path="")
+        return Shots(cameras=some_cameras(cameras, captured.test), path="")
     if args.view:
-        chosen = [_index(view, cameras.names) for view in args.view]
-        return Shots(cameras=_subset(cameras, chosen), path="")
+        chosen = [view_index(view, cameras.names) for view in args.view]
+        return Shots(cameras=some_cameras(cameras, chosen), path="")
     if is_video and not args.all and len(cameras) > 1:
         return _some_path(cameras, args)
     return Shots(cameras=cameras, path="")
@@ -82,14 +83,28 @@ def _some_path(cameras: Cameras, args: argparse.Namespace) -> Shots:
 
 
 @dataclass(frozen=True)
-class _Captured:
+class Captured:
+    """Cameras that photos were taken from."""
+
     cameras: Cameras
     test: list[int]
+    """Indices of the views that were held out, where that is known."""
 
 
-def _captured(args: argparse.Namespace, model: GivenModel) -> _Captured:
-    """The cameras of the capture or run, and its test views where they are known."""
-    source = args.cameras
+def captured_cameras(source: Path | None, model: GivenModel) -> Captured:
+    """The cameras of a capture or run, and its test views where they are known.
+
+    Args:
+        source: The folder of a capture or of a run, or a cameras.json; None: what lies beside the
+            model.
+        model: The splats.
+
+    Raises:
+        ConfigError: There are no cameras beside the model.
+        DatasetError: No cameras, or a capture that cannot be read.
+    """
+    if source is not None and (source / "cameras.json").is_file() and not is_capture(source):
+        source = source / "cameras.json"
     if source is None:
         beside = (model.run or model.path.parent) / "cameras.json"
         if not beside.is_file():
@@ -105,11 +120,11 @@ def _captured(args: argparse.Namespace, model: GivenModel) -> _Captured:
         if model.data is not None and model.data.source.resolve() == source.resolve():
             config = model.data
         dataset = load_dataset(replace(config, mask_mode="none"))  # cameras are all that is wanted
-        return _Captured(dataset.scene.cameras, dataset.test)
+        return Captured(dataset.scene.cameras, dataset.test)
     cameras = read_cameras_json(source)
     if not len(cameras):
         raise DatasetError(f"{source} holds no cameras.")
-    return _Captured(cameras, _test_views(model, cameras.names))
+    return Captured(cameras, _test_views(model, cameras.names))
 
 
 def _test_views(model: GivenModel, names: tuple[str, ...]) -> list[int]:
@@ -187,7 +202,9 @@ def _along(cameras: Cameras, kind: str, args: argparse.Namespace) -> Shots:
     return Shots(cameras=path, path=kind)
 
 
-def _subset(cameras: Cameras, indices: list[int]) -> Cameras:
+def some_cameras(cameras: Cameras, indices: Sequence[int]) -> Cameras:
+    """Those of `indices`, in their order."""
+    indices = list(indices)
     return Cameras(
         viewmats=cameras.viewmats[indices],
         Ks=cameras.Ks[indices],
@@ -197,7 +214,7 @@ def _subset(cameras: Cameras, indices: list[int]) -> Cameras:
     )
 
 
-def _index(view: str, names: tuple[str, ...]) -> int:
+def view_index(view: str, names: tuple[str, ...]) -> int:
     """The view called so, with or without folder and ending, or the number of a view from 0."""
     for form in (str, lambda n: PurePosixPath(n).name, lambda n: PurePosixPath(n).stem):
         found = [i for i, name in enumerate(names) if form(name) == view]

@@ -2,6 +2,7 @@
 
 from .cameras_plan import cameras_section
 from .evaluate import Evaluation, evaluate
+from .histograms import splat_histograms
 from .image import d_ssim, image_metrics, ms_ssim, psnr, psnr_cc, psnr_u8, ssim
 from .lpips import Lpips, find_lpips, lpips_warnings
 from .lpips_net import LpipsNet
@@ -31,6 +32,7 @@ __all__ = [
     "psnr",
     "psnr_cc",
     "psnr_u8",
+    "splat_histograms",
     "ssim",
     "write_metrics",
     "write_report",

@@ -1,8 +1,9 @@
-"""The cameras part of the report: where cameras were found, and points, from above and beside."""
+"""The cameras part of the report: where they stand, coloured by their PSNR, and points, from above
+and from the side."""
 
 import html
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,20 +27,22 @@ _INNER = (0.02, 0.98)
 """Quantiles of the points that the picture has room for: a few far ones would shrink the rest."""
 _SHADES = 6
 """Steps of each colour channel."""
+_WORST_TO_BEST = ("#b2182b", "#e8884f", "#a9a9a9", "#5f9fd0", "#1f5fb0")
+"""Of the scored views' PSNR, evenly apart; read by those who see no green too."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CamerasSection:
-    """What the report shows of cameras that gscore found."""
+    """What the report shows of cameras."""
 
-    found: Mapping[str, Any]
-    """The record of the search, sfm.json."""
+    found: Mapping[str, Any] | None
+    """The record of the search, sfm.json; None: somebody else found the cameras."""
     scene: Scene
     """Of the training."""
 
 
-def cameras_section(source: Path, scene: Scene) -> CamerasSection | None:
-    """The section of a run, None where somebody else found the cameras.
+def cameras_section(source: Path, scene: Scene) -> CamerasSection:
+    """The section of a run.
 
     Args:
         source: The capture.
@@ -48,21 +51,58 @@ def cameras_section(source: Path, scene: Scene) -> CamerasSection | None:
     try:
         found = parse_json(read_bytes(source / SEARCH_RECORD))
     except (GsError, ValueError):
-        return None
-    return CamerasSection(found=found, scene=scene) if isinstance(found, dict) else None
+        found = None
+    return CamerasSection(found=found if isinstance(found, dict) else None, scene=scene)
 
 
-def cameras_html(section: CamerasSection) -> str:
-    """The section: what the search found, and two pictures."""
+def cameras_html(section: CamerasSection, worths: Mapping[str, float | None]) -> str:
+    """The section: what the search found, two pictures, and what their colours mean.
+
+    Args:
+        section: Cameras and points.
+        worths: PSNR of the scored views by name, dB; None: identical or nothing to score.
+    """
+    if not len(section.scene.cameras):
+        return ""
     views = plan_axes(section.scene)
+    scale = _Scale.of([worth for worth in worths.values() if worth is not None])
     pictures = "".join(
-        f'<figure class="plot"><h3>{name}</h3>{_svg(section.scene, axes, name)}</figure>'
+        f'<figure class="plot"><h3>{name}</h3>{_svg(section.scene, axes, name, worths, scale)}'
+        "</figure>"
         for name, axes in (("From above", views[:2]), ("From the side", views[::2]))
     )
+    words = f'<p class="hint">{_words(section.found)}</p>' if section.found is not None else ""
     return (
-        f'<section id="cameras"><h2>Cameras</h2><p class="hint">{_words(section.found)}</p>'
+        f'<section id="cameras"><h2>Cameras</h2>{words}{scale.legend() if scale else ""}'
         f'<div class="plots two">{pictures}</div></section>\n'
     )
+
+
+@dataclass(frozen=True)
+class _Scale:
+    """Colours of the scored views."""
+
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, worths: Sequence[float]) -> "_Scale | None":
+        """From the worst to the best; None where nothing was scored."""
+        return cls(min(worths), max(worths)) if worths else None
+
+    def color(self, worth: float) -> str:
+        """The colour nearest to where a PSNR lies between both."""
+        share = (worth - self.low) / (self.high - self.low) if self.high > self.low else 1.0
+        return _WORST_TO_BEST[round(share * (len(_WORST_TO_BEST) - 1))]
+
+    def legend(self) -> str:
+        """The range in figures."""
+        stops = "".join(f'<i class="step" style="background:{c}"></i>' for c in _WORST_TO_BEST)
+        return (
+            f'<div class="scale"><span>{self.low:.1f} dB</span><span>{stops}</span>'
+            f"<span>{self.high:.1f} dB</span><em>PSNR of the scored views; cameras without a "
+            "number are drawn hollow</em></div>"
+        )
 
 
 def plan_axes(scene: Scene) -> np.ndarray:
@@ -101,8 +141,15 @@ def _words(found: Mapping[str, Any]) -> str:
     return html.escape("Found by gscore: " + ", ".join(parts) + ".")
 
 
-def _svg(scene: Scene, axes: np.ndarray, name: str) -> str:
-    """One picture: points in their colours, cameras as wedges that open where they look."""
+def _svg(
+    scene: Scene,
+    axes: np.ndarray,
+    name: str,
+    worths: Mapping[str, float | None],
+    scale: _Scale | None,
+) -> str:
+    """One picture: points in their colours, cameras as wedges that open where they look, the
+    scored ones above the others."""
     cameras, points = scene.cameras, scene.points
     usable = np.isfinite(points.points).all(axis=1)
     every = max(1, -(-int(usable.sum()) // MOST_POINTS))
@@ -113,19 +160,19 @@ def _svg(scene: Scene, axes: np.ndarray, name: str) -> str:
     if len(cloud):
         inner = np.quantile(cloud, _INNER, axis=0)
         low, high = np.minimum(low, inner[0]), np.maximum(high, inner[1])
-    scale = (_SIDE - 2 * _MARGIN) / max(float((high - low).max()), 1e-12)
+    zoom = (_SIDE - 2 * _MARGIN) / max(float((high - low).max()), 1e-12)
     middle = (low + high) / 2
 
     def place(values: np.ndarray) -> np.ndarray:
-        return _SIDE / 2 + (values - middle) * scale * [1, -1]
+        return _SIDE / 2 + (values - middle) * zoom * [1, -1]
 
     kept = place(cloud)
     inside = ((kept > 0) & (kept < _SIDE)).all(axis=1)
     looks = np.asarray(cameras.viewmats, np.float64)[:, 2, :3] @ axes.T
-    every = max(1, -(-len(centers) // _MOST_CAMERAS))
+    places, looks = place(centers), looks * [1, -1]
     wedges = "".join(
-        _wedge(at, look * [1, -1], cameras.names[i * every])
-        for i, (at, look) in enumerate(zip(place(centers)[::every], looks[::every], strict=True))
+        _wedge(places[i], looks[i], cameras.names[i], worths.get(cameras.names[i]), scale)
+        for i in _drawn(cameras.names, worths)
     )
     label = html.escape(
         f"{name}: {count_words(len(centers), 'camera')}, {count_words(int(usable.sum()), 'point')}"
@@ -149,11 +196,28 @@ def _dots(places: np.ndarray, colors: np.ndarray) -> str:
     )
 
 
-def _wedge(at: np.ndarray, look: np.ndarray, name: str) -> str:
+def _drawn(names: Sequence[str], worths: Mapping[str, float | None]) -> list[int]:
+    """Indices of the cameras that are drawn, those with a number last and all of them."""
+    others = [i for i, name in enumerate(names) if worths.get(name) is None]
+    scored = [i for i, name in enumerate(names) if worths.get(name) is not None]
+    return others[:: max(1, -(-len(others) // _MOST_CAMERAS))] + scored
+
+
+def _wedge(
+    at: np.ndarray, look: np.ndarray, name: str, worth: float | None, scale: _Scale | None
+) -> str:
     """A triangle that opens to where a camera looks; shorter where that is at the reader."""
     side = np.array([-look[1], look[0]])
     length = float(np.linalg.norm(look))
     side = side / length if length > 1e-6 else np.array([1.0, 0.0])
     corners = [at, at + 13 * look + 5 * side, at + 13 * look - 5 * side]
     path = " ".join(f"{x:.1f},{y:.1f}" for x, y in corners)
-    return f'<polygon class="wedge" points="{path}"><title>{html.escape(name)}</title></polygon>'
+    words, style = name, ""
+    if worth is not None and scale is not None:
+        words = f"{name}: {worth:.2f} dB"
+        style = f' style="fill:{scale.color(worth)}"'
+    kind = "wedge scored" if style else "wedge"
+    return (
+        f'<polygon class="{kind}"{style} points="{path}"><title>{html.escape(words)}</title>'
+        "</polygon>"
+    )

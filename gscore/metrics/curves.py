@@ -8,10 +8,13 @@ from dataclasses import dataclass
 
 WIDTH, HEIGHT = 430, 230
 """Size of a chart in its own units; the page scales it."""
-_LEFT, _RIGHT, _TOP, _BOTTOM = 46, 18, 14, 36
+LEFT, RIGHT, TOP, BOTTOM = 46, 18, 14, 36
+"""Room around what is drawn, for the numbers at the axes."""
 _LETTER = 6.5
 """Width of a letter of the labels above a chart, with some room."""
 _BUCKETS = 240
+_Scale = Callable[[float], float]
+_Point = tuple[float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,14 +103,17 @@ def line_chart(
     y_low, y_high = _y_range(drawn, log=log, from_zero=from_zero)
 
     def to_x(x: float) -> float:
-        return _LEFT + (x - x_low) / (x_high - x_low) * (WIDTH - _LEFT - _RIGHT)
+        return LEFT + (x - x_low) / (x_high - x_low) * (WIDTH - LEFT - RIGHT)
 
     def to_y(y: float) -> float:
         low, high, value = (math.log(v) for v in (y_low, y_high, y)) if log else (y_low, y_high, y)
         share = min(1.0, max(0.0, (value - low) / (high - low)))
-        return HEIGHT - _BOTTOM - share * (HEIGHT - _TOP - _BOTTOM)
+        return HEIGHT - BOTTOM - share * (HEIGHT - TOP - BOTTOM)
 
-    parts = [_axes(x_low, x_high, y_low, y_high, to_x, to_y, log=log, x_unit=x_unit)]
+    y_ticks = log_ticks(y_low, y_high) if log else nice_ticks(y_low, y_high)
+    if len(y_ticks) < 2:  # less than a factor of two between the limits
+        y_ticks = nice_ticks(y_low, y_high, 4)
+    parts = [axes(nice_ticks(x_low, x_high, 5), y_ticks, to_x, to_y, x_unit)]
     parts.append(_marks([m for m in marks if x_low <= m.x <= x_high], to_x))
     hover: list[tuple[float, float, str]] = []
     for number, (one, points) in enumerate(drawn, start=1):
@@ -127,13 +133,7 @@ def line_chart(
             )
             for x, y in middle
         ]
-    data = html.escape(json.dumps(hover, separators=(",", ":")), quote=True)
-    return (
-        f'<svg class="chart" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" '
-        f'aria-label="{html.escape(label, quote=True)}" data-hover="{data}">'
-        + "".join(parts)
-        + '<g class="cursor" visibility="hidden"><line/><circle r="4"/><text/></g></svg>'
-    )
+    return chart_svg(label, "".join(parts), hover)
 
 
 def legend(series: Sequence[Series]) -> str:
@@ -147,8 +147,6 @@ def legend(series: Sequence[Series]) -> str:
     return f'<div class="keys">{"".join(items)}</div>'
 
 
-_Scale = Callable[[float], float]
-_Point = tuple[float, float]
 _Bucket = tuple[float, float, float, float]
 
 
@@ -171,50 +169,56 @@ def _y_range(
     return (low if from_zero else low - margin), high + margin
 
 
-def _axes(
-    x_low: float,
-    x_high: float,
-    y_low: float,
-    y_high: float,
-    to_x: _Scale,
-    to_y: _Scale,
-    *,
-    log: bool,
-    x_unit: str,
+def axes(
+    x_ticks: Sequence[float], y_ticks: Sequence[float], to_x: _Scale, to_y: _Scale, x_unit: str
 ) -> str:
+    """Lines and numbers of a chart, from values to places by `to_x` and `to_y`."""
     parts = []
-    ticks = log_ticks(y_low, y_high) if log else nice_ticks(y_low, y_high)
-    if len(ticks) < 2:  # less than a factor of two between the limits
-        ticks = nice_ticks(y_low, y_high, 4)
-    for y in ticks:
+    for y in y_ticks:
         at = f"{to_y(y):.1f}"
-        parts.append(f'<line class="grid" x1="{_LEFT}" x2="{WIDTH - _RIGHT}" y1="{at}" y2="{at}"/>')
-        parts.append(f'<text class="tick" x="{_LEFT - 7}" y="{at}" dy=".33em" text-anchor="end">')
+        parts.append(f'<line class="grid" x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{at}" y2="{at}"/>')
+        parts.append(f'<text class="tick" x="{LEFT - 7}" y="{at}" dy=".33em" text-anchor="end">')
         parts.append(f"{short_number(y)}</text>")
-    base = HEIGHT - _BOTTOM
-    parts.append(f'<line class="axis" x1="{_LEFT}" x2="{WIDTH - _RIGHT}" y1="{base}" y2="{base}"/>')
-    for x in nice_ticks(x_low, x_high, 5):
+    base = HEIGHT - BOTTOM
+    parts.append(f'<line class="axis" x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{base}" y2="{base}"/>')
+    for x in x_ticks:
         parts.append(
             f'<text class="tick" x="{to_x(x):.1f}" y="{base + 15}" text-anchor="middle">'
             f"{short_number(x)}</text>"
         )
     parts.append(
-        f'<text class="unit" x="{WIDTH - _RIGHT}" y="{HEIGHT - 4}" text-anchor="end">'
+        f'<text class="unit" x="{WIDTH - RIGHT}" y="{HEIGHT - 4}" text-anchor="end">'
         f"{html.escape(x_unit)}</text>"
     )
     return "".join(parts)
+
+
+def chart_svg(label: str, parts: str, hover: Sequence[tuple[float, float, str]]) -> str:
+    """A whole `<svg>`.
+
+    Args:
+        label: What it shows, for screen readers.
+        parts: What is drawn.
+        hover: Places and the words that stand there under the mouse.
+    """
+    data = html.escape(json.dumps(hover, separators=(",", ":")), quote=True)
+    return (
+        f'<svg class="chart" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" '
+        f'aria-label="{html.escape(label, quote=True)}" data-hover="{data}">{parts}'
+        '<g class="cursor" visibility="hidden"><line/><circle r="4"/><text/></g></svg>'
+    )
 
 
 def _marks(marks: Sequence[Mark], to_x: _Scale) -> str:
     """A dashed line for each; labels that would lie on the one before are left out."""
     parts, free = [], -math.inf
     for mark in sorted(marks, key=lambda m: m.x):
-        at, base = to_x(mark.x), HEIGHT - _BOTTOM
-        parts.append(f'<line class="mark" x1="{at:.1f}" x2="{at:.1f}" y1="{_TOP}" y2="{base}">')
+        at, base = to_x(mark.x), HEIGHT - BOTTOM
+        parts.append(f'<line class="mark" x1="{at:.1f}" x2="{at:.1f}" y1="{TOP}" y2="{base}">')
         parts.append(f"<title>{html.escape(mark.label)}</title></line>")
         width = _LETTER * len(mark.label)
         if at - width / 2 >= free and at + width / 2 <= WIDTH:
-            parts.append(f'<text class="mark-label" x="{at:.1f}" y="{_TOP - 4}" ')
+            parts.append(f'<text class="mark-label" x="{at:.1f}" y="{TOP - 4}" ')
             parts.append(f'text-anchor="middle">{html.escape(mark.label)}</text>')
             free = at + width / 2
     return "".join(parts)

@@ -2,6 +2,7 @@
 
 import base64
 import io
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -60,17 +61,15 @@ class PictureCollector:
     ) -> None:
         """Take the pictures of one view, [H, W, 3] float in [0, 1] each; `weights`, [H, W] uint8,
         hides errors that do not count."""
-        shown = min(self.count, MAX_VIEWS)
-        # Exactly `shown` of `count` places satisfy this, the first among them.
-        if place * shown % self.count >= shown:
+        if not has_pictures(place, self.count):
             self.views.append(ViewPictures(name=numbers["name"], numbers=numbers))
             return
         render = np.clip(render, 0.0, 1.0)
         error = np.abs(render - target).mean(axis=2)
         if weights is not None:
             error *= weights / 255.0
-        budget = min(BYTES_EACH, BYTES_IN_ALL // (3 * shown)) * 3 // 4  # base64 adds a third
-        uris, size = _encode_all(target, render, error, budget)
+        budget = budget_each(min(self.count, MAX_VIEWS))
+        uris, size = thumbnails([target, render, error * ERROR_GAIN], budget, colored=(2,))
         self.views.append(
             ViewPictures(
                 name=numbers["name"],
@@ -84,23 +83,42 @@ class PictureCollector:
         )
 
 
-def _encode_all(
-    target: np.ndarray, render: np.ndarray, error: np.ndarray, budget: int
+def thumbnails(
+    pictures: Sequence[np.ndarray], budget: int, *, colored: Sequence[int] = ()
 ) -> tuple[list[str], tuple[int, int]]:
-    """The largest of the usual widths at which all three pictures together fit their budget."""
+    """The largest of the usual widths at which all pictures of a view together fit their budget.
+
+    Args:
+        pictures: [H, W, 3] float in [0, 1], of one size, or [H, W].
+        budget: Bytes of one picture's JPEG, on average.
+        colored: Places of those that are [H, W] and shown in the colours of errors.
+
+    Returns:
+        Data URIs; width and height, px.
+    """
     encoded, size = [], (0, 0)
-    for width in _WIDTHS:
-        size = size_within(target.shape[1], target.shape[0], min(width, MAX_WIDTH))
-        # The error is averaged first and coloured then: colours cannot be averaged.
-        pictures = [
-            shrink(_bytes(target), size),
-            shrink(_bytes(render), size),
-            colorize(shrink(_bytes(error * ERROR_GAIN), size) / 255.0),
-        ]
-        encoded = [_jpeg(picture) for picture in pictures]
-        if sum(map(len, encoded)) <= 3 * budget:
+    height, width = pictures[0].shape[:2]
+    for widest in _WIDTHS:
+        size = size_within(width, height, min(widest, MAX_WIDTH))
+        small = [shrink(_bytes(picture), size) for picture in pictures]
+        # Errors are averaged first and coloured then: colours cannot be averaged.
+        small = [colorize(p / 255.0) if i in colored else p for i, p in enumerate(small)]
+        encoded = [_jpeg(picture) for picture in small]
+        if sum(map(len, encoded)) <= len(pictures) * budget:
             break
     return [_uri(e) for e in encoded], size
+
+
+def budget_each(shown: int) -> int:
+    """Bytes of a JPEG where so many views show three pictures each; base64 adds a third."""
+    return min(BYTES_EACH, BYTES_IN_ALL // (3 * shown)) * 3 // 4
+
+
+def has_pictures(place: int, count: int) -> bool:
+    """Whether the view at a place among `count` is shown: of many, `MAX_VIEWS` evenly apart."""
+    shown = min(count, MAX_VIEWS)
+    # Exactly `shown` of `count` places satisfy this, the first among them.
+    return place * shown % count < shown
 
 
 def data_uri(picture: np.ndarray) -> str:

@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 
 from ..events import judged_psnr
-from ..io.files import atomic_write
 from ..words import count_words, number_words, psnr_name, size_words
 from .cameras_plan import CamerasSection, cameras_html
 from .colormap import colorize
 from .curves import Mark, Series, clean_points, legend, line_chart
 from .depth import DepthSection, depth_html
+from .histograms import Histogram, histograms_html
+from .html_parts import AXES, switch, warnings_html, whole_page, write_html
 from .page_link import SEAM
 from .pictures import ERROR_GAIN, ViewPictures
 from .poses import poses_html
@@ -40,6 +41,8 @@ class Report:
     """The same for a shell."""
     depth: DepthSection | None = None
     cameras: CamerasSection | None = None
+    histograms: Sequence[Histogram] = ()
+    """Of the splats."""
     config: dict[str, dict[str, Any]] = field(default_factory=dict)
     """Value by option by section."""
 
@@ -54,8 +57,7 @@ def write_report(path: Path, report: Report) -> None:
     Raises:
         GsError: The file cannot be written.
     """
-    # Names of files may hold bytes that are no UTF-8.
-    atomic_write(path, report_html(report).encode("utf-8", "backslashreplace"))
+    write_html(path, report_html(report))
 
 
 def report_html(report: Report) -> str:
@@ -64,7 +66,7 @@ def report_html(report: Report) -> str:
     body = "".join(
         (
             head_html(title, metrics, preset=report.preset, command=report.command),
-            _warnings(report.warnings),
+            warnings_html(report.warnings),
             tiles_html(metrics),
             meaning_html(metrics),
             SEAM,
@@ -73,28 +75,17 @@ def report_html(report: Report) -> str:
             _view_table(views),
             depth_html(report.depth) if report.depth else "",
             poses_html(metrics["poses"]) if metrics.get("poses") else "",
-            cameras_html(report.cameras) if report.cameras else "",
+            cameras_html(report.cameras, _worths(metrics)) if report.cameras else "",
+            histograms_html(report.histograms),
             _details(metrics, report.config),
         )
     )
-    return (
-        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{html.escape(title)}: gscore report</title>\n"
-        f"<style>\n{_asset('report.css')}</style>\n</head>\n<body>\n<main>\n{body}</main>\n"
-        f"<script>\n{_asset('report.js')}</script>\n</body>\n</html>\n"
-    )
+    return whole_page(f"{title}: gscore report", body, scripts=("report.js",))
 
 
-def _asset(name: str) -> str:
-    return Path(__file__).with_name(name).read_text(encoding="utf-8")
-
-
-def _warnings(sentences: Sequence[str]) -> str:
-    if not sentences:
-        return ""
-    items = "".join(f"<li>{html.escape(s)}</li>" for s in sentences)
-    return f'<section class="warnings"><h2>Warnings</h2><ul>{items}</ul></section>\n'
+def _worths(metrics: dict[str, Any]) -> dict[str, float | None]:
+    """What each scored view is judged by, dB."""
+    return {view["name"]: judged_psnr(view) for view in metrics["views"]}
 
 
 def _curves(history: list[dict[str, Any]], evals: list[dict[str, Any]], metrics: Any) -> str:
@@ -124,11 +115,7 @@ def _curves(history: list[dict[str, Any]], evals: list[dict[str, Any]], metrics:
             keys = keys or legend(series)
         scale = " <small>log scale</small>" if log else ""
         boxes.append(f'<figure class="plot"><h3>{name}{scale}</h3>{keys}{"".join(charts)}</figure>')
-    switch = (
-        '<div class="switch" role="group" aria-label="Horizontal axis">'
-        '<button data-axis="step" aria-pressed="true">steps</button>'
-        '<button data-axis="elapsed_s" aria-pressed="false">seconds</button></div>'
-    )
+    axes = switch("axis", "Horizontal axis", AXES)
     told = (
         '<p class="hint">Dashed lines: photos became larger, to this share of their sides.</p>'
         if photo_marks(history, "step")
@@ -136,7 +123,7 @@ def _curves(history: list[dict[str, Any]], evals: list[dict[str, Any]], metrics:
     )
     return (
         '<section id="curves" data-axis="step"><div class="bar"><h2>Training</h2>'
-        f'{switch}</div>{told}<div class="plots">{"".join(boxes)}</div></section>\n'
+        f'{axes}</div>{told}<div class="plots">{"".join(boxes)}</div></section>\n'
     )
 
 
@@ -173,11 +160,10 @@ def _view_cards(views: Sequence[ViewPictures], metrics: dict[str, Any]) -> str:
     photo = "photo"
     if metrics["mask_mode"] == "composite":
         photo = "photo over the background"
+    order = switch("order", "Order", (("name", "by name"), ("psnr", "worst first")))
     cards = "".join(_card(v, number, photo) for number, v in enumerate(pictured))
     return (
-        '<section><div class="bar"><h2>Views</h2><div class="switch" role="group" '
-        'aria-label="Order"><button data-order="name" aria-pressed="true">by name</button>'
-        '<button data-order="psnr" aria-pressed="false">worst first</button></div></div>'
+        f'<section><div class="bar"><h2>Views</h2>{order}</div>'
         '<p class="hint"><span class="mouse">Hold the mouse on a render to see the photo. </span>'
         f'Choose a picture to enlarge it.{note}</p>{scale}<div id="cards">{cards}</div></section>\n'
         '<div id="viewer" hidden><div><button data-show="photo">photo</button>'

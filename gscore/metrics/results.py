@@ -9,6 +9,7 @@ from ..config_command import preset_words, train_command
 from ..config_file import to_dict
 from .cameras_plan import CamerasSection
 from .depth import DepthSection
+from .histograms import Histogram
 from .pictures import ViewPictures
 from .report import Report, write_report
 from .summary import Metrics, write_metrics
@@ -26,6 +27,7 @@ def write_results(
     warnings: Sequence[str] = (),
     depth: DepthSection | None = None,
     cameras: CamerasSection | None = None,
+    histograms: Sequence[Histogram] = (),
 ) -> dict[str, Any]:
     """Write both files, each completely or not at all.
 
@@ -39,7 +41,8 @@ def write_results(
         views: Pictures for the report.
         warnings: Sentences for the report.
         depth: What the report says of depth.
-        cameras: What it says of cameras that gscore found.
+        cameras: What it says of cameras.
+        histograms: What it says of the splats.
 
     Returns:
         The content of metrics.json.
@@ -63,6 +66,7 @@ def write_results(
         warnings=warnings,
         depth=depth,
         cameras=cameras,
+        histograms=histograms,
         config=config,
         **how,
     )

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -10,6 +11,7 @@ from ..errors import GsError
 from . import _native, arguments, header
 from .memory import empty
 from .request import Frustum, Settings
+from .weights import GEOMETRY, blending_weights
 
 
 @dataclass
@@ -105,6 +107,22 @@ class Painter:
             add_shN=True,
         )
         return means2d
+
+    def weights(
+        self,
+        splats: Mapping[str, Tensor],
+        view: Frustum,
+        settings: Settings,
+        shares: Tensor,
+        scratch: Mapping[str, Tensor],
+    ) -> np.ndarray:
+        """`blending_weights` of splats by name, of which SH coefficients are not read, with the
+        memory of this painter; what it drew last is lost."""
+        self._drawn = None
+        geometry = [splats[name].detach().contiguous() for name in GEOMETRY]
+        return blending_weights(
+            geometry, view, settings, shares, scratch=scratch, raster=self._raster
+        )
 
     def release(self) -> None:
         """Give memory back: that of the library, which the next `draw` takes again, and the splats

@@ -215,3 +215,16 @@ def test_a_network_of_the_environment_that_does_not_work_is_told(
     code, _, err = gscore("eval", folder, "--quiet")
     assert code == 0 and "Warning: LPIPS is not measured, though GSCORE_LPIPS names" in err
     assert "lpips_none.onnx" in err
+
+
+def test_reports_show_splats_and_cameras(gscore, trained, run_folder, tmp_path):
+    """Oracle: the pages of a training and of an evaluation: three histograms, each camera in two
+    plans, the held-out ones with their PSNR."""
+    run = run_folder()
+    assert gscore("eval", run, "-o", tmp_path / "out")[0] == 0
+    for page in (trained / "report.html", tmp_path / "out" / "report.html"):
+        text = page.read_text()
+        assert text.count('class="bars"') == 3 and "Anisotropy" in text
+        assert text.count("<polygon") == 2 * 9
+        assert "<title>a_1.png</title>" in text
+    assert 'class="wedge scored"' in (trained / "report.html").read_text()

@@ -36,7 +36,8 @@ def _rows(room: str) -> set[str]:
 
 
 @pytest.mark.parametrize(
-    "room", ["trainer", "commands", "formats", "bench", "sfm", "video", "page", "live"]
+    "room",
+    ["trainer", "commands", "formats", "bench", "edit", "sfm", "video", "page", "live"],
 )
 def test_every_file_of_a_room_has_its_line(room: str) -> None:
     """Oracle: the folder; a new file is named in the table of its room, a removed one is not."""

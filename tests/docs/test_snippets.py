@@ -26,7 +26,14 @@ from gscore.config import PRESETS
 from tests.depth.conftest import midas
 from tests.docs.small_studio import ROOT, write_small_studio, write_small_video
 
-PAGES = ("README.md", "docs/python.md", "docs/budgets.md", "docs/sequences.md", "docs/metrics.md")
+PAGES = (
+    "README.md",
+    "docs/python.md",
+    "docs/budgets.md",
+    "docs/sequences.md",
+    "docs/metrics.md",
+    "docs/convert.md",
+)
 STEPS = 20
 SMALL = {
     "iterations=1500": f"iterations={STEPS}",
@@ -167,7 +174,13 @@ def run_page(page: str, *, slow: bool) -> int:
     return count
 
 
-COUNTS = {"README.md": 5, "docs/python.md": 2, "docs/budgets.md": 4, "docs/sequences.md": 1}
+COUNTS = {
+    "README.md": 5,
+    "docs/python.md": 2,
+    "docs/budgets.md": 4,
+    "docs/sequences.md": 1,
+    "docs/convert.md": 4,
+}
 
 
 @pytest.mark.parametrize("page", PAGES)

@@ -67,9 +67,7 @@ def test_axes_where_cameras_have_no_up_or_one_place() -> None:
 def test_pictures_show_places_to_scale(tmp_path: Path) -> None:
     """Oracle: distances along the line, 1, 1 and 7, in both pictures; far points take no room."""
     (tmp_path / "sfm.json").write_text(json.dumps(RECORD))
-    section = cameras_section(tmp_path, _scene(_turn(4)))
-    assert section is not None
-    page = cameras_html(section)
+    page = cameras_html(cameras_section(tmp_path, _scene(_turn(4))), {})
     assert "4 of 5 photos have a camera, 3 points, mean reprojection error 0.40 px" in page
     assert "&lt;b&gt;.jpg" in page and "<b>" not in page
     pictures = _pictures(page)
@@ -89,11 +87,49 @@ def test_large_clouds_stay_small_and_none_is_no_trouble(tmp_path: Path) -> None:
     """Oracle: the number of marks, and of bytes."""
     (tmp_path / "sfm.json").write_text("{}")
     for points, most in ((50_000, MOST_POINTS), (1, 1)):
-        section = cameras_section(tmp_path, _scene(np.eye(3), points))
-        assert section is not None
-        page = cameras_html(section)
+        page = cameras_html(cameras_section(tmp_path, _scene(np.eye(3), points)), {})
         assert all(svg.count("h0") <= most for svg in re.findall(r"<svg.*?</svg>", page, re.S))
         assert len(page) < 150_000
-    assert cameras_section(tmp_path / "none", _scene(np.eye(3))) is None
+
+
+def test_without_a_record_nobody_is_said_to_have_searched(tmp_path: Path) -> None:
+    """Oracle: the page; a record that cannot be read is none."""
     (tmp_path / "sfm.json").write_text("[1")
-    assert cameras_section(tmp_path, _scene(np.eye(3))) is None
+    for folder in (tmp_path / "none", tmp_path):
+        page = cameras_html(cameras_section(folder, _scene(np.eye(3))), {})
+        assert "Found by gscore" not in page and page.count("<polygon") == 8
+        assert "dB" not in page and "scored" not in page
+
+
+def test_colours_go_from_the_worst_to_the_best(tmp_path: Path) -> None:
+    """Oracle: ranks by hand; scored cameras are drawn last and tell their number."""
+    worths = {"a.jpg": 31.5, "b.jpg": 20.0, "c.jpg": 25.75, "d & e.jpg": None}
+    page = cameras_html(cameras_section(tmp_path, _scene(np.eye(3))), worths)
+    assert "20.0 dB" in page and "31.5 dB" in page
+    for picture in _pictures(page):
+        wedges = picture.findall("polygon")
+        titles = [wedge.findtext("title") for wedge in wedges]
+        assert titles == ["d & e.jpg", "a.jpg: 31.50 dB", "b.jpg: 20.00 dB", "c.jpg: 25.75 dB"]
+        colors = [wedge.get("style") for wedge in wedges]
+        assert colors == [None, "fill:#1f5fb0", "fill:#b2182b", "fill:#a9a9a9"]
+    same = cameras_html(cameras_section(tmp_path, _scene(np.eye(3))), {"a.jpg": 30.0})
+    assert same.count("fill:#1f5fb0") == 2
+
+
+def test_most_cameras_are_left_out_but_none_with_a_number(tmp_path: Path) -> None:
+    """Oracle: the number of wedges."""
+    scene = _scene(np.eye(3))
+    many = 5000
+    cameras = Cameras(
+        viewmats=np.tile(scene.cameras.viewmats, (many // 4, 1, 1)),
+        Ks=np.tile(np.eye(3), (many, 1, 1)),
+        widths=np.full(many, 10),
+        heights=np.full(many, 10),
+        names=tuple(f"{i}.jpg" for i in range(many)),
+    )
+    worths = {f"{i}.jpg": float(i) for i in range(0, many, 2)}
+    page = cameras_html(
+        cameras_section(tmp_path, Scene(cameras=cameras, points=scene.points)), worths
+    )
+    assert page.count("wedge scored") == 2 * len(worths)
+    assert 2 * 500 < page.count('class="wedge"') <= 2 * 1000

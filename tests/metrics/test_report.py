@@ -13,7 +13,14 @@ import pytest
 from PIL import Image
 
 from gscore.errors import GsError
-from gscore.metrics import PictureCollector, Report, headline, write_report
+from gscore.metrics import (
+    PictureCollector,
+    Report,
+    cameras_section,
+    headline,
+    splat_histograms,
+    write_report,
+)
 from gscore.metrics.colormap import colorize
 from gscore.metrics.curves import (
     Series,
@@ -26,7 +33,10 @@ from gscore.metrics.curves import (
 from gscore.metrics.page_link import PAGE, link_page
 from gscore.metrics.pictures import BYTES_IN_ALL, ERROR_GAIN, MAX_VIEWS
 from gscore.metrics.report import report_html
+from gscore.scene import Cameras, PointCloud, Scene
+from gscore.splats import Splats
 from gscore.words import size_words, time_words
+from tests.browser import page_after
 
 VOID = {"meta", "img", "br", "link", "hr", "input"}
 
@@ -397,3 +407,36 @@ def test_colour_corrected_psnr_is_shown_and_explained(run):
     shown = Page(report_html(content)).shown
     assert "PSNR colour-corrected31.42 dB" in shown and "32.71" in shown
     assert "PSNR colour-corrected 31.416after gain and offset per channel" in shown
+
+
+def test_scripts_of_a_page_with_plans_run_to_their_end(run, tmp_path):
+    """Oracle: Chromium; a choice of a picture enlarges it, after plans and histograms were passed
+    over by what follows the mouse."""
+    rng = np.random.default_rng(0)
+    cameras = Cameras(
+        viewmats=np.tile(np.eye(4), (3, 1, 1)),
+        Ks=np.tile(np.eye(3), (3, 1, 1)),
+        widths=np.full(3, 10),
+        heights=np.full(3, 10),
+        names=("a.png", "b.png", "view_0.png"),
+    )
+    points = PointCloud(points=rng.normal(size=(20, 3)), colors=np.zeros((20, 3), np.uint8))
+    splats = Splats(
+        means=rng.normal(size=(20, 3)).astype(np.float32),
+        quats=np.ones((20, 4), np.float32),
+        scales=rng.normal(size=(20, 3)).astype(np.float32),
+        opacities=np.zeros(20, np.float32),
+        sh0=np.zeros((20, 1, 3), np.float32),
+        shN=np.zeros((20, 0, 3), np.float32),
+    )
+    report = replace(
+        run(),
+        cameras=cameras_section(tmp_path, Scene(cameras=cameras, points=points)),
+        histograms=splat_histograms([splats]),
+    )
+    path = tmp_path / "report.html"
+    write_report(path, report)
+    assert "wedge scored" in path.read_text() and "Anisotropy" in path.read_text()
+    act = 'document.querySelector("img.photo").click();'
+    viewer = page_after(path, act=act).partition('<div id="viewer"')[2]
+    assert viewer.startswith(">") and 'data-show="photo" aria-pressed="true"' in viewer

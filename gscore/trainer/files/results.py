@@ -15,7 +15,15 @@ from ...io.images import write_png
 from ...io.ply import MIP_COMMENT, write_splat_parts
 from ...io.poses_json import POSES_FILE, write_poses
 from ...io.runs import snapshots_in
-from ...metrics import Course, Evaluation, Metrics, PictureCollector, cameras_section, write_results
+from ...metrics import (
+    Course,
+    Evaluation,
+    Metrics,
+    PictureCollector,
+    cameras_section,
+    splat_histograms,
+    write_results,
+)
 from ...raster import backend
 from ..depth.report import DepthReport
 from ..evaluation import Evaluator
@@ -142,6 +150,7 @@ class Results:
             warnings=warnings,
             depth=None if depth is None else depth.section,
             cameras=cameras_section(self._data.source, photos.scene),
+            histograms=splat_histograms(trainer.parts()),
         )
 
     def write_learnt(self, exposure: dict[str, Any] | None, poses: str) -> dict[str, Any]:

@@ -8,7 +8,6 @@ import torch
 from ...raster.memory import ones, zeros
 from ...raster.painter import Painter
 from ...raster.request import Settings
-from ...sh import SH_C0
 from ..photos.pyramid import Sized
 
 
@@ -31,11 +30,8 @@ def weights_by_view(
     scratch: Mapping[str, torch.Tensor],
     threads: int = 0,
 ) -> Iterator[Weights]:
-    """With how much weight each splat was blended in each view.
-
-    The backward pass knows it: it is the gradient of the sum of a picture in the splat's colour.
-    Colours are made grey for that, since one that is clamped at zero passes no gradient. One
-    channel is summed over the pixels that masks show, another over all.
+    """With how much weight each splat was blended in each view: one channel of
+    `raster.weights.blending_weights` is summed over the pixels that masks show, another over all.
 
     Args:
         painter: What it drew last is lost.
@@ -43,20 +39,16 @@ def weights_by_view(
         shown: Views to look at.
         antialias: As in the training.
         masks_hide: Pixels count as kept as far as masks show them; else all do.
-        scratch: Tensors of the shapes of `params` by name, which are overwritten; not shN.
+        scratch: Tensors of the shapes of `params` by name, which are overwritten; not those of SH.
         threads: 0: all cores; the result does not depend on it.
     """
-    no_rest = zeros(len(params["means"]), 0, 3)
-    grey = {**params, "sh0": torch.zeros_like(params["sh0"]), "shN": no_rest}
-    into = {**scratch, "shN": no_rest}
     for view, _, mask, _, _ in shown:
         settings = Settings(antialias=antialias, threads=threads)
-        painter.draw(tuple(grey.values()), view, settings)
         counts = ones(view.height, view.width, 3)
         if masks_hide and mask is not None:
             counts[..., 0] = torch.from_numpy(mask).to(counts.dtype) / 255
-        painter.gradients(into, counts)
-        yield Weights(into["sh0"][:, 0, 0] / SH_C0, into["sh0"][:, 0, 1] / SH_C0)
+        sums = torch.from_numpy(painter.weights(params, view, settings, counts, scratch))
+        yield Weights(sums[:, 0].contiguous(), sums[:, 1].contiguous())
 
 
 def most_in_a_view(weights: Iterable[Weights], count: int) -> torch.Tensor:

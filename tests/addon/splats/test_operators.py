@@ -485,12 +485,3 @@ def test_drop_handler(scene: bpy.types.Scene) -> None:
     handler = bpy.types.GSCORE_FH_splats
     assert handler.bl_import_operator == "gscore.import_splats"
     assert handler.bl_file_extensions == ".ply;.spz;.sog;.splat;.ksplat"
-
-
-def test_join_keeps_order(make_splats: Make) -> None:
-    """Oracle: concatenation by hand."""
-    a, b = make_splats(5, 0), make_splats(6, 15, seed=1)
-    joined = splat_io.join([a, b])
-    np.testing.assert_array_equal(joined.opacities, [*a.opacities, *b.opacities])
-    assert not joined.shN[:5].any()
-    np.testing.assert_array_equal(joined.shN[5:], b.shN)

@@ -1,0 +1,208 @@
+"""`gscore compare`: two runs on one capture, view by view, as a page."""
+
+import argparse
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..config import DataConfig
+from ..config_command import train_command
+from ..config_file import to_dict
+from ..datasets import Dataset, load_dataset
+from ..errors import ConfigError, DatasetError
+from ..io.metrics_file import read_metrics
+from ..metrics.compare_page import PairPictures, names_of, write_comparison
+from ..metrics.comparison import ComparedRun, RunComparison, compare_runs
+from ..metrics.evaluate import target_picture
+from ..metrics.pictures import MAX_VIEWS, budget_each, has_pictures, thumbnails
+from ..raster.api import render
+from ..shown import shown
+from ..words import count_words
+from .model import GivenModel, open_model
+from .output import check_folder, check_replaced, print_json
+from .parser import add_threads_option
+from .status import Counted, Status, wrapped
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of the verb."""
+    parser.add_argument("first", metavar="RUN_A", type=Path, help="folder of a run")
+    parser.add_argument("second", metavar="RUN_B", type=Path, help="another of the same capture")
+    parser.add_argument(
+        "-o", "--output", type=Path, default=Path("compare.html"), help="the page (compare.html)"
+    )
+    parser.add_argument(
+        "-s",
+        "--source",
+        type=Path,
+        help="where the capture is now; default: where the runs found it",
+    )
+    add_threads_option(parser)
+    parser.add_argument(
+        "--overwrite", action="store_true", help="replace a page that gscore did not write"
+    )
+    parser.add_argument("--json", action="store_true", help="the differences as JSON on stdout")
+    parser.add_argument("--quiet", action="store_true", help="no progress")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Pair the views, render both, write the page, say the differences."""
+    _check_output(args.output, overwrite=args.overwrite)
+    with Status(sys.stderr, quiet=args.quiet) as status:
+        comparison = _compare(args, status)
+    if args.json:
+        print_json(comparison.content() | {"output": str(args.output)})
+        return 0
+    for sentence in comparison.warnings:
+        print(wrapped(f"Warning: {sentence}", sys.stderr), file=sys.stderr)
+    print(wrapped(_summary(comparison, args.output), sys.stdout))
+    return 0
+
+
+def _check_output(output: Path, *, overwrite: bool) -> None:
+    if output.suffix.lower() not in (".html", ".htm"):
+        raise ConfigError(f"{shown(output)}: the comparison is a page; give a name with .html.")
+    check_folder(output.parent)
+    check_replaced([output], overwrite=overwrite)
+
+
+def _compare(args: argparse.Namespace, status: Status) -> RunComparison:
+    status.show(["Reading both runs"])
+    folders = (args.first, args.second)
+    models = [_opened(folder) for folder in folders]
+    data = _data_config(models, args.source)
+    labels = _labels(folders)
+    first, second = (
+        _compared(label, folder, model)
+        for label, folder, model in zip(labels, folders, models, strict=True)
+    )
+    comparison = compare_runs(first, second)
+    status.show([f"Reading the capture {data.source}"])
+    dataset = load_dataset(data)
+    pictures = _pictures(comparison, models, dataset, args.threads, status)
+    title = data.source.resolve().name
+    write_comparison(args.output, comparison, pictures, title=title)
+    return comparison
+
+
+def _opened(folder: Path) -> GivenModel:
+    if not folder.is_dir():
+        raise ConfigError(f"{shown(folder)} is no folder; two runs are compared, by their folders.")
+    model = open_model(folder)
+    if model.data is None or model.run is None:
+        raise ConfigError(
+            f"{shown(folder)} holds no config.json, so it is not known what was trained there; "
+            "give the folder that gscore train wrote."
+        )
+    return model
+
+
+def _data_config(models: list[GivenModel], source: Path | None) -> DataConfig:
+    """How the first run read the capture that both were trained on."""
+    first, second = (model.data for model in models if model.data is not None)
+    if source is not None:
+        return replace(first, source=source)
+    if first.source.resolve() != second.source.resolve():
+        raise ConfigError(
+            f"{shown(str(models[0].run))} was trained on {shown(first.source)}, "
+            f"{shown(str(models[1].run))} on {shown(second.source)}: runs of one capture are "
+            "compared. Where both are the same photos, say with -s where they are."
+        )
+    if not first.source.exists():
+        raise DatasetError(
+            f"The capture {shown(first.source)}, on which both runs were trained, is not there any "
+            "more; say with -s SOURCE where it is now."
+        )
+    return first
+
+
+def _labels(folders: tuple[Path, Path]) -> tuple[str, str]:
+    """The shortest ends of both paths that tell them apart."""
+    parts = [folder.resolve().parts for folder in folders]
+    if parts[0] == parts[1]:
+        raise ConfigError(f"{shown(folders[0])} is given twice; a run does not differ from itself.")
+    for count in range(1, max(map(len, parts)) + 1):
+        first, second = ("/".join(each[-count:]) for each in parts)
+        if first != second:
+            return first, second
+    raise AssertionError("two paths differ somewhere")
+
+
+def _compared(label: str, folder: Path, model: GivenModel) -> ComparedRun:
+    options: dict[str, Any] = {}
+    command = ""
+    if model.data is not None and model.train is not None:
+        options = to_dict(model.data) | to_dict(model.train)
+        command = train_command(model.data, model.train, folder)
+    metrics = read_metrics(model.run or folder)
+    return ComparedRun(
+        label=label, folder=str(folder), metrics=metrics, options=options, command=command
+    )
+
+
+def _pictures(
+    comparison: RunComparison,
+    models: list[GivenModel],
+    dataset: Dataset,
+    threads: int,
+    status: Status,
+) -> list[PairPictures]:
+    """Photo and both renders of the views that get pictures, small."""
+    places = {name: i for i, name in enumerate(dataset.names)}
+    count = len(comparison.pairs)
+    names = [pair.name for i, pair in enumerate(comparison.pairs) if has_pictures(i, count)]
+    missing = [name for name in names if name not in places]
+    if missing:
+        raise DatasetError(
+            f"The capture {dataset.source} holds no view {shown(missing[0])}, on which both runs "
+            "were scored; say with -s where the capture is that they were trained on."
+        )
+    told = Counted(status, len(names), "view")
+    budget = budget_each(min(count, MAX_VIEWS))
+    found = []
+    for done, name in enumerate(names, start=1):
+        index = places[name]
+        renders = [_rendered(model, dataset, index, threads) for model in models]
+        photo, _ = target_picture(
+            dataset.image(index), dataset.mask(index), dataset.mask_mode, models[0].background
+        )
+        uris, size = thumbnails([*renders, photo], budget)
+        width, height = size
+        found.append(PairPictures(
+            name=name, width=width, height=height, first=uris[0], second=uris[1], photo=uris[2]
+        ))  # fmt: skip
+        told(done, name)
+    return found
+
+
+def _rendered(model: GivenModel, dataset: Dataset, index: int, threads: int) -> np.ndarray:
+    cameras = dataset.scene.cameras
+    picture = render(
+        model.splats,
+        cameras.Ks[index],
+        cameras.viewmats[index],
+        int(cameras.widths[index]),
+        int(cameras.heights[index]),
+        background=model.background,
+        near=model.near,
+        antialias=model.antialias,
+        depths=False,
+        threads=threads,
+    ).rgb
+    return np.clip(picture, 0, 1)
+
+
+def _summary(comparison: RunComparison, output: Path) -> str:
+    first, second = (run.label for run in comparison.runs)
+    views, names = count_words(len(comparison.pairs), "view"), names_of(comparison)
+    lines = [f"{views} that both {first} and {second} were scored on:"]
+    for key, (a, b) in comparison.means.items():
+        digits = 2 if key == "psnr" else 4
+        lines.append(f"  {names[key]:5} {a:.{digits}f} and {b:.{digits}f} ({b - a:+.{digits}f})")
+    for run, names in zip(comparison.runs, comparison.only_in, strict=True):
+        if names:
+            lines.append(f"  {count_words(len(names), 'view')} only {run.label} was scored on")
+    return "\n".join([*lines, f"Page: {output}"])

@@ -1,0 +1,429 @@
+"""`gscore convert`: splats into another file; on the way cropped, cleaned, thinned out, moved."""
+
+import argparse
+import math
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import asdict, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..edit.pipeline import Edited, EditViews, apply_edits
+from ..edit.request import GAP, USUAL, EditRequest
+from ..errors import ConfigError
+from ..formats import FORMATS, WrittenFile, format_to_write, read_splats, write_splat_file
+from ..io.files import read_bytes
+from ..shown import quoted, shown
+from ..splats import Splats
+from ..words import count_words, number, size_words
+from .before_after import picture_loss, some_view, write_before_after
+from .model import GivenModel, open_model
+from .output import check_folder, check_replaced, print_json
+from .parser import add_threads_option
+from .shots import captured_cameras, view_index
+from .status import Status, wrapped
+
+_EXACT = "ply"
+"""The format that holds splats to the bit."""
+_MARK = "gscore convert"
+"""A comment of files that have room for it: they may be replaced."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of the verb, in the order of the steps."""
+    parser.description = (
+        f"{parser.description or ''} Steps are done in the order in which they stand here, "
+        "whatever the order of the options."
+    ).strip()
+    parser.add_argument("input", metavar="IN", type=Path, help="splats, or the folder of a run")
+    parser.add_argument(
+        "output",
+        metavar="OUT",
+        type=Path,
+        help=f"the file to write; its ending says the format: {', '.join(_written_endings())}",
+    )
+    _add_join_and_crop(parser)
+    _add_clean(parser)
+    _add_fewer_and_place(parser)
+    group = parser.add_argument_group("cameras, to see what splats add and what was lost")
+    group.add_argument(
+        "-s",
+        "--source",
+        type=Path,
+        help="a capture, the folder of a run or a cameras.json; default: the run's",
+    )
+    group.add_argument(
+        "--views",
+        type=_count,
+        default=60,
+        metavar="N",
+        help="most views that the loss is measured in (60)",
+    )
+    group.add_argument(
+        "--picture", type=Path, metavar="FILE.png", help="a view before, and beside it after"
+    )
+    group.add_argument(
+        "--picture-view", metavar="NAME", help="which, by name or number; default: the middle one"
+    )
+    parser.add_argument(
+        "--spz-version", type=int, choices=(3, 4), default=3, help="3, which all read; 4, with zstd"
+    )
+    add_threads_option(parser)
+    parser.add_argument(
+        "--overwrite", action="store_true", help="replace files that gscore did not write"
+    )
+    parser.add_argument("--json", action="store_true", help="what was done as JSON on stdout")
+    parser.add_argument("--quiet", action="store_true", help="no progress")
+
+
+def _written_endings() -> list[str]:
+    return [ending for one in FORMATS if one.write for ending in one.endings]
+
+
+def _add_join_and_crop(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("1. join")
+    group.add_argument(
+        "--merge", nargs="+", type=Path, default=[], metavar="FILE", help="more splats of the world"
+    )
+    group = parser.add_argument_group("2. crop: keep what lies in all of these")
+    group.add_argument(
+        "--box",
+        nargs=6,
+        type=_finite,
+        metavar=("X0", "Y0", "Z0", "X1", "Y1", "Z1"),
+        help="a box between two corners",
+    )
+    group.add_argument(
+        "--sphere", nargs=4, type=_finite, metavar=("X", "Y", "Z", "R"), help="centre and radius"
+    )
+    group.add_argument(
+        "--frustum",
+        nargs="+",
+        metavar="VIEW",
+        help="what any of these views shows, by name or number",
+    )
+    group.add_argument("--outside", action="store_true", help="keep what does not")
+
+
+def _add_clean(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("3. clean up")
+    group.add_argument(
+        "--clean",
+        action="store_true",
+        help=f"the usual: opacity {USUAL.min_opacity:g}, contribution {USUAL.min_contribution:g} "
+        f"where there are cameras, isolation {USUAL.max_isolation:g}, clusters of "
+        f"{USUAL.min_cluster} (fewer in small models); options below change them",
+    )
+    group.add_argument(
+        "--min-opacity", type=_share, metavar="X", help="drop what is less opaque, 0 to 1"
+    )
+    group.add_argument(
+        "--max-size",
+        type=_positive,
+        metavar="X",
+        help="drop what is larger: the largest standard deviation, world units",
+    )
+    group.add_argument(
+        "--min-contribution",
+        type=_positive,
+        metavar="PX",
+        help="drop what adds less to every view: its weights, summed over pixels",
+    )
+    group.add_argument(
+        "--max-isolation",
+        type=_positive,
+        metavar="X",
+        help="drop what lies so many times as far from its neighbours as these from theirs",
+    )
+    group.add_argument(
+        "--min-cluster",
+        type=_count,
+        metavar="N",
+        help="drop clusters of fewer splats, apart from the rest",
+    )
+    group.add_argument(
+        "--gap",
+        type=_positive,
+        metavar="X",
+        help="between clusters, as a share of the distance that half of the splats have from the "
+        f"middle ({GAP:g})",
+    )
+
+
+def _add_fewer_and_place(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("4. fewer coefficients and splats")
+    group.add_argument(
+        "--sh-degree", type=int, choices=range(4), help="degree of view-dependent colour at most"
+    )
+    which = group.add_mutually_exclusive_group()
+    which.add_argument("--count", type=_count, metavar="N", help="keep the N that matter most")
+    which.add_argument(
+        "--size", type=_positive, metavar="MB", help="as many as a file of this size holds"
+    )
+    group = parser.add_argument_group("5. place, after everything that needs cameras")
+    group.add_argument("--scale", type=_positive, metavar="X", help="about the origin")
+    group.add_argument(
+        "--rotate",
+        nargs=3,
+        type=_finite,
+        metavar=("X", "Y", "Z"),
+        help="degrees about the x, then y, then z axis",
+    )
+    group.add_argument(
+        "--move", nargs=3, type=_finite, metavar=("X", "Y", "Z"), help="world units, at last"
+    )
+    group.add_argument(
+        "--matrix",
+        type=Path,
+        metavar="FILE",
+        help="instead of these: a text of 16 numbers, row by row, that take old to new",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Read, change, write, say what became of it."""
+    request = _request(args)
+    _check_output(args)
+    with Status(sys.stderr, quiet=args.quiet) as status:
+        facts = _convert(args, request, status)
+    for sentence in facts["warnings"]:
+        print(wrapped(f"Warning: {sentence}", sys.stderr), file=sys.stderr)
+    if args.json:
+        print_json(facts)
+    else:
+        print(wrapped(_summary(facts), sys.stdout))
+    return 0
+
+
+def _request(args: argparse.Namespace) -> EditRequest:
+    """The steps that were asked for, apart from what depends on cameras."""
+    names = {field.name for field in fields(EditRequest)} - {"frustum", "matrix"}
+    given = {name: value for name in names if (value := getattr(args, name)) is not None}
+    if args.matrix is not None:
+        given["matrix"] = _read_matrix(args.matrix)
+    frustum = range(len(args.frustum or ()))  # which cameras these are is found once they are read
+    if args.clean and args.gap is not None:
+        given.setdefault("min_cluster", USUAL.min_cluster)
+    return EditRequest(**given, frustum=tuple(frustum))
+
+
+def _check_output(args: argparse.Namespace) -> None:
+    """Raise where something would be replaced, or written in a way that nobody can read."""
+    format_to_write(args.output)
+    if args.picture is not None and args.picture.suffix.lower() != ".png":
+        raise ConfigError(f"{shown(args.picture)}: the picture is a PNG; give a name with .png.")
+    if args.picture is None and args.picture_view is not None:
+        raise ConfigError("--picture-view belongs to --picture FILE.png.")
+    written = [path for path in (args.output, args.picture) if path is not None]
+    for path in written:
+        check_folder(path.parent)
+    check_replaced(written, overwrite=args.overwrite)
+
+
+def _convert(args: argparse.Namespace, request: EditRequest, status: Status) -> dict[str, Any]:
+    """Do it; the facts for `--json`."""
+    status.show(["Reading the splats"])
+    models = [open_model(path) for path in (args.input, *args.merge)]
+    _check_not_read(args, models)
+    views = _views(args, models[0])
+    count = sum(len(model.splats) for model in models)
+    request = _with_views(request, args, views, count)
+    write = _writer(models, args.spz_version)
+    edited = apply_edits(
+        [model.splats for model in models],
+        request,
+        views=views,
+        bytes_of=lambda splats: _bytes_of(splats, args.output.name, write),
+        told=lambda step: status.show([step]),
+    )
+    status.show(["Writing the splats"])
+    written = write(args.output, edited.splats)
+    after = edited.kept
+    if written.format != _EXACT and not request.moves:
+        after = read_splats(args.output)  # with what the format itself costs
+    lost = None
+    if views is not None and after is not edited.cropped:
+        lost = picture_loss(edited.cropped, after, views, args.views, status)
+    if args.picture is not None:
+        status.show(["Rendering the picture"])
+        _write_picture(args, edited.joined, after, views)
+    return _facts(args, models, edited, written) | {"error": None if lost is None else asdict(lost)}
+
+
+def _check_not_read(args: argparse.Namespace, models: list[GivenModel]) -> None:
+    for model in models:
+        if args.output.exists() and args.output.samefile(model.path):
+            raise ConfigError(
+                f"{shown(args.output)} is what is read; choose another output, so that it stays."
+            )
+
+
+def _views(args: argparse.Namespace, model: GivenModel) -> EditViews | None:
+    """The cameras of the capture or run; None where there are none and none were named."""
+    if args.source is None and not _has_cameras(model):
+        return None
+    return EditViews(
+        cameras=captured_cameras(args.source, model).cameras,
+        antialias=model.antialias,
+        near=model.near,
+        threads=args.threads,
+    )
+
+
+def _has_cameras(model: GivenModel) -> bool:
+    return model.run is not None and (model.run / "cameras.json").is_file()
+
+
+def _with_views(
+    request: EditRequest, args: argparse.Namespace, views: EditViews | None, count: int
+) -> EditRequest:
+    """The request with what depends on cameras."""
+    if request.frustum and views is not None:
+        names = views.cameras.names
+        frustum = tuple(view_index(view, names) for view in args.frustum)
+        request = replace(request, frustum=frustum)
+    return request.cleaned(count, with_cameras=views is not None) if args.clean else request
+
+
+_Write = Callable[[Path, Splats], WrittenFile]
+
+
+def _writer(models: list[GivenModel], spz_version: int) -> _Write:
+    """Writes splats in the format of a file's name."""
+
+    def write(path: Path, splats: Splats) -> WrittenFile:
+        return write_splat_file(
+            path,
+            splats,
+            antialiased=models[0].antialias,
+            comments=(_MARK,),
+            spz_version=spz_version,
+        )
+
+    return write
+
+
+def _bytes_of(splats: Splats, name: str, write: _Write) -> int:
+    """Size of a file of these splats, which is written and thrown away: codings differ."""
+    with tempfile.TemporaryDirectory() as folder:
+        return write(Path(folder) / name, splats).storage_bytes
+
+
+def _write_picture(
+    args: argparse.Namespace, before: Splats, after: Splats, views: EditViews | None
+) -> None:
+    if views is None:
+        views = EditViews(cameras=some_view(before), threads=args.threads)
+        if args.picture_view is not None:
+            raise ConfigError(
+                "No cameras are known, so none can be chosen by name; say with -s where they are."
+            )
+    names = views.cameras.names
+    index = len(names) // 2
+    if args.picture_view is not None:
+        index = view_index(args.picture_view, names)
+    write_before_after(args.picture, before, after, views, index)
+
+
+def _facts(
+    args: argparse.Namespace,
+    models: list[GivenModel],
+    edited: Edited,
+    written: WrittenFile,
+) -> dict[str, Any]:
+    warnings = [sentence for model in models for sentence in model.warnings]
+    if len({model.antialias for model in models}) > 1:
+        warnings.append(
+            "Some of the joined splats were trained with antialiasing and some were not; all are "
+            f"marked as those of {models[0].path}."
+        )
+    return {
+        "input": [str(model.path) for model in models],
+        "output": str(args.output),
+        "format": written.format,
+        "splats_before": len(edited.joined),
+        "splats": len(edited.splats),
+        "sh_degree_before": edited.joined.sh_degree,
+        "sh_degree": min(edited.splats.sh_degree, format_to_write(args.output).most_degree),
+        "bytes_before": sum(model.file.storage_bytes for model in models),
+        "bytes": written.storage_bytes,
+        "steps": [asdict(step) for step in edited.steps],
+        "picture": None if args.picture is None else str(args.picture),
+        "warnings": [*warnings, *edited.notes, *written.notes],
+    }
+
+
+def _summary(facts: dict[str, Any]) -> str:
+    lines = [
+        f"  {step['name']:13}{number(step['removed']):>12} removed,{number(step['left']):>12} left"
+        for step in facts["steps"]
+    ]
+    if lost := facts["error"]:
+        lines.append(_error_words(lost))
+    lines.append(
+        f"Wrote {facts['output']}: {count_words(facts['splats'], 'splat')}, SH degree "
+        f"{facts['sh_degree']}, {size_words(facts['bytes'])} (before: "
+        f"{number(facts['splats_before'])}, {facts['sh_degree_before']}, "
+        f"{size_words(facts['bytes_before'])})."
+    )
+    if facts["picture"]:
+        lines.append(f"Before and after: {facts['picture']}")
+    return "\n".join(lines)
+
+
+def _error_words(lost: dict[str, Any]) -> str:
+    views = count_words(lost["views"], "view")
+    if lost["psnr"] is None:
+        return f"  pictures of {views} are equal to the bit"
+    equal = f", {lost['unchanged']} more are equal to the bit" if lost["unchanged"] else ""
+    changed = lost["views"] - lost["unchanged"]
+    return (
+        f"  pictures against those before: {lost['psnr']:.2f} dB in {changed} of {views}{equal}; "
+        f"worst {lost['worst_psnr']:.2f} dB, {lost['worst']}"
+    )
+
+
+def _read_matrix(path: Path) -> np.ndarray:
+    """[4, 4] float64 of a text of 16 numbers; commas and brackets are passed over."""
+    text = read_bytes(path).decode("utf-8", "replace")
+    words = text.translate(dict.fromkeys(map(ord, ",;[]()"), " ")).split()
+    try:
+        values = [float(word) for word in words]
+    except ValueError:
+        values = []
+    if len(values) != 16:
+        raise ConfigError(
+            f"{shown(path)} holds no matrix: 16 numbers were expected, row by row, such as "
+            "1 0 0 0  0 1 0 0  0 0 1 0  0 0 0 1."
+        )
+    return np.array(values).reshape(4, 4)
+
+
+def _finite(text: str) -> float:
+    return _number(text, lambda value: True, "a number")
+
+
+def _positive(text: str) -> float:
+    return _number(text, lambda value: value > 0, "a number above 0")
+
+
+def _share(text: str) -> float:
+    return _number(text, lambda value: 0 <= value <= 1, "a number from 0 to 1")
+
+
+def _count(text: str) -> int:
+    value = _number(text, lambda value: value >= 1 and value == int(value), "a whole number from 1")
+    return int(value)
+
+
+def _number(text: str, fits: Callable[[float], bool], what: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and fits(value)):
+        raise argparse.ArgumentTypeError(f"{quoted(text)} is not {what}")
+    return value

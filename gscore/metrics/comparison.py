@@ -1,0 +1,197 @@
+"""Two runs beside each other: which views both scored, and how far their numbers lie apart."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from ..errors import ConfigError
+from ..events import judged_psnr
+from ..io.metrics_file import is_number
+from ..shown import shown
+from ..words import psnr_name
+
+HIGHER_IS_BETTER = {"psnr": True, "ssim": True, "lpips": False}
+"""Of the numbers that views are compared by, in the order of tables."""
+_HELD_OUT = "a held-out view"
+_TRAINED_ON = "a training view"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ComparedRun:
+    """One of both runs."""
+
+    label: str
+    """What it is called: its folder, and as much before that as tells both apart."""
+    folder: str
+    """As it was given."""
+    metrics: Mapping[str, Any]
+    """Its metrics.json, read back."""
+    options: Mapping[str, Any]
+    """Its config.json, value by option."""
+    command: str = ""
+    """That trains it again, for a shell; empty: not known."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewPair:
+    """A view that both runs scored."""
+
+    name: str
+    numbers: Mapping[str, tuple[float, float]]
+    """By the keys of `HIGHER_IS_BETTER`, of the first run and the second; what either lacks is
+    left out. `psnr` is the one that runs are judged by."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunComparison:
+    """Both runs, view by view."""
+
+    runs: tuple[ComparedRun, ComparedRun]
+    pairs: tuple[ViewPair, ...]
+    """In the order of the first run's views."""
+    psnr_name: str
+    """What the PSNR is called: of all pixels, or of those inside the masks."""
+    only_in: tuple[tuple[str, ...], tuple[str, ...]]
+    """Names of the views that one run alone scored."""
+    means: Mapping[str, tuple[float, float]]
+    """As the numbers of `ViewPair`, over the pairs that have them; left out where any lacks one."""
+    options: Mapping[str, tuple[Any, Any]]
+    """Options in which the runs differ: both values."""
+    warnings: tuple[str, ...]
+    """Sentences on what makes the numbers less comparable."""
+
+    def content(self) -> dict[str, Any]:
+        """For JSON: a list of two where there is one for each run."""
+        return {
+            "runs": [run.label for run in self.runs],
+            "means": {key: list(values) for key, values in self.means.items()},
+            "views": [
+                {"name": pair.name} | {key: list(v) for key, v in pair.numbers.items()}
+                for pair in self.pairs
+            ],
+            "only_in": [list(names) for names in self.only_in],
+            "options": {key: list(values) for key, values in self.options.items()},
+            "warnings": list(self.warnings),
+        }
+
+
+def compare_runs(first: ComparedRun, second: ComparedRun) -> RunComparison:
+    """Pair the views of two runs of one capture by name.
+
+    Raises:
+        ConfigError: views of no run, in no size or with no masks in common can be compared.
+    """
+    runs = (first, second)
+    scored = [_views(run) for run in runs]
+    _check_masks(runs)
+    names = [name for name in scored[0] if name in scored[1]]
+    if not names:
+        raise ConfigError(
+            f"{shown(first.label)} and {shown(second.label)} were scored on no view in common; "
+            "measure one of them on views of the other with gscore eval --hold-out."
+        )
+    for name in names:
+        _check_sizes(runs, name, [views[name] for views in scored])
+    lpips = _same_network(runs)
+    pairs = tuple(_pair(name, scored[0][name], scored[1][name], lpips=lpips) for name in names)
+    keys = [key for key in HIGHER_IS_BETTER if all(key in pair.numbers for pair in pairs)]
+    means = {key: _means([pair.numbers[key] for pair in pairs]) for key in keys}
+    only = [tuple(n for n in a if n not in b) for a, b in (scored, scored[::-1])]
+    return RunComparison(
+        runs=runs,
+        pairs=pairs,
+        psnr_name=psnr_name(scored[0][names[0]]),
+        only_in=(only[0], only[1]),
+        means=means,
+        options=_different(first.options, second.options),
+        warnings=tuple(_warnings(runs, names, lpips=lpips)),
+    )
+
+
+def _views(run: ComparedRun) -> dict[str, dict[str, Any]]:
+    """The scored views of a run by name."""
+    views = run.metrics.get("views") or []
+    found = {view["name"]: view for view in views if isinstance(view.get("name"), str)}
+    if not found:
+        raise ConfigError(
+            f"{shown(run.folder)} holds no numbers of views; measure it first: gscore eval "
+            f"{shown(run.folder)}."
+        )
+    return found
+
+
+def _check_masks(runs: Sequence[ComparedRun]) -> None:
+    modes = [run.metrics.get("mask_mode") for run in runs]
+    if modes[0] != modes[1]:
+        raise ConfigError(
+            f"{shown(runs[0].label)} was scored with --mask-mode {modes[0]}, "
+            f"{shown(runs[1].label)} with {modes[1]}: their numbers are of different pixels. "
+            "Measure one of them as the other: gscore eval --mask-mode."
+        )
+
+
+def _check_sizes(
+    runs: Sequence[ComparedRun], name: str, views: Sequence[Mapping[str, Any]]
+) -> None:
+    sizes = [f"{view.get('width')} x {view.get('height')} px" for view in views]
+    if sizes[0] != sizes[1]:
+        raise ConfigError(
+            f"{shown(runs[0].label)} was scored at {sizes[0]}, {shown(runs[1].label)} at "
+            f"{sizes[1]} (view {shown(name)}): their numbers cannot be compared. Measure one of "
+            "them at the size of the other: gscore eval -r."
+        )
+
+
+def _same_network(runs: Sequence[ComparedRun]) -> bool:
+    nets = [run.metrics.get("lpips_net") for run in runs]
+    return nets[0] is not None and nets[0] == nets[1]
+
+
+def _pair(
+    name: str, first: Mapping[str, Any], second: Mapping[str, Any], *, lpips: bool
+) -> ViewPair:
+    numbers: dict[str, tuple[float, float]] = {}
+    for key in HIGHER_IS_BETTER:
+        a, b = _number(first, key), _number(second, key)
+        if a is not None and b is not None and (lpips or key != "lpips"):
+            numbers[key] = (a, b)
+    return ViewPair(name=name, numbers=numbers)
+
+
+def _number(view: Mapping[str, Any], key: str) -> float | None:
+    value = judged_psnr(view) if key == "psnr" else view.get(key)
+    return float(value) if value is not None and is_number(value) else None
+
+
+def _means(values: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    first, second = zip(*values, strict=True)
+    return math.fsum(first) / len(first), math.fsum(second) / len(second)
+
+
+def _different(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
+    names = list(dict.fromkeys((*first, *second)))
+    both = {name: (first.get(name), second.get(name)) for name in names}
+    return {name: values for name, values in both.items() if values[0] != values[1]}
+
+
+def _warnings(runs: Sequence[ComparedRun], names: Sequence[str], *, lpips: bool) -> list[str]:
+    found = []
+    unlike = [name for name in names if _role(runs[0], name) != _role(runs[1], name)]
+    if unlike:
+        roles = [_role(run, unlike[0]) for run in runs]
+        found.append(
+            f"{unlike[0]} is {roles[0]} of {runs[0].label} and {roles[1]} of {runs[1].label}"
+            + (f", and {len(unlike) - 1} more are like it" if len(unlike) > 1 else "")
+            + ": a run that saw a photo has the advantage there."
+        )
+    nets = [run.metrics.get("lpips_net") for run in runs]
+    if not lpips and all(nets):
+        found.append(
+            f"LPIPS was measured with {nets[0]} and with {nets[1]}, which cannot be compared."
+        )
+    return found
+
+
+def _role(run: ComparedRun, name: str) -> str:
+    return _HELD_OUT if name in (run.metrics.get("test_views") or ()) else _TRAINED_ON

@@ -1,0 +1,93 @@
+"""gscore compare: against both metrics.json, and what is refused."""
+
+import base64
+import io
+import json
+import re
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gscore.config_file import config_json, load_config
+from gscore.io.ply import write_splats
+
+
+@pytest.fixture
+def two_runs(gscore, run_folder, splats, tmp_path):
+    """The run whose splats the photos are pictures of, and one with fewer of them, measured."""
+    first = run_folder()
+    second = tmp_path / "other"
+    shutil.copytree(first, second)
+    write_splats(second / "point_cloud.ply", splats.subset(np.arange(40)))
+    for folder in (first, second):
+        assert gscore("eval", folder, "--quiet")[0] == 0
+    return first, second
+
+
+def test_differences_are_those_of_both_metrics(gscore, two_runs, tmp_path):
+    """Oracle: metrics.json of both runs; a page is written, and may be written again."""
+    page = tmp_path / "c.html"
+    for _ in range(2):
+        code, text, _ = gscore("compare", *two_runs, "-o", page, "--json")
+    facts = json.loads(text)
+    metrics = [json.loads((run / "metrics.json").read_text()) for run in two_runs]
+    assert code == 0 and facts["runs"] == ["run", "other"]
+    assert [v["name"] for v in facts["views"]] == ["a_0.png", "a_8.png"]
+    for place in range(2):
+        assert facts["means"]["ssim"][place] == pytest.approx(metrics[place]["ssim"])
+    for entry, *views in zip(facts["views"], *(m["views"] for m in metrics), strict=True):
+        assert entry["psnr"] == [view["psnr"] for view in views]
+    assert facts["options"] == {} and facts["only_in"] == [[], []]
+    code, text, _ = gscore("compare", *two_runs, "-o", page)
+    assert code == 0 and "2 views that both run and other were scored on" in text
+
+
+def test_pictures_are_photo_and_both_renders(gscore, two_runs, tmp_path, capture):
+    """Oracle: the photo, which the first run's render equals and the second's does not."""
+    page = tmp_path / "c.html"
+    gscore("compare", *two_runs, "-o", page)
+    kinds = re.findall(r'<img class="(\w+)" src="data:image/jpeg;base64,([^"]+)"', page.read_text())
+    shown = {
+        kind: np.asarray(Image.open(io.BytesIO(base64.b64decode(data)))).astype(float)
+        for kind, data in kinds[:3]
+    }
+    photo = np.asarray(Image.open(capture / "images" / "a_0.png")).astype(float)
+    far = {kind: np.abs(picture - photo).mean() for kind, picture in shown.items()}
+    assert far["photo"] < 4 and far["first"] < 4 < 2 * far["first"] < far["second"]
+
+
+def test_runs_that_cannot_be_compared(gscore, two_runs, tmp_path, capture):
+    """Oracle: exit code 2 and the sentence; no page is written."""
+    first, second = two_runs
+    page = tmp_path / "c.html"
+
+    def refused(*words):
+        code, _, err = gscore("compare", *words)
+        assert code == 2 and not page.exists()
+        return " ".join(err.split())
+
+    assert "is given twice" in refused(first, first, "-o", page)
+    assert "is no folder" in refused(first, first / "point_cloud.ply", "-o", page)
+    assert "give a name with .html" in refused(first, second, "-o", tmp_path / "c.png")
+    data, train = load_config(second / "config.json")
+    (second / "config.json").write_text(config_json(replace(data, source=tmp_path / "x"), train))
+    assert "runs of one capture are compared" in refused(first, second, "-o", page)
+    assert gscore("compare", first, second, "-o", page, "-s", capture)[0] == 0
+    page.unlink()
+    (second / "config.json").write_text(config_json(data, train))
+    (second / "metrics.json").unlink()
+    assert f"gscore eval {second}" in refused(first, second, "-o", page)
+    (second / "config.json").unlink()
+    assert "holds no config.json" in refused(first, second, "-o", page)
+
+
+def test_somebody_elses_page_stays(gscore, two_runs, tmp_path):
+    """Oracle: the file."""
+    page = tmp_path / "c.html"
+    page.write_text("mine")
+    code, _, err = gscore("compare", *two_runs, "-o", page)
+    assert code == 2 and "did not write" in err and page.read_text() == "mine"
+    assert gscore("compare", *two_runs, "-o", page, "--overwrite")[0] == 0

@@ -1,0 +1,254 @@
+"""gscore convert: what is written, said and refused, against the functions behind it."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gscore.edit import contributions, most_important
+from gscore.formats import read_splats as read_any
+from gscore.io.ply import MIP_COMMENT, header_comments, read_ply, write_splats
+from gscore.metrics.image import psnr
+from gscore.raster.api import render
+from gscore.transforms import transform_splats
+
+
+@pytest.fixture
+def ply(tmp_path, splats):
+    """The splats as a file that lies in no run."""
+    path = tmp_path / "alone" / "some.ply"
+    write_splats(path, splats)
+    return path
+
+
+def same(a, b):
+    for name in ("means", "quats", "scales", "opacities", "sh0", "shN"):
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
+
+
+def test_without_options_nothing_changes(gscore, ply, tmp_path, splats):
+    """Oracle: the splats to the bit; what was done is said; the file may be written again."""
+    out = tmp_path / "out.ply"
+    for _ in range(2):
+        code, text, _ = gscore("convert", ply, out)
+        assert code == 0 and f"Wrote {out}: 60 splats, SH degree 1" in text
+    same(read_ply(out), splats)
+
+
+def test_the_mark_of_antialiasing_stays(gscore, tmp_path, splats):
+    """Oracle: the comments of the header; mixed marks are told."""
+    marked, plain = tmp_path / "a.ply", tmp_path / "b.ply"
+    write_splats(marked, splats, comments=(MIP_COMMENT,))
+    write_splats(plain, splats)
+    code, _, err = gscore("convert", marked, tmp_path / "c.ply", "--merge", plain)
+    assert code == 0 and MIP_COMMENT in header_comments(tmp_path / "c.ply")
+    assert "some were not" in err
+    gscore("convert", plain, tmp_path / "d.ply")
+    assert MIP_COMMENT not in header_comments(tmp_path / "d.ply")
+
+
+def test_count_and_error_of_a_run(gscore, run_folder, tmp_path, splats, capture, picture):
+    """Oracle: ranks of contributions over the run's nine cameras; PSNR of renders by hand."""
+    run = run_folder()
+    code, text, _ = gscore("convert", run, tmp_path / "small.ply", "--count", 40, "--json")
+    facts = json.loads(text)
+    small = read_ply(tmp_path / "small.ply")
+    from gscore.io.cameras_json import read_cameras_json
+
+    cameras = read_cameras_json(run / "cameras.json")
+    keep = most_important(contributions(splats, cameras), 40)
+    assert code == 0 and facts["splats"] == 40 and facts["splats_before"] == 60
+    assert [(step["name"], step["removed"]) for step in facts["steps"]] == [("count", 20)]
+    same(small, splats.subset(keep))
+    worths = []
+    for K, viewmat in zip(cameras.Ks, cameras.viewmats, strict=True):
+        a, b = (render(s, K, viewmat, 48, 36).rgb for s in (small, splats))
+        worths.append(psnr(a, b))
+    assert facts["error"]["psnr"] == pytest.approx(np.mean(worths))
+    assert facts["error"]["worst_psnr"] == pytest.approx(min(worths))
+    assert facts["error"]["worst"] == cameras.names[int(np.argmin(worths))]
+    assert facts["error"]["views"] == 9 and facts["error"]["unchanged"] == 0
+    assert facts["bytes"] == (tmp_path / "small.ply").stat().st_size < facts["bytes_before"]
+
+
+@pytest.mark.parametrize("source", ["capture", "run", "cameras.json"])
+def test_cameras_of_every_kind(gscore, ply, tmp_path, run_folder, capture, source):
+    """Oracle: the same splats are kept, whoever names the cameras."""
+    run = run_folder()
+    named = {"capture": capture, "run": run, "cameras.json": run / "cameras.json"}[source]
+    wanted = tmp_path / "wanted.ply"
+    gscore("convert", run, wanted, "--count", 30)
+    code, _, err = gscore("convert", ply, tmp_path / "got.ply", "--count", 30, "-s", named)
+    assert code == 0 and "Warning" not in err
+    same(read_ply(tmp_path / "got.ply"), read_ply(wanted))
+
+
+def test_size_of_the_file(gscore, run_folder, tmp_path):
+    """Oracle: the file."""
+    code, _, _ = gscore("convert", run_folder(), tmp_path / "a.ply", "--size", 0.004)
+    assert code == 0 and 3900 < (tmp_path / "a.ply").stat().st_size <= 4000
+
+
+def test_frustum_by_name(gscore, run_folder, tmp_path, splats):
+    """Oracle: projection by hand; the rest is what --outside keeps."""
+    from gscore.io.cameras_json import read_cameras_json
+
+    run = run_folder(splats=replace(splats, means=splats.means * 4))
+    cameras = read_cameras_json(run / "cameras.json")
+    means = read_ply(run / "point_cloud.ply").means
+    seen = means @ cameras.viewmats[3, :3, :3].T + cameras.viewmats[3, :3, 3]
+    places = seen @ cameras.Ks[3].T
+    x, y = places[:, 0] / seen[:, 2], places[:, 1] / seen[:, 2]
+    inside = (seen[:, 2] > 0.01) & (x >= 0) & (x <= 48) & (y >= 0) & (y <= 36)
+    assert 5 < inside.sum() < 55
+    for view, more, wanted in (("a_3.png", [], inside), ("3", ["--outside"], ~inside)):
+        code, _, _ = gscore("convert", run, tmp_path / "a.ply", "--frustum", view, *more)
+        assert code == 0
+        np.testing.assert_array_equal(read_ply(tmp_path / "a.ply").means, means[wanted])
+
+
+def test_placed_at_last(gscore, run_folder, tmp_path, splats):
+    """Oracle: transform_splats with the matrix of a file, and with the same in words; the error is
+    measured before, in the world of the cameras."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = [[0, 0, 2], [2, 0, 0], [0, 2, 0]]
+    matrix[:3, 3] = 1, -2, 0.5
+    file = tmp_path / "m.txt"
+    file.write_text(str(matrix.tolist()))
+    run = run_folder()
+    code, text, _ = gscore("convert", run, tmp_path / "a.ply", "--matrix", file, "--json")
+    assert code == 0 and json.loads(text)["error"] is None
+    same(read_ply(tmp_path / "a.ply"), transform_splats(splats, matrix))
+    words = ["--scale", 2, "--rotate", 90, 0, 90, "--move", 1, -2, 5e-1]
+    gscore("convert", run, tmp_path / "b.ply", *words)
+    moved = read_ply(tmp_path / "b.ply")
+    np.testing.assert_allclose(moved.means, transform_splats(splats, matrix).means, atol=1e-5)
+
+
+def test_clean_is_not_seen(gscore, run_folder, tmp_path, splats):
+    """Oracle: ten splats that nobody sees are put into the scene; they go, and little else does."""
+    n = len(splats)
+    rows = np.concatenate([np.arange(n), np.arange(10)])
+    dusty = splats.subset(rows)
+    opacities, means, scales = dusty.opacities.copy(), dusty.means.copy(), dusty.scales.copy()
+    opacities[n : n + 5] = -8
+    means[n + 5 :] = np.linspace(30, 90, 5)[:, None]
+    scales[n + 5 :] = -4
+    dusty = replace(dusty, opacities=opacities, means=means, scales=scales)
+    run = run_folder(splats=dusty)
+    code, text, _ = gscore("convert", run, tmp_path / "a.ply", "--clean", "--json")
+    facts = json.loads(text)
+    names = [step["name"] for step in facts["steps"]]
+    assert code == 0 and names == ["opacity", "contribution", "isolation"]
+    assert 55 <= facts["splats"] <= 60
+    assert facts["error"]["psnr"] is None or facts["error"]["psnr"] > 50
+
+
+def test_picture_before_and_after(gscore, run_folder, tmp_path, splats, picture):
+    """Oracle: both halves are renders, bit for bit; without cameras there is one all the same."""
+    out, png = tmp_path / "a.ply", tmp_path / "p.png"
+    run = run_folder()
+    words = ["--count", 20, "--picture", png, "--picture-view", "a_2"]
+    code, _, _ = gscore("convert", run, out, *words)
+    made = np.asarray(Image.open(png))
+    assert code == 0 and made.shape == (36, 48 * 2 + 8, 3)
+    wanted = (np.clip(picture(2).rgb, 0, 1) * 255 + 0.5).astype(np.uint8)
+    np.testing.assert_array_equal(made[:, :48], wanted)
+    assert (made[:, 48:56] == 255).all() and (made[:, 56:] != wanted).any()
+    lone = tmp_path / "lone" / "s.ply"
+    write_splats(lone, splats)
+    code, _, _ = gscore("convert", lone, out, "--picture", png)
+    made = np.asarray(Image.open(png))
+    assert code == 0 and made[:, :960].max() > 100
+    np.testing.assert_array_equal(made[:, :960], made[:, 968:])
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["--box", 50, 50, 50, 60, 60, 60], "would leave none of 60 splats"),
+        (["--box", 1, 1, 1, 0, 0, 0], "lower corner first"),
+        (["--sphere", 0, 0, 0, "-1e-2"], "radius of a sphere must be above 0"),
+        (["--sphere", 0, 0, "nan", 1], "is not a number"),
+        (["--outside"], "say of what"),
+        (["--min-opacity", 1.5], "number from 0 to 1"),
+        (["--count", 0], "whole number from 1"),
+        (["--count", "2.5"], "whole number from 1"),
+        (["--count", 5, "--size", 1], "not allowed with"),
+        (["--size", "inf"], "number above 0"),
+        (["--scale", 0], "number above 0"),
+        (["--frustum", "a_1"], "say with -s"),
+        (["--min-contribution", 1], "say with -s"),
+        (["--picture", "x.jpg"], "is a PNG"),
+        (["--picture-view", "3"], "belongs to --picture"),
+        (["--matrix", "there_is_none.txt"], "Cannot read"),
+        (["-s", "nowhere"], "nowhere"),
+        (["--merge", "nowhere.ply"], "nowhere.ply"),
+    ],
+)
+def test_bad_words_are_refused(gscore, ply, tmp_path, words, sentence):
+    """Oracle: exit code 2 and the sentence; nothing is written."""
+    code, _, err = gscore("convert", ply, tmp_path / "out.ply", *words)
+    assert code == 2 and sentence in " ".join(err.split())
+    assert not (tmp_path / "out.ply").exists()
+
+
+def test_a_text_that_is_no_matrix(gscore, ply, tmp_path):
+    """Oracle: the sentence; a matrix that shears is refused too."""
+    file = tmp_path / "m.txt"
+    for text, words in (("1 2 3", "16 numbers"), ("1 1 0 0 0 1 0 0 0 0 1 0 0 0 0 1", "unevenly")):
+        file.write_text(text)
+        code, _, err = gscore("convert", ply, tmp_path / "out.ply", "--matrix", file)
+        assert code == 2 and words in err
+        assert not (tmp_path / "out.ply").exists()
+
+
+def test_nothing_is_lost(gscore, ply, tmp_path):
+    """Oracle: what is read stays as it was, and so does what gscore did not write."""
+    before = ply.read_bytes()
+    code, _, err = gscore("convert", ply, ply, "--overwrite")
+    assert code == 2 and "is what is read" in err and ply.read_bytes() == before
+    other = tmp_path / "other.ply"
+    other.write_text("mine")
+    code, _, err = gscore("convert", ply, other)
+    assert code == 2 and "did not write" in err and other.read_text() == "mine"
+    assert gscore("convert", ply, other, "--overwrite")[0] == 0
+    code, _, err = gscore("convert", ply, tmp_path / "a.xyz")
+    assert code == 2 and "no format of splats has this ending" in err
+
+
+@pytest.mark.parametrize("ending", [".splat", ".spz", ".sog", ".glb", ".compressed.ply"])
+def test_formats_by_their_ending(gscore, run_folder, tmp_path, splats, ending):
+    """Oracle: what is read back has been thinned, and the error is that of the file: renders of it
+    against those of the run, by hand."""
+    from gscore.io.cameras_json import read_cameras_json
+
+    run, out = run_folder(), tmp_path / f"a{ending}"
+    code, text, err = gscore("convert", run, out, "--json")
+    facts = json.loads(text)
+    assert code == 0, err
+    back = read_any(out)
+    assert facts["splats"] == len(back) == 60 and facts["bytes"] == out.stat().st_size
+    cameras = read_cameras_json(run / "cameras.json")
+    worths = []
+    for K, viewmat in zip(cameras.Ks, cameras.viewmats, strict=True):
+        a, b = (render(s, K, viewmat, 48, 36).rgb for s in (back, splats))
+        worths.append(psnr(a, b))
+    if ending != ".glb":
+        assert 20 < facts["error"]["psnr"] < 80
+        assert facts["error"]["psnr"] == pytest.approx(np.mean(worths))
+    assert facts["sh_degree"] == back.sh_degree
+    if ending == ".splat":
+        assert any("SH degree 0" in sentence for sentence in facts["warnings"])
+    code, text, err = gscore("convert", out, tmp_path / "again.ply", "--count", 30, "--json")
+    assert code == 0 and json.loads(text)["format"] == "ply"
+    assert len(read_ply(tmp_path / "again.ply")) == 30
+
+
+def test_size_of_a_packed_file(gscore, run_folder, tmp_path):
+    """Oracle: the file, whatever its coding makes of the number of splats."""
+    code, _, err = gscore("convert", run_folder(), tmp_path / "a.spz", "--size", 0.0012)
+    assert code == 0, err
+    assert 900 < (tmp_path / "a.spz").stat().st_size <= 1200

@@ -1,0 +1,105 @@
+"""Clusters against scenes whose clusters are known, and components against scipy's."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from gscore.edit import cluster_sizes
+from gscore.edit.clusters import _components
+from gscore.splats import Splats
+
+Make = Callable[..., Splats]
+
+
+def small(means: np.ndarray, size: float = 1e-3) -> Splats:
+    """Round splats of one size."""
+    n = len(means)
+    quats = np.zeros((n, 4), np.float32)
+    quats[:, 0] = 1
+    return Splats(
+        means=means.astype(np.float32),
+        quats=quats,
+        scales=np.full((n, 3), np.log(size), np.float32),
+        opacities=np.zeros(n, np.float32),
+        sh0=np.zeros((n, 1, 3), np.float32),
+        shN=np.zeros((n, 0, 3), np.float32),
+    )
+
+
+@pytest.fixture
+def clumps() -> np.ndarray:
+    """A dense ball of 3,000, a string of 40 beside it, two lone places far away."""
+    rng = np.random.default_rng(1)
+    ball = rng.normal(0, 1, (3000, 3))
+    ball *= np.cbrt(rng.uniform(0, 1, (3000, 1))) / np.linalg.norm(ball, axis=1, keepdims=True)
+    string = np.stack([np.linspace(1.5, 2.0, 40), np.zeros(40), np.zeros(40)], axis=1)
+    return np.concatenate([ball, string, [[0, 9, 0], [0, -9, 0]]])
+
+
+def test_what_lies_apart_is_a_cluster(clumps: np.ndarray) -> None:
+    """Oracle: how the scene was made."""
+    sizes = cluster_sizes(small(clumps), 0.25)
+    assert sizes.tolist() == [3000] * 3000 + [40] * 40 + [1, 1]
+
+
+def test_a_large_splat_joins_what_it_reaches(clumps: np.ndarray) -> None:
+    """Oracle: the same scene, in which one splat of the string is made a needle that points at the
+    ball; turned away from it, it joins nothing."""
+    splats = small(clumps)
+    scales = splats.scales.copy()
+    scales[3000, 0] = np.log(0.35)
+    assert cluster_sizes(replace(splats, scales=scales), 0.25)[3000] == 3040
+    quats = splats.quats.copy()
+    quats[3000] = np.sqrt(0.5), 0, 0, np.sqrt(0.5)  # a quarter around z
+    turned = replace(splats, scales=scales, quats=quats)
+    assert cluster_sizes(turned, 0.25)[3000] == 40
+
+
+def test_a_background_far_away_hangs_together() -> None:
+    """Oracle: a shell of 2,000 at 40 times the size of the scene, whose splats touch, is one
+    cluster but for a few; the same with small splats falls apart."""
+    rng = np.random.default_rng(2)
+    directions = rng.normal(size=(2000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    means = np.concatenate([rng.uniform(-1, 1, (5000, 3)), 40 * directions])
+    sizes = np.concatenate([np.full(5000, 0.02), np.full(2000, 2.0)])
+    splats = replace(small(means), scales=np.log(np.tile(sizes[:, None], 3)).astype(np.float32))
+    assert (cluster_sizes(splats, 0.05)[5000:] > 1990).mean() > 0.995
+    assert cluster_sizes(small(means), 0.05)[5000:].max() < 1000
+
+
+def test_place_size_and_order_do_not_matter(make_splats: Make) -> None:
+    """Oracle: the same splats moved by cells, scaled and shuffled."""
+    splats = make_splats(3000, spread=3.0)
+    splats = replace(splats, scales=splats.scales - 2)
+    wanted = cluster_sizes(splats, 0.05)
+    assert len(np.unique(wanted)) > 5
+    order = np.random.default_rng(0).permutation(3000)
+    np.testing.assert_array_equal(cluster_sizes(splats.subset(order), 0.05), wanted[order])
+    doubled = replace(splats, means=splats.means * 2, scales=splats.scales + np.float32(np.log(2)))
+    np.testing.assert_array_equal(cluster_sizes(doubled, 0.05), wanted)
+
+
+@pytest.mark.parametrize("edges", [0, 300, 700, 5000])
+def test_components_equal_scipy(edges: int) -> None:
+    """Oracle: scipy's connected components of random graphs, and of a chain in random order."""
+    rng = np.random.default_rng(edges)
+    first, second = rng.integers(0, 1000, (2, edges))
+    if edges == 700:
+        nodes = rng.permutation(701)
+        first, second = nodes[:-1], nodes[1:]
+    graph = coo_array((np.ones(edges), (first, second)), shape=(1000, 1000))
+    wanted = connected_components(graph, directed=False)[1]
+    got = _components(1000, first, second)
+    pairs = set(zip(got.tolist(), wanted.tolist(), strict=True))
+    assert len(pairs) == len(set(got.tolist())) == len(set(wanted.tolist()))
+
+
+@pytest.mark.parametrize("count", [0, 1, 3])
+def test_few_splats(count: int) -> None:
+    """Oracle: by hand; copies in one place are one cluster."""
+    assert cluster_sizes(small(np.ones((count, 3))), 0.05).tolist() == [count] * count
