@@ -65,6 +65,7 @@ from gscore.frontend import (
     colorize,
     depth_networks,
     downscale,
+    enough_steps,
     estimate,
     find_capture,
     find_colmap,

@@ -53,6 +53,8 @@ class Started(Event):
     """A sentence on whether training cameras stand where photos were taken; empty: nobody asked."""
     viewer: str = ""
     """A sentence on where viewers can connect to; empty: nowhere."""
+    enough: str = ""
+    """A sentence on steps that are left out because more do not help so few photos; empty: none."""
     mask_mode: str = "none"
     """What masks are for, where the capture has some: `composite`, `ignore` or `none`."""
     config: dict[str, Any] = field(default_factory=dict)

@@ -58,6 +58,7 @@ if TYPE_CHECKING:
     from .sfm.beside import capture_beside
     from .sh import sh0_to_rgb
     from .trainer.estimate.forecast import Estimate, estimate
+    from .trainer.schedule.enough import enough_steps
     from .transforms import rotmat_to_quat
     from .video import VIDEO_ENDINGS, is_video
 
@@ -109,6 +110,7 @@ _HOME = {
     "colorize": "metrics.colormap",
     "depth_networks": "depth.catalogue:all_networks",
     "downscale": "io.resample",
+    "enough_steps": "trainer.schedule.enough",
     "estimate": "trainer.estimate.forecast",
     "find_capture": "inspection",
     "find_colmap": "io.colmap:find_model",
@@ -180,6 +182,7 @@ __all__ = [
     "colorize",
     "depth_networks",
     "downscale",
+    "enough_steps",
     "estimate",
     "find_capture",
     "find_colmap",

@@ -21,6 +21,7 @@ from .host.heap import large_pieces_apart
 from .host.state import ordinary_state
 from .photos.loading import load_photos, progress_of
 from .premises import look_over
+from .schedule.enough import enough_steps
 from .session import Session
 from .trainer import Trainer
 from .views.judged import judge_photos
@@ -72,6 +73,9 @@ def train(
             return beginning.ended
         lpips, lpips_reason = find_lpips(config.lpips, threads=config.threads)
         photos = load_dataset(data, cancelled=lambda: control.stopping)
+        config, enough = enough_steps(
+            config, photos=len(photos.train), mask_mode=photos.mask_mode
+        )
         frame = beginning.frame(photos)
         if data.depths:
             MapFolder(photos.source / data.depths)  # refuses a folder that is not there
@@ -119,6 +123,7 @@ def train(
                 exposure=exposure,
                 placing=placing,
                 onlookers=onlookers,
+                enough=enough,
             )
             beginning.go_on(trainer, session)
             notes = (*photos.warnings, *loaded.warnings, *look_over(trainer))

@@ -46,6 +46,8 @@ def _changed(config: TrainConfig, name: str, flag: str) -> TrainConfig:
             "learns."
         )
     values = to_dict(config) | {option: _value(value, getattr(config, option, None))}
+    if option == "iterations":  # as for `gscore train`
+        values["steps_a_photo"] = 0
     return from_dict(TrainConfig, values, where=f"{flag} {name}")
 
 
