@@ -11,7 +11,7 @@ from ...json_text import parse_json
 from ...shown import quoted
 from ...trainer.files.checkpoint import FREE
 
-_NOT_HERE = ("seed", "start_opacity", *sorted(FREE - {"iterations"}))
+_NOT_HERE = ("seed", "start_opacity", *sorted(FREE - {"iterations", "steps_a_photo"}))
 """Options that benches set otherwise, or that change nothing in a training from points."""
 
 
