@@ -12,7 +12,6 @@ from ..errors import FormatError
 from ..events import finite, judged_psnr
 from ..metrics import Lpips, LpipsNet, evaluate, psnr
 from ..metrics.evaluate import target_picture
-from ..trainer.schedule.enough import enough_steps
 from .paired import Difference, paired_difference, trimmed_mean
 from .training import Color, PictureOf, train_measured
 from .verdict import CaptureChange, Verdict, judge
@@ -127,7 +126,6 @@ def train_judged(
             if not math.isnan(value := _view_psnr(picture_of, judged, index, background))
         ]
 
-    config, _ = enough_steps(config, photos=len(photos.train), mask_mode=photos.mask_mode)
     trained = train_measured(config, photos, judged=judged, on_step=on_step, at_end=measure)
     views = tuple(_judged(view) for view in found["views"])
     held_out = [view.psnr for view in views if view.psnr is not None]
