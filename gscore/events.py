@@ -45,8 +45,7 @@ class Started(Event):
     """A sentence on the depth that supervises; empty: none, and a warning says why if there are
     maps."""
     stereo: str = ""
-    """A sentence on the points that stereo added; empty: none, and a warning says why where some
-    were wanted."""
+    """A sentence on the points that stereo added, or why none; empty: nobody asked."""
     exposure: str = ""
     """A sentence on whether the exposure of photos is learnt; empty: nobody asked."""
     poses: str = ""

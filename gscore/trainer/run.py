@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from ..config import DataConfig, TrainConfig
+from ..config import DataConfig, Switch, TrainConfig
 from ..control import Control
 from ..datasets import load_dataset
 from ..depth.maps import MapFolder
@@ -133,7 +133,7 @@ def train(
                 session.warn(message, "evaluation")
             for message in depth.warnings:
                 session.warn(message, "depth")
-            if stereo.why and not stereo.added:
+            if stereo.why and not stereo.added and config.stereo is Switch.ON:
                 session.warn(stereo.why, "stereo")
             return session.run()
 

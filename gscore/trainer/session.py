@@ -210,7 +210,7 @@ class Session:
                 isa=backend.isa(),
                 threads=self._results.threads,
                 depth=self._depth.why if self._depth.supervises else "",
-                stereo=self._stereo.why if self._stereo.added else "",
+                stereo=self._stereo.why,
                 exposure=self._exposure.why,
                 poses=self._placing.why,
                 viewer=self._onlookers.why,
