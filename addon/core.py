@@ -69,6 +69,7 @@ from gscore.frontend import (
     colorize,
     depth_networks,
     downscale,
+    enough_steps,
     estimate,
     find_capture,
     find_colmap,

@@ -1,7 +1,7 @@
 """Options of a run as frozen dataclasses: the same objects behind command line, JSON and add-on."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from .choices import Background, Doubling, Skip, Strategy, Switch
@@ -186,6 +186,18 @@ class TrainConfig:
         "are at full size then, and a short end phase follows in which learning rates "
         "take the rest of their course.",
         group="run",
+        basic=True,
+        free=True,
+    )
+    steps_a_photo: int = option(
+        0,
+        "Never more steps than this for each training photo: more fit the photos, and no new view "
+        "gains. 1,500 steps are always taken, and all of them where masks are opacity, under "
+        "`time_budget`, or where `iterations` is given by itself; 0: no limit.",
+        group="run",
+        range=Range(high=_MOST),
+        unit="steps",
+        metavar="N",
         basic=True,
         free=True,
     )
@@ -731,6 +743,11 @@ class TrainConfig:
         check_options(self)
 
 
+_LONG = TrainConfig(steps_a_photo=80, stereo=Switch.AUTO)
+"""What the longer presets share: points of stereo place what they grow, and more steps for each
+photo lose on views between the photos."""
+
+
 def preview(source: Path) -> tuple[DataConfig, TrainConfig]:
     """A first look, in about a quarter of a minute on two cores."""
     train = TrainConfig(iterations=1500, max_splats=50_000, sh_degree=1)
@@ -745,13 +762,13 @@ def draft(source: Path) -> tuple[DataConfig, TrainConfig]:
 
 def normal(source: Path) -> tuple[DataConfig, TrainConfig]:
     """The everyday choice, in about five minutes on two cores."""
-    train = TrainConfig(iterations=7000, max_splats=300_000)
+    train = replace(_LONG, iterations=7000, max_splats=300_000)
     return DataConfig(source=source, max_width=1000), train
 
 
 def high(source: Path) -> tuple[DataConfig, TrainConfig]:
     """Everything the method gives, ten minutes to half an hour on two cores."""
-    train = TrainConfig(iterations=15_000, max_splats=600_000)
+    train = replace(_LONG, iterations=15_000, max_splats=600_000)
     return DataConfig(source=source, max_width=1600), train
 
 

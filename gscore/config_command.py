@@ -2,7 +2,7 @@
 
 import shlex
 from collections.abc import Iterator
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,8 @@ def preset_words(data: DataConfig, train: TrainConfig) -> str:
     if not name:
         return ""
     plain = PRESETS[name](data.source)[1]
+    if train.iterations < plain.iterations and train.steps_a_photo:  # those of so many photos
+        plain = replace(plain, iterations=train.iterations)
     changed = any(getattr(plain, option) != getattr(train, option) for option in _OF_A_PRESET)
     return f"preset {name}, changed" if changed else f"preset {name}"
 
@@ -48,6 +50,8 @@ def train_command(data: DataConfig, train: TrainConfig, output: Path) -> str:
     for name, value in _differences(plain_train, train):
         if name != "iterations" or not train.time_budget:  # a budget finds the steps itself
             words += _option(name, value)
+            if name == "iterations" and plain_train.steps_a_photo == train.steps_a_photo != 0:
+                words += _option("steps_a_photo", train.steps_a_photo)  # or it would be lifted
     return shlex.join(words)
 
 

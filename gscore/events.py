@@ -45,14 +45,15 @@ class Started(Event):
     """A sentence on the depth that supervises; empty: none, and a warning says why if there are
     maps."""
     stereo: str = ""
-    """A sentence on the points that stereo added; empty: none, and a warning says why where some
-    were wanted."""
+    """A sentence on the points that stereo added, or why none; empty: nobody asked."""
     exposure: str = ""
     """A sentence on whether the exposure of photos is learnt; empty: nobody asked."""
     poses: str = ""
     """A sentence on whether training cameras stand where photos were taken; empty: nobody asked."""
     viewer: str = ""
     """A sentence on where viewers can connect to; empty: nowhere."""
+    enough: str = ""
+    """A sentence on steps that are left out because more do not help so few photos; empty: none."""
     mask_mode: str = "none"
     """What masks are for, where the capture has some: `composite`, `ignore` or `none`."""
     config: dict[str, Any] = field(default_factory=dict)

@@ -72,6 +72,7 @@ if TYPE_CHECKING:
     from .sfm.beside import capture_beside
     from .sh import sh0_to_rgb
     from .trainer.estimate.forecast import Estimate, estimate
+    from .trainer.schedule.enough import enough_steps
     from .transforms import rotmat_to_quat
     from .video import VIDEO_ENDINGS, is_video
 
@@ -131,6 +132,7 @@ _HOME = {
     "cut_degree": "formats.joined",
     "depth_networks": "depth.catalogue:all_networks",
     "downscale": "io.resample",
+    "enough_steps": "trainer.schedule.enough",
     "estimate": "trainer.estimate.forecast",
     "find_capture": "inspection",
     "find_colmap": "io.colmap:find_model",
@@ -215,6 +217,7 @@ __all__ = [
     "cut_degree",
     "depth_networks",
     "downscale",
+    "enough_steps",
     "estimate",
     "find_capture",
     "find_colmap",

@@ -86,8 +86,8 @@ TRAINER = {
     "session": {"depth", "estimate", "evaluation", "files", "length", "rows", "trainer", "views"},
     "beginning": {"files", "photos", "rows", "session", "trainer"},
     "run": {
-        *("beginning", "depth", "files", "host", "photos", "premises", "session", "trainer"),
-        "views",
+        *("beginning", "depth", "files", "host", "photos", "premises", "schedule", "session"),
+        *("trainer", "views"),
     },
     "sequence": {"files", "run"},
 }

@@ -3,7 +3,16 @@
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from ..core import PRESETS, CaptureFacts, Estimate, Strategy, TrainConfig, estimate, target_size
+from ..core import (
+    PRESETS,
+    CaptureFacts,
+    Estimate,
+    Strategy,
+    TrainConfig,
+    enough_steps,
+    estimate,
+    target_size,
+)
 from .options import AS_PRESET, BY_WIDTH, Settings
 
 
@@ -27,20 +36,26 @@ def question(settings: Settings, facts: CaptureFacts, *, threads: int) -> Questi
         resolution = settings.width
     elif settings.resolution != AS_PRESET:
         resolution = float(settings.resolution)
+    train = replace(
+        train,
+        iterations=settings.iterations,
+        max_splats=settings.max_splats,
+        sh_degree=settings.sh_degree,
+        strategy=Strategy(settings.strategy),
+        time_budget=settings.time_budget,
+        threads=threads,
+        # A number of steps that somebody chose is meant, as for `gscore train`.
+        steps_a_photo=train.steps_a_photo if settings.iterations == train.iterations else 0,
+    )
+    photos = sum(facts.sizes.values())
+    if settings.eval:
+        photos -= -(-photos // settings.test_every)
     sizes: dict[tuple[int, int], int] = {}
     for (width, height), count in facts.sizes.items():
         size = target_size(width, height, resolution, max_width=data.max_width)
         sizes[size] = sizes.get(size, 0) + count
     return Question(
-        train=replace(
-            train,
-            iterations=settings.iterations,
-            max_splats=settings.max_splats,
-            sh_degree=settings.sh_degree,
-            strategy=Strategy(settings.strategy),
-            time_budget=settings.time_budget,
-            threads=threads,
-        ),
+        train=enough_steps(train, photos=photos)[0],
         sizes=tuple(sorted(sizes.items())),
         points=facts.points,
         masks=settings.use_masks and bool(facts.masks or facts.alphas),

@@ -119,12 +119,22 @@ def continuation(settings: Settings, info: RunInfo) -> dict[str, float]:
                 f"The run has ended within its {budget:g} s; ask for a longer Time Budget to go on."
             )
         return {}
-    wanted = max(settings.iterations, info.iterations)
+    wanted = info.iterations
+    if not _limited(settings, info):
+        wanted = max(settings.iterations, wanted)
     if info.steps >= wanted:
         raise ValueError(
             f"The run has taken all of its {info.steps:,} steps; ask for more Steps to go on."
         )
     return {"iterations": wanted} if wanted != info.iterations else {}
+
+
+def _limited(settings: Settings, info: RunInfo) -> bool:
+    """Whether the steps of the settings are those of the preset, which a run takes only as far as
+    its photos are good for."""
+    preset = PRESETS[settings.preset](Path())[1]
+    held = info.train is not None and info.train.steps_a_photo > 0
+    return held and settings.iterations == preset.iterations
 
 
 def resumed_run(

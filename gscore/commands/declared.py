@@ -79,7 +79,11 @@ def preset_values(one: Option) -> str:
     found = {name: getattr(make(Path())[1], one.name) for name, make in PRESETS.items()}
     if len(set(found.values())) == 1:
         return ""
-    return ", ".join(f"{name} {number(value)}" for name, value in found.items())
+    return ", ".join(f"{name} {_shown(value)}" for name, value in found.items())
+
+
+def _shown(value: Any) -> str:
+    return number(value) if isinstance(value, int) else str(value)
 
 
 def plain(text: str) -> str:

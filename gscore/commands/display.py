@@ -185,9 +185,8 @@ def _texts(event: Event) -> Iterator[str]:
             )
             if sentence := _MASKS.get(event.mask_mode):
                 yield sentence
-            yield from filter(
-                None, (event.stereo, event.depth, event.exposure, event.poses, event.viewer)
-            )
+            said = (event.enough, event.stereo, event.depth, event.exposure, event.poses)
+            yield from filter(None, (*said, event.viewer))
         case Warn():
             yield f"Warning: {event.message}"
 

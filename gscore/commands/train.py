@@ -5,7 +5,7 @@ import sys
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ..config import PRESETS, DataConfig, TrainConfig
 from ..config_file import load_config
@@ -135,13 +135,19 @@ def configs(args: argparse.Namespace) -> tuple[DataConfig, TrainConfig]:
         data, config = PRESETS[args.preset or "normal"](source)
     translate(args)
     data = with_data_options(data, args)
-    config = replace(config, **given_options(TrainConfig, args))
+    config = replace(config, **_given(args))
     if args.iterations is not None and config.time_budget > 0:
         raise ConfigError(
             f"A time budget ({config.time_budget:g} s) finds the number of steps itself; leave "
             "--iterations out, or give --time-budget 0."
         )
     return data, config
+
+
+def _given(args: argparse.Namespace) -> dict[str, Any]:
+    """The options given one by one; a number of steps that is among them is meant."""
+    given = given_options(TrainConfig, args)
+    return {"steps_a_photo": 0} | given if "iterations" in given else given
 
 
 def told_configs(args: argparse.Namespace, show: Show) -> tuple[DataConfig, TrainConfig]:

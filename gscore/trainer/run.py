@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from ..config import DataConfig, TrainConfig
+from ..config import DataConfig, Switch, TrainConfig
 from ..control import Control
 from ..datasets import load_dataset
 from ..depth.maps import MapFolder
@@ -21,6 +21,7 @@ from .host.heap import large_pieces_apart
 from .host.state import ordinary_state
 from .photos.loading import load_photos, progress_of
 from .premises import look_over
+from .schedule.enough import enough_steps
 from .session import Session
 from .trainer import Trainer
 from .views.judged import judge_photos
@@ -72,6 +73,7 @@ def train(
             return beginning.ended
         lpips, lpips_reason = find_lpips(config.lpips, threads=config.threads)
         photos = load_dataset(data, cancelled=lambda: control.stopping)
+        config, enough = enough_steps(config, photos=len(photos.train), mask_mode=photos.mask_mode)
         frame = beginning.frame(photos)
         if data.depths:
             MapFolder(photos.source / data.depths)  # refuses a folder that is not there
@@ -119,6 +121,7 @@ def train(
                 exposure=exposure,
                 placing=placing,
                 onlookers=onlookers,
+                enough=enough,
             )
             beginning.go_on(trainer, session)
             notes = (*photos.warnings, *loaded.warnings, *look_over(trainer))
@@ -130,7 +133,7 @@ def train(
                 session.warn(message, "evaluation")
             for message in depth.warnings:
                 session.warn(message, "depth")
-            if stereo.why and not stereo.added:
+            if stereo.why and not stereo.added and config.stereo is Switch.ON:
                 session.warn(stereo.why, "stereo")
             return session.run()
 

@@ -160,7 +160,7 @@ class _Run:
         emit: Callable[[Event], None],
         onlookers: Onlookers | None,
     ) -> None:
-        self._config = config
+        self._config = replace(config, steps_a_photo=0)  # frames take what was asked for
         self._data = data
         self._output = output
         self._options = options

@@ -69,7 +69,9 @@ class Session:
         exposure: Exposure | None = None,
         placing: Placing | None = None,
         onlookers: Onlookers | None = None,
+        enough: str = "",
     ) -> None:
+        """`enough`: a sentence on steps that are left out."""
         self._trainer = trainer
         self._config = trainer.config
         self._folder = folder
@@ -83,6 +85,7 @@ class Session:
         self._exposure = exposure or Exposure()
         self._placing = placing or Placing()
         self._onlookers = onlookers or Onlookers()
+        self._enough = enough
         pace = machine_pace(self._config.threads)
         budget = self._config.time_budget or math.inf
         self._meter = Meter(trainer.plan, splats=len(trainer.model), pace=pace, budget=budget)
@@ -207,10 +210,11 @@ class Session:
                 isa=backend.isa(),
                 threads=self._results.threads,
                 depth=self._depth.why if self._depth.supervises else "",
-                stereo=self._stereo.why if self._stereo.added else "",
+                stereo=self._stereo.why,
                 exposure=self._exposure.why,
                 poses=self._placing.why,
                 viewer=self._onlookers.why,
+                enough=self._enough,
                 mask_mode=photos.mask_mode,
                 config={"data": to_dict(self._data), "train": to_dict(self._config)},
             )

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from gscore.commands import dashed, main, names_3dgs, train
+from gscore.commands.bench.changes import changed
 from gscore.config import PRESETS, Background, Skip, Strategy, Switch, TrainConfig
 from gscore.options import options_of
 
@@ -52,6 +53,18 @@ def test_a_word_finds_by_group_and_by_text(capsys: pytest.CaptureFixture[str]) -
     assert "seed = 0 (0 to 9223372036854775807): Same seed, same result" in " ".join(out.split())
 
 
+def test_a_number_of_steps_that_is_given_is_meant() -> None:
+    """Oracle: the preset's limit by photos holds where no number was given, or with one of its
+    own; in benches as in trainings."""
+    assert configured("--preset normal").steps_a_photo == 80
+    assert configured("--preset normal --iterations 7000").steps_a_photo == 0
+    assert configured("--iterations 9000 --steps-a-photo 50").steps_a_photo == 50
+    plain = PRESETS["high"](Path("in"))[1]
+    assert changed(plain, ["iterations=9000"], flag="--compare").steps_a_photo == 0
+    both = changed(plain, ["iterations=9000", "steps-a-photo=50"], flag="--compare")
+    assert (both.iterations, both.steps_a_photo) == (9000, 50)
+
+
 def test_set_is_the_same_as_the_flag() -> None:
     """Oracle: the flags; values of every kind."""
     same = (
@@ -75,7 +88,7 @@ def test_an_option_is_taken_in_both_ways(name: str) -> None:
     """Oracle: the field, for each of them with another value than its default."""
     plain = PRESETS["normal"](Path("in"))[1]
     one = options_of(TrainConfig)[name]
-    other = [str(choice) for choice in one.choices if choice != one.default]
+    other = [str(choice) for choice in one.choices if choice != getattr(plain, name)]
     if one.kind is bool:
         value, words = not one.default, [] if not one.default else ["no"]
         flag = "--no" + one.flag[1:] if words else one.flag
@@ -93,6 +106,8 @@ def test_an_option_is_taken_in_both_ways(name: str) -> None:
         text = "0.5"
     found = configured(f"{one.flag} {text}")
     assert found == configured(f"--set {name}={text}") != plain
+    if name == "iterations":  # a number of steps that is given is meant
+        found = replace(found, steps_a_photo=plain.steps_a_photo)
     assert replace(found, **{name: getattr(plain, name)}) == plain
 
 

@@ -16,6 +16,7 @@ from gscore.commands.bench.quality_tables import tables
 from gscore.config import PRESETS, TrainConfig
 from gscore.datasets import Dataset
 from gscore.metrics import psnr
+from gscore.trainer.schedule import enough
 from tests.commands.small_bench import EXAMPLE, bench_json
 
 TINY = ["-r", "100", "--mask-mode", "none", "--iterations", "6", "--preset", "preview"]
@@ -140,6 +141,29 @@ def test_a_study_is_trained_once_and_goes_on(
     assert main(["bench", *command, "--iterations", "7"]) == 2
     message = capsys.readouterr().err
     assert "iterations was 6, is 7" in message and str(out / "results.json") in message
+
+
+def test_trainings_take_the_steps_that_gscore_train_takes(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: 3 steps for each of the photos that are not held out, where that is more than the
+    least; all of them without the limit."""
+    monkeypatch.setattr(enough, "_FEWEST", 10)
+    taken = {}
+    real = study.train_judged
+
+    def noted(config: TrainConfig, photos: Dataset, *args: Dataset, **names: object) -> Training:
+        taken[names["variant"]] = config.iterations
+        assert taken.setdefault("photos", len(photos.train)) == len(photos.train)
+        return real(replace(config, iterations=2), photos, *args, **names)  # pyright: ignore
+
+    monkeypatch.setattr("gscore.commands.bench.quality.train_judged", noted)
+    command = ["quality", str(EXAMPLE), "-r", "60", "--mask-mode", "none", "--preset", "normal"]
+    command += ["--seeds", "0", "--offsets", "0", "-o", str(tmp_path / "out"), "--compare"]
+    command += ["few=steps-a-photo=3", "all=steps-a-photo=0"]
+    bench_json(capsys, *command)
+    assert (taken["few"], taken["all"]) == (3 * taken["photos"], 7000)
+    assert taken["normal"] == min(80 * taken["photos"], 7000) < 7000
 
 
 def test_a_training_is_measured_like_an_evaluation() -> None:

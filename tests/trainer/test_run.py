@@ -39,6 +39,7 @@ from gscore.trainer.estimate import memory
 from gscore.trainer.estimate.forecast import estimate
 from gscore.trainer.files.folder import RunFolder
 from gscore.trainer.run import train
+from gscore.trainer.schedule import enough
 from gscore.trainer.trainer import Trainer
 
 CONFIG = TrainConfig(
@@ -64,6 +65,26 @@ def test_a_report_knows_when_and_how_and_at_which_sizes(capture: Path, tmp_path:
     assert "Dashed lines: photos became larger" in page and "full size" in page
     for words in (f"{trained_at:%Y-%m-%d %H:%M}", "--iterations 40", "--hold-out 4"):
         assert words in page
+
+
+def test_a_run_takes_as_many_steps_as_its_photos_are_good_for(
+    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: the product of photos and steps a photo; the files say what was taken, so that a
+    resume finds nothing left to do, and more steps can be asked for."""
+    monkeypatch.setattr(enough, "_FEWEST", 10)
+    config, data, out = replace(CONFIG, steps_a_photo=2), data_of(capture), tmp_path / "run"
+    events: list[Event] = []
+    result = train(config, data, out, events.append)
+    (started,) = [event for event in events if isinstance(event, Started)]
+    steps = 2 * started.train_views
+    assert 10 < result.steps == started.iterations == steps < 40
+    assert started.enough.startswith(f"{steps} of 40 steps are taken")
+    assert (result.reason, load_config(out / "config.json")[1].iterations) == ("finished", steps)
+    stored = load_config(out / "config.json")[1]
+    assert train(stored, data, out, resume=True).ended_before
+    longer = train(replace(stored, iterations=steps + 2, steps_a_photo=0), data, out, resume=True)
+    assert longer.steps == steps + 2
 
 
 def test_a_run_tells_everything_in_order_and_leaves_all_files(

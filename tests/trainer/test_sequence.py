@@ -70,9 +70,13 @@ def test_each_frame_starts_from_the_one_before(frames: Path, tmp_path: Path) -> 
     out = tmp_path / "out"
     data = DataConfig(source=frames, eval=True, test_every=4)
     options = SequenceOptions(next_iterations=12, carried_opacity=1.0)
-    result = train_sequence(CONFIG, data, out, events.append, options=options)
+    limited = replace(CONFIG, steps_a_photo=1)  # of single trainings: frames take all steps
+    result = train_sequence(limited, data, out, events.append, options=options)
     assert result.reason == "finished"
     assert [frame.number for frame in result.frames] == [0, 5, 10]
+    assert {
+        load_config(frame.folder / "config.json")[1].steps_a_photo for frame in result.frames
+    } == {0}
     assert [event.iterations for event in of_kind(events, Started)] == [40, 12, 12]
     handed = [frame.metrics["splats"] for frame in result.frames]
     assert [event.splats for event in of_kind(events, Started)] == [150, *handed[:2]]

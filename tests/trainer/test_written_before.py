@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from gscore.commands import main
-from gscore.config import PRESETS, Background, Skip, Strategy
+from gscore.config import PRESETS, Background, Skip, Strategy, Switch
 from gscore.config_file import load_config
 from gscore.io.ply import read_ply
 from gscore.trainer.files import checkpoint
@@ -23,6 +23,8 @@ WANTED = (
     replace(DATA, eval=True, test_every=4),
     replace(
         TRAIN,
+        steps_a_photo=0,  # the preset had neither this limit
+        stereo=Switch.OFF,  # nor points of stereo
         iterations=4,
         max_splats=160,
         sh_degree=0,

@@ -87,6 +87,17 @@ def test_a_budget_takes_the_place_of_steps() -> None:
     assert parsed(train_command(data, train, Path("run")))[1].time_budget == 9.5
 
 
+def test_steps_that_photos_limit_are_given_back() -> None:
+    """Oracle: equality after a round trip, with the limit and without; the preset is as it was."""
+    data, train = PRESETS["high"](CAPTURE)
+    limited = replace(train, iterations=4160)
+    meant = replace(limited, steps_a_photo=0)
+    for options in (limited, meant):
+        assert parsed(train_command(data, options, Path("run"))) == (data, options)
+    assert preset_words(data, limited) == "preset high"
+    assert preset_words(data, meant) == "preset high, changed"
+
+
 def test_photos_of_a_width_that_no_option_gives_have_no_command() -> None:
     """Oracle: none of the presets has this width."""
     data, train = DataConfig(source=CAPTURE, max_width=777), TrainConfig()

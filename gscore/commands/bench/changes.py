@@ -11,7 +11,7 @@ from ...json_text import parse_json
 from ...shown import quoted
 from ...trainer.files.checkpoint import FREE
 
-_NOT_HERE = ("seed", "start_opacity", *sorted(FREE - {"iterations"}))
+_NOT_HERE = ("seed", "start_opacity", *sorted(FREE - {"iterations", "steps_a_photo"}))
 """Options that benches set otherwise, or that change nothing in a training from points."""
 
 
@@ -46,6 +46,8 @@ def _changed(config: TrainConfig, name: str, flag: str) -> TrainConfig:
             "learns."
         )
     values = to_dict(config) | {option: _value(value, getattr(config, option, None))}
+    if option == "iterations":  # as for `gscore train`
+        values["steps_a_photo"] = 0
     return from_dict(TrainConfig, values, where=f"{flag} {name}")
 
 

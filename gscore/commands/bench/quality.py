@@ -11,6 +11,7 @@ from ...bench.quality import train_judged
 from ...config import PRESETS, DataConfig
 from ...io.places import check_place
 from ...metrics import Lpips, LpipsNet, find_lpips
+from ...trainer.schedule.enough import enough_steps
 from ..output import check_folder, check_replaced
 from ..status import Status
 from .numbers import check_numbers
@@ -77,12 +78,17 @@ def _train(
     ticker = Ticker(f"{cell.capture}, offset {cell.offset}", status)
     for seed in cell.seeds:
         for variant in cell.variants:
-            label, config = variant.label, replace(variant.config, seed=seed)
+            label, photos = variant.label, variant.photos
             if results.has(cell.capture, label, seed, cell.offset):
                 continue
+            config, _ = enough_steps(
+                replace(variant.config, seed=seed),
+                photos=len(photos.train),
+                mask_mode=photos.mask_mode,
+            )
             training = train_judged(
                 config,
-                variant.photos,
+                photos,
                 variant.judged,
                 capture=cell.capture,
                 variant=label,

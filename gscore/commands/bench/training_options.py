@@ -54,6 +54,8 @@ def training_configs(
         for name in ("iterations", "max_splats")
         if getattr(args, name) is not None
     }
+    if "iterations" in given:  # as for `gscore train`
+        given["steps_a_photo"] = 0
     if args.strategy is not None:
         given["strategy"] = Strategy(args.strategy)
     return data, replace(train, threads=args.threads, **given)

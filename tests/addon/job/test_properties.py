@@ -262,11 +262,13 @@ def test_what_a_run_goes_on_to(scene: bpy.types.Scene) -> None:
     data, train = PRESETS["draft"](STUDIO)
     known = {"path": STUDIO, "checkpoint": STUDIO, "splats": None, "psnr": None, "problem": ""}
 
-    def go_on(steps: int, iterations: int, budget: float = 0.0) -> dict[str, float]:
+    def go_on(
+        steps: int, iterations: int, budget: float = 0.0, steps_a_photo: int = 0
+    ) -> dict[str, float]:
         run = RunInfo(
             **known,
             data=data,
-            train=replace(train, time_budget=budget),
+            train=replace(train, time_budget=budget, steps_a_photo=steps_a_photo),
             steps=steps,
             iterations=iterations,
         )
@@ -280,5 +282,12 @@ def test_what_a_run_goes_on_to(scene: bpy.types.Scene) -> None:
     assert go_on(9000, 0, budget=60.0) == {}  # stopped by the user; the budget has time left
     with pytest.raises(ValueError, match="longer Time Budget"):
         go_on(9000, 9000, budget=60.0)
+    scene.gscore.iterations = PRESETS[scene.gscore.preset](STUDIO)[1].iterations
+    assert go_on(100, 200) == {"iterations": scene.gscore.iterations}
+    assert go_on(100, 200, steps_a_photo=80) == {}  # nobody asked for more than the photos allow
+    with pytest.raises(ValueError, match="more Steps"):
+        go_on(200, 200, steps_a_photo=80)
+    scene.gscore.iterations += 1
+    assert go_on(200, 200, steps_a_photo=80) == {"iterations": scene.gscore.iterations}
     scene.gscore.time_budget = 90
     assert go_on(9000, 9000, budget=60.0) == {"time_budget": 90.0}

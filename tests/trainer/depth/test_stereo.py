@@ -115,7 +115,8 @@ def test_the_sentence_reaches_the_user(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Oracle: how many were added; where none can be, a warning that says why."""
+    """Oracle: how many were added; where none can be, why, as a warning where they were asked
+    for."""
     line = ["--iterations", "2", "--max-splats", "900", "--stereo", "auto"]
     assert main(["train", str(arc), "-o", str(tmp_path / "a"), *line]) == 0
     captured = capsys.readouterr()
@@ -125,3 +126,8 @@ def test_the_sentence_reaches_the_user(
     assert main(["train", str(tmp_path / "two"), "-o", str(tmp_path / "b"), *line]) == 0
     captured = capsys.readouterr()
     assert "No points were added by stereo" in captured.out + captured.err
+    assert "Warning: No points" not in captured.out + captured.err
+    line[-1] = "on"
+    assert main(["train", str(tmp_path / "two"), "-o", str(tmp_path / "c"), *line]) == 0
+    captured = capsys.readouterr()
+    assert "Warning: No points were added by stereo" in captured.out + captured.err
