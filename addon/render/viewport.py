@@ -21,6 +21,8 @@ COPY_BUDGET = 0.015
 """Seconds that one redraw may spend on copying splats out of Blender."""
 QUICK = 0.08
 """Seconds a picture should take while the view turns; above, it is drawn smaller first."""
+PATIENCE = 2 * QUICK
+"""Seconds that a picture in full size may take before a newer wish drops it."""
 COARSEST = 8
 """Largest factor by which it is drawn smaller."""
 _POLL = 0.02
@@ -73,12 +75,15 @@ class Painter:
         """Whether something is being drawn."""
 
     def ask(self, request: Request) -> None:
-        """Draw this from now on; what is being drawn for an older wish is dropped."""
+        """Draw this from now on.
+
+        What is drawn for an older wish is dropped where it takes long, but for its small picture:
+        while a view turns, wishes come faster than pictures can be finished.
+        """
         with self._wish:
             if request.same(self._request):
                 return
             self._request, self.busy = request, True
-            self._cancel.set()
             if self._thread is None:
                 self._thread = threads.start(self._run, "gscore-viewport", cancel=self.close)
             self._wish.notify()
@@ -106,7 +111,7 @@ class Painter:
                 self._paint(request)
                 done = request
             except Cancelled:
-                continue
+                self._factor = max(2, self._factor)
             except (GsError, ValueError, MemoryError) as error:
                 self.problem, self.pixels, done = str(error) or "Out of memory.", None, request
                 self.fresh = True
@@ -117,14 +122,27 @@ class Painter:
         for factor in dict.fromkeys((self._factor, 1)):
             began = time.perf_counter()
             camera = smaller(request.camera, factor)
-            rendered = picture.draw(model, camera, request.options, cancel=self._cancel)
+            until = began + PATIENCE if factor == 1 else float("inf")
+            rendered = picture.draw(
+                model,
+                camera,
+                request.options,
+                stop=lambda until=until: self._is_old(request) and time.perf_counter() > until,
+                cancel=self._cancel,
+            )
             pixels = color.combined(
                 rendered, transparent=request.transparent, to_scene=request.to_scene
             )
             took = time.perf_counter() - began
             self.pixels, self.problem, self.fresh = pixels, "", True
+            if factor > 1 and self._is_old(request):
+                self._factor = min(COARSEST, factor + (took > 2 * QUICK))
+                return
         wanted = (took / QUICK) ** 0.5  # the last one was full size
         self._factor = min(COARSEST, max(1, int(np.ceil(wanted))))
+
+    def _is_old(self, request: Request) -> bool:
+        return self._request is not request
 
 
 class Viewport:

@@ -1,6 +1,7 @@
 """The viewport's pictures without a window. Oracles are named in the tests."""
 
 import time
+from dataclasses import replace
 
 import bpy
 import numpy as np
@@ -84,12 +85,27 @@ def test_painter_ends_with_the_full_picture(scene):
     painter.close()
 
 
+def test_pictures_appear_while_the_view_turns(scene):
+    """Oracle: counting. Wishes come faster than any picture is drawn, as while a user orbits."""
+    lab.prepare(scene, (96, 64))
+    request, _ = request_for(scene, lab.veil(2000), size=(1200, 900))
+    painter, shown = viewport.Painter(SplatCache()), set()
+    until = time.monotonic() + 8
+    while time.monotonic() < until and len(shown) < 4:
+        turned = request.camera.viewmat.copy()
+        turned[0, 3] += 1e-3 * (time.monotonic() % 1)
+        painter.ask(replace(request, camera=replace(request.camera, viewmat=turned)))
+        shown.add(id(painter.pixels) if painter.fresh else None)
+        painter.fresh = False
+        time.sleep(0.02)
+    painter.close()
+    assert len(shown - {None}) >= 3
+
+
 def test_a_new_wish_stops_the_old_one(scene):
     """Oracle: the clock; the old picture alone takes many times longer."""
     lab.prepare(scene, (96, 64))
     quick, _ = request_for(scene, lab.veil())
-    from dataclasses import replace
-
     slow = replace(quick, camera=replace(quick.camera, width=3000, height=3000))
     painter = viewport.Painter(SplatCache())
     painter.ask(slow)
