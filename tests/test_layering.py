@@ -117,7 +117,8 @@ ROOMS = {
     "search": _OBJECTS | {"python", "job"},
     "depth": _OBJECTS | {"python", "job"},
     "render": _OBJECTS,
-    "panels": _OBJECTS | {"python", "job", "search", "depth", "render"},
+    "live": _OBJECTS | {"render"},
+    "panels": _OBJECTS | {"python", "job", "search", "depth", "render", "live"},
 }
 """What each room of the add-on, or file beside them, may import besides itself."""
 WITHOUT_BPY = (

@@ -10,8 +10,8 @@ import pytest
 from addon.cameras import captures
 from addon.compat import matrix_to_numpy
 from addon.core import render
-from addon.render import picture, viewport
-from addon.render.scene import SplatCache
+from addon.render import copies, picture, viewport
+from addon.render.scene import SplatCache, sources
 from tests.addon import splat_scenes as lab
 
 
@@ -43,10 +43,9 @@ def request_for(scene, splats, size=(96, 64), **options):
     ob = lab.add(scene, splats)
     bpy.context.view_layer.update()
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    view = viewport.Viewport(SplatCache())
-    placed = view.copied(depsgraph)
-    while placed is None:
-        placed = view.copied(depsgraph)
+    made, complete = copies.Copies(), False
+    while not complete:
+        placed, complete = made.copied(sources(depsgraph))
     return viewport.Request(
         placed=placed,
         camera=captures.render_camera(
@@ -137,10 +136,12 @@ def test_copying_is_spread_over_redraws(scene, monkeypatch):
     lab.add(scene, lab.blob(2000))
     bpy.context.view_layer.update()
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    monkeypatch.setattr(viewport, "COPY_BUDGET", 0.0)
-    view, redraws = viewport.Viewport(SplatCache()), 0
-    while (placed := view.copied(depsgraph)) is None:
+    monkeypatch.setattr(copies, "COPY_BUDGET", 0.0)
+    made, redraws = copies.Copies(), 0
+    while not (found := made.copied(sources(depsgraph)))[1]:
+        assert not found[0]
         redraws += 1
         assert redraws < 100
+    placed = found[0]
     assert redraws == 12  # position, scale, rotation, base and 8 of SH
     assert len(SplatCache().model(placed).splats) == 2000
