@@ -135,7 +135,11 @@ WITHOUT_BPY = (
     "job.session",
     "job.verb_job",
     "job.verb_jobs",
+    "live.atlas",
+    "live.level",
+    "live.order",
     "process.background",
+    "process.latest",
     "process.lookup",
     "process.program",
     "python.environment",
@@ -143,6 +147,7 @@ WITHOUT_BPY = (
     "search.job",
     "search.registry",
     "splats.filters",
+    "splats.live",
 )
 """Modules of the add-on that serve scripts outside Blender."""
 
