@@ -21,7 +21,7 @@ DEMO_BLENDER ?= newest
 # What `make extension` makes zips for: nothing for this machine's platform, all, or names like windows-x64.
 PLATFORMS ?=
 
-.PHONY: help demo install test test-slow stress test-blender extension test-native test-widths test-neon sanitize fuzz faults lint format bench experiment-depth wheel clean
+.PHONY: help demo install test test-slow stress test-blender test-window extension test-native test-widths test-neon sanitize fuzz faults lint format bench experiment-depth wheel clean
 
 # Lists what follows the two # of each target.
 help:  ## this list
@@ -79,7 +79,7 @@ endif
 	@echo "Open out/demo/report.html"
 
 test: $(DEVELOPED) $(NATIVE_TESTS)  ## everything quick; BLENDER=none leaves the add-on out
-	$(BIN)/python -m pytest -q -m "not slow"
+	$(BIN)/python -m pytest -q -m "not slow and not window"
 	$(BIN)/ctest --test-dir build/native --output-on-failure
 ifneq ($(BLENDER),none)
 	$(BIN)/python tools/build/test_blender.py $(BLENDER) -- -m "not slow"
@@ -91,6 +91,10 @@ test-slow: $(DEVELOPED) $(NATIVE_TESTS)  ## the tests that take minutes
 # The add-on's tests, the slow ones too, in every Blender of tools/build/bpy_venvs.py: 350 MB and half a minute each at first.
 test-blender: $(LIBRARY)  ## the add-on's tests in every Blender known
 	$(BIN)/python tools/build/test_blender.py all
+
+# GSCORE_BLENDER=PROGRAM names one; Xvfb and ImageMagick must be there, or the tests are skipped.
+test-window: $(LIBRARY) $(DEVELOPED)  ## the add-on in the window of a Blender on PATH
+	$(BIN)/python -m pytest -q -m window tests/window
 
 # dist/gscore_splats-<version>-<platform>.zip, checked by Blender's validator.
 extension: $(LIBRARY)  ## the Blender extension into dist/; PLATFORMS=all for all of Blender's platforms

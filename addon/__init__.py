@@ -29,6 +29,7 @@ MODULES: tuple[str, ...] = (
     "render.settings",
     "render.engine",
     "render.compositor",
+    "live.handler",
     "render.operators",
     "render.panels",
     "panels.curve_icon",

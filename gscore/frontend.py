@@ -70,10 +70,10 @@ if TYPE_CHECKING:
     from .metrics.colormap import colorize
     from .options import Option, options_of
     from .sfm.beside import capture_beside
-    from .sh import sh0_to_rgb
+    from .sh import sh0_to_rgb, sh_basis
     from .trainer.estimate.forecast import Estimate, estimate
     from .trainer.schedule.enough import enough_steps
-    from .transforms import rotmat_to_quat
+    from .transforms import quat_to_rotmat, rotmat_to_quat
     from .video import VIDEO_ENDINGS, is_video
 
 _HOME = {
@@ -153,8 +153,10 @@ _HOME = {
     "read_moves": "io.poses_json",
     "read_run": "io.runs",
     "read_sequence": "io.sequences",
+    "quat_to_rotmat": "transforms",
     "rotmat_to_quat": "transforms",
     "sh0_to_rgb": "sh",
+    "sh_basis": "sh",
     "stated_depth": "depth.stated",
     "target_size": "datasets.resolution",
     "write_colmap": "io.colmap:write_model",
@@ -231,6 +233,7 @@ __all__ = [
     "most_important",
     "of_size",
     "options_of",
+    "quat_to_rotmat",
     "read_cameras",
     "read_capture",
     "read_colmap",
@@ -240,6 +243,7 @@ __all__ = [
     "read_sequence",
     "rotmat_to_quat",
     "sh0_to_rgb",
+    "sh_basis",
     "stated_depth",
     "target_size",
     "write_colmap",

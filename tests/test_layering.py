@@ -124,7 +124,8 @@ ROOMS = {
     "search": _OBJECTS | {"python", "job"},
     "depth": _OBJECTS | {"python", "job"},
     "render": _OBJECTS,
-    "panels": _OBJECTS | {"python", "job", "search", "depth", "render"},
+    "live": _OBJECTS | {"render"},
+    "panels": _OBJECTS | {"python", "job", "search", "depth", "render", "live"},
 }
 """What each room of the add-on, or file beside them, may import besides itself."""
 WITHOUT_BPY = (
@@ -141,7 +142,11 @@ WITHOUT_BPY = (
     "job.session",
     "job.verb_job",
     "job.verb_jobs",
+    "live.atlas",
+    "live.level",
+    "live.order",
     "process.background",
+    "process.latest",
     "process.lookup",
     "process.program",
     "python.environment",
@@ -149,6 +154,7 @@ WITHOUT_BPY = (
     "search.job",
     "search.registry",
     "splats.filters",
+    "splats.live",
 )
 """Modules of the add-on that serve scripts outside Blender."""
 

@@ -1,8 +1,7 @@
 """The part of depth jobs in the beat, and their end with the end of Blender."""
 
-import atexit
-
 from ..job import lookups
+from ..job.launch import Following
 from ..process import beat
 from .registry import JOBS
 
@@ -18,17 +17,5 @@ def _collect() -> bool:
     return stale
 
 
-_FOLLOWER = beat.Follower(_collect, JOBS.waits)
-
-
-def on_register() -> None:
-    """Follow depth jobs, and let go of them when Blender ends."""
-    beat.FOLLOWERS.append(_FOLLOWER)
-    atexit.register(JOBS.leave_all)
-
-
-def on_unregister() -> None:
-    """Let go of all of them: predictions end after a view."""
-    beat.FOLLOWERS.remove(_FOLLOWER)
-    atexit.unregister(JOBS.leave_all)
-    JOBS.leave_all()
+_FOLLOWING = Following([beat.Follower(_collect, JOBS.waits)], JOBS.leave_all)
+on_register, on_unregister = _FOLLOWING.on_register, _FOLLOWING.on_unregister

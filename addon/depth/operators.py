@@ -10,7 +10,7 @@ from ..interface.images import show_image
 from ..interface.operators import Acting
 from ..interface.questions import Asking
 from ..job.verb_job import FAILED
-from ..process import beat
+from ..job.verb_operators import Cancelling
 from . import networks, work
 from .job import DepthJob
 
@@ -108,20 +108,16 @@ class CheckDepth(_DepthWork, bpy.types.Operator):
         return work.check(scene, wait=self.wait)
 
 
-class CancelDepth(Acting, bpy.types.Operator):
+class CancelDepth(Cancelling, bpy.types.Operator):
     """End the work on depth maps; maps that are made stay, and the next prediction goes on"""
 
     bl_idname = "gscore.cancel_depth"
     bl_label = "Cancel"
+    none = "No depth maps are worked on."
 
-    def act(self, context: bpy.types.Context) -> str:
-        """Ask it to end."""
-        job = work.job_of(context.scene)
-        if job is None or job.ended:
-            raise ValueError("No depth maps are worked on.")
-        job.cancel()
-        beat.redraw()
-        return ""
+    def job_of(self, scene: bpy.types.Scene) -> DepthJob | None:
+        """The work on the scene's maps."""
+        return work.job_of(scene)
 
 
 class ShowDepthSheet(Acting, bpy.types.Operator):

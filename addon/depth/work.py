@@ -1,6 +1,5 @@
 """Depth maps from scripts and operators: predict, check, cancel, and the report that is shown."""
 
-import time
 from pathlib import Path
 
 import bpy
@@ -8,16 +7,15 @@ import bpy
 from .. import preferences
 from ..capture.depth_maps import DepthReport
 from ..job import facts, lookups, options
+from ..job.launch import follow, launch
 from ..paths import absolute, capture_folder, output_folder
 from ..process import beat
-from ..python import setup
 from . import networks
 from .job import DepthJob
 from .registry import JOBS
 
 MAPS, RUN = "MAPS", "RUN"
 """Reports of a scene: of the maps as they are, of the last training."""
-_BEAT = 0.02
 
 
 def predict(
@@ -151,19 +149,10 @@ def _start(
     other = JOBS.of_source(source)
     if other is not None and not other.ended:
         raise ValueError(f"Depth maps of {source} are worked on already; cancel that first.")
-    program = python or setup.trainer_python(preferences.get())
-    try:
-        job = DepthJob(program, arguments, source=source)
-    except OSError as error:
-        raise ValueError(
-            f"{program} cannot be run ({error.strerror or error}); press Check in the add-on's "
-            "preferences."
-        ) from error
+    job = launch(lambda program: DepthJob(program, arguments, source=source), python)
     JOBS.add(job)
     beat.ensure()
-    while wait and not job.ended:
-        beat.tick()
-        time.sleep(_BEAT)
+    follow(lambda: wait and not job.ended)
     return job
 
 

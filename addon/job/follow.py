@@ -1,9 +1,8 @@
 """A training's part of the beat, and its end with the end of Blender."""
 
-import atexit
-
 from ..process import beat
 from . import display, lookups, registry
+from .launch import Following
 
 
 def _collect() -> bool:
@@ -24,21 +23,11 @@ def _waits() -> bool:
     return any(display.waits(job) for job in registry.jobs())
 
 
-_FOLLOWERS = (
-    beat.Follower(_collect, _waits, display.filling),
-    beat.Follower(lookups.collect, lookups.busy),
+_FOLLOWING = Following(
+    [
+        beat.Follower(_collect, _waits, display.filling),
+        beat.Follower(lookups.collect, lookups.busy),
+    ],
+    registry.leave_all,
 )
-
-
-def on_register() -> None:
-    """Follow trainings, and let go of them when Blender ends."""
-    beat.FOLLOWERS.extend(_FOLLOWERS)
-    atexit.register(registry.leave_all)
-
-
-def on_unregister() -> None:
-    """Let go of all trainings: each writes a checkpoint and ends."""
-    for follower in _FOLLOWERS:
-        beat.FOLLOWERS.remove(follower)
-    atexit.unregister(registry.leave_all)
-    registry.leave_all()
+on_register, on_unregister = _FOLLOWING.on_register, _FOLLOWING.on_unregister

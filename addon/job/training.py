@@ -11,9 +11,9 @@ from ..capture.inspection import ShownFacts
 from ..nodes import display as display_nodes
 from ..paths import absolute, capture_folder, output_folder, relative
 from ..process import beat
-from ..python import setup
 from . import display, earlier, facts, lookups, options, registry
 from .job import Job
+from .launch import launch
 
 _BEAT = 0.02
 
@@ -241,23 +241,11 @@ def _start(
     earlier_source: Path | None = None,
 ) -> Job:
     """Start the trainer; `earlier_source` makes it one that goes on."""
-    program = python or setup.trainer_python(preferences.get())
-    try:
-        job = Job(
-            program,
-            arguments,
-            source=source,
-            output=output,
-            resumed=earlier_source is not None,
-            replaces=replaces,
-            earlier_source=earlier_source,
-            scene_uid=scene.session_uid,
-        )
-    except OSError as error:
-        raise ValueError(
-            f"{program} cannot be run ({error.strerror or error}); press Check in the add-on's "
-            "preferences."
-        ) from error
+    places = {"source": source, "output": output, "scene_uid": scene.session_uid}
+    began = {"resumed": earlier_source is not None, "earlier_source": earlier_source}
+    job = launch(
+        lambda program: Job(program, arguments, **places, **began, replaces=replaces), python
+    )
     job.live_most = preferences.get().live_most
     registry.add(job)
     lookups.runs.expire()

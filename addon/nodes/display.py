@@ -10,8 +10,11 @@ from . import colors, filters, materials
 from .graph import Graph, Socket, ensure, inputs, is_ours, new_group, result, socket, use_group
 
 NAME = "Splat Display"
-MODES = ("POINTS", "ELLIPSOIDS", "SOFT", "NATIVE")
-"""By number, as the group's input Display has them; NATIVE leaves the picture to the copy."""
+MODES = ("POINTS", "ELLIPSOIDS", "SOFT", "NATIVE", "SPLATS")
+"""By number, as the group's input Display has them; NATIVE leaves the picture to the copy. SPLATS
+leaves that of viewports to the drawing of `live`, with a box for a handle, and renders as SOFT."""
+_BOX = 2.0
+"""Half sides of the handle, in standard deviations of the splats' positions."""
 
 
 def group() -> bpy.types.NodeTree:
@@ -48,11 +51,14 @@ def _build(name: str) -> bpy.types.NodeTree:
     given = inputs(graph)
     visible = use_group(graph, filters.group(), given)
     points = _points(graph, given, visible)
+    soft = _instances(graph, _with_opacity(graph, points), materials.REACH, materials.soft())
+    in_viewport = graph.call("GeometryNodeIsViewport")
     options = [
         graph.call("GeometryNodeSetMaterial", points, None, materials.points()),
         _instances(graph, points, given["Ellipsoid Size"], materials.ellipsoids()),
-        _instances(graph, _with_opacity(graph, points), materials.REACH, materials.soft()),
+        soft,
         None,
+        graph.switch("GEOMETRY", in_viewport, soft, _handle(graph, given, visible)),
     ]
     result(graph, "Geometry", "Geometry", graph.choose("GEOMETRY", given["Display"], options))
     return tree
@@ -78,6 +84,25 @@ def _points(graph: Graph, given: dict[str, Socket], visible: Socket) -> Socket:
     graph.feed(points.inputs["Selection"], visible)
     graph.feed(points.inputs["Radius"], given["Point Radius"])
     return points.outputs[0]
+
+
+def _handle(graph: Graph, given: dict[str, Socket], visible: Socket) -> Socket:
+    """A box of edges around most of the visible splats, to be clicked, outlined and framed."""
+    position = graph.call("GeometryNodeInputPosition")
+    kind = {"data_type": "FLOAT_VECTOR", "domain": "POINT"}
+    node = graph.node("GeometryNodeAttributeStatistic", **kind)
+    sockets = [s for s in node.inputs if s.enabled]
+    for item, value in zip(sockets, [given["Geometry"], visible, position], strict=True):
+        graph.feed(item, value)
+    of = {s.name: s for s in node.outputs if s.enabled}
+    cube = graph.node("GeometryNodeMeshCube")
+    graph.feed(cube.inputs["Size"], graph.vector("SCALE", of["Standard Deviation"], 2 * _BOX))
+    edges = graph.node("GeometryNodeDeleteGeometry", domain="FACE", mode="ONLY_FACE")
+    graph.feed(edges.inputs["Geometry"], cube.outputs["Mesh"])
+    moved = graph.node("GeometryNodeTransform")
+    graph.feed(moved.inputs["Geometry"], edges.outputs[0])
+    graph.feed(moved.inputs["Translation"], of["Mean"])
+    return moved.outputs[0]
 
 
 def _with_opacity(graph: Graph, points: Socket) -> Socket:

@@ -5,7 +5,8 @@ from typing import ClassVar
 import bpy
 
 from .. import stored_paths
-from ..splats import edit
+from ..live import handler
+from ..splats import edit, live
 from ..splats.objects import is_splats
 from .widgets import TabPanel, job, rows, sentence
 
@@ -40,9 +41,15 @@ class ResultPanel(TabPanel, bpy.types.Panel):
         draw_counts(layout, context, ob)
         settings = ob.gscore
         layout.prop(settings, "display")
-        layout.prop(settings, "colour_by")
+        is_live = settings.display == "SPLATS"
+        if is_live:
+            draw_live(layout, context)
+        else:
+            layout.prop(settings, "colour_by")
         shading = context.space_data.shading
-        if shading.type in {"WIREFRAME", "SOLID"}:  # which know no colors but those of faces
+        if (
+            shading.type in {"WIREFRAME", "SOLID"} and not is_live
+        ):  # which know no colors but those of faces
             layout.prop_enum(shading, "type", "MATERIAL", text="Show Colors in This View")
         if settings.display == "POINTS":
             layout.prop(settings, "point_size")
@@ -116,6 +123,15 @@ class MorePanel(TabPanel, bpy.types.Panel):
         layout.operator("gscore.reset_display")
         if "NATIVE" in context.object.gscore.bl_rna.properties["display"].enum_items:
             layout.operator("gscore.make_native_splats")
+
+
+def draw_live(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """Why splats are not drawn live, or how many are."""
+    region = next(r for r in context.area.regions if r.type == "WINDOW")
+    if problem := handler.problem_of(region):
+        sentence(layout, context, problem, icon="ERROR")
+    elif not live.SESSION.works:
+        sentence(layout, context, "Splats are drawn live where Blender has a window.", icon="INFO")
 
 
 def draw_counts(

@@ -10,9 +10,17 @@ import numpy as np
 from ..cameras.captures import RenderCamera, render_camera
 from ..compat import matrix_to_numpy, rec709_to_scene
 from ..core import Cancelled, GsError
-from . import color, ignored, picture
-from .scene import Model, SplatCache, place, sources
-from .viewport import Painter, Request, Viewport, draw_pixels, redraw_when_ready, view_camera
+from . import color, copies, ignored, picture
+from .scene import Model, Placed, SplatCache, place, sources
+from .viewport import (
+    EXACT,
+    STAND_INS,
+    Painter,
+    Request,
+    Viewport,
+    redraw_when_ready,
+    view_camera,
+)
 from .world import background_of, world_light
 
 NAME = "GSCORE_SPLATS"
@@ -61,32 +69,40 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
 
     def view_update(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
         """Something in the scene has changed."""
-        self._viewport().forget_changed(depsgraph)
+        copies.SHARED.forget_changed(depsgraph)
 
     def view_draw(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
-        """Show the last picture that is ready, and ask for the one of now."""
+        """Show the last picture that is ready, and ask for the one of now.
+
+        Where splats are drawn live, they are until the picture of now is ready.
+        """
         view, region = self._viewport(), context.region
+        pointer = region.as_pointer()
+        EXACT.discard(pointer)
         try:
-            placed = view.copied(depsgraph)
+            placed, complete = copies.SHARED.copied(sources(depsgraph))
         except ValueError as error:
             self.update_stats("", str(error))
             return
-        if placed is None:
+        request = self._request(context, depsgraph.scene, placed)
+        live = next((one for one in STAND_INS if one.stands_in(context)), None)
+        if not complete:
             self.update_stats("", "Reading splats")
             self.tag_redraw()
-        elif placed:
-            rv3d = context.region_data
-            matrices = (matrix_to_numpy(m) for m in (rv3d.view_matrix, rv3d.window_matrix))
-            size = region.width, region.height
-            camera = view_camera(*matrices, *size, perspective=rv3d.is_perspective)
-            self._ask(view, depsgraph.scene, placed, camera)
-        else:
+        elif not placed:
             view.painter.pixels = None
             self.update_stats("", "There are no splats to show")
+        elif live is None or not live.moves(context):
+            self._ask(view, request)
         view.painter.fresh = False
-        if view.painter.pixels is not None:
+        if complete and view.painter.shows(request):
+            EXACT.add(pointer)
+        pixels = view.painter.pixels
+        if live is not None and pointer not in EXACT:
+            pixels = self._empty(depsgraph.scene)
+        if pixels is not None:
             self.bind_display_space_shader(depsgraph.scene)
-            draw_pixels(view.painter.pixels, region.width, region.height)
+            view.draw(pixels, region.width, region.height)
             self.unbind_display_space_shader()
 
     _view: Viewport | None = None
@@ -100,25 +116,36 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
             finalize(self, self._view.painter.close)
         return self._view
 
-    def _ask(
-        self, view: Viewport, scene: bpy.types.Scene, placed: list[Any], camera: RenderCamera
-    ) -> None:
+    def _request(
+        self, context: bpy.types.Context, scene: bpy.types.Scene, placed: list[Placed]
+    ) -> Request:
+        region, rv3d = context.region, context.region_data
+        matrices = (matrix_to_numpy(m) for m in (rv3d.view_matrix, rv3d.window_matrix))
+        size = region.width, region.height
         transparent = scene.render.film_transparent
         light = np.zeros(3) if transparent else world_light(scene.world)[0]
-        request = Request(
+        return Request(
             placed=placed,
-            camera=camera,
+            camera=view_camera(*matrices, *size, perspective=rv3d.is_perspective),
             options=picture.Options(
                 background=background_of(light), antialias=scene.gscore_render.antialias
             ),
             transparent=transparent,
             to_scene=rec709_to_scene(),
         )
+
+    def _ask(self, view: Viewport, request: Request) -> None:
         painter = view.painter
         painter.ask(request)
         if painter.busy:
             redraw_when_ready(painter)
         self.update_stats("", painter.problem)
+
+    def _empty(self, scene: bpy.types.Scene) -> np.ndarray:
+        """[1, 1, 4] of a picture without splats."""
+        if scene.render.film_transparent:
+            return np.zeros((1, 1, 4), np.float32)
+        return np.array([[[*world_light(scene.world)[0], 1]]], np.float32)
 
     def _refuse(self, message: str) -> None:
         """Stop with a sentence: on the render window, and as the operator's error."""
@@ -251,6 +278,7 @@ def on_unregister() -> None:
     for painter in list(_painters):
         painter.close()
     final_cache.clear()
+    copies.SHARED.clear()
 
 
 def _leave_viewports() -> None:

@@ -22,6 +22,7 @@ def draw_render(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     column.use_property_split, column.use_property_decorate = True, False
     column.prop(scene.render, "film_transparent", text="Transparent")
     column.prop(scene.gscore_render, "antialias")
+    column.prop(scene.gscore_render, "live")
     changes = changes_colors(scene)
     if changes:
         box = layout.box()

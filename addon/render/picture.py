@@ -29,21 +29,26 @@ class Options:
     """Left, top, width and height of the part that is drawn, pixels; None: everything."""
 
 
-def uses_antialias(model: Model, wish: str) -> bool:
+def compensates(wish: str, *, trained: tuple[str, ...], plain: tuple[str, ...]) -> bool:
     """Whether opacities are compensated.
+
+    Args:
+        wish: ON, OFF or AUTO.
+        trained: Names of the objects that were trained with anti-aliasing.
+        plain: Names of the others.
 
     Raises:
         ValueError: AUTO, and the objects were trained differently.
     """
     if wish != AUTO:
         return wish == ON
-    if model.antialias and model.plain:
+    if trained and plain:
         raise ValueError(
-            f"{model.antialias[0]} was trained with anti-aliasing and {model.plain[0]} without, "
+            f"{trained[0]} was trained with anti-aliasing and {plain[0]} without, "
             f"but a picture is drawn one way: set Anti-Aliasing of the render settings to On or "
             f"Off, or render them in two scenes."
         )
-    return bool(model.antialias)
+    return bool(trained)
 
 
 def draw(
@@ -68,7 +73,7 @@ def draw(
         GsError: the library is missing or out of memory.
         ValueError: the objects want to be drawn in different ways.
     """
-    antialias = uses_antialias(model, options.antialias)
+    antialias = compensates(options.antialias, trained=model.antialias, plain=model.plain)
     flag = CancelFlag() if cancel is None else cancel
     done: list[Rendered | BaseException] = []
 

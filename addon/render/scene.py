@@ -26,6 +26,14 @@ class Source:
     """Evaluated."""
     matrix: np.ndarray
     """[4, 4] float64 to the world."""
+    shown_by: bpy.types.Object
+    """Evaluated object by which a viewport decides whether to show it: itself, or the one that
+    instances its collection."""
+
+    @property
+    def uid(self) -> int:
+        """Of the original data; the same as long as Blender runs."""
+        return self.ob.original.data.session_uid
 
     @property
     def data(self) -> Any:
@@ -99,7 +107,7 @@ def sources(depsgraph: bpy.types.Depsgraph) -> list[Source]:
     found = []
     for ob in depsgraph.objects:  # leaves out what is hidden or excluded for the depsgraph's mode
         placed = _instances(ob, depsgraph, matrix_to_numpy(ob.matrix_world), 0)
-        found += [Source(ob=o, matrix=m, _depsgraph=depsgraph) for o, m in placed]
+        found += [Source(ob=o, matrix=m, shown_by=ob, _depsgraph=depsgraph) for o, m in placed]
     return found
 
 
@@ -122,7 +130,7 @@ def place(source: Source, frozen: FrozenMesh | None = None) -> Placed:
         filters = None
     return Placed(
         name=ob.name,
-        uid=ob.original.data.session_uid,
+        uid=source.uid,
         frozen=frozen,
         matrix=source.matrix,
         filters=filters,
@@ -155,10 +163,7 @@ class SplatCache:
                 object is named.
         """
         with self._lock:
-            for p in placed:
-                _check_similar(p)
-            parts = {p.part: self._decode(p) for p in placed}
-            self._parts = {key: known for key, known in self._parts.items() if key in parts}
+            parts = self._decoded(placed)
             base = max(placed, key=lambda p: len(parts[p.part]))
             inverse = np.linalg.inv(base.matrix)
             turned = [
@@ -171,6 +176,20 @@ class SplatCache:
             antialias=tuple(p.name for p in placed if p.antialias),
             plain=tuple(p.name for p in placed if not p.antialias),
         )
+
+    def parts(self, placed: list[Placed]) -> list[Splats]:
+        """The splats of each object in its own space; errors as `model`."""
+        with self._lock:
+            found = self._decoded(placed)
+        return [found[p.part] for p in placed]
+
+    def _decoded(self, placed: list[Placed]) -> dict[tuple[int, bytes], Splats]:
+        """By `Placed.part`; what is not asked for is forgotten."""
+        for p in placed:
+            _check_similar(p)
+        parts = {p.part: self._decode(p) for p in placed}
+        self._parts = {key: known for key, known in self._parts.items() if key in parts}
+        return parts
 
     def _decode(self, placed: Placed) -> Splats:
         known = self._parts.get(placed.part)

@@ -18,6 +18,12 @@ class RenderSettings(bpy.types.PropertyGroup):
         ],
         default=AUTO,
     )
+    live: bpy.props.BoolProperty(
+        name="Live Viewport",
+        description="In Rendered shading, have the graphics card draw splats until the exact "
+        "picture is ready",
+        default=True,
+    )
 
 
 CLASSES = (RenderSettings,)

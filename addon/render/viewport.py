@@ -3,6 +3,7 @@
 import threading
 import time
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import bpy
 import gpu
@@ -14,13 +15,12 @@ from ..cameras.formulas import FLIP
 from ..core import CancelFlag, Cancelled, GsError
 from ..process import threads
 from . import color, picture
-from .frozen import Freezer, FrozenMesh
-from .scene import Placed, Source, SplatCache, place, sources
+from .scene import Placed, SplatCache
 
-COPY_BUDGET = 0.015
-"""Seconds that one redraw may spend on copying splats out of Blender."""
 QUICK = 0.08
 """Seconds a picture should take while the view turns; above, it is drawn smaller first."""
+PATIENCE = 2 * QUICK
+"""Seconds that a picture in full size may take before a newer wish drops it."""
 COARSEST = 8
 """Largest factor by which it is drawn smaller."""
 _POLL = 0.02
@@ -71,14 +71,22 @@ class Painter:
         """Whether something was finished since this was last set to False."""
         self.busy = False
         """Whether something is being drawn."""
+        self._finished: Request | None = None
+
+    def shows(self, request: Request) -> bool:
+        """Whether `pixels` are this picture in full size."""
+        return self.pixels is not None and request.same(self._finished)
 
     def ask(self, request: Request) -> None:
-        """Draw this from now on; what is being drawn for an older wish is dropped."""
+        """Draw this from now on.
+
+        What is drawn for an older wish is dropped where it takes long, but for its small picture:
+        while a view turns, wishes come faster than pictures can be finished.
+        """
         with self._wish:
             if request.same(self._request):
                 return
             self._request, self.busy = request, True
-            self._cancel.set()
             if self._thread is None:
                 self._thread = threads.start(self._run, "gscore-viewport", cancel=self.close)
             self._wish.notify()
@@ -106,7 +114,7 @@ class Painter:
                 self._paint(request)
                 done = request
             except Cancelled:
-                continue
+                self._factor = max(2, self._factor)
             except (GsError, ValueError, MemoryError) as error:
                 self.problem, self.pixels, done = str(error) or "Out of memory.", None, request
                 self.fresh = True
@@ -117,14 +125,28 @@ class Painter:
         for factor in dict.fromkeys((self._factor, 1)):
             began = time.perf_counter()
             camera = smaller(request.camera, factor)
-            rendered = picture.draw(model, camera, request.options, cancel=self._cancel)
+            until = began + PATIENCE if factor == 1 else float("inf")
+            rendered = picture.draw(
+                model,
+                camera,
+                request.options,
+                stop=lambda until=until: self._is_old(request) and time.perf_counter() > until,
+                cancel=self._cancel,
+            )
             pixels = color.combined(
                 rendered, transparent=request.transparent, to_scene=request.to_scene
             )
             took = time.perf_counter() - began
             self.pixels, self.problem, self.fresh = pixels, "", True
+            if factor > 1 and self._is_old(request):
+                self._factor = min(COARSEST, factor + (took > 2 * QUICK))
+                return
+        self._finished = request
         wanted = (took / QUICK) ** 0.5  # the last one was full size
         self._factor = min(COARSEST, max(1, int(np.ceil(wanted))))
+
+    def _is_old(self, request: Request) -> bool:
+        return self._request is not request
 
 
 class Viewport:
@@ -132,46 +154,36 @@ class Viewport:
 
     def __init__(self, cache: SplatCache) -> None:
         self.painter = Painter(cache)
-        self._frozen: dict[int, FrozenMesh] = {}
-        self._freezers: dict[int, Freezer] = {}
+        self._texture: tuple[np.ndarray, gpu.types.GPUTexture] | None = None
 
-    def forget_changed(self, depsgraph: bpy.types.Depsgraph) -> None:
-        """Copy again what a depsgraph update says has changed."""
-        for update in depsgraph.updates:
-            uid = getattr(update.id.original, "session_uid", None)
-            if isinstance(update.id, bpy.types.Object) and update.is_updated_geometry:
-                data = update.id.original.data
-                uid = None if data is None else data.session_uid
-            elif not update.is_updated_geometry:
-                continue
-            self._frozen.pop(uid, None)
-            self._freezers.pop(uid, None)
+    def draw(self, pixels: np.ndarray, width: int, height: int) -> None:
+        """Draw [H, W, 4] float32, premultiplied, over a region of width x height pixels.
 
-    def copied(self, depsgraph: bpy.types.Depsgraph) -> list[Placed] | None:
-        """Everything to draw, or None while there is more to copy than one redraw may."""
-        until = time.perf_counter() + COPY_BUDGET
-        found = sources(depsgraph)
-        placed = []
-        for source in found:
-            frozen = self._copy(source, until)
-            if frozen is None:
-                return None
-            placed.append(place(source, frozen))
-        return placed
+        They are taken to the graphics card when they are others than before.
+        """
+        if self._texture is None or self._texture[0] is not pixels:
+            flat = gpu.types.Buffer("FLOAT", pixels.size, pixels.reshape(-1))
+            made = gpu.types.GPUTexture(pixels.shape[1::-1], format="RGBA16F", data=flat)
+            self._texture = pixels, made
+        gpu.state.blend_set("ALPHA_PREMULT")
+        draw_texture_2d(self._texture[1], (0, 0), width, height)
+        gpu.state.blend_set("NONE")
 
-    def _copy(self, source: Source, until: float) -> FrozenMesh | None:
-        uid = source.ob.original.data.session_uid
-        if uid not in self._frozen and source.is_edited:
-            self._frozen[uid] = source.frozen()
-        while uid not in self._frozen:
-            freezer = self._freezers.setdefault(uid, Freezer())
-            frozen = freezer.step(source.data, source.ob.name)
-            if frozen is not None:
-                self._frozen[uid] = frozen
-                del self._freezers[uid]
-            elif time.perf_counter() > until:
-                return None
-        return self._frozen[uid]
+
+class StandIn(Protocol):
+    """Draws splats over views whose picture is not ready."""
+
+    def stands_in(self, context: bpy.types.Context) -> bool:
+        """Whether it draws the view of a context."""
+
+    def moves(self, context: bpy.types.Context) -> bool:
+        """Whether the view of a context is on the move, so that no picture will be of use."""
+
+
+STAND_INS: list[StandIn] = []
+"""What was registered."""
+EXACT: set[int] = set()
+"""Pointers of the regions that show a finished picture of what they show now."""
 
 
 def view_camera(
@@ -212,15 +224,6 @@ def smaller(camera: RenderCamera, factor: int) -> RenderCamera:
     K[0] *= width / camera.width
     K[1] *= height / camera.height
     return replace(camera, K=K, width=width, height=height)
-
-
-def draw_pixels(pixels: np.ndarray, width: int, height: int) -> None:
-    """Draw [H, W, 4] float32, premultiplied, over a region of width x height pixels."""
-    flat = gpu.types.Buffer("FLOAT", pixels.size, pixels.reshape(-1))
-    texture = gpu.types.GPUTexture(pixels.shape[1::-1], format="RGBA16F", data=flat)
-    gpu.state.blend_set("ALPHA_PREMULT")
-    draw_texture_2d(texture, (0, 0), width, height)
-    gpu.state.blend_set("NONE")
 
 
 def redraw_when_ready(painter: Painter) -> None:

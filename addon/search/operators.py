@@ -9,9 +9,10 @@ from bpy.props import BoolProperty, StringProperty
 from ..core import VIDEO_ENDINGS
 from ..interface.operators import Acting
 from ..job.verb_job import FAILED
+from ..job.verb_operators import Cancelling
 from ..paths import relative
-from ..process import beat
 from . import work
+from .job import SearchJob
 
 
 class ChooseVideo(Acting, bpy.types.Operator):
@@ -75,33 +76,28 @@ class FindCameras(Acting, bpy.types.Operator):
         return job.sentence if job.ended else ""
 
 
-class CancelSearch(Acting, bpy.types.Operator):
+class CancelSearch(Cancelling, bpy.types.Operator):
     """End the search; what was found is kept, and Find Cameras goes on from there"""
 
     bl_idname = "gscore.cancel_search"
     bl_label = "Cancel"
+    none = "No cameras are being looked for."
 
-    def act(self, context: bpy.types.Context) -> str:
-        """Ask it to end."""
-        job = work.job_of(context.scene)
-        if job is None or job.ended:
-            raise ValueError("No cameras are being looked for.")
-        job.cancel()
-        beat.redraw()
-        return ""
+    def job_of(self, scene: bpy.types.Scene) -> SearchJob | None:
+        """The search for the scene's photos."""
+        return work.job_of(scene)
 
 
 def _show_tab(context: bpy.types.Context) -> None:
     """Open the sidebar of the 3D view on which a file was dropped."""
-    space, region = context.space_data, None
+    space = context.space_data
     if space is None or space.type != "VIEW_3D":
         return
     space.show_region_ui = True
     for region in context.area.regions:
         if region.type == "UI" and hasattr(region, "active_panel_category"):
-            with_tab = region
             try:
-                with_tab.active_panel_category = "Train Splats"
+                region.active_panel_category = "Train Splats"
             except (AttributeError, TypeError):
                 return  # older Blenders only tell it, and some regions have none before a redraw
 

@@ -1,6 +1,5 @@
 """The search for cameras from scripts and operators: begin, cancel, bring in what was found."""
 
-import time
 from pathlib import Path
 
 import bpy
@@ -11,13 +10,11 @@ from ..capture.folders import same_folder
 from ..core import capture_beside
 from ..interface import undo
 from ..job import facts, lookups, options
+from ..job.launch import follow, launch
 from ..paths import absolute, capture_folder, relative
 from ..process import beat
-from ..python import setup
 from .job import SearchJob
 from .registry import JOBS
-
-_BEAT = 0.02
 
 
 def find(
@@ -53,21 +50,11 @@ def find(
     arguments = options.search(
         scene.gscore, source=source, capture=beside.capture, threads=preferences.get().threads
     )
-    program = python or setup.trainer_python(preferences.get())
-    try:
-        job = SearchJob(
-            program, arguments, source=source, capture=beside.capture, scene_uid=scene.session_uid
-        )
-    except OSError as error:
-        raise ValueError(
-            f"{program} cannot be run ({error.strerror or error}); press Check in the add-on's "
-            "preferences."
-        ) from error
+    places = {"source": source, "capture": beside.capture, "scene_uid": scene.session_uid}
+    job = launch(lambda program: SearchJob(program, arguments, **places), python)
     JOBS.add(job)
     beat.ensure()
-    while wait and (not job.ended or job.wanted):
-        beat.tick()
-        time.sleep(_BEAT)
+    follow(lambda: wait and (not job.ended or job.wanted))
     return job
 
 

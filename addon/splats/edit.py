@@ -59,7 +59,9 @@ def _shown(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> int | None:
         return len(ob.data.vertices)
     evaluated = ob.evaluated_get(depsgraph)
     modifier = display.modifier_of(ob)
-    told = modifier is not None and modifier.show_viewport and own.display != "NATIVE"
+    told = (
+        modifier is not None and modifier.show_viewport and own.display not in {"NATIVE", "SPLATS"}
+    )
     if not told or not hasattr(evaluated, "evaluated_geometry"):
         return None
     geometry = evaluated.evaluated_geometry()

@@ -8,7 +8,7 @@ import numpy as np
 
 from .. import attributes, compat
 from ..core import Splats, transform_splats
-from . import settings
+from . import live, settings
 from .filters import visible_mask
 
 KIND = "splats"
@@ -41,6 +41,8 @@ def create(
         # Half the typical splat: points then neither merge nor vanish.
         ob.gscore.point_size = 0.5 * float(np.exp(np.median(splats.scales.max(axis=1))))
     settings.attach(ob)
+    if live.SESSION.works:
+        ob.gscore.display = "SPLATS"
     return ob
 
 

@@ -5,19 +5,34 @@ import bpy
 from .. import compat
 from ..nodes import display
 from ..nodes.colors import MODES as COLOR_MODES
+from . import live
 from .filters import BOX, SPHERE
 
 _DISPLAYS = [
-    ("POINTS", "Points", "A small ball of the same size for every splat: fast, good for selecting"),
-    ("ELLIPSOIDS", "Ellipsoids", "The extent and orientation of every splat, opaque"),
+    (
+        "SPLATS",
+        "Splats",
+        "Blended in full color by the graphics card in every viewport; EEVEE and Cycles render "
+        "them as Soft Splats",
+        4,
+    ),
+    (
+        "POINTS",
+        "Points",
+        "A small ball of the same size for every splat: fast, good for selecting",
+        0,
+    ),
+    ("ELLIPSOIDS", "Ellipsoids", "The extent and orientation of every splat, opaque", 1),
     (
         "SOFT",
         "Soft Splats",
         "Ellipsoids that fade out like the splats they stand for, in Material Preview and "
         "Rendered shading. In Cycles, raise Light Paths > Transparent to 64 or more",
+        2,
     ),
 ]
-_NATIVE = ("NATIVE", "Native Splats", "Shown by the copy that Make Native Splats made")
+_NATIVE = ("NATIVE", "Native Splats", "Shown by the copy that Make Native Splats made", 3)
+"""Numbers are those of `display.MODES`, and files keep them."""
 _COLORS = [
     ("COLOR", "Color", "The splat's color without its view-dependent part"),
     ("OPACITY", "Opacity", "From 0 (dark blue) to 1 (yellow)"),
@@ -53,6 +68,7 @@ class SplatSettings(bpy.types.PropertyGroup):
         name="Display",
         description="How splats are drawn in the viewport and by EEVEE and Cycles",
         items=[*_DISPLAYS, _NATIVE] if compat.native_splat_type() else _DISPLAYS,
+        default="POINTS",
         update=_update,
     )
     colour_by: bpy.props.EnumProperty(
@@ -111,9 +127,12 @@ def apply(ob: bpy.types.Object) -> None:
     modifier = display.modifier_of(ob)
     if modifier is None:
         return
-    settings = ob.gscore
+    settings, mode = ob.gscore, ob.gscore.display
+    if mode == "SPLATS":
+        mode = "POINTS" if live.SESSION.problem else mode
+        modifier.node_group = display.group()  # files may hold one that does not know this display
     values = {
-        "Display": display.MODES.index(settings.display),
+        "Display": display.MODES.index(mode),
         "Color By": COLOR_MODES.index(settings.colour_by),
         "Point Radius": settings.point_size,
         "Ellipsoid Size": settings.ellipsoid_size,

@@ -13,8 +13,8 @@ from addon.cameras import captures
 from addon.compat import matrix_to_numpy
 from addon.core import Cancelled, transform_splats, write_splats
 from addon.render import engine, picture
-from addon.render.scene import SplatCache
-from addon.render.viewport import Viewport
+from addon.render.copies import Copies
+from addon.render.scene import sources
 from addon.splats import objects
 from tests.addon import splat_scenes as lab
 
@@ -342,7 +342,8 @@ def test_splats_in_edit_mode(scene, tmp_path):
     edited = lab.render_exr(tmp_path)
     assert ob.mode == "EDIT"
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    shown = Viewport(SplatCache()).copied(depsgraph)
+    shown, complete = Copies().copied(sources(depsgraph))
+    assert complete
     bpy.ops.object.mode_set(mode="OBJECT")
     assert [len(p.frozen.vertices) for p in shown] == [len(ob.data.vertices)] * 2 == [200, 200]
     np.testing.assert_array_equal(lab.render_exr(tmp_path), edited)

@@ -1,6 +1,7 @@
 """The viewport's pictures without a window. Oracles are named in the tests."""
 
 import time
+from dataclasses import replace
 
 import bpy
 import numpy as np
@@ -9,8 +10,8 @@ import pytest
 from addon.cameras import captures
 from addon.compat import matrix_to_numpy
 from addon.core import render
-from addon.render import picture, viewport
-from addon.render.scene import SplatCache
+from addon.render import copies, picture, viewport
+from addon.render.scene import SplatCache, sources
 from tests.addon import splat_scenes as lab
 
 
@@ -42,10 +43,9 @@ def request_for(scene, splats, size=(96, 64), **options):
     ob = lab.add(scene, splats)
     bpy.context.view_layer.update()
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    view = viewport.Viewport(SplatCache())
-    placed = view.copied(depsgraph)
-    while placed is None:
-        placed = view.copied(depsgraph)
+    made, complete = copies.Copies(), False
+    while not complete:
+        placed, complete = made.copied(sources(depsgraph))
     return viewport.Request(
         placed=placed,
         camera=captures.render_camera(
@@ -84,12 +84,27 @@ def test_painter_ends_with_the_full_picture(scene):
     painter.close()
 
 
+def test_pictures_appear_while_the_view_turns(scene):
+    """Oracle: counting. Wishes come faster than any picture is drawn, as while a user orbits."""
+    lab.prepare(scene, (96, 64))
+    request, _ = request_for(scene, lab.veil(2000), size=(1200, 900))
+    painter, shown = viewport.Painter(SplatCache()), set()
+    until = time.monotonic() + 8
+    while time.monotonic() < until and len(shown) < 4:
+        turned = request.camera.viewmat.copy()
+        turned[0, 3] += 1e-3 * (time.monotonic() % 1)
+        painter.ask(replace(request, camera=replace(request.camera, viewmat=turned)))
+        shown.add(id(painter.pixels) if painter.fresh else None)
+        painter.fresh = False
+        time.sleep(0.02)
+    painter.close()
+    assert len(shown - {None}) >= 3
+
+
 def test_a_new_wish_stops_the_old_one(scene):
     """Oracle: the clock; the old picture alone takes many times longer."""
     lab.prepare(scene, (96, 64))
     quick, _ = request_for(scene, lab.veil())
-    from dataclasses import replace
-
     slow = replace(quick, camera=replace(quick.camera, width=3000, height=3000))
     painter = viewport.Painter(SplatCache())
     painter.ask(slow)
@@ -121,10 +136,12 @@ def test_copying_is_spread_over_redraws(scene, monkeypatch):
     lab.add(scene, lab.blob(2000))
     bpy.context.view_layer.update()
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    monkeypatch.setattr(viewport, "COPY_BUDGET", 0.0)
-    view, redraws = viewport.Viewport(SplatCache()), 0
-    while (placed := view.copied(depsgraph)) is None:
+    monkeypatch.setattr(copies, "COPY_BUDGET", 0.0)
+    made, redraws = copies.Copies(), 0
+    while not (found := made.copied(sources(depsgraph)))[1]:
+        assert not found[0]
         redraws += 1
         assert redraws < 100
+    placed = found[0]
     assert redraws == 12  # position, scale, rotation, base and 8 of SH
     assert len(SplatCache().model(placed).splats) == 2000

@@ -1,0 +1,68 @@
+"""How work beside Blender is started by operators and scripts, followed to its end, and let go."""
+
+import atexit
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TypeVar
+
+from .. import preferences
+from ..process import beat
+from ..python import setup
+
+JobT = TypeVar("JobT")
+
+_BEAT = 0.02
+"""Seconds between two looks at work that is waited for."""
+
+
+def launch(make: Callable[[str | Path], JobT], python: str | Path | None) -> JobT:
+    """Start a job.
+
+    Args:
+        make: Starts it with the Python that it is given; raises OSError where that cannot be run.
+        python: The Python that works; None: as the preferences say.
+
+    Raises:
+        ValueError: there is no such Python, or it cannot be run; the message says what to do.
+    """
+    program = python or setup.trainer_python(preferences.get())
+    try:
+        return make(program)
+    except OSError as error:
+        raise ValueError(
+            f"{program} cannot be run ({error.strerror or error}); press Check in the add-on's "
+            "preferences."
+        ) from error
+
+
+def follow(waits: Callable[[], bool]) -> None:
+    """Do what a beat does until nothing is waited for; without a window nothing else would."""
+    while waits():
+        beat.tick()
+        time.sleep(_BEAT)
+
+
+class Following:
+    """A room's part of the beat, and the end of its jobs with the end of Blender."""
+
+    def __init__(self, followers: Sequence[beat.Follower], leave_all: Callable[[], object]) -> None:
+        """Nothing is followed before `on_register`.
+
+        Args:
+            followers: What is done at a beat, in order.
+            leave_all: Lets go of all jobs, each of which then ends by itself.
+        """
+        self._followers, self._leave_all = tuple(followers), leave_all
+
+    def on_register(self) -> None:
+        """Follow them."""
+        beat.FOLLOWERS.extend(self._followers)
+        atexit.register(self._leave_all)
+
+    def on_unregister(self) -> None:
+        """Let go of them."""
+        for follower in self._followers:
+            beat.FOLLOWERS.remove(follower)
+        atexit.unregister(self._leave_all)
+        self._leave_all()

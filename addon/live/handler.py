@@ -1,0 +1,234 @@
+"""Draws splats over the 3D views of this Blender session."""
+
+import logging
+import time
+from dataclasses import dataclass, field
+
+import bpy
+import gpu
+from bpy.app.handlers import persistent
+
+from ..compat import matrix_to_numpy
+from ..render import copies, viewport
+from ..render.engine import NAME, final_cache
+from ..render.operators import changes_colors
+from ..render.scene import Source, sources
+from ..splats import settings as splat_settings
+from ..splats.live import SESSION
+from ..splats.objects import is_splats
+from .card import Card
+from .views import View
+
+POLL = 0.02
+"""Seconds between two looks whether a view has something new to show."""
+_HIDES = {"MESH", "CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD", "VOLUME"}
+"""Types of objects that may stand before splats."""
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass
+class _State:
+    """Of the session."""
+
+    card: Card | None = None
+    views: dict[int, View] = field(default_factory=dict)
+    """By the pointer of their region."""
+    handle: object = None
+    problems: dict[int, str] = field(default_factory=dict)
+    """Sentences of views, by the pointer of their region."""
+
+
+_state = _State()
+
+
+class _StandIn:
+    """For views in the engine's Rendered shading."""
+
+    def stands_in(self, context: bpy.types.Context) -> bool:
+        """Whether splats are drawn live there; never in colours that the picture will not have."""
+        wanted = SESSION.works and context.scene.gscore_render.live
+        return wanted and not changes_colors(context.scene)
+
+    def moves(self, context: bpy.types.Context) -> bool:
+        """Whether its view has just changed."""
+        view = _state.views.get(context.region.as_pointer())
+        return view is not None and view.level.moving
+
+
+_STAND_IN = _StandIn()
+
+
+def view_of(region: bpy.types.Region) -> View | None:
+    """What is known of a region's live drawing."""
+    return _state.views.get(region.as_pointer())
+
+
+def problem_of(region: bpy.types.Region) -> str:
+    """Why a region shows no live splats; empty where it does."""
+    return SESSION.problem or _state.problems.get(region.as_pointer(), "")
+
+
+def shown(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> list[Source]:
+    """The splat objects that are drawn live in the view of a context."""
+    space = context.space_data
+    own = _is_own(context)
+    if space.shading.type == "WIREFRAME" or (own and not _STAND_IN.stands_in(context)):
+        return []
+    found = sources(depsgraph)
+    copies.SHARED.keep_only(found)
+    return [
+        source
+        for source in found
+        if (own or source.ob.original.gscore.display == "SPLATS")
+        and source.shown_by.visible_in_viewport_get(space)
+    ]
+
+
+def draw(context: bpy.types.Context) -> None:
+    """Draw the view of a context; called by Blender after everything else in it."""
+    if not SESSION.works or context.region_data is None:
+        return
+    pointer = context.region.as_pointer()
+    if pointer in viewport.EXACT and _is_own(context):
+        return
+    try:
+        _draw(context, pointer)
+        _state.problems.pop(pointer, None)
+    except ValueError as error:
+        _state.problems[pointer] = str(error)
+    except Exception as error:  # drivers raise anything; Blender would print it at each redraw
+        _log.exception("Splats cannot be drawn live.")
+        _refuse(f"The graphics card does not draw splats ({error}); they are shown as points.")
+
+
+def _draw(context: bpy.types.Context, pointer: int) -> None:
+    depsgraph = context.evaluated_depsgraph_get()
+    found = shown(context, depsgraph)
+    placed, complete = copies.SHARED.copied(found)
+    if not placed:
+        if not complete:
+            _ensure()
+        return
+    if _state.card is None:
+        _state.card = Card()
+    view = _state.views.setdefault(pointer, View(final_cache))
+    rv3d = context.region_data
+    matrix, window = (matrix_to_numpy(m) for m in (rv3d.view_matrix, rv3d.window_matrix))
+    left, bottom, width, height = gpu.state.viewport_get()
+    camera = viewport.view_camera(matrix, window, width, height, perspective=rv3d.is_perspective)
+    meshes = _depths(left, bottom, width, height) if _hidden_by(context, depsgraph) else None
+    picture = view.draw(
+        _state.card, placed, camera, window, context.scene.gscore_render.antialias, meshes
+    )
+    if picture is not None:
+        _state.card.show(picture, left, bottom)
+    if view.waits or not complete:
+        _ensure()
+
+
+def _is_own(context: bpy.types.Context) -> bool:
+    """Whether the view is in Rendered shading of our engine."""
+    return context.space_data.shading.type == "RENDERED" and context.scene.render.engine == NAME
+
+
+def _hidden_by(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> bool:
+    """Whether anything may stand before splats; looking at depths costs a wait for the card."""
+    if _is_own(context):
+        return False  # which draws no meshes
+    return any(ob.type in _HIDES and _has_surface(ob) for ob in depsgraph.objects)
+
+
+def _has_surface(ob: bpy.types.Object) -> bool:
+    if is_splats(ob):
+        return ob.original.gscore.display in {"POINTS", "ELLIPSOIDS", "SOFT"}
+    return ob.display_type in {"SOLID", "TEXTURED"}
+
+
+def _depths(left: int, bottom: int, width: int, height: int) -> gpu.types.GPUTexture:
+    """What is drawn already, as depths in [0, 1]."""
+    found = gpu.state.active_framebuffer_get().read_depth(left, bottom, width, height)
+    return gpu.types.GPUTexture((width, height), format="R32F", data=found)
+
+
+def _refuse(problem: str) -> None:
+    """Draw no more, and show points instead."""
+    SESSION.problem = problem
+    bpy.app.timers.register(_show_points, first_interval=0.0)  # nothing may change while drawing
+
+
+def _show_points() -> None:
+    for ob in bpy.data.objects:
+        if is_splats(ob):
+            splat_settings.apply(ob)
+
+
+def _ensure() -> None:
+    if not bpy.app.timers.is_registered(_poll):
+        bpy.app.timers.register(_poll, first_interval=POLL)
+
+
+def _poll() -> float | None:
+    """Have views drawn again that have something new, or have come to rest."""
+    regions = {}
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "VIEW_3D":
+                regions |= {r.as_pointer(): r for r in area.regions if r.type == "WINDOW"}
+    for pointer in _state.views.keys() - regions.keys():
+        _state.views.pop(pointer).close()
+    waiting = False
+    for pointer, view in _state.views.items():
+        if view.stale(time.monotonic()):
+            regions[pointer].tag_redraw()
+        waiting |= view.waits
+    return POLL if waiting else None
+
+
+@persistent
+def _changed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
+    copies.SHARED.forget_changed(depsgraph)
+
+
+@persistent
+def _file_loaded(*_: object) -> None:
+    _close_views()
+    copies.SHARED.clear()
+
+
+def _close_views() -> None:
+    for view in _state.views.values():
+        view.close()
+    _state.views.clear()
+    _state.problems.clear()
+
+
+def _draw_handler() -> None:
+    draw(bpy.context)
+
+
+def on_register() -> None:
+    """Draw in all 3D views, where there is a window."""
+    SESSION.there = not bpy.app.background
+    if not SESSION.there:
+        return
+    _state.handle = bpy.types.SpaceView3D.draw_handler_add(_draw_handler, (), "WINDOW", "POST_VIEW")
+    bpy.app.handlers.depsgraph_update_post.append(_changed)
+    bpy.app.handlers.load_post.append(_file_loaded)
+    viewport.STAND_INS.append(_STAND_IN)
+
+
+def on_unregister() -> None:
+    """Draw no more, and let go of what lies on the graphics card."""
+    if not SESSION.there:
+        return
+    for timer in (_poll, _show_points):
+        if bpy.app.timers.is_registered(timer):
+            bpy.app.timers.unregister(timer)
+    viewport.STAND_INS.remove(_STAND_IN)
+    bpy.app.handlers.load_post.remove(_file_loaded)
+    bpy.app.handlers.depsgraph_update_post.remove(_changed)
+    bpy.types.SpaceView3D.draw_handler_remove(_state.handle, "WINDOW")
+    _close_views()
+    _state.card, _state.handle = None, None
+    SESSION.there, SESSION.problem = False, ""

@@ -1,0 +1,78 @@
+"""The order in which splats are blended, and the colours they show to a view; no bpy, no gpu."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..core import Splats, sh_basis
+from .atlas import Atlas
+
+_BLOCK = 1 << 14
+"""Splats whose colours are computed at once: they stay in the cache, and Blender's thread gets
+its turns."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Eye:
+    """From where splats are seen."""
+
+    viewmats: tuple[np.ndarray, ...]
+    """[4, 4] float64 of each object: similarity from its space to the camera, OpenCV axes."""
+    orthographic: bool
+
+
+def arrange(atlas: Atlas, eye: Eye, count: int) -> np.ndarray:
+    """Sort the first rows of an atlas.
+
+    Args:
+        atlas: The splats.
+        eye: Has one matrix for each of its objects.
+        count: How many rows.
+
+    Returns:
+        [count, 4] float32, the farthest first: number of the row, and its colour in this view, sRGB
+        values of at least 0.
+    """
+    count = min(count, len(atlas))
+    depths = np.empty(count, np.float32)
+    colors = np.empty((count, 3), np.float32)
+    for number, viewmat in enumerate(eye.viewmats):
+        rows = np.flatnonzero(atlas.part[:count] == number)
+        for at in range(0, len(rows), _BLOCK):
+            here = rows[at : at + _BLOCK]
+            means = atlas.means[here]
+            depths[here] = means @ viewmat[2, :3].astype(np.float32) + np.float32(viewmat[2, 3])
+            colors[here] = shown_colors(
+                atlas.parts[number], atlas.index[here], viewmat, orthographic=eye.orthographic
+            )
+    farthest = np.argsort(-depths, kind="stable")
+    out = np.empty((count, 4), np.float32)
+    out[:, 0], out[:, 1:] = farthest, colors[farthest]
+    return out
+
+
+def shown_colors(
+    splats: Splats, index: np.ndarray, viewmat: np.ndarray, *, orthographic: bool
+) -> np.ndarray:
+    """[B, 3] float32 sRGB values of some splats of an object as a view sees them.
+
+    Args:
+        splats: The object's, in its own space.
+        index: [B], which of them.
+        viewmat: [4, 4] float64, similarity from that space to the camera.
+        orthographic: Parallel rays.
+    """
+    linear = viewmat[:3, :3]
+    if orthographic:
+        offsets = np.broadcast_to(linear[2].astype(np.float32), (len(index), 3))
+    else:
+        center = np.linalg.solve(linear, -viewmat[:3, 3])
+        offsets = splats.means[index] - center.astype(np.float32)
+    lengths = np.linalg.norm(offsets, axis=1, keepdims=True)
+    count = splats.shN.shape[1] + 1
+    degree = int(count**0.5) - 1
+    basis = sh_basis(degree, offsets / np.maximum(lengths, np.float32(1e-30)))
+    colors = np.float32(0.5) + basis[:, :1] * splats.sh0[index, 0]
+    if degree:
+        colors = colors + np.einsum("bk,bkc->bc", basis[:, 1:], splats.shN[index])
+    return np.maximum(colors, np.float32(0))

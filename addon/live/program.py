@@ -1,0 +1,170 @@
+"""The two programs of the graphics card: splats onto a picture of their own, that onto the view.
+
+The formulas are those of docs/conventions.md. What depends on a splat's row alone is in the atlas,
+what depends on its colour in this view in the order; both come from the processor.
+"""
+
+import gpu
+
+from .atlas import COLUMNS, TEXELS
+
+QUADS = 64
+"""Splats of one instance."""
+ORDER_COLUMNS = 1024
+"""Splats in a row of the texture that says their order."""
+
+_SPLAT_VERTEX = """
+void main()
+{
+  gl_Position = vec4(2.0, 2.0, 2.0, 1.0);  // outside: not drawn
+  spread = vec2(0.0);
+  shade = vec4(0.0);
+  place = 2.0;
+  int number = int(corner.z + 0.5) + gl_InstanceID * QUADS;
+  if (number >= int(count.x)) {
+    return;
+  }
+  vec4 entry = texelFetch(sorted, ivec2(number % ORDER_COLUMNS, number / ORDER_COLUMNS), 0);
+  int row = int(entry.x + 0.5);
+  if (row >= int(count.y)) {
+    return;
+  }
+  ivec2 at = ivec2((row % COLUMNS) * TEXELS, row / COLUMNS);
+  vec4 a = texelFetch(atlas, at, 0);
+  vec4 b = texelFetch(atlas, at + ivec2(1, 0), 0);
+  vec4 c = texelFetch(atlas, at + ivec2(2, 0), 0);
+  int from = int(c.z + 0.5) * 3;
+  vec4 r0 = texelFetch(places, ivec2(from, 0), 0);
+  vec4 r1 = texelFetch(places, ivec2(from + 1, 0), 0);
+  vec4 r2 = texelFetch(places, ivec2(from + 2, 0), 0);
+  vec4 mean = vec4(a.xyz, 1.0);
+  vec3 p = vec3(dot(r0, mean), dot(r1, mean), dot(r2, mean));
+  if (p.z < frame.z) {
+    return;
+  }
+  vec2 f = lens.xy, middle = lens.zw, size = frame.xy;
+  vec3 m0, m1;
+  vec2 at_pixel;
+  if (frame.w > 0.5) {  // parallel rays
+    m0 = f.x * r0.xyz;
+    m1 = f.y * r1.xyz;
+    at_pixel = f * p.xy + middle;
+  }
+  else {
+    vec2 margin = 0.15 * size / f;
+    vec2 slope = clamp(p.xy / p.z, -(middle / f + margin), (size - middle) / f + margin);
+    m0 = (r0.xyz - slope.x * r2.xyz) * (f.x / p.z);
+    m1 = (r1.xyz - slope.y * r2.xyz) * (f.y / p.z);
+    at_pixel = f * p.xy / p.z + middle;
+  }
+  vec3 s0 = vec3(b.x, b.y, b.z), s1 = vec3(b.y, b.w, c.x), s2 = vec3(b.z, c.x, c.y);
+  vec3 v0 = vec3(dot(s0, m0), dot(s1, m0), dot(s2, m0));
+  vec3 v1 = vec3(dot(s0, m1), dot(s1, m1), dot(s2, m1));
+  float xx = max(dot(m0, v0), 0.0), yy = max(dot(m1, v1), 0.0), xy = dot(m1, v0);
+  float before = max(xx * yy - xy * xy, 0.0);
+  xx += WIDENING;
+  yy += WIDENING;
+  float opacity = a.w;
+  if (projection.w > 0.5) {
+    opacity *= max(sqrt(before / (xx * yy - xy * xy)), 0.005);
+  }
+  if (opacity < 1.0 / 255.0) {
+    return;
+  }
+  float half_trace = 0.5 * (xx + yy);
+  float apart = sqrt(0.25 * (xx - yy) * (xx - yy) + xy * xy);
+  vec2 axis = vec2(1.0, 0.0);
+  if (apart > 1e-6 * half_trace) {
+    axis = xx > yy ? vec2(0.5 * (xx - yy) + apart, xy) : vec2(xy, 0.5 * (yy - xx) + apart);
+    axis = normalize(axis);
+  }
+  float reach = sqrt(2.0 * log(255.0 * opacity));
+  spread = corner.xy * reach;
+  vec2 radii = sqrt(vec2(half_trace + apart, max(half_trace - apart, WIDENING)));
+  vec2 to = spread * radii;
+  at_pixel += axis * to.x + vec2(-axis.y, axis.x) * to.y;
+  shade = vec4(entry.yzw, opacity);
+  float clip = projection.y - projection.x * p.z;
+  place = 0.5 + 0.5 * (projection.z > 0.5 ? clip / p.z : clip);
+  gl_Position = vec4(2.0 * at_pixel.x / size.x - 1.0, 1.0 - 2.0 * at_pixel.y / size.y, 0.0, 1.0);
+}
+"""
+_SPLAT_FRAGMENT = """
+void main()
+{
+  float alpha = min(0.99, shade.a * exp(-0.5 * dot(spread, spread)));
+  if (alpha < 1.0 / 255.0) {
+    discard;
+  }
+  vec2 scale = vec2(textureSize(meshes, 0)) / frame.xy;
+  if (place > texelFetch(meshes, ivec2(gl_FragCoord.xy * scale), 0).r) {
+    discard;
+  }
+  result = vec4(shade.rgb * alpha, alpha);
+}
+"""
+_VIEW_VERTEX = """
+void main()
+{
+  gl_Position = vec4(corner, 0.0, 1.0);
+}
+"""
+_VIEW_FRAGMENT = """
+void main()
+{
+  vec4 found = texelFetch(picture, ivec2(gl_FragCoord.xy - origin.xy), 0);
+  if (found.a <= 0.0) {
+    discard;
+  }
+  // The view holds what lies over its picture as light, and encodes it with this exponent.
+  vec3 light = pow(clamp(found.rgb / found.a, 0.0, 1.0), vec3(2.2));
+  result = vec4(light * found.a, found.a);
+}
+"""
+
+
+def splats() -> gpu.types.GPUShader:
+    """Draws splats as quads, farthest first.
+
+    Raises:
+        Exception: the driver refuses it.
+    """
+    info = gpu.types.GPUShaderCreateInfo()
+    info.define("QUADS", str(QUADS))
+    info.define("ORDER_COLUMNS", str(ORDER_COLUMNS))
+    info.define("COLUMNS", str(COLUMNS))
+    info.define("TEXELS", str(TEXELS))
+    info.define("WIDENING", "0.3")
+    info.push_constant("VEC4", "lens")  # fx, fy, cx, cy, pixels
+    info.push_constant("VEC4", "frame")  # width, height, near, whether rays are parallel
+    info.push_constant("VEC4", "projection")  # depth's factor, offset, by z?, antialias?
+    info.push_constant("VEC4", "count")  # entries of the order, rows that are drawn
+    for slot, name in enumerate(("atlas", "sorted", "places", "meshes")):
+        info.sampler(slot, "FLOAT_2D", name)
+    info.vertex_in(0, "VEC3", "corner")
+    between = gpu.types.GPUStageInterfaceInfo("gscore_splats")
+    between.smooth("VEC2", "spread")
+    between.flat("VEC4", "shade")
+    between.flat("FLOAT", "place")
+    info.vertex_out(between)
+    return _made(info, _SPLAT_VERTEX, _SPLAT_FRAGMENT)
+
+
+def view() -> gpu.types.GPUShader:
+    """Lays the picture over the view.
+
+    Raises:
+        Exception: the driver refuses it.
+    """
+    info = gpu.types.GPUShaderCreateInfo()
+    info.push_constant("VEC4", "origin")
+    info.sampler(0, "FLOAT_2D", "picture")
+    info.vertex_in(0, "VEC2", "corner")
+    return _made(info, _VIEW_VERTEX, _VIEW_FRAGMENT)
+
+
+def _made(info: gpu.types.GPUShaderCreateInfo, vertex: str, fragment: str) -> gpu.types.GPUShader:
+    info.fragment_out(0, "VEC4", "result")
+    info.vertex_source(vertex)
+    info.fragment_source(fragment)
+    return gpu.shader.create_from_info(info)

@@ -1,0 +1,183 @@
+"""The 3D views that show splats live: what each has drawn, and what it waits for."""
+
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import gpu
+import numpy as np
+
+from ..cameras.captures import RenderCamera
+from ..process.latest import Latest
+from ..render import picture
+from ..render.scene import Placed, SplatCache
+from . import atlas, order
+from .card import Card, Order, Shot, upload
+from .level import Level
+
+UPLOAD = 0.004
+"""Seconds of a redraw after which no further chunk of an order is uploaded."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wish:
+    """An order that is wanted."""
+
+    placed: tuple[Placed, ...]
+    eye: order.Eye
+    count: int
+    """Rows of the atlas to sort; beyond its end: all."""
+
+    @property
+    def parts(self) -> tuple[Any, ...]:
+        """What the atlas depends on."""
+        return tuple((p.part, p.frozen.fingerprint) for p in self.placed)
+
+    def same(self, other: "Wish | None") -> bool:
+        """Whether the other asks for nothing else."""
+        return (
+            other is not None
+            and (self.parts, self.count) == (other.parts, other.count)
+            and self.eye.orthographic == other.eye.orthographic
+            and all(map(np.array_equal, self.eye.viewmats, other.eye.viewmats))
+        )
+
+
+class Arranger:
+    """Sorts for one view, in a thread; keeps the atlas while the splats stay the same."""
+
+    def __init__(self, cache: SplatCache) -> None:
+        self._cache = cache
+        self._atlas: tuple[Any, atlas.Atlas] | None = None
+
+    def __call__(self, wish: Wish) -> tuple[atlas.Atlas, np.ndarray]:
+        """The atlas, and the entries of the order.
+
+        Raises:
+            ValueError: an object cannot be drawn; it is named.
+        """
+        if self._atlas is None or self._atlas[0] != wish.parts:
+            parts = self._cache.parts(list(wish.placed))
+            self._atlas = wish.parts, atlas.build(parts)
+        built = self._atlas[1]
+        return built, order.arrange(built, wish.eye, wish.count)
+
+
+class View:
+    """One region of a 3D view; used where Blender draws."""
+
+    def __init__(self, cache: SplatCache) -> None:
+        self.sorter: Latest[Wish, tuple[atlas.Atlas, np.ndarray]]
+        self.sorter = Latest(Arranger(cache), "gscore-live")
+        self.level = Level()
+        self.drawn = 0
+        """Splats of the last picture."""
+        self.seconds = 0.0
+        """What the last redraw took of Blender's own thread."""
+        self.complete = False
+        """Whether the last picture shows everything as it is now."""
+        self._asked: Wish | None = None
+        self._answered: Wish | None = None
+        self._coming: tuple[Wish, atlas.Atlas, Order] | None = None
+        self._shown: tuple[Wish, atlas.Atlas, Order] | None = None
+        self._atlas: tuple[atlas.Atlas, gpu.types.GPUTexture] | None = None
+        self._target: gpu.types.GPUOffScreen | None = None
+
+    @property
+    def waits(self) -> bool:
+        """Whether the picture will change although nobody touches anything."""
+        coming = self._coming is not None or self.level.moving
+        return self.sorter.busy or self.sorter.fresh or coming
+
+    def stale(self, now: float) -> bool:
+        """Whether a redraw would show something else, or go on with an upload."""
+        rested = self.level.moving and self.level.rests_at <= now
+        return self.sorter.fresh or self._coming is not None or rested
+
+    def close(self) -> None:
+        """End the thread."""
+        self.sorter.close()
+
+    def draw(
+        self,
+        card: Card,
+        placed: list[Placed],
+        camera: RenderCamera,
+        window: np.ndarray,
+        antialias: str,
+        meshes: gpu.types.GPUTexture | None,
+    ) -> gpu.types.GPUTexture | None:
+        """Draw what is there, and ask for what is missing.
+
+        Returns:
+            The picture, premultiplied sRGB values, the bottom row first; None where there is none.
+
+        Raises:
+            ValueError: the objects want to be drawn in different ways.
+        """
+        began = time.perf_counter()
+        total = sum(len(p.frozen.vertices) for p in placed)
+        viewmats = tuple(camera.viewmat @ p.matrix for p in placed)
+        seen = b"".join(m.tobytes() for m in (camera.K, *viewmats))
+        limit = self.level.look(time.monotonic(), seen, total)
+        eye = order.Eye(viewmats=viewmats, orthographic=camera.orthographic)
+        wish = Wish(placed=tuple(placed), eye=eye, count=limit)
+        if not wish.same(self._asked):
+            self._asked = wish
+            self.sorter.ask(wish)
+        self._take_in()
+        if self._shown is None:
+            return None
+        self.complete = self._shown[0].same(wish) and not self.level.moving
+        shot = Shot(
+            camera=camera,
+            viewmats=_viewmats(self._shown[0], wish, camera),
+            window=window,
+            antialias=_antialias(placed, antialias),
+            limit=limit,
+        )
+        picture_ = self._drawn(card, shot, meshes)
+        self.drawn = min(limit, self._shown[0].count)
+        self.seconds = time.perf_counter() - began
+        return picture_
+
+    def _take_in(self) -> None:
+        """Upload orders that have come, bit by bit."""
+        until = time.perf_counter() + UPLOAD
+        self.sorter.fresh = False
+        answer = self.sorter.answer
+        if self._coming is None and answer is not None and answer[0] is not self._answered:
+            self._answered = answer[0]
+            self._coming = answer[0], answer[1][0], Order(answer[1][1])
+        while self._coming is not None and time.perf_counter() < until:
+            if self._coming[2].step():
+                self._shown, self._coming = self._coming, None
+
+    def _drawn(
+        self, card: Card, shot: Shot, meshes: gpu.types.GPUTexture | None
+    ) -> gpu.types.GPUTexture:
+        assert self._shown is not None
+        _, atlas_, entries = self._shown
+        if self._atlas is None or self._atlas[0] is not atlas_:
+            self._atlas = atlas_, upload(atlas_)
+        size = shot.camera.width, shot.camera.height
+        if self._target is None or (self._target.width, self._target.height) != size:
+            self._target = gpu.types.GPUOffScreen(*size, format="RGBA16F")
+        card.draw(self._target, self._atlas[1], entries, shot, meshes)
+        return self._target.texture_color
+
+
+def _viewmats(shown: Wish, wish: Wish, camera: RenderCamera) -> tuple[np.ndarray, ...]:
+    """Of the objects that an order has, where they are by now."""
+    if shown.parts == wish.parts:
+        return wish.eye.viewmats
+    places = {p.uid: p.matrix for p in wish.placed}
+    return tuple(camera.viewmat @ places.get(p.uid, p.matrix) for p in shown.placed)
+
+
+def _antialias(placed: list[Placed], wish: str) -> bool:
+    return picture.compensates(
+        wish,
+        trained=tuple(p.name for p in placed if p.antialias),
+        plain=tuple(p.name for p in placed if not p.antialias),
+    )

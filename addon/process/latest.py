@@ -1,0 +1,66 @@
+"""A thread that works on the last thing it was asked for; no bpy."""
+
+import threading
+from collections.abc import Callable
+from typing import Generic, TypeVar
+
+from . import threads
+
+WishT = TypeVar("WishT")
+AnswerT = TypeVar("AnswerT")
+
+
+class Latest(Generic[WishT, AnswerT]):
+    """Its owner asks as often as it likes; wishes that were not begun are forgotten."""
+
+    def __init__(self, work: Callable[[WishT], AnswerT], name: str) -> None:
+        """The thread begins with the first wish.
+
+        Args:
+            work: Called in the thread. A ValueError or MemoryError of it becomes `problem`.
+            name: Of the thread.
+        """
+        self._work, self._name = work, name
+        self._changed = threading.Condition()
+        self._wish: WishT | None = None
+        self._thread: threading.Thread | None = None
+        self._closed = False
+        self.answer: tuple[WishT, AnswerT] | None = None
+        """The last wish that was answered, and its answer."""
+        self.problem = ""
+        """Why the last wish has no answer."""
+        self.fresh = False
+        """Whether an answer or a problem came since the owner last set this to False."""
+        self.busy = False
+        """Whether an answer is still to come."""
+
+    def ask(self, wish: WishT) -> None:
+        """Answer this next."""
+        with self._changed:
+            if self._closed:
+                return
+            self._wish, self.busy = wish, True
+            if self._thread is None:
+                self._thread = threads.start(self._run, self._name, cancel=self.close)
+            self._changed.notify()
+
+    def close(self) -> None:
+        """End the thread after what it does."""
+        with self._changed:
+            self._closed, self._wish = True, None
+            self._changed.notify()
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self.busy = self._wish is not None
+                while self._wish is None and not self._closed:
+                    self._changed.wait()
+                if self._closed:
+                    return
+                wish, self._wish = self._wish, None
+            try:
+                self.answer, self.problem = (wish, self._work(wish)), ""
+            except (ValueError, MemoryError) as error:
+                self.answer, self.problem = None, str(error) or "Out of memory."
+            self.fresh = True

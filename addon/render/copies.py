@@ -1,0 +1,82 @@
+"""Copies of the splats of viewports, made bit by bit while they are drawn."""
+
+import time
+
+import bpy
+
+from .frozen import Freezer, FrozenMesh
+from .scene import Placed, Source, place
+
+COPY_BUDGET = 0.015
+"""Seconds that one redraw may spend on copying splats out of Blender."""
+EDITED_AT_ONCE = 200_000
+"""Splats in Edit Mode that are copied anew after each step of editing; others after its end."""
+
+
+class Copies:
+    """Of all viewports; used on the main thread only."""
+
+    def __init__(self) -> None:
+        self._frozen: dict[int, FrozenMesh] = {}
+        self._stale: dict[int, FrozenMesh] = {}
+        self._freezers: dict[int, Freezer] = {}
+
+    def clear(self) -> None:
+        """Let go of everything."""
+        for kept in (self._frozen, self._stale, self._freezers):
+            kept.clear()
+
+    def forget_changed(self, depsgraph: bpy.types.Depsgraph) -> None:
+        """Copy again what a depsgraph update says has changed."""
+        for update in depsgraph.updates:
+            uid = getattr(update.id.original, "session_uid", None)
+            if isinstance(update.id, bpy.types.Object) and update.is_updated_geometry:
+                data = update.id.original.data
+                uid = None if data is None else data.session_uid
+            elif not update.is_updated_geometry:
+                continue
+            self._freezers.pop(uid, None)
+            if uid in self._frozen:
+                self._stale[uid] = self._frozen.pop(uid)
+
+    def keep_only(self, found: list[Source]) -> None:
+        """Let go of what is not among these."""
+        uids = {source.uid for source in found}
+        for kept in (self._frozen, self._stale, self._freezers):
+            for uid in kept.keys() - uids:
+                del kept[uid]
+
+    def copied(self, found: list[Source]) -> tuple[list[Placed], bool]:
+        """Some objects as they are, where their copying is under way as they were, or left out;
+        and whether all are as they are."""
+        until = time.perf_counter() + COPY_BUDGET
+        placed, complete = [], True
+        for source in found:
+            frozen = self._copy(source, until)
+            complete &= frozen is not None
+            frozen = frozen or self._stale.get(source.uid)
+            if frozen is not None:
+                placed.append(place(source, frozen))
+        return placed, complete
+
+    def _copy(self, source: Source, until: float) -> FrozenMesh | None:
+        uid = source.uid
+        if uid not in self._frozen and source.is_edited:
+            stale = self._stale.get(uid)
+            if stale is not None and len(stale.vertices) > EDITED_AT_ONCE:
+                return stale
+            self._frozen[uid] = source.frozen()
+        while uid not in self._frozen:
+            freezer = self._freezers.setdefault(uid, Freezer())
+            frozen = freezer.step(source.data, source.ob.name)
+            if frozen is not None:
+                self._frozen[uid] = frozen
+                del self._freezers[uid]
+                self._stale.pop(uid, None)
+            elif time.perf_counter() > until:
+                return None
+        return self._frozen[uid]
+
+
+SHARED = Copies()
+"""Those of this Blender session."""

@@ -1,0 +1,158 @@
+"""What the graphics card is given. Oracles are named in the tests."""
+
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from addon.core import Splats, transform_splats
+from addon.live import atlas, order
+from addon.live.level import FEWEST, STILL, Level
+from addon.process.latest import Latest
+from gscore import sh
+from tests.addon import splat_scenes as lab
+
+
+def similarity(scale: float, seed: int = 0) -> np.ndarray:
+    """A turn, a scale and a shift."""
+    rng = np.random.default_rng(seed)
+    turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    matrix = np.eye(4)
+    matrix[:3, :3] = turn * np.sign(np.linalg.det(turn)) * scale
+    matrix[:3, 3] = rng.normal(size=3)
+    return matrix
+
+
+def test_an_atlas_holds_every_splat_once():
+    """Oracle: the splats, in float64: means, covariances R S S R^T, sigmoids."""
+    parts = [lab.blob(1500, seed=1), lab.blob(700, seed=2)]
+    made = atlas.build(parts)
+    assert len(made) == 2200
+    rows = made.texels.reshape(-1, atlas.TEXELS, 4)
+    assert not rows[2200:].any()
+    for number, splats in enumerate(parts):
+        mine = np.flatnonzero(made.part == number)
+        assert sorted(made.index[mine]) == list(range(len(splats)))
+        index = made.index[mine]
+        np.testing.assert_array_equal(rows[mine, 0, :3], splats.means[index])
+        alpha = 1 / (1 + np.exp(-splats.opacities[index].astype(np.float64)))
+        np.testing.assert_allclose(rows[mine, 0, 3], alpha, rtol=1e-5)
+        q = splats.quats[index].astype(np.float64)
+        w, x, y, z = (q / np.linalg.norm(q, axis=1, keepdims=True)).T
+        long = np.stack(
+            [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+            ]
+        ).transpose(2, 0, 1)
+        axes = long * np.exp(splats.scales[index].astype(np.float64))[:, None]
+        want = axes @ axes.transpose(0, 2, 1)
+        got = np.concatenate([rows[mine, 1], rows[mine, 2, :2]], 1)
+        upper = np.stack(
+            [want[:, i, j] for i, j in [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]], 1
+        )
+        np.testing.assert_allclose(got, upper, atol=1e-5 * upper.max())
+        assert (rows[mine, 2, 2] == number).all()
+
+
+def test_the_most_seen_come_first():
+    """Oracle: a hand-made object of three splats: large and opaque, small, large and faint."""
+    splats = lab.blob(3)
+    splats = Splats(
+        **{n: getattr(splats, n) for n in ("means", "quats", "sh0", "shN")},
+        scales=np.log([[1, 1, 1], [0.01, 0.01, 0.01], [1, 1, 1]]).astype(np.float32),
+        opacities=np.array([3, 3, -3], np.float32),
+    )
+    assert atlas.build([splats]).index.tolist() == [0, 2, 1]
+
+
+def test_more_than_float32_numbers_are_refused(monkeypatch):
+    """Oracle: the sentence names both numbers."""
+    monkeypatch.setattr(atlas, "MOST", 1000)
+    with pytest.raises(ValueError, match=r"1,500 splats .* up to 1,000"):
+        atlas.build([lab.blob(1500)])
+
+
+@pytest.mark.parametrize("orthographic", [False, True])
+def test_order_and_colours_of_objects_with_transforms(orthographic):
+    """Oracle: the splats taken to the camera by `transform_splats`, whose SH turn along."""
+    parts = [lab.blob(900, seed=3), lab.blob(400, seed=4)]
+    viewmats = (similarity(1.7, 5), similarity(0.4, 6))
+    made = atlas.build(parts)
+    eye = order.Eye(viewmats=viewmats, orthographic=orthographic)
+    got = order.arrange(made, eye, len(made))
+    assert sorted(got[:, 0]) == list(range(len(made)))
+    there = [transform_splats(p, m) for p, m in zip(parts, viewmats, strict=True)]
+    depths = np.array([there[p].means[i, 2] for p, i in zip(made.part, made.index, strict=True)])
+    along = depths[got[:, 0].astype(int)]
+    assert (np.diff(along) <= 1e-5).all() and np.ptp(along) > 0.5
+    for row, *color in got[::37]:
+        splats, i = there[made.part[int(row)]], made.index[int(row)]
+        direction = np.array([0, 0, 1.0]) if orthographic else splats.means[i].astype(np.float64)
+        basis = sh.sh_basis(2, direction / np.linalg.norm(direction))
+        want = 0.5 + basis @ np.concatenate([splats.sh0[i], splats.shN[i]])
+        np.testing.assert_allclose(color, np.maximum(want, 0), atol=2e-5)
+
+
+def test_fewer_are_the_first_of_the_atlas():
+    """Oracle: the order of all, without the other rows."""
+    made = atlas.build([lab.blob(3000)])
+    eye = order.Eye(viewmats=(similarity(1.0),), orthographic=False)
+    full, few = (order.arrange(made, eye, n) for n in (10_000, 700))
+    np.testing.assert_array_equal(few, full[full[:, 0] < 700])
+
+
+def test_all_are_drawn_at_rest_and_fewer_on_the_move():
+    """Oracle: the clock that the test hands over."""
+    level, now = Level(), 100.0
+    assert level.look(now, b"a", 10**6) == 10**6  # opened: nothing moves
+    counts = []
+    for step in range(30):
+        now += 0.2
+        counts.append(level.look(now, b"%d" % step, 10**6))
+    assert level.moving and counts[0] < 10**6
+    assert counts == sorted(counts, reverse=True) and counts[-1] == FEWEST
+    for step in range(60):
+        now += 0.01
+        counts.append(level.look(now, b"q%d" % step, 10**6))
+    assert counts[-1] == 10**6
+    assert level.look(now + 0.1, b"q59", 10**6) == level.look(now, b"q59", 10**6)
+    assert level.rests_at == pytest.approx(now + STILL)
+    assert level.look(now + STILL, b"q59", 10**6) == 10**6 and not level.moving
+    assert level.look(now + 9, b"x", 5) == 5
+
+
+def test_a_thread_answers_the_last_wish():
+    """Oracle: the wishes; those between the first and the last are forgotten."""
+    begun, go = threading.Event(), threading.Event()
+
+    def work(wish: int) -> int:
+        begun.set()
+        assert go.wait(10)
+        if wish == 9:
+            raise ValueError("Nine cannot be.")
+        return 10 * wish
+
+    worker: Latest[int, int] = Latest(work, "test")
+    worker.ask(1)
+    assert begun.wait(10)
+    for wish in (2, 3, 4):
+        worker.ask(wish)
+    answers = []
+    go.set()
+    until = time.monotonic() + 10
+    while worker.busy and time.monotonic() < until:
+        if worker.answer and worker.answer not in answers:
+            answers.append(worker.answer)
+        time.sleep(0.001)
+    assert worker.answer == (4, 40) and worker.fresh and not worker.problem
+    assert all(answer in ((1, 10), (4, 40)) for answer in answers)
+    worker.ask(9)
+    while worker.busy and time.monotonic() < until:
+        time.sleep(0.001)
+    assert worker.problem == "Nine cannot be." and worker.answer is None
+    worker.close()
+    worker.ask(5)
+    assert not worker.busy

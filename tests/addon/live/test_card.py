@@ -1,0 +1,152 @@
+"""The graphics card's picture, in Blenders that offer one without a window (5.2 and later)."""
+
+import bpy
+import gpu
+import numpy as np
+import pytest
+
+from addon.cameras.captures import RenderCamera
+from addon.core import Rendered, Splats, render, transform_splats
+from addon.live import atlas, order
+from tests.addon import splat_scenes as lab
+
+SIZE = (160, 110)
+LIMIT = 2 / 255
+
+
+@pytest.fixture(scope="module")
+def card():
+    """The programs."""
+    if not hasattr(gpu, "init"):
+        pytest.skip("this Blender has no graphics without a window")
+    try:
+        gpu.init()
+    except SystemError as error:
+        pytest.skip(f"no graphics: {error}")
+    from addon.live.card import Card
+
+    made = Card()
+    yield made
+
+
+def view(orthographic: bool = False) -> RenderCamera:
+    """2 units before the origin, off its centre."""
+    viewmat = np.eye(4)
+    viewmat[2, 3] = 2.0
+    focal = 60.0 if orthographic else 140.0
+    return RenderCamera(
+        viewmat=viewmat,
+        K=np.array([[focal, 0, 78], [0, 1.1 * focal, 52], [0, 0, 1.0]]),
+        width=SIZE[0],
+        height=SIZE[1],
+        near=0.1,
+        orthographic=orthographic,
+        name="view",
+    )
+
+
+WINDOW = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, -1.002, -0.2002], [0, 0, -1, 0]])
+"""Blender's projection with the near plane at 0.1 and the far one at 100."""
+
+
+def drawn(card, parts: list[Splats], matrices, camera, *, meshes=None, limit=None, **options):
+    """[H, W, 4] premultiplied sRGB values, the top row first."""
+    from addon.live.card import Order, Shot, texture, upload
+
+    viewmats = tuple(camera.viewmat @ m for m in matrices)
+    made = atlas.build(parts)
+    eye = order.Eye(viewmats=viewmats, orthographic=camera.orthographic)
+    entries = Order(order.arrange(made, eye, len(made)))
+    while not entries.step():
+        pass
+    target = gpu.types.GPUOffScreen(*SIZE, format="RGBA16F")
+    shot = Shot(
+        camera=camera,
+        viewmats=viewmats,
+        window=WINDOW,
+        antialias=options.get("antialias", False),
+        limit=len(made) if limit is None else limit,
+    )
+    depths = None if meshes is None else texture(meshes[::-1, :, None])
+    card.draw(target, upload(made), entries, shot, depths)
+    found = target.texture_color.read()
+    found.dimensions = SIZE[0] * SIZE[1] * 4
+    return np.array(found, np.float32).reshape(SIZE[1], SIZE[0], 4)[::-1]
+
+
+def truth(splats: Splats, camera: RenderCamera, **options) -> Rendered:
+    """gscore's own picture."""
+    given = {"near": camera.near, "orthographic": camera.orthographic, **options}
+    return render(splats, camera.K, camera.viewmat, *SIZE, **given)
+
+
+@pytest.mark.parametrize("orthographic", [False, True])
+@pytest.mark.parametrize("antialias", [False, True])
+def test_the_picture_is_that_of_f12(card, orthographic, antialias):
+    """Oracle: gscore.render, to two levels of 8 bit."""
+    splats, camera = lab.blob(2000), view(orthographic)
+    got = drawn(card, [splats], [np.eye(4)], camera, antialias=antialias)
+    want = truth(splats, camera, antialias=antialias)
+    assert np.abs(got[..., :3] - want.rgb).max() < LIMIT
+    assert np.abs(got[..., 3] - want.alpha).max() < LIMIT
+    assert want.alpha.mean() > 0.2 and np.std(want.rgb) > 0.1
+
+
+def test_needles_and_sheets(card):
+    """Oracle: gscore.render; axes that differ a thousandfold, as trained splats have them."""
+    splats = lab.blob(1500)
+    scales = splats.scales.copy()
+    scales[::2, 0] += 2
+    scales[1::2, 2] -= 5
+    names = ("means", "quats", "opacities", "sh0", "shN")
+    splats = Splats(**{n: getattr(splats, n) for n in names}, scales=scales)
+    got, want = drawn(card, [splats], [np.eye(4)], view()), truth(splats, view())
+    assert np.abs(got[..., :3] - want.rgb).max() < LIMIT
+
+
+def test_several_objects_in_one_order(card):
+    """Oracle: gscore.render of all splats taken to one space."""
+    parts = [lab.blob(700, seed=1), lab.blob(900, seed=2)]
+    matrices = [np.eye(4), np.diag([0.5, 0.5, 0.5, 1.0])]
+    matrices[1][:3, :3] = 0.5 * np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]])
+    matrices[1][:3, 3] = 0.3, -0.1, -0.2
+    moved = [transform_splats(p, m) for p, m in zip(parts, matrices, strict=True)]
+    names = ("means", "quats", "scales", "opacities", "sh0", "shN")
+    both = Splats(**{n: np.concatenate([getattr(p, n) for p in moved]) for n in names})
+    got, want = drawn(card, parts, matrices, view()), truth(both, view())
+    assert np.abs(got[..., :3] - want.rgb).max() < LIMIT
+
+
+def test_meshes_hide_what_is_behind_them(card):
+    """Oracle: gscore.render of the splats before the mesh, where it is; of all, elsewhere."""
+    splats, camera = lab.blob(2000), view()
+    z = 2.0
+    depth = 0.5 + 0.5 * (-WINDOW[2, 2] * z + WINDOW[2, 3]) / z
+    meshes = np.ones((SIZE[1], SIZE[0]), np.float32)
+    meshes[:, :70] = depth
+    got = drawn(card, [splats], [np.eye(4)], camera, meshes=meshes)
+    front = truth(splats.subset(splats.means[:, 2] + 2 <= z), camera)
+    everything = truth(splats, camera)
+    assert np.abs(got[:, :70, :3] - front.rgb[:, :70]).max() < LIMIT
+    assert np.abs(got[:, 70:, :3] - everything.rgb[:, 70:]).max() < LIMIT
+    assert np.abs(front.rgb - everything.rgb)[:, :70].max() > 0.2
+
+
+def test_fewer_splats(card):
+    """Oracle: gscore.render of the first rows of the atlas."""
+    splats = lab.blob(2000)
+    first = atlas.build([splats]).index[:300]
+    chosen = np.zeros(2000, bool)
+    chosen[first] = True
+    got = drawn(card, [splats], [np.eye(4)], view(), limit=300)
+    assert np.abs(got[..., :3] - truth(splats.subset(chosen), view()).rgb).max() < LIMIT
+
+
+def test_without_a_window_nothing_is_registered(scene):
+    """Oracle: the display of new objects, and the sentence of the panel."""
+    from addon.splats.live import SESSION
+
+    if not bpy.app.background:
+        pytest.skip("there is a window")
+    assert not SESSION.works and not SESSION.problem
+    assert lab.add(scene, lab.blob()).gscore.display == "POINTS"

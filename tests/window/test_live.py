@@ -1,0 +1,142 @@
+"""Splats in the window of a real Blender, on a screen that is not there. Oracles: in the tests.
+
+Needs a Blender of 4.2 or later, Xvfb and ImageMagick: `make test-window`. GSCORE_BLENDER names the
+program; without it `blender` is taken.
+"""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytestmark = pytest.mark.window
+
+ROOT = Path(__file__).parents[2]
+SCREEN = (1000, 700)
+LONGEST = 500
+COLOR = (204, 102, 51)
+"""Of the wall, 8 bit."""
+
+
+def program() -> str:
+    """A Blender that can be used, or the test is skipped."""
+    found = os.environ.get("GSCORE_BLENDER") or shutil.which("blender")
+    tools = [name for name in ("Xvfb", "import", "convert") if shutil.which(name) is None]
+    if found is None or tools:
+        pytest.skip(f"there is no {'Blender' if found is None else ', '.join(tools)}")
+    told = subprocess.run([found, "--version"], capture_output=True, text=True, check=False).stdout
+    version = re.search(r"Blender (\d+)\.(\d+)", told)
+    if version is None or tuple(map(int, version.groups())) < (4, 2):
+        pytest.skip(f"{found} is no Blender of 4.2 or later")
+    return found
+
+
+@pytest.fixture(scope="module")
+def screen() -> Iterator[str]:
+    """The name of a display that is not there."""
+    read, write = os.pipe()
+    server = subprocess.Popen(
+        ["Xvfb", "-displayfd", str(write), "-screen", "0", "{}x{}x24".format(*SCREEN)],
+        pass_fds=[write],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    os.close(write)
+    with os.fdopen(read) as told:
+        number = told.readline().strip()
+    time.sleep(0.5)
+    yield f":{number}"
+    server.terminate()
+    server.wait(10)
+
+
+@pytest.fixture(scope="module")
+def seen(screen: str, tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path]:
+    """What `live_scene.py` saw, and the folder of its pictures."""
+    blender, folder = program(), tmp_path_factory.mktemp("window")
+    (folder / "profile").mkdir()
+    packages = [p for p in sys.path if (Path(p) / "plyfile.py").is_file()]
+    environment = {
+        **os.environ,
+        "DISPLAY": screen,
+        "LIBGL_ALWAYS_SOFTWARE": "1",
+        "BLENDER_USER_RESOURCES": str(folder / "profile"),
+    }
+    place = ["-p", "0", "0", *map(str, SCREEN)]
+    script = ["-P", str(ROOT / "tests/window/live_scene.py"), "--", str(folder), *packages[:1]]
+    done = subprocess.run(
+        [blender, "--factory-startup", *place, *script],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=LONGEST,
+        check=False,
+    )
+    told = folder / "seen.json"
+    assert told.is_file(), done.stdout + done.stderr
+    found = json.loads(told.read_text())
+    assert not found["log"], found["log"]
+    output = done.stdout + done.stderr
+    refused = output.count("Splats cannot be drawn live.")  # what the driver said is shown whole
+    assert refused == output.count("Traceback") == 1, output
+    return found, folder
+
+
+def pixels(folder: Path, name: str) -> np.ndarray:
+    """[H, W, 3] 8 bit of a picture of the screen."""
+    command = ["convert", str(folder / f"{name}.png"), "-depth", "8", "rgb:-"]
+    raw = subprocess.run(command, capture_output=True, check=True).stdout
+    return np.frombuffer(raw, np.uint8).reshape(SCREEN[1], SCREEN[0], 3).astype(int)
+
+
+def middle(seen: tuple[dict, Path], name: str, aside: int = 0) -> np.ndarray:
+    """[3] colour in the middle of the view, or some pixels to its right."""
+    found, folder = seen
+    x, y = found["middle"]
+    return pixels(folder, name)[SCREEN[1] - y, x + aside]
+
+
+def test_colours_of_splats_reach_the_screen(seen):
+    """Oracle: the wall's colour, to two levels of 8 bit: Solid shading adds nothing to it."""
+    assert seen[0]["display"] == "SPLATS"
+    assert np.abs(middle(seen, "wall") - COLOR).max() <= 2
+
+
+def test_meshes_before_and_behind_splats(seen):
+    """Oracle: the wall's colour where the mesh is behind it, Solid's grey where it is before."""
+    assert np.ptp(middle(seen, "plate_before")) < 10
+    assert np.abs(middle(seen, "plate_before", aside=80) - COLOR).max() <= 2
+    assert np.abs(middle(seen, "plate_behind") - COLOR).max() <= 2
+
+
+def test_which_objects_are_shown(seen):
+    """Oracle: what a user has hidden, shown otherwise, or left out of the local view."""
+    found = seen[0]
+    assert found["both"] == ["blob", "wall"]
+    assert found["hidden"] == found["as_points"] == ["wall"]
+    assert found["local"] == ["blob"]
+
+
+def test_the_exact_picture_takes_over(seen):
+    """Oracle: the picture of the graphics card, to three levels of 8 bit where splats are dense;
+    the background is the world's and not Solid's."""
+    _, folder = seen
+    live, exact = (pixels(folder, name) for name in ("both", "exact"))
+    x, y = seen[0]["middle"]
+    part = np.s_[SCREEN[1] - y - 60 : SCREEN[1] - y + 60, x - 60 : x + 60]
+    assert np.abs(live[part] - exact[part]).max() <= 3
+    assert np.std(exact[part]) > 5
+
+
+def test_a_refused_program_is_a_sentence(seen):
+    """Oracle: what the driver said."""
+    assert "a driver's word" in seen[0]["refused"]
+    assert "shown as points" in seen[0]["refused"]
