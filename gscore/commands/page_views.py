@@ -96,7 +96,7 @@ def _dataset(
 
 def _listed(args: argparse.Namespace, model: GivenModel) -> tuple[Cameras | None, Collection[str]]:
     """Cameras of a cameras.json, and the names of those held out of the training."""
-    beside = model.run or model.ply.parent
+    beside = model.run or model.path.parent
     path = args.source or beside / "cameras.json"
     if args.source is None and not path.is_file():
         return None, ()

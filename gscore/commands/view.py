@@ -76,7 +76,7 @@ def _output(args: argparse.Namespace, model: GivenModel) -> Path:
     if args.photos < 0:
         raise ConfigError(f"--photos must be at least 0, got {args.photos}.")
     if args.output is None and model.run is None:
-        raise ConfigError(f"{model.ply} lies in no run's folder; say with -o where the page goes.")
+        raise ConfigError(f"{model.path} lies in no run's folder; say with -o where the page goes.")
     output: Path = args.output or model.run / PAGE  # pyright: ignore
     if output.suffix.lower() not in (".html", ".htm"):
         raise ConfigError(f"{output}: a page is written; give a name that ends in .html.")
@@ -100,15 +100,15 @@ def _write(
     packed = pack(model.splats)
     if not packed.head["count"]:
         raise ConfigError(
-            f"{model.ply} holds no splat that can be seen, so there is no page of it."
+            f"{model.path} holds no splat that can be seen, so there is no page of it."
         )
     status.show(["Measuring what the packing costs"])
     cost = difference(model, packed, views, threads=args.threads)
     warnings = [*model.warnings, *views.warnings]
     if packed.head["count"] > _MANY:
         warnings.append(
-            f"{number(packed.head['count'])} splats move slowly on a laptop; a training with a "
-            f"smaller --max-splats gives a lighter page."
+            f"{number(packed.head['count'])} splats move slowly on a laptop; gscore convert --count "
+            f"{_MANY} thins them first."
         )
     for sentence in warnings:
         status.clear()
@@ -151,15 +151,15 @@ def _title(model: GivenModel) -> str:
     """Of the capture where it is known, else of the file."""
     if model.data is not None and model.data.source.name:
         return model.data.source.name
-    plain = model.ply.name == "point_cloud.ply" and model.ply.parent.name
-    return model.ply.parent.name if plain else model.ply.stem
+    plain = model.path.name == "point_cloud.ply" and model.path.parent.name
+    return model.path.parent.name if plain else model.path.stem
 
 
 def _check_splats(model: GivenModel) -> None:
     if len(model.splats) > _MOST_SPLATS:
         raise ConfigError(
-            f"{model.ply} holds {number(len(model.splats))} splats; a page takes at most "
-            f"{number(_MOST_SPLATS)}. Train with a smaller --max-splats."
+            f"{model.path} holds {number(len(model.splats))} splats; a page takes at most "
+            f"{number(_MOST_SPLATS)}. Thin them first: gscore convert IN OUT --count {_MANY}."
         )
 
 
