@@ -107,8 +107,8 @@ def _write(
     warnings = [*model.warnings, *views.warnings]
     if packed.head["count"] > _MANY:
         warnings.append(
-            f"{number(packed.head['count'])} splats move slowly on a laptop; gscore convert --count "
-            f"{_MANY} thins them first."
+            f"{number(packed.head['count'])} splats move slowly on a laptop; gscore convert "
+            f"--count {_MANY} thins them first."
         )
     for sentence in warnings:
         status.clear()
