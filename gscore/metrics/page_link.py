@@ -10,7 +10,7 @@ SEAM = "<!-- gscore view -->"
 """In a report: here the page would be shown."""
 _SHOWN = (
     f'{SEAM}<section id="page"><h2><a href="{PAGE}">Look around in 3D</a></h2>'
-    "<details><summary>A small one</summary>"
+    "<details><summary>Show it here</summary>"
     f'<iframe src="{PAGE}" title="The splats" loading="lazy"></iframe></details></section>\n'
 )
 
