@@ -11,7 +11,7 @@ import numpy as np
 
 from ..errors import GsError
 from ..io.files import read_bytes
-from ..io.runs import SEARCH_RECORD
+from ..io.runs import MADE_OF, SEARCH_RECORD
 from ..json_text import parse_json
 from ..scene import Scene
 from ..words import count_words
@@ -50,6 +50,15 @@ def cameras_section(source: Path, scene: Scene) -> CamerasSection | None:
     except (GsError, ValueError):
         return None
     return CamerasSection(found=found, scene=scene) if isinstance(found, dict) else None
+
+
+def made_of(section: CamerasSection) -> str | None:
+    """What the photos' folder or the video is called; None where the record does not say."""
+    path = section.found.get(MADE_OF)
+    if not isinstance(path, str) or not (name := Path(path).name):
+        return None
+    folder = Path(path).parent.name
+    return folder if folder and name in ("images", "input") else name
 
 
 def cameras_html(section: CamerasSection) -> str:

@@ -19,7 +19,7 @@ from .depth import DepthSection, depth_html
 from .page_link import SEAM
 from .pictures import ERROR_GAIN, ViewPictures
 from .poses import poses_html
-from .report_head import TIMES, head_html, meaning_html, tiles_html
+from .report_head import EXPOSED, TIMES, head_html, learnt_exposure, meaning_html, tiles_html
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,6 +38,8 @@ class Report:
     """How it was trained, in words."""
     command: str = ""
     """The same for a shell."""
+    depth_command: str = ""
+    """What would make depth maps for it, for a shell."""
     depth: DepthSection | None = None
     cameras: CamerasSection | None = None
     config: dict[str, dict[str, Any]] = field(default_factory=dict)
@@ -66,7 +68,7 @@ def report_html(report: Report) -> str:
             head_html(title, metrics, preset=report.preset, command=report.command),
             _warnings(report.warnings),
             tiles_html(metrics),
-            meaning_html(metrics),
+            meaning_html(metrics, report.depth_command),
             SEAM,
             _curves(metrics.get("history") or [], metrics.get("evals") or [], metrics),
             _view_cards(views, metrics),
@@ -134,6 +136,8 @@ def _curves(history: list[dict[str, Any]], evals: list[dict[str, Any]], metrics:
         if photo_marks(history, "step")
         else ""
     )
+    if learnt_exposure(metrics):
+        told += f'<p class="hint">{EXPOSED}</p>'
     return (
         '<section id="curves" data-axis="step"><div class="bar"><h2>Training</h2>'
         f'{switch}</div>{told}<div class="plots">{"".join(boxes)}</div></section>\n'
