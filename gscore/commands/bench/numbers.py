@@ -8,7 +8,7 @@ from ...errors import ConfigError
 from ...shown import shown
 from ...words import number
 
-MOST = 10**8
+_MOST = 10**8
 """Ten times what a large scene has; so many splats take 24 GB."""
 
 
@@ -19,7 +19,7 @@ def check_numbers(args: argparse.Namespace, least: int, *names: str) -> None:
         for given in value if isinstance(value, Sequence) else [value]:
             if given < least:
                 raise ConfigError(f"{flag_of(name)} must be at least {least}, got {given}.")
-            if given > MOST:
+            if given > _MOST:
                 raise ConfigError(
-                    f"{flag_of(name)} must be at most {number(MOST)}, got {shown(given)}."
+                    f"{flag_of(name)} must be at most {number(_MOST)}, got {shown(given)}."
                 )
