@@ -115,7 +115,9 @@ test-neon: $(INSTALLED)  ## NEON, emulated (Debian's g++-aarch64-linux-gnu and q
 	$(CMAKE) -B build/neon -DGS_TESTS=ON -DCMAKE_SYSTEM_NAME=Linux -DCMAKE_SYSTEM_PROCESSOR=aarch64 \
 		-DCMAKE_CXX_COMPILER=aarch64-linux-gnu-g++ > /dev/null
 	$(BIN)/cmake --build build/neon
-	qemu-aarch64-static -L /usr/aarch64-linux-gnu -E LD_LIBRARY_PATH=build/neon build/neon/test_native
+	for t in native stereo; do \
+		qemu-aarch64-static -L /usr/aarch64-linux-gnu -E LD_LIBRARY_PATH=build/neon build/neon/test_$$t || exit 1; \
+	done
 
 # Every numerical stress test in its long version, with every instruction set: about an hour on two quiet cores, half of it
 # for S30's 200 000 steps. STRESS="--only S06" and the like choose.

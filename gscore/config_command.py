@@ -1,4 +1,4 @@
-"""Options of a run as a command line: a preset, and what differs from it."""
+"""Options of a run as commands: a preset and what differs from it, and depth maps for it."""
 
 import shlex
 from collections.abc import Iterator
@@ -36,12 +36,13 @@ def train_command(data: DataConfig, train: TrainConfig, output: Path) -> str:
 
     Args:
         data, train: The options.
-        output: Folder for the results.
+        output: Folder for the results, which it replaces.
     """
     preset = preset_of(data)
     if not preset or (data.eval and data.test_offset is not None):
         return ""
-    words = ["gscore", "train", str(data.source), "-o", str(output), "--preset", preset]
+    words = ["gscore", "train", str(data.source), "-o", str(output), "--overwrite"]
+    words += ["--preset", preset]
     plain_data, plain_train = PRESETS[preset](data.source)
     words += _split(data)
     for name, value in _differences(plain_data, data):
@@ -52,6 +53,17 @@ def train_command(data: DataConfig, train: TrainConfig, output: Path) -> str:
             words += _option(name, value)
             if name == "iterations" and plain_train.steps_a_photo == train.steps_a_photo != 0:
                 words += _option("steps_a_photo", train.steps_a_photo)  # or it would be lifted
+    return shlex.join(words)
+
+
+def depth_command(data: DataConfig) -> str:
+    """The `gscore depth` that makes maps for these views, for a shell; how is left to add. Empty
+    where none has their split."""
+    if data.eval and data.test_offset is not None:
+        return ""
+    words = ["gscore", "depth", str(data.source)]
+    if data.eval:  # the verb knows no --eval, and its 8 leaves a capture's own split as it is
+        words += ["--hold-out", hold_out_word(data) or str(data.test_every)]
     return shlex.join(words)
 
 

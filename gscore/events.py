@@ -235,6 +235,8 @@ class SfmProgress(Event):
     """Seconds left in the phase; NaN: not known."""
     left_s: float = math.nan
     """Seconds left in all, further attempts left out; NaN: not known."""
+    share: float = math.nan
+    """Of the attempt that is done, by the time it takes, 0 to 1; NaN: not known."""
 
 
 @dataclass(frozen=True, kw_only=True)

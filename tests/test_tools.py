@@ -1,9 +1,11 @@
 """Developers' scripts, which no test of their own runs; oracle: the modules they import from."""
 
 import ast
+import re
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
+from runpy import run_path
 
 import pytest
 
@@ -38,3 +40,14 @@ def test_each_script_has_one_place() -> None:
     }
     names = [path.name for path in (ROOT / "tools").rglob("*.py")]
     assert len(names) == len(set(names))
+
+
+def test_every_fuzz_target_gets_its_time() -> None:
+    """Oracle: csrc/CMakeLists.txt, which builds them, and the folders of what they found."""
+    names = run_path(str(ROOT / "tools" / "break" / "fuzz.py"))
+    built = re.search(r"set\(fuzz_targets ([\w ]+)\)", (ROOT / "csrc/CMakeLists.txt").read_text())
+    assert built and set(built[1].split()) == set(names["TARGETS"])
+    for target in names["TARGETS"]:
+        assert (ROOT / "csrc" / "fuzz" / f"fuzz_{target}.cpp").exists()
+        assert (ROOT / "tests" / "fuzz" / "cases" / target).is_dir()
+    assert sum(names["TARGETS"].values()) + names["READERS"] + names["SCENES"] == pytest.approx(1)

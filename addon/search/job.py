@@ -49,8 +49,11 @@ class SearchJob(VerbJob):
 
     @property
     def share(self) -> float:
-        """Part of the phase that is under way, 0 to 1."""
+        """Part that is done, 0 to 1: of the search where that is told, else of the phase."""
         told = self.progress
+        whole = getattr(told, "share", None)
+        if whole is not None and math.isfinite(whole):
+            return whole
         return min(told.done / told.total, 1.0) if told is not None and told.total > 0 else 0.0
 
     @property

@@ -17,9 +17,10 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     std::vector<float> image(3 * pixels);
     std::vector<uint8_t> target(3 * pixels), mask(pixels);
     const uint8_t flags = in.byte();
+    const uint8_t exposure = in.byte(); // without or with a gain; photos that are white in places
     const bool flat = flags & 1, equal = flags & 2;
     for (size_t i = 0; i < image.size(); ++i) {
-        target[i] = flat ? 128 : uint8_t(noise(0, 256));
+        target[i] = exposure & 2 && i % 7 < 3 ? 255 : flat ? 128 : uint8_t(noise(0, 256));
         image[i] = equal ? float(target[i]) / 255 : noise(-0.2f, 1.2f);
     }
     for (uint8_t &m : mask)
@@ -27,7 +28,7 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     gs_loss_args args = {width,      height, image.data(), target.data(), mask.data(), flags >> 4 & 3,
                          {0, 0.5, 1}, 0.2f,   1 + (flags >> 6)};
     float gain[3] = {noise(0.5f, 2), 1, noise(0.5f, 2)};
-    args.gain = flags & 1 ? gain : nullptr;
+    args.gain = exposure & 1 ? gain : nullptr;
     float largest = 1;
     while (!in.empty()) {
         const uint8_t what = in.byte();
@@ -69,6 +70,10 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
             REQUIRE(result.ssim <= 1 + 1e-6 && result.l1 >= 0 && result.mse >= 0);
             for (size_t i = 0; i < gradient.size(); ++i)
                 REQUIRE(std::isfinite(gradient[i]));
+            for (const double v : result.v_log_gain)
+                REQUIRE(std::isfinite(v) && (args.gain || v == 0));
+            REQUIRE(gs_image_loss(raster, &args, &second, nullptr) == GS_OK);
+            REQUIRE(second.loss == result.loss && second.v_log_gain[0] == 0 && second.v_log_gain[2] == 0);
         }
         args.threads = args.threads == 1 ? 4 : 1;
         REQUIRE(gs_image_loss(raster, &args, &second, again.data()) == GS_OK);

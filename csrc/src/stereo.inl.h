@@ -254,8 +254,11 @@ class StereoSweep {
             const Mask within = both(gt(at, Vec{}), gt(set1(float(in_.planes - 1)), at));
             const Mask known = both(both(in_row, within), gt(set1(in_rows ? 1.0f : 0.0f), Vec{}));
             write_row(a_.found.inverse_depth, y, x, keep(known, fma(at + aside, step_, set1(in_.farthest))));
-            write_row(a_.found.score, y, x, select(known, fma(0.25f * (right - left), aside, best), set1(kNoScore)));
-            write_row(a_.found.rival, y, x, select(known, load(row(kRival, y) + x), set1(kNoScore)));
+            // A parabola may rise above what a correlation can be, and rounding too.
+            const Vec top = min(fma(0.25f * (right - left), aside, best), set1(1.0f));
+            const Vec rival = min(load(row(kRival, y) + x), set1(1.0f));
+            write_row(a_.found.score, y, x, select(known, top, set1(kNoScore)));
+            write_row(a_.found.rival, y, x, select(known, rival, set1(kNoScore)));
         }
     }
 

@@ -29,7 +29,7 @@ from .streams import steady_streams
 VERBS = {
     "frames": "choose sharp frames of a video for a folder of photos",
     "sfm": "find the cameras of photos, which makes a capture of them",
-    "train": "train splats from photos with COLMAP cameras",
+    "train": "train splats from photos, with or without cameras, or from a video",
     "sequence": "train the frames of a multi-view video one after another",
     "options": "list the options of a training",
     "eval": "measure trained splats against the photos",

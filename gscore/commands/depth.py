@@ -482,9 +482,13 @@ def _table_text(table: list[dict[str, Any]]) -> str:
     lines = [f"{'view':{width}}  points  inliers     scale    offset   error"]
     for row in table:
         error = "-" if row["error"] is None else f"{row['error']:.1%}"
-        numbers = f"{row['points']:6}  {row['inliers']:7.0%}  {row['scale']:8.4g}"
+        inliers = f"{row['inliers']:.0%}" if row["points"] else "-"  # of none there is no share
+        scale, offset = "-", "-"
+        if row["map"]:
+            scale, offset = f"{row['scale']:.4g}", f"{row['offset']:.3g}"
         lines.append(
-            f"{row['view']:{width}}  {numbers}  {row['offset']:8.3g}  {error:>6}  {row['reason']}"
+            f"{row['view']:{width}}  {row['points']:6}  {inliers:>7}  {scale:>8}  {offset:>8}  "
+            f"{error:>6}  {row['reason']}"
         )
     return "\n".join(line.rstrip() for line in lines)
 
@@ -529,6 +533,11 @@ def _print(args: argparse.Namespace, result: _Result) -> None:
             "placed by stereo" if args.method == "stereo" else f"aligned by the {args.align} rule"
         )
         lines.append(f"{count} {rule}: {done.params}")
+        if not any(row["points"] for row in done.table):
+            lines.append(
+                "The capture has no points where these maps state depths, so nothing but the "
+                "photos says how good they are."
+            )
         lines.append(f"{count_words(result.shown, 'view')} on {done.sheet}")
     print(wrapped("\n".join([*lines, done.why]), sys.stdout))
 

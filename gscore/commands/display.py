@@ -1,6 +1,7 @@
 """How a command shows events: JSON lines for programs, lines for people, or nothing."""
 
 import contextlib
+import math
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -125,14 +126,15 @@ class Lines:
         self._status.show([*parts, event.view], share=share, at_once=last)
 
     def _sfm(self, event: SfmProgress) -> None:
-        if not event.done:
-            self._status.show([_capital(event.phase)])
-            return
         what = "pair" if event.phase == "comparing photos" else "photo"
-        parts = [f"{event.phase}, {what} {event.done} of {event.total}"]
-        if event.left_s == event.left_s:
+        parts = [event.phase]
+        if event.done:
+            parts = [f"{event.phase}, {what} {number(event.done)} of {number(event.total)}"]
+        if math.isfinite(event.left_s):
             parts = [f"{clock(event.left_s)} left", *parts]
-        self._status.show(parts, share=event.done / max(event.total, 1))
+        else:
+            parts[0] = _capital(parts[0])
+        self._status.show(parts, share=event.share if math.isfinite(event.share) else None)
 
     def _frames(self, event: FramesProgress) -> None:
         if not event.done:

@@ -110,6 +110,12 @@ def _measure(args: argparse.Namespace, status: Status) -> int:
             f"{output} holds the metrics of held-out views; say with -o where those of the "
             f"{'training' if split == 'train' else 'other'} views go."
         )
+    course = _of_the_training(model)
+    if split != "test" and course.exposure and course.exposure.get("learnt"):
+        warnings.append(
+            "The training compared each photo with a picture exposed as it is; here pictures are "
+            "neutral, so PSNR is lower than in its report where exposures differ."
+        )
     collector = PictureCollector(count=len(indices))
     told = Counted(status, len(indices), "view")
     background = model.background
@@ -159,7 +165,7 @@ def _measure(args: argparse.Namespace, status: Status) -> int:
         storage_bytes=model.file.storage_bytes,
         isa=backend.isa(),
         threads=args.threads or backend.default_threads(),
-        course=_of_the_training(model),
+        course=course,
     )
     content = write_results(
         output,

@@ -37,6 +37,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="jpg",
         help="jpg, of quality 97 with full colour resolution, or png (jpg)",
     )
+    parser.add_argument(
+        "--overwrite",
+        action="store_true",
+        help="replace frames of another video, or of other options, that gscore wrote there",
+    )
     add_output_options(parser)
 
 
@@ -49,7 +54,9 @@ def run(args: argparse.Namespace) -> int:
     check_folder(request.output)
     frames, code = attend(
         args,
-        lambda show, control: extract_frames(request, on_event=show, control=control),
+        lambda show, control: extract_frames(
+            request, on_event=show, control=control, overwrite=args.overwrite
+        ),
         stopped=lambda: "Stopped; nothing was written.",
     )
     if frames is None:

@@ -9,7 +9,7 @@ from ..config import DataConfig
 from ..datasets.capture import listing
 from ..sfm.attempts import attempts
 from ..sfm.photos import LEAST, by_camera, list_photos, photo_folder, read_photos
-from ..sfm.plain import apart_of
+from ..sfm.plain import apart_of, doubt
 from ..sfm.request import Request
 from ..sfm.stages import Work
 from ..words import count_words, number, time_words
@@ -30,6 +30,7 @@ def photos_facts(path: Path, data: DataConfig) -> dict[str, Any]:
     )
     work = Work(request=request, root=root, photos=photos, masks=None, folder=root)
     first = attempts(request)[0]
+    doubtful = doubt(root, names, len(by_camera(photos)))
     return {
         "kind": "photos",
         "path": str(path),
@@ -40,8 +41,8 @@ def photos_facts(path: Path, data: DataConfig) -> dict[str, Any]:
         "enough": len(photos) >= LEAST,
         "pairs": sum(map(len, work.parts(first))),
         "sfm_seconds": round(work.forecast(first).seconds, 1),
-        "next": f"gscore train {shlex.quote(str(path))} -o run",
-        "warnings": [],
+        "next": None if doubtful else f"gscore train {shlex.quote(str(path))} -o run",
+        "warnings": [doubtful] if doubtful else [],
     }
 
 
@@ -59,6 +60,8 @@ def photos_text(facts: dict[str, Any]) -> list[str]:
     if not facts["enough"]:
         least = count_words(LEAST, "photo")
         return [*lines, f"  at least {least} that overlap are needed, 30 or more are good"]
+    if facts["next"] is None:
+        return lines
     about = time_words(float(f"{facts['sfm_seconds']:.1g}"))
     return [
         *lines,

@@ -16,7 +16,7 @@ from . import train as train_command
 from .attend import attend
 from .declared import declare, given_options
 from .live import onlookers_of
-from .output import others_in, print_json
+from .output import check_folder, others_in, print_json
 from .status import wrapped
 
 if TYPE_CHECKING:
@@ -68,6 +68,7 @@ def _train(args: argparse.Namespace, show: Show, control: Control) -> "SequenceR
     from ..trainer.sequence import read_options, train_sequence
 
     check_place(args.output)
+    check_folder(args.output)
     frames = [path.name for path in args.output.glob("frame_*") if path.is_dir()]
     others = others_in(args.output, (SEQUENCE_FILE, "config.json", *frames))
     if others and not args.events:

@@ -22,7 +22,7 @@ from .declared import Set, declare, given_options
 from .live import add_live_options, onlookers_of
 from .names_3dgs import add_3dgs_names, translate
 from .no_effect import idle_options
-from .output import first_few, print_json
+from .output import check_folder, first_few, print_json
 from .status import wrapped
 
 if TYPE_CHECKING:  # torch, which training imports, takes seconds to load: --help need not wait
@@ -165,6 +165,7 @@ def _train(args: argparse.Namespace, show: Show, control: Control) -> "TrainResu
     from ..trainer.run import train
 
     check_place(args.output, data)  # of / or the capture nobody wants to hear what is in it
+    check_folder(args.output)
     others = first_few(others_in_run(args.output))
     if others and not args.events:
         show(Warn(message=f"{args.output} holds other files too; they stay: {others}"))

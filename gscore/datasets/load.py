@@ -18,7 +18,7 @@ from .masks import MaskChoice, choose_masks
 from .points import colors_from_photos, random_points, told_of_points
 from .read import read_capture
 from .resolution import check_resolution, scale_intrinsics, target_size
-from .split import split_views
+from .split import split_views, told_of_split
 from .undistort import Undistortion, plan_undistortion
 
 RANDOM_POINTS = 100_000
@@ -72,6 +72,7 @@ def load_dataset(config: DataConfig, *, cancelled: Callable[[], bool] = lambda: 
         names=tuple(view.name for view in views),
     )
     train, test = split_views(cameras.names, config, stated=capture.test_names)
+    warnings += told_of_split(len(views), test, config)
     points = _points(capture.points, cameras, views, files, warnings, cancelled)
     return Dataset(
         scene=Scene(cameras=cameras, points=points, warnings=tuple(warnings)),

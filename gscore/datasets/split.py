@@ -6,7 +6,7 @@ from pathlib import Path, PurePosixPath
 from ..config import DataConfig
 from ..errors import ConfigError, DatasetError
 from ..io.files import read_bytes
-from ..words import count_words
+from ..words import count_words, number
 from .capture import listing
 
 
@@ -66,6 +66,24 @@ def split_views(
             "are test views. Choose another split, or train without --eval."
         )
     return [i for i in range(count) if i not in test], sorted(test)
+
+
+def told_of_split(count: int, test: Sequence[int], config: DataConfig) -> list[str]:
+    """A sentence where the rule asks for more photos than there are between two test views.
+
+    Args:
+        count: Of all views.
+        test: As `split_views` gives them.
+        config: The rule.
+    """
+    by_count = config.test_list is None and not (config.test_first or config.test_last)
+    if not (config.eval and by_count and len(test) == 1 and config.test_every > count):
+        return []
+    return [
+        f"One of {number(config.test_every)} views is held out, but there are only "
+        f"{count_words(count, 'view')}: one view alone is measured, which says little. "
+        "`--hold-out 8` holds out every eighth."
+    ]
 
 
 def _listed(names: Sequence[str], path: Path) -> set[int]:

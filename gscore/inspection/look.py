@@ -15,7 +15,7 @@ from ..datasets.masks import check_mask_size, masks_of_views
 from ..datasets.placement import told_of_axes, told_of_places
 from ..datasets.points import told_of_points
 from ..datasets.resolution import check_resolution
-from ..datasets.split import split_views
+from ..datasets.split import split_views, told_of_split
 from ..depth.params import DEPTH_FOLDER
 from ..depth.stated import StatedDepth, stated_depth
 from ..errors import BackendError, DatasetError, GsError
@@ -169,7 +169,8 @@ def _use_problems(config: DataConfig, capture: Capture, seen: _Seen) -> Iterator
     if seen.views:
         try:
             names = [view.name for view in seen.views]
-            split_views(names, config, stated=capture.test_names)
+            _, test = split_views(names, config, stated=capture.test_names)
+            yield from map(_note, told_of_split(len(names), test, config))
         except GsError as error:
             yield _error(str(error))
     usable = within_reach(capture.points.points)

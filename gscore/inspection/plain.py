@@ -7,6 +7,7 @@ from ..datasets.capture import listing
 from ..errors import GsError
 from ..io.images import read_info
 from ..sfm.photos import LEAST, list_photos, photo_folder
+from ..sfm.plain import doubt
 from ..video import is_video
 from ..words import count_words
 from .facts import CaptureFacts, Problem
@@ -36,6 +37,8 @@ def bare_facts(source: Path) -> CaptureFacts:
     if len(names) < LEAST:
         few = f"Only {count_words(len(names), 'photo')}: at least {LEAST} that overlap are needed, "
         problems.append(Problem(is_error=True, text=f"{few}30 or more are good."))
+    if doubtful := doubt(root, names, len(sizes)):
+        problems.append(Problem(is_error=False, text=doubtful))
     if unread:
         left = count_words(len(unread), "photo is of a kind", "photos are of kinds")
         text = f"{left} that is not read: {listing(unread, 2)}. Convert to JPEG."

@@ -36,6 +36,8 @@ CAPTURE = "capture"
 """Folder of the capture made of plain photos, which a next training uses again."""
 SEARCH_RECORD = "sfm.json"
 """In a capture whose cameras gscore found: what was found, and of which photos."""
+MADE_OF = "made_of"
+"""In that record: the photos' folder or the video, as an absolute path."""
 
 _CHECKPOINT = re.compile(r"step_(\d{8,})\.safetensors")
 _SNAPSHOT = re.compile(r"step_(\d{6,})\.ply")

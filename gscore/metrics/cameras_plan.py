@@ -12,7 +12,7 @@ import numpy as np
 
 from ..errors import GsError
 from ..io.files import read_bytes
-from ..io.runs import SEARCH_RECORD
+from ..io.runs import MADE_OF, SEARCH_RECORD
 from ..json_text import parse_json
 from ..scene import Scene
 from ..words import count_words
@@ -53,6 +53,15 @@ def cameras_section(source: Path, scene: Scene) -> CamerasSection:
     except (GsError, ValueError):
         found = None
     return CamerasSection(found=found if isinstance(found, dict) else None, scene=scene)
+
+
+def made_of(section: CamerasSection) -> str | None:
+    """What the photos' folder or the video is called; None where no record says."""
+    path = section.found.get(MADE_OF) if section.found is not None else None
+    if not isinstance(path, str) or not (name := Path(path).name):
+        return None
+    folder = Path(path).parent.name
+    return folder if folder and name in ("images", "input") else name
 
 
 def cameras_html(section: CamerasSection, worths: Mapping[str, float | None]) -> str:

@@ -20,7 +20,7 @@ from .html_parts import AXES, switch, warnings_html, whole_page, write_html
 from .page_link import SEAM
 from .pictures import ERROR_GAIN, ViewPictures
 from .poses import poses_html
-from .report_head import TIMES, head_html, meaning_html, tiles_html
+from .report_head import EXPOSED, TIMES, head_html, learnt_exposure, meaning_html, tiles_html
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,6 +39,8 @@ class Report:
     """How it was trained, in words."""
     command: str = ""
     """The same for a shell."""
+    depth_command: str = ""
+    """What would make depth maps for it, for a shell."""
     depth: DepthSection | None = None
     cameras: CamerasSection | None = None
     histograms: Sequence[Histogram] = ()
@@ -68,7 +70,7 @@ def report_html(report: Report) -> str:
             head_html(title, metrics, preset=report.preset, command=report.command),
             warnings_html(report.warnings),
             tiles_html(metrics),
-            meaning_html(metrics),
+            meaning_html(metrics, report.depth_command),
             SEAM,
             _curves(metrics.get("history") or [], metrics.get("evals") or [], metrics),
             _view_cards(views, metrics),
@@ -121,6 +123,8 @@ def _curves(history: list[dict[str, Any]], evals: list[dict[str, Any]], metrics:
         if photo_marks(history, "step")
         else ""
     )
+    if learnt_exposure(metrics):
+        told += f'<p class="hint">{EXPOSED}</p>'
     return (
         '<section id="curves" data-axis="step"><div class="bar"><h2>Training</h2>'
         f'{axes}</div>{told}<div class="plots">{"".join(boxes)}</div></section>\n'

@@ -12,6 +12,11 @@ TIMES = "\u00d7"
 FAR_ABOVE = 4.0
 """Decibels by which training views exceed held-out ones where splats fit photos, not the scene.
 Previews of examples/studio: 0.9 with 50 training views, 2.9 with 20, 16.1 with 6."""
+EXPOSED = (
+    "In training each photo is compared with a picture exposed as it is. All other figures, those "
+    "of <code>gscore eval</code> too, are of neutral pictures and lower where exposures differ."
+)
+"""HTML, for a run that has learnt exposures."""
 _HOW_ENDED = {
     FINISHED: "",
     TARGET: "to the PSNR asked for",
@@ -145,24 +150,36 @@ def _comma(*parts: str) -> str:
     return ", ".join(filter(None, parts))
 
 
-def meaning_html(metrics: dict[str, Any]) -> str:
-    """A sentence where training views are far above held-out ones; else nothing."""
+def meaning_html(metrics: dict[str, Any], depth_command: str = "") -> str:
+    """A sentence where training views are far above held-out ones; else nothing.
+
+    Args:
+        metrics: The content of metrics.json.
+        depth_command: What would make depth maps, for a shell; may be empty.
+    """
     trained, held_out = _trained_psnr(metrics), judged_psnr(metrics)
     if metrics["split"] != "test" or trained is None or held_out is None:
         return ""
     gap = trained - held_out
     if gap < FAR_ABOVE:
         return ""
+    maps = html.escape(depth_command or "gscore depth")
     return (
         '<section class="meaning"><h2>What this means</h2>'
         f"<p>Training views reach {trained:.1f} dB, held-out views {held_out:.1f} dB: "
         f"{gap:.1f} dB less. The splats fit the photos better than the scene, so views between "
         "the photos are worse than the photos suggest.</p>"
+        f"{f'<p>{EXPOSED}</p>' if learnt_exposure(metrics) else ''}"
         "<p>Photos from more places help most. With few photos, depth maps do "
-        "(<code>gscore depth</code>, then <code>--depths</code>), and fewer splats "
+        f"(<code>{maps}</code>, then train with <code>--depths depths</code>), and fewer splats "
         "(<code>--max-splats</code>). If single views below are far worse than the others, look "
         "at their cameras and photos first.</p></section>\n"
     )
+
+
+def learnt_exposure(metrics: dict[str, Any]) -> bool:
+    """Whether the training learnt how each photo was exposed."""
+    return bool((metrics.get("exposure") or {}).get("learnt"))
 
 
 def _trained_psnr(metrics: dict[str, Any]) -> float | None:

@@ -5,9 +5,10 @@ from pathlib import Path
 from typing import Any
 
 from ..config import DataConfig, TrainConfig
-from ..config_command import preset_words, train_command
+from ..config_command import depth_command, preset_words, train_command
 from ..config_file import to_dict
-from .cameras_plan import CamerasSection
+from ..io.runs import CAPTURE
+from .cameras_plan import CamerasSection, made_of
 from .depth import DepthSection
 from .histograms import Histogram
 from .pictures import ViewPictures
@@ -59,8 +60,9 @@ def write_results(
     how = {}
     if trained is not None and run is not None:
         how = {"preset": preset_words(*trained), "command": train_command(*trained, run)}
+        how["depth_command"] = depth_command(trained[0])
     report = Report(
-        title=data.source.resolve().name,
+        title=_title(data.source, cameras),
         metrics=content,
         views=views,
         warnings=warnings,
@@ -74,3 +76,13 @@ def write_results(
     # The last file: by it a run that is to go on knows that everything is there.
     write_metrics(folder / "metrics.json", content)
     return content
+
+
+def _title(source: Path, cameras: CamerasSection | None) -> str:
+    """The capture's name; that of the photos or the video where a training made it of them, for
+    then it is called as in every run."""
+    whole = source.resolve()
+    if whole.name != CAPTURE or cameras is None:
+        return whole.name
+    origin = made_of(cameras)
+    return whole.parent.name if origin is None else origin

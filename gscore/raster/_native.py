@@ -111,7 +111,10 @@ def _what_to_do() -> str:
             "The environment variable GSCORE_LIBRARY must name gscore's native library; unset it "
             "to use the one that came with gscore."
         )
-    return "Install gscore as a wheel for this platform, or build it with `pip install .`."
+    checkout = Path(__file__).parents[2]
+    if (checkout / "csrc" / "CMakeLists.txt").is_file():
+        return f"Build it with `make install` in {shown(checkout)}."
+    return "Install gscore as a wheel for this platform."
 
 
 def _check_environment(lib: ct.CDLL) -> None:

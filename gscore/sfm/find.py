@@ -13,6 +13,7 @@ from ..control import Control
 from ..datasets.capture import listing
 from ..errors import DatasetError
 from ..events import SfmDone, SfmEstimated, SfmProgress, Show, Warn, strict_json
+from ..io.runs import MADE_OF
 from ..words import count_words
 from . import database, masks, photos, stages
 from .adjust import Adjusted, adjust
@@ -21,7 +22,7 @@ from .diagnose import why_none
 from .forecast import ADJUSTING, FEATURES, MATCHING, PLACING, Forecast
 from .looks import Look, blurred, exposure_jumps
 from .metres import to_metres
-from .plain import apart_of, stamp
+from .plain import apart_of, doubt, stamp
 from .request import USUAL_LENS, Request
 from .stages import Work
 from .verdict import Found, camera_facts, model_names, said_of_attempt, said_of_focal
@@ -87,6 +88,8 @@ class _Search:
             self._root, names, on_photo=self._counted("reading photos", len(names)),
             cancelled=self._stopping,
         )  # fmt: skip
+        if sentence := doubt(self._root, names, len(photos.by_camera(read))):
+            self._warn(sentence)
         folder = masks.mask_folder(self._root, self._request.masks)
         found = masks.find_masks(folder if self._request.use_masks else None, read)
         resumed = self._space.open(self._state(read, found))
@@ -161,42 +164,58 @@ class _Search:
         def place(token: Any) -> list[Any]:
             return stages.reconstruct(work, attempt, token, on_photo)
 
-        return self._watch(place, PLACING, count, lambda: min(placed[0], count))
+        return self._watch(
+            place, PLACING, count, lambda: min(placed[0], count), lambda: count - placed[0]
+        )
 
     def _steps(self, parts: list[tuple[int, Callable[[Any], None]]], phase: str) -> None:
         """Do the parts of a phase; each comes with how much of it that is."""
-        done = [0]
+        done, under_way = [0], [0]
 
         def work(token: Any) -> None:
             for size, part in parts:
                 if self._stopping():
                     return
+                under_way[0] = size
                 part(token)
                 done[0] += size
 
-        self._watch(work, phase, sum(size for size, _ in parts), lambda: done[0])
+        total = sum(size for size, _ in parts)
+        self._watch(work, phase, total, lambda: done[0], lambda: under_way[0])
 
     def _watch(
-        self, work: Callable[[Any], Any], phase: str, total: int, done: Callable[[], int]
+        self,
+        work: Callable[[Any], Any],
+        phase: str,
+        total: int,
+        done: Callable[[], int],
+        under_way: Callable[[], int],
     ) -> Any:
         progress = self._counted(phase, total)
         self._tell(phase, 0, total)
-        return watched(work, tick=lambda: progress(done()), cancelled=self._stopping)
+        return watched(work, tick=lambda: progress(done(), under_way()), cancelled=self._stopping)
 
-    def _counted(self, phase: str, total: int) -> Callable[[int], None]:
-        """Tells how far a phase is."""
+    def _counted(self, phase: str, total: int) -> Callable[..., None]:
+        """Tells how far a phase is: how much is done, and how much in one piece under way."""
         began = time.monotonic()
 
-        def tell(done: int) -> None:
+        def tell(done: int, under_way: int = 0) -> None:
             eta = (time.monotonic() - began) / done * (total - done) if done else math.nan
-            self._tell(phase, done, total, eta)
+            self._tell(phase, done, total, eta, under_way)
 
         return tell
 
-    def _tell(self, phase: str, done: int, total: int, eta: float = math.nan) -> None:
-        share = done / total if total else 0.0
-        left = self._forecast.left(phase, share) if self._forecast else math.nan
-        self._show(SfmProgress(phase=phase, done=done, total=total, eta_s=eta, left_s=left))
+    def _tell(
+        self, phase: str, done: int, total: int, eta: float = math.nan, under_way: int = 0
+    ) -> None:
+        forecast, left, share = self._forecast, math.nan, math.nan
+        if forecast is not None:
+            whole = max(total, 1)
+            left = forecast.left(phase, done / whole, under_way / whole)
+            share = forecast.share
+        self._show(
+            SfmProgress(phase=phase, done=done, total=total, eta_s=eta, left_s=left, share=share)
+        )
 
     def _write_masks(self, found: dict[str, Path], read: list[photos.Photo]) -> None:
         if not found:
@@ -210,7 +229,7 @@ class _Search:
     def _state(self, read: list[photos.Photo], found: dict[str, Path]) -> dict[str, Any]:
         """What a stopped search must have in common with this one to be gone on from."""
         options = asdict(self._request)
-        for name in ("output", "apart", "threads", "mapper"):
+        for name in ("output", "apart", "threads", "mapper", "video"):
             del options[name]  # these change neither features nor matches
         return {
             "pycolmap": colmap().__version__,
@@ -253,7 +272,9 @@ class _Search:
         )
         self._tell("writing the capture", 0, 0)
         read = [stamp(photo.name, self._root / photo.name) for photo in work.photos]
-        record = {"gscore": __version__} | found.facts() | {"photos_read": read}
+        made_of = (self._request.video or self._request.photos).absolute()
+        record = {"gscore": __version__, MADE_OF: str(made_of)} | found.facts()
+        record["photos_read"] = read
         self._space.publish(model, work.photos, strict_json(record))
         self._show(
             SfmDone(
@@ -282,7 +303,7 @@ class _Search:
             focal = {number: length for number, (length, _) in stated.items()}
             return adjust(model, may_free=may_free, expected=focal)
 
-        found = self._watch(work, ADJUSTING, 0, lambda: 0)
+        found = self._watch(work, ADJUSTING, 0, lambda: 0, lambda: 1)
         if found.before is not None:
             self._warn(
                 f"The mean error was {found.before:.2f} px with one focal length a lens; with two "

@@ -20,6 +20,10 @@ _VERIFY, _COMPARE = 0.010, 1.2e-5
 """CPU seconds of a pair of photos, and more for each feature of a photo."""
 _PLACE, _ADJUST = 5e-5, 4e-5
 """CPU seconds for each feature of all photos."""
+_SURE = 0.25
+"""Share of a phase after which its own pace counts alone; before, mixed with that before it."""
+_MOST_GUESSED = 0.95
+"""Of a piece of work that is only timed: it may take longer than forecast."""
 
 
 def working_cores(threads: int) -> int:
@@ -59,8 +63,12 @@ class Forecast:
         self._photos, self._pairs, self._clock = len(megapixels), pairs, clock
         self._seconds = {FEATURES: _FIND * sum(megapixels)}
         self._expect(sum(features_of(size, most) for size in megapixels))
-        self._phase, self._began, self._first = "", 0.0, 0.0
-        self.pace = pace
+        self._phase = ""
+        self._began = self._since = 0.0  # when the phase began, and when its share last grew
+        self._first = self._told = 0.0  # its share then
+        self.pace = self._pace_before = pace
+        self.share = 0.0
+        """Of the work that was done when `left` was last asked, 0 to 1; never falls."""
 
     @property
     def seconds(self) -> float:
@@ -71,25 +79,46 @@ class Forecast:
         """So many were found in all photos."""
         self._expect(count)
 
-    def left(self, phase: str, share: float) -> float:
-        """Seconds left in all.
+    def left(self, phase: str, share: float, under_way: float = 0.0) -> float:
+        """Seconds left in all; NaN where the forecast does not know the phase.
 
         Args:
-            phase: What is done; NaN for one that is not in the forecast.
-            share: How much of it is done, 0 to 1; the pace is learned where something is.
+            phase: What is done.
+            share: How much of it is done, 0 to 1; the pace is learned where that grows.
+            under_way: How much of it is being done in one piece, 0 to 1: nobody tells how far that
+                is, so the time that has passed counts.
         """
         if phase not in self._seconds:
             return math.nan
+        now, forecast = self._clock(), self._share * self._seconds[phase]
         if phase != self._phase:
             # Of a search that goes on, much may be there already: that says nothing of the pace.
-            self._phase, self._began, self._first = phase, self._clock(), share
-        done = share - self._first
-        forecast = self._share * self._seconds[phase]
-        if done > 0.05 and phase in (FEATURES, MATCHING) and forecast > 0:
-            self.pace = (self._clock() - self._began) / (done * forecast)
+            self._phase, self._began, self._first = phase, now, share
+            self._pace_before, self._told, self._since = self.pace, share, now
+        if share > self._told:
+            self._told, self._since = share, now
+            if phase in (FEATURES, MATCHING) and forecast > 0:
+                self._learn(share - self._first, forecast)
+        if forecast > 0:
+            guessed = (now - self._since) / (self.pace * forecast)
+            share = min(share + min(guessed, _MOST_GUESSED * under_way), 1.0)
+        return self._left(phase, share)
+
+    def _learn(self, done: float, forecast: float) -> None:
+        """The pace, of such a share of a phase and the seconds that were forecast for all of it."""
+        own = (self._since - self._began) / (done * forecast)
+        sure = min(done / _SURE, 1.0)
+        self.pace = self._pace_before + sure * (own - self._pace_before)
+
+    def _left(self, phase: str, share: float) -> float:
+        """Seconds left after so much of a phase; takes note of the share of the whole."""
         names = list(self._seconds)
-        later = sum(self._seconds[name] for name in names[names.index(phase) + 1 :])
-        return self.pace * (forecast * (1 - share) + self._share * later)
+        place, whole = names.index(phase), sum(self._seconds.values())
+        rest = self._seconds[phase] * (1 - share)
+        rest += sum(self._seconds[name] for name in names[place + 1 :])
+        if whole > 0:
+            self.share = max(self.share, 1 - rest / whole)
+        return self.pace * self._share * rest
 
     def _expect(self, features: float) -> None:
         each = features / max(self._photos, 1)

@@ -1,6 +1,7 @@
 """Folders of plain photos, and which photos the capture of an earlier search was made of."""
 
-from pathlib import Path
+from collections.abc import Sequence
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from ..datasets.pku import find_video
@@ -9,10 +10,13 @@ from ..errors import DatasetError
 from ..io.files import read_bytes
 from ..io.runs import SEARCH_RECORD
 from ..json_text import parse_json
+from ..words import count_words
 from .masks import mask_folder
 from .photos import list_photos, photo_folder
 from .request import Request
 
+_FEW_CAMERAS = 3
+"""As many may be in one bag; and a camera that is turned counts as two."""
 _MODELS = ("sparse", "colmap", "cameras.bin", "cameras.txt")
 
 
@@ -23,6 +27,41 @@ def is_plain(path: Path) -> bool:
     if any((path / name).exists() for name in _MODELS):
         return False
     return bool(list_photos(photo_folder(path), ())[0])
+
+
+def doubt(root: Path, names: Sequence[str], cameras: int) -> str:
+    """Why pictures are hardly photos of one scene, as a sentence; empty where nothing says so.
+
+    Args:
+        root: Their folder.
+        names: Paths below it, as `list_photos` gives them.
+        cameras: How many cameras took them, by sizes and EXIF.
+    """
+    places = {place for name in names for place in PurePosixPath(name).parents if place.parts}
+    captures = sorted(str(place) for place in places if _has_cameras(root / place))
+    if captures:
+        other = f" and {len(captures) - 1} more" if len(captures) > 1 else ""
+        return (
+            f"{root} is no folder of photos: it holds a capture, {root / captures[0]}{other}. Give "
+            "that folder."
+        )
+    if (root / ".git").exists():
+        return (
+            f"{root} is a git repository, so its {count_words(len(names), 'picture')} are hardly "
+            "photos of one scene. Give the folder of the photos."
+        )
+    if cameras > max(_FEW_CAMERAS, len(names) / 2):
+        return (
+            f"The {count_words(len(names), 'picture')} in {root} are of {cameras} cameras or "
+            "sizes, as screenshots are and photos of one scene hardly. Give the folder of the "
+            "photos."
+        )
+    return ""
+
+
+def _has_cameras(folder: Path) -> bool:
+    """Whether a folder is a capture whose cameras are known."""
+    return any((folder / name).exists() for name in (*_MODELS, "transforms.json"))
 
 
 def photos_of(request: Request) -> list[list[Any]]:

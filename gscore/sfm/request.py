@@ -29,6 +29,8 @@ class Request:
 
     photos: Path
     """Folder of photos, sub-folders too."""
+    video: Path | None = None
+    """The video whose frames the photos are, where they are that."""
     output: Path
     """The capture to make: a new folder, an empty one, or the one whose `images` the photos are."""
     apart: Path | None = None

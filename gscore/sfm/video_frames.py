@@ -62,7 +62,7 @@ def frames_request(request: Request, frames: int = 0) -> FrameRequest:
 
 def of_frames(request: Request) -> Request:
     """The request for cameras of the frames, once they are there."""
-    return replace(request, photos=request.output)
+    return replace(request, photos=request.output, video=request.photos)
 
 
 def _check_room(request: Request) -> None:

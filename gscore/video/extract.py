@@ -76,7 +76,11 @@ class Frames:
 
 
 def extract_frames(
-    request: FrameRequest, *, on_event: Show = lambda event: None, control: Control | None = None
+    request: FrameRequest,
+    *,
+    on_event: Show = lambda event: None,
+    control: Control | None = None,
+    overwrite: bool = False,
 ) -> Frames:
     """Choose frames of a video and write them into a folder, which appears when all is done.
 
@@ -87,6 +91,7 @@ def extract_frames(
         request: Which video, where to, and how many.
         on_event: Told how far it is: `FramesProgress`, `Warn`, at the end `FramesDone`.
         control: Asked whether to stop.
+        overwrite: Frames of another request are replaced when the new ones are complete.
 
     Raises:
         Cancelled: `control` said so; nothing is left behind.
@@ -96,7 +101,7 @@ def extract_frames(
         BackendError: PyAV is not installed.
         GsError: the output cannot be written.
     """
-    return _Extraction(request, on_event, control or Control()).run()
+    return _Extraction(request, on_event, control or Control()).run(overwrite)
 
 
 class _Extraction:
@@ -107,9 +112,9 @@ class _Extraction:
         self._began = time.monotonic()
         self._warnings: list[str] = []
 
-    def run(self) -> Frames:
+    def run(self, overwrite: bool) -> Frames:
         """The extraction itself."""
-        folder = FrameFolder(self._request)
+        folder = FrameFolder(self._request, overwrite=overwrite)
         if folder.found is not None:
             return self._done(folder.found, found=True)
         with opened_video(self._request.video) as video:

@@ -3,6 +3,7 @@
 import contextlib
 import io
 import json
+import re
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,6 +24,7 @@ FRAMES_FILE = "frames.json"
 """File among the frames that says of which video they are, and when each was."""
 _QUALITY = 97
 """Of JPEG, with full colour resolution: see docs/video.md for what that costs."""
+_FRAME = re.compile(r"frame_\d{6,}\.(jpg|png)")
 _METHOD = 1
 """Changes where the same video would give other frames."""
 
@@ -30,8 +32,12 @@ _METHOD = 1
 class FrameFolder:
     """Where the frames of a request go."""
 
-    def __init__(self, request: FrameRequest) -> None:
+    def __init__(self, request: FrameRequest, *, overwrite: bool = False) -> None:
         """Look at what is there.
+
+        Args:
+            request: What is asked for.
+            overwrite: Frames of another request may be replaced, and nothing else.
 
         Raises:
             ConfigError: the folder holds something else.
@@ -40,15 +46,14 @@ class FrameFolder:
         whole = request.output.absolute()
         self._work = whole.parent / f".{whole.name}.frames"
         there = _record(self._place / FRAMES_FILE)
+        self._replaced: list[str] = []
+        """Files of another run that make room, the record last: without it nobody knows them."""
         self.found: dict[str, Any] | None = None
         """The record of a run before this one that wrote the same frames; None: there are none."""
         if there is not None and self._is_same(there) and self._is_whole(there):
             self.found = there
         elif self._place.exists() and not _is_empty_folder(self._place):
-            what = "frames of another video, or of other options" if there else "something else"
-            raise ConfigError(
-                f"{shown(self._place)} holds {what}. Choose a new folder with -o, or remove it."
-            )
+            self._check_replaceable(there, overwrite)
 
     @contextlib.contextmanager
     def writing(self) -> Iterator[None]:
@@ -93,7 +98,9 @@ class FrameFolder:
         record = {"gscore": __version__, "request": self._stamp(), **facts}
         atomic_write(self._work / FRAMES_FILE, (json.dumps(record, indent=1) + "\n").encode())
         if self._place.exists():
-            self._place.rmdir()  # an empty one
+            for name in self._replaced:
+                (self._place / name).unlink(missing_ok=True)
+            self._place.rmdir()
         self._work.replace(self._place)
 
     def _stamp(self) -> dict[str, Any]:
@@ -107,6 +114,30 @@ class FrameFolder:
             "frames": request.frames,
             "format": request.format,
         }
+
+    def _check_replaceable(self, there: dict[str, Any] | None, overwrite: bool) -> None:
+        """Take note of what makes room, or raise ConfigError."""
+        place = shown(self._place)
+        if there is None:
+            raise ConfigError(
+                f"{place} holds something else. Choose a new folder with -o, or remove it."
+            )
+        if not overwrite:
+            raise ConfigError(
+                f"{place} holds frames of another video, or of other options. Choose a new folder "
+                "with -o, or replace them with --overwrite."
+            )
+        rows = there.get("frames")
+        listed = rows if isinstance(rows, list) else []
+        names = [str(row.get("name")) for row in listed if isinstance(row, dict)]
+        ours = [name for name in names if _FRAME.fullmatch(name)] + [FRAMES_FILE]
+        others = sorted({path.name for path in self._place.iterdir()} - set(ours))
+        if others:
+            raise ConfigError(
+                f"{place} holds other files than the frames that gscore wrote, such as "
+                f"{shown(others[0])}. Choose a new folder with -o, or move them away."
+            )
+        self._replaced = ours
 
     def _is_same(self, record: dict[str, Any]) -> bool:
         return self._request.video.is_file() and record.get("request") == self._stamp()

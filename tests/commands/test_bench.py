@@ -53,6 +53,18 @@ def test_numbers_of_nothing_are_refused(capsys: pytest.CaptureFixture[str], comm
     assert len(message.splitlines()) == 1
 
 
+@pytest.mark.parametrize("value", ["999999999", "9" * 20])
+@pytest.mark.parametrize("bench", ["raster", "step", "scaling", "memory"])
+def test_numbers_beyond_reason_are_refused(
+    capsys: pytest.CaptureFixture[str], bench: str, value: str
+) -> None:
+    """Oracle: one line that names the option; nothing was allocated."""
+    assert main(["bench", bench, "--splats", value]) == 2
+    message = capsys.readouterr().err
+    assert "--splats must be at most 100,000,000, got 999" in message
+    assert len(message.splitlines()) == 1
+
+
 def test_a_child_tells_why_it_failed(capsys: pytest.CaptureFixture[str]) -> None:
     """Oracle: the words of the process itself: a verb's, a traceback's, none."""
     with pytest.raises(BackendError, match=r"counts failed: argument --threads: .* to 1024, got"):

@@ -73,7 +73,7 @@ def test_a_report_tells_again_how_the_run_was_made(gscore, run_folder, capture):
     page = (folder / "report.html").read_text()
     for words in ("2031-02-03 04:05", "to the PSNR asked for", f"--iterations {STEPS}"):
         assert words in page
-    assert f"gscore train {capture} -o {folder} --preset draft" in page
+    assert f"gscore train {capture} -o {folder} --overwrite --preset draft" in page
 
 
 def test_no_splats_against_the_photo(gscore, run_folder, capture, splats, tmp_path):
@@ -111,6 +111,18 @@ def test_another_split_and_resolution(gscore, run_folder, tmp_path):
     views = json.loads((tmp_path / "e" / "metrics.json").read_text())["views"]
     assert code == 0 and [v["name"] for v in views] == ["a_0.png", "a_3.png", "a_6.png"]
     assert all((v["width"], v["height"]) == (24, 18) and v["psnr"] > 25 for v in views)
+
+
+def test_neutral_pictures_are_told_of(gscore, run_folder, tmp_path):
+    """Oracle: a run that says it has learnt exposures; held-out views were neutral before too."""
+    folder = run_folder()
+    path = folder / "metrics.json"
+    exposure = {"stops_apart": 0.6, "learnt": True, "why": "They differ.", "known_by": None}
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"exposure": exposure}))
+    for split, told in (("train", True), ("test", False)):
+        out = ("-o", tmp_path / split, "--quiet")
+        code, _, err = gscore("eval", folder, "--split", split, *out)
+        assert code == 0 and ("here pictures are neutral" in err) is told
 
 
 def test_held_out_views_are_not_replaced_by_others(gscore, run_folder, tmp_path):

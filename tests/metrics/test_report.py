@@ -133,6 +133,24 @@ def test_the_head_says_what_was_done(run):
     assert "gscore train 'a <b>' -o run" in head
 
 
+def test_figures_of_exposed_and_neutral_pictures_are_told_apart(run):
+    """Oracle: whether the training learnt exposures, in metrics.json; once by the curves, and where
+    training views are compared with held-out ones."""
+    content = run(split="test")
+    content.metrics["history"][-1]["psnr"] = 60.0
+    content.metrics["exposure"] = {"learnt": False}
+    assert "exposed as it is" not in report_html(content)
+    content.metrics["exposure"]["learnt"] = True
+    assert report_html(content).count("exposed as it is") == 2
+
+
+def test_few_photos_are_told_how_to_get_maps(run):
+    """Oracle: the command given, as HTML."""
+    content = replace(run(split="test"), depth_command="gscore depth 'run/<capture>' --hold-out 8")
+    content.metrics["history"][-1]["psnr"] = 60.0
+    assert "gscore depth 'run/<capture>' --hold-out 8" in Page(report_html(content)).shown
+
+
 def test_old_metrics_make_a_page(run):
     """Oracle: a metrics.json without what later ones have, and rows of a history without sizes."""
     content = run()

@@ -10,7 +10,7 @@ from PIL import Image, ImageFilter
 
 from gscore.sfm.database import Overlap
 from gscore.sfm.diagnose import why_none
-from gscore.sfm.forecast import FEATURES, MATCHING, Forecast
+from gscore.sfm.forecast import ADJUSTING, FEATURES, MATCHING, PLACING, Forecast
 from gscore.sfm.looks import Look, blurred, exposure_jumps, look_of
 from gscore.sfm.pairs import in_parts, sequential_pairs
 from gscore.sfm.photos import Photo, by_camera, list_photos, natural, read_photos
@@ -172,3 +172,29 @@ def test_a_forecast_learns_the_pace() -> None:
     forecast.has_features(60 * 7000)
     assert forecast.left(MATCHING, 0.0) > before
     assert math.isnan(forecast.left("writing the capture", 0.0))
+
+
+def test_a_forecast_goes_one_way() -> None:
+    """Oracle: a machine a third as fast, whose photos and pairs come in four pieces: the share of
+    the work never falls and ends at 1, the time left falls by the second while a piece is done, and
+    after the first one it is right to a fifth."""
+    now = [0.0]
+    forecast = Forecast(
+        megapixels=[0.5] * 40, most=4096, pairs=780, threads=2, clock=lambda: now[0]
+    )
+    took = {name: 3 * s / 2 for name, s in forecast._seconds.items()}
+    shares, pieces = [], {PLACING: 1, ADJUSTING: 1}
+    for phase, seconds in took.items():
+        count = pieces.get(phase, 4)
+        for piece in range(count):
+            begin, left = now[0], []
+            while now[0] < begin + seconds / count:
+                left.append(forecast.left(phase, piece / count, 1 / count))
+                shares.append(forecast.share)
+                if phase != FEATURES or piece:
+                    assert left[-1] == pytest.approx(sum(took.values()) - now[0], rel=0.2, abs=1)
+                now[0] += 0.2
+            assert left == sorted(left, reverse=True)
+            now[0] = begin + seconds / count
+    assert shares == sorted(shares) and 0.98 < shares[-1] <= 1
+    assert shares[0] == pytest.approx(0)

@@ -1,12 +1,16 @@
 """gscore train and gscore info on plain photos: cameras found first, kept, and refused."""
 
 import json
+import re
+import shlex
 import shutil
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from gscore.commands import main
+from gscore.inspection.plain import bare_facts
 from gscore.io.colmap import read_model
 
 from .conftest import NEAR
@@ -37,6 +41,12 @@ def test_cameras_are_found_once_and_kept(mine: Path, tmp_path: Path, capsys: Out
     assert len(read_model(out / "capture").images) == len(NEAR)
     assert json.loads((out / "config.json").read_text())["data"]["source"] == str(out / "capture")
     written = model.stat().st_mtime_ns
+    page = (out / "report.html").read_text()
+    assert "<h1>holiday</h1>" in page
+    (command,) = re.findall(r'<pre class="command">(gscore train .*?)</pre>', page)
+    assert main([*shlex.split(command)[1:], "--json"]) == 0  # as it is shown
+    assert model.stat().st_mtime_ns == written
+    capsys.readouterr()
 
     assert _train(mine, "-o", out, "--overwrite") == 0
     again = capsys.readouterr().err
@@ -65,6 +75,18 @@ def test_a_taken_folder_is_refused_before_the_search(
     assert _train(mine, "-o", out) == 2
     assert "may be somebody else's" in capsys.readouterr().err
     assert [path.name for path in out.iterdir()] == ["point_cloud.ply"]
+
+
+@pytest.mark.parametrize("place", ["film.mp4", "film.mp4/run"])
+def test_a_file_as_output_is_refused_at_once(
+    mine: Path, tmp_path: Path, capsys: Out, place: str
+) -> None:
+    """Oracle: the sentence names the file that was given and no other; no photo was read."""
+    (tmp_path / "film.mp4").write_bytes(b"x")
+    assert _train(mine, "-o", tmp_path / place) == 2
+    assert capsys.readouterr().err.splitlines() == [
+        f"gscore train: error: {tmp_path / 'film.mp4'} is a file; a folder is needed to write into."
+    ]
 
 
 def test_without_sfm_photos_are_refused(mine: Path, tmp_path: Path, capsys: Out) -> None:
@@ -98,6 +120,35 @@ def test_info_tells_what_photos_need(mine: Path, capsys: Out) -> None:
     assert 0 < facts["sfm_seconds"] < 60
     assert main(["info", str(mine)]) == 0
     assert f"Next: gscore train {mine} -o run" in capsys.readouterr().out
+
+
+def _screens(folder: Path) -> Path:
+    """Eight pictures of eight sizes, as they gather in a folder of documents."""
+    folder.mkdir()
+    for i in range(8):
+        Image.new("RGB", (300 + 7 * i, 200 + i)).save(folder / f"screen {i}.png")
+    return folder
+
+
+def test_pictures_that_are_no_photos_of_a_scene(mine: Path, tmp_path: Path, capsys: Out) -> None:
+    """Oracle: screenshots, a git clone, a folder of captures: info says which, and recommends no
+    training; the search says it first."""
+    clone, above = tmp_path / "clone", tmp_path / "above"
+    shutil.copytree(mine, clone)
+    (clone / ".git").mkdir()
+    shutil.copytree(mine, above / "first" / "images")
+    (above / "first" / "sparse").mkdir()
+    cases = {_screens(tmp_path / "docs"): "as screenshots are", clone: "is a git repository"}
+    for folder, words in (cases | {above: f"holds a capture, {above / 'first'}."}).items():
+        assert main(["info", str(folder), "--json"]) == 0
+        facts = json.loads(capsys.readouterr().out)
+        assert facts["next"] is None and words in facts["warnings"][0]
+        assert main(["info", str(folder)]) == 0
+        said = capsys.readouterr().out
+        assert "Next:" not in said and words in said
+        assert any(words in problem.text for problem in bare_facts(folder).problems)
+    assert _train(tmp_path / "docs", "-o", tmp_path / "out") == 2
+    assert "as screenshots are" in capsys.readouterr().err
 
 
 def test_a_capture_with_broken_cameras_is_none_of_plain_photos(

@@ -278,6 +278,11 @@ def test_black_masks_are_refused_and_some_are_warned_about(
     assert main([*run, "--quiet"]) == 2
     assert "are black, so there is nothing to train on" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+    for photo in photos:
+        write_png(masks / photo.name, np.full(read_image(photo).shape[:2], 255, np.uint8))
+    assert main([*run, "--quiet", "--invert-masks"]) == 2
+    assert "are white, so inverted they leave nothing" in capsys.readouterr().err
+    write_png(masks / photos[0].name, np.zeros(read_image(photos[0]).shape[:2], np.uint8))
     for photo in photos[1:]:
         mask = np.zeros(read_image(photo).shape[:2], np.uint8)
         mask[:, ::2] = 255

@@ -7,11 +7,12 @@ from pathlib import Path
 
 import pytest
 
+from gscore.commands import depth
 from gscore.commands import train as verb
 from gscore.commands.data_options import with_data_options
 from gscore.commands.parser import Parser
 from gscore.config import PRESETS, Background, DataConfig, Skip, Strategy, Switch, TrainConfig
-from gscore.config_command import preset_words, train_command
+from gscore.config_command import depth_command, preset_words, train_command
 
 CAPTURE = Path("my photos/first")
 ODD = {
@@ -47,8 +48,10 @@ def test_a_training_command_gives_its_options_back(preset: str, options: dict) -
     train = replace(train, **options)
     command = train_command(data, train, Path("out/my run"))
     assert parsed(command) == (data, train)
-    assert command.startswith(f"gscore train 'my photos/first' -o 'out/my run' --preset {preset}")
-    assert (command.count("--") == 1) is (not options)
+    start = "gscore train 'my photos/first' -o 'out/my run' --overwrite"
+    assert command.startswith(f"{start} --preset {preset}")
+    assert (command.count("--") == 2) is (not options)
+    assert "--overwrite" in shlex.split(command)  # what it is shown with is there already
 
 
 @pytest.mark.parametrize(
@@ -70,7 +73,26 @@ def test_a_capture_is_read_as_before(changes: dict, words: list[str] | None) -> 
     command = train_command(data, train, Path("run"))
     assert parsed(command) == (data, train)
     if words is not None:
-        assert shlex.split(command)[7:] == words
+        assert shlex.split(command)[8:] == words
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({}, []),
+        ({"eval": True}, ["--hold-out", "8"]),
+        ({"eval": True, "test_last": 3}, ["--hold-out", "last:3"]),
+    ],
+)
+def test_maps_are_made_for_the_same_split(changes: dict, words: list[str]) -> None:
+    """Oracle: what `gscore depth` takes, and the split it reads out of it."""
+    data = replace(DataConfig(source=CAPTURE), **changes)
+    program, name, *given = shlex.split(depth_command(data))
+    assert (program, name, given) == ("gscore", "depth", [str(CAPTURE), *words])
+    parser = Parser(prog="gscore depth")
+    depth.add_arguments(parser)
+    read = with_data_options(DataConfig(source=CAPTURE), parser.parse_args(given))
+    assert replace(read, depths="") == data  # the verb has a folder for them
 
 
 def test_the_rule_that_wins_is_given_alone() -> None:

@@ -1,12 +1,17 @@
 """Division into training and test views, by hand."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from gscore.config import DataConfig
+from gscore.datasets import load_dataset
 from gscore.datasets.split import split_views
 from gscore.errors import ConfigError, DatasetError
+from gscore.inspection import inspect
+
+from .conftest import SmallCapture
 
 _NAMES = [f"cam/{i:02d}.jpg" for i in range(20)]
 
@@ -107,3 +112,15 @@ def test_nothing_left(tmp_path: Path) -> None:
     (tmp_path / "empty.txt").write_text("# none\n")
     with pytest.raises(DatasetError, match="leaves no view to test"):
         split_views(_NAMES, _config(test_list=tmp_path / "empty.txt"))
+
+
+def test_one_view_of_few_is_told(make_capture: Callable[..., SmallCapture]) -> None:
+    """Oracle: 9 views, of which every 40th is the first alone; every 8th are two."""
+    capture = make_capture(views=9)
+    for every, told in ((40, 1), (8, 0)):
+        config = DataConfig(source=capture.root, eval=True, test_every=every)
+        words = [w for w in load_dataset(config).warnings if "one view alone is measured" in w]
+        assert len(words) == told
+        assert [p.text for p in inspect(config).problems if p.text in words] == words
+    plain = DataConfig(source=capture.root, test_every=40)
+    assert not any("held out" in w for w in load_dataset(plain).warnings)

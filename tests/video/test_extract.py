@@ -87,6 +87,29 @@ def test_a_second_run_finds_its_frames(film: Film, tmp_path: Path) -> None:
         extract_frames(FrameRequest(video=film.path, output=out, frames=10))
 
 
+def test_frames_are_replaced_where_that_is_asked_for(
+    film: Film, tmp_path: Path, capsys: Out
+) -> None:
+    """Oracle: the folder afterwards: the new frames alone; with a file of somebody else's beside
+    the old ones, all as it was."""
+    out = tmp_path / "out"
+    line = ["frames", str(film.path), "-o", str(out), "--quiet"]
+    assert main([*line, "--frames", "10"]) == 0
+    old = {path.name: path.read_bytes() for path in out.iterdir()}
+    assert main([*line, "--frames", "12"]) == 2
+    assert "--overwrite" in capsys.readouterr().err
+    (out / "mine.jpg").write_bytes(b"mine")
+    assert main([*line, "--frames", "12", "--overwrite"]) == 2
+    assert "mine.jpg" in capsys.readouterr().err
+    (out / "mine.jpg").unlink()
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == old
+    assert main([*line, "--frames", "12", "--overwrite"]) == 0
+    rows = json.loads((out / "frames.json").read_text())["frames"]
+    names = {row["name"] for row in rows} | {"frames.json"}
+    assert {path.name for path in out.iterdir()} == names and len(rows) == 12
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
 def test_a_folder_of_others_is_left_alone(film: Film, tmp_path: Path) -> None:
     """Oracle: the folder afterwards."""
     (tmp_path / "mine.txt").write_text("x")

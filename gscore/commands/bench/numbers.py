@@ -5,12 +5,21 @@ from collections.abc import Sequence
 
 from ...config import flag_of
 from ...errors import ConfigError
+from ...shown import shown
+from ...words import number
+
+_MOST = 10**8
+"""Ten times what a large scene has; so many splats take 24 GB."""
 
 
 def check_numbers(args: argparse.Namespace, least: int, *names: str) -> None:
-    """Raise ConfigError where an option, or one of its numbers, is less than `least`."""
+    """Raise ConfigError where an option, or one of its numbers, is less than `least` or absurd."""
     for name in names:
         value = getattr(args, name)
-        for number in value if isinstance(value, Sequence) else [value]:
-            if number < least:
-                raise ConfigError(f"{flag_of(name)} must be at least {least}, got {number}.")
+        for given in value if isinstance(value, Sequence) else [value]:
+            if given < least:
+                raise ConfigError(f"{flag_of(name)} must be at least {least}, got {given}.")
+            if given > _MOST:
+                raise ConfigError(
+                    f"{flag_of(name)} must be at most {number(_MOST)}, got {shown(given)}."
+                )

@@ -132,7 +132,7 @@ def _peaks(volume: np.ndarray, depths: np.ndarray) -> np.ndarray:
         if 0 < place < len(depths) - 1:
             left, right = scores[place], scores[place + 2]
             aside = np.clip(0.5 * (right - left) / max(2 * best - left - right, 1e-12), -0.5, 0.5)
-            top = best + 0.25 * (right - left) * aside
+            top = min(best + 0.25 * (right - left) * aside, 1.0)
             out[:, y, x] = depths[place] + aside * step, top, rival
     return out
 

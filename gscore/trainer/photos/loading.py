@@ -154,11 +154,16 @@ def _check_masks(photos: Dataset, threads: int) -> list[str]:
     empty = [photos.names[i] for i, top in found.items() if top == 0]
     dark = [photos.names[i] for i, top in found.items() if 0 < top < _DARK_MASK]
     if len(empty) == len(photos.train):
+        views = count_words(len(empty), "training view")
+        if any(photos.files[i].mask_inverted for i in photos.train):
+            raise DatasetError(
+                f"The masks of all {views} in {photos.source} are white, so inverted they leave "
+                "nothing to train on: leave out --invert-masks, or choose --mask-mode none."
+            )
         raise DatasetError(
-            f"The masks of all {count_words(len(empty), 'training view')} in {photos.source} are "
-            "black, so there "
-            "is nothing to train on. White is what counts: give --invert-masks if it marks what "
-            "to leave out, or choose --mask-mode none."
+            f"The masks of all {views} in {photos.source} are black, so there is nothing to train "
+            "on. White is what counts: give --invert-masks if it marks what to leave out, or "
+            "choose --mask-mode none."
         )
     warnings = []
     if empty:
