@@ -19,6 +19,8 @@ _PATTERNS = ("source", "images", "masks", "depths")
 """Options that may hold `{frame}`."""
 _LISTED = 5
 """Numbers of frames that a message names."""
+_FRAMES = re.compile(r"\s*(\d{0,18})\s*(?:(:)\s*(\d{0,18})\s*(?::\s*(\d{1,18}))?)?\s*")
+"""A number or a range; of more digits than any file name has, Python would make none."""
 _NUMBERED = re.compile(r"\D*(\d+)")
 
 
@@ -94,7 +96,7 @@ def choose_frames(frames: list[SequenceFrame], wanted: str) -> list[SequenceFram
     numbers = {frame.number for frame in frames}
     chosen: set[int] = set()
     for part in wanted.split(","):
-        match = re.fullmatch(r"\s*(\d*)\s*(?:(:)\s*(\d*)\s*(?::\s*(\d+))?)?\s*", part)
+        match = _FRAMES.fullmatch(part)
         if match is None or not part.strip() or match[4] == "0":
             raise ConfigError(
                 f"frames is {quoted(wanted)}; expected numbers such as 0,5,12 or ranges such as "
@@ -105,7 +107,8 @@ def choose_frames(frames: list[SequenceFrame], wanted: str) -> list[SequenceFram
         else:
             first = int(match[1]) if match[1] else min(numbers)
             last = int(match[3]) if match[3] else max(numbers)
-            picked = numbers & set(range(first, last + 1, int(match[4] or 1)))
+            inside = range(first, last + 1, int(match[4] or 1))
+            picked = {number for number in numbers if number in inside}
         if not picked:
             there = sorted(numbers)
             raise DatasetError(

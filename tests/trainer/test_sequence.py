@@ -309,10 +309,11 @@ def test_frames_are_chosen() -> None:
         ":5, 21": [0, 5, 21],
         "10": [10],
         "0::10": [0, 10, 20],
+        "5:999999999999999999:5": [5, 10, 15, 20],  # in no time, whatever lies between
     }
     for wanted, numbers in cases.items():
         assert [frame.number for frame in choose_frames(frames, wanted)] == numbers, wanted
-    for wanted in ("", "1-3", "5,,6", "-5", "1:2:3:4"):
+    for wanted in ("", "1-3", "5,,6", "-5", "1:2:3:4", "9" * 19, "9" * 5000, f"0:{'9' * 5000}"):
         with pytest.raises(ConfigError):
             choose_frames(frames, wanted)
 
