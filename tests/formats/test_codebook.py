@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gscore.formats.codebook import codebook, nearest, palette
+from gscore.formats.codebook import codebook, nearest_entries, palette
 from gscore.formats.morton import morton_order
 
 
@@ -11,7 +11,7 @@ def test_a_codebook_is_as_good_as_lloyds() -> None:
     """Oracle: Panter and Dite's bound for 256 levels of a normal distribution, met within 5 %."""
     values = np.random.default_rng(0).standard_normal(200_000).astype(np.float32)
     book = codebook(values)
-    error = np.mean((book[nearest(book, values)] - values) ** 2)
+    error = np.mean((book[nearest_entries(book, values)] - values) ** 2)
     bound = np.pi * np.sqrt(3) / 2 / 256**2
     assert error < 1.05 * bound
     assert (np.diff(book) >= 0).all() and len(book) == 256
@@ -22,7 +22,7 @@ def test_few_values_are_kept(values: list[float]) -> None:
     """Oracle: the values themselves, to a thousandth of their range."""
     array = np.array(values, np.float32)
     book = codebook(array)
-    found = book[nearest(book, array)]
+    found = book[nearest_entries(book, array)]
     assert np.abs(found - array).max(initial=0) <= 1e-3 * max(
         np.ptp(array) if len(values) else 0, 0
     )
