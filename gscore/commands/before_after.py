@@ -9,7 +9,7 @@ import numpy as np
 from ..edit.pipeline import EditViews
 from ..io.images import SIGNED, write_png
 from ..metrics.image import psnr
-from ..raster.api import render
+from ..raster.api import Rendered, render
 from ..scene import Cameras
 from ..splats import Splats
 from .status import Counted, Status
@@ -101,7 +101,7 @@ def _picture(splats: Splats, cameras: Cameras, index: int, views: EditViews) -> 
     return np.clip(_rendered(splats, cameras, index, views).rgb, 0, 1)
 
 
-def _rendered(splats: Splats, cameras: Cameras, index: int, views: EditViews):
+def _rendered(splats: Splats, cameras: Cameras, index: int, views: EditViews) -> Rendered:
     return render(
         splats,
         cameras.Ks[index],
