@@ -55,7 +55,12 @@ def question(settings: Settings, facts: CaptureFacts, *, threads: int) -> Questi
         size = target_size(width, height, resolution, max_width=data.max_width)
         sizes[size] = sizes.get(size, 0) + count
     return Question(
-        train=enough_steps(train, photos=photos)[0],
+        # Alpha is most often a matte, of which all steps are taken; photos are not decoded here.
+        train=enough_steps(
+            train,
+            photos=photos,
+            mask_mode="composite" if settings.use_masks and facts.alphas else "none",
+        )[0],
         sizes=tuple(sorted(sizes.items())),
         points=facts.points,
         masks=settings.use_masks and bool(facts.masks or facts.alphas),

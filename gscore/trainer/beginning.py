@@ -65,6 +65,11 @@ class Beginning:
         return self._checkpoint is not None
 
     @property
+    def taken(self) -> int:
+        """How many they were."""
+        return 0 if self._checkpoint is None else self._checkpoint.steps
+
+    @property
     def wants_stereo(self) -> bool:
         """Whether stereo is to be asked for points: those before steps that were taken without it
         started from others."""

@@ -73,7 +73,9 @@ def train(
             return beginning.ended
         lpips, lpips_reason = find_lpips(config.lpips, threads=config.threads)
         photos = load_dataset(data, cancelled=lambda: control.stopping)
-        config, enough = enough_steps(config, photos=len(photos.train), mask_mode=photos.mask_mode)
+        config, enough = enough_steps(
+            config, photos=len(photos.train), mask_mode=photos.mask_mode, taken=beginning.taken
+        )
         frame = beginning.frame(photos)
         if data.depths:
             MapFolder(photos.source / data.depths)  # refuses a folder that is not there

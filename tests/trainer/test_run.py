@@ -71,7 +71,7 @@ def test_a_run_takes_as_many_steps_as_its_photos_are_good_for(
     capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Oracle: the product of photos and steps a photo; the files say what was taken, so that a
-    resume finds nothing left to do, and more steps can be asked for."""
+    resume finds nothing left to do, more steps can be asked for, and none are taken back."""
     monkeypatch.setattr(enough, "_FEWEST", 10)
     config, data, out = replace(CONFIG, steps_a_photo=2), data_of(capture), tmp_path / "run"
     events: list[Event] = []
@@ -85,6 +85,9 @@ def test_a_run_takes_as_many_steps_as_its_photos_are_good_for(
     assert train(stored, data, out, resume=True).ended_before
     longer = train(replace(stored, iterations=steps + 2, steps_a_photo=0), data, out, resume=True)
     assert longer.steps == steps + 2
+    lower = replace(CONFIG, iterations=40, steps_a_photo=1)
+    assert train(lower, data, out, resume=True).steps == longer.steps
+    assert load_config(out / "config.json")[1].iterations == longer.steps
 
 
 def test_a_run_tells_everything_in_order_and_leaves_all_files(

@@ -11,7 +11,7 @@ time to grow."""
 
 
 def enough_steps(
-    config: TrainConfig, *, photos: int, mask_mode: str = "none"
+    config: TrainConfig, *, photos: int, mask_mode: str = "none", taken: int = 0
 ) -> tuple[TrainConfig, str]:
     """The options with no more steps than so many photos are good for.
 
@@ -22,11 +22,12 @@ def enough_steps(
         config: How to train.
         photos: Number of training photos.
         mask_mode: What masks are for, as `Dataset.mask_mode`.
+        taken: Steps that a run has taken already, which nothing takes back.
 
     Returns:
         The options, and a sentence that says what was left out; empty where nothing was.
     """
-    most = max(config.steps_a_photo * photos, _FEWEST)
+    most = max(config.steps_a_photo * photos, _FEWEST, taken)
     asked = config.iterations
     limited = config.steps_a_photo and not config.time_budget and mask_mode != "composite"
     if not limited or asked <= most:
