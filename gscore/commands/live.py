@@ -10,6 +10,7 @@ from ..errors import ConfigError
 from ..events import Show, Warn
 from ..live.onlookers import Onlookers
 from ..live_options import LiveOptions
+from ..shown import quoted
 from .declared import declare, given_options
 
 
@@ -52,4 +53,4 @@ def _is_own(ip: str) -> bool:
     try:
         return ipaddress.ip_address(ip.partition("%")[0]).is_loopback
     except ValueError as error:
-        raise ConfigError(f"ip must be an address of numbers, got {ip!r:.60}.") from error
+        raise ConfigError(f"ip must be an address of numbers, got {quoted(ip)}.") from error

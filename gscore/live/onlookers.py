@@ -1,15 +1,28 @@
 """What a training sees of those who watch it: what they want, between two steps."""
 
+import logging
 import threading
 import time
 from collections.abc import Callable
 
+from ..errors import GsError
 from .protocol import Wish
+
+_log = logging.getLogger(__name__)
 
 HOLD = 60.0
 """Seconds for which a request holds the training; viewers ask many times a second."""
 Draw = Callable[[Wish], bytes]
 """Gives the picture of a request, 3 bytes a pixel."""
+
+
+def _drawn(draw: Draw, request: Wish) -> bytes:
+    """The picture, black where there is too little memory for it: no viewer ends a training."""
+    try:
+        return draw(request)
+    except (GsError, MemoryError) as error:
+        _log.warning("A picture for a viewer could not be drawn: %s", error)
+        return bytes(3 * request.width * request.height)
 
 
 class Onlooker:
@@ -102,7 +115,7 @@ class Onlookers:
         for one in list(self._all):
             request, one.request = one.request, None
             if request is not None:
-                one.answer(draw(request) if request.width else b"")
+                one.answer(_drawn(draw, request) if request.width else b"")
         ended = time.monotonic()
         self._rest = ended + (ended - began)
 

@@ -33,7 +33,7 @@ LARGEST_PICTURE = 3840 * 2160
 _LONGEST_SIDE = 8192
 _FOV = (1e-3, math.pi - 1e-3)
 """Radians."""
-_SCALING = (1e-4, 100.0)
+_SCALING = (1e-4, 1.0)
 _SKEWED = 1e-2
 """Largest error of a rotation times its transpose: viewers compute in float32."""
 

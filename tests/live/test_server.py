@@ -9,7 +9,7 @@ import time
 import numpy as np
 import pytest
 
-from gscore.errors import ConfigError
+from gscore.errors import BackendError, ConfigError
 from gscore.live import onlookers, protocol, server
 from gscore.live_options import LiveOptions
 from tests.live.client import Client, free_port, wish
@@ -67,6 +67,21 @@ def test_a_viewer_gets_what_it_asks_for(training):
         assert seen.scaling == 0.5 and seen.trains and not seen.stays
         picture, text = client.look({"resolution_x": 0, "resolution_y": 0})
         assert picture.size == 0 and text == "/über/capture" and len(training.seen) == 1
+
+
+@pytest.mark.parametrize("error", [MemoryError, BackendError])
+def test_a_picture_that_cannot_be_drawn_is_black(training, monkeypatch, caplog, error):
+    """Oracle: black pixels and a warning; what comes after is drawn as before."""
+
+    def fail(_):
+        raise error("too little memory")
+
+    monkeypatch.setattr(training, "_draw", fail)
+    with Client(training.port) as client:
+        assert not client.look(wish(POSE, K, 4, 3))[0].any()
+        assert "too little memory" in caplog.text
+        monkeypatch.undo()
+        assert client.look(wish(POSE, K, 4, 3))[0].all()
 
 
 def test_several_viewers_at_once_and_after_each_other(training):
