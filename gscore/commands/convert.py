@@ -14,7 +14,14 @@ import numpy as np
 from ..edit.pipeline import Edited, EditViews, apply_edits
 from ..edit.request import GAP, USUAL, EditRequest
 from ..errors import ConfigError
-from ..formats import FORMATS, WrittenFile, format_to_write, read_splats, write_splat_file
+from ..formats import (
+    FORMATS,
+    WrittenFile,
+    files_of,
+    format_to_write,
+    read_splats,
+    write_splat_file,
+)
 from ..io.files import read_bytes
 from ..shown import quoted, shown
 from ..splats import Splats
@@ -212,12 +219,12 @@ def _request(args: argparse.Namespace) -> EditRequest:
 
 def _check_output(args: argparse.Namespace) -> None:
     """Raise where something would be replaced, or written in a way that nobody can read."""
-    format_to_write(args.output)
+    beside = format_to_write(args.output).beside(args.output)
     if args.picture is not None and args.picture.suffix.lower() != ".png":
         raise ConfigError(f"{shown(args.picture)}: the picture is a PNG; give a name with .png.")
     if args.picture is None and args.picture_view is not None:
         raise ConfigError("--picture-view belongs to --picture FILE.png.")
-    written = [path for path in (args.output, args.picture) if path is not None]
+    written = [path for path in (args.output, *beside, args.picture) if path is not None]
     for path in written:
         check_folder(path.parent)
     check_replaced(written, overwrite=args.overwrite)
@@ -229,6 +236,8 @@ def _convert(args: argparse.Namespace, request: EditRequest, status: Status) -> 
     models = [open_model(path) for path in (args.input, *args.merge)]
     _check_not_read(args, models)
     views = _views(args, models[0])
+    if args.picture_view is not None:
+        _pictured(args, views)
     count = sum(len(model.splats) for model in models)
     request = _with_views(request, args, views, count)
     write = _writer(models, args.spz_version)
@@ -254,8 +263,10 @@ def _convert(args: argparse.Namespace, request: EditRequest, status: Status) -> 
 
 
 def _check_not_read(args: argparse.Namespace, models: list[GivenModel]) -> None:
+    made = {args.output, *format_to_write(args.output).beside(args.output)}
     for model in models:
-        if args.output.exists() and args.output.samefile(model.path):
+        read = files_of(model.path)
+        if any(a.exists() and b.exists() and a.samefile(b) for a in made for b in read):
             raise ConfigError(
                 f"{shown(args.output)} is what is read; choose another output, so that it stays."
             )
@@ -315,17 +326,25 @@ def _bytes_of(splats: Splats, name: str, write: _Write) -> int:
 def _write_picture(
     args: argparse.Namespace, before: Splats, after: Splats, views: EditViews | None
 ) -> None:
+    index = _pictured(args, views)
     if views is None:
         views = EditViews(cameras=some_view(before), threads=args.threads)
-        if args.picture_view is not None:
-            raise ConfigError(
-                "No cameras are known, so none can be chosen by name; say with -s where they are."
-            )
-    names = views.cameras.names
-    index = len(names) // 2
-    if args.picture_view is not None:
-        index = view_index(args.picture_view, names)
     write_before_after(args.picture, before, after, views, index)
+
+
+def _pictured(args: argparse.Namespace, views: EditViews | None) -> int:
+    """Which camera the picture is of.
+
+    Raises:
+        ConfigError: it was named, and is not known.
+    """
+    if args.picture_view is None:
+        return 0 if views is None else len(views.cameras.names) // 2
+    if views is None:
+        raise ConfigError(
+            "No cameras are known, so none can be chosen by name; say with -s where they are."
+        )
+    return view_index(args.picture_view, views.cameras.names)
 
 
 def _facts(

@@ -3,6 +3,7 @@
 from .registry import (
     FORMATS,
     SPLAT_ENDINGS,
+    files_of,
     format_to_write,
     is_antialiased,
     is_splat_file,
@@ -17,6 +18,7 @@ __all__ = [
     "SPLAT_ENDINGS",
     "SplatFile",
     "WrittenFile",
+    "files_of",
     "format_to_write",
     "is_antialiased",
     "is_splat_file",

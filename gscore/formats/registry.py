@@ -3,8 +3,11 @@
 A format is a `SplatFormat` in a file of its own, and an entry of `FORMATS`.
 """
 
+from dataclasses import fields
 from pathlib import Path
 from typing import NoReturn
+
+import numpy as np
 
 from ..errors import ConfigError, DatasetError, FormatError
 from ..io.file_sample import FileSample, sample_file
@@ -13,6 +16,7 @@ from ..io.foreign import foreign
 from ..logged import collected_warnings
 from ..shown import shown
 from ..splats import SH_REST_BY_DEGREE, Splats
+from ..words import count_words, number
 from . import gltf_splats, ksplat, ply, ply_compressed, sog, splat, spz, usd
 from .joined import cut_degree
 from .splat_file import SplatFile, SplatFormat, WriteOptions, WrittenFile
@@ -110,9 +114,10 @@ def write_splat_file(
     found = format_to_write(path)
     if sh_degree is not None and sh_degree not in SH_REST_BY_DEGREE:
         raise ConfigError(f"The SH degree must be 0 to 3, got {sh_degree!r}.")
-    notes = []
+    notes: list[str] = []
     most = min(splats.sh_degree, found.most_degree)
-    kept = splats if sh_degree is None else cut_degree(splats, sh_degree)
+    kept = _drawable(splats, notes)
+    kept = kept if sh_degree is None else cut_degree(kept, sh_degree)
     if kept.sh_degree > most:
         notes.append(
             f"{found.name} holds colours of SH degree {most} at most; what depends on the "
@@ -134,6 +139,22 @@ def write_splat_file(
     )
 
 
+def _drawable(splats: Splats, notes: list[str]) -> Splats:
+    """The splats that can be drawn: most formats keep blocks of splats by their extremes, so that
+    one number that is not finite would take its neighbours along."""
+    arrays = [getattr(splats, field.name) for field in fields(splats)]
+    good = np.abs(splats.quats).max(axis=1, initial=0) > 0
+    for array in arrays:
+        good &= np.isfinite(array).all(axis=tuple(range(1, array.ndim)))
+    if good.all():
+        return splats
+    notes.append(
+        f"{number(int((~good).sum()))} of {count_words(len(splats), 'splat')} had numbers that are "
+        f"not finite or a zero quaternion; they are left out."
+    )
+    return splats.subset(np.flatnonzero(good))
+
+
 def format_to_write(path: Path) -> SplatFormat:
     """The format that a name asks for, by its longest ending that fits.
 
@@ -141,7 +162,12 @@ def format_to_write(path: Path) -> SplatFormat:
         ConfigError: there is none, or it is only read.
     """
     name = path.name.lower()
-    fitting = [(len(end), one) for one in FORMATS for end in one.endings if name.endswith(end)]
+    fitting = [
+        (len(end), one)
+        for one in FORMATS
+        for end in one.endings
+        if (name.endswith(end) if end.startswith(".") else name == end)
+    ]
     if not fitting:
         raise ConfigError(
             f"{shown(path)}: no format of splats has this ending. Choose one of "
@@ -154,6 +180,16 @@ def format_to_write(path: Path) -> SplatFormat:
             f"{', '.join(end for one in FORMATS if one.write for end in one.endings)}."
         )
     return found
+
+
+def files_of(path: Path) -> set[Path]:
+    """All files that are read for a model: its own and those beside it.
+
+    Raises:
+        GsError: as `read_splat_file`.
+    """
+    file = _file_of(path)
+    return {file, *_format_of(file).beside(file)}
 
 
 def is_splat_file(path: Path) -> bool:
