@@ -55,10 +55,10 @@ def _read(path: Path) -> Decoded:
     _check_required(file)
     parts, layouts, marks = [], [], []
     for matrix, primitive in _primitives(file):
-        splats, layout = _splats(file, primitive)
+        splats, layout, flagged = _splats(file, primitive)
         parts.append(half_turn(_placed(file, splats, matrix), Z))
         layouts.append(layout)
-        marks.append(_object(primitive.get("extras")).get(_MARK) is True)
+        marks.append(flagged or _object(primitive.get("extras")).get(_MARK) is True)
     if not parts:
         meshes = len(file.listed(file.content, "meshes"))
         raise FormatError(
@@ -152,8 +152,9 @@ def _placed(file: Gltf, splats: Splats, matrix: np.ndarray) -> Splats:
         ) from error
 
 
-def _splats(file: Gltf, primitive: dict[str, Any]) -> tuple[Splats, str]:
-    """The splats of a primitive in the axes of glTF, and the layout's name."""
+def _splats(file: Gltf, primitive: dict[str, Any]) -> tuple[Splats, str, bool]:
+    """The splats of a primitive in the axes of glTF, the layout's name, and whether what packs
+    them says that they are anti-aliased."""
     extension = _object(primitive["extensions"][EXTENSION])
     inner = _object(extension.get("extensions"))
     for name in _PACKED:
@@ -163,14 +164,15 @@ def _splats(file: Gltf, primitive: dict[str, Any]) -> tuple[Splats, str]:
                 found = spz.decode_spz(file.path, raw)
             except FormatError as error:
                 raise FormatError(f"The SPZ within a glTF file: {error}") from error
-            return half_turn(found.splats, Z), f"glTF with {found.layout}"
+            turned = half_turn(found.splats, Z)
+            return turned, f"glTF with {found.layout}", found.antialiased
     if inner:
         raise FormatError(
             f"{file.path} packs its splats with {', '.join(map(quoted, inner))}, which is not "
             f"read; {' and '.join(_PACKED)} are. Export it without compression."
         )
     _check_kind(file, extension)
-    return _plain(file, _object(primitive.get("attributes"))), "glTF"
+    return _plain(file, _object(primitive.get("attributes"))), "glTF", False
 
 
 def _check_kind(file: Gltf, extension: dict[str, Any]) -> None:

@@ -18,6 +18,7 @@ from ..io.files import read_bytes
 from ..io.splat_rows import LOGIT_OF_BYTE, drawable, log_scales
 from ..sh import rgb_to_sh0
 from ..splats import SH_REST_BY_DEGREE, Splats
+from ..words import count_words, number
 from .joined import joined
 from .splat_file import Decoded, SplatFormat
 
@@ -101,15 +102,14 @@ def _read(path: Path) -> Decoded:
         section = _section(file, index)
         size = section.head + section.room * _row(level, section.degree).itemsize
         if section.count > section.room or at + size > len(raw):
-            raise _damaged(
-                path, f"section {index + 1} of {section.count} splats goes on beyond its end"
-            )
+            words = count_words(section.count, "splat")
+            raise _damaged(path, f"section {index + 1} of {words} goes on beyond its end")
         parts.append(_splats(file, section, at))
         held.append(section.count)
         at += size
     found = sum(held)
     if found != count or not count:
-        raise _damaged(path, f"it states {count} splats and holds {found}")
+        raise _damaged(path, f"it states {count_words(count, 'splat')} and holds {number(found)}")
     return Decoded(splats=joined(parts), layout=f".ksplat, compression {level}")
 
 
@@ -171,7 +171,8 @@ def _means(file: _File, section: _Section, at: int, stored: np.ndarray) -> np.nd
     buckets = section.full + section.partial
     if buckets > section.buckets or filled + held.sum() < section.count:
         raise _damaged(
-            file.path, f"its buckets do not hold the {section.count} splats of a section"
+            file.path,
+            f"its buckets do not hold the {count_words(section.count, 'splat')} of a section",
         )
     # Sizes beyond the splats there are would only make `repeat` take memory.
     held = np.minimum(held, section.count)

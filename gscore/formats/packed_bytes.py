@@ -7,7 +7,8 @@ from ..errors import FormatError
 from ..extras import need
 
 _MOST_RATIO = 1032
-"""Of inflated to deflated bytes, which deflate cannot exceed. zstd could, but no splats do."""
+"""Of unpacked to packed bytes, which deflate cannot exceed. A stream of zstd can, as of colours
+that are all zero, but no file of splats does."""
 _SLACK = 1 << 16
 
 
@@ -23,7 +24,7 @@ def gunzip_exactly(what: str, raw: bytes | memoryview, size: int, *, at_least: i
     Raises:
         FormatError: it holds less, or is damaged.
     """
-    _check_ratio(what, len(raw), at_least)
+    check_ratio(what, len(raw), at_least)
     try:
         found = zlib.decompressobj(31).decompress(raw, max(size, 1))
     except zlib.error as error:
@@ -48,13 +49,12 @@ _ZSTD_LEVEL = 3
 
 
 def unzstd_exactly(what: str, raw: memoryview, size: int) -> memoryview:
-    """The `size` bytes that a zstd stream holds.
+    """The `size` bytes that a zstd stream holds; `check_ratio` has looked at them.
 
     Raises:
         FormatError: it holds another number of bytes, or is damaged.
         BackendError: the package zstandard is not installed.
     """
-    _check_ratio(what, len(raw), size)
     zstandard = _zstandard()
     try:
         with zstandard.ZstdDecompressor(max_window_size=1 << 27).stream_reader(raw) as reader:
@@ -81,8 +81,8 @@ def _zstandard() -> Any:
     return need("zstandard", "SPZ of version 4")
 
 
-def _check_ratio(what: str, packed: int, size: int) -> None:
-    """FormatError for sizes that no such number of bytes holds."""
+def check_ratio(what: str, packed: int, size: int) -> None:
+    """FormatError for a size that a file of so many packed bytes does not hold."""
     if size > _MOST_RATIO * packed + _SLACK:
         raise FormatError(
             f"{what}: its header announces {size} bytes, which {packed} packed ones cannot hold. "

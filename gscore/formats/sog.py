@@ -22,6 +22,7 @@ from ..io.splat_rows import LOGIT_OF_BYTE, drawable, opacity_bytes
 from ..json_text import parse_json
 from ..shown import quoted
 from ..splats import SH_REST_BY_DEGREE, Splats
+from ..words import count_words, number
 from . import textures
 from .codebook import CODEBOOK_SIZE, codebook, nearest_entries, palette
 from .morton import morton_order
@@ -119,7 +120,9 @@ def _decode(path: Path, raw: bytes, fetch: _Fetch) -> Decoded:
     names = [("means", 0), ("means", 1), ("scales", 0), ("quats", 0), ("sh0", 0)]
     files = [fetch(meta.file(*name)) for name in names]
     if count > _MOST_SPLATS_A_BYTE * sum(map(len, files)) + _SLACK:
-        raise _damaged(path, f"it states {count} splats in {sum(map(len, files))} bytes")
+        raise _damaged(
+            path, f"it states {count_words(count, 'splat')} in {number(sum(map(len, files)))} bytes"
+        )
     low, high, sizes, turns, colors = (
         textures.decode_texture(f"{path}: {meta.file(*name)}", file, count).reshape(-1, 4)[:count]
         for name, file in zip(names, files, strict=True)

@@ -17,9 +17,10 @@ from ..io.file_sample import FileSample
 from ..io.files import atomic_write, read_bytes
 from ..io.splat_rows import LOGIT_OF_BYTE, drawable, opacity_bytes, whole_bands
 from ..splats import Splats
-from ..words import count_words
+from ..words import count_words, number
 from .axes import X, harmonic_signs
 from .packed_bytes import (
+    check_ratio,
     gunzip_exactly,
     gzip_quickly,
     unzstd_exactly,
@@ -160,7 +161,8 @@ def _streams(path: Path, raw: bytes | memoryview) -> tuple[_Header, list[memoryv
     if header.version < 4:
         body = view[_HEADER.size :]
         if len(body) < sum(header.sizes):
-            raise _damaged(path, f"{header.count} splats take more than its {len(view)} bytes")
+            words = count_words(header.count, "splat")
+            raise _damaged(path, f"{words} take more than its {number(len(view))} bytes")
         return header, _split(body, header.sizes)[0]
     if len(view) < _HEADER_4.size:
         raise _damaged(path, "it ends within its header")
@@ -172,6 +174,7 @@ def _streams(path: Path, raw: bytes | memoryview) -> tuple[_Header, list[memoryv
         raise _damaged(path, f"it has {streams} streams, expected {len(wanted)}")
     if first > len(view):
         raise _damaged(path, "it ends within the table of its streams")
+    check_ratio(f"{path} is a damaged SPZ file", len(view), sum(wanted))
     _tell_of_extensions(path, view[_HEADER_4.size : start])
     arrays, at = [], first
     for index in range(streams):

@@ -4,7 +4,6 @@ Source: the schema UsdVol of OpenUSD 26.03. Sizes are linear, opacities from 0 t
 of the stage. Files are written right-up-back, with Y up.
 """
 
-import json
 import logging
 import os
 import shutil
@@ -22,6 +21,7 @@ from ..io.file_sample import FileSample
 from ..io.files import atomic_write, check_readable
 from ..io.ply import read_ply
 from ..io.splat_rows import linear_scales, opacities_of
+from ..json_text import parse_json
 from ..sh import sh_count
 from ..splats import Splats
 from . import usd_reading
@@ -78,7 +78,7 @@ def _in_child(path: Path, made: Path) -> dict[str, Any]:
         raise BackendError(f"USD is read by a process of its own, which fails: {error}") from error
     if done.returncode:
         raise _unreadable(path, f"ended with code {done.returncode}")
-    return json.loads(done.stdout.decode("utf-8").splitlines()[-1])
+    return parse_json(done.stdout.splitlines()[-1])
 
 
 def _unreadable(path: Path, how: str) -> FormatError:
