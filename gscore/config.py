@@ -198,7 +198,6 @@ class TrainConfig:
         range=Range(high=_MOST),
         unit="steps",
         metavar="N",
-        basic=True,
         free=True,
     )
     max_splats: int = option(

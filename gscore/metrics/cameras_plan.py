@@ -227,6 +227,6 @@ def _wedge(
         style = f' style="fill:{scale.color(worth)}"'
     kind = "wedge scored" if style else "wedge"
     return (
-        f'<polygon class="{kind}"{style} points="{path}"><title>{html.escape(words)}</title>'
+        f'<polygon points="{path}" class="{kind}"{style}><title>{html.escape(words)}</title>'
         "</polygon>"
     )

@@ -10,7 +10,7 @@ from ..errors import DatasetError
 from ..io.files import read_bytes
 from ..io.runs import SEARCH_RECORD
 from ..json_text import parse_json
-from ..words import count_words
+from ..words import count_words, number
 from .masks import mask_folder
 from .photos import list_photos, photo_folder
 from .request import Request
@@ -52,8 +52,8 @@ def doubt(root: Path, names: Sequence[str], cameras: int) -> str:
         )
     if cameras > max(_FEW_CAMERAS, len(names) / 2):
         return (
-            f"The {count_words(len(names), 'picture')} in {root} are of {cameras} cameras or "
-            "sizes, as screenshots are and photos of one scene hardly. Give the folder of the "
+            f"The {count_words(len(names), 'picture')} in {root} are of {number(cameras)} cameras "
+            "or sizes, as screenshots are and photos of one scene hardly. Give the folder of the "
             "photos."
         )
     return ""
