@@ -76,11 +76,11 @@ def test_a_picture_that_cannot_be_drawn_is_black(training, monkeypatch, caplog, 
     def fail(_):
         raise error("too little memory")
 
-    monkeypatch.setattr(training, "_draw", fail)
     with Client(training.port) as client:
-        assert not client.look(wish(POSE, K, 4, 3))[0].any()
+        with monkeypatch.context() as patch:
+            patch.setattr(training, "_draw", fail)
+            assert not client.look(wish(POSE, K, 4, 3))[0].any()
         assert "too little memory" in caplog.text
-        monkeypatch.undo()
         assert client.look(wish(POSE, K, 4, 3))[0].all()
 
 
@@ -216,6 +216,8 @@ def test_a_slow_reader_holds_nobody_up(training):
             assert good.look(wish(POSE, K, 4, 4))[0].shape == (4, 4, 3)
         assert time.monotonic() - began < 5
         time.sleep(1.0)
+        # What is on the way through so small a window takes minutes otherwise.
+        slow.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
         with pytest.raises(ConnectionError):
             slow.receive(large)
 
