@@ -38,6 +38,8 @@ VERBS = {
     "render": "render splats to pictures or a video",
     "view": "write a page that shows splats in a browser",
     "convert": "write splats as another file: cropped, cleaned, thinned out, moved",
+    "split": "cut a large capture into blocks, each a capture of its own",
+    "merge": "put splats trained block by block together",
     "info": "say what a capture, photos, a video, a PLY or a run holds",
     "doctor": "say what this machine can do and what is missing",
     "bench": "measure speed",
@@ -56,6 +58,8 @@ _EXAMPLES = {
     "render": "Example: gscore render run -o orbit.mp4",
     "view": "Example: gscore view run -o page.html",
     "convert": "Example: gscore convert run small.ply --clean --count 100000",
+    "split": "Example: gscore split city -o blocks --blocks 8",
+    "merge": "Example: gscore merge runs -o city.ply",
     "info": "Example: gscore info photos/",
 }
 """At the end of a verb's help."""

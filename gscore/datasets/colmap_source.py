@@ -6,6 +6,7 @@ import numpy as np
 
 from ..config import DataConfig
 from ..errors import DatasetError
+from ..io.block_record import read_block
 from ..io.colmap import ColmapModel, read_model
 from ..io.colmap_model import ColmapPoints, PointIndex
 from ..scene import PointCloud, within_reach
@@ -82,11 +83,14 @@ def read_colmap(config: DataConfig, *, photos_required: bool = True) -> Capture:
         for i, (image, file) in enumerate(zip(model.images, files, strict=True))
         if file is not None or not photos_required
     ]
+    block = read_block(config.source)
     return Capture(
         root=config.source,
         views=views,
         points=points,
         error_px=_mean_error(model.points),
+        test_names=frozenset(block.test_names if block else ()),
+        masks_are=block.masks_are if block else "",
         warnings=tuple(warnings),
     )
 

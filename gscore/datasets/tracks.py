@@ -1,6 +1,8 @@
 """Which points of structure from motion were seen in which views."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -60,23 +62,31 @@ def _rays(camera: ColmapCamera, pixels: np.ndarray) -> np.ndarray:
 
 
 def model_of(dataset: Dataset, *, most: int | None = None) -> ColmapModel | None:
+    """The COLMAP model of a capture, as `model_with` finds it."""
+    viewmats = dict(zip(dataset.names, dataset.scene.cameras.viewmats, strict=True))
+    return model_with(dataset.source, viewmats, most=most)
+
+
+def model_with(
+    source: Path, viewmats: Mapping[str, np.ndarray], *, most: int | None = None
+) -> ColmapModel | None:
     """The COLMAP model of a capture if its images are the views, and stand where these do.
 
     A transforms.json beside it, or cameras of another capture, may be of another world.
 
     Args:
-        dataset: The capture.
+        source: Folder of the capture.
+        viewmats: By the name of each view, [4, 4] world to camera.
         most: As `read_model` takes it.
 
     Raises:
         FormatError: the model is corrupt.
     """
     try:
-        find_model(dataset.source)
+        find_model(source)
     except DatasetError:
         return None
-    model = read_model(dataset.source, most=most)
+    model = read_model(source, most=most)
     poses = {image.name: image.viewmat for image in model.images}
-    views = zip(dataset.names, dataset.scene.cameras.viewmats, strict=True)
-    same = all(name in poses and np.allclose(poses[name], pose) for name, pose in views)
+    same = all(name in poses and np.allclose(poses[name], pose) for name, pose in viewmats.items())
     return model if same else None

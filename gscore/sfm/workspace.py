@@ -9,6 +9,7 @@ from typing import Any
 
 from ..errors import ConfigError, DatasetError, GsError
 from ..io.files import atomic_write, read_bytes, reason
+from ..io.links import link_or_copy
 from ..io.lock import FolderLock
 from ..io.runs import SEARCH_RECORD
 from ..json_text import parse_json
@@ -120,7 +121,7 @@ class Workspace:
             self.links.mkdir(exist_ok=True)
             for photo in photos:
                 if not (self.links / photo.alias).exists():
-                    _link(self.root / photo.name, self.links / photo.alias)
+                    link_or_copy(self.root / photo.name, self.links / photo.alias)
 
     def publish(self, model: Any, photos: list[Photo], record: str) -> None:
         """Put the capture in its place with one rename, and remove the rest.
@@ -171,10 +172,10 @@ class Workspace:
 
     def _fill(self, made: Path, photos: list[Photo]) -> None:
         for photo in photos:
-            _link(self.root / photo.name, made / "images" / photo.name)
+            link_or_copy(self.root / photo.name, made / "images" / photo.name)
             mask = self.masks / f"{photo.alias}.png"
             if mask.is_file():
-                _link(mask, made / "masks" / f"{photo.name}.png")
+                link_or_copy(mask, made / "masks" / f"{photo.name}.png")
 
     def _state(self) -> Any:
         try:
@@ -198,11 +199,3 @@ def _told(place: Path) -> Any:
         yield
     except OSError as error:
         raise GsError(f"Cannot write {place}: {reason(error)}") from error
-
-
-def _link(source: Path, target: Path) -> None:
-    target.parent.mkdir(parents=True, exist_ok=True)
-    try:
-        os.link(source.resolve(), target)
-    except OSError:
-        shutil.copy2(source, target)

@@ -1,0 +1,302 @@
+"""A capture cut into blocks, each an ordinary capture with its photos, cameras and points.
+
+Blocks are chosen as VastGaussian (Lin et al. 2024, arXiv 2402.17427, section 4.1) does: a photo
+belongs to each block of which it shows enough, and a block has all points that its photos show,
+also those outside of its cell, because something must stand there in its photos.
+"""
+
+import contextlib
+import hashlib
+import os
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+
+from ..config import DataConfig
+from ..datasets.capture import Capture, View
+from ..datasets.masks import masks_of_views
+from ..datasets.read import read_capture
+from ..datasets.split import split_views
+from ..datasets.tracks import model_with
+from ..errors import ConfigError, DatasetError, GsError
+from ..io.block_record import BlockRecord
+from ..io.colmap import write_model
+from ..io.colmap_model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
+from ..io.files import reason
+from ..io.images import IMAGE_ENDINGS
+from ..io.links import link_or_copy
+from ..scene import within_reach
+from ..transforms import rotmat_to_quat
+from ..words import count_words
+from .cells import Cells, make_cells
+from .sight import MARGIN, SHARE, photos_of_cells, seen_rows
+
+MOST_BLOCKS = 10_000
+_FEWEST_PHOTOS = 3
+"""Of which a training can learn anything of a place."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Block:
+    """One block, chosen and not yet written."""
+
+    record: BlockRecord
+    """What is written beside it."""
+    views: list[int]
+    """Rising indices of its photos among `Cut.views`."""
+    rows: np.ndarray
+    """[Q] int64, rising rows of its points."""
+    own_points: int
+    """How many of these lie in its cell."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cut:
+    """A capture and the blocks it falls into."""
+
+    views: list[View]
+    """Of the capture, sorted by name."""
+    masks: list[Path | None]
+    """Their masks."""
+    model: ColmapModel
+    """Cameras and points; its images in the order of `views`."""
+    blocks: list[Block]
+    warnings: tuple[str, ...]
+    """Sentences for the user."""
+
+
+def cut_capture(
+    data: DataConfig, count: int, *, margin: float = MARGIN, share: float = SHARE
+) -> Cut:
+    """Choose photos and points of each block.
+
+    Args:
+        data: The capture, and which views it holds out.
+        count: Number of blocks.
+        margin: Share of a cell's extent by which it is widened to choose photos.
+        share: Least share of what a photo shows that must lie there.
+
+    Raises:
+        ConfigError: a number that cannot work.
+        DatasetError: the capture is not there, has no points, or too few photos for so many blocks.
+        FormatError: a file of it is corrupt.
+    """
+    _check(count, margin, share)
+    capture = read_capture(data)
+    views = sorted(capture.views, key=lambda view: view.name)
+    masks: list[Path | None] = [None] * len(views)
+    told: list[str] = []
+    if data.mask_mode != "none":
+        masks, told = masks_of_views(data, capture.root, views)
+    model = _model(capture, views)
+    if not len(model.points):
+        raise DatasetError(
+            f"{data.source} has no points, by which blocks could be cut. Let COLMAP or gscore sfm "
+            "find some."
+        )
+    cells = make_cells(
+        model.points.xyz,
+        np.maximum(model.points.track_lengths, 1),
+        np.stack([image.viewmat for image in model.images]),
+        count,
+    )
+    _, test = split_views([view.name for view in views], data, stated=capture.test_names)
+    held_out = {views[i].name for i in test}
+    records = _records(cells, views, held_out, capture.masks_are)
+    blocks = _blocks(model, cells, records, margin, share)
+    warnings = [*capture.warnings, *told]
+    return Cut(views=views, masks=masks, model=model, blocks=blocks, warnings=tuple(warnings))
+
+
+def write_blocks(cut: Cut, folder: Path, told: Callable[[int], object]) -> None:
+    """Write all blocks into a new folder, completely or not at all.
+
+    Args:
+        cut: What `cut_capture` chose.
+        folder: New or empty; `block_0`, `block_1` and so on are made in it. Photos are linked, and
+            copied where the file system has no such links or is another one.
+        told: Is given how many photos have been linked, those that several blocks have as often.
+
+    Raises:
+        ConfigError: the folder holds something.
+        GsError: it cannot be written.
+    """
+    check_empty(folder)
+    whole = folder.resolve()
+    made = whole.parent / f".{whole.name}.{os.getpid()}.split"
+    done = 0
+    try:
+        for block in cut.blocks:
+            place = made / block_name(block.record.index)
+            for i in block.views:
+                _fill(cut.views[i], cut.masks[i], place)
+                done += 1
+                told(done)
+            (place / "sparse/0").mkdir(parents=True)
+            write_model(_part(cut.model, block), place / "sparse/0")
+            block.record.write(place)
+        with contextlib.suppress(FileNotFoundError):
+            whole.rmdir()
+        made.rename(whole)
+    except OSError as error:
+        raise GsError(f"Cannot write {folder}: {reason(error)}") from error
+    finally:
+        shutil.rmtree(made, ignore_errors=True)
+
+
+def block_name(index: int) -> str:
+    """The folder of a block."""
+    return f"block_{index}"
+
+
+def check_empty(folder: Path) -> None:
+    """Raise ConfigError unless blocks may be written there."""
+    taken = folder.exists() and (not folder.is_dir() or any(folder.iterdir()))
+    if taken:
+        raise ConfigError(f"{folder} is not empty. Choose a new folder for the blocks with -o.")
+
+
+def _check(count: int, margin: float, share: float) -> None:
+    if not 2 <= count <= MOST_BLOCKS:
+        raise ConfigError(f"The number of blocks must be 2 to {MOST_BLOCKS}, got {count}.")
+    if not 0 <= margin <= 1:
+        raise ConfigError(f"margin must be 0 to 1, got {margin:g}.")
+    if not 0 < share <= 1:
+        raise ConfigError(f"share must be above 0 and at most 1, got {share:g}.")
+
+
+def _model(capture: Capture, views: list[View]) -> ColmapModel:
+    """The capture's COLMAP model with tracks, or one made of what it states; images as `views`."""
+    found = model_with(capture.root, {view.name: view.viewmat for view in views})
+    if found is None:
+        return _made(capture, views)
+    by_name = {image.name: image for image in found.images}
+    images = [replace(by_name[view.name], name=_file_name(view)) for view in views]
+    usable = np.flatnonzero(within_reach(found.points.xyz))
+    return replace(found, images=images, points=_points_at(found.points, usable))
+
+
+def _made(capture: Capture, views: list[View]) -> ColmapModel:
+    cameras: dict[int, ColmapCamera] = {}
+    known: dict[tuple, int] = {}
+    images = []
+    for i, view in enumerate(views):
+        camera = view.camera
+        key = (camera.model, camera.width, camera.height, camera.params.tobytes())
+        camera_id = known.setdefault(key, len(known) + 1)
+        cameras[camera_id] = camera
+        images.append(
+            ColmapImage(
+                id=i + 1,
+                name=_file_name(view),
+                camera_id=camera_id,
+                qvec=rotmat_to_quat(view.viewmat[:3, :3]),
+                tvec=view.viewmat[:3, 3],
+                xys=np.zeros((0, 2)),
+                point3D_ids=np.zeros(0, np.int64),
+            )
+        )
+    xyz = capture.points.points.astype(np.float64)
+    good = within_reach(xyz)
+    xyz = xyz[good]
+    points = ColmapPoints(
+        ids=np.arange(1, len(xyz) + 1),
+        xyz=xyz,
+        rgb=capture.points.colors[good],
+        error=np.full(len(xyz), -1.0),
+        track_lengths=np.zeros(len(xyz), np.int32),
+    )
+    return ColmapModel(cameras=cameras, images=images, points=points)
+
+
+def _records(
+    cells: Cells, views: list[View], held_out: set[str], masks_are: str
+) -> Callable[[int, list[int]], BlockRecord]:
+    """Makes the record of a block of its index and its views."""
+    digest = hashlib.sha256(cells.axes.tobytes() + cells.bounds.tobytes())
+    for view in views:
+        digest.update(view.name.encode("utf-8", "surrogateescape") + b"\0")
+        digest.update(view.viewmat.tobytes())
+    split = digest.hexdigest()[:16]
+
+    def record(index: int, chosen: list[int]) -> BlockRecord:
+        names = [_file_name(views[i]) for i in chosen if views[i].name in held_out]
+        return BlockRecord(
+            split=split,
+            index=index,
+            axes=cells.axes,
+            bounds=cells.bounds,
+            test_names=tuple(names),
+            masks_are=masks_are,
+        )
+
+    return record
+
+
+def _blocks(
+    model: ColmapModel,
+    cells: Cells,
+    record: Callable[[int, list[int]], BlockRecord],
+    margin: float,
+    share: float,
+) -> list[Block]:
+    seen = seen_rows(model)
+    chosen = photos_of_cells(seen, cells.around(model.points.xyz, margin), share)
+    inside = cells.holding(model.points.xyz)
+    blocks = []
+    for index, photos in enumerate(chosen):
+        views = np.flatnonzero(photos).tolist()
+        if len(views) < _FEWEST_PHOTOS:
+            raise DatasetError(
+                f"Block {index} would have {count_words(len(views), 'photo')}, of which nothing "
+                f"can be learnt. Cut fewer than {len(chosen)} blocks."
+            )
+        shown = np.zeros(len(model.points), bool)
+        for i in views:
+            shown[seen[i]] = True
+        shown |= inside[index]
+        blocks.append(
+            Block(
+                record=record(index, views),
+                views=views,
+                rows=np.flatnonzero(shown),
+                own_points=int(inside[index].sum()),
+            )
+        )
+    return blocks
+
+
+def _part(model: ColmapModel, block: Block) -> ColmapModel:
+    """The model of a block; observations of points that are not in it become those of none."""
+    images = [model.images[i] for i in block.views]
+    used = {image.camera_id for image in images}
+    cameras = {key: camera for key, camera in model.cameras.items() if key in used}
+    return replace(
+        model, cameras=cameras, images=images, points=_points_at(model.points, block.rows)
+    )
+
+
+def _points_at(points: ColmapPoints, rows: np.ndarray) -> ColmapPoints:
+    return ColmapPoints(**{name: values[rows] for name, values in vars(points).items()})
+
+
+def _fill(view: View, mask: Path | None, place: Path) -> None:
+    """The photo and its mask, under names by which a COLMAP capture finds them."""
+    name = _file_name(view)
+    link_or_copy(view.image, place / "images" / name)
+    if mask is not None:
+        link_or_copy(mask, place / "masks" / f"{name}.png")
+
+
+def _file_name(view: View) -> str:
+    """The view's name with the ending that its file has."""
+    pure = PurePosixPath(view.name.replace("\\", "/"))
+    ending = view.image.suffix
+    if pure.suffix.lower() == ending.lower():
+        return pure.as_posix()
+    if pure.suffix.lower() in IMAGE_ENDINGS:
+        return pure.with_suffix(ending).as_posix()
+    return f"{pure.as_posix()}{ending}"

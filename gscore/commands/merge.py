@@ -1,0 +1,155 @@
+"""`gscore merge`: runs on the blocks of a split capture, as one file of splats."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from ..blocks.merge import TrainedBlock, check_complete, merge_blocks
+from ..config import DataConfig, TrainConfig
+from ..config_file import differences, load_config
+from ..errors import ConfigError, DatasetError
+from ..formats import format_to_write, write_splat_file
+from ..io.block_record import BLOCK_RECORD, BlockRecord, read_block
+from ..shown import shown
+from ..words import count_words, number
+from .model import GivenModel, open_model
+from .output import check_folder, check_replaced, print_json
+from .status import Status, wrapped
+
+_FREE = ("seed", "threads", "cache_mb", "checkpoint_seconds", "preview_seconds", "snapshot_every")
+"""Options that may differ from block to block without a word."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of the verb."""
+    parser.add_argument(
+        "runs", nargs="+", type=Path, metavar="RUN", help="the runs, or a folder of them"
+    )
+    parser.add_argument(
+        "-o", "--output", type=Path, required=True, help="file of splats, such as merged.ply"
+    )
+    parser.add_argument(
+        "--blocks",
+        type=Path,
+        metavar="BLOCKS",
+        help="where the blocks are; default: where the runs found them",
+    )
+    parser.add_argument(
+        "--overwrite", action="store_true", help="replace a file that gscore did not write"
+    )
+    parser.add_argument("--json", action="store_true", help="what came out as JSON on stdout")
+    parser.add_argument("--quiet", action="store_true", help="no progress")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Look at all runs before reading any splats; keep each block's own, write, say how many."""
+    check_replaced(
+        [args.output, *format_to_write(args.output).beside(args.output)], overwrite=args.overwrite
+    )
+    check_folder(args.output.parent)
+    runs = _runs(args.runs)
+    records = [_record(path, args.blocks) for path in runs]
+    check_complete(list(zip(runs, records, strict=True)))
+    with Status(sys.stderr, quiet=args.quiet) as status:
+        models = []
+        for i, path in enumerate(runs):
+            status.show([f"Reading run {i + 1} of {len(runs)}"])
+            models.append(open_model(path))
+        warnings = _compare(runs, models)
+        merged = merge_blocks(
+            [
+                TrainedBlock(path=path, record=record, splats=model.splats)
+                for path, record, model in zip(runs, records, models, strict=True)
+            ]
+        )
+        status.show(["Writing the splats"])
+        written = write_splat_file(
+            args.output,
+            merged.splats,
+            antialiased=models[0].antialias,
+            comments=("Merged by gscore",),
+        )
+    warnings += written.notes
+    order = sorted(range(len(runs)), key=lambda i: records[i].index)
+    trained = [len(models[i].splats) for i in order]
+    if args.json:
+        blocks = [
+            {"run": str(runs[i]), "splats": count, "kept": kept}
+            for i, count, kept in zip(order, trained, merged.kept, strict=True)
+        ]
+        facts = {"output": str(args.output), "splats": len(merged.splats), "blocks": blocks}
+        print_json(facts | {"warnings": warnings})
+        return 0
+    for sentence in warnings:
+        print(wrapped(f"Warning: {sentence}", sys.stderr), file=sys.stderr)
+    lines = [
+        f"  block {records[i].index}: {number(kept)} of {count_words(count, 'splat')}"
+        for i, count, kept in zip(order, trained, merged.kept, strict=True)
+    ]
+    head = f"{shown(args.output)}: {count_words(len(merged.splats), 'splat')} of"
+    if not args.quiet:
+        print(wrapped("\n".join([head, *lines]), sys.stdout))
+    return 0
+
+
+def _runs(given: list[Path]) -> list[Path]:
+    """The runs; a folder that is none stands for those in it."""
+    found: list[Path] = []
+    for path in given:
+        if (path / "config.json").is_file():
+            found.append(path)
+            continue
+        if not path.is_dir():
+            raise ConfigError(f"{shown(path)} is no folder; give the runs by their folders.")
+        inside = sorted(folder.parent for folder in path.glob("*/config.json"))
+        if not inside:
+            raise DatasetError(f"{shown(path)} is no run, and there are none in it.")
+        found += inside
+    return found
+
+
+def _record(run: Path, blocks: Path | None) -> BlockRecord:
+    """Which block a run was trained on."""
+    source = load_config(run / "config.json")[0].source
+    place = source if blocks is None else blocks / source.name
+    record = read_block(place)
+    if record is not None:
+        return record
+    if not place.is_dir():
+        raise DatasetError(
+            f"{shown(run)} was trained on {shown(place)}, which is not there. Say with --blocks "
+            "where the folder of the blocks is."
+        )
+    raise ConfigError(
+        f"{shown(run)} was trained on {shown(place)}, which is no block: there is no "
+        f"{BLOCK_RECORD}. Only runs on what `gscore split` wrote can be merged."
+    )
+
+
+def _compare(runs: list[Path], models: list[GivenModel]) -> list[str]:
+    """Sentences on options in which runs differ.
+
+    Raises:
+        ConfigError: splats of these runs cannot be drawn together.
+    """
+    warnings = [sentence for model in models for sentence in model.warnings]
+    first = models[0]
+    for path, model in zip(runs[1:], models[1:], strict=True):
+        if model.antialias != first.antialias:
+            raise ConfigError(
+                f"{shown(runs[0])} and {shown(path)} differ in --antialias, so their splats cannot "
+                "be drawn together. Train one of them anew."
+            )
+        changed = [*_changed(first.train, model.train), *_changed(first.data, model.data)]
+        if changed:
+            warnings.append(
+                f"{shown(path)} was trained with other options than {shown(runs[0])}: "
+                f"{'; '.join(changed[:3])}{'; ...' if len(changed) > 3 else ''}."
+            )
+    return warnings
+
+
+def _changed(first: object, other: object) -> list[str]:
+    if not isinstance(first, TrainConfig | DataConfig):
+        return []
+    return differences(first, other, ignore=(*_FREE, "source", "iterations"))

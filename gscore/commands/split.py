@@ -1,0 +1,108 @@
+"""`gscore split`: a large capture as several small ones, trained one by one or on many machines."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from ..blocks.sight import MARGIN, SHARE
+from ..blocks.split import Cut, check_empty, cut_capture, write_blocks
+from ..config import DataConfig
+from ..io.places import check_place
+from ..shown import shown
+from ..words import count_words, number
+from .data_options import add_mask_options, add_split_options, with_data_options
+from .declared import declare
+from .output import check_folder, print_json
+from .status import Counted, Status, wrapped
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of the verb."""
+    parser.add_argument("source", type=Path, help="folder of the capture, photos with cameras")
+    parser.add_argument(
+        "-o", "--output", type=Path, required=True, metavar="BLOCKS", help="a new folder for them"
+    )
+    parser.add_argument("--blocks", type=int, required=True, metavar="N", help="how many")
+    parser.add_argument(
+        "--margin",
+        type=float,
+        default=MARGIN,
+        metavar="SHARE",
+        help=f"how far photos are chosen beyond a block's own cell, of its extent ({MARGIN:g})",
+    )
+    parser.add_argument(
+        "--share",
+        type=float,
+        default=SHARE,
+        metavar="SHARE",
+        help=f"a block has a photo of which so much lies there ({SHARE:g}); more is less work and "
+        "more to guess",
+    )
+    group = parser.add_argument_group("capture")
+    declare(group, DataConfig, names=("images",))
+    add_mask_options(group)
+    add_split_options(group)
+    parser.add_argument("--json", action="store_true", help="what came out as JSON on stdout")
+    parser.add_argument("--quiet", action="store_true", help="no progress")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Choose, link, say what each block has and how it is trained."""
+    data = with_data_options(DataConfig(source=args.source, eval=True), args)
+    check_place(args.output, data)
+    check_folder(args.output)
+    check_empty(args.output)
+    with Status(sys.stderr, quiet=args.quiet) as status:
+        status.show(["Reading the capture"])
+        cut = cut_capture(data, args.blocks, margin=args.margin, share=args.share)
+        counted = Counted(status, sum(len(block.views) for block in cut.blocks), "photo")
+        write_blocks(cut, args.output, counted)
+    if args.json:
+        print_json(_facts(cut, args))
+        return 0
+    for sentence in cut.warnings:
+        print(wrapped(f"Warning: {sentence}", sys.stderr), file=sys.stderr)
+    if not args.quiet:
+        print(wrapped("\n".join(_lines(cut, args.output)), sys.stdout))
+    return 0
+
+
+def _facts(cut: Cut, args: argparse.Namespace) -> dict:
+    return {
+        "output": str(args.output),
+        "photos": len(cut.views),
+        "points": len(cut.model.points),
+        "blocks": [
+            {
+                "photos": len(block.views),
+                "test_photos": len(block.record.test_names),
+                "points": len(block.rows),
+                "own_points": block.own_points,
+            }
+            for block in cut.blocks
+        ],
+        "warnings": list(cut.warnings),
+    }
+
+
+def _lines(cut: Cut, output: Path) -> list[str]:
+    lines = [
+        f"{count_words(len(cut.views), 'photo')} and "
+        f"{count_words(len(cut.model.points), 'point')} in "
+        f"{count_words(len(cut.blocks), 'block')}:"
+    ]
+    for block in cut.blocks:
+        lines.append(
+            f"  block_{block.record.index}: {count_words(len(block.views), 'photo')}, "
+            f"{count_words(len(block.rows), 'point')}, {number(block.own_points)} in its own cell"
+        )
+    whole = len(cut.views)
+    if min(len(block.views) for block in cut.blocks) > 0.9 * whole:
+        lines.append(
+            "Nearly every photo shows every block, so blocks save splats and no photos: this "
+            "capture goes around one thing. A higher --share leaves more out."
+        )
+    place = shown(output)
+    lines.append(f"Next: gscore train {place}/block_0 -o RUNS/block_0, and so on for each;")
+    lines.append("then: gscore merge RUNS -o merged.ply")
+    return lines

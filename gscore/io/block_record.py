@@ -1,0 +1,110 @@
+"""`block.json`: which part of which capture a block is, so that what is trained on it can be put
+together again."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import FormatError
+from ..events import strict_json
+from ..json_text import parse_json
+from ..shown import shown
+from .files import atomic_write, is_file, read_bytes
+
+BLOCK_RECORD = "block.json"
+"""In the folder of a capture that is a block of another one."""
+_KIND = "gscore block 1"
+
+
+@dataclass(frozen=True, kw_only=True)
+class BlockRecord:
+    """A block, and how the whole was cut."""
+
+    split: str
+    """The same for all blocks that were cut together, and for no others."""
+    index: int
+    """Which block this is, from 0."""
+    axes: np.ndarray
+    """[2, 3] float64, the directions across which the world is cut, of length 1."""
+    bounds: np.ndarray
+    """[N, 2, 2] float64: of each block the lower and upper ends along both; infinite at the rim.
+    What lies on a lower end is inside."""
+    test_names: tuple[str, ...] = ()
+    """Views of this block that the whole holds out."""
+    masks_are: str = ""
+    """What masks mean, as `Capture.masks_are`."""
+
+    @property
+    def count(self) -> int:
+        """How many blocks there are."""
+        return len(self.bounds)
+
+    def write(self, folder: Path) -> None:
+        """Write it into the folder of its block.
+
+        Raises:
+            GsError: the file cannot be written.
+        """
+        bounds = [[[_finite(value) for value in end] for end in cell] for cell in self.bounds]
+        content = {
+            "kind": _KIND,
+            "split": self.split,
+            "index": self.index,
+            "axes": self.axes.tolist(),
+            "bounds": bounds,
+            "test_names": list(self.test_names),
+            "masks_are": self.masks_are,
+        }
+        atomic_write(folder / BLOCK_RECORD, (strict_json(content) + "\n").encode())
+
+
+def read_block(folder: Path) -> BlockRecord | None:
+    """The record in the folder of a capture; None: it is no block.
+
+    Raises:
+        FormatError: the record is damaged.
+        DatasetError: it cannot be read.
+    """
+    path = folder / BLOCK_RECORD
+    if not is_file(path):
+        return None
+    try:
+        content = parse_json(read_bytes(path))
+        return _understood(content)
+    except (ValueError, TypeError, KeyError, AttributeError, OverflowError) as error:
+        raise FormatError(
+            f"{shown(path)} is no record of a block. Split the capture anew with gscore split."
+        ) from error
+
+
+def _understood(content: Any) -> BlockRecord:
+    if content["kind"] != _KIND:
+        raise ValueError
+    ends = [
+        [[_number(value, end) for value in pair] for end, pair in zip((-1, 1), cell, strict=True)]
+        for cell in content["bounds"]
+    ]
+    record = BlockRecord(
+        split=str(content["split"]),
+        index=int(content["index"]),
+        axes=np.array(content["axes"], np.float64),
+        bounds=np.array(ends, np.float64),
+        test_names=tuple(map(str, content["test_names"])),
+        masks_are=str(content["masks_are"]),
+    )
+    whole = record.axes.shape == (2, 3) and record.bounds.shape == (record.count, 2, 2)
+    if not whole or not np.isfinite(record.axes).all() or not 0 <= record.index < record.count:
+        raise ValueError
+    return record
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _number(value: float | None, end: int) -> float:
+    """JSON has no infinity: where there is no number, the block goes on without end."""
+    return end * math.inf if value is None else float(value)

@@ -1,0 +1,127 @@
+"""gscore split and gscore merge, from a capture to one file of splats."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from gscore.io.block_record import read_block
+from gscore.io.ply import MIP_COMMENT, header_comments, read_ply
+
+SHORT = ("--preset", "draft", "--iterations", 3, "--quiet")
+
+
+@pytest.fixture(scope="module")
+def blocks(tmp_path_factory, capture):
+    """Two blocks of the capture, and runs of three steps on them."""
+    from gscore.commands import main
+
+    folder = tmp_path_factory.mktemp("blocks")
+    lines = [("split", capture, "-o", folder / "blocks", "--blocks", 2, "--quiet")]
+    for i in range(2):
+        lines.append(("train", folder / f"blocks/block_{i}", "-o", folder / f"runs/{i}", *SHORT))
+    for line in lines:
+        assert main([str(word) for word in line]) == 0
+    return folder
+
+
+def test_split_says_what_each_block_has(gscore, capture, tmp_path):
+    """Oracle: the blocks' records and folders; what is to be done next can be copied."""
+    out = tmp_path / "blocks"
+    code, text, err = gscore("split", capture, "-o", out, "--blocks", 2)
+    assert code == 0 and not err
+    assert "9 photos" in text and f"Next: gscore train {out}/block_0" in text
+    assert "Nearly every photo shows every block" in text
+    code, text, _ = gscore("split", capture, "-o", tmp_path / "other", "--blocks", 2, "--json")
+    facts = json.loads(text)
+    assert code == 0 and facts["photos"] == 9 and len(facts["blocks"]) == 2
+    for index, block in enumerate(facts["blocks"]):
+        record = read_block(out / f"block_{index}")
+        assert record is not None and block["test_photos"] == len(record.test_names)
+        images = list((out / f"block_{index}/images").iterdir())
+        assert block["photos"] == len(images)
+    assert sum(block["own_points"] for block in facts["blocks"]) == facts["points"]
+
+
+def test_merge_keeps_each_block_to_its_cell(gscore, blocks, tmp_path):
+    """Oracle: the splats of both runs, cut by the bounds of the records; runs one by one and as a
+    folder give the same bytes."""
+    out = tmp_path / "merged.ply"
+    code, text, _ = gscore("merge", blocks / "runs", "-o", out)
+    merged = read_ply(out)
+    kept = []
+    for index in range(2):
+        record = read_block(blocks / f"blocks/block_{index}")
+        means = read_ply(blocks / f"runs/{index}/point_cloud.ply").means
+        ground = means.astype(np.float64) @ record.axes.T
+        low, high = record.bounds[index]
+        kept.append(means[((ground >= low) & (ground < high)).all(axis=1)])
+    np.testing.assert_array_equal(merged.means, np.concatenate(kept))
+    assert code == 0 and f"{len(merged)} splats of" in text
+    runs = [blocks / "runs/1", blocks / "runs/0"]
+    code, text, _ = gscore("merge", *runs, "-o", tmp_path / "again.ply", "--json")
+    facts = json.loads(text)
+    assert [block["kept"] for block in facts["blocks"]] == [len(part) for part in kept]
+    assert (tmp_path / "again.ply").read_bytes() == out.read_bytes()
+
+
+def test_blocks_that_were_moved(gscore, blocks, tmp_path):
+    """Oracle: a sentence that names the option, with which the same file comes out."""
+    elsewhere = tmp_path / "elsewhere"
+    shutil.copytree(blocks / "runs", elsewhere)
+    for config in elsewhere.glob("*/config.json"):
+        config.write_text(config.read_text().replace(str(blocks / "blocks"), "/gone/blocks"))
+    code, _, err = gscore("merge", elsewhere, "-o", tmp_path / "a.ply")
+    assert code == 2 and "is not there. Say with --blocks where" in err
+    given = ("--blocks", blocks / "blocks")
+    assert gscore("merge", elsewhere, "-o", tmp_path / "a.ply", *given)[0] == 0
+    gscore("merge", blocks / "runs", "-o", tmp_path / "b.ply")
+    assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
+
+
+def test_runs_that_do_not_fit_together(gscore, blocks, trained, tmp_path):
+    """Oracle: one sentence each, code 2, nothing written; options that differ are told."""
+    out = tmp_path / "merged.ply"
+    for runs, words in (
+        ([blocks / "runs/1"], "1 of 2 blocks is not there: 0."),
+        ([blocks / "runs/1", blocks / "runs/1"], "on the same block, 1"),
+        ([trained], "which is no block"),
+        ([blocks / "blocks"], "is no run, and there are none in it"),
+        ([tmp_path / "nowhere"], "is no folder"),
+    ):
+        code, _, err = gscore("merge", *runs, "-o", out)
+        assert code == 2 and words in " ".join(err.split()), err
+    block = blocks / "blocks/block_1"
+    gscore("train", block, "-o", tmp_path / "other", *SHORT, "--sh-degree", 1)
+    code, _, err = gscore("merge", blocks / "runs/0", tmp_path / "other", "-o", out)
+    assert code == 0 and "sh_degree was 2, is 1" in " ".join(err.split())
+    out.unlink()
+    gscore("train", block, "-o", tmp_path / "third", *SHORT, "--antialias")
+    code, _, err = gscore("merge", blocks / "runs/0", tmp_path / "third", "-o", out)
+    assert code == 2 and "differ in --antialias" in " ".join(err.split())
+    assert not out.exists()
+
+
+def test_the_mark_of_antialiasing_goes_on(gscore, blocks, tmp_path):
+    """Oracle: the comments of the header."""
+    for i in range(2):
+        block = blocks / f"blocks/block_{i}"
+        gscore("train", block, "-o", tmp_path / f"runs/{i}", *SHORT, "--antialias")
+    assert gscore("merge", tmp_path / "runs", "-o", tmp_path / "a.ply")[0] == 0
+    assert MIP_COMMENT in header_comments(tmp_path / "a.ply")
+
+
+def test_where_nothing_may_be_written(gscore, blocks, capture, tmp_path):
+    """Oracle: a sentence, and the files that were there."""
+    full = tmp_path / "full"
+    full.mkdir()
+    (full / "mine.ply").write_text("mine")
+    code, _, err = gscore("split", capture, "-o", full, "--blocks", 2)
+    assert code == 2 and "is not empty" in err
+    code, _, err = gscore("split", capture, "-o", capture, "--blocks", 2)
+    assert code == 2 and "is the capture itself" in " ".join(err.split())
+    code, _, err = gscore("merge", blocks / "runs", "-o", full / "mine.ply")
+    assert code == 2 and (full / "mine.ply").read_text() == "mine"
+    code, _, err = gscore("merge", blocks / "runs", "-o", full / "mine.txt")
+    assert code == 2 and "no format of splats has this ending" in " ".join(err.split())
