@@ -59,8 +59,8 @@ def check_complete(runs: Sequence[tuple[Path, BlockRecord]]) -> None:
         listed = ", ".join(map(str, missing[:10])) + (", ..." if len(missing) > 10 else "")
         raise ConfigError(
             f"{number(len(missing))} of {count_words(first.count, 'block')} "
-            f"{'is' if len(missing) == 1 else 'are'} not there: {listed}. Train what is missing, or "
-            "give its run too."
+            f"{'is' if len(missing) == 1 else 'are'} not there: {listed}. Train what is "
+            "missing, or give its run too."
         )
 
 

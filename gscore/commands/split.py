@@ -4,13 +4,14 @@ import argparse
 import sys
 from pathlib import Path
 
+from ..blocks.cut import Cut, cut_capture
 from ..blocks.sight import MARGIN, SHARE
-from ..blocks.split import Cut, check_empty, cut_capture, write_blocks
+from ..blocks.write import check_empty, write_blocks
 from ..config import DataConfig
 from ..io.places import check_place
 from ..shown import shown
 from ..words import count_words, number
-from .data_options import add_mask_options, add_split_options, with_data_options
+from .data_options import add_split_options, with_data_options
 from .declared import declare
 from .output import check_folder, print_json
 from .status import Counted, Status, wrapped
@@ -39,8 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "more to guess",
     )
     group = parser.add_argument_group("capture")
-    declare(group, DataConfig, names=("images",))
-    add_mask_options(group)
+    declare(group, DataConfig, names=("images", "masks"))
     add_split_options(group)
     parser.add_argument("--json", action="store_true", help="what came out as JSON on stdout")
     parser.add_argument("--quiet", action="store_true", help="no progress")

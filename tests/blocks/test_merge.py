@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gscore.blocks.cut import cut_capture
 from gscore.blocks.merge import TrainedBlock, check_complete, merge_blocks
-from gscore.blocks.split import cut_capture
 from gscore.config import DataConfig
 from gscore.errors import ConfigError
 from gscore.io.block_record import BlockRecord

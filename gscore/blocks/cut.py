@@ -1,14 +1,11 @@
-"""A capture cut into blocks, each an ordinary capture with its photos, cameras and points.
+"""Which photos and points of a capture make up which block.
 
 Blocks are chosen as VastGaussian (Lin et al. 2024, arXiv 2402.17427, section 4.1) does: a photo
 belongs to each block of which it shows enough, and a block has all points that its photos show,
 also those outside of its cell, because something must stand there in its photos.
 """
 
-import contextlib
 import hashlib
-import os
-import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
@@ -21,13 +18,10 @@ from ..datasets.masks import masks_of_views
 from ..datasets.read import read_capture
 from ..datasets.split import split_views
 from ..datasets.tracks import model_with
-from ..errors import ConfigError, DatasetError, GsError
+from ..errors import ConfigError, DatasetError
 from ..io.block_record import BlockRecord
-from ..io.colmap import write_model
 from ..io.colmap_model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
-from ..io.files import reason
 from ..io.images import IMAGE_ENDINGS
-from ..io.links import link_or_copy
 from ..scene import within_reach
 from ..transforms import rotmat_to_quat
 from ..words import count_words
@@ -87,10 +81,7 @@ def cut_capture(
     _check(count, margin, share)
     capture = read_capture(data)
     views = sorted(capture.views, key=lambda view: view.name)
-    masks: list[Path | None] = [None] * len(views)
-    told: list[str] = []
-    if data.mask_mode != "none":
-        masks, told = masks_of_views(data, capture.root, views)
+    masks, told = masks_of_views(data, capture.root, views)
     model = _model(capture, views)
     if not len(model.points):
         raise DatasetError(
@@ -111,54 +102,6 @@ def cut_capture(
     return Cut(views=views, masks=masks, model=model, blocks=blocks, warnings=tuple(warnings))
 
 
-def write_blocks(cut: Cut, folder: Path, told: Callable[[int], object]) -> None:
-    """Write all blocks into a new folder, completely or not at all.
-
-    Args:
-        cut: What `cut_capture` chose.
-        folder: New or empty; `block_0`, `block_1` and so on are made in it. Photos are linked, and
-            copied where the file system has no such links or is another one.
-        told: Is given how many photos have been linked, those that several blocks have as often.
-
-    Raises:
-        ConfigError: the folder holds something.
-        GsError: it cannot be written.
-    """
-    check_empty(folder)
-    whole = folder.resolve()
-    made = whole.parent / f".{whole.name}.{os.getpid()}.split"
-    done = 0
-    try:
-        for block in cut.blocks:
-            place = made / block_name(block.record.index)
-            for i in block.views:
-                _fill(cut.views[i], cut.masks[i], place)
-                done += 1
-                told(done)
-            (place / "sparse/0").mkdir(parents=True)
-            write_model(_part(cut.model, block), place / "sparse/0")
-            block.record.write(place)
-        with contextlib.suppress(FileNotFoundError):
-            whole.rmdir()
-        made.rename(whole)
-    except OSError as error:
-        raise GsError(f"Cannot write {folder}: {reason(error)}") from error
-    finally:
-        shutil.rmtree(made, ignore_errors=True)
-
-
-def block_name(index: int) -> str:
-    """The folder of a block."""
-    return f"block_{index}"
-
-
-def check_empty(folder: Path) -> None:
-    """Raise ConfigError unless blocks may be written there."""
-    taken = folder.exists() and (not folder.is_dir() or any(folder.iterdir()))
-    if taken:
-        raise ConfigError(f"{folder} is not empty. Choose a new folder for the blocks with -o.")
-
-
 def _check(count: int, margin: float, share: float) -> None:
     if not 2 <= count <= MOST_BLOCKS:
         raise ConfigError(f"The number of blocks must be 2 to {MOST_BLOCKS}, got {count}.")
@@ -174,9 +117,9 @@ def _model(capture: Capture, views: list[View]) -> ColmapModel:
     if found is None:
         return _made(capture, views)
     by_name = {image.name: image for image in found.images}
-    images = [replace(by_name[view.name], name=_file_name(view)) for view in views]
+    images = [replace(by_name[view.name], name=file_name(view)) for view in views]
     usable = np.flatnonzero(within_reach(found.points.xyz))
-    return replace(found, images=images, points=_points_at(found.points, usable))
+    return replace(found, images=images, points=points_at(found.points, usable))
 
 
 def _made(capture: Capture, views: list[View]) -> ColmapModel:
@@ -191,7 +134,7 @@ def _made(capture: Capture, views: list[View]) -> ColmapModel:
         images.append(
             ColmapImage(
                 id=i + 1,
-                name=_file_name(view),
+                name=file_name(view),
                 camera_id=camera_id,
                 qvec=rotmat_to_quat(view.viewmat[:3, :3]),
                 tvec=view.viewmat[:3, 3],
@@ -223,7 +166,7 @@ def _records(
     split = digest.hexdigest()[:16]
 
     def record(index: int, chosen: list[int]) -> BlockRecord:
-        names = [_file_name(views[i]) for i in chosen if views[i].name in held_out]
+        names = [file_name(views[i]) for i in chosen if views[i].name in held_out]
         return BlockRecord(
             split=split,
             index=index,
@@ -269,29 +212,12 @@ def _blocks(
     return blocks
 
 
-def _part(model: ColmapModel, block: Block) -> ColmapModel:
-    """The model of a block; observations of points that are not in it become those of none."""
-    images = [model.images[i] for i in block.views]
-    used = {image.camera_id for image in images}
-    cameras = {key: camera for key, camera in model.cameras.items() if key in used}
-    return replace(
-        model, cameras=cameras, images=images, points=_points_at(model.points, block.rows)
-    )
-
-
-def _points_at(points: ColmapPoints, rows: np.ndarray) -> ColmapPoints:
+def points_at(points: ColmapPoints, rows: np.ndarray) -> ColmapPoints:
+    """The points at these rows [Q]."""
     return ColmapPoints(**{name: values[rows] for name, values in vars(points).items()})
 
 
-def _fill(view: View, mask: Path | None, place: Path) -> None:
-    """The photo and its mask, under names by which a COLMAP capture finds them."""
-    name = _file_name(view)
-    link_or_copy(view.image, place / "images" / name)
-    if mask is not None:
-        link_or_copy(mask, place / "masks" / f"{name}.png")
-
-
-def _file_name(view: View) -> str:
+def file_name(view: View) -> str:
     """The view's name with the ending that its file has."""
     pure = PurePosixPath(view.name.replace("\\", "/"))
     ending = view.image.suffix
