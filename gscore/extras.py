@@ -6,7 +6,6 @@ from importlib import import_module
 from typing import Any
 
 from .errors import BackendError
-from .signal_keeping import signals_kept
 
 _TRAIN = "train"
 _EXTRAS = {
@@ -64,6 +63,9 @@ def need(module: str, purpose: str) -> Any:
     loaded = sys.modules.get(module)
     if loaded is not None and not _is_loading(loaded):
         return loaded
+    # Here, for it loads ctypes and threading, which `import gscore` alone has no use for.
+    from .signal_keeping import signals_kept
+
     try:
         with signals_kept():
             return import_module(module)

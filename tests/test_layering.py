@@ -95,6 +95,14 @@ TRAINER = {
 """What each hall of the trainer, or file beside them, may import of the trainer besides itself."""
 MOST_BESIDE_HALLS = 10
 MOST_PUBLIC = 40
+IMPORTED = {"gscore", "gscore._version", "gscore.errors", "gscore.extras"}
+"""What `import gscore` loads of gscore."""
+NOT_IMPORTED = {
+    *("torch", "numpy", "bpy", "scipy", "PIL"),
+    *("argparse", "asyncio", "ctypes", "dataclasses", "inspect", "json", "logging"),
+    *("pathlib", "signal", "subprocess", "tempfile", "threading"),
+}
+"""What `import gscore` leaves to those who need it: each takes a millisecond or more."""
 DOORS = {"gscore": gscore.__all__, "gscore.frontend": frontend.__all__}
 """What the add-on may see of gscore, by the module that offers it."""
 
@@ -243,17 +251,20 @@ def test_an_estimate_needs_no_torch() -> None:
     assert _fresh(code) == "True"
 
 
-def _fresh(code: str) -> str:
+def _fresh(code: str, *options: str) -> str:
     done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True
+        [sys.executable, *options, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True
     )
     return done.stdout.strip()
 
 
 def test_import_is_light() -> None:
-    """Oracle: the modules of a fresh interpreter."""
-    code = "import sys, gscore; print([m for m in ('torch', 'numpy', 'bpy') if m in sys.modules])"
-    assert _fresh(code) == "[]"
+    """Oracle: the modules of a fresh interpreter without site-packages: gscore's own are IMPORTED,
+    and none of NOT_IMPORTED is there."""
+    code = "import sys, gscore; print(*sys.modules)"
+    found = set(_fresh(code, "-S").split())
+    assert {name for name in found if name.startswith("gscore")} == IMPORTED
+    assert not found & NOT_IMPORTED
 
 
 def test_rendering_needs_no_torch() -> None:
