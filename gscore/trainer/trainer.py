@@ -36,7 +36,7 @@ from .rows.params import splats_of_tensors, tensors_from_splats
 from .rows.start import splats_of_cloud, splats_to_go_on_with
 from .rows.stored import check_tensors, choices, real, whole
 from .schedule.plan import Plan
-from .strategy import Change, make_strategy, ops
+from .strategy import Change, DrawnView, make_strategy, ops
 from .strategy.contribution import Weights, least, most_in_a_view, mostly_hidden, weights_by_view
 from .strategy.free_space import FreeSpace
 from .views.adam import rate_at
@@ -630,14 +630,10 @@ class Trainer:
         """Step with the model's gradients; what changed, and how many rows were left out."""
         model, radii = self.model, self._painter.radii
         self.strategy.shape_gradients(model)
-        self.strategy.observe(
-            model,
-            step=step,
-            radii=radii,
-            v_means2d=v_means2d,
-            width=view.width,
-            height=view.height,
+        drawn = DrawnView(
+            step=step, radii=radii, v_means2d=v_means2d, width=view.width, height=view.height
         )
+        self.strategy.observe(model, drawn)
         means_lr = self.rate_factor * self.plan.means_lr_at(step)
         rates = {name: self.rate_factor * rate for name, rate in self.plan.rates_at(step).items()}
         model.set_rates(rates | {"means": means_lr})

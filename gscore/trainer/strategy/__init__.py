@@ -2,11 +2,11 @@
 
 from ...config import Strategy, TrainConfig
 from ..schedule.plan import Plan
-from .base import Change, Policy
+from .base import Change, DrawnView, Policy
 from .default import DefaultStrategy
 from .mcmc import MCMCStrategy
 
-__all__ = ["Change", "Policy", "make_strategy"]
+__all__ = ["Change", "DrawnView", "Policy", "make_strategy"]
 
 
 def make_strategy(config: TrainConfig, plan: Plan, *, extent: float) -> Policy:

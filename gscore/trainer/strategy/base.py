@@ -22,6 +22,22 @@ class Change:
         return bool(self.added or self.removed or self.moved or self.reset)
 
 
+@dataclass(frozen=True, kw_only=True)
+class DrawnView:
+    """What a step tells a strategy of the view that it drew."""
+
+    step: int
+    """Its number, from 1."""
+    radii: torch.Tensor
+    """[N] int32 px, 0 where a splat was not drawn."""
+    v_means2d: torch.Tensor
+    """[N, 2] float32, gradient of the loss in projected positions, per px."""
+    width: int
+    """px."""
+    height: int
+    """px."""
+
+
 class Policy(Protocol):
     """A policy without state of its own: what it counts lives in `Model.rows`.
 
@@ -36,26 +52,8 @@ class Policy(Protocol):
         """Add the gradients of the strategy's own loss terms."""
         ...
 
-    def observe(
-        self,
-        model: Model,
-        *,
-        step: int,
-        radii: torch.Tensor,
-        v_means2d: torch.Tensor,
-        width: int,
-        height: int,
-    ) -> None:
-        """Take note of one rendered view.
-
-        Args:
-            model: Its `rows` are updated.
-            step: Number of the step, from 1.
-            radii: [N] int32 px, 0 where a splat was not drawn.
-            v_means2d: [N, 2] float32, gradient of the loss in projected positions, per px.
-            width: Of the view, px.
-            height: Of the view, px.
-        """
+    def observe(self, model: Model, view: DrawnView) -> None:
+        """Take note of a view in `model.rows`."""
         ...
 
     def after_step(

@@ -11,7 +11,7 @@ from ...raster.pull import add_pull
 from ..rows.model import Model
 from ..schedule.plan import Plan
 from . import ops
-from .base import Change
+from .base import Change, DrawnView
 
 RESET_OPACITY = 0.01
 """Ceiling of all opacities at a reset."""
@@ -36,20 +36,12 @@ class DefaultStrategy:
     def shape_gradients(self, model: Model) -> None:
         pass
 
-    def observe(
-        self,
-        model: Model,
-        *,
-        step: int,
-        radii: torch.Tensor,
-        v_means2d: torch.Tensor,
-        width: int,
-        height: int,
-    ) -> None:
-        if step > self._plan.refine_stop:
+    def observe(self, model: Model, view: DrawnView) -> None:
+        if view.step > self._plan.refine_stop:
             return
-        rows, scale = model.rows, (0.5 * width, 0.5 * height)
-        add_pull(rows["pull"], rows["seen"], v_means2d, radii, scale, threads=self._config.threads)
+        pull, seen = model.rows["pull"], model.rows["seen"]
+        scale, threads = (0.5 * view.width, 0.5 * view.height), self._config.threads
+        add_pull(pull, seen, view.v_means2d, view.radii, scale, threads=threads)
 
     def after_step(
         self, model: Model, *, step: int, means_lr: float, cap: int, generator: torch.Generator

@@ -8,7 +8,7 @@ from ..host.random import gaussian
 from ..rows.model import Model
 from ..schedule.plan import Plan
 from . import ops
-from .base import Change
+from .base import Change, DrawnView
 
 GATE_SHARPNESS = 100.0
 GATE_OPACITY = 0.005
@@ -41,16 +41,7 @@ class MCMCStrategy:
             weight = self._config.scale_reg / scales.numel()
             grads["scales"].add_(scales.exp(), alpha=weight)
 
-    def observe(
-        self,
-        model: Model,
-        *,
-        step: int,
-        radii: torch.Tensor,
-        v_means2d: torch.Tensor,
-        width: int,
-        height: int,
-    ) -> None:
+    def observe(self, model: Model, view: DrawnView) -> None:
         pass
 
     def after_step(

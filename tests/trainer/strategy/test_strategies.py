@@ -11,7 +11,7 @@ import torch
 from gscore.config import Doubling, Strategy, TrainConfig
 from gscore.trainer.rows.model import Model
 from gscore.trainer.schedule.plan import Plan
-from gscore.trainer.strategy import Change, Policy, make_strategy, ops
+from gscore.trainer.strategy import Change, DrawnView, Policy, make_strategy, ops
 from gscore.trainer.strategy.default import DefaultStrategy
 from gscore.trainer.strategy.mcmc import MCMCStrategy
 
@@ -42,7 +42,8 @@ def see(strategy: DefaultStrategy, model: Model, pulls: list[float], step: int =
     v = torch.zeros(len(model), 2)
     v[:, 0] = torch.tensor(pulls) / 100
     radii = torch.ones(len(model), dtype=torch.int32)
-    strategy.observe(model, step=step, radii=radii, v_means2d=v, width=200, height=100)
+    drawn = DrawnView(step=step, radii=radii, v_means2d=v, width=200, height=100)
+    strategy.observe(model, drawn)
 
 
 def after(
@@ -68,14 +69,9 @@ def test_pull_is_the_mean_over_views_that_drew_the_splat(marked_model: Make) -> 
     strategy = default(CONFIG, model)
     v = torch.tensor([[3e-2, 8e-2], [0.0, 0.0]])
     for radii in ([5, 0], [7, 0]):
-        strategy.observe(
-            model,
-            step=1,
-            radii=torch.tensor(radii, dtype=torch.int32),
-            v_means2d=v,
-            width=200,
-            height=100,
-        )
+        drawn = torch.tensor(radii, dtype=torch.int32)
+        view = DrawnView(step=1, radii=drawn, v_means2d=v, width=200, height=100)
+        strategy.observe(model, view)
     np.testing.assert_allclose(model.rows["pull"].numpy(), [2 * math.hypot(3, 4), 0], rtol=1e-6)
     assert model.rows["seen"].tolist() == [2, 0]
 
