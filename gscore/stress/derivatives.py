@@ -77,7 +77,7 @@ def has_jump(scene: SplatScene) -> bool:
 
     inputs = truth.tensors(scene)
     return has_kink(scene) or any(
-        bool(reference.boundary_band(**inputs, raw=True, antialias=antialias).any())
+        bool(reference.boundary_band(*truth.request_of(inputs, antialias=antialias)).any())
         for antialias in (False, True)
     )
 

@@ -3,7 +3,7 @@
 torch is imported when something is asked, so that the list of cases can be read without it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -40,13 +40,28 @@ def tensors(scene: SplatScene, *, grad: bool = False) -> dict[str, Any]:
     return {**leaves, "K": K, "width": scene.width, "height": scene.height}
 
 
+def request_of(inputs: dict[str, Any], **options: Any) -> tuple[Any, Frustum, Settings]:
+    """What the reference's stages take: `SplatTensors`, a view and settings.
+
+    Args:
+        inputs: Arguments of `rasterize_reference`, as `tensors` makes them.
+        **options: near, far, orthographic; raw, sh_degree, antialias, eps2d.
+    """
+    from ..raster import reference
+
+    given = {**inputs, **options}
+    splats = reference.SplatTensors(*(given.pop(name) for name in PARAMETERS))
+    names = [field.name for field in fields(Frustum) if field.name in given]
+    view = Frustum(**{name: given.pop(name) for name in names})
+    return splats, view, Settings(**given)
+
+
 def ask(
     scene: SplatScene,
     *,
     seed: int = 5,
     gradients: bool = True,
     weigh: tuple[str, ...] = PICTURES,
-    orthographic: bool = False,
     **options: Any,
 ) -> Truth:
     """Pictures, band and gradients of a scene.
@@ -56,28 +71,16 @@ def ask(
         seed: Seed of the weights.
         gradients: Whether they are wanted.
         weigh: Pictures that enter the differentiated sum.
-        orthographic: Parallel rays.
-        **options: raw, sh_degree, antialias, near, far, eps2d, as `native.draw`.
+        **options: raw, sh_degree, antialias, near, far, eps2d, orthographic, as `native.draw`.
     """
     import torch
 
     from ..raster import reference
 
-    options = {"raw": True, **options}
-    planes = {name: options[name] for name in ("near", "far") if name in options}
-    settings = {name: value for name, value in options.items() if name not in planes}
     inputs = tensors(scene, grad=gradients)
-    arguments = [inputs[name] for name in PARAMETERS]
-    view = Frustum(
-        inputs["viewmat"],
-        inputs["K"],
-        scene.width,
-        scene.height,
-        orthographic=orthographic,
-        **planes,
-    )
+    asked, view, settings = request_of(inputs, **options)
     with torch.set_grad_enabled(gradients):
-        splats = reference.project(reference.SplatTensors(*arguments), view, Settings(**settings))
+        splats = reference.project(asked, view, settings)
         if gradients:
             splats.means2d.retain_grad()
         out = reference.composite(
@@ -97,7 +100,7 @@ def ask(
             "depth": out.depth * out.alpha,  # the undivided sum
             "median_depth": out.median_depth,
         }
-        band = reference.boundary_band(**inputs, orthographic=orthographic, **options)
+        band = reference.boundary_band(asked, view, settings)
         weights = random_weights(scene, seed, *weigh)
         for name in weights:
             weights[name][band.numpy()] = 0

@@ -8,7 +8,7 @@ import torch
 
 from gscore.raster import reference
 from gscore.raster.autograd import RasterAux, rasterize
-from gscore.raster.request import Frustum, Settings
+from gscore.stress.truth import request_of
 
 PARAMETERS = ("means", "quats", "scales", "opacities", "sh0", "shN", "viewmat")
 PICTURES = ("rgb", "alpha", "inverse_depth", "depth")
@@ -108,12 +108,8 @@ def loss_of(pictures, weights):
 def ask_reference(scene, *, antialias=False, near=0.01, far=1e10, **options):
     """Pictures, band, loss weights and gradients of a scene in float64."""
     inputs = scene.inputs()
-    planes = {"near": near, "far": far, "antialias": antialias}
-    splats = reference.project(
-        reference.SplatTensors(*(inputs[name] for name in PARAMETERS[:6])),
-        Frustum(inputs["viewmat"], scene.K, scene.width, scene.height, near, far),
-        Settings(antialias=antialias, **{"raw": False, **options}),
-    )
+    asked = request_of(inputs, near=near, far=far, antialias=antialias, **{"raw": False, **options})
+    splats = reference.project(*asked)
     splats.means2d.retain_grad()
     out = reference.composite(
         splats,
@@ -123,7 +119,7 @@ def ask_reference(scene, *, antialias=False, near=0.01, far=1e10, **options):
         inverse_depth=True,
         depth=True,
     )
-    band = reference.boundary_band(**inputs, **planes, **options)
+    band = reference.boundary_band(*asked)
     rng = torch.Generator().manual_seed(5)
     pictures = {name: getattr(out, name) for name in PICTURES}
     weights = {}

@@ -11,6 +11,7 @@ from gscore.errors import BackendError
 from gscore.raster import _native, reference
 from gscore.raster.request import Frustum, Settings
 from gscore.splats import Splats
+from gscore.stress.truth import request_of
 
 BACKGROUND = (0.25, 0.5, 0.125)
 PARAMETERS = ("means", "quats", "scales", "opacities", "sh0", "shN")
@@ -39,7 +40,7 @@ def draw_reference(scene, K, **options):
             depth=True,
             **options,
         )
-        band = reference.boundary_band(**inputs, raw=True, orthographic=True, **options)
+        band = reference.boundary_band(*request_of(inputs, orthographic=True, **options))
     return out, band
 
 

@@ -7,6 +7,7 @@ import torch
 
 from gscore.errors import ShapeError
 from gscore.raster.reference import boundary_band, rasterize_reference
+from gscore.stress.truth import request_of
 from tests.raster.damage import assert_row_without_gradient
 
 OPTIONS = {"raw": True, "inverse_depth": True, "depth": True}
@@ -102,7 +103,7 @@ def test_float32_agrees_with_float64_outside_the_band_and_flips_stay_inside(rand
     rounded = rasterize_reference(**inputs, raw=True, dtype=torch.float32)
     assert rounded.rgb.dtype == torch.float32
     assert exact.alpha.mean() > 0.1
-    band = boundary_band(**inputs, raw=True)
+    band = boundary_band(*request_of(inputs))
     assert 0 < band.double().mean() < 0.2
     error = (rounded.rgb.double() - exact.rgb).abs().amax(2)
     assert error[~band].max() < 1e-5
@@ -135,7 +136,7 @@ def test_empty_scenes_show_the_background(random_scene, count):
     assert torch.equal(out.rgb, background.expand(20, 24, 3))
     for picture in out[1:]:
         assert not picture.any()
-    assert not boundary_band(**inputs, raw=True).any()
+    assert not boundary_band(*request_of(inputs)).any()
     out.rgb.sum().backward()
     for name in (*PARAMETERS, "viewmat"):
         assert not inputs[name].grad.any(), name
@@ -145,9 +146,11 @@ def test_bad_input_is_refused(random_scene):
     inputs = random_scene(9, sh_degree=1).inputs()
 
     def refuses(message, **changes):
-        for function in (rasterize_reference, boundary_band):
-            with pytest.raises(ShapeError, match=message):
-                function(**{**inputs, **changes})
+        changed = {**inputs, **changes}
+        with pytest.raises(ShapeError, match=message):
+            rasterize_reference(**changed)
+        with pytest.raises(ShapeError, match=message):
+            boundary_band(*request_of(changed))
 
     skewed = inputs["K"].clone()
     skewed[0, 1] = 0.1
@@ -165,11 +168,13 @@ def test_bad_input_is_refused(random_scene):
 K_AXIS = torch.tensor([[20.0, 0, 8.5], [0, 20.0, 6.5], [0, 0, 1]], dtype=torch.float64)
 
 
-def band_of(*splats, **options):
+def band_of(*splats, alpha_tolerance=1e-3, **options):
     """Band of splats from `one_splat` in a 16 x 12 image with the axis at pixel row 6, column 8."""
     merged = {name: torch.cat([splat[name] for splat in splats]) for name in splats[0]}
     viewmat = torch.eye(4, dtype=torch.float64)
-    return boundary_band(**merged, viewmat=viewmat, K=K_AXIS, width=16, height=12, **options)
+    camera = {"viewmat": viewmat, "K": K_AXIS, "width": 16, "height": 12}
+    asked = request_of({**merged, **camera}, **{"raw": False, **options})
+    return boundary_band(*asked, alpha_tolerance=alpha_tolerance)
 
 
 def test_band_marks_the_alpha_threshold(one_splat):

@@ -1,5 +1,7 @@
 """Which pixels sit on a discontinuity, where two correct rasterizers may differ."""
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 
@@ -11,24 +13,10 @@ from .rasterize import ProjectedSplats, SplatTensors, project
 
 @torch.no_grad()
 def boundary_band(
-    means: Tensor,
-    quats: Tensor,
-    scales: Tensor,
-    opacities: Tensor,
-    sh0: Tensor,
-    shN: Tensor,
-    viewmat: Tensor,
-    K: Tensor,
-    width: int,
-    height: int,
+    splats: SplatTensors,
+    view: Frustum,
+    settings: Settings,
     *,
-    raw: bool = False,
-    sh_degree: int | None = None,
-    near: float = 0.01,
-    far: float = 1e10,
-    eps2d: float = 0.3,
-    antialias: bool = False,
-    orthographic: bool = False,
     alpha_tolerance: float = 1e-3,
     cap_tolerance: float = 1e-3,
     transmittance_tolerance: float = 1e-3,
@@ -47,38 +35,27 @@ def boundary_band(
     - a splat it blends has z within `depth_tolerance` (relative) of `near` or `far`.
 
     Args:
-        means, quats, scales, opacities, sh0, shN, viewmat, K, width, height, raw, sh_degree, near,
-            far, eps2d, antialias, orthographic, dtype, pairs_per_chunk: as `rasterize_reference`.
+        splats, view, settings, dtype: as `project`.
         alpha_tolerance: |255 alpha - 1|.
         cap_tolerance: |alpha / 0.99 - 1|.
         transmittance_tolerance: |T (1 - alpha) / 1e-4 - 1|.
         depth_tolerance: |z_i - z_j| / z.
+        pairs_per_chunk: as `rasterize_reference`.
 
     Returns:
         [H, W] bool.
     """
-    splats = project(
-        SplatTensors(means, quats, scales, opacities, sh0, shN),
-        # A little deeper than what is drawn, so that splats just culled are seen here.
-        Frustum(
-            viewmat,
-            K,
-            width,
-            height,
-            near * (1 - depth_tolerance),
-            far * (1 + depth_tolerance),
-            orthographic,
-        ),
-        Settings(raw=raw, sh_degree=sh_degree, eps2d=eps2d, antialias=antialias),
-        dtype=dtype,
-        min_opacity=ALPHA_MIN * (1 - alpha_tolerance),
-    )
-    pixels = pixel_centers(width, height, like=splats.means2d)
-    at_limit = (splats.depths - near).abs() < depth_tolerance * near
-    at_limit |= (splats.depths - far).abs() < depth_tolerance * far
+    near, far = view.near, view.far
+    # A little deeper than what is drawn, so that splats just culled are seen here.
+    deeper = replace(view, near=near * (1 - depth_tolerance), far=far * (1 + depth_tolerance))
+    faintest = ALPHA_MIN * (1 - alpha_tolerance)
+    seen = project(splats, deeper, settings, dtype=dtype, min_opacity=faintest)
+    pixels = pixel_centers(view.width, view.height, like=seen.means2d)
+    at_limit = (seen.depths - near).abs() < depth_tolerance * near
+    at_limit |= (seen.depths - far).abs() < depth_tolerance * far
     marks = []
-    for part in pixels.split(max(1, pairs_per_chunk // max(1, len(splats.index)))):
-        uncapped = gaussian_alpha(part, splats.means2d, splats.conics, splats.opacities)  # [P, M]
+    for part in pixels.split(max(1, pairs_per_chunk // max(1, len(seen.index)))):
+        uncapped = gaussian_alpha(part, seen.means2d, seen.conics, seen.opacities)  # [P, M]
         drawn = uncapped >= ALPHA_MIN
         after = torch.cumprod(torch.where(drawn, 1 - uncapped.clamp(max=ALPHA_MAX), 1.0), 1)
         before = torch.cat([after.new_ones(len(part), 1), after], 1)[:, :-1]
@@ -86,9 +63,9 @@ def boundary_band(
         hinges = (255 * uncapped - 1).abs() < alpha_tolerance
         hinges |= (uncapped / ALPHA_MAX - 1).abs() < cap_tolerance
         hinges |= drawn & ((after / TRANSMITTANCE_MIN - 1).abs() < transmittance_tolerance)
-        hinges |= drawn & (at_limit | depth_ties(splats, drawn, depth_tolerance))
+        hinges |= drawn & (at_limit | depth_ties(seen, drawn, depth_tolerance))
         marks.append((hinges & reached).any(1))
-    return torch.cat(marks).reshape(height, width)
+    return torch.cat(marks).reshape(view.height, view.width)
 
 
 def depth_ties(splats: ProjectedSplats, drawn: Tensor, tolerance: float) -> Tensor:
