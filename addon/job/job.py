@@ -13,8 +13,6 @@ from ..process.program import Process
 from . import session
 from .loader import Loaded, Loader
 
-BUDGET = 0.005
-"""Seconds that a poll may spend on lines."""
 STOP_GRACE = 120.0
 """Seconds without a sign of life after which a trainer that was asked to stop is killed."""
 SILENT = 20.0
@@ -106,7 +104,7 @@ class Job:
             return ""
         return f"No sign of life for {self.silent_s:.0f} s"
 
-    def poll(self, budget: float = BUDGET) -> bool:
+    def poll(self, budget: float = session.BUDGET) -> bool:
         """Take in what the trainer told since the last call.
 
         Args:
@@ -118,10 +116,7 @@ class Job:
         if self.state.ended:
             return False
         changed = False
-        for line in self._process.lines(budget):
-            event = session.read_event(line)
-            if event is None:
-                continue
+        for event in session.events(self._process.lines(budget)):
             changed = True
             self.state.apply(event)
             if isinstance(event, Snapshot):

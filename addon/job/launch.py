@@ -9,8 +9,11 @@ from typing import TypeVar
 from .. import preferences
 from ..process import beat
 from ..python import setup
+from .verb_job import VerbJob
+from .verb_jobs import VerbJobs
 
 JobT = TypeVar("JobT")
+VerbJobT = TypeVar("VerbJobT", bound=VerbJob)
 
 _BEAT = 0.02
 """Seconds between two looks at work that is waited for."""
@@ -41,6 +44,39 @@ def follow(waits: Callable[[], bool]) -> None:
     while waits():
         beat.tick()
         time.sleep(_BEAT)
+
+
+def following_verb(
+    jobs: VerbJobs[VerbJobT],
+    ended: Callable[[], object],
+    *,
+    bring_in: Callable[[VerbJobT], bool] | None = None,
+    wanted: Callable[[VerbJobT], bool] | None = None,
+) -> "Following":
+    """What follows the jobs of a verb.
+
+    Args:
+        jobs: Of this Blender session.
+        ended: Is called when one has ended: what was looked up before may differ.
+        bring_in: What else a beat does for a job that told nothing; whether panels changed.
+        wanted: Whether a job that ended is still to be brought in; None: never.
+    """
+
+    def collect() -> bool:
+        stale = False
+        for job in jobs.jobs():
+            if job.poll():
+                stale = True
+                if job.ended:
+                    ended()
+            elif bring_in is not None:
+                stale |= bring_in(job)
+        return stale
+
+    def waits() -> bool:
+        return jobs.waits() or (wanted is not None and any(map(wanted, jobs.jobs())))
+
+    return Following([beat.Follower(collect, waits)], jobs.leave_all)
 
 
 class Following:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, get_origin
@@ -25,6 +25,8 @@ from ..core import (
 )
 from .curve import LossCurve
 
+BUDGET = 0.005
+"""Seconds that a poll may spend on lines of output."""
 _WARNINGS_KEPT = 50
 _ENDS = {
     "finished": "Finished",
@@ -52,6 +54,14 @@ def read_event(line: str) -> Event | None:
         if isinstance(value, bool) or not isinstance(value, kinds):
             return None
     return event
+
+
+def events(lines: Iterable[str]) -> Iterator[Event]:
+    """The events in lines of a program's output; other lines are passed over."""
+    for line in lines:
+        event = read_event(line)
+        if event is not None:
+            yield event
 
 
 @dataclass

@@ -9,8 +9,6 @@ from ..core import Event, Failed, Warn
 from ..process.program import Process
 from . import session
 
-BUDGET = 0.005
-"""Seconds that a poll may spend on lines."""
 STOP_GRACE = 10.0
 """Seconds after which work that was asked to end is ended."""
 
@@ -58,15 +56,12 @@ class VerbJob:
         """Whether nothing will change any more."""
         return self.status in (FINISHED, CANCELLED, FAILED)
 
-    def poll(self, budget: float = BUDGET) -> bool:
+    def poll(self, budget: float = session.BUDGET) -> bool:
         """Take in what it told since the last call; whether something changed."""
         if self.ended:
             return False
         changed = False
-        for line in self._process.lines(budget):
-            event = session.read_event(line)
-            if event is None:
-                continue
+        for event in session.events(self._process.lines(budget)):
             changed = True
             if isinstance(event, Failed):
                 self._failure = event

@@ -1,27 +1,15 @@
 """The part of searches in the beat, and their end with the end of Blender."""
 
 from ..job import lookups
-from ..job.launch import Following
-from ..process import beat
+from ..job.launch import following_verb
 from . import work
+from .job import SearchJob
 from .registry import JOBS
 
 
-def _collect() -> bool:
-    stale = False
-    for job in JOBS.jobs():
-        if job.poll():
-            stale = True
-            if job.ended:
-                lookups.captures.expire()
-        else:
-            stale |= work.bring_in(job)
-    return stale
+def _wanted(job: SearchJob) -> bool:
+    return bool(job.wanted)
 
 
-def _waits() -> bool:
-    return JOBS.waits() or any(job.wanted for job in JOBS.jobs())
-
-
-_FOLLOWING = Following([beat.Follower(_collect, _waits)], JOBS.leave_all)
+_FOLLOWING = following_verb(JOBS, lookups.captures.expire, bring_in=work.bring_in, wanted=_wanted)
 on_register, on_unregister = _FOLLOWING.on_register, _FOLLOWING.on_unregister

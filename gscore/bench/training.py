@@ -11,7 +11,7 @@ from ..datasets import Dataset, load_dataset
 from ..errors import DatasetError
 from ..metrics.evaluate import masked_pair, target_picture
 from ..metrics.image import psnr, ssim
-from ..raster.api import render
+from ..raster.api import render_camera
 from ..splats import Splats
 from ..trainer.depth.stereo import stereo_start
 from ..trainer.host.state import ordinary_state
@@ -210,16 +210,13 @@ def _pictures(trainer: Trainer, judged: Dataset | None) -> PictureOf:
     cameras, splats = judged.scene.cameras, trainer.splats()
 
     def picture_of(index: int) -> np.ndarray:
-        return render(
+        return render_camera(
             splats,
-            cameras.Ks[index],
-            cameras.viewmats[index],
-            int(cameras.widths[index]),
-            int(cameras.heights[index]),
+            cameras,
+            index,
             background=background,
             near=trainer.frame.near / trainer.frame.similarity.scale,
             antialias=trainer.config.antialias,
-            depths=False,
             threads=trainer.config.threads,
         ).rgb
 

@@ -9,7 +9,7 @@ import numpy as np
 from ..edit.pipeline import EditViews
 from ..io.images import SIGNED, write_png
 from ..metrics.image import psnr
-from ..raster.api import Rendered, render
+from ..raster.api import Rendered, render_camera
 from ..scene import Cameras
 from ..splats import Splats
 from .status import Counted, Status
@@ -102,14 +102,5 @@ def _picture(splats: Splats, cameras: Cameras, index: int, views: EditViews) -> 
 
 
 def _rendered(splats: Splats, cameras: Cameras, index: int, views: EditViews) -> Rendered:
-    return render(
-        splats,
-        cameras.Ks[index],
-        cameras.viewmats[index],
-        int(cameras.widths[index]),
-        int(cameras.heights[index]),
-        near=views.near,
-        antialias=views.antialias,
-        depths=False,
-        threads=views.threads,
-    )
+    how = {"near": views.near, "antialias": views.antialias, "threads": views.threads}
+    return render_camera(splats, cameras, index, **how)

@@ -18,7 +18,6 @@ from ..metrics.compare_page import PairPictures, names_of, write_comparison
 from ..metrics.comparison import ComparedRun, RunComparison, compare_runs
 from ..metrics.evaluate import target_picture
 from ..metrics.pictures import MAX_VIEWS, budget_each, has_pictures, thumbnails
-from ..raster.api import render
 from ..shown import shown
 from ..words import count_words
 from .model import GivenModel, open_model
@@ -179,20 +178,7 @@ def _pictures(
 
 
 def _rendered(model: GivenModel, dataset: Dataset, index: int, threads: int) -> np.ndarray:
-    cameras = dataset.scene.cameras
-    picture = render(
-        model.splats,
-        cameras.Ks[index],
-        cameras.viewmats[index],
-        int(cameras.widths[index]),
-        int(cameras.heights[index]),
-        background=model.background,
-        near=model.near,
-        antialias=model.antialias,
-        depths=False,
-        threads=threads,
-    ).rgb
-    return np.clip(picture, 0, 1)
+    return np.clip(model.picture(dataset.scene.cameras, index, threads=threads), 0, 1)
 
 
 def _summary(comparison: RunComparison, output: Path) -> str:

@@ -26,7 +26,6 @@ from ..metrics import (
 )
 from ..metrics.page_link import link_page
 from ..raster import backend
-from ..raster.api import render
 from ..words import count_words, psnr_name, quality_words
 from .data_options import add_data_options, with_data_options
 from .model import GivenModel, add_model_argument, model_path, open_model
@@ -121,19 +120,7 @@ def _measure(args: argparse.Namespace, status: Status) -> int:
     background = model.background
 
     def picture(index: int) -> Any:
-        cameras = dataset.scene.cameras
-        return render(
-            model.splats,
-            cameras.Ks[index],
-            cameras.viewmats[index],
-            int(cameras.widths[index]),
-            int(cameras.heights[index]),
-            background=background,
-            near=model.near,
-            antialias=model.antialias,
-            depths=False,
-            threads=args.threads,
-        ).rgb
+        return model.picture(dataset.scene.cameras, index, threads=args.threads)
 
     def on_view(
         place: int, target: Any, rendered: Any, weights: Any, values: dict[str, Any]

@@ -5,12 +5,16 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from ..config import Background, DataConfig, TrainConfig
 from ..config_file import load_config
 from ..errors import ConfigError, DatasetError
 from ..formats import SplatFile, is_splat_file, read_splat_file
 from ..io.colmap import find_model
 from ..io.foreign import foreign
+from ..raster.api import render_camera
+from ..scene import Cameras
 from ..splats import Splats
 
 
@@ -57,6 +61,11 @@ class GivenModel:
     def near(self) -> float:
         """Near plane of the training, world units."""
         return self.train.near if self.train else 0.01
+
+    def picture(self, cameras: Cameras, index: int, *, threads: int) -> np.ndarray:
+        """[H, W, 3] float32, what a camera sees of it, as measurements draw it."""
+        how = {"background": self.background, "near": self.near, "antialias": self.antialias}
+        return render_camera(self.splats, cameras, index, threads=threads, **how).rgb
 
 
 def add_model_argument(parser: argparse.ArgumentParser) -> None:

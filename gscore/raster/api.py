@@ -2,11 +2,13 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ..errors import ShapeError
 from ..formats import read_splats
+from ..scene import Cameras
 from ..splats import PARAMETERS, Splats
 from . import _native, arguments, header
 from .request import CancelFlag, Frustum, Settings
@@ -116,6 +118,25 @@ def render(
             np.divide(depth, alpha, out=depth, where=alpha > 0)
     drawn = {name: picture[part] for name, picture in pictures.items()}
     return Rendered(**dict.fromkeys(header.DEPTH_OUTPUTS) | drawn, visible=visible)  # pyright: ignore
+
+
+def render_camera(
+    splats: Splats, cameras: Cameras, index: int, *, depths: bool = False, **how: Any
+) -> Rendered:
+    """`render` from one of several cameras, at its size.
+
+    Args:
+        splats: The model.
+        cameras: The cameras.
+        index: Which of them.
+        depths: As there.
+        **how: As there: background, near, antialias, threads and others.
+
+    Raises:
+        As `render`.
+    """
+    size = int(cameras.widths[index]), int(cameras.heights[index])
+    return render(splats, cameras.Ks[index], cameras.viewmats[index], *size, depths=depths, **how)
 
 
 def _window(
