@@ -1,5 +1,8 @@
 """Running a verb of the command line within the tests."""
 
+from collections.abc import Callable
+from pathlib import Path
+
 import pytest
 
 from gscore.commands import main
@@ -24,11 +27,18 @@ def gscore(capsys, monkeypatch):
     return call
 
 
-def assert_one_sentence(
-    arguments: list[str], sentence: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The verb ends with code 2 and one line that holds `sentence`."""
-    assert main([*arguments, "--quiet"]) == 2
-    err = capsys.readouterr().err
-    assert sentence in err
-    assert err.count("\n") == 1
+@pytest.fixture
+def refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Callable[..., None]:
+    """Run a verb with words in which `{out}` and other places stand; it must end with code 2, one
+    sentence and no output folder."""
+
+    def call(verb: str, arguments: list[str], sentence: str, **places: Path) -> None:
+        out = tmp_path / "out"
+        filled = [argument.format(out=out, **places) for argument in arguments]
+        assert main([verb, *filled, "--quiet"]) == 2
+        err = capsys.readouterr().err
+        assert sentence in err
+        assert err.count("\n") == 1
+        assert not out.exists()
+
+    return call

@@ -11,6 +11,7 @@ from ..raster.memory import zeros
 from ..raster.request import Frustum, Settings
 from ..scene import Cameras
 from ..splats import PARAMETERS, Splats
+from .setting import BenchSetting
 
 STAGES = (
     "project_ms",
@@ -23,16 +24,9 @@ STAGES = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class RasterBench:
+class RasterBench(BenchSetting):
     """Means over views of the fastest of several passes."""
 
-    isa: str
-    threads: int
-    splats: int
-    views: int
-    width: int
-    """Of the first view, px."""
-    height: int
     gpairs_per_s: float
     """Pairs / (forward + backward blending time) / 1e9, a pair counted once."""
     gpairs_per_s_all_stages: float

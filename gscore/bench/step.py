@@ -13,23 +13,16 @@ from ..trainer.host.state import ordinary_state
 from ..trainer.photos.views import Photos
 from ..trainer.trainer import Trainer
 from .raster import STAGES
+from .setting import BenchSetting
 
 _WARM_UP = 5
 """Steps that are not counted: the first ones allocate."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class StepBench:
-    """Steps of one training at a fixed number of splats."""
+class StepBench(BenchSetting):
+    """Steps of one training at a fixed number of splats; the views are those to train on."""
 
-    isa: str
-    threads: int
-    splats: int
-    views: int
-    """To train on."""
-    width: int
-    """Of the first view, px."""
-    height: int
     steps: int
     """Steps measured."""
     step_ms: float

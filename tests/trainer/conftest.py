@@ -22,6 +22,7 @@ from gscore.stress.capture import SIZE, VIEWS, ToyPhotos, toy_photos, toy_splats
 from gscore.trainer.rows.model import Model
 from gscore.transforms import rotmat_to_quat
 from tests.isas import isa  # noqa: F401
+from tests.run_verb import refused  # noqa: F401
 from tests.trainer.short_run import DEEP_UNIT
 
 

@@ -21,7 +21,6 @@ from gscore.config_file import load_config
 from gscore.events import Done, Estimated, Event, Failed, Progress, Saved, from_line
 from gscore.io.images import read_image, write_png
 from gscore.trainer.files.folder import RunFolder
-from tests.run_verb import assert_one_sentence
 
 SHORT = ["--iterations", "12", "--max-splats", "200", "--sh-degree", "0"]
 
@@ -194,17 +193,10 @@ def test_resuming_with_other_options_says_which(
     ],
 )
 def test_bad_input_is_one_sentence_and_leaves_nothing(
-    capture: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    arguments: list[str],
-    message: str,
+    capture: Path, refused: Callable[..., None], arguments: list[str], message: str
 ) -> None:
     """Oracle: code 2, one line that says what is wrong, no output folder."""
-    out = tmp_path / "out"
-    filled = [a.format(capture=capture, out=out) for a in arguments]
-    assert_one_sentence(["train", *filled], message.format(capture=capture), capsys)
-    assert not out.exists()
+    refused("train", arguments, message.format(capture=capture), capture=capture)
 
 
 def test_depth_maps_are_missed_before_photos_are_read(

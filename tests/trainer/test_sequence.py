@@ -3,6 +3,7 @@
 import argparse
 import json
 import shutil
+from collections.abc import Callable
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,6 @@ from gscore.io.ply import read_ply
 from gscore.io.sequences import read_sequence
 from gscore.trainer.sequence import SequenceOptions, train_sequence
 from gscore.transforms import rotmat_to_quat
-from tests.run_verb import assert_one_sentence
 
 CONFIG = TrainConfig(iterations=40, max_splats=200, sh_degree=1, checkpoint_seconds=0)
 
@@ -222,17 +222,10 @@ def test_the_command_line(frames: Path, tmp_path: Path, capsys: pytest.CaptureFi
     ],
 )
 def test_bad_input_is_one_sentence_and_leaves_nothing(
-    frames: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    arguments: list[str],
-    message: str,
+    frames: Path, refused: Callable[..., None], arguments: list[str], message: str
 ) -> None:
     """Oracle: code 2, one line that says what is wrong, no output folder."""
-    out = tmp_path / "out"
-    filled = [argument.format(video=frames, out=out) for argument in arguments]
-    assert_one_sentence(["sequence", *filled], message, capsys)
-    assert not out.exists()
+    refused("sequence", arguments, message, video=frames)
 
 
 def test_a_broken_frame_is_named_and_the_others_stay(frames: Path, tmp_path: Path) -> None:

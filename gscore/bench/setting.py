@@ -1,0 +1,18 @@
+"""What a speed was measured on, without which it says nothing."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchSetting:
+    """The library, the splats and the views of a measurement."""
+
+    isa: str
+    """Instruction set of the kernels."""
+    threads: int
+    splats: int
+    views: int
+    width: int
+    """Of the first view, px."""
+    height: int
+    """Of the first view, px."""
