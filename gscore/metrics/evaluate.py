@@ -14,12 +14,10 @@ from .image import EMPTY_MASK, image_metrics
 from .lpips import Lpips
 from .lpips_input import SHORTEST_SIDE
 from .lpips_net import LpipsNet
+from .measures import MEASURES
 
-METRICS = (
-    *("psnr", "psnr_u8", "psnr_masked", "psnr_cc"),
-    *("ssim", "ssim_valid", "d_ssim", "ms_ssim", "lpips"),
-)
-"""Keys of the metrics of a view and of their means, in the order tables show them."""
+_AVERAGED = tuple(measure.key for measure in MEASURES if measure.averaged)
+"""Keys of the metrics of a view that have a mean, in the order tables show them."""
 
 
 @dataclass(frozen=True)
@@ -27,8 +25,9 @@ class Evaluation:
     """What the renders of some views reached."""
 
     mean: dict[str, Any]
-    """By METRICS, and the key that names the net of LPIPS. A value that does not exist is None, and
-    `<key>_reason` says why. Also `lpips_net`, and `fps`, 1 / the median time a render takes."""
+    """By the keys of `MEASURES`, and the key that names the net of LPIPS. A value that does not
+    exist is None, and `<key>_reason` says why. Also `lpips_net`, and `fps`, 1 / the median time a
+    render takes."""
     views: list[dict[str, Any]] = field(default_factory=list)
     """The same of each view, with its `name`, `width`, `height` and `render_seconds`."""
 
@@ -171,7 +170,7 @@ def _means(views: list[dict[str, Any]], lpips: Lpips | LpipsNet | None) -> dict[
     counted = [view for view in views if view.get("psnr_masked_reason") != EMPTY_MASK]
     views = counted or views
     mean: dict[str, Any] = {"lpips_net": lpips.net if lpips else None}
-    for key in METRICS:
+    for key in _AVERAGED:
         if key == "psnr_masked" and not any(key in view for view in views):
             continue
         values = [view[key] for view in views if view.get(key) is not None]

@@ -17,6 +17,7 @@ from .curves import Mark, Series, clean_points, legend, line_chart
 from .depth import DepthSection, depth_html
 from .histograms import Histogram, histograms_html
 from .html_parts import AXES, switch, warnings_html, whole_page, write_html
+from .measures import MEASURES, Measure
 from .page_link import SEAM
 from .pictures import ERROR_GAIN, ViewPictures
 from .poses import poses_html
@@ -208,28 +209,14 @@ def _numbers_words(numbers: dict[str, Any]) -> str:
     return " · ".join(parts)
 
 
-_COLUMNS: tuple[tuple[str, str, int], ...] = (
-    ("psnr", "PSNR", 2),
-    ("psnr_u8", "PSNR 8 bit", 2),
-    ("psnr_masked", "PSNR inside the masks", 2),
-    ("psnr_cc", "PSNR colour-corrected", 2),
-    ("psnr_aligned", "PSNR from an aligned camera", 2),
-    ("ssim", "SSIM", 4),
-    ("ssim_valid", "SSIM valid", 4),
-    ("d_ssim", "D-SSIM", 4),
-    ("ms_ssim", "MS-SSIM", 4),
-    ("lpips", "LPIPS", 4),
-)
-
-
 def _view_table(views: Sequence[ViewPictures]) -> str:
     if not views:
         return ""
-    columns = [c for c in _COLUMNS if any(v.numbers.get(c[0]) is not None for v in views)]
-    head = "".join(f"<th>{label}</th>" for _, label, _ in columns)
+    columns = [m for m in MEASURES if any(v.numbers.get(m.key) is not None for v in views)]
+    head = "".join(f"<th>{measure.title}</th>" for measure in columns)
     rows = "".join(
         f"<tr><th>{html.escape(view.name)}</th>"
-        + "".join(_cell(view.numbers, key, digits) for key, _, digits in columns)
+        + "".join(_cell(view.numbers, measure) for measure in columns)
         + f"<td>{view.numbers['render_seconds'] * 1000:.1f}</td></tr>"
         for view in views
     )
@@ -240,10 +227,10 @@ def _view_table(views: Sequence[ViewPictures]) -> str:
     )
 
 
-def _cell(numbers: dict[str, Any], key: str, digits: int) -> str:
-    reason = html.escape(str(numbers.get(f"{key}_reason", "")), quote=True)
+def _cell(numbers: dict[str, Any], measure: Measure) -> str:
+    reason = html.escape(str(numbers.get(f"{measure.key}_reason", "")), quote=True)
     hint = f' title="{reason}"' if reason else ""
-    return f"<td{hint}>{number_words(numbers.get(key), digits)}</td>"
+    return f"<td{hint}>{number_words(numbers.get(measure.key), measure.digits)}</td>"
 
 
 def _details(metrics: dict[str, Any], config: dict[str, dict[str, Any]]) -> str:
@@ -272,52 +259,18 @@ def _table(title: str, values: dict[str, Any]) -> str:
     return f"<details><summary>{html.escape(title)}</summary><table>{rows}</table></details>"
 
 
-_DEFINITIONS = (
-    ("psnr", "PSNR", 3, "dB, mean over the views of -10 log10 MSE of floats clamped to [0, 1]"),
-    ("psnr_u8", "PSNR 8 bit", 3, "both pictures rounded to 8 bit first, as scoring files does"),
-    (
-        "psnr_masked",
-        "PSNR inside the masks",
-        3,
-        "only pixels the mask keeps; the other numbers count masked-out pixels as equal, as the "
-        "loss does",
-    ),
-    (
-        "psnr_cc",
-        "PSNR colour-corrected",
-        3,
-        "after gain and offset per channel, fitted on one half of the picture and measured on the "
-        "other, left and right in turn; only pixels that count. Far above the plain PSNR, "
-        "exposure or white balance differs from photo to photo",
-    ),
-    (
-        "ssim",
-        "SSIM",
-        5,
-        f"11 {TIMES} 11 window, sigma 1.5, zero padding: the convention of the 3DGS code",
-    ),
-    ("ssim_valid", "SSIM valid", 5, "the same window, only where it lies inside the picture"),
-    ("ms_ssim", "MS-SSIM", 5, "five scales, valid windows (Wang et al. 2003)"),
-)
-
-
 def _definitions(metrics: dict[str, Any]) -> str:
     rows = {}
-    for key, label, digits, words in _DEFINITIONS:
-        if key in metrics:
-            rows |= _definition(metrics, key, label, digits, words)
-    if "lpips" in metrics:
-        words = (
-            f"network {metrics.get('lpips_net')}, inputs in [-1, 1]; numbers of other networks "
-            "cannot be compared"
-        )
-        rows |= _definition(metrics, "lpips", "LPIPS", 5, words)
+    for measure in MEASURES:
+        if measure.definition and measure.key in metrics:
+            rows |= _definition(metrics, measure)
     return _table("How the numbers are defined", rows)
 
 
-def _definition(
-    metrics: dict[str, Any], key: str, label: str, digits: int, words: str
-) -> dict[str, str]:
-    if metrics[key] is None:
-        return {label: f"not measured: {metrics.get(f'{key}_reason', 'not known why')}"}
-    return {f"{label} {metrics[key]:.{digits}f}": words}
+def _definition(metrics: dict[str, Any], measure: Measure) -> dict[str, str]:
+    title, value = measure.title, metrics[measure.key]
+    if value is None:
+        reason = metrics.get(f"{measure.key}_reason", "not known why")
+        return {title: f"not measured: {reason}"}
+    words = measure.definition.format(net=metrics.get("lpips_net"))
+    return {f"{title} {value:.{measure.digits + 1}f}": words}

@@ -6,9 +6,11 @@ from datetime import datetime
 from typing import Any
 
 from ..events import CONVERGED, FINISHED, TARGET, judged_psnr
-from ..words import count_words, number, psnr_name, size_words, time_words
+from ..words import count_words, number, size_words, time_words
+from .measures import MEASURES, Measure
 
 TIMES = "\u00d7"
+_MASKED = "psnr_masked"
 FAR_ABOVE = 4.0
 """Decibels by which training views exceed held-out ones where splats fit photos, not the scene.
 Previews of examples/studio: 0.9 with 50 training views, 2.9 with 20, 16.1 with 6."""
@@ -93,9 +95,11 @@ def tiles_html(metrics: dict[str, Any]) -> str:
         for name, value, unit, note in (*_quality_tiles(metrics), *_work_tiles(metrics))
     )
     absent = [
-        f"{name} ({metrics[f'{key}_reason']})"
-        for key, name, _, _, _ in _quality(metrics)
-        if metrics.get(key) is None and metrics.get(f"{key}_reason") and metrics["views"]
+        f"{measure.title} ({metrics[f'{measure.key}_reason']})"
+        for measure in _quality(metrics)
+        if metrics.get(measure.key) is None
+        and metrics.get(f"{measure.key}_reason")
+        and metrics["views"]
     ]
     line = f'<p class="hint">Not measured: {html.escape("; ".join(absent))}.</p>' if absent else ""
     return f'<section><dl class="tiles">{cells}</dl>{line}</section>\n'
@@ -105,24 +109,19 @@ _Tile = tuple[str, str, str, str]
 """Name, value, unit, note."""
 
 
-def _quality(metrics: dict[str, Any]) -> Iterator[tuple[str, str, int, str, str]]:
-    """Key in metrics.json, name, decimals, unit, note."""
-    masked = "psnr_masked" in metrics
-    if masked:
-        yield "psnr_masked", psnr_name(metrics), 2, "dB", "of the pixels that count"
-    meaning = "masked-out pixels as equal" if masked else "higher is better"
-    yield "psnr", "PSNR", 2, "dB", meaning
-    yield "psnr_cc", "PSNR colour-corrected", 2, "dB", "without gain and offset of the colours"
-    yield "ssim", "SSIM", 4, "", "1 is identical"
-    yield "d_ssim", "D-SSIM", 4, "", "(1 - SSIM) / 2"
-    yield "ms_ssim", "MS-SSIM", 4, "", "five scales"
-    yield "lpips", "LPIPS", 4, "", f"net: {metrics.get('lpips_net')}, lower is better"
+def _quality(metrics: dict[str, Any]) -> list[Measure]:
+    """What tiles show, the PSNR that a model is judged by first."""
+    shown = [m for m in MEASURES if m.note and (m.key != _MASKED or _MASKED in metrics)]
+    return sorted(shown, key=lambda measure: measure.key != _MASKED)
 
 
 def _quality_tiles(metrics: dict[str, Any]) -> Iterator[_Tile]:
-    for key, name, digits, unit, note in _quality(metrics):
-        if metrics.get(key) is not None:
-            yield name, f"{metrics[key]:.{digits}f}", unit, note
+    for key, title, digits, unit, note, *_ in _quality(metrics):
+        if metrics.get(key) is None:
+            continue
+        if key == "psnr" and _MASKED in metrics:
+            note = "masked-out pixels as equal"
+        yield title, f"{metrics[key]:.{digits}f}", unit, note.format(net=metrics.get("lpips_net"))
 
 
 def _work_tiles(metrics: dict[str, Any]) -> Iterator[_Tile]:

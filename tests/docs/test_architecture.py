@@ -80,7 +80,7 @@ def _found(span: str) -> list[Path]:
 
 
 def _to_add() -> dict[str, tuple[str, str]]:
-    """Cells of "Where to add what" by what is to be added: what to touch, and the test."""
+    """Cells of "Where to change what" by what is to be added: what to touch, and the test."""
     (table,) = re.findall(
         r"^\| to add \| touch \| test \|\n\|---\|---\|---\|\n((?:\|.*\n)+)",
         PAGE,

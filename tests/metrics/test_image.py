@@ -11,6 +11,7 @@ from scipy.signal import convolve2d
 from gscore.errors import ShapeError
 from gscore.metrics import d_ssim, image_metrics, ms_ssim, psnr, psnr_u8, ssim
 from gscore.metrics.image import MS_WEIGHTS
+from gscore.metrics.measures import MEASURES
 
 
 def window_2d():
@@ -259,3 +260,12 @@ def test_sizes_and_masks_that_cannot_work_are_refused(random_pair):
         ssim(random_pair[0][:10], random_pair[1][:10], padding="valid")
     with pytest.raises(ShapeError, match=r"mask must be \[40, 53\], got \[53, 40\]"):
         image_metrics(*random_pair, mask=np.ones((53, 40)))
+
+
+def test_every_metric_is_declared(wave_pair):
+    """Oracle: what `image_metrics` gives; one that is not in `MEASURES` no table would show."""
+    pair = wave_pair(180, 200)
+    mask = np.full((180, 200), 255, np.uint8)
+    mask[:20] = 0
+    found = {key for key in image_metrics(*pair, mask=mask) if "_reason" not in key}
+    assert found == {m.key for m in MEASURES if m.averaged} - {"lpips"}

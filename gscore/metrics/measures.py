@@ -1,0 +1,87 @@
+"""Each metric of pictures by name, declared once: what tables, tiles and definitions say of it."""
+
+from typing import NamedTuple
+
+
+class Measure(NamedTuple):
+    """A metric as metrics.json has it and the report shows it."""
+
+    key: str
+    """In metrics.json."""
+    title: str
+    digits: int
+    """Decimals in tables and tiles; definitions show one more."""
+    unit: str = ""
+    note: str = ""
+    """Below the number at the top of the report; empty: it is not shown there."""
+    definition: str = ""
+    """Among the report's definitions; empty: it is not listed there."""
+    averaged: bool = True
+    """Whether there is a mean over the views."""
+
+
+MEASURES = (
+    Measure(
+        "psnr",
+        "PSNR",
+        2,
+        unit="dB",
+        note="higher is better",
+        definition="dB, mean over the views of -10 log10 MSE of floats clamped to [0, 1]",
+    ),
+    Measure(
+        "psnr_u8",
+        "PSNR 8 bit",
+        2,
+        definition="both pictures rounded to 8 bit first, as scoring files does",
+    ),
+    Measure(
+        "psnr_masked",
+        "PSNR inside the masks",
+        2,
+        unit="dB",
+        note="of the pixels that count",
+        definition="only pixels the mask keeps; the other numbers count masked-out pixels as "
+        "equal, as the loss does",
+    ),
+    Measure(
+        "psnr_cc",
+        "PSNR colour-corrected",
+        2,
+        unit="dB",
+        note="without gain and offset of the colours",
+        definition="after gain and offset per channel, fitted on one half of the picture and "
+        "measured on the other, left and right in turn; only pixels that count. Far above the "
+        "plain PSNR, exposure or white balance differs from photo to photo",
+    ),
+    Measure("psnr_aligned", "PSNR from an aligned camera", 2, averaged=False),
+    Measure(
+        "ssim",
+        "SSIM",
+        4,
+        note="1 is identical",
+        definition="11 \u00d7 11 window, sigma 1.5, zero padding: the convention of the 3DGS code",
+    ),
+    Measure(
+        "ssim_valid",
+        "SSIM valid",
+        4,
+        definition="the same window, only where it lies inside the picture",
+    ),
+    Measure("d_ssim", "D-SSIM", 4, note="(1 - SSIM) / 2"),
+    Measure(
+        "ms_ssim",
+        "MS-SSIM",
+        4,
+        note="five scales",
+        definition="five scales, valid windows (Wang et al. 2003)",
+    ),
+    Measure(
+        "lpips",
+        "LPIPS",
+        4,
+        note="net: {net}, lower is better",
+        definition="network {net}, inputs in [-1, 1]; numbers of other networks cannot be compared",
+    ),
+)
+"""In the order of tables. `{net}` stands for the network of LPIPS."""
