@@ -124,9 +124,8 @@ def _other(row: str, column: str, pick: int = 0) -> Source:
 
 def _seeds(capture: str) -> tuple[Source, Source, Source]:
     """PSNR of the three seeds of a preview."""
-    page, heading = EXPERIMENTS.format("time-error"), "Time against error (2026-11-22)"
-    column = "PSNR (seeds 0, 1, 2)"
-    a, b, c = (cell(page, heading, f"{capture} | preview", column, i) for i in (1, 2, 3))
+    row, column = f"{capture} | preview", "PSNR (seeds 0, 1, 2)"
+    a, b, c = (cell(BENCHMARKS, "Captures", row, column, i) for i in range(3))
     return a, b, c
 
 
@@ -282,14 +281,6 @@ QUOTES = (
         BENCHMARKS,
         r"gscore is (\d+) to (\d+) times as fast a step",
         (least(*_TIMES), most(*_TIMES)),
-    ),
-    *(
-        Quote(
-            BENCHMARKS,
-            rf"\| {capture} \| preview \|(?:[^|]*\|){{6}} ([\d.]+) \|",
-            (_seeds(capture)[0],),
-        )
-        for capture in ("studio", "plush", "stone_horse", "lund")
     ),
     Quote(
         "docs/budgets.md",
