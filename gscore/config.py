@@ -393,7 +393,7 @@ class TrainConfig:
     )
     depth_weight: float = option(
         -1.0,
-        "Weight of the depth loss at the first step, see `trainer.depth_loss` for its unit; -1: "
+        "Weight of the depth loss at the first step, see docs/depth-method.md for its unit; -1: "
         "1, and where more than 6 training views show a median point, 6 / their number.",
         group="depth",
         range=Range(high=LARGEST, also=-1),
