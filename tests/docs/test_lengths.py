@@ -9,7 +9,7 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.mark.parametrize("page", ["docs/benchmarks.md", "docs/depth.md"])
 def test_results_and_how_tos_are_short(page: str) -> None:
-    """Oracle: 150 lines; what was tried goes to docs/experiments/, a method to a page of its own."""
+    """Oracle: 150 lines; what was tried goes to docs/experiments/, a method to its own page."""
     assert len((ROOT / page).read_text(encoding="utf-8").splitlines()) <= 150
 
 
