@@ -67,8 +67,8 @@ if TYPE_CHECKING:
     from .io.resample import downscale
     from .io.runs import RunInfo, clear_run, read_run
     from .io.sequences import SequenceIndex, read_sequence
-    from .metrics.colormap import colorize
     from .options import Option, options_of
+    from .report.colormap import colorize
     from .sfm.beside import capture_beside
     from .sh import sh0_to_rgb, sh_basis
     from .trainer.estimate.forecast import Estimate, estimate
@@ -127,7 +127,7 @@ _HOME = {
     "capture_beside": "sfm.beside",
     "clear_run": "io.runs",
     "cluster_sizes": "edit",
-    "colorize": "metrics.colormap",
+    "colorize": "report.colormap",
     "contributions": "edit",
     "cut_degree": "formats.joined",
     "depth_networks": "depth.catalogue:all_networks",

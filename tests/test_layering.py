@@ -52,10 +52,12 @@ ALLOWED = {
     "blocks": BOTTOM | {"io", "formats", "datasets", "edit", "blocks"},
     "stereo": BOTTOM | {"io", "datasets", "depth", "raster", "stereo"},
     "metrics": BOTTOM | {"io", "datasets", "depth", "raster", "metrics"},
+    "report": BOTTOM | {"io", "metrics", "report"},
     "page": BOTTOM | {"io", "page"},
     "live": BOTTOM | {"live"},
     "trainer": BOTTOM
-    | {"io", "formats", "datasets", "depth", "raster", "stereo", "metrics", "live", "trainer"},
+    | {"io", "formats", "datasets", "depth", "raster", "stereo", "metrics", "report"}
+    | {"live", "trainer"},
     "stress": BOTTOM
     | {"io", "datasets", "depth", "raster", "stereo", "metrics", "live", "trainer", "stress"},
     "bench": BOTTOM

@@ -29,8 +29,8 @@ import numpy as np
 
 from gscore.io.images import resize, write_png
 from gscore.io.ply import read_ply
-from gscore.metrics.colormap import colorize
 from gscore.raster.api import render
+from gscore.report.colormap import colorize
 
 from .captures import (
     ROOT,

@@ -14,10 +14,10 @@ from ..config_file import to_dict
 from ..datasets import Dataset, load_dataset
 from ..errors import ConfigError, DatasetError
 from ..io.metrics_file import read_metrics
-from ..metrics.compare_page import PairPictures, names_of, write_comparison
 from ..metrics.comparison import ComparedRun, RunComparison, compare_runs
 from ..metrics.evaluate import target_picture
-from ..metrics.pictures import MAX_VIEWS, budget_each, has_pictures, thumbnails
+from ..report.compare_page import PairPictures, names_of, write_comparison
+from ..report.pictures import MAX_VIEWS, budget_each, has_pictures, thumbnails
 from ..shown import shown
 from ..words import count_words
 from .model import GivenModel, open_model

@@ -27,7 +27,7 @@ from ..errors import BackendError, Cancelled, ConfigError, FormatError
 from ..events import DepthDone, DepthProgress, Saved, Show, Warn
 from ..extras import need
 from ..io.places import check_place
-from ..metrics.colormap import colorize
+from ..report.colormap import colorize
 from ..shown import shown
 from ..stereo import files, stereo_maps
 from ..trainer.depth.rule import coverage, decide

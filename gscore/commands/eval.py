@@ -12,20 +12,10 @@ from ..errors import ConfigError, DatasetError
 from ..events import judged_psnr
 from ..io.metrics_file import metrics_problem, read_metrics
 from ..io.places import check_place
-from ..metrics import (
-    Course,
-    Metrics,
-    PictureCollector,
-    cameras_section,
-    evaluate,
-    find_lpips,
-    headline,
-    lpips_warnings,
-    splat_histograms,
-    write_results,
-)
-from ..metrics.page_link import link_page
+from ..metrics import Course, Metrics, evaluate, find_lpips, headline, lpips_warnings
 from ..raster import backend
+from ..report import PictureCollector, cameras_section, splat_histograms, write_results
+from ..report.page_link import link_page
 from ..words import count_words, psnr_name, quality_words
 from .data_options import add_data_options, with_data_options
 from .model import GivenModel, add_model_argument, model_path, open_model

@@ -12,8 +12,8 @@ from ..errors import ConfigError, GsError
 from ..io.cameras_json import read_cameras_json
 from ..io.metrics_file import read_metrics
 from ..metrics.evaluate import target_picture
-from ..metrics.pictures import data_uri, shrink, size_within
 from ..page.page import PageCamera
+from ..report.pictures import data_uri, shrink, size_within
 from ..scene import Cameras
 from ..splats import Splats
 from .camera_path import focus_point, look_at, up_direction

@@ -8,9 +8,9 @@ from typing import Any
 from ..config import DataConfig
 from ..errors import ConfigError
 from ..io.places import check_apart
-from ..metrics.page_link import PAGE, link_page
 from ..page.pack import pack
 from ..page.page import Page, write_page
+from ..report.page_link import PAGE, link_page
 from ..words import count_words, number, size_words
 from .model import GivenModel, add_model_argument, model_path, open_model
 from .output import check_folder, check_replaced, print_json

@@ -14,9 +14,9 @@ from .image import EMPTY_MASK, image_metrics
 from .lpips import Lpips
 from .lpips_input import SHORTEST_SIDE
 from .lpips_net import LpipsNet
-from .measures import MEASURES
+from .named import NAMED_METRICS
 
-_AVERAGED = tuple(measure.key for measure in MEASURES if measure.averaged)
+_AVERAGED = tuple(metric.key for metric in NAMED_METRICS if metric.averaged)
 """Keys of the metrics of a view that have a mean, in the order tables show them."""
 
 
@@ -25,7 +25,7 @@ class Evaluation:
     """What the renders of some views reached."""
 
     mean: dict[str, Any]
-    """By the keys of `MEASURES`, and the key that names the net of LPIPS. A value that does not
+    """By the keys of NAMED_METRICS, and the key that names the net of LPIPS. A value that does not
     exist is None, and `<key>_reason` says why. Also `lpips_net`, and `fps`, 1 / the median time a
     render takes."""
     views: list[dict[str, Any]] = field(default_factory=list)

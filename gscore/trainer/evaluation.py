@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 
 from ..errors import Cancelled
-from ..metrics import Evaluation, Lpips, LpipsNet, PictureCollector, evaluate
+from ..metrics import Evaluation, Lpips, LpipsNet, evaluate
 from ..metrics.image import psnr
+from ..report import PictureCollector
 from .trainer import Trainer
 
 _TRAIN_VIEWS_SHOWN = 8

@@ -16,8 +16,9 @@ from ..errors import DatasetError, FormatError
 from ..events import Eval, Event, Preview, Saved, Snapshot, Started, Warn, judged_psnr
 from ..live.onlookers import Onlookers
 from ..live.protocol import Wish
-from ..metrics import Evaluation, Lpips, LpipsNet, PictureCollector
+from ..metrics import Evaluation, Lpips, LpipsNet
 from ..raster import backend
+from ..report import PictureCollector
 from ..shown import quoted
 from ..words import count_words
 from .depth.report import DepthReport, measure_depth

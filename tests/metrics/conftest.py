@@ -48,7 +48,8 @@ def metrics_dict(fake_dataset, wave_pair):
     """A complete metrics.json of one small view and the pictures of its report."""
     from dataclasses import fields
 
-    from gscore.metrics import Course, Metrics, PictureCollector, evaluate
+    from gscore.metrics import Course, Metrics, evaluate
+    from gscore.report import PictureCollector
 
     def make(views=1, size=(48, 64), **changes):
         image, target = wave_pair(*size)

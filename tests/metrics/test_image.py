@@ -11,7 +11,7 @@ from scipy.signal import convolve2d
 from gscore.errors import ShapeError
 from gscore.metrics import d_ssim, image_metrics, ms_ssim, psnr, psnr_u8, ssim
 from gscore.metrics.image import MS_WEIGHTS
-from gscore.metrics.measures import MEASURES
+from gscore.metrics.named import NAMED_METRICS
 
 
 def window_2d():
@@ -263,9 +263,9 @@ def test_sizes_and_masks_that_cannot_work_are_refused(random_pair):
 
 
 def test_every_metric_is_declared(wave_pair):
-    """Oracle: what `image_metrics` gives; one that is not in `MEASURES` no table would show."""
+    """Oracle: what `image_metrics` gives; one that is not declared no table would show."""
     pair = wave_pair(180, 200)
     mask = np.full((180, 200), 255, np.uint8)
     mask[:20] = 0
     found = {key for key in image_metrics(*pair, mask=mask) if "_reason" not in key}
-    assert found == {m.key for m in MEASURES if m.averaged} - {"lpips"}
+    assert found == {m.key for m in NAMED_METRICS if m.averaged} - {"lpips"}

@@ -7,8 +7,9 @@ from typing import Any
 import pytest
 
 from gscore.io.metrics_file import metrics_problem, read_metrics
-from gscore.metrics import Course, Evaluation, Metrics, Report, summary
-from gscore.metrics.report import report_html
+from gscore.metrics import Course, Evaluation, Metrics, summary
+from gscore.report import Report
+from gscore.report.page import report_html
 
 FOLDER = Path(__file__).parent / "written_before"
 STORED: dict[str, Any] = json.loads((FOLDER / "metrics.json").read_text())

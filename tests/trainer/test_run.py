@@ -34,7 +34,7 @@ from gscore.io.cameras_json import read_cameras_json
 from gscore.io.images import read_image
 from gscore.io.metrics_file import metrics_problem, read_metrics
 from gscore.io.ply import read_ply, write_splats
-from gscore.metrics import results
+from gscore.report import results
 from gscore.trainer.estimate import memory
 from gscore.trainer.estimate.forecast import estimate
 from gscore.trainer.files.folder import RunFolder

@@ -22,9 +22,9 @@ from gscore.config import DataConfig
 from gscore.datasets import load_dataset
 from gscore.io.files import atomic_write
 from gscore.io.ply import read_ply
-from gscore.metrics.curves import Series
-from gscore.metrics.figure import figure
 from gscore.raster import backend
+from gscore.report.curves import Series
+from gscore.report.figure import figure
 from gscore.stress import native, truth
 from gscore.stress.compare import picture_errors, row_errors
 from gscore.stress.scenes import draw_scene

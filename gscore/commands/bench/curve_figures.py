@@ -5,8 +5,8 @@ from pathlib import Path
 
 from ...bench.time_error import Curve, labels, time_to_psnr
 from ...io.files import atomic_write
-from ...metrics.curves import Series
-from ...metrics.figure import figure
+from ...report.curves import Series
+from ...report.figure import figure
 
 _PSNR, _SSIM, _SPLATS = "psnr", "1-ssim", "splats"
 

@@ -20,8 +20,8 @@ from ...datasets import Dataset
 from ...datasets.resolution import SMALLEST_WIDTH
 from ...errors import ConfigError
 from ...io.files import atomic_write
-from ...metrics.curves import Series
-from ...metrics.figure import figure
+from ...report.curves import Series
+from ...report.figure import figure
 from ...words import count_words, number
 
 _QUANTITIES = ("splats", "widths", "iterations")

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ...metrics.depth import DepthPictures, DepthSection, depth_errors
+from ...report.depth import DepthPictures, DepthSection, depth_errors
 from ..photos.views import Photos
 from .setup import DepthSetup
 

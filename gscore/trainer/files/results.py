@@ -15,16 +15,9 @@ from ...io.images import write_png
 from ...io.ply import MIP_COMMENT, write_splat_parts
 from ...io.poses_json import POSES_FILE, write_poses
 from ...io.runs import snapshots_in
-from ...metrics import (
-    Course,
-    Evaluation,
-    Metrics,
-    PictureCollector,
-    cameras_section,
-    splat_histograms,
-    write_results,
-)
+from ...metrics import Course, Evaluation, Metrics
 from ...raster import backend
+from ...report import PictureCollector, cameras_section, splat_histograms, write_results
 from ..depth.report import DepthReport
 from ..evaluation import Evaluator
 from ..length.meter import Meter

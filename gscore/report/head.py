@@ -6,8 +6,8 @@ from datetime import datetime
 from typing import Any
 
 from ..events import CONVERGED, FINISHED, TARGET, judged_psnr
+from ..metrics.named import NAMED_METRICS, NamedMetric
 from ..words import count_words, number, size_words, time_words
-from .measures import MEASURES, Measure
 
 TIMES = "\u00d7"
 _MASKED = "psnr_masked"
@@ -95,10 +95,10 @@ def tiles_html(metrics: dict[str, Any]) -> str:
         for name, value, unit, note in (*_quality_tiles(metrics), *_work_tiles(metrics))
     )
     absent = [
-        f"{measure.title} ({metrics[f'{measure.key}_reason']})"
-        for measure in _quality(metrics)
-        if metrics.get(measure.key) is None
-        and metrics.get(f"{measure.key}_reason")
+        f"{metric.title} ({metrics[f'{metric.key}_reason']})"
+        for metric in _quality(metrics)
+        if metrics.get(metric.key) is None
+        and metrics.get(f"{metric.key}_reason")
         and metrics["views"]
     ]
     line = f'<p class="hint">Not measured: {html.escape("; ".join(absent))}.</p>' if absent else ""
@@ -109,10 +109,10 @@ _Tile = tuple[str, str, str, str]
 """Name, value, unit, note."""
 
 
-def _quality(metrics: dict[str, Any]) -> list[Measure]:
+def _quality(metrics: dict[str, Any]) -> list[NamedMetric]:
     """What tiles show, the PSNR that a model is judged by first."""
-    shown = [m for m in MEASURES if m.note and (m.key != _MASKED or _MASKED in metrics)]
-    return sorted(shown, key=lambda measure: measure.key != _MASKED)
+    shown = [m for m in NAMED_METRICS if m.note and (m.key != _MASKED or _MASKED in metrics)]
+    return sorted(shown, key=lambda metric: metric.key != _MASKED)
 
 
 def _quality_tiles(metrics: dict[str, Any]) -> Iterator[_Tile]:

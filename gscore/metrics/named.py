@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 
-class Measure(NamedTuple):
+class NamedMetric(NamedTuple):
     """A metric as metrics.json has it and the report shows it."""
 
     key: str
@@ -20,8 +20,8 @@ class Measure(NamedTuple):
     """Whether there is a mean over the views."""
 
 
-MEASURES = (
-    Measure(
+NAMED_METRICS = (
+    NamedMetric(
         "psnr",
         "PSNR",
         2,
@@ -29,13 +29,13 @@ MEASURES = (
         note="higher is better",
         definition="dB, mean over the views of -10 log10 MSE of floats clamped to [0, 1]",
     ),
-    Measure(
+    NamedMetric(
         "psnr_u8",
         "PSNR 8 bit",
         2,
         definition="both pictures rounded to 8 bit first, as scoring files does",
     ),
-    Measure(
+    NamedMetric(
         "psnr_masked",
         "PSNR inside the masks",
         2,
@@ -44,7 +44,7 @@ MEASURES = (
         definition="only pixels the mask keeps; the other numbers count masked-out pixels as "
         "equal, as the loss does",
     ),
-    Measure(
+    NamedMetric(
         "psnr_cc",
         "PSNR colour-corrected",
         2,
@@ -54,29 +54,29 @@ MEASURES = (
         "measured on the other, left and right in turn; only pixels that count. Far above the "
         "plain PSNR, exposure or white balance differs from photo to photo",
     ),
-    Measure("psnr_aligned", "PSNR from an aligned camera", 2, averaged=False),
-    Measure(
+    NamedMetric("psnr_aligned", "PSNR from an aligned camera", 2, averaged=False),
+    NamedMetric(
         "ssim",
         "SSIM",
         4,
         note="1 is identical",
         definition="11 \u00d7 11 window, sigma 1.5, zero padding: the convention of the 3DGS code",
     ),
-    Measure(
+    NamedMetric(
         "ssim_valid",
         "SSIM valid",
         4,
         definition="the same window, only where it lies inside the picture",
     ),
-    Measure("d_ssim", "D-SSIM", 4, note="(1 - SSIM) / 2"),
-    Measure(
+    NamedMetric("d_ssim", "D-SSIM", 4, note="(1 - SSIM) / 2"),
+    NamedMetric(
         "ms_ssim",
         "MS-SSIM",
         4,
         note="five scales",
         definition="five scales, valid windows (Wang et al. 2003)",
     ),
-    Measure(
+    NamedMetric(
         "lpips",
         "LPIPS",
         4,

@@ -10,18 +10,18 @@ from typing import Any
 import numpy as np
 
 from ..events import judged_psnr
+from ..metrics.named import NAMED_METRICS, NamedMetric
 from ..words import count_words, number_words, psnr_name, size_words
 from .cameras_plan import CamerasSection, cameras_html
 from .colormap import colorize
 from .curves import Mark, Series, clean_points, legend, line_chart
 from .depth import DepthSection, depth_html
+from .head import EXPOSED, TIMES, head_html, learnt_exposure, meaning_html, tiles_html
 from .histograms import Histogram, histograms_html
 from .html_parts import AXES, switch, warnings_html, whole_page, write_html
-from .measures import MEASURES, Measure
 from .page_link import SEAM
 from .pictures import ERROR_GAIN, ViewPictures
 from .poses import poses_html
-from .report_head import EXPOSED, TIMES, head_html, learnt_exposure, meaning_html, tiles_html
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -212,11 +212,11 @@ def _numbers_words(numbers: dict[str, Any]) -> str:
 def _view_table(views: Sequence[ViewPictures]) -> str:
     if not views:
         return ""
-    columns = [m for m in MEASURES if any(v.numbers.get(m.key) is not None for v in views)]
-    head = "".join(f"<th>{measure.title}</th>" for measure in columns)
+    columns = [m for m in NAMED_METRICS if any(v.numbers.get(m.key) is not None for v in views)]
+    head = "".join(f"<th>{metric.title}</th>" for metric in columns)
     rows = "".join(
         f"<tr><th>{html.escape(view.name)}</th>"
-        + "".join(_cell(view.numbers, measure) for measure in columns)
+        + "".join(_cell(view.numbers, metric) for metric in columns)
         + f"<td>{view.numbers['render_seconds'] * 1000:.1f}</td></tr>"
         for view in views
     )
@@ -227,10 +227,10 @@ def _view_table(views: Sequence[ViewPictures]) -> str:
     )
 
 
-def _cell(numbers: dict[str, Any], measure: Measure) -> str:
-    reason = html.escape(str(numbers.get(f"{measure.key}_reason", "")), quote=True)
+def _cell(numbers: dict[str, Any], metric: NamedMetric) -> str:
+    reason = html.escape(str(numbers.get(f"{metric.key}_reason", "")), quote=True)
     hint = f' title="{reason}"' if reason else ""
-    return f"<td{hint}>{number_words(numbers.get(measure.key), measure.digits)}</td>"
+    return f"<td{hint}>{number_words(numbers.get(metric.key), metric.digits)}</td>"
 
 
 def _details(metrics: dict[str, Any], config: dict[str, dict[str, Any]]) -> str:
@@ -261,16 +261,16 @@ def _table(title: str, values: dict[str, Any]) -> str:
 
 def _definitions(metrics: dict[str, Any]) -> str:
     rows = {}
-    for measure in MEASURES:
-        if measure.definition and measure.key in metrics:
-            rows |= _definition(metrics, measure)
+    for metric in NAMED_METRICS:
+        if metric.definition and metric.key in metrics:
+            rows |= _definition(metrics, metric)
     return _table("How the numbers are defined", rows)
 
 
-def _definition(metrics: dict[str, Any], measure: Measure) -> dict[str, str]:
-    title, value = measure.title, metrics[measure.key]
+def _definition(metrics: dict[str, Any], metric: NamedMetric) -> dict[str, str]:
+    title, value = metric.title, metrics[metric.key]
     if value is None:
-        reason = metrics.get(f"{measure.key}_reason", "not known why")
+        reason = metrics.get(f"{metric.key}_reason", "not known why")
         return {title: f"not measured: {reason}"}
-    words = measure.definition.format(net=metrics.get("lpips_net"))
-    return {f"{title} {value:.{measure.digits + 1}f}": words}
+    words = metric.definition.format(net=metrics.get("lpips_net"))
+    return {f"{title} {value:.{metric.digits + 1}f}": words}

@@ -13,16 +13,10 @@ import pytest
 from PIL import Image
 
 from gscore.errors import GsError
-from gscore.metrics import (
-    PictureCollector,
-    Report,
-    cameras_section,
-    headline,
-    splat_histograms,
-    write_report,
-)
-from gscore.metrics.colormap import colorize
-from gscore.metrics.curves import (
+from gscore.metrics import headline
+from gscore.report import PictureCollector, Report, cameras_section, splat_histograms, write_report
+from gscore.report.colormap import colorize
+from gscore.report.curves import (
     Series,
     clean_points,
     line_chart,
@@ -30,9 +24,9 @@ from gscore.metrics.curves import (
     nice_ticks,
     short_number,
 )
-from gscore.metrics.page_link import PAGE, link_page
-from gscore.metrics.pictures import BYTES_IN_ALL, ERROR_GAIN, MAX_VIEWS
-from gscore.metrics.report import report_html
+from gscore.report.page import report_html
+from gscore.report.page_link import PAGE, link_page
+from gscore.report.pictures import BYTES_IN_ALL, ERROR_GAIN, MAX_VIEWS
 from gscore.scene import Cameras, PointCloud, Scene
 from gscore.splats import Splats
 from gscore.words import size_words, time_words

@@ -8,12 +8,12 @@ from ..config import DataConfig, TrainConfig
 from ..config_command import depth_command, preset_words, train_command
 from ..config_file import to_dict
 from ..io.runs import CAPTURE
+from ..metrics.summary import Metrics, write_metrics
 from .cameras_plan import CamerasSection, made_of
 from .depth import DepthSection
 from .histograms import Histogram
+from .page import Report, write_report
 from .pictures import ViewPictures
-from .report import Report, write_report
-from .summary import Metrics, write_metrics
 
 
 def write_results(

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from gscore.errors import ConfigError
-from gscore.metrics.compare_page import PairPictures, comparison_html, write_comparison
 from gscore.metrics.comparison import ComparedRun, compare_runs
-from gscore.metrics.pictures import data_uri
+from gscore.report.compare_page import PairPictures, comparison_html, write_comparison
+from gscore.report.pictures import data_uri
 from tests.browser import page_after
 
 

@@ -5,7 +5,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from gscore.metrics.histograms import histograms_html, splat_histograms
+from gscore.report.histograms import histograms_html, splat_histograms
 from gscore.splats import Splats
 
 

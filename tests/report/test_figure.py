@@ -5,8 +5,8 @@ import xml.etree.ElementTree as ET
 
 import pytest
 
-from gscore.metrics.curves import Series
-from gscore.metrics.figure import figure
+from gscore.report.curves import Series
+from gscore.report.figure import figure
 
 _SVG = "{http://www.w3.org/2000/svg}"
 

@@ -1,0 +1,16 @@
+"""report.html and the page that compares two runs: tables, curves and pictures as HTML and SVG."""
+
+from .cameras_plan import cameras_section
+from .histograms import splat_histograms
+from .page import Report, write_report
+from .pictures import PictureCollector
+from .results import write_results
+
+__all__ = [
+    "PictureCollector",
+    "Report",
+    "cameras_section",
+    "splat_histograms",
+    "write_report",
+    "write_results",
+]
