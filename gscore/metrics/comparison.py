@@ -127,7 +127,7 @@ def _check_masks(runs: Sequence[ComparedRun]) -> None:
         raise ConfigError(
             f"{shown(runs[0].label)} was scored with --mask-mode {modes[0]}, "
             f"{shown(runs[1].label)} with {modes[1]}: their numbers are of different pixels. "
-            "NamedMetric one of them as the other: gscore eval --mask-mode."
+            "Measure one of them as the other: gscore eval --mask-mode."
         )
 
 
