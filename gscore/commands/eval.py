@@ -13,6 +13,7 @@ from ..events import judged_psnr
 from ..io.metrics_file import metrics_problem, read_metrics
 from ..io.places import check_place
 from ..metrics import Course, Metrics, evaluate, find_lpips, headline, lpips_warnings
+from ..metrics.evaluate import ViewHook
 from ..raster import backend
 from ..report import PictureCollector, cameras_section, splat_histograms, write_results
 from ..report.page_link import link_page
@@ -85,14 +86,6 @@ def _measure(args: argparse.Namespace, status: Status) -> int:
     _check_output(output, config, model, overwrite=args.overwrite)
     status.show([f"Reading the capture {config.source}"])
     dataset = load_dataset(config)
-    problem = metrics_problem(output) if output == model.run else ""
-    warnings = [*model.warnings, *dataset.warnings, *lpips_warnings(lpips_reason)]
-    warnings += [problem] if problem else []
-    if model.data is None and dataset.test and args.split != "all":
-        warnings.append(
-            "It is not known which views this model was trained on; the test views are held out "
-            "only if it was trained with the same split."
-        )
     split, indices = _indices(args.split, dataset)
     if output == model.run and split != "test" and read_metrics(output).get("split") == "test":
         raise ConfigError(
@@ -100,34 +93,19 @@ def _measure(args: argparse.Namespace, status: Status) -> int:
             f"{'training' if split == 'train' else 'other'} views go."
         )
     course = _of_the_training(model)
-    if split != "test" and course.exposure and course.exposure.get("learnt"):
-        warnings.append(
-            "The training compared each photo with a picture exposed as it is; here pictures are "
-            "neutral, so PSNR is lower than in its report where exposures differ."
-        )
+    problem = metrics_problem(output) if output == model.run else ""
+    warnings = [*model.warnings, *dataset.warnings, *lpips_warnings(lpips_reason)]
+    warnings += [problem] if problem else []
+    warnings += _doubts(model, dataset, course, asked=args.split, split=split)
     collector = PictureCollector(count=len(indices))
-    told = Counted(status, len(indices), "view")
-    background = model.background
-
-    def picture(index: int) -> Any:
-        return model.picture(dataset.scene.cameras, index, threads=args.threads)
-
-    def on_view(
-        place: int, target: Any, rendered: Any, weights: Any, values: dict[str, Any]
-    ) -> None:
-        collector(place, target, rendered, weights, values)
-        psnr = judged_psnr(values)
-        worth = "identical" if psnr is None else f"{psnr_name(values)} {psnr:.2f} dB"
-        told(place + 1, f"{values['name']}: {worth}")
-
     evaluation = evaluate(
-        picture,
+        lambda index: model.picture(dataset.scene.cameras, index, threads=args.threads),
         dataset,
         indices,
         lpips=lpips,
         lpips_reason=lpips_reason,
-        background=background,
-        on_view=on_view,
+        background=model.background,
+        on_view=_telling(collector, Counted(status, len(indices), "view")),
     )
     names = dataset.scene.cameras.names
     metrics = Metrics(
@@ -136,7 +114,7 @@ def _measure(args: argparse.Namespace, status: Status) -> int:
         train_views=[names[i] for i in dataset.train],
         test_views=[names[i] for i in dataset.test],
         mask_mode=dataset.mask_mode,
-        background=background,
+        background=model.background,
         splats=len(model.splats),
         sh_degree=model.splats.sh_degree,
         storage_bytes=model.file.storage_bytes,
@@ -164,6 +142,38 @@ def _measure(args: argparse.Namespace, status: Status) -> int:
     else:
         print(wrapped(_summary(content, output), sys.stdout))
     return 0
+
+
+def _doubts(
+    model: GivenModel, dataset: Dataset, course: Course, *, asked: str, split: str
+) -> list[str]:
+    """Sentences on what the figures do not say."""
+    found = []
+    if model.data is None and dataset.test and asked != "all":
+        found.append(
+            "It is not known which views this model was trained on; the test views are held out "
+            "only if it was trained with the same split."
+        )
+    if split != "test" and course.exposure and course.exposure.get("learnt"):
+        found.append(
+            "The training compared each photo with a picture exposed as it is; here pictures are "
+            "neutral, so PSNR is lower than in its report where exposures differ."
+        )
+    return found
+
+
+def _telling(collector: PictureCollector, told: Counted) -> ViewHook:
+    """Collects the pictures of each view, and says what it is worth."""
+
+    def on_view(
+        place: int, target: Any, rendered: Any, weights: Any, values: dict[str, Any]
+    ) -> None:
+        collector(place, target, rendered, weights, values)
+        psnr = judged_psnr(values)
+        worth = "identical" if psnr is None else f"{psnr_name(values)} {psnr:.2f} dB"
+        told(place + 1, f"{values['name']}: {worth}")
+
+    return on_view
 
 
 def _check_output(output: Path, config: DataConfig, model: GivenModel, *, overwrite: bool) -> None:
