@@ -17,6 +17,7 @@ _EXTRAS = {
     "onnxruntime": "depth",
     "OpenEXR": "depth",
     "av": "video",
+    "pillow_heif": "heic",
     "zstandard": "formats",
     "pxr": "usd",
     "huggingface_hub": "hub",
@@ -50,7 +51,9 @@ def missing(module: str, purpose: str) -> str:
         purpose: What needs it, the beginning of a sentence.
     """
     package = module.partition(".")[0]
-    package = {"PIL": "pillow", "pxr": "usd-core"}.get(package, package)
+    package = {"PIL": "pillow", "pxr": "usd-core", "pillow_heif": "pillow-heif"}.get(
+        package, package
+    )
     return f"{purpose} needs the package {package}; install it with: {how_to_install(module)}"
 
 

@@ -11,8 +11,10 @@ from ..io.foreign import foreign
 from ..io.runs import CAPTURE
 from ..sfm import Request, find_cameras
 from ..sfm.beside import has_no_cameras
+from ..sfm.gather import gather, is_gathered
 from ..sfm.plain import photos_of, same_photos
-from ..sfm.video_frames import frames_request, of_frames, with_frames
+from ..sfm.sources import photos_from
+from ..sfm.video_frames import frames_request, of_frames
 from ..video import extract_frames, is_video
 
 
@@ -60,12 +62,14 @@ def with_cameras(
         apart=output,
     )
     if not (capture / "sparse").exists():
-        request = with_frames(request, on_event=show, control=control)
-        find_cameras(request, on_event=show, control=control)
+        with photos_from(request, [data.source], on_event=show, control=control) as photos:
+            find_cameras(photos, on_event=show, control=control)
         return found
     if is_video(data.source):
         extract_frames(frames_request(request), on_event=show, control=control)  # finds them there
         request = of_frames(request)
+    elif is_gathered(request, [data.source]):
+        request = gather(request, [data.source], on_event=show, control=control)  # and these
     if not same_photos(capture, photos_of(request)):
         raise ConfigError(
             f"{capture} holds the cameras of other photos than those in {data.source}. Choose "

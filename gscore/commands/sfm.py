@@ -9,7 +9,7 @@ from ..errors import ConfigError
 from ..io.places import check_place
 from ..sfm import Found, Request, find_cameras
 from ..sfm.request import MAPPERS, MATCHERS
-from ..sfm.video_frames import with_frames
+from ..sfm.sources import photos_from
 from ..shown import shown
 from ..video import is_video
 from .attend import Show, attend
@@ -23,8 +23,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "source",
         type=Path,
+        nargs="+",
         help="folder of the photos, sub-folders too; or a video, of which sharp frames are taken "
-        "into images of CAPTURE first",
+        "into images of CAPTURE first; of several, each gets a folder there",
     )
     parser.add_argument(
         "-o",
@@ -89,7 +90,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Search, write the capture, say how good it is."""
     request = Request(
-        photos=args.source,
+        photos=args.source[0],
         output=args.output,
         masks=args.masks,
         use_masks=not args.no_masks,
@@ -100,13 +101,14 @@ def run(args: argparse.Namespace) -> int:
         focal_length=args.focal_length,
         threads=args.threads,
     )
-    if args.frames and not is_video(args.source):
-        raise ConfigError(f"--frames is for videos; {shown(args.source)} is none.")
+    if args.frames and not any(map(is_video, args.source)):
+        names = " and ".join(map(shown, args.source))
+        raise ConfigError(f"--frames is for videos; {names} is none.")
     check_place(request.output)
     check_folder(request.output)
     found, code = attend(
         args,
-        lambda show, control: _find(request, args.frames, show, control),
+        lambda show, control: _find(request, args, show, control),
         stopped=lambda: "Stopped; the same command goes on where this one ended.",
     )
     if found is None:
@@ -118,6 +120,8 @@ def run(args: argparse.Namespace) -> int:
     return code
 
 
-def _find(request: Request, frames: int, show: Show, control: Control) -> Found:
-    request = with_frames(request, frames=frames, on_event=show, control=control)
-    return find_cameras(request, on_event=show, control=control)
+def _find(request: Request, args: argparse.Namespace, show: Show, control: Control) -> Found:
+    with photos_from(
+        request, args.source, frames=args.frames, on_event=show, control=control
+    ) as photos:
+        return find_cameras(photos, on_event=show, control=control)

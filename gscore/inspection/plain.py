@@ -6,6 +6,7 @@ from pathlib import Path
 from ..datasets.capture import listing
 from ..errors import GsError
 from ..io.images import read_info
+from ..sfm.heic import what_to_do
 from ..sfm.photos import LEAST, list_photos, photo_folder
 from ..sfm.plain import doubt
 from ..video import is_video
@@ -41,7 +42,7 @@ def bare_facts(source: Path) -> CaptureFacts:
         problems.append(Problem(is_error=False, text=doubtful))
     if unread:
         left = count_words(len(unread), "photo is of a kind", "photos are of kinds")
-        text = f"{left} that is not read: {listing(unread, 2)}. Convert to JPEG."
+        text = f"{left} that is not read: {listing(unread, 2)}. To use them, {what_to_do(unread)}."
         problems.append(Problem(is_error=False, text=text))
     return CaptureFacts(
         source=source,

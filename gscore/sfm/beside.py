@@ -7,6 +7,7 @@ from pathlib import Path
 from ..errors import GsError
 from ..video import is_video
 from ..video.folder import FrameFolder
+from .gather import gathered_before, has_heic
 from .photos import photo_folder
 from .plain import is_plain, photos_of, same_photos
 from .request import Request
@@ -35,9 +36,10 @@ def capture_beside(source: Path) -> Beside:
     source, or with a number where that is taken by something else.
     """
     whole = source.absolute()
-    if whole.is_dir() and whole.parts and photo_folder(whole) == whole / IMAGES:
+    stays = whole.is_dir() and not has_heic(whole)  # those become JPEG, in another folder
+    if stays and whole.parts and photo_folder(whole) == whole / IMAGES:
         return Beside(whole, False)
-    if whole.is_dir() and whole.name == IMAGES:
+    if stays and whole.name == IMAGES:
         return Beside(whole.parent, False)
     name = whole.stem if is_video(whole) else whole.name
     for number in itertools.count(1):
@@ -54,7 +56,10 @@ def _is_made_of(request: Request) -> bool:
     if not (request.output / "sparse").exists():
         return False
     if not is_video(request.photos):
-        return same_photos(request.output, photos_of(request))
+        there: Request | None = request
+        if has_heic(request.photos):
+            there = gathered_before(request, [request.photos])
+        return there is not None and same_photos(request.output, photos_of(there))
     return _has_frames(request) and same_photos(request.output, photos_of(of_frames(request)))
 
 

@@ -20,6 +20,7 @@ from .adjust import Adjusted, adjust
 from .attempts import ENOUGH, Attempt, attempts
 from .diagnose import why_none
 from .forecast import ADJUSTING, FEATURES, MATCHING, PLACING, Forecast
+from .heic import what_to_do
 from .looks import Look, blurred, exposure_jumps
 from .metres import to_metres
 from .plain import apart_of, doubt, stamp
@@ -80,7 +81,7 @@ class _Search:
         if unread:
             self._warn(
                 f"{count_words(len(unread), 'photo')} of kinds that are not read left out: "
-                f"{listing(unread, 3)}. Convert them to JPEG."
+                f"{listing(unread, 3)}. To use them, {what_to_do(unread)}."
             )
         for sentence in photos.check_copies(self._root, names, self._stopping):
             self._warn(sentence)

@@ -14,6 +14,7 @@ from ..errors import Cancelled, DatasetError, FormatError
 from ..io.images import IMAGE_ENDINGS
 from ..io.pillow import check_whole, opened_picture
 from ..words import count_words, number
+from .heic import what_to_do
 from .looks import Look, look_of
 
 LEAST = 3
@@ -92,7 +93,7 @@ def check_enough(root: Path, names: list[str], unread: list[str]) -> None:
     if unread:
         other = (
             f" {count_words(len(unread), 'photo is', 'photos are')} of a kind that is not read "
-            f"({listing(unread, 2)}): convert to JPEG."
+            f"({listing(unread, 2)}): {what_to_do(unread)}."
         )
     raise DatasetError(
         f"{root} holds {count_words(len(names), 'photo') if names else 'no photo'}, but at least "

@@ -3,6 +3,7 @@
 import contextlib
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 from ..control import Control
 from ..errors import ConfigError
@@ -43,7 +44,7 @@ def with_frames(
         return request
     check_without_cameras(request.output)
     asked = frames_request(request, frames)
-    _check_room(request)
+    check_room(request.output)
     made = [p for p in (request.output, *request.output.absolute().parents) if not p.exists()]
     try:
         extract_frames(asked, on_event=on_event, control=control)
@@ -65,10 +66,9 @@ def of_frames(request: Request) -> Request:
     return replace(request, photos=request.output, video=request.photos)
 
 
-def _check_room(request: Request) -> None:
-    """Raise where the frames would mix with other files."""
-    place = request.output
-    if (place / IMAGES).exists() or not place.exists():
-        return  # of that folder the frames' own rules hold
-    if not place.is_dir() or any(not file.name.startswith(".") for file in place.iterdir()):
-        raise ConfigError(f"{shown(place)} is not empty. Choose a new folder with -o.")
+def check_room(capture: Path) -> None:
+    """Raise ConfigError where photos put into `images` of a capture would mix with other files."""
+    if (capture / IMAGES).exists() or not capture.exists():
+        return  # of that folder the rules of what is put into it hold
+    if not capture.is_dir() or any(not file.name.startswith(".") for file in capture.iterdir()):
+        raise ConfigError(f"{shown(capture)} is not empty. Choose a new folder with -o.")
