@@ -26,6 +26,8 @@ _EXTRAS = {
     "bpy": "blender",
 }
 """Name of the module to name of the extra in pyproject.toml."""
+_PACKAGES = {"PIL": "pillow", "pxr": "usd-core", "pillow_heif": "pillow-heif"}
+"""Name of the module to name of the package, where they differ."""
 _CPU_INDEX = "https://download.pytorch.org/whl/cpu"
 """Packages of torch without CUDA, for Linux, where the usual one brings gigabytes of it."""
 
@@ -51,9 +53,7 @@ def missing(module: str, purpose: str) -> str:
         purpose: What needs it, the beginning of a sentence.
     """
     package = module.partition(".")[0]
-    package = {"PIL": "pillow", "pxr": "usd-core", "pillow_heif": "pillow-heif"}.get(
-        package, package
-    )
+    package = _PACKAGES.get(package, package)
     return f"{purpose} needs the package {package}; install it with: {how_to_install(module)}"
 
 

@@ -1,4 +1,4 @@
-"""HEIC photos, as phones write them: made JPEG where the package pillow-heif is there to read them."""
+"""HEIC photos, as phones write them: made JPEG where the package pillow-heif reads them."""
 
 from importlib.util import find_spec
 from pathlib import Path
@@ -24,7 +24,7 @@ def can_read() -> bool:
 
 
 def jpeg_name(name: str) -> str:
-    """Name of the JPEG of a photo; the ending stays in it, so that none of another photo is taken."""
+    """Name of the JPEG of a photo; the old ending stays in it, so that no other photo has it."""
     return f"{name}.jpg"
 
 
