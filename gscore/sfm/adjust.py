@@ -22,6 +22,13 @@ _TRIAL_STEPS = 40
 """Steps of the adjustment with the other focal length, at most; a walk ahead needs 14."""
 
 
+LEAST_SEEN = 15
+"""Points that a photo of a model sees in the mean, without which nothing holds its camera; as many
+matches as COLMAP asks of a pair."""
+_ROUGH = 4.0
+"""Reprojection error, px, of a model that was not adjusted; COLMAP's own."""
+
+
 @dataclass(frozen=True)
 class Adjusted:
     """What became of the lens."""
@@ -60,6 +67,19 @@ def adjust(model: Any, *, may_free: bool, expected: Mapping[int, float]) -> Adju
     _solve(model)
     held = not freed and _hold_untold(model, expected)
     return Adjusted(before if freed else None, _error(model), held)
+
+
+def stands(model: Any) -> bool:
+    """Whether the points of pycolmap's Reconstruction are enough to hold its cameras."""
+    return model.compute_num_observations() >= LEAST_SEEN * model.num_reg_images()
+
+
+def may_stand(model: Any) -> bool:
+    """Whether a model that was not adjusted has enough points with parallax: one of a camera that
+    turned on the spot has points anywhere on their rays."""
+    trial = colmap().Reconstruction(model)
+    colmap().ObservationManager(trial).filter_all_points3D(_ROUGH, _LEAST_ANGLE)
+    return stands(trial)
 
 
 def _hold_untold(model: Any, expected: Mapping[int, float]) -> bool:

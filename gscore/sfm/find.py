@@ -16,7 +16,7 @@ from ..events import SfmDone, SfmEstimated, SfmProgress, Show, Warn, strict_json
 from ..io.runs import MADE_OF
 from ..words import count_words
 from . import database, masks, photos, stages
-from .adjust import Adjusted, adjust
+from .adjust import Adjusted, adjust, stands
 from .attempts import ENOUGH, Attempt, attempts
 from .diagnose import why_none
 from .forecast import ADJUSTING, FEATURES, MATCHING, PLACING, Forecast
@@ -27,7 +27,7 @@ from .plain import apart_of, doubt, stamp
 from .request import USUAL_LENS, Request
 from .stages import Work
 from .verdict import Found, camera_facts, model_names, said_of_attempt, said_of_focal
-from .watch import colmap, watched
+from .watch import colmap, told, watched
 from .workspace import Workspace
 
 
@@ -140,7 +140,8 @@ class _Search:
         self._forecast = forecast
         self._show(SfmEstimated(photos=count, seconds=forecast.seconds))
         self._tell("entering photos", 0, count)
-        stages.enter_photos(work, file)
+        with told(work.folder):
+            stages.enter_photos(work, file)
         features = [
             (len(part), partial(stages.extract, work, attempt, part))
             for part in stages.feature_parts(work)
@@ -194,7 +195,12 @@ class _Search:
     ) -> Any:
         progress = self._counted(phase, total)
         self._tell(phase, 0, total)
-        return watched(work, tick=lambda: progress(done(), under_way()), cancelled=self._stopping)
+        return watched(
+            work,
+            self._space.folder,
+            tick=lambda: progress(done(), under_way()),
+            cancelled=self._stopping,
+        )
 
     def _counted(self, phase: str, total: int) -> Callable[..., None]:
         """Tells how far a phase is: how much is done, and how much in one piece under way."""
@@ -249,6 +255,8 @@ class _Search:
         names = {photo.alias: photo.name for photo in work.photos}
         model = models[0]
         self._adjust(model, database.focal_lengths(work.database(last)))
+        if not stands(model):
+            raise DatasetError(self._why_none(work, last))
         in_metres = to_metres(model, database.gps_places(work.database(last)))
         parts = tuple(model_names(each, names) for each in models)
         placed = {name for part in parts for name in part}

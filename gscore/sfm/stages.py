@@ -6,6 +6,7 @@ from typing import Any
 
 from ..config import checked_threads
 from ..io.files import atomic_write
+from .adjust import may_stand
 from .attempts import Attempt
 from .forecast import Forecast, working_cores
 from .pairs import Pair, in_parts, is_sequential
@@ -194,7 +195,7 @@ def reconstruct(work: Work, attempt: Attempt, token: Any, on_photo: Any) -> list
             next_image_callback=on_photo,
             cancellation_token=token,
         )
-    kept = [model for model in found.values() if model.num_reg_images() >= LEAST]
+    kept = [m for m in found.values() if m.num_reg_images() >= LEAST and may_stand(m)]
     return sorted(kept, key=lambda model: (-model.num_reg_images(), -model.num_points3D()))
 
 

@@ -1,16 +1,22 @@
 """Calls into pycolmap in a thread, watched: how far they are, and whether they are to end."""
 
 import concurrent.futures
-from collections.abc import Callable
+import contextlib
+import shutil
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import Any, TypeVar
 
 from ..errors import BackendError, Cancelled, GsError
 from ..extras import need
+from ..shown import shown
 
 Result = TypeVar("Result")
 _PERIOD = 0.2
 """Seconds between two looks."""
+_LEAST_FREE = 1 << 20
+"""Bytes below which a disk counts as full: SQLite and COLMAP write larger pieces."""
 
 
 def colmap() -> Any:
@@ -29,19 +35,57 @@ def colmap() -> Any:
     return module
 
 
+@contextlib.contextmanager
+def told(folder: Path) -> Iterator[None]:
+    """A block of calls into pycolmap that write into a folder; what they raise becomes a sentence.
+
+    Raises:
+        GsError: pycolmap raised an error, or the disk is full, of which it says other things.
+    """
+    try:
+        yield
+    except GsError:  # some are ValueErrors and RuntimeErrors too
+        raise
+    except (RuntimeError, ValueError) as error:
+        if _is_full(folder):
+            raise GsError(
+                f"Cannot write {shown(folder)}: the disk is full. Free some space and give the "
+                "same command again; it goes on from what was found."
+            ) from error
+        said = str(error).strip().splitlines()
+        raise GsError(
+            f"COLMAP has failed: {said[-1].rstrip('.') if said else type(error).__name__}. What "
+            "it had found is kept; give the same command again, or remove "
+            f"{shown(folder)} to begin anew."
+        ) from error
+
+
+def _is_full(folder: Path) -> bool:
+    """Whether next to nothing is free; also where the folder is not there."""
+    try:
+        return shutil.disk_usage(folder).free < _LEAST_FREE
+    except OSError:
+        return False
+
+
 def watched(
-    work: Callable[[Any], Result], *, tick: Callable[[], None], cancelled: Callable[[], bool]
+    work: Callable[[Any], Result],
+    folder: Path,
+    *,
+    tick: Callable[[], None],
+    cancelled: Callable[[], bool],
 ) -> Result:
     """Do `work` in a thread: Python's signal handlers run in the main one only between calls.
 
     Args:
         work: Gets a CancellationToken of pycolmap.
+        folder: Where it writes.
         tick: Called now and then while it works.
         cancelled: True cancels the token.
 
     Raises:
         Cancelled: `cancelled` said so.
-        GsError: pycolmap raised an error.
+        GsError: pycolmap raised an error, or the disk is full.
     """
     token = colmap().CancellationToken()
     with ThreadPoolExecutor(1, thread_name_prefix="gscore-sfm") as pool:
@@ -52,11 +96,5 @@ def watched(
             tick()
     if cancelled():
         raise Cancelled("Finding cameras was stopped.")
-    try:
+    with told(folder):
         return future.result()
-    except (RuntimeError, ValueError) as error:
-        said = str(error).strip().splitlines()
-        raise GsError(
-            f"COLMAP has failed: {said[-1] if said else type(error).__name__}. What it had found "
-            "is kept; see whether the disk is full, and give the same command again."
-        ) from error

@@ -182,14 +182,19 @@ def test_other_photos_begin_anew(photos: Path, tmp_path: Path) -> None:
     assert not find_cameras(request).resumed
 
 
-def test_an_error_of_colmap_is_a_sentence() -> None:
-    """Oracle: an error as pycolmap raises them."""
+@pytest.mark.parametrize(("free", "says"), [(1 << 30, "No factory. What"), (4096, "disk is full")])
+def test_an_error_of_colmap_is_a_sentence(
+    free: int, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: an error as pycolmap raises it where SQLite cannot write, and what is free."""
 
     def work(token: object) -> None:
-        raise RuntimeError("[database.cc:7] database or disk is full")
+        raise RuntimeError("[database.cc:7] No factory.")
 
-    with pytest.raises(GsError, match="disk is full"):
-        watched(work, tick=lambda: None, cancelled=lambda: False)
+    usage = shutil.disk_usage(tmp_path)._replace(free=free)
+    monkeypatch.setattr(shutil, "disk_usage", lambda folder: usage)
+    with pytest.raises(GsError, match=says):
+        watched(work, tmp_path, tick=lambda: None, cancelled=lambda: False)
 
 
 def test_photos_of_a_capture_stay_in_place(photos: Path, tmp_path: Path, capsys: Out) -> None:
@@ -233,7 +238,7 @@ def _one(folder: Path) -> None:
 
 
 def _none(folder: Path) -> None:
-    (folder / "IMG_1.HEIC").write_bytes(b"heic")
+    (folder / "IMG_1.NEF").write_bytes(b"raw")
 
 
 def _copies(folder: Path) -> None:
@@ -267,6 +272,21 @@ def _still(folder: Path) -> None:
         Image.fromarray(noisy).save(folder / f"{i}.png")
 
 
+def _turned(folder: Path) -> None:
+    """A camera that turns on the spot: one photo seen through homographies."""
+    with Image.open(STUDIO / "images/view_000.jpg") as photo:
+        pixels = np.asarray(photo.convert("RGB"))
+    height, width = pixels.shape[:2]
+    y, x = np.mgrid[0:240, 0:320]
+    rays = np.stack([(x - 160) / 300, (y - 120) / 300, np.ones_like(x, float)], axis=-1)
+    for i in range(7):
+        c, s = np.cos(0.07 * (i - 3)), np.sin(0.07 * (i - 3))
+        turned = rays @ np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]])
+        where = turned[..., :2] / turned[..., 2:] * 0.6 * width + [width / 2, height / 2]
+        column, row = where.astype(int).transpose(2, 0, 1).clip(0, [[[width - 1]], [[height - 1]]])
+        Image.fromarray(pixels[row, column]).save(folder / f"{i}.png")
+
+
 @pytest.mark.parametrize(
     ("make", "words"),
     [
@@ -277,6 +297,7 @@ def _still(folder: Path) -> None:
         (_strangers, "None of the 4 photos shows the same"),
         (_broken, "2.png cannot be read"),
         (_still, "no parallax"),
+        (_turned, "no parallax"),
     ],
 )
 def test_bad_photos_are_a_sentence(make, words: str, tmp_path: Path, capsys: Out) -> None:
