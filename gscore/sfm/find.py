@@ -27,7 +27,7 @@ from .plain import apart_of, doubt, stamp
 from .request import USUAL_LENS, Request
 from .stages import Work
 from .verdict import Found, camera_facts, model_names, said_of_attempt, said_of_focal
-from .watch import colmap, told, watched
+from .watch import check_space, colmap, told, watched
 from .workspace import Workspace
 
 
@@ -140,14 +140,17 @@ class _Search:
         self._forecast = forecast
         self._show(SfmEstimated(photos=count, seconds=forecast.seconds))
         self._tell("entering photos", 0, count)
+        check_space(work.folder, stages.space_needed(work, attempt))
         with told(work.folder):
             stages.enter_photos(work, file)
         features = [
             (len(part), partial(stages.extract, work, attempt, part))
             for part in stages.feature_parts(work)
         ]
-        self._steps(features, FEATURES)
-        if lost := database.without_features(file):
+        self._steps(features, FEATURES, stages.space_needed(work, attempt))
+        with told(work.folder):
+            lost, found = database.without_features(file), database.features(file)
+        if lost:
             names = {photo.alias: photo.name for photo in work.photos}
             raise DatasetError(
                 f"COLMAP cannot read {listing([names[alias] for alias in lost])}. Save them as "
@@ -156,8 +159,8 @@ class _Search:
         matches = [
             (len(part), partial(stages.match, work, attempt, part)) for part in work.parts(attempt)
         ]
-        forecast.has_features(sum(database.features(file)))
-        self._steps(matches, MATCHING)
+        forecast.has_features(sum(found))
+        self._steps(matches, MATCHING, stages.space_needed(work, attempt))
         placed = [0]
 
         def on_photo() -> None:
@@ -170,8 +173,11 @@ class _Search:
             place, PLACING, count, lambda: min(placed[0], count), lambda: count - placed[0]
         )
 
-    def _steps(self, parts: list[tuple[int, Callable[[Any], None]]], phase: str) -> None:
-        """Do the parts of a phase; each comes with how much of it that is."""
+    def _steps(
+        self, parts: list[tuple[int, Callable[[Any], None]]], phase: str, space: int
+    ) -> None:
+        """Do the parts of a phase; each comes with how much of it that is, and may write `space`
+        bytes."""
         done, under_way = [0], [0]
 
         def work(token: Any) -> None:
@@ -179,6 +185,7 @@ class _Search:
                 if self._stopping():
                     return
                 under_way[0] = size
+                check_space(self._space.folder, space)
                 part(token)
                 done[0] += size
 

@@ -37,6 +37,9 @@ _TRACKS = 200
 """Tracks a photo that the global mapper begins with, where there are as many; the others join when
 cameras stand. It solves for all in one thread: studio takes 7 CPU s instead of 26, and gets the
 same points and focal length."""
+_BYTES_OF_FEATURE, _DOUBLED, _COPIES = 152, 1.25, 2
+"""What a feature takes in the database, how many more there are than are kept because some point
+two ways, and in how many files they stand until SQLite's log is folded in."""
 _MOST_EXHAUSTIVE = 400
 """Photos up to which the rich attempt compares all with all."""
 
@@ -130,6 +133,13 @@ def most_features(photos: int, *, rich: bool) -> int:
     if rich:
         return _RICH_FEATURES
     return _FEATURES_OF_FEW if photos <= _FEW_PHOTOS else _FEATURES
+
+
+def space_needed(work: Work, attempt: Attempt) -> int:
+    """Bytes that a part of an attempt may write at most: features, in the database and its log."""
+    most = _DOUBLED * most_features(len(work.photos), rich=attempt.rich)
+    photos = max(map(len, feature_parts(work)))
+    return int(_COPIES * photos * most * _BYTES_OF_FEATURE)
 
 
 def extract(work: Work, attempt: Attempt, names: list[str], token: Any) -> None:

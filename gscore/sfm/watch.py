@@ -47,11 +47,7 @@ def told(folder: Path) -> Iterator[None]:
     except GsError:  # some are ValueErrors and RuntimeErrors too
         raise
     except (RuntimeError, ValueError) as error:
-        if _is_full(folder):
-            raise GsError(
-                f"Cannot write {shown(folder)}: the disk is full. Free some space and give the "
-                "same command again; it goes on from what was found."
-            ) from error
+        check_space(folder, _LEAST_FREE)
         said = str(error).strip().splitlines()
         raise GsError(
             f"COLMAP has failed: {said[-1].rstrip('.') if said else type(error).__name__}. What "
@@ -60,12 +56,21 @@ def told(folder: Path) -> Iterator[None]:
         ) from error
 
 
-def _is_full(folder: Path) -> bool:
-    """Whether next to nothing is free; also where the folder is not there."""
+def check_space(folder: Path, least: int) -> None:
+    """Raise GsError where fewer bytes than `least` are free on the disk of a folder.
+
+    Asked before work begins: COLMAP ends the whole process where SQLite can no longer write.
+    """
     try:
-        return shutil.disk_usage(folder).free < _LEAST_FREE
+        free = shutil.disk_usage(folder).free
     except OSError:
-        return False
+        return  # what is wrong with the folder is said by who writes into it
+    if free < least:
+        raise GsError(
+            f"Cannot go on in {shown(folder)}: the disk is full, or nearly, with "
+            f"{free / 1e6:.0f} MB free of {least / 1e6:.0f} MB that the next step may need. Free "
+            "some space and give the same command again; it goes on from what was found."
+        )
 
 
 def watched(

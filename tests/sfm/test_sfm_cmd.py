@@ -182,7 +182,9 @@ def test_other_photos_begin_anew(photos: Path, tmp_path: Path) -> None:
     assert not find_cameras(request).resumed
 
 
-@pytest.mark.parametrize(("free", "says"), [(1 << 30, "No factory. What"), (4096, "disk is full")])
+@pytest.mark.parametrize(
+    ("free", "says"), [(1 << 30, "No factory. What"), (4096, "disk is full, or nearly")]
+)
 def test_an_error_of_colmap_is_a_sentence(
     free: int, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -195,6 +197,22 @@ def test_an_error_of_colmap_is_a_sentence(
     monkeypatch.setattr(shutil, "disk_usage", lambda folder: usage)
     with pytest.raises(GsError, match=says):
         watched(work, tmp_path, tick=lambda: None, cancelled=lambda: False)
+
+
+def test_a_disk_that_fills_up_is_told_before_colmap_dies_of_it(
+    photos: Path, tmp_path: Path, capsys: Out, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: exit code 2 and the sentence; the same command goes on once there is space."""
+    usage = shutil.disk_usage(tmp_path)
+    sizes = iter([10**10] * 2)
+    with monkeypatch.context() as patch:
+        patch.setattr(shutil, "disk_usage", lambda f: usage._replace(free=next(sizes, 10**6)))
+        assert main(["sfm", str(photos), "-o", str(tmp_path / "capture")]) == 2
+    said = capsys.readouterr().err
+    assert "the disk is full, or nearly, with 1 MB free" in said and "Traceback" not in said
+    assert [path.name for path in tmp_path.iterdir()] == [".capture.sfm"]
+    assert main(["sfm", str(photos), "-o", str(tmp_path / "capture"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["resumed"]
 
 
 def test_photos_of_a_capture_stay_in_place(photos: Path, tmp_path: Path, capsys: Out) -> None:
