@@ -8,7 +8,8 @@ from typing import Any
 from ..config import DataConfig
 from ..datasets.capture import listing
 from ..sfm.attempts import attempts
-from ..sfm.photos import LEAST, by_camera, list_photos, photo_folder, read_photos
+from ..sfm.heic import size_of, split
+from ..sfm.photos import LEAST, Photo, by_camera, list_photos, photo_folder, read_photos
 from ..sfm.plain import apart_of, doubt
 from ..sfm.request import Request
 from ..sfm.stages import Work
@@ -28,6 +29,9 @@ def photos_facts(path: Path, data: DataConfig) -> dict[str, Any]:
     photos = read_photos(
         root, names, on_photo=lambda done: None, cancelled=lambda: False, whole=False
     )
+    changed, unread = split(unread)
+    for i, name in enumerate(changed, len(photos)):
+        photos.append(Photo(name, f"{i:06}.jpg", *size_of(root / name), ()))
     work = Work(request=request, root=root, photos=photos, masks=None, folder=root)
     first = attempts(request)[0]
     doubtful = doubt(root, names, len(by_camera(photos)))

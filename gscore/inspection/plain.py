@@ -6,7 +6,7 @@ from pathlib import Path
 from ..datasets.capture import listing
 from ..errors import GsError
 from ..io.images import read_info
-from ..sfm.heic import what_to_do
+from ..sfm.heic import size_of, split, what_to_do
 from ..sfm.photos import LEAST, list_photos, photo_folder
 from ..sfm.plain import doubt
 from ..video import is_video
@@ -35,6 +35,9 @@ def bare_facts(source: Path) -> CaptureFacts:
             sizes[info.width, info.height] += 1
         except GsError as error:
             problems.append(Problem(is_error=True, text=str(error)))
+    changed, unread = split(unread)
+    sizes.update(size_of(root / name) for name in changed)
+    names += changed
     if len(names) < LEAST:
         few = f"Only {count_words(len(names), 'photo')}: at least {LEAST} that overlap are needed, "
         problems.append(Problem(is_error=True, text=f"{few}30 or more are good."))

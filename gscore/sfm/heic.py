@@ -1,7 +1,10 @@
 """HEIC photos, as phones write them: made JPEG where the package pillow-heif reads them."""
 
+import contextlib
+from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 from ..errors import FormatError
 from ..extras import how_to_install, need
@@ -21,6 +24,21 @@ def is_heic(name: str) -> bool:
 def can_read() -> bool:
     """Whether pillow-heif is there."""
     return find_spec("pillow_heif") is not None
+
+
+def split(unread: list[str]) -> tuple[list[str], list[str]]:
+    """Of photos of kinds that are not read as they are, those that become JPEG, and the rest."""
+    mine = [name for name in unread if is_heic(name)] if can_read() else []
+    return mine, [name for name in unread if name not in mine]
+
+
+def size_of(path: Path) -> tuple[int, int]:
+    """Width and height of the JPEG of a photo, px, without decoding it.
+
+    Raises:
+        FormatError, BackendError: as `write_jpeg`.
+    """
+    return _opened(path).size
 
 
 def jpeg_name(name: str) -> str:
@@ -43,17 +61,27 @@ def write_jpeg(source: Path, target: Path) -> None:
         BackendError: pillow-heif is not installed.
         OSError: the JPEG cannot be written.
     """
-    reader = need("pillow_heif", "Reading HEIC photos")
-    try:
-        file = reader.open_heif(source)
-        check_pixels(source, *file.size)
+    file = _opened(source)
+    with _told(source):
         picture = file.to_pillow().convert("RGB")
-    except FormatError:
-        raise
-    except BROKEN as error:
-        raise FormatError(
-            f"{source} cannot be read as a HEIC photo: {str(error).rstrip('.')}. Copy the file "
-            "again, or remove it."
-        ) from error
     kept = {name: picture.info[name] for name in ("exif", "icc_profile") if picture.info.get(name)}
     picture.save(target, "JPEG", quality=QUALITY, subsampling=0, **kept)
+
+
+def _opened(path: Path) -> Any:
+    reader = need("pillow_heif", "Reading HEIC photos")
+    with _told(path):
+        file = reader.open_heif(path)
+    check_pixels(path, *file.size)
+    return file
+
+
+@contextlib.contextmanager
+def _told(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except BROKEN as error:
+        raise FormatError(
+            f"{path} cannot be read as a HEIC photo: {str(error).rstrip('.')}. Copy the file "
+            "again, or remove it."
+        ) from error

@@ -9,6 +9,7 @@ import pytest
 from PIL import Image
 
 from gscore.commands import main
+from gscore.inspection.plain import bare_facts
 from gscore.io.colmap import read_model
 from gscore.sfm import gather, heic
 from gscore.sfm.beside import Beside, capture_beside
@@ -145,6 +146,10 @@ def test_heic_photos_become_jpeg(views: Path, tmp_path: Path, capsys: Out) -> No
     """Oracle: the pictures that were packed as HEIC, and EXIF's model."""
     for i in range(6):
         _as_heic(_view(views, i), tmp_path / f"photos/IMG {i}.HEIC")
+    assert main(["info", str(tmp_path / "photos"), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert (facts["photos"], facts["sizes"], facts["unread"]) == (6, {"256 x 256": 6}, [])
+    assert bare_facts(tmp_path / "photos").photos == 6
     capture = tmp_path / "capture"
     assert capture_beside(tmp_path / "photos") == Beside(tmp_path / "photos-capture", False)
     assert main(["sfm", str(tmp_path / "photos"), "-o", str(capture), "--json"]) == 0

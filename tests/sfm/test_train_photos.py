@@ -111,12 +111,12 @@ def test_photos_of_which_nothing_can_be_made_leave_nothing(tmp_path: Path, capsy
 
 def test_info_tells_what_photos_need(mine: Path, capsys: Out) -> None:
     """Oracle: the photos, all pairs of them, and the next command."""
-    (mine / "x.heic").write_bytes(b"")
+    (mine / "x.nef").write_bytes(b"")
     assert main(["info", str(mine), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     count = len(NEAR)
     assert facts["kind"] == "photos" and facts["photos"] == count and facts["cameras"] == 1
-    assert facts["pairs"] == count * (count - 1) // 2 and facts["unread"] == ["x.heic"]
+    assert facts["pairs"] == count * (count - 1) // 2 and facts["unread"] == ["x.nef"]
     assert 0 < facts["sfm_seconds"] < 60
     assert main(["info", str(mine)]) == 0
     assert f"Next: gscore train {mine} -o run" in capsys.readouterr().out
