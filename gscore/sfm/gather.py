@@ -42,7 +42,7 @@ def is_gathered(request: Request, sources: Sequence[Path]) -> bool:
 
 def has_heic(folder: Path) -> bool:
     """Whether HEIC photos lie there that can be read here."""
-    return bool(heic.split(list_photos(photo_folder(folder), ())[1])[0])
+    return bool(heic.readable(list_photos(photo_folder(folder), ())[1])[0])
 
 
 def gather(
@@ -220,7 +220,7 @@ def _free(path: Path, taken: set[str]) -> str:
 def _photos(request: Request, root: Path) -> list[str]:
     """Names of the photos of a folder, those that become JPEG too."""
     names, unread = list_photos(root, apart_of(request, root))
-    return names + heic.split(unread)[0]
+    return names + heic.readable(unread)[0]
 
 
 def _state(request: Request, sources: Sequence[Path], frames: int) -> dict[str, Any]:

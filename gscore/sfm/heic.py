@@ -10,7 +10,7 @@ from ..errors import FormatError
 from ..extras import how_to_install, need
 from ..io.pillow import BROKEN, check_pixels
 
-ENDINGS = (".heic", ".heif")
+HEIC_ENDINGS = (".heic", ".heif")
 """Of such photos, lower case."""
 QUALITY = 97
 """Of the JPEG, with full colour resolution, as frames of a video have it."""
@@ -18,7 +18,7 @@ QUALITY = 97
 
 def is_heic(name: str) -> bool:
     """Whether a file's name is that of such a photo."""
-    return name.lower().endswith(ENDINGS)
+    return name.lower().endswith(HEIC_ENDINGS)
 
 
 def can_read() -> bool:
@@ -26,7 +26,7 @@ def can_read() -> bool:
     return find_spec("pillow_heif") is not None
 
 
-def split(unread: list[str]) -> tuple[list[str], list[str]]:
+def readable(unread: list[str]) -> tuple[list[str], list[str]]:
     """Of photos of kinds that are not read as they are, those that become JPEG, and the rest."""
     mine = [name for name in unread if is_heic(name)] if can_read() else []
     return mine, [name for name in unread if name not in mine]
