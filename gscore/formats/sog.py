@@ -20,12 +20,12 @@ from ..io.file_sample import FileSample
 from ..io.files import atomic_write, read_bytes
 from ..io.splat_rows import LOGIT_OF_BYTE, drawable, opacity_bytes
 from ..json_text import parse_json
+from ..nearby import morton_order
 from ..shown import quoted
 from ..splats import SH_REST_BY_DEGREE, Splats
 from ..words import count_words, number
 from . import textures
 from .codebook import CODEBOOK_SIZE, codebook, nearest_entries, palette
-from .morton import morton_order
 from .splat_file import Decoded, SplatFormat, WriteOptions
 
 META = "meta.json"

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..splats import Splats
+from .splats import Splats
 
 
 def importance_of(splats: Splats) -> np.ndarray:
