@@ -8,6 +8,7 @@ import numpy as np
 
 from ..errors import ConfigError
 from ..formats.joined import cut_degree, joined
+from ..importance import importance_of, most_important
 from ..scene import Cameras
 from ..splats import Splats
 from ..transforms import transform_splats
@@ -15,7 +16,6 @@ from ..words import count_words
 from .clusters import cluster_sizes
 from .contribution import contributions
 from .crop import box_matrix, in_frustum, in_unit_shape, sphere_matrix
-from ..importance import importance_of, most_important
 from .isolation import isolation_of
 from .limits import at_least_opaque, of_size
 from .request import GAP, EditRequest

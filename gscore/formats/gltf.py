@@ -43,6 +43,8 @@ class Gltf:
         """
         self.path = path
         raw = memoryview(read_bytes(path))
+        self.bytes_read = len(raw)
+        """Of the file, and of the buffers beside it that were needed so far."""
         text, self._binary = raw, None
         if raw[:4] == GLB_MAGIC:
             text, self._binary = self._chunks(raw)
@@ -177,9 +179,11 @@ class Gltf:
         if Path(name).name != name or "\\" in name or ":" in name or name in ("", ".", ".."):
             raise self.damaged(f"buffer {index} names the file {quoted(uri)}, outside its folder")
         try:
-            return memoryview(read_bytes(self.path.parent / name))
+            found = memoryview(read_bytes(self.path.parent / name))
         except DatasetError as error:
             raise DatasetError(f"{self.path} needs {quoted(name)} beside it. {error}") from error
+        self.bytes_read += len(found)
+        return found
 
 
 class GltfBuffer:

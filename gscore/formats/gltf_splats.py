@@ -20,6 +20,7 @@ from ..sh import rgb_to_sh0, sh0_to_rgb
 from ..shown import quoted
 from ..splats import SH_REST_BY_DEGREE, Splats
 from ..transforms import transform_splats
+from ..words import number
 from . import spz
 from .axes import Z, half_turn
 from .gltf import GLB_MAGIC, Gltf, GltfBuffer, escaped, write_glb
@@ -32,6 +33,9 @@ _HARMLESS = ("KHR_materials_", "KHR_texture_", "KHR_mesh_quantization", "KHR_lig
 """Required extensions with which splats can be read nevertheless."""
 _POINTS = 0
 _MOST_DEPTH = 256
+_MOST_SPLATS_A_BYTE, _SLACK = 1, 1 << 16
+"""Of a file that has splats in several places, and how many more there may be. A splat takes 30
+bytes as numbers and about ten in SPZ."""
 _PROPERTIES = {
     "kernel": "ellipse",
     "colorSpace": "srgb_rec709_display",
@@ -54,8 +58,11 @@ def _read(path: Path) -> Decoded:
     file = Gltf(path)
     _check_required(file)
     parts, layouts, marks = [], [], []
+    count = 0
     for matrix, primitive in _primitives(file):
         splats, layout, flagged = _splats(file, primitive)
+        count += len(splats)
+        _check_repeated(file, count, len(parts) + 1)
         parts.append(half_turn(_placed(file, splats, matrix), Z))
         layouts.append(layout)
         marks.append(flagged or _object(primitive.get("extras")).get(_MARK) is True)
@@ -66,6 +73,17 @@ def _read(path: Path) -> Decoded:
             f"{EXTENSION}. Give the file of a trained model."
         )
     return Decoded(splats=joined(parts), layout=layouts[0], antialiased=all(marks))
+
+
+def _check_repeated(file: Gltf, count: int, times: int) -> None:
+    """FormatError where the same bytes stand for more and more splats: one mesh below many nodes,
+    one accessor in many meshes."""
+    if times > 1 and count > _MOST_SPLATS_A_BYTE * file.bytes_read + _SLACK:
+        raise FormatError(
+            f"{file.path} repeats its splats: {number(times)} nodes make {number(count)} of them "
+            f"and more, of a file of {number(file.bytes_read)} bytes. Export it with each splat "
+            f"once, or as a 3DGS PLY."
+        )
 
 
 def _check_required(file: Gltf) -> None:

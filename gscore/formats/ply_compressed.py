@@ -104,9 +104,9 @@ def _notes(splats: Splats, order: np.ndarray) -> list[str]:
     beyond = moved > _MOST_MOVED * np.maximum(away[order], usual)
     if beyond.any():
         notes.append(
-            f"{count_words(int(beyond.sum()), 'splat')} share their chunk with others far away, and "
-            f"were moved by up to {moved[beyond].max():.3g} units. Remove far splats first, with "
-            f"gscore convert --box or --sphere."
+            f"{count_words(int(beyond.sum()), 'splat')} share their chunk with others far away, "
+            f"and were moved by up to {moved[beyond].max():.3g} units. Remove far splats "
+            f"first, with gscore convert --box or --sphere."
         )
     wide = int((np.abs(splats.shN) > _REACH).any(axis=(1, 2)).sum())
     if wide:

@@ -26,7 +26,7 @@ from .packed_bytes import (
     unzstd_exactly,
     zstd_quickly,
 )
-from .splat_file import Decoded, SplatFormat, WriteOptions
+from .splat_file import Decoded, SplatFormat, WriteOptions, colors_note
 
 _MAGIC = b"NGSP"
 VERSIONS = (3, 4)
@@ -277,6 +277,8 @@ def _fraction_bits(splats: Splats) -> tuple[int, list[str]]:
 def _clamped(splats: Splats) -> list[str]:
     """Notes on numbers that SPZ has no byte for."""
     notes = []
+    if note := colors_note(splats.sh0, float(_COLOR[0]), float(_COLOR[-1]), "SPZ"):
+        notes.append(note)
     beyond = int(((splats.scales < -10.03) | (splats.scales > 5.97)).any(axis=1).sum())
     if beyond:
         notes.append(

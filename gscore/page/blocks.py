@@ -1,4 +1,4 @@
-"""Which splats share a box: neighbours along a curve, without those that are far from the others."""
+"""Which splats share a box: neighbours along a curve, without those that are far away."""
 
 import numpy as np
 
