@@ -22,6 +22,7 @@ BOTTOM = {
     "sequence_options",
     "shown",
     "signal_keeping",
+    "smallest_three",
     "json_text",
     "options",
     "choices",

@@ -94,7 +94,7 @@ class Gltf:
     def view(self, index: Any) -> memoryview:
         """The bytes of a bufferView."""
         view = self.entry("bufferViews", index)
-        if "EXT_meshopt_compression" in _object(view.get("extensions")):
+        if "EXT_meshopt_compression" in as_object(view.get("extensions")):
             raise FormatError(
                 f"{self.path} packs its numbers with EXT_meshopt_compression, which is not read. "
                 f"Export it without compression, or with that of SPZ."
@@ -267,5 +267,6 @@ def _unescaped(uri: str) -> str:
     return os.fsdecode(raw)
 
 
-def _object(value: Any) -> dict[str, Any]:
+def as_object(value: Any) -> dict[str, Any]:
+    """An object of JSON; an empty one in the place of anything else."""
     return value if isinstance(value, dict) else {}

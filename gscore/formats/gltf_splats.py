@@ -23,7 +23,7 @@ from ..transforms import transform_splats
 from ..words import number
 from . import spz
 from .axes import Z, half_turn
-from .gltf import GLB_MAGIC, Gltf, GltfBuffer, escaped, write_glb
+from .gltf import GLB_MAGIC, Gltf, GltfBuffer, as_object, escaped, write_glb
 from .joined import joined
 from .splat_file import Decoded, SplatFormat, WriteOptions
 
@@ -65,7 +65,7 @@ def _read(path: Path) -> Decoded:
         _check_repeated(file, count, len(parts) + 1)
         parts.append(half_turn(_placed(file, splats, matrix), Z))
         layouts.append(layout)
-        marks.append(flagged or _object(primitive.get("extras")).get(_MARK) is True)
+        marks.append(flagged or as_object(primitive.get("extras")).get(_MARK) is True)
     if not parts:
         meshes = len(file.listed(file.content, "meshes"))
         raise FormatError(
@@ -125,7 +125,7 @@ def _primitives(file: Gltf) -> Iterator[tuple[np.ndarray, dict[str, Any]]]:
 
 def _of_mesh(file: Gltf, index: Any) -> Iterator[dict[str, Any]]:
     for primitive in file.listed(file.entry("meshes", index), "primitives"):
-        if EXTENSION in _object(_object(primitive).get("extensions")):
+        if EXTENSION in as_object(as_object(primitive).get("extensions")):
             if primitive.get("mode", 4) != _POINTS:
                 raise file.damaged(f"mesh {index} has splats whose mode is not POINTS")
             yield primitive
@@ -173,11 +173,11 @@ def _placed(file: Gltf, splats: Splats, matrix: np.ndarray) -> Splats:
 def _splats(file: Gltf, primitive: dict[str, Any]) -> tuple[Splats, str, bool]:
     """The splats of a primitive in the axes of glTF, the layout's name, and whether what packs
     them says that they are anti-aliased."""
-    extension = _object(primitive["extensions"][EXTENSION])
-    inner = _object(extension.get("extensions"))
+    extension = as_object(primitive["extensions"][EXTENSION])
+    inner = as_object(extension.get("extensions"))
     for name in _PACKED:
         if name in inner:
-            raw = file.view(_object(inner[name]).get("bufferView"))
+            raw = file.view(as_object(inner[name]).get("bufferView"))
             try:
                 found = spz.decode_spz(file.path, raw)
             except FormatError as error:
@@ -190,7 +190,7 @@ def _splats(file: Gltf, primitive: dict[str, Any]) -> tuple[Splats, str, bool]:
             f"read; {' and '.join(_PACKED)} are. Export it without compression."
         )
     _check_kind(file, extension)
-    return _plain(file, _object(primitive.get("attributes"))), "glTF", False
+    return _plain(file, as_object(primitive.get("attributes"))), "glTF", False
 
 
 def _check_kind(file: Gltf, extension: dict[str, Any]) -> None:
@@ -359,10 +359,6 @@ def _write_file(path: Path, content: dict[str, Any], buffer: GltfBuffer) -> None
 def _buffer_of(path: Path) -> tuple[Path, ...]:
     """Where the buffer of a .gltf lies that is written here."""
     return () if path.suffix.lower() == ".glb" else (path.with_suffix(".bin"),)
-
-
-def _object(value: Any) -> dict[str, Any]:
-    return value if isinstance(value, dict) else {}
 
 
 GLTF = SplatFormat(

@@ -18,6 +18,7 @@ from ..io.ply_compressed import CHUNK
 from ..io.splat_rows import opacity_bytes
 from ..nearby import distances, morton_order
 from ..sh import sh0_to_rgb
+from ..smallest_three import smallest_three
 from ..splats import Splats
 from ..words import count_words
 from . import ply
@@ -169,10 +170,8 @@ def _fields(values: np.ndarray, bits: tuple[int, int, int]) -> np.ndarray:
 def _pack_rotations(quats: np.ndarray) -> np.ndarray:
     """[N] uint32: two bits name the largest of w, x, y, z, ten bits each hold the others."""
     unit = quats / np.linalg.norm(quats, axis=1, keepdims=True)
-    largest = np.abs(unit).argmax(axis=1)
-    unit *= np.where(unit[np.arange(len(unit)), largest] < 0, -1, 1)[:, None]
-    others = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])[largest]
-    parts = np.take_along_axis(unit, others, axis=1) * np.sqrt(0.5) + 0.5
+    largest, three = smallest_three(unit)
+    parts = three * np.sqrt(0.5) + 0.5
     fields = _fields(np.clip(parts, 0, 1), (10, 10, 10))
     return largest.astype(np.uint32) << np.uint32(30) | fields
 

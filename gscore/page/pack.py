@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from ..sh import rgb_to_sh0, sh0_to_rgb
-from ..splats import PARAMETERS, Splats
+from ..smallest_three import smallest_three, with_largest
+from ..splats import PARAMETERS, Splats, sigmoid
 from . import ascii85
 from .blocks import BLOCK, blocks_of
 
@@ -158,11 +159,7 @@ def _drawn(splats: Splats) -> np.ndarray:
         numbers = getattr(splats, name)
         good &= np.isfinite(numbers).all(axis=tuple(range(1, numbers.ndim)))
     good &= np.abs(splats.quats).max(axis=1) > 1e-18
-    return good & (_sigmoid(splats.opacities) >= FAINTEST)
-
-
-def _sigmoid(logits: np.ndarray) -> np.ndarray:
-    return 1 / (1 + np.exp(-np.clip(logits.astype(np.float64), -60, 60)))
+    return good & (sigmoid(splats.opacities) >= FAINTEST)
 
 
 def _geometry(splats: Splats, lengths: np.ndarray) -> bytes:
@@ -182,7 +179,7 @@ def _geometry(splats: Splats, lengths: np.ndarray) -> bytes:
 
 
 def _opacity_and_color(splats: Splats) -> bytes:
-    alpha = np.round(_sigmoid(splats.opacities) * 255).astype(np.uint8)
+    alpha = np.round(sigmoid(splats.opacities) * 255).astype(np.uint8)
     color = sh0_to_rgb(splats.sh0[:, 0].astype(np.float64)) @ COLOR_AXES.T
     whole = np.clip(np.round(color / COLOR_STEP), -0x8000, 0x7FFF).astype(np.int16)
     return alpha.tobytes() + _bytes_of(whole.view(np.uint16))
@@ -201,9 +198,7 @@ def _three_of(quats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """[N] which component is largest, which is made positive, and [N, 3] uint8 the others."""
     scaled = quats / np.abs(quats).max(axis=1, keepdims=True, initial=1e-18)
     unit = scaled / np.linalg.norm(scaled, axis=1, keepdims=True)
-    largest = np.abs(unit).argmax(axis=1)
-    unit *= np.where(np.take_along_axis(unit, largest[:, None], axis=1) < 0, -1, 1)
-    three = np.take_along_axis(unit, _OTHERS[largest], axis=1)
+    largest, three = smallest_three(unit)
     whole = np.round((three * 2**0.5 * 0.5 + 0.5) * (TURN_LEVELS - 1))
     return largest, np.clip(whole, 0, TURN_LEVELS - 1).astype(np.uint8)
 
@@ -211,15 +206,7 @@ def _three_of(quats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _quats(largest: np.ndarray, three: np.ndarray, levels: int) -> np.ndarray:
     """[N, 4] float32 unit quaternions of what `_three_of` made of them."""
     parts = (three / (levels - 1) - 0.5) * 2**0.5
-    quats = np.empty((len(three), 4), np.float32)
-    np.put_along_axis(quats, _OTHERS[largest], parts.astype(np.float32), axis=1)
-    rest = np.sqrt(np.maximum(1 - (parts**2).sum(axis=1, keepdims=True), 0))
-    np.put_along_axis(quats, largest[:, None].astype(np.int64), rest.astype(np.float32), axis=1)
-    return quats
-
-
-_OTHERS = np.array([[j for j in range(4) if j != i] for i in range(4)])
-"""Of a quaternion: the components besides one."""
+    return with_largest(largest, parts).astype(np.float32)
 
 
 def _rest_along_axes(splats: Splats) -> np.ndarray:
