@@ -12,6 +12,7 @@ from ..config import DataConfig
 from ..errors import DatasetError
 from ..formats import is_splat_file
 from ..inspection import CaptureFacts, inspect
+from ..io.files import check_regular
 from ..io.metrics_file import metrics_problem, read_metrics
 from ..io.runs import checkpoints_in
 from ..io.sequences import read_sequence
@@ -49,6 +50,8 @@ def run(args: argparse.Namespace) -> int:
     path = args.path
     if not path.exists():
         raise DatasetError(f"There is no file or folder {path}.")
+    if not path.is_dir():
+        check_regular(path)
     if is_video(path):
         facts = video_facts(path)
     elif path.is_file() and (path.suffix.lower() != ".json" or is_splat_file(path)):
