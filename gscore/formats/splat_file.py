@@ -79,7 +79,9 @@ def colors_note(sh0: np.ndarray, low: float, high: float, name: str) -> str:
     beyond = int(((sh0 < low - half) | (sh0 > high + half)).any(axis=(1, 2)).sum())
     if not beyond:
         return ""
-    ends = " to ".join(f"{round(float(sh0_to_rgb(end)), 3) + 0:.2g}" for end in (low, high))
+    ends = " to ".join(
+        f"{round(float(end), 3) + 0:.2g}" for end in sh0_to_rgb(np.array([low, high]))
+    )
     return (
         f"{count_words(beyond, 'splat')} had colours darker or brighter than {name} holds, {ends}, "
         f"and got its ends."
