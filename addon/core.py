@@ -66,6 +66,7 @@ from gscore.frontend import (
     atomic_write,
     capture_beside,
     clear_run,
+    collected_warnings,
     colorize,
     depth_networks,
     downscale,

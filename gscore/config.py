@@ -193,7 +193,8 @@ class TrainConfig:
         0,
         "Never more steps than this for each training photo: more fit the photos, and no new view "
         "gains. 1,500 steps are always taken, and all of them where masks are opacity, under "
-        "`time_budget`, or where `iterations` is given by itself; 0: no limit.",
+        "`time_budget`, where `--iterations` is given by itself, or in `gscore sequence`; 0: no "
+        "limit, which Python has to say beside `iterations`.",
         group="run",
         range=Range(high=_MOST),
         unit="steps",

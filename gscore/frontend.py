@@ -67,6 +67,7 @@ if TYPE_CHECKING:
     from .io.resample import downscale
     from .io.runs import RunInfo, clear_run, read_run
     from .io.sequences import SequenceIndex, read_sequence
+    from .logged import collected_warnings
     from .options import Option, options_of
     from .report.colormap import colorize
     from .sfm.beside import capture_beside
@@ -126,6 +127,7 @@ _HOME = {
     "atomic_write": "io.files",
     "capture_beside": "sfm.beside",
     "clear_run": "io.runs",
+    "collected_warnings": "logged",
     "cluster_sizes": "edit",
     "colorize": "report.colormap",
     "contributions": "edit",
@@ -214,6 +216,7 @@ __all__ = [
     "capture_beside",
     "clear_run",
     "cluster_sizes",
+    "collected_warnings",
     "colorize",
     "contributions",
     "cut_degree",

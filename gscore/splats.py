@@ -27,6 +27,15 @@ def check_array(name: str, array: np.ndarray, shape: tuple[int | str, ...], dtyp
         raise ShapeError(f"{name} must be {wanted} {np.dtype(dtype).name}, got {got}.")
 
 
+def sigmoid(logits: np.ndarray) -> np.ndarray:
+    """Opacities from 0 to 1 of logits of any shape, float64."""
+    return 1 / (1 + np.exp(-np.clip(logits.astype(np.float64), -_LARGEST_LOGIT, _LARGEST_LOGIT)))
+
+
+_LARGEST_LOGIT = 700.0
+"""Of which float64 holds the exponential."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Splats:
     """N Gaussians with raw (not activated) parameters, float32.

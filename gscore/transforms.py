@@ -196,7 +196,8 @@ def transform_splats(splats: Splats, matrix: np.ndarray) -> Splats:
             times an orthogonal matrix.
 
     Returns:
-        Raw parameters; computed in float64. Quaternions keep their length.
+        Raw parameters; computed in float64. Quaternions keep their length; places that float32
+        does not hold are infinite.
 
     Raises:
         ShapeError: the matrix stretches or shears, so a splat's colours could not follow; or it is
@@ -210,9 +211,11 @@ def transform_splats(splats: Splats, matrix: np.ndarray) -> Splats:
     linear, shift = matrix[:3, :3], matrix[:3, 3]
     scale, orthogonal = _similarity_parts(linear)
     turn = rotmat_to_quat(orthogonal if np.linalg.det(orthogonal) > 0 else -orthogonal)
+    with np.errstate(over="ignore"):
+        means = (splats.means.astype(np.float64) @ linear.T + shift).astype(np.float32)
     return replace(
         splats,
-        means=(splats.means.astype(np.float64) @ linear.T + shift).astype(np.float32),
+        means=means,
         quats=_quat_multiply(turn, splats.quats.astype(np.float64)).astype(np.float32),
         scales=(splats.scales + np.float64(math.log(scale))).astype(np.float32),
         shN=_turn_harmonics(splats.shN, orthogonal),

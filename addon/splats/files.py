@@ -1,8 +1,6 @@
 """Files of splats into the scene and out of it, in Blender's world or in that of the photos."""
 
-import logging
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 
 import bpy
@@ -53,29 +51,6 @@ def import_splats(
     if parent is None:
         turn_up(ob, up)
     return ob
-
-
-class _Collector(logging.Handler):
-    """Keeps sentences instead of printing them."""
-
-    def __init__(self) -> None:
-        super().__init__(logging.WARNING)
-        self.sentences: list[str] = []
-
-    def emit(self, record: logging.LogRecord) -> None:
-        """Keep one."""
-        self.sentences.append(record.getMessage())
-
-
-@contextmanager
-def collected_warnings() -> Iterator[list[str]]:
-    """The warnings that gscore logs inside, one sentence each: splats or coefficients left out."""
-    logger, collector = logging.getLogger(read_splat_file.__module__.split(".")[0]), _Collector()
-    logger.addHandler(collector)
-    try:
-        yield collector.sentences
-    finally:
-        logger.removeHandler(collector)
 
 
 def turn_up(ob: bpy.types.Object, up: str) -> None:

@@ -9,7 +9,7 @@ from bpy_extras.io_utils import ExportHelper, ImportHelper
 
 from ..cameras.objects import root_of
 from ..compat import native_splat_type
-from ..core import SPLAT_ENDINGS, GsError
+from ..core import SPLAT_ENDINGS, GsError, collected_warnings
 from ..interface.operators import Acting
 from . import edit, files, native, settings
 from .objects import can_export, is_splats
@@ -88,7 +88,7 @@ class ImportSplats(Acting, bpy.types.Operator, ImportHelper):
         parent = root_of(context.object) if self.under_capture else None
         made: list[bpy.types.Object] = []
         try:
-            with files.collected_warnings() as warnings:
+            with collected_warnings() as warnings:
                 for path in paths or [Path(self.filepath)]:
                     made.append(files.import_splats(context, path, parent=parent, up=self.up))
         except (GsError, ValueError, OSError):

@@ -23,6 +23,7 @@ from ..formats import (
     write_splat_file,
 )
 from ..io.files import read_bytes
+from ..scene import FARTHEST
 from ..shown import quoted, shown
 from ..splats import Splats
 from ..words import count_words, number, size_words
@@ -36,6 +37,7 @@ from .status import Status, wrapped
 _EXACT = "ply"
 """The format that holds splats to the bit."""
 _MARK = "gscore convert"
+_SPZ_VERSION = 3
 """A comment of files that have room for it: they may be replaced."""
 
 
@@ -76,7 +78,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--picture-view", metavar="NAME", help="which, by name or number; default: the middle one"
     )
     parser.add_argument(
-        "--spz-version", type=int, choices=(3, 4), default=3, help="3, which all read; 4, with zstd"
+        "--spz-version",
+        type=int,
+        choices=(3, 4),
+        default=_SPZ_VERSION,
+        help="3, which all read; 4, with zstd",
     )
     add_threads_option(parser)
     parser.add_argument(
@@ -359,6 +365,14 @@ def _facts(
             "Some of the joined splats were trained with antialiasing and some were not; all are "
             f"marked as those of {models[0].path}."
         )
+    given = [model.path.resolve() for model in models]
+    warnings += [
+        f"{shown(path)} is given {given.count(path)} times, so its splats lie over each other."
+        for path in dict.fromkeys(given)
+        if given.count(path) > 1
+    ]
+    if args.spz_version != _SPZ_VERSION and written.format != "spz":
+        warnings.append("--spz-version does nothing: what is written is no .spz.")
     return {
         "input": [str(model.path) for model in models],
         "output": str(args.output),
@@ -422,11 +436,12 @@ def _read_matrix(path: Path) -> np.ndarray:
 
 
 def _finite(text: str) -> float:
-    return _number(text, lambda value: True, "a number")
+    return _number(text, lambda value: abs(value) <= FARTHEST, f"a number of {FARTHEST:g} at most")
 
 
 def _positive(text: str) -> float:
-    return _number(text, lambda value: value > 0, "a number above 0")
+    what = f"a number above 0, {FARTHEST:g} at most"
+    return _number(text, lambda value: 0 < value <= FARTHEST, what)
 
 
 def _share(text: str) -> float:

@@ -12,11 +12,12 @@ from ..config import DataConfig
 from ..errors import DatasetError
 from ..formats import is_splat_file
 from ..inspection import CaptureFacts, inspect
+from ..io.files import check_regular
 from ..io.metrics_file import metrics_problem, read_metrics
 from ..io.runs import checkpoints_in
 from ..io.sequences import read_sequence
 from ..sfm.plain import is_plain
-from ..splats import Splats
+from ..splats import Splats, sigmoid
 from ..video import is_video
 from ..words import count_words, quality_words, size_words, time_words
 from .data_options import add_mask_options, with_data_options
@@ -49,6 +50,8 @@ def run(args: argparse.Namespace) -> int:
     path = args.path
     if not path.exists():
         raise DatasetError(f"There is no file or folder {path}.")
+    if not path.is_dir():
+        check_regular(path)
     if is_video(path):
         facts = video_facts(path)
     elif path.is_file() and (path.suffix.lower() != ".json" or is_splat_file(path)):
@@ -99,11 +102,8 @@ def _statistics(splats: Splats) -> dict[str, Any]:
     """Where the splats are, and how large and opaque; of finite values, in float64."""
     means = splats.means.astype(np.float64)
     # Exponents of any float32, 3e38 too, as far as float64 takes them and their quotients.
-    logits, logs = (
-        np.clip(a.astype(np.float64), -_EXPONENT, _EXPONENT)
-        for a in (splats.opacities, splats.scales)
-    )
-    opacity, scales = 1.0 / (1.0 + np.exp(-logits)), np.exp(logs)
+    logs = np.clip(splats.scales.astype(np.float64), -_EXPONENT, _EXPONENT)
+    opacity, scales = sigmoid(splats.opacities), np.exp(logs)
     largest, smallest = scales.max(axis=1), scales.min(axis=1)
     return {
         "bounds": [means.min(axis=0).tolist(), means.max(axis=0).tolist()],

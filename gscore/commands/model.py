@@ -12,6 +12,7 @@ from ..config_file import load_config
 from ..errors import ConfigError, DatasetError
 from ..formats import SplatFile, is_splat_file, read_splat_file
 from ..io.colmap import find_model
+from ..io.files import check_regular
 from ..io.foreign import foreign
 from ..raster.api import render_camera
 from ..scene import Cameras
@@ -120,6 +121,8 @@ def find_splats(path: Path) -> Path:
         raise DatasetError(
             f"There is no file or folder {path}; give a file of splats or the folder of a run."
         )
+    if not path.is_dir():
+        check_regular(path)
     found = path / "point_cloud.ply"
     if found.is_file():
         return found

@@ -23,8 +23,8 @@ def check_replaced(paths: Iterable[Path], *, overwrite: bool) -> None:
 
     Args:
         paths: Where files are going to be written.
-        overwrite: Files that gscore did not write may be replaced too. Its own always may: all of
-            them hold its name.
+        overwrite: Files that do not hold gscore's name may be replaced too. Others always may; its
+            own SPZ, .splat, USD and buffers of .gltf, without a name in them, count as anybody's.
 
     Raises:
         ConfigError: something else than a file has such a name, or somebody else's file.
@@ -37,8 +37,8 @@ def check_replaced(paths: Iterable[Path], *, overwrite: bool) -> None:
     foreign = [] if overwrite else [path for path in there if not is_ours(path)]
     if foreign:
         raise ConfigError(
-            f"gscore did not write {first_few([str(path) for path in foreign])}, so it replaces "
-            "nothing there. Choose another output, or give --overwrite."
+            f"Nothing in {first_few([str(path) for path in foreign])} says that gscore wrote it, "
+            "so it stays. Choose another output, or give --overwrite."
         )
 
 

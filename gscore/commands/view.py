@@ -9,7 +9,7 @@ from ..config import DataConfig
 from ..errors import ConfigError
 from ..io.places import check_apart
 from ..page.pack import pack
-from ..page.page import Page, write_page
+from ..page.page import Page, most_splats, write_page
 from ..report.page_link import PAGE, link_page
 from ..words import count_words, number, size_words
 from .model import GivenModel, add_model_argument, model_path, open_model
@@ -19,8 +19,6 @@ from .parser import add_threads_option
 from .status import Status, wrapped
 from .unpacked import difference
 
-_MOST_SPLATS = 8_000_000
-"""Above it the texture of the page would be higher than most graphics cards take."""
 _MANY = 1_500_000
 """Splats that an integrated graphics card hardly moves thirty times a second."""
 
@@ -156,10 +154,11 @@ def _title(model: GivenModel) -> str:
 
 
 def _check_splats(model: GivenModel) -> None:
-    if len(model.splats) > _MOST_SPLATS:
+    degree = model.splats.sh_degree
+    if len(model.splats) > (most := most_splats(degree)):
         raise ConfigError(
-            f"{model.path} holds {number(len(model.splats))} splats; a page takes at most "
-            f"{number(_MOST_SPLATS)}. Thin them first: gscore convert IN OUT --count {_MANY}."
+            f"{model.path} holds {number(len(model.splats))} splats of SH degree {degree}; a page "
+            f"takes at most {number(most)}. Thin them first: gscore convert IN OUT --count {_MANY}."
         )
 
 

@@ -1,10 +1,10 @@
 """What is done to splats after a training: crop, clean up, thin out, join, turn. Each act is a file
 of pure functions, most of which say which splats stay."""
 
+from ..importance import importance_of, most_important
 from .clusters import cluster_sizes
 from .contribution import contributions
 from .crop import box_matrix, in_frustum, in_unit_shape, sphere_matrix
-from .importance import importance_of, most_important
 from .isolation import isolation_of
 from .limits import at_least_opaque, of_size
 from .similarity import similarity_matrix

@@ -8,14 +8,14 @@ import numpy as np
 
 from ..errors import ConfigError
 from ..formats.joined import cut_degree, joined
+from ..importance import importance_of, most_important
 from ..scene import Cameras
-from ..splats import Splats
+from ..splats import Splats, sigmoid
 from ..transforms import transform_splats
 from ..words import count_words
 from .clusters import cluster_sizes
 from .contribution import contributions
 from .crop import box_matrix, in_frustum, in_unit_shape, sphere_matrix
-from .importance import importance_of, most_important
 from .isolation import isolation_of
 from .limits import at_least_opaque, of_size
 from .request import GAP, EditRequest
@@ -134,7 +134,7 @@ class _Work:
         """Remove what is faint, large, useless or alone."""
         r = request
         if (least := r.min_opacity) is not None:
-            self._keep("opacity", lambda s: at_least_opaque(_sigmoid(s.opacities), least))
+            self._keep("opacity", lambda s: at_least_opaque(sigmoid(s.opacities), least))
         if (most := r.max_size) is not None:
             self._keep("size", lambda s: of_size(_exp(s.scales), most=most))
         if (added := r.min_contribution) is not None:
@@ -291,7 +291,3 @@ def _seen(means: np.ndarray, indices: Sequence[int], views: EditViews) -> np.nda
 
 def _exp(logs: np.ndarray) -> np.ndarray:
     return np.exp(np.minimum(logs, np.float32(_EXPONENT)))
-
-
-def _sigmoid(logits: np.ndarray) -> np.ndarray:
-    return 0.5 * (1 + np.tanh(0.5 * logits))

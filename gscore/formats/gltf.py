@@ -43,6 +43,8 @@ class Gltf:
         """
         self.path = path
         raw = memoryview(read_bytes(path))
+        self.bytes_read = len(raw)
+        """Of the file, and of the buffers beside it that were needed so far."""
         text, self._binary = raw, None
         if raw[:4] == GLB_MAGIC:
             text, self._binary = self._chunks(raw)
@@ -92,7 +94,7 @@ class Gltf:
     def view(self, index: Any) -> memoryview:
         """The bytes of a bufferView."""
         view = self.entry("bufferViews", index)
-        if "EXT_meshopt_compression" in _object(view.get("extensions")):
+        if "EXT_meshopt_compression" in as_object(view.get("extensions")):
             raise FormatError(
                 f"{self.path} packs its numbers with EXT_meshopt_compression, which is not read. "
                 f"Export it without compression, or with that of SPZ."
@@ -177,9 +179,11 @@ class Gltf:
         if Path(name).name != name or "\\" in name or ":" in name or name in ("", ".", ".."):
             raise self.damaged(f"buffer {index} names the file {quoted(uri)}, outside its folder")
         try:
-            return memoryview(read_bytes(self.path.parent / name))
+            found = memoryview(read_bytes(self.path.parent / name))
         except DatasetError as error:
             raise DatasetError(f"{self.path} needs {quoted(name)} beside it. {error}") from error
+        self.bytes_read += len(found)
+        return found
 
 
 class GltfBuffer:
@@ -263,5 +267,6 @@ def _unescaped(uri: str) -> str:
     return os.fsdecode(raw)
 
 
-def _object(value: Any) -> dict[str, Any]:
+def as_object(value: Any) -> dict[str, Any]:
+    """An object of JSON; an empty one in the place of anything else."""
     return value if isinstance(value, dict) else {}

@@ -20,9 +20,10 @@ from ..sh import rgb_to_sh0, sh0_to_rgb
 from ..shown import quoted
 from ..splats import SH_REST_BY_DEGREE, Splats
 from ..transforms import transform_splats
+from ..words import number
 from . import spz
 from .axes import Z, half_turn
-from .gltf import GLB_MAGIC, Gltf, GltfBuffer, escaped, write_glb
+from .gltf import GLB_MAGIC, Gltf, GltfBuffer, as_object, escaped, write_glb
 from .joined import joined
 from .splat_file import Decoded, SplatFormat, WriteOptions
 
@@ -32,6 +33,9 @@ _HARMLESS = ("KHR_materials_", "KHR_texture_", "KHR_mesh_quantization", "KHR_lig
 """Required extensions with which splats can be read nevertheless."""
 _POINTS = 0
 _MOST_DEPTH = 256
+_MOST_SPLATS_A_BYTE, _SLACK = 1, 1 << 16
+"""Of a file that has splats in several places, and how many more there may be. A splat takes 30
+bytes as numbers and about ten in SPZ."""
 _PROPERTIES = {
     "kernel": "ellipse",
     "colorSpace": "srgb_rec709_display",
@@ -54,11 +58,14 @@ def _read(path: Path) -> Decoded:
     file = Gltf(path)
     _check_required(file)
     parts, layouts, marks = [], [], []
+    count = 0
     for matrix, primitive in _primitives(file):
         splats, layout, flagged = _splats(file, primitive)
+        count += len(splats)
+        _check_repeated(file, count, len(parts) + 1)
         parts.append(half_turn(_placed(file, splats, matrix), Z))
         layouts.append(layout)
-        marks.append(flagged or _object(primitive.get("extras")).get(_MARK) is True)
+        marks.append(flagged or as_object(primitive.get("extras")).get(_MARK) is True)
     if not parts:
         meshes = len(file.listed(file.content, "meshes"))
         raise FormatError(
@@ -66,6 +73,17 @@ def _read(path: Path) -> Decoded:
             f"{EXTENSION}. Give the file of a trained model."
         )
     return Decoded(splats=joined(parts), layout=layouts[0], antialiased=all(marks))
+
+
+def _check_repeated(file: Gltf, count: int, times: int) -> None:
+    """FormatError where the same bytes stand for more and more splats: one mesh below many nodes,
+    one accessor in many meshes."""
+    if times > 1 and count > _MOST_SPLATS_A_BYTE * file.bytes_read + _SLACK:
+        raise FormatError(
+            f"{file.path} repeats its splats: {number(times)} nodes make {number(count)} of them "
+            f"and more, of a file of {number(file.bytes_read)} bytes. Export it with each splat "
+            f"once, or as a 3DGS PLY."
+        )
 
 
 def _check_required(file: Gltf) -> None:
@@ -107,7 +125,7 @@ def _primitives(file: Gltf) -> Iterator[tuple[np.ndarray, dict[str, Any]]]:
 
 def _of_mesh(file: Gltf, index: Any) -> Iterator[dict[str, Any]]:
     for primitive in file.listed(file.entry("meshes", index), "primitives"):
-        if EXTENSION in _object(_object(primitive).get("extensions")):
+        if EXTENSION in as_object(as_object(primitive).get("extensions")):
             if primitive.get("mode", 4) != _POINTS:
                 raise file.damaged(f"mesh {index} has splats whose mode is not POINTS")
             yield primitive
@@ -155,11 +173,11 @@ def _placed(file: Gltf, splats: Splats, matrix: np.ndarray) -> Splats:
 def _splats(file: Gltf, primitive: dict[str, Any]) -> tuple[Splats, str, bool]:
     """The splats of a primitive in the axes of glTF, the layout's name, and whether what packs
     them says that they are anti-aliased."""
-    extension = _object(primitive["extensions"][EXTENSION])
-    inner = _object(extension.get("extensions"))
+    extension = as_object(primitive["extensions"][EXTENSION])
+    inner = as_object(extension.get("extensions"))
     for name in _PACKED:
         if name in inner:
-            raw = file.view(_object(inner[name]).get("bufferView"))
+            raw = file.view(as_object(inner[name]).get("bufferView"))
             try:
                 found = spz.decode_spz(file.path, raw)
             except FormatError as error:
@@ -172,7 +190,7 @@ def _splats(file: Gltf, primitive: dict[str, Any]) -> tuple[Splats, str, bool]:
             f"read; {' and '.join(_PACKED)} are. Export it without compression."
         )
     _check_kind(file, extension)
-    return _plain(file, _object(primitive.get("attributes"))), "glTF", False
+    return _plain(file, as_object(primitive.get("attributes"))), "glTF", False
 
 
 def _check_kind(file: Gltf, extension: dict[str, Any]) -> None:
@@ -341,10 +359,6 @@ def _write_file(path: Path, content: dict[str, Any], buffer: GltfBuffer) -> None
 def _buffer_of(path: Path) -> tuple[Path, ...]:
     """Where the buffer of a .gltf lies that is written here."""
     return () if path.suffix.lower() == ".glb" else (path.with_suffix(".bin"),)
-
-
-def _object(value: Any) -> dict[str, Any]:
-    return value if isinstance(value, dict) else {}
 
 
 GLTF = SplatFormat(

@@ -10,16 +10,18 @@ from typing import BinaryIO
 
 import numpy as np
 
+from ..importance import importance_of
 from ..io.file_sample import FileSample
 from ..io.files import atomic_write
 from ..io.ply import is_antialiased_ply
 from ..io.ply_compressed import CHUNK
 from ..io.splat_rows import opacity_bytes
+from ..nearby import distances, morton_order
 from ..sh import sh0_to_rgb
+from ..smallest_three import smallest_three
 from ..splats import Splats
 from ..words import count_words
 from . import ply
-from .morton import morton_order
 from .splat_file import Decoded, SplatFormat, WriteOptions
 
 _BOUNDS = [
@@ -32,6 +34,13 @@ _LARGEST_LOG = 20.0
 _REACH = 4.0
 """SH coefficients lie between this and its negative."""
 _CHUNKS_A_BLOCK = 1 << 10
+_PLACE_BITS = (11, 10, 11)
+_FAR = 8.0
+"""From the middle of all splats, in distances that half of them do not exceed."""
+_MOST_MOVED = 1 / 200
+"""Of the distance from the middle, or of that of half of all splats where it is larger: above it a
+note tells how far splats were moved. A box around all within the usual distance has steps of half
+as much."""
 
 
 def _is_compressed(path: Path, sample: FileSample) -> bool:
@@ -43,7 +52,7 @@ def _read(path: Path) -> Decoded:
 
 
 def _write(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
-    order = morton_order(splats.means)
+    order = _order(splats)
     chunks = -(-len(splats) // CHUNK)
     rest = 3 * splats.shN.shape[1]
     lines = [line for text in ply.comments_of(options) for line in text.splitlines()]
@@ -64,9 +73,59 @@ def _write(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
             file.writelines(parts[element] for parts in packed)
 
     atomic_write(path, write)
+    return _notes(splats, order)
+
+
+def _order(splats: Splats) -> np.ndarray:
+    """[N] indices: along a Morton curve, but for splats far from all others, which come last, the
+    farthest at the end, so that the chunks of the others stay small.
+
+    One chunk holds splats of both kinds, unless their numbers happen to fit; the least visible of
+    the others go into it.
+    """
+    order = morton_order(splats.means)
+    away, usual = distances(splats.means)
+    level = np.ceil(np.log2(np.maximum(away[order] / (_FAR * usual), 1))).astype(np.int16)
+    order, level = order[np.argsort(level, kind="stable")], np.sort(level)
+    near = order[level == 0]
+    odd = len(near) % CHUNK
+    if len(near) == len(order) or not odd:
+        return order
+    importance = importance_of(splats.subset(near))
+    least = np.zeros(len(near), bool)
+    least[np.argpartition(importance, odd - 1)[:odd]] = True
+    return np.concatenate([near[~least], near[least], order[len(near) :]])
+
+
+def _notes(splats: Splats, order: np.ndarray) -> list[str]:
+    """On splats that lie elsewhere than before, and on clamped coefficients."""
+    notes = []
+    moved = _displacements(splats.means[order])
+    away, usual = distances(splats.means)
+    beyond = moved > _MOST_MOVED * np.maximum(away[order], usual)
+    if beyond.any():
+        notes.append(
+            f"{count_words(int(beyond.sum()), 'splat')} share their chunk with others far away, "
+            f"and were moved by up to {moved[beyond].max():.3g} units. Remove far splats "
+            f"first, with gscore convert --box or --sphere."
+        )
     wide = int((np.abs(splats.shN) > _REACH).any(axis=(1, 2)).sum())
-    told = f"{count_words(wide, 'splat')} had SH coefficients beyond -4 to 4, and got its ends."
-    return [told] if wide else []
+    if wide:
+        notes.append(
+            f"{count_words(wide, 'splat')} had SH coefficients beyond -4 to 4, and got its ends."
+        )
+    return notes
+
+
+def _displacements(means: np.ndarray) -> np.ndarray:
+    """[N] float64, units: how far a place in its chunk may be from what it was, along one axis."""
+    starts = np.arange(0, len(means), CHUNK)
+    if not len(starts):
+        return np.zeros(0)
+    exact = means.astype(np.float64)
+    side = np.maximum.reduceat(exact, starts) - np.minimum.reduceat(exact, starts)
+    steps = side / (2.0 ** np.array(_PLACE_BITS) - 1)
+    return np.repeat(steps.max(axis=1) / 2, CHUNK)[: len(means)]
 
 
 def _pack(part: Splats) -> tuple[bytes, bytes, bytes]:
@@ -77,7 +136,7 @@ def _pack(part: Splats) -> tuple[bytes, bytes, bytes]:
     sizes, size_ends = _within_chunks(scales)
     colors, color_ends = _within_chunks(sh0_to_rgb(part.sh0[:, 0]))
     rows = np.empty((count, 4), "<u4")
-    rows[:, 0] = _fields(places, (11, 10, 11))
+    rows[:, 0] = _fields(places, _PLACE_BITS)
     rows[:, 1] = _pack_rotations(part.quats)
     rows[:, 2] = _fields(sizes, (11, 10, 11))
     rows[:, 3] = _fields(colors, (8, 8, 8)) << np.uint32(8) | opacity_bytes(part.opacities)
@@ -90,7 +149,7 @@ def _pack(part: Splats) -> tuple[bytes, bytes, bytes]:
 def _within_chunks(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """[N, 3] from 0 to 1 between the ends of a chunk, and the ends [chunks, 6], lower first."""
     count = len(values)
-    padded = np.pad(values.astype(np.float32), ((0, -count % CHUNK), (0, 0)), mode="edge")
+    padded = np.pad(values.astype(np.float64), ((0, -count % CHUNK), (0, 0)), mode="edge")
     grouped = padded.reshape(-1, CHUNK, 3)
     low, high = grouped.min(axis=1), grouped.max(axis=1)
     width = np.where(high > low, high - low, 1)
@@ -111,10 +170,8 @@ def _fields(values: np.ndarray, bits: tuple[int, int, int]) -> np.ndarray:
 def _pack_rotations(quats: np.ndarray) -> np.ndarray:
     """[N] uint32: two bits name the largest of w, x, y, z, ten bits each hold the others."""
     unit = quats / np.linalg.norm(quats, axis=1, keepdims=True)
-    largest = np.abs(unit).argmax(axis=1)
-    unit *= np.where(unit[np.arange(len(unit)), largest] < 0, -1, 1)[:, None]
-    others = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])[largest]
-    parts = np.take_along_axis(unit, others, axis=1) * np.sqrt(0.5) + 0.5
+    largest, three = smallest_three(unit)
+    parts = three * np.sqrt(0.5) + 0.5
     fields = _fields(np.clip(parts, 0, 1), (10, 10, 10))
     return largest.astype(np.uint32) << np.uint32(30) | fields
 

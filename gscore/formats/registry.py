@@ -106,7 +106,8 @@ def write_splat_file(
         What was written, and sentences on what of the model it does not hold.
 
     Raises:
-        ConfigError: no format has this ending, or it is only read; or an option cannot work.
+        ConfigError: no format has this ending, or it is only read; there is no splat that can be
+            drawn; or an option cannot work.
         GsError: the file cannot be written.
         BackendError: a package that the format needs is not installed.
     """
@@ -117,6 +118,12 @@ def write_splat_file(
     notes: list[str] = []
     most = min(splats.sh_degree, found.most_degree)
     kept = _drawable(splats, notes)
+    if not len(kept):
+        # A .splat of none has no bytes; programs that read the others refuse most of them.
+        raise ConfigError(
+            f"There is no splat to write into {shown(path)}"
+            f"{': none of them can be drawn' if notes else ''}. Give a model with splats."
+        )
     kept = kept if sh_degree is None else cut_degree(kept, sh_degree)
     if kept.sh_degree > most:
         notes.append(

@@ -20,20 +20,22 @@ from ..io.file_sample import FileSample
 from ..io.files import atomic_write, read_bytes
 from ..io.splat_rows import LOGIT_OF_BYTE, drawable, opacity_bytes
 from ..json_text import parse_json
+from ..nearby import morton_order
 from ..shown import quoted
+from ..smallest_three import smallest_three, with_largest
 from ..splats import SH_REST_BY_DEGREE, Splats
 from ..words import count_words, number
 from . import textures
 from .codebook import CODEBOOK_SIZE, codebook, nearest_entries, palette
-from .morton import morton_order
 from .splat_file import Decoded, SplatFormat, WriteOptions
 
 META = "meta.json"
 _PALETTE_WIDTH = 64
 """Rows of a palette beside each other in its texture."""
 _MOST_META = 1 << 22
-_MOST_SPLATS_A_BYTE = 1024
-"""Of all textures together: the lower bits of positions are noise, so real files have far fewer."""
+_MOST_SPLATS_A_BYTE = 16
+"""Of all textures together, beyond the slack. Lower bits of positions are noise, so captures have
+less than one; four million on an even grid that are equal otherwise have 2.5."""
 _SLACK = 1 << 16
 _MOST_RATIO = 64
 """Of unpacked to packed bytes of a texture, which is packed already."""
@@ -223,15 +225,10 @@ def _means(meta: _Meta, low: np.ndarray, high: np.ndarray) -> np.ndarray:
 def _quats(pixels: np.ndarray) -> np.ndarray:
     """[N, 4] wxyz: three bytes from -sqrt(1/2) to sqrt(1/2), the largest component named by the
     fourth; the identity where that names none."""
-    parts = np.empty((len(pixels), 4), np.float32)
-    parts[:, 1:] = (pixels[:, :3].astype(np.float32) / 255 - 0.5) * np.float32(np.sqrt(2))
-    parts[:, 0] = np.sqrt(np.maximum(0, 1 - (parts[:, 1:] ** 2).sum(axis=1)))
+    three = (pixels[:, :3].astype(np.float32) / 255 - 0.5) * np.float32(np.sqrt(2))
     named = pixels[:, 3] >= _FIRST_TAG
-    parts[~named] = [1, 0, 0, 0]
-    largest = np.where(named, pixels[:, 3], _FIRST_TAG).astype(np.intp) - _FIRST_TAG
-    # Row i lists where w, x, y, z come from if the i-th of them is the largest.
-    order = np.array([[0, 1, 2, 3], [1, 0, 2, 3], [1, 2, 0, 3], [1, 2, 3, 0]])
-    return np.take_along_axis(parts, order[largest], axis=1)
+    three[~named] = 0
+    return with_largest(np.where(named, pixels[:, 3], _FIRST_TAG) - _FIRST_TAG, three)
 
 
 def _harmonics(meta: _Meta, fetch: _Fetch) -> np.ndarray:
@@ -335,10 +332,8 @@ def _pack_means(means: np.ndarray) -> tuple[np.ndarray, np.ndarray, dict[str, li
 def _pack_quats(quats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Three bytes and a tag of each quaternion, as `_quats` reads them."""
     unit = quats / np.linalg.norm(quats, axis=1, keepdims=True)
-    largest = np.abs(unit).argmax(axis=1)
-    unit *= np.where(unit[np.arange(len(unit)), largest] < 0, -1, 1)[:, None]
-    others = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])[largest]
-    parts = np.take_along_axis(unit, others, axis=1) * np.sqrt(0.5) + 0.5
+    largest, three = smallest_three(unit)
+    parts = three * np.sqrt(0.5) + 0.5
     return np.rint(np.clip(parts, 0, 1) * 255).astype(np.uint8), (_FIRST_TAG + largest).astype(
         np.uint8
     )

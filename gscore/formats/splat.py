@@ -14,7 +14,7 @@ from ..io.files import atomic_write, read_bytes
 from ..io.splat_rows import LOGIT_OF_BYTE, drawable, linear_scales, log_scales, opacity_bytes
 from ..sh import rgb_to_sh0, sh0_to_rgb
 from ..splats import Splats
-from .splat_file import Decoded, SplatFormat, WriteOptions
+from .splat_file import Decoded, SplatFormat, WriteOptions, colors_note
 
 _ROW = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
 _COLOR = rgb_to_sh0(np.arange(256) / 255).astype(np.float32)
@@ -60,7 +60,8 @@ def _read(path: Path) -> Decoded:
 def _write(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
     parts = (slice(at, at + _BLOCK) for at in range(0, len(splats), _BLOCK))
     atomic_write(path, lambda file: file.writelines(_rows(splats, part) for part in parts))
-    return []
+    note = colors_note(splats.sh0, float(_COLOR[0]), float(_COLOR[-1]), ".splat")
+    return [note] if note else []
 
 
 def _rows(splats: Splats, part: slice) -> bytes:

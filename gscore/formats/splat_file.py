@@ -4,8 +4,12 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from ..io.file_sample import FileSample
+from ..sh import sh0_to_rgb
 from ..splats import Splats
+from ..words import count_words
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,6 +64,28 @@ class WrittenFile:
     """Bytes on the disk, of all files."""
     notes: tuple[str, ...]
     """Sentences on what of the model the file does not hold."""
+
+
+def colors_note(sh0: np.ndarray, low: float, high: float, name: str) -> str:
+    """A sentence on colours that a format has no byte for; empty where there are none.
+
+    Args:
+        sh0: [N, 1, 3] coefficients.
+        low: What byte 0 stands for.
+        high: What byte 255 stands for.
+        name: Of the format.
+    """
+    half = (high - low) / 510
+    beyond = int(((sh0 < low - half) | (sh0 > high + half)).any(axis=(1, 2)).sum())
+    if not beyond:
+        return ""
+    ends = " to ".join(
+        f"{round(float(end), 3) + 0:.2g}" for end in sh0_to_rgb(np.array([low, high]))
+    )
+    return (
+        f"{count_words(beyond, 'splat')} had colours darker or brighter than {name} holds, {ends}, "
+        f"and got its ends."
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

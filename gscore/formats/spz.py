@@ -16,6 +16,7 @@ from ..errors import ConfigError, FormatError
 from ..io.file_sample import FileSample
 from ..io.files import atomic_write, read_bytes
 from ..io.splat_rows import LOGIT_OF_BYTE, drawable, opacity_bytes, whole_bands
+from ..smallest_three import smallest_three, with_largest
 from ..splats import Splats
 from ..words import count_words, number
 from .axes import X, harmonic_signs
@@ -26,7 +27,7 @@ from .packed_bytes import (
     unzstd_exactly,
     zstd_quickly,
 )
-from .splat_file import Decoded, SplatFormat, WriteOptions
+from .splat_file import Decoded, SplatFormat, WriteOptions, colors_note
 
 _MAGIC = b"NGSP"
 VERSIONS = (3, 4)
@@ -245,17 +246,13 @@ def _first_three(packed: np.ndarray) -> np.ndarray:
 def _smallest_three(packed: np.ndarray) -> np.ndarray:
     """[N, 4] wxyz: two bits name the largest of x, y, z, w, the others follow as sign and size."""
     words = np.frombuffer(packed, "<u4")
-    largest = (words >> np.uint32(30)).astype(np.intp)
-    parts = np.empty((len(words), 4), np.float32)
+    parts = np.empty((len(words), 3), np.float32)
     for k in range(3):
         field = words >> np.uint32(20 - 10 * k)
         size = (field & np.uint32(_ROTATION_STEPS)).astype(np.float32)
         sign = 1 - 2 * ((field >> np.uint32(9)) & np.uint32(1)).astype(np.float32)
-        parts[:, k + 1] = sign * size * np.float32(np.sqrt(0.5) / _ROTATION_STEPS)
-    parts[:, 0] = np.sqrt(np.maximum(0, 1 - (parts[:, 1:] ** 2).sum(axis=1)))
-    # Row i lists where w, x, y, z come from if the largest is the i-th of x, y, z, w.
-    order = np.array([[3, 0, 1, 2], [3, 1, 0, 2], [3, 1, 2, 0], [0, 1, 2, 3]])
-    quats = np.take_along_axis(parts, order[largest], axis=1)
+        parts[:, k] = sign * size * np.float32(np.sqrt(0.5) / _ROTATION_STEPS)
+    quats = with_largest(words >> np.uint32(30), parts)[:, [3, 0, 1, 2]]
     quats[:, 1:] *= _SIGNS
     return quats
 
@@ -277,6 +274,8 @@ def _fraction_bits(splats: Splats) -> tuple[int, list[str]]:
 def _clamped(splats: Splats) -> list[str]:
     """Notes on numbers that SPZ has no byte for."""
     notes = []
+    if note := colors_note(splats.sh0, float(_COLOR[0]), float(_COLOR[-1]), "SPZ"):
+        notes.append(note)
     beyond = int(((splats.scales < -10.03) | (splats.scales > 5.97)).any(axis=1).sum())
     if beyond:
         notes.append(
@@ -322,11 +321,7 @@ def _pack_rotations(quats: np.ndarray) -> np.ndarray:
     """[N] uint32, as `_smallest_three` reads them."""
     unit = (quats / np.linalg.norm(quats, axis=1, keepdims=True)).astype(np.float32)
     unit = unit[:, [1, 2, 3, 0]] * np.append(_SIGNS, np.float32(1))
-    largest = np.abs(unit).argmax(axis=1)
-    rows = np.arange(len(unit))
-    unit *= np.where(unit[rows, largest] < 0, -1, 1)[:, None].astype(np.float32)
-    others = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])[largest]
-    parts = np.take_along_axis(unit, others, axis=1)
+    largest, parts = smallest_three(unit)
     sizes = np.rint(np.abs(parts) * (_ROTATION_STEPS * np.sqrt(2)))
     sizes = np.minimum(sizes, _ROTATION_STEPS).astype(np.uint32)
     words = largest.astype(np.uint32)

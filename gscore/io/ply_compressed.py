@@ -10,6 +10,7 @@ import numpy as np
 
 from ..errors import FormatError
 from ..sh import rgb_to_sh0
+from ..smallest_three import with_largest
 from ..words import count_words
 from .ply_elements import columns
 from .splat_rows import LOGIT_OF_BYTE
@@ -95,12 +96,7 @@ def _unpack_rotation(values: np.ndarray) -> np.ndarray:
     """[N, 4] float32 wxyz: two bits name the largest component, 3 x 10 bits hold the others."""
     others = np.stack([_unorm(values, shift, 10) for shift in (20, 10, 0)], axis=1)
     others = (others - 0.5) * np.sqrt(2.0)
-    largest = np.sqrt(np.maximum(0.0, 1.0 - (others**2).sum(axis=1)))
-    which = (values >> np.uint32(30)).astype(np.int64)
-    # Row i lists where w, x, y, z come from: 0 is the largest, 1 to 3 the others in order.
-    order = np.array([[0, 1, 2, 3], [1, 0, 2, 3], [1, 2, 0, 3], [1, 2, 3, 0]])
-    parts = np.concatenate([largest[:, None], others], axis=1)
-    return np.take_along_axis(parts, order[which], axis=1).astype(np.float32)
+    return with_largest(values >> np.uint32(30), others).astype(np.float32)
 
 
 def _unpack_rest(path: Path, table: np.ndarray | None, count: int) -> np.ndarray:

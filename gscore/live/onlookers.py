@@ -1,5 +1,6 @@
 """What a training sees of those who watch it: what they want, between two steps."""
 
+import contextlib
 import logging
 import threading
 import time
@@ -11,7 +12,8 @@ from .protocol import Wish
 _log = logging.getLogger(__name__)
 
 HOLD = 60.0
-"""Seconds for which a request holds the training; viewers ask many times a second."""
+"""Seconds for which a request holds the training, or keeps it from ending; viewers ask
+many times a second."""
 Draw = Callable[[Wish], bytes]
 """Gives the picture of a request, 3 bytes a pixel."""
 
@@ -34,20 +36,23 @@ class Onlooker:
         self._picture = b""
         self.request: Wish | None = None
         """What waits for an answer."""
+        self.waits = False
+        """Whether its last request has no answer yet."""
         self.trains, self.stays = True, False
         """As its last request said."""
-        self.asked_at = 0.0
-        """When that came, seconds of the monotonic clock."""
+        self.asked_at = time.monotonic()
+        """When that came, or else the viewer, seconds of the monotonic clock."""
 
     def ask(self, request: Wish) -> bytes | None:
         """The picture, as soon as the training has drawn it; None: the training is over."""
         self.trains, self.stays = request.trains, request.stays
         self.asked_at = time.monotonic()
         self._answered.clear()
-        self.request = request
+        self.request, self.waits = request, True
         self._crowd.wake()
         if not self._crowd.closed:  # else nobody is there who would answer
             self._answered.wait()
+        self.waits = False
         return None if self._crowd.closed else self._picture
 
     def answer(self, picture: bytes) -> None:
@@ -80,25 +85,37 @@ class Onlookers:
             return self._all[-1]
 
     def leave(self, one: Onlooker) -> None:
-        """One does not watch any more."""
-        with self._lock:
+        """One does not watch any more; nothing where it has left before."""
+        with self._lock, contextlib.suppress(ValueError):
             self._all.remove(one)
 
     def wake(self) -> None:
         """Somebody asks."""
         self._asked.set()
 
+    def longest_silent(self, seconds: float) -> Onlooker | None:
+        """Who has not asked for longest, and for at least so long; nobody who waits for an answer
+        is silent."""
+        until = time.monotonic() - seconds
+        with self._lock:
+            silent = [one for one in self._all if not one.waits and one.asked_at <= until]
+        return min(silent, key=lambda one: one.asked_at, default=None)
+
     @property
     def hold(self) -> bool:
         """Whether somebody wants the training to wait, and has lately said so: a connection that
         was cut somewhere on the way looks like one that is silent."""
-        since = time.monotonic() - HOLD
-        return any(not one.trains and one.asked_at > since for one in list(self._all))
+        return any(not one.trains for one in self._lately())
 
     @property
     def stay(self) -> bool:
-        """Whether somebody wants to look on after the last step."""
-        return self._after_the_end and any(one.stays for one in list(self._all))
+        """Whether somebody wants to look on after the last step, and has lately said so."""
+        return self._after_the_end and any(one.stays for one in self._lately())
+
+    def _lately(self) -> list[Onlooker]:
+        """Who has asked within the last minute, or waits for an answer since."""
+        since = time.monotonic() - HOLD
+        return [one for one in list(self._all) if one.waits or one.asked_at > since]
 
     def answer(self, draw: Draw, *, at_leisure: bool = False) -> None:
         """Draw what is asked for, for each at most once.

@@ -1,7 +1,10 @@
 """The only file that opens a port: viewers connect to it, each in a thread of its own."""
 
 import contextlib
+import logging
+import os
 import socket
+import struct
 import threading
 import time
 from typing import Self
@@ -14,7 +17,15 @@ from .onlookers import Onlooker, Onlookers
 MOST_VIEWERS = 8
 """Viewers at once."""
 PATIENCE = 20.0
-"""Seconds for the rest of a request that has begun, and for taking an answer."""
+"""Seconds for the rest of a request that has begun, and for taking an answer; and of silence, after
+which another viewer may have the place."""
+_REST = 0.5
+"""Seconds before another try to let somebody in."""
+_KEEPING = {"TCP_KEEPIDLE": 60, "TCP_KEEPALIVE": 60, "TCP_KEEPINTVL": 10, "TCP_KEEPCNT": 3}
+"""Seconds of silence, by its names on Linux and macOS; seconds between questions; how many."""
+_NO_LINGERING = struct.pack("hh" if os.name == "nt" else "ii", 1, 0)
+
+_log = logging.getLogger(__name__)
 
 
 class Server:
@@ -39,7 +50,7 @@ class Server:
         """Who watches."""
         self._text = text
         self._socket = self._listening()
-        self._connections: set[socket.socket] = set()
+        self._connections: dict[socket.socket, Onlooker] = {}
         self._lock = threading.Lock()
 
     def __enter__(self) -> Self:
@@ -80,22 +91,56 @@ class Server:
         return listening
 
     def _accept(self) -> None:
-        while True:
+        told = False
+        while not self.onlookers.closed:
             try:
                 connection, _ = self._socket.accept()
-            except OSError:
-                if self.onlookers.closed:
-                    return
-                continue
-            one = self.onlookers.enter(MOST_VIEWERS)
-            if one is None:
-                connection.close()
-                continue
-            with self._lock:
-                self._connections.add(connection)
+                self._admit(connection)
+            except (OSError, RuntimeError) as error:  # too many files, too many threads
+                if not self.onlookers.closed and not told:
+                    _log.warning("A viewer cannot connect: %s", error)
+                    told = True
+                time.sleep(_REST)
+
+    def _admit(self, connection: socket.socket) -> None:
+        """Serve a viewer in a thread; one too many takes the place of one that has fallen silent,
+        or is let go.
+
+        Raises:
+            OSError: the connection is gone already.
+            RuntimeError: there can be no thread more.
+        """
+        one = self.onlookers.enter(MOST_VIEWERS) or self._in_place_of_a_silent_one()
+        if one is None:
+            connection.close()
+            return
+        with self._lock:
+            self._connections[connection] = one
+        try:
+            _keep_alive(connection)
             threading.Thread(
                 target=self._serve, args=(connection, one), name="gscore-viewer", daemon=True
             ).start()
+        except (OSError, RuntimeError):
+            self._let_go(connection, one)
+            raise
+
+    def _in_place_of_a_silent_one(self) -> Onlooker | None:
+        silent = self.onlookers.longest_silent(PATIENCE)
+        if silent is None:
+            return None
+        with self._lock:
+            theirs = [c for c, one in self._connections.items() if one is silent]
+        for connection in theirs:
+            _shut(connection)  # its thread ends, and closes it
+        self.onlookers.leave(silent)
+        return self.onlookers.enter(MOST_VIEWERS)
+
+    def _let_go(self, connection: socket.socket, one: Onlooker) -> None:
+        self.onlookers.leave(one)
+        with self._lock:
+            self._connections.pop(connection, None)
+        connection.close()
 
     def _serve(self, connection: socket.socket, one: Onlooker) -> None:
         """Answer until the viewer goes, says what no viewer says, or does not take its answers."""
@@ -108,13 +153,12 @@ class Server:
                     return
                 connection.settimeout(PATIENCE)  # for all of an answer, not for each piece
                 connection.sendall(protocol.answer(picture, self._text))
+        except TimeoutError:
+            _drop_what_waits(connection)
         except (OSError, ValueError):
             return
         finally:
-            self.onlookers.leave(one)
-            with self._lock:
-                self._connections.discard(connection)
-            connection.close()
+            self._let_go(connection, one)
 
 
 def _request(connection: socket.socket) -> bytes:
@@ -137,7 +181,28 @@ def _exactly(connection: socket.socket, count: int, end: float) -> bytes:
     return found
 
 
-def _end(connection: socket.socket) -> None:
+def _keep_alive(connection: socket.socket) -> None:
+    """Have the system ask a silent viewer whether it is still there: a cable that was pulled out
+    says nothing."""
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    for name, value in _KEEPING.items():
+        option = getattr(socket, name, None)  # none of them is everywhere
+        if option is not None:
+            connection.setsockopt(socket.IPPROTO_TCP, option, value)
+
+
+def _drop_what_waits(connection: socket.socket) -> None:
+    """Close without what was not sent yet: to a viewer that takes a few bytes a second, the system
+    would go on sending it for minutes."""
+    with contextlib.suppress(OSError):
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _NO_LINGERING)
+
+
+def _shut(connection: socket.socket) -> None:
     with contextlib.suppress(OSError):
         connection.shutdown(socket.SHUT_RDWR)  # wakes the thread that waits in it
+
+
+def _end(connection: socket.socket) -> None:
+    _shut(connection)
     connection.close()

@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 
 from ..sh import rgb_to_sh0, sh0_to_rgb
-from ..splats import PARAMETERS, Splats
+from ..smallest_three import smallest_three, with_largest
+from ..splats import PARAMETERS, Splats, sigmoid
 from . import ascii85
+from .blocks import BLOCK, blocks_of
 
 PAGE_BYTES = 20
 """Of the page, for a splat, as text."""
-BLOCK = 256
-"""Splats that share a box in which their places are counted."""
 PLACE_LEVELS = 1 << 12
-"""Places along each side of that box."""
+"""Places along each side of the box of a block."""
 TURN_LEVELS = 1 << 7
 """Values of each of the three smaller components of a quaternion."""
 SIZE_STEP = 0.06
@@ -37,7 +37,7 @@ COLOR_AXES = np.array(
 """[3, 3], orthonormal rows: grey and two differences, in which colours vary least dependently."""
 FAINTEST = 1 / 255
 """Splats of less opacity are never drawn."""
-_CURVE_BITS = 16
+_ENDS = (np.minimum, np.maximum)
 _STEPS = 0.004 * 1.15 ** np.arange(64)
 """Steps of the higher harmonics to choose from; with the last, next to nothing is left of them."""
 _SAMPLE = 256
@@ -51,7 +51,8 @@ class Packed:
     """Splats as the page holds them."""
 
     head: dict[str, Any]
-    """What the numbers mean, as JSON; docs/view.md lists the keys."""
+    """What the numbers mean, as JSON: `count` and `degree` of the splats, how many `blocks` there
+    are, levels of `places` and `turns`, and the steps of the other numbers."""
     body: bytes
     """The numbers, deflated."""
 
@@ -70,13 +71,15 @@ def pack(splats: Splats, *, budget: float = PAGE_BYTES) -> Packed:
         budget: Letters a splat that the text of all of them may take. Below about a thousand
             splats, what they share can need more.
     """
-    kept = _in_order(splats.subset(_drawn(splats)))
+    kept = splats.subset(_drawn(splats))
+    order, lengths = blocks_of(kept.means)
+    kept = kept.subset(order)
     count = len(kept)
     rest = _rest_along_axes(kept)
     head: dict[str, Any] = {
         "count": count,
         "degree": kept.sh_degree,
-        "block": BLOCK,
+        "blocks": len(lengths),
         "places": PLACE_LEVELS,
         "turns": TURN_LEVELS,
         "size_low": float(kept.scales.min(initial=0.0)),
@@ -84,7 +87,7 @@ def pack(splats: Splats, *, budget: float = PAGE_BYTES) -> Packed:
         "color_step": COLOR_STEP,
         "color_axes": COLOR_AXES.tolist(),
     }
-    first = _geometry(kept) + _opacity_and_color(kept)
+    first = _geometry(kept, lengths) + _opacity_and_color(kept)
     room = budget * count / ascii85.length(4) * 4
     step = _step_that_fits(rest, room - len(_deflated(first)))
     while True:
@@ -97,10 +100,11 @@ def pack(splats: Splats, *, budget: float = PAGE_BYTES) -> Packed:
 def unpack(packed: Packed) -> Splats:
     """The splats that a page shows: what its script makes of the same bytes."""
     head, reader = packed.head, _Reader(zlib.decompress(packed.body))
-    count, block = head["count"], head["block"]
-    boxes = reader.take(-(-count // block) * 6, "<f4").reshape(-1, 2, 3)
-    places = reader.wide(3, count).astype(np.float32) / (head["places"] - 1)
-    low, high = np.repeat(boxes, block, axis=0)[:count].transpose(1, 0, 2)
+    count, blocks = head["count"], head["blocks"]
+    lengths = reader.take(blocks, "u1").astype(np.intp) + 1
+    boxes = reader.take(6 * blocks, "<f4").reshape(-1, 2, 3).astype(np.float64)
+    places = reader.wide(3, count) / (head["places"] - 1)
+    low, high = np.repeat(boxes, lengths, axis=0).transpose(1, 0, 2)
     largest, three = reader.narrow(1, count)[:, 0], reader.narrow(3, count)
     sizes = reader.wide(3, count) * head["size_step"] + head["size_low"]
     alpha = reader.narrow(1, count)[:, 0] / 255.0
@@ -155,45 +159,27 @@ def _drawn(splats: Splats) -> np.ndarray:
         numbers = getattr(splats, name)
         good &= np.isfinite(numbers).all(axis=tuple(range(1, numbers.ndim)))
     good &= np.abs(splats.quats).max(axis=1) > 1e-18
-    return good & (_sigmoid(splats.opacities) >= FAINTEST)
+    return good & (sigmoid(splats.opacities) >= FAINTEST)
 
 
-def _sigmoid(logits: np.ndarray) -> np.ndarray:
-    return 1 / (1 + np.exp(-np.clip(logits.astype(np.float64), -60, 60)))
-
-
-def _in_order(splats: Splats) -> Splats:
-    """Along a Morton curve, so that neighbours in a file are neighbours in space."""
-    if not len(splats):
-        return splats
-    # Ranks instead of coordinates: a few splats far away take no bits from the others.
-    ranks = splats.means.argsort(axis=0, kind="stable").argsort(axis=0, kind="stable")
-    cells = (ranks * ((1 << _CURVE_BITS) / len(splats))).astype(np.uint64)
-    code = np.zeros(len(splats), np.uint64)
-    for bit in range(_CURVE_BITS):
-        for axis in range(3):
-            code |= (cells[:, axis] >> np.uint64(bit) & np.uint64(1)) << np.uint64(3 * bit + axis)
-    return splats.subset(code.argsort(kind="stable"))
-
-
-def _geometry(splats: Splats) -> bytes:
-    """Boxes of the blocks, places in them, turns and sizes."""
-    count = len(splats)
-    starts = np.arange(0, count, BLOCK)
-    low = np.minimum.reduceat(splats.means, starts) if count else splats.means
-    high = np.maximum.reduceat(splats.means, starts) if count else low
+def _geometry(splats: Splats, lengths: np.ndarray) -> bytes:
+    """Lengths and boxes of the blocks, places in them, turns and sizes."""
+    starts = np.cumsum(lengths) - lengths
+    exact = splats.means.astype(np.float64)
+    low, high = (end.reduceat(exact, starts) if len(exact) else exact for end in _ENDS)
     boxes = np.stack([low, high], axis=1, dtype="<f4")
-    of_each = np.arange(count) // BLOCK
-    side = np.maximum(high - low, np.float32(1e-30))[of_each].astype(np.float64)
-    places = _rounded((splats.means - low[of_each]) / side * (PLACE_LEVELS - 1), PLACE_LEVELS - 1)
+    side = np.repeat(np.maximum(high - low, 1e-30), lengths, axis=0)
+    within = (exact - np.repeat(low, lengths, axis=0)) / side
+    places = _rounded(within * (PLACE_LEVELS - 1), PLACE_LEVELS - 1)
     largest, three = _three_of(splats.quats)
     sizes = _rounded((splats.scales - splats.scales.min(initial=0.0)) / SIZE_STEP, 0xFFFF)
     turns = largest.astype(np.uint8).tobytes() + three.T.tobytes()
-    return boxes.tobytes() + _bytes_of(places) + turns + _bytes_of(sizes)
+    blocks = (lengths - 1).astype(np.uint8).tobytes() + boxes.tobytes()
+    return blocks + _bytes_of(places) + turns + _bytes_of(sizes)
 
 
 def _opacity_and_color(splats: Splats) -> bytes:
-    alpha = np.round(_sigmoid(splats.opacities) * 255).astype(np.uint8)
+    alpha = np.round(sigmoid(splats.opacities) * 255).astype(np.uint8)
     color = sh0_to_rgb(splats.sh0[:, 0].astype(np.float64)) @ COLOR_AXES.T
     whole = np.clip(np.round(color / COLOR_STEP), -0x8000, 0x7FFF).astype(np.int16)
     return alpha.tobytes() + _bytes_of(whole.view(np.uint16))
@@ -212,9 +198,7 @@ def _three_of(quats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """[N] which component is largest, which is made positive, and [N, 3] uint8 the others."""
     scaled = quats / np.abs(quats).max(axis=1, keepdims=True, initial=1e-18)
     unit = scaled / np.linalg.norm(scaled, axis=1, keepdims=True)
-    largest = np.abs(unit).argmax(axis=1)
-    unit *= np.where(np.take_along_axis(unit, largest[:, None], axis=1) < 0, -1, 1)
-    three = np.take_along_axis(unit, _OTHERS[largest], axis=1)
+    largest, three = smallest_three(unit)
     whole = np.round((three * 2**0.5 * 0.5 + 0.5) * (TURN_LEVELS - 1))
     return largest, np.clip(whole, 0, TURN_LEVELS - 1).astype(np.uint8)
 
@@ -222,15 +206,7 @@ def _three_of(quats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _quats(largest: np.ndarray, three: np.ndarray, levels: int) -> np.ndarray:
     """[N, 4] float32 unit quaternions of what `_three_of` made of them."""
     parts = (three / (levels - 1) - 0.5) * 2**0.5
-    quats = np.empty((len(three), 4), np.float32)
-    np.put_along_axis(quats, _OTHERS[largest], parts.astype(np.float32), axis=1)
-    rest = np.sqrt(np.maximum(1 - (parts**2).sum(axis=1, keepdims=True), 0))
-    np.put_along_axis(quats, largest[:, None].astype(np.int64), rest.astype(np.float32), axis=1)
-    return quats
-
-
-_OTHERS = np.array([[j for j in range(4) if j != i] for i in range(4)])
-"""Of a quaternion: the components besides one."""
+    return with_largest(largest, parts).astype(np.float32)
 
 
 def _rest_along_axes(splats: Splats) -> np.ndarray:

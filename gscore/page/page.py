@@ -17,6 +17,8 @@ from .pack import Packed
 _SCRIPTS = ("unpack.js", "draw.js", "eye.js", "hands.js", "view.js")
 """In the order in which they build on each other."""
 _PLACE = re.compile("@([a-z]+)@")
+_TEXELS = 2048 * 16384
+"""Of a texture as draw.js makes it, at the height that most graphics cards take."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,6 +63,12 @@ class Page:
     """A line on what is shown."""
 
 
+def most_splats(degree: int) -> int:
+    """Splats of an SH degree that the texture of a page holds, by the texels that unpack.js gives
+    each: two, and one for every sixteen higher coefficients."""
+    return _TEXELS // (2 + -(-3 * ((degree + 1) ** 2 - 1) // 16))
+
+
 def write_page(path: Path, page: Page) -> int:
     """Write the file completely or not at all; returns its size in bytes.
 
@@ -102,7 +110,7 @@ def _scene(page: Page) -> dict[str, Any]:
     return {
         "splats": page.splats.head | {"bytes": len(page.splats.body)},
         "cameras": [_camera(camera) for camera in cameras],
-        "first": _camera(page.first) | {"number": number},
+        "first": {"number": number} | ({} if number is not None else _camera(page.first)),
         "focus": page.focus.tolist(),
         "up": page.up.tolist(),
         "background": list(page.background),

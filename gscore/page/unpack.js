@@ -31,6 +31,11 @@ class Reader {
     this.at = 0;
   }
 
+  take(count) {
+    this.at += count;
+    return this.bytes.subarray(this.at - count, this.at);
+  }
+
   floats(count) {
     const found = new Float32Array(this.bytes.slice(this.at, this.at + 4 * count).buffer);
     this.at += 4 * count;
@@ -38,10 +43,7 @@ class Reader {
   }
 
   narrow(columns) {
-    return Array.from({ length: columns }, () => {
-      this.at += this.count;
-      return this.bytes.subarray(this.at - this.count, this.at);
-    });
+    return Array.from({ length: columns }, () => this.take(this.count));
   }
 
   wide(columns, { signed = false } = {}) {
@@ -77,9 +79,10 @@ function texelsOf(degree) {
 }
 
 async function unpack(head, text) {
-  const { count, block } = head;
+  const { count, blocks } = head;
   const from = new Reader(await inflate(decode85(text, head.bytes)), count);
-  const boxes = from.floats(Math.ceil(count / block) * 6);
+  const lengths = from.take(blocks);
+  const boxes = from.floats(blocks * 6);
   const places = from.wide(3);
   const largest = from.narrow(1)[0];
   const turns = from.narrow(3);
@@ -95,9 +98,10 @@ async function unpack(head, text) {
   const log = (axis, i) => sizes[axis][i] * head.size_step + head.size_low;
   const shade = (channel, i) =>
     head.color_step * head.color_axes.reduce((sum, axis, k) => sum + axis[channel] * color[k][i], 0);
-  for (let i = 0; i < count; i++) {
+  for (let i = 0, block = 0, end = lengths[0] + 1; i < count; i++) {
+    if (i === end) end += lengths[++block] + 1;
     const at = i * texels * 4;
-    const box = Math.floor(i / block) * 6;
+    const box = block * 6;
     for (let axis = 0; axis < 3; axis++) {
       const low = boxes[box + axis];
       const side = boxes[box + 3 + axis] - low;

@@ -24,7 +24,8 @@ class Viewer {
     this.splats = splats;
     this.painter = new Painter(canvas, scene, splats);
     this.eye = new Eye(scene.up);
-    this.camera = scene.first;
+    this.first = scene.cameras[scene.first.number] || scene.first;
+    this.camera = this.first;
     this.at = -1; // the camera that is chosen
     this.flies = false;
     this.scale = 1; // of a picture in motion
@@ -153,7 +154,7 @@ class Viewer {
   show(number) {
     const { cameras } = this.scene;
     this.at = cameras[number] ? number : -1;
-    this.camera = cameras[number] || this.scene.first;
+    this.camera = cameras[number] || this.first;
     this.eye.take(this.camera, this.scene.focus);
     $("cameras").value = String(this.at);
     this.showPhoto();

@@ -1,6 +1,7 @@
 """gscore convert: what is written, said and refused, against the functions behind it."""
 
 import json
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -213,7 +214,7 @@ def test_nothing_is_lost(gscore, ply, tmp_path):
     other = tmp_path / "other.ply"
     other.write_text("mine")
     code, _, err = gscore("convert", ply, other)
-    assert code == 2 and "did not write" in err and other.read_text() == "mine"
+    assert code == 2 and "says that gscore wrote it" in err and other.read_text() == "mine"
     assert gscore("convert", ply, other, "--overwrite")[0] == 0
     code, _, err = gscore("convert", ply, tmp_path / "a.xyz")
     assert code == 2 and "no format of splats has this ending" in err
@@ -252,3 +253,58 @@ def test_size_of_a_packed_file(gscore, run_folder, tmp_path):
     code, _, err = gscore("convert", run_folder(), tmp_path / "a.spz", "--size", 0.0012)
     assert code == 0, err
     assert 900 < (tmp_path / "a.spz").stat().st_size <= 1200
+
+
+@pytest.mark.parametrize(
+    ("more", "sentence"),
+    [
+        (["--scale", "1e308"], "1e+30 at most"),
+        (["--move", "1e308", "0", "0"], "1e+30 at most"),
+        (["--max-size", "1e308"], "1e+30 at most"),
+        (["--box", "-1e308", "-1", "-1", "1e308", "1", "1"], "1e+30 at most"),
+        (["--sphere", "0", "0", "0", "1e308"], "1e+30 at most"),
+        (["--scale", "1e30", "--move", "1e30", "0", "0"], ""),
+    ],
+)
+def test_numbers_that_leave_no_room(gscore, ply, tmp_path, recwarn, more, sentence):
+    """Oracle: exit 2 and one sentence, or a file; no warnings of numpy in either case."""
+    code, _, err = gscore("convert", ply, tmp_path / "o.ply", *more)
+    assert code == (2 if sentence else 0) and sentence in err
+    assert (tmp_path / "o.ply").exists() == (not sentence)
+    assert not [one for one in recwarn if issubclass(one.category, RuntimeWarning)]
+
+
+def test_files_given_twice_are_told(gscore, ply, tmp_path):
+    """Oracle: a warning that names the file, by whatever name it came; and all splats."""
+    link = tmp_path / "link.ply"
+    link.symlink_to(ply)
+    code, text, err = gscore("convert", ply, tmp_path / "o.ply", "--merge", link, ply, "--json")
+    assert code == 0 and f"{ply} is given 3 times" in err.replace("\n", " ")
+    assert json.loads(text)["splats"] == 180
+
+
+def test_an_option_of_another_format_is_told(gscore, ply, tmp_path):
+    """Oracle: a warning where the option does nothing, and none where it does something."""
+    for name, told in (("o.ply", True), ("o.spz", False)):
+        _, _, err = gscore("convert", ply, tmp_path / name, "--spz-version", 4)
+        assert ("--spz-version does nothing" in err) == told
+
+
+@pytest.mark.parametrize("verb", ["convert", "view", "render", "info"])
+def test_pipes_and_devices_are_called_so(gscore, tmp_path, verb):
+    """Oracle: what they are, at once; a pipe without a writer is not waited for."""
+    os.mkfifo(tmp_path / "pipe.ply")
+    for path, what in ((tmp_path / "pipe.ply", "a named pipe"), ("/dev/zero", "a device")):
+        rest = {"convert": [tmp_path / "o.ply"], "info": []}.get(verb, ["-o", tmp_path / "o.html"])
+        code, _, err = gscore(verb, path, *rest)
+        assert code == 2 and what in err
+
+
+def test_files_that_hold_no_name_stay(gscore, ply, tmp_path):
+    """Oracle: the file, which gscore wrote itself and cannot tell; the sentence is true of it."""
+    out = tmp_path / "o.spz"
+    assert gscore("convert", ply, out)[0] == 0
+    code, _, err = gscore("convert", ply, out, "--count", 5)
+    assert code == 2 and "says that gscore wrote it" in err and "did not write" not in err
+    assert len(read_any(out)) == 60
+    assert gscore("convert", ply, out, "--count", 5, "--overwrite")[0] == 0

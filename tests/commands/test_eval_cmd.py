@@ -208,7 +208,7 @@ def test_what_is_no_measurement_of_this_run_is_not_replaced(gscore, run_folder, 
     before = {p: p.read_bytes() for p in files}
     for place, words in (
         (other, "is the folder of another run"),
-        (theirs, f"gscore did not write {theirs / 'metrics.json'}"),
+        (theirs, f"Nothing in {theirs / 'metrics.json'} says"),
         (capture, "is the capture itself"),
         (capture / "images", "is the folder of the photos"),
     ):

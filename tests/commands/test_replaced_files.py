@@ -16,7 +16,7 @@ HOLIDAY = b"a film of a holiday"
 def refused(gscore, path, *line):
     """Whether the verb ends with a sentence that names the file, which stays as it is."""
     code, _, err = gscore(*line)
-    assert code == 2 and "gscore did not write" in err and path.name in err, err
+    assert code == 2 and "says that gscore wrote it" in err and path.name in err, err
     assert "--overwrite" in err and path.read_bytes() == HOLIDAY
     return True
 
@@ -110,5 +110,5 @@ def test_empty_files_may_be_replaced(tmp_path):
     (tmp_path / "a.png").touch()
     check_replaced([tmp_path / "a.png", tmp_path / "none.png"], overwrite=False)
     np.save(tmp_path / "b.npy", np.zeros(3))
-    with pytest.raises(ConfigError, match="did not write"):
+    with pytest.raises(ConfigError, match="says that gscore wrote it"):
         check_replaced([tmp_path / "b.npy"], overwrite=False)

@@ -17,7 +17,7 @@ import pytest
 
 from gscore.commands import main
 from gscore.errors import BackendError, DatasetError, FormatError, GsError
-from gscore.formats import gltf_splats, read_splat_file, write_splat_file
+from gscore.formats import gltf_splats, read_splat_file, textures, write_splat_file
 from gscore.formats.splat_file import WriteOptions
 
 from .conftest import MakeModel
@@ -300,3 +300,56 @@ def test_nothing_is_written_where_it_fails(make_model: MakeModel, tmp_path: Path
         with pytest.raises(GsError, match="Cannot write"):
             write_splat_file(tmp_path / "file" / name, make_model(5))
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+@pytest.mark.parametrize("by", ["nodes", "meshes"])
+def test_splats_that_are_repeated_without_end(
+    by: str, make_model: MakeModel, tmp_path: Path
+) -> None:
+    """Oracle: a few times are read, as many as there are; hundreds are refused in little memory,
+    whether many nodes share a mesh or many meshes share their numbers."""
+    path = tmp_path / "a.gltf"
+    write_splat_file(path, make_model(5000, 0))
+    content = json.loads(path.read_text())
+    for times in (3, 400):
+        if by == "nodes":
+            content["nodes"] = [{"mesh": 0, "translation": [k, 0, 0]} for k in range(times)]
+            content["scenes"] = [{"nodes": list(range(times))}]
+        else:
+            content["meshes"] = content["meshes"][:1] * times
+            del content["scenes"]
+        path.write_text(json.dumps(content))
+        if times == 3:
+            assert len(read_splat_file(path).splats) == 15_000
+            content.setdefault("scenes", [])
+            continue
+        tracemalloc.start()
+        with pytest.raises(FormatError, match=r"repeats its splats: .* nodes make"):
+            read_splat_file(path)
+        assert tracemalloc.get_traced_memory()[1] < 150e6
+        tracemalloc.stop()
+
+
+def test_a_sog_of_too_many_splats_for_its_bytes(tmp_path: Path) -> None:
+    """Oracle: two million splats in two thousand bytes are refused; 60,000 equal ones are read."""
+    for count in (60_000, 2_000_000):
+        width, height = textures.size_for(count)
+        plain = textures.encode_all({"x": np.full((height, width, 4), 255, np.uint8)})["x"]
+        names = ("a.webp", "b.webp", "s.webp", "q.webp", "c.webp")
+        book = [0.0] * 256
+        meta = {
+            "version": 2,
+            "count": count,
+            "means": {"mins": [0] * 3, "maxs": [1] * 3, "files": names[:2]},
+            "scales": {"codebook": book, "files": names[2:3]},
+            "quats": {"files": names[3:4]},
+            "sh0": {"codebook": book, "files": names[4:]},
+        }
+        for name in names:
+            (tmp_path / name).write_bytes(plain)
+        (tmp_path / "meta.json").write_text(json.dumps(meta))
+        if count == 60_000:
+            assert len(read_splat_file(tmp_path).splats) == count
+            continue
+        with pytest.raises(FormatError, match="2,000,000 splats in"):
+            read_splat_file(tmp_path)

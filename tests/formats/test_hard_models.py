@@ -1,14 +1,17 @@
 """Models that are hard to pack, and files beside the one that is written; oracle: the models."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial import KDTree
 
 from gscore.commands import main
 from gscore.errors import ConfigError
 from gscore.formats import read_splat_file, write_splat_file
+from gscore.importance import importance_of
 from gscore.io.ply import write_splats
 
 from .conftest import MakeModel
@@ -72,3 +75,38 @@ def test_names_that_only_end_like_one(make_model: MakeModel, tmp_path: Path) -> 
     """Oracle: two unpacked SOGs in one folder would share their textures."""
     with pytest.raises(ConfigError, match="no format"):
         write_splat_file(tmp_path / "a_meta.json", make_model(1000))
+
+
+@pytest.mark.parametrize("far", [1e3, 1e6])
+@pytest.mark.parametrize(("count", "beside"), [(2 * 256 + 3, 0), (4 * 256 + 200, 197)])
+def test_far_splats_move_few_others_in_a_compressed_ply(
+    make_model: MakeModel, tmp_path: Path, far: float, count: int, beside: int
+) -> None:
+    """Oracle: the displacements against the note; what moves are the least visible of the splats
+    that fill no whole chunks."""
+    model = make_model(count)
+    model.means[:3] += np.float32(far) * np.array([[1], [-1], [2]], np.float32)
+    told = write_splat_file(tmp_path / "a.compressed.ply", model)
+    found = read_splat_file(tmp_path / "a.compressed.ply").splats
+    near = model.subset(np.arange(3, count))
+    moved = KDTree(found.means).query(near.means)[0]
+    assert np.count_nonzero(moved > 0.02) <= beside
+    importance = importance_of(near)
+    assert moved[importance > np.sort(importance)[beside]].max() < 0.02
+    stated = [note for note in told.notes if "share their chunk" in note]
+    assert len(stated) == bool(beside)
+    if stated:
+        most = float(re.search(r"by up to (\S+) units", stated[0])[1])
+        assert stated[0].startswith(f"{beside} splats") and moved.max() <= 1.8 * most < far / 100
+
+
+def test_compressed_plys_of_ordinary_models_need_no_note(
+    make_model: MakeModel, tmp_path: Path
+) -> None:
+    """Oracle: no note, at any number of splats; places within a thousandth of the model's side."""
+    for count in (1, 2, 100, 256, 257, 3000):
+        model = make_model(count)
+        assert not write_splat_file(tmp_path / "a.compressed.ply", model).notes
+        found = read_splat_file(tmp_path / "a.compressed.ply").splats
+        side = np.ptp(model.means, axis=0).max()
+        assert KDTree(found.means).query(model.means)[0].max() <= max(side / 1000, 1e-6)

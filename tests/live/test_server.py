@@ -216,10 +216,92 @@ def test_a_slow_reader_holds_nobody_up(training):
             assert good.look(wish(POSE, K, 4, 4))[0].shape == (4, 4, 3)
         assert time.monotonic() - began < 5
         time.sleep(1.0)
-        # What is on the way through so small a window takes minutes otherwise.
-        slow.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
+        # What the system still held for it is dropped: through so small a window it takes minutes.
         with pytest.raises(ConnectionError):
             slow.receive(large)
+        assert time.monotonic() - began < 5
+
+
+def test_silent_viewers_give_their_places(training):
+    """Oracle: places that are full, all held by connections that never ask but for one that does;
+    who comes is let go at first, and gets the place of a silent one after the patience."""
+    busy = Client(training.port)
+    silent = [Client(training.port) for _ in range(server.MOST_VIEWERS - 1)]
+    busy.look(wish(POSE, K, 4, 4))
+    time.sleep(0.1)
+    with Client(training.port) as late:
+        assert late.is_dropped()
+    end = time.monotonic() + 0.6
+    while time.monotonic() < end:
+        busy.look(wish(POSE, K, 4, 4))
+    with Client(training.port) as late:
+        assert late.look(wish(POSE, K, 8, 4))[0].shape == (4, 8, 3)
+        assert silent[0].is_dropped()
+        assert busy.look(wish(POSE, K, 4, 4))[0].shape == (4, 4, 3)
+    for client in (busy, *silent):
+        client.socket.close()
+
+
+def test_viewers_are_asked_whether_they_are_there(training):
+    """Oracle: the option of the connection, without which one that was cut stays for ever."""
+    with Client(training.port) as client:
+        client.look(wish(POSE, K, 4, 4))
+        (connection,) = training.server._connections
+        assert connection.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE)
+
+
+def test_who_is_gone_keeps_no_training_from_ending(monkeypatch):
+    """Oracle: the time for which a request counts, for a viewer that wanted to look on."""
+    monkeypatch.setattr(onlookers, "HOLD", 0.2)
+    crowd = onlookers.Onlookers(after_the_end=True)
+    one = crowd.enter(1)
+    assert one is not None
+    request = protocol.parse(json.dumps(wish(POSE, K, 4, 4, keep_alive=1)).encode())
+    thread = threading.Thread(target=one.ask, args=(request,))
+    thread.start()
+    time.sleep(0.3)
+    assert crowd.stay and crowd.longest_silent(0.1) is None  # it waits for its answer
+    crowd.answer(lambda request: bytes(48))
+    thread.join()
+    assert not crowd.stay and crowd.longest_silent(0.1) is one
+    crowd.close()
+
+
+@pytest.mark.parametrize("broken", ["accept", "thread"])
+def test_a_lasting_fault_is_waited_out(training, monkeypatch, caplog, broken):
+    """Oracle: the number of tries while files or threads have run out, one warning, and a viewer
+    that is answered afterwards."""
+    tries = []
+
+    def fail(*_, **__):
+        tries.append(1)
+        raise OSError(24, "Too many open files") if broken == "accept" else RuntimeError("threads")
+
+    class Broken:
+        accept = fail
+
+        def __getattr__(self, name):
+            return getattr(listening, name)
+
+    listening = training.server._socket
+    with monkeypatch.context() as patch:
+        if broken == "accept":
+            patch.setattr(training.server, "_socket", Broken())
+        else:
+            patch.setattr(threading.Thread, "start", fail)
+        for _ in range(3):
+            client = Client(training.port)
+            time.sleep(0.4)
+            client.socket.close()
+    assert 0 < len(tries) < 10
+    assert caplog.text.count("A viewer cannot connect") == 1
+    time.sleep(0.6)
+    with Client(training.port) as client:
+        assert client.look(wish(POSE, K, 4, 4))[0].shape == (4, 4, 3)
+    end = time.monotonic() + 5
+    while training.server.onlookers._all and time.monotonic() < end:
+        time.sleep(0.05)
+    assert not training.server.onlookers._all and not training.server._connections
 
 
 def test_viewers_that_vanish_leave_no_threads(training):

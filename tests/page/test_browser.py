@@ -1,6 +1,7 @@
 """The page in Chromium, with software GL; oracle: `gscore.render` from the same camera."""
 
 import json
+import math
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +13,7 @@ from gscore import Splats, render
 from gscore.config import Background
 from gscore.io.ply import MIP_COMMENT, write_splats
 from gscore.page.pack import pack, unpack
-from gscore.page.page import Page, PageCamera, write_page
+from gscore.page.page import Page, PageCamera, most_splats, write_page
 from tests.page.chromium import Chromium, find_chromium
 from tests.page.test_pack import cloud
 
@@ -92,6 +93,35 @@ def test_pictures_are_those_of_the_rasterizer(browser, tmp_path, degree, antiali
         assert original.mean() < MOST
         assert np.ptp(found) > 100  # something is there
     assert browser.complaints() == []
+
+
+def test_far_splats_stay_apart(browser, tmp_path):
+    """Oracle: `render` of the splats as they were; blocks of a page are of any length then."""
+    splats = cloud(1500, 1)
+    splats.means[::100] *= np.array([[3e4, -1e5, -1e6]], np.float32)
+    splats.means[::100, 2] = -1e6  # behind all cameras
+    path, page = written(tmp_path, splats)
+    assert page.splats.head["blocks"] > 6
+    found = shown(browser, path, 2)
+    assert np.abs(found - rendered(splats, page, 2)).mean() < MOST
+
+
+def test_a_photo_is_there_once(tmp_path):
+    """Oracle: the text of the page, of whose cameras one is the first view; and of another one."""
+    photo = "data:image/jpeg;base64,UGhvdG8="
+    cameras = [replace(camera(i), photo=photo if i == 1 else "") for i in range(3)]
+    for first in (cameras[1], replace(camera(1), photo=photo)):
+        path, _ = written(tmp_path, cloud(50, 0), cameras=cameras, first=first)
+        assert path.read_text().count(photo) == (1 if first is cameras[1] else 2)
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_as_many_splats_as_a_texture_holds(degree):
+    """Oracle: the texels that unpack.js gives a splat, by its own text, in 16,384 rows of 2,048."""
+    script = Path("gscore/page/unpack.js").read_text()
+    assert "2 + Math.ceil((3 * ((degree + 1) ** 2 - 1)) / 16)" in script
+    texels = 2 + math.ceil(3 * ((degree + 1) ** 2 - 1) / 16)
+    assert most_splats(degree) * texels <= 2048 * 16384 < (most_splats(degree) + 1) * texels
 
 
 def test_order_decides(browser, tmp_path):

@@ -90,15 +90,57 @@ def test_what_is_never_seen_is_left_out() -> None:
     assert np.array_equal(before, after)
 
 
-@pytest.mark.parametrize("count", [1, 255, 256, 257])
-def test_any_number_of_splats(count: int) -> None:
-    """Oracle: the places, at the borders of a block; a huge outlier takes nothing from others."""
+@pytest.mark.parametrize("count", [1, 3, 255, 256, 257, 3000])
+@pytest.mark.parametrize("far", [1e3, 1e6, 3e38])
+def test_any_number_of_splats(count: int, far: float) -> None:
+    """Oracle: the places, at the borders of a block; a far splat takes nothing from the others."""
     splats = replace(cloud(count, 3), opacities=np.full(count, 3, np.float32))
-    far = splats.means.copy()
-    far[0] = 1e6
-    found = unpack(pack(replace(splats, means=far)))
+    splats.means[0] = [far, -far, 0]
+    found = unpack(pack(splats))
     assert len(found) == count
-    assert np.abs(found.means).max() == pytest.approx(1e6)
+    assert np.isfinite(found.means).all()
+    beyond = np.abs(found.means[:, 0]) > far / 2
+    assert np.count_nonzero(beyond) == 1
+    assert found.means[beyond][0] == pytest.approx(splats.means[0])
+    if count > 1:
+        assert _displacement(splats.means[1:], found.means[~beyond]).max() < 2 / 1000
+
+
+@pytest.mark.parametrize("far", [10.0, 1000.0, 1e7])
+def test_far_places_are_as_exact_as_seen_from_the_middle(far: float) -> None:
+    """Oracle: the displacement over the distance, for a scene in a sky, and for two scenes of which
+    each is far from the other; the budget of 20 bytes, most of which a sky may not take."""
+    rng = np.random.default_rng(5)
+    near, sky = cloud(20_000, 3), cloud(2_000, 3, seed=8)
+    away = rng.normal(size=(2000, 3)) * rng.uniform(1, far, (2000, 1))
+    other = cloud(5_000, 3, seed=9)
+    skies = joined(near, replace(sky, means=away.astype(np.float32)))
+    pairs = joined(near, replace(other, means=other.means + np.float32(far)))
+    for splats in (skies, pairs):
+        splats = replace(splats, opacities=np.full(len(splats), 3, np.float32))
+        packed = pack(splats)
+        found = unpack(packed)
+        assert packed.text_bytes <= PAGE_BYTES * len(splats)
+        moved = _displacement(splats.means, found.means)
+        distance = np.maximum(np.linalg.norm(found.means, axis=1), 1)
+        assert (moved / distance).max() < 2 / 1000
+
+
+def joined(one: Splats, other: Splats) -> Splats:
+    """Both, as one."""
+    return Splats(
+        **{k: np.concatenate([v, vars(other)[k]]) for k, v in vars(one).items()},
+    )
+
+
+def _displacement(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """[N] of each place after, to the nearest before, where each of those was found."""
+    from scipy.spatial import KDTree
+
+    away, at = KDTree(before).query(after)
+    assert len(before) == len(after)
+    assert KDTree(after).query(before)[0].max() < 2 * max(away.max(), 1e-6) and len(at)
+    return away
 
 
 def test_nothing_is_packed_too() -> None:

@@ -10,9 +10,15 @@ import pytest
 from mathutils import Matrix
 
 from addon.compat import native_splat_type
-from addon.core import MIP_COMMENT, Splats, read_splats, transform_splats, write_splats
+from addon.core import (
+    MIP_COMMENT,
+    Splats,
+    collected_warnings,
+    read_splats,
+    transform_splats,
+    write_splats,
+)
 from addon.splats import edit, objects
-from addon.splats import files as splat_io
 from addon.splats import native as native_splats
 from addon.splats.filters import visible_mask
 
@@ -193,7 +199,7 @@ def test_warnings_are_collected(tmp_path: Path, make_splats: Make) -> None:
     splats = make_splats(10)
     splats.means[3, 1] = np.nan
     write_splats(tmp_path / "a.ply", splats)
-    with splat_io.collected_warnings() as warnings:
+    with collected_warnings() as warnings:
         assert len(read_splats(tmp_path / "a.ply")) == 9
     assert len(warnings) == 1 and "1 of 10 splats" in warnings[0]
     read_splats(tmp_path / "a.ply")

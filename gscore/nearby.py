@@ -1,4 +1,4 @@
-"""An order in which splats that lie beside each other come after each other."""
+"""Places that lie beside each other, and those that lie far from all others: orders for blocks."""
 
 import numpy as np
 
@@ -36,3 +36,18 @@ def _spread(values: np.ndarray) -> np.ndarray:
     ):
         values = (values | values << np.uint64(shift)) & np.uint64(mask)
     return values
+
+
+def distances(means: np.ndarray) -> tuple[np.ndarray, float]:
+    """[N] float64, how far places [N, 3] are from their middle along the axis in which they are
+    farthest; and what half of them do not exceed, above zero."""
+    if not len(means):
+        return np.zeros(0), _LEAST
+    exact = means.astype(np.float64)
+    middle = np.percentile(exact, 50, axis=0, method="lower")
+    away = np.abs(exact - middle).max(axis=1)
+    return away, max(float(np.percentile(away, 50, method="lower")), _LEAST)
+
+
+_LEAST = 1e-30
+"""World units, for places that are all the same."""

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..splats import Splats
+from .splats import Splats, sigmoid
 
 
 def importance_of(splats: Splats) -> np.ndarray:
@@ -13,8 +13,7 @@ def importance_of(splats: Splats) -> np.ndarray:
     with the volume in its place, and 3 dB less than with contributions.
     """
     logs = np.sort(np.clip(splats.scales.astype(np.float64), -300, 300), axis=1)
-    opacity = 0.5 * (1 + np.tanh(0.5 * splats.opacities.astype(np.float64)))
-    return opacity * np.exp(logs[:, 1] + logs[:, 2])
+    return sigmoid(splats.opacities) * np.exp(logs[:, 1] + logs[:, 2])
 
 
 def most_important(importance: np.ndarray, count: int) -> np.ndarray:

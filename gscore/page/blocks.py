@@ -1,0 +1,53 @@
+"""Which splats share a box: neighbours along a curve, without those that are far away."""
+
+import numpy as np
+
+from ..nearby import distances, morton_order
+
+BLOCK = 256
+"""Splats of a block at most."""
+_WIDEST = 4.0
+"""Side of a box at most, in distances from the middle of the splats: that of its own nearest splat,
+or that of half of all splats where it is larger."""
+
+
+def blocks_of(means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """An order of places [N, 3], and the lengths of its blocks [B], 1 to 256, whose sum is N.
+
+    Each is a stretch of 256 along a Morton curve, cut at its widest gaps where its box would be so
+    large that places in it became coarse: one splat far away takes none of its neighbours along.
+    """
+    order = morton_order(means)
+    away, usual = distances(means)
+    starts = np.arange(0, len(means), BLOCK)
+    if not len(starts):
+        return order, starts
+    sorted_means = means[order].astype(np.float64)
+    low = np.minimum.reduceat(sorted_means, starts)
+    side = (np.maximum.reduceat(sorted_means, starts) - low).max(axis=1)
+    nearest = np.minimum.reduceat(away[order], starts)
+    loose = side > _WIDEST * np.maximum(nearest, usual)
+    lengths: list[int] = []
+    for start, cut in zip(starts.tolist(), loose.tolist(), strict=True):
+        rows = order[start : start + BLOCK]
+        parts = _tight(rows, means, away, usual) if cut else [rows]
+        order[start : start + BLOCK] = np.concatenate(parts)
+        lengths += map(len, parts)
+    return order, np.array(lengths)
+
+
+def _tight(rows: np.ndarray, means: np.ndarray, away: np.ndarray, usual: float) -> list[np.ndarray]:
+    """The rows in parts whose boxes are small enough, in the order of the curve within each."""
+    left, found = [rows], []
+    while left:
+        part = left.pop()
+        places = means[part].astype(np.float64)
+        sides = np.ptp(places, axis=0)
+        if sides.max() <= _WIDEST * max(away[part].min(), usual):
+            found.append(part)
+            continue
+        along = places[:, sides.argmax()]
+        steps = np.sort(along)
+        first_beyond = steps[np.diff(steps).argmax() + 1]
+        left += [part[along >= first_beyond], part[along < first_beyond]]
+    return found
