@@ -38,7 +38,7 @@ def _spread(values: np.ndarray) -> np.ndarray:
     return values
 
 
-def distances(means: np.ndarray) -> tuple[np.ndarray, float]:
+def distances_from_middle(means: np.ndarray) -> tuple[np.ndarray, float]:
     """[N] float64, how far places [N, 3] are from their middle along the axis in which they are
     farthest; and what half of them do not exceed, above zero."""
     if not len(means):

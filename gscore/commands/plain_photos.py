@@ -8,7 +8,7 @@ from typing import Any
 from ..config import DataConfig
 from ..datasets.capture import listing
 from ..sfm.attempts import attempts
-from ..sfm.heic import size_of, split
+from ..sfm.heic import readable, size_of
 from ..sfm.photos import LEAST, Photo, by_camera, list_photos, photo_folder, read_photos
 from ..sfm.plain import apart_of, doubt
 from ..sfm.request import Request
@@ -29,7 +29,7 @@ def photos_facts(path: Path, data: DataConfig) -> dict[str, Any]:
     photos = read_photos(
         root, names, on_photo=lambda done: None, cancelled=lambda: False, whole=False
     )
-    changed, unread = split(unread)
+    changed, unread = readable(unread)
     for i, name in enumerate(changed, len(photos)):
         photos.append(Photo(name, f"{i:06}.jpg", *size_of(root / name), ()))
     work = Work(request=request, root=root, photos=photos, masks=None, folder=root)

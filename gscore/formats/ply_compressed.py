@@ -16,7 +16,7 @@ from ..io.files import atomic_write
 from ..io.ply import is_antialiased_ply
 from ..io.ply_compressed import CHUNK
 from ..io.splat_rows import opacity_bytes
-from ..nearby import distances, morton_order
+from ..nearby import distances_from_middle, morton_order
 from ..sh import sh0_to_rgb
 from ..smallest_three import smallest_three
 from ..splats import Splats
@@ -84,7 +84,7 @@ def _order(splats: Splats) -> np.ndarray:
     the others go into it.
     """
     order = morton_order(splats.means)
-    away, usual = distances(splats.means)
+    away, usual = distances_from_middle(splats.means)
     level = np.ceil(np.log2(np.maximum(away[order] / (_FAR * usual), 1))).astype(np.int16)
     order, level = order[np.argsort(level, kind="stable")], np.sort(level)
     near = order[level == 0]
@@ -101,7 +101,7 @@ def _notes(splats: Splats, order: np.ndarray) -> list[str]:
     """On splats that lie elsewhere than before, and on clamped coefficients."""
     notes = []
     moved = _displacements(splats.means[order])
-    away, usual = distances(splats.means)
+    away, usual = distances_from_middle(splats.means)
     beyond = moved > _MOST_MOVED * np.maximum(away[order], usual)
     if beyond.any():
         notes.append(

@@ -6,7 +6,7 @@ from pathlib import Path
 from ..datasets.capture import listing
 from ..errors import GsError
 from ..io.images import read_info
-from ..sfm.heic import size_of, split, what_to_do
+from ..sfm.heic import readable, size_of, what_to_do
 from ..sfm.photos import LEAST, list_photos, photo_folder
 from ..sfm.plain import doubt
 from ..video import is_video
@@ -35,7 +35,7 @@ def bare_facts(source: Path) -> CaptureFacts:
             sizes[info.width, info.height] += 1
         except GsError as error:
             problems.append(Problem(is_error=True, text=str(error)))
-    changed, unread = split(unread)
+    changed, unread = readable(unread)
     sizes.update(size_of(root / name) for name in changed)
     names += changed
     if len(names) < LEAST:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..nearby import distances, morton_order
+from ..nearby import distances_from_middle, morton_order
 
 BLOCK = 256
 """Splats of a block at most."""
@@ -18,7 +18,7 @@ def blocks_of(means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     large that places in it became coarse: one splat far away takes none of its neighbours along.
     """
     order = morton_order(means)
-    away, usual = distances(means)
+    away, usual = distances_from_middle(means)
     starts = np.arange(0, len(means), BLOCK)
     if not len(starts):
         return order, starts

@@ -11,7 +11,7 @@ from ..io.files import read_bytes
 from ..io.runs import SEARCH_RECORD
 from ..json_text import parse_json
 from ..words import count_words, number
-from .heic import split
+from .heic import readable
 from .masks import mask_folder
 from .photos import list_photos, photo_folder
 from .request import Request
@@ -28,7 +28,7 @@ def is_plain(path: Path) -> bool:
     if any((path / name).exists() for name in _MODELS):
         return False
     names, unread = list_photos(photo_folder(path), ())
-    return bool(names or split(unread)[0])
+    return bool(names or readable(unread)[0])
 
 
 def doubt(root: Path, names: Sequence[str], cameras: int) -> str:
