@@ -83,10 +83,10 @@ class ComparePhoto(Acting, bpy.types.Operator):
     )
 
     def act(self, context: bpy.types.Context) -> str:
-        """Compare, show the pictures if an image editor is open, and report."""
+        """Compare, show the pictures in an image editor, in a new window if need be, and report."""
         camera = chosen_camera(context, self.camera)
         found = comparing.compare(context.scene, camera, context.evaluated_depsgraph_get())
-        shown = show_image(context, found.images["Comparison"])
+        shown = show_image(context, found.images["Comparison"], new_window=True)
         where = "" if shown else f"; open the image {found.images['Comparison'].name} to see it"
         name, psnr = "PSNR", found.psnr
         if found.psnr_masked is not None:
