@@ -59,6 +59,7 @@ class ResultPanel(TabPanel, bpy.types.Panel):
             layout.prop(settings, "point_size")
         elif settings.display in {"ELLIPSOIDS", "SOFT"}:
             layout.prop(settings, "ellipsoid_size")
+        layout.operator("gscore.show_splats", icon="SHADING_RENDERED")
         row = layout.row(align=True)
         row.operator("gscore.import_splats", text="Import", icon="IMPORT")
         row.operator("gscore.export_splats", text="Export", icon="EXPORT")

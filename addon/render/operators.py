@@ -114,6 +114,19 @@ class SetUpCompositing(Acting, bpy.types.Operator):
         return f"Rendering {context.scene.name} now includes {made.name}."
 
 
+class RemoveCompositing(Acting, bpy.types.Operator):
+    """Take the splats' scene and the nodes between render and compositor away again"""
+
+    bl_idname = "gscore.remove_compositing"
+    bl_label = "Remove Compositing"
+    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Undo the set-up."""
+        compositor.take_down(context.scene)
+        return f"Rendering {context.scene.name} shows what it did before."
+
+
 def chosen_camera(context: bpy.types.Context, name: str = "") -> bpy.types.Object:
     """The camera called so, else the active object if it is a photo's camera, else the scene's.
 
@@ -136,4 +149,5 @@ CLASSES = (
     UsePhotoColors,
     ComparePhoto,
     SetUpCompositing,
+    RemoveCompositing,
 )
