@@ -41,7 +41,7 @@ _WORLDS = [
 ]
 
 
-class _OnSplats(Acting):
+class OnSplats(Acting):
     """Works on the active splat object, or on the one that the active object crops."""
 
     bl_options: ClassVar = {"REGISTER", "UNDO"}
@@ -184,7 +184,7 @@ def _chosen(context: bpy.types.Context, collection: str) -> list[bpy.types.Objec
     return list(dict.fromkeys(ob for ob in obs if can_export(ob)))
 
 
-class ApplyFilters(_OnSplats, bpy.types.Operator):
+class ApplyFilters(OnSplats, bpy.types.Operator):
     """Delete the splats that the display filters hide, then reset the filters"""
 
     bl_idname = "gscore.apply_filters"
@@ -197,7 +197,7 @@ class ApplyFilters(_OnSplats, bpy.types.Operator):
         return f"Deleted {count:,} splats, {len(ob.data.vertices):,} left."
 
 
-class ResetFilters(_OnSplats, bpy.types.Operator):
+class ResetFilters(OnSplats, bpy.types.Operator):
     """Show all splats again"""
 
     bl_idname = "gscore.reset_filters"
@@ -209,7 +209,7 @@ class ResetFilters(_OnSplats, bpy.types.Operator):
         return ""
 
 
-class SelectSplats(_OnSplats, bpy.types.Operator):
+class SelectSplats(OnSplats, bpy.types.Operator):
     """Select splats by what the display filters hide, in Edit Mode"""
 
     bl_idname = "gscore.select_splats"
@@ -234,7 +234,7 @@ class SelectSplats(_OnSplats, bpy.types.Operator):
         return f"Selected {count:,} splats."
 
 
-class AddCropBox(_OnSplats, bpy.types.Operator):
+class AddCropBox(OnSplats, bpy.types.Operator):
     """Add a wire box around most of the splats and show only those inside; move and scale it"""
 
     bl_idname = "gscore.add_crop_box"
@@ -246,7 +246,7 @@ class AddCropBox(_OnSplats, bpy.types.Operator):
         return ""
 
 
-class ApplySplatTransform(_OnSplats, bpy.types.Operator):
+class ApplySplatTransform(OnSplats, bpy.types.Operator):
     """Apply location, rotation and even scale to the splats, with their orientations and colors"""
 
     bl_idname = "gscore.apply_splat_transform"
@@ -258,7 +258,7 @@ class ApplySplatTransform(_OnSplats, bpy.types.Operator):
         return ""
 
 
-class MakeScaleEven(_OnSplats, bpy.types.Operator):
+class MakeScaleEven(OnSplats, bpy.types.Operator):
     """Give the object, and what it hangs from, one scale for all axes that keeps the volume: splats
     cannot be stretched"""
 
@@ -271,7 +271,7 @@ class MakeScaleEven(_OnSplats, bpy.types.Operator):
         return f"One scale for all axes: {', '.join(changed)}." if changed else "It is even."
 
 
-class ResetDisplay(_OnSplats, bpy.types.Operator):
+class ResetDisplay(OnSplats, bpy.types.Operator):
     """Add the display modifier again after it was removed, or bring it up to date"""
 
     bl_idname = "gscore.reset_display"
@@ -283,7 +283,7 @@ class ResetDisplay(_OnSplats, bpy.types.Operator):
         return ""
 
 
-class MakeNativeSplats(_OnSplats, bpy.types.Operator):
+class MakeNativeSplats(OnSplats, bpy.types.Operator):
     """Make Blender's own Gaussian splats of what is shown, as a child that moves along"""
 
     bl_idname = "gscore.make_native_splats"
