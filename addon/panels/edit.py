@@ -23,7 +23,9 @@ class EditPanel(TabPanel, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
-        layout = self.layout
+        layout, ob = self.layout, meant(context)
+        if ob.mode == "EDIT" and ob.gscore.display == "SPLATS":  # which cover their vertices
+            layout.prop_enum(ob.gscore, "display", "POINTS", text="Show What Is Selected")
         layout.label(text="Select", icon="RESTRICT_SELECT_OFF")
         row = layout.row(align=True)
         row.operator("gscore.select_by_color", text="Color")

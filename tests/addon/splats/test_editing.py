@@ -11,8 +11,10 @@ import pytest
 from addon import attributes
 from addon.attributes import BASE, SCALE
 from addon.core import Splats, join_splats, render, sh0_to_rgb
+from addon.panels.edit import EditPanel
 from addon.splats import filters, objects, parts
 from tests.addon import splat_scenes as lab
+from tests.addon.drawn import drawn
 
 Make = Callable[..., Splats]
 COUNT = 400
@@ -239,3 +241,14 @@ def test_a_million_splats(scene: bpy.types.Scene, make_splats: Make) -> None:
         getattr(bpy.ops.gscore, name)(**settings)
         took[name] = time.process_time() - began
     assert max(took.values()) < 5, took
+
+
+def test_the_panel_leads_to_what_is_selected(ob: bpy.types.Object) -> None:
+    """Oracle: live splats lie over vertices, other displays do not."""
+    ob.gscore.display = "SPLATS"
+    assert "Show What" not in drawn(EditPanel)
+    bpy.ops.gscore.select_by_opacity()
+    assert "(Show What Is Selected)" in drawn(EditPanel)
+    ob.gscore.display = "POINTS"
+    assert "Show What" not in drawn(EditPanel)
+    bpy.ops.object.mode_set(mode="OBJECT")
