@@ -14,7 +14,7 @@ back with an error growing to 1e-3 at logit 10, and those above 16.6 as 16.6 (an
 1 - 2^-24). None of that can be seen: no splat is drawn with more than 0.99.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -161,11 +161,15 @@ def sh_count(datablock: Any) -> int:
     return count
 
 
-def read(datablock: Any) -> Splats:
+def read(datablock: Any, *, rest: bool = True) -> Splats:
     """Splats of a mesh or point cloud, raw parameters in the datablock's space.
 
     A vertex added by hand has a scale of zero: such a splat gets the smallest scale and opacity
     that float32 holds, and so is never seen.
+
+    Args:
+        datablock: Mesh or PointCloud with `attributes`.
+        rest: Read the view-dependent coefficients too; they are most of the numbers.
 
     Raises:
         ValueError: attributes are missing (they are named) or hold numbers that are not finite.
@@ -182,17 +186,17 @@ def read(datablock: Any) -> Splats:
     quats[~quats.any(axis=1)] = (1, 0, 0, 0)
     alpha = np.clip(base[:, 3].astype(np.float64), _TINY, _LARGEST_OPACITY)
     alpha[~scales.any(axis=1)] = _TINY
-    count = sh_count(datablock)
-    rest = np.empty((count, len(base), 3), np.float32)
+    count = sh_count(datablock) if rest else 0
+    coefficients = np.empty((count, len(base), 3), np.float32)
     for k in range(count):
-        rest[k] = column(datablock, f"{SH}{k}")
+        coefficients[k] = column(datablock, f"{SH}{k}")
     return Splats(
         means=np.zeros((0, 3), np.float32) if missing else column(datablock, POSITION),
         quats=quats,
         scales=np.log(np.maximum(np.abs(scales).astype(np.float64), _TINY)).astype(np.float32),
         opacities=(np.log(alpha) - np.log1p(-alpha)).astype(np.float32),
         sh0=np.ascontiguousarray(base[:, None, :3]),
-        shN=_swapped(rest),
+        shN=_swapped(coefficients),
     )
 
 
@@ -201,24 +205,47 @@ def keep(mesh: Any, mask: np.ndarray) -> None:
 
     Attributes of numbers and vectors follow to the bit; selection, hiding and vertex groups go.
     """
-    kept = []
-    for attribute in mesh.attributes:
-        if attribute.domain == "POINT" and attribute.data_type in _COPIED:
-            if attribute.name.startswith("."):
-                continue
-            key, width = _COPIED[attribute.data_type]
-            values = np.empty((len(mask), width), _DTYPES.get(attribute.data_type, np.float32))
-            flat = values.reshape(-1)
-            attribute.data.foreach_get(key, flat)
-            kept.append((attribute.name, attribute.data_type, key, values[mask].ravel()))
+    kept = [Column(c.name, c.kind, c.values[mask]) for c in table(mesh)]
     # Blender has no other way to take vertices away without a copy of everything in its editor.
     mesh.clear_geometry()
     mesh.vertices.add(int(mask.sum()))
-    for name, kind, _, _ in kept:
+    put(mesh, kept)
+
+
+class Column(NamedTuple):
+    """One attribute of points."""
+
+    name: str
+    kind: str
+    """Its data type."""
+    values: np.ndarray
+    """[N, width]"""
+
+
+def table(mesh: Any) -> list[Column]:
+    """Copies of all attributes of points of numbers and vectors, those of others among them."""
+    found = []
+    for attribute in mesh.attributes:
+        known = attribute.domain == "POINT" and attribute.data_type in _COPIED
+        if not known or attribute.name.startswith("."):
+            continue
+        key, width = _COPIED[attribute.data_type]
+        values = np.empty(
+            (len(attribute.data), width), _DTYPES.get(attribute.data_type, np.float32)
+        )
+        attribute.data.foreach_get(key, values.reshape(-1))
+        found.append(Column(attribute.name, attribute.data_type, values))
+    return found
+
+
+def put(mesh: Any, columns: list[Column]) -> None:
+    """Give a mesh that has exactly N points the attributes of a table."""
+    # All first: adding an attribute moves the others' memory.
+    for name, kind, _ in columns:
         if name not in mesh.attributes:
             mesh.attributes.new(name, kind, "POINT")
-    for name, _, key, values in kept:
-        mesh.attributes[name].data.foreach_set(key, values)
+    for name, kind, values in columns:
+        mesh.attributes[name].data.foreach_set(_COPIED[kind][0], values.reshape(-1))
 
 
 def _count(datablock: Any) -> int:

@@ -7,7 +7,7 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
 from .. import stored_paths
-from ..interface.operators import Acting
+from ..interface.operators import Acting, make_active
 from ..paths import absolute
 from . import captures
 from .export_colmap import Exported, export_colmap
@@ -109,7 +109,7 @@ class ImportCameras(OnCapture, bpy.types.Operator):
             )
         finally:
             manager.progress_end()
-        _activate(context, made.root)
+        make_active(context, made.root)
         self.warn(made.warnings)
         if self.set_up_views:
             _set_up_views(context)
@@ -348,14 +348,6 @@ def _chosen(
 def _views(context: bpy.types.Context) -> list[bpy.types.SpaceView3D]:
     areas = context.screen.areas if context.screen else []
     return [area.spaces.active for area in areas if area.type == "VIEW_3D"]
-
-
-def _activate(context: bpy.types.Context, ob: bpy.types.Object) -> None:
-    """Select one object alone, as Blender's importers do; splats then join its capture."""
-    for other in context.selected_objects:
-        other.select_set(False)
-    ob.select_set(True)
-    context.view_layer.objects.active = ob
 
 
 def _set_up_views(context: bpy.types.Context) -> None:

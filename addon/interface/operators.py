@@ -33,3 +33,11 @@ class Acting:
         """Show what the user should know besides."""
         for sentence in sentences:
             self.report({"WARNING"}, sentence)
+
+
+def make_active(context: bpy.types.Context, ob: bpy.types.Object) -> None:
+    """Select an object and no other, and make it the active one."""
+    for other in context.selected_objects:
+        other.select_set(False)
+    ob.select_set(True)
+    context.view_layer.objects.active = ob

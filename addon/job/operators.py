@@ -6,7 +6,7 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, StringProperty
 
 from ..interface.images import show_image
-from ..interface.operators import Acting
+from ..interface.operators import Acting, make_active
 from ..interface.questions import Asking
 from ..process import beat
 from . import facts, registry, session, training
@@ -224,10 +224,7 @@ class SelectResult(Acting, bpy.types.Operator):
         ob = context.scene.gscore.result
         if ob is None or context.view_layer.objects.get(ob.name) is None:
             raise ValueError("This scene shows no splats of a training; train some first.")
-        for other in context.selected_objects:
-            other.select_set(False)
-        ob.select_set(True)
-        context.view_layer.objects.active = ob
+        make_active(context, ob)
         return ""
 
 

@@ -1,6 +1,6 @@
 """The tab "Train Splats" of the 3D view's sidebar, in the order of the work."""
 
-from . import cameras, capture, depth, progress, render, result, train
+from . import cameras, capture, depth, edit, progress, render, result, train
 
 CLASSES = (
     *capture.CLASSES,
@@ -9,5 +9,6 @@ CLASSES = (
     *train.CLASSES,
     *progress.CLASSES,
     *result.CLASSES,
+    *edit.CLASSES,
     *render.CLASSES,
 )

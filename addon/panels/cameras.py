@@ -40,6 +40,11 @@ class CamerasPanel(TabPanel, bpy.types.Panel):
         forth = row.operator("gscore.step_camera", text="", icon="TRIA_RIGHT")
         back.step, forth.step = -1, 1
         _aim(empty, back, use, choose, forth)
+        photos, row = context.scene.gscore_photos, layout.row(align=True)
+        row.prop(photos, "shown")
+        opacity = row.row(align=True)
+        opacity.enabled = photos.shown
+        opacity.prop(photos, "opacity")
         if camera is not None and camera not in cameras:
             sentence(layout, context, "The scene camera is not one of the capture's.")
 

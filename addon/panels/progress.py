@@ -1,6 +1,7 @@
 """A training, or a search for cameras, under way or just ended: how far it is, and its buttons."""
 
 import sys
+from typing import ClassVar
 
 import bpy
 
@@ -9,11 +10,35 @@ from ..job import session, verb_job
 from ..job.job import Job
 from ..search import work as search_work
 from ..search.job import SearchJob
+from ..splats.objects import is_splats
 from . import curve_icon
 from .widgets import TabPanel, job, rows, sentence
 
 _WARNINGS_SHOWN = 3
 _CURVE_SCALE = 6.0
+
+
+class NowPanel(TabPanel, bpy.types.Panel):
+    """The bar of what is under way, above all panels, so that nobody has to look for it"""
+
+    bl_idname = "GSCORE_PT_now"
+    bl_label = "Now"
+    bl_order = -1
+    bl_options: ClassVar = {"HIDE_HEADER"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """A training is under way."""
+        current = job(context)
+        return current is not None and not current.state.ended
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        current = job(context)
+        state = current.state
+        row = self.layout.row(align=True)
+        row.progress(factor=state.share, text=f"Training: {bar_text(state)}")
+        row.operator("gscore.stop_training", text="", icon="SNAP_FACE")
 
 
 class ProgressPanel(TabPanel, bpy.types.Panel):
@@ -38,8 +63,6 @@ class ProgressPanel(TabPanel, bpy.types.Panel):
         if current is None:
             return
         state = current.state
-        if not state.ended:
-            layout.progress(factor=state.share, text=bar_text(state))
         draw_numbers(layout, current)
         if state.sentence:
             icon = "ERROR" if state.status == session.FAILED else "CHECKMARK"
@@ -115,6 +138,8 @@ def draw_buttons(layout: bpy.types.UILayout, context: bpy.types.Context, current
         row = layout.row(align=True)
         row.label(text="Writing a checkpoint...")
         row.operator("gscore.discard_training", text="Do Not Wait", icon="TRASH")
+    if current.state.ended and is_splats(context.scene.gscore.result):
+        layout.operator("gscore.show_splats", icon="SHADING_RENDERED")
     row = layout.row(align=True)
     if status in (session.RUNNING, session.PAUSED):
         row.operator("gscore.update_splats", icon="FILE_REFRESH")
@@ -156,4 +181,4 @@ def clock(seconds: float) -> str:
     return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"
 
 
-CLASSES = (ProgressPanel,)
+CLASSES = (NowPanel, ProgressPanel)

@@ -3,6 +3,7 @@
 import bpy
 
 from ..cameras.objects import is_camera
+from ..render.compositor import combine_node
 from ..render.engine import NAME
 from ..render.panels import draw_render
 from .widgets import TabPanel, root, sentence
@@ -34,7 +35,22 @@ class RenderPanel(TabPanel, bpy.types.Panel):
             row = layout.row()
             row.enabled = is_camera(context.object) or is_camera(scene.camera)
             row.operator("gscore.compare_photo", icon="IMAGE_REFERENCE")
-        layout.operator("gscore.set_up_compositing", icon="NODE_COMPOSITING")
+        draw_compositing(layout, context)
+
+
+def draw_compositing(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """Setting splats among meshes up, and taking it down; why it rests."""
+    scene = context.scene
+    there = combine_node(scene) is not None
+    if there and scene.render.engine == NAME:
+        text = "Compositing with meshes rests: this engine draws the splats already. Cycles or "
+        sentence(layout, context, f"{text}EEVEE brings it back.", icon="INFO")
+    row = layout.row(align=True)
+    part = row.row(align=True)
+    part.enabled = scene.render.engine != NAME
+    part.operator("gscore.set_up_compositing", icon="NODE_COMPOSITING")
+    if there:
+        row.operator("gscore.remove_compositing", text="", icon="X")
 
 
 CLASSES = (RenderPanel,)

@@ -6,15 +6,15 @@ import bpy
 
 from .. import stored_paths
 from ..live import handler
-from ..splats import edit, live
-from ..splats.objects import is_splats
-from .widgets import TabPanel, job, rows, sentence
+from ..splats import edit, even_scale, live
+from ..splats.objects import is_splats, meant
+from .widgets import TabPanel, job, limit, rows, sentence
 
 
 def shown(context: bpy.types.Context) -> bpy.types.Object | None:
-    """The splats that the panel is about: the active object, or the scene's result."""
-    if is_splats(context.object):
-        return context.object
+    """The splats that the panel is about: the active object's, or the scene's result."""
+    if is_splats(ob := meant(context)):
+        return ob
     result = context.scene.gscore.result
     there = is_splats(result) and context.scene.objects.get(result.name) == result
     return result if there else None  # a deleted object is kept by the setting alone
@@ -36,9 +36,13 @@ class ResultPanel(TabPanel, bpy.types.Panel):
             return
         row = layout.row(align=True)
         row.label(text=ob.name, icon="OUTLINER_OB_POINTCLOUD")
-        if ob != context.object:
+        if ob != meant(context):
             row.operator("gscore.select_result", text="Select")
         draw_counts(layout, context, ob)
+        if not even_scale.is_even(ob):
+            text = "Its scale differs between axes, or is zero; splats cannot be stretched."
+            sentence(layout, context, text, icon="ERROR")
+            layout.operator("gscore.make_scale_even")
         settings = ob.gscore
         layout.prop(settings, "display")
         is_live = settings.display == "SPLATS"
@@ -55,6 +59,7 @@ class ResultPanel(TabPanel, bpy.types.Panel):
             layout.prop(settings, "point_size")
         elif settings.display in {"ELLIPSOIDS", "SOFT"}:
             layout.prop(settings, "ellipsoid_size")
+        layout.operator("gscore.show_splats", icon="SHADING_RENDERED")
         row = layout.row(align=True)
         row.operator("gscore.import_splats", text="Import", icon="IMPORT")
         row.operator("gscore.export_splats", text="Export", icon="EXPORT")
@@ -82,7 +87,7 @@ class FiltersPanel(TabPanel, bpy.types.Panel):
         settings = ob.gscore
         column = layout.column(align=True)
         for name in ("opacity_min", "size_min", "size_max"):
-            column.prop(settings, name)
+            limit(column, settings, name)
         column = layout.column(align=True)
         column.prop(settings, "crop_object", text="Crop")
         if settings.crop_object is not None:
@@ -93,7 +98,7 @@ class FiltersPanel(TabPanel, bpy.types.Panel):
                 text = "The crop object is deleted, but still crops; Reset ends that."
                 sentence(layout, context, text, icon="INFO")
         layout.prop(settings, "apply_filters_to_render")
-        if ob != context.object:
+        if ob != meant(context):
             return
         if settings.crop_object is None:
             layout.operator("gscore.add_crop_box", icon="CUBE")
@@ -114,14 +119,14 @@ class MorePanel(TabPanel, bpy.types.Panel):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """A splat object is active."""
-        return is_splats(context.object)
+        return is_splats(meant(context))
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
         layout = self.layout
         layout.operator("gscore.apply_splat_transform")
         layout.operator("gscore.reset_display")
-        if "NATIVE" in context.object.gscore.bl_rna.properties["display"].enum_items:
+        if "NATIVE" in meant(context).gscore.bl_rna.properties["display"].enum_items:
             layout.operator("gscore.make_native_splats")
 
 

@@ -10,7 +10,7 @@ from ..core import PRESETS, Estimate, RunInfo
 from ..job import facts, forecast
 from ..job.options import AS_PRESET, BY_WIDTH, continuation
 from ..paths import output_folder
-from .widgets import TabPanel, found, has_python, job, sentence
+from .widgets import TabPanel, found, has_python, job, limit, sentence
 
 _estimates: dict[str, Estimate] = {}
 """The last estimate of each scene, by its name."""
@@ -33,7 +33,7 @@ class TrainPanel(TabPanel, bpy.types.Panel):
         steps = column.row(align=True)
         steps.active = settings.time_budget == 0
         steps.prop(settings, "iterations")
-        column.prop(settings, "time_budget")
+        limit(column, settings, "time_budget")
         column.prop(settings, "max_splats")
         layout.prop(settings, "live_splats")
         layout.prop(settings, "output_path", text="Output")
@@ -62,7 +62,7 @@ class TrainOptionsPanel(TabPanel, bpy.types.Panel):
         if settings.eval:
             column.prop(settings, "test_every")
         column = layout.column()
-        column.prop(settings, "target_psnr")
+        limit(column, settings, "target_psnr")
         column.prop(settings, "early_stop")
         column = layout.column()
         column.prop(settings, "use_masks")

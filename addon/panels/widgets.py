@@ -42,6 +42,12 @@ def rows(layout: bpy.types.UILayout, pairs: list[tuple[str, str]]) -> None:
         split.label(text=value)
 
 
+def limit(layout: bpy.types.UILayout, owner: bpy.types.PropertyGroup, name: str) -> None:
+    """A number of which 0 means that there is no limit; the field then says so."""
+    label = owner.bl_rna.properties[name].name
+    layout.prop(owner, name, text=label if getattr(owner, name) else f"{label} (off)")
+
+
 def found(context: bpy.types.Context) -> ShownFacts | None:
     """What is known of the scene's capture by now."""
     return facts.capture(context.scene)[0]

@@ -8,6 +8,8 @@ from .engine import MAIN_SCENE, NAME
 
 SPLAT_SCENE = "gs_splat_scene"
 """Custom property of a scene: the scene that renders its splats."""
+_FILM = "gs_film_transparent"
+"""Custom property of a scene: whether its film was transparent before."""
 LAYER_NODE, COMBINE_NODE = "GS Splats", "GS Combine by Depth"
 """Names of the nodes in the scene's tree."""
 GROUP = "Combine by Depth"
@@ -58,6 +60,8 @@ def set_up(scene: bpy.types.Scene, *, transparent: bool = True) -> bpy.types.Sce
     tree = compat.compositor_tree(scene)
     if tree is not None and not tree.is_editable:
         raise ValueError(f"The compositor's nodes {tree.name} are linked: make them local first.")
+    if SPLAT_SCENE not in scene:
+        scene[_FILM] = scene.render.film_transparent
     other = _splat_scene(scene)
     _synchronise(scene, other, splats)
     for view_layer in scene.view_layers:
@@ -124,15 +128,64 @@ def _after_update(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None 
     other = scene.get(SPLAT_SCENE)
     if isinstance(other, bpy.types.Scene):
         _follow(scene, other)
+        rest(scene)
+
+
+def combine_node(scene: bpy.types.Scene) -> bpy.types.Node | None:
+    """The node that puts a scene's splats among its meshes, where that was set up."""
+    tree = compat.compositor_tree(scene)
+    return None if tree is None else tree.nodes.get(COMBINE_NODE)
+
+
+def rest(scene: bpy.types.Scene) -> None:
+    """Pass the render on as it is while the scene's own engine draws the splats, which would lie
+    over themselves."""
+    node, wanted = combine_node(scene), scene.render.engine == NAME
+    if node is not None and node.mute != wanted:
+        node.mute = wanted
+
+
+def take_down(scene: bpy.types.Scene) -> None:
+    """Undo `set_up`: the nodes between the render and what follows, the splats' scene, and what it
+    changed of displays and film. Everything else in the tree stays.
+
+    Raises:
+        ValueError: nothing was set up, or the nodes are linked.
+    """
+    node, other = combine_node(scene), scene.get(SPLAT_SCENE)
+    if node is None and not isinstance(other, bpy.types.Scene):
+        raise ValueError(f"Scene {scene.name} has no compositing of splats to be removed.")
+    tree = compat.compositor_tree(scene)
+    if tree is not None and not tree.is_editable:
+        raise ValueError(f"The compositor's nodes {tree.name} are linked: make them local first.")
+    if node is not None:
+        sources = [link.from_socket for link in node.inputs[0].links]
+        for target in [link.to_socket for link in node.outputs[0].links]:
+            for source in sources:
+                tree.links.new(source, target)
+        tree.nodes.remove(node)
+    if tree is not None and (layers := tree.nodes.get(LAYER_NODE)) is not None:
+        tree.nodes.remove(layers)
+    for ob in filter(is_splats, scene.objects):
+        for modifier in ob.modifiers:
+            if modifier.type == "NODES":
+                modifier.show_render = True
+    scene.render.film_transparent = bool(scene.get(_FILM, scene.render.film_transparent))
+    for name in (SPLAT_SCENE, _FILM):
+        scene.pop(name, None)
+    if isinstance(other, bpy.types.Scene):
+        bpy.data.scenes.remove(other)
 
 
 def on_register() -> None:
     """Follow changes of scenes that were set up."""
     bpy.app.handlers.depsgraph_update_post.append(_after_update)
+    bpy.app.handlers.render_init.append(_after_update)
 
 
 def on_unregister() -> None:
     """Stop following."""
+    bpy.app.handlers.render_init.remove(_after_update)
     bpy.app.handlers.depsgraph_update_post.remove(_after_update)
 
 

@@ -83,10 +83,10 @@ class ComparePhoto(Acting, bpy.types.Operator):
     )
 
     def act(self, context: bpy.types.Context) -> str:
-        """Compare, show the pictures if an image editor is open, and report."""
+        """Compare, show the pictures in an image editor, in a new window if need be, and report."""
         camera = chosen_camera(context, self.camera)
         found = comparing.compare(context.scene, camera, context.evaluated_depsgraph_get())
-        shown = show_image(context, found.images["Comparison"])
+        shown = show_image(context, found.images["Comparison"], new_window=True)
         where = "" if shown else f"; open the image {found.images['Comparison'].name} to see it"
         name, psnr = "PSNR", found.psnr
         if found.psnr_masked is not None:
@@ -114,6 +114,19 @@ class SetUpCompositing(Acting, bpy.types.Operator):
         return f"Rendering {context.scene.name} now includes {made.name}."
 
 
+class RemoveCompositing(Acting, bpy.types.Operator):
+    """Take the splats' scene and the nodes between render and compositor away again"""
+
+    bl_idname = "gscore.remove_compositing"
+    bl_label = "Remove Compositing"
+    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Undo the set-up."""
+        compositor.take_down(context.scene)
+        return f"Rendering {context.scene.name} shows what it did before."
+
+
 def chosen_camera(context: bpy.types.Context, name: str = "") -> bpy.types.Object:
     """The camera called so, else the active object if it is a photo's camera, else the scene's.
 
@@ -136,4 +149,5 @@ CLASSES = (
     UsePhotoColors,
     ComparePhoto,
     SetUpCompositing,
+    RemoveCompositing,
 )

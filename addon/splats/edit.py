@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from .. import attributes
+from .. import attributes, compat
 from ..cameras.objects import local_matrix
 from ..nodes import display
 from . import filters, objects
@@ -109,15 +109,20 @@ def select(ob: bpy.types.Object, *, hidden: bool) -> int:
 def add_crop_box(context: bpy.types.Context, ob: bpy.types.Object) -> bpy.types.Object:
     """Make a wire box around most of the splats, and crop the object by it.
 
-    The box is a child of the splats; move, turn and scale it.
+    The box stands upright in Blender's world, whichever way the splats are turned, and moves along
+    with them as their child; move, turn and scale it.
 
     Raises:
-        ValueError: missing attributes or no splats.
+        ValueError: Edit Mode, missing attributes or no splats.
     """
+    if ob.mode == "EDIT":
+        raise ValueError(f"{ob.name} is in Edit Mode: leave it before a crop box is added.")
     means = attributes.column(ob.data, attributes.POSITION) if len(ob.data.vertices) else ()
     if not len(means):
         raise ValueError(f"{ob.name} has no splats to put a box around.")
-    low, high = np.quantile(means, [_CROP_QUANTILE, 1 - _CROP_QUANTILE], axis=0)
+    world = compat.matrix_to_numpy(ob.matrix_world)
+    placed = means @ world[:3, :3].T + world[:3, 3]
+    low, high = np.quantile(placed, [_CROP_QUANTILE, 1 - _CROP_QUANTILE], axis=0)
     mesh = bpy.data.meshes.new("Crop")
     corners = [(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
     faces = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
@@ -125,6 +130,7 @@ def add_crop_box(context: bpy.types.Context, ob: bpy.types.Object) -> bpy.types.
     box = bpy.data.objects.new("Crop", mesh)
     box.display_type, box.hide_render = "WIRE", True
     box.parent = ob
+    box.matrix_parent_inverse = ob.matrix_world.inverted_safe()
     box.location = (low + high) / 2
     box.scale = np.maximum((high - low) / 2, 1e-6)
     for collection in ob.users_collection or (context.collection,):

@@ -109,6 +109,15 @@ def is_splats(ob: bpy.types.Object | None) -> bool:
     return ob is not None and ob.type == "MESH" and ob.get("gs_kind") == KIND
 
 
+def meant(context: bpy.types.Context) -> bpy.types.Object | None:
+    """The splat object that a user works on: the active one, or the one that the active crops."""
+    active = context.object
+    if active is None or is_splats(active):
+        return active
+    obs = (ob for ob in context.scene.objects if is_splats(ob))
+    return next((ob for ob in obs if ob.gscore.crop_object == active), None)
+
+
 def can_export(ob: bpy.types.Object | None) -> bool:
     """Whether an object holds splats of its own: ours, or a point cloud with Blender's attributes.
 

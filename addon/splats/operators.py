@@ -10,9 +10,9 @@ from bpy_extras.io_utils import ExportHelper, ImportHelper
 from ..cameras.objects import root_of
 from ..compat import native_splat_type
 from ..core import SPLAT_ENDINGS, GsError, collected_warnings
-from ..interface.operators import Acting
-from . import edit, files, native, settings
-from .objects import can_export, is_splats
+from ..interface.operators import Acting, make_active
+from . import edit, even_scale, files, native, settings
+from .objects import can_export, is_splats, meant
 
 _GLOB = ";".join(f"*{ending}" for ending in SPLAT_ENDINGS)
 _ENDINGS = [
@@ -41,15 +41,15 @@ _WORLDS = [
 ]
 
 
-class _OnSplats(Acting):
-    """Works on the active splat object."""
+class OnSplats(Acting):
+    """Works on the active splat object, or on the one that the active object crops."""
 
     bl_options: ClassVar = {"REGISTER", "UNDO"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Whether the active object is a splat object."""
-        if is_splats(context.object):
+        if is_splats(meant(context)):
             return True
         cls.poll_message_set("Select a splat object: import a splat PLY or train one")
         return False
@@ -184,7 +184,7 @@ def _chosen(context: bpy.types.Context, collection: str) -> list[bpy.types.Objec
     return list(dict.fromkeys(ob for ob in obs if can_export(ob)))
 
 
-class ApplyFilters(_OnSplats, bpy.types.Operator):
+class ApplyFilters(OnSplats, bpy.types.Operator):
     """Delete the splats that the display filters hide, then reset the filters"""
 
     bl_idname = "gscore.apply_filters"
@@ -192,11 +192,12 @@ class ApplyFilters(_OnSplats, bpy.types.Operator):
 
     def act(self, context: bpy.types.Context) -> str:
         """Delete."""
-        count = edit.apply_filters(context.object)
-        return f"Deleted {count:,} splats, {len(context.object.data.vertices):,} left."
+        ob = meant(context)
+        count = edit.apply_filters(ob)
+        return f"Deleted {count:,} splats, {len(ob.data.vertices):,} left."
 
 
-class ResetFilters(_OnSplats, bpy.types.Operator):
+class ResetFilters(OnSplats, bpy.types.Operator):
     """Show all splats again"""
 
     bl_idname = "gscore.reset_filters"
@@ -204,11 +205,11 @@ class ResetFilters(_OnSplats, bpy.types.Operator):
 
     def act(self, context: bpy.types.Context) -> str:
         """Reset."""
-        settings.reset_filters(context.object)
+        settings.reset_filters(meant(context))
         return ""
 
 
-class SelectSplats(_OnSplats, bpy.types.Operator):
+class SelectSplats(OnSplats, bpy.types.Operator):
     """Select splats by what the display filters hide, in Edit Mode"""
 
     bl_idname = "gscore.select_splats"
@@ -225,16 +226,15 @@ class SelectSplats(_OnSplats, bpy.types.Operator):
 
     def act(self, context: bpy.types.Context) -> str:
         """Select, and enter Edit Mode on vertices."""
-        ob = context.object
+        ob = meant(context)
         if ob.mode == "EDIT":
             bpy.ops.object.mode_set(mode="OBJECT")
         count = edit.select(ob, hidden=self.which == "HIDDEN")
-        context.tool_settings.mesh_select_mode = (True, False, False)
-        bpy.ops.object.mode_set(mode="EDIT")
+        edit_vertices(context, ob)
         return f"Selected {count:,} splats."
 
 
-class AddCropBox(_OnSplats, bpy.types.Operator):
+class AddCropBox(OnSplats, bpy.types.Operator):
     """Add a wire box around most of the splats and show only those inside; move and scale it"""
 
     bl_idname = "gscore.add_crop_box"
@@ -242,11 +242,11 @@ class AddCropBox(_OnSplats, bpy.types.Operator):
 
     def act(self, context: bpy.types.Context) -> str:
         """Add."""
-        edit.add_crop_box(context, context.object)
+        make_active(context, edit.add_crop_box(context, meant(context)))
         return ""
 
 
-class ApplySplatTransform(_OnSplats, bpy.types.Operator):
+class ApplySplatTransform(OnSplats, bpy.types.Operator):
     """Apply location, rotation and even scale to the splats, with their orientations and colors"""
 
     bl_idname = "gscore.apply_splat_transform"
@@ -254,11 +254,24 @@ class ApplySplatTransform(_OnSplats, bpy.types.Operator):
 
     def act(self, context: bpy.types.Context) -> str:
         """Apply."""
-        edit.apply_transform(context.object)
+        edit.apply_transform(meant(context))
         return ""
 
 
-class ResetDisplay(_OnSplats, bpy.types.Operator):
+class MakeScaleEven(OnSplats, bpy.types.Operator):
+    """Give the object, and what it hangs from, one scale for all axes that keeps the volume: splats
+    cannot be stretched"""
+
+    bl_idname = "gscore.make_scale_even"
+    bl_label = "Make Scale Even"
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Change the scales."""
+        changed = even_scale.make_even(context, meant(context))
+        return f"One scale for all axes: {', '.join(changed)}." if changed else "It is even."
+
+
+class ResetDisplay(OnSplats, bpy.types.Operator):
     """Add the display modifier again after it was removed, or bring it up to date"""
 
     bl_idname = "gscore.reset_display"
@@ -266,11 +279,11 @@ class ResetDisplay(_OnSplats, bpy.types.Operator):
 
     def act(self, context: bpy.types.Context) -> str:
         """Attach."""
-        settings.attach(context.object)
+        settings.attach(meant(context))
         return ""
 
 
-class MakeNativeSplats(_OnSplats, bpy.types.Operator):
+class MakeNativeSplats(OnSplats, bpy.types.Operator):
     """Make Blender's own Gaussian splats of what is shown, as a child that moves along"""
 
     bl_idname = "gscore.make_native_splats"
@@ -286,7 +299,7 @@ class MakeNativeSplats(_OnSplats, bpy.types.Operator):
 
     def act(self, context: bpy.types.Context) -> str:
         """Make."""
-        native.make_native(context.object)
+        native.make_native(meant(context))
         return ""
 
 
@@ -313,10 +326,18 @@ CLASSES = (
     SelectSplats,
     AddCropBox,
     ApplySplatTransform,
+    MakeScaleEven,
     ResetDisplay,
     MakeNativeSplats,
     GSCORE_FH_splats,
 )
+
+
+def edit_vertices(context: bpy.types.Context, ob: bpy.types.Object) -> None:
+    """Enter Edit Mode of an object, and no other, on vertices."""
+    make_active(context, ob)
+    context.tool_settings.mesh_select_mode = (True, False, False)
+    bpy.ops.object.mode_set(mode="EDIT")
 
 
 def _draw_import(self: bpy.types.Menu, context: bpy.types.Context) -> None:

@@ -2,7 +2,7 @@
 of pure functions, most of which say which splats stay."""
 
 from ..importance import importance_of, most_important
-from .clusters import cluster_sizes
+from .clusters import cluster_sizes, reached_from
 from .contribution import contributions
 from .crop import box_matrix, in_frustum, in_unit_shape, sphere_matrix
 from .isolation import isolation_of
@@ -20,6 +20,7 @@ __all__ = [
     "isolation_of",
     "most_important",
     "of_size",
+    "reached_from",
     "similarity_matrix",
     "sphere_matrix",
 ]

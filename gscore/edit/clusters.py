@@ -43,9 +43,7 @@ def cluster_sizes(splats: Splats, gap: float) -> np.ndarray:
     grown = size * np.maximum(distances / size, 1)
     ends, owners = _ends(splats, means, gap / 2 * grown)
     places = _near_and_far((np.concatenate([means, ends]) - middle) / size)
-    half = 1 << (_BITS - 1)
-    cells = np.clip(places / gap, 2 - half, half - 2)  # one to spare on each side
-    keys, home = np.unique(_key(np.floor(cells).astype(np.int64) + half), return_inverse=True)
+    keys, home = _cells(places / gap)
     home, of_ends = home[: len(means)], home[len(means) :]
     first, second = _touching(keys)
     labels = _components(
@@ -54,6 +52,38 @@ def cluster_sizes(splats: Splats, gap: float) -> np.ndarray:
         np.concatenate([second, of_ends]),
     )[home]
     return np.bincount(labels, minlength=len(keys))[labels]
+
+
+def reached_from(means: np.ndarray, seeds: np.ndarray, gap: float) -> np.ndarray:
+    """Which places can be reached from others without a gap.
+
+    Space is cut into cells; places in the same cell or in cells that touch, at corners too, belong
+    together.
+
+    Args:
+        means: [N, 3], finite.
+        seeds: [N] bool, where it begins.
+        gap: Side of a cell, units of `means`, above 0.
+
+    Returns:
+        [N] bool, the seeds among them.
+    """
+    if not seeds.any():
+        return np.zeros(len(means), bool)
+    places = means.astype(np.float64)
+    keys, home = _cells((places - np.median(places[seeds], axis=0)) / gap)
+    labels = _components(len(keys), *_touching(keys))[home]
+    found = np.zeros(len(keys), bool)
+    found[labels[seeds]] = True
+    return found[labels]
+
+
+def _cells(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The sorted keys of the cells, of side 1, that hold any of the places [M, 3], and the number
+    [M] of each place's own."""
+    half = 1 << (_BITS - 1)
+    cells = np.clip(places, 2 - half, half - 2)  # one to spare on each side
+    return np.unique(_key(np.floor(cells).astype(np.int64) + half), return_inverse=True)
 
 
 def _ends(splats: Splats, means: np.ndarray, shortest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

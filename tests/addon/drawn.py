@@ -9,14 +9,16 @@ import bpy
 class Layout:
     """Takes the calls of a UILayout that the add-on makes, and checks names as Blender does."""
 
-    def __init__(self, notes: list[str] | None = None) -> None:
+    def __init__(self, notes: list[str] | None = None, fields: list[str] | None = None) -> None:
         self.notes: list[str] = [] if notes is None else notes
         """Texts of labels and bars, names of operators and properties, in order."""
+        self.fields: list[str] = [] if fields is None else fields
+        """What stands in the fields of properties that are called otherwise than their own name."""
         self.enabled = True
         self.scale_y = 1.0
 
     def _part(self, **_: Any) -> "Layout":
-        return Layout(self.notes)
+        return Layout(self.notes, self.fields)
 
     row = column = box = split = _part
 
@@ -29,10 +31,16 @@ class Layout:
         assert 0 <= factor <= 1
         self.notes.append(f"[{factor:.0%}] {text}")
 
-    def prop(self, owner: Any, name: str, **_: Any) -> None:
+    def prop(self, owner: Any, name: str, *, text: str | None = None, **_: Any) -> None:
         """Note a property."""
         assert name in owner.bl_rna.properties, name
+        self.fields += [] if text is None else [text]
         self.notes.append(f"<{name}>")
+
+    def prop_enum(self, owner: Any, name: str, value: str, *, text: str) -> None:
+        """Note a button that sets a choice."""
+        assert value in owner.bl_rna.properties[name].enum_items, value
+        self.notes.append(f"({text})")
 
     def operator(self, name: str, *, text: str | None = None, **_: Any) -> SimpleNamespace:
         """Note a button."""
@@ -49,9 +57,16 @@ class Layout:
 
 def drawn(panel: type) -> str:
     """What a panel shows of the current scene; empty where it does not show."""
-    poll = getattr(panel, "poll", None)
-    if poll is not None and not poll(bpy.context):
-        return ""
-    layout = Layout()
-    panel.draw(SimpleNamespace(layout=layout), bpy.context)
-    return layout.text
+    return _layout(panel).text
+
+
+def labels(panel: type) -> list[str]:
+    """What stands in the fields of a panel that call properties otherwise than their own name."""
+    return _layout(panel).fields
+
+
+def _layout(panel: type) -> Layout:
+    poll, layout = getattr(panel, "poll", None), Layout()
+    if poll is None or poll(bpy.context):
+        panel.draw(SimpleNamespace(layout=layout), bpy.context)
+    return layout

@@ -8,7 +8,7 @@ import pytest
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from gscore.edit import cluster_sizes
+from gscore.edit import cluster_sizes, reached_from
 from gscore.edit.clusters import _components
 from gscore.splats import Splats
 
@@ -103,3 +103,27 @@ def test_components_equal_scipy(edges: int) -> None:
 def test_few_splats(count: int) -> None:
     """Oracle: by hand; copies in one place are one cluster."""
     assert cluster_sizes(small(np.ones((count, 3))), 0.05).tolist() == [count] * count
+
+
+@pytest.mark.parametrize("gap", [0.05, 0.35, 0.45])
+def test_what_is_reached_without_a_gap(gap: float) -> None:
+    """Oracle: scipy's components of the graph of cells that touch, built in the open."""
+    rng = np.random.default_rng(3)
+    means = rng.uniform(-5, 5, (3000, 3)).astype(np.float32)
+    seeds = np.arange(3000) < 2
+    cells = np.floor((means - np.median(means[seeds].astype(np.float64), axis=0)) / gap)
+    touch = np.abs(cells[:, None] - cells[None]).max(axis=2) <= 1
+    labels = connected_components(coo_array(touch))[1]
+    got = reached_from(means, seeds, gap)
+    np.testing.assert_array_equal(got, np.isin(labels, labels[seeds]))
+    assert not reached_from(means, np.zeros(3000, bool), gap).any()
+
+
+def test_two_clouds_with_a_gap_between() -> None:
+    """Oracle: the construction, far from the origin, and cells that close the gap."""
+    rng = np.random.default_rng(4)
+    cloud = rng.uniform(0, 1, (4000, 3))
+    means = np.concatenate([cloud, cloud + np.array([3.0, 0, 0])]) + 1000
+    seeds = np.arange(8000) == 17
+    np.testing.assert_array_equal(reached_from(means, seeds, 0.5), np.arange(8000) < 4000)
+    assert reached_from(means, seeds, 2.5).all()

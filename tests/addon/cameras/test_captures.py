@@ -432,3 +432,23 @@ def test_transforms_json(scene, tmp_path: Path) -> None:
         np.testing.assert_array_equal(own.viewmat, views[own.image].viewmat)
         np.testing.assert_array_equal(own.K, views[own.image].camera.K)
     assert captures.use_camera(bpy.context.scene, made.cameras[0]) == []
+
+
+def test_one_switch_shows_all_photos_of_the_capture(scene, tmp_path: Path) -> None:
+    """Oracle: Blender's own settings of each camera; a camera of the user keeps its own."""
+    write_capture(tmp_path / "odd", np.random.default_rng(0), photos=True)
+    made = captures.import_capture(bpy.context, tmp_path / "odd")
+    own = bpy.data.objects.new("own", bpy.data.cameras.new("own"))
+    scene.collection.objects.link(own)
+    own.data.background_images.new().alpha, own.data.show_background_images = 0.25, True
+    photos = scene.gscore_photos
+    assert (photos.shown, photos.opacity) == (True, 1)
+    photos.shown, photos.opacity = False, 0.5
+    data = [ob.data for ob in made.cameras if ob.data.background_images]
+    assert len(data) > 5
+    assert {(d.show_background_images, d.background_images[0].alpha) for d in data} == {
+        (False, 0.5)
+    }
+    assert own.data.show_background_images and own.data.background_images[0].alpha == 0.25
+    data[0].show_background_images = True  # by hand; the switch then says so
+    assert photos.shown

@@ -1,6 +1,7 @@
 """Oracle: Blender's lists of panels, and the numbers of a run."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -10,16 +11,26 @@ from addon import panels
 from addon.attributes import NO_SPLATS
 from addon.core import PRESETS, Progress, RunInfo, Started
 from addon.job.curve import LossCurve
-from addon.job.session import PAUSED, RunState
+from addon.job.session import FINISHED, PAUSED, RunState
 from addon.panels import progress, result, train
 from addon.splats import objects
+from tests.addon.drawn import drawn
 
 
 def test_panels_come_in_the_order_of_the_work() -> None:
     """Oracle: the order that the product promises."""
     top = [cls for cls in panels.CLASSES if not hasattr(cls, "bl_parent_id")]
     labels = [cls.bl_label for cls in sorted(top, key=lambda cls: cls.bl_order)]
-    assert labels == ["Capture", "Cameras", "Depth", "Train", "Progress", "Result", "Render"]
+    assert labels == [
+        "Now",
+        "Capture",
+        "Cameras",
+        "Depth",
+        "Train",
+        "Progress",
+        "Result",
+        "Render",
+    ]
     assert len({cls.bl_order for cls in top}) == len(top)
     for cls in panels.CLASSES:
         assert cls.is_registered
@@ -165,3 +176,14 @@ def test_the_curve_as_a_picture() -> None:
     assert np.abs(np.polyval(line, np.arange(1, 50)) - heights).max() < 1.0
     assert line[0] == pytest.approx(-97 / 49.5, rel=0.05)
     assert LossCurve().picture(8, 8, last_step=1)[..., 3].max() == 0
+
+
+def test_the_bar_is_on_top_while_a_training_runs(
+    scene: bpy.types.Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: the run's numbers; the panel is gone with the end."""
+    state = running()
+    monkeypatch.setattr(progress, "job", lambda _: SimpleNamespace(state=state))
+    assert f"[25%] Training: {progress.bar_text(state)}" in drawn(progress.NowPanel)
+    state.status = FINISHED
+    assert drawn(progress.NowPanel) == ""

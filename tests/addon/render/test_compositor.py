@@ -5,8 +5,10 @@ import numpy as np
 import pytest
 
 from addon import compat
+from addon.panels.render import RenderPanel
 from addon.render import compositor
 from tests.addon import splat_scenes as lab
+from tests.addon.drawn import drawn
 
 RED, SIZE = (0.9, 0.1, 0.1), (64, 48)
 
@@ -136,6 +138,38 @@ def test_the_view_is_followed(mixed, tmp_path):
     bpy.context.window.scene = other
     message = lab.error_of(lambda: lab.render_exr(tmp_path))
     assert "looks through Camera" in message and "Composite Splats with Meshes" in message
+
+
+def test_it_rests_while_the_splats_engine_renders(mixed, tmp_path):
+    """Oracle: the splats' own picture before the set-up; alpha is not counted twice. Meshes come
+    back with their engine."""
+    mixed.render.film_transparent, mixed.render.engine = True, "GSCORE_SPLATS"
+    soft = lab.add(mixed, lab.blob(60, center=(0, 0, 1.0), size=0.4), "soft")
+    bpy.data.objects.remove(bpy.data.objects["splats"])
+    want = lab.render_exr(tmp_path, "alone")
+    assert want[..., 3].max() > 0.1 and soft.name in mixed.objects
+    mixed.render.engine = "CYCLES"
+    compositor.set_up(mixed)
+    among = lab.render_exr(tmp_path, "among")
+    mixed.render.engine = "GSCORE_SPLATS"
+    np.testing.assert_allclose(lab.render_exr(tmp_path, "resting"), want, atol=1e-4)
+    assert "rests" in drawn(RenderPanel)
+    mixed.render.engine = "CYCLES"
+    np.testing.assert_allclose(lab.render_exr(tmp_path, "again"), among, atol=1e-3)
+
+
+def test_it_can_be_taken_down(mixed, tmp_path):
+    """Oracle: scenes, displays, film, the user's nodes and their links as they were before."""
+    tree = compat.make_compositor_tree(mixed)
+    film = mixed.render.film_transparent = False
+    ends = {(x.from_node.name, x.to_node.name) for x in tree.links}
+    compositor.set_up(mixed)
+    assert bpy.ops.gscore.remove_compositing() == {"FINISHED"}
+    assert {(x.from_node.name, x.to_node.name) for x in tree.links} == ends
+    assert len(bpy.data.scenes) == 1 and mixed.render.film_transparent == film
+    assert all(m.show_render for m in bpy.data.objects["splats"].modifiers)
+    assert "no compositing" in lab.error_of(bpy.ops.gscore.remove_compositing)
+    lab.render_exr(tmp_path)
 
 
 def test_markers_change_the_camera(mixed, tmp_path):

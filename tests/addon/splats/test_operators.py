@@ -18,9 +18,11 @@ from addon.core import (
     transform_splats,
     write_splats,
 )
-from addon.splats import edit, objects
+from addon.panels import result
+from addon.splats import edit, even_scale, objects
 from addon.splats import native as native_splats
 from addon.splats.filters import visible_mask
+from tests.addon.drawn import drawn, labels
 
 Make = Callable[..., Splats]
 COUNT = 300
@@ -347,6 +349,68 @@ def test_crop_box(ob: bpy.types.Object) -> None:
     np.testing.assert_array_equal(visible_mask(ob), inside)
     bpy.ops.gscore.reset_filters()
     assert ob.gscore.crop_object is None and visible_mask(ob).all()
+
+
+def test_a_crop_box_stands_upright_and_is_at_hand(ob: bpy.types.Object) -> None:
+    """Oracle: the world's axes, for splats that an import and a user turned; Blender's selection;
+    the filters' operators work on the splats while the box is active."""
+    ob.rotation_euler, ob.scale = (0.4, 0.7, -0.2), (3, 3, 3)
+    bpy.context.view_layer.update()
+    bpy.ops.gscore.add_crop_box()
+    box = ob.gscore.crop_object
+    turn = np.array(box.matrix_world.to_3x3())
+    np.testing.assert_allclose(turn - np.diag(np.diag(turn)), 0, atol=1e-5)
+    assert bpy.context.object == box and bpy.context.selected_objects == [box]
+    assert 0.8 * COUNT < visible_mask(ob).sum() < COUNT
+    assert objects.meant(bpy.context) == ob == result.shown(bpy.context)
+    assert "(Delete Hidden Splats)" in drawn(result.FiltersPanel)
+    bpy.ops.gscore.select_splats(which="VISIBLE")
+    assert bpy.context.object == ob and ob.mode == "EDIT"
+    bpy.ops.object.mode_set(mode="OBJECT")
+    ob.select_set(False)
+    bpy.context.view_layer.objects.active = box
+    left = int(visible_mask(ob).sum())
+    bpy.ops.gscore.apply_filters()
+    assert len(ob.data.vertices) == left
+
+
+@pytest.mark.parametrize("parented", [False, True])
+def test_an_uneven_scale_is_made_even(ob: bpy.types.Object, parented: bool) -> None:
+    """Oracle: the determinant, which is the volume, and that the splats can be read in the world;
+    the mirror stays."""
+    stretched = ob
+    if parented:
+        stretched = bpy.data.objects.new("parent", None)
+        bpy.context.collection.objects.link(stretched)
+        ob.parent, ob.rotation_euler = stretched, (0.3, 0.2, 0.1)
+    stretched.scale = (-1, 2, 4)
+    bpy.context.view_layer.update()
+    with pytest.raises(ValueError, match="scale"):
+        objects.read_world(ob)
+    assert not even_scale.is_even(ob)
+    bpy.ops.gscore.make_scale_even()
+    assert ob.matrix_world.to_3x3().determinant() == pytest.approx(-8, rel=1e-5)
+    objects.read_world(ob)
+    assert even_scale.is_even(ob)
+
+
+def test_a_stretch_that_no_scale_explains_is_refused(ob: bpy.types.Object) -> None:
+    """Oracle: the sentence, and the scale as it was: the stretch lies in the parent's inverse."""
+    parent = bpy.data.objects.new("parent", None)
+    bpy.context.collection.objects.link(parent)
+    ob.parent, ob.matrix_parent_inverse = parent, Matrix.Diagonal((1, 2, 3, 1))
+    ob.scale = (1, 1, 2)
+    bpy.context.view_layer.update()
+    with pytest.raises(RuntimeError, match="Clear Parent Inverse"):
+        bpy.ops.gscore.make_scale_even()
+    assert tuple(ob.scale) == (1, 1, 2)
+
+
+def test_limits_that_are_off_say_so(ob: bpy.types.Object) -> None:
+    """Oracle: 0 means no limit, as the property's description says."""
+    assert {"Maximum Size (off)", "Minimum Opacity (off)"} <= set(labels(result.FiltersPanel))
+    ob.gscore.size_max = 0.5
+    assert "Maximum Size" in labels(result.FiltersPanel)
 
 
 def test_apply_transform(ob: bpy.types.Object) -> None:

@@ -1,0 +1,70 @@
+"""Photos behind their cameras: shown or hidden, and how opaque, for all of a capture at once."""
+
+import bpy
+
+from .lookup import panel_root
+from .objects import cameras_of
+
+
+def _cameras(scene: bpy.types.Scene) -> list[bpy.types.Camera]:
+    """The data of the cameras of the sidebar's capture that have a photo."""
+    root = panel_root(scene)
+    obs = [] if root is None else cameras_of(root)
+    return [ob.data for ob in obs if ob.data.background_images]
+
+
+def show(scene: bpy.types.Scene, shown: bool) -> None:
+    """Show or hide the photos of the sidebar's capture; cameras of others stay as they are."""
+    for camera in _cameras(scene):
+        camera.show_background_images = shown
+
+
+def _get_shown(self: "PhotoSettings") -> bool:
+    return any(camera.show_background_images for camera in _cameras(self.id_data))
+
+
+def _set_shown(self: "PhotoSettings", shown: bool) -> None:
+    show(self.id_data, shown)
+
+
+def _get_opacity(self: "PhotoSettings") -> float:
+    camera = next(iter(_cameras(self.id_data)), None)
+    return 1.0 if camera is None else camera.background_images[0].alpha
+
+
+def _set_opacity(self: "PhotoSettings", opacity: float) -> None:
+    for camera in _cameras(self.id_data):
+        camera.background_images[0].alpha = opacity
+
+
+class PhotoSettings(bpy.types.PropertyGroup):
+    """`Scene.gscore_photos`; kept by the cameras themselves, so that nothing can disagree."""
+
+    shown: bpy.props.BoolProperty(
+        name="Show Photos",
+        description="Show the capture's photos behind their cameras",
+        get=_get_shown,
+        set=_set_shown,
+    )
+    opacity: bpy.props.FloatProperty(
+        name="Opacity",
+        description="Of the photos; below 1 what is behind them shines through",
+        subtype="FACTOR",
+        min=0.0,
+        max=1.0,
+        get=_get_opacity,
+        set=_set_opacity,
+    )
+
+
+CLASSES = (PhotoSettings,)
+
+
+def on_register() -> None:
+    """Make the settings a property of scenes."""
+    bpy.types.Scene.gscore_photos = bpy.props.PointerProperty(type=PhotoSettings)
+
+
+def on_unregister() -> None:
+    """Take the property back."""
+    del bpy.types.Scene.gscore_photos

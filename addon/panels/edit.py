@@ -1,0 +1,47 @@
+"""Editing splats: selections, clean-up, colours, parts."""
+
+from typing import ClassVar
+
+import bpy
+
+from ..splats.objects import is_splats, meant
+from .widgets import TabPanel
+
+
+class EditPanel(TabPanel, bpy.types.Panel):
+    """What is done to splats by hand; each has settings in the panel at the lower left"""
+
+    bl_idname = "GSCORE_PT_edit"
+    bl_label = "Edit Splats"
+    bl_parent_id = "GSCORE_PT_result"
+    bl_options: ClassVar = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """A splat object is active, or what crops one."""
+        return is_splats(meant(context))
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        layout, ob = self.layout, meant(context)
+        if ob.mode == "EDIT" and ob.gscore.display == "SPLATS":  # which cover their vertices
+            layout.prop_enum(ob.gscore, "display", "POINTS", text="Show What Is Selected")
+        layout.label(text="Select", icon="RESTRICT_SELECT_OFF")
+        row = layout.row(align=True)
+        row.operator("gscore.select_by_color", text="Color")
+        row.operator("gscore.select_by_opacity", text="Opacity")
+        row.operator("gscore.select_by_size", text="Size")
+        row = layout.row(align=True)
+        row.operator("gscore.select_in_crop", text="In Crop")
+        row.operator("gscore.select_flood", text="Flood")
+        row.operator("gscore.select_floaters", text="Floaters")
+        layout.label(text="Change", icon="MODIFIER")
+        row = layout.row(align=True)
+        row.operator("gscore.grade_splats", text="Grade")
+        row.operator("gscore.decimate_splats", text="Decimate")
+        row = layout.row(align=True)
+        row.operator("gscore.separate_splats", text="Separate")
+        row.operator("gscore.join_splats", text="Join")
+
+
+CLASSES = (EditPanel,)

@@ -1,0 +1,76 @@
+"""Splats as they were trained, in the 3D view, by one button."""
+
+from typing import ClassVar
+
+import bpy
+import numpy as np
+from mathutils import Vector
+
+from .. import attributes, compat
+from ..cameras import photos
+from ..interface.operators import Acting, make_active
+from ..splats.objects import is_splats, meant
+from .operators import use_engine
+
+_MOST = 0.9
+"""Share of the splats, those nearest to their middle, that a view is turned to: the rest is sky."""
+_ROOM = 2.5
+"""Distance from the middle, in radii of what is framed, at which Blender's usual lens shows it."""
+
+
+def frame_of(ob: bpy.types.Object) -> tuple[np.ndarray, float]:
+    """Middle [3] and radius of most of an object's splats, in Blender's world.
+
+    Raises:
+        ValueError: there are none, or their attributes are out of reach in Edit Mode.
+    """
+    means = attributes.column(ob.data, attributes.POSITION) if len(ob.data.vertices) else ()
+    if not len(means):
+        raise ValueError(f"{ob.name} shows no splats: it has none, or is in Edit Mode.")
+    matrix = compat.matrix_to_numpy(ob.matrix_world)
+    placed = means @ matrix[:3, :3].T + matrix[:3, 3]
+    middle = np.median(placed, axis=0)
+    return middle, float(np.quantile(np.linalg.norm(placed - middle, axis=1), _MOST))
+
+
+class ShowSplats(Acting, bpy.types.Operator):
+    """Show the splats as they were trained: engine, colors and shading are set, photos hidden, and
+    the view is turned to the splats"""
+
+    bl_idname = "gscore.show_splats"
+    bl_label = "Show Splats"
+    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Set all of it."""
+        ob = _wanted(context)
+        middle, radius = frame_of(ob)
+        ob.hide_set(False)
+        ob.hide_viewport = ob.hide_render = False
+        make_active(context, ob)
+        use_engine(context.scene)
+        photos.show(context.scene, False)
+        for area in context.screen.areas if context.screen else ():
+            if area.type == "VIEW_3D":
+                _turn(area.spaces.active, middle, radius)
+        return ""
+
+
+def _wanted(context: bpy.types.Context) -> bpy.types.Object:
+    """The splats that a user works on, else those of the training."""
+    for ob in (meant(context), context.scene.gscore.result):
+        if is_splats(ob) and context.view_layer.objects.get(ob.name) == ob:
+            return ob
+    raise ValueError("This scene shows no splats: train some, or import a splat PLY.")
+
+
+def _turn(space: bpy.types.SpaceView3D, middle: np.ndarray, radius: float) -> None:
+    """Shade a view and look at the splats from where it looks; a camera's view stays its own."""
+    space.shading.type = "RENDERED"
+    region = space.region_3d
+    if region.view_perspective != "CAMERA":
+        region.view_location = Vector(middle)
+        region.view_distance = max(_ROOM * radius, 1e-3)
+
+
+CLASSES = (ShowSplats,)

@@ -1,0 +1,65 @@
+"""Uneven scales, which splats cannot follow: found, and made even."""
+
+import bpy
+import numpy as np
+from mathutils import Vector
+
+from .. import attributes, compat
+from ..core import transform_splats
+
+
+def is_even(ob: bpy.types.Object) -> bool:
+    """Whether an object's matrix is one that splats can follow."""
+    try:
+        transform_splats(attributes.NO_SPLATS, compat.matrix_to_numpy(ob.matrix_world))
+    except ValueError:
+        return False
+    return True
+
+
+def make_even(context: bpy.types.Context, ob: bpy.types.Object) -> list[str]:
+    """Give an object and its parents one scale for all axes, where theirs differ.
+
+    The volume stays, and a side that is scaled to nothing becomes 1; mirrors stay.
+
+    Returns:
+        The names of the objects that were changed.
+
+    Raises:
+        ValueError: the object would be uneven still; nothing is changed then.
+    """
+    if is_even(ob):
+        return []
+    before = {one: (one.scale[:], one.delta_scale[:]) for one in _chain(ob)}
+    for one in before:
+        one.scale, one.delta_scale = _even(one.scale), _even(one.delta_scale)
+    context.view_layer.update()
+    if not is_even(ob):
+        for one, (scale, delta) in before.items():
+            one.scale, one.delta_scale = scale, delta
+        context.view_layer.update()
+        raise ValueError(
+            f"{ob.name} is stretched by something other than its scale or its parents': clear its "
+            "parent (Alt P, Clear Parent Inverse), its constraints or its drivers."
+        )
+    return [one.name for one, old in before.items() if _scales(one) != old]
+
+
+def _scales(ob: bpy.types.Object) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    return ob.scale[:], ob.delta_scale[:]
+
+
+def _chain(ob: bpy.types.Object | None) -> list[bpy.types.Object]:
+    found = []
+    while ob is not None:
+        found.append(ob)
+        ob = ob.parent
+    return found
+
+
+def _even(scale: Vector) -> tuple[float, float, float]:
+    sides = np.array(scale, np.float64)
+    if np.ptp(np.abs(sides)) <= 1e-6 * np.abs(sides).max():
+        return tuple(scale)
+    side = np.cbrt(np.abs(sides).prod()) or 1.0
+    return tuple(np.where(sides < 0, -side, side))

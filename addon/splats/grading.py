@@ -1,0 +1,47 @@
+"""Colours of splats graded: lift, gamma, gain, saturation; needs no bpy."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..core import sh0_to_rgb
+
+_LUMA = np.array([0.2126, 0.7152, 0.0722])
+"""Rec. 709."""
+_MIDDLE = float(sh0_to_rgb(0.0))
+_FACTOR = float(sh0_to_rgb(1.0)) - _MIDDLE
+
+
+@dataclass(frozen=True, kw_only=True)
+class Grade:
+    """What is done, in this order, on sRGB values; a channel each where there are three."""
+
+    lift: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Where black goes; white stays."""
+    gamma: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    """Above 1 brightens the middle; black and white stay."""
+    gain: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    """Where white goes; black stays."""
+    saturation: float = 1.0
+    """0 for grey."""
+
+
+def graded(base: np.ndarray, grade: Grade) -> np.ndarray:
+    """[N, 4] float32: `radiance:base` [N, 4] with other colours, to the bit where nothing is asked.
+
+    View-dependent coefficients add to these colours as they did; values below 0, which a view may
+    lift again, keep their sign.
+    """
+    if grade == Grade():
+        return base.copy()
+    colors = _FACTOR * base[:, :3].astype(np.float64) + _MIDDLE
+    lift, gamma, gain = (np.array(v) for v in (grade.lift, grade.gamma, grade.gain))
+    colors = lift + colors * (1 - lift)
+    if (gamma != 1).any():
+        colors = np.sign(colors) * np.abs(colors) ** (1 / gamma)
+    colors *= gain
+    grey = (colors @ _LUMA)[:, None]
+    colors = grey + (colors - grey) * grade.saturation
+    out = base.copy()
+    out[:, :3] = (colors - _MIDDLE) / _FACTOR
+    return out

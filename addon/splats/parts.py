@@ -1,0 +1,101 @@
+"""Splat objects taken apart and put together, with all that their points carry."""
+
+import bpy
+import numpy as np
+
+from .. import attributes, compat
+from ..core import join_splats
+from . import objects, settings
+
+
+def selected(ob: bpy.types.Object) -> np.ndarray:
+    """[N] bool: the selected vertices of an object that is not in Edit Mode."""
+    found = np.zeros(len(ob.data.vertices), bool)
+    ob.data.vertices.foreach_get("select", found)
+    return found
+
+
+def separate(ob: bpy.types.Object, chosen: np.ndarray) -> bpy.types.Object:
+    """Move splats into an object of their own, with the same place, display and filters.
+
+    Args:
+        ob: A splat object.
+        chosen: [N] bool.
+
+    Raises:
+        ValueError: Edit Mode, a mesh that cannot be written, or none or all are chosen.
+    """
+    objects.check_writable(ob)
+    if chosen.all() or not chosen.any():
+        many = "all" if len(chosen) and chosen.all() else "none"
+        raise ValueError(f"{ob.name}: select some splats to separate; {many} of them are.")
+    other = ob.copy()
+    other.data = ob.data.copy()
+    other.name = other.data.name = f"{ob.name} part"
+    for collection in ob.users_collection:
+        collection.objects.link(other)
+    for one, keep in ((ob, ~chosen), (other, chosen)):
+        attributes.keep(one.data, keep)
+        one.data.update()
+    settings.apply(other)
+    return other
+
+
+def join(ob: bpy.types.Object, others: list[bpy.types.Object]) -> None:
+    """Take the splats of other objects into one, where and as they are seen; the others go.
+
+    SH degrees are filled up. Attributes that are no splat's follow; where an object has none of
+    that name, they are 0.
+
+    Raises:
+        ValueError: there are none, Edit Mode, a mesh that cannot be written, or a matrix that is no
+            similarity; nothing is changed then.
+    """
+    if not others:
+        raise ValueError("Select two or more splat objects; the active one receives the others.")
+    parts = [ob, *others]
+    for one in parts:
+        objects.check_writable(one)
+    if len({bool(one.get(objects.ANTIALIAS)) for one in parts}) > 1:
+        raise ValueError("Some were trained with anti-aliasing and some without: they stay apart.")
+    world = compat.matrix_to_numpy(ob.matrix_world)
+    if not abs(np.linalg.det(world[:3, :3])) > 1e-30:
+        raise ValueError(f"{ob.name} is scaled to nothing: set its scale to 1 first.")
+    to_own = np.linalg.inv(world)
+    matrices = [to_own @ compat.matrix_to_numpy(one.matrix_world) for one in others]
+    moved = [objects.transformed(one, m) for one, m in zip(others, matrices, strict=True)]
+    splats = join_splats([objects.read(ob), *moved])
+    more = _stacked(
+        [attributes.table(one.data) for one in parts], [len(o.data.vertices) for o in parts]
+    )
+    objects.refresh(ob, splats)
+    attributes.put(ob.data, more)
+    ob.data.update()
+    for one in others:
+        data = one.data
+        bpy.data.objects.remove(one)
+        if not data.users:
+            bpy.data.meshes.remove(data)
+
+
+def _stacked(tables: list[list[attributes.Column]], counts: list[int]) -> list[attributes.Column]:
+    """The attributes that are no splat's, of several meshes one after the other."""
+    own = {attributes.POSITION, attributes.SCALE, attributes.ROTATION, attributes.BASE}
+    kinds = {
+        (c.name, c.kind): c.values
+        for table in reversed(tables)
+        for c in table
+        if c.name not in own and not c.name.startswith(attributes.SH)
+    }
+    names = [name for name, _ in kinds]
+    made = []
+    for (name, kind), example in kinds.items():
+        if names.count(name) > 1:
+            raise ValueError(f"The attribute {name} has another type in each object: rename one.")
+        parts = []
+        for table, count in zip(tables, counts, strict=True):
+            values = next((c.values for c in table if c.name == name), None)
+            empty = np.zeros((count, example.shape[1]), example.dtype)
+            parts.append(empty if values is None else values)
+        made.append(attributes.Column(name, kind, np.concatenate(parts)))
+    return made

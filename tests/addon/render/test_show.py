@@ -1,0 +1,51 @@
+"""The button Show Splats. Oracle: Blender's settings, and the splats' places by numpy."""
+
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from addon.cameras import captures
+from addon.render import show
+from tests.addon import splat_scenes as lab
+from tests.addon.captures import write_capture
+
+
+def test_one_button_shows_splats(scene: bpy.types.Scene, tmp_path: Path) -> None:
+    """Oracle: engine, colours, photos, selection and visibility afterwards."""
+    write_capture(tmp_path / "odd", np.random.default_rng(0), photos=True)
+    captures.import_capture(bpy.context, tmp_path / "odd")
+    ob = lab.add(scene, lab.blob())
+    ob.hide_viewport = True
+    scene.gscore.result = ob
+    scene.view_settings.view_transform = "AgX"
+    assert bpy.ops.gscore.show_splats() == {"FINISHED"}
+    assert (scene.render.engine, scene.view_settings.view_transform) == (
+        "GSCORE_SPLATS",
+        "Standard",
+    )
+    assert not scene.gscore_photos.shown and not ob.hide_viewport
+    assert bpy.context.object == ob and bpy.context.selected_objects == [ob]
+
+
+def test_the_frame_holds_most_splats_and_no_sky(scene: bpy.types.Scene) -> None:
+    """Oracle: a ball of known middle and radius, moved and scaled, and one splat far away."""
+    rng = np.random.default_rng(0)
+    splats = lab.blob(1000)
+    ball = rng.normal(size=(1000, 3))
+    splats.means[:] = ball / np.linalg.norm(ball, axis=1, keepdims=True)
+    splats.means[0] = 1e4
+    ob = lab.add(scene, splats)
+    ob.location, ob.scale = (5, 0, -2), (3, 3, 3)
+    bpy.context.view_layer.update()
+    middle, radius = show.frame_of(ob)
+    np.testing.assert_allclose(middle, (5, 0, -2), atol=0.4)
+    np.testing.assert_allclose(radius, 3, atol=0.4)
+
+
+def test_without_splats_it_is_a_sentence(scene: bpy.types.Scene) -> None:
+    """Oracle: what to do about it; an object without splats is named."""
+    assert "import a splat" in lab.error_of(bpy.ops.gscore.show_splats)
+    ob = lab.add(scene, lab.blob(0))
+    bpy.context.view_layer.objects.active = ob
+    assert "shows no splats" in lab.error_of(bpy.ops.gscore.show_splats)

@@ -1,0 +1,254 @@
+"""Splats selected, graded, taken apart and joined. Oracles: numpy on what was written, Blender's
+undo, and pictures of the rasterizer."""
+
+import time
+from collections.abc import Callable
+
+import bpy
+import numpy as np
+import pytest
+
+from addon import attributes
+from addon.attributes import BASE, SCALE
+from addon.core import Splats, join_splats, render, sh0_to_rgb
+from addon.panels.edit import EditPanel
+from addon.splats import filters, objects, parts
+from tests.addon import splat_scenes as lab
+from tests.addon.drawn import drawn
+
+Make = Callable[..., Splats]
+COUNT = 400
+FIELDS = ("means", "quats", "scales", "opacities", "sh0", "shN")
+
+
+@pytest.fixture
+def ob(scene: bpy.types.Scene, make_splats: Make) -> bpy.types.Object:
+    """Splats, active and selected; none of their vertices is."""
+    made = lab.add(scene, make_splats(COUNT))
+    activate(made)
+    choose(made, np.zeros(COUNT, bool))
+    return made
+
+
+def activate(ob: bpy.types.Object, *more: bpy.types.Object) -> None:
+    """Select some objects; the first is active."""
+    for other in bpy.context.selected_objects:
+        other.select_set(False)
+    for other in (ob, *more):
+        other.select_set(True)
+    bpy.context.view_layer.objects.active = ob
+
+
+def choose(ob: bpy.types.Object, chosen: np.ndarray) -> None:
+    """Select vertices."""
+    ob.data.vertices.foreach_set("select", chosen)
+
+
+def chosen(ob: bpy.types.Object) -> np.ndarray:
+    """Which vertices are selected, after leaving Edit Mode, in which selections end."""
+    assert ob.mode == "EDIT"
+    bpy.ops.object.mode_set(mode="OBJECT")
+    return parts.selected(ob)
+
+
+def color_of(ob: bpy.types.Object) -> np.ndarray:
+    """[N, 3] sRGB values."""
+    return np.maximum(sh0_to_rgb(attributes.column(ob.data, BASE)[:, :3]), 0)
+
+
+def test_by_opacity_and_size(ob: bpy.types.Object) -> None:
+    """Oracle: the attributes; modes are set operations."""
+    opacities = attributes.column(ob.data, BASE)[:, 3]
+    bpy.ops.gscore.select_by_opacity(low=0.2, high=0.7)
+    faint = (opacities >= 0.2) & (opacities <= 0.7)
+    np.testing.assert_array_equal(chosen(ob), faint)
+    large = attributes.column(ob.data, SCALE).max(axis=1) >= 0.05
+    assert 0 < (faint & large).sum() < (faint | large).sum() < COUNT
+    none = np.zeros(COUNT, bool)
+    wanted = {"COMMON": faint & large, "ADD": large, "TAKE": none, "SET": large}
+    for mode, mask in wanted.items():
+        bpy.ops.gscore.select_by_size(low=0.05, high=0.0, mode=mode)
+        np.testing.assert_array_equal(chosen(ob), mask, mode)
+
+
+def test_by_color(ob: bpy.types.Object) -> None:
+    """Oracle: distances from the mean of the selected, or from the chosen colour."""
+    with pytest.raises(RuntimeError, match="Select a splat"):
+        bpy.ops.gscore.select_by_color()
+    seeds = np.arange(COUNT) < 2
+    choose(ob, seeds)
+    colors = color_of(ob)
+    bpy.ops.gscore.select_by_color(tolerance=0.3)
+    apart = np.linalg.norm(colors - colors[seeds].mean(axis=0), axis=1)
+    np.testing.assert_array_equal(chosen(ob), apart <= 0.3)
+    bpy.ops.gscore.select_by_color(picked=True, color=(1, 0.5, 0.25), tolerance=0.4)
+    wanted = np.linalg.norm(colors - [1, 0.5, 0.25], axis=1) <= 0.4
+    assert 0 < wanted.sum() < COUNT
+    np.testing.assert_array_equal(chosen(ob), wanted)
+
+
+def test_in_the_crop(ob: bpy.types.Object) -> None:
+    """Oracle: the mask of the filters, and a refusal without a crop object."""
+    with pytest.raises(RuntimeError, match="Add Crop Box"):
+        bpy.ops.gscore.select_in_crop()
+    bpy.ops.gscore.add_crop_box()
+    ob.gscore.crop_object.scale *= 0.5
+    bpy.context.view_layer.update()
+    for shape in ("BOX", "SPHERE"):
+        ob.gscore.crop_shape = shape
+        bpy.ops.gscore.select_in_crop()
+        inside = chosen(ob)
+        np.testing.assert_array_equal(inside, filters.visible_mask(ob))
+        assert 0 < inside.sum() < COUNT
+
+
+def test_flood_and_floaters(scene: bpy.types.Scene) -> None:
+    """Oracle: the construction: two balls, a few splats far from both, and one of the second ball
+    in a colour that no other has."""
+    balls = [lab.blob(300, size=1.0), lab.blob(300, center=(9, 0, 0), size=1.0)]
+    splats = join_splats([*balls, lab.blob(5, center=(50, 0, 0), size=0.1)])
+    splats.sh0[300:600], splats.sh0[400] = 0, 5
+    ob = lab.add(scene, splats)
+    activate(ob)
+    which = np.repeat([0, 1, 2], [300, 300, 5])
+    bpy.ops.gscore.select_floaters(few=50, gap=0.5)
+    np.testing.assert_array_equal(chosen(ob), which == 2)
+    choose(ob, np.arange(605) == 303)
+    bpy.ops.gscore.select_flood(gap=1.0)
+    np.testing.assert_array_equal(chosen(ob), which == 1)
+    choose(ob, np.arange(605) == 303)
+    bpy.ops.gscore.select_flood(gap=1.0, tolerance=0.2)
+    np.testing.assert_array_equal(chosen(ob), (which == 1) & (np.arange(605) != 400))
+
+
+def test_grade(ob: bpy.types.Object) -> None:
+    """Oracle: the formulas in numpy; SH, opacity and what is not selected to the bit; undo."""
+    before, name = objects.read(ob), ob.name
+    some = np.arange(COUNT) % 3 == 0
+    choose(ob, some)
+    bpy.ops.ed.undo_push(message="before")
+    how = {"lift": (0.1, 0, 0), "gamma": (1, 2, 1), "gain": (1, 1, 0.5), "saturation": 0.7}
+    bpy.ops.gscore.grade_splats(**how, only_selected=True)
+    after = objects.read(ob)
+    for field in ("means", "quats", "scales", "opacities", "shN"):
+        np.testing.assert_array_equal(getattr(after, field), getattr(before, field))
+    np.testing.assert_array_equal(after.sh0[~some], before.sh0[~some])
+    want = sh0_to_rgb(before.sh0[some, 0].astype(np.float64))
+    want[:, 0] = 0.1 + 0.9 * want[:, 0]
+    want[:, 1] = np.sign(want[:, 1]) * np.sqrt(np.abs(want[:, 1]))
+    want[:, 2] *= 0.5
+    grey = want @ [[0.2126], [0.7152], [0.0722]]
+    want = grey + 0.7 * (want - grey)
+    np.testing.assert_allclose(sh0_to_rgb(after.sh0[some, 0]), want, atol=2e-6)
+    bpy.ops.ed.undo_push(message="after")
+    bpy.ops.ed.undo()
+    again = objects.read(bpy.data.objects[name])
+    np.testing.assert_array_equal(again.sh0, before.sh0)
+
+
+def test_no_grade_changes_nothing(ob: bpy.types.Object) -> None:
+    """Oracle: the attribute to the bit."""
+    before = attributes.column(ob.data, BASE)
+    bpy.ops.gscore.grade_splats()
+    np.testing.assert_array_equal(attributes.column(ob.data, BASE), before)
+
+
+def test_separate_keeps_everything(ob: bpy.types.Object) -> None:
+    """Oracle: rows of what was there, an attribute of the user among them; from Edit Mode too."""
+    own = ob.data.attributes.new("mine", "INT", "POINT")
+    own.data.foreach_set("value", np.arange(COUNT, dtype=np.int32))
+    ob.gscore.size_max, ob.gscore.display = 0.7, "ELLIPSOIDS"
+    before, some = objects.read(ob), np.arange(COUNT) < 90
+    with pytest.raises(RuntimeError, match="none of them"):
+        bpy.ops.gscore.separate_splats()
+    choose(ob, some)
+    bpy.ops.object.mode_set(mode="EDIT")
+    bpy.ops.gscore.separate_splats()
+    assert ob.mode == "EDIT"
+    bpy.ops.object.mode_set(mode="OBJECT")
+    part = bpy.data.objects[f"{ob.name} part"]
+    for one, mask in ((ob, ~some), (part, some)):
+        got = objects.read(one)
+        for field in FIELDS:
+            np.testing.assert_array_equal(getattr(got, field), getattr(before, field)[mask])
+        values = np.empty(mask.sum(), np.int32)
+        one.data.attributes["mine"].data.foreach_get("value", values)
+        np.testing.assert_array_equal(values, np.flatnonzero(mask))
+    assert (part.gscore.size_max, part.gscore.display) == (ob.gscore.size_max, "ELLIPSOIDS")
+
+
+def test_join_shows_what_was_seen(scene: bpy.types.Scene) -> None:
+    """Oracle: the rasterizer's picture of both in the world before, turned and scaled; their SH
+    degrees differ. An attribute that one of them has is 0 in the other."""
+    one, other = lab.add(scene, lab.blob(200)), lab.add(scene, lab.wall(0.4, (0.9, 0.2, 0.1)))
+    one.location, one.scale = (0.2, 0, 0), (2, 2, 2)
+    other.rotation_euler, other.scale = (0.5, 0.2, 1), (0.5, 0.5, 0.5)
+    mine = other.data.attributes.new("mine", "FLOAT", "POINT")
+    mine.data.foreach_set("value", np.full(len(other.data.vertices), 7, np.float32))
+    bpy.context.view_layer.update()
+    activate(one)
+    with pytest.raises(RuntimeError, match="two or more"):
+        bpy.ops.gscore.join_splats()
+    want = picture(join_splats([objects.read_world(o) for o in (one, other)]))
+    activate(one, other)
+    bpy.ops.gscore.join_splats()
+    bpy.context.view_layer.update()
+    assert [o for o in scene.objects if objects.is_splats(o)] == [one]
+    assert np.ptp(want) > 0.5
+    np.testing.assert_allclose(picture(objects.read_world(one)), want, atol=1e-3)
+    values = np.empty(len(one.data.vertices), np.float32)
+    one.data.attributes["mine"].data.foreach_get("value", values)
+    np.testing.assert_array_equal(values, np.repeat([0, 7], [200, 41 * 41]))
+
+
+def picture(splats: Splats) -> np.ndarray:
+    """[64, 96, 3] from above."""
+    viewmat = np.diag([1.0, -1, -1, 1])
+    viewmat[2, 3] = 4
+    return render(splats, np.array([[90.0, 0, 48], [0, 90, 32], [0, 0, 1]]), viewmat, 96, 64).rgb
+
+
+def test_a_refused_join_changes_nothing(scene: bpy.types.Scene) -> None:
+    """Oracle: counts, and the sentence that names the object."""
+    one, other = (lab.add(scene, lab.blob(20), name) for name in ("one", "other"))
+    other.scale = (1, 2, 3)
+    activate(one, other)
+    with pytest.raises(RuntimeError, match="other cannot be transformed"):
+        bpy.ops.gscore.join_splats()
+    assert len(one.data.vertices) == len(other.data.vertices) == 20
+
+
+@pytest.mark.slow
+def test_a_million_splats(scene: bpy.types.Scene, make_splats: Make) -> None:
+    """Oracle: the clock, processor time; five times what is promised, for machines differ."""
+    ob = lab.add(scene, make_splats(1_000_000))
+    activate(ob)
+    choose(ob, np.arange(1_000_000) < 10)
+    took = {}
+    for name, settings in (
+        ("select_by_color", {}),
+        ("select_by_opacity", {}),
+        ("select_by_size", {}),
+        ("select_flood", {"gap": 0.05}),
+        ("select_floaters", {}),
+        ("grade_splats", {"gain": (1.1, 1, 1)}),
+        ("separate_splats", {}),
+        ("decimate_splats", {"count": 500_000}),
+    ):
+        if ob.mode == "EDIT":
+            bpy.ops.object.mode_set(mode="OBJECT")
+        began = time.process_time()
+        getattr(bpy.ops.gscore, name)(**settings)
+        took[name] = time.process_time() - began
+    assert max(took.values()) < 5, took
+
+
+def test_the_panel_leads_to_what_is_selected(ob: bpy.types.Object) -> None:
+    """Oracle: live splats lie over vertices, other displays do not."""
+    ob.gscore.display = "SPLATS"
+    assert "Show What" not in drawn(EditPanel)
+    bpy.ops.gscore.select_by_opacity()
+    assert "(Show What Is Selected)" in drawn(EditPanel)
+    ob.gscore.display = "POINTS"
+    assert "Show What" not in drawn(EditPanel)
+    bpy.ops.object.mode_set(mode="OBJECT")
