@@ -250,7 +250,8 @@ class Trainer:
         depth_weight = self.depth.weight(index, step) if self.depth else 0.0
         laps.pixels = view.width * view.height
         laps.lap("photo")
-        self.model.settle_for(view, threads=config.threads)
+        for other in indices:  # also for those of other ranks, whose rows are then the same
+            self.model.settle_for(self._view(other, self._factor), threads=config.threads)
         laps.lap("settle")
         opacities, leaf = self._step_opacities(step)
         picture = self._painter.draw(
@@ -544,9 +545,9 @@ class Trainer:
             learns=placing.learns,
         )
 
-    def _view(self, index: int) -> Frustum:
-        """View `index` at full size, from where its camera stands."""
-        view = self._pyramid.view(index)
+    def _view(self, index: int, factor: float = 1.0) -> Frustum:
+        """View `index` with sides divided by `factor`, from where its camera stands."""
+        view = self._pyramid.view(index, factor)
         return view if self.poses is None else replace(view, viewmat=self.poses.of(index))
 
     def _sized(self, index: int, factor: float, *, upcoming: Sequence[int] = ()) -> Sized:
