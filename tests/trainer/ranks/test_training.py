@@ -95,9 +95,9 @@ def test_a_rank_without_the_capture_is_named(capture: Path, tmp_path: Path) -> N
     there, output = tmp_path / "there", tmp_path / "o"
     line = ["-m", "gscore", "train", "-o", output, *SHORT, "--quiet"]
     refused = start([*line, "-s", capture], [*line, "-s", there])
-    assert_refused(refused, f"Rank 1 ({_host()}): {there}", output)
+    assert_refused(refused, f"Rank 1 ({_host()}): There is no folder {there}", output)
     refused = start([*line, "-s", there], [*line, "-s", capture])
-    assert_refused(refused, f"gscore train: error: {there}", output)
+    assert_refused(refused, f"gscore train: error: There is no folder {there}", output)
     shutil.copytree(capture, there)
     assert_fine(start([*line, "-s", capture], [*line, "-s", there]))
 
@@ -121,7 +121,7 @@ def test_a_rank_with_another_photo_is_named(capture: Path, tmp_path: Path) -> No
 @pytest.mark.parametrize("victim", [0, 1])
 def test_a_killed_rank_costs_nothing(capture: Path, tmp_path: Path, victim: int) -> None:
     """Oracle: the PLY of a run that nobody killed, to the bit."""
-    line = ("--iterations", "1500", "--checkpoint-iterations", "100")
+    line = ("--iterations", "800", "--checkpoint-iterations", "100")
     assert_fine(train(capture, tmp_path / "whole", *line))
     output = tmp_path / "killed"
     torchrun = [
