@@ -28,6 +28,7 @@ _DTYPES = {
     for dtype in (torch.float32, torch.float64, torch.int64, torch.int32, torch.uint8)
 }
 _WORLD, _RANK, _LOCAL = "WORLD_SIZE", "RANK", "LOCAL_WORLD_SIZE"
+_RESTARTS = "TORCHELASTIC_RESTART_COUNT"
 _Found = TypeVar("_Found")
 
 
@@ -46,7 +47,7 @@ def world_size() -> int:
 
 def restarted() -> bool:
     """Whether torchrun started this again because a process was lost."""
-    return world_size() >= 1 and _number("TORCHELASTIC_RESTART_COUNT", 0) > 0
+    return world_size() >= 1 and _number(_RESTARTS, 0) > 0
 
 
 def threads_of_rank(cores: int) -> int:
@@ -85,7 +86,12 @@ class Team:
         """Whether the others know that nothing follows."""
         self._dist = dist
         try:
-            dist.init_process_group("gloo", rank=self.rank, world_size=self.size, timeout=_PATIENCE)
+            store = next(dist.rendezvous("env://", timeout=_PATIENCE))[0]
+            # torchrun keeps what ranks said to find each other; after a restart that is of the dead.
+            store = dist.PrefixStore(f"gscore {_number(_RESTARTS, 0)}", store)
+            dist.init_process_group(
+                "gloo", store=store, rank=self.rank, world_size=self.size, timeout=_PATIENCE
+            )
         except (RuntimeError, ValueError) as error:
             where = f"{os.environ.get('MASTER_ADDR', '?')}:{os.environ.get('MASTER_PORT', '?')}"
             raise GsError(
