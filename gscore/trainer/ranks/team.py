@@ -87,7 +87,7 @@ class Team:
         self._dist = dist
         try:
             store = next(dist.rendezvous("env://", timeout=_PATIENCE))[0]
-            # torchrun keeps what ranks said to find each other; after a restart that is of the dead.
+            # torchrun keeps the addresses of ranks that died; each start has a room of its own.
             store = dist.PrefixStore(f"gscore {_number(_RESTARTS, 0)}", store)
             dist.init_process_group(
                 "gloo", store=store, rank=self.rank, world_size=self.size, timeout=_PATIENCE
