@@ -3,6 +3,7 @@
 import contextlib
 import io
 import json
+import re
 import struct
 import sys
 import zlib
@@ -54,6 +55,11 @@ STARTS = {
 """The functions that start processes, from lists of words."""
 LISTENS = ROOT / "gscore" / "live" / "server.py"
 """The only file that opens a port."""
+SPEAKS = ROOT / "gscore" / "trainer" / "ranks" / "team.py"
+"""The only file that speaks with other processes of one training, through torch's own sockets."""
+SPOKEN = {"all_gather", "all_to_all_single", "broadcast"}
+"""What it calls of torch.distributed besides meeting and parting: none that passes pickles, as
+those whose names end in `_object` and torch's RPC do."""
 WRITES = {
     "addon/cameras/export_colmap.py:export_colmap ..core.write_colmap": "the user's choice",
     "addon/cameras/export_transforms.py:export_transforms ..core.atomic_write": "the user's choice",
@@ -163,6 +169,19 @@ import av; av.open(f"file:{path}", "w")
 """Each line opens what it names, and nothing else."""
 
 
+ALLOWED = {
+    LISTENS: {"imports socket"},
+    SPEAKS: {
+        "imports torch.distributed",
+        "names torch.distributed",
+        "names torch.distributed.init_process_group",
+        "names torch.distributed.rendezvous",
+        "names torch.distributed.PrefixStore",
+    },
+}
+"""All that looks dangerous in what is shipped, by file."""
+
+
 def where(path: Path, site: Site) -> str:
     return f"{path.relative_to(ROOT).as_posix()}:{site.function}"
 
@@ -175,9 +194,20 @@ def test_nothing_runs_code_from_files_or_shells_or_opens_ports() -> None:
     for path in SHIPPED:
         source = Source(path.read_text(encoding="utf-8"))
         dangers = [danger.partition(": ")[2] for danger in source.dangers()]
-        assert dangers == (["imports socket"] if path == LISTENS else []), path
+        assert set(dangers) == ALLOWED.get(path, set()), path
         starts |= {where(path, site) for site in source.starts()}
     assert starts == STARTS
+
+
+def test_ranks_pass_no_pickles() -> None:
+    """Oracle: SPOKEN, and what its one import of torch.distributed is called by."""
+    text = SPEAKS.read_text(encoding="utf-8")
+    called = set(re.findall(r"\b_?dist\.(\w+)", text))
+    meeting = {"init_process_group", "destroy_process_group", "is_initialized"}
+    meeting |= {"rendezvous", "PrefixStore"}
+    assert called == SPOKEN | meeting
+    assert text.count("torch.distributed") == 1
+    assert re.search(r"\n {8}import torch\.distributed as dist\n", text), "where it is needed"
 
 
 def test_tools_open_pictures_of_known_formats_alone() -> None:

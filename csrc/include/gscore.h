@@ -260,6 +260,8 @@ typedef struct gs_adam_tensor {
     uint8_t *seen;   /* [N], zero at first; 1: has had a gradient since its last step. Null with GS_ADAM_ALL, as below */
     uint8_t *lag;    /* [N], zero at first; steps skipped */
     double *drift;   /* [GS_ADAM_LAGS], zero at first; what a row that skipped k steps has to make up for */
+    int32_t photos;  /* photos whose gradients this step takes at once: the betas are raised to it. 0 as 1; more with
+                        GS_ADAM_ALL alone. `step` then counts photos, this step's last one included */
 } gs_adam_tensor;
 
 typedef struct gs_adam {

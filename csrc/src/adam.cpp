@@ -39,10 +39,12 @@ struct Tables {
 AdamTensor constants(const gs_adam_tensor &t, const Tables &tables) {
     AdamTensor a = {};
     a.t = t;
-    a.beta1 = float(kBeta1);
-    a.beta2 = float(kBeta2);
-    a.gain1 = float(1 - kBeta1);
-    a.gain2 = float(1 - kBeta2);
+    const bool many = t.photos > 1;
+    const double beta1 = many ? std::pow(kBeta1, t.photos) : kBeta1, beta2 = many ? std::pow(kBeta2, t.photos) : kBeta2;
+    a.beta1 = float(beta1);
+    a.beta2 = float(beta2);
+    a.gain1 = float(1 - beta1);
+    a.gain2 = float(1 - beta2);
     if (t.step > 0) {
         const double eps = double(GS_ADAM_EPS) * root(t.step);
         a.rate = float(double(t.lr) * root(t.step) / bias1(t.step));

@@ -221,6 +221,8 @@ gs_status check_tensor(const gs_adam_tensor &t, int64_t count) {
         return fail(GS_BAD_ARGUMENT, "an array of a tensor is null");
     if (t.mode != GS_ADAM_ALL && (!t.drift || (count > 0 && (!t.seen || !t.lag))))
         return fail(GS_BAD_ARGUMENT, "tensor.seen, lag and drift are needed unless every row moves");
+    if (t.photos < 0 || (t.photos > 1 && t.mode != GS_ADAM_ALL))
+        return fail(GS_BAD_ARGUMENT, "tensor.photos must be at least 0, and at most 1 where rows wait, got %d", t.photos);
     return GS_OK;
 }
 

@@ -24,9 +24,11 @@ from .names_3dgs import add_3dgs_names, translate
 from .no_effect import idle_options
 from .output import check_folder, first_few, print_json
 from .status import wrapped
+from .together import agent, train_together, under_torchrun
 
 if TYPE_CHECKING:  # torch, which training imports, takes seconds to load: --help need not wait
     from ..trainer.files.ended import TrainResult
+    from ..trainer.ranks.team import Team
 
 _HOW = {
     FINISHED: "Finished",
@@ -95,8 +97,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Train and say how it went; returns the exit code."""
+    return train_together(args, _run) if under_torchrun() else _run(args, None)
+
+
+def _run(args: argparse.Namespace, team: "Team | None") -> int:
     result, code = attend(
-        args, lambda show, control: _train(args, show, control), stopped=lambda: _stopped(args)
+        args,
+        lambda show, control: _train(args, show, control, team),
+        stopped=lambda: _stopped(args),
     )
     if result is None:
         return code
@@ -159,7 +167,9 @@ def told_configs(args: argparse.Namespace, show: Show) -> tuple[DataConfig, Trai
     return data, config
 
 
-def _train(args: argparse.Namespace, show: Show, control: Control) -> "TrainResult":
+def _train(
+    args: argparse.Namespace, show: Show, control: Control, team: "Team | None"
+) -> "TrainResult":
     data, config = told_configs(args, show)
     from ..trainer.files.folder import check_writable
     from ..trainer.run import train
@@ -171,7 +181,13 @@ def _train(args: argparse.Namespace, show: Show, control: Control) -> "TrainResu
         show(Warn(message=f"{args.output} holds other files too; they stay: {others}"))
     check_writable(args.output, resume=args.resume, overwrite=args.overwrite)
     data = with_cameras(
-        data, args.output, show, control, allowed=not args.no_sfm, threads=config.threads
+        data,
+        args.output,
+        show,
+        control,
+        # One of many must not: the others need the cameras too.
+        allowed=not (args.no_sfm or team),
+        threads=config.threads,
     )
     with onlookers_of(args, data.source, show, after_the_end=True) as onlookers:
         return train(
@@ -184,6 +200,8 @@ def _train(args: argparse.Namespace, show: Show, control: Control) -> "TrainResu
             overwrite=args.overwrite,
             start_checkpoint=args.start_checkpoint,
             onlookers=onlookers,
+            team=team,
+            agent=agent(),
         )
 
 

@@ -39,6 +39,9 @@ class Slot:
     """Number of this step, from 1."""
     skips: Skips | None = None
     """None: every row takes every step."""
+    photos: int = 1
+    """Whose gradients are taken at once: the betas are raised to it, and `step` counts photos.
+    Rows that skip steps know no more than 1."""
 
 
 def step(slots: Sequence[Slot], radii: Tensor | None, *, threads: int = 0) -> int:
@@ -104,6 +107,7 @@ def _struct(slot: Slot, count: int) -> header.AdamTensorStruct:
         "moment2": slot.moment2,
     }
     struct = arguments.adam_tensor(arrays, count=count, rate=slot.rate, number=slot.step)
+    struct.photos = slot.photos
     skips = slot.skips
     if skips is not None:
         arguments.let_rows_wait(

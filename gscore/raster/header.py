@@ -188,6 +188,7 @@ class AdamTensorStruct(ct.Structure):
         ("seen", _pointer),
         ("lag", _pointer),
         ("drift", _pointer),
+        ("photos", ct.c_int32),
     )
 
 

@@ -2,6 +2,7 @@
 
 import contextlib
 from pathlib import Path
+from typing import Any
 
 from ..config import DataConfig, TrainConfig, flag_of
 from ..config_file import differences, load_config
@@ -75,6 +76,15 @@ class Beginning:
         started from others."""
         found = self._checkpoint
         return found is None or bool(found.session.get("stereo"))
+
+    def facts(self) -> dict[str, Any]:
+        """What others who train along need to begin alike, as JSON values."""
+        found = self._checkpoint
+        return {
+            "taken": self.taken,
+            "stereo": self.wants_stereo,
+            "frame": None if found is None else found.trainer.get("frame"),
+        }
 
     def frame(self, photos: Photos) -> Frame | None:
         """The training world of the steps before; None: there are none, so `photos` make it.

@@ -5,26 +5,23 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from ..config import DataConfig, Switch, TrainConfig
+from ..config_file import to_dict
 from ..control import Control
-from ..datasets import load_dataset
-from ..depth.maps import MapFolder
-from ..errors import BackendError
-from ..events import Event
+from ..errors import GsError
+from ..events import ENDED, Event
 from ..live.onlookers import Onlookers
 from ..metrics import find_lpips, lpips_warnings
 from .beginning import Beginning
-from .depth.setup import prepare_depth
-from .depth.stereo import StereoStart, stereo_start
 from .files.ended import TrainResult
-from .files.folder import open_folder
+from .files.folder import AGENT, RunFolder, open_folder
 from .host.heap import large_pieces_apart
 from .host.state import ordinary_state
-from .photos.loading import load_photos, progress_of
 from .premises import look_over
-from .schedule.enough import enough_steps
+from .prepare import Prepared, memory_in_words, prepare
+from .ranks import orders
+from .ranks.agree import check_equal, check_ready
+from .ranks.team import RankLostError, Team
 from .session import Session
-from .trainer import Trainer
-from .views.judged import judge_photos
 
 
 def train(
@@ -38,6 +35,8 @@ def train(
     overwrite: bool = False,
     start_checkpoint: Path | None = None,
     onlookers: Onlookers | None = None,
+    team: Team | None = None,
+    agent: str = "",
 ) -> TrainResult:
     """Train splats from a capture and write them, their metrics and a report into a folder.
 
@@ -53,6 +52,10 @@ def train(
         overwrite: Replace another run in `output`; files that no training writes stay.
         start_checkpoint: Go on from this checkpoint of another folder.
         onlookers: Those who watch, whose pictures are drawn between steps.
+        team: The processes that train together, where this one is rank 0; the others call
+            `follow`.
+        agent: Of the torchrun that starts this again where a process is lost: kept in the folder
+            until the run has ended, so that it is gone on with then.
 
     Returns:
         How it ended. Stopping by `control` is no error.
@@ -72,84 +75,95 @@ def train(
             emit(beginning.ended.event())
             return beginning.ended
         lpips, lpips_reason = find_lpips(config.lpips, threads=config.threads)
-        photos = load_dataset(data, cancelled=lambda: control.stopping)
-        config, enough = enough_steps(
-            config, photos=len(photos.train), mask_mode=photos.mask_mode, taken=beginning.taken
-        )
-        frame = beginning.frame(photos)
-        if data.depths:
-            MapFolder(photos.source / data.depths)  # refuses a folder that is not there
-        loaded = load_photos(
-            photos,
-            config,
-            splats=beginning.splats,
-            depths=bool(data.depths),
-            announce=not beginning.goes_on,
-            emit=emit,
-            control=control,
-        )
-        photos.content_hash()  # of what is trained on: when it is wanted, files may be others
-        with _memory_in_words():
-            depth = prepare_depth(
-                data, config, photos, on_progress=progress_of("depth maps", config, emit, control)
-            )
-            points = photos.scene.points if depth.points is None else depth.points
-            stereo = StereoStart()
-            if beginning.wants_stereo:
-                telling = progress_of("depth of photos", config, emit, control)
-                stereo = stereo_start(config, photos, points, on_view=telling)
-            exposure, placing = judge_photos(config, photos)
-            trainer = Trainer(
-                config,
-                photos,
-                frame=frame,
-                start=beginning.splats,
-                depth=depth.loss_targets,
-                points=points if stereo.points is None else stereo.points,
-                gains=exposure.gains,
-                placing=placing,
-                photo_cache=loaded.cache,
-            )
+        if team:
+            team.say(orders.begin(beginning.facts(), to_dict(config), to_dict(data)))
+        found = _prepared(beginning, config, data, emit, control, team)
+        with memory_in_words():
             session = Session(
-                trainer,
+                found.trainer,
                 folder,
                 data,
                 emit=emit,
                 control=control,
                 lpips=lpips,
                 lpips_reason=lpips_reason,
-                depth=depth,
-                stereo=stereo,
-                exposure=exposure,
-                placing=placing,
+                depth=found.depth,
+                stereo=found.stereo,
+                exposure=found.exposure,
+                placing=found.placing,
                 onlookers=onlookers,
-                enough=enough,
+                enough=found.enough,
             )
-            beginning.go_on(trainer, session)
-            notes = (*photos.warnings, *loaded.warnings, *look_over(trainer))
+            beginning.go_on(found.trainer, session)
+            notes = (*found.photos.warnings, *found.loaded.warnings, *look_over(found.trainer))
             if overwrite:
                 folder.clear()
             for message in notes:
                 session.warn(message, "capture")
             for message in lpips_warnings(lpips_reason):
                 session.warn(message, "evaluation")
-            for message in depth.warnings:
+            for message in found.depth.warnings:
                 session.warn(message, "depth")
-            if stereo.why and not stereo.added and config.stereo is Switch.ON:
-                session.warn(stereo.why, "stereo")
-            return session.run()
+            if found.stereo.why and not found.stereo.added and config.stereo is Switch.ON:
+                session.warn(found.stereo.why, "stereo")
+            with _kept_for(agent, folder) as end:
+                result = session.run()
+                end(result)
+                return result
+
+
+def _prepared(
+    beginning: Beginning,
+    config: TrainConfig,
+    data: DataConfig,
+    emit: Callable[[Event], None],
+    control: Control,
+    team: Team | None,
+) -> Prepared:
+    """The trainer, where all ranks of the team have made the same."""
+    found, failure = None, None
+    try:
+        found = prepare(
+            config,
+            data,
+            taken=beginning.taken,
+            stereo=beginning.wants_stereo,
+            frame=beginning.frame,
+            start=beginning.splats,
+            emit=emit,
+            control=control,
+            team=team,
+        )
+    except Exception as error:
+        if team is None:
+            raise
+        failure = error
+    if team:
+        check_ready(team, failure)
+    assert found is not None
+    if team:
+        check_equal(team, found.facts())
+    return found
 
 
 @contextmanager
-def _memory_in_words() -> Iterator[None]:
-    """BackendError where memory runs out."""
+def _kept_for(agent: str, folder: RunFolder) -> Iterator[Callable[[TrainResult], None]]:
+    """Keep in the folder whose run it is until the run has ended, or has failed by itself."""
+    ended = False
+
+    def end(result: TrainResult) -> None:
+        nonlocal ended
+        ended = result.reason in ENDED
+
+    if agent:
+        folder.write_text(AGENT, agent)
     try:
-        yield
-    except (MemoryError, RuntimeError) as error:
-        # torch raises a RuntimeError with these words instead of a MemoryError.
-        if not isinstance(error, MemoryError) and "can't allocate memory" not in str(error):
-            raise
-        raise BackendError(
-            "Out of memory; use fewer splats (--max-splats), smaller photos (-r 2), or close "
-            "programs. The last checkpoint is kept."
-        ) from error
+        yield end
+    except RankLostError:
+        raise
+    except GsError:
+        ended = True
+        raise
+    finally:
+        if agent and ended:
+            (folder.path / AGENT).unlink(missing_ok=True)

@@ -134,7 +134,7 @@ class Session:
                 )
                 self._answer()
                 continue
-            began = time.perf_counter()
+            began, before = time.perf_counter(), trainer.steps
             with self._work_kept():
                 result = trainer.step()
             self._meter.update(
@@ -143,6 +143,7 @@ class Session:
                 mse=result.mse,
                 splats=len(trainer.model),
                 seconds=time.perf_counter() - began,
+                photos=max(trainer.steps - before, 1),
                 photo_factor=trainer.photo_factor,
             )
             if self._meter.due():
@@ -369,6 +370,8 @@ class Session:
 
     def _finish(self) -> TrainResult:
         trainer, reason = self._trainer, self._steering.reason
+        if trainer.team:
+            trainer.team.part()
         finished, reason = bool(reason), reason or self._control.stop_reason
         self._answer()  # a snapshot asked for just before the stop
         if trainer.cleared > _MANY_CLEARED * len(trainer.model):

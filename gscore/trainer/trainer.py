@@ -14,7 +14,7 @@ from ..errors import DatasetError, GsError
 from ..live.protocol import Wish
 from ..raster.header import OUT_INVERSE_DEPTH
 from ..raster.loss import image_loss, image_loss_gradient
-from ..raster.memory import empty
+from ..raster.memory import empty, zeros
 from ..raster.painter import Painter, Picture
 from ..raster.request import Frustum, Settings
 from ..scene import PointCloud
@@ -28,6 +28,9 @@ from .host.random import generator_of, uniform
 from .photos.pyramid import AHEAD, Pyramid, Sized, view_of
 from .photos.skips import raster_bits
 from .photos.views import Photos, Sampler
+from .ranks import gradients, losses, orders
+from .ranks.agree import crc_of
+from .ranks.team import Team
 from .rows import bounds, guard
 from .rows.frame import Frame
 from .rows.model import Model, Moments, ShN
@@ -35,6 +38,7 @@ from .rows.near import Nearest
 from .rows.params import splats_of_tensors, tensors_from_splats
 from .rows.start import splats_of_cloud, splats_to_go_on_with
 from .rows.stored import check_tensors, choices, real, whole
+from .schedule.batches import photos_at_once
 from .schedule.plan import Plan
 from .strategy import Change, DrawnView, make_strategy, ops
 from .strategy.contribution import Weights, least, most_in_a_view, mostly_hidden, weights_by_view
@@ -97,13 +101,14 @@ class Trainer:
         gains: PhotoGains | None = None,
         placing: Placing | None = None,
         photo_cache: int | None = None,
+        team: Team | None = None,
     ) -> None:
         """Start from `start` or from `points`, in COLMAP world, or from the points of the capture.
 
         `depth` holds what to supervise depth with; `gains` how photos were exposed, which is
         learnt, None: they are taken as they are; `placing` where training cameras stand, None:
         where the capture has them; `photo_cache` is how many bytes of photos may be kept, None:
-        all.
+        all; `team` are the processes that train together, each of which makes such a trainer.
 
         Raises:
             DatasetError: nothing to train on.
@@ -116,6 +121,8 @@ class Trainer:
             )
         self.config = config
         self.photos = photos
+        self.team = team
+        """Those with whom each step is taken together; None: this process trains alone."""
         self.frame = frame or Frame.of(photos.scene, near=config.near)
         cloud = photos.scene.points if points is None else points
         count = min(len(cloud), config.max_splats) if start is None else len(start)
@@ -155,12 +162,13 @@ class Trainer:
         self._pruned = 0
         self._painter = Painter()
         self._v_rgb = empty(0)
+        self._v_shN = empty(0)
         self.laps = Laps()
         """What the parts of the last step took."""
         self._cameras = self.frame.similarity.cameras_to_training(photos.scene.cameras)
         if placing is not None and placing.viewmats is not None:
             self.poses = self._poses_of(placing)
-        self._v_viewmat = empty(4, 4)
+        self._v_viewmat = zeros(4, 4)
         self._pyramid = Pyramid(photos, self._cameras, near=self.frame.near, limit=photo_cache)
         cloud = replace(cloud, points=self.frame.similarity.points_to_training(cloud.points))
         near = Nearest(cloud.points, asked=count)
@@ -202,30 +210,48 @@ class Trainer:
     def step(self) -> StepResult:
         """Render a view, compare it with the photo, improve the splats.
 
+        A team takes as many views at once as it has ranks, each rank another one, and `steps` goes
+        up by as many. Rank 0 calls for the step; the others, who heard that, call this too.
+
         Raises:
             GsError: the loss was not finite for many steps, or once under `detect_anomaly`.
             DatasetError, FormatError: a photo that is not kept in memory is missing, damaged or
-                another one than it was; the step was not begun.
+                another one than it was, on any rank; the step was not begun.
+            RankLostError: another process is gone.
         """
-        step, config, model = self.steps + 1, self.config, self.model
+        if self.team is None:
+            return self._step(1)
+        self.team.say(orders.step(self.plan.iterations, self.rate_factor))
+        with self.team.stepping():
+            return self._step(self._photos_at_once(self.team))
+
+    def _step(self, count: int) -> StepResult:
+        """A step that takes `count` views at once, on this rank one of them."""
+        step, config, model = self.steps + count, self.config, self.model
         laps = self.laps = Laps()
         self._widen_to(self.plan.sh_degree_at(step))
-        index = self.sampler.next(self.generator)
+        indices = [self.sampler.next(self.generator) for _ in range(count)]
+        # A rank that has no view in a batch looks at another's and keeps what it finds to itself.
+        place = min(self.team.rank, count - 1) if self.team else 0
+        index = indices[place]
         # A run that becomes longer does not go back to smaller photos.
         self._factor = min(self._factor, self.plan.factor_at(step))
         try:
             view, image, mask, tiles, counted = self._sized(
-                index, self._factor, upcoming=self.sampler.upcoming(AHEAD)
+                index, self._factor, upcoming=self._upcoming()
             )
-        except GsError:  # nothing was done, so that a checkpoint can be written and gone on from
-            self.sampler.put_back()
+        except GsError as error:  # nothing was done, so that a checkpoint can be gone on from
+            self.sampler.put_back(count)
+            if self.team:
+                losses.fail(self.team, error)
             raise
-        background = self._step_background()
+        background = [self._step_background() for _ in range(count)][place]
         gain = None if self.gains is None else self.gains.of(index)
         depth_weight = self.depth.weight(index, step) if self.depth else 0.0
         laps.pixels = view.width * view.height
         laps.lap("photo")
-        self.model.settle_for(view, threads=config.threads)
+        for other in indices:  # also for those of other ranks, whose rows are then the same
+            self.model.settle_for(self._view(other, self._factor), threads=config.threads)
         laps.lap("settle")
         opacities, leaf = self._step_opacities(step)
         picture = self._painter.draw(
@@ -258,35 +284,46 @@ class Trainer:
         value, mse = loss.loss, _of_counted(loss.mse, counted)
         more, v_alpha, v_inverse_depth = self._further_terms(index, picture, mask, depth_weight)
         value += more
+        values, errors = [value], [mse]
+        if self.team:
+            try:
+                values, errors = losses.of_all(self.team, value, mse, photos=count, mark=self._mark)
+            except DatasetError:
+                self.sampler.put_back(count)
+                raise
+        value, mse = sum(values) / count, sum(errors) / count
         self.steps = step
         laps.lap("loss")
         if config.detect_anomaly and not math.isfinite(value):
             guard.assert_finite(model, value, step=step, view=self._cameras.names[index])
         # What breaks a loss is often a splat that ran away; the next views do without it.
-        lost_rows = 0 if math.isfinite(value) and mse < _ABSURD_MSE else self._hold()
+        sane = math.isfinite(value) and all(found < _ABSURD_MSE for found in errors)
+        lost_rows = 0 if sane else self._hold()
         if lost_rows or not math.isfinite(value):
             return self._skip(value, mse, lost_rows)
         self._skipped = 0
         pose_rate = self._pose_rate_at(step)
         v_means2d = self._painter.gradients(
-            model.grads,
+            self._into(),
             self._v_rgb,
             v_alpha,
             v_inverse_depth,
             viewmat=self._v_viewmat if pose_rate else None,
         )
-        if pose_rate and self.poses is not None:
-            self.poses.learn(index, self._v_viewmat, self.rate_factor * pose_rate)
         if leaf is not None:
             grad = model.grads["opacities"]
             grad.copy_(torch.autograd.grad(opacities, leaf, grad)[0])
         laps.lap("gradients")
-        if gain is not None:
-            self._learn_gain(index, gain, background, loss.v_log_gain, picture.alpha)
+        v_log_gain = loss.v_log_gain
+        if gain is not None and self.photos.mask_mode == "composite":
+            v_log_gain = without_background(
+                v_log_gain, background, gain, self._v_rgb, picture.alpha
+            )
+        self._learn_of_photos(indices, v_log_gain, pose_rate)
         laps.raster = self._painter.stats()
         if config.detect_anomaly:
             guard.assert_finite(model, value, step=step, view=self._cameras.names[index])
-        change, bad_rows = self._learn(step, v_means2d, view)
+        change, bad_rows = self._learn(step, v_means2d, view, count)
         self.bad_rows += bad_rows
         change = self._prune(change)
         laps.lap("learn")
@@ -432,7 +469,7 @@ class Trainer:
 
     def restore(self, state: dict[str, Any], tensors: dict[str, torch.Tensor]) -> None:
         """Go on from what `state` and `tensors` of another trainer with this config returned; the
-        tensors are taken over.
+        tensors are taken over. Rank 0 hands both to all others of its team.
 
         The length of the run is that of the config, unless a time budget leaves it open.
 
@@ -440,6 +477,9 @@ class Trainer:
             ValueError, KeyError: they are not what those return.
         """
         check_tensors(tensors, self.model)
+        if self.team and self.team.leads:
+            self.team.say(orders.restore(state))
+            self.team.share(tensors)
         length = self.config.iterations
         if self.config.time_budget:
             length = whole("iterations", state.get("iterations", length), low=1)
@@ -505,9 +545,9 @@ class Trainer:
             learns=placing.learns,
         )
 
-    def _view(self, index: int) -> Frustum:
-        """View `index` at full size, from where its camera stands."""
-        view = self._pyramid.view(index)
+    def _view(self, index: int, factor: float = 1.0) -> Frustum:
+        """View `index` with sides divided by `factor`, from where its camera stands."""
+        view = self._pyramid.view(index, factor)
         return view if self.poses is None else replace(view, viewmat=self.poses.of(index))
 
     def _sized(self, index: int, factor: float, *, upcoming: Sequence[int] = ()) -> Sized:
@@ -545,21 +585,24 @@ class Trainer:
             return background
         return behind(background, gain)
 
-    def _learn_gain(
-        self,
-        index: int,
-        gain: torch.Tensor,
-        background: tuple[float, float, float],
-        v_log_gain: tuple[float, float, float],
-        alpha: torch.Tensor,
+    def _learn_of_photos(
+        self, indices: Sequence[int], v_log_gain: tuple[float, float, float], pose_rate: float
     ) -> None:
-        config = self.config
-        assert self.gains is not None
-        if self.photos.mask_mode == "composite":
-            v_log_gain = without_background(v_log_gain, background, gain, self._v_rgb, alpha)
-        first, last = config.exposure_lr, config.exposure_lr_final
-        rate = rate_at(first, last, self.steps / self.plan.iterations)
-        self.gains.learn(index, v_log_gain, self.rate_factor * rate)
+        """Let gains and poses take their steps, photo by photo of the batch; the derivatives in
+        them are those of this rank's photo."""
+        poses = self.poses if pose_rate else None
+        if poses is None and self.gains is None:
+            return
+        mine = [*v_log_gain, *self._v_viewmat.flatten().tolist()]
+        found = self.team.numbers(mine) if self.team else np.array([mine])
+        first, last = self.config.exposure_lr, self.config.exposure_lr_final
+        gain_rate = rate_at(first, last, self.steps / self.plan.iterations)
+        for index, numbers in zip(indices, found, strict=False):
+            if poses is not None:
+                v_viewmat = torch.from_numpy(numbers[3:].astype(np.float32).reshape(4, 4))
+                poses.learn(index, v_viewmat, self.rate_factor * pose_rate)
+            if self.gains is not None:
+                self.gains.learn(index, numbers[:3].tolist(), self.rate_factor * gain_rate)
 
     def _step_opacities(self, step: int) -> tuple[torch.Tensor, torch.Tensor | None]:
         """The opacities that this step draws, and, where they are not the model's own, the leaf
@@ -575,10 +618,58 @@ class Trainer:
         """The degree in use; that of given splats from the start."""
         return max(self.plan.sh_degree_at(step), self._given_degree)
 
-    def _rest_at(self, step: int) -> ShN:
+    def _rates_at(self, step: int, count: int) -> dict[str, float]:
+        """Learning rates but that of positions, of a step that takes `count` photos at once: their
+        root (Zhao et al. 2024, Grendel-GS). The rate of the higher SH coefficients, which take
+        `shN_every` photos at once anyway, is that of as many."""
+        factors = dict.fromkeys(self.plan.rates, math.sqrt(count))
+        factors["shN"] = math.sqrt(max(count / self.plan.shN_every, 1.0))
+        rates = self.plan.rates_at(step)
+        return {name: self.rate_factor * rate * factors[name] for name, rate in rates.items()}
+
+    def _rest_at(self, step: int, count: int) -> ShN:
         if self._sh_degree_at(step) == 0:
             return ShN.OFF
-        return ShN.STEP if self.plan.rest_moves_at(step) else ShN.GATHER
+        return ShN.STEP if self.plan.rest_moves_at(step, count) else ShN.GATHER
+
+    def _photos_at_once(self, team: Team) -> int:
+        plan, config = self.plan, self.config
+        return photos_at_once(
+            team.size,
+            self.steps,
+            every=(
+                *(plan.refine_every, plan.reset_every, plan.kept_every),
+                *(config.snapshot_every, _HOLD_EVERY),
+            ),
+            marks=(
+                *config.save_iterations,
+                *config.test_iterations,
+                *config.checkpoint_iterations,
+            ),
+            end=plan.iterations,
+        )
+
+    def _upcoming(self) -> list[int]:
+        """Views that this rank will need, as far as they are drawn already."""
+        if self.team is None:
+            return self.sampler.upcoming(AHEAD)
+        size = self.team.size
+        return self.sampler.upcoming(AHEAD * size)[self.team.rank :: size]
+
+    def _into(self) -> dict[str, torch.Tensor]:
+        """Where the gradients of this rank's photo go: a team adds them up before they are the
+        model's, where those of shN have gathered."""
+        if self.team is None:
+            return self.model.grads
+        shN = self.model.grads["shN"]
+        if self._v_shN.shape != shN.shape:
+            self._v_shN = empty(*shN.shape)
+        return self.model.grads | {"shN": self._v_shN.zero_()}
+
+    @property
+    def _mark(self) -> float:
+        """A number of the splats, where a team compares them: as often as they are held."""
+        return float(crc_of(self.model.params)) if self.steps % _HOLD_EVERY == 0 else 0.0
 
     def _step_background(self) -> tuple[float, float, float]:
         mode = self.config.background
@@ -626,19 +717,27 @@ class Trainer:
         self.lost_rows += lost
         return lost
 
-    def _learn(self, step: int, v_means2d: torch.Tensor, view: Frustum) -> tuple[Change, int]:
+    def _learn(
+        self, step: int, v_means2d: torch.Tensor, view: Frustum, count: int
+    ) -> tuple[Change, int]:
         """Step with the model's gradients; what changed, and how many rows were left out."""
         model, radii = self.model, self._painter.radii
-        self.strategy.shape_gradients(model)
+        counters = gradients.counters_of(model) if self.team else model.rows
         drawn = DrawnView(
             step=step, radii=radii, v_means2d=v_means2d, width=view.width, height=view.height
         )
-        self.strategy.observe(model, drawn)
-        means_lr = self.rate_factor * self.plan.means_lr_at(step)
-        rates = {name: self.rate_factor * rate for name, rate in self.plan.rates_at(step).items()}
-        model.set_rates(rates | {"means": means_lr})
+        self.strategy.observe(counters, drawn)
+        if self.team:
+            radii = gradients.add_up(
+                self.team, model, radii=radii, v_shN=self._v_shN, counters=counters, photos=count
+            )
+        self.strategy.shape_gradients(model)
+        means_lr = self.rate_factor * self.plan.means_lr_at(step) * math.sqrt(count)
+        model.set_rates(self._rates_at(step, count) | {"means": means_lr})
         shown = None if Skip.UNSEEN_SH in self.config.without else radii
-        bad_rows = model.step(shown, shN=self._rest_at(step), threads=self.config.threads)
+        bad_rows = model.step(
+            shown, shN=self._rest_at(step, count), photos=count, threads=self.config.threads
+        )
         if self.plan.refines_at(step):
             self._painter.release()
         removed = self._clear(step) + self._unveil(step)

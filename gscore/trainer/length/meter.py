@@ -41,7 +41,7 @@ class Meter:
         self._pace = pace
         self._budget = budget
         self._planned = 0.0
-        self._recent: deque[tuple[float, float]] = deque(maxlen=_WINDOW)
+        self._recent: deque[tuple[float, float, int]] = deque(maxlen=_WINDOW)
         self._last_event = -math.inf
 
     @property
@@ -62,14 +62,15 @@ class Meter:
         mse: float,
         splats: int,
         seconds: float,
+        photos: int = 1,
         photo_factor: float = 1.0,
     ) -> None:
-        """Take note of a step that took `seconds`, on photos whose sides were divided by
-        `photo_factor`."""
+        """Take note of a step that took `seconds`, on so many photos at once, whose sides were
+        divided by `photo_factor`."""
         self.train_seconds += seconds
-        planned = self._cost.seconds_at(step, self._splats)
+        planned = self._cost.seconds_at(step, self._splats) * photos
         self._planned += planned
-        self._recent.append((seconds, planned))
+        self._recent.append((seconds, planned, photos))
         self._step, self._splats = step, splats
         if math.isfinite(loss) and math.isfinite(mse):
             # A mean over the first steps, then an exponential one over about _WINDOW.
@@ -79,7 +80,7 @@ class Meter:
             self._loss = loss if first else self._loss + weight * (loss - self._loss)
             self._mse = mse if first else self._mse + weight * (mse - self._mse)
         every = max(1, self.plan.iterations // _HISTORY)
-        if step % every == 0 or step == self.plan.iterations:
+        if step // every > (step - photos) // every or step == self.plan.iterations:
             fields = vars(self.progress())
             row = {key: _finite(fields[key]) for key in _HISTORY_FIELDS}
             self.history.append(row | {"photo_factor": photo_factor})
@@ -99,18 +100,18 @@ class Meter:
         return self._cost.seconds_after(self._step, self._splats)
 
     def _pace_before(self, left: float) -> float:
-        planned = sum(planned for _, planned in self._recent)
+        planned = sum(planned for _, planned, _ in self._recent)
         if not planned:
             return self._pace
-        found = sum(seconds for seconds, _ in self._recent) / planned
+        found = sum(seconds for seconds, _, _ in self._recent) / planned
         trust = min(self._planned / (_TRUSTED * (self._planned + left)), 1.0)
         return self._pace + trust * (found - self._pace)
 
     def progress(self, *, phase: str = "") -> Progress:
         """Where the run stands."""
-        spent = sum(seconds for seconds, _ in self._recent)
+        spent = sum(seconds for seconds, _, _ in self._recent)
         left = self._planned_left()
-        rate = len(self._recent) / spent if spent > 0 else 0.0
+        rate = sum(photos for _, _, photos in self._recent) / spent if spent > 0 else 0.0
         return Progress(
             step=self._step,
             iterations=self.plan.iterations,

@@ -30,8 +30,6 @@ _FADES = 1000
 _HEALTHY = 1.2
 """A state is worth going back to while the error is at most this times its best."""
 _GOOD_KEPT = 2
-_GOOD_EVERY = 500
-"""Steps between two states to go back to, at least; a tenth of long runs."""
 
 
 class Watchdog:
@@ -91,8 +89,7 @@ class Watchdog:
 
     def worth_keeping(self, step: int) -> bool:
         """Whether the state after `step` should be kept to go back to."""
-        every = max(_GOOD_EVERY, self.plan.iterations // 10)
-        if step % every or step < self._quiet_until or self._spoilt > 0.1:
+        if step % self.plan.kept_every or step < self._quiet_until or self._spoilt > 0.1:
             return False
         return self._count >= _WINDOW and self._error <= _HEALTHY * self._best
 

@@ -85,28 +85,28 @@ class Pyramid:
             self._kept[index] = found
             self._nbytes += nbytes
 
-    def view(self, index: int) -> Frustum:
-        """View `index` at full size."""
+    def view(self, index: int, factor: float = 1.0) -> Frustum:
+        """View `index` with sides divided by `factor` >= 1, K exact for the rounded size."""
         cameras = self._cameras
-        size = int(cameras.widths[index]), int(cameras.heights[index])
-        return view_of(cameras.viewmats[index], cameras.Ks[index], *size, self._near)
-
-    def _scaled(self, index: int, factor: float) -> Sized:
-        photos, cameras = self._photos, self._cameras
-        image, mask = photos.image(index), photos.mask(index)
         old = int(cameras.widths[index]), int(cameras.heights[index])
         new = max(1, round(old[0] / factor)), max(1, round(old[1] / factor))
-        if new != old:
+        K = scale_intrinsics(cameras.Ks[index], old, new) if new != old else cameras.Ks[index]
+        return view_of(cameras.viewmats[index], K, *new, self._near)
+
+    def _scaled(self, index: int, factor: float) -> Sized:
+        photos = self._photos
+        image, mask = photos.image(index), photos.mask(index)
+        view = self.view(index, factor)
+        new = view.width, view.height
+        if new != (image.shape[1], image.shape[0]):
             if mask is None:
                 image = resize(image, *new)
             else:  # colours that the mask hides do not bleed in
                 both = resize(np.dstack([image, mask]), *new)
                 image = np.ascontiguousarray(both[..., :3])
                 mask = np.ascontiguousarray(both[..., 3])
-        K = scale_intrinsics(cameras.Ks[index], old, new)
         tiles, counted = None, 1.0
         if mask is not None and photos.mask_mode == "ignore":
             tiles = torch.from_numpy(tiles_of_mask(mask))
             counted = float(mask.mean()) / 255
-        view = view_of(cameras.viewmats[index], K, *new, self._near)
         return Sized(view, image, mask, tiles, counted)

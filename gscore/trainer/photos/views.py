@@ -81,6 +81,6 @@ class Sampler:
         self.position += 1
         return self.order[self.position - 1]
 
-    def put_back(self) -> None:
-        """Let the view drawn last come again: its photo was not to be had."""
-        self.position -= 1
+    def put_back(self, count: int = 1) -> None:
+        """Let the views of this epoch drawn last come again: a photo was not to be had."""
+        self.position = max(self.position - count, 0)

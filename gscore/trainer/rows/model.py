@@ -131,13 +131,21 @@ class Model:
         self._rates = dict(rates)
 
     def step(
-        self, radii: torch.Tensor | None = None, *, shN: ShN = ShN.STEP, threads: int = 0
+        self,
+        radii: torch.Tensor | None = None,
+        *,
+        shN: ShN = ShN.STEP,
+        photos: int = 1,
+        threads: int = 0,
     ) -> int:
         """One Adam step with `grads`; rows of those that are not finite count as zero.
 
         Args:
             radii: [N] int32, above 0 where the view showed a splat; None: everywhere.
             shN: What the higher SH coefficients do.
+            photos: Whose gradients `grads` are the mean of: steps are counted in photos, and
+                momentum fades as it would in so many steps. Higher SH coefficients, whose
+                gradients gather anyway, count their own steps.
             threads: 0: all cores.
 
         Returns:
@@ -150,8 +158,9 @@ class Model:
             does = shN if name == "shN" else ShN.STEP
             if does is ShN.OFF or self.params[name].numel() == 0:
                 continue
-            self._steps[name] += does is ShN.STEP
-            slots.append(self._slot(name, wait=does is ShN.GATHER))
+            at_once = 1 if name == "shN" else photos
+            self._steps[name] += at_once if does is ShN.STEP else 0
+            slots.append(self._slot(name, wait=does is ShN.GATHER, photos=at_once))
         self._settled = None
         return adam.step(slots, radii, threads=threads)
 
@@ -203,7 +212,9 @@ class Model:
             slot = self._slot("shN", wait=False)
             adam.catch_up(slot, self.params, view, out=out, threads=threads)
 
-    def _slot(self, name: str, *, wait: bool, rows: slice = slice(None)) -> adam.Slot:
+    def _slot(
+        self, name: str, *, wait: bool, rows: slice = slice(None), photos: int = 1
+    ) -> adam.Slot:
         skips = None
         if name == "shN":
             skips = adam.Skips(self.rows[_SEEN][rows], self.rows[_LAG][rows], self.drift, wait)
@@ -216,4 +227,5 @@ class Model:
             rate=self._rates[name],
             step=self._steps[name],
             skips=skips,
+            photos=photos,
         )

@@ -12,6 +12,8 @@ _SETTLES = 0.9
 _FEWEST_SIZES, _FEWEST_STEPS = 3, 1000
 """Sizes of small photos, and steps, from which on splats grow with the photos. Shorter runs have
 too few refinements left: at 400 px it cost 0.2 to 1.4 dB in 300 and 600 steps, none in 1000."""
+_KEPT_EVERY = 500
+"""Steps between two states to go back to, at least; a tenth of long runs."""
 _COARSE_SIDE = 75
 """Pixels of a photo's shorter side below which a coarse picture says too little."""
 
@@ -167,12 +169,19 @@ class Plan:
         share = self.lr_final ** min(max(done, 0.0), 1.0)
         return {name: share * rate for name, rate in self.rates.items()}
 
-    def rest_moves_at(self, step: int) -> bool:
-        """Whether the higher SH coefficients take a step after `step`.
+    @property
+    def kept_every(self) -> int:
+        """Steps between two states that a run which diverges may go back to."""
+        return max(_KEPT_EVERY, self.iterations // 10)
+
+    def rest_moves_at(self, step: int, photos: int = 1) -> bool:
+        """Whether the higher SH coefficients take a step after `step`, which took so many photos at
+        once.
 
         The last step is one; a run that ends before the end it planned loses what has gathered.
         """
-        return step % self.shN_every == 0 or step >= self.iterations
+        due = step // self.shN_every > (step - photos) // self.shN_every
+        return due or step >= self.iterations
 
     def sh_degree_at(self, step: int) -> int:
         """SH degree in use at `step`."""

@@ -1,5 +1,6 @@
 """What the training loop asks of a strategy, the policy that adds, moves and removes splats."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -41,7 +42,7 @@ class DrawnView:
 class Policy(Protocol):
     """A policy without state of its own: what it counts lives in `Model.rows`.
 
-    A step calls, in this order: `shape_gradients`, `observe`, the optimizer, `after_step`.
+    A step calls, in this order: `observe`, `shape_gradients`, the optimizer, `after_step`.
     """
 
     def start(self, model: Model) -> None:
@@ -52,8 +53,8 @@ class Policy(Protocol):
         """Add the gradients of the strategy's own loss terms."""
         ...
 
-    def observe(self, model: Model, view: DrawnView) -> None:
-        """Take note of a view in `model.rows`."""
+    def observe(self, rows: Mapping[str, torch.Tensor], view: DrawnView) -> None:
+        """Add a view to `rows`, the counters of `start`."""
         ...
 
     def after_step(

@@ -1,6 +1,7 @@
 """Adaptive density control of the 3DGS paper: double, prune and reset (Kerbl et al. 2023)."""
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 import torch
@@ -36,10 +37,10 @@ class DefaultStrategy:
     def shape_gradients(self, model: Model) -> None:
         pass
 
-    def observe(self, model: Model, view: DrawnView) -> None:
+    def observe(self, rows: Mapping[str, torch.Tensor], view: DrawnView) -> None:
         if view.step > self._plan.refine_stop:
             return
-        pull, seen = model.rows["pull"], model.rows["seen"]
+        pull, seen = rows["pull"], rows["seen"]
         scale, threads = (0.5 * view.width, 0.5 * view.height), self._config.threads
         add_pull(pull, seen, view.v_means2d, view.radii, scale, threads=threads)
 

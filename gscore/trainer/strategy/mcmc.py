@@ -1,6 +1,8 @@
 """3DGS as Markov chain Monte Carlo: relocation, slow growth to a cap, noise (Kheradmand et al.
 2024)."""
 
+from collections.abc import Mapping
+
 import torch
 
 from ...config import TrainConfig
@@ -41,7 +43,7 @@ class MCMCStrategy:
             weight = self._config.scale_reg / scales.numel()
             grads["scales"].add_(scales.exp(), alpha=weight)
 
-    def observe(self, model: Model, view: DrawnView) -> None:
+    def observe(self, rows: Mapping[str, torch.Tensor], view: DrawnView) -> None:
         pass
 
     def after_step(

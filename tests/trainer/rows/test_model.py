@@ -184,3 +184,25 @@ def test_looking_at_a_model_changes_no_bit() -> None:
             model.settle()
             assert torch.equal(shown, model.params["shN"])
     assert all(torch.equal(results[0][name], results[1][name]) for name in PARAMETERS)
+
+
+def test_a_step_of_several_photos_fades_as_so_many(marked_model: Callable[..., Model]) -> None:
+    """Oracle: the update rule written out with beta to the power of the photos, steps counted in
+    photos; higher SH coefficients count their own."""
+    model = Model(marked_model(50).params)
+    rng = np.random.default_rng(0)
+    expected, m, v = model.params["means"].double().numpy().copy(), 0.0, 0.0
+    taken = 0
+    for photos in (4, 4, 1, 3):
+        taken += photos
+        model.set_rates(dict.fromkeys(PARAMETERS, 1e-3))
+        g = rng.normal(size=expected.shape)
+        model.grads["means"].copy_(torch.from_numpy(g))
+        beta1, beta2 = 0.9**photos, 0.999**photos
+        m, v = beta1 * m + (1 - beta1) * g, beta2 * v + (1 - beta2) * g * g
+        hat_m, hat_v = m / (1 - 0.9**taken), v / (1 - 0.999**taken)
+        expected -= 1e-3 * hat_m / (np.sqrt(hat_v) + 1e-15)
+        model.step(photos=photos)
+    np.testing.assert_allclose(model.params["means"].numpy(), expected, rtol=2e-6, atol=2e-6)
+    assert model.steps("means") == 12
+    assert model.steps("shN") == 4

@@ -43,7 +43,7 @@ def see(strategy: DefaultStrategy, model: Model, pulls: list[float], step: int =
     v[:, 0] = torch.tensor(pulls) / 100
     radii = torch.ones(len(model), dtype=torch.int32)
     drawn = DrawnView(step=step, radii=radii, v_means2d=v, width=200, height=100)
-    strategy.observe(model, drawn)
+    strategy.observe(model.rows, drawn)
 
 
 def after(
@@ -71,7 +71,7 @@ def test_pull_is_the_mean_over_views_that_drew_the_splat(marked_model: Make) -> 
     for radii in ([5, 0], [7, 0]):
         drawn = torch.tensor(radii, dtype=torch.int32)
         view = DrawnView(step=1, radii=drawn, v_means2d=v, width=200, height=100)
-        strategy.observe(model, view)
+        strategy.observe(model.rows, view)
     np.testing.assert_allclose(model.rows["pull"].numpy(), [2 * math.hypot(3, 4), 0], rtol=1e-6)
     assert model.rows["seen"].tolist() == [2, 0]
 

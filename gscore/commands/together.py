@@ -1,0 +1,119 @@
+"""A training that torchrun starts many times: rank 0 trains as ever, the others follow it."""
+
+import argparse
+import os
+import platform
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from ..errors import DatasetError, GsError
+from ..io.runs import checkpoints_in
+from ..metrics.machine import cores
+from .interrupt import interrupts
+
+if TYPE_CHECKING:
+    from ..trainer.ranks.team import Team
+
+_OWN = {
+    *("source", "source_option", "output", "threads", "resume", "overwrite", "start_checkpoint"),
+    *("quiet", "events", "json", "config", "masks"),
+}
+"""Options of which each rank may have its own, or which rank 0 alone reads."""
+
+
+def under_torchrun() -> bool:
+    """Whether torchrun, or what speaks as it does, has started this process."""
+    return {"RANK", "WORLD_SIZE"} <= os.environ.keys()
+
+
+def train_together(
+    args: argparse.Namespace, lead: Callable[[argparse.Namespace, "Team | None"], int]
+) -> int:
+    """Be the rank that the environment says; returns the exit code.
+
+    Args:
+        args: Of `gscore train`.
+        lead: Trains, as rank 0 of a team or alone.
+    """
+    from ..trainer.ranks.team import Team, restarted, threads_of_rank, world_size
+
+    os.environ.setdefault("GSCORE_THREADS", str(threads_of_rank(cores())))
+    size = world_size()
+    if restarted() and os.environ["RANK"] == "0":
+        _go_on(args)
+    if size == 1:
+        return lead(args, None)
+    with Team() as team:
+        return _lead(args, team, lead) if team.leads else _follow(args, team)
+
+
+def agent() -> str:
+    """The torchrun that started this process; it outlives those that it starts again."""
+    return f"{platform.node()} {os.getppid()}\n" if under_torchrun() else ""
+
+
+def _go_on(args: argparse.Namespace) -> None:
+    """Let a run go on that this torchrun has begun: from its last checkpoint, or anew."""
+    from ..trainer.files.folder import AGENT
+
+    try:
+        ours = (args.output / AGENT).read_text(encoding="utf-8") == agent()
+    except (OSError, ValueError):
+        return
+    if ours:
+        args.resume = bool(checkpoints_in(args.output))
+        args.overwrite = not args.resume
+        args.start_checkpoint = args.start_checkpoint if args.overwrite else None
+
+
+def _lead(
+    args: argparse.Namespace,
+    team: "Team",
+    lead: Callable[[argparse.Namespace, "Team | None"], int],
+) -> int:
+    _check_alike(args, team)
+    try:
+        code = lead(args, team)
+    except BaseException:
+        _part(team, failed=True)
+        raise
+    _part(team, failed=False)
+    return code
+
+
+def _part(team: "Team", *, failed: bool) -> None:
+    from ..trainer.ranks.team import RankLostError
+
+    try:
+        team.part(failed=failed)
+    except RankLostError:
+        return  # whoever is gone needs not be told
+
+
+def _follow(args: argparse.Namespace, team: "Team") -> int:
+    """Signals are for rank 0 to act on: they are sent to all."""
+    from ..trainer.follow import follow
+    from ..trainer.ranks.team import RankLostError
+
+    source = args.source or args.source_option
+    with interrupts() as interrupt, interrupt.asking(lambda reason: None, quiet=True):
+        try:
+            _check_alike(args, team)
+            return 0 if follow(team, source) else 2
+        except RankLostError:
+            return 2
+        except GsError as error:
+            if team.told:
+                return 2
+            raise DatasetError(f"Rank {team.rank} ({platform.node()}): {error}") from error
+
+
+def _check_alike(args: argparse.Namespace, team: "Team") -> None:
+    from ..trainer.ranks.agree import check_equal, versions
+
+    check_equal(team, versions() | _given(args))
+
+
+def _given(args: argparse.Namespace) -> dict[str, Any]:
+    given = {name: value for name, value in vars(args).items() if name not in _OWN}
+    return {f"the option {name}": str(value) for name, value in given.items() if value is not None}

@@ -1,0 +1,82 @@
+"""Ranks but the first: they do what rank 0 says, and neither write nor tell anything."""
+
+from pathlib import Path
+from typing import Any
+
+from ..config import DataConfig, TrainConfig
+from ..config_file import from_dict
+from ..control import Control
+from ..formats import read_splats
+from .host.heap import large_pieces_apart
+from .host.state import ordinary_state
+from .prepare import Prepared, memory_in_words, prepare
+from .ranks import orders
+from .ranks.agree import check_equal, check_ready
+from .ranks.team import Team
+from .rows.frame import Frame
+from .trainer import Trainer
+
+_WHERE = "options of rank 0"
+
+
+def follow(team: Team, source: Path | None) -> bool:
+    """Take part in a training until rank 0 says that it is over.
+
+    Args:
+        team: All who train together.
+        source: Where this machine has the capture; None: where rank 0 has it.
+
+    Returns:
+        Whether it came to its end.
+
+    Raises:
+        GsError: this rank cannot go on; the others know unless `team.told` is False.
+    """
+    large_pieces_apart()
+    order = team.hear()
+    if order["do"] == orders.END:
+        return not order["failed"]
+    with ordinary_state(), memory_in_words():
+        found, failure = None, None
+        try:
+            found = _prepared(order, team, source)
+        except Exception as error:
+            failure = error
+        check_ready(team, failure)
+        assert found is not None
+        check_equal(team, found.facts())
+        return _obey(team, found.trainer)
+
+
+def _prepared(order: dict[str, Any], team: Team, source: Path | None) -> Prepared:
+    data = from_dict(DataConfig, order["data"], where=_WHERE)
+    if source is not None:
+        data = from_dict(DataConfig, order["data"] | {"source": str(source)}, where=_WHERE)
+    config, facts = from_dict(TrainConfig, order["config"], where=_WHERE), order["facts"]
+    frame = None if facts["frame"] is None else Frame.from_dict(facts["frame"])
+    return prepare(
+        config,
+        data,
+        taken=facts["taken"],
+        stereo=facts["stereo"],
+        frame=lambda photos: frame,
+        start=None if config.start_splats is None else read_splats(config.start_splats),
+        emit=lambda event: None,
+        control=Control(),
+        team=team,
+    )
+
+
+def _obey(team: Team, trainer: Trainer) -> bool:
+    while True:
+        order = team.hear()
+        if order["do"] == orders.END:
+            return not order["failed"]
+        if order["do"] == orders.RESTORE:
+            trainer.release()
+            trainer.restore(order["state"], team.share(None))
+            continue
+        if trainer.plan.iterations != order["iterations"]:
+            trainer.replan(order["iterations"])
+        trainer.rate_factor = order["rate_factor"]
+        trainer.step()

@@ -1,0 +1,141 @@
+"""From options and a capture to a trainer that has taken no step: the same on every rank."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+
+from ..config import DataConfig, TrainConfig
+from ..control import Control
+from ..datasets import load_dataset
+from ..datasets.dataset import Dataset
+from ..depth.maps import MapFolder
+from ..errors import BackendError
+from ..events import Event
+from ..splats import Splats
+from .depth.setup import DepthSetup, prepare_depth
+from .depth.stereo import StereoStart, stereo_start
+from .photos.loading import Loaded, load_photos, progress_of
+from .ranks.agree import crc_of
+from .ranks.team import Team
+from .rows.frame import Frame
+from .schedule.enough import enough_steps
+from .trainer import Trainer
+from .views.exposure import Exposure
+from .views.judged import judge_photos
+from .views.placing import Placing
+
+
+@dataclass
+class Prepared:
+    """A trainer, and what is told of how it came about."""
+
+    trainer: Trainer
+    photos: Dataset
+    loaded: Loaded
+    enough: str
+    """A sentence on steps that are left out."""
+    depth: DepthSetup
+    stereo: StereoStart
+    exposure: Exposure
+    placing: Placing
+
+    def facts(self) -> dict[str, Any]:
+        """What all who train together must have found alike, as JSON values by name."""
+        trainer = self.trainer
+        return {
+            "photos": f"{len(self.photos)} of hash {self.photos.content_hash()}",
+            "which photos are held out": crc_of(
+                {"train": torch.tensor(list(self.photos.train), device="cpu")}
+            ),
+            "the plan": repr(trainer.plan),
+            "the first splats": crc_of(trainer.tensors()),
+        }
+
+
+def prepare(
+    config: TrainConfig,
+    data: DataConfig,
+    *,
+    taken: int,
+    stereo: bool,
+    frame: Callable[[Dataset], Frame | None],
+    start: Splats | None,
+    emit: Callable[[Event], None],
+    control: Control,
+    team: Team | None = None,
+) -> Prepared:
+    """Read the photos and make the trainer.
+
+    Args:
+        config: How to train.
+        data: What to train on.
+        taken: Steps that the run has taken before; what this makes then goes on from there.
+        stereo: Whether stereo is to be asked for points.
+        frame: The training world for these photos; None: it is made of them.
+        start: Splats to begin with, COLMAP world.
+        emit: Told how far it is.
+        control: Asked whether to stop.
+        team: Those who train together.
+
+    Raises:
+        GsError: the capture or the maps cannot be used, or memory is too small.
+        Cancelled: `control` said so.
+    """
+    photos = load_dataset(data, cancelled=lambda: control.stopping)
+    config, enough = enough_steps(
+        config, photos=len(photos.train), mask_mode=photos.mask_mode, taken=taken
+    )
+    world = frame(photos)
+    if data.depths:
+        MapFolder(photos.source / data.depths)  # refuses a folder that is not there
+    loaded = load_photos(
+        photos,
+        config,
+        splats=start,
+        depths=bool(data.depths),
+        announce=world is None,
+        emit=emit,
+        control=control,
+    )
+    photos.content_hash()  # of what is trained on: when it is wanted, files may be others
+    with memory_in_words():
+        depth = prepare_depth(
+            data, config, photos, on_progress=progress_of("depth maps", config, emit, control)
+        )
+        points = photos.scene.points if depth.points is None else depth.points
+        added = StereoStart()
+        if stereo:
+            telling = progress_of("depth of photos", config, emit, control)
+            added = stereo_start(config, photos, points, on_view=telling)
+        exposure, placing = judge_photos(config, photos)
+        trainer = Trainer(
+            config,
+            photos,
+            frame=world,
+            start=start,
+            depth=depth.loss_targets,
+            points=points if added.points is None else added.points,
+            gains=exposure.gains,
+            placing=placing,
+            photo_cache=loaded.cache,
+            team=team,
+        )
+    return Prepared(trainer, photos, loaded, enough, depth, added, exposure, placing)
+
+
+@contextmanager
+def memory_in_words() -> Iterator[None]:
+    """BackendError where memory runs out."""
+    try:
+        yield
+    except (MemoryError, RuntimeError) as error:
+        # torch raises a RuntimeError with these words instead of a MemoryError.
+        if not isinstance(error, MemoryError) and "can't allocate memory" not in str(error):
+            raise
+        raise BackendError(
+            "Out of memory; use fewer splats (--max-splats), smaller photos (-r 2), or close "
+            "programs. The last checkpoint is kept."
+        ) from error

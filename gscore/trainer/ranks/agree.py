@@ -1,0 +1,84 @@
+"""What all ranks must have in common, and the sentence about the first that differs."""
+
+import json
+import platform
+import zlib
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import torch
+
+from ..._version import __version__
+from ...errors import ConfigError, DatasetError
+from ...raster import backend
+from .team import Team
+
+
+def versions() -> dict[str, Any]:
+    """What decides about the last bits of a step on this machine, by name."""
+    return {
+        "gscore": __version__,
+        "torch": torch.__version__,
+        "numpy": np.__version__,
+        "instruction set": backend.isa(),
+        "instruction set of torch": torch.backends.cpu.get_cpu_capability(),
+    }
+
+
+def check_equal(team: Team, mine: Mapping[str, Any]) -> None:
+    """Compare facts, JSON values by name.
+
+    Raises:
+        ConfigError: some rank has others than rank 0; on all ranks.
+    """
+    first, *others = _told(team, {"facts": dict(mine)})
+    for rank, other in enumerate(others, 1):
+        ours, theirs = first["facts"], other["facts"]
+        for name in sorted(ours.keys() | theirs.keys()):
+            if ours.get(name) != theirs.get(name):
+                team.told = True
+                raise ConfigError(
+                    f"Rank {rank} ({other['host']}) differs from rank 0 ({first['host']}) in "
+                    f"{name}: {_shown(theirs, name)} there, {_shown(ours, name)} here. All ranks "
+                    "need the same options, versions and photos."
+                )
+
+
+def check_ready(team: Team, error: Exception | None) -> None:
+    """Hear whether all ranks are ready for the first step.
+
+    Args:
+        team: All take part.
+        error: Why this one is not.
+
+    Raises:
+        DatasetError: rank 0 is ready, and the first other that is not is named.
+        Exception: `error`.
+    """
+    told = _told(team, {"error": "" if error is None else str(error) or type(error).__name__})
+    if error is not None:
+        team.told = True
+        raise error
+    for rank, other in enumerate(told):
+        if other["error"]:
+            team.told = True
+            raise DatasetError(f"Rank {rank} ({other['host']}): {other['error']}")
+
+
+def crc_of(tensors: Mapping[str, torch.Tensor]) -> int:
+    """A number that changes with any bit of them."""
+    found = 0
+    for name in sorted(tensors):
+        data = tensors[name].detach().contiguous()
+        found = zlib.crc32(data.numpy().tobytes() if data.numel() else b"", found)
+    return found
+
+
+def _told(team: Team, mine: dict[str, Any]) -> list[dict[str, Any]]:
+    text = json.dumps(mine | {"host": platform.node()}, default=str)
+    return [json.loads(found) for found in team.texts(text)]
+
+
+def _shown(facts: dict[str, Any], name: str) -> str:
+    return str(facts.get(name, "nothing"))[:80]

@@ -1,0 +1,219 @@
+"""The processes that torchrun started for one training: the only file that speaks with others.
+
+What is said are numbers and JSON, never objects. A process that is gone is noticed by its closed
+connection; how long one may take is left to the user, as a pause is.
+"""
+
+import json
+import os
+import platform
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from datetime import timedelta
+from types import TracebackType
+from typing import Any, TypeVar
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ...errors import ConfigError, GsError
+from ...raster.memory import empty
+from . import orders
+
+_PATIENCE = timedelta(days=7)
+"""Rank 0 may be paused, or measure, while the others wait."""
+_DTYPES = {
+    str(dtype): dtype
+    for dtype in (torch.float32, torch.float64, torch.int64, torch.int32, torch.uint8)
+}
+_WORLD, _RANK, _LOCAL = "WORLD_SIZE", "RANK", "LOCAL_WORLD_SIZE"
+_RESTARTS = "TORCHELASTIC_RESTART_COUNT"
+_Found = TypeVar("_Found")
+
+
+class RankLostError(GsError):
+    """Another process is gone, or does not answer."""
+
+
+def world_size() -> int:
+    """How many processes train together: what torchrun says in the environment; 1: this one alone.
+
+    Raises:
+        ConfigError: it says something else than numbers.
+    """
+    return _number(_WORLD, 1) if _RANK in os.environ else 1
+
+
+def restarted() -> bool:
+    """Whether torchrun started this again because a process was lost."""
+    return world_size() >= 1 and _number(_RESTARTS, 0) > 0
+
+
+def threads_of_rank(cores: int) -> int:
+    """CPU threads for each of the processes of this machine, which has so many cores."""
+    return max(1, cores // _number(_LOCAL, 1))
+
+
+def _number(name: str, default: int) -> int:
+    text = os.environ.get(name, str(default))
+    if not text.isascii() or not text.isdigit():
+        raise ConfigError(f"The environment variable {name} must be a number, got {text[:40]!r}.")
+    return int(text)
+
+
+class Team:
+    """All ranks of a training, as one of them sees them. A context: at its end they part."""
+
+    def __init__(self) -> None:
+        """Meet the others.
+
+        Raises:
+            ConfigError: the environment says something else than numbers.
+            GsError: they cannot be reached.
+        """
+        import torch.distributed as dist
+
+        self.rank = _number(_RANK, 0)
+        """Number of this process, from 0."""
+        self.size = world_size()
+        """How many there are."""
+        self.sent = 0
+        """Bytes of rows that this process has sent."""
+        self.in_step = False
+        """Whether the others may be waiting for numbers of this one."""
+        self.told = False
+        """Whether the others know that nothing follows."""
+        self._dist = dist
+        try:
+            store = next(dist.rendezvous("env://", timeout=_PATIENCE))[0]
+            # torchrun keeps the addresses of ranks that died; each start has a room of its own.
+            store = dist.PrefixStore(f"gscore {_number(_RESTARTS, 0)}", store)
+            dist.init_process_group(
+                "gloo", store=store, rank=self.rank, world_size=self.size, timeout=_PATIENCE
+            )
+        except (RuntimeError, ValueError) as error:
+            where = f"{os.environ.get('MASTER_ADDR', '?')}:{os.environ.get('MASTER_PORT', '?')}"
+            raise GsError(
+                f"Rank {self.rank} ({platform.node()}) cannot meet the others at {where}: "
+                f"{_first_line(error)} Look at --master-addr, --master-port or --rdzv-endpoint of "
+                "torchrun, and at GLOO_SOCKET_IFNAME, the network to use."
+            ) from error
+
+    def __enter__(self) -> "Team":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        if self._dist.is_initialized():
+            self._dist.destroy_process_group()
+
+    @property
+    def leads(self) -> bool:
+        """Whether this is rank 0, which decides, writes and tells."""
+        return self.rank == 0
+
+    @contextmanager
+    def stepping(self) -> Iterator[None]:
+        """A piece of work in which all ranks wait for each other."""
+        self.in_step = True
+        yield
+        self.in_step = False
+
+    def say(self, order: Mapping[str, Any]) -> None:
+        """Rank 0 tells the others what comes next, as JSON values; of others, nothing is done."""
+        if self.leads:
+            self._broadcast(json.dumps(order).encode())
+
+    def part(self, *, failed: bool = False) -> None:
+        """Rank 0 tells the others that it needs them no more, if they do not know that."""
+        if not (self.told or self.in_step):
+            self.told = True
+            self.say(orders.end(failed=failed))
+
+    def hear(self) -> dict[str, Any]:
+        """What rank 0 said; the others wait for it."""
+        return json.loads(self._broadcast(b""))
+
+    def numbers(self, mine: Sequence[float]) -> np.ndarray:
+        """[size, K] float64: the K numbers of each rank."""
+        return np.stack([part.numpy() for part in self._all(_tensor(mine))])
+
+    def texts(self, mine: str) -> list[str]:
+        """The text of each rank."""
+        data = torch.frombuffer(bytearray(mine.encode() or b" "), dtype=torch.uint8)
+        return [bytes(part.numpy()).decode() for part in self.rows(data[:, None])]
+
+    def rows(self, mine: Tensor) -> list[Tensor]:
+        """The rows of each rank: `mine` is [M, K], M may differ; copies on every rank."""
+        counts = [int(count) for count in self.numbers([len(mine)])[:, 0]]
+        padded = empty(max(counts), mine.shape[1], dtype=mine.dtype)
+        padded[: len(mine)] = mine
+        padded[len(mine) :] = 0
+        self.sent += padded.numel() * padded.element_size() * (self.size - 1)
+        found = self._all(padded)
+        return [part[:count] for part, count in zip(found, counts, strict=True)]
+
+    def swap(self, parts: Sequence[Tensor]) -> list[Tensor]:
+        """Give rank r the rows `parts[r]`, [M_r, K]; what each rank gave to this one."""
+        counts = self.numbers([len(part) for part in parts])[:, self.rank].astype(int).tolist()
+        mine = torch.cat(list(parts))
+        found = empty(sum(counts), mine.shape[1], dtype=mine.dtype)
+        sizes = [len(part) for part in parts]
+        kept = sizes[self.rank]
+        self.sent += (len(mine) - kept) * mine.shape[1] * mine.element_size()
+        _together(lambda: self._dist.all_to_all_single(found, mine, counts, sizes))
+        return list(found.split(counts))
+
+    def share(self, tensors: Mapping[str, Tensor] | None) -> dict[str, Tensor]:
+        """The tensors of rank 0 by name; the others give None."""
+        if tensors is not None:
+            tensors = {name: t.contiguous() for name, t in tensors.items()}
+            head = {name: [str(t.dtype), list(t.shape)] for name, t in tensors.items()}
+            self._broadcast(json.dumps(head).encode())
+        else:
+            head = json.loads(self._broadcast(b""))
+            tensors = {name: empty(*s, dtype=_DTYPES[dtype]) for name, (dtype, s) in head.items()}
+        for tensor in tensors.values():
+            if tensor.numel():
+                _together(lambda data=tensor: self._dist.broadcast(data, src=0))
+        return dict(tensors)
+
+    def _all(self, mine: Tensor) -> list[Tensor]:
+        found = [torch.empty_like(mine) for _ in range(self.size)]
+        if mine.numel():
+            _together(lambda: self._dist.all_gather(found, mine.contiguous()))
+        return found
+
+    def _broadcast(self, data: bytes) -> bytes:
+        length = _tensor([len(data)])
+        _together(lambda: self._dist.broadcast(length, src=0))
+        content = empty(int(length), dtype=torch.uint8)
+        if self.leads:
+            content = torch.frombuffer(bytearray(data), dtype=torch.uint8)
+        _together(lambda: self._dist.broadcast(content, src=0))
+        return bytes(content.numpy())
+
+
+def _tensor(numbers: Sequence[float]) -> Tensor:
+    return torch.from_numpy(np.asarray(numbers, np.float64))
+
+
+def _together(call: Callable[[], _Found]) -> _Found:
+    """RankLostError where the others cannot be heard any more."""
+    try:
+        return call()
+    except RuntimeError as error:
+        raise RankLostError(
+            "A rank of this training is gone; torchrun says above or below which, and why. With "
+            "--max-restarts torchrun goes on from the last checkpoint by itself, else the same "
+            f"command with --resume does. ({_first_line(error)})"
+        ) from error
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).strip().split("\n")[0][:200]

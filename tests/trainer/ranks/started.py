@@ -1,0 +1,49 @@
+"""Ranks started as torchrun starts them, each with its own arguments, for tests to look at."""
+
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).parents[3]
+PATIENCE = 240
+"""Seconds that all ranks together may take."""
+
+
+class Ended(NamedTuple):
+    """How a rank ended."""
+
+    code: int
+    out: str
+    err: str
+
+
+def start(*arguments: Sequence[object]) -> list[Ended]:
+    """Run `python ARGUMENTS` once for each rank and wait for all."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    ranks = []
+    for rank, words in enumerate(arguments):
+        here = {"RANK": rank, "LOCAL_RANK": rank, "MASTER_PORT": port}
+        all_ = {"WORLD_SIZE": len(arguments), "LOCAL_WORLD_SIZE": len(arguments)}
+        environment = {name: str(value) for name, value in (here | all_).items()}
+        ranks.append(
+            subprocess.Popen(
+                [sys.executable, *(str(word) for word in words)],
+                env=os.environ | environment | {"MASTER_ADDR": "127.0.0.1", "OMP_NUM_THREADS": "1"},
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+                cwd=ROOT,
+            )
+        )
+    try:
+        told = [rank.communicate(timeout=PATIENCE) for rank in ranks]
+    finally:
+        for rank in ranks:
+            rank.kill()
+    return [Ended(rank.returncode, *both) for rank, both in zip(ranks, told, strict=True)]

@@ -1,0 +1,41 @@
+"""Run by three ranks: rows added up by the team, and in a plain loop in the order of the ranks."""
+
+import sys
+
+import numpy as np
+import torch
+
+from gscore.trainer.ranks.sums import sum_rows
+from gscore.trainer.ranks.team import Team
+
+ROWS, WIDTH = 1000, 7
+
+
+def of_rank(rank: int) -> tuple[np.ndarray, np.ndarray]:
+    """Rows that a rank has, and their values; the last rank has none in the second round."""
+    rng = np.random.default_rng(rank)
+    rows = np.sort(rng.choice(ROWS, 300 + 50 * rank, replace=False))
+    return rows, rng.normal(size=(len(rows), WIDTH)).astype(np.float32)
+
+
+def main() -> int:
+    """0: equal to the loop to the bit, also where a rank has nothing, or all have nothing."""
+    with Team() as team:
+        for silent in ((), (team.size - 1,), tuple(range(team.size))):
+            table, had = np.zeros((ROWS, WIDTH), np.float32), np.zeros(ROWS, bool)
+            for rank in range(team.size):
+                rows, values = of_rank(rank)
+                if rank not in silent:
+                    table[rows] += values
+                    had[rows] = True
+            rows, values = of_rank(team.rank)
+            if team.rank in silent:
+                rows, values = rows[:0], values[:0]
+            at, sums = sum_rows(team, torch.from_numpy(rows), torch.from_numpy(values))
+            assert sorted(at.tolist()) == had.nonzero()[0].tolist()
+            assert (sums.numpy() == table[at.numpy()]).all()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

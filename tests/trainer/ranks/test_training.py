@@ -1,0 +1,181 @@
+"""One training on several processes; oracle: files of runs that nothing disturbed, exit codes."""
+
+import os
+import platform
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gscore.io.ply import read_ply
+from gscore.trainer.files import checkpoint
+from gscore.trainer.files.folder import AGENT
+
+from .started import PATIENCE, ROOT, Ended, start
+
+SHORT = ("--iterations", "60", "--max-splats", "300", "--refine-every", "10", "--sh-every", "12")
+
+
+def train(capture: Path, output: Path, *more: str, ranks: int = 2) -> list[Ended]:
+    """Train on ranks that are given the same; only rank 0 is given the output folder."""
+    line = ["-m", "gscore", "train", capture, *SHORT, "--quiet", *more]
+    others = [*line, "-o", output.with_name("nobody")]
+    return start([*line, "-o", output], *[others] * (ranks - 1))
+
+
+def assert_fine(ranks: list[Ended]) -> None:
+    """All ended well, and those but the first said nothing."""
+    for rank in ranks:
+        assert rank.code == 0, rank.err
+    assert not any(rank.out or rank.err for rank in ranks[1:])
+
+
+def test_the_same_ranks_give_the_same_bits_and_rank_0_alone_writes(
+    capture: Path, tmp_path: Path
+) -> None:
+    """Oracle: the PLY of a second run; the folders that are there after both."""
+    for name in ("a", "b"):
+        assert_fine(train(capture, tmp_path / name, "--eval", "--random-background"))
+    files = [(tmp_path / name / "point_cloud.ply").read_bytes() for name in ("a", "b")]
+    assert files[0] == files[1]
+    assert {path.name for path in tmp_path.iterdir()} == {"a", "b"}
+    assert not (tmp_path / "a" / AGENT).exists()
+    (last,) = (tmp_path / "a" / "checkpoints").iterdir()
+    assert checkpoint.load(last).steps == 60
+
+
+@pytest.mark.slow
+def test_another_number_of_ranks_goes_on(capture: Path, tmp_path: Path) -> None:
+    """Oracle: steps of the checkpoints, counted in photos; splats that are finite."""
+    run = tmp_path / "run"
+    assert_fine(train(capture, run))
+    assert_fine(train(capture, run, "--resume", "--iterations", "91", ranks=1))
+    assert_fine(train(capture, run, "--resume", "--iterations", "120"))
+    (last,) = (run / "checkpoints").iterdir()
+    assert checkpoint.load(last).steps == 120
+    assert np.isfinite(read_ply(run / "point_cloud.ply").means).all()
+
+
+def assert_refused(ranks: list[Ended], sentence: str, output: Path) -> None:
+    """Exit code 2 everywhere, one sentence on rank 0 alone, nothing written."""
+    assert [rank.code for rank in ranks] == [2, 2], ranks
+    assert sentence in " ".join(ranks[0].err.split()), ranks[0].err
+    assert "Traceback" not in ranks[0].err
+    assert not ranks[1].err
+    assert not output.exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("other", "sentence"),
+    [
+        (("--iterations", "61"), "in the option iterations: 61 there, 60 here"),
+        (("--eval",), "in the option eval: True there, nothing here"),
+    ],
+)
+def test_ranks_with_other_options_are_named(
+    capture: Path, tmp_path: Path, other: tuple[str, ...], sentence: str
+) -> None:
+    """Oracle: the sentence and the exit codes."""
+    output = tmp_path / "o"
+    line = ["-m", "gscore", "train", capture, "-o", output, *SHORT, "--quiet"]
+    assert_refused(
+        start(line, [*line, *other]), f"differs from rank 0 ({_host()}) {sentence}", output
+    )
+
+
+@pytest.mark.slow
+def test_a_rank_without_the_capture_is_named(capture: Path, tmp_path: Path) -> None:
+    """Oracle: the sentence, whichever rank it is; a capture that lies elsewhere there is fine."""
+    there, output = tmp_path / "there", tmp_path / "o"
+    line = ["-m", "gscore", "train", "-o", output, *SHORT, "--quiet"]
+    refused = start([*line, "-s", capture], [*line, "-s", there])
+    assert_refused(refused, f"Rank 1 ({_host()}): There is no folder {there}", output)
+    refused = start([*line, "-s", there], [*line, "-s", capture])
+    assert_refused(refused, f"gscore train: error: There is no folder {there}", output)
+    shutil.copytree(capture, there)
+    assert_fine(start([*line, "-s", capture], [*line, "-s", there]))
+
+
+@pytest.mark.slow
+def test_a_rank_with_another_photo_is_named(capture: Path, tmp_path: Path) -> None:
+    """Oracle: the sentence, where two photos have changed places."""
+    there, output = tmp_path / "there", tmp_path / "o"
+    shutil.copytree(capture, there)
+    first, second, *_ = sorted(path for path in (there / "images").iterdir())
+    first.rename(there / "aside")
+    second.rename(first)
+    (there / "aside").rename(second)
+    line = ["-m", "gscore", "train", "-o", output, *SHORT, "--quiet"]
+    refused = start([*line, "-s", capture], [*line, "-s", there])
+    assert_refused(refused, f"Rank 1 ({_host()}) differs from rank 0 ({_host()}) in photos", output)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="looks for processes in /proc")
+@pytest.mark.parametrize("victim", [0, 1])
+def test_a_killed_rank_costs_nothing(capture: Path, tmp_path: Path, victim: int) -> None:
+    """Oracle: the PLY of a run that nobody killed, to the bit."""
+    line = ("--iterations", "800", "--checkpoint-iterations", "100")
+    assert_fine(train(capture, tmp_path / "whole", *line))
+    output = tmp_path / "killed"
+    torchrun = [
+        *(sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"),
+        *("--max-restarts", "1", "-m", "gscore", "train", str(capture), *SHORT, "--quiet"),
+    ]
+    running = subprocess.Popen(
+        [*torchrun, *line, "-o", str(output)], cwd=ROOT, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        _wait_for(output / "checkpoints" / "step_00000100.safetensors")
+        os.kill(_rank_of(running.pid, victim), signal.SIGKILL)
+        _, told = running.communicate(timeout=PATIENCE)
+    finally:
+        running.kill()
+    assert running.returncode == 0, told
+    files = [tmp_path / name / "point_cloud.ply" for name in ("whole", "killed")]
+    assert files[0].read_bytes() == files[1].read_bytes()
+
+
+@pytest.mark.slow
+def test_a_restart_touches_no_run_of_others(
+    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: the files of a finished run, which the first start refuses and the second as well."""
+    run = tmp_path / "run"
+    assert_fine(train(capture, run))
+    before = (run / "point_cloud.ply").stat()
+    monkeypatch.setenv("TORCHELASTIC_RESTART_COUNT", "1")
+    refused = train(capture, run, "--iterations", "80")
+    assert [rank.code for rank in refused] == [2, 2]
+    assert "holds another run" in refused[0].err
+    assert (run / "point_cloud.ply").stat() == before
+
+
+def _wait_for(path: Path) -> None:
+    end = time.monotonic() + PATIENCE
+    while not path.exists():
+        assert time.monotonic() < end
+        time.sleep(0.005)
+
+
+def _rank_of(agent: int, rank: int) -> int:
+    """The process that a torchrun started as this rank."""
+    for folder in Path("/proc").iterdir():
+        try:
+            parent = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
+            environment = (folder / "environ").read_bytes().split(b"\0")
+        except (OSError, ValueError, IndexError):
+            continue
+        if parent == agent and f"RANK={rank}".encode() in environment:
+            return int(folder.name)
+    raise AssertionError("no such rank")
+
+
+def _host() -> str:
+    return platform.node()

@@ -1,0 +1,26 @@
+"""How many photos a step takes; oracle: counting."""
+
+import pytest
+
+from gscore.trainer.schedule.batches import photos_at_once
+
+
+@pytest.mark.parametrize("size", [1, 2, 3, 8, 64])
+def test_what_is_due_is_met(size: int) -> None:
+    """Oracle: every multiple, every mark and the end is where some step ends; no photo is left out,
+    and no step takes more than there are processes."""
+    taken, ends = 0, []
+    while taken < 101:
+        count = photos_at_once(size, taken, every=(10, 25, 0, -1), marks=(33, 200), end=101)
+        assert 1 <= count <= size
+        taken += count
+        ends.append(taken)
+    assert taken == 101
+    assert {*range(10, 101, 10), 25, 75, 33, 101} <= set(ends)
+    if size == 8:
+        assert ends[:4] == [8, 10, 18, 20]
+
+
+def test_a_run_may_go_on_after_its_end() -> None:
+    """Oracle: marks and ends that have passed hold nothing up."""
+    assert photos_at_once(4, 100, every=(), marks=(50,), end=100) == 4
