@@ -48,7 +48,7 @@ class Prepared:
         return {
             "photos": f"{len(self.photos)} of hash {self.photos.content_hash()}",
             "which photos are held out": crc_of(
-                {"train": torch.tensor(list(self.photos.train), device="cpu")}
+                {"train": torch.tensor(list(self.photos.train), dtype=torch.int64, device="cpu")}
             ),
             "the plan": repr(trainer.plan),
             "the first splats": crc_of(trainer.tensors()),

@@ -221,7 +221,7 @@ class Trainer:
         """
         if self.team is None:
             return self._step(1)
-        self.team.say(orders.step(self.plan.iterations, self.rate_factor))
+        self.team.say(orders.take_step(self.plan.iterations, self.rate_factor))
         with self.team.stepping():
             return self._step(self._photos_at_once(self.team))
 

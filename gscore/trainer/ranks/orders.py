@@ -10,7 +10,7 @@ def begin(facts: dict[str, Any], config: dict[str, Any], data: dict[str, Any]) -
     return {"do": BEGIN, "facts": facts, "config": config, "data": data}
 
 
-def step(iterations: int, rate_factor: float) -> dict[str, Any]:
+def take_step(iterations: int, rate_factor: float) -> dict[str, Any]:
     """A step of a run of this length, all learning rates multiplied."""
     return {"do": STEP, "iterations": iterations, "rate_factor": rate_factor}
 

@@ -86,9 +86,12 @@ class Team:
         """Whether the others know that nothing follows."""
         self._dist = dist
         try:
-            store = next(dist.rendezvous("env://", timeout=_PATIENCE))[0]
+            # torch documents both names, but does not list them as exported.
+            meeting = dist.rendezvous("env://", timeout=_PATIENCE)  # pyright: ignore[reportPrivateImportUsage]
+            store = next(meeting)[0]
             # torchrun keeps the addresses of ranks that died; each start has a room of its own.
-            store = dist.PrefixStore(f"gscore {_number(_RESTARTS, 0)}", store)
+            room = f"gscore {_number(_RESTARTS, 0)}"
+            store = dist.PrefixStore(room, store)  # pyright: ignore[reportPrivateImportUsage]
             dist.init_process_group(
                 "gloo", store=store, rank=self.rank, world_size=self.size, timeout=_PATIENCE
             )
