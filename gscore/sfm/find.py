@@ -23,7 +23,7 @@ from .forecast import ADJUSTING, FEATURES, MATCHING, PLACING, Forecast
 from .heic import what_to_do
 from .looks import Look, blurred, exposure_jumps
 from .metres import to_metres
-from .plain import apart_of, doubt, stamp
+from .plain import apart_of, captures_inside, doubt, stamp
 from .request import USUAL_LENS, Request
 from .stages import Work
 from .verdict import Found, camera_facts, model_names, said_of_attempt, said_of_focal
@@ -78,6 +78,8 @@ class _Search:
         """The search itself."""
         names, unread = photos.list_photos(self._root, apart_of(self._request, self._root))
         photos.check_enough(self._root, names, unread)
+        if sentence := captures_inside(self._root, names):
+            raise DatasetError(sentence)
         if unread:
             self._warn(
                 f"{count_words(len(unread), 'photo')} of kinds that are not read left out: "

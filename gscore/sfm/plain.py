@@ -31,6 +31,25 @@ def is_plain(path: Path) -> bool:
     return bool(names or readable(unread)[0])
 
 
+def captures_inside(root: Path, names: Sequence[str]) -> str:
+    """A sentence where photos below a folder belong to captures there, which have cameras already;
+    empty where none do.
+
+    Args:
+        root: The folder.
+        names: Paths below it, as `list_photos` gives them.
+    """
+    places = {place for name in names for place in PurePosixPath(name).parents if place.parts}
+    captures = sorted(str(place) for place in places if _has_cameras(root / place))
+    if not captures:
+        return ""
+    other = f" and {len(captures) - 1} more" if len(captures) > 1 else ""
+    return (
+        f"{root} is no folder of photos: it holds a capture, {root / captures[0]}{other}. Give "
+        "that folder, or move it away."
+    )
+
+
 def doubt(root: Path, names: Sequence[str], cameras: int) -> str:
     """Why pictures are hardly photos of one scene, as a sentence; empty where nothing says so.
 
@@ -39,14 +58,8 @@ def doubt(root: Path, names: Sequence[str], cameras: int) -> str:
         names: Paths below it, as `list_photos` gives them.
         cameras: How many cameras took them, by sizes and EXIF.
     """
-    places = {place for name in names for place in PurePosixPath(name).parents if place.parts}
-    captures = sorted(str(place) for place in places if _has_cameras(root / place))
-    if captures:
-        other = f" and {len(captures) - 1} more" if len(captures) > 1 else ""
-        return (
-            f"{root} is no folder of photos: it holds a capture, {root / captures[0]}{other}. Give "
-            "that folder."
-        )
+    if sentence := captures_inside(root, names):
+        return sentence
     if (root / ".git").exists():
         return (
             f"{root} is a git repository, so its {count_words(len(names), 'picture')} are hardly "

@@ -132,7 +132,7 @@ def _screens(folder: Path) -> Path:
 
 def test_pictures_that_are_no_photos_of_a_scene(mine: Path, tmp_path: Path, capsys: Out) -> None:
     """Oracle: screenshots, a git clone, a folder of captures: info says which, and recommends no
-    training; the search says it first."""
+    training; the search says it first, and refuses photos that belong to captures."""
     clone, above = tmp_path / "clone", tmp_path / "above"
     shutil.copytree(mine, clone)
     (clone / ".git").mkdir()
@@ -147,6 +147,9 @@ def test_pictures_that_are_no_photos_of_a_scene(mine: Path, tmp_path: Path, caps
         said = capsys.readouterr().out
         assert "Next:" not in said and words in said
         assert any(words in problem.text for problem in bare_facts(folder).problems)
+    assert _train(above, "-o", tmp_path / "refused") == 2
+    assert f"holds a capture, {above / 'first'}. Give" in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "refused").exists()
     assert _train(tmp_path / "docs", "-o", tmp_path / "out") == 2
     assert "as screenshots are" in capsys.readouterr().err
 
