@@ -203,7 +203,7 @@ def test_depth_maps_are_missed_before_photos_are_read(
     capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Oracle: no photo is decoded."""
-    monkeypatch.setattr("gscore.trainer.run.load_photos", lambda *a, **k: pytest.fail("read"))
+    monkeypatch.setattr("gscore.trainer.prepare.load_photos", lambda *a, **k: pytest.fail("read"))
     line = ["train", str(capture), "-o", str(tmp_path / "o"), "-d", "nodepth", "--quiet"]
     assert main(line) == 2
 

@@ -11,6 +11,7 @@ import torch
 
 from ..._version import __version__
 from ...errors import ConfigError, DatasetError
+from ...json_text import parse_json
 from ...raster import backend
 from .team import Team
 
@@ -77,7 +78,7 @@ def crc_of(tensors: Mapping[str, torch.Tensor]) -> int:
 
 def _told(team: Team, mine: dict[str, Any]) -> list[dict[str, Any]]:
     text = json.dumps(mine | {"host": platform.node()}, default=str)
-    return [json.loads(found) for found in team.texts(text)]
+    return [parse_json(found) for found in team.texts(text)]
 
 
 def _shown(facts: dict[str, Any], name: str) -> str:

@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from ...errors import ConfigError, GsError
+from ...json_text import parse_json
 from ...raster.memory import empty
 from . import orders
 
@@ -140,7 +141,7 @@ class Team:
 
     def hear(self) -> dict[str, Any]:
         """What rank 0 said; the others wait for it."""
-        return json.loads(self._broadcast(b""))
+        return parse_json(self._broadcast(b""))
 
     def numbers(self, mine: Sequence[float]) -> np.ndarray:
         """[size, K] float64: the K numbers of each rank."""
@@ -179,7 +180,7 @@ class Team:
             head = {name: [str(t.dtype), list(t.shape)] for name, t in tensors.items()}
             self._broadcast(json.dumps(head).encode())
         else:
-            head = json.loads(self._broadcast(b""))
+            head = parse_json(self._broadcast(b""))
             tensors = {name: empty(*s, dtype=_DTYPES[dtype]) for name, (dtype, s) in head.items()}
         for tensor in tensors.values():
             if tensor.numel():

@@ -13,9 +13,9 @@ from gscore.control import Control
 from gscore.errors import GsError
 from gscore.events import Event, Saved, Warn
 from gscore.trainer.files.folder import RunFolder
-from gscore.trainer.length import watchdog
 from gscore.trainer.length.watchdog import MAX_RESCUES, SLOWER, Watchdog
 from gscore.trainer.run import train
+from gscore.trainer.schedule import plan
 from gscore.trainer.schedule.plan import Plan
 
 CONFIG = TrainConfig(
@@ -135,7 +135,7 @@ def run(config: TrainConfig, capture: Path, output: Path, **options: Any) -> lis
 @pytest.fixture
 def often(monkeypatch: pytest.MonkeyPatch) -> None:
     """Good states every 60 steps, so that a short run has some."""
-    monkeypatch.setattr(watchdog, "_GOOD_EVERY", 60)
+    monkeypatch.setattr(plan, "_KEPT_EVERY", 60)
 
 
 @pytest.mark.usefixtures("often")

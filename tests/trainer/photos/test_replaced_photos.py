@@ -15,7 +15,7 @@ from gscore.datasets import Dataset, load_dataset
 from gscore.errors import ConfigError, DatasetError, GsError
 from gscore.events import Event, Progress
 from gscore.io.images import read_image, write_png
-from gscore.trainer import run as run_module
+from gscore.trainer import prepare as prepare_module
 from gscore.trainer.files.folder import RunFolder
 from gscore.trainer.run import train
 
@@ -145,7 +145,7 @@ def test_a_run_stops_and_goes_on(
     data = DataConfig(source=root)
     whole = train(config, data, tmp_path / "whole")
 
-    class Changing(run_module.Trainer):
+    class Changing(prepare_module.Trainer):
         def step(self) -> object:
             if self.steps == 20:
                 change(photo_of(root))
@@ -153,7 +153,7 @@ def test_a_run_stops_and_goes_on(
 
     out = tmp_path / "out"
     with monkeypatch.context() as patch:
-        patch.setattr(run_module, "Trainer", Changing)
+        patch.setattr(prepare_module, "Trainer", Changing)
         with pytest.raises(GsError) as caught:
             train(config, data, out)
     message = str(caught.value)
