@@ -177,7 +177,7 @@ def train_measured(
             forward += trainer.laps.raster.get("forward_pairs", 0)
             backward += trainer.laps.raster.get("backward_pairs", 0)
             if step in at or step == config.iterations:
-                background = trainer.fixed_background
+                background = trainer.sight.background
                 seen = trainer.photos if judged is None else judged
                 found = quality(seen, _pictures(trainer, judged), background)
                 points.append(
@@ -192,7 +192,7 @@ def train_measured(
             if on_step is not None:
                 on_step(step)
         if at_end is not None:
-            at_end(_pictures(trainer, judged), trainer.fixed_background)
+            at_end(_pictures(trainer, judged), trainer.sight.background)
         return Trained(
             seconds=seconds,
             points=points,
@@ -204,9 +204,9 @@ def train_measured(
 
 def _pictures(trainer: Trainer, judged: Dataset | None) -> PictureOf:
     """What draws the splats as they are over the fixed background; None: at the trained size."""
-    background = trainer.fixed_background
+    background = trainer.sight.background
     if judged is None:
-        return lambda index: trainer.picture(index, background=background).numpy()
+        return lambda index: trainer.sight.picture(index, background=background).numpy()
     cameras, splats = judged.scene.cameras, trainer.splats()
 
     def picture_of(index: int) -> np.ndarray:

@@ -37,7 +37,7 @@ def mean_psnr(trainer: Any, photos: ToyPhotos) -> float:
     """Mean PSNR of the training views, dB."""
     values = []
     for index in photos.train:
-        rgb = np.clip(trainer.picture(index, background=_BLACK).numpy(), 0, 1)
+        rgb = np.clip(trainer.sight.picture(index, background=_BLACK).numpy(), 0, 1)
         mse = float(np.mean((rgb - photos.image(index) / 255.0) ** 2))
         values.append(-10 * math.log10(max(mse, 1e-12)))
     return float(np.mean(values))

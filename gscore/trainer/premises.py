@@ -54,8 +54,8 @@ def _unseen(trainer: Trainer) -> Iterator[str]:
         return
     views = trainer.photos.train
     looked_at = views[:: -(-len(views) // _LOOKED_AT)]
-    empty = [index for index in looked_at if not trainer.shows_splats(index)]
-    if len(empty) == len(looked_at) and not any(map(trainer.shows_splats, views)):
+    empty = [index for index in looked_at if not trainer.sight.shows_splats(index)]
+    if len(empty) == len(looked_at) and not any(map(trainer.sight.shows_splats, views)):
         raise DatasetError(
             f"None of the {number(len(views))} training views shows any of the "
             f"{count_words(len(trainer.model), 'splat')} "

@@ -166,7 +166,7 @@ class Session:
         self._onlookers.answer(self._drawn, at_leisure=at_leisure)
 
     def _drawn(self, request: Wish) -> bytes:
-        picture = self._trainer.seen(request).clamp_(0, 1).mul_(255).add_(0.5)
+        picture = self._trainer.sight.seen(request).clamp_(0, 1).mul_(255).add_(0.5)
         return picture.to(torch.uint8).numpy().tobytes()
 
     @contextmanager
@@ -232,7 +232,7 @@ class Session:
                 "so far.",
                 "non_finite",
             )
-        if self._trainer.crowded and _CROWDED not in self._warnings:
+        if self._trainer.removal.crowded and _CROWDED not in self._warnings:
             self.warn(_CROWDED, "crowded")
         lost = self._trainer.lost_rows
         if any(lost - result.lost_rows < limit <= lost for limit in _WARN_LOST_ROWS):
@@ -364,7 +364,7 @@ class Session:
         return measure_depth(
             trainer.photos,
             self._depth,
-            trainer.inverse_depth,
+            trainer.sight.inverse_depth,
             interrupted=lambda: self._control.stopping,
         )
 
@@ -374,11 +374,12 @@ class Session:
             trainer.team.part()
         finished, reason = bool(reason), reason or self._control.stop_reason
         self._answer()  # a snapshot asked for just before the stop
-        if trainer.cleared > _MANY_CLEARED * len(trainer.model):
+        cleared = trainer.removal.cleared
+        if cleared > _MANY_CLEARED * len(trainer.model):
             self.warn(
-                f"{count_words(trainer.cleared, 'splat was', 'splats were')} taken out, standing "
-                f"nearer to a camera than {self._config.free_space:g} of its distance from the "
-                "nearest points. If something does stand there, train with --free-space 0.",
+                f"{count_words(cleared, 'splat was', 'splats were')} taken out, standing nearer to "
+                f"a camera than {self._config.free_space:g} of its distance from the nearest "
+                "points. If something does stand there, train with --free-space 0.",
                 "cleared",
             )
         self._checkpoint(keep=1 if finished else _CHECKPOINTS_KEPT, finished=finished)

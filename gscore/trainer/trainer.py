@@ -11,13 +11,12 @@ import torch
 
 from ..config import Background, Skip, TrainConfig
 from ..errors import DatasetError, GsError
-from ..live.protocol import Wish
 from ..raster.header import OUT_INVERSE_DEPTH
-from ..raster.loss import image_loss, image_loss_gradient
+from ..raster.loss import image_loss_gradient
 from ..raster.memory import empty, zeros
-from ..raster.painter import Painter, Picture
+from ..raster.painter import Picture
 from ..raster.request import Frustum, Settings
-from ..scene import PointCloud
+from ..scene import Cameras, PointCloud
 from ..splats import Splats
 from ..words import count_words
 from .depth.loss import DepthLoss
@@ -25,7 +24,7 @@ from .depth.regularisers import drop_rate_at, drop_splats, opacity_loss
 from .depth.targets import DepthTargets
 from .host.laps import Laps
 from .host.random import generator_of, uniform
-from .photos.pyramid import AHEAD, Pyramid, Sized, view_of
+from .photos.pyramid import AHEAD, Sized
 from .photos.skips import raster_bits
 from .photos.views import Photos, Sampler
 from .ranks import gradients, losses, orders
@@ -41,29 +40,20 @@ from .rows.stored import check_tensors, choices, real, whole
 from .schedule.batches import photos_at_once
 from .schedule.plan import Plan
 from .strategy import Change, DrawnView, make_strategy, ops
-from .strategy.contribution import Weights, least, most_in_a_view, mostly_hidden, weights_by_view
 from .strategy.free_space import FreeSpace
-from .views.adam import rate_at
-from .views.alignment import aligned
-from .views.gains import PhotoGains, behind, without_background
+from .strategy.removal import Removal
+from .views.gains import PhotoGains, without_background
+from .views.learnt import Learnt, learnt_poses
 from .views.placing import Placing
-from .views.poses import LIMIT as POSE_LIMIT
-from .views.poses import PhotoPoses
+from .views.sight import COLORS, Sight, mse_of_counted
 
 _MAX_SKIPPED = 100
 _ABSURD_MSE = 1e4
 """Pictures are 0 to 1; colours of 100 come from splats that ran away."""
-_ALIGNED_SIDE = 400
-"""Longer side of the picture by which a held-out camera is aligned, px."""
-_CROWD = 0.2
-"""Share of the splats in the free space around cameras from which on it is not free."""
-_GLANCE = 8
-"""Sides of photos are divided by this to see whether a view shows anything."""
 _HOLD_EVERY = 100
 """Steps between two looks at the bounds of `bounds`."""
 _ROWS_A_PART = 1 << 16
 """Splats that are looked at together where not all need be."""
-_COLORS = {Background.BLACK: (0.0, 0.0, 0.0), Background.WHITE: (1.0, 1.0, 1.0)}
 
 
 class StepResult(NamedTuple):
@@ -80,6 +70,40 @@ class StepResult(NamedTuple):
     """The loss was not finite or came from splats that ran away, so nothing was learnt."""
     lost_rows: int = 0
     """Splats that ran away and were taken out."""
+
+
+class _Turn(NamedTuple):
+    """What a step looks at."""
+
+    indices: list[int]
+    """Views of the batch, one for each rank."""
+    index: int
+    """This rank's view."""
+    sized: Sized
+    """It, with its photo."""
+    background: tuple[float, float, float]
+    gain: torch.Tensor | None
+    """[3]: how its photo was exposed, where that is learnt."""
+    depth_weight: float
+    """Of the depth loss; 0: none."""
+
+    @property
+    def view(self) -> Frustum:
+        """This rank's view."""
+        return self.sized.view
+
+
+class _Loss(NamedTuple):
+    """What a picture of this rank's view is worth, and the gradients in it besides that in RGB."""
+
+    value: float
+    mse: float
+    """Mean squared error of the pixels that count."""
+    v_log_gain: tuple[float, float, float]
+    v_alpha: torch.Tensor | None
+    """[H, W]; None: the loss does not depend on it."""
+    v_inverse_depth: torch.Tensor | None
+    """As `v_alpha`."""
 
 
 class Trainer:
@@ -126,23 +150,19 @@ class Trainer:
         self.frame = frame or Frame.of(photos.scene, near=config.near)
         cloud = photos.scene.points if points is None else points
         count = min(len(cloud), config.max_splats) if start is None else len(start)
-        cameras = photos.scene.cameras
+        given = photos.scene.cameras
         self._plan_of = partial(
             Plan.of,
             extent=self.frame.extent,
             points=count,
-            side=int(min(cameras.widths.min(), cameras.heights.min())),
-            pixels=int((cameras.widths * cameras.heights)[list(photos.train)].mean()),
+            side=int(min(given.widths.min(), given.heights.min())),
+            pixels=int((given.widths * given.heights)[list(photos.train)].mean()),
         )
         self._factor = math.inf
         self.depth: DepthLoss | None = None
         """The depth loss, where depth is supervised."""
         if depth is not None:
             self.depth = DepthLoss(config, depth, scale=self.frame.similarity.scale)
-        self.gains = gains
-        """How photos were exposed, where that is learnt."""
-        self.poses: PhotoPoses | None = None
-        """Where training cameras stand, unless all stay where the capture has them."""
         self.replan(config.iterations)
         self.generator = generator_of(config.seed)
         self.sampler = Sampler(photos.train)
@@ -152,42 +172,47 @@ class Trainer:
         """Gradient rows left out so far because they were not finite."""
         self.lost_rows = 0
         """Splats taken out so far because they ran away; see `bounds`."""
-        self.cleared = 0
-        """Splats taken out so far because they stood too close before a camera."""
-        self.crowded = False
-        """So many stood there at once that something must be there: no space is free."""
         self.rate_factor = 1.0
         """All learning rates are multiplied by this."""
         self._skipped = 0
-        self._pruned = 0
-        self._painter = Painter()
         self._v_rgb = empty(0)
         self._v_shN = empty(0)
         self.laps = Laps()
         """What the parts of the last step took."""
-        self._cameras = self.frame.similarity.cameras_to_training(photos.scene.cameras)
-        if placing is not None and placing.viewmats is not None:
-            self.poses = self._poses_of(placing)
+        cameras = self.frame.similarity.cameras_to_training(photos.scene.cameras)
+        self.learnt = Learnt(config, gains, learnt_poses(placing, photos.train, self.frame))
+        """How photos were exposed and where they were taken, as far as that is learnt."""
         self._v_viewmat = zeros(4, 4)
-        self._pyramid = Pyramid(photos, self._cameras, near=self.frame.near, limit=photo_cache)
-        cloud = replace(cloud, points=self.frame.similarity.points_to_training(cloud.points))
-        near = Nearest(cloud.points, asked=count)
-        self._free_space = FreeSpace(
-            self._cameras.centers[list(photos.train)],
-            None if cloud.made_up else near,
-            share=config.free_space,
+        first, free_space = self._first_splats(start, cloud, count, cameras)
+        self.sight = Sight(
+            config,
+            photos,
+            self.frame,
+            cameras,
+            self.learnt,
+            Model(tensors_from_splats(first)),
+            cache=photo_cache,
         )
-        if start is None:
-            first = splats_of_cloud(cloud, near, config, self.plan, self.frame)
-        else:
-            first = splats_to_go_on_with(start, config, self.frame)
-        del cloud, near  # of no more use, and larger than the model where points are many
-        self.model = Model(tensors_from_splats(first))
+        """The splats as cameras see them."""
+        self._painter = self.sight.painter
+        self.removal = Removal(
+            config,
+            free_space,
+            self._painter,
+            self._training_views,
+            masks_hide=photos.mask_mode == "ignore",
+        )
+        """What goes besides what the strategy takes out."""
         self._disable = raster_bits(config.without)
         self._given_degree = first.sh_degree
         if Skip.SH_BANDS in config.without:
             ops.widen_sh(self.model, config.sh_degree)
         self.strategy.start(self.model)
+
+    @property
+    def model(self) -> Model:
+        """The splats with all that is kept for each of them."""
+        return self.sight.model
 
     def plan_of(self, iterations: int) -> Plan:
         """The plan of a run of this length; costs next to nothing."""
@@ -230,6 +255,52 @@ class Trainer:
         step, config, model = self.steps + count, self.config, self.model
         laps = self.laps = Laps()
         self._widen_to(self.plan.sh_degree_at(step))
+        turn = self._turn(step, count)
+        laps.pixels = turn.view.width * turn.view.height
+        laps.lap("photo")
+        for index in turn.indices:  # also for those of other ranks, whose rows are then the same
+            model.settle_for(self.sight.view(index, self._factor), threads=config.threads)
+        laps.lap("settle")
+        opacities, leaf = self._step_opacities(step)
+        picture = self._draw(turn, opacities, step)
+        laps.lap("draw")
+        loss = self._compare(turn, picture)
+        values, errors = [loss.value], [loss.mse]
+        if self.team:
+            try:
+                values, errors = losses.of_all(
+                    self.team, loss.value, loss.mse, photos=count, mark=self._mark
+                )
+            except DatasetError:
+                self.sampler.put_back(count)
+                raise
+        value, mse = sum(values) / count, sum(errors) / count
+        self.steps = step
+        laps.lap("loss")
+        self._assert_finite(turn, value)
+        # What breaks a loss is often a splat that ran away; the next views do without it.
+        sane = math.isfinite(value) and all(found < _ABSURD_MSE for found in errors)
+        lost_rows = 0 if sane else self._hold()
+        if lost_rows or not math.isfinite(value):
+            return self._skip(value, mse, lost_rows)
+        self._skipped = 0
+        v_means2d = self._gradients(turn, picture, loss, opacities, leaf)
+        laps.raster = self._painter.stats()
+        self._assert_finite(turn, value)
+        change, bad_rows = self._learn(step, v_means2d, turn.view, count)
+        self.bad_rows += bad_rows
+        pruned = self.removal.prune(model, self.plan, step)
+        change = replace(change, removed=change.removed + pruned)
+        laps.lap("learn")
+        lost_rows = self._hold() if step % _HOLD_EVERY == 0 else 0
+        return StepResult(value, mse, change, bad_rows, False, lost_rows)
+
+    def _turn(self, step: int, count: int) -> _Turn:
+        """Draw the views of a step and take out this rank's photo.
+
+        Raises:
+            DatasetError, FormatError: it cannot be had; nothing was done.
+        """
         indices = [self.sampler.next(self.generator) for _ in range(count)]
         # A rank that has no view in a batch looks at another's and keeps what it finds to itself.
         place = min(self.team.rank, count - 1) if self.team else 0
@@ -237,176 +308,98 @@ class Trainer:
         # A run that becomes longer does not go back to smaller photos.
         self._factor = min(self._factor, self.plan.factor_at(step))
         try:
-            view, image, mask, tiles, counted = self._sized(
-                index, self._factor, upcoming=self._upcoming()
-            )
-        except GsError as error:  # nothing was done, so that a checkpoint can be gone on from
+            sized = self.sight.sized(index, self._factor, upcoming=self._upcoming())
+        except GsError as error:  # a checkpoint can be gone on from
             self.sampler.put_back(count)
             if self.team:
                 losses.fail(self.team, error)
             raise
-        background = [self._step_background() for _ in range(count)][place]
-        gain = None if self.gains is None else self.gains.of(index)
-        depth_weight = self.depth.weight(index, step) if self.depth else 0.0
-        laps.pixels = view.width * view.height
-        laps.lap("photo")
-        for other in indices:  # also for those of other ranks, whose rows are then the same
-            self.model.settle_for(self._view(other, self._factor), threads=config.threads)
-        laps.lap("settle")
-        opacities, leaf = self._step_opacities(step)
-        picture = self._painter.draw(
-            tuple((model.params | {"opacities": opacities}).values()),
-            view,
+        return _Turn(
+            indices=indices,
+            index=index,
+            sized=sized,
+            background=[self._step_background() for _ in range(count)][place],
+            gain=self.learnt.gain_of(index),
+            depth_weight=self.depth.weight(index, step) if self.depth else 0.0,
+        )
+
+    def _draw(self, turn: _Turn, opacities: torch.Tensor, step: int) -> Picture:
+        config = self.config
+        return self._painter.draw(
+            tuple((self.model.params | {"opacities": opacities}).values()),
+            turn.view,
             Settings(
                 sh_degree=self._sh_degree_at(step),
-                background=self._behind(background, gain),
+                background=self.sight.behind(turn.background, turn.gain),
                 antialias=config.antialias,
-                outputs=OUT_INVERSE_DEPTH if depth_weight > 0 else 0,
+                outputs=OUT_INVERSE_DEPTH if turn.depth_weight > 0 else 0,
                 threads=config.threads,
                 disable=self._disable,
-                tiles=None if Skip.MASKED_TILE in config.without else tiles,
+                tiles=None if Skip.MASKED_TILE in config.without else turn.sized.tiles,
             ),
         )
-        laps.lap("draw")
+
+    def _compare(self, turn: _Turn, picture: Picture) -> _Loss:
+        """Compare a picture with its photo; the gradient in it goes to `_v_rgb`."""
+        _, image, mask, _, counted = turn.sized
         if self._v_rgb.shape != picture.rgb.shape:
             self._v_rgb = empty(*picture.rgb.shape)
-        loss = image_loss_gradient(
+        found = image_loss_gradient(
             picture.rgb,
             torch.from_numpy(image),
             self._v_rgb,
-            ssim_weight=config.ssim_weight,
+            ssim_weight=self.config.ssim_weight,
             mask=None if mask is None else torch.from_numpy(mask),
             mask_mode="none" if mask is None else self.photos.mask_mode,
-            background=background,
-            threads=config.threads,
-            gain=gain,
+            background=turn.background,
+            threads=self.config.threads,
+            gain=turn.gain,
         )
-        value, mse = loss.loss, _of_counted(loss.mse, counted)
-        more, v_alpha, v_inverse_depth = self._further_terms(index, picture, mask, depth_weight)
-        value += more
-        values, errors = [value], [mse]
-        if self.team:
-            try:
-                values, errors = losses.of_all(self.team, value, mse, photos=count, mark=self._mark)
-            except DatasetError:
-                self.sampler.put_back(count)
-                raise
-        value, mse = sum(values) / count, sum(errors) / count
-        self.steps = step
-        laps.lap("loss")
-        if config.detect_anomaly and not math.isfinite(value):
-            guard.assert_finite(model, value, step=step, view=self._cameras.names[index])
-        # What breaks a loss is often a splat that ran away; the next views do without it.
-        sane = math.isfinite(value) and all(found < _ABSURD_MSE for found in errors)
-        lost_rows = 0 if sane else self._hold()
-        if lost_rows or not math.isfinite(value):
-            return self._skip(value, mse, lost_rows)
-        self._skipped = 0
-        pose_rate = self._pose_rate_at(step)
+        more, v_alpha, v_inverse_depth = self._further_terms(turn, picture)
+        return _Loss(
+            value=found.loss + more,
+            mse=mse_of_counted(found.mse, counted),
+            v_log_gain=found.v_log_gain,
+            v_alpha=v_alpha,
+            v_inverse_depth=v_inverse_depth,
+        )
+
+    def _gradients(
+        self,
+        turn: _Turn,
+        picture: Picture,
+        loss: _Loss,
+        opacities: torch.Tensor,
+        leaf: torch.Tensor | None,
+    ) -> torch.Tensor:
+        """Fill the model's gradients, and let gains and poses learn of theirs; returns those in
+        the splats' places in the picture."""
+        moves = self.learnt.pose_rate(self.steps / self.plan.iterations) > 0
         v_means2d = self._painter.gradients(
             self._into(),
             self._v_rgb,
-            v_alpha,
-            v_inverse_depth,
-            viewmat=self._v_viewmat if pose_rate else None,
+            loss.v_alpha,
+            loss.v_inverse_depth,
+            viewmat=self._v_viewmat if moves else None,
         )
         if leaf is not None:
-            grad = model.grads["opacities"]
+            grad = self.model.grads["opacities"]
             grad.copy_(torch.autograd.grad(opacities, leaf, grad)[0])
-        laps.lap("gradients")
+        self.laps.lap("gradients")
         v_log_gain = loss.v_log_gain
-        if gain is not None and self.photos.mask_mode == "composite":
+        if turn.gain is not None and self.photos.mask_mode == "composite":
             v_log_gain = without_background(
-                v_log_gain, background, gain, self._v_rgb, picture.alpha
+                v_log_gain, turn.background, turn.gain, self._v_rgb, picture.alpha
             )
-        self._learn_of_photos(indices, v_log_gain, pose_rate)
-        laps.raster = self._painter.stats()
-        if config.detect_anomaly:
-            guard.assert_finite(model, value, step=step, view=self._cameras.names[index])
-        change, bad_rows = self._learn(step, v_means2d, view, count)
-        self.bad_rows += bad_rows
-        change = self._prune(change)
-        laps.lap("learn")
-        lost_rows = self._hold() if step % _HOLD_EVERY == 0 else 0
-        return StepResult(value, mse, change, bad_rows, False, lost_rows)
-
-    def shows_splats(self, index: int) -> bool:
-        """Whether any splat is drawn in view `index`; looked at in an eighth of its size."""
-        view = self._view(index)
-        factor = min(_GLANCE, view.width, view.height)
-        width, height = view.width // factor, view.height // factor
-        K = view.K / view.K.new_tensor([[factor], [factor], [1]])
-        small = replace(view, K=K, width=width, height=height)
-        return bool((self._show(small).alpha > 0).any())
-
-    def picture(self, index: int, *, background: tuple[float, float, float]) -> torch.Tensor:
-        """The view `index` as the splats show it now, [H, W, 3] float32: exposed as its photo
-        where that is learnt of it, else neutral."""
-        return self._exposed(index, self._view(index), background).clone()
-
-    def seen(self, request: Wish) -> torch.Tensor:
-        """What somebody who watches wants to see, [height, width, 3] float32, good until the next
-        picture; the training goes on as if nobody had looked."""
-        viewmats = self.frame.similarity.viewmats_to_training(request.viewmat[None])
-        size = request.width, request.height
-        view = view_of(viewmats[0], request.K, *size, self.frame.near)
-        shown = dict(self.model.settled(threads=self.config.threads))
-        if request.scaling != 1:
-            shown["scales"] = shown["scales"] + math.log(request.scaling)
-        config, background = self.config, self.fixed_background
-        settings = Settings(
-            antialias=config.antialias, threads=config.threads, background=background
-        )
-        return self._painter.draw(tuple(shown.values()), view, settings).rgb
-
-    def aligned_picture(
-        self, index: int, *, background: tuple[float, float, float]
-    ) -> torch.Tensor:
-        """The view `index` from where it looks most like its photo; its camera stays."""
-        config, full = self.config, self._view(index)
-        factor = max(1.0, max(full.width, full.height) / _ALIGNED_SIDE)
-        settings = Settings(
-            antialias=config.antialias, threads=config.threads, background=background
-        )
-        pose = aligned(
-            self.model.settled(threads=config.threads),
-            self._sized(index, factor),
-            settings,
-            mask_mode=self.photos.mask_mode,
-            unit=self.frame.extent,
-        )
-        return self._show(replace(full, viewmat=pose), background=background).rgb.clone()
+        self._learn_of_photos(turn.indices, v_log_gain)
+        return v_means2d
 
     def error(self, views: int = 8) -> float:
         """Root of the mean squared error of the pixels that count, in some training views at the
         next step's resolution."""
         indices = self.sampler.indices
         chosen = indices[:: -(-len(indices) // views)]
-        background, total = self.fixed_background, 0.0
-        for index in chosen:
-            view, image, mask, _, counted = self._sized(index, self.plan.factor_at(self.steps + 1))
-            loss = image_loss(
-                self._exposed(index, view, background),
-                torch.from_numpy(image),
-                mask=None if mask is None else torch.from_numpy(mask),
-                mask_mode="none" if mask is None else self.photos.mask_mode,
-                background=background,
-                threads=self.config.threads,
-            )
-            total += _of_counted(loss.mse, counted)
-        return math.sqrt(total / len(chosen))
-
-    def inverse_depth(self, index: int) -> tuple[np.ndarray, np.ndarray]:
-        """Accumulated inverse depth of view `index`, [H, W] float32, 1/world unit, and opacity."""
-        found = self._show(self._view(index), outputs=OUT_INVERSE_DEPTH)
-        assert found.inverse_depth is not None
-        scale = np.float32(self.frame.similarity.scale)
-        return found.inverse_depth.numpy() * scale, found.alpha.numpy().copy()
-
-    @property
-    def fixed_background(self) -> tuple[float, float, float]:
-        """Background for pictures that people and metrics look at."""
-        return _COLORS.get(self.config.background, _COLORS[Background.BLACK])
+        return self.sight.error(chosen, self.plan.factor_at(self.steps + 1))
 
     def splats(self) -> Splats:
         """The splats as they are now, in COLMAP world, with the SH degrees in use so far."""
@@ -448,12 +441,9 @@ class Trainer:
             "adam_steps": {name: self.model.steps(name) for name in self.model.params},
             "bad_rows": self.bad_rows,
             "lost_rows": self.lost_rows,
-            "cleared": self.cleared,
-            "crowded": self.crowded,
             "skipped": self._skipped,
             "factor": self._factor if math.isfinite(self._factor) else None,
-            "pruned": self._pruned,
-        }
+        } | self.removal.state()
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """All tensors that the next step depends on, by name; no copies."""
@@ -462,9 +452,7 @@ class Trainer:
             moment1, moment2 = self.model.moments(name)
             out |= {f"param/{name}": p, f"m1/{name}": moment1, f"m2/{name}": moment2}
         out |= {"gathered/shN": self.model.grads["shN"], "drift": self.model.drift}
-        for learnt in (self.gains, self.poses):
-            if learnt is not None:
-                out |= learnt.tensors()
+        out |= self.learnt.tensors()
         return out | {f"row/{name}": counter for name, counter in self.model.rows.items()}
 
     def restore(self, state: dict[str, Any], tensors: dict[str, torch.Tensor]) -> None:
@@ -497,26 +485,37 @@ class Trainer:
             for name in names
         }
         self._painter.release()
-        self.model = Model({name: tensors[f"param/{name}"] for name in names}, moments)
+        self.sight.model = Model({name: tensors[f"param/{name}"] for name in names}, moments)
         rows = {key.removeprefix("row/"): t for key, t in tensors.items() if key[:4] == "row/"}
         self.model.rows = rows
         self.model.drift = tensors["drift"]
-        # A run that began without goes on without.
-        train, views = self.sampler.indices, len(self._cameras)
-        found = PhotoGains.are_in(tensors)
-        self.gains = PhotoGains.restored(train, views, tensors) if found else None
-        found = PhotoPoses.are_in(tensors)
-        self.poses = PhotoPoses.restored(train, views, tensors) if found else None
+        self.learnt.restore(self.sampler.indices, len(self.photos.scene.cameras), tensors)
         self.generator.set_state(tensors["generator"])
         self.sampler.order = choices("order", state["order"], set(self.sampler.indices))
         self.sampler.position = whole("position", state["position"], high=len(state["order"]))
         self.steps = whole("steps", state["steps"])
         self.bad_rows = whole("bad_rows", state["bad_rows"])
         self.lost_rows = whole("lost_rows", state.get("lost_rows", 0))
-        self.cleared = whole("cleared", state.get("cleared", 0))
-        self.crowded = state.get("crowded", False) is True
         self._skipped = whole("skipped", state["skipped"])
-        self._pruned = whole("pruned", state["pruned"])
+        self.removal.restore(state)
+
+    def _first_splats(
+        self, start: Splats | None, cloud: PointCloud, count: int, cameras: Cameras
+    ) -> tuple[Splats, FreeSpace]:
+        """What to begin with in the training world, and the space that stays empty there; both look
+        at the same neighbours of points, which take more memory than a model where points are
+        many."""
+        config = self.config
+        cloud = replace(cloud, points=self.frame.similarity.points_to_training(cloud.points))
+        near = Nearest(cloud.points, asked=count)
+        free_space = FreeSpace(
+            cameras.centers[list(self.photos.train)],
+            None if cloud.made_up else near,
+            share=config.free_space,
+        )
+        if start is not None:
+            return splats_to_go_on_with(start, config, self.frame), free_space
+        return splats_of_cloud(cloud, near, config, self.plan, self.frame), free_space
 
     def _in_world(self, params: dict[str, torch.Tensor]) -> Splats:
         return self.frame.similarity.splats_from_training(splats_of_tensors(params))
@@ -526,83 +525,16 @@ class Trainer:
             self._painter.release()
             ops.widen_sh(self.model, degree)
 
-    def _show(self, view: Frustum, **options: Any) -> Picture:
-        """The whole view as the splats are now, good until the next one; `options` are those of
-        `Settings`."""
-        config = self.config
-        settings = Settings(antialias=config.antialias, threads=config.threads, **options)
-        splats = self.model.settled(threads=config.threads)
-        return self._painter.draw(tuple(splats.values()), view, settings)
-
-    def _poses_of(self, placing: Placing) -> PhotoPoses:
-        assert placing.viewmats is not None
-        cameras = replace(self.photos.scene.cameras, viewmats=placing.viewmats)
-        return PhotoPoses(
-            self.photos.train,
-            self.frame.similarity.cameras_to_training(cameras).viewmats,
-            unit=self.frame.extent,
-            limit=POSE_LIMIT,
-            learns=placing.learns,
-        )
-
-    def _view(self, index: int, factor: float = 1.0) -> Frustum:
-        """View `index` with sides divided by `factor`, from where its camera stands."""
-        view = self._pyramid.view(index, factor)
-        return view if self.poses is None else replace(view, viewmat=self.poses.of(index))
-
-    def _sized(self, index: int, factor: float, *, upcoming: Sequence[int] = ()) -> Sized:
-        """View `index` with its photo, sides divided by `factor`, from where its camera stands."""
-        found = self._pyramid.at(index, factor, upcoming=upcoming)
-        if self.poses is None:
-            return found
-        return found._replace(view=replace(found.view, viewmat=self.poses.of(index)))
-
-    def _pose_rate_at(self, step: int) -> float:
-        """Learning rate of poses; 0: they stay."""
-        if self.poses is None or not self.poses.learns:
-            return 0.0
-        config = self.config
-        done = step / self.plan.iterations - config.pose_start
-        span = config.pose_stop - config.pose_start
-        if not 0 <= done < span:
-            return 0.0
-        return rate_at(config.pose_lr, config.pose_lr_final, done / span)
-
-    def _exposed(
-        self, index: int, view: Frustum, background: tuple[float, float, float]
-    ) -> torch.Tensor:
-        """The picture of `view`, that of photo `index` at any size, as the photo was exposed."""
-        gain = None if self.gains is None else self.gains.of(index)
-        picture = self._show(view, background=self._behind(background, gain)).rgb
-        return picture if gain is None else picture.mul_(gain)
-
-    def _behind(
-        self, background: tuple[float, float, float], gain: torch.Tensor | None
-    ) -> tuple[float, float, float]:
-        """What splats are drawn over, so that `background` shows once the gain is applied: where
-        photos are laid over it. Elsewhere it is part of the scene, exposed with it."""
-        if gain is None or self.photos.mask_mode != "composite":
-            return background
-        return behind(background, gain)
-
     def _learn_of_photos(
-        self, indices: Sequence[int], v_log_gain: tuple[float, float, float], pose_rate: float
+        self, indices: Sequence[int], v_log_gain: tuple[float, float, float]
     ) -> None:
-        """Let gains and poses take their steps, photo by photo of the batch; the derivatives in
-        them are those of this rank's photo."""
-        poses = self.poses if pose_rate else None
-        if poses is None and self.gains is None:
+        """Let gains and poses take their steps; the derivatives are those of this rank's photo."""
+        done = self.steps / self.plan.iterations
+        if self.learnt.gains is None and not self.learnt.pose_rate(done):
             return
         mine = [*v_log_gain, *self._v_viewmat.flatten().tolist()]
-        found = self.team.numbers(mine) if self.team else np.array([mine])
-        first, last = self.config.exposure_lr, self.config.exposure_lr_final
-        gain_rate = rate_at(first, last, self.steps / self.plan.iterations)
-        for index, numbers in zip(indices, found, strict=False):
-            if poses is not None:
-                v_viewmat = torch.from_numpy(numbers[3:].astype(np.float32).reshape(4, 4))
-                poses.learn(index, v_viewmat, self.rate_factor * pose_rate)
-            if self.gains is not None:
-                self.gains.learn(index, numbers[:3].tolist(), self.rate_factor * gain_rate)
+        slopes = self.team.numbers(mine) if self.team else np.array([mine])
+        self.learnt.learn(indices, slopes, done=done, factor=self.rate_factor)
 
     def _step_opacities(self, step: int) -> tuple[torch.Tensor, torch.Tensor | None]:
         """The opacities that this step draws, and, where they are not the model's own, the leaf
@@ -671,6 +603,12 @@ class Trainer:
         """A number of the splats, where a team compares them: as often as they are held."""
         return float(crc_of(self.model.params)) if self.steps % _HOLD_EVERY == 0 else 0.0
 
+    def _training_views(self) -> Iterator[Sized]:
+        """All training views at the size of the last step."""
+        indices = self.sampler.indices
+        for i, index in enumerate(indices):
+            yield self.sight.sized(index, self._factor, upcoming=indices[i + 1 :])
+
     def _step_background(self) -> tuple[float, float, float]:
         mode = self.config.background
         if mode is Background.AUTO:
@@ -679,27 +617,33 @@ class Trainer:
         if mode is Background.RANDOM:
             r, g, b = uniform(3, self.generator).tolist()
             return (r, g, b)
-        return _COLORS[mode]
+        return COLORS[mode]
 
     def _further_terms(
-        self, index: int, picture: Picture, mask: np.ndarray | None, depth_weight: float
+        self, turn: _Turn, picture: Picture
     ) -> tuple[float, torch.Tensor | None, torch.Tensor | None]:
         """What depth and masks add to the loss of a view, and its gradients in the picture's
         opacity and inverse depth; None: it does not depend on them."""
+        mask = turn.sized.mask
         value, v_alpha, v_inverse_depth = 0.0, None, None
         if self.depth and picture.inverse_depth is not None:
             inverse_depth = picture.inverse_depth.detach().requires_grad_()
             alpha = picture.alpha.detach().requires_grad_()
-            term = depth_weight * self.depth(index, inverse_depth, alpha)
+            term = turn.depth_weight * self.depth(turn.index, inverse_depth, alpha)
             value += term.item()
-            v_inverse_depth, v_alpha = _gradients(term, inverse_depth, alpha)
+            v_inverse_depth, v_alpha = _slopes(term, inverse_depth, alpha)
         if self.config.alpha_weight and mask is not None and self.photos.mask_mode == "composite":
             alpha = picture.alpha.detach().requires_grad_()
             term = self.config.alpha_weight * opacity_loss(alpha, torch.from_numpy(mask))
             value += term.item()
-            (more,) = _gradients(term, alpha)
+            (more,) = _slopes(term, alpha)
             v_alpha = more if v_alpha is None or more is None else v_alpha + more
         return value, v_alpha, v_inverse_depth
+
+    def _assert_finite(self, turn: _Turn, value: float) -> None:
+        if self.config.detect_anomaly:
+            name = self.photos.scene.cameras.names[turn.index]
+            guard.assert_finite(self.model, value, step=self.steps, view=name)
 
     def _skip(self, value: float, mse: float, lost_rows: int) -> StepResult:
         self._skipped += 1
@@ -740,7 +684,8 @@ class Trainer:
         )
         if self.plan.refines_at(step):
             self._painter.release()
-        removed = self._clear(step) + self._unveil(step)
+        removed = self.removal.clear(model, self.plan, step)
+        removed += self.removal.unveil(model, self.plan, step)
         change = self.strategy.after_step(
             model,
             step=step,
@@ -750,72 +695,8 @@ class Trainer:
         )
         return replace(change, removed=change.removed + removed), bad_rows
 
-    def _prune(self, change: Change) -> Change:
-        """Take out what adds least to the photos, once there are to be fewer splats; `change` with
-        those."""
-        model = self.model
-        count = self.plan.surplus_at(self.steps, len(model), self._pruned)
-        if count == 0:
-            return change
-        weights = most_in_a_view(self._weights(), len(model))
-        self._take_out(least(weights, count))
-        self._pruned += count
-        return replace(change, removed=change.removed + count)
 
-    def _weights(self) -> Iterator[Weights]:
-        """The splats' blending weights in each training view at the size of the last step."""
-        indices = self.sampler.indices
-        return weights_by_view(
-            self._painter,
-            self.model.params,
-            (
-                self._sized(index, self._factor, upcoming=indices[i + 1 :])
-                for i, index in enumerate(indices)
-            ),
-            antialias=self.config.antialias,
-            masks_hide=self.photos.mask_mode == "ignore",
-            scratch=self.model.grads,  # they were for the step that is done
-            threads=self.config.threads,
-        )
-
-    def _unveil(self, step: int) -> int:
-        """Take out what stands where masks hide it; how many that were."""
-        share = self.config.hidden_share
-        if share == 0 or self.photos.mask_mode != "ignore" or not self.plan.unveils_at(step):
-            return 0
-        hidden = mostly_hidden(self._weights(), len(self.model), share=share)
-        count = int(hidden.sum())
-        if count == 0 or count == len(self.model):
-            return 0
-        self._take_out(hidden)
-        return count
-
-    def _clear(self, step: int) -> int:
-        """Take out what stands in the free space around cameras; how many that were."""
-        if self.crowded or not self.plan.clears_at(step):
-            return 0
-        inside = self._free_space.holds(self.model.params["means"])
-        count = int(inside.sum())
-        self.crowded = count > _CROWD * len(self.model)
-        if count == 0 or self.crowded:
-            return 0
-        self._take_out(inside)
-        self.cleared += count
-        return count
-
-    def _take_out(self, rows: torch.Tensor) -> None:
-        """Edit the model so that it goes on without these splats, [N] bool; the rasterizer's memory
-        makes room for that."""
-        self._painter.release()
-        ops.edit(self.model, keep=(~rows).nonzero().flatten())
-
-
-def _of_counted(mse: float, counted: float) -> float:
-    """The mean squared error of the pixels that count, where the others are equal; 0: none do."""
-    return mse / counted if counted > 0 else 0.0
-
-
-def _gradients(term: torch.Tensor, *leaves: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+def _slopes(term: torch.Tensor, *leaves: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
     """d term / d leaf; None where the term does not depend on it."""
     if not term.requires_grad:
         return (None,) * len(leaves)

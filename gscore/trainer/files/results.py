@@ -124,7 +124,7 @@ class Results:
             train_views=[names[i] for i in photos.train],
             test_views=[names[i] for i in photos.test],
             mask_mode=photos.mask_mode,
-            background=trainer.fixed_background,
+            background=trainer.sight.background,
             splats=len(trainer.model),
             sh_degree=trainer.config.sh_degree,
             storage_bytes=folder.point_cloud.stat().st_size,
@@ -155,13 +155,14 @@ class Results:
         """
         trainer, found = self._trainer, {}
         if exposure is not None:
-            found["exposure"] = exposure | {"learnt": trainer.gains is not None}
-        if trainer.gains is not None:
-            gains, names = np.exp(trainer.gains.log_gains), trainer.photos.scene.cameras.names
-            by_name = {names[i]: gains[i] for i in trainer.photos.train}
+            found["exposure"] = exposure | {"learnt": trainer.learnt.gains is not None}
+        gains, names = trainer.learnt.gains, trainer.photos.scene.cameras.names
+        if gains is not None:
+            values = np.exp(gains.log_gains)
+            by_name = {names[i]: values[i] for i in trainer.photos.train}
             write_exposures(self._folder.path / EXPOSURE_FILE, by_name)
-        if trainer.poses is not None:
-            found["poses"] = {"why": poses, "cameras": self._write_poses(trainer.poses)}
+        if trainer.learnt.poses is not None:
+            found["poses"] = {"why": poses, "cameras": self._write_poses(trainer.learnt.poses)}
         return found
 
     def _write_poses(self, poses: PhotoPoses) -> dict[str, dict[str, float]]:

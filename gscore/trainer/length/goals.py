@@ -52,7 +52,7 @@ class Goals:
         """Mean PSNR of the measured views as they are now, dB, of the pixels that count."""
         trainer, values = self._trainer, []
         trainer.make_room()
-        photos, background = trainer.photos, trainer.fixed_background
+        photos, background = trainer.photos, trainer.sight.background
         for view in self._views:
             photo, mask = photos.image(view), photos.mask(view)
             target, weights = target_picture(photo, mask, photos.mask_mode, background)

@@ -62,7 +62,7 @@ def test_inverse_depth_is_that_of_the_world(photos: Any, known_splats: Any) -> N
     cameras = photos.scene.cameras
     view = render(known_splats, cameras.Ks[3], cameras.viewmats[3], 48, 48)
     assert view.inverse_depth is not None and view.inverse_depth.max() > 0.3
-    np.testing.assert_allclose(trainer.inverse_depth(3)[0], view.inverse_depth, atol=2e-4)
+    np.testing.assert_allclose(trainer.sight.inverse_depth(3)[0], view.inverse_depth, atol=2e-4)
 
 
 def test_true_splats_have_no_depth_loss(
@@ -73,7 +73,7 @@ def test_true_splats_have_no_depth_loss(
     assert trainer.depth is not None
     for index in (0, 1):  # aligned and not
         for factor, limit in ((1.0, 4e-3), (2.0, 0.03)):
-            view = trainer._pyramid.at(index, factor).view
+            view = trainer.sight._pyramid.at(index, factor).view
             with torch.no_grad():
                 out = rasterize(
                     *trainer.model.settled().values(),
@@ -152,7 +152,7 @@ def test_depth_makes_depth_better(make_photos: Callable[..., Any], known_splats:
         found = []
         for i in photos.train:
             sure = truth[i].confidence > 0
-            difference = trainer.inverse_depth(i)[0][sure] / truth[i].inverse_depth[sure] - 1
+            difference = trainer.sight.inverse_depth(i)[0][sure] / truth[i].inverse_depth[sure] - 1
             found.append(float(np.median(np.abs(difference))))
         errors.append(np.mean(found))
     assert errors[1] < 0.75 * errors[0], errors

@@ -162,8 +162,8 @@ def test_gains_of_photos_are_found(make_photos: Callable[..., Any]) -> None:
     trainer = Trainer(config, photos, gains=PhotoGains(photos.train, np.zeros((8, 3))))
     for _ in range(config.iterations):
         trainer.step()
-    assert trainer.gains is not None
-    apart = np.abs(trainer.gains.log_gains - truth)[plain.train]
+    assert trainer.learnt.gains is not None
+    apart = np.abs(trainer.learnt.gains.log_gains - truth)[plain.train]
     assert apart.max() < 0.1
     assert apart.mean() < 0.6 * np.abs(truth[plain.train]).mean()
 
@@ -205,7 +205,7 @@ def test_a_run_that_began_without_goes_on_without(photos: Any) -> None:
     other.restore(state, tensors)
     plain.step()
     other.step()
-    assert other.gains is None
+    assert other.learnt.gains is None
     assert torch.equal(other.model.params["means"], plain.model.params["means"])
 
 

@@ -145,8 +145,8 @@ def test_disturbed_poses_come_back(make_photos: Callable[..., Any]) -> None:
     points = similarity.points_to_training(photos.scene.points.points)
 
     def missed(trainer: Trainer) -> float:
-        assert trainer.poses is not None
-        seen = [p[:, :2] / p[:, 2:] for p in _local(trainer.poses.viewmats, points)]
+        assert trainer.learnt.poses is not None
+        seen = [p[:, :2] / p[:, 2:] for p in _local(trainer.learnt.poses.viewmats, points)]
         true = [p[:, :2] / p[:, 2:] for p in _local(truth, points)]
         off = np.array(seen) - np.array(true)
         slopes = _slopes(truth, points)
@@ -180,10 +180,10 @@ def test_poses_stay_before_and_after_their_time(photos: Any) -> None:
     config = replace(CONFIG, pose_start=0.25, pose_stop=0.5)
     placing = Placing(viewmats=photos.scene.cameras.viewmats, learns=True)
     trainer, seen = Trainer(config, photos, placing=placing), []
-    assert trainer.poses is not None
+    assert trainer.learnt.poses is not None
     for _ in range(60):
         trainer.step()
-        seen.append(trainer.poses.viewmats.copy())
+        seen.append(trainer.learnt.poses.viewmats.copy())
     assert all((now == seen[0]).all() for now in seen[:14])
     assert not (seen[20] == seen[0]).all()
     assert all((now == seen[-1]).all() for now in seen[30:])
