@@ -53,7 +53,7 @@ def coordinates(full: bool) -> Iterator[Measure]:
     config = TrainConfig(iterations=15, max_splats=200, sh_degree=1, refine_start=10_000)
     photos = toy_photos()
     first = trainer_of(config, photos)
-    start, picture = mean_psnr(first, photos), first.picture(0, background=_BLACK).numpy()
+    start, picture = mean_psnr(first, photos), first.sight.picture(0, background=_BLACK).numpy()
     plain = mean_psnr(trained(config, photos), photos)
     if not plain > start + 1:
         raise EmptyTestError(f"nothing was learnt: {start:.2f} dB, then {plain:.2f} dB")
@@ -61,7 +61,7 @@ def coordinates(full: bool) -> Iterator[Measure]:
     places += [(f"scale {scale:.0e}", scale, 0.0) for scale in (1e-4, 1e-2, 1e2, 1e4)]
     for name, scale, offset in places:
         away = moved(photos, scale=scale, shift=offset * np.array([1.0, -0.7, 0.3]))
-        begun = trainer_of(config, away).picture(0, background=_BLACK).numpy()
+        begun = trainer_of(config, away).sight.picture(0, background=_BLACK).numpy()
         error = abs(mean_psnr(trained(config, away), away) - plain)
         yield Measure(f"{name}, first picture", float(np.abs(begun - picture).max()), 1e-4)
         yield Measure(f"{name}, dB after 15 steps", error, 0.01)

@@ -36,7 +36,7 @@ def measure_depth(
     Args:
         photos: What was trained on.
         setup: Its depth maps.
-        draw: Inverse depth and opacity of the view of a number, see `Trainer.inverse_depth`.
+        draw: Inverse depth and opacity of the view of a number, see `Sight.inverse_depth`.
         interrupted: Asked before each view.
     """
     targets = setup.targets
