@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,19 +13,22 @@ from ..words import count_words
 from .capture import ToyPhotos, moved, toy_photos, toy_splats
 from .case import EmptyTestError, Measure, case
 
+if TYPE_CHECKING:
+    from ..trainer.trainer import Trainer
+
 LONG = 100_000
 """Steps of S30."""
 _BLACK = (0.0, 0.0, 0.0)
 
 
-def trainer_of(config: TrainConfig, photos: ToyPhotos) -> Any:
+def trainer_of(config: TrainConfig, photos: ToyPhotos) -> "Trainer":
     """A trainer; imported late, as it takes torch."""
     from ..trainer.trainer import Trainer
 
     return Trainer(config, photos)
 
 
-def trained(config: TrainConfig, photos: ToyPhotos) -> Any:
+def trained(config: TrainConfig, photos: ToyPhotos) -> "Trainer":
     """A trainer after all steps of its config."""
     trainer = trainer_of(config, photos)
     for _ in range(config.iterations):
@@ -33,7 +36,7 @@ def trained(config: TrainConfig, photos: ToyPhotos) -> Any:
     return trainer
 
 
-def mean_psnr(trainer: Any, photos: ToyPhotos) -> float:
+def mean_psnr(trainer: "Trainer", photos: ToyPhotos) -> float:
     """Mean PSNR of the training views, dB."""
     values = []
     for index in photos.train:
