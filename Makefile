@@ -119,9 +119,9 @@ test-neon: $(INSTALLED)  ## NEON, emulated (Debian's g++-aarch64-linux-gnu and q
 		qemu-aarch64-static -L /usr/aarch64-linux-gnu -E LD_LIBRARY_PATH=build/neon build/neon/test_$$t || exit 1; \
 	done
 
-# Every numerical stress test in its long version, with every instruction set: about an hour on two quiet cores, half of it
+# Every numerical stress test in its long version, with every instruction set: ten minutes to an hour on two cores, half of it
 # for S30's 200 000 steps. STRESS="--only S06" and the like choose.
-stress: $(DEVELOPED) $(LIBRARY)  ## the numerical stress tests in their long versions, an hour
+stress: $(DEVELOPED) $(LIBRARY)  ## the numerical stress tests in their long versions, ten minutes to an hour
 	$(BIN)/gscore stress --full --isa all $(STRESS)
 	$(BIN)/python -m pytest -q -m slow tests/stress/test_determinism.py
 

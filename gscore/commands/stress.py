@@ -19,7 +19,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--isa", help="instruction set; `all` runs each that this machine has (default: the best)"
     )
-    parser.add_argument("--full", action="store_true", help="the long versions too: half an hour")
+    parser.add_argument(
+        "--full", action="store_true", help="the long versions too: five minutes to half an hour"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
