@@ -4,7 +4,8 @@ import bpy
 
 from ..attributes import BASE, SCALE, SH, SH_COUNTS
 from ..core import sh0_to_rgb
-from .filters import largest, opacity
+from . import harmonics
+from .filters import exists, largest, opacity
 from .graph import Graph, Socket, ensure, inputs, new_group, result, socket, use_group
 
 NAME, ENERGY = "Splat Colors", "Splat Color Energy"
@@ -28,6 +29,7 @@ def _build(name: str) -> bpy.types.NodeTree:
     socket(tree, "Geometry", "Geometry")
     socket(tree, "Visible", "Bool", True)
     socket(tree, "Color By", "Int", 0, min_value=0, max_value=len(MODES) - 1)
+    socket(tree, "From Camera", "Bool", False)
     given = inputs(graph)
     size = graph.math("LOGARITHM", largest(graph), 10.0)
     energy = use_group(graph, energy_group(), {})
@@ -41,9 +43,19 @@ def _build(name: str) -> bpy.types.NodeTree:
     ]
     measure = graph.choose("FLOAT", given["Color By"], measures)
     mapped = _color_map(graph, measure)
-    options = [_base_color(graph)] + [mapped] * (len(MODES) - 1)
+    options = [_color(graph, given["From Camera"])] + [mapped] * (len(MODES) - 1)
     result(graph, "Color", "Color", graph.choose("RGBA", given["Color By"], options))
     return tree
+
+
+def _color(graph: Graph, from_camera: Socket) -> Socket:
+    """The colour from the scene's camera where that is wanted and there is one; else the mean."""
+    camera = graph.call("GeometryNodeInputActiveCamera")
+    place = graph.node("GeometryNodeObjectInfo", transform_space="RELATIVE")
+    graph.feed(place.inputs[0], camera)
+    seen = use_group(graph, harmonics.group(), {"From": place.outputs["Location"]})
+    wanted = graph.both(from_camera, exists(graph, camera))
+    return graph.switch("RGBA", wanted, _base_color(graph), seen)
 
 
 def _base_color(graph: Graph) -> Socket:
@@ -55,16 +67,8 @@ def _base_color(graph: Graph) -> Socket:
     channels = []
     for channel in list(node.outputs)[:3]:
         encoded = graph.math("MULTIPLY_ADD", channel, factor, middle)
-        channels.append(_linear(graph, graph.math("MAXIMUM", encoded, 0.0)))
+        channels.append(harmonics.linear(graph, encoded))
     return graph.call("FunctionNodeCombineColor", *channels, 1.0)
-
-
-def _linear(graph: Graph, encoded: Socket) -> Socket:
-    """IEC 61966-2-1 decoding of one channel."""
-    low = graph.math("DIVIDE", encoded, 12.92)
-    base = graph.math("DIVIDE", graph.math("ADD", encoded, 0.055), 1.055)
-    high = graph.math("POWER", base, 2.4)
-    return graph.switch("FLOAT", graph.compare("LESS_EQUAL", encoded, 0.04045), high, low)
 
 
 def _elongation(graph: Graph) -> Socket:

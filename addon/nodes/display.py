@@ -6,13 +6,14 @@ import bpy
 
 from .. import compat
 from ..attributes import ROTATION, SCALE, SH
-from . import colors, filters, materials
+from . import colors, filters, harmonics, materials
 from .graph import Graph, Socket, ensure, inputs, is_ours, new_group, result, socket, use_group
 
 NAME = "Splat Display"
 MODES = ("POINTS", "ELLIPSOIDS", "SOFT", "NATIVE", "SPLATS")
 """By number, as the group's input Display has them; NATIVE leaves the picture to the copy. SPLATS
 leaves that of viewports to the drawing of `live`, with a box for a handle, and renders as SOFT."""
+_RENDERS_SOFT = MODES.index("SOFT"), MODES.index("SPLATS")
 _BOX = 2.0
 """Half sides of the handle, in standard deviations of the splats' positions."""
 
@@ -28,7 +29,7 @@ def builders() -> list[Callable[[], bpy.types.ID]]:
     At once they take a tenth of a second, which a user would feel.
     """
     parts = [materials.points, materials.ellipsoids, materials.soft, filters.group]
-    return [*parts, colors.energy_group, colors.group, group]
+    return [*parts, colors.energy_group, *harmonics.builders(), colors.group, group]
 
 
 def modifier_of(ob: bpy.types.Object) -> bpy.types.NodesModifier | None:
@@ -50,7 +51,9 @@ def _build(name: str) -> bpy.types.NodeTree:
     filters.add_inputs(tree)
     given = inputs(graph)
     visible = use_group(graph, filters.group(), given)
-    points = _points(graph, given, visible)
+    renders_soft = [graph.compare("EQUAL", given["Display"], k) for k in _RENDERS_SOFT]
+    from_camera = graph.call("FunctionNodeBooleanMath", *renders_soft, operation="OR")
+    points = _points(graph, given, visible, from_camera)
     soft = _instances(graph, _with_opacity(graph, points), materials.REACH, materials.soft())
     in_viewport = graph.call("GeometryNodeIsViewport")
     options = [
@@ -64,13 +67,18 @@ def _build(name: str) -> bpy.types.NodeTree:
     return tree
 
 
-def _points(graph: Graph, given: dict[str, Socket], visible: Socket) -> Socket:
+def _points(graph: Graph, given: dict[str, Socket], visible: Socket, from_camera: Socket) -> Socket:
     """The visible splats as a point cloud with a colour."""
     mesh = given["Geometry"]
     color = use_group(
         graph,
         colors.group(),
-        {"Geometry": mesh, "Visible": visible, "Color By": given["Color By"]},
+        {
+            "Geometry": mesh,
+            "Visible": visible,
+            "Color By": given["Color By"],
+            "From Camera": from_camera,
+        },
     )
     node = graph.node("GeometryNodeStoreNamedAttribute", data_type="FLOAT_COLOR", domain="POINT")
     colored = _store(graph, node, mesh, visible, materials.COLOR, color)

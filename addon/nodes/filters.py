@@ -49,13 +49,13 @@ def _build(name: str) -> bpy.types.NodeTree:
     keep = graph.both(keep, small)
     inside = _inside(graph, given)
     wanted = graph.call("FunctionNodeBooleanMath", inside, given["Crop Invert"], operation="XOR")
-    active = graph.both(given["Use Crop"], _exists(graph, given["Crop Object"]))
+    active = graph.both(given["Use Crop"], exists(graph, given["Crop Object"]))
     cropped = graph.switch("BOOLEAN", active, True, wanted)
     result(graph, "Visible", "Bool", graph.both(keep, cropped))
     return tree
 
 
-def _exists(graph: Graph, ob: Socket) -> Socket:
+def exists(graph: Graph, ob: Socket) -> Socket:
     """Whether the crop object is still there: what is deleted has no scale at all."""
     info = graph.node("GeometryNodeObjectInfo", transform_space="RELATIVE")
     graph.feed(info.inputs[0], ob)

@@ -1,0 +1,123 @@
+"""Soft splats in colours that depend on the view. Oracle: the engine, with formulas of its own."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+from bpy_extras.object_utils import world_to_camera_view
+from mathutils import Vector
+
+from addon.core import Splats
+from addon.nodes import harmonics
+from addon.nodes.display import modifier_of
+from tests.addon import splat_scenes as lab
+
+SIZE = 200
+LIMIT = 3 / 255
+OPAQUE = 0.99
+"""Opacity at which the engine ends; Cycles does not."""
+
+
+def beads(rest: int) -> Splats:
+    """Nine opaque balls apart from one another, whose colours change much with the view."""
+    rng = np.random.default_rng(rest)
+    x, y = np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0])
+    means = np.stack([x.ravel(), y.ravel(), rng.uniform(-0.3, 0.3, 9)], axis=1)
+    return Splats(
+        means=means.astype(np.float32),
+        quats=np.tile([1, 0, 0, 0], (9, 1)).astype(np.float32),
+        scales=np.full((9, 3), np.log(0.1), np.float32),
+        opacities=np.full(9, 8, np.float32),
+        sh0=(rng.normal(size=(9, 1, 3)) * 0.3).astype(np.float32),
+        shN=(rng.normal(size=(9, rest, 3)) * 0.4).astype(np.float32),
+    )
+
+
+def centres(scene: bpy.types.Scene, ob: bpy.types.Object, folder: Path, engine: str) -> np.ndarray:
+    """[9, 3] sRGB where the middles of the balls are seen."""
+    scene.render.engine = engine
+    picture = lab.render_exr(folder, engine)[..., :3]
+    found = []
+    for vertex in ob.data.vertices:
+        u, v, _ = world_to_camera_view(scene, scene.camera, ob.matrix_world @ vertex.co)
+        found.append(picture[int((1 - v) * SIZE), int(u * SIZE)])
+    return np.clip(lab.srgb(np.array(found)), 0, 1)
+
+
+@pytest.fixture
+def ready(scene: bpy.types.Scene) -> bpy.types.Scene:
+    """Black, without noise to speak of, a camera beside the axis."""
+    camera = lab.prepare(scene, (SIZE, SIZE))
+    camera.location = (1.5, -2, 5)
+    camera.rotation_euler = Vector((-1.5, 2, -5)).to_track_quat("-Z", "Y").to_euler()
+    camera.data.lens = 40
+    scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.filter_width = 32, False, 0.01
+    return scene
+
+
+@pytest.mark.parametrize("rest", [0, 3, 8, 15])
+@pytest.mark.parametrize("placed", ["as made", "turned", "mirrored"])
+def test_cycles_shows_the_color_from_here(
+    ready: bpy.types.Scene, tmp_path: Path, rest: int, placed: str
+) -> None:
+    """Oracle: the engine's picture of the same object at the middle of each ball."""
+    ob = lab.add(ready, beads(rest))
+    if placed != "as made":
+        ob.location, ob.rotation_euler, ob.scale = (0.2, -0.3, 0.1), (0.3, 0.1, 2.0), (0.9,) * 3
+    if placed == "mirrored":
+        ob.scale = (-0.9, 0.9, 0.9)
+    ob.gscore.display = "SOFT"
+    bpy.context.view_layer.update()
+    want = centres(ready, ob, tmp_path, "GSCORE_SPLATS")
+    got = centres(ready, ob, tmp_path, "CYCLES")
+    assert np.ptp(want) > 0.3
+    np.testing.assert_allclose(OPAQUE * got, want, atol=LIMIT)
+
+
+def test_colors_follow_the_camera(ready: bpy.types.Scene, tmp_path: Path) -> None:
+    """Oracle: the engine once more, after the camera alone has moved; colours have changed."""
+    ob = lab.add(ready, beads(15))
+    ob.gscore.display = "SOFT"
+    before = centres(ready, ob, tmp_path, "CYCLES")
+    ready.camera.location = (-2.5, 1, 4.5)
+    ready.camera.rotation_euler = Vector((2.5, -1, -4.5)).to_track_quat("-Z", "Y").to_euler()
+    bpy.context.view_layer.update()
+    want = centres(ready, ob, tmp_path, "GSCORE_SPLATS")
+    got = centres(ready, ob, tmp_path, "CYCLES")
+    np.testing.assert_allclose(OPAQUE * got, want, atol=LIMIT)
+    assert np.abs(got - before).max() > 0.1
+
+
+def test_the_live_display_renders_them_too(ready: bpy.types.Scene, tmp_path: Path) -> None:
+    """Oracle: the picture of the display Soft Splats."""
+    ob = lab.add(ready, beads(8))
+    ob.gscore.display = "SOFT"
+    want = centres(ready, ob, tmp_path, "CYCLES")
+    ob.gscore.display = "SPLATS"
+    np.testing.assert_allclose(centres(ready, ob, tmp_path, "CYCLES"), want, atol=1e-4)
+
+
+def test_without_a_camera_the_mean_color_is_shown(ready: bpy.types.Scene, tmp_path: Path) -> None:
+    """Oracle: splats that have no other coefficients, from nodes that are given no camera."""
+    splats = beads(15)
+    ob = lab.add(ready, splats)
+    ob.gscore.display = "SOFT"
+    for tree in {modifier_of(ob).node_group, *bpy.data.node_groups}:
+        for node in tree.nodes:
+            if node.bl_idname == "GeometryNodeInputActiveCamera":
+                for link in list(node.outputs[0].links):
+                    tree.links.remove(link)
+    bpy.context.view_layer.update()
+    got = centres(ready, ob, tmp_path, "CYCLES")
+    bpy.data.objects.remove(ob)
+    plain = lab.add(ready, replace(splats, shN=splats.shN[:, :0]))
+    plain.gscore.display = "SOFT"
+    np.testing.assert_allclose(got, centres(ready, plain, tmp_path, "CYCLES"), atol=1e-4)
+
+
+def test_a_factor_that_is_zero_somewhere_would_be_seen() -> None:
+    """Oracle: no basis function is zero where their factors are taken from."""
+    for k in range(15):
+        assert all(abs(f) > 0.05 for f in harmonics._scaled(k).values())
