@@ -1,7 +1,8 @@
 """Which splats become one at a coarser level: neighbours whose joining moves the least."""
 
 import numpy as np
-from scipy.spatial import cKDTree
+
+from ..extras import need
 
 _NEIGHBOURS = 6
 """Of which each splat's partner is chosen."""
@@ -26,6 +27,9 @@ def groups_of(
         sizes: [N] float64, standard deviations, world units.
         colors: [N, 3] float64, from 0 to 1 or so.
         wanted: How many groups, 1 to N.
+
+    Raises:
+        BackendError: scipy is not installed.
     """
     group = np.arange(len(means))
     features = np.concatenate([means, colors, sizes[:, None] ** 2], axis=1)
@@ -41,7 +45,8 @@ def _pairs(features: np.ndarray, weights: np.ndarray, most: int) -> np.ndarray:
     """[P, 2] rows that are joined in this round, P at least 1 and at most `most`."""
     count = len(features)
     means, near = features[:, :3], min(_NEIGHBOURS + 1, count)
-    beside = cKDTree(means).query(means, k=near)[1].reshape(count, near)
+    tree = need("scipy.spatial", "Making levels of detail").cKDTree(means)
+    beside = tree.query(means, k=near)[1].reshape(count, near)
     rows = np.repeat(np.arange(count), near).reshape(count, near)
     costs = np.where(beside == rows, np.inf, _costs(features, weights, rows, beside))
     best = costs.argmin(axis=1)
