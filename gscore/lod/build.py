@@ -5,7 +5,8 @@ the finest level. Then chunk after chunk of the next level is made of four of th
 """
 
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import BinaryIO
@@ -23,6 +24,7 @@ from ..io.lod_file import (
     lod_header,
 )
 from ..io.lod_index import CHILDREN, LodIndex, LodLevel, row_floats
+from ..raster.backend import default_threads
 from ..scene import Cameras
 from ..sh import sh0_to_rgb
 from ..shown import shown
@@ -126,7 +128,8 @@ class _Building:
         starts = np.cumsum(counts) - counts
         self._scatter(model, chunks, starts, told)
         stats = _Stats()
-        with _reading(self._file) as file:
+        self._file.flush()
+        with Path(self._file.name).open("rb") as file:
             for start, count in zip(starts.tolist(), counts.tolist(), strict=True):
                 file.seek(self._place(start))
                 rows = np.frombuffer(file.read(4 * self._floats * count), "<f4")
@@ -164,11 +167,7 @@ class _Building:
         while len(self._errors) > 1:
             below, stats, errors = self.levels[-1], _Stats(), []
             begins = self._rows - below.splats + np.cumsum(below.counts) - below.counts
-            for parent in range(len(below.counts) // CHILDREN):
-                children = range(CHILDREN * parent, CHILDREN * (parent + 1))
-                parts = [self._read(int(begins[c]), int(below.counts[c])) for c in children]
-                moved = np.concatenate([self._errors[child] for child in children])
-                merged = _coarser(joined(parts), moved)
+            for merged in self._parents(begins, below.counts):
                 self._write(self._rows, merged.splats, stats, merged.errors)
                 self._rows += len(merged.splats)
                 errors.append(merged.errors)
@@ -176,6 +175,26 @@ class _Building:
                 told("Merging splats", done / total)
             self.levels.append(stats.level())
             self._errors = errors
+
+    def _parents(self, begins: np.ndarray, counts: np.ndarray) -> Iterator[MergedSplats]:
+        """The chunks of the next level, in their order, made on all cores.
+
+        Args:
+            begins: [C] the first row of each chunk of the last level.
+            counts: [C] its rows.
+        """
+
+        def merged(parent: int) -> MergedSplats:
+            children = range(CHILDREN * parent, CHILDREN * (parent + 1))
+            parts = [self._read(int(begins[c]), int(counts[c])) for c in children]
+            return _coarser(joined(parts), np.concatenate([self._errors[c] for c in children]))
+
+        threads = default_threads()
+        with ThreadPoolExecutor(threads) as pool:
+            for first in range(0, len(counts) // CHILDREN, 4 * threads):
+                self._file.flush()
+                last = min(first + 4 * threads, len(counts) // CHILDREN)
+                yield from list(pool.map(merged, range(first, last)))
 
     def finish(
         self,
@@ -198,7 +217,7 @@ class _Building:
         return HEADER_BYTES + 4 * self._floats * row
 
     def _read(self, row: int, count: int) -> Splats:
-        with _reading(self._file) as file:
+        with Path(self._file.name).open("rb") as file:
             file.seek(self._place(row))
             return Splats(**chunk_parts(file.read(4 * self._floats * count), self._degree))
 
@@ -262,12 +281,6 @@ def _mean_error(splats: Splats, errors: np.ndarray) -> float:
     """The root of the mean square, weighted by what the splats cover."""
     weights = coverage(splats)
     return float(np.sqrt((weights * errors**2).sum() / weights.sum()))
-
-
-def _reading(file: BinaryIO) -> BinaryIO:
-    """The same file to read from, with all that was written."""
-    file.flush()
-    return Path(file.name).open("rb")
 
 
 def _to_rows(splats: Splats) -> np.ndarray:

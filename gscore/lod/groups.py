@@ -6,6 +6,10 @@ from ..extras import need
 
 _NEIGHBOURS = 6
 """Of which each splat's partner is chosen."""
+_FEW = 30
+"""Where less than one of so many finds a pair in a round, others need not wait for one."""
+_A_ROUND = 8
+"""Of these one of so many rows is joined at most: costs change as groups grow."""
 _COLOR = 5.0
 """How far apart, in standard deviations of the larger one, two splats of one place count that
 differ by 1 in all colours."""
@@ -19,7 +23,7 @@ def groups_of(
     Pairs whose joining changes least are joined first, as Ward (1963) does: two groups of weights a
     and b at a distance d cost a b / (a + b) times d^2 / (d^2 + s^2), where s is the size of the
     larger one. So specks go before what a picture shows large, and what overlaps before what lies
-    beside each other. A round joins pairs that are each other's best, cheapest first.
+    beside each other. A round joins those that are each other's best, cheapest first.
 
     Args:
         means: [N, 3] float64.
@@ -35,14 +39,18 @@ def groups_of(
     features = np.concatenate([means, colors, sizes[:, None] ** 2], axis=1)
     weights = weights / weights.max()
     while len(features) > wanted:
-        pairs = _pairs(features, weights, len(features) - wanted)
-        features, weights, step = _joined(features, weights, pairs)
+        joins, takes = _round(features, weights, len(features) - wanted)
+        features, weights, step = _joined(features, weights, joins, takes)
         group = step[group]
     return group
 
 
-def _pairs(features: np.ndarray, weights: np.ndarray, most: int) -> np.ndarray:
-    """[P, 2] rows that are joined in this round, P at least 1 and at most `most`."""
+def _round(features: np.ndarray, weights: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
+    """Rows [P] that are joined to others [P] in this round, P at least 1 and at most `most`.
+
+    The heavier of two that are each other's best takes in the other. Where few are, because specks
+    wait for each other around something large, every second row takes in all whose best it is.
+    """
     count = len(features)
     means, near = features[:, :3], min(_NEIGHBOURS + 1, count)
     tree = need("scipy.spatial", "Making levels of detail").cKDTree(means)
@@ -50,12 +58,20 @@ def _pairs(features: np.ndarray, weights: np.ndarray, most: int) -> np.ndarray:
     rows = np.repeat(np.arange(count), near).reshape(count, near)
     costs = np.where(beside == rows, np.inf, _costs(features, weights, rows, beside))
     best = costs.argmin(axis=1)
-    mine, partner = costs[np.arange(count), best], beside[np.arange(count), best]
-    first = np.flatnonzero((partner[partner] == np.arange(count)) & (partner > np.arange(count)))
-    if not len(first):  # rings of equal costs: the cheapest pair of all
-        first = np.array([mine.argmin()])
-    first = first[np.argsort(mine[first], kind="stable")[:most]]
-    return np.stack([first, partner[first]], axis=1)
+    all_rows = np.arange(count)
+    mine, partner = costs[all_rows, best], beside[all_rows, best]
+    mutual = np.flatnonzero((partner[partner] == all_rows) & (partner > all_rows))
+    if not len(mutual):  # rings of equal costs: the cheapest of all
+        row = int(mine.argmin())
+        return np.array([row]), partner[[row]]
+    heavier = weights[mutual] >= weights[partner[mutual]]
+    joins = np.where(heavier, partner[mutual], mutual)
+    if len(joins) * _FEW < count:
+        takes = all_rows % 2 == 0
+        others = np.flatnonzero(takes[partner] & ~takes)
+        joins, most = (others, min(most, -(-count // _A_ROUND))) if len(others) else (joins, most)
+    joins = joins[np.argsort(mine[joins], kind="stable")[:most]]
+    return joins, partner[joins]
 
 
 def _costs(features: np.ndarray, weights: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -68,18 +84,17 @@ def _costs(features: np.ndarray, weights: np.ndarray, a: np.ndarray, b: np.ndarr
 
 
 def _joined(
-    features: np.ndarray, weights: np.ndarray, pairs: np.ndarray
+    features: np.ndarray, weights: np.ndarray, joins: np.ndarray, takes: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Features and weights after pairs became one, and the new row of each old one."""
+    """Features and weights after rows were joined to others, and the new row of each old one."""
     keep = np.ones(len(features), bool)
-    keep[pairs[:, 1]] = False
+    keep[joins] = False
     step = np.cumsum(keep) - 1
-    step[pairs[:, 1]] = step[pairs[:, 0]]
-    a, b = weights[pairs[:, 0], None], weights[pairs[:, 1], None]
-    both = (a * features[pairs[:, 0]] + b * features[pairs[:, 1]]) / (a + b)
-    between = ((features[pairs[:, 0], :3] - features[pairs[:, 1], :3]) ** 2).sum(axis=1) / 3
-    both[:, 6] += (a * b / (a + b) ** 2)[:, 0] * between
-    features, weights = features.copy(), weights.copy()
-    features[pairs[:, 0]] = both
-    weights[pairs[:, 0]] += weights[pairs[:, 1]]
-    return features[keep], weights[keep], step
+    step[joins] = step[takes]
+    left = int(keep.sum())
+    total = np.bincount(step, weights, left)
+    share = weights / total[step]
+    made = np.stack([np.bincount(step, share * column, left) for column in features.T], axis=1)
+    between = ((features[:, :3] - made[step, :3]) ** 2).sum(axis=1) / 3
+    made[:, 6] += np.bincount(step, share * between, left)
+    return made, total, step
