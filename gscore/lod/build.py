@@ -30,13 +30,13 @@ from ..sh import sh0_to_rgb
 from ..shown import shown
 from ..splats import PARAMETERS, Splats
 from .groups import groups_of
-from .moments import MergedSplats, coverage, median_sizes, merged_by
+from .moments import MergedSplats, covered_by, median_sizes, merged_by
 from .order import chunks_of, levels_above
 
 _PART = 1 << 17
 """Splats of the model that are in memory at once while it is read."""
 
-Told = Callable[[str, float], object]
+ToldShare = Callable[[str, float], object]
 """Is told what is being done, and how much of it is done, 0 to 1."""
 
 
@@ -55,7 +55,7 @@ def build_lod(
     output: Path,
     facts: LodFacts,
     *,
-    told: Told = lambda what, share: None,
+    told: ToldShare = lambda what, share: None,
     measured: Callable[[Path, LodIndex], tuple[LodLevel, ...]] | None = None,
 ) -> LodIndex:
     """Write levels of detail of a model, completely or not at all.
@@ -101,7 +101,7 @@ def build_lod(
     return made[0]
 
 
-def _places(model: Path, told: Told) -> tuple[np.ndarray, int]:
+def _places(model: Path, told: ToldShare) -> tuple[np.ndarray, int]:
     """Means [N, 3] float32 of all splats, and the degree of their SH."""
     found, degree = [np.zeros((0, 3), np.float32)], 0
     told("Reading the splats", 0.0)
@@ -122,7 +122,7 @@ class _Building:
         self._errors: list[np.ndarray] = []
         """Of each splat of the last level."""
 
-    def finest(self, model: Path, chunks: np.ndarray, levels: int, told: Told) -> None:
+    def finest(self, model: Path, chunks: np.ndarray, levels: int, told: ToldShare) -> None:
         """Write the chunks of the finest level."""
         counts = np.bincount(chunks, minlength=CHILDREN**levels)
         starts = np.cumsum(counts) - counts
@@ -139,7 +139,9 @@ class _Building:
         self.levels.append(stats.level())
         self._errors = [np.zeros(count) for count in counts.tolist()]
 
-    def _scatter(self, model: Path, chunks: np.ndarray, starts: np.ndarray, told: Told) -> None:
+    def _scatter(
+        self, model: Path, chunks: np.ndarray, starts: np.ndarray, told: ToldShare
+    ) -> None:
         """Put each splat among those of its chunk, as a row of numbers."""
         filled, done = starts.copy(), 0
         for part in read_splat_parts(model, _PART):
@@ -159,7 +161,7 @@ class _Building:
         if done != len(chunks):
             raise _changed(model)
 
-    def coarser(self, told: Told) -> None:
+    def coarser(self, told: ToldShare) -> None:
         """Write all coarser levels."""
         total = sum(CHILDREN**k for k in range(len(self._errors).bit_length() // 2 + 1)) or 1
         total -= len(self._errors)
@@ -233,7 +235,7 @@ def _coarser(splats: Splats, errors: np.ndarray) -> MergedSplats:
     wanted = -(-len(splats) // CHILDREN)
     group = groups_of(
         splats.means.astype(np.float64),
-        coverage(splats),
+        covered_by(splats),
         median_sizes(splats),
         sh0_to_rgb(splats.sh0[:, 0].astype(np.float64)),
         wanted,
@@ -279,7 +281,7 @@ _MOST_LOG = 700.0
 
 def _mean_error(splats: Splats, errors: np.ndarray) -> float:
     """The root of the mean square, weighted by what the splats cover."""
-    weights = coverage(splats)
+    weights = covered_by(splats)
     return float(np.sqrt((weights * errors**2).sum() / weights.sum()))
 
 

@@ -24,7 +24,7 @@ class MergedSplats:
     """[G] float64, how far what they stand for was moved, as `merged_by` says, world units."""
 
 
-def coverage(splats: Splats) -> np.ndarray:
+def covered_by(splats: Splats) -> np.ndarray:
     """[N] float64, above 0: opacity times the mean area of the shadow, over all directions.
 
     A convex body's mean shadow is a quarter of its surface (Cauchy 1832), here that of the
@@ -41,7 +41,7 @@ def median_sizes(splats: Splats) -> np.ndarray:
 def merged_by(splats: Splats, errors: np.ndarray, group: np.ndarray, count: int) -> MergedSplats:
     """One splat for each group.
 
-    Mean, covariance and SH coefficients are means weighted by `coverage`, the covariance with that
+    Mean, covariance and SH coefficients are means weighted by `covered_by`, the covariance with that
     of the means among each other. The opacity keeps the coverage of all together, but is never more
     than that of all in one place. The error is the root of the mean square, by the same weights, of
     how far each was moved: of a distance d the part that a splat of size s shows, d^2 / sqrt(d^2 +
@@ -53,7 +53,7 @@ def merged_by(splats: Splats, errors: np.ndarray, group: np.ndarray, count: int)
         group: [N] int64, 0 to `count` - 1, each at least once.
         count: How many groups.
     """
-    weights = coverage(splats)
+    weights = covered_by(splats)
     total = _sums(weights, group, count)
     share = weights / total[group]
     places = splats.means.astype(np.float64)
