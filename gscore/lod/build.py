@@ -95,6 +95,7 @@ def build_lod(
             cameras=facts.cameras,
             levels=tuple(work.levels),
         )
+        told("Measuring pictures of the levels", 0.0)
         made.append(work.finish(index, measured))
 
     atomic_write(output, write)

@@ -41,8 +41,8 @@ def median_sizes(splats: Splats) -> np.ndarray:
 def merged_by(splats: Splats, errors: np.ndarray, group: np.ndarray, count: int) -> MergedSplats:
     """One splat for each group.
 
-    Mean, covariance and SH coefficients are means weighted by `covered_by`, the covariance with that
-    of the means among each other. The opacity keeps the coverage of all together, but is never more
+    Mean, covariance and SH coefficients are means weighted by `covered_by`, the covariance with
+    that of the means among each other. The opacity keeps the coverage of all together, but is never more
     than that of all in one place. The error is the root of the mean square, by the same weights, of
     how far each was moved: of a distance d the part that a splat of size s shows, d^2 / sqrt(d^2 +
     s^2), for a wide splat moved by little looks as before.
