@@ -42,10 +42,10 @@ def merged_by(splats: Splats, errors: np.ndarray, group: np.ndarray, count: int)
     """One splat for each group.
 
     Mean, covariance and SH coefficients are means weighted by `covered_by`, the covariance with
-    that of the means among each other. The opacity keeps the coverage of all together, but is never more
-    than that of all in one place. The error is the root of the mean square, by the same weights, of
-    how far each was moved: of a distance d the part that a splat of size s shows, d^2 / sqrt(d^2 +
-    s^2), for a wide splat moved by little looks as before.
+    that of the means among each other. The opacity keeps what all cover together, but is never more
+    than that of all in one place: the splat grows instead. The error is the root of the mean
+    square, by the same weights, of how far each was moved: of a distance d the part that a splat of
+    size s shows, d^2 / sqrt(d^2 + s^2), for a wide splat moved by little looks as before.
 
     Args:
         splats: [N].
