@@ -25,6 +25,7 @@ from gscore import (
     write_splats,
 )
 from gscore.frontend import (
+    LOD_ENDING,
     MIP_COMMENT,
     NO_PINHOLE,
     POSES_FILE,
@@ -56,6 +57,7 @@ from gscore.frontend import (
     SfmEstimated,
     SfmProgress,
     Snapshot,
+    SplatFile,
     Started,
     StatedDepth,
     Switch,
@@ -80,6 +82,7 @@ from gscore.frontend import (
     in_unit_shape,
     inspect_capture,
     is_antialiased,
+    is_lod_file,
     is_video,
     join_splats,
     most_important,
@@ -91,6 +94,7 @@ from gscore.frontend import (
     read_capture,
     read_colmap,
     read_header,
+    read_lod,
     read_moves,
     read_run,
     rotmat_to_quat,

@@ -51,7 +51,7 @@ if TYPE_CHECKING:
         Warn,
         from_line,
     )
-    from .formats import SPLAT_ENDINGS, is_antialiased
+    from .formats import SPLAT_ENDINGS, SplatFile, is_antialiased
     from .formats.joined import cut_degree
     from .formats.joined import joined as join_splats
     from .inspection import CaptureFacts, Problem, find_capture
@@ -64,11 +64,15 @@ if TYPE_CHECKING:
     from .io.colmap_model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
     from .io.files import atomic_write
     from .io.image_header import ImageInfo, read_header
+    from .io.lod_file import LOD_ENDING, is_lod_file
     from .io.ply import MIP_COMMENT
     from .io.poses_json import POSES_FILE, read_moves
     from .io.resample import downscale
     from .io.runs import RunInfo, clear_run, read_run
     from .io.sequences import SequenceIndex, read_sequence
+    from .lod.build import LodFacts, build_lod
+    from .lod.draw import LodModel
+    from .lod.read import read_lod
     from .logged import collected_warnings
     from .options import Option, options_of
     from .report.colormap import colorize
@@ -101,6 +105,9 @@ _HOME = {
     "FramesProgress": "events",
     "ImageInfo": "io.image_header",
     "KnownNetwork": "depth.catalogue",
+    "LOD_ENDING": "io.lod_file",
+    "LodFacts": "lod.build",
+    "LodModel": "lod.draw",
     "MIP_COMMENT": "io.ply",
     "NO_PINHOLE": "io.camera_models",
     "Option": "options",
@@ -117,6 +124,7 @@ _HOME = {
     "SfmEstimated": "events",
     "SfmProgress": "events",
     "Snapshot": "events",
+    "SplatFile": "formats",
     "Started": "events",
     "StatedDepth": "depth.stated",
     "Switch": "config",
@@ -127,6 +135,7 @@ _HOME = {
     "are_mattes": "datasets.mattes",
     "at_least_opaque": "edit",
     "atomic_write": "io.files",
+    "build_lod": "lod.build",
     "capture_beside": "sfm.beside",
     "clear_run": "io.runs",
     "collected_warnings": "logged",
@@ -145,6 +154,7 @@ _HOME = {
     "in_unit_shape": "edit",
     "inspect_capture": "inspection:inspect",
     "is_antialiased": "formats",
+    "is_lod_file": "io.lod_file",
     "is_video": "video",
     "isolation_of": "edit",
     "join_splats": "formats.joined:joined",
@@ -156,6 +166,7 @@ _HOME = {
     "read_capture": "datasets",
     "read_colmap": "io.colmap:read_model",
     "read_header": "io.image_header",
+    "read_lod": "lod.read",
     "read_moves": "io.poses_json",
     "read_run": "io.runs",
     "read_sequence": "io.sequences",
@@ -170,6 +181,7 @@ _HOME = {
 """Where a name lives; `module:name` where it is called differently there."""
 
 __all__ = [
+    "LOD_ENDING",
     "MIP_COMMENT",
     "NO_PINHOLE",
     "POSES_FILE",
@@ -196,6 +208,8 @@ __all__ = [
     "FramesProgress",
     "ImageInfo",
     "KnownNetwork",
+    "LodFacts",
+    "LodModel",
     "Option",
     "Preview",
     "Problem",
@@ -208,6 +222,7 @@ __all__ = [
     "SfmEstimated",
     "SfmProgress",
     "Snapshot",
+    "SplatFile",
     "Started",
     "StatedDepth",
     "Switch",
@@ -217,6 +232,7 @@ __all__ = [
     "are_mattes",
     "at_least_opaque",
     "atomic_write",
+    "build_lod",
     "capture_beside",
     "clear_run",
     "cluster_sizes",
@@ -235,6 +251,7 @@ __all__ = [
     "in_unit_shape",
     "inspect_capture",
     "is_antialiased",
+    "is_lod_file",
     "is_video",
     "isolation_of",
     "join_splats",
@@ -247,6 +264,7 @@ __all__ = [
     "read_capture",
     "read_colmap",
     "read_header",
+    "read_lod",
     "read_moves",
     "read_run",
     "read_sequence",

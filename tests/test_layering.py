@@ -52,6 +52,7 @@ ALLOWED = {
     "inspection": BOTTOM | {"io", "datasets", "video", "sfm", "depth", "inspection"},
     "raster": BOTTOM | {"io", "formats", "raster"},
     "edit": BOTTOM | {"io", "formats", "raster", "edit"},
+    "lod": BOTTOM | {"io", "formats", "raster", "edit", "lod"},
     "blocks": BOTTOM | {"io", "formats", "datasets", "edit", "blocks"},
     "stereo": BOTTOM | {"io", "datasets", "depth", "raster", "stereo"},
     "metrics": BOTTOM | {"io", "datasets", "depth", "raster", "metrics"},

@@ -9,8 +9,16 @@ from mathutils import Matrix
 
 from ..cameras.objects import local_matrix, root_of
 from ..compat import matrix_to_numpy
-from ..core import join_splats, read_splat_file, write_splat_file
+from ..core import (
+    SplatFile,
+    is_lod_file,
+    join_splats,
+    read_lod,
+    read_splat_file,
+    write_splat_file,
+)
 from . import objects
+from .filters import crop_matrix, is_cropped
 from .objects import ANTIALIAS
 
 UP_AXES = {
@@ -19,6 +27,8 @@ UP_AXES = {
     "Z": np.eye(4),
 }
 """[4, 4] that turns the named axis of a file to Blender's +Z."""
+MOST_AT_ONCE = 1_000_000
+"""Splats of the level that is read where none is chosen: as many as Blender edits at ease."""
 SOURCE, BLENDER = "SOURCE", "BLENDER"
 _IMPORT_MATRIX = "gs_import_matrix"
 _NOISE = 1e-12
@@ -30,8 +40,10 @@ def import_splats(
     *,
     parent: bpy.types.Object | None = None,
     up: str = "-Y",
+    level: int | None = None,
+    cropped: bpy.types.Object | None = None,
 ) -> bpy.types.Object:
-    """Read a file of splats of any format as a new splat object.
+    """Read a file of splats of any format, or a part of levels of detail, as a new splat object.
 
     Args:
         context: Its collection gets the object.
@@ -39,18 +51,51 @@ def import_splats(
         parent: The empty of the capture that the splats were trained from; its alignment applies.
         up: Without `parent`, the axis of the file that points up: a key of `UP_AXES`. The turn is
             the object's; the data stay in the file's world.
+        level: Of a file of levels of detail, the one to read, 0 the finest; None: the finest of
+            `MOST_AT_ONCE` splats at most.
+        cropped: A splat object of the file, with a crop object: of the file's finest level, or of
+            `level`, what lies in the box around that is read, and put where this object stands.
 
     Raises:
         GsError: the file is missing, corrupt or holds no splats; the scene is untouched.
+        ValueError: there is no such level, or nothing in the box.
     """
     path = Path(bpy.path.abspath(str(path)))
-    found = read_splat_file(path)
+    found = _read(path, level, cropped)
+    if cropped is not None:
+        parent = cropped.parent
     ob = objects.create(found.splats, path.stem, collection=context.collection, parent=parent)
     if found.antialiased:
         ob[ANTIALIAS] = True
-    if parent is None:
+    if cropped is not None:
+        _stand_like(ob, cropped)
+    elif parent is None:
         turn_up(ob, up)
     return ob
+
+
+def _read(path: Path, level: int | None, cropped: bpy.types.Object | None) -> SplatFile:
+    """What is imported; errors as `import_splats`."""
+    if not is_lod_file(path):
+        if level is not None or cropped is not None:
+            raise ValueError(f"{path} has no levels of detail; gscore lod makes them.")
+        return read_splat_file(path)
+    if cropped is None:
+        return read_lod(path, level, most=MOST_AT_ONCE)
+    if not is_cropped(cropped):
+        raise ValueError(f"{cropped.name} has no crop object; add a crop box first.")
+    found = read_lod(path, level or 0, to_unit=crop_matrix(cropped, cropped.gscore.crop_object))
+    if not len(found.splats):
+        raise ValueError(f"No splat of {path} lies in {cropped.gscore.crop_object.name}.")
+    return found
+
+
+def _stand_like(ob: bpy.types.Object, other: bpy.types.Object) -> None:
+    """Put an object where another one of the same parent stands."""
+    ob.matrix_parent_inverse = other.matrix_parent_inverse
+    ob.matrix_basis = other.matrix_basis
+    if _IMPORT_MATRIX in other:
+        ob[_IMPORT_MATRIX] = list(other[_IMPORT_MATRIX])
 
 
 def turn_up(ob: bpy.types.Object, up: str) -> None:

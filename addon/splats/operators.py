@@ -4,12 +4,18 @@ from pathlib import Path
 from typing import ClassVar
 
 import bpy
-from bpy.props import BoolProperty, CollectionProperty, EnumProperty, StringProperty
+from bpy.props import (
+    BoolProperty,
+    CollectionProperty,
+    EnumProperty,
+    IntProperty,
+    StringProperty,
+)
 from bpy_extras.io_utils import ExportHelper, ImportHelper
 
 from ..cameras.objects import root_of
 from ..compat import native_splat_type
-from ..core import SPLAT_ENDINGS, GsError, collected_warnings
+from ..core import LOD_ENDING, SPLAT_ENDINGS, GsError, collected_warnings
 from ..interface.operators import Acting, make_active
 from . import edit, even_scale, files, native, settings
 from .objects import can_export, is_splats, meant
@@ -56,14 +62,15 @@ class OnSplats(Acting):
 
 
 class ImportSplats(Acting, bpy.types.Operator, ImportHelper):
-    """Import Gaussian splats of any trainer or viewer: PLY, SPZ, SOG, .splat, .ksplat, glTF, USD"""
+    """Import Gaussian splats of any trainer or viewer: PLY, SPZ, SOG, .splat, .ksplat, glTF, USD;
+    or a level of detail of a .lod file"""
 
     bl_idname = "gscore.import_splats"
     bl_label = "Import Splats"
     bl_options: ClassVar = {"REGISTER", "UNDO", "PRESET"}
 
     filename_ext = ".ply"
-    filter_glob: StringProperty(default=_GLOB, options={"HIDDEN"})
+    filter_glob: StringProperty(default=f"{_GLOB};*{LOD_ENDING}", options={"HIDDEN"})
     files: CollectionProperty(
         type=bpy.types.OperatorFileListElement, options={"HIDDEN", "SKIP_SAVE"}
     )
@@ -76,6 +83,21 @@ class ImportSplats(Acting, bpy.types.Operator, ImportHelper):
         description="Put the splats under the capture that the active object belongs to, so that "
         "they stand where its photos were taken; the up axis is then the capture's",
         default=True,
+    )
+    level: IntProperty(
+        name="Level",
+        description="Of a file of levels of detail, which one: 0 is the finest; -1 the finest of "
+        f"{files.MOST_AT_ONCE:,} splats at most",
+        default=-1,
+        min=-1,
+        max=15,
+    )
+    in_crop: BoolProperty(
+        name="Only in the Crop",
+        description="Of a file of levels of detail, only what lies in the box of the active splat "
+        "object's crop, of the finest level unless one is chosen; it is put where that object "
+        "stands, which has to come from the same file",
+        default=False,
     )
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
@@ -90,7 +112,7 @@ class ImportSplats(Acting, bpy.types.Operator, ImportHelper):
         try:
             with collected_warnings() as warnings:
                 for path in paths or [Path(self.filepath)]:
-                    made.append(files.import_splats(context, path, parent=parent, up=self.up))
+                    made.append(self._one(context, path, parent))
         except (GsError, ValueError, OSError):
             for ob in made:
                 bpy.data.meshes.remove(ob.data)
@@ -103,6 +125,18 @@ class ImportSplats(Acting, bpy.types.Operator, ImportHelper):
         context.view_layer.objects.active = made[-1]
         total = sum(len(ob.data.vertices) for ob in made)
         return f"Imported {total:,} splats from {len(made)} file(s)."
+
+    def _one(
+        self, context: bpy.types.Context, path: Path, parent: bpy.types.Object | None
+    ) -> bpy.types.Object:
+        """The object of a file."""
+        cropped = meant(context) if self.in_crop else None
+        if self.in_crop and not is_splats(cropped):
+            raise ValueError("Select the splat object whose crop says what to import.")
+        level = None if self.level < 0 else self.level
+        return files.import_splats(
+            context, path, parent=parent, up=self.up, level=level, cropped=cropped
+        )
 
 
 class ExportSplats(Acting, bpy.types.Operator, ExportHelper):

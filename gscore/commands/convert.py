@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ..edit.crop import box_matrix
 from ..edit.pipeline import Edited, EditViews, apply_edits
 from ..edit.request import GAP, USUAL, EditRequest
 from ..errors import ConfigError
@@ -23,6 +24,8 @@ from ..formats import (
     write_splat_file,
 )
 from ..io.files import read_bytes
+from ..io.lod_file import is_lod_file
+from ..lod.read import LOD_FORMAT, read_lod
 from ..scene import FARTHEST
 from ..shown import quoted, shown
 from ..splats import Splats
@@ -100,6 +103,12 @@ def _add_join_and_crop(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("1. join")
     group.add_argument(
         "--merge", nargs="+", type=Path, default=[], metavar="FILE", help="more splats of the world"
+    )
+    group.add_argument(
+        "--level",
+        type=int,
+        metavar="N",
+        help="of levels of detail, the one to write (0, the finest)",
     )
     group = parser.add_argument_group("2. crop: keep what lies in all of these")
     group.add_argument(
@@ -239,7 +248,7 @@ def _check_output(args: argparse.Namespace) -> None:
 def _convert(args: argparse.Namespace, request: EditRequest, status: Status) -> dict[str, Any]:
     """Do it; the facts for `--json`."""
     status.show(["Reading the splats"])
-    models = [open_model(path) for path in (args.input, *args.merge)]
+    models = [_open(path, args) for path in (args.input, *args.merge)]
     _check_not_read(args, models)
     views = _views(args, models[0])
     if args.picture_view is not None:
@@ -268,10 +277,28 @@ def _convert(args: argparse.Namespace, request: EditRequest, status: Status) -> 
     return _facts(args, models, edited, written) | {"error": None if lost is None else asdict(lost)}
 
 
+def _open(path: Path, args: argparse.Namespace) -> GivenModel:
+    """A model; of levels of detail the one that is asked for, in the box if there is one.
+
+    Raises:
+        ConfigError: a level is asked for of a model without levels.
+    """
+    if is_lod_file(path):
+        box = None if args.box is None or args.outside else np.array(args.box).reshape(2, 3)
+        if box is not None and (box[0] >= box[1]).any():
+            box = None  # the crop says what is wrong with it
+        to_unit = None if box is None else box_matrix(box[0], box[1])
+        found = read_lod(path, args.level or 0, to_unit=to_unit)
+        return GivenModel(file=found, run=None, data=None, train=None)
+    if args.level is not None:
+        raise ConfigError(f"--level is for levels of detail, and {shown(path)} has none.")
+    return open_model(path)
+
+
 def _check_not_read(args: argparse.Namespace, models: list[GivenModel]) -> None:
     made = {args.output, *format_to_write(args.output).beside(args.output)}
     for model in models:
-        read = files_of(model.path)
+        read = {model.path} if model.file.format == LOD_FORMAT else files_of(model.path)
         if any(a.exists() and b.exists() and a.samefile(b) for a in made for b in read):
             raise ConfigError(
                 f"{shown(args.output)} is what is read; choose another output, so that it stays."

@@ -13,6 +13,7 @@ from ..errors import DatasetError
 from ..formats import is_splat_file
 from ..inspection import CaptureFacts, inspect
 from ..io.files import check_regular
+from ..io.lod_file import is_lod_file, open_lod_file
 from ..io.metrics_file import metrics_problem, read_metrics
 from ..io.runs import checkpoints_in
 from ..io.sequences import read_sequence
@@ -21,6 +22,7 @@ from ..splats import Splats, sigmoid
 from ..video import is_video
 from ..words import count_words, quality_words, size_words, time_words
 from .data_options import add_mask_options, with_data_options
+from .lod import lod_facts, lod_text
 from .model import GivenModel, find_splats, open_model
 from .output import print_json
 from .plain_photos import photos_facts, photos_text
@@ -52,7 +54,10 @@ def run(args: argparse.Namespace) -> int:
         raise DatasetError(f"There is no file or folder {path}.")
     if not path.is_dir():
         check_regular(path)
-    if is_video(path):
+    if is_lod_file(path):
+        with open_lod_file(path) as file:
+            facts = lod_facts(path, file.index)
+    elif is_video(path):
         facts = video_facts(path)
     elif path.is_file() and (path.suffix.lower() != ".json" or is_splat_file(path)):
         facts = _model_facts(open_model(path))
@@ -186,6 +191,7 @@ def _colmap_facts(found: CaptureFacts) -> dict[str, Any] | None:
 def _text(facts: dict[str, Any]) -> str:
     lines = {
         "splats": _splats_text,
+        "levels of detail": lod_text,
         "run": _run_text,
         "sequence": _sequence_text,
         "photos": photos_text,

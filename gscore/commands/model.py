@@ -4,6 +4,7 @@ import argparse
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from ..formats import SplatFile, is_splat_file, read_splat_file
 from ..io.colmap import find_model
 from ..io.files import check_regular
 from ..io.foreign import foreign
-from ..raster.api import render_camera
+from ..raster.api import Rendered, render, render_camera
 from ..scene import Cameras
 from ..splats import Splats
 
@@ -50,23 +51,54 @@ class GivenModel:
     @property
     def antialias(self) -> bool:
         """Whether it was trained with opacity compensation: its file or its run says so."""
-        return self.file.antialiased or bool(self.train and self.train.antialias)
+        return self.file.antialiased or trained_antialiased(self.train)
 
     @property
     def background(self) -> tuple[float, float, float]:
         """Colour behind the splats in measurements."""
-        is_white = self.train is not None and self.train.background is Background.WHITE
-        return (1.0, 1.0, 1.0) if is_white else (0.0, 0.0, 0.0)
+        return background_of(self.train)
 
     @property
     def near(self) -> float:
         """Near plane of the training, world units."""
-        return self.train.near if self.train else 0.01
+        return near_of(self.train)
+
+    @property
+    def cameras(self) -> Cameras | None:
+        """Those that the file itself holds: none; cameras.json lies beside it."""
+        return None
+
+    @property
+    def count(self) -> int:
+        """How many splats it has."""
+        return len(self.splats)
+
+    def draw(
+        self, K: np.ndarray, viewmat: np.ndarray, width: int, height: int, **how: Any
+    ) -> Rendered:
+        """A picture, as `gscore.render`."""
+        return render(self.splats, K, viewmat, width, height, **how)
 
     def picture(self, cameras: Cameras, index: int, *, threads: int) -> np.ndarray:
         """[H, W, 3] float32, what a camera sees of it, as measurements draw it."""
         how = {"background": self.background, "near": self.near, "antialias": self.antialias}
         return render_camera(self.splats, cameras, index, threads=threads, **how).rgb
+
+
+def trained_antialiased(train: TrainConfig | None) -> bool:
+    """Whether a training, if one is known, compensated opacities."""
+    return bool(train and train.antialias)
+
+
+def background_of(train: TrainConfig | None) -> tuple[float, float, float]:
+    """Colour behind the splats in measurements of a training; black where none is known."""
+    is_white = train is not None and train.background is Background.WHITE
+    return (1.0, 1.0, 1.0) if is_white else (0.0, 0.0, 0.0)
+
+
+def near_of(train: TrainConfig | None) -> float:
+    """Near plane of a training, world units; the usual one where none is known."""
+    return train.near if train else 0.01
 
 
 def add_model_argument(parser: argparse.ArgumentParser) -> None:

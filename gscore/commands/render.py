@@ -14,12 +14,14 @@ from ..config import DataConfig
 from ..datasets.resolution import check_resolution
 from ..errors import ConfigError
 from ..io.images import SIGNED, write_png
+from ..io.lod_file import LOD_ENDING, is_lod_file
 from ..io.places import check_apart, check_place
+from ..lod.draw import LOD_PX, LodModel
 from ..raster.api import Rendered
-from ..raster.api import render as render_view
 from ..scene import Cameras
 from ..shown import quoted
 from ..words import count_words
+from .lod_model import GivenLod
 from .model import GivenModel, add_model_argument, model_path, open_model
 from .output import check_folder, check_replaced, is_ours, others_in, print_json
 from .parser import add_threads_option
@@ -106,6 +108,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action=argparse.BooleanOptionalAction,
         help="fainter splats below the size of a pixel; default: as the model was trained",
     )
+    group = parser.add_argument_group("levels of detail, of a file that gscore lod wrote")
+    group.add_argument(
+        "--lod-px",
+        type=float,
+        metavar="PX",
+        help=f"how far off coarser levels may be on the picture; 0: finest everywhere ({LOD_PX:g})",
+    )
+    group.add_argument(
+        "--lod-splats",
+        type=int,
+        metavar="N",
+        help="splats of a picture at most; coarser where there would be more (no limit)",
+    )
     add_threads_option(parser)
     parser.add_argument(
         "--overwrite", action="store_true", help="replace files that gscore did not write"
@@ -136,7 +151,7 @@ def _is_file(output: Path) -> bool:
 def _render(args: argparse.Namespace, status: Status, *, is_video: bool) -> dict[str, Any]:
     """Facts on what was written."""
     status.show(["Reading the splats"])
-    model = open_model(model_path(args))
+    model = _open(args)
     for data in (None, *_captures(args, model)):
         if _is_file(args.output):
             check_apart(args.output.parent, data)
@@ -171,9 +186,33 @@ def _render(args: argparse.Namespace, status: Status, *, is_video: bool) -> dict
         "pictures": len(shots.names),
         "width": int(shots.widths[0]),
         "height": int(shots.heights[0]),
-        "splats": len(model.splats),
+        "splats": model.count,
         "fps": work.fps,
+        **(model.drawn() if isinstance(model, GivenLod) else {}),
     }
+
+
+def _open(args: argparse.Namespace) -> GivenModel | GivenLod:
+    """The model; of levels of detail, how coarse it may be.
+
+    Raises:
+        ConfigError: that was said of a model without levels.
+    """
+    path = model_path(args)
+    if not is_lod_file(path):
+        if args.lod_px is not None or args.lod_splats is not None:
+            raise ConfigError(
+                f"--lod-px and --lod-splats are for levels of detail, and {path} has none. Make "
+                f"them first: gscore lod {path} -o {Path(path.name).with_suffix(LOD_ENDING)}"
+            )
+        return open_model(path)
+    pixels = LOD_PX if args.lod_px is None else args.lod_px
+    if not 0 <= pixels < math.inf or (args.lod_splats is not None and args.lod_splats < 1):
+        raise ConfigError(
+            f"--lod-px must be 0 or more, and --lod-splats 1 or more, got {pixels:g} and "
+            f"{args.lod_splats}."
+        )
+    return GivenLod(model=LodModel(path), lod_px=pixels, most=args.lod_splats)
 
 
 def _summary(args: argparse.Namespace, result: dict[str, Any]) -> str:
@@ -184,7 +223,7 @@ def _summary(args: argparse.Namespace, result: dict[str, Any]) -> str:
     return f"{text}\nFiles that were there before stay: {others}" if others else text
 
 
-def _captures(args: argparse.Namespace, model: GivenModel) -> list[DataConfig]:
+def _captures(args: argparse.Namespace, model: GivenModel | GivenLod) -> list[DataConfig]:
     """The captures whose photos the pictures must not replace, which have the same names."""
     given = [] if args.cameras is None else [DataConfig(source=args.cameras)]
     return given + ([] if model.data is None else [model.data])
@@ -201,7 +240,11 @@ class _Work:
     """Renders the shots one after the other, times it and shows progress."""
 
     def __init__(
-        self, model: GivenModel, shots: Cameras, options: dict[str, Any], status: Status
+        self,
+        model: GivenModel | GivenLod,
+        shots: Cameras,
+        options: dict[str, Any],
+        status: Status,
     ) -> None:
         self.shots = shots
         self._model, self._options, self._status = model, options, status
@@ -218,9 +261,7 @@ class _Work:
         for i, name in enumerate(shots.names):
             began = time.perf_counter()
             size = int(shots.widths[i]), int(shots.heights[i])
-            rendered = render_view(
-                self._model.splats, shots.Ks[i], shots.viewmats[i], *size, **self._options
-            )
+            rendered = self._model.draw(shots.Ks[i], shots.viewmats[i], *size, **self._options)
             self._seconds.append(time.perf_counter() - began)
             yield rendered
             told(i + 1, name)

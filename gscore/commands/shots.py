@@ -14,6 +14,7 @@ from ..io.cameras_json import read_cameras_json
 from ..io.metrics_file import read_metrics
 from ..scene import Cameras
 from .camera_path import orbit_path, spline_path
+from .lod_model import GivenLod
 from .model import GivenModel, is_capture
 
 _ORBIT_SECONDS = 8.0
@@ -35,7 +36,7 @@ class Shots:
     """A sentence for the user where the path was not asked for."""
 
 
-def find_shots(args: argparse.Namespace, model: GivenModel, *, is_video: bool) -> Shots:
+def find_shots(args: argparse.Namespace, model: GivenModel | GivenLod, *, is_video: bool) -> Shots:
     """The cameras to render from, at the size asked for.
 
     A video of views that nobody chose would jump from photo to photo: it gets an orbit, or where
@@ -91,7 +92,7 @@ class Captured:
     """Indices of the views that were held out, where that is known."""
 
 
-def captured_cameras(source: Path | None, model: GivenModel) -> Captured:
+def captured_cameras(source: Path | None, model: GivenModel | GivenLod) -> Captured:
     """The cameras of a capture or run, and its test views where they are known.
 
     Args:
@@ -105,6 +106,8 @@ def captured_cameras(source: Path | None, model: GivenModel) -> Captured:
     """
     if source is not None and (source / "cameras.json").is_file() and not is_capture(source):
         source = source / "cameras.json"
+    if source is None and model.cameras is not None:
+        return Captured(model.cameras, _test_views(model, model.cameras.names))
     if source is None:
         beside = (model.run or model.path.parent) / "cameras.json"
         if not beside.is_file():
@@ -127,7 +130,7 @@ def captured_cameras(source: Path | None, model: GivenModel) -> Captured:
     return Captured(cameras, _test_views(model, cameras.names))
 
 
-def _test_views(model: GivenModel, names: tuple[str, ...]) -> list[int]:
+def _test_views(model: GivenModel | GivenLod, names: tuple[str, ...]) -> list[int]:
     """Indices of the views the run's metrics.json calls test views."""
     held_out = read_metrics(model.run or model.path.parent).get("test_views")
     if not isinstance(held_out, list):

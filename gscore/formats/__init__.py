@@ -8,6 +8,7 @@ from .registry import (
     is_antialiased,
     is_splat_file,
     read_splat_file,
+    read_splat_parts,
     read_splats,
     write_splat_file,
 )
@@ -23,6 +24,7 @@ __all__ = [
     "is_antialiased",
     "is_splat_file",
     "read_splat_file",
+    "read_splat_parts",
     "read_splats",
     "write_splat_file",
 ]

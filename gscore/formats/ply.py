@@ -8,6 +8,7 @@ from ..io.ply import (
     header_comments,
     is_antialiased_ply,
     read_ply,
+    read_ply_parts,
     says_antialias,
     write_splats,
 )
@@ -51,4 +52,5 @@ PLY = SplatFormat(
     read=read,
     write=write,
     says_antialiased=is_antialiased_ply,
+    read_parts=read_ply_parts,
 )

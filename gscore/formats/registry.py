@@ -3,7 +3,7 @@
 A format is a `SplatFormat` in a file of its own, and an entry of `FORMATS`.
 """
 
-from dataclasses import fields
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NoReturn
 
@@ -13,6 +13,7 @@ from ..errors import ConfigError, DatasetError, FormatError
 from ..io.file_sample import FileSample, sample_file
 from ..io.files import is_file, reason
 from ..io.foreign import foreign
+from ..io.splat_rows import finite_splats
 from ..logged import collected_warnings
 from ..shown import shown
 from ..splats import SH_REST_BY_DEGREE, Splats
@@ -69,6 +70,24 @@ def read_splats(path: str | Path) -> Splats:
     """The model of `read_splat_file` alone; what would be its notes is logged as warnings."""
     file = _file_of(Path(path))
     return _format_of(file).read(file).splats
+
+
+def read_splat_parts(path: str | Path, rows: int) -> Iterator[Splats]:
+    """The model of `read_splats`, about `rows` splats at a time, all of one SH degree.
+
+    A PLY is never in memory whole; other formats are.
+
+    Raises:
+        GsError: as `read_splat_file`.
+    """
+    file = _file_of(Path(path))
+    found = _format_of(file)
+    if found.read_parts is not None:
+        yield from found.read_parts(file, rows)
+        return
+    splats = found.read(file).splats
+    for at in range(0, len(splats), rows):
+        yield splats.subset(np.arange(at, min(at + rows, len(splats))))
 
 
 def is_antialiased(path: str | Path) -> bool:
@@ -149,17 +168,13 @@ def write_splat_file(
 def _drawable(splats: Splats, notes: list[str]) -> Splats:
     """The splats that can be drawn: most formats keep blocks of splats by their extremes, so that
     one number that is not finite would take its neighbours along."""
-    arrays = [getattr(splats, field.name) for field in fields(splats)]
-    good = np.abs(splats.quats).max(axis=1, initial=0) > 0
-    for array in arrays:
-        good &= np.isfinite(array).all(axis=tuple(range(1, array.ndim)))
-    if good.all():
-        return splats
-    notes.append(
-        f"{number(int((~good).sum()))} of {count_words(len(splats), 'splat')} had numbers that are "
-        f"not finite or a zero quaternion; they are left out."
-    )
-    return splats.subset(np.flatnonzero(good))
+    good = finite_splats(splats)
+    if left_out := len(splats) - len(good):
+        notes.append(
+            f"{number(left_out)} of {count_words(len(splats), 'splat')} had numbers that are "
+            f"not finite or a zero quaternion; they are left out."
+        )
+    return good
 
 
 def format_to_write(path: Path) -> SplatFormat:

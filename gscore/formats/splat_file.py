@@ -1,6 +1,6 @@
 """What readers and writers of splats hand over: a model, and what its file says of it."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -107,6 +107,8 @@ class SplatFormat:
     says_antialiased: Callable[[Path], bool] | None = None
     """Whether a file says that its splats want the compensation, where that takes no reading of all
     of it; raises GsError."""
+    read_parts: Callable[[Path, int], Iterator[Splats]] | None = None
+    """Reads so many splats at a time; raises GsError; None: a model is read whole."""
     beside: Callable[[Path], Iterable[Path]] = lambda path: ()
     """Files that belong to one besides."""
     most_degree: int = 3

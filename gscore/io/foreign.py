@@ -12,6 +12,7 @@ from pathlib import Path
 from ..errors import GsError
 from ..words import count_words
 from .file_sample import FileSample, sample_file
+from .lod_index import KIND
 
 _MOST_NAMES = 10_000
 """Of a folder that are looked at."""
@@ -76,6 +77,9 @@ def _is_movie(s: FileSample) -> bool:
 
 
 _FORMATS = (
+    _Format("a file of levels of detail", "gscore render, info and convert take it, and Blender's "
+            "import; for all else write splats of it: gscore convert IN.lod out.ply --level 0.",
+            _starts(f"{KIND}\n".encode()), ", not of splats"),
     _Format("a compressed splat file of Niantic (SPZ)", _SPLATS,
             lambda s: b"NGSP" in (s.head[:4], s.inflated[:4]), _MODEL),
     _Format("a splat file of PlayCanvas (SOG)", _SPLATS, _zip_of(b"meta.json", b".webp"), _MODEL),

@@ -1,6 +1,6 @@
 """Splat models as PLY: every dialect in, the official 3DGS layout out."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import BinaryIO
 
@@ -13,9 +13,16 @@ from ..splats import SH_REST_BY_DEGREE, Splats
 from .files import atomic_write, open_regular, reason
 from .ply_compressed import decompress, is_compressed
 from .ply_elements import HEADER_END, HEADER_LIMIT, columns, read_elements
-from .splat_rows import drawable, whole_bands
+from .splat_rows import drawable, drawable_rows, warn_of_left_out, whole_bands
 
-__all__ = ["MIP_COMMENT", "is_antialiased_ply", "read_ply", "write_splat_parts", "write_splats"]
+__all__ = [
+    "MIP_COMMENT",
+    "is_antialiased_ply",
+    "read_ply",
+    "read_ply_parts",
+    "write_splat_parts",
+    "write_splats",
+]
 
 MIP_COMMENT = "SplatRenderMode: mip"
 """Header comment of models trained with the anti-aliasing compensation."""
@@ -50,9 +57,35 @@ def read_ply(path: str | Path) -> Splats:
     if is_compressed(elements):
         raw = decompress(path, elements)
     else:
-        raw = _plain(path, elements.get("vertex", np.zeros(0, [("none", "f4")])))
+        raw = _plain(path, _vertices(elements))
     rest = _rest_by_coefficient(path, raw.pop("rest"))
     return drawable(path, **raw, shN=rest)
+
+
+def read_ply_parts(path: str | Path, rows: int) -> Iterator[Splats]:
+    """As `read_ply`, `rows` splats of the file at a time, for models that outgrow the memory.
+
+    Raises:
+        As `read_ply`; FormatError besides for the compressed layout.
+    """
+    path = Path(path)
+    table = _vertices(read_elements(path))
+    count, left_out = len(table), 0
+    for at in range(0, count, rows):
+        if isinstance(table.base, np.memmap):  # pages that were read stay as long as it is mapped
+            table = _vertices(read_elements(path))
+        raw = _plain(path, table[at : at + rows])
+        rest = _rest_by_coefficient(path, raw.pop("rest"))
+        part = Splats(**raw | {"sh0": raw["sh0"][:, None]}, shN=rest)
+        kept = drawable_rows(part)
+        left_out += len(part) - len(kept)
+        yield kept
+    warn_of_left_out(path, left_out, count)
+
+
+def _vertices(elements: dict[str, np.ndarray]) -> np.ndarray:
+    """The vertex element; one of no rows where there is none."""
+    return elements.get("vertex", np.zeros(0, [("none", "f4")]))
 
 
 def header_comments(path: str | Path) -> tuple[str, ...]:

@@ -1,11 +1,12 @@
 """Rows of splats as files hold them: bytes and sizes to raw parameters, bad rows left out."""
 
 import logging
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from ..splats import SH_REST_BY_DEGREE, Splats
+from ..splats import PARAMETERS, SH_REST_BY_DEGREE, Splats
 
 _log = logging.getLogger(__name__)
 
@@ -88,20 +89,37 @@ def drawable(
         sh0: [N, 3] float32.
         shN: [N, K-1, 3] float32, of degree 0 to 3.
     """
-    # Programs that store opacity as a byte write +inf for 255; that splat is opaque, not broken.
-    opacities = np.where(np.isposinf(opacities), np.float32(20), opacities)
     splats = Splats(
         means=means, quats=quats, scales=scales, opacities=opacities, sh0=sh0[:, None], shN=shN
     )
-    good = np.isfinite(shN).all(axis=(1, 2)) & (np.abs(quats).max(axis=1, initial=0) > 0)
-    for values in (means, quats, scales, opacities, sh0):
+    kept = drawable_rows(splats)
+    warn_of_left_out(path, len(splats) - len(kept), len(splats))
+    return kept
+
+
+def drawable_rows(splats: Splats) -> Splats:
+    """As `drawable`, without a word."""
+    # Programs that store opacity as a byte write +inf for 255; that splat is opaque, not broken.
+    opaque = np.isposinf(splats.opacities)
+    opacities = np.where(opaque, np.float32(_MOST_LOGIT), splats.opacities)
+    return finite_splats(replace(splats, opacities=opacities))
+
+
+def finite_splats(splats: Splats) -> Splats:
+    """Those whose numbers are all finite and whose quaternion is not zero; itself where all are."""
+    good = np.abs(splats.quats).max(axis=1, initial=0) > 0
+    for name in PARAMETERS:
+        values = getattr(splats, name)
         good &= np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
-    if good.all():
-        return splats
-    _log.warning(
-        "%s: %d of %d splats have numbers that are not finite or a zero quaternion; left out.",
-        path,
-        int((~good).sum()),
-        len(good),
-    )
-    return splats.subset(good)
+    return splats if good.all() else splats.subset(np.flatnonzero(good))
+
+
+def warn_of_left_out(path: Path, left_out: int, count: int) -> None:
+    """Log how many of a file's splats cannot be drawn, if any."""
+    if left_out:
+        _log.warning(
+            "%s: %d of %d splats have numbers that are not finite or a zero quaternion; left out.",
+            path,
+            left_out,
+            count,
+        )

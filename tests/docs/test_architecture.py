@@ -37,7 +37,7 @@ def _rows(room: str) -> set[str]:
 
 @pytest.mark.parametrize(
     "room",
-    ["trainer", "commands", "formats", "bench", "edit", "sfm", "video", "page", "live"],
+    ["trainer", "commands", "formats", "bench", "edit", "sfm", "video", "page", "live", "lod"],
 )
 def test_every_file_of_a_room_has_its_line(room: str) -> None:
     """Oracle: the folder; a new file is named in the table of its room, a removed one is not."""

@@ -1,0 +1,141 @@
+"""`gscore lod`: levels of detail of a model that outgrows a memory, built once."""
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+from ..config_file import load_config
+from ..errors import ConfigError
+from ..formats import files_of, is_antialiased
+from ..io.cameras_json import read_cameras_json
+from ..io.files import is_file
+from ..io.lod_file import LOD_ENDING, is_lod_file
+from ..io.lod_index import LodIndex
+from ..lod.build import LodFacts, build_lod
+from ..lod.measure import measured_levels
+from ..logged import collected_warnings
+from ..shown import shown
+from ..words import count_words, number, size_words
+from .model import background_of, find_run, find_splats, near_of, trained_antialiased
+from .output import check_folder, check_replaced, print_json
+from .status import Status, wrapped
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of the verb."""
+    parser.add_argument("model", type=Path, help="folder of a run, or a file of splats")
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        required=True,
+        metavar="OUT.lod",
+        help="the file to write; gscore render takes it",
+    )
+    parser.add_argument(
+        "--overwrite", action="store_true", help="replace a file that gscore did not write"
+    )
+    parser.add_argument("--json", action="store_true", help="what came out as JSON on stdout")
+    parser.add_argument("--quiet", action="store_true", help="no progress")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Build, measure, say what each level has."""
+    if args.output.suffix.lower() != LOD_ENDING:
+        raise ConfigError(
+            f"{shown(args.output)}: levels of detail are a file whose name ends in {LOD_ENDING}; "
+            f"give such a name with -o."
+        )
+    check_folder(args.output.parent)
+    check_replaced([args.output], overwrite=args.overwrite)
+    model = find_splats(args.model)
+    if is_lod_file(model):
+        raise ConfigError(
+            f"{shown(model)} holds levels of detail already. Give the file of splats that it was "
+            f"made of, or write that with gscore convert."
+        )
+    _check_not_the_model(args.output, model)
+    facts = _facts_of(model)
+    with Status(sys.stderr, quiet=args.quiet) as status, collected_warnings() as warnings:
+        index = build_lod(
+            model,
+            args.output,
+            facts,
+            told=lambda what, share: status.show([what], share=share),
+            measured=measured_levels,
+        )
+    result = lod_facts(args.output, index) | {"warnings": list(dict.fromkeys(warnings))}
+    if args.json:
+        print_json(result)
+        return 0
+    for sentence in result["warnings"]:
+        print(wrapped(f"Warning: {sentence}", sys.stderr), file=sys.stderr)
+    if not args.quiet:
+        print(wrapped("\n".join(lod_text(result)), sys.stdout))
+    return 0
+
+
+def lod_facts(path: Path, index: LodIndex) -> dict[str, Any]:
+    """What a file of levels of detail holds, for JSON."""
+    finest = index.levels[0]
+    return {
+        "kind": "levels of detail",
+        "path": str(path),
+        "splats": index.levels[0].splats,
+        "sh_degree": index.sh_degree,
+        "storage_bytes": path.stat().st_size,
+        "antialias": index.antialias,
+        "cameras": 0 if index.cameras is None else len(index.cameras),
+        "bounds": [finest.low.min(axis=0).tolist(), finest.high.max(axis=0).tolist()],
+        "levels": [
+            {
+                "splats": level.splats,
+                "chunks": len(level.counts),
+                "error": level.error,
+                "psnr": level.psnr,
+                "against": level.against,
+            }
+            for level in index.levels
+        ],
+    }
+
+
+def lod_text(facts: dict[str, Any]) -> list[str]:
+    """The same for people."""
+    marks = ", trained with antialiasing" if facts["antialias"] else ""
+    lines = [
+        f"{facts['path']}: {count_words(facts['splats'], 'splat')} with "
+        f"{count_words(len(facts['levels']), 'level')} of detail, SH degree {facts['sh_degree']}, "
+        f"{size_words(facts['storage_bytes'])}{marks}",
+        f"  {'level':>5}{'splats':>13}{'chunks':>9}{'error':>10}  pictures from where that is 1 px",
+    ]
+    for number_of, level in enumerate(facts["levels"]):
+        worth = "exact" if not number_of else "not measured"
+        if level["psnr"] is not None:
+            worth = f"{level['psnr']:.1f} dB against level {level['against']}"
+        lines.append(
+            f"  {number_of:5}{number(level['splats']):>13}{number(level['chunks']):>9}"
+            f"{level['error']:10.3g}  {worth}"
+        )
+    return lines
+
+
+def _facts_of(model: Path) -> LodFacts:
+    """What the file and its run say besides the splats."""
+    run = find_run(model)
+    train = load_config(run / "config.json")[1] if run else None
+    beside = (run or model.parent) / "cameras.json"
+    return LodFacts(
+        antialias=is_antialiased(model) or trained_antialiased(train),
+        near=near_of(train),
+        background=background_of(train),
+        cameras=read_cameras_json(beside) if is_file(beside) else None,
+    )
+
+
+def _check_not_the_model(output: Path, model: Path) -> None:
+    if any(output.exists() and output.samefile(read) for read in files_of(model)):
+        raise ConfigError(
+            f"{shown(output)} is what is read; choose another output, so that it stays."
+        )

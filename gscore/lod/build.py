@@ -1,0 +1,308 @@
+"""Levels of detail made from a model on disk, a chunk at a time.
+
+The model is read twice, in parts: once for where its splats are, once to put each into its chunk of
+the finest level. Then chunk after chunk of the next level is made of four of the one below.
+"""
+
+import zlib
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from ..errors import ConfigError, DatasetError
+from ..formats import read_splat_parts
+from ..formats.joined import joined
+from ..io.files import atomic_write
+from ..io.lod_file import (
+    HEADER_BYTES,
+    chunk_bytes,
+    chunk_parts,
+    lod_header,
+)
+from ..io.lod_index import CHILDREN, LodIndex, LodLevel, row_floats
+from ..raster.backend import default_threads
+from ..scene import Cameras
+from ..sh import sh0_to_rgb
+from ..shown import shown
+from ..splats import PARAMETERS, Splats
+from .groups import groups_of
+from .moments import MergedSplats, covered_by, median_sizes, merged_by
+from .order import chunks_of, levels_above
+
+_PART = 1 << 17
+"""Splats of the model that are in memory at once while it is read."""
+
+ToldShare = Callable[[str, float], object]
+"""Is told what is being done, and how much of it is done, 0 to 1."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LodFacts:
+    """What the file says of the model besides its splats."""
+
+    antialias: bool = False
+    near: float = 0.01
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    cameras: Cameras | None = None
+
+
+def build_lod(
+    model: Path,
+    output: Path,
+    facts: LodFacts,
+    *,
+    told: ToldShare = lambda what, share: None,
+    measured: Callable[[Path, LodIndex], tuple[LodLevel, ...]] | None = None,
+) -> LodIndex:
+    """Write levels of detail of a model, completely or not at all.
+
+    Args:
+        model: A file of splats of any format; a PLY is never in memory whole.
+        output: The file to write.
+        facts: What it says besides.
+        told: Is told how far the work is.
+        measured: Given the unfinished file and its index, its levels with errors of pictures.
+
+    Returns:
+        The index of the file.
+
+    Raises:
+        GsError: the model cannot be read, or the file not be written.
+        ConfigError: the model has no splats.
+    """
+    means, degree = _places(model, told)
+    if not len(means):
+        raise ConfigError(f"{shown(model)} holds no splats that can be drawn. Give another model.")
+    told("Sorting splats by place", 0.0)
+    levels = levels_above(len(means))
+    chunks = chunks_of(means, levels)
+    del means
+    made: list[LodIndex] = []
+
+    def write(file: BinaryIO) -> None:
+        work = _Building(file, degree)
+        work.finest(model, chunks, levels, told)
+        work.coarser(told)
+        index = LodIndex(
+            sh_degree=degree,
+            antialias=facts.antialias,
+            near=facts.near,
+            background=facts.background,
+            cameras=facts.cameras,
+            levels=tuple(work.levels),
+        )
+        told("Measuring pictures of the levels", 0.0)
+        made.append(work.finish(index, measured))
+
+    atomic_write(output, write)
+    return made[0]
+
+
+def _places(model: Path, told: ToldShare) -> tuple[np.ndarray, int]:
+    """Means [N, 3] float32 of all splats, and the degree of their SH."""
+    found, degree = [np.zeros((0, 3), np.float32)], 0
+    told("Reading the splats", 0.0)
+    for part in read_splat_parts(model, _PART):
+        found.append(part.means)
+        degree = part.sh_degree
+    return np.concatenate(found), degree
+
+
+class _Building:
+    """A file whose chunks are being written."""
+
+    def __init__(self, file: BinaryIO, degree: int) -> None:
+        self._file, self._degree = file, degree
+        self._floats = row_floats(degree)
+        self._rows = 0
+        self.levels: list[LodLevel] = []
+        self._errors: list[np.ndarray] = []
+        """Of each splat of the last level."""
+
+    def finest(self, model: Path, chunks: np.ndarray, levels: int, told: ToldShare) -> None:
+        """Write the chunks of the finest level."""
+        counts = np.bincount(chunks, minlength=CHILDREN**levels)
+        starts = np.cumsum(counts) - counts
+        self._scatter(model, chunks, starts, told)
+        stats = _Stats()
+        self._file.flush()
+        with Path(self._file.name).open("rb") as file:
+            for start, count in zip(starts.tolist(), counts.tolist(), strict=True):
+                file.seek(self._place(start))
+                rows = np.frombuffer(file.read(4 * self._floats * count), "<f4")
+                splats = _from_rows(rows.reshape(count, self._floats), self._degree)
+                self._write(start, splats, stats, np.zeros(count))
+        self._rows = len(chunks)
+        self.levels.append(stats.level())
+        self._errors = [np.zeros(count) for count in counts.tolist()]
+
+    def _scatter(
+        self, model: Path, chunks: np.ndarray, starts: np.ndarray, told: ToldShare
+    ) -> None:
+        """Put each splat among those of its chunk, as a row of numbers."""
+        filled, done = starts.copy(), 0
+        for part in read_splat_parts(model, _PART):
+            if len(part) > len(chunks) - done or part.sh_degree != self._degree:
+                raise _changed(model)
+            own = chunks[done : done + len(part)]
+            order = np.argsort(own, kind="stable")
+            rows = _to_rows(part)[order]
+            firsts = np.flatnonzero(np.diff(own[order], prepend=-1))
+            for first, end in zip(firsts, [*firsts[1:], len(own)], strict=True):
+                chunk = own[order[first]]
+                self._file.seek(self._place(int(filled[chunk])))
+                self._file.write(rows[first:end].tobytes())
+                filled[chunk] += end - first
+            done += len(part)
+            told("Putting splats into chunks", done / len(chunks))
+        if done != len(chunks):
+            raise _changed(model)
+
+    def coarser(self, told: ToldShare) -> None:
+        """Write all coarser levels."""
+        total = sum(CHILDREN**k for k in range(len(self._errors).bit_length() // 2 + 1)) or 1
+        total -= len(self._errors)
+        done = 0
+        while len(self._errors) > 1:
+            below, stats, errors = self.levels[-1], _Stats(), []
+            begins = self._rows - below.splats + np.cumsum(below.counts) - below.counts
+            for merged in self._parents(begins, below.counts):
+                self._write(self._rows, merged.splats, stats, merged.errors)
+                self._rows += len(merged.splats)
+                errors.append(merged.errors)
+                done += 1
+                told("Merging splats", done / total)
+            self.levels.append(stats.level())
+            self._errors = errors
+
+    def _parents(self, begins: np.ndarray, counts: np.ndarray) -> Iterator[MergedSplats]:
+        """The chunks of the next level, in their order, made on all cores.
+
+        Args:
+            begins: [C] the first row of each chunk of the last level.
+            counts: [C] its rows.
+        """
+
+        def merged(parent: int) -> MergedSplats:
+            children = range(CHILDREN * parent, CHILDREN * (parent + 1))
+            parts = [self._read(int(begins[c]), int(counts[c])) for c in children]
+            return _coarser(joined(parts), np.concatenate([self._errors[c] for c in children]))
+
+        threads = default_threads()
+        with ThreadPoolExecutor(threads) as pool:
+            for first in range(0, len(counts) // CHILDREN, 4 * threads):
+                self._file.flush()
+                last = min(first + 4 * threads, len(counts) // CHILDREN)
+                yield from list(pool.map(merged, range(first, last)))
+
+    def finish(
+        self,
+        index: LodIndex,
+        measured: Callable[[Path, LodIndex], tuple[LodLevel, ...]] | None,
+    ) -> LodIndex:
+        """Write the index, then the header that says where it is."""
+        if measured is not None:
+            self._file.flush()
+            index = replace(index, levels=measured(Path(self._file.name), index))
+        text = index.to_bytes()
+        begin = self._place(self._rows)
+        self._file.seek(begin)
+        self._file.write(text)
+        self._file.seek(0)
+        self._file.write(lod_header(begin, len(text)))
+        return index
+
+    def _place(self, row: int) -> int:
+        return HEADER_BYTES + 4 * self._floats * row
+
+    def _read(self, row: int, count: int) -> Splats:
+        with Path(self._file.name).open("rb") as file:
+            file.seek(self._place(row))
+            return Splats(**chunk_parts(file.read(4 * self._floats * count), self._degree))
+
+    def _write(self, row: int, splats: Splats, stats: "_Stats", errors: np.ndarray) -> None:
+        content = chunk_bytes(splats)
+        self._file.seek(self._place(row))
+        self._file.write(content)
+        stats.add(splats, errors, zlib.crc32(content))
+
+
+def _coarser(splats: Splats, errors: np.ndarray) -> MergedSplats:
+    """A quarter as many splats."""
+    wanted = -(-len(splats) // CHILDREN)
+    group = groups_of(
+        splats.means.astype(np.float64),
+        covered_by(splats),
+        median_sizes(splats),
+        sh0_to_rgb(splats.sh0[:, 0].astype(np.float64)),
+        wanted,
+    )
+    return merged_by(splats, errors, group, wanted)
+
+
+class _Stats:
+    """What the index says of the chunks of a level, as they are written."""
+
+    def __init__(self) -> None:
+        self._counts: list[int] = []
+        self._low: list[np.ndarray] = []
+        self._high: list[np.ndarray] = []
+        self._reach: list[float] = []
+        self._errors: list[float] = []
+        self._checks: list[int] = []
+
+    def add(self, splats: Splats, errors: np.ndarray, check: int) -> None:
+        """A chunk, and how far off each of its splats is."""
+        self._counts.append(len(splats))
+        self._low.append(splats.means.min(axis=0))
+        self._high.append(splats.means.max(axis=0))
+        self._reach.append(float(np.exp(min(float(splats.scales.max()), _MOST_LOG))))
+        self._errors.append(_mean_error(splats, errors))
+        self._checks.append(check)
+
+    def level(self) -> LodLevel:
+        """All of them."""
+        return LodLevel(
+            counts=np.array(self._counts, np.int64),
+            low=np.array(self._low, np.float64),
+            high=np.array(self._high, np.float64),
+            reach=np.array(self._reach),
+            errors=np.array(self._errors),
+            checks=np.array(self._checks, np.int64),
+        )
+
+
+_MOST_LOG = 700.0
+"""Of a scale of which float64 holds the exponential."""
+
+
+def _mean_error(splats: Splats, errors: np.ndarray) -> float:
+    """The root of the mean square, weighted by what the splats cover."""
+    weights = covered_by(splats)
+    return float(np.sqrt((weights * errors**2).sum() / weights.sum()))
+
+
+def _to_rows(splats: Splats) -> np.ndarray:
+    """[N, F] little-endian float32, a splat a row."""
+    parts = [getattr(splats, name).reshape(len(splats), -1) for name in PARAMETERS]
+    return np.concatenate(parts, axis=1).astype("<f4")
+
+
+def _from_rows(rows: np.ndarray, degree: int) -> Splats:
+    """The splats of `_to_rows`."""
+    shapes = {name: part.shape[1:] for name, part in chunk_parts(b"", degree).items()}
+    found, at = {}, 0
+    for name, shape in shapes.items():
+        size = int(np.prod(shape))
+        part = rows[:, at : at + size].reshape(len(rows), *shape)
+        found[name] = np.ascontiguousarray(part, np.float32)
+        at += size
+    return Splats(**found)
+
+
+def _changed(model: Path) -> DatasetError:
+    return DatasetError(f"{shown(model)} changed while it was read. Try again.")

@@ -1,0 +1,104 @@
+"""What pictures lose at each level: rendered against finer splats, from where the level is used."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from ..formats.joined import joined
+from ..io.lod_file import LodFile, lod_chunks_of
+from ..io.lod_index import CHILDREN, LodIndex, LodLevel
+from ..raster.api import render
+from ..splats import Splats
+
+_CHUNKS = 4
+"""Of a level that are looked at, evenly chosen."""
+_MOST = 1_000_000
+"""Splats that a chunk is compared with, at most: what a small machine has memory for."""
+_SIDE = 256
+"""Of a picture, px."""
+_FOCAL = 2.0 * _SIDE
+"""Of its camera, px."""
+_COVERED = 0.02
+"""Opacity from which a pixel counts; the black around would make any error small."""
+
+
+def measured_levels(path: Path, index: LodIndex) -> tuple[LodLevel, ...]:
+    """The levels of an index with `psnr` and `against`, of a file whose chunks are written.
+
+    Some chunks of each level are seen from six sides, from where their error is one pixel, over the
+    pixels that they cover.
+    """
+    found = [index.levels[0]]
+    with lod_chunks_of(path, index) as file:
+        for level in range(1, len(index.levels)):
+            against = _finest_that_fits(index, level)
+            psnr = _level_psnr(file, level, against)
+            found.append(replace(index.levels[level], psnr=psnr, against=against))
+    return tuple(found)
+
+
+def _finest_that_fits(index: LodIndex, level: int) -> int:
+    counts = index.levels[level].counts
+    for below in range(level):
+        share = CHILDREN ** (level - below)
+        if index.levels[below].counts.reshape(len(counts), share).sum(axis=1).max() <= _MOST:
+            return below
+    return level - 1
+
+
+def _level_psnr(file: LodFile, level: int, against: int) -> float | None:
+    """Over some chunks; None where none of them is off or seen."""
+    total = pixels = 0.0
+    count = len(file.index.levels[level].counts)
+    for chunk in np.unique(np.linspace(0, count - 1, _CHUNKS).round().astype(int)).tolist():
+        share = CHILDREN ** (level - against)
+        fine = [
+            Splats(**file.chunk(against, one)) for one in range(chunk * share, (chunk + 1) * share)
+        ]
+        coarse, exact = Splats(**file.chunk(level, chunk)), joined(fine)
+        for viewmat in _views(file.index.levels[level], chunk):
+            squares, covered = _loss(coarse, exact, viewmat, file.index)
+            total, pixels = total + squares, pixels + covered
+    return -10 * math.log10(total / pixels) if total and pixels else None
+
+
+def _views(level: LodLevel, chunk: int) -> Iterator[np.ndarray]:
+    """Six cameras around a chunk, each where its error is a pixel; none where it has none."""
+    low, high, error = level.low[chunk], level.high[chunk], level.errors[chunk]
+    if not error:
+        return
+    for axis in range(3):
+        for sign in (-1.0, 1.0):
+            forward = np.roll([-sign, 0.0, 0.0], axis)
+            right = np.roll([0.0, 1.0, 0.0], axis)
+            eye = (low + high) / 2 - forward * ((high - low)[axis] / 2 + error * _FOCAL)
+            viewmat = np.eye(4)
+            viewmat[:3, :3] = right, np.cross(forward, right), forward
+            viewmat[:3, 3] = -viewmat[:3, :3] @ eye
+            yield viewmat
+
+
+def _loss(
+    coarse: Splats, exact: Splats, viewmat: np.ndarray, index: LodIndex
+) -> tuple[float, float]:
+    """The sum of squared errors over covered pixels, means over colours, and how many these are."""
+    K = np.array([[_FOCAL, 0, _SIDE / 2], [0, _FOCAL, _SIDE / 2], [0, 0, 1.0]])
+    made = [
+        render(
+            splats,
+            K,
+            viewmat,
+            _SIDE,
+            _SIDE,
+            depths=False,
+            antialias=index.antialias,
+            near=index.near,
+        )
+        for splats in (coarse, exact)
+    ]
+    counts = made[1].alpha > _COVERED
+    a, b = (np.clip(one.rgb[counts].astype(np.float64), 0, 1) for one in made)
+    return float(((a - b) ** 2).mean(axis=1).sum()), float(counts.sum())
