@@ -25,12 +25,15 @@ _ENDINGS = [
     (".ply", "PLY", "The official 3DGS layout: everything, to the bit"),
     (".compressed.ply", "Compressed PLY", "SuperSplat's layout, a quarter of the size"),
     (".spz", "SPZ", "Niantic's layout, a fifth of the size"),
+    (".sog", "SOG", "PlayCanvas' layout, an eighth of the size; Blender's Python needs Pillow"),
     (".splat", "splat", "32 bytes a splat for small viewers; colors do not change with the view"),
     (".glb", "glTF", "KHR_gaussian_splatting: everything, as floats"),
     (".spz.glb", "glTF with SPZ", "KHR_gaussian_splatting, packed as SPZ"),
+    (".usdc", "USD", "ParticleField3DGaussianSplat; Blender's Python needs usd-core 26.03"),
 ]
-_DROPPED = ".ply;.spz;.sog;.splat;.ksplat"
-"""Endings of files that are dropped; Blender itself takes glTF and USD, which hold meshes too."""
+_DROPPED = ";".join(sorted({ending[ending.rindex(".") :] for ending in SPLAT_ENDINGS} - {".json"}))
+"""Endings of files that are dropped. Blender has importers of its own for glTF and USD, so it asks
+which one is meant."""
 _UP = [
     ("-Y", "-Y Up", "The file's +Y points down, as COLMAP and most trainers write it"),
     ("Y", "+Y Up", "The file's +Y points up"),
@@ -375,11 +378,13 @@ def edit_vertices(context: bpy.types.Context, ob: bpy.types.Object) -> None:
 
 
 def _draw_import(self: bpy.types.Menu, context: bpy.types.Context) -> None:
-    self.layout.operator(ImportSplats.bl_idname, text="Gaussian Splats (.ply, .spz, .splat, ...)")
+    kinds = ".ply, .spz, .sog, .splat, .ksplat, .glb, .usd"
+    self.layout.operator(ImportSplats.bl_idname, text=f"Gaussian Splats ({kinds})")
 
 
 def _draw_export(self: bpy.types.Menu, context: bpy.types.Context) -> None:
-    self.layout.operator(ExportSplats.bl_idname, text="Gaussian Splats (.ply, .spz, .splat, ...)")
+    kinds = ".ply, .spz, .sog, .splat, .glb, .usd"
+    self.layout.operator(ExportSplats.bl_idname, text=f"Gaussian Splats ({kinds})")
 
 
 def on_register() -> None:

@@ -220,8 +220,10 @@ def _splats_text(facts: dict[str, Any]) -> list[str]:
     rows = (("opacity", "opacity"), ("largest_scale", "largest scale"), ("elongation",) * 2)
     for key, label in rows:
         lines.append(f"  {label:19}" + "".join(f"{v:10.3g}" for v in facts[key]))
-    share = facts["nearly_transparent"]
-    return [*lines, f"  {share:.1%} have an opacity below 0.005 and could be removed"]
+    share = 100 * facts["nearly_transparent"]
+    if share >= 0.05:  # else it would be 0.0
+        lines.append(f"  {share:.1f} % have an opacity below 0.005 and could be removed")
+    return lines
 
 
 def _run_text(facts: dict[str, Any]) -> list[str]:

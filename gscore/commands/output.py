@@ -72,9 +72,13 @@ def check_folder(folder: Path) -> None:
     if not existing.is_dir():
         raise ConfigError(f"{existing} is a file; a folder is needed to write into.")
     if not os.access(existing, os.W_OK | os.X_OK):
-        raise ConfigError(
-            f"Cannot write into {existing}: permission denied; choose another output."
-        )
+        why = "the disk is read-only" if _is_read_only(existing) else "permission denied"
+        raise ConfigError(f"Cannot write into {existing}: {why}; choose another output.")
+
+
+def _is_read_only(folder: Path) -> bool:
+    """Whether nobody may write on the file system of a folder; False where that is not told."""
+    return hasattr(os, "statvfs") and bool(os.statvfs(folder).f_flag & os.ST_RDONLY)
 
 
 def others_in(folder: Path, known: Collection[str]) -> str:

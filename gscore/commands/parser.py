@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 
 from ..config import checked_threads
 from ..errors import ConfigError
-from ..shown import quoted
+from ..shown import quoted, shown
 from .status import wrapped
 
 _REQUIRED = "the following arguments are required: "
@@ -88,7 +88,7 @@ class Parser(argparse.ArgumentParser):
         self._check_names(words)
         found, unknown = self.parse_known_args(words, namespace)
         if unknown:
-            self.error(f"unrecognized arguments: {' '.join(unknown)}")
+            self.error(f"unrecognized arguments: {shown(' '.join(unknown))}")
         return found
 
     def _check_names(self, words: Sequence[str]) -> None:
@@ -101,11 +101,12 @@ class Parser(argparse.ArgumentParser):
             return
         offered = sorted(set(_options(self)))
         hints = [
-            f"{name}: did you mean --{guess}"
+            f"{shown(name)}: did you mean --{guess}"
             for name in unknown
             if (guess := nearest(name[2:], offered))
         ]
-        self.error(f"{'; '.join(hints)}?" if hints else f"there is no option {', '.join(unknown)}")
+        missing = f"there is no option {shown(', '.join(unknown))}"
+        self.error(f"{'; '.join(hints)}?" if hints else missing)
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         """Refuse a value that is none of the choices, with the one that was probably meant."""
@@ -127,6 +128,14 @@ class Parser(argparse.ArgumentParser):
             given = "nothing" if empty else "'--'"
             raise argparse.ArgumentError(action, f"expected a value, got {given}")
         return super()._get_values(action, arg_strings)
+
+    def _get_value(self, action: argparse.Action, arg_string: str) -> Any:
+        """As argparse does, but its message repeats no more of a long value than is read."""
+        try:
+            return super()._get_value(action, arg_string)
+        except argparse.ArgumentError as error:
+            words = error.message.replace(repr(arg_string), quoted(arg_string))
+            raise argparse.ArgumentError(action, words) from error
 
 
 def nearest(word: str, known: Sequence[str]) -> str:

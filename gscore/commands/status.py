@@ -20,6 +20,8 @@ _DRAW_PERIOD = 0.1
 """Seconds between two pictures of the moving line."""
 _WIDEST = 100
 """Columns of the moving line, at most: wider ones are harder to read, and wrap when resized."""
+_ECHO = 2
+"""Columns of the ^C that a terminal writes behind the moving line where somebody presses it."""
 _USUAL = 80
 """Columns of a terminal that does not tell."""
 _BAR = (10, 30)
@@ -72,7 +74,7 @@ class Status:
         if not self._moving:
             self._stream.write("  ".join([*_percent(share), *parts]) + "\n")
         else:
-            width = min(_columns(self._stream), _WIDEST) - 1
+            width = max(min(_columns(self._stream), _WIDEST) - 1 - _ECHO, 1)
             text = line_within(parts, share, width)
             rest = max(min(self._shown, width) - cells(text), 0)
             self._stream.write("\r" + text + " " * rest)

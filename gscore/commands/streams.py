@@ -3,6 +3,7 @@
 import contextlib
 import errno
 import os
+import re
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -16,6 +17,8 @@ _HUNG_UP = 129
 """Exit code where the terminal is gone: 128 + SIGHUP."""
 _CANNOT_WRITE = 2
 _NAMES = ("stdin", "stdout", "stderr")
+_COMMANDS = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
+"""Control characters but for tab, line feed and carriage return."""
 
 
 class Steady:
@@ -43,7 +46,9 @@ class Steady:
         self._try(self._stream.flush)
 
     def _printable(self, text: str) -> str:
-        """The text with what the stream's encoding lacks spelled out; names may hold anything."""
+        """The text with what the stream's encoding lacks spelled out, and what a terminal would
+        obey: names in captures and files may hold anything."""
+        text = _COMMANDS.sub(lambda found: f"\\x{ord(found[0]):02x}", text)
         encoding = getattr(self._stream, "encoding", None) or "utf-8"
         try:
             text.encode(encoding)

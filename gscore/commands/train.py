@@ -176,10 +176,10 @@ def _train(
 
     check_place(args.output, data)  # of / or the capture nobody wants to hear what is in it
     check_folder(args.output)
+    check_writable(args.output, resume=args.resume, overwrite=args.overwrite)
     others = first_few(others_in_run(args.output))
     if others and not args.events:
         show(Warn(message=f"{args.output} holds other files too; they stay: {others}"))
-    check_writable(args.output, resume=args.resume, overwrite=args.overwrite)
     data = with_cameras(
         data,
         args.output,

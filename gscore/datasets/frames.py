@@ -180,10 +180,13 @@ def _fields(pattern: str) -> list[tuple[str, str | None]]:
             f"{quoted(pattern)}: {error}. Write {{frame}} or {{frame:06d}}."
         ) from error
     for _, field, spec, conversion in parsed:
-        good = field == "frame" and not conversion and re.fullmatch(r"(0?\d+)?d?", spec or "")
+        good = (
+            field == "frame" and not conversion and re.fullmatch(r"(0?[0-9]{1,2})?d?", spec or "")
+        )
         if field is not None and not good:
             raise ConfigError(
-                f"{quoted(pattern)}: expected {{frame}} or {{frame:06d}} in the braces."
+                f"{quoted(pattern)}: expected {{frame}} or {{frame:06d}} in the braces, 99 digits "
+                f"at most."
             )
     if sum(field is not None for _, field, _, _ in parsed) > 1:
         raise ConfigError(f"{quoted(pattern)} holds the number twice in one name; once is enough.")

@@ -112,24 +112,29 @@ def _stage(splats: Splats, options: WriteOptions) -> Any:
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     prim = getattr(usd_library(), TYPE).Define(stage, "/Splats")
     stage.SetDefaultPrim(prim.GetPrim())
-    # Turned without the harmonics, of which a copy more would be the largest thing in memory.
-    rest, splats = splats, half_turn(cut_degree(splats, 0), X)
+    vectors = Vt.Vec3fArray.FromNumpy
+    # The harmonics are most of it: turned first, and let go before anything else is copied.
+    prim.CreateRadianceSphericalHarmonicsDegreeAttr(splats.sh_degree)
+    prim.CreateRadianceSphericalHarmonicsCoefficientsAttr(vectors(_turned_harmonics(splats)))
+    splats = half_turn(cut_degree(splats, 0), X)
     unit = splats.quats / np.linalg.norm(splats.quats, axis=1, keepdims=True)
     scales = linear_scales(splats.scales)
-    harmonics = np.empty((len(splats), sh_count(rest.sh_degree), 3), np.float32)
-    harmonics[:, :1] = splats.sh0
-    np.multiply(rest.shN, harmonic_signs(rest.sh_degree, X)[:, None], out=harmonics[:, 1:])
-    vectors = Vt.Vec3fArray.FromNumpy
     prim.CreatePositionsAttr(vectors(splats.means))
     prim.CreateOrientationsAttr(Vt.QuatfArray.FromNumpy(unit[:, [1, 2, 3, 0]]))
     prim.CreateScalesAttr(vectors(scales))
     prim.CreateOpacitiesAttr(Vt.FloatArray.FromNumpy(opacities_of(splats.opacities)))
-    prim.CreateRadianceSphericalHarmonicsDegreeAttr(rest.sh_degree)
-    prim.CreateRadianceSphericalHarmonicsCoefficientsAttr(vectors(harmonics.reshape(-1, 3)))
     prim.CreateExtentAttr(vectors(_extent(splats.means, scales)))
     if options.antialiased:
         prim.GetPrim().SetCustomDataByKey(MARK, True)
     return stage
+
+
+def _turned_harmonics(splats: Splats) -> np.ndarray:
+    """[N * K, 3] in the axes of the stage, the constant ones among them."""
+    harmonics = np.empty((len(splats), sh_count(splats.sh_degree), 3), np.float32)
+    harmonics[:, :1] = splats.sh0
+    np.multiply(splats.shN, harmonic_signs(splats.sh_degree, X)[:, None], out=harmonics[:, 1:])
+    return harmonics.reshape(-1, 3)
 
 
 def _extent(means: np.ndarray, scales: np.ndarray) -> np.ndarray:

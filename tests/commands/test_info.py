@@ -3,6 +3,7 @@
 import json
 import math
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -51,6 +52,18 @@ def test_ply(gscore, splats, tmp_path):
     )
     code, out, _ = gscore("info", path)
     assert code == 0 and "60 splats, SH degree 1" in out and "antialiasing" in out
+
+
+def test_splats_that_nobody_sees(gscore, splats, tmp_path):
+    """Oracle: a third of them, made transparent; nothing is said of none."""
+    path = tmp_path / "m.ply"
+    for opacity, words in ((4.0, ()), (-8.0, ("  33.3 % have an opacity below 0.005",))):
+        opacities = np.full(60, 4, np.float32)
+        opacities[:20] = opacity
+        write_splats(path, replace(splats, opacities=opacities))
+        code, out, _ = gscore("info", path)
+        assert code == 0 and all(sentence in out for sentence in words)
+        assert ("could be removed" in out) == bool(words)
 
 
 def test_ply_with_broken_rows(gscore, splats, tmp_path):

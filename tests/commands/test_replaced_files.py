@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gscore.commands.output import check_replaced, is_ours
+from gscore.commands.output import check_folder, check_replaced, is_ours
 from gscore.depth.maps import SHEET
 from gscore.errors import ConfigError
 
@@ -112,3 +112,15 @@ def test_empty_files_may_be_replaced(tmp_path):
     np.save(tmp_path / "b.npy", np.zeros(3))
     with pytest.raises(ConfigError, match="says that gscore wrote it"):
         check_replaced([tmp_path / "b.npy"], overwrite=False)
+
+
+@pytest.mark.parametrize(
+    ("flag", "words"), [(os.ST_RDONLY, "the disk is read-only"), (0, "permission denied")]
+)
+def test_why_a_folder_takes_no_files(tmp_path, monkeypatch, flag, words):
+    """Oracle: the flag of the file system that Linux gives."""
+    told = os.statvfs(tmp_path)
+    monkeypatch.setattr(os, "access", lambda path, mode: False)
+    monkeypatch.setattr(os, "statvfs", lambda path: os.statvfs_result((*told[:8], flag, *told[9:])))
+    with pytest.raises(ConfigError, match=f"Cannot write into {tmp_path}: {words}; choose"):
+        check_folder(tmp_path / "new")

@@ -2,8 +2,9 @@
 
 import gzip
 import json
+import struct
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -410,10 +411,31 @@ def _model_format(
     return Format(key, file or name, _write_model(name, **options), _read_model(name), structured)
 
 
+def _glb_json(key: str, name: str) -> Format:
+    whole = _model_format(key, name, structured=True)
+    return replace(whole, json_in=_json_of_glb, put_json=_put_json_into_glb)
+
+
 def _write_inflated_spz(root: Path) -> None:
     """What lies within gzip, which is read too: damage to the packed bytes stops at gzip."""
     _write_model("b.spz")(root)
     (root / "a.spz").write_bytes(gzip.decompress((root / "b.spz").read_bytes()))
+
+
+_GLB = struct.Struct("<4sIIII")
+"""Header of the file and of its first chunk, which is JSON."""
+
+
+def _json_of_glb(raw: bytes) -> bytes:
+    return raw[_GLB.size : _GLB.size + _GLB.unpack_from(raw)[3]]
+
+
+def _put_json_into_glb(raw: bytes, text: bytes) -> bytes:
+    """With lengths that fit, so that readers come as far as what the JSON says."""
+    magic, version, size, old, kind = _GLB.unpack_from(raw)
+    text += b" " * (-len(text) % 4)
+    head = _GLB.pack(magic, version, size - old + len(text), len(text), kind)
+    return head + text + raw[_GLB.size + old :]
 
 
 def _write_ksplat(root: Path) -> None:
@@ -430,6 +452,8 @@ SPLAT_FORMATS = [
     _model_format("sog_means", "meta.json", "means_l.webp"),
     _model_format("sog_palette", "meta.json", "shN_centroids.webp"),
     _model_format("glb", "a.glb"),
+    _glb_json("glb_json", "a.glb"),
+    _glb_json("gltf_spz_json", "a.spz.glb"),
     _model_format("gltf", "a.gltf", structured=True),
     _model_format("gltf_buffer", "a.gltf", "a.bin"),
     _model_format("gltf_spz", "a.spz.glb"),
@@ -437,6 +461,8 @@ SPLAT_FORMATS = [
     _model_format("ply_compressed_written", "a.compressed.ply"),
 ]
 """Formats of splats but PLY's and USD, which Pixar's library reads."""
+USD_FORMATS = [_model_format("usdc", "a.usdc"), _model_format("usda", "a.usda")]
+"""Each file takes a process and a second, so `FORMATS` does without."""
 FORMATS = [
     *SPLAT_FORMATS,
     *(

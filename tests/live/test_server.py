@@ -69,6 +69,33 @@ def test_a_viewer_gets_what_it_asks_for(training):
         assert picture.size == 0 and text == "/über/capture" and len(training.seen) == 1
 
 
+def test_points_land_where_the_viewer_expects_them():
+    """Oracle: the product of both matrices, which viewers send too, used as the 3DGS trainer does:
+    points as rows, the second coordinate turned over, then from -1 to 1 over the picture."""
+    fov_x, fov_y, near, far = 2 * np.arctan(0.4), 2 * np.arctan(0.25), 0.01, 100.0
+    clip = np.zeros((4, 4))
+    clip[0, 0], clip[1, 1] = 1 / np.tan(fov_x / 2), 1 / np.tan(fov_y / 2)
+    clip[2, 2], clip[2, 3] = -(far + near) / (far - near), -2 * far * near / (far - near)
+    clip[3, 2] = -1
+    opengl = np.diag([1.0, -1, -1, 1]) @ POSE
+    sent = {"resolution_x": 40, "resolution_y": 30, "fov_x": fov_x, "fov_y": fov_y}
+    sent["view_matrix"] = opengl.astype(np.float32).T.ravel().tolist()
+    sent["view_projection_matrix"] = (clip @ opengl).astype(np.float32).T.ravel().tolist()
+    sent |= {"train": 1, "keep_alive": 1, "shs_python": 0, "rot_scale_python": 0}
+    sent |= {"scaling_modifier": 0.001, "z_near": near, "z_far": far}
+    found = protocol.parse(json.dumps(sent).encode())
+    in_camera = np.array([[0.3, -0.2, 2, 1], [-1, 0.5, 4, 1], [0, 0, 1, 1]])
+    points = in_camera @ np.linalg.inv(POSE).T
+
+    rows = np.reshape(sent["view_projection_matrix"], (4, 4))
+    rows[:, 1] *= -1
+    on_screen = points @ rows
+    pixels = (on_screen[:, :2] / on_screen[:, 3:] + 1) * (20, 15)
+    seen = points @ found.viewmat.T @ np.eye(4)[:, :3] @ found.K.T
+    assert seen[:, :2] / seen[:, 2:] == pytest.approx(pixels, abs=1e-4)
+    assert found.stays and found.scaling == 0.001
+
+
 @pytest.mark.parametrize("error", [MemoryError, BackendError])
 def test_a_picture_that_cannot_be_drawn_is_black(training, monkeypatch, caplog, error):
     """Oracle: black pixels and a warning; what comes after is drawn as before."""

@@ -145,6 +145,34 @@ def test_order_decides(browser, tmp_path):
     assert back[0] > 200 > 60 > back[2]
 
 
+def test_a_frame_is_one_call(browser, tmp_path):
+    """Oracle: what WebGL is asked for, counted: one drawing a frame, and bytes only after a sort,
+    four a splat."""
+    path, page = written(tmp_path, cloud(5000, 3))
+    browser.open(path)
+    browser.canvas()
+    calls, idle, after = browser.value("""(async () => {
+      const gl = viewer.canvas.getContext('webgl2');
+      let calls = 0, bytes = 0;
+      for (const name of Object.getOwnPropertyNames(WebGL2RenderingContext.prototype)) {
+        if (!/^(draw(A|E)|buffer(D|S)|texImage|texSub)/.test(name)) continue;
+        const real = gl[name].bind(gl);
+        gl[name] = (...given) => {
+          if (name.startsWith('draw')) calls++;
+          for (const one of given) bytes += (one && one.byteLength) || 0;
+          return real(...given);
+        };
+      }
+      for (let k = 0; k < 3; k++) viewer.frame(performance.now() + 1e6);
+      const idle = bytes;
+      viewer.sorted = -1;
+      await viewer.settled();
+      return [calls, idle, bytes];
+    })()""")
+    assert idle == 0 and 3 <= calls <= 6, "three frames, and those until the order is there"
+    assert 0 < after <= 4 * page.splats.head["count"]
+
+
 def test_nothing_is_loaded_from_elsewhere(browser, tmp_path):
     """Oracle: Chromium's own list of requests, and addresses in the text."""
     path, _ = written(tmp_path, cloud(300, 1))

@@ -244,6 +244,19 @@ def test_other_files_in_the_output_folder_are_told(
     assert (tmp_path / "d.jpg").read_text() == "d"
 
 
+def test_a_folder_that_is_refused_keeps_no_files(
+    capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Oracle: one sentence, which says that it is another run's."""
+    line = ["train", str(capture), "-o", str(tmp_path / "out"), *SHORT]
+    assert main([*line, "--quiet"]) == 0
+    (tmp_path / "out" / "holiday.jpg").write_text("mine")
+    capsys.readouterr()
+    assert main(line) == 2
+    err = capsys.readouterr().err
+    assert "holds another run" in err and "they stay" not in err
+
+
 def test_flags_of_3dgs_scripts_mean_what_they_mean_there() -> None:
     """Oracle: the 3DGS trainer's documentation of its options."""
     parser = argparse.ArgumentParser()

@@ -217,6 +217,8 @@ def test_the_command_line(frames: Path, tmp_path: Path, capsys: pytest.CaptureFi
         ),
         (["{video}/{{frame:06x}}", "-o", "{out}"], "{frame:06d}"),
         (["{video}/{{number}}", "-o", "{out}"], "{frame:06d}"),
+        (["{video}/{{frame:999999999d}}", "-o", "{out}"], "99 digits"),
+        (["{video}/{{frame:٣d}}", "-o", "{out}"], "{frame:06d}"),
         (["{video}/{{frame}}x", "-o", "{out}"], "Nothing fits"),
         (["{video}", "-o", "{out}", "-i", "none"], "frame_000000: There is no image folder"),
     ],

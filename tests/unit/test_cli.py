@@ -198,6 +198,29 @@ def test_a_mistyped_option(line: str, words: str, capsys: pytest.CaptureFixture[
     assert err.count("\n") == 1
 
 
+@pytest.mark.parametrize(
+    "word",
+    [
+        "--iterations={x}",
+        "--iterations={one}",
+        "--resolution={x}",
+        "--set=seed={x}",
+        "--threads={one}",
+        "--test-iterations=1,{one}",
+        "--{x}=3",
+        "--iterations{x}",
+        "{x}",
+        "-r={x}",
+        "-d={x} {x}",
+    ],
+)
+def test_a_long_value_is_not_repeated(word: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Oracle: a message of a few lines, whatever was given."""
+    filled = word.format(x="x" * 9000, one="1" * 9000)
+    assert commands.main(["train", "nowhere", "-o", "nowhere either", filled]) == 2
+    assert 0 < len(capsys.readouterr().err) < 1000
+
+
 def test_names_keep_their_capitals(capsys: pytest.CaptureFixture[str]) -> None:
     """Oracle: COLMAP and PLY are written so, also where a sentence is made of a phrase."""
     for line in ("train --help", "info --help"):

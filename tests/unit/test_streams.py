@@ -55,6 +55,15 @@ def test_letters_that_a_stream_lacks_are_spelled_out() -> None:
     assert raw.getvalue() == b"\xe9\\u2192\\ud800\n"
 
 
+def test_a_terminal_gets_no_commands() -> None:
+    """Oracle: the escapes of Python's literals; a moving line keeps its carriage return."""
+    stream = io.StringIO()
+    steady = Steady(stream, lambda error: pytest.fail(str(error)))
+    name = "photo\x1b]0;title\x07\x9b2J\0.png"
+    print(f"\r{name}\tis missing", file=steady)
+    assert stream.getvalue() == "\rphoto\\x1b]0;title\\x07\\x9b2J\\x00.png\tis missing\n"
+
+
 def test_the_streams_are_back_afterwards() -> None:
     """Oracle: the objects that were there."""
     before = sys.stdout, sys.stderr

@@ -1,6 +1,7 @@
 """Operators as a script calls them. Oracle: files read back with gscore, and the scene before."""
 
 import shutil
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from addon.panels import result
 from addon.splats import edit, even_scale, objects
 from addon.splats import native as native_splats
 from addon.splats.filters import visible_mask
+from gscore.formats.registry import FORMATS, format_to_write
 from tests.addon.drawn import drawn, labels
 
 Make = Callable[..., Splats]
@@ -136,6 +138,31 @@ def test_other_formats(
         by_place = [np.lexsort(s.means.round(1).T) for s in (got, wanted)]
         means = got.means[by_place[0]] - wanted.means[by_place[1]]
         assert np.median(np.abs(means)) < 2e-3
+
+
+def test_every_format_that_is_written_can_be_chosen() -> None:
+    """Oracle: the formats of gscore."""
+    offered = [item.identifier for item in ending_items()]
+    found = {format_to_write(Path(f"out{ending}")).key for ending in offered}
+    assert found == {one.key for one in FORMATS if one.write} and len(offered) == len(found)
+
+
+def ending_items() -> list[bpy.types.EnumPropertyItem]:
+    """What the export offers."""
+    return list(bpy.ops.gscore.export_splats.get_rna_type().properties["ending"].enum_items)
+
+
+@pytest.mark.parametrize(("ending", "package"), [(".sog", "pillow"), (".usdc", "usd-core")])
+def test_a_format_whose_package_is_missing(
+    ending: str, package: str, ob: bpy.types.Object, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: a sentence that names the package, and no file."""
+    for name in ("PIL", "PIL.Image", "pxr", "pxr.UsdVol"):
+        monkeypatch.setitem(sys.modules, name, None)
+    out = tmp_path / f"out{ending}"
+    with pytest.raises(RuntimeError, match=package):
+        bpy.ops.gscore.export_splats(filepath=str(out))
+    assert not out.exists()
 
 
 def test_other_endings_are_refused(ob: bpy.types.Object, tmp_path: Path) -> None:
@@ -551,7 +578,10 @@ def test_import_and_undo(scene: bpy.types.Scene, ply: Path) -> None:
 
 
 def test_drop_handler(scene: bpy.types.Scene) -> None:
-    """Oracle: Blender knows a handler that calls our import, for what Blender has no meshes in."""
+    """Oracle: Blender knows a handler that calls our import, for every format of gscore."""
     handler = bpy.types.GSCORE_FH_splats
     assert handler.bl_import_operator == "gscore.import_splats"
-    assert handler.bl_file_extensions == ".ply;.spz;.sog;.splat;.ksplat"
+    endings = handler.bl_file_extensions.split(";")
+    assert sorted(endings) == sorted(set(endings))
+    wanted = {Path(f"a{ending}").suffix for one in FORMATS for ending in one.endings}
+    assert set(endings) == wanted - {".json"}, "meta.json is dropped as any JSON would be"
