@@ -76,14 +76,14 @@ def focal_lengths(database: Path) -> dict[int, tuple[float, bool]]:
 
 
 def gps_places(database: Path) -> dict[int, np.ndarray]:
-    """Where EXIF says that photos were taken: latitude and longitude in degrees, height in metres
-    (0 where it is not stated), [3] float64 by number of the image."""
+    """Where EXIF says that photos were taken: latitude and longitude in degrees, height in metres,
+    [3] float64 by number of the image. COLMAP takes no place without a height."""
     p = colmap()
     geodetic = p.PosePriorCoordinateSystem.WGS84
     with p.Database.open(database) as link:
         priors = link.read_all_pose_priors()
     return {
-        prior.corr_data_id.id: np.nan_to_num(np.asarray(prior.position, np.float64))
+        prior.corr_data_id.id: np.asarray(prior.position, np.float64)
         for prior in priors
-        if prior.coordinate_system == geodetic and np.isfinite(prior.position[:2]).all()
+        if prior.coordinate_system == geodetic and np.isfinite(prior.position).all()
     }

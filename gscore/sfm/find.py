@@ -20,13 +20,20 @@ from .adjust import Adjusted, adjust, stands
 from .attempts import ENOUGH, Attempt, attempts
 from .diagnose import why_none
 from .forecast import ADJUSTING, FEATURES, MATCHING, PLACING, Forecast
+from .gps import Gps, read_gps, to_metres
 from .heic import what_to_do
 from .looks import Look, blurred, exposure_jumps
-from .metres import to_metres
 from .plain import apart_of, captures_inside, doubt, stamp
 from .request import USUAL_LENS, Request
 from .stages import Work
-from .verdict import Found, camera_facts, model_names, said_of_attempt, said_of_focal
+from .verdict import (
+    Found,
+    camera_facts,
+    model_names,
+    said_of_attempt,
+    said_of_focal,
+    said_of_gps,
+)
 from .watch import check_space, colmap, told, watched
 from .workspace import Workspace
 
@@ -266,7 +273,7 @@ class _Search:
         self._adjust(model, database.focal_lengths(work.database(last)))
         if not stands(model):
             raise DatasetError(self._why_none(work, last))
-        in_metres = to_metres(model, database.gps_places(work.database(last)))
+        gps = self._by_gps(model, work.database(last))
         parts = tuple(model_names(each, names) for each in models)
         placed = {name for part in parts for name in part}
         cameras = camera_facts(model)
@@ -282,7 +289,8 @@ class _Search:
             reprojection_px=model.compute_mean_reprojection_error(),
             track_length=model.compute_mean_track_length(),
             cameras=cameras,
-            in_metres=in_metres,
+            in_metres=gps.metres is not None,
+            up=None if gps.up is None else tuple(gps.up.tolist()),
             attempts=tried,
             seconds=round(time.monotonic() - self._began, 2),
             resumed=resumed,
@@ -293,7 +301,7 @@ class _Search:
         made_of = (self._request.video or self._request.photos).absolute()
         record = {"gscore": __version__, MADE_OF: str(made_of)} | found.facts()
         record["photos_read"] = read
-        self._space.publish(model, work.photos, strict_json(record))
+        self._space.publish(model, work.photos, strict_json(record), up=gps.up)
         self._show(
             SfmDone(
                 photos=found.photos,
@@ -329,6 +337,14 @@ class _Search:
             )
         if found.held:
             self._warn(said_of_focal([stated[number] for number in model.cameras]))
+
+    def _by_gps(self, model: Any, file: Path) -> Gps:
+        """What EXIF tells of the model's world; its unit becomes a metre where that is known."""
+        gps = read_gps(model, database.gps_places(file))
+        to_metres(model, gps)
+        if gps.metres is not None and gps.up is None:
+            self._warn(said_of_gps(gps.tilt))
+        return gps
 
     def _warn(self, sentence: str) -> None:
         self._warnings.append(sentence)
