@@ -67,6 +67,12 @@ def features(database: Path) -> list[int]:
         return [link.num_keypoints_for_image(image.image_id) for image in link.read_all_images()]
 
 
+def matches(database: Path) -> int:
+    """Matches that fit one geometry, of all pairs of photos."""
+    with colmap().Database.open(database) as link:
+        return link.num_inlier_matches()
+
+
 def focal_lengths(database: Path) -> dict[int, tuple[float, bool]]:
     """What was expected of each camera before it was looked for: its focal length in px, and
     whether EXIF or the user has stated it."""

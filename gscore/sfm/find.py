@@ -80,6 +80,7 @@ class _Search:
         self._space = Workspace(request.output, self._root)
         self._opened = False
         self._forecast: Forecast | None = None
+        self._compared: set[Path] = set()
 
     def run(self) -> Found:
         """The search itself."""
@@ -147,16 +148,11 @@ class _Search:
         file, count = work.database(attempt), len(work.photos)
         forecast = work.forecast(attempt, pace=self._forecast.pace if self._forecast else 1.0)
         self._forecast = forecast
-        self._show(SfmEstimated(photos=count, seconds=forecast.seconds))
         self._tell("entering photos", 0, count)
         check_space(work.folder, stages.space_needed(work, attempt))
         with told(work.folder):
             stages.enter_photos(work, file)
-        features = [
-            (len(part), partial(stages.extract, work, attempt, part))
-            for part in stages.feature_parts(work)
-        ]
-        self._steps(features, FEATURES, stages.space_needed(work, attempt))
+        self._find_features(work, attempt, forecast)
         with told(work.folder):
             lost, found = database.without_features(file), database.features(file)
         if lost:
@@ -170,6 +166,9 @@ class _Search:
         ]
         forecast.has_features(sum(found))
         self._steps(matches, MATCHING, stages.space_needed(work, attempt))
+        self._compared.add(file)
+        with told(work.folder):
+            forecast.has_matches(database.matches(file))
         placed = [0]
 
         def on_photo() -> None:
@@ -182,12 +181,47 @@ class _Search:
             place, PLACING, count, lambda: min(placed[0], count), lambda: count - placed[0]
         )
 
+    def _find_features(self, work: Work, attempt: Attempt, forecast: Forecast) -> None:
+        """Find features, in a few photos first: by those it is told how long all will take."""
+        sample, *others = (
+            (len(part), partial(stages.extract, work, attempt, part))
+            for part in stages.feature_parts(work)
+        )
+        file, count = work.database(attempt), len(work.photos)
+        space = stages.space_needed(work, attempt)
+        with told(work.folder):
+            if not database.without_features(file):
+                forecast.has(FEATURES)
+        if file in self._compared:
+            forecast.has(MATCHING)
+        self._steps([sample], FEATURES, space, total=count)
+        with told(work.folder):
+            found = [number for number in database.features(file) if number]
+        if found:
+            forecast.has_features(sum(found), len(found))
+        self._tell(FEATURES, sample[0], count)  # the forecast learns the pace from it
+        self._show(SfmEstimated(photos=count, seconds=forecast.seconds))
+        self._steps(others, FEATURES, space, before=sample[0], total=count)
+
     def _steps(
-        self, parts: list[tuple[int, Callable[[Any], None]]], phase: str, space: int
+        self,
+        parts: list[tuple[int, Callable[[Any], None]]],
+        phase: str,
+        space: int,
+        *,
+        before: int = 0,
+        total: int = 0,
     ) -> None:
-        """Do the parts of a phase; each comes with how much of it that is, and may write `space`
-        bytes."""
-        done, under_way = [0], [0]
+        """Do parts of a phase; each comes with how much of it that is, and may write `space` bytes.
+
+        Args:
+            parts: In their order.
+            phase: Its name.
+            space: Bytes on the disk.
+            before: How much of the phase was done earlier.
+            total: How much there is of it; 0: these parts.
+        """
+        done, under_way = [before], [0]
 
         def work(token: Any) -> None:
             for size, part in parts:
@@ -198,7 +232,7 @@ class _Search:
                 part(token)
                 done[0] += size
 
-        total = sum(size for size, _ in parts)
+        total = total or sum(size for size, _ in parts)
         self._watch(work, phase, total, lambda: done[0], lambda: under_way[0])
 
     def _watch(
@@ -209,8 +243,8 @@ class _Search:
         done: Callable[[], int],
         under_way: Callable[[], int],
     ) -> Any:
-        progress = self._counted(phase, total)
-        self._tell(phase, 0, total)
+        progress = self._counted(phase, total, done())
+        self._tell(phase, done(), total)
         return watched(
             work,
             self._space.folder,
@@ -218,12 +252,13 @@ class _Search:
             cancelled=self._stopping,
         )
 
-    def _counted(self, phase: str, total: int) -> Callable[..., None]:
+    def _counted(self, phase: str, total: int, before: int = 0) -> Callable[..., None]:
         """Tells how far a phase is: how much is done, and how much in one piece under way."""
         began = time.monotonic()
 
         def tell(done: int, under_way: int = 0) -> None:
-            eta = (time.monotonic() - began) / done * (total - done) if done else math.nan
+            own, passed = done - before, time.monotonic() - began
+            eta = passed / own * (total - done) if own else math.nan
             self._tell(phase, done, total, eta, under_way)
 
         return tell
