@@ -99,6 +99,8 @@ def test_reasons_name_the_first_that_holds() -> None:
     }
     for words, overlap in cases.items():
         assert words in why_none(overlap, names)
+    none = Overlap(np.zeros(4, np.int64), 0, 0, ())
+    assert "Half of the 4 photos have no feature at all, 100" in why_none(none, names)
 
 
 def test_the_verdict_names_what_to_do() -> None:
