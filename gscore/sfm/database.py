@@ -67,6 +67,13 @@ def features(database: Path) -> list[int]:
         return [link.num_keypoints_for_image(image.image_id) for image in link.read_all_images()]
 
 
+def descriptors(database: Path) -> dict[str, np.ndarray]:
+    """Of the features of each photo, [m, 128] uint8, by its alias."""
+    with colmap().Database.open(database) as link:
+        images = sorted(link.read_all_images(), key=lambda image: image.name)
+        return {image.name: link.read_descriptors(image.image_id).data for image in images}
+
+
 def matches(database: Path) -> int:
     """Matches that fit one geometry, of all pairs of photos."""
     with colmap().Database.open(database) as link:
@@ -93,3 +100,9 @@ def gps_places(database: Path) -> dict[int, np.ndarray]:
         for prior in priors
         if prior.coordinate_system == geodetic and np.isfinite(prior.position).all()
     }
+
+
+def aliases(database: Path) -> dict[int, str]:
+    """Names of the photos by number of the image."""
+    with colmap().Database.open(database) as link:
+        return {image.image_id: image.name for image in link.read_all_images()}

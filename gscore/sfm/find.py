@@ -37,6 +37,9 @@ from .verdict import (
 from .watch import check_space, colmap, told, watched
 from .workspace import Workspace
 
+CHOOSING = "choosing pairs"
+"""A phase of some seconds, which the forecast does not know."""
+
 
 def find_cameras(
     request: Request, *, on_event: Show = lambda event: None, control: Control | None = None
@@ -161,14 +164,8 @@ class _Search:
                 f"COLMAP cannot read {listing([names[alias] for alias in lost])}. Save them as "
                 "JPEG or PNG."
             )
-        matches = [
-            (len(part), partial(stages.match, work, attempt, part)) for part in work.parts(attempt)
-        ]
         forecast.has_features(sum(found))
-        self._steps(matches, MATCHING, stages.space_needed(work, attempt))
-        self._compared.add(file)
-        with told(work.folder):
-            forecast.has_matches(database.matches(file))
+        self._compare(work, attempt, forecast)
         placed = [0]
 
         def on_photo() -> None:
@@ -202,6 +199,19 @@ class _Search:
         self._tell(FEATURES, sample[0], count)  # the forecast learns the pace from it
         self._show(SfmEstimated(photos=count, seconds=forecast.seconds))
         self._steps(others, FEATURES, space, before=sample[0], total=count)
+
+    def _compare(self, work: Work, attempt: Attempt, forecast: Forecast) -> None:
+        """Compare the photos that names join, and those that features and GPS join."""
+        file, parts = work.database(attempt), work.parts(attempt)
+        if work.looks_further(attempt):
+            further = partial(stages.further, work, attempt)
+            parts += self._watch(lambda token: further(), CHOOSING, 0, lambda: 0, lambda: 0)
+            forecast.has_pairs(sum(map(len, parts)))
+        matches = [(len(part), partial(stages.match, work, attempt, part)) for part in parts]
+        self._steps(matches, MATCHING, stages.space_needed(work, attempt))
+        self._compared.add(file)
+        with told(work.folder):
+            forecast.has_matches(database.matches(file))
 
     def _steps(
         self,

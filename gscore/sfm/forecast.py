@@ -93,6 +93,11 @@ class Forecast:
         """So many were found, in all photos or in some that are like the others."""
         self._expect(count * self._photos / (self._photos if photos is None else photos))
 
+    def has_pairs(self, count: int) -> None:
+        """So many are compared."""
+        self._pairs = count
+        self._expect(self._features)
+
     def has_matches(self, count: int) -> None:
         """So many that fit one geometry join all pairs of photos."""
         self._expect_places(count)
@@ -144,6 +149,7 @@ class Forecast:
 
     def _expect(self, features: float) -> None:
         """So many in all photos."""
+        self._features = features
         each = features / max(self._photos, 1)
         self._take(FEATURES, _LOOK * self._megapixels + _DESCRIBE * features)
         self._take(MATCHING, self._pairs * (_VERIFY + _COMPARE * each))

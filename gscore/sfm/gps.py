@@ -3,10 +3,12 @@
 import math
 from dataclasses import dataclass
 from itertools import combinations
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from . import database
 from .watch import colmap
 
 LEAST_PLACES = 5
@@ -62,6 +64,17 @@ def read_gps(model: Any, places: dict[int, np.ndarray]) -> Gps:
         return Gps()
     up, tilt = _up(centers, there)
     return Gps(metres, up if tilt <= _MOST_TILT else None, tilt)
+
+
+def places_in_metres(file: Path) -> dict[str, np.ndarray]:
+    """Where the photos of a database were taken, [3] float64 to the east, to the north and up of
+    the first in metres, by alias; only those of which EXIF tells it."""
+    places = database.gps_places(file)
+    if not places:
+        return {}
+    names, geodetic = database.aliases(file), np.array(list(places.values()))
+    there = colmap().GPSTransform().ellipsoid_to_enu(geodetic, *geodetic[0])
+    return dict(zip((names[number] for number in places), there, strict=True))
 
 
 def to_metres(model: Any, gps: Gps) -> None:

@@ -12,7 +12,7 @@ from gscore.sfm.database import Overlap
 from gscore.sfm.diagnose import why_none
 from gscore.sfm.forecast import ADJUSTING, FEATURES, MATCHING, PLACING, Forecast
 from gscore.sfm.looks import Look, blurred, exposure_jumps, look_of
-from gscore.sfm.pairs import in_parts, sequential_pairs
+from gscore.sfm.pairs import further_parts, in_parts, sequential_pairs
 from gscore.sfm.photos import Photo, by_camera, list_photos, natural, read_photos
 from gscore.sfm.verdict import Found
 
@@ -31,6 +31,37 @@ def test_neighbours_and_loops_are_compared() -> None:
     assert {("000000.jpg", f"{i:06}.jpg") for i in range(1, 11)} <= set(pairs)
     assert ("000000.jpg", "000390.jpg") in pairs
     assert len(pairs) < 0.15 * len(list(combinations(photos, 2)))
+
+
+def test_photos_in_no_order_are_joined_by_what_they_show() -> None:
+    """Oracle: a walk whose photos share features with those up to three steps away, named in a
+    random order; nearly all neighbours are compared, and few others."""
+    rng = np.random.default_rng(0)
+    places = [rng.integers(0, 120, (120, 128)) for _ in range(204)]
+    walk = rng.permutation(200)  # where each photo stands
+    shown = {}
+    for i, place in enumerate(walk):
+        seen = np.concatenate(places[place : place + 4])
+        shown[f"{i:06}.jpg"] = np.clip(seen + rng.normal(0, 4, seen.shape), 0, 255).astype(np.uint8)
+    known = sequential_pairs([_photo(i) for i in range(200)])
+    parts = further_parts(known, shown, {})
+    added = {pair for part in parts for pair in part}
+    assert not added & set(known) and len(added) <= 8 * 200
+    named = {place: f"{i:06}.jpg" for i, place in enumerate(walk)}
+    neighbours = {tuple(sorted((named[i], named[i + 1]))) for i in range(199)}
+    assert len(neighbours & set(known)) < 0.3 * 199  # what names alone would have joined
+    assert len(neighbours & (added | set(known))) > 0.97 * 199
+
+
+def test_photos_near_each_other_by_gps_are_compared() -> None:
+    """Oracle: distances on a grid; photos without features or places are no error."""
+    names = [f"{i:06}.jpg" for i in range(150)]
+    places = {name: np.array([i % 12, i // 12, 0.0]) for i, name in enumerate(names[:144])}
+    nothing = dict.fromkeys(names, np.zeros((0, 128), np.uint8))
+    pairs = {pair for part in further_parts([], nothing, places) for pair in part}
+    near = {(a, b) for a, b in combinations(names[:144], 2)
+            if np.linalg.norm(places[a] - places[b]) <= 1}  # fmt: skip
+    assert near <= pairs and len(pairs) <= 10 * 144
 
 
 @pytest.mark.parametrize("sequential", [False, True])
