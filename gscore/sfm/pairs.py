@@ -6,7 +6,6 @@ from itertools import combinations, product
 from pathlib import PurePosixPath
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from .alike import most_alike
 from .photos import Photo
@@ -76,8 +75,10 @@ def further_parts(
     alike = most_alike(list(descriptors.values()), min(_ALIKE, len(names) - 1))
     added = _new_pairs(found, names, alike, _ADDED)
     if len(places) > _NEAR:
+        from scipy.spatial import KDTree  # Blender, which imports this room, has no scipy
+
         points = np.array(list(places.values()))
-        near = cKDTree(points).query(points, k=_NEAR + 1)[1]
+        near = np.array(KDTree(points).query(points, k=_NEAR + 1)[1])
         added |= _new_pairs(found | added, list(places), near, _NEAR)
     return _cut(sorted(added))
 
