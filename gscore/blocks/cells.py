@@ -69,10 +69,10 @@ def make_cells(
     return Cells(axes=axes, bounds=np.stack(bounds))
 
 
-def _ground(points: np.ndarray, viewmats: np.ndarray, up: np.ndarray | None) -> np.ndarray:
+def _ground(points: np.ndarray, viewmats: np.ndarray, stated: np.ndarray | None) -> np.ndarray:
     """[2, 3]: the directions along the ground in which the points reach farthest and least far, the
     first one so that the largest of its numbers is positive."""
-    up = -viewmats[:, 1, :3].mean(axis=0) if up is None else up
+    up = np.asarray(-viewmats[:, 1, :3].mean(axis=0) if stated is None else stated)
     if np.linalg.norm(up) < _UPRIGHT:  # cameras all around, or turned at will: what is flat is
         up = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][-1]
     up = up / np.linalg.norm(up)
