@@ -142,10 +142,12 @@ KILLS ?= 50
 faults: $(LIBRARY)  ## kills, full disks, damaged files, done to real trainings
 	$(BIN)/python tools/break/faults.py --kills $(KILLS)
 
-lint: $(DEVELOPED)  ## ruff and pyright
+lint: $(DEVELOPED)  ## ruff, pyright, and what may be wrong with workflows
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
+	$(BIN)/check-jsonschema --builtin-schema vendor.github-workflows .github/workflows/*.yml
+	$(BIN)/zizmor --offline --quiet --min-severity medium .github/workflows
 
 format: $(DEVELOPED)  ## ruff's formatter and safe fixes, and text wrapped at 120 columns
 	$(BIN)/python tools/build/wrap_text.py $$(git ls-files '*.md')

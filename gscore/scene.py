@@ -60,6 +60,8 @@ class Cameras:
     """[C] int64, pixels."""
     names: tuple[str, ...]
     """Image names as the capture states them, sub-folders with '/'."""
+    up: np.ndarray | None = None
+    """[3] float64, unit: up in the world, where the capture states it; else the cameras tell."""
 
     def __post_init__(self) -> None:
         check_array("viewmats", self.viewmats, ("C", 4, 4), np.float64)
@@ -67,6 +69,8 @@ class Cameras:
         check_array("Ks", self.Ks, (c, 3, 3), np.float64)
         check_array("widths", self.widths, (c,), np.int64)
         check_array("heights", self.heights, (c,), np.int64)
+        if self.up is not None:
+            check_array("up", self.up, (3,), np.float64)
         if len(self.names) != c:
             raise ShapeError(f"names must hold {c} entries, one a camera, got {len(self.names)}.")
 

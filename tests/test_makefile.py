@@ -48,8 +48,10 @@ def test_users_get_what_they_use(plan: Callable[[str], str], target: str) -> Non
 def test_developers_get_their_tools_too(
     plan: Callable[[str], str], target: str, tests: bool
 ) -> None:
-    """Oracle: the commands; linting builds nothing."""
+    """Oracle: the commands; linting builds nothing, and looks at the workflows too."""
     commands = plan(target)
+    if target == "lint":
+        assert all(name in commands for name in ("ruff", "pyright", "check-jsonschema", "zizmor"))
     assert "--group dev" in commands
     assert ("GS_TESTS=ON" in commands) is tests and ("--build " in commands) is tests
 

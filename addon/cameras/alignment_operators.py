@@ -22,6 +22,7 @@ class AlignCapture(OnCapture, bpy.types.Operator):
     up: EnumProperty(
         name="Up",
         items=(
+            ("CAPTURE", "From Capture", "As its files say by GPS of the photos; else as below"),
             ("CAMERAS", "From Cameras", "As people hold cameras: photos are level"),
             ("CURRENT", "Current", "Near what is up now; finds the ground again"),
             ("VIEW", "Scene Camera", "The upper side of the scene camera's picture"),
@@ -44,6 +45,8 @@ class AlignCapture(OnCapture, bpy.types.Operator):
         return ""
 
     def _up(self, context: bpy.types.Context, root: bpy.types.Object) -> np.ndarray | None:
+        if self.up == "CAPTURE":
+            return captures.stated_up(root)
         if self.up == "CAMERAS":
             return None
         if self.up == "CURRENT":

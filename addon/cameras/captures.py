@@ -40,11 +40,14 @@ __all__ = [
     "reset_root",
     "root_of",
     "set_extent",
+    "stated_up",
     "step_camera",
     "use_camera",
     "world_extent",
 ]
 
+_UP = "gs_up"
+"""Property of the empty: up in the capture's world, where its files state it."""
 CLIP_START, CLIP_END = 0.002, 100.0
 """Clipping distances, in units of the cameras' extent."""
 DISPLAY = 0.2
@@ -164,12 +167,14 @@ def import_capture(
     viewmats = np.stack([view.viewmat for view in usable])
     finite = np.isfinite(capture.points.points).all(axis=1)
     cloud, colors = capture.points.points[finite], capture.points.colors[finite]
-    matrix = alignment.align(viewmats, cloud).matrix if align else np.eye(4)
+    matrix = alignment.align(viewmats, cloud, capture.up).matrix if align else np.eye(4)
 
     name = (source.parent if source.is_file() else source).name or "Capture"
     collection = bpy.data.collections.new(name)
     context.scene.collection.children.link(collection)
     root = _make_root(name, collection, source, images)
+    if capture.up is not None:
+        root[_UP] = capture.up.tolist()
     set_root_matrix(root, matrix)
     inner = bpy.data.collections.new(f"{name} cameras")
     collection.children.link(inner)
@@ -243,6 +248,11 @@ def step_camera(scene: bpy.types.Scene, root: bpy.types.Object, step: int) -> bp
     if scene.camera in cameras:
         return cameras[(cameras.index(scene.camera) + step) % len(cameras)]
     return cameras[0 if step > 0 else -1]
+
+
+def stated_up(root: bpy.types.Object) -> np.ndarray | None:
+    """[3], up in the world of a capture whose files state it; None: its cameras are to tell."""
+    return np.array(root[_UP][:], np.float64) if _UP in root else None
 
 
 def align_root(root: bpy.types.Object, up: np.ndarray | None = None) -> alignment.Alignment:

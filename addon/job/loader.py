@@ -112,11 +112,12 @@ def _upright(path: Path, splats: Splats) -> np.ndarray | None:
     for folder in (path.parent, path.parent.parent):
         if (folder / "cameras.json").is_file():
             try:
-                viewmats = read_cameras(folder / "cameras.json").viewmats
+                cameras = read_cameras(folder / "cameras.json")
             except GsError:
                 return None
             every = max(1, len(splats) // _GROUND_POINTS)
-            return alignment.align(viewmats, splats.means[::every].astype(np.float64)).matrix
+            points = splats.means[::every].astype(np.float64)
+            return alignment.align(cameras.viewmats, points, cameras.up).matrix
     return None
 
 

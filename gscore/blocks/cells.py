@@ -44,16 +44,24 @@ class Cells:
         return np.logical_and.reduce(inside, axis=-1)
 
 
-def make_cells(points: np.ndarray, weights: np.ndarray, viewmats: np.ndarray, count: int) -> Cells:
+def make_cells(
+    points: np.ndarray,
+    weights: np.ndarray,
+    viewmats: np.ndarray,
+    count: int,
+    *,
+    up: np.ndarray | None = None,
+) -> Cells:
     """Cut the world.
 
     Args:
         points: [P, 3] float64, at least one.
         weights: [P] how much each point counts, not negative; points seen often are worth more.
-        viewmats: [C, 4, 4] float64, world to camera, OpenCV axes: they say what is up.
+        viewmats: [C, 4, 4] float64, world to camera, OpenCV axes.
         count: Number of cells, at least 1.
+        up: [3], up in the world where the capture states it; None: the cameras say what is up.
     """
-    axes = _ground(points, viewmats)
+    axes = _ground(points, viewmats, up)
     ground = points @ axes.T
     bounds: list[np.ndarray] = []
     whole = np.array([[-np.inf, -np.inf], [np.inf, np.inf]])
@@ -61,10 +69,10 @@ def make_cells(points: np.ndarray, weights: np.ndarray, viewmats: np.ndarray, co
     return Cells(axes=axes, bounds=np.stack(bounds))
 
 
-def _ground(points: np.ndarray, viewmats: np.ndarray) -> np.ndarray:
+def _ground(points: np.ndarray, viewmats: np.ndarray, stated: np.ndarray | None) -> np.ndarray:
     """[2, 3]: the directions along the ground in which the points reach farthest and least far, the
     first one so that the largest of its numbers is positive."""
-    up = -viewmats[:, 1, :3].mean(axis=0)
+    up = np.asarray(-viewmats[:, 1, :3].mean(axis=0) if stated is None else stated)
     if np.linalg.norm(up) < _UPRIGHT:  # cameras all around, or turned at will: what is flat is
         up = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][-1]
     up = up / np.linalg.norm(up)

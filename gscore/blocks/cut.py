@@ -93,6 +93,7 @@ def cut_capture(
         np.maximum(model.points.track_lengths, 1),
         np.stack([image.viewmat for image in model.images]),
         count,
+        up=capture.up,
     )
     _, test = split_views([view.name for view in views], data, stated=capture.test_names)
     held_out = {views[i].name for i in test}
@@ -152,7 +153,7 @@ def _made(capture: Capture, views: list[View]) -> ColmapModel:
         error=np.full(len(xyz), -1.0),
         track_lengths=np.zeros(len(xyz), np.int32),
     )
-    return ColmapModel(cameras=cameras, images=images, points=points)
+    return ColmapModel(cameras=cameras, images=images, points=points, up=capture.up)
 
 
 def _records(

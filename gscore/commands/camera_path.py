@@ -93,7 +93,7 @@ def _catmull_rom(knots: np.ndarray, keys: np.ndarray, at: np.ndarray) -> np.ndar
     )
 
 
-def orbit_path(viewmats: np.ndarray, frames: int) -> np.ndarray:
+def orbit_path(viewmats: np.ndarray, frames: int, *, up: np.ndarray | None = None) -> np.ndarray:
     """A closed path around what the cameras look at, always near where cameras stood.
 
     Distance and height at each angle are those of the cameras around that angle. Where the capture
@@ -103,6 +103,7 @@ def orbit_path(viewmats: np.ndarray, frames: int) -> np.ndarray:
     Args:
         viewmats: [C, 4, 4] float64, world to camera; at least two.
         frames: Number of cameras to make.
+        up: [3], up in the world where the capture states it; None: as the cameras tell.
 
     Returns:
         [frames, 4, 4] float64, world to camera. The frame after the last would be the first.
@@ -112,7 +113,7 @@ def orbit_path(viewmats: np.ndarray, frames: int) -> np.ndarray:
     """
     _check(viewmats, frames)
     centers = invert_rigid(viewmats)[:, :3, 3]
-    focus, up = focus_point(viewmats), up_direction(viewmats)
+    focus, up = focus_point(viewmats), up_direction(viewmats, up)
     ahead = _across(up)
     side = np.cross(up, ahead)
     offsets = centers - focus
@@ -182,12 +183,15 @@ def focus_point(viewmats: np.ndarray) -> np.ndarray:
     return np.linalg.solve(matrix, np.einsum("cij,cj->i", across, centers) + pull * ahead)
 
 
-def up_direction(viewmats: np.ndarray) -> np.ndarray:
-    """[3] unit world direction that is up: across the cameras' horizontals, near their verticals.
+def up_direction(viewmats: np.ndarray, stated: np.ndarray | None = None) -> np.ndarray:
+    """[3] unit world direction that is up: as the capture has `stated` it, else across the cameras'
+    horizontals, near their verticals.
 
     People hold cameras level, so the x axes of all cameras are horizontal while they look down or
     up; where the x axes alone do not decide it, the mean of the vertical axes does.
     """
+    if stated is not None:
+        return stated
     right, down = viewmats[:, 0, :3], viewmats[:, 1, :3]
     mean_up = -down.mean(axis=0)
     length = np.linalg.norm(mean_up)

@@ -48,7 +48,7 @@ def with_cameras(
     if not has_no_cameras(data.source):
         return data
     if not allowed:
-        raise DatasetError(f"{foreign(data.source)} Or leave out --no-sfm: they are found then.")
+        raise DatasetError(f"Leave out --no-sfm to have cameras found. {foreign(data.source)}")
     capture = output / CAPTURE
     # Masks are written as training reads them by itself, white where pixels count.
     found = replace(data, source=capture, images="images", masks="", invert_masks=False)

@@ -59,7 +59,7 @@ def find_views(args: argparse.Namespace, model: GivenModel, status: Status) -> P
         cameras, held_out = _listed(args, model)
     if cameras is None or not len(cameras):
         return _without_cameras(model.splats, warnings)
-    focus, up = focus_point(cameras.viewmats), up_direction(cameras.viewmats)
+    focus, up = focus_point(cameras.viewmats), up_direction(cameras.viewmats, cameras.up)
     first = _first(cameras, focus)
     photos: dict[int, str] = {}
     if dataset is not None:

@@ -43,7 +43,7 @@ def photos_facts(path: Path, data: DataConfig) -> dict[str, Any]:
         "sizes": dict(Counter(f"{p.width} x {p.height}" for p in photos).most_common()),
         "cameras": len(by_camera(photos)),
         "enough": len(photos) >= LEAST,
-        "pairs": sum(map(len, work.parts(first))),
+        "pairs": work.pairs_expected(first),
         "sfm_seconds": round(work.forecast(first).seconds, 1),
         "next": None if doubtful else f"gscore train {shlex.quote(str(path))} -o run",
         "warnings": [doubtful] if doubtful else [],

@@ -41,7 +41,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=MATCHERS,
         default="auto",
         help="which photos are compared: exhaustive, all with all; sequential, neighbours in the "
-        "order of their names and some far ones; auto: exhaustive up to 120 photos (auto)",
+        "order of their names and some far ones; auto: exhaustive up to 120 photos, else "
+        "sequential and those that look alike or are near each other by GPS (auto)",
     )
     parser.add_argument(
         "--mapper",

@@ -155,6 +155,7 @@ def _scaled(cameras: Cameras, resolution: float, *, even: bool) -> Cameras:
         widths=widths,
         heights=heights,
         names=cameras.names,
+        up=cameras.up,
     )
 
 
@@ -191,7 +192,7 @@ def _along(cameras: Cameras, kind: str, args: argparse.Namespace) -> Shots:
     if kind == "spline":
         viewmats, Ks = spline_path(cameras.viewmats, Ks, frames)
     else:
-        viewmats = orbit_path(cameras.viewmats, frames)
+        viewmats = orbit_path(cameras.viewmats, frames, up=cameras.up)
         K = np.median(Ks, axis=0)
         K[0, 2], K[1, 2] = width / 2, height / 2  # what the orbit looks at is in the middle
         Ks = np.tile(K, (frames, 1, 1))
@@ -214,6 +215,7 @@ def some_cameras(cameras: Cameras, indices: Sequence[int]) -> Cameras:
         widths=cameras.widths[indices],
         heights=cameras.heights[indices],
         names=tuple(cameras.names[i] for i in indices),
+        up=cameras.up,
     )
 
 

@@ -45,6 +45,8 @@ class Capture:
     """In any order."""
     points: PointCloud
     """World points; may be empty."""
+    up: np.ndarray | None = None
+    """[3] float64, unit: up in the world, where the capture states it."""
     error_px: float | None = None
     """Mean reprojection error of the points, pixels; None: not stated."""
     test_names: frozenset[str] = frozenset()

@@ -70,6 +70,7 @@ def load_dataset(config: DataConfig, *, cancelled: Callable[[], bool] = lambda: 
         widths=np.array([file.size[0] for file in files], np.int64),
         heights=np.array([file.size[1] for file in files], np.int64),
         names=tuple(view.name for view in views),
+        up=capture.up,
     )
     train, test = split_views(cameras.names, config, stated=capture.test_names)
     warnings += told_of_split(len(views), test, config)

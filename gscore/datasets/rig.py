@@ -107,11 +107,18 @@ def with_rig(capture: Capture, rig: Capture, *, where: Path, rig_at: Path) -> Ca
     return replace(
         capture,
         views=views,
+        up=_up(capture, rig, fit),
         points=PointCloud(
             points=fit.move_points(capture.points.points), colors=capture.points.colors
         ),
         warnings=(*capture.warnings, *warnings),
     )
+
+
+def _up(capture: Capture, rig: Capture, fit: _Fit) -> np.ndarray | None:
+    if rig.up is not None or capture.up is None:
+        return rig.up
+    return fit.rotation @ capture.up
 
 
 def _key(name: str) -> int | str:

@@ -1,7 +1,10 @@
 """Files of known networks: in the cache that all users of the hub share, or downloaded into it."""
 
+import contextlib
 import hashlib
+import logging
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -67,29 +70,36 @@ def _hub() -> Any:
 
 def _downloaded(network: KnownNetwork) -> Path:
     hub = _hub()
-    before = _quiet(True)
     try:
-        found = hub.hf_hub_download(
-            network.repository, network.file, revision=network.revision, library_name="gscore"
-        )
+        with _quiet():
+            found = hub.hf_hub_download(
+                network.repository, network.file, revision=network.revision, library_name="gscore"
+            )
     except Exception as error:  # of the hub, of its HTTP library, of the disk
         raise GsError(f"{network.name} cannot be downloaded: {_why(error, network)}") from error
-    finally:
-        _quiet(before)
     return Path(found)
 
 
-def _quiet(off: bool) -> bool:
-    """Switch the hub's own bars off or on again; whether they were off."""
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """A block without the hub's own bars, and without its word on each try: what went wrong is said
+    once."""
     from huggingface_hub.utils import (
         are_progress_bars_disabled,
         disable_progress_bars,
         enable_progress_bars,
     )
 
-    before = are_progress_bars_disabled()
-    (disable_progress_bars if off else enable_progress_bars)()
-    return before
+    log, had_bars = logging.getLogger("huggingface_hub"), not are_progress_bars_disabled()
+    level = log.level
+    disable_progress_bars()
+    log.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        log.setLevel(level)
+        if had_bars:
+            enable_progress_bars()
 
 
 def _why(error: Exception, network: KnownNetwork) -> str:
@@ -111,10 +121,16 @@ def _why(error: Exception, network: KnownNetwork) -> str:
         if isinstance(each, OSError) and each.errno and "Connect" not in type(each).__name__:
             return reason(each)
     return (
-        f"the hub cannot be reached ({shown(str(error).splitlines()[0] if str(error) else error)})"
-        f". Look at the connection, or fetch {network.file} from {network.page} and give its path "
-        "with --model."
+        f"the hub cannot be reached ({_cause(error)}). Look at the connection, or fetch "
+        f"{network.file} from {network.page} and give its path with --model."
     )
+
+
+def _cause(error: Exception) -> str:
+    """What was wrong in the end, without the advice that the hub's own errors give."""
+    said = [str(each).strip() for each in _chain(error)]
+    last = next((text for text in reversed(said) if text), type(error).__name__)
+    return shown(last.splitlines()[0].rstrip("."))
 
 
 def _chain(error: BaseException | None) -> list[BaseException]:

@@ -12,13 +12,14 @@ from ..scene import FARTHEST, Cameras, is_focal
 from ..shown import shown
 from ..transforms import invert_rigid
 from .files import atomic_write, read_bytes
+from .world_file import checked_up
 
 
 def write_cameras(path: str | Path, cameras: Cameras) -> None:
     """Write cameras in the official layout: position and rotation are camera to world, OpenCV axes.
 
     The official layout has no principal point and takes the centre; `cx` and `cy` are added, which
-    other readers skip.
+    other readers skip, and where it is known, `up` of the world to the first camera.
 
     Raises:
         GsError: the file cannot be written.
@@ -39,6 +40,8 @@ def write_cameras(path: str | Path, cameras: Cameras) -> None:
         }
         for i in range(len(cameras))
     ]
+    if entries and cameras.up is not None:
+        entries[0]["up"] = cameras.up.tolist()
     lines = ",\n".join(json.dumps(entry) for entry in entries)
     atomic_write(path, f"[\n{lines}\n]\n".encode())
 
@@ -62,9 +65,11 @@ def read_cameras_json(path: str | Path) -> Cameras:
     count = len(entries)
     poses, intrinsics = np.tile(np.eye(4), (count, 1, 1)), np.tile(np.eye(3), (count, 1, 1))
     sizes, names = np.zeros((count, 2), np.int64), []
+    up = None
     for i, entry in enumerate(entries):
         try:
             names.append(_fill(entry, poses[i], intrinsics[i], sizes[i]))
+            up = checked_up(entry["up"]) if "up" in entry else up
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise FormatError(
                 f"{path}: camera {i} lacks or misstates {shown(error)}; expected img_name, width, "
@@ -76,6 +81,7 @@ def read_cameras_json(path: str | Path) -> Cameras:
         widths=sizes[:, 0].copy(),
         heights=sizes[:, 1].copy(),
         names=tuple(names),
+        up=up,
     )
 
 

@@ -23,6 +23,7 @@ from .colmap_model import (
 )
 from .files import LONGEST_NAME, LONGEST_PATH, atomic_write, is_unnameable
 from .foreign import foreign
+from .world_file import read_up, write_up
 
 __all__ = [
     "ColmapCamera",
@@ -128,12 +129,18 @@ def read_model(
         images = (longest_seen(image, points, index, most) for image in images)
     by_id = _by_id(folder / f"images{end}", images)
     return ColmapModel(
-        cameras=cameras, images=list(by_id.values()), points=points, path=folder, warnings=warnings
+        cameras=cameras,
+        images=list(by_id.values()),
+        points=points,
+        path=folder,
+        warnings=warnings,
+        up=read_up(folder),
     )
 
 
 def write_model(model: ColmapModel, path: str | Path, *, binary: bool = True) -> None:
-    """Write the model's three files into the folder `path`, each completely or not at all.
+    """Write the model's three files into the folder `path`, and up where it is known, each
+    completely or not at all.
 
     Tracks are made from the images' observations; an observation of a point that is not in the
     model is written as one of no point, as COLMAP itself insists on.
@@ -163,6 +170,7 @@ def write_model(model: ColmapModel, path: str | Path, *, binary: bool = True) ->
         }
         for name, text in texts.items():
             atomic_write(path / name, text.encode("utf-8"))
+    write_up(path, model.up)
 
 
 def is_safe_name(name: str) -> bool:

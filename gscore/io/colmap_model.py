@@ -162,3 +162,5 @@ class ColmapModel:
     """Folder the model was read from."""
     warnings: tuple[str, ...] = ()
     """Sentences for the user about choices made while reading."""
+    up: np.ndarray | None = None
+    """[3] float64, unit: up in the world, where something but the cameras has told it."""

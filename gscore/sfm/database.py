@@ -67,6 +67,19 @@ def features(database: Path) -> list[int]:
         return [link.num_keypoints_for_image(image.image_id) for image in link.read_all_images()]
 
 
+def descriptors(database: Path) -> dict[str, np.ndarray]:
+    """Of the features of each photo, [m, 128] uint8, by its alias."""
+    with colmap().Database.open(database) as link:
+        images = sorted(link.read_all_images(), key=lambda image: image.name)
+        return {image.name: link.read_descriptors(image.image_id).data for image in images}
+
+
+def matches(database: Path) -> int:
+    """Matches that fit one geometry, of all pairs of photos."""
+    with colmap().Database.open(database) as link:
+        return link.num_inlier_matches()
+
+
 def focal_lengths(database: Path) -> dict[int, tuple[float, bool]]:
     """What was expected of each camera before it was looked for: its focal length in px, and
     whether EXIF or the user has stated it."""
@@ -76,14 +89,20 @@ def focal_lengths(database: Path) -> dict[int, tuple[float, bool]]:
 
 
 def gps_places(database: Path) -> dict[int, np.ndarray]:
-    """Where EXIF says that photos were taken: latitude and longitude in degrees, height in metres
-    (0 where it is not stated), [3] float64 by number of the image."""
+    """Where EXIF says that photos were taken: latitude and longitude in degrees, height in metres,
+    [3] float64 by number of the image. COLMAP takes no place without a height."""
     p = colmap()
     geodetic = p.PosePriorCoordinateSystem.WGS84
     with p.Database.open(database) as link:
         priors = link.read_all_pose_priors()
     return {
-        prior.corr_data_id.id: np.nan_to_num(np.asarray(prior.position, np.float64))
+        prior.corr_data_id.id: np.asarray(prior.position, np.float64)
         for prior in priors
-        if prior.coordinate_system == geodetic and np.isfinite(prior.position[:2]).all()
+        if prior.coordinate_system == geodetic and np.isfinite(prior.position).all()
     }
+
+
+def aliases(database: Path) -> dict[int, str]:
+    """Names of the photos by number of the image."""
+    with colmap().Database.open(database) as link:
+        return {image.image_id: image.name for image in link.read_all_images()}

@@ -24,8 +24,9 @@ def why_none(found: Overlap, names: dict[str, str]) -> str:
     if median < _FEW_FEATURES:
         return (
             f"No cameras found: the photos show too little texture. Half of the {photos} have "
-            f"{count_words(median, 'feature')} or fewer, {_FEW_FEATURES} is little. Take sharp "
-            "photos with something patterned in view, or leave masks out with --no-masks."
+            f"{f'{median} or fewer features' if median else 'no feature at all'}, {_FEW_FEATURES} "
+            "are few. Take sharp photos with something patterned in view, or leave masks out with "
+            "--no-masks."
         )
     if not found.pairs:
         return (

@@ -20,15 +20,25 @@ from .adjust import Adjusted, adjust, stands
 from .attempts import ENOUGH, Attempt, attempts
 from .diagnose import why_none
 from .forecast import ADJUSTING, FEATURES, MATCHING, PLACING, Forecast
+from .gps import Gps, read_gps, to_metres
 from .heic import what_to_do
 from .looks import Look, blurred, exposure_jumps
-from .metres import to_metres
 from .plain import apart_of, captures_inside, doubt, stamp
 from .request import USUAL_LENS, Request
 from .stages import Work
-from .verdict import Found, camera_facts, model_names, said_of_attempt, said_of_focal
+from .verdict import (
+    Found,
+    camera_facts,
+    model_names,
+    said_of_attempt,
+    said_of_focal,
+    said_of_gps,
+)
 from .watch import check_space, colmap, told, watched
 from .workspace import Workspace
+
+CHOOSING = "choosing pairs"
+"""A phase of some seconds, which the forecast does not know."""
 
 
 def find_cameras(
@@ -73,6 +83,7 @@ class _Search:
         self._space = Workspace(request.output, self._root)
         self._opened = False
         self._forecast: Forecast | None = None
+        self._compared: set[Path] = set()
 
     def run(self) -> Found:
         """The search itself."""
@@ -140,16 +151,11 @@ class _Search:
         file, count = work.database(attempt), len(work.photos)
         forecast = work.forecast(attempt, pace=self._forecast.pace if self._forecast else 1.0)
         self._forecast = forecast
-        self._show(SfmEstimated(photos=count, seconds=forecast.seconds))
         self._tell("entering photos", 0, count)
         check_space(work.folder, stages.space_needed(work, attempt))
         with told(work.folder):
             stages.enter_photos(work, file)
-        features = [
-            (len(part), partial(stages.extract, work, attempt, part))
-            for part in stages.feature_parts(work)
-        ]
-        self._steps(features, FEATURES, stages.space_needed(work, attempt))
+        self._find_features(work, attempt, forecast)
         with told(work.folder):
             lost, found = database.without_features(file), database.features(file)
         if lost:
@@ -158,11 +164,8 @@ class _Search:
                 f"COLMAP cannot read {listing([names[alias] for alias in lost])}. Save them as "
                 "JPEG or PNG."
             )
-        matches = [
-            (len(part), partial(stages.match, work, attempt, part)) for part in work.parts(attempt)
-        ]
         forecast.has_features(sum(found))
-        self._steps(matches, MATCHING, stages.space_needed(work, attempt))
+        self._compare(work, attempt, forecast)
         placed = [0]
 
         def on_photo() -> None:
@@ -175,12 +178,60 @@ class _Search:
             place, PLACING, count, lambda: min(placed[0], count), lambda: count - placed[0]
         )
 
+    def _find_features(self, work: Work, attempt: Attempt, forecast: Forecast) -> None:
+        """Find features, in a few photos first: by those it is told how long all will take."""
+        sample, *others = (
+            (len(part), partial(stages.extract, work, attempt, part))
+            for part in stages.feature_parts(work)
+        )
+        file, count = work.database(attempt), len(work.photos)
+        space = stages.space_needed(work, attempt)
+        with told(work.folder):
+            if not database.without_features(file):
+                forecast.has(FEATURES)
+        if file in self._compared:
+            forecast.has(MATCHING)
+        self._steps([sample], FEATURES, space, total=count)
+        with told(work.folder):
+            found = [number for number in database.features(file) if number]
+        if found:
+            forecast.has_features(sum(found), len(found))
+        self._tell(FEATURES, sample[0], count)  # the forecast learns the pace from it
+        self._show(SfmEstimated(photos=count, seconds=forecast.seconds))
+        self._steps(others, FEATURES, space, before=sample[0], total=count)
+
+    def _compare(self, work: Work, attempt: Attempt, forecast: Forecast) -> None:
+        """Compare the photos that names join, and those that features and GPS join."""
+        file, parts = work.database(attempt), work.parts(attempt)
+        if work.looks_further(attempt):
+            further = partial(stages.further, work, attempt)
+            parts += self._watch(lambda token: further(), CHOOSING, 0, lambda: 0, lambda: 0)
+            forecast.has_pairs(sum(map(len, parts)))
+        matches = [(len(part), partial(stages.match, work, attempt, part)) for part in parts]
+        self._steps(matches, MATCHING, stages.space_needed(work, attempt))
+        self._compared.add(file)
+        with told(work.folder):
+            forecast.has_matches(database.matches(file))
+
     def _steps(
-        self, parts: list[tuple[int, Callable[[Any], None]]], phase: str, space: int
+        self,
+        parts: list[tuple[int, Callable[[Any], None]]],
+        phase: str,
+        space: int,
+        *,
+        before: int = 0,
+        total: int = 0,
     ) -> None:
-        """Do the parts of a phase; each comes with how much of it that is, and may write `space`
-        bytes."""
-        done, under_way = [0], [0]
+        """Do parts of a phase; each comes with how much of it that is, and may write `space` bytes.
+
+        Args:
+            parts: In their order.
+            phase: Its name.
+            space: Bytes on the disk.
+            before: How much of the phase was done earlier.
+            total: How much there is of it; 0: these parts.
+        """
+        done, under_way = [before], [0]
 
         def work(token: Any) -> None:
             for size, part in parts:
@@ -191,7 +242,7 @@ class _Search:
                 part(token)
                 done[0] += size
 
-        total = sum(size for size, _ in parts)
+        total = total or sum(size for size, _ in parts)
         self._watch(work, phase, total, lambda: done[0], lambda: under_way[0])
 
     def _watch(
@@ -202,8 +253,8 @@ class _Search:
         done: Callable[[], int],
         under_way: Callable[[], int],
     ) -> Any:
-        progress = self._counted(phase, total)
-        self._tell(phase, 0, total)
+        progress = self._counted(phase, total, done())
+        self._tell(phase, done(), total)
         return watched(
             work,
             self._space.folder,
@@ -211,12 +262,13 @@ class _Search:
             cancelled=self._stopping,
         )
 
-    def _counted(self, phase: str, total: int) -> Callable[..., None]:
+    def _counted(self, phase: str, total: int, before: int = 0) -> Callable[..., None]:
         """Tells how far a phase is: how much is done, and how much in one piece under way."""
         began = time.monotonic()
 
         def tell(done: int, under_way: int = 0) -> None:
-            eta = (time.monotonic() - began) / done * (total - done) if done else math.nan
+            own, passed = done - before, time.monotonic() - began
+            eta = passed / own * (total - done) if own else math.nan
             self._tell(phase, done, total, eta, under_way)
 
         return tell
@@ -266,7 +318,7 @@ class _Search:
         self._adjust(model, database.focal_lengths(work.database(last)))
         if not stands(model):
             raise DatasetError(self._why_none(work, last))
-        in_metres = to_metres(model, database.gps_places(work.database(last)))
+        gps = self._by_gps(model, work.database(last))
         parts = tuple(model_names(each, names) for each in models)
         placed = {name for part in parts for name in part}
         cameras = camera_facts(model)
@@ -282,7 +334,8 @@ class _Search:
             reprojection_px=model.compute_mean_reprojection_error(),
             track_length=model.compute_mean_track_length(),
             cameras=cameras,
-            in_metres=in_metres,
+            in_metres=gps.metres is not None,
+            up=None if gps.up is None else tuple(gps.up.tolist()),
             attempts=tried,
             seconds=round(time.monotonic() - self._began, 2),
             resumed=resumed,
@@ -293,7 +346,7 @@ class _Search:
         made_of = (self._request.video or self._request.photos).absolute()
         record = {"gscore": __version__, MADE_OF: str(made_of)} | found.facts()
         record["photos_read"] = read
-        self._space.publish(model, work.photos, strict_json(record))
+        self._space.publish(model, work.photos, strict_json(record), up=gps.up)
         self._show(
             SfmDone(
                 photos=found.photos,
@@ -329,6 +382,14 @@ class _Search:
             )
         if found.held:
             self._warn(said_of_focal([stated[number] for number in model.cameras]))
+
+    def _by_gps(self, model: Any, file: Path) -> Gps:
+        """What EXIF tells of the model's world; its unit becomes a metre where that is known."""
+        gps = read_gps(model, database.gps_places(file))
+        to_metres(model, gps)
+        if gps.metres is not None and gps.up is None:
+            self._warn(said_of_gps(gps.tilt))
+        return gps
 
     def _warn(self, sentence: str) -> None:
         self._warnings.append(sentence)

@@ -9,19 +9,26 @@ FEATURES, MATCHING = "finding features", "comparing photos"
 PLACING, ADJUSTING = "placing cameras", "adjusting cameras"
 """Phases that take time, in their order."""
 
-_FIND = 1.0
-"""CPU seconds to find features in a megapixel. All of these on cores of an EPYC of 2024, with
-captures of 29 to 60 photos; docs/sfm.md has the figures that they come from."""
+_LOOK, _DESCRIBE = 0.37, 5.9e-5
+"""CPU seconds to look for features in a megapixel, and for each that is found. All of these on
+cores of an EPYC of 2024, with five captures of 29 to 60 photos; docs/sfm.md has the figures that
+they come from."""
 _PER_MEGAPIXEL = 8000
-"""Features in a megapixel; from 3,400 (walls) to 12,300 (grass)."""
-_DOUBLED = 1.25
+"""Features in a megapixel where none were looked for; from 3,400 (walls) to 20,000 (grass)."""
+_DOUBLED = 1.5
 """Features against those that are kept: some point two ways."""
-_VERIFY, _COMPARE = 0.010, 1.2e-5
+_VERIFY, _COMPARE = 1e-3, 1.03e-5
 """CPU seconds of a pair of photos, and more for each feature of a photo."""
-_PLACE, _ADJUST = 5e-5, 4e-5
-"""CPU seconds for each feature of all photos."""
+_MATCHED = 0.5
+"""Matches for each feature where none were looked for; from 0.1 (lund) to 1.0 (studio, masked)."""
+_PLACE, _ADJUST = 8.5e-5, 5.5e-5
+"""CPU seconds for each match of all pairs."""
+_AT_ONCE = {PLACING: 1.3, ADJUSTING: 1.6}
+"""Cores that a phase keeps busy at most, where that is not all of them."""
 _SURE = 0.25
 """Share of a phase after which its own pace counts alone; before, mixed with that before it."""
+_THERE = 0.05
+"""Seconds against those forecast below which work was not done but found."""
 _MOST_GUESSED = 0.95
 """Of a piece of work that is only timed: it may take longer than forecast."""
 
@@ -59,9 +66,11 @@ class Forecast:
             pace: Seconds that one of the forecast takes, as an earlier one has learned.
             clock: Seconds.
         """
-        self._share = 1.0 / working_cores(threads)
-        self._photos, self._pairs, self._clock = len(megapixels), pairs, clock
-        self._seconds = {FEATURES: _FIND * sum(megapixels)}
+        self._cores = working_cores(threads)
+        self._megapixels, self._photos, self._pairs = sum(megapixels), len(megapixels), pairs
+        self._clock = clock
+        self._seconds: dict[str, float] = {}
+        self._there: set[str] = set()
         self._expect(sum(features_of(size, most) for size in megapixels))
         self._phase = ""
         self._began = self._since = 0.0  # when the phase began, and when its share last grew
@@ -73,11 +82,25 @@ class Forecast:
     @property
     def seconds(self) -> float:
         """Seconds that the whole search takes."""
-        return self._share * sum(self._seconds.values()) * self.pace
+        return sum(self._seconds.values()) * self.pace
 
-    def has_features(self, count: int) -> None:
-        """So many were found in all photos."""
-        self._expect(count)
+    def has(self, phase: str) -> None:
+        """All of a phase was done by an earlier attempt or search."""
+        self._there.add(phase)
+        self._seconds[phase] = 0.0
+
+    def has_features(self, count: int, photos: int | None = None) -> None:
+        """So many were found, in all photos or in some that are like the others."""
+        self._expect(count * self._photos / (self._photos if photos is None else photos))
+
+    def has_pairs(self, count: int) -> None:
+        """So many are compared."""
+        self._pairs = count
+        self._expect(self._features)
+
+    def has_matches(self, count: int) -> None:
+        """So many that fit one geometry join all pairs of photos."""
+        self._expect_places(count)
 
     def left(self, phase: str, share: float, under_way: float = 0.0) -> float:
         """Seconds left in all; NaN where the forecast does not know the phase.
@@ -90,12 +113,14 @@ class Forecast:
         """
         if phase not in self._seconds:
             return math.nan
-        now, forecast = self._clock(), self._share * self._seconds[phase]
+        now, forecast = self._clock(), self._seconds[phase]
         if phase != self._phase:
-            # Of a search that goes on, much may be there already: that says nothing of the pace.
             self._phase, self._began, self._first = phase, now, share
             self._pace_before, self._told, self._since = self.pace, share, now
         if share > self._told:
+            if now - self._since < _THERE * self.pace * forecast * (share - self._told):
+                # Of a search that goes on, much is there already: that says nothing of the pace.
+                self._first, self._began = self._first + share - self._told, now
             self._told, self._since = share, now
             if phase in (FEATURES, MATCHING) and forecast > 0:
                 self._learn(share - self._first, forecast)
@@ -106,6 +131,8 @@ class Forecast:
 
     def _learn(self, done: float, forecast: float) -> None:
         """The pace, of such a share of a phase and the seconds that were forecast for all of it."""
+        if done <= 0:
+            return
         own = (self._since - self._began) / (done * forecast)
         sure = min(done / _SURE, 1.0)
         self.pace = self._pace_before + sure * (own - self._pace_before)
@@ -118,12 +145,21 @@ class Forecast:
         rest += sum(self._seconds[name] for name in names[place + 1 :])
         if whole > 0:
             self.share = max(self.share, 1 - rest / whole)
-        return self.pace * self._share * rest
+        return self.pace * rest
 
     def _expect(self, features: float) -> None:
+        """So many in all photos."""
+        self._features = features
         each = features / max(self._photos, 1)
-        self._seconds |= {
-            MATCHING: self._pairs * (_VERIFY + _COMPARE * each),
-            PLACING: _PLACE * features,
-            ADJUSTING: _ADJUST * features,
-        }
+        self._take(FEATURES, _LOOK * self._megapixels + _DESCRIBE * features)
+        self._take(MATCHING, self._pairs * (_VERIFY + _COMPARE * each))
+        self._expect_places(_MATCHED * features)
+
+    def _expect_places(self, matches: float) -> None:
+        self._take(PLACING, _PLACE * matches)
+        self._take(ADJUSTING, _ADJUST * matches)
+
+    def _take(self, phase: str, cpu_seconds: float) -> None:
+        """Note the seconds of a phase where nothing else runs."""
+        if phase not in self._there:
+            self._seconds[phase] = cpu_seconds / min(self._cores, _AT_ONCE.get(phase, self._cores))

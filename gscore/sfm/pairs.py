@@ -1,8 +1,13 @@
-"""Which photos are compared with which: all with all, or neighbours and far ones of a sequence."""
+"""Which photos are compared with which: all with all, or neighbours and far ones of a sequence, and
+those that look alike or were taken near each other."""
 
+from collections.abc import Iterable
 from itertools import combinations, product
 from pathlib import PurePosixPath
 
+import numpy as np
+
+from .alike import most_alike
 from .photos import Photo
 
 Pair = tuple[str, str]
@@ -16,6 +21,12 @@ _PAIRS = 100
 _OVERLAP = 10
 """Photos after it that each is compared with, and as many at distances 16, 32, 64 ..."""
 _LONGEST_JUMP = 512
+_ALIKE, _ADDED = 20, 8
+"""Photos that look most alike of which those are compared that are not anyway, and how many."""
+FURTHER_PAIRS = 5
+"""For each photo, that a forecast expects of these; its neighbours are alike too."""
+_NEAR = 10
+"""Photos nearest by GPS that are compared."""
 _KEY_PHOTOS = 40
 """Photos, spread over the sequence, that are all compared with each other: this closes loops."""
 
@@ -23,8 +34,7 @@ _KEY_PHOTOS = 40
 def in_parts(photos: list[Photo], *, sequential: bool) -> list[list[Pair]]:
     """All pairs to compare, in parts of some seconds each, after which work can stop and go on."""
     if sequential:
-        pairs = sequential_pairs(photos)
-        return [pairs[i : i + _PAIRS] for i in range(0, len(pairs), _PAIRS)]
+        return _cut(sequential_pairs(photos))
     names = [photo.alias for photo in photos]
     blocks = [names[i : i + _BLOCK] for i in range(0, len(names), _BLOCK)]
     parts = []
@@ -48,6 +58,43 @@ def sequential_pairs(photos: list[Photo]) -> list[Pair]:
         pairs |= {(run[i], run[i + s]) for s in steps for i in range(len(run) - s)}
     stride = -(-len(photos) // _KEY_PHOTOS)
     return sorted(pairs | set(combinations([photo.alias for photo in photos[::stride]], 2)))
+
+
+def further_parts(
+    known: Iterable[Pair], descriptors: dict[str, np.ndarray], places: dict[str, np.ndarray]
+) -> list[list[Pair]]:
+    """Pairs that a sequence does not tell: of photos that look alike, which closes loops and joins
+    photos in no order, and of photos near each other.
+
+    Args:
+        known: Pairs that are compared anyway.
+        descriptors: Of the features of each photo, [m, d], by its alias.
+        places: Where photos were taken, [3] metres, by alias; those without are left out.
+    """
+    found, names = set(known), list(descriptors)
+    alike = most_alike(list(descriptors.values()), min(_ALIKE, len(names) - 1))
+    added = _new_pairs(found, names, alike, _ADDED)
+    if len(places) > _NEAR:
+        from scipy.spatial import KDTree  # Blender, which imports this room, has no scipy
+
+        points = np.array(list(places.values()))
+        near = np.array(KDTree(points).query(points, k=_NEAR + 1)[1])
+        added |= _new_pairs(found | added, list(places), near, _NEAR)
+    return _cut(sorted(added))
+
+
+def _new_pairs(known: set[Pair], names: list[str], others: np.ndarray, most: int) -> set[Pair]:
+    """Pairs of each photo with the first `most` of its `others` [n, k] that are not known."""
+    added: set[Pair] = set()
+    for name, row in zip(names, others.tolist(), strict=True):
+        wanted = [names[i] for i in row if i >= 0 and names[i] != name]
+        pairs = [(min(name, other), max(name, other)) for other in wanted]
+        added |= set([pair for pair in pairs if pair not in known][:most])
+    return added
+
+
+def _cut(pairs: list[Pair]) -> list[list[Pair]]:
+    return [pairs[i : i + _PAIRS] for i in range(0, len(pairs), _PAIRS)]
 
 
 def is_sequential(matching: str, count: int) -> bool:

@@ -6,10 +6,11 @@ from typing import Any
 
 from ..config import checked_threads
 from ..io.files import atomic_write
+from . import database, gps
 from .adjust import may_stand
 from .attempts import Attempt
 from .forecast import Forecast, working_cores
-from .pairs import Pair, in_parts, is_sequential
+from .pairs import FURTHER_PAIRS, Pair, further_parts, in_parts, is_sequential
 from .photos import LEAST, Photo, by_camera
 from .request import Request
 from .watch import colmap
@@ -33,6 +34,8 @@ _RICH_PEAK = 0.5
 """Strength of the weakest feature in the rich attempt, against COLMAP's usual one."""
 _PART = 8
 """Photos whose features are found at a time, at least two a thread: then the database has them."""
+_SAMPLE = 4
+"""Photos, at least one a core, by which it is told how long a search takes."""
 _TRACKS = 200
 """Tracks a photo that the global mapper begins with, where there are as many; the others join when
 cameras stand. It solves for all in one thread: studio takes 7 CPU s instead of 26, and gets the
@@ -76,6 +79,15 @@ class Work:
         """Pairs of photos to compare, in parts after which work can stop."""
         return in_parts(self.photos, sequential=self.is_sequential(attempt))
 
+    def looks_further(self, attempt: Attempt) -> bool:
+        """Whether photos that look alike or lie near each other are compared besides."""
+        return self.request.matching == "auto" and self.is_sequential(attempt)
+
+    def pairs_expected(self, attempt: Attempt) -> int:
+        """How many pairs are compared, those that features will tell among them."""
+        further = FURTHER_PAIRS * len(self.photos) if self.looks_further(attempt) else 0
+        return sum(map(len, self.parts(attempt))) + further
+
     def forecast(self, attempt: Attempt, *, pace: float = 1.0) -> Forecast:
         """How long an attempt takes; `pace` as an earlier forecast has learned it."""
         scales = [min(1.0, LARGEST_SIDE / max(p.width, p.height)) for p in self.photos]
@@ -85,7 +97,7 @@ class Work:
                 for p, scale in zip(self.photos, scales, strict=True)
             ],
             most=most_features(len(self.photos), rich=attempt.rich),
-            pairs=sum(map(len, self.parts(attempt))),
+            pairs=self.pairs_expected(attempt),
             threads=self.request.threads,
             pace=pace,
         )
@@ -122,10 +134,14 @@ def _state_focal(database: Path, focal: float) -> None:
 
 
 def feature_parts(work: Work) -> list[list[str]]:
-    """Aliases of the photos whose features are found at a time."""
-    size = max(_PART, 2 * working_cores(checked_threads(work.request.threads)))
+    """Aliases of the photos whose features are found at a time; first of some that are spread over
+    all, which tell what the others will be like."""
+    cores = working_cores(checked_threads(work.request.threads))
     names = [photo.alias for photo in work.photos]
-    return [names[i : i + size] for i in range(0, len(names), size)]
+    sample = names[:: -(-len(names) // max(_SAMPLE, cores))]
+    others = [name for name in names if name not in set(sample)]
+    size = max(_PART, 2 * cores)
+    return [sample, *(others[i : i + size] for i in range(0, len(others), size))]
 
 
 def most_features(photos: int, *, rich: bool) -> int:
@@ -165,6 +181,13 @@ def extract(work: Work, attempt: Attempt, names: list[str], token: Any) -> None:
         p.Device.cpu,
         token,
     )
+
+
+def further(work: Work, attempt: Attempt) -> list[list[Pair]]:
+    """Pairs besides those that names tell, once features are there; in parts as theirs."""
+    file = work.database(attempt)
+    known = [pair for part in work.parts(attempt) for pair in part]
+    return further_parts(known, database.descriptors(file), gps.places_in_metres(file))
 
 
 def match(work: Work, attempt: Attempt, pairs: list[Pair], token: Any) -> None:

@@ -39,6 +39,8 @@ class Found:
     """Model, size and focal length in px of each camera."""
     in_metres: bool = False
     """Whether GPS in EXIF gave the model its size."""
+    up: tuple[float, float, float] | None = None
+    """Up in the model's world, of length 1, by GPS in EXIF; None: the cameras are to tell."""
     attempts: int
     """How many settings were tried."""
     seconds: float
@@ -63,7 +65,11 @@ class Found:
             f"{self.track_length:.1f} photos, "
             f"{count_words(len(self.cameras), 'camera and lens', 'cameras and lenses')}, "
             f"{time_words(self.seconds)}",
-            *(["  sizes are in metres, by GPS in EXIF"] if self.in_metres else []),
+            *(
+                [f"  sizes are in metres{', and up is known' if self.up else ''}, by GPS in EXIF"]
+                if self.in_metres
+                else []
+            ),
             *(f"  {sentence}" for sentence in self._findings()),
             f"Next: gscore train {self.output} -o run --eval",
         ]
@@ -145,4 +151,14 @@ def said_of_focal(cameras: list[tuple[float, bool]]) -> str:
         "The photos do not tell the focal length: another one fits as well, as where the camera "
         f"only moves ahead. It is taken as {shown}, {whence}; if you know it better, give it with "
         "--focal-length."
+    )
+
+
+def said_of_gps(tilt: float) -> str:
+    """The sentence on GPS that tells the size but not what is up; `tilt` in degrees."""
+    off = "by any angle" if tilt > 45 else f"by {tilt:.0f} degrees"
+    return (
+        "GPS in EXIF tells the size of the capture but not what is up: it may be off "
+        f"{off}, because the photos lie near one line or GPS is too coarse for a capture so small. "
+        "Up is taken from the cameras, as people hold them."
     )

@@ -7,11 +7,14 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ..errors import ConfigError, DatasetError, GsError
 from ..io.files import atomic_write, read_bytes, reason
 from ..io.links import link_or_copy
 from ..io.lock import FolderLock
 from ..io.runs import SEARCH_RECORD
+from ..io.world_file import write_up
 from ..json_text import parse_json
 from .photos import Photo
 
@@ -123,7 +126,9 @@ class Workspace:
                 if not (self.links / photo.alias).exists():
                     link_or_copy(self.root / photo.name, self.links / photo.alias)
 
-    def publish(self, model: Any, photos: list[Photo], record: str) -> None:
+    def publish(
+        self, model: Any, photos: list[Photo], record: str, *, up: np.ndarray | None = None
+    ) -> None:
         """Put the capture in its place with one rename, and remove the rest.
 
         Photos are linked, which takes no space and holds them even where the first name is removed,
@@ -133,6 +138,7 @@ class Workspace:
             model: pycolmap's Reconstruction; its images get the names of their photos.
             photos: With these names.
             record: What was found, and of which photos, as JSON.
+            up: [3], up in the model's world; None: not known.
 
         Raises:
             GsError: it cannot be written.
@@ -146,6 +152,7 @@ class Workspace:
             for image in model.images.values():
                 image.name = names[image.name]
             model.write(sparse)
+            write_up(sparse, up)
             atomic_write((self._place if self._in_place else made) / SEARCH_RECORD, record.encode())
             if self._in_place:
                 (made / _MODEL).rename(self._place / _MODEL)

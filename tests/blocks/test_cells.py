@@ -38,6 +38,13 @@ def test_cameras_turned_at_will_say_nothing_of_what_is_up() -> None:
     assert np.abs(axes) == pytest.approx(np.array([[0.0, 1, 0], [0, 0, 1]]), abs=0.02)
 
 
+def test_cells_stand_upright_as_the_capture_states_it() -> None:
+    """Oracle: a stated up across the cameras' own."""
+    points = np.random.default_rng(0).uniform([0, -9, 0], [40, 9, 3], (5000, 3))
+    cells = make_cells(points, np.ones(5000), LEVEL, 2, up=np.array([0.0, 0, 1]))
+    assert np.abs(cells.axes) == pytest.approx(np.array([[1.0, 0, 0], [0, 1, 0]]), abs=0.04)
+
+
 def test_wider_cells() -> None:
     """Oracle: two cells of a street of 40 reach 20 % of their extent over the seam."""
     points = np.random.default_rng(0).uniform([0, 0, 0], [40, 1, 3], (20_000, 3))

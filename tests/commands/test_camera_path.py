@@ -153,6 +153,15 @@ def test_orbit_of_a_ring_is_the_ring(ring):
     np.testing.assert_allclose(eyes[0], centers(ring)[0], atol=0.02)
 
 
+def test_an_orbit_is_level_as_the_capture_states_it(ring):
+    """Oracle: horizontals of the path are at right angles to the stated up, which the cameras do
+    not have in common."""
+    up = np.array([math.sin(0.5), 0, math.cos(0.5)])
+    path = orbit_path(ring, 60, up=up)
+    np.testing.assert_allclose(path[:, 0, :3] @ up, 0, atol=1e-9)
+    assert (-path[:, 1, :3] @ up > 0).all()
+
+
 def test_orbit_of_half_a_ring_stays_where_cameras_were(ring):
     """Oracle: cameras from 0 to 160 degrees; the path swings within them and comes back."""
     eyes = centers(orbit_path(ring[:5], 80))

@@ -29,6 +29,7 @@ from gscore.io.ply import read_ply, write_splats
 from gscore.io.ply_points import read_point_cloud
 from gscore.io.runs import read_run
 from gscore.io.sequences import read_sequence
+from gscore.io.world_file import WORLD_FILE, read_up, write_up
 from gscore.scene import Cameras
 from gscore.splats import Splats
 from gscore.stress.capture import toy_photos
@@ -235,6 +236,7 @@ def _write_cameras(root: Path) -> None:
             widths=np.array([64, 64]),
             heights=np.array([48, 48]),
             names=("a.png", "b.png"),
+            up=np.array([0.0, 0, 1]),
         ),
     )
 
@@ -491,6 +493,7 @@ FORMATS = [
     ),
     Format("transforms", "transforms.json", _write_transforms, _read_transforms, True),
     Format("cameras_json", "cameras.json", _write_cameras, _read_cameras, True),
+    Format("world", WORLD_FILE, lambda root: write_up(root, np.array([0.0, 0, 1])), read_up, True),
     Format(
         "depth_params",
         "depth_params.json",

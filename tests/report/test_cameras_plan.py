@@ -1,6 +1,8 @@
 """The cameras in the report: oracle is a scene whose places were chosen by hand."""
 
+import dataclasses
 import json
+import math
 import re
 from pathlib import Path
 from xml.etree import ElementTree
@@ -51,6 +53,15 @@ def test_up_is_what_photos_call_up(seed: int) -> None:
     assert np.allclose(up, [0, -1, 0], atol=1e-9)
     assert np.allclose(abs(right), [1, 0, 0], atol=1e-9)
     assert np.allclose(np.cross(up, right), away, atol=1e-9)
+
+
+def test_up_is_what_the_capture_states() -> None:
+    """Oracle: a stated up that the photos do not have in common, in a scene that was turned."""
+    turn = _turn(5)
+    scene = _scene(turn)
+    stated = turn @ [0, -math.cos(1.2), math.sin(1.2)]
+    cameras = dataclasses.replace(scene.cameras, up=stated)
+    assert np.allclose(plan_axes(dataclasses.replace(scene, cameras=cameras))[2], stated)
 
 
 def test_axes_where_cameras_have_no_up_or_one_place() -> None:

@@ -26,11 +26,11 @@ def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def render_cloud(folder: Path, seed: int, views: int) -> None:
-    """Pictures of a random cloud of splats, PNG, from places on an arc around it."""
+def cloud(seed: int) -> gscore.Splats:
+    """Splats at random in a cube from -1 to 1."""
     rng = np.random.default_rng(seed)
     count = 700
-    splats = gscore.Splats(
+    return gscore.Splats(
         means=rng.uniform(-1, 1, (count, 3)).astype(np.float32),
         quats=rng.normal(size=(count, 4)).astype(np.float32),
         scales=np.log(rng.uniform(0.01, 0.09, (count, 3))).astype(np.float32),
@@ -38,7 +38,11 @@ def render_cloud(folder: Path, seed: int, views: int) -> None:
         sh0=rng.uniform(-1.7, 1.7, (count, 1, 3)).astype(np.float32),
         shN=np.zeros((count, 0, 3), np.float32),
     )
-    size = 256
+
+
+def render_cloud(folder: Path, seed: int, views: int) -> None:
+    """Pictures of a random cloud of splats, PNG, from places on an arc around it."""
+    splats, size = cloud(seed), 256
     K = np.array([[1.1 * size, 0, size / 2], [0, 1.1 * size, size / 2], [0, 0, 1]])
     for i in range(views):
         turn = 0.12 * i

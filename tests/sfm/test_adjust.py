@@ -8,7 +8,6 @@ import pytest
 
 from gscore.sfm import adjust as adjusting
 from gscore.sfm.adjust import adjust
-from gscore.sfm.metres import metres_per_unit, to_metres
 
 
 @pytest.fixture
@@ -119,32 +118,3 @@ def test_a_walk_around_tells_the_focal_length() -> None:
     found = adjust(model, may_free=True, expected={1: 700.0})
     assert not found.held
     assert model.cameras[1].params[0] == pytest.approx(600.0, rel=0.01)
-
-
-def _places(model: Any, metres: float, noise: float) -> dict[int, np.ndarray]:
-    """As GPS would tell them in Lund, the world's axes east, north and up."""
-    rng = np.random.default_rng(0)
-    numbers = sorted(model.reg_image_ids())
-    centers = np.array([model.images[i].projection_center() for i in numbers]) * metres
-    centers += rng.normal(0, noise, centers.shape)
-    told = pycolmap.GPSTransform().enu_to_ellipsoid(centers, 55.7, 13.19, 30.0)
-    return dict(zip(numbers, told, strict=True))
-
-
-def test_gps_gives_the_size_in_metres() -> None:
-    """Oracle: the factor by which the model is too small, on a straight line and with noise."""
-    ahead = [(np.array([0.0, 0.0, 0.5 * i]), 0.0) for i in range(10)]
-    model = _observed(ahead, 600.0)
-    before = model.images[10].projection_center() - model.images[1].projection_center()
-    assert to_metres(model, _places(model, 20.0, 2.0))
-    after = model.images[10].projection_center() - model.images[1].projection_center()
-    assert np.linalg.norm(after) / np.linalg.norm(before) == pytest.approx(20.0, rel=0.05)
-
-
-def test_gps_of_a_small_or_a_contradicting_capture_is_not_used() -> None:
-    """Oracle: what its error of some metres leaves of it."""
-    ahead = [(np.array([0.0, 0.0, 0.5 * i]), 0.0) for i in range(10)]
-    model = _observed(ahead, 600.0)
-    assert metres_per_unit(model, _places(model, 1.0, 0.2)) is None
-    assert metres_per_unit(model, _places(model, 4.0, 40.0)) is None
-    assert metres_per_unit(model, {}) is None

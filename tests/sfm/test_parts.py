@@ -12,7 +12,7 @@ from gscore.sfm.database import Overlap
 from gscore.sfm.diagnose import why_none
 from gscore.sfm.forecast import ADJUSTING, FEATURES, MATCHING, PLACING, Forecast
 from gscore.sfm.looks import Look, blurred, exposure_jumps, look_of
-from gscore.sfm.pairs import in_parts, sequential_pairs
+from gscore.sfm.pairs import further_parts, in_parts, sequential_pairs
 from gscore.sfm.photos import Photo, by_camera, list_photos, natural, read_photos
 from gscore.sfm.verdict import Found
 
@@ -31,6 +31,37 @@ def test_neighbours_and_loops_are_compared() -> None:
     assert {("000000.jpg", f"{i:06}.jpg") for i in range(1, 11)} <= set(pairs)
     assert ("000000.jpg", "000390.jpg") in pairs
     assert len(pairs) < 0.15 * len(list(combinations(photos, 2)))
+
+
+def test_photos_in_no_order_are_joined_by_what_they_show() -> None:
+    """Oracle: a walk whose photos share features with those up to three steps away, named in a
+    random order; nearly all neighbours are compared, and few others."""
+    rng = np.random.default_rng(0)
+    places = [rng.integers(0, 120, (120, 128)) for _ in range(204)]
+    walk = rng.permutation(200)  # where each photo stands
+    shown = {}
+    for i, place in enumerate(walk):
+        seen = np.concatenate(places[place : place + 4])
+        shown[f"{i:06}.jpg"] = np.clip(seen + rng.normal(0, 4, seen.shape), 0, 255).astype(np.uint8)
+    known = sequential_pairs([_photo(i) for i in range(200)])
+    parts = further_parts(known, shown, {})
+    added = {pair for part in parts for pair in part}
+    assert not added & set(known) and len(added) <= 8 * 200
+    named = {place: f"{i:06}.jpg" for i, place in enumerate(walk)}
+    neighbours = {tuple(sorted((named[i], named[i + 1]))) for i in range(199)}
+    assert len(neighbours & set(known)) < 0.3 * 199  # what names alone would have joined
+    assert len(neighbours & (added | set(known))) > 0.97 * 199
+
+
+def test_photos_near_each_other_by_gps_are_compared() -> None:
+    """Oracle: distances on a grid; photos without features or places are no error."""
+    names = [f"{i:06}.jpg" for i in range(150)]
+    places = {name: np.array([i % 12, i // 12, 0.0]) for i, name in enumerate(names[:144])}
+    nothing = dict.fromkeys(names, np.zeros((0, 128), np.uint8))
+    pairs = {pair for part in further_parts([], nothing, places) for pair in part}
+    near = {(a, b) for a, b in combinations(names[:144], 2)
+            if np.linalg.norm(places[a] - places[b]) <= 1}  # fmt: skip
+    assert near <= pairs and len(pairs) <= 10 * 144
 
 
 @pytest.mark.parametrize("sequential", [False, True])
@@ -99,6 +130,8 @@ def test_reasons_name_the_first_that_holds() -> None:
     }
     for words, overlap in cases.items():
         assert words in why_none(overlap, names)
+    none = Overlap(np.zeros(4, np.int64), 0, 0, ())
+    assert "Half of the 4 photos have no feature at all, 100" in why_none(none, names)
 
 
 def test_the_verdict_names_what_to_do() -> None:
@@ -163,15 +196,55 @@ def test_a_forecast_learns_the_pace() -> None:
     forecast = Forecast(
         megapixels=[0.5] * 60, most=3072, pairs=1770, threads=2, clock=lambda: now[0]
     )
-    told = forecast.seconds
+    told, finding = forecast.seconds, forecast._seconds[FEATURES]
     assert forecast.left(FEATURES, 0.0) == pytest.approx(told)
-    now[0] = 0.5 * 60 * 1.0 / 2 * 2.0 * 0.5  # half of the features, at half the pace
-    assert forecast.left(FEATURES, 0.5) == pytest.approx(2.0 * (told - 7.5))
+    now[0] = finding * 2.0 * 0.5  # half of the features, at half the pace
+    assert forecast.left(FEATURES, 0.5) == pytest.approx(2.0 * (told - finding / 2))
     assert forecast.pace == pytest.approx(2.0)
     before = forecast.left(MATCHING, 0.0)
     forecast.has_features(60 * 7000)
     assert forecast.left(MATCHING, 0.0) > before
     assert math.isnan(forecast.left("writing the capture", 0.0))
+
+
+def test_what_was_found_says_nothing_of_the_pace() -> None:
+    """Oracle: a search that goes on finds half of its features in no time, and the others as fast
+    as forecast; one whose features are all there has no more time for them."""
+    now = [0.0]
+    forecast = Forecast(
+        megapixels=[0.5] * 40, most=4096, pairs=780, threads=2, clock=lambda: now[0]
+    )
+    finding, told = forecast._seconds[FEATURES], forecast.seconds
+    for share in (0.0, 0.25, 0.5, 0.75, 1.0):
+        forecast.left(FEATURES, share)
+        now[0] += 0.01 if share < 0.5 else finding / 4
+    assert forecast.pace == pytest.approx(1.0, rel=0.05)
+    forecast.has(FEATURES)
+    assert forecast.seconds == pytest.approx(told - finding, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("photos", "pixels", "features", "pairs", "matches", "took"),
+    [
+        (29, 800 * 600, 149343, 406, 14753, 23),  # lund
+        (59, 800 * 600, 96221, 1711, 70264, 28),  # plush
+        (60, 510 * 510, 192210, 1770, 78230, 47),  # stone_horse
+        (60, 480 * 640, 76131, 1770, 79280, 25),  # studio, with its masks
+    ],
+)
+def test_a_forecast_is_right_to_a_half(
+    photos: int, pixels: int, features: int, pairs: int, matches: int, took: float
+) -> None:
+    """Oracle: seconds on the clock of two cores where nothing else ran, of four captures; by the
+    features of a few photos that have a quarter more or less than the others, and by all."""
+    most = 4096 if photos <= 40 else 3072
+    for some in (0.75, 1.0, 1.25):
+        forecast = Forecast(megapixels=[pixels / 1e6] * photos, most=most, pairs=pairs, threads=2)
+        forecast.has_features(round(some * 4 * features / photos), 4)
+        assert took / 1.5 < forecast.seconds < 1.5 * took
+    forecast.has_features(features)
+    forecast.has_matches(matches)
+    assert took / 1.3 < forecast.seconds < 1.3 * took
 
 
 def test_a_forecast_goes_one_way() -> None:
@@ -182,7 +255,7 @@ def test_a_forecast_goes_one_way() -> None:
     forecast = Forecast(
         megapixels=[0.5] * 40, most=4096, pairs=780, threads=2, clock=lambda: now[0]
     )
-    took = {name: 3 * s / 2 for name, s in forecast._seconds.items()}
+    took = {name: 3 * s for name, s in forecast._seconds.items()}
     shares, pieces = [], {PLACING: 1, ADJUSTING: 1}
     for phase, seconds in took.items():
         count = pieces.get(phase, 4)

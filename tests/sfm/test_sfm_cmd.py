@@ -18,7 +18,7 @@ from gscore.datasets import load_dataset
 from gscore.errors import Cancelled, GsError
 from gscore.events import Event, SfmDone, SfmEstimated, SfmProgress
 from gscore.io.colmap import read_model
-from gscore.sfm import Request, database, find_cameras
+from gscore.sfm import Request, database, find_cameras, pairs
 from gscore.sfm.watch import watched
 
 from .conftest import NEAR, STUDIO, render_cloud
@@ -111,6 +111,21 @@ def test_the_same_photos_give_the_same_cameras(
     assert first.keys() == second.keys()
     for name, center in first.items():
         np.testing.assert_allclose(second[name], center, atol=1e-5)
+
+
+def test_many_photos_are_joined_by_what_they_show(
+    photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: eight photos count as many, and names join the folders nowhere; all get a camera, and
+    what is told goes through one more phase."""
+    for name, value in (("EXHAUSTIVE", 4), ("_OVERLAP", 1), ("_KEY_PHOTOS", 2)):
+        monkeypatch.setattr(pairs, name, value)
+    told: list[Event] = []
+    result = find_cameras(Request(photos=photos, output=tmp_path / "c"), on_event=told.append)
+    assert result.registered == len(NEAR) and result.attempts == 1
+    phases = [event.phase for event in told if isinstance(event, SfmProgress)]
+    names = list(dict.fromkeys(phases))
+    assert names[names.index("choosing pairs") - 1] == "finding features"
 
 
 def test_a_stopped_search_goes_on(photos: Path, tmp_path: Path) -> None:

@@ -92,7 +92,9 @@ def test_a_file_as_output_is_refused_at_once(
 def test_without_sfm_photos_are_refused(mine: Path, tmp_path: Path, capsys: Out) -> None:
     """Oracle: exit code 2, a sentence, nothing written."""
     assert _train(mine, "-o", tmp_path / "out", "--no-sfm") == 2
-    assert "no cameras for them" in capsys.readouterr().err
+    err = capsys.readouterr().err.rstrip()
+    assert "Leave out --no-sfm" in err and "no cameras for them" in err
+    assert err.endswith(f"gscore sfm {mine} -o {mine}-capture")  # to be copied: no full stop
     assert not (tmp_path / "out").exists()
 
 

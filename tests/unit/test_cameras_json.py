@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -52,6 +53,18 @@ def test_round_trip(cameras: Cameras, tmp_path: Path) -> None:
     np.testing.assert_array_equal(again.Ks, cameras.Ks)
     np.testing.assert_array_equal(again.widths, cameras.widths)
     assert again.names == cameras.names
+
+
+def test_up_is_kept_where_it_is_known(cameras: Cameras, tmp_path: Path) -> None:
+    """Oracle: the direction written; files of others state none; a wrong one is refused."""
+    path, up = tmp_path / "cameras.json", np.array([0.0, 0.6, 0.8])
+    write_cameras(path, cameras)
+    assert read_cameras_json(path).up is None and "up" not in path.read_text()
+    write_cameras(path, replace(cameras, up=up))
+    np.testing.assert_allclose(read_cameras_json(path).up, up)
+    path.write_text(path.read_text().replace("[0.0, 0.6, 0.8]", "[0.0, 0.0, 0.0]"))
+    with pytest.raises(FormatError, match="camera 0 lacks or misstates up"):
+        read_cameras_json(path)
 
 
 def test_official_files_have_no_principal_point(cameras: Cameras, tmp_path: Path) -> None:

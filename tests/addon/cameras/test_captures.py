@@ -1,6 +1,7 @@
 """Imported and user-made cameras against Blender's own projection; captures as scene objects."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
@@ -13,7 +14,7 @@ from addon.cameras import captures, sfm_points
 from addon.cameras import formulas as cm
 from addon.cameras import objects as co
 from addon.compat import matrix_to_numpy
-from addon.core import GsError, read_capture, read_colmap
+from addon.core import GsError, read_capture, read_colmap, write_colmap
 from tests.addon.captures import STUDIO, write_capture
 
 PIXELS = 1e-3
@@ -288,6 +289,26 @@ def test_save_and_load(scene, tmp_path: Path) -> None:
         assert not co.is_moved(ob, own) and not co.is_lens_changed(ob.data, own)
     assert captures.use_camera(bpy.context.scene, listed[0]) == []
     assert co.points_of(root).modifiers[0].node_group.name == sfm_points.GROUP
+
+
+def test_up_that_a_capture_states(scene, tmp_path: Path) -> None:
+    """Oracle: the stated direction, far from what the photos have in common, stands on end, as long
+    as nothing else is asked for; the cameras' own is another."""
+    shutil.copytree(STUDIO / "sparse", tmp_path / "studio" / "sparse")
+    model = read_colmap(tmp_path / "studio")
+    own = captures.import_capture(bpy.context, tmp_path / "studio", photos=False).root
+    stated = np.array([1.0, 2.0, 2.0]) / 3
+    write_colmap(replace(model, up=stated), tmp_path / "studio" / "sparse" / "0")
+    root = captures.import_capture(bpy.context, tmp_path / "studio", photos=False).root
+    turned = matrix_to_numpy(root.matrix_basis)[:3, :3] @ stated
+    assert turned[2] > np.cos(np.radians(12.1))  # by so much a ground may lean
+    bpy.ops.gscore.align_capture(capture=root.name, up="CAMERAS")
+    np.testing.assert_allclose(
+        matrix_to_numpy(root.matrix_basis), matrix_to_numpy(own.matrix_basis), atol=1e-5
+    )
+    bpy.ops.gscore.align_capture(capture=root.name, up="CAPTURE")
+    again = matrix_to_numpy(root.matrix_basis)[:3, :3] @ stated
+    np.testing.assert_allclose(again, turned, atol=1e-5)
 
 
 def test_another_machine(scene, tmp_path: Path) -> None:

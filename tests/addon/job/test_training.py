@@ -101,17 +101,25 @@ def test_the_display_is_built_bit_by_bit(
     assert set(bpy.data.node_groups) == built and len(built) == 4
 
 
-def test_the_result_stands_upright(studio: bpy.types.Scene, play: Play, tmp_path: Path) -> None:
-    """Oracle: the up axis of a ring of level cameras in a world that was turned anyhow."""
+@pytest.mark.parametrize("stated", [False, True])
+def test_the_result_stands_upright(
+    studio: bpy.types.Scene, play: Play, tmp_path: Path, stated: bool
+) -> None:
+    """Oracle: the up axis of a ring of level cameras in a world that was turned anyhow; of cameras
+    that lie on their sides, the one that the run states."""
     world = Quaternion((0.3, -0.5, 0.7, 0.4)).normalized().to_matrix()
     entries = []
     for angle in np.linspace(0, 2 * np.pi, 12, endpoint=False):
         back = Vector((np.cos(angle), np.sin(angle), 0))
         right = Vector((0, 0, 1)).cross(back)
         axes = Matrix((right, Vector((0, 0, -1)), -back)).transposed()
+        if stated:
+            axes = axes @ Matrix.Rotation(1.2, 3, "Z")
         pose = {"position": list(world @ (4 * back)), "rotation": [*map(list, world @ axes)]}
         size = {"width": 64, "height": 48, "fx": 50.0, "fy": 50.0}
         entries.append({"id": len(entries), "img_name": f"{angle:.2f}.png", **pose, **size})
+    if stated:
+        entries[0]["up"] = list(world @ Vector((0, 0, 1)))
     write_splats(tmp_path / "out" / "point_cloud.ply", splats(300, 1))
     (tmp_path / "out" / "cameras.json").write_text(json.dumps(entries))
     play({"say": STARTED}, finish())

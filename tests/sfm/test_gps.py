@@ -1,0 +1,205 @@
+"""Size and up by GPS in EXIF; oracle: a world whose metres and vertical are known."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+import pytest
+from PIL import Image
+
+import gscore
+from gscore.commands import main
+from gscore.config import DataConfig
+from gscore.datasets import load_dataset
+from gscore.errors import FormatError
+from gscore.io.cameras_json import read_cameras_json, write_cameras
+from gscore.io.colmap import read_model
+from gscore.io.world_file import WORLD_FILE, read_up
+from gscore.sfm.gps import Gps, read_gps, to_metres
+
+from .conftest import cloud
+
+Out = pytest.CaptureFixture[str]
+LUND = (55.7, 13.19, 30.0)
+METRES = 20.0
+"""Of a unit of the worlds below."""
+
+
+def _turned(seed: int) -> np.ndarray:
+    """[3, 3] some rotation."""
+    quat = np.random.default_rng(seed).normal(size=4)
+    return pycolmap.Rotation3d(quat / np.linalg.norm(quat)).matrix()
+
+
+def _model(centers: np.ndarray) -> pycolmap.Reconstruction:
+    """Cameras at these places [n, 3], numbered from 1."""
+    model = pycolmap.Reconstruction()
+    camera = pycolmap.Camera(
+        camera_id=1, model="SIMPLE_RADIAL", width=640, height=480, params=[600.0, 320.0, 240.0, 0.0]
+    )
+    model.add_camera_with_trivial_rig(camera)
+    for number, center in enumerate(centers, 1):
+        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(), -center)
+        image = pycolmap.Image(name=f"{number}.jpg", camera_id=1, image_id=number)
+        model.add_image_with_trivial_frame(image, pose)
+    return model
+
+
+def _places(enu: np.ndarray, noise: float, seed: int = 0) -> dict[int, np.ndarray]:
+    """As GPS tells places [n, 3] that are in metres to the east, to the north and up."""
+    enu = enu + np.random.default_rng(seed).normal(0, noise, enu.shape)
+    told = pycolmap.GPSTransform().enu_to_ellipsoid(enu, *LUND)
+    return dict(enumerate(told, 1))
+
+
+def _found(enu: np.ndarray, noise: float, seed: int = 0) -> tuple[Gps, np.ndarray]:
+    """What is told of a turned model of these places, and what is up in it."""
+    turn = _turned(seed)
+    return read_gps(_model(enu @ turn.T / METRES), _places(enu, noise, seed)), turn[:, 2]
+
+
+def _degrees(a: np.ndarray | None, b: np.ndarray) -> float:
+    assert a is not None
+    return math.degrees(math.acos(np.clip(a @ b, -1, 1)))
+
+
+LINE = np.array([[3.0 * i, 10.0 * i, 0.0] for i in range(10)])
+AROUND = np.array(
+    [[60 * math.cos(t), 60 * math.sin(t), 5 * math.sin(3 * t)] for t in np.linspace(0, 6, 24)]
+)
+MAST = np.array([[0.1 * math.sin(i), 0.0, 6.0 * i] for i in range(12)])
+
+
+def test_gps_gives_the_size_in_metres() -> None:
+    """Oracle: the factor by which the model is too small, on a straight line and with noise."""
+    model = _model(LINE / METRES)
+    to_metres(model, read_gps(model, _places(LINE, 2.0)))
+    ends = [model.images[i].projection_center() for i in (1, 10)]
+    assert math.dist(*ends) == pytest.approx(math.dist(LINE[0], LINE[-1]), rel=0.05)
+
+
+def test_gps_of_a_small_or_a_contradicting_capture_is_not_used() -> None:
+    """Oracle: what its error of some metres leaves of it."""
+    for enu, noise in ((LINE / 30, 0.2), (LINE / 5, 40.0)):
+        found = read_gps(_model(enu), _places(enu, noise))
+        assert found.metres is None and found.up is None
+    assert read_gps(_model(LINE), {}) == Gps()
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_gps_tells_up_as_surely_as_it_says(seed: int) -> None:
+    """Oracle: the turned world's vertical; the error stated, thrice, bounds the one made, also with
+    one place that is off by 80 m."""
+    for enu, noise in ((AROUND, 0.0), (AROUND, 2.0), (MAST, 1.0)):
+        found, up = _found(enu, noise, seed)
+        assert _degrees(found.up, up) < 3 * found.tilt + 1e-3
+    turn, places = _turned(seed), _places(AROUND, 1.0, seed)
+    places[5] = pycolmap.GPSTransform().enu_to_ellipsoid(
+        (AROUND[4] + np.array([0, 30, 75]))[None], *LUND
+    )[0]
+    found = read_gps(_model(AROUND @ turn.T / METRES), places)
+    assert _degrees(found.up, turn[:, 2]) < 4
+
+
+@pytest.mark.parametrize(("enu", "noise"), [(LINE, 0.5), (AROUND / 5, 5.0)])
+def test_gps_that_cannot_tell_up_says_so(enu: np.ndarray, noise: float) -> None:
+    """Oracle: a line, about which every turn fits, and errors as large as a tenth of the way."""
+    found, _ = _found(enu, noise)
+    assert found.metres == pytest.approx(METRES, rel=0.3)
+    assert found.up is None and found.tilt > 4
+
+
+def _exif(place: np.ndarray) -> Image.Exif:
+    """Latitude, longitude and height as cameras write them."""
+
+    def sexagesimal(degrees: float) -> tuple[float, float, float]:
+        whole = int(degrees)
+        minutes = (degrees - whole) * 60
+        return float(whole), float(int(minutes)), (minutes - int(minutes)) * 60
+
+    exif = Image.Exif()
+    exif[0x8825] = {
+        1: "N", 2: sexagesimal(place[0]), 3: "E", 4: sexagesimal(place[1]),
+        5: b"\0", 6: float(place[2]),
+    }  # fmt: skip
+    return exif
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, np.ndarray, np.ndarray]:
+    """Twelve photos with GPS, looking obliquely down; names, places and the way cameras are held.
+
+    The world is east, north, up, in units of 20 m. All cameras are rolled by 70 degrees, so that
+    what photos have in common as up is not up.
+    """
+    folder = tmp_path_factory.mktemp("flight")
+    splats, size = cloud(3), 256
+    K = np.array([[0.9 * size, 0, size / 2], [0, 0.9 * size, size / 2], [0, 0, 1]])
+    roll = math.radians(70)
+    rolled = np.array(
+        [[math.cos(roll), math.sin(roll), 0], [-math.sin(roll), math.cos(roll), 0], [0, 0, 1]]
+    )
+    viewmats, eyes = [], []
+    for i in range(12):
+        turn = 0.12 * i
+        eye = np.array([2.4 * math.sin(turn), -2.4 * math.cos(turn), 2.0 + 0.3 * (i % 3)])
+        ahead = -eye / np.linalg.norm(eye)
+        right = np.cross(ahead, [0, 0, 1]) / np.linalg.norm(np.cross(ahead, [0, 0, 1]))
+        viewmat = np.eye(4)
+        viewmat[:3, :3] = rolled @ np.stack([right, np.cross(ahead, right), ahead])
+        viewmat[:3, 3] = -viewmat[:3, :3] @ eye
+        pixels = gscore.render(splats, K, viewmat, size, size).rgb
+        picture = Image.fromarray((np.clip(pixels, 0, 1) * 255).round().astype(np.uint8))
+        place = pycolmap.GPSTransform().enu_to_ellipsoid(METRES * eye[None], *LUND)[0]
+        picture.save(folder / f"DJI_{i:04}.jpg", quality=95, exif=_exif(place))
+        viewmats.append(viewmat)
+        eyes.append(eye)
+    return folder, np.array(viewmats), np.array(eyes)
+
+
+@pytest.fixture(scope="module")
+def made(
+    flight: tuple[Path, np.ndarray, np.ndarray], tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    """The capture that `gscore sfm` makes of them."""
+    capture = tmp_path_factory.mktemp("made") / "capture"
+    assert main(["sfm", str(flight[0]), "-o", str(capture), "--quiet"]) == 0
+    return capture
+
+
+def test_photos_with_gps_give_metres_and_up(
+    flight: tuple[Path, np.ndarray, np.ndarray], made: Path
+) -> None:
+    """Oracle: the cameras that rendered the photos, by which up is known in the found world."""
+    model = read_model(made)
+    true = {f"DJI_{i:04}.jpg": viewmat for i, viewmat in enumerate(flight[1])}
+    ups = [im.viewmat[:3, :3].T @ true[im.name][:3, :3] @ [0, 0, 1] for im in model.images]
+    assert len(ups) == 12
+    assert _degrees(model.up, np.mean(ups, axis=0)) < 2
+    centers = {im.name: -im.viewmat[:3, :3].T @ im.viewmat[:3, 3] for im in model.images}
+    apart = math.dist(centers["DJI_0000.jpg"], centers["DJI_0011.jpg"])
+    assert apart == pytest.approx(METRES * math.dist(flight[2][0], flight[2][11]), rel=0.05)
+    record = json.loads((made / "sfm.json").read_text())
+    assert record["in_metres"] and record["up"] == pytest.approx(model.up.tolist())
+
+
+def test_whoever_reads_the_capture_knows_up(made: Path, tmp_path: Path) -> None:
+    """Oracle: the model's up, in the dataset, in a run's cameras and in a capture cut in blocks."""
+    up = read_model(made).up
+    cameras = load_dataset(DataConfig(source=made)).scene.cameras
+    np.testing.assert_allclose(cameras.up, up)
+    write_cameras(tmp_path / "cameras.json", cameras)
+    np.testing.assert_allclose(read_cameras_json(tmp_path / "cameras.json").up, up)
+    assert main(["split", str(made), "-o", str(tmp_path / "cut"), "--blocks", "2"]) == 0
+    np.testing.assert_allclose(read_model(tmp_path / "cut/block_0").up, up)
+
+
+def test_up_that_is_no_direction_is_refused(made: Path, tmp_path: Path) -> None:
+    """Oracle: a sentence that names the file, for each way in which it can be damaged."""
+    for text in ("", "[]", "{}", '{"up": [0, 0, 0]}', '{"up": [1, 2]}', '{"up": "z"}',
+                 '{"up": [1e300, 0, 0]}'):  # fmt: skip
+        (tmp_path / WORLD_FILE).write_text(text)
+        with pytest.raises(FormatError, match=r"world\.json does not state what is up"):
+            read_up(tmp_path)
