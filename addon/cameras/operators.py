@@ -312,7 +312,7 @@ class ExportCameras(OnCapture, bpy.types.Operator):
 
 
 class ExportCameraPath(OnCapture, bpy.types.Operator):
-    """Write the scene camera's animation as a transforms.json, with a camera for each frame"""
+    """Write the scene camera's animation as a file with a camera for each frame"""
 
     bl_idname = "gscore.export_camera_path"
     bl_label = "Export Camera Path"
@@ -324,6 +324,14 @@ class ExportCameraPath(OnCapture, bpy.types.Operator):
         default="camera_path.json",
         description="JSON file to write",
         options={"SKIP_SAVE"},
+    )
+    kind: EnumProperty(
+        name="Files",
+        items=(
+            ("CAMERAS", "cameras.json", "What gscore render takes as --cameras"),
+            ("TRANSFORMS", "transforms.json", "For nerfstudio and others"),
+        ),
+        description="What to write",
     )
     world: EnumProperty(
         name="World",
@@ -345,7 +353,9 @@ class ExportCameraPath(OnCapture, bpy.types.Operator):
         if camera is None:
             raise ValueError("The scene has no camera. Make one the scene camera and animate it.")
         root = find_root(context, self.capture) if self.world == "CAPTURE" else None
-        count = export_path(path, camera, context.scene, root=root)
+        count = export_path(
+            path, camera, context.scene, root=root, transforms=self.kind == "TRANSFORMS"
+        )
         return f"{path}: {count} frames of {camera.name}"
 
 

@@ -10,6 +10,7 @@ from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 
 from addon.cameras import formulas as cm
+from gscore.io.cameras_json import read_cameras_json as read_cameras
 
 
 @pytest.fixture
@@ -33,7 +34,9 @@ def test_each_frame_projects_as_blender(scene, camera, tmp_path: Path) -> None:
     """Oracle: Blender's own projection of three points at each frame."""
     scene.frame_set(5)
     file = tmp_path / "path.json"
-    assert bpy.ops.gscore.export_camera_path(filepath=str(file), world="BLENDER") == {"FINISHED"}
+    assert bpy.ops.gscore.export_camera_path(
+        filepath=str(file), world="BLENDER", kind="TRANSFORMS"
+    ) == {"FINISHED"}
     assert scene.frame_current == 5
     written = json.loads(file.read_text())
     assert len(written["frames"]) == 6
@@ -57,3 +60,18 @@ def test_orthographic_camera_is_refused(scene, camera, tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match="moving"):
         bpy.ops.gscore.export_camera_path(filepath=str(tmp_path / "p.json"), world="BLENDER")
     assert not list(tmp_path.iterdir()) and scene.frame_current == 4
+
+
+def test_gscore_reads_the_same_cameras(scene, camera, tmp_path: Path) -> None:
+    """Oracle: the transforms.json of the same frames, number for number."""
+    files = {kind: tmp_path / f"{kind}.json" for kind in ("CAMERAS", "TRANSFORMS")}
+    for kind, file in files.items():
+        bpy.ops.gscore.export_camera_path(filepath=str(file), world="BLENDER", kind=kind)
+    read = read_cameras(files["CAMERAS"])
+    other = json.loads(files["TRANSFORMS"].read_text())
+    for i, frame in enumerate(other["frames"]):
+        values = {**other, **frame}
+        K = [values[key] for key in ("fl_x", "fl_y", "cx", "cy")]
+        np.testing.assert_allclose(read.Ks[i][[0, 1, 0, 1], [0, 1, 2, 2]], K, rtol=1e-12)
+        viewmat = cm.viewmat_from_matrix_world(np.array(values["transform_matrix"]))
+        np.testing.assert_allclose(read.viewmats[i], viewmat, rtol=0, atol=1e-6)
