@@ -4,6 +4,7 @@
 from gscore import (
     PRESETS,
     Background,
+    Cameras,
     CancelFlag,
     Cancelled,
     DataConfig,
@@ -102,5 +103,6 @@ from gscore.frontend import (
     sh_basis,
     stated_depth,
     target_size,
+    write_cameras,
     write_colmap,
 )

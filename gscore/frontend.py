@@ -58,6 +58,7 @@ if TYPE_CHECKING:
     from .inspection import inspect as inspect_capture
     from .io.camera_models import NO_PINHOLE
     from .io.cameras_json import read_cameras_json as read_cameras
+    from .io.cameras_json import write_cameras
     from .io.colmap import find_model as find_colmap
     from .io.colmap import read_model as read_colmap
     from .io.colmap import write_model as write_colmap
@@ -176,6 +177,7 @@ _HOME = {
     "sh_basis": "sh",
     "stated_depth": "depth.stated",
     "target_size": "datasets.resolution",
+    "write_cameras": "io.cameras_json",
     "write_colmap": "io.colmap:write_model",
 }
 """Where a name lives; `module:name` where it is called differently there."""
@@ -273,6 +275,7 @@ __all__ = [
     "sh_basis",
     "stated_depth",
     "target_size",
+    "write_cameras",
     "write_colmap",
 ]
 

@@ -56,19 +56,17 @@ def export_transforms(
             raise ValueError(f"{path} is the own file of {known}. Choose another name.")
     views = collect(cameras, scene, root, depsgraph)
     points, warnings = points_to_export(root, source)
-    frames = [_frame(view, path.parent) for view in views]
     away = sum(1 for view in views if view.photo and not _is_below(view.photo, path.parent))
     if away:
         warnings.append(
             f"{away} photos do not lie below {path.parent}; copy them to its folder images, where "
             f"the file expects them."
         )
-    shared = {key: frames[0][key] for key in frames[0] if _is_shared(frames, key)}
+    further = {"ply_file_path": POINTS} if len(points) else {}
+    text = transforms_text(views, path.parent, further)
     if len(points):
         atomic_write(path.with_name(POINTS), _ply(points))
-        shared["ply_file_path"] = POINTS
-    own_keys = [{k: v for k, v in frame.items() if k not in shared} for frame in frames]
-    atomic_write(path, _text(shared, own_keys).encode())
+    atomic_write(path, text.encode())
     return Exported(
         path=path,
         views=len(views),
@@ -76,6 +74,20 @@ def export_transforms(
         points=len(points),
         warnings=tuple(warnings),
     )
+
+
+def transforms_text(
+    views: Sequence[ExportView], folder: Path, further: dict[str, Any] | None = None
+) -> str:
+    """A transforms.json of these views, for a file in `folder`; `further` keys stand at its top.
+
+    Raises:
+        ValueError: a view's camera model has no name in transforms.json.
+    """
+    frames = [_frame(view, folder) for view in views]
+    shared = {key: frames[0][key] for key in frames[0] if _is_shared(frames, key)}
+    own_keys = [{k: v for k, v in frame.items() if k not in shared} for frame in frames]
+    return _text({**shared, **(further or {})}, own_keys)
 
 
 def _text(shared: dict[str, Any], frames: list[dict[str, Any]]) -> str:

@@ -10,6 +10,7 @@ from .. import stored_paths
 from ..interface.operators import Acting, make_active
 from ..paths import absolute
 from . import captures
+from .camera_path import export_path
 from .export_colmap import Exported, export_colmap
 from .export_transforms import export_transforms
 from .lookup import find_camera, find_root
@@ -310,6 +311,54 @@ class ExportCameras(OnCapture, bpy.types.Operator):
         return export_colmap(folder, objects, context.scene, binary=binary, **shared)
 
 
+class ExportCameraPath(OnCapture, bpy.types.Operator):
+    """Write the scene camera's animation as a file with a camera for each frame"""
+
+    bl_idname = "gscore.export_camera_path"
+    bl_label = "Export Camera Path"
+    bl_options: ClassVar[set[str]] = {"REGISTER"}
+
+    filepath: StringProperty(
+        name="File",
+        subtype="FILE_PATH",
+        default="camera_path.json",
+        description="JSON file to write",
+        options={"SKIP_SAVE"},
+    )
+    kind: EnumProperty(
+        name="Files",
+        items=(
+            ("CAMERAS", "cameras.json", "What gscore render takes as --cameras"),
+            ("TRANSFORMS", "transforms.json", "For nerfstudio and others"),
+        ),
+        description="What to write",
+    )
+    world: EnumProperty(
+        name="World",
+        items=(
+            ("CAPTURE", "Capture", "The world of the capture's own files, where its splats lie"),
+            ("BLENDER", "Blender", "Blender's world: z up, as aligned and scaled"),
+        ),
+        description="Whose axes, origin and scale to write in",
+    )
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask for the file."""
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Export."""
+        path, camera = absolute(self.filepath, "File"), context.scene.camera
+        if camera is None:
+            raise ValueError("The scene has no camera. Make one the scene camera and animate it.")
+        root = find_root(context, self.capture) if self.world == "CAPTURE" else None
+        count = export_path(
+            path, camera, context.scene, root=root, transforms=self.kind == "TRANSFORMS"
+        )
+        return f"{path}: {count} frames of {camera.name}"
+
+
 CLASSES = (
     ImportCameras,
     UseCamera,
@@ -317,6 +366,7 @@ CLASSES = (
     ChooseCamera,
     RelinkCapture,
     ExportCameras,
+    ExportCameraPath,
 )
 
 

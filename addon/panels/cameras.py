@@ -73,7 +73,8 @@ class AlignmentPanel(TabPanel, bpy.types.Panel):
         reset = row.operator("gscore.reset_alignment", text="Reset")
         relink = layout.operator("gscore.relink_capture", icon="FILE_REFRESH")
         export = layout.operator("gscore.export_cameras", icon="EXPORT")
-        _aim(root(context), align, flip, extent, reset, relink, export)
+        path = layout.operator("gscore.export_camera_path", icon="CAMERA_DATA")
+        _aim(root(context), align, flip, extent, reset, relink, export, path)
 
 
 def _aim(empty: bpy.types.Object, *buttons: bpy.types.OperatorProperties) -> None:

@@ -1,0 +1,73 @@
+"""An animated Blender camera into a cameras.json or transforms.json: a camera for each frame."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from ..core import Cameras, atomic_write, write_cameras
+from .export_colmap import ExportView, collect
+from .export_transforms import transforms_text
+
+
+def export_path(
+    path: str | Path,
+    camera: bpy.types.Object,
+    scene: bpy.types.Scene,
+    *,
+    root: bpy.types.Object | None = None,
+    transforms: bool = False,
+) -> int:
+    """Write where a camera stands, and its lens, at each frame of the scene's range.
+
+    Every `frame_step`-th frame is written, as a render of the animation would draw them. The scene
+    stands at its own frame again afterwards. Depth of field, motion blur and clipping distances
+    have no place in the file.
+
+    Args:
+        path: The file to write.
+        camera: A perspective camera; its lens, sensor and shift may be animated.
+        scene: Gives range, resolution and pixel aspect.
+        root: A capture's empty, whose world is written; None: Blender's world.
+        transforms: Write a transforms.json; else the cameras.json that `gscore render` takes.
+
+    Returns:
+        How many frames were written.
+
+    Raises:
+        GsError: the file cannot be written.
+        ValueError: the camera is orthographic, panoramic or sheared at some frame, or has
+            distortion, which cameras.json cannot state.
+    """
+    here, views = (scene.frame_current, scene.frame_subframe), []
+    try:
+        for number in range(scene.frame_start, scene.frame_end + 1, scene.frame_step):
+            scene.frame_set(number)
+            (view,) = collect([camera], scene, root, bpy.context.evaluated_depsgraph_get())
+            views.append(replace(view, name=f"frame_{number:06d}.png", photo=None))
+    finally:
+        scene.frame_set(here[0], subframe=here[1])
+    if transforms:
+        atomic_write(path, transforms_text(views, Path(path).parent).encode())
+    else:
+        write_cameras(path, _pinholes(views))
+    return len(views)
+
+
+def _pinholes(views: list[ExportView]) -> Cameras:
+    Ks = np.tile(np.eye(3), (len(views), 1, 1))
+    for K, view in zip(Ks, views, strict=True):
+        if view.camera.model != "PINHOLE":
+            raise ValueError(
+                f"{view.name} has the camera model {view.camera.model}, but cameras.json knows "
+                f"PINHOLE alone. Export a transforms.json."
+            )
+        K[[0, 1, 0, 1], [0, 1, 2, 2]] = view.camera.params
+    return Cameras(
+        viewmats=np.stack([view.viewmat for view in views]).astype(np.float64),
+        Ks=Ks,
+        widths=np.array([view.camera.width for view in views], np.int64),
+        heights=np.array([view.camera.height for view in views], np.int64),
+        names=tuple(view.name for view in views),
+    )
