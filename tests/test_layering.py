@@ -95,7 +95,8 @@ TRAINER = {
     "prepare": {"depth", "photos", "ranks", "rows", "schedule", "trainer", "views"},
     "follow": {"host", "prepare", "ranks", "rows", "trainer"},
     "run": {"beginning", "files", "host", "premises", "prepare", "ranks", "session"},
-    "sequence": {"files", "run"},
+    "frames": {"files"},
+    "sequence": {"files", "frames", "ranks", "run"},
 }
 """What each hall of the trainer, or file beside them, may import of the trainer besides itself."""
 MOST_BESIDE_HALLS = 10

@@ -93,6 +93,7 @@ class Team:
             # torchrun keeps the addresses of ranks that died; each start has a room of its own.
             room = f"gscore {_number(_RESTARTS, 0)}"
             store = dist.PrefixStore(room, store)  # pyright: ignore[reportPrivateImportUsage]
+            self._store = store
             dist.init_process_group(
                 "gloo", store=store, rank=self.rank, world_size=self.size, timeout=_PATIENCE
             )
@@ -127,6 +128,14 @@ class Team:
         self.in_step = True
         yield
         self.in_step = False
+
+    def take_turn(self) -> int:
+        """A number that no other rank gets: 0, 1 and so on, in the order in which ranks ask.
+
+        Raises:
+            RankLostError: nobody counts any more.
+        """
+        return _together(lambda: self._store.add("turn", 1)) - 1
 
     def say(self, order: Mapping[str, Any]) -> None:
         """Rank 0 tells the others what comes next, as JSON values; of others, nothing is done."""

@@ -6,16 +6,16 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from gscore.io.ply import read_ply
+from gscore.io.runs import AGENT
 from gscore.trainer.files import checkpoint
-from gscore.trainer.files.folder import AGENT
 
+from .processes import rank_of, wait_for
 from .started import PATIENCE, ROOT, Ended, start
 
 SHORT = ("--iterations", "60", "--max-splats", "300", "--refine-every", "10", "--sh-every", "12")
@@ -132,8 +132,8 @@ def test_a_killed_rank_costs_nothing(capture: Path, tmp_path: Path, victim: int)
         [*torchrun, *line, "-o", str(output)], cwd=ROOT, stderr=subprocess.PIPE, text=True
     )
     try:
-        _wait_for(output / "checkpoints" / "step_00000100.safetensors")
-        os.kill(_rank_of(running.pid, victim), signal.SIGKILL)
+        wait_for(output / "checkpoints" / "step_00000100.safetensors")
+        os.kill(rank_of(running.pid, victim), signal.SIGKILL)
         _, told = running.communicate(timeout=PATIENCE)
     finally:
         running.kill()
@@ -155,26 +155,6 @@ def test_a_restart_touches_no_run_of_others(
     assert [rank.code for rank in refused] == [2, 2]
     assert "holds another run" in refused[0].err
     assert (run / "point_cloud.ply").stat() == before
-
-
-def _wait_for(path: Path) -> None:
-    end = time.monotonic() + PATIENCE
-    while not path.exists():
-        assert time.monotonic() < end
-        time.sleep(0.005)
-
-
-def _rank_of(agent: int, rank: int) -> int:
-    """The process that a torchrun started as this rank."""
-    for folder in Path("/proc").iterdir():
-        try:
-            parent = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
-            environment = (folder / "environ").read_bytes().split(b"\0")
-        except (OSError, ValueError, IndexError):
-            continue
-        if parent == agent and f"RANK={rank}".encode() in environment:
-            return int(folder.name)
-    raise AssertionError("no such rank")
 
 
 def _host() -> str:
