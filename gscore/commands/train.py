@@ -16,6 +16,7 @@ from ..io.places import check_place
 from ..io.runs import others_in_run
 from ..words import count_words, quality_words
 from .attend import STOPPED, add_output_options, attend
+from .block_runs import train_blocks, wants_blocks
 from .cameras import is_finding, with_cameras
 from .data_options import add_data_options, with_data_options
 from .declared import Set, declare, given_options
@@ -74,6 +75,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--start-checkpoint", type=Path, metavar="FILE", help="go on from this checkpoint"
     )
     parser.add_argument(
+        "--block",
+        type=int,
+        metavar="N",
+        help="of a folder of blocks by gscore split, train only this one, into a folder of its "
+        "name; without it all, in turn",
+    )
+    parser.add_argument(
         "--no-sfm",
         action="store_true",
         help="refuse photos without cameras instead of finding these first",
@@ -97,6 +105,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Train and say how it went; returns the exit code."""
+    if wants_blocks(args):
+        return train_blocks(args, _run)
     return train_together(args, _run) if under_torchrun() else _run(args, None)
 
 
