@@ -89,8 +89,9 @@ TRAINER = {
     "evaluation": {"trainer"},
     "premises": {"trainer"},
     "length": {"estimate", "evaluation", "rows", "schedule", "trainer"},
-    "files": {"depth", "evaluation", "length", "photos", "rows", "trainer", "views"},
-    "session": {"depth", "estimate", "evaluation", "files", "length", "rows", "trainer", "views"},
+    "files": {"depth", "evaluation", "length", "photos", "ranks", "rows", "trainer", "views"},
+    "session": {"depth", "estimate", "evaluation", "files", "length", "ranks", "rows", "trainer"}
+    | {"views"},
     "beginning": {"files", "photos", "rows", "session", "trainer"},
     "prepare": {"depth", "photos", "ranks", "rows", "schedule", "trainer", "views"},
     "follow": {"host", "prepare", "ranks", "rows", "trainer"},

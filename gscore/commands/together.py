@@ -44,6 +44,8 @@ def train_together(
     if size == 1:
         return lead(args, None)
     with Team() as team:
+        if team.ended:
+            return 0
         return _lead(args, team, lead) if team.leads else _follow(args, team)
 
 
@@ -62,6 +64,8 @@ def train_in_turn(
     if world_size() == 1:
         return work(args, None)
     with Team() as team:
+        if team.ended:
+            return 0
         if not team.leads:
             args.quiet, args.events, args.json = True, None, False
         try:

@@ -14,7 +14,7 @@ from ..errors import ConfigError
 from ..events import CONVERGED, ENDED, FINISHED, TARGET, Show, Warn
 from ..io.places import check_place
 from ..io.runs import others_in_run
-from ..words import count_words, quality_words
+from ..words import count_words, quality_words, size_words
 from .attend import STOPPED, add_output_options, attend
 from .block_runs import train_blocks, wants_blocks
 from .cameras import is_finding, with_cameras
@@ -237,6 +237,12 @@ def _summary(result: "TrainResult", config: TrainConfig) -> str:
         lines.append(f"{count_words(len(metrics['views']), view)}: {worth}")
     if config.target_psnr and result.reason in (FINISHED, CONVERGED):
         lines.append(f"The {config.target_psnr:g} dB asked for were not reached.")
+    if ranks := metrics.get("ranks"):
+        sent, waited = ranks["sent_bytes_per_batch"], ranks["waited_seconds_per_batch"]
+        lines.append(
+            f"{ranks['count']} ranks: a batch took {size_words(max(sent))} from rank to rank, and "
+            f"{min(waited):.3f} to {max(waited):.3f} s of waiting and sending."
+        )
     output = result.output
     lines.append(f"Results: {output / 'point_cloud.ply'}, {output / 'report.html'}")
     if result.reason not in ENDED:

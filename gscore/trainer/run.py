@@ -109,6 +109,8 @@ def train(
                 session.warn(found.stereo.why, "stereo")
             with _kept_for(agent, folder) as end:
                 result = session.run()
+                if team and result.reason in ENDED:
+                    team.note_end()
                 end(result)
                 return result
 

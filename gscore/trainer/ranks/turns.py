@@ -78,6 +78,8 @@ class Shared:
             except GsError as error:
                 failure = failure or error
             check_ready(team, failure)
+            if team.leads and all(told == FINISHED for told in reasons):
+                team.note_end()
             keep.ended = True
         return next((told for told in reasons if told != FINISHED), FINISHED)
 
