@@ -152,9 +152,17 @@ class Team:
         before = self.account
         self.account = (before[0] + self.sent - sent, before[1] + worked, before[2] + waited)
 
+    def take_turn(self) -> int:
+        """A number that no other rank gets: 0, 1 and so on, in the order in which ranks ask.
+
+        Raises:
+            RankLostError: nobody counts any more.
+        """
+        return self._together(lambda: self._store.add("turn", 1)) - 1
+
     def note_end(self) -> None:
         """Let those that torchrun may start again know that nothing is left to do."""
-        self._together(lambda: self._kept.set(_ENDED, b"1"))
+        self._together(lambda: self._kept.set(_ENDED, "1"))
 
     def say(self, order: Mapping[str, Any]) -> None:
         """Rank 0 tells the others what comes next, as JSON values; of others, nothing is done."""
