@@ -141,6 +141,7 @@ fuzz: $(DEVELOPED) $(NATIVE_TESTS)  ## hunts for crashes for FUZZ_SECONDS (60) e
 KILLS ?= 50
 faults: $(LIBRARY)  ## kills, full disks, damaged files, done to real trainings
 	$(BIN)/python tools/break/faults.py --kills $(KILLS)
+	$(BIN)/python tools/break/ranks.py
 
 lint: $(DEVELOPED)  ## ruff, pyright, and what may be wrong with workflows
 	$(BIN)/ruff check .

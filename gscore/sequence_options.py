@@ -32,6 +32,15 @@ class SequenceOptions:
         group="sequence",
         basic=True,
     )
+    keyframe_every: int = option(
+        0,
+        "Every so manieth frame is a keyframe, trained like the first. From each, frames go on up "
+        "to the next by themselves, so several processes can take them in turn. 0: the first only.",
+        group="sequence",
+        range=Range(),
+        unit="frames",
+        basic=True,
+    )
     carried_opacity: float = option(
         0.6,
         "Share of its opacity that a splat takes into the next frame. What no photo asks for fades "
@@ -51,7 +60,6 @@ class SequenceOptions:
         False,
         "Keep the last checkpoint of frames that are complete.",
         group="sequence",
-        basic=True,
     )
 
     def __post_init__(self) -> None:

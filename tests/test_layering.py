@@ -90,13 +90,15 @@ TRAINER = {
     "evaluation": {"trainer"},
     "premises": {"trainer"},
     "length": {"estimate", "evaluation", "rows", "schedule", "trainer"},
-    "files": {"depth", "evaluation", "length", "photos", "rows", "trainer", "views"},
-    "session": {"depth", "estimate", "evaluation", "files", "length", "rows", "trainer", "views"},
+    "files": {"depth", "evaluation", "length", "photos", "ranks", "rows", "trainer", "views"},
+    "session": {"depth", "estimate", "evaluation", "files", "length", "ranks", "rows", "trainer"}
+    | {"views"},
     "beginning": {"files", "photos", "rows", "session", "trainer"},
     "prepare": {"depth", "photos", "ranks", "rows", "schedule", "trainer", "views"},
     "follow": {"host", "prepare", "ranks", "rows", "trainer"},
     "run": {"beginning", "files", "host", "premises", "prepare", "ranks", "session"},
-    "sequence": {"files", "run"},
+    "frames": {"files"},
+    "sequence": {"files", "frames", "ranks", "run"},
 }
 """What each hall of the trainer, or file beside them, may import of the trainer besides itself."""
 MOST_BESIDE_HALLS = 10

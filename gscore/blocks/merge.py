@@ -60,7 +60,7 @@ def check_complete(runs: Sequence[tuple[Path, BlockRecord]]) -> None:
         raise ConfigError(
             f"{number(len(missing))} of {count_words(first.count, 'block')} "
             f"{'is' if len(missing) == 1 else 'are'} not there: {listed}. Train what is "
-            "missing, or give its run too."
+            f"missing (gscore train BLOCKS --block {missing[0]} -o RUNS), or give its run too."
         )
 
 

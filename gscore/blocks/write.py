@@ -9,6 +9,7 @@ from pathlib import Path
 
 from ..datasets.capture import View
 from ..errors import ConfigError, GsError
+from ..io.block_record import block_name
 from ..io.colmap import write_model
 from ..io.colmap_model import ColmapModel
 from ..io.files import reason
@@ -50,11 +51,6 @@ def write_blocks(cut: Cut, folder: Path, told: Callable[[int], object]) -> None:
         raise GsError(f"Cannot write {folder}: {reason(error)}") from error
     finally:
         shutil.rmtree(made, ignore_errors=True)
-
-
-def block_name(index: int) -> str:
-    """The folder of a block."""
-    return f"block_{index}"
 
 
 def check_empty(folder: Path) -> None:

@@ -12,6 +12,7 @@ from ..config import DataConfig
 from ..errors import DatasetError
 from ..formats import is_splat_file
 from ..inspection import CaptureFacts, inspect
+from ..io.block_record import read_block
 from ..io.files import check_regular
 from ..io.lod_file import is_lod_file, open_lod_file
 from ..io.metrics_file import metrics_problem, read_metrics
@@ -172,6 +173,9 @@ def _capture_facts(path: Path, args: argparse.Namespace) -> dict[str, Any]:
         "depths": found.depths,
         "warnings": list(dict.fromkeys((*dataset.warnings, *(p.text for p in found.problems)))),
     }
+    record = read_block(path)
+    if record is not None:
+        facts["block"] = {"index": record.index, "count": record.count}
     return facts | {"model": _colmap_facts(found)}
 
 
@@ -272,6 +276,8 @@ def _capture_text(facts: dict[str, Any]) -> list[str]:
         f"  {count_words(facts['points'], 'point')}, masks: {facts['masks']}{inverted}, "
         f"{size_words(facts['decoded_bytes'])} of photos in memory",
     ]
+    if block := facts.get("block"):
+        lines.append(f"  block {block['index']} of {block['count']}, which count from 0")
     model = facts["model"]
     if model:
         kinds = ", ".join(f"{n} {kind}" for kind, n in model["cameras"].items())

@@ -80,7 +80,7 @@ class Interrupt:
     @contextmanager
     def asking(self, stop: Callable[[str], None], *, quiet: bool) -> Iterator[None]:
         """A block that ends by itself after `stop(reason)`; `quiet`: nothing is said about it."""
-        self._stop, self._quiet = stop, quiet
+        self._stop, self._quiet, self._over = stop, quiet, False
         if self.exit_code:
             stop("interrupted" if self._received else "output closed")
         try:

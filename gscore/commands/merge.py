@@ -2,14 +2,18 @@
 
 import argparse
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 from ..blocks.merge import TrainedBlock, check_complete, merge_blocks
 from ..config import DataConfig, TrainConfig
 from ..config_file import differences, load_config
 from ..errors import ConfigError, DatasetError
+from ..events import ENDED, FINISHED
 from ..formats import format_to_write, write_splat_file
 from ..io.block_record import BLOCK_RECORD, BlockRecord, read_block
+from ..io.metrics_file import read_metrics
+from ..io.runs import read_run
 from ..shown import shown
 from ..words import count_words, number
 from .model import GivenModel, open_model
@@ -50,12 +54,13 @@ def run(args: argparse.Namespace) -> int:
     runs = _runs(args.runs)
     records = [_record(path, args.blocks) for path in runs]
     check_complete(list(zip(runs, records, strict=True)))
+    warnings = [sentence for path in runs for sentence in _stopped(path)]
     with Status(sys.stderr, quiet=args.quiet) as status:
         models = []
         for i, path in enumerate(runs):
             status.show([f"Reading run {i + 1} of {len(runs)}"])
             models.append(open_model(path))
-        warnings = _compare(runs, models)
+        warnings += _compare(runs, models)
         merged = merge_blocks(
             [
                 TrainedBlock(path=path, record=record, splats=model.splats)
@@ -124,6 +129,26 @@ def _record(run: Path, blocks: Path | None) -> BlockRecord:
         f"{shown(run)} was trained on {shown(place)}, which is no block: there is no "
         f"{BLOCK_RECORD}. Only runs on what `gscore split` wrote can be merged."
     )
+
+
+def _stopped(path: Path) -> Iterator[str]:
+    """A sentence about a run that was stopped before its last step.
+
+    Raises:
+        ConfigError: it was killed, and there are no splats of it.
+    """
+    run = read_run(path)
+    if run is not None and run.splats is None:
+        raise ConfigError(
+            f"{shown(path)} has not ended: {count_words(run.steps, 'step')} are kept, and no "
+            f"splats. Go on with: gscore train -o {shown(path)} --resume"
+        )
+    reason = str(read_metrics(path).get("reason") or FINISHED)
+    if run is not None and reason not in ENDED:
+        yield (
+            f"{shown(path)} was stopped after {count_words(run.steps, 'step')} ({reason}). To "
+            f"train it to its end: gscore train -o {shown(path)} --resume; then merge again."
+        )
 
 
 def _compare(runs: list[Path], models: list[GivenModel]) -> list[str]:

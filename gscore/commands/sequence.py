@@ -2,11 +2,12 @@
 
 import argparse
 import sys
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from ..config import DataConfig, TrainConfig
 from ..control import Control
-from ..errors import ConfigError
+from ..errors import ConfigError, GsError
 from ..events import Show, Warn
 from ..io.places import check_place
 from ..io.sequences import SEQUENCE_FILE
@@ -18,18 +19,24 @@ from .declared import declare, given_options
 from .live import onlookers_of
 from .output import check_folder, others_in, print_json
 from .status import wrapped
+from .together import agent, train_in_turn, under_torchrun
 
 if TYPE_CHECKING:
+    from ..trainer.ranks.team import Team
     from ..trainer.sequence import SequenceResult
 
 _ONE_FRAME = {
-    "frame": ("--frame", "choose frames with --frames"),
+    "block": ("--block", "the frames of a sequence are not cut into blocks"),
     "rig": ("--rig", "the cameras of the first frame are taken for all, unless --no-fixed-rig"),
     "start_checkpoint": ("--start-checkpoint", "go on with --resume, or use --start-splats"),
 }
-"""Options of `gscore train` that concern one frame only."""
-_SELDOM = ("port",)
+"""Options of `gscore train` that concern one frame only, or none."""
+_SELDOM = ("port", "no_sfm")
 """Those that matter less here than what a sequence has besides; `gscore options` lists them."""
+_FRAME = (
+    "train only the frames from the keyframe before this number to the next keyframe, for job "
+    "arrays; other runs of gscore may train the rest into the same folder"
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,6 +45,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     for action in parser._actions:
         if action.dest in _ONE_FRAME or action.dest in _SELDOM:
             action.help = argparse.SUPPRESS
+        if action.dest == "frame":
+            action.help = _FRAME
     group = parser.add_argument_group(
         "sequence",
         "SOURCE is a folder of PKU-DyMVHumans, a folder of numbered captures, or a path with "
@@ -49,7 +58,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Train all frames and say how it went; returns the exit code."""
-    result, code = attend(args, lambda show, control: _train(args, show, control))
+    return train_in_turn(args, _run) if under_torchrun() else _run(args, None)
+
+
+def _run(args: argparse.Namespace, team: "Team | None") -> int:
+    result, code = attend(args, lambda show, control: _train(args, show, control, team))
     if result is None:
         return code
     if args.json:
@@ -61,12 +74,57 @@ def run(args: argparse.Namespace) -> int:
     return code
 
 
-def _train(args: argparse.Namespace, show: Show, control: Control) -> "SequenceResult":
+@dataclass(frozen=True, kw_only=True)
+class _Asked:
+    """What is asked for, looked at as far as can be before any photo is."""
+
+    config: TrainConfig
+    data: DataConfig
+    options: SequenceOptions
+    frame: int | None
+
+
+def _train(
+    args: argparse.Namespace, show: Show, control: Control, team: "Team | None"
+) -> "SequenceResult":
+    from ..trainer.ranks.agree import check_ready
+    from ..trainer.sequence import train_sequence
+
+    asked, failure = None, None
+    try:
+        asked = _asked(args, show, team)
+    except GsError as error:
+        failure = error
+    if team:
+        check_ready(team, failure)
+    elif failure:
+        raise failure
+    assert asked is not None
+    with onlookers_of(args, asked.data.source, show) as onlookers:
+        return train_sequence(
+            asked.config,
+            asked.data,
+            args.output,
+            show,
+            control,
+            options=asked.options,
+            resume=args.resume,
+            overwrite=args.overwrite,
+            onlookers=onlookers,
+            frame=asked.frame,
+            team=team,
+            agent=agent(),
+        )
+
+
+def _asked(args: argparse.Namespace, show: Show, team: "Team | None") -> _Asked:
+    from ..trainer.sequence import read_options
+
     for name, (option, instead) in _ONE_FRAME.items():
         if getattr(args, name) is not None:
-            raise ConfigError(f"{option} is for one frame: {instead}.")
-    from ..trainer.sequence import read_options, train_sequence
-
+            raise ConfigError(f"{option} is for one training: {instead}.")
+    if team and args.frame is not None:
+        raise ConfigError("--frame is for one process; torchrun gives out all frames in turn.")
     check_place(args.output)
     check_folder(args.output)
     frames = [path.name for path in args.output.glob("frame_*") if path.is_dir()]
@@ -75,19 +133,15 @@ def _train(args: argparse.Namespace, show: Show, control: Control) -> "SequenceR
         show(Warn(message=f"{args.output} holds other files too; they stay: {others}"))
     stored = read_options(args.output) if args.resume else None
     given = given_options(SequenceOptions, args)
-    data, config = train_command.told_configs(args, show)
-    with onlookers_of(args, data.source, show) as onlookers:
-        return train_sequence(
-            config,
-            data,
-            args.output,
-            show,
-            control,
-            options=replace(stored or SequenceOptions(), **given),
-            resume=args.resume,
-            overwrite=args.overwrite,
-            onlookers=onlookers,
-        )
+    # The number of a frame would be an option of each frame too.
+    own = argparse.Namespace(**vars(args) | {"frame": None})
+    data, config = train_command.told_configs(own, show)
+    return _Asked(
+        config=config,
+        data=data,
+        options=replace(stored or SequenceOptions(), **given),
+        frame=args.frame,
+    )
 
 
 def _summary(result: "SequenceResult") -> str:

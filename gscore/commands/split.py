@@ -103,6 +103,6 @@ def _lines(cut: Cut, output: Path) -> list[str]:
             "capture goes around one thing. A higher --share leaves more out."
         )
     place = shown(output)
-    lines.append(f"Next: gscore train {place}/block_0 -o RUNS/block_0, and so on for each;")
+    lines.append(f"Next: gscore train {place} -o RUNS, or on many machines with --block 0, 1, ...;")
     lines.append("then: gscore merge RUNS -o merged.ply")
     return lines

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from ..errors import DatasetError, GsError
-from ..io.runs import checkpoints_in
+from ..io.runs import AGENT, checkpoints_in
 from ..metrics.machine import cores
 from .interrupt import interrupts
 
@@ -44,7 +44,42 @@ def train_together(
     if size == 1:
         return lead(args, None)
     with Team() as team:
+        if team.ended:
+            return 0
         return _lead(args, team, lead) if team.leads else _follow(args, team)
+
+
+def train_in_turn(
+    args: argparse.Namespace, work: Callable[[argparse.Namespace, "Team | None"], int]
+) -> int:
+    """Take part in work of which each rank does whole pieces; returns the exit code.
+
+    Args:
+        args: Of `gscore sequence`.
+        work: Does what this rank gets of it; `args` of all ranks but the first say nothing.
+    """
+    from ..trainer.ranks.team import RankLostError, Team, threads_of_rank, world_size
+
+    os.environ.setdefault("GSCORE_THREADS", str(threads_of_rank(cores())))
+    if world_size() == 1:
+        return work(args, None)
+    with Team() as team:
+        if team.ended:
+            return 0
+        if not team.leads:
+            args.quiet, args.events, args.json = True, None, False
+        try:
+            _check_alike(args, team)
+            args.port = args.port if team.leads else None
+            return work(args, team)
+        except RankLostError:
+            if team.leads:
+                raise
+            return 2
+        except GsError:
+            if team.told and not team.leads:
+                return 2  # rank 0 has said why
+            raise
 
 
 def agent() -> str:
@@ -54,8 +89,6 @@ def agent() -> str:
 
 def _go_on(args: argparse.Namespace) -> None:
     """Let a run go on that this torchrun has begun: from its last checkpoint, or anew."""
-    from ..trainer.files.folder import AGENT
-
     try:
         ours = (args.output / AGENT).read_text(encoding="utf-8") == agent()
     except (OSError, ValueError):

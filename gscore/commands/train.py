@@ -14,8 +14,9 @@ from ..errors import ConfigError
 from ..events import CONVERGED, ENDED, FINISHED, TARGET, Show, Warn
 from ..io.places import check_place
 from ..io.runs import others_in_run
-from ..words import count_words, quality_words
+from ..words import count_words, quality_words, size_words
 from .attend import STOPPED, add_output_options, attend
+from .block_runs import train_blocks, wants_blocks
 from .cameras import is_finding, with_cameras
 from .data_options import add_data_options, with_data_options
 from .declared import Set, declare, given_options
@@ -74,6 +75,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--start-checkpoint", type=Path, metavar="FILE", help="go on from this checkpoint"
     )
     parser.add_argument(
+        "--block",
+        type=int,
+        metavar="N",
+        help="of a folder of blocks by gscore split, train only this one, into a folder of its "
+        "name; without it all, in turn",
+    )
+    parser.add_argument(
         "--no-sfm",
         action="store_true",
         help="refuse photos without cameras instead of finding these first",
@@ -97,6 +105,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Train and say how it went; returns the exit code."""
+    if wants_blocks(args):
+        return train_blocks(args, _run)
     return train_together(args, _run) if under_torchrun() else _run(args, None)
 
 
@@ -227,6 +237,12 @@ def _summary(result: "TrainResult", config: TrainConfig) -> str:
         lines.append(f"{count_words(len(metrics['views']), view)}: {worth}")
     if config.target_psnr and result.reason in (FINISHED, CONVERGED):
         lines.append(f"The {config.target_psnr:g} dB asked for were not reached.")
+    if ranks := metrics.get("ranks"):
+        sent, waited = ranks["sent_bytes_per_batch"], ranks["waited_seconds_per_batch"]
+        lines.append(
+            f"{ranks['count']} ranks: a batch took {size_words(max(sent))} from rank to rank, and "
+            f"{min(waited):.3f} to {max(waited):.3f} s of waiting and sending."
+        )
     output = result.output
     lines.append(f"Results: {output / 'point_cloud.ply'}, {output / 'report.html'}")
     if result.reason not in ENDED:

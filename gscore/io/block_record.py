@@ -61,6 +61,33 @@ class BlockRecord:
         atomic_write(folder / BLOCK_RECORD, (strict_json(content) + "\n").encode())
 
 
+def block_name(index: int) -> str:
+    """The folder of a block, in that of all."""
+    return f"block_{index}"
+
+
+def block_records(folder: Path) -> dict[int, BlockRecord]:
+    """The blocks in the folder that `gscore split` wrote, by number; none where it is another one.
+
+    Raises:
+        FormatError: a record is damaged, or two blocks were not cut together.
+        DatasetError: one cannot be read.
+    """
+    found: dict[int, BlockRecord] = {}
+    for path in sorted(folder.glob(f"block_*/{BLOCK_RECORD}")):
+        record = read_block(path.parent)
+        if record is None or path.parent.name != block_name(record.index):
+            continue
+        other = next(iter(found.values()), record)
+        if other.split != record.split:
+            raise FormatError(
+                f"{shown(path.parent)} was not cut together with {block_name(other.index)} beside "
+                "it. Keep the blocks of each split in a folder of their own."
+            )
+        found[record.index] = record
+    return found
+
+
 def read_block(folder: Path) -> BlockRecord | None:
     """The record in the folder of a capture; None: it is no block.
 

@@ -18,6 +18,8 @@ from .poses_json import POSES_FILE
 
 RUN_LOCK = ".gscore.lock"
 """The file by which a training holds its folder."""
+AGENT = ".torchrun"
+"""The file that says which torchrun has begun what is in a folder, until that has ended."""
 RUN_FILES = (
     "config.json",
     "cfg_args",

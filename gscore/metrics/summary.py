@@ -39,6 +39,9 @@ class Course:
     """How far photos lie apart in exposure; None: nobody asked."""
     poses: dict[str, Any] | None = None
     """How far each training camera was moved, and why; None: none was."""
+    ranks: dict[str, Any] | None = None
+    """Where many processes trained together: `count`, `batches` that they took since the start or
+    the last resumption, and of each rank what it sent, worked and waited for a batch."""
 
     @classmethod
     def of_file(cls, metrics: Mapping[str, Any]) -> "Course":
@@ -98,7 +101,7 @@ class Metrics:
             "history": [_finite_row(row) for row in course.history],
             "evals": [dict(row) for row in course.evals],
         }
-        parts = {"depth": course.depth, "exposure": course.exposure, "poses": course.poses}
+        parts = {name: getattr(course, name) for name in ("depth", "exposure", "poses", "ranks")}
         return content | {key: part for key, part in parts.items() if part is not None}
 
 

@@ -9,11 +9,12 @@ from ..config_file import to_dict
 from ..control import Control
 from ..errors import GsError
 from ..events import ENDED, Event
+from ..io.runs import AGENT
 from ..live.onlookers import Onlookers
 from ..metrics import find_lpips, lpips_warnings
 from .beginning import Beginning
 from .files.ended import TrainResult
-from .files.folder import AGENT, RunFolder, open_folder
+from .files.folder import RunFolder, open_folder
 from .host.heap import large_pieces_apart
 from .host.state import ordinary_state
 from .premises import look_over
@@ -108,6 +109,8 @@ def train(
                 session.warn(found.stereo.why, "stereo")
             with _kept_for(agent, folder) as end:
                 result = session.run()
+                if team and result.reason in ENDED:
+                    team.note_end()
                 end(result)
                 return result
 

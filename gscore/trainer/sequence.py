@@ -1,85 +1,34 @@
 """Trains the frames of a sequence one after another, each from the splats of the one before."""
 
 import contextlib
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any
 
-from .._version import __version__
 from ..config import DataConfig, TrainConfig
 from ..config_file import config_json, differences, from_dict
 from ..control import Control
-from ..datasets.frames import SequenceFrame, choose_frames, find_frames
+from ..datasets.frames import choose_frames, find_frames
 from ..errors import Cancelled, ConfigError, FormatError, GsError
-from ..events import ENDED, Event, FrameStarted, SequenceDone, Started
+from ..events import ENDED, Event, FrameStarted, SequenceDone, Started, Warn
 from ..io.files import atomic_write
-from ..io.metrics_file import read_metrics
 from ..io.places import check_place
-from ..io.runs import check_replaceable, clear_run, read_run, results_in
-from ..io.sequences import FRAME_FOLDER, SEQUENCE_FILE, SequenceIndex, read_sequence, write_sequence
+from ..io.runs import check_replaceable, clear_run, results_in
+from ..io.sequences import FRAME_FOLDER, SEQUENCE_FILE, read_sequence
 from ..live.onlookers import Onlookers
-from ..metrics import headline
 from ..sequence_options import SequenceOptions
 from ..words import count_words
-from .files import checkpoint
+from .files.ended import TrainResult
 from .files.folder import RunFolder
+from .frames.listed import Listed
+from .frames.plan import PlannedFrame, check_shareable, plan_frames, run_with, runs_of
+from .frames.results import SequenceResult, completed, is_measured, result_of
+from .ranks.agree import check_ready
+from .ranks.team import Team
+from .ranks.turns import Shared
 from .run import train
 
-_LONG = ("history", "evals")
-_MEANS = ("psnr", "psnr_masked", "ssim", "lpips")
-
-
-def _means_of(metrics: list[dict[str, Any]]) -> list[str]:
-    """Keys of the figures that frames are judged by: `psnr_masked` where any has it."""
-    masked = any("psnr_masked" in m for m in metrics)
-    return [key for key in _MEANS if masked or key != "psnr_masked"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class FrameResult:
-    """How the training of one frame ended."""
-
-    number: int
-    folder: Path
-    start: Path | None
-    """PLY it started from; None: from the points of its capture."""
-    metrics: dict[str, Any]
-    """metrics.json without its lists."""
-
-    def to_dict(self, root: Path) -> dict[str, Any]:
-        """The result as JSON values, with paths relative to the folder of the sequence."""
-        keys = ("splats", "steps", "train_seconds", "split", *_means_of([self.metrics]))
-        return {
-            "frame": self.number,
-            "folder": self.folder.relative_to(root).as_posix(),
-            "start": None if self.start is None else self.start.parent.name,
-        } | {key: self.metrics.get(key) for key in keys}
-
-
-@dataclass(frozen=True, kw_only=True)
-class SequenceResult:
-    """How a sequence ended."""
-
-    reason: str
-    """`finished`, or why it was stopped."""
-    total: int
-    """Frames that were asked for."""
-    frames: list[FrameResult] = field(default_factory=list)
-    """Those that are complete, in order."""
-    output: Path
-
-    @property
-    def headline(self) -> dict[str, Any]:
-        """Means over the complete frames (None unless all have the value), and their seconds;
-        `psnr_masked` only where masks hide pixels."""
-        metrics = [frame.metrics for frame in self.frames]
-        out: dict[str, Any] = {"frames": len(metrics), "frames_total": self.total}
-        for key in _means_of(metrics):
-            values = [m[key] for m in metrics if m.get(key) is not None]
-            whole = values and len(values) == len(metrics)
-            out[key] = sum(values) / len(values) if whole else None
-        return out | {"train_seconds": sum(m.get("train_seconds") or 0.0 for m in metrics)}
+_FREE = ("keep_checkpoints",)
+"""Options of a sequence in which those who train parts of it may differ."""
 
 
 def train_sequence(
@@ -93,12 +42,16 @@ def train_sequence(
     resume: bool = False,
     overwrite: bool = False,
     onlookers: Onlookers | None = None,
+    frame: int | None = None,
+    team: Team | None = None,
+    agent: str = "",
 ) -> SequenceResult:
     """Train every frame into a folder of its own below `output`.
 
-    The first frame starts from the points of its capture, or `config.start_splats`, and takes
-    `config.iterations` steps; the others start from the splats of the frame before. Frames that an
-    interrupted sequence has completed are kept, one that it has begun goes on from its checkpoint.
+    The first frame and all keyframes start from the points of their captures, or
+    `config.start_splats`, and take `config.iterations` steps; the others start from the splats of
+    the frame before. Frames that an interrupted sequence has completed are kept, one that it has
+    begun goes on from its checkpoint. The bits of a frame do not depend on who trains it.
 
     Args:
         config: How to train.
@@ -109,8 +62,16 @@ def train_sequence(
         control: Through which others ask to stop, pause or save.
         options: Which frames, and what goes from one to the next.
         resume: Go on with the sequence in `output`.
-        overwrite: Replace the sequence in `output`.
+        overwrite: Replace the sequence in `output`, or the frames of the run of `frame`.
         onlookers: Those who watch, whose pictures are drawn between steps.
+        frame: Train the run of frames, from a keyframe to the next, that holds the frame of this
+            number; what is there of it is gone on with. Others may train other runs into `output`
+            meanwhile. None: all frames.
+        team: Processes that take runs of frames in turn, of which this one trains those that it
+            gets. All call this with the same arguments and reach the same `output`; rank 0 alone
+            returns all frames and tells `SequenceDone` of all.
+        agent: Of the torchrun that starts the team again where a process is lost, see
+            `ranks.turns`.
 
     Returns:
         How it ended. Stopping by `control` is no error.
@@ -121,12 +82,28 @@ def train_sequence(
         Cancelled: stopped before the first step of the first frame.
     """
     options = options or SequenceOptions()
-    check_place(output, data)
-    frames = choose_frames(find_frames(data), options.frames)
-    _open(output, resume=resume, overwrite=overwrite)
-    emit = on_event or (lambda event: None)
-    run = _Run(config, data, output, options, frames, emit, onlookers)
-    return run.through(control or Control(), resume=resume)
+    emit, control = on_event or (lambda event: None), control or Control()
+
+    def opened(writes: bool = True) -> _Sequence:
+        check_place(output, data)
+        chosen = choose_frames(find_frames(data), options.frames)
+        frames = plan_frames(chosen, config, output, options)
+        return _Sequence(config, data, output, options, frames, emit, onlookers, writes=writes)
+
+    if team:
+        return _train_together(
+            team, output, opened, control, resume=resume, overwrite=overwrite, agent=agent
+        )
+    sequence = opened()
+    runs = sequence.runs
+    if frame is not None:
+        runs = [run_with(sequence.frames, runs, frame)]
+        _open_part(output, [sequence.frames[i] for i in runs[0]], options, overwrite=overwrite)
+        resume = True
+    else:
+        _open(output, resume=resume, overwrite=overwrite)
+    reason = sequence.through(runs, control, resume=resume)
+    return sequence.end(reason, [place for run in runs for place in run])
 
 
 def read_options(output: Path) -> SequenceOptions | None:
@@ -147,7 +124,7 @@ def read_options(output: Path) -> SequenceOptions | None:
         ) from error
 
 
-class _Run:
+class _Sequence:
     """One call of `train_sequence`."""
 
     def __init__(
@@ -156,155 +133,179 @@ class _Run:
         data: DataConfig,
         output: Path,
         options: SequenceOptions,
-        frames: list[SequenceFrame],
+        frames: list[PlannedFrame],
         emit: Callable[[Event], None],
         onlookers: Onlookers | None,
+        *,
+        writes: bool,
     ) -> None:
-        self._config = replace(config, steps_a_photo=0)  # frames take what was asked for
-        self._data = data
-        self._output = output
+        """`writes`: this process lists what is complete."""
+        self.output = output
+        self.frames = frames
+        self.runs = runs_of(len(frames), options)
+        """Frames that must be trained one after another, by their places."""
+        self._writes = writes
+        self._about = config_json(data, frames[0].config).encode()
         self._options = options
-        self._frames = frames
         self._emit = emit
         self._onlookers = onlookers
-        self._complete: list[FrameResult] = []
+        self._listed = Listed(output, options, frames)
+        self._done = 0
 
-    def through(self, control: Control, *, resume: bool) -> SequenceResult:
-        """Train all frames that are not complete."""
-        for place in range(len(self._frames)):
-            reason = self._frame(place, control, resume=resume)
-            if reason == "finished" and place + 1 < len(self._frames):
-                reason = control.stop_reason or reason
-            if reason != "finished":
-                return self._end(reason)
-        return self._end("finished")
-
-    def _frame(self, place: int, control: Control, *, resume: bool) -> str:
-        """Train a frame unless it is complete; why that ended."""
-        frame = self._frames[place]
-        folder = self._output / frame.name
-        config, data = self._config_of(place), self._data_of(place)
-        metrics = _completed(folder, config, data) if resume else None
-        self._emit(
-            FrameStarted(
-                frame=frame.number,
-                place=place + 1,
-                frames=len(self._frames),
-                output=str(folder),
-                iterations=config.iterations,
-                start="" if config.start_splats is None else str(config.start_splats),
-                complete=metrics is not None,
-            )
-        )
-        if metrics is None:
-            goes_on = resume and bool(RunFolder(folder).checkpoints())
-            try:
-                result = train(
-                    config,
-                    data,
-                    folder,
-                    self._tell,
-                    control,
-                    resume=goes_on,
-                    overwrite=not goes_on,
-                    onlookers=self._onlookers,
-                )
-            except Cancelled:
-                if not self._complete:
-                    raise
+    def through(self, runs: Iterable[range], control: Control, *, resume: bool) -> str:
+        """Train the frames of these runs that are not complete; why that ended."""
+        if resume:
+            self._listed.look()
+        for place in (place for run in runs for place in run):
+            if self._done and control.stop_reason:
                 return control.stop_reason
-            except GsError as error:
-                raise type(error)(f"{frame.name}: {error}") from error
-            finally:
-                with contextlib.suppress(OSError):
-                    self._output.rmdir()  # only if nothing was ever written
-            if result.reason not in ENDED:
-                return result.reason
-            metrics = _short(result.metrics)
-        self._complete.append(
-            FrameResult(
-                number=frame.number, folder=folder, start=config.start_splats, metrics=metrics
-            )
-        )
-        if not self._options.keep_checkpoints:
-            # They are three times as large as the splats, and only a frame in training needs them.
-            RunFolder(folder).drop_checkpoints(keep=0, protected=config.checkpoint_iterations)
-        self._write_index()
+            reason = self._frame(place, control, resume=resume)
+            if reason != "finished":
+                return reason
         return "finished"
 
-    def _config_of(self, place: int) -> TrainConfig:
-        config, options = self._config, self._options
-        if place == 0 or not options.warm_start:
-            return config
-        return replace(
-            config,
-            iterations=options.next_iterations or max(1, config.iterations // 4),
-            time_budget=config.time_budget / 4,
-            start_splats=RunFolder(self._complete[-1].folder).point_cloud.absolute(),
-            start_opacity=options.carried_opacity,
-            prune_share=0.0,  # else each frame would have fewer than the one before
-        )
-
-    def _data_of(self, place: int) -> DataConfig:
-        """What to read of a frame: with the first one's rig, unless both read the same cameras."""
-        data, first = self._frames[place].data, self._frames[0].data
-        if not self._options.fixed_rig or data.source == first.source:
-            return data
-        return replace(data, rig=first.source.absolute())
-
-    def _tell(self, event: Event) -> None:
-        if isinstance(event, Started):  # from here on, options and captures are known to be good
-            text = config_json(self._data, self._config)
-            atomic_write(self._output / "config.json", text.encode())
-            self._write_index()
-        self._emit(event)
-
-    def _write_index(self) -> None:
-        index = SequenceIndex(
-            options=asdict(self._options),
-            frames=[frame.to_dict(self._output) for frame in self._complete],
-            mean=self._result("").headline,
-        )
-        write_sequence(self._output, index, version=__version__)
-
-    def _result(self, reason: str) -> SequenceResult:
-        return SequenceResult(
-            reason=reason,
-            total=len(self._frames),
-            frames=list(self._complete),
-            output=self._output,
-        )
-
-    def _end(self, reason: str) -> SequenceResult:
-        result = self._result(reason)
+    def end(self, reason: str, places: Sequence[int]) -> SequenceResult:
+        """Tell how it ended."""
+        result = self._listed.result(reason, places)
         self._emit(
             SequenceDone(
                 reason=reason,
-                frames=len(self._complete),
-                path=str(self._output / SEQUENCE_FILE),
+                frames=len(result.frames),
+                path=str(self.output / SEQUENCE_FILE),
                 train_seconds=result.headline["train_seconds"],
                 metrics=result.headline,
             )
         )
         return result
 
+    def write(self) -> None:
+        """Write the options and the list of complete frames, where this process does that."""
+        if self._writes:
+            atomic_write(self.output / "config.json", self._about)
+            self._listed.write()
 
-def _open(output: Path, *, resume: bool, overwrite: bool) -> None:
-    """Raise unless a sequence may be trained into `output`, and clear it for another one."""
-    frames = [path for path in output.glob("frame_*") if FRAME_FOLDER.fullmatch(path.name)]
-    begun = sorted(path for path in frames if results_in(path))
-    if read_sequence(output) is None and not begun:
-        if resume:
-            raise ConfigError(f"{output} holds no sequence to resume; leave --resume out.")
-        if names := results_in(output):
-            raise ConfigError(
-                f"{output} holds a run of its own ({', '.join(names)}); choose another folder."
+    def write_if_begun(self) -> None:
+        """As `write`, once all have ended; nothing where no frame was ever begun."""
+        if _begun(self.output):
+            self.write()
+
+    def warn(self, message: str) -> None:
+        """Tell the user, for the whole sequence."""
+        self._emit(Warn(message=message))
+
+    def _frame(self, place: int, control: Control, *, resume: bool) -> str:
+        """Train a frame unless it is complete; why that ended."""
+        frame = self.frames[place]
+        result = completed(frame) if resume else None
+        self._emit(
+            FrameStarted(
+                frame=frame.number,
+                place=place + 1,
+                frames=len(self.frames),
+                output=str(frame.folder),
+                iterations=frame.config.iterations,
+                start="" if frame.start is None else str(frame.start),
+                complete=result is not None,
             )
+        )
+        if result is None:
+            try:
+                ended = self._train(frame, control, resume=resume)
+            except Cancelled:
+                if not self._done:
+                    raise
+                return control.stop_reason
+            if ended.reason not in ENDED:
+                return ended.reason
+            if not is_measured(ended.metrics):
+                return control.stop_reason
+            result = result_of(frame, ended.metrics)
+        self._listed.add(place, result)
+        self._done += 1
+        if not self._options.keep_checkpoints:
+            # They are three times as large as the splats, and only a frame in training needs them.
+            marks = frame.config.checkpoint_iterations
+            RunFolder(frame.folder).drop_checkpoints(keep=0, protected=marks)
+        self._list()
+        return "finished"
+
+    def _train(self, frame: PlannedFrame, control: Control, *, resume: bool) -> TrainResult:
+        goes_on = resume and bool(RunFolder(frame.folder).checkpoints())
+        try:
+            return train(
+                frame.config,
+                frame.data,
+                frame.folder,
+                self._tell,
+                control,
+                resume=goes_on,
+                overwrite=not goes_on,
+                onlookers=self._onlookers,
+            )
+        except GsError as error:
+            raise type(error)(f"{frame.folder.name}: {error}") from error
+        finally:
+            with contextlib.suppress(OSError):
+                self.output.rmdir()  # only if nothing was ever written
+
+    def _tell(self, event: Event) -> None:
+        if isinstance(event, Started):  # from here on, options and captures are known to be good
+            self.write()
+        self._emit(event)
+
+    def _list(self) -> None:
+        if self._writes:
+            self._listed.write()
+
+
+def _train_together(
+    team: Team,
+    output: Path,
+    opened: Callable[[bool], _Sequence],
+    control: Control,
+    *,
+    resume: bool,
+    overwrite: bool,
+    agent: str,
+) -> SequenceResult:
+    """Take runs of frames in turn until none is left, then hear how the others ended."""
+    sequence, idle, failure = None, "", None
+    shared = Shared(team=team, output=output, agent=agent)
+    try:
+        sequence = opened(team.leads)
+        idle = check_shareable(sequence.runs, team.size)
+        if team.leads:
+            begun = shared.begun
+            resume, overwrite = resume or begun, overwrite and not begun
+            _open(output, resume=resume, overwrite=overwrite, ours=begun)
+    except Exception as error:
+        failure = error
+    check_ready(team, failure)
+    assert sequence is not None
+    if idle:
+        sequence.warn(idle)
+    runs, through = sequence.runs, sequence.through
+    reason = shared.work(
+        len(runs),
+        lambda turns, resume: through((runs[turn] for turn in turns), control, resume=resume),
+        resume=resume,
+        close=sequence.write_if_begun,
+    )
+    return sequence.end(reason, range(len(sequence.frames)))
+
+
+def _open(output: Path, *, resume: bool, overwrite: bool, ours: bool = False) -> None:
+    """Raise unless a sequence may be trained into `output`, and clear it for another one.
+
+    `ours`: it was opened for this sequence before, which may have ended before the first frame.
+    """
+    begun = _begun(output)
+    if read_sequence(output) is None and not begun:
+        if resume and not ours:
+            raise ConfigError(f"{output} holds no sequence to resume; leave --resume out.")
+        _check_no_run(output)
     elif overwrite:
-        for path in begun:
-            check_replaceable(path)
-        for path in begun:
-            clear_run(path)
+        _clear(begun)
         (output / SEQUENCE_FILE).unlink(missing_ok=True)
     elif not resume:
         raise ConfigError(
@@ -313,31 +314,44 @@ def _open(output: Path, *, resume: bool, overwrite: bool) -> None:
         )
 
 
-def _completed(folder: Path, config: TrainConfig, data: DataConfig) -> dict[str, Any] | None:
-    """The metrics of a frame that needs no more training, or None.
+def _open_part(
+    output: Path, frames: Sequence[PlannedFrame], options: SequenceOptions, *, overwrite: bool
+) -> None:
+    """Raise unless these frames may be trained into `output` beside others, which stay.
 
     Raises:
-        ConfigError: it was trained with other options.
+        ConfigError: the others are of another sequence.
     """
-    run = read_run(folder)
-    if run is None or run.train is None or run.data is None or run.splats is None:
-        return None
-    # Paths may be written differently, and the folder may have been moved.
-    changed = differences(run.train, config, ignore=checkpoint.FREE)
-    changed += differences(run.data, data, ignore=("source", "rig", "test_list"))
-    if changed:
+    stored = read_options(output)
+    if stored is None and not _begun(output):
+        _check_no_run(output)
+    if stored is not None:
+        changed = differences(stored, options, ignore=_FREE)
+        if changed:
+            raise ConfigError(
+                f"{output} holds frames of a sequence with other options: {'; '.join(changed)}. "
+                "Give all parts of a sequence the same."
+            )
+    if overwrite:
+        wanted = {frame.folder for frame in frames}
+        _clear([path for path in _begun(output) if path in wanted])
+
+
+def _begun(output: Path) -> list[Path]:
+    """The folders of frames in which something was written."""
+    frames = [path for path in output.glob("frame_*") if FRAME_FOLDER.fullmatch(path.name)]
+    return sorted(path for path in frames if results_in(path))
+
+
+def _check_no_run(output: Path) -> None:
+    if names := results_in(output):
         raise ConfigError(
-            f"{folder} was trained with other options: {'; '.join(changed)}. Use the same options, "
-            "or replace the sequence with --overwrite."
+            f"{output} holds a run of its own ({', '.join(names)}); choose another folder."
         )
-    metrics = read_metrics(folder)
-    early = config.time_budget or config.target_psnr or config.early_stop
-    try:
-        good = metrics["reason"] in ENDED if early else metrics["steps"] >= config.iterations
-    except (KeyError, TypeError):
-        return None
-    return _short(metrics) if good else None
 
 
-def _short(metrics: dict[str, Any]) -> dict[str, Any]:
-    return {key: value for key, value in headline(metrics).items() if key not in _LONG}
+def _clear(folders: Sequence[Path]) -> None:
+    for path in folders:
+        check_replaceable(path)
+    for path in folders:
+        clear_run(path)

@@ -33,6 +33,7 @@ from .files.results import Results
 from .length.meter import Meter
 from .length.steering import Steering
 from .length.watchdog import Watchdog
+from .ranks.waits import Waits
 from .rows.stored import records, texts
 from .trainer import StepResult, Trainer
 from .views.exposure import Exposure
@@ -96,6 +97,7 @@ class Session:
         self._warnings: list[str] = []
         self._last_checkpoint = 0.0
         self._last_preview = 0.0
+        self._waits = Waits(trainer.team.hosts) if trainer.team else None
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on with the clock and the history of a checkpoint.
@@ -232,6 +234,9 @@ class Session:
                 "so far.",
                 "non_finite",
             )
+        team = self._trainer.team
+        if team and self._waits and (slow := self._waits.met(team.accounts[:, 1])):
+            self.warn(slow, "slow_rank")
         if self._trainer.removal.crowded and _CROWDED not in self._warnings:
             self.warn(_CROWDED, "crowded")
         lost = self._trainer.lost_rows

@@ -8,6 +8,7 @@ import pytest
 
 from gscore.io.block_record import read_block
 from gscore.io.ply import MIP_COMMENT, header_comments, read_ply
+from tests.trainer.ranks.started import start
 
 SHORT = ("--preset", "draft", "--iterations", 3, "--quiet")
 
@@ -31,7 +32,7 @@ def test_split_says_what_each_block_has(gscore, capture, tmp_path):
     out = tmp_path / "blocks"
     code, text, err = gscore("split", capture, "-o", out, "--blocks", 2)
     assert code == 0 and not err
-    assert "9 photos" in text and f"Next: gscore train {out}/block_0" in text
+    assert "9 photos" in text and f"Next: gscore train {out} -o RUNS" in text
     assert "Nearly every photo shows every block" in text
     code, text, _ = gscore("split", capture, "-o", tmp_path / "other", "--blocks", 2, "--json")
     facts = json.loads(text)
@@ -84,7 +85,7 @@ def test_runs_that_do_not_fit_together(gscore, blocks, trained, tmp_path):
     """Oracle: one sentence each, code 2, nothing written; options that differ are told."""
     out = tmp_path / "merged.ply"
     for runs, words in (
-        ([blocks / "runs/1"], "1 of 2 blocks is not there: 0."),
+        ([blocks / "runs/1"], "1 of 2 blocks is not there: 0. Train what is missing (gscore train"),
         ([blocks / "runs/1", blocks / "runs/1"], "on the same block, 1"),
         ([trained], "which is no block"),
         ([blocks / "blocks"], "is no run, and there are none in it"),
@@ -101,6 +102,70 @@ def test_runs_that_do_not_fit_together(gscore, blocks, trained, tmp_path):
     code, _, err = gscore("merge", blocks / "runs/0", tmp_path / "third", "-o", out)
     assert code == 2 and "differ in --antialias" in " ".join(err.split())
     assert not out.exists()
+
+
+def splats_in(runs):
+    """The bytes of what came of each block, by the names of their folders."""
+    return {path.parent.name: path.read_bytes() for path in runs.glob("*/point_cloud.ply")}
+
+
+def test_blocks_are_trained_in_turn_or_by_number(gscore, blocks, tmp_path):
+    """Oracle: the splats of both blocks, trained as captures of their own; what is complete stays
+    as it is; numbers and folders that do not exist are refused."""
+    alone = {f"block_{i}": (blocks / f"runs/{i}/point_cloud.ply").read_bytes() for i in range(2)}
+    runs, cut = tmp_path / "runs", blocks / "blocks"
+    assert gscore("train", cut, "--block", 1, "-o", runs, *SHORT)[0] == 0
+    assert splats_in(runs) == {"block_1": alone["block_1"]}
+    before = (runs / "block_1/point_cloud.ply").stat()
+    for words, sentence in (
+        ([cut, *SHORT], "holds runs on 1 block, the first in block_1; go on with --resume"),
+        ([cut, *SHORT, "--block", 2], "There is no block 2 in"),
+        ([blocks / "runs", *SHORT, "--block", 0], "holds no blocks"),
+    ):
+        code, _, err = gscore("train", *words, "-o", runs)
+        assert code == 2 and sentence in " ".join(err.split()), err
+    assert gscore("train", cut, "-o", runs, *SHORT, "--resume")[0] == 0
+    assert splats_in(runs) == alone
+    assert (runs / "block_1/point_cloud.ply").stat() == before
+
+
+@pytest.mark.slow
+def test_ranks_take_blocks_in_turn(blocks, tmp_path):
+    """Oracle: the splats of blocks trained one by one; rank 0 alone speaks, and nothing is left
+    that only a restart needs."""
+    runs = tmp_path / "runs"
+    line = ["-m", "gscore", "train", blocks / "blocks", "-o", runs, *SHORT]
+    ranks = start(line, line)
+    assert [rank.code for rank in ranks] == [0, 0], ranks
+    alone = {f"block_{i}": (blocks / f"runs/{i}/point_cloud.ply").read_bytes() for i in range(2)}
+    assert splats_in(runs) == alone
+    assert {path.name for path in runs.iterdir()} == {"block_0", "block_1"}
+    ranks = start(line, line)
+    assert [rank.code for rank in ranks] == [2, 2]
+    assert "holds runs on 2 blocks" in " ".join(ranks[0].err.split())
+    assert not ranks[1].err
+
+
+def test_runs_that_did_not_end_are_told(gscore, blocks, tmp_path):
+    """Oracle: sentences with what to do, for a run that was stopped and one that was killed."""
+    runs = tmp_path / "runs"
+    shutil.copytree(blocks / "runs", runs)
+    metrics = runs / "1/metrics.json"
+    metrics.write_text(json.dumps(json.loads(metrics.read_text()) | {"reason": "interrupted"}))
+    code, _, err = gscore("merge", runs, "-o", tmp_path / "a.ply")
+    assert code == 0 and "1 was stopped after 3 steps (interrupted)" in " ".join(err.split())
+    (runs / "1/point_cloud.ply").unlink()
+    code, _, err = gscore("merge", runs, "-o", tmp_path / "b.ply")
+    assert code == 2 and "has not ended: 3 steps are kept" in " ".join(err.split())
+    assert not (tmp_path / "b.ply").exists()
+
+
+def test_info_says_which_block_it_is(gscore, blocks, capture):
+    """Oracle: the record of the block; other captures say nothing of blocks."""
+    assert "block 1 of 2, which count from 0" in gscore("info", blocks / "blocks/block_1")[1]
+    facts = json.loads(gscore("info", blocks / "blocks/block_1", "--json")[1])
+    assert facts["block"] == {"index": 1, "count": 2}
+    assert "block" not in json.loads(gscore("info", capture, "--json")[1])
 
 
 def test_the_mark_of_antialiasing_goes_on(gscore, blocks, tmp_path):

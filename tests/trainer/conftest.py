@@ -3,6 +3,7 @@
 import json
 import shutil
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import torch
 from gscore.config import DataConfig
 from gscore.datasets import load_dataset
 from gscore.depth.params import FILE
-from gscore.io.colmap import write_model
+from gscore.io.colmap import read_model, write_model
 from gscore.io.colmap_model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
 from gscore.io.images import write_png
 from gscore.raster.api import render
@@ -80,6 +81,29 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_model(ColmapModel(cameras={1: camera}, images=images, points=points), root / "sparse/0")
     for name, image in zip(cameras.names, photos.images, strict=True):
         write_png(root / "images" / name, image)
+    return root
+
+
+@pytest.fixture
+def frames(capture: Path, tmp_path: Path) -> Path:
+    """Three frames of the toy capture, each in a COLMAP world of its own."""
+    root = tmp_path / "video"
+    for number in (0, 5, 10):
+        folder = root / f"{number:06d}"
+        shutil.copytree(capture, folder)
+        rng = np.random.default_rng(number)
+        turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+        turn *= np.linalg.det(turn)
+        scale, shift = 1 + 0.1 * number, rng.normal(size=3)
+        model = read_model(folder)
+        images = []
+        for image in model.images:
+            viewmat = image.viewmat
+            turned = viewmat[:3, :3] @ turn.T
+            place = scale * turn @ (-viewmat[:3, :3].T @ viewmat[:3, 3]) + shift
+            images.append(replace(image, qvec=rotmat_to_quat(turned), tvec=-turned @ place))
+        points = replace(model.points, xyz=scale * model.points.xyz @ turn.T + shift)
+        write_model(replace(model, images=images, points=points), folder / "sparse/0")
     return root
 
 

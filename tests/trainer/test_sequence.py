@@ -18,38 +18,14 @@ from gscore.config_file import load_config
 from gscore.control import Control
 from gscore.datasets.frames import SequenceFrame, choose_frames, find_frames
 from gscore.errors import Cancelled, ConfigError, DatasetError, FormatError
-from gscore.events import Done, Event, FrameStarted, SequenceDone, Started, from_line
+from gscore.events import Done, Event, FrameStarted, Saved, SequenceDone, Started, from_line
 from gscore.io.colmap import read_model, write_model
 from gscore.io.images import read_image, write_png
 from gscore.io.ply import read_ply
 from gscore.io.sequences import read_sequence
 from gscore.trainer.sequence import SequenceOptions, train_sequence
-from gscore.transforms import rotmat_to_quat
 
 CONFIG = TrainConfig(iterations=40, max_splats=200, sh_degree=1, checkpoint_seconds=0)
-
-
-@pytest.fixture
-def frames(capture: Path, tmp_path: Path) -> Path:
-    """Three frames of the toy capture, each in a COLMAP world of its own."""
-    root = tmp_path / "video"
-    for number in (0, 5, 10):
-        folder = root / f"{number:06d}"
-        shutil.copytree(capture, folder)
-        rng = np.random.default_rng(number)
-        turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-        turn *= np.linalg.det(turn)
-        scale, shift = 1 + 0.1 * number, rng.normal(size=3)
-        model = read_model(folder)
-        images = []
-        for image in model.images:
-            viewmat = image.viewmat
-            turned = viewmat[:3, :3] @ turn.T
-            place = scale * turn @ (-viewmat[:3, :3].T @ viewmat[:3, 3]) + shift
-            images.append(replace(image, qvec=rotmat_to_quat(turned), tvec=-turned @ place))
-        points = replace(model.points, xyz=scale * model.points.xyz @ turn.T + shift)
-        write_model(replace(model, images=images, points=points), folder / "sparse/0")
-    return root
 
 
 def of_kind(events: list[Event], kind: type) -> list[Any]:
@@ -159,6 +135,25 @@ def test_an_interrupted_sequence_goes_on(frames: Path, tmp_path: Path) -> None:
         train_sequence(other, data, cut, options=options, resume=True)
 
 
+def test_a_frame_stopped_before_its_evaluation_is_not_complete(
+    frames: Path, tmp_path: Path
+) -> None:
+    """Oracle: the frames and the figures of a sequence that was not stopped."""
+    data, control = DataConfig(source=frames), Control()
+    options = SequenceOptions(next_iterations=12, frames="0:5")
+    whole = train_sequence(CONFIG, data, tmp_path / "whole", options=options)
+
+    def stop_after_the_last_step(event: Event) -> None:
+        if isinstance(event, Saved) and event.path.endswith("000000/point_cloud.ply"):
+            control.stop("interrupted")
+
+    out = tmp_path / "out"
+    result = train_sequence(CONFIG, data, out, stop_after_the_last_step, control, options=options)
+    assert (result.reason, result.frames, numbers_in(out)) == ("interrupted", [], [])
+    result = train_sequence(CONFIG, data, out, options=options, resume=True)
+    assert result.headline["psnr"] == whole.headline["psnr"]
+
+
 def test_stopping_before_the_first_step_leaves_nothing(frames: Path, tmp_path: Path) -> None:
     """Oracle: no folder."""
     control = Control()
@@ -207,8 +202,8 @@ def test_the_command_line(frames: Path, tmp_path: Path, capsys: pytest.CaptureFi
         (["{video}", "-o", "{out}", "--frames", "3"], "the sequence has 3 frames, 0, 5, 10."),
         (["{video}", "-o", "{out}", "--frames", "a-b"], "frames is 'a-b'; expected numbers"),
         (["{video}", "-o", "{out}", "--frames", "0:10:0"], "expected numbers such as"),
-        (["{video}", "-o", "{out}", "--frame", "3"], "--frame is for one frame"),
-        (["{video}", "-o", "{out}", "--rig", "x"], "--rig is for one frame"),
+        (["{video}", "-o", "{out}", "--frame", "3"], "--frame 3 is none of the frames"),
+        (["{video}", "-o", "{out}", "--rig", "x"], "--rig is for one training"),
         (["{video}", "-o", "{out}", "--resume"], "holds no run to resume"),
         (["{video}", "-o", "{out}", "--next-iterations", "-1"], "next_iterations must be"),
         (

@@ -22,9 +22,6 @@ from ...io.runs import (
 from ...io.sequences import SEQUENCE_FILE
 from ...shown import shown
 
-AGENT = ".torchrun"
-"""Which torchrun a run belongs to that has not ended; see `run.train`."""
-
 
 class RunFolder:
     """Names of the results of a run."""

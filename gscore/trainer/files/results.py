@@ -21,6 +21,7 @@ from ...report import PictureCollector, cameras_section, splat_histograms, write
 from ..depth.report import DepthReport
 from ..evaluation import Evaluator
 from ..length.meter import Meter
+from ..ranks.team import Team
 from ..trainer import Trainer
 from ..views.motion import apart
 from ..views.poses import PhotoPoses
@@ -115,6 +116,7 @@ class Results:
             history=meter.history,
             evals=evals,
             depth=None if depth is None else depth.numbers,
+            ranks=_of_ranks(trainer.team),
             **(learnt or {}),
         )
         stopped = Evaluation.none("training was stopped before its evaluation")
@@ -187,3 +189,18 @@ def _resolved(trainer: Trainer) -> dict[str, Any]:
     del values["stages"], values["kept"]  # made of several options
     values["means_lr"], values["means_lr_final"] = values["means_lr"]
     return values | {f"{name}_lr": rate for name, rate in values.pop("rates").items()}
+
+
+def _of_ranks(team: Team | None) -> dict[str, Any] | None:
+    """What a batch took of the network, as rank 0 has it; None: one process alone."""
+    if team is None or team.batches < 2:
+        return None
+    before = team.batches - 1  # what the others have told is of all batches but the last
+    sent, worked, waited = (team.accounts / before).T.tolist()
+    return {
+        "count": team.size,
+        "batches": team.batches,
+        "sent_bytes_per_batch": [round(n) for n in sent],
+        "worked_seconds_per_batch": worked,
+        "waited_seconds_per_batch": waited,
+    }

@@ -1,7 +1,6 @@
 """What all ranks must have in common, and the sentence about the first that differs."""
 
 import json
-import platform
 import zlib
 from collections.abc import Mapping
 from typing import Any
@@ -40,7 +39,7 @@ def check_equal(team: Team, mine: Mapping[str, Any]) -> None:
             if ours.get(name) != theirs.get(name):
                 team.told = True
                 raise ConfigError(
-                    f"Rank {rank} ({other['host']}) differs from rank 0 ({first['host']}) in "
+                    f"{_name(team, rank)} differs from rank 0 ({team.hosts[0]}) in "
                     f"{name}: {_shown(theirs, name)} there, {_shown(ours, name)} here. All ranks "
                     "need the same options, versions and photos."
                 )
@@ -64,7 +63,7 @@ def check_ready(team: Team, error: Exception | None) -> None:
     for rank, other in enumerate(told):
         if other["error"]:
             team.told = True
-            raise DatasetError(f"Rank {rank} ({other['host']}): {other['error']}")
+            raise DatasetError(f"{_name(team, rank)}: {other['error']}")
 
 
 def crc_of(tensors: Mapping[str, torch.Tensor]) -> int:
@@ -77,8 +76,11 @@ def crc_of(tensors: Mapping[str, torch.Tensor]) -> int:
 
 
 def _told(team: Team, mine: dict[str, Any]) -> list[dict[str, Any]]:
-    text = json.dumps(mine | {"host": platform.node()}, default=str)
-    return [parse_json(found) for found in team.texts(text)]
+    return [parse_json(found) for found in team.texts(json.dumps(mine, default=str))]
+
+
+def _name(team: Team, rank: int) -> str:
+    return f"Rank {rank} ({team.hosts[rank]})"
 
 
 def _shown(facts: dict[str, Any], name: str) -> str:

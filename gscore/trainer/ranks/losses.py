@@ -6,7 +6,7 @@ from .team import Team
 
 def fail(team: Team, error: GsError) -> None:
     """Tell the others that this rank's photo cannot be had."""
-    team.numbers([1.0, 0.0, 0.0, 0.0])
+    team.numbers([1.0, 0.0, 0.0, 0.0, *team.account])
     team.texts(str(error))
     team.told = True
 
@@ -27,7 +27,8 @@ def of_all(
         DatasetError: a rank cannot have its photo, see `fail`.
         GsError: the marks differ.
     """
-    found = team.numbers([0.0, value, mse, mark])
+    found = team.numbers([0.0, value, mse, mark, *team.account])
+    team.accounts = found[:, 4:]
     if found[:, 0].any():
         rank, texts = int(found[:, 0].argmax()), team.texts("")
         team.told = True

@@ -7,6 +7,7 @@ connection; how long one may take is left to the user, as a pause is.
 import json
 import os
 import platform
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import timedelta
@@ -24,11 +25,14 @@ from . import orders
 
 _PATIENCE = timedelta(days=7)
 """Rank 0 may be paused, or measure, while the others wait."""
+_MEETING = timedelta(minutes=10)
+"""For ranks to meet: those of a start come together, and who does not come has failed."""
 _DTYPES = {
     str(dtype): dtype
     for dtype in (torch.float32, torch.float64, torch.int64, torch.int32, torch.uint8)
 }
 _WORLD, _RANK, _LOCAL = "WORLD_SIZE", "RANK", "LOCAL_WORLD_SIZE"
+_ENDED = "gscore ended"
 _RESTARTS = "TORCHELASTIC_RESTART_COUNT"
 _Found = TypeVar("_Found")
 
@@ -80,7 +84,15 @@ class Team:
         self.size = world_size()
         """How many there are."""
         self.sent = 0
-        """Bytes of rows that this process has sent."""
+        """Bytes of rows that this process has sent to others."""
+        self._waited = 0.0
+        self.batches = 0
+        """Steps that this process has taken with the others."""
+        self.account = (0.0, 0.0, 0.0)
+        """What this process did in all steps but one that is under way: bytes it has sent, seconds
+        it has worked, and seconds it has sent and waited for others."""
+        self.accounts = np.zeros((self.size, 3))
+        """[size, 3] `account` of each rank, before the last step."""
         self.in_step = False
         """Whether the others may be waiting for numbers of this one."""
         self.told = False
@@ -88,11 +100,15 @@ class Team:
         self._dist = dist
         try:
             # torch documents both names, but does not list them as exported.
-            meeting = dist.rendezvous("env://", timeout=_PATIENCE)  # pyright: ignore[reportPrivateImportUsage]
-            store = next(meeting)[0]
+            meeting = dist.rendezvous("env://", timeout=_MEETING)  # pyright: ignore[reportPrivateImportUsage]
+            self._kept = store = next(meeting)[0]
+            self.ended = store.check([_ENDED])
+            """Whether the work was ended before torchrun started this again: a rank was lost on
+            its way out."""
             # torchrun keeps the addresses of ranks that died; each start has a room of its own.
             room = f"gscore {_number(_RESTARTS, 0)}"
             store = dist.PrefixStore(room, store)  # pyright: ignore[reportPrivateImportUsage]
+            self._store = store
             dist.init_process_group(
                 "gloo", store=store, rank=self.rank, world_size=self.size, timeout=_PATIENCE
             )
@@ -103,6 +119,8 @@ class Team:
                 f"{_first_line(error)} Look at --master-addr, --master-port or --rdzv-endpoint of "
                 "torchrun, and at GLOO_SOCKET_IFNAME, the network to use."
             ) from error
+        self.hosts = self.texts(platform.node())
+        """The names of the ranks' machines."""
 
     def __enter__(self) -> "Team":
         return self
@@ -125,8 +143,26 @@ class Team:
     def stepping(self) -> Iterator[None]:
         """A piece of work in which all ranks wait for each other."""
         self.in_step = True
+        sent, waited, began = self.sent, self._waited, time.perf_counter()
         yield
         self.in_step = False
+        self.batches += 1
+        waited = self._waited - waited
+        worked = time.perf_counter() - began - waited
+        before = self.account
+        self.account = (before[0] + self.sent - sent, before[1] + worked, before[2] + waited)
+
+    def take_turn(self) -> int:
+        """A number that no other rank gets: 0, 1 and so on, in the order in which ranks ask.
+
+        Raises:
+            RankLostError: nobody counts any more.
+        """
+        return self._together(lambda: self._store.add("turn", 1)) - 1
+
+    def note_end(self) -> None:
+        """Let those that torchrun may start again know that nothing is left to do."""
+        self._together(lambda: self._kept.set(_ENDED, "1"))
 
     def say(self, order: Mapping[str, Any]) -> None:
         """Rank 0 tells the others what comes next, as JSON values; of others, nothing is done."""
@@ -170,7 +206,7 @@ class Team:
         sizes = [len(part) for part in parts]
         kept = sizes[self.rank]
         self.sent += (len(mine) - kept) * mine.shape[1] * mine.element_size()
-        _together(lambda: self._dist.all_to_all_single(found, mine, counts, sizes))
+        self._together(lambda: self._dist.all_to_all_single(found, mine, counts, sizes))
         return list(found.split(counts))
 
     def share(self, tensors: Mapping[str, Tensor] | None) -> dict[str, Tensor]:
@@ -184,39 +220,45 @@ class Team:
             tensors = {name: empty(*s, dtype=_DTYPES[dtype]) for name, (dtype, s) in head.items()}
         for tensor in tensors.values():
             if tensor.numel():
-                _together(lambda data=tensor: self._dist.broadcast(data, src=0))
+                self._together(lambda data=tensor: self._dist.broadcast(data, src=0))
         return dict(tensors)
 
     def _all(self, mine: Tensor) -> list[Tensor]:
         found = [torch.empty_like(mine) for _ in range(self.size)]
         if mine.numel():
-            _together(lambda: self._dist.all_gather(found, mine.contiguous()))
+            self._together(lambda: self._dist.all_gather(found, mine.contiguous()))
         return found
 
     def _broadcast(self, data: bytes) -> bytes:
         length = _tensor([len(data)])
-        _together(lambda: self._dist.broadcast(length, src=0))
+        self._together(lambda: self._dist.broadcast(length, src=0))
         content = empty(int(length), dtype=torch.uint8)
         if self.leads:
             content = torch.frombuffer(bytearray(data), dtype=torch.uint8)
-        _together(lambda: self._dist.broadcast(content, src=0))
+        self._together(lambda: self._dist.broadcast(content, src=0))
         return bytes(content.numpy())
+
+    def _together(self, call: Callable[[], _Found]) -> _Found:
+        """What `call` returns once the others have done their part.
+
+        Raises:
+            RankLostError: the others cannot be heard any more.
+        """
+        began = time.perf_counter()
+        try:
+            return call()
+        except RuntimeError as error:
+            raise RankLostError(
+                "A rank of this training is gone; torchrun says above or below which, and why. "
+                "With --max-restarts torchrun goes on from the last checkpoint by itself, else the "
+                f"same command with --resume does. ({_first_line(error)})"
+            ) from error
+        finally:
+            self._waited += time.perf_counter() - began
 
 
 def _tensor(numbers: Sequence[float]) -> Tensor:
     return torch.from_numpy(np.asarray(numbers, np.float64))
-
-
-def _together(call: Callable[[], _Found]) -> _Found:
-    """RankLostError where the others cannot be heard any more."""
-    try:
-        return call()
-    except RuntimeError as error:
-        raise RankLostError(
-            "A rank of this training is gone; torchrun says above or below which, and why. With "
-            "--max-restarts torchrun goes on from the last checkpoint by itself, else the same "
-            f"command with --resume does. ({_first_line(error)})"
-        ) from error
 
 
 def _first_line(error: Exception) -> str:

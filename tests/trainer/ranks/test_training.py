@@ -1,21 +1,23 @@
 """One training on several processes; oracle: files of runs that nothing disturbed, exit codes."""
 
+import json
 import os
 import platform
 import shutil
 import signal
+import socket
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from gscore.io.ply import read_ply
+from gscore.io.runs import AGENT
 from gscore.trainer.files import checkpoint
-from gscore.trainer.files.folder import AGENT
 
+from .processes import rank_of, wait_for
 from .started import PATIENCE, ROOT, Ended, start
 
 SHORT = ("--iterations", "60", "--max-splats", "300", "--refine-every", "10", "--sh-every", "12")
@@ -132,14 +134,72 @@ def test_a_killed_rank_costs_nothing(capture: Path, tmp_path: Path, victim: int)
         [*torchrun, *line, "-o", str(output)], cwd=ROOT, stderr=subprocess.PIPE, text=True
     )
     try:
-        _wait_for(output / "checkpoints" / "step_00000100.safetensors")
-        os.kill(_rank_of(running.pid, victim), signal.SIGKILL)
+        wait_for(output / "checkpoints" / "step_00000100.safetensors")
+        os.kill(rank_of(running.pid, victim), signal.SIGKILL)
         _, told = running.communicate(timeout=PATIENCE)
     finally:
         running.kill()
     assert running.returncode == 0, told
     files = [tmp_path / name / "point_cloud.ply" for name in ("whole", "killed")]
     assert files[0].read_bytes() == files[1].read_bytes()
+
+
+@pytest.mark.slow
+def test_a_slow_rank_is_named_and_bytes_are_counted(capture: Path, tmp_path: Path) -> None:
+    """Oracle: the warning and metrics.json of ranks of which the second pauses in each step; bytes
+    by the formula of docs/scale.md, where all splats are shown by all photos."""
+    output = tmp_path / "o"
+    line = ["train", capture, "-o", output, *SHORT, "--sh-degree", "0", "--quiet"]
+    ranks = start(["-m", "gscore", *line], ["-m", "tests.trainer.ranks.slowly", *line])
+    assert_fine(ranks)
+    metrics = json.loads((output / "metrics.json").read_text())
+    warned = (output / "report.html").read_text()
+    assert f"All wait for rank 1 ({_host()})" in warned
+    told = metrics["ranks"]
+    assert (told["count"], told["batches"]) == (2, 30)
+    waited = told["waited_seconds_per_batch"]
+    assert waited[0] - waited[1] > 0.3
+    words = 14 + 2 + 1  # of a splat: gradients, counts of the strategy, its row
+    whole = metrics["splats"] * words * 4
+    for sent in told["sent_bytes_per_batch"]:
+        assert 0.5 * whole < sent <= 1.1 * whole
+
+
+@pytest.mark.slow
+def test_a_port_in_use_is_told(capture: Path, tmp_path: Path) -> None:
+    """Oracle: the sentence of rank 0, its exit code, and that nothing is written."""
+    line = ["-m", "gscore", "train", str(capture), "-o", str(tmp_path / "o"), *SHORT, "--quiet"]
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        here = {"RANK": "0", "WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1"}
+        here |= {"MASTER_PORT": str(taken.getsockname()[1])}
+        ended = subprocess.run(
+            [sys.executable, *line], env=os.environ | here, cwd=ROOT, capture_output=True, text=True
+        )
+    assert ended.returncode == 2
+    told = " ".join(ended.stderr.split())
+    assert "cannot meet the others at 127.0.0.1:" in told
+    assert "Traceback" not in told
+    assert not (tmp_path / "o").exists()
+
+
+@pytest.mark.slow
+def test_a_rank_lost_after_the_end_costs_nothing(capture: Path, tmp_path: Path) -> None:
+    """Oracle: the exit code of a torchrun that may start again once; the splats."""
+    torchrun = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
+    torchrun += ["--max-restarts", "1", "-m", "tests.trainer.ranks.lost_at_the_end", "train"]
+    output = tmp_path / "o"
+    ended = subprocess.run(
+        [sys.executable, *torchrun, str(capture), *SHORT, "--quiet", "-o", str(output)],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+    )
+    assert "exitcode: -9" in ended.stderr
+    assert ended.returncode == 0, ended.stderr
+    assert (output / "point_cloud.ply").is_file()
+    assert not (output / AGENT).exists()
 
 
 @pytest.mark.slow
@@ -155,26 +215,6 @@ def test_a_restart_touches_no_run_of_others(
     assert [rank.code for rank in refused] == [2, 2]
     assert "holds another run" in refused[0].err
     assert (run / "point_cloud.ply").stat() == before
-
-
-def _wait_for(path: Path) -> None:
-    end = time.monotonic() + PATIENCE
-    while not path.exists():
-        assert time.monotonic() < end
-        time.sleep(0.005)
-
-
-def _rank_of(agent: int, rank: int) -> int:
-    """The process that a torchrun started as this rank."""
-    for folder in Path("/proc").iterdir():
-        try:
-            parent = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
-            environment = (folder / "environ").read_bytes().split(b"\0")
-        except (OSError, ValueError, IndexError):
-            continue
-        if parent == agent and f"RANK={rank}".encode() in environment:
-            return int(folder.name)
-    raise AssertionError("no such rank")
 
 
 def _host() -> str:

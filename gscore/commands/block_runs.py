@@ -1,0 +1,142 @@
+"""Blocks of a split capture, trained one by one: one of them, or all in turn by whoever is free."""
+
+import argparse
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..errors import ConfigError, DatasetError, GsError
+from ..io.block_record import block_name, block_records
+from ..io.runs import checkpoints_in, results_in
+from ..shown import shown
+from ..words import count_words
+from .together import agent, train_in_turn, train_together, under_torchrun
+
+if TYPE_CHECKING:
+    from ..trainer.ranks.team import Team
+
+Lead = Callable[[argparse.Namespace, "Team | None"], int]
+"""Trains one capture, as rank 0 of a team or alone; returns the exit code."""
+
+
+def source_of(args: argparse.Namespace) -> Path | None:
+    """The capture that was given to `gscore train`."""
+    return args.source or args.source_option
+
+
+def wants_blocks(args: argparse.Namespace) -> bool:
+    """Whether `gscore train` was given a folder of blocks instead of a capture."""
+    source = source_of(args)
+    return args.block is not None or (source is not None and bool(block_records(source)))
+
+
+def train_blocks(args: argparse.Namespace, lead: Lead) -> int:
+    """Train the block that was named, by all ranks together where there are many; else all blocks
+    in turn, each by one rank. Returns the exit code.
+
+    Raises:
+        ConfigError: there is no such block, or its run is there already.
+        DatasetError: there are no blocks.
+    """
+    if args.block is None:
+        if under_torchrun():
+            return train_in_turn(args, lambda args, team: _all(args, lead, team))
+        return _all(args, lead, None)
+    one = _one(args, _found(args, [args.block])[0], resume=args.resume)
+    return train_together(one, lead) if under_torchrun() else lead(one, None)
+
+
+def _all(args: argparse.Namespace, lead: Lead, team: "Team | None") -> int:
+    codes: list[int] = []
+
+    def through(blocks: Iterable[int], *, resume: bool) -> str:
+        for index in blocks:
+            try:
+                codes.append(lead(_one(args, index, resume=resume), None))
+            except GsError as error:
+                raise type(error)(f"{block_name(index)}: {error}") from error
+            if codes[-1]:
+                return "stopped"
+        return "finished"
+
+    if team is None:
+        blocks = _found(args)
+        _check_room(args, blocks, resume=args.resume)
+        through(blocks, resume=args.resume)
+        return max(codes, default=0)
+    _all_in_turn(args, team, through)
+    return max(codes, default=0)
+
+
+def _all_in_turn(args: argparse.Namespace, team: "Team", through: Callable[..., str]) -> None:
+    from ..trainer.ranks.agree import check_ready
+    from ..trainer.ranks.turns import Shared
+
+    shared = Shared(team=team, output=args.output, agent=agent())
+    resume, blocks, failure = args.resume, [], None
+    try:
+        blocks = _found(args)
+        if team.leads:
+            resume = resume or shared.begun
+            _check_room(args, blocks, resume=resume)
+    except GsError as error:
+        failure = error
+    check_ready(team, failure)
+    shared.work(
+        len(blocks),
+        lambda turns, resume: through((blocks[turn] for turn in turns), resume=resume),
+        resume=resume,
+    )
+
+
+def _found(args: argparse.Namespace, wanted: Sequence[int] | None = None) -> list[int]:
+    """The blocks to train, all of them where none is named; checked to be there."""
+    source = source_of(args)
+    if source is None:
+        raise ConfigError("No blocks were given: `gscore train BLOCKS --block 0 -o RUNS`.")
+    records = block_records(source)
+    if not records:
+        raise DatasetError(
+            f"{shown(source)} holds no blocks; give the folder that gscore split has written."
+        )
+    count = next(iter(records.values())).count
+    wanted = range(count) if wanted is None else wanted
+    for index in wanted:
+        if not 0 <= index < count:
+            raise ConfigError(
+                f"There is no block {index} in {shown(source)}: its {count_words(count, 'block')} "
+                f"count from 0 to {count - 1}."
+            )
+        if index not in records:
+            raise DatasetError(
+                f"Block {index} of {count} is not in {shown(source)}. Copy {block_name(index)} "
+                "there, or train those that are there one by one with --block."
+            )
+    return list(wanted)
+
+
+def _check_room(args: argparse.Namespace, blocks: Sequence[int], *, resume: bool) -> None:
+    begun = [name for name in map(block_name, blocks) if results_in(args.output / name)]
+    if begun and not (resume or args.overwrite):
+        raise ConfigError(
+            f"{shown(args.output)} holds runs on {count_words(len(begun), 'block')}, the first in "
+            f"{begun[0]}; go on with --resume, which keeps those that are complete, replace them "
+            "with --overwrite, or choose another folder."
+        )
+
+
+def _one(args: argparse.Namespace, index: int, *, resume: bool) -> argparse.Namespace:
+    """What `gscore train` is asked for one block, in a folder of the block's name."""
+    source, output = source_of(args), args.output / block_name(index)
+    assert source is not None
+    goes_on = resume and bool(checkpoints_in(output))
+    changed = {
+        "source": source / block_name(index),
+        "source_option": None,
+        "output": output,
+        "block": None,
+        "resume": goes_on,
+        # A run that was killed before its first checkpoint has nothing to go on from.
+        "overwrite": (args.overwrite or resume) and not goes_on,
+    }
+    return argparse.Namespace(**vars(args) | changed)

@@ -1,0 +1,1 @@
+"""The frames of a sequence: how each is trained, which belong together, which are complete."""

@@ -1,0 +1,27 @@
+"""Processes that a torchrun has started, found so that something can be done to them."""
+
+import time
+from pathlib import Path
+
+from .started import PATIENCE
+
+
+def wait_for(path: Path) -> None:
+    """Wait until a file is there."""
+    end = time.monotonic() + PATIENCE
+    while not path.exists():
+        assert time.monotonic() < end
+        time.sleep(0.005)
+
+
+def rank_of(agent: int, rank: int) -> int:
+    """The process that a torchrun started as this rank."""
+    for folder in Path("/proc").iterdir():
+        try:
+            parent = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
+            environment = (folder / "environ").read_bytes().split(b"\0")
+        except (OSError, ValueError, IndexError):
+            continue
+        if parent == agent and f"RANK={rank}".encode() in environment:
+            return int(folder.name)
+    raise AssertionError("no such rank")
