@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     )
     from .events import Event, judged_psnr
     from .formats import read_splat_file, read_splats, write_splat_file
-    from .io.ply import write_splats
+    from .io.ply.splats import write_splats
     from .metrics.image import psnr
     from .raster.api import Rendered, render
     from .raster.autograd import RasterAux, RasterOutput, rasterize
@@ -78,7 +78,7 @@ _HOME = {
     "train_sequence": "trainer.sequence",
     "transform_splats": "transforms",
     "write_splat_file": "formats",
-    "write_splats": "io.ply",
+    "write_splats": "io.ply.splats",
 }
 """Where a public name lives."""
 

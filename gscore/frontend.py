@@ -56,19 +56,19 @@ if TYPE_CHECKING:
     from .formats.joined import joined as join_splats
     from .inspection import CaptureFacts, Problem, find_capture
     from .inspection import inspect as inspect_capture
-    from .io.camera_models import NO_PINHOLE
     from .io.cameras_json import read_cameras_json as read_cameras
     from .io.cameras_json import write_cameras
-    from .io.colmap import find_model as find_colmap
-    from .io.colmap import read_model as read_colmap
-    from .io.colmap import write_model as write_colmap
-    from .io.colmap_model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
+    from .io.colmap.camera_models import NO_PINHOLE
+    from .io.colmap.folder import find_model as find_colmap
+    from .io.colmap.folder import read_model as read_colmap
+    from .io.colmap.folder import write_model as write_colmap
+    from .io.colmap.model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
     from .io.files import atomic_write
-    from .io.image_header import ImageInfo, read_header
     from .io.lod_file import LOD_ENDING, is_lod_file
-    from .io.ply import MIP_COMMENT
+    from .io.pictures.image_header import ImageInfo, read_header
+    from .io.pictures.resample import downscale
+    from .io.ply.splats import MIP_COMMENT
     from .io.poses_json import POSES_FILE, read_moves
-    from .io.resample import downscale
     from .io.runs import RunInfo, clear_run, read_run
     from .io.sequences import SequenceIndex, read_sequence
     from .lod.build import LodFacts, build_lod
@@ -87,10 +87,10 @@ if TYPE_CHECKING:
 _HOME = {
     "Capture": "datasets",
     "CaptureFacts": "inspection",
-    "ColmapCamera": "io.colmap_model",
-    "ColmapImage": "io.colmap_model",
-    "ColmapModel": "io.colmap_model",
-    "ColmapPoints": "io.colmap_model",
+    "ColmapCamera": "io.colmap.model",
+    "ColmapImage": "io.colmap.model",
+    "ColmapModel": "io.colmap.model",
+    "ColmapPoints": "io.colmap.model",
     "DepthDone": "events",
     "DepthProgress": "events",
     "Done": "events",
@@ -104,13 +104,13 @@ _HOME = {
     "FrameStarted": "events",
     "FramesDone": "events",
     "FramesProgress": "events",
-    "ImageInfo": "io.image_header",
+    "ImageInfo": "io.pictures.image_header",
     "KnownNetwork": "depth.catalogue",
     "LOD_ENDING": "io.lod_file",
     "LodFacts": "lod.build",
     "LodModel": "lod.draw",
-    "MIP_COMMENT": "io.ply",
-    "NO_PINHOLE": "io.camera_models",
+    "MIP_COMMENT": "io.ply.splats",
+    "NO_PINHOLE": "io.colmap.camera_models",
     "Option": "options",
     "POSES_FILE": "io.poses_json",
     "SPLAT_ENDINGS": "formats",
@@ -145,11 +145,11 @@ _HOME = {
     "contributions": "edit",
     "cut_degree": "formats.joined",
     "depth_networks": "depth.catalogue:all_networks",
-    "downscale": "io.resample",
+    "downscale": "io.pictures.resample",
     "enough_steps": "trainer.schedule.enough",
     "estimate": "trainer.estimate.forecast",
     "find_capture": "inspection",
-    "find_colmap": "io.colmap:find_model",
+    "find_colmap": "io.colmap.folder:find_model",
     "from_line": "events",
     "importance_of": "edit",
     "in_unit_shape": "edit",
@@ -165,8 +165,8 @@ _HOME = {
     "reached_from": "edit",
     "read_cameras": "io.cameras_json:read_cameras_json",
     "read_capture": "datasets",
-    "read_colmap": "io.colmap:read_model",
-    "read_header": "io.image_header",
+    "read_colmap": "io.colmap.folder:read_model",
+    "read_header": "io.pictures.image_header",
     "read_lod": "lod.read",
     "read_moves": "io.poses_json",
     "read_run": "io.runs",
@@ -178,7 +178,7 @@ _HOME = {
     "stated_depth": "depth.stated",
     "target_size": "datasets.resolution",
     "write_cameras": "io.cameras_json",
-    "write_colmap": "io.colmap:write_model",
+    "write_colmap": "io.colmap.folder:write_model",
 }
 """Where a name lives; `module:name` where it is called differently there."""
 

@@ -9,7 +9,7 @@ PACKAGE = Path(__file__).parent.parent / "gscore"
 TWINS = {
     "raster/pull.py, raster/_native.py": "add_pull",  # the door and the library's function
     "__main__.py, commands/__init__.py": "main",  # of the process, and of a list of words
-    "io/colmap_binary.py, io/colmap_text.py": "count_images read_cameras read_images read_points",
+    "io/colmap/binary.py, io/colmap/text.py": "count_images read_cameras read_images read_points",
     "raster/stereo.py, raster/reference/stereo.py": "check sweep",
     "transforms.py, raster/reference/geometry.py": "quat_to_rotmat",
     "sh.py, raster/reference/harmonics.py": "sh_basis",

@@ -15,15 +15,15 @@ import pytest
 from PIL import Image
 
 from gscore.commands import main
-from gscore.commands.video import write_video
+from gscore.commands.pictures.video import write_video
 from gscore.config import DataConfig
 from gscore.datasets.transforms_json import read_transforms
 from gscore.depth.maps import MapFolder, _read_picture, read_map
 from gscore.errors import FormatError, GsError
-from gscore.io.colmap import is_safe_name
-from gscore.io.exr_header import check_exr_size
-from gscore.io.images import read_image, read_info, read_mask, write_png
+from gscore.io.colmap.folder import is_safe_name
 from gscore.io.npy import read_npy
+from gscore.io.pictures.exr_header import check_exr_size
+from gscore.io.pictures.images import read_image, read_info, read_mask, write_png
 from gscore.io.sequences import read_sequence
 from gscore.metrics import Lpips
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
-from gscore.io.colmap import read_model, write_model
+from gscore.io.colmap.folder import read_model, write_model
 
 MIN_TRACK = 4
 """Points seen in fewer pictures are left out."""

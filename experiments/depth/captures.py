@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from gscore.io.colmap import read_model, write_model
-from gscore.io.colmap_model import ColmapImage, ColmapModel
-from gscore.io.images import read_image, write_png
-from gscore.io.pillow import loaded
+from gscore.io.colmap.folder import read_model, write_model
+from gscore.io.colmap.model import ColmapImage, ColmapModel
+from gscore.io.pictures.images import read_image, write_png
+from gscore.io.pictures.pillow import loaded
 
 ROOT = Path(__file__).parents[2]
 STUDIO_UNIT = 4.0

@@ -27,8 +27,8 @@ from typing import Any
 
 import numpy as np
 
-from gscore.io.images import resize, write_png
-from gscore.io.ply import read_ply
+from gscore.io.pictures.images import resize, write_png
+from gscore.io.ply.splats import read_ply
 from gscore.raster.api import render
 from gscore.report.colormap import colorize
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from gscore.io.images import read_mask, resize
-from gscore.io.ply import read_ply
+from gscore.io.pictures.images import read_mask, resize
+from gscore.io.ply.splats import read_ply
 from gscore.raster.api import Rendered, render
 
 from .captures import Source, exact, photo

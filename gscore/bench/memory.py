@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ..config import DataConfig, TrainConfig
 from ..events import Estimated, Event
-from ..io.ply import write_splats
+from ..io.ply.splats import write_splats
 from ..metrics.machine import peak_memory_bytes
 from ..splats import SH_REST_BY_DEGREE
 from ..trainer.run import train

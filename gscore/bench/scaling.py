@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..io.ply import write_splats
+from ..io.ply.splats import write_splats
 from ..json_text import parse_json
 from .child import run_child
 from .synthetic import SyntheticPhotos

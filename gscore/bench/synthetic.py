@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..io.colmap import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints, write_model
+from ..io.colmap.folder import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints, write_model
 from ..io.files import atomic_write
 from ..raster.api import render
 from ..scene import Cameras, PointCloud, Scene

@@ -20,8 +20,8 @@ from ..datasets.split import split_views
 from ..datasets.tracks import model_with
 from ..errors import ConfigError, DatasetError
 from ..io.block_record import BlockRecord
-from ..io.colmap_model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
-from ..io.images import IMAGE_ENDINGS
+from ..io.colmap.model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
+from ..io.pictures.images import IMAGE_ENDINGS
 from ..scene import within_reach
 from ..transforms import rotmat_to_quat
 from ..words import count_words

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..edit import in_frustum
-from ..io.colmap_model import ColmapModel, PointIndex
+from ..io.colmap.model import ColmapModel, PointIndex
 
 MARGIN = 0.2
 """Share of a cell's extent by which it is widened to choose photos: what is just outside is

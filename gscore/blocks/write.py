@@ -10,8 +10,8 @@ from pathlib import Path
 from ..datasets.capture import View
 from ..errors import ConfigError, GsError
 from ..io.block_record import block_name
-from ..io.colmap import write_model
-from ..io.colmap_model import ColmapModel
+from ..io.colmap.folder import write_model
+from ..io.colmap.model import ColmapModel
 from ..io.files import reason
 from ..io.links import link_or_copy
 from .cut import Block, Cut, file_name, points_at

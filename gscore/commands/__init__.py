@@ -21,10 +21,10 @@ from .._version import __version__
 from ..errors import ConfigError, GsError
 from ..extras import how_to_install, missing
 from ..shown import quoted, shown
-from .interrupt import Interrupt, interrupts
 from .parser import Parser, nearest, sentence
-from .status import beginning, wrapped
-from .streams import steady_streams
+from .terminal.interrupt import Interrupt, interrupts
+from .terminal.status import beginning, wrapped
+from .terminal.streams import steady_streams
 
 VERBS = {
     "frames": "choose sharp frames of a video for a folder of photos",

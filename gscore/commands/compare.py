@@ -20,10 +20,10 @@ from ..report.compare_page import PairPictures, names_of, write_comparison
 from ..report.pictures import MAX_VIEWS, budget_each, has_pictures, thumbnails
 from ..shown import shown
 from ..words import count_words
-from .model import GivenModel, open_model
-from .output import check_folder, check_replaced, print_json
+from .given.model import GivenModel, open_model
 from .parser import add_threads_option
-from .status import Counted, Status, wrapped
+from .terminal.output import check_folder, check_replaced, print_json
+from .terminal.status import Counted, Status, wrapped
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -30,12 +30,12 @@ from ..scene import FARTHEST
 from ..shown import quoted, shown
 from ..splats import Splats
 from ..words import count_words, number, size_words
-from .before_after import picture_loss, some_view, write_before_after
-from .model import GivenModel, open_model
-from .output import check_folder, check_replaced, print_json
+from .given.model import GivenModel, open_model
 from .parser import add_threads_option
-from .shots import captured_cameras, view_index
-from .status import Status, wrapped
+from .pictures.before_after import picture_loss, some_view, write_before_after
+from .pictures.shots import captured_cameras, view_index
+from .terminal.output import check_folder, check_replaced, print_json
+from .terminal.status import Status, wrapped
 
 _EXACT = "ply"
 """The format that holds splats to the bit."""

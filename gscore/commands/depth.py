@@ -32,11 +32,11 @@ from ..shown import shown
 from ..stereo import files, stereo_maps
 from ..trainer.depth.rule import coverage, decide
 from ..words import count_words, size_words
-from .attend import attend
-from .data_options import with_data_options
-from .depth_options import add_arguments as add_arguments
-from .output import check_folder, check_replaced, print_json
-from .status import wrapped
+from .given.data_options import with_data_options
+from .given.depth_options import add_arguments as add_arguments
+from .terminal.attend import attend
+from .terminal.output import check_folder, check_replaced, print_json
+from .terminal.status import wrapped
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -23,8 +23,8 @@ from ..metrics.machine import (
 from ..sh import rgb_to_sh0
 from ..splats import Splats
 from ..words import count_words, size_words
-from .output import print_json
-from .status import beginning, wrapped
+from .terminal.output import print_json
+from .terminal.status import beginning, wrapped
 
 _LITTLE_MEMORY = 2_000_000_000
 _TOLERANCE = 1e-5

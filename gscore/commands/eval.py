@@ -18,11 +18,11 @@ from ..raster import backend
 from ..report import PictureCollector, cameras_section, splat_histograms, write_results
 from ..report.page_link import link_page
 from ..words import count_words, psnr_name, quality_words
-from .data_options import add_data_options, with_data_options
-from .model import GivenModel, add_model_argument, model_path, open_model
-from .output import check_folder, check_replaced, print_json
+from .given.data_options import add_data_options, with_data_options
+from .given.model import GivenModel, add_model_argument, model_path, open_model
 from .parser import add_threads_option
-from .status import Counted, Status, wrapped
+from .terminal.output import check_folder, check_replaced, print_json
+from .terminal.status import Counted, Status, wrapped
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -7,9 +7,9 @@ from pathlib import Path
 from ..io.places import check_place
 from ..video import FrameRequest, extract_frames
 from ..video.request import FRAME_FORMATS
-from .attend import add_output_options, attend
-from .output import check_folder, print_json
-from .status import wrapped
+from .terminal.attend import add_output_options, attend
+from .terminal.output import check_folder, print_json
+from .terminal.status import wrapped
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -22,12 +22,12 @@ from ..sfm.plain import is_plain
 from ..splats import Splats, sigmoid
 from ..video import is_video
 from ..words import count_words, quality_words, size_words, time_words
-from .data_options import add_mask_options, with_data_options
+from .given.data_options import add_mask_options, with_data_options
+from .given.model import GivenModel, find_splats, open_model
 from .lod import lod_facts, lod_text
-from .model import GivenModel, find_splats, open_model
-from .output import print_json
 from .plain_photos import photos_facts, photos_text
-from .status import wrapped
+from .terminal.output import print_json
+from .terminal.status import wrapped
 from .video_facts import video_facts, video_text
 
 _QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)

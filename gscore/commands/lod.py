@@ -17,9 +17,9 @@ from ..lod.measure import measured_levels
 from ..logged import collected_warnings
 from ..shown import shown
 from ..words import count_words, number, size_words
-from .model import background_of, find_run, find_splats, near_of, trained_antialiased
-from .output import check_folder, check_replaced, print_json
-from .status import Status, wrapped
+from .given.model import background_of, find_run, find_splats, near_of, trained_antialiased
+from .terminal.output import check_folder, check_replaced, print_json
+from .terminal.status import Status, wrapped
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -16,9 +16,9 @@ from ..io.metrics_file import read_metrics
 from ..io.runs import read_run
 from ..shown import shown
 from ..words import count_words, number
-from .model import GivenModel, open_model
-from .output import check_folder, check_replaced, print_json
-from .status import Status, wrapped
+from .given.model import GivenModel, open_model
+from .terminal.output import check_folder, check_replaced, print_json
+from .terminal.status import Status, wrapped
 
 _FREE = ("seed", "threads", "cache_mb", "checkpoint_seconds", "preview_seconds", "snapshot_every")
 """Options that may differ from block to block without a word."""

@@ -13,13 +13,13 @@ from ..live_options import LiveOptions
 from ..options import Option, options_of
 from ..sequence_options import SequenceOptions
 from ..shown import quoted
-from .data_options import HOLD_OUT
-from .declared import plain, preset_values
-from .names_3dgs import ALIASES
-from .no_effect import reason_of
-from .output import print_json
+from .given.data_options import HOLD_OUT
+from .given.declared import plain, preset_values
+from .given.names_3dgs import ALIASES
+from .given.no_effect import reason_of
 from .parser import nearest
-from .status import wrapped
+from .terminal.output import print_json
+from .terminal.status import wrapped
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

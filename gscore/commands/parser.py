@@ -11,7 +11,7 @@ from typing import Any, NoReturn
 from ..config import checked_threads
 from ..errors import ConfigError
 from ..shown import quoted, shown
-from .status import wrapped
+from .terminal.status import wrapped
 
 _REQUIRED = "the following arguments are required: "
 """How argparse begins; what follows are all names of each, between slashes."""

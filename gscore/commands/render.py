@@ -13,22 +13,22 @@ import numpy as np
 from ..config import DataConfig
 from ..datasets.resolution import check_resolution
 from ..errors import ConfigError
-from ..io.images import SIGNED, write_png
 from ..io.lod_file import LOD_ENDING, is_lod_file
+from ..io.pictures.images import SIGNED, write_png
 from ..io.places import check_apart, check_place
 from ..lod.draw import LOD_PX, LodModel
 from ..raster.api import Rendered
 from ..scene import Cameras
 from ..shown import quoted
 from ..words import count_words
-from .lod_model import GivenLod
-from .model import GivenModel, add_model_argument, model_path, open_model
-from .output import check_folder, check_replaced, is_ours, others_in, print_json
+from .given.lod_model import GivenLod
+from .given.model import GivenModel, add_model_argument, model_path, open_model
 from .parser import add_threads_option
-from .shots import find_shots
-from .status import Counted, Status, wrapped
-from .stills import still_names, to_rgb, to_rgba, write_depth_npy, write_depth_png
-from .video import need_video, write_video
+from .pictures.shots import find_shots
+from .pictures.stills import still_names, to_rgb, to_rgba, write_depth_npy, write_depth_png
+from .pictures.video import need_video, write_video
+from .terminal.output import check_folder, check_replaced, is_ours, others_in, print_json
+from .terminal.status import Counted, Status, wrapped
 
 _COLORS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0)}
 _OTHER_FORMATS = frozenset(

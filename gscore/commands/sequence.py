@@ -14,11 +14,11 @@ from ..io.sequences import SEQUENCE_FILE
 from ..sequence_options import SequenceOptions
 from ..words import count_words, quality_words
 from . import train as train_command
-from .attend import attend
-from .declared import declare, given_options
-from .live import onlookers_of
-from .output import check_folder, others_in, print_json
-from .status import wrapped
+from .given.declared import declare, given_options
+from .given.live import onlookers_of
+from .terminal.attend import attend
+from .terminal.output import check_folder, others_in, print_json
+from .terminal.status import wrapped
 from .together import agent, train_in_turn, under_torchrun
 
 if TYPE_CHECKING:

@@ -12,10 +12,10 @@ from ..sfm.request import MAPPERS, MATCHERS
 from ..sfm.sources import photos_from
 from ..shown import shown
 from ..video import is_video
-from .attend import Show, attend
-from .output import check_folder, print_json
 from .parser import add_threads_option
-from .status import wrapped
+from .terminal.attend import Show, attend
+from .terminal.output import check_folder, print_json
+from .terminal.status import wrapped
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -11,10 +11,10 @@ from ..config import DataConfig
 from ..io.places import check_place
 from ..shown import shown
 from ..words import count_words, number
-from .data_options import add_split_options, with_data_options
-from .declared import declare
-from .output import check_folder, print_json
-from .status import Counted, Status, wrapped
+from .given.data_options import add_split_options, with_data_options
+from .given.declared import declare
+from .terminal.output import check_folder, print_json
+from .terminal.status import Counted, Status, wrapped
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -5,7 +5,7 @@ import sys
 
 from ..raster import backend
 from ..stress import Outcome, run_cases, select
-from .output import print_json
+from .terminal.output import print_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from ..errors import DatasetError, GsError
 from ..io.runs import AGENT, checkpoints_in
 from ..metrics.machine import cores
-from .interrupt import interrupts
+from .terminal.interrupt import interrupts
 
 if TYPE_CHECKING:
     from ..trainer.ranks.team import Team

@@ -15,16 +15,16 @@ from ..events import CONVERGED, ENDED, FINISHED, TARGET, Show, Warn
 from ..io.places import check_place
 from ..io.runs import others_in_run
 from ..words import count_words, quality_words, size_words
-from .attend import STOPPED, add_output_options, attend
 from .block_runs import train_blocks, wants_blocks
 from .cameras import is_finding, with_cameras
-from .data_options import add_data_options, with_data_options
-from .declared import Set, declare, given_options
-from .live import add_live_options, onlookers_of
-from .names_3dgs import add_3dgs_names, translate
-from .no_effect import idle_options
-from .output import check_folder, first_few, print_json
-from .status import wrapped
+from .given.data_options import add_data_options, with_data_options
+from .given.declared import Set, declare, given_options
+from .given.live import add_live_options, onlookers_of
+from .given.names_3dgs import add_3dgs_names, translate
+from .given.no_effect import idle_options
+from .terminal.attend import STOPPED, add_output_options, attend
+from .terminal.output import check_folder, first_few, print_json
+from .terminal.status import wrapped
 from .together import agent, train_together, under_torchrun
 
 if TYPE_CHECKING:  # torch, which training imports, takes seconds to load: --help need not wait

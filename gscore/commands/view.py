@@ -12,12 +12,12 @@ from ..page.pack import pack
 from ..page.page import Page, most_splats, write_page
 from ..report.page_link import PAGE, link_page
 from ..words import count_words, number, size_words
-from .model import GivenModel, add_model_argument, model_path, open_model
-from .output import check_folder, check_replaced, print_json
-from .page_views import PageViews, find_views
+from .given.model import GivenModel, add_model_argument, model_path, open_model
 from .parser import add_threads_option
-from .status import Status, wrapped
-from .unpacked import difference
+from .pictures.page_views import PageViews, find_views
+from .pictures.unpacked import difference
+from .terminal.output import check_folder, check_replaced, print_json
+from .terminal.status import Status, wrapped
 
 _MANY = 1_500_000
 """Splats that an integrated graphics card hardly moves thirty times a second."""

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..io.colmap_model import ColmapCamera
+from ..io.colmap.model import ColmapCamera
 from ..scene import PointCloud
 from ..shown import shown
 

@@ -7,8 +7,8 @@ import numpy as np
 from ..config import DataConfig
 from ..errors import DatasetError
 from ..io.block_record import read_block
-from ..io.colmap import ColmapModel, read_model
-from ..io.colmap_model import ColmapPoints, PointIndex
+from ..io.colmap.folder import ColmapModel, read_model
+from ..io.colmap.model import ColmapPoints, PointIndex
 from ..scene import PointCloud, within_reach
 from ..words import count_words
 from .capture import Capture, View, listing, repeated

@@ -9,7 +9,7 @@ from threading import Condition
 import numpy as np
 
 from ..errors import FormatError, ShapeError
-from ..io.images import read_image, read_mask, reduce, resize, resize_map
+from ..io.pictures.images import read_image, read_mask, reduce, resize, resize_map
 from .undistort import Undistortion
 
 DECODED_AT_ONCE = 1_000_000_000

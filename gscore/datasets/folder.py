@@ -4,7 +4,7 @@ import os
 from pathlib import Path, PurePosixPath
 
 from ..io.files import is_file
-from ..io.images import IMAGE_ENDINGS
+from ..io.pictures.images import IMAGE_ENDINGS
 
 
 class Folder:

@@ -8,11 +8,11 @@ from pathlib import Path
 
 from ..config import DataConfig
 from ..errors import ConfigError, DatasetError
-from ..io.colmap import has_model
+from ..io.colmap.folder import has_model
 from ..shown import quoted
 from ..words import count_words
 from .capture import listing
-from .pku import find_video
+from .pku.case import find_video
 from .transforms_json import find_transforms
 
 _PATTERNS = ("source", "images", "masks", "depths")

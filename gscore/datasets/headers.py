@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from ..errors import DatasetError
-from ..io.image_header import ImageInfo
+from ..io.pictures.image_header import ImageInfo
 from ..words import count_words
 from .capture import View, listing
 from .copies import find_copies

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..config import DataConfig
 from ..errors import Cancelled
-from ..io.images import read_info
+from ..io.pictures.images import read_info
 from ..scene import Cameras, PointCloud, Scene, within_reach
 from ..words import count_words
 from .capture import View

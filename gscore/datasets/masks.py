@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ..config import DataConfig
 from ..errors import Cancelled, DatasetError
-from ..io.images import ImageInfo, assumed_of_mask, read_image, read_info, read_mask
+from ..io.pictures.images import ImageInfo, assumed_of_mask, read_image, read_info, read_mask
 from ..words import count_words, number
 from .capture import Capture, View, listing
 from .dataset import map_threads

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import FormatError
-from ..io.colmap_model import ColmapCamera
+from ..io.colmap.model import ColmapCamera
 from ..scene import FARTHEST, FOCAL_RANGE, is_focal
 from ..shown import quoted
 

@@ -2,10 +2,10 @@
 
 from ..config import DataConfig
 from ..errors import ConfigError, DatasetError
-from ..io.colmap import find_model
+from ..io.colmap.folder import find_model
 from .capture import Capture
 from .colmap_source import read_colmap
-from .pku import find_video, read_video
+from .pku.case import find_video, read_video
 from .rig import with_rig
 from .transforms_json import find_transforms, read_transforms
 

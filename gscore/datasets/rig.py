@@ -9,7 +9,7 @@ from ..errors import DatasetError
 from ..scene import PointCloud
 from ..words import count_words
 from .capture import Capture, View, listing
-from .pku_photos import camera_number
+from .pku.photos import camera_number
 
 _FARTHEST = 0.02
 """Median distance of cameras, in radii of the rig, up to which two rigs are the same."""

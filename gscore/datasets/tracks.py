@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import DatasetError
-from ..io.colmap import ColmapModel, find_model, read_model
-from ..io.colmap_model import ColmapCamera, PointIndex
+from ..io.colmap.folder import ColmapModel, find_model, read_model
+from ..io.colmap.model import ColmapCamera, PointIndex
 from ..scene import within_reach
 from .dataset import Dataset
 from .undistort import rays_of

@@ -9,12 +9,12 @@ import numpy as np
 
 from ..config import DataConfig
 from ..errors import DatasetError, FormatError
-from ..io.camera_models import MODELS_BY_NAME
-from ..io.colmap import is_safe_name
-from ..io.colmap_model import ColmapCamera
+from ..io.colmap.camera_models import MODELS_BY_NAME
+from ..io.colmap.folder import is_safe_name
+from ..io.colmap.model import ColmapCamera
 from ..io.files import LONGEST_NAME, is_file, read_bytes
-from ..io.images import IMAGE_ENDINGS, read_info
-from ..io.ply_points import read_point_cloud
+from ..io.pictures.images import IMAGE_ENDINGS, read_info
+from ..io.ply.points import read_point_cloud
 from ..json_text import parse_json
 from ..scene import FARTHEST, PointCloud
 from ..shown import quoted

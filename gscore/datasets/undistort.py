@@ -7,7 +7,7 @@ import numpy as np
 
 from ..errors import BackendError, DatasetError, FormatError
 from ..extras import need
-from ..io.colmap_model import ColmapCamera
+from ..io.colmap.model import ColmapCamera
 from ..shown import shown
 
 _ROWS_A_STRIP, _PIXELS_A_STRIP = 32, 1 << 17

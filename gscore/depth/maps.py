@@ -9,10 +9,10 @@ import numpy as np
 
 from ..errors import BackendError, DatasetError, FormatError
 from ..extras import need
-from ..io.exr_header import check_exr_size
 from ..io.files import check_regular, read_bytes
 from ..io.npy import read_npy
-from ..io.pillow import loaded
+from ..io.pictures.exr_header import check_exr_size
+from ..io.pictures.pillow import loaded
 from ..shown import quoted
 
 ENDINGS = (".png", ".npy", ".exr", ".tif", ".tiff")

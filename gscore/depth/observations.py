@@ -7,8 +7,8 @@ import numpy as np
 from ..config import DataConfig
 from ..datasets import Dataset, read_capture
 from ..datasets.tracks import model_of, tracks_of
-from ..io.colmap import ColmapImage, ColmapModel
-from ..io.colmap_model import PointIndex
+from ..io.colmap.folder import ColmapImage, ColmapModel
+from ..io.colmap.model import PointIndex
 
 _LONG_TRACK = 10
 """Observations from which on a point counts no more than it does."""

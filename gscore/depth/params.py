@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import DatasetError, FormatError
-from ..io.colmap import find_model
+from ..io.colmap.folder import find_model
 from ..io.files import atomic_write, read_bytes
 from ..json_text import parse_json
 from ..shown import quoted, shown

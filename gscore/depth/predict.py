@@ -14,7 +14,7 @@ from ..datasets import Dataset
 from ..datasets.decode import ViewFile
 from ..errors import Cancelled, ConfigError, FormatError, GsError
 from ..io.files import atomic_write
-from ..io.images import read_image, read_mask, write_png
+from ..io.pictures.images import read_image, read_mask, write_png
 from ..json_text import parse_json
 from ..shown import shown
 from ..words import count_words

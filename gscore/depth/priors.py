@@ -12,7 +12,7 @@ from ..datasets import Dataset
 from ..datasets.dataset import map_threads
 from ..datasets.decode import fit_map
 from ..errors import DatasetError, FormatError
-from ..io.images import read_mask
+from ..io.pictures.images import read_mask
 from ..words import count_words
 from .confidence import confidence, shown_by
 from .fit import NO_FIT, Fit

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from ..io.file_sample import FileSample
-from ..io.ply import (
+from ..io.ply.splats import (
     MIP_COMMENT,
     header_comments,
     is_antialiased_ply,
@@ -22,7 +22,7 @@ def is_ply(path: Path, sample: FileSample) -> bool:
 
 
 def read(path: Path) -> Decoded:
-    """Read a PLY of any dialect, as `gscore.io.ply.read_splats` does."""
+    """Read a PLY of any dialect, as `gscore.io.ply.splats.read_splats` does."""
     splats, comments = read_ply(path), header_comments(path)
     return Decoded(
         splats=splats,

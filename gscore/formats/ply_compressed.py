@@ -1,6 +1,6 @@
 """SuperSplat's compressed PLY, read and written: 256 splats a chunk, 16 bytes each.
 
-Source: the public layout, as `gscore.io.ply_compressed` reads it. A chunk holds the bounds of its
+Source: the public layout, as `gscore.io.ply.compressed` reads it. A chunk holds the bounds of its
 splats, so they are written in the order of a space-filling curve: the closer they lie, the finer
 the steps.
 """
@@ -13,8 +13,8 @@ import numpy as np
 from ..importance import importance_of
 from ..io.file_sample import FileSample
 from ..io.files import atomic_write
-from ..io.ply import is_antialiased_ply
-from ..io.ply_compressed import CHUNK
+from ..io.ply.compressed import CHUNK
+from ..io.ply.splats import is_antialiased_ply
 from ..io.splat_rows import opacity_bytes
 from ..nearby import distances_from_middle, morton_order
 from ..sh import sh0_to_rgb

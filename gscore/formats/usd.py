@@ -19,7 +19,7 @@ from ..errors import BackendError, FormatError
 from ..extras import need
 from ..io.file_sample import FileSample
 from ..io.files import atomic_write, check_readable
-from ..io.ply import read_ply
+from ..io.ply.splats import read_ply
 from ..io.splat_rows import linear_scales, opacities_of
 from ..json_text import parse_json
 from ..sh import sh_count

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..errors import BackendError, FormatError, GsError, ShapeError
 from ..extras import need
-from ..io.ply import write_splats
+from ..io.ply.splats import write_splats
 from ..io.splat_rows import drawable, log_scales, logits, whole_bands
 from ..logged import collected_warnings
 from ..sh import sh_count

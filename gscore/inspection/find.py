@@ -4,7 +4,7 @@ from pathlib import Path
 
 from ..datasets.transforms_json import find_transforms
 from ..errors import DatasetError
-from ..io.colmap import find_model
+from ..io.colmap.folder import find_model
 from ..video import is_video
 
 

@@ -19,9 +19,9 @@ from ..datasets.split import split_views, told_of_split
 from ..depth.params import DEPTH_FOLDER
 from ..depth.stated import StatedDepth, stated_depth
 from ..errors import BackendError, DatasetError, GsError
-from ..io.camera_models import NO_PINHOLE
-from ..io.image_header import ImageInfo
-from ..io.images import read_info
+from ..io.colmap.camera_models import NO_PINHOLE
+from ..io.pictures.image_header import ImageInfo
+from ..io.pictures.images import read_info
 from ..scene import Cameras, PointCloud, Scene, within_reach
 from ..sfm.beside import has_no_cameras
 from ..words import count_words

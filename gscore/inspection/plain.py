@@ -5,7 +5,7 @@ from pathlib import Path
 
 from ..datasets.capture import listing
 from ..errors import GsError
-from ..io.images import read_info
+from ..io.pictures.images import read_info
 from ..sfm.heic import readable, size_of, what_to_do
 from ..sfm.photos import LEAST, list_photos, photo_folder
 from ..sfm.plain import doubt

@@ -9,7 +9,7 @@ from typing import Any
 from ..errors import DatasetError, FormatError
 from ..json_text import parse_json
 from ..shown import shown
-from .colmap import is_safe_name
+from .colmap.folder import is_safe_name
 from .files import atomic_write, read_bytes
 from .metrics_file import is_number
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from ..datasets.folder import Folder
 from ..datasets.masks import MASK_FOLDER
 from ..errors import Cancelled, DatasetError
-from ..io.images import read_mask, write_png
+from ..io.pictures.images import read_mask, write_png
 from ..words import count_words
 from .photos import Photo
 

@@ -11,8 +11,8 @@ from ..datasets.capture import listing
 from ..datasets.copies import find_copies
 from ..datasets.dataset import map_threads
 from ..errors import Cancelled, DatasetError, FormatError
-from ..io.images import IMAGE_ENDINGS
-from ..io.pillow import check_whole, opened_picture
+from ..io.pictures.images import IMAGE_ENDINGS
+from ..io.pictures.pillow import check_whole, opened_picture
 from ..words import count_words, number
 from .heic import what_to_do
 from .looks import Look, look_of

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from ..datasets.pku import find_video
+from ..datasets.pku.case import find_video
 from ..datasets.transforms_json import find_transforms
 from ..errors import DatasetError
 from ..io.files import read_bytes

@@ -10,7 +10,7 @@ from ..depth.fit import Fit
 from ..depth.maps import CONFIDENCE, PNG_UNIT, MapFolder, stem
 from ..depth.origin import STEREO_RECORD, read_record, write_record
 from ..errors import ConfigError
-from ..io.images import write_png
+from ..io.pictures.images import write_png
 from ..words import count_words
 from .maps import StereoMap, StereoMaps
 

@@ -14,8 +14,8 @@ import numpy as np
 from .._version import __version__
 from ..errors import ConfigError, GsError
 from ..io.files import atomic_write, read_bytes, reason
-from ..io.images import write_png
-from ..io.pillow import pillow
+from ..io.pictures.images import write_png
+from ..io.pictures.pillow import pillow
 from ..json_text import parse_json
 from ..shown import shown
 from .request import FrameRequest

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gscore.io.colmap import write_model
-from gscore.io.colmap_model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
-from gscore.io.images import write_png
+from gscore.io.colmap.folder import write_model
+from gscore.io.colmap.model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
+from gscore.io.pictures.images import write_png
 
 LENGTH = 40.0
 """Of the street, along +x; houses stand at z = 5, and down is +y."""

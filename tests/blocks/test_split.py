@@ -14,7 +14,7 @@ from gscore.config import DataConfig
 from gscore.datasets import load_dataset
 from gscore.errors import ConfigError, DatasetError, FormatError
 from gscore.io.block_record import BLOCK_RECORD, read_block
-from gscore.io.colmap import read_model
+from gscore.io.colmap.folder import read_model
 from tests.blocks.conftest import LENGTH, street, write_street
 
 

@@ -10,9 +10,15 @@ import pytest
 from gscore.commands import main
 from gscore.config import Background
 from gscore.config_file import config_json, load_config
-from gscore.io.colmap import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints, write_model
-from gscore.io.images import write_png
-from gscore.io.ply import write_splats
+from gscore.io.colmap.folder import (
+    ColmapCamera,
+    ColmapImage,
+    ColmapModel,
+    ColmapPoints,
+    write_model,
+)
+from gscore.io.pictures.images import write_png
+from gscore.io.ply.splats import write_splats
 from gscore.raster.api import render
 from gscore.scene import Cameras
 from gscore.splats import Splats

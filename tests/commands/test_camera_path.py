@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from gscore.commands.camera_path import (
+from gscore.commands.pictures.camera_path import (
     focus_point,
     look_at,
     orbit_path,

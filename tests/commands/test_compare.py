@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from gscore.config_file import config_json, load_config
-from gscore.io.ply import write_splats
+from gscore.io.ply.splats import write_splats
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from PIL import Image
 
 from gscore.edit import contributions, most_important
 from gscore.formats import read_splats as read_any
-from gscore.io.ply import MIP_COMMENT, header_comments, read_ply, write_splats
+from gscore.io.ply.splats import MIP_COMMENT, header_comments, read_ply, write_splats
 from gscore.metrics.image import psnr
 from gscore.raster.api import render
 from gscore.transforms import transform_splats

@@ -1,13 +1,14 @@
 """JSON that gscore reads back, damaged by hand; oracle: code 0 or 2 and sentences, no traceback."""
 
 import json
+from dataclasses import asdict
 
 import pytest
 
 from gscore.io.metrics_file import metrics_problem, read_metrics
 from gscore.io.runs import read_run
-from gscore.io.sequences import write_sequence
-from gscore.trainer.sequence import SequenceIndex, SequenceOptions, asdict
+from gscore.io.sequences import SequenceIndex, write_sequence
+from gscore.trainer.sequence import SequenceOptions
 
 ODD = (
     "NaN",

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from gscore.io.metrics_file import read_metrics
-from gscore.io.ply import write_splats
+from gscore.io.ply.splats import write_splats
 from gscore.sh import SH_C0
 from tests.commands.conftest import STEPS
 

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gscore.io.images import write_png
-from gscore.io.ply import write_splats
+from gscore.io.pictures.images import write_png
+from gscore.io.ply.splats import write_splats
 from gscore.io.sequences import SequenceIndex, write_sequence
 from gscore.words import time_words
 from tests.commands.conftest import STEPS

@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from gscore.io.lod_file import open_lod_file
-from gscore.io.ply import MIP_COMMENT, header_comments, read_ply, write_splats
+from gscore.io.ply.splats import MIP_COMMENT, header_comments, read_ply, write_splats
 from gscore.lod import order
 from gscore.metrics.image import psnr
 

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from gscore.commands import dashed, main, names_3dgs, train
+from gscore.commands import dashed, main, train
 from gscore.commands.bench.changes import changed
+from gscore.commands.given import names_3dgs
 from gscore.config import PRESETS, Background, Skip, Strategy, Switch, TrainConfig
 from gscore.options import options_of
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gscore.commands.stills import still_names, write_depth_png
+from gscore.commands.pictures.stills import still_names, write_depth_png
 from gscore.errors import ShapeError
 from gscore.io.cameras_json import write_cameras
 from gscore.raster.api import render

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gscore.commands.output import check_folder, check_replaced, is_ours
+from gscore.commands.terminal.output import check_folder, check_replaced, is_ours
 from gscore.depth.maps import SHEET
 from gscore.errors import ConfigError
 

@@ -9,8 +9,8 @@ import sys
 
 import pytest
 
-from gscore.commands import status
-from gscore.commands.status import Counted, Status, cells, line_within, wrapped
+from gscore.commands.terminal import status
+from gscore.commands.terminal.status import Counted, Status, cells, line_within, wrapped
 from tests.commands.screen import drawn, gscore, resize, run_in_terminal
 
 PARTS = ["1:02:03 left", "step 14,878 of 15,000", "PSNR 28.8 dB", "431,526 splats", "53.4 steps/s"]

@@ -8,8 +8,14 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-from gscore.io.colmap import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints, write_model
-from gscore.io.images import write_png
+from gscore.io.colmap.folder import (
+    ColmapCamera,
+    ColmapImage,
+    ColmapModel,
+    ColmapPoints,
+    write_model,
+)
+from gscore.io.pictures.images import write_png
 from gscore.transforms import rotmat_to_quat
 from tests.run_verb import gscore  # noqa: F401
 

@@ -14,8 +14,8 @@ from gscore.depth import load_priors
 from gscore.depth.maps import DepthKind
 from gscore.depth.observations import observations, observed
 from gscore.errors import ConfigError, DatasetError, FormatError
-from gscore.io.colmap_model import PointIndex
-from gscore.io.images import write_png
+from gscore.io.colmap.model import PointIndex
+from gscore.io.pictures.images import write_png
 
 
 def _load(planes, **options):
@@ -338,7 +338,7 @@ def test_observations_of_a_view(planes):
     """Oracle: pycolmap's points and poses; weights by track length and reprojection error."""
     import pycolmap
 
-    from gscore.io.colmap import read_model
+    from gscore.io.colmap.folder import read_model
 
     model = read_model(planes.folder)
     image = model.images[2]

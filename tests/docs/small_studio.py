@@ -6,7 +6,7 @@ from pathlib import Path
 
 from PIL import Image
 
-from gscore.io.colmap import read_model, write_model
+from gscore.io.colmap.folder import read_model, write_model
 
 ROOT = Path(__file__).parents[2]
 STUDIO = ROOT / "examples" / "studio"

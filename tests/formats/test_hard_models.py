@@ -12,7 +12,7 @@ from gscore.commands import main
 from gscore.errors import ConfigError
 from gscore.formats import read_splat_file, write_splat_file
 from gscore.importance import importance_of
-from gscore.io.ply import write_splats
+from gscore.io.ply.splats import write_splats
 
 from .conftest import MakeModel
 

@@ -14,7 +14,7 @@ from PIL import Image
 from gscore.config import DataConfig, TrainConfig
 from gscore.config_file import config_json, load_config
 from gscore.control import Control
-from gscore.datasets.pku_neus import _projections
+from gscore.datasets.pku.neus import _projections
 from gscore.datasets.transforms_json import read_transforms
 from gscore.depth.maps import read_map
 from gscore.depth.params import read_params
@@ -22,11 +22,11 @@ from gscore.events import Event, Progress, from_line, to_line
 from gscore.formats import read_splat_file, write_splat_file
 from gscore.io.cameras_json import read_cameras_json, write_cameras
 from gscore.io.cams_txt import read_cam
-from gscore.io.colmap import read_model, write_model
-from gscore.io.colmap_model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
-from gscore.io.images import read_image, read_info, read_mask, write_png
-from gscore.io.ply import read_ply, write_splats
-from gscore.io.ply_points import read_point_cloud
+from gscore.io.colmap.folder import read_model, write_model
+from gscore.io.colmap.model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
+from gscore.io.pictures.images import read_image, read_info, read_mask, write_png
+from gscore.io.ply.points import read_point_cloud
+from gscore.io.ply.splats import read_ply, write_splats
 from gscore.io.runs import read_run
 from gscore.io.sequences import read_sequence
 from gscore.io.world_file import WORLD_FILE, read_up, write_up

@@ -15,7 +15,7 @@ from gscore.commands import main
 from gscore.datasets.placement import told_of_axes, told_of_places
 from gscore.frontend import ColmapModel, read_colmap, write_colmap
 from gscore.inspection import CaptureFacts, inspect
-from gscore.io.images import write_png
+from gscore.io.pictures.images import write_png
 from tests.addon.captures import write_capture, write_photo
 
 PINHOLE = {1: ("PINHOLE", 60, 40, (50.0, 50.0, 30.0, 20.0))}

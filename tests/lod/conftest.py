@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gscore.io.ply import write_splats
+from gscore.io.ply.splats import write_splats
 from gscore.lod import order
 from gscore.lod.build import LodFacts, build_lod
 from gscore.lod.measure import measured_levels

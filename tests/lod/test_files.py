@@ -9,7 +9,7 @@ import pytest
 
 from gscore.errors import ConfigError, DatasetError, FormatError, GsError
 from gscore.io.lod_file import HEADER_BYTES, is_lod_file, open_lod_file
-from gscore.io.ply import read_ply, read_ply_parts, write_splats
+from gscore.io.ply.splats import read_ply, read_ply_parts, write_splats
 from gscore.lod import order
 from gscore.lod.build import LodFacts, build_lod
 from gscore.splats import PARAMETERS

@@ -7,7 +7,7 @@ import pytest
 
 from gscore.errors import FormatError
 from gscore.io.lod_file import HEADER_BYTES
-from gscore.io.ply import read_ply
+from gscore.io.ply.splats import read_ply
 from gscore.lod.choose import choose_chunks
 from gscore.lod.draw import LodModel
 from gscore.metrics.image import psnr

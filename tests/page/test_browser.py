@@ -11,7 +11,7 @@ import pytest
 
 from gscore import Splats, render
 from gscore.config import Background
-from gscore.io.ply import MIP_COMMENT, write_splats
+from gscore.io.ply.splats import MIP_COMMENT, write_splats
 from gscore.page.pack import pack, unpack
 from gscore.page.page import Page, PageCamera, most_splats, write_page
 from tests.page.chromium import Chromium, find_chromium

@@ -15,7 +15,7 @@ from gscore.config import DataConfig
 from gscore.datasets import load_dataset
 from gscore.errors import FormatError
 from gscore.io.cameras_json import read_cameras_json, write_cameras
-from gscore.io.colmap import read_model
+from gscore.io.colmap.folder import read_model
 from gscore.io.world_file import WORLD_FILE, read_up
 from gscore.sfm.gps import Gps, read_gps, to_metres
 

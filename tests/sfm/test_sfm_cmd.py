@@ -17,7 +17,7 @@ from gscore.control import Control
 from gscore.datasets import load_dataset
 from gscore.errors import Cancelled, GsError
 from gscore.events import Event, SfmDone, SfmEstimated, SfmProgress
-from gscore.io.colmap import read_model
+from gscore.io.colmap.folder import read_model
 from gscore.sfm import Request, database, find_cameras, pairs
 from gscore.sfm.watch import watched
 

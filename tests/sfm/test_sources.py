@@ -10,7 +10,7 @@ from PIL import Image
 
 from gscore.commands import main
 from gscore.inspection.plain import bare_facts
-from gscore.io.colmap import read_model
+from gscore.io.colmap.folder import read_model
 from gscore.sfm import gather, heic
 from gscore.sfm.beside import Beside, capture_beside
 from gscore.sfm.request import Request

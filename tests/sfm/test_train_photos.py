@@ -11,7 +11,7 @@ from PIL import Image
 
 from gscore.commands import main
 from gscore.inspection.plain import bare_facts
-from gscore.io.colmap import read_model
+from gscore.io.colmap.folder import read_model
 
 from .conftest import NEAR
 

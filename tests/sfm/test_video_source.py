@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from gscore.commands import main
-from gscore.io.colmap import read_model
+from gscore.io.colmap.folder import read_model
 from gscore.sfm.beside import Beside, capture_beside, has_no_cameras
 from tests.video import films
 

@@ -5,8 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gscore.io.colmap import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints, write_model
-from gscore.io.images import write_png
+from gscore.io.colmap.folder import (
+    ColmapCamera,
+    ColmapImage,
+    ColmapModel,
+    ColmapPoints,
+    write_model,
+)
+from gscore.io.pictures.images import write_png
 from gscore.transforms import rotmat_to_quat
 
 from .scene import Scene

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from gscore.config import Background, DataConfig, Strategy, Switch, TrainConfig
-from gscore.io.ply import read_ply
+from gscore.io.ply.splats import read_ply
 from gscore.raster.api import render
 
 _SHORT = {

@@ -19,7 +19,7 @@ from gscore.commands import train as train_command
 from gscore.config import Background, Strategy
 from gscore.config_file import load_config
 from gscore.events import Done, Estimated, Event, Failed, Progress, Saved, from_line
-from gscore.io.images import read_image, write_png
+from gscore.io.pictures.images import read_image, write_png
 from gscore.trainer.files.folder import RunFolder
 
 SHORT = ["--iterations", "12", "--max-splats", "200", "--sh-degree", "0"]

@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 
 from gscore.events import Failed, from_line
-from gscore.io.colmap import read_model, write_model
-from gscore.io.ply import read_ply
+from gscore.io.colmap.folder import read_model, write_model
+from gscore.io.ply.splats import read_ply
 from gscore.trainer.files import checkpoint
 from gscore.trainer.files.folder import RunFolder
 

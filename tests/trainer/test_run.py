@@ -31,9 +31,9 @@ from gscore.events import (
     to_line,
 )
 from gscore.io.cameras_json import read_cameras_json
-from gscore.io.images import read_image
 from gscore.io.metrics_file import metrics_problem, read_metrics
-from gscore.io.ply import read_ply, write_splats
+from gscore.io.pictures.images import read_image
+from gscore.io.ply.splats import read_ply, write_splats
 from gscore.report import results
 from gscore.trainer.estimate import memory
 from gscore.trainer.estimate.forecast import estimate

@@ -19,9 +19,9 @@ from gscore.control import Control
 from gscore.datasets.frames import SequenceFrame, choose_frames, find_frames
 from gscore.errors import Cancelled, ConfigError, DatasetError, FormatError
 from gscore.events import Done, Event, FrameStarted, Saved, SequenceDone, Started, from_line
-from gscore.io.colmap import read_model, write_model
-from gscore.io.images import read_image, write_png
-from gscore.io.ply import read_ply
+from gscore.io.colmap.folder import read_model, write_model
+from gscore.io.pictures.images import read_image, write_png
+from gscore.io.ply.splats import read_ply
 from gscore.io.sequences import read_sequence
 from gscore.trainer.sequence import SequenceOptions, train_sequence
 

@@ -13,7 +13,7 @@ import numpy as np
 from gscore.commands import main
 from gscore.config import PRESETS, Background, Skip, Strategy, Switch
 from gscore.config_file import load_config
-from gscore.io.ply import read_ply
+from gscore.io.ply.splats import read_ply
 from gscore.trainer.files import checkpoint
 from gscore.trainer.files.folder import RunFolder
 

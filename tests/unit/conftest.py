@@ -8,9 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gscore.io.camera_models import MODELS_BY_NAME
-from gscore.io.colmap import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints, write_model
-from gscore.io.images import write_png
+from gscore.io.colmap.camera_models import MODELS_BY_NAME
+from gscore.io.colmap.folder import (
+    ColmapCamera,
+    ColmapImage,
+    ColmapModel,
+    ColmapPoints,
+    write_model,
+)
+from gscore.io.pictures.images import write_png
 from gscore.transforms import rotmat_to_quat
 
 

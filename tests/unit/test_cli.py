@@ -15,7 +15,7 @@ import pytest
 from gscore import commands
 from gscore._version import __version__
 from gscore.commands import train
-from gscore.commands.attend import attend
+from gscore.commands.terminal.attend import attend
 from gscore.config import TrainConfig
 from gscore.datasets.dataset import map_threads
 from gscore.errors import Cancelled, ConfigError, DatasetError

@@ -8,8 +8,8 @@ import pycolmap
 import pytest
 
 from gscore.errors import DatasetError, FormatError
-from gscore.io.camera_models import CAMERA_MODELS
-from gscore.io.colmap import (
+from gscore.io.colmap.camera_models import CAMERA_MODELS
+from gscore.io.colmap.folder import (
     ColmapCamera,
     ColmapImage,
     ColmapModel,

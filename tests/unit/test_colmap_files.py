@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from gscore.errors import FormatError
-from gscore.io import colmap_binary, colmap_text
-from gscore.io.colmap import ColmapModel, read_model, write_model
-from gscore.io.colmap_model import PointIndex
+from gscore.io.colmap import binary as colmap_binary
+from gscore.io.colmap import text as colmap_text
+from gscore.io.colmap.folder import ColmapModel, read_model, write_model
+from gscore.io.colmap.model import PointIndex
 
 
 def same(a: ColmapModel, b: ColmapModel) -> None:
@@ -84,7 +85,7 @@ def test_the_longest_tracks_of_an_image(
 
 def test_rows_by_id() -> None:
     """Oracle: a dictionary."""
-    from gscore.io.colmap_model import ColmapPoints
+    from gscore.io.colmap.model import ColmapPoints
 
     none = ColmapPoints.none()
     ids = np.array([7, 3, 9, 4], np.int64)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from gscore.errors import FormatError, GsError
-from gscore.io.colmap import read_model, write_model
+from gscore.io.colmap.folder import read_model, write_model
 
 _FILES = ["cameras", "images", "points3D"]
 

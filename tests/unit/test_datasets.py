@@ -14,8 +14,8 @@ from gscore.config import DataConfig
 from gscore.datasets import Dataset, load_dataset
 from gscore.datasets.resolution import target_size
 from gscore.errors import BackendError, Cancelled, ConfigError, DatasetError, FormatError, GsError
-from gscore.io.colmap import ColmapPoints, read_model, write_model
-from gscore.io.images import read_image, write_png
+from gscore.io.colmap.folder import ColmapPoints, read_model, write_model
+from gscore.io.pictures.images import read_image, write_png
 
 
 def _load(root: Path, **options: Any) -> Dataset:

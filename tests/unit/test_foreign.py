@@ -14,8 +14,8 @@ from gscore.config import DataConfig
 from gscore.datasets import load_dataset
 from gscore.errors import GsError
 from gscore.io.foreign import foreign
-from gscore.io.images import write_png
-from gscore.io.ply import read_ply
+from gscore.io.pictures.images import write_png
+from gscore.io.ply.splats import read_ply
 
 
 def _zip(*names: str) -> bytes:

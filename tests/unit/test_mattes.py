@@ -9,7 +9,7 @@ import pytest
 from gscore.config import DataConfig
 from gscore.datasets import load_dataset
 from gscore.datasets.mattes import are_mattes
-from gscore.io.images import read_mask, write_png
+from gscore.io.pictures.images import read_mask, write_png
 
 H, W = 60, 80
 

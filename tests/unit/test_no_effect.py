@@ -4,8 +4,9 @@ import argparse
 
 import pytest
 
-from gscore.commands import names_3dgs, train
-from gscore.commands.no_effect import RULES, idle_options
+from gscore.commands import train
+from gscore.commands.given import names_3dgs
+from gscore.commands.given.no_effect import RULES, idle_options
 
 ALWAYS = """
 help source source_option output preset config resume overwrite start_checkpoint images

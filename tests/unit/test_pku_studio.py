@@ -9,7 +9,7 @@ import pytest
 
 from gscore.config import DataConfig
 from gscore.datasets import load_dataset, read_capture
-from gscore.io.colmap import read_model, write_model
+from gscore.io.colmap.folder import read_model, write_model
 
 STUDIO = Path(__file__).parent.parent.parent / "examples" / "studio"
 

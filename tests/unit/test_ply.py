@@ -12,14 +12,14 @@ import plyfile
 import pytest
 
 from gscore.errors import DatasetError, FormatError, GsError
-from gscore.io.ply import (
+from gscore.io.ply.points import read_point_cloud
+from gscore.io.ply.splats import (
     MIP_COMMENT,
     header_comments,
     is_antialiased_ply,
     read_ply,
     write_splats,
 )
-from gscore.io.ply_points import read_point_cloud
 from gscore.splats import SH_REST_BY_DEGREE, Splats
 
 

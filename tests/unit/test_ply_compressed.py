@@ -8,7 +8,7 @@ import plyfile
 import pytest
 
 from gscore.errors import FormatError, GsError
-from gscore.io.ply import read_ply
+from gscore.io.ply.splats import read_ply
 from gscore.sh import sh0_to_rgb
 
 _BOUNDS = [

@@ -5,7 +5,7 @@ import pytest
 
 from gscore import ShapeError
 from gscore.frontend import downscale
-from gscore.io.images import resize
+from gscore.io.pictures.images import resize
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,8 @@ import gscore
 from gscore.datasets.capture import listing
 from gscore.errors import FormatError
 from gscore.io.cams_txt import read_cam
-from gscore.io.colmap_binary import read_images
-from gscore.io.colmap_text import read_cameras
+from gscore.io.colmap.binary import read_images
+from gscore.io.colmap.text import read_cameras
 from gscore.shown import quoted, shown
 
 PACKAGE = Path(gscore.__file__).parent

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from gscore.commands.interrupt import Interrupt
-from gscore.commands.streams import Steady, steady_streams
+from gscore.commands.terminal.interrupt import Interrupt
+from gscore.commands.terminal.streams import Steady, steady_streams
 
 
 def test_a_closed_pipe_is_told_once_and_then_silent() -> None:

@@ -9,7 +9,7 @@ from PIL import Image
 
 from gscore.config import DataConfig
 from gscore.datasets import load_dataset
-from gscore.io.colmap import ColmapImage, ColmapModel, read_model
+from gscore.io.colmap.folder import ColmapImage, ColmapModel, read_model
 
 STUDIO = Path(__file__).parents[2] / "examples" / "studio"
 VIEWS = 60

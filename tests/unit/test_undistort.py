@@ -13,9 +13,9 @@ from gscore.datasets.decode import ViewFile, decode_view
 from gscore.datasets.resolution import scale_intrinsics
 from gscore.datasets.undistort import Undistortion, plan_undistortion, pycolmap_camera
 from gscore.errors import DatasetError, FormatError
-from gscore.io.camera_models import CAMERA_MODELS
-from gscore.io.colmap import ColmapCamera
-from gscore.io.images import resize, write_png
+from gscore.io.colmap.camera_models import CAMERA_MODELS
+from gscore.io.colmap.folder import ColmapCamera
+from gscore.io.pictures.images import resize, write_png
 
 _DISTORTED = [
     model.name

@@ -14,7 +14,7 @@ from PIL import Image, ImageDraw
 
 from gscore.config import DataConfig
 from gscore.datasets import load_dataset
-from gscore.io.ply import read_ply
+from gscore.io.ply.splats import read_ply
 from gscore.raster import backend
 from gscore.splats import PARAMETERS
 from gscore.stress import native, truth

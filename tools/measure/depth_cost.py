@@ -13,7 +13,7 @@ from pathlib import Path
 
 from gscore.config import DataConfig, Switch, TrainConfig
 from gscore.datasets import load_dataset
-from gscore.io.ply import read_ply
+from gscore.io.ply.splats import read_ply
 from gscore.trainer.depth.setup import prepare_depth
 from gscore.trainer.host.state import ordinary_state
 from gscore.trainer.trainer import Trainer

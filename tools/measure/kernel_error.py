@@ -21,7 +21,7 @@ from gscore.bench.raster import bench_raster, synthetic_scene
 from gscore.config import DataConfig
 from gscore.datasets import load_dataset
 from gscore.io.files import atomic_write
-from gscore.io.ply import read_ply
+from gscore.io.ply.splats import read_ply
 from gscore.raster import backend
 from gscore.report.curves import Series
 from gscore.report.figure import figure

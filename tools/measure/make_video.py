@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 
 import gscore
-from gscore.commands.camera_path import orbit_path
-from gscore.commands.model import open_model
-from gscore.commands.video import write_video
+from gscore.commands.given.model import open_model
+from gscore.commands.pictures.camera_path import orbit_path
+from gscore.commands.pictures.video import write_video
 
 RATE = 30
 STILL, SHAKEN, HELD = (0.30, 0.36), ((0.15, 0.19), (0.62, 0.65)), ((0.45, 0.46), (0.80, 0.82))

@@ -9,9 +9,9 @@ from ...errors import BackendError
 from ...metrics.machine import machine
 from ...raster import backend
 from ...words import count_words, number
-from ..output import print_json
 from ..parser import add_threads_option
-from ..status import beginning, wrapped
+from ..terminal.output import print_json
+from ..terminal.status import beginning, wrapped
 from .numbers import check_numbers
 from .scaling import size
 

@@ -12,8 +12,8 @@ from ...config import PRESETS, DataConfig
 from ...io.places import check_place
 from ...metrics import Lpips, LpipsNet, find_lpips
 from ...trainer.schedule.enough import enough_steps
-from ..output import check_folder, check_replaced
-from ..status import Status
+from ..terminal.output import check_folder, check_replaced
+from ..terminal.status import Status
 from .numbers import check_numbers
 from .quality_plans import Cell, cells_of, variants_of
 from .quality_results import QualityResults

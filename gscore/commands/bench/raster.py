@@ -15,9 +15,9 @@ from ...formats import read_splats
 from ...metrics.machine import machine
 from ...raster import backend
 from ...words import count_words, number
-from ..output import print_json
 from ..parser import add_threads_option
-from ..status import beginning, wrapped
+from ..terminal.output import print_json
+from ..terminal.status import beginning, wrapped
 from .numbers import check_numbers
 
 

@@ -10,8 +10,8 @@ from ...metrics.machine import cores, machine
 from ...raster import backend
 from ...shown import quoted
 from ...words import count_words
-from ..output import print_json
-from ..status import Rows, Status
+from ..terminal.output import print_json
+from ..terminal.status import Rows, Status
 from .numbers import check_numbers
 
 

@@ -10,8 +10,8 @@ from ...bench.training import load_for_bench
 from ...config import PRESETS, Skip
 from ...metrics.machine import machine
 from ...raster import backend
-from ..output import print_json
-from ..status import Rows, Status
+from ..terminal.output import print_json
+from ..terminal.status import Rows, Status
 from .training_options import add_training_options, training_configs
 
 

@@ -14,10 +14,10 @@ from ...formats import read_splats
 from ...metrics.machine import machine
 from ...raster import backend
 from ...words import count_words
-from ..data_options import add_data_options, with_data_options
-from ..output import print_json
+from ..given.data_options import add_data_options, with_data_options
 from ..parser import add_threads_option
-from ..status import beginning, wrapped
+from ..terminal.output import print_json
+from ..terminal.status import beginning, wrapped
 from .numbers import check_numbers
 
 

@@ -1,7 +1,7 @@
 """How far the training of a bench is, for people who wait."""
 
 from ...words import number
-from ..status import Status
+from ..terminal.status import Status
 
 
 class Ticker:

@@ -9,8 +9,8 @@ from pathlib import Path
 from ...bench.time_error import Curve, measure_variant
 from ...config import PRESETS, DataConfig, Skip
 from ...io.places import check_place
-from ..output import check_folder, check_replaced
-from ..status import Status
+from ..terminal.output import check_folder, check_replaced
+from ..terminal.status import Status
 from .curve_figures import figure_files, table, write_curves
 from .curve_plans import CapturePlan, plans_of
 from .curve_results import ResultsFile

@@ -8,7 +8,7 @@ from pathlib import Path
 from ...config import PRESETS, DataConfig, Strategy, TrainConfig
 from ...errors import ConfigError
 from ...shown import quoted
-from ..data_options import add_data_options, with_data_options
+from ..given.data_options import add_data_options, with_data_options
 from ..parser import add_threads_option
 
 _EVERY = 8

@@ -9,7 +9,7 @@ from ...config_file import config_json
 from ...events import ENDED, FINISHED, Done, judged_psnr
 from ...io.files import read_bytes
 from ...io.metrics_file import read_metrics
-from ...io.ply import read_ply
+from ...io.ply.splats import read_ply
 from ...metrics import headline
 from ...splats import Splats
 from .checkpoint import Checkpoint

@@ -11,8 +11,8 @@ from ...config import Background, DataConfig
 from ...config_file import config_json
 from ...io.cameras_json import write_cameras
 from ...io.exposure_json import EXPOSURE_FILE, write_exposures
-from ...io.images import write_png
-from ...io.ply import MIP_COMMENT, write_splat_parts
+from ...io.pictures.images import write_png
+from ...io.ply.splats import MIP_COMMENT, write_splat_parts
 from ...io.poses_json import POSES_FILE, write_poses
 from ...io.runs import snapshots_in
 from ...metrics import Course, Evaluation, Metrics

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from ...datasets.resolution import scale_intrinsics
-from ...io.images import resize
+from ...io.pictures.images import resize
 from ...raster.request import Frustum
 from ...scene import Cameras
 from .skips import tiles_of_mask

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ...errors import Cancelled, ConfigError, GsError
+from ...events import FINISHED
 from ...io.files import atomic_write
 from ...io.runs import AGENT
 from ...shown import shown
@@ -17,7 +18,6 @@ from .team import Team, restarted
 
 _PATIENCE = 10.0
 """Seconds after which a file that another machine wrote is not there: network folders lag."""
-FINISHED = "finished"
 
 
 @dataclass(frozen=True, kw_only=True)

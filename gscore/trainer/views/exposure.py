@@ -11,7 +11,7 @@ from ...config import Switch, TrainConfig
 from ...datasets import Dataset
 from ...datasets.dataset import map_threads
 from ...datasets.tracks import Tracks
-from ...io.exposure_exif import stated_exposure
+from ...io.pictures.exposure_exif import stated_exposure
 from .gains import PhotoGains
 from .seeds import fit_gains
 from .sightings import sightings

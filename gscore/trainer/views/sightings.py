@@ -7,7 +7,7 @@ import numpy as np
 from ...datasets import Dataset
 from ...datasets.dataset import map_threads
 from ...datasets.tracks import Tracks
-from ...io.images import resize
+from ...io.pictures.images import resize
 
 _SIDE = 200
 """Longer side of the small pictures that colours are taken from, px: wide enough pixels that an

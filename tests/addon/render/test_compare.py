@@ -13,7 +13,7 @@ from addon.cameras.objects import stated
 from addon.core import downscale, psnr, render
 from addon.render import compare, photo
 from addon.splats import objects
-from gscore.io.images import write_png
+from gscore.io.pictures.images import write_png
 from tests.addon import splat_scenes as lab
 
 STUDIO = Path(__file__).parents[3] / "examples" / "studio"

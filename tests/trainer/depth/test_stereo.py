@@ -9,7 +9,7 @@ import pytest
 from gscore.commands import main
 from gscore.config import DataConfig, Switch, TrainConfig
 from gscore.datasets import load_dataset
-from gscore.io.ply import read_ply
+from gscore.io.ply.splats import read_ply
 from gscore.scene import PointCloud
 from gscore.trainer.depth.stereo import stereo_start
 from gscore.trainer.files.folder import RunFolder

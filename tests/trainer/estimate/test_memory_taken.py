@@ -12,8 +12,8 @@ import pytest
 from PIL import Image
 
 from gscore.bench.synthetic import SyntheticPhotos
-from gscore.io.colmap import read_model, write_model
-from gscore.io.colmap_model import ColmapPoints
+from gscore.io.colmap.folder import read_model, write_model
+from gscore.io.colmap.model import ColmapPoints
 
 POINTS = 1_500_000
 _RUN = """

@@ -13,7 +13,7 @@ from gscore.config import DataConfig, TrainConfig
 from gscore.control import Control
 from gscore.datasets import load_dataset
 from gscore.events import Estimated, Event
-from gscore.io.images import write_png
+from gscore.io.pictures.images import write_png
 from gscore.trainer.photos.loading import load_photos
 from gscore.trainer.photos.pyramid import Pyramid
 from gscore.trainer.run import train

@@ -14,7 +14,7 @@ from gscore.control import Control
 from gscore.datasets import Dataset, load_dataset
 from gscore.errors import ConfigError, DatasetError, GsError
 from gscore.events import Event, Progress
-from gscore.io.images import read_image, write_png
+from gscore.io.pictures.images import read_image, write_png
 from gscore.trainer import prepare as prepare_module
 from gscore.trainer.files.folder import RunFolder
 from gscore.trainer.run import train

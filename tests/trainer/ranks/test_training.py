@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gscore.io.ply import read_ply
+from gscore.io.ply.splats import read_ply
 from gscore.io.runs import AGENT
 from gscore.trainer.files import checkpoint
 

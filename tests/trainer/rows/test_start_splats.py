@@ -13,7 +13,7 @@ from gscore.config import DataConfig, TrainConfig
 from gscore.config_file import load_config
 from gscore.errors import ConfigError, DatasetError
 from gscore.events import Event, Started, Warn
-from gscore.io.ply import read_ply, write_splats
+from gscore.io.ply.splats import read_ply, write_splats
 from gscore.raster.api import render
 from gscore.splats import Splats
 from gscore.trainer.run import train

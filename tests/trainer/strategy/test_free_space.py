@@ -11,7 +11,7 @@ import torch
 from gscore.config import DataConfig, Strategy, TrainConfig
 from gscore.errors import ConfigError
 from gscore.events import Event, Warn
-from gscore.io.ply import write_splats
+from gscore.io.ply.splats import write_splats
 from gscore.scene import PointCloud
 from gscore.splats import PARAMETERS, Splats
 from gscore.trainer import session

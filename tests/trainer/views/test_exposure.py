@@ -13,8 +13,8 @@ from gscore.config import DataConfig, Switch, TrainConfig
 from gscore.datasets import Dataset, load_dataset
 from gscore.datasets.tracks import tracks_of
 from gscore.events import Started
-from gscore.io.exposure_exif import stated_exposure
-from gscore.io.images import read_image
+from gscore.io.pictures.exposure_exif import stated_exposure
+from gscore.io.pictures.images import read_image
 from gscore.trainer.run import train
 from gscore.trainer.views.exposure import (
     FAR_STOPS,

@@ -11,7 +11,7 @@ from gscore.config import DataConfig, Switch, TrainConfig
 from gscore.datasets import Dataset, load_dataset
 from gscore.datasets.tracks import tracks_of
 from gscore.errors import FormatError
-from gscore.io.colmap import read_model, write_model
+from gscore.io.colmap.folder import read_model, write_model
 from gscore.io.poses_json import read_moves
 from gscore.trainer.run import train
 from gscore.trainer.views.judged import judge_photos

@@ -1,0 +1,1 @@
+"""What verbs are given: options, the names that 3DGS has for them, models."""

@@ -1,0 +1,106 @@
+"""What pictures lost when splats were changed: the error, and one view before and after."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ...edit.pipeline import EditViews
+from ...io.pictures.images import SIGNED, write_png
+from ...metrics.image import psnr
+from ...raster.api import Rendered, render_camera
+from ...scene import Cameras
+from ...splats import Splats
+from ..terminal.status import Counted, Status
+from .stills import to_rgb
+
+_SIZE = (960, 720)
+"""Of a picture where there are no cameras, px."""
+_FOCAL = 1.1
+"""Of its camera, as a share of the width."""
+_GUTTER = 8
+"""White pixels between both pictures."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PictureLoss:
+    """Renders after a change against renders before it."""
+
+    psnr: float | None
+    """dB, mean over the views that changed; None: none did."""
+    worst: str
+    """Name of the view that changed most; empty: none did."""
+    worst_psnr: float | None
+    """dB, its PSNR."""
+    views: int
+    """That were rendered."""
+    unchanged: int
+    """Of these, equal to the bit."""
+
+
+def picture_loss(
+    before: Splats, after: Splats, views: EditViews, most: int, status: Status
+) -> PictureLoss:
+    """How far pictures lie apart, clamped to [0, 1], over black, in `most` views evenly chosen."""
+    cameras = views.cameras
+    count = min(most, len(cameras))
+    chosen = np.linspace(0, len(cameras) - 1, count).round().astype(int).tolist()
+    told = Counted(status, count, "view")
+    found: dict[str, float] = {}
+    for done, i in enumerate(chosen, start=1):
+        pictures = [_picture(splats, cameras, i, views) for splats in (after, before)]
+        found[cameras.names[i]] = psnr(*pictures)
+        told(done, "measuring")
+    changed = {name: worth for name, worth in found.items() if math.isfinite(worth)}
+    worst = min(changed, key=changed.__getitem__, default="")
+    return PictureLoss(
+        psnr=math.fsum(changed.values()) / len(changed) if changed else None,
+        worst=worst,
+        worst_psnr=changed.get(worst),
+        views=len(found),
+        unchanged=len(found) - len(changed),
+    )
+
+
+def write_before_after(
+    path: Path, before: Splats, after: Splats, views: EditViews, index: int
+) -> None:
+    """One view before and, to the right of it, after, as a PNG."""
+    pair = [to_rgb(_rendered(s, views.cameras, index, views)) for s in (before, after)]
+    gutter = np.full((len(pair[0]), _GUTTER, 3), 255, np.uint8)
+    write_png(path, np.concatenate([pair[0], gutter, pair[1]], axis=1), SIGNED)
+
+
+def some_view(splats: Splats) -> Cameras:
+    """A camera that has most of the splats in its picture, from the front and a little above, where
+    y points down as in COLMAP's world."""
+    low, high = np.quantile(splats.means.astype(np.float64), (0.05, 0.95), axis=0)
+    middle, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-6)
+    width, height = _SIZE
+    forward = np.array([0.25, 0.35, 1.0])
+    forward /= np.linalg.norm(forward)
+    right = np.cross([0.0, 1.0, 0.0], forward)
+    right /= np.linalg.norm(right)
+    viewmat = np.eye(4)
+    viewmat[:3, :3] = right, np.cross(forward, right), forward
+    distance = 1.1 * radius * 2 * _FOCAL * width / height
+    viewmat[:3, 3] = -viewmat[:3, :3] @ (middle - distance * forward)
+    focal = _FOCAL * width
+    K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]])
+    return Cameras(
+        viewmats=viewmat[None],
+        Ks=K[None],
+        widths=np.array([width], np.int64),
+        heights=np.array([height], np.int64),
+        names=("view",),
+    )
+
+
+def _picture(splats: Splats, cameras: Cameras, index: int, views: EditViews) -> np.ndarray:
+    return np.clip(_rendered(splats, cameras, index, views).rgb, 0, 1)
+
+
+def _rendered(splats: Splats, cameras: Cameras, index: int, views: EditViews) -> Rendered:
+    how = {"near": views.near, "antialias": views.antialias, "threads": views.threads}
+    return render_camera(splats, cameras, index, **how)

@@ -1,0 +1,173 @@
+"""Cameras, photos and the first view of a page, from a run, a capture, or the splats alone."""
+
+import argparse
+from collections.abc import Collection
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ...config import DataConfig
+from ...datasets import Dataset
+from ...errors import ConfigError, GsError
+from ...io.cameras_json import read_cameras_json
+from ...io.metrics_file import read_metrics
+from ...metrics.evaluate import target_picture
+from ...page.page import PageCamera
+from ...report.pictures import data_uri, shrink, size_within
+from ...scene import Cameras
+from ...splats import Splats
+from ..given.model import GivenModel
+from ..terminal.status import Counted, Status
+from .camera_path import focus_point, look_at, up_direction
+
+_PHOTO_SIDE = 560
+"""Longer side of a photo in the page, px."""
+_ALONE = (1280, 800, 1000.0)
+"""Width, height and focal length of the first view where there are no cameras, px."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PageViews:
+    """Where the page can be looked at from."""
+
+    cameras: list[PageCamera]
+    first: PageCamera
+    focus: np.ndarray
+    """[3] float64, world units."""
+    up: np.ndarray
+    """[3] float64, unit."""
+    warnings: list[str] = field(default_factory=list)
+    """Sentences for the user."""
+
+
+def find_views(args: argparse.Namespace, model: GivenModel, status: Status) -> PageViews:
+    """The cameras of what `--source` names or of the run, with photos where the capture is there.
+
+    Args:
+        args: Of the verb.
+        model: The splats.
+        status: Shows how far reading the photos is.
+
+    Raises:
+        GsError: what `--source` names cannot be read.
+    """
+    warnings: list[str] = []
+    dataset = _dataset(args, model, status, warnings)
+    if dataset is not None:
+        cameras, held_out = dataset.scene.cameras, {dataset.names[i] for i in dataset.test}
+    else:
+        cameras, held_out = _listed(args, model)
+    if cameras is None or not len(cameras):
+        return _without_cameras(model.splats, warnings)
+    focus, up = focus_point(cameras.viewmats), up_direction(cameras.viewmats, cameras.up)
+    first = _first(cameras, focus)
+    photos: dict[int, str] = {}
+    if dataset is not None:
+        chosen = _at_even_distances(args.photos, len(cameras), first)
+        photos = _photos(dataset, chosen, model.background, status)
+    shown = [_camera(cameras, i, held_out, photos.get(i, "")) for i in range(len(cameras))]
+    return PageViews(cameras=shown, first=shown[first], focus=focus, up=up, warnings=warnings)
+
+
+def _dataset(
+    args: argparse.Namespace, model: GivenModel, status: Status, warnings: list[str]
+) -> Dataset | None:
+    """The capture; None where photos are not wanted or not there."""
+    source = args.source
+    if source is not None and not source.is_dir():
+        return None
+    if source is None and (model.data is None or not args.photos):
+        return None
+    config = DataConfig(source=source) if source is not None else model.data
+    if model.data is not None and source is not None:
+        config = replace(model.data, source=source)
+    assert config is not None
+    from ...datasets import load_dataset
+
+    status.show([f"Reading the capture {config.source}"])
+    try:
+        return load_dataset(config)
+    except GsError as error:
+        if source is not None:
+            raise
+        warnings.append(f"The page holds no photos: {error} Or say with -s where the capture is.")
+        return None
+
+
+def _listed(args: argparse.Namespace, model: GivenModel) -> tuple[Cameras | None, Collection[str]]:
+    """Cameras of a cameras.json, and the names of those held out of the training."""
+    beside = model.run or model.path.parent
+    path = args.source or beside / "cameras.json"
+    if args.source is None and not path.is_file():
+        return None, ()
+    held_out = read_metrics(beside).get("test_views")
+    return read_cameras_json(path), held_out if isinstance(held_out, list) else ()
+
+
+def _photos(
+    dataset: Dataset,
+    chosen: list[int],
+    background: tuple[float, float, float],
+    status: Status,
+) -> dict[int, str]:
+    """The photos of some views as small JPEGs."""
+    dataset.keep_few()
+    told = Counted(status, len(chosen), "photo")
+    found: dict[int, str] = {}
+    for done, index in enumerate(chosen):
+        picture, _ = target_picture(
+            dataset.image(index), dataset.mask(index), dataset.mask_mode, background
+        )
+        small = (np.clip(picture, 0, 1) * 255 + 0.5).astype(np.uint8)
+        size = size_within(small.shape[1], small.shape[0], _PHOTO_SIDE)
+        found[index] = data_uri(shrink(small, size))
+        told(done + 1, dataset.names[index])
+    return found
+
+
+def _at_even_distances(most: int, count: int, first: int) -> list[int]:
+    """At most so many of `count` views, the one that the page begins with among them."""
+    most = min(most, count)
+    return sorted((first + i * count // most) % count for i in range(most))
+
+
+def _camera(cameras: Cameras, i: int, held_out: Collection[str], photo: str) -> PageCamera:
+    name = cameras.names[i]
+    return PageCamera(
+        name=name,
+        label=f"{i + 1}: {name}{' (held out)' if name in held_out else ''}",
+        viewmat=cameras.viewmats[i],
+        K=cameras.Ks[i],
+        width=int(cameras.widths[i]),
+        height=int(cameras.heights[i]),
+        photo=photo,
+    )
+
+
+def _first(cameras: Cameras, focus: np.ndarray) -> int:
+    """The camera that looks straightest at the middle from the usual distance."""
+    offsets = focus - cameras.centers
+    far = np.maximum(np.linalg.norm(offsets, axis=1), 1e-12)
+    facing = np.einsum("ci,ci->c", cameras.viewmats[:, 2, :3], offsets) / far
+    unusual = np.abs(np.log(far / np.median(far)))
+    return int(np.argmax(facing - 0.3 * unusual))
+
+
+def _without_cameras(splats: Splats, warnings: list[str]) -> PageViews:
+    """A view of the middle half of the splats from the front; files of splats have y down."""
+    if not len(splats):
+        raise ConfigError("There are no splats to show.")
+    low, middle, high = np.percentile(splats.means.astype(np.float64), (10, 50, 90), axis=0)
+    up, width, height, focal = np.array([0.0, -1.0, 0.0]), *_ALONE
+    size = max(float(np.linalg.norm(high - low)), 1e-6)
+    eye = middle + np.array([0.0, -0.25, -1.0]) * size
+    first = PageCamera(
+        name="",
+        label="first view",
+        viewmat=look_at(eye, middle, up),
+        K=np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]]),
+        width=int(width),
+        height=int(height),
+    )
+    note = "There are no cameras beside the splats; -s names a capture or a cameras.json."
+    return PageViews(cameras=[], first=first, focus=middle, up=up, warnings=[*warnings, note])

@@ -1,0 +1,233 @@
+"""How a command shows events: JSON lines for programs, lines for people, or nothing."""
+
+import contextlib
+import math
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TextIO
+
+from ...events import (
+    DepthDone,
+    DepthProgress,
+    Done,
+    Estimated,
+    Eval,
+    Event,
+    Failed,
+    FramesDone,
+    FramesProgress,
+    FrameStarted,
+    Progress,
+    Saved,
+    SequenceDone,
+    SfmDone,
+    SfmEstimated,
+    SfmProgress,
+    Started,
+    Warn,
+    to_line,
+)
+from ...words import count_words, number, quality_words, size_words, time_words
+from .status import Status, clock
+
+_MASKS = {
+    "ignore": "Masks are used: what they hide is not trained and not measured. --mask-mode none "
+    "trains whole photos, composite the subject alone.",
+    "composite": "Masks are used: they are the opacity of the subject, and nothing else is "
+    "trained. --mask-mode none trains whole photos, ignore leaves open what masks hide.",
+}
+"""By `mask_mode`."""
+_STOPS = ("paused", "measuring")
+"""Phases in which no steps are taken. The others are not shown: the splats tell them."""
+
+
+class Silent:
+    """Shows nothing."""
+
+    def __call__(self, event: Event) -> None:
+        """Drop the event."""
+
+
+class JsonLines:
+    """Each event as a line of JSON."""
+
+    def __init__(self, stream: TextIO, *, on_closed: Callable[[], None]) -> None:
+        """Write to `stream`; `on_closed` is called once if nobody reads it any more."""
+        self._stream = stream
+        self._on_closed = on_closed
+        self._open = True
+
+    def __call__(self, event: Event) -> None:
+        """Write the event at once."""
+        if not self._open:
+            return
+        try:
+            self._stream.write(to_line(event) + "\n")
+            self._stream.flush()
+        except (OSError, ValueError):
+            self._open = False
+            # Python flushes stdout at exit, which would fail again, with a traceback.
+            with contextlib.suppress(OSError, ValueError):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), self._stream.fileno())
+            self._on_closed()
+
+
+class Lines:
+    """What happens as lines for people; how far it is moves under them on a terminal.
+
+    What the verb says at its end, on stdout, is left out here: the last measurement and the files
+    it is of, except for the frames of a sequence, of which the verb says the mean.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self._status = Status(stream)
+        self._measured = ""
+        self._sequence = False
+        self._status.show(["Starting"])
+
+    def __call__(self, event: Event) -> None:
+        """Show the event."""
+        match event:
+            case Progress():
+                self._progress(event)
+            case DepthProgress():
+                self._depth(event)
+            case SfmProgress():
+                self._sfm(event)
+            case Eval():
+                self._measured = eval_text(event)
+            case FramesProgress():
+                self._frames(event)
+            case Done() | DepthDone() | SequenceDone() | SfmDone() | FramesDone() | Failed():
+                self._end()
+            case Saved():
+                self._saved(event)
+            case FrameStarted():
+                self._sequence = True
+                self._status.say(frame_text(event))
+            case _:
+                for text in _texts(event):
+                    self._status.say(text)
+
+    def _progress(self, event: Progress) -> None:
+        self._tell_measured()  # the run goes on, so this was not the last
+        share = event.step / max(event.iterations, 1) if event.splats else None
+        last = event.step >= event.iterations and event.phase not in _STOPS
+        self._status.show(progress_parts(event), share=share, at_once=last)
+
+    def _depth(self, event: DepthProgress) -> None:
+        if not event.done:
+            self._status.show([_capital(event.phase)])
+            return
+        parts = [f"{clock(event.eta_s)} left", f"{event.phase} {event.done} of {event.total}"]
+        last = event.done == event.total
+        share = event.done / event.total
+        self._status.show([*parts, event.view], share=share, at_once=last)
+
+    def _sfm(self, event: SfmProgress) -> None:
+        what = "pair" if event.phase == "comparing photos" else "photo"
+        parts = [event.phase]
+        if event.done:
+            parts = [f"{event.phase}, {what} {number(event.done)} of {number(event.total)}"]
+        if math.isfinite(event.left_s):
+            parts = [f"{clock(event.left_s)} left", *parts]
+        else:
+            parts[0] = _capital(parts[0])
+        self._status.show(parts, share=event.share if math.isfinite(event.share) else None)
+
+    def _frames(self, event: FramesProgress) -> None:
+        if not event.done:
+            self._status.show([_capital(event.phase)])
+            return
+        parts = [f"{event.phase}, {event.done} of {event.total or 'an unknown number'}"]
+        if event.eta_s == event.eta_s:
+            parts = [f"{clock(event.eta_s)} left", *parts]
+        share = min(event.done / event.total, 1.0) if event.total else None
+        self._status.show(parts, share=share)
+
+    def _saved(self, event: Saved) -> None:
+        is_asked_for = "point_cloud/iteration_" in Path(event.path).as_posix()
+        if is_asked_for:
+            self._status.say(f"Saved {event.path}")
+
+    def _tell_measured(self) -> None:
+        if self._measured:
+            self._status.say(self._measured)
+        self._measured = ""
+
+    def _end(self) -> None:
+        if self._sequence:
+            self._tell_measured()
+        self._measured = ""
+        self._status.clear()
+
+
+def _texts(event: Event) -> Iterator[str]:
+    """Lines about an event that stay."""
+    match event:
+        case Estimated():
+            yield estimate_text(event)
+        case SfmEstimated():
+            yield (
+                f"Finding the cameras of {count_words(event.photos, 'photo')}, which takes about "
+                f"{time_words(float(f'{event.seconds:.1g}'))} where nothing else runs"
+            )
+        case Started():
+            if event.step:
+                yield f"Going on from step {number(event.step)} of {number(event.iterations)}"
+            yield (
+                f"{count_words(event.train_views, 'training view')}, "
+                f"{count_words(event.test_views, 'test view')}, "
+                f"{event.width} x {event.height} px"
+            )
+            yield (
+                f"{count_words(event.splats, 'splat')} to start with; "
+                f"{count_words(event.threads, 'thread')}, {event.isa}"
+            )
+            if sentence := _MASKS.get(event.mask_mode):
+                yield sentence
+            said = (event.enough, event.stereo, event.depth, event.exposure, event.poses)
+            yield from filter(None, (*said, event.viewer))
+        case Warn():
+            yield f"Warning: {event.message}"
+
+
+def progress_parts(event: Progress) -> list[str]:
+    """Parts of the moving line, what matters most first."""
+    if not event.splats:
+        return [_capital(event.phase)]
+    step = f"step {number(event.step)} of {number(event.iterations)}"
+    parts = [step, f"PSNR {event.psnr:.1f} dB", count_words(event.splats, "splat")]
+    if event.phase in _STOPS:
+        return [event.phase, *parts]
+    if event.steps_per_s:
+        parts = [f"{clock(event.eta_s)} left", *parts, f"{event.steps_per_s:.1f} steps/s"]
+    return parts
+
+
+def frame_text(event: FrameStarted) -> str:
+    """One line for people on a frame of a sequence that begins."""
+    how = "complete already" if event.complete else count_words(event.iterations, "step")
+    how += ", from the frame before" if event.start and not event.complete else ""
+    return f"Frame {event.frame} ({event.place} of {event.frames}): {how}"
+
+
+def eval_text(event: Eval) -> str:
+    """One line for people; empty for the PSNR alone, with which a run watches its goal."""
+    if event.metrics.get("ssim") is None:
+        return ""
+    return f"Step {number(event.step)}, {event.split} views: {quality_words(event.metrics)}"
+
+
+def estimate_text(event: Estimated) -> str:
+    """What a training will take, for people."""
+    text = f"About {time_words(max(round(event.seconds), 1))} of training and "
+    text += f"{event.peak_bytes / 1e9:.1f} GB of memory"
+    if event.photos_kept:
+        return text
+    return f"{text}; {size_words(event.photo_bytes)} of photos are kept, the others read again"
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]

@@ -1,0 +1,145 @@
+"""What ends a command from outside: signals, and output that nobody takes any more.
+
+The first of them asks for an end in good order. After it a Ctrl-C ends at once; other signals do
+not, since systems send several for one event: SIGHUP when a terminal closes, SIGTERM by `timeout`.
+"""
+
+import contextlib
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
+from typing import Any, Self
+
+from ...control import ending_signals
+
+_SIGPIPE = 13
+"""Of POSIX; the code is the same where there is no such signal."""
+PIPE_CLOSED = 128 + _SIGPIPE
+"""Exit code where the reader of the output is gone."""
+_current: "Interrupt | None" = None
+
+
+class Interrupt:
+    """Remembers for the duration of a block what came, and passes the first on to who obeys.
+
+    While a command obeys (`asking`), it is asked. While it works without looking (`working`), a
+    KeyboardInterrupt is raised in it. Before that the process ends at once, for nothing is open,
+    and after it nothing is left to stop.
+    """
+
+    def __init__(self) -> None:
+        self._before: dict[int, Any] = {}
+        self._hook = sys.unraisablehook
+        self._received = 0
+        self._output_code = 0
+        self._stop: Callable[[str], None] | None = None
+        self._quiet = False
+        self._begun = self._over = False
+        self.raised = False
+        """Whether KeyboardInterrupt was raised: whatever error came of that is no error."""
+
+    @property
+    def exit_code(self) -> int:
+        """128 + the signal that came, as shells expect, or what `output_lost` said; 0 if nothing
+        came."""
+        return 128 + self._received if self._received else self._output_code
+
+    @property
+    def output_is_lost(self) -> bool:
+        """Whether nobody takes the output any more."""
+        return self._output_code != 0
+
+    def __enter__(self) -> Self:
+        if threading.current_thread() is threading.main_thread():
+            for number in ending_signals():
+                self._before[number] = signal.signal(number, self._handle)
+            if hasattr(signal, "SIGPIPE"):
+                self._before[_SIGPIPE] = signal.signal(signal.SIGPIPE, self._pipe_closed)
+            sys.unraisablehook = self._unraisable
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._before:
+            sys.unraisablehook = self._hook
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    @contextmanager
+    def working(self) -> Iterator[None]:
+        """A block that can be left at any place; when it is over, the command is."""
+        self._begun = True
+        try:
+            yield
+        finally:
+            self._over = True
+
+    @contextmanager
+    def asking(self, stop: Callable[[str], None], *, quiet: bool) -> Iterator[None]:
+        """A block that ends by itself after `stop(reason)`; `quiet`: nothing is said about it."""
+        self._stop, self._quiet, self._over = stop, quiet, False
+        if self.exit_code:
+            stop("interrupted" if self._received else "output closed")
+        try:
+            yield
+        finally:
+            self._stop, self._over = None, True
+
+    def output_lost(self, code: int) -> None:
+        """Nobody takes the output any more; `code` is to be the exit code."""
+        self._output_code = self._output_code or code
+        if self._stop is not None:
+            self._stop("output closed")
+
+    def _handle(self, number: int, frame: FrameType | None) -> None:
+        if self._received:
+            if number == signal.SIGINT and not self._over:
+                self._leave("Stopped at once. What was written before is whole.")
+            return
+        self._received = number
+        if self._stop is not None:
+            self._stop("interrupted")
+            self._say("Stopping in good order; Ctrl-C stops at once.")
+        elif not self._begun:
+            self._leave("Stopped.")
+        elif not self._over:
+            self.raised = True
+            raise KeyboardInterrupt
+
+    def _pipe_closed(self, number: int, frame: FrameType | None) -> None:
+        self.output_lost(PIPE_CLOSED)
+
+    def _leave(self, sentence: str) -> None:
+        self._say(sentence)
+        os._exit(self.exit_code)
+
+    def _say(self, sentence: str) -> None:
+        """Past Python's streams, which the signal may have caught in the middle of a line."""
+        if self._quiet:
+            return
+        with contextlib.suppress(OSError):
+            start = "\n" if os.isatty(2) else ""
+            os.write(2, f"{start}{sentence}\n".encode())
+
+    def _unraisable(self, problem: Any) -> None:
+        """A KeyboardInterrupt in a destructor or a callback is printed by Python, and lost."""
+        if not self.raised:
+            self._hook(problem)
+
+
+@contextmanager
+def interrupts() -> Iterator[Interrupt]:
+    """The one of this process; made for the duration of the block where there is none."""
+    global _current
+    if _current is not None:
+        yield _current
+        return
+    with Interrupt() as made:
+        _current = made
+        try:
+            yield made
+        finally:
+            _current = None

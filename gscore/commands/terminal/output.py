@@ -1,0 +1,98 @@
+"""What a verb gives back: JSON on stdout, and where it may write, asked before the work."""
+
+import contextlib
+import mmap
+import os
+from collections.abc import Collection, Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from ...errors import ConfigError
+from ...events import strict_json
+from ...io.files import reason
+from ...shown import shown
+
+
+def print_json(content: Any) -> None:
+    """One line of strict JSON on stdout."""
+    print(strict_json(content), flush=True)
+
+
+def check_replaced(paths: Iterable[Path], *, overwrite: bool) -> None:
+    """Raise unless files may be written under these names, of which some may be taken.
+
+    Args:
+        paths: Where files are going to be written.
+        overwrite: Files that do not hold gscore's name may be replaced too. Others always may; its
+            own SPZ, .splat, USD and buffers of .gltf, without a name in them, count as anybody's.
+
+    Raises:
+        ConfigError: something else than a file has such a name, or somebody else's file.
+    """
+    there = [path for path in paths if path.exists()]
+    for path in there:
+        if not path.is_file():
+            what = "a folder" if path.is_dir() else "no regular file"
+            raise ConfigError(f"{shown(path)} is {what}, so no file can be written there.")
+    foreign = [] if overwrite else [path for path in there if not is_ours(path)]
+    if foreign:
+        raise ConfigError(
+            f"Nothing in {first_few([str(path) for path in foreign])} says that gscore wrote it, "
+            "so it stays. Choose another output, or give --overwrite."
+        )
+
+
+def is_ours(path: Path) -> bool:
+    """Whether nothing of anybody else's is lost with a file: it is empty, or names gscore."""
+    try:
+        with path.open("rb") as file:
+            if os.fstat(file.fileno()).st_size == 0:
+                return True
+            with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+                return content.find(b"gscore") >= 0
+    except (OSError, ValueError):
+        return False
+
+
+def check_folder(folder: Path) -> None:
+    """Raise unless files could be written into `folder`, which may not exist yet.
+
+    Raises:
+        ConfigError: A part of the path is a file, or the nearest folder that exists is read-only.
+    """
+    try:
+        folder.stat()
+    except (FileNotFoundError, NotADirectoryError, PermissionError):
+        pass
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"Cannot use {shown(folder)}: {reason(error)}") from error
+    existing = folder
+    while not existing.exists() and existing != existing.parent:
+        existing = existing.parent
+    if not existing.is_dir():
+        raise ConfigError(f"{existing} is a file; a folder is needed to write into.")
+    if not os.access(existing, os.W_OK | os.X_OK):
+        why = "the disk is read-only" if _is_read_only(existing) else "permission denied"
+        raise ConfigError(f"Cannot write into {existing}: {why}; choose another output.")
+
+
+def _is_read_only(folder: Path) -> bool:
+    """Whether nobody may write on the file system of a folder; False where that is not told."""
+    return hasattr(os, "statvfs") and bool(os.statvfs(folder).f_flag & os.ST_RDONLY)
+
+
+def others_in(folder: Path, known: Collection[str]) -> str:
+    """The first few names in a folder, without those that are `known`, for a message; or nothing.
+
+    Hidden files are left out.
+    """
+    names: list[str] = []
+    with contextlib.suppress(OSError, ValueError):  # whoever writes there says why it cannot be
+        names = sorted(p.name for p in folder.iterdir() if not p.name.startswith("."))
+    return first_few([name for name in names if name not in known])
+
+
+def first_few(names: Sequence[str], most: int = 3) -> str:
+    """Some names for a message, and how many there are more; empty where there are none."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(shown(name) for name in names[:most]) + more

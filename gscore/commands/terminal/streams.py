@@ -1,0 +1,120 @@
+"""The standard streams as a command needs them: there, and never a reason to lose its work."""
+
+import contextlib
+import errno
+import os
+import re
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TextIO
+
+from ...io.files import reason
+from .interrupt import PIPE_CLOSED
+
+_HUNG_UP = 129
+"""Exit code where the terminal is gone: 128 + SIGHUP."""
+_CANNOT_WRITE = 2
+_NAMES = ("stdin", "stdout", "stderr")
+_COMMANDS = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
+"""Control characters but for tab, line feed and carriage return."""
+
+
+class Steady:
+    """A text stream whose writes never fail: what cannot be written is dropped.
+
+    The first failure is told, and the stream leads to the null device from then on, so that Python
+    does not fail again when it flushes at exit.
+    """
+
+    def __init__(self, stream: TextIO, on_lost: Callable[[OSError], None]) -> None:
+        self._stream = stream
+        self._on_lost = on_lost
+        self._open = True
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        """As of any text stream."""
+        self._try(lambda: self._stream.write(self._printable(text)))
+        return len(text)
+
+    def flush(self) -> None:
+        """As of any text stream."""
+        self._try(self._stream.flush)
+
+    def _printable(self, text: str) -> str:
+        """The text with what the stream's encoding lacks spelled out, and what a terminal would
+        obey: names in captures and files may hold anything."""
+        text = _COMMANDS.sub(lambda found: f"\\x{ord(found[0]):02x}", text)
+        encoding = getattr(self._stream, "encoding", None) or "utf-8"
+        try:
+            text.encode(encoding)
+        except UnicodeEncodeError:
+            return text.encode(encoding, "backslashreplace").decode(encoding)
+        return text
+
+    def _try(self, act: Callable[[], object]) -> None:
+        if not self._open:
+            return
+        try:
+            act()
+        except OSError as error:
+            self._open = False
+            with contextlib.suppress(OSError, ValueError):
+                _to_null(self._stream.fileno())
+            self._on_lost(error)
+
+
+@contextmanager
+def steady_streams(prog: str, on_lost: Callable[[int], None]) -> Iterator[None]:
+    """All three streams are there in this block, and stdout and stderr are `Steady`.
+
+    Args:
+        prog: Name of the program, for messages.
+        on_lost: Called with an exit code when a stream cannot be written any more.
+    """
+
+    def lost(error: OSError) -> None:
+        if error.errno in (errno.EPIPE, errno.EINVAL):  # the second is Windows'
+            on_lost(PIPE_CLOSED)
+        elif error.errno == errno.EIO:
+            on_lost(_HUNG_UP)
+        else:
+            on_lost(_CANNOT_WRITE)
+            print(f"{prog}: error: Cannot write the output: {reason(error)}", file=sys.stderr)
+
+    for descriptor, name in enumerate(_NAMES):
+        if getattr(sys, name) is None:
+            setattr(sys, name, _opened(descriptor))
+    before = sys.stdout, sys.stderr
+    sys.stdout, sys.stderr = (Steady(stream, lost) for stream in before)  # type: ignore[assignment]
+    try:
+        yield
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        sys.stdout, sys.stderr = before
+
+
+def _opened(descriptor: int) -> TextIO:
+    """A stream in the place of one that was closed from the start.
+
+    Its number must be taken too: the next file that is opened would get it, and what libraries
+    print would land in that.
+    """
+    mode = "r" if descriptor == 0 else "w"
+    with contextlib.suppress(OSError):
+        os.fstat(descriptor)
+        return Path(os.devnull).open(mode, encoding="utf-8")  # somebody else has the number already
+    _to_null(descriptor)
+    return os.fdopen(descriptor, mode, encoding="utf-8", closefd=False)
+
+
+def _to_null(descriptor: int) -> None:
+    null = os.open(os.devnull, os.O_RDWR)
+    if null != descriptor:
+        os.dup2(null, descriptor)
+        os.close(null)

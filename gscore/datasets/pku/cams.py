@@ -1,0 +1,147 @@
+"""Frames of a multi-view video with a COLMAP model of their own, or with the rig's cams/*.txt."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from ...config import DataConfig
+from ...errors import DatasetError
+from ...io.cams_txt import list_cams, read_cam
+from ...io.colmap.folder import has_model
+from ...io.colmap.model import ColmapCamera
+from ...io.pictures.images import read_info
+from ...scene import PointCloud
+from ...words import count_words
+from ..capture import Capture, View, listing
+from ..colmap_source import read_colmap
+from ..poses import pinhole_camera, rigid_matrix
+from .photos import VIEW_FOLDER, camera_number, mattes, photo_folder_name, pictures_by_camera
+
+_SAME = 0.02
+"""Relative difference up to which twice the principal point is the size of the photo."""
+
+
+def read_model_frame(
+    config: DataConfig, case: Path, path: Path, frame: int, photos_required: bool
+) -> Capture:
+    """`data_COLMAP/<frame>`: photos, mattes and a COLMAP model in `sparse` or `sparse/0`."""
+    images = photo_folder_name(path, config.images) if photos_required else config.images
+    options = replace(config, source=path, images=images)
+    capture = read_colmap(options, photos_required=photos_required)
+    soft = mattes(path, images)
+    numbers = [camera_number(view.name) for view in capture.views]
+    views = [
+        replace(view, mask=None if number is None else soft.get(number))
+        for view, number in zip(capture.views, numbers, strict=True)
+    ]
+    return replace(capture, views=views)
+
+
+def read_per_frame(
+    config: DataConfig, case: Path, path: Path, frame: int, photos_required: bool
+) -> Capture:
+    """`per_frame/<frame>`: photos and mattes; cameras of its own model, else of `cams`."""
+    if any(has_model(path / name) for name in ("sparse/0", "sparse")):
+        return read_model_frame(config, case, path, frame, photos_required)
+    images = photo_folder_name(path, config.images)
+    photos = pictures_by_camera(path / images)
+    if not photos:
+        raise DatasetError(
+            f"{path / images} has no photo of a known camera; expected names like "
+            f"image_c_000_f_{frame:06d}.png. Give the photo folder with --images."
+        )
+    names = {number: photo.name for number, photo in photos.items()}
+    return _with_cams(case, path, photos, names, mattes(path, images))
+
+
+def read_per_view(
+    config: DataConfig, case: Path, path: Path, frame: int, photos_required: bool
+) -> Capture:
+    """`per_view/cam_<i>/{images,pha,com}/<frame>.png`, cameras of `cams`."""
+    photos: dict[int, Path] = {}
+    soft: dict[int, Path] = {}
+    missing = []
+    for folder in sorted(path.iterdir()):
+        match = VIEW_FOLDER.fullmatch(folder.name)
+        if match is None or not folder.is_dir():
+            continue
+        number = int(match[1])
+        images = photo_folder_name(folder, config.images)
+        # Pictures of a view are numbered by frame, so "by camera" finds the frame here.
+        found = pictures_by_camera(folder / images).get(frame)
+        if found is None:
+            missing.append(folder.name)
+            continue
+        photos[number] = found
+        if matte := mattes(folder, images).get(frame):
+            soft[number] = matte
+    total = len(photos) + len(missing)
+    if 2 * len(missing) > total or not photos:
+        raise DatasetError(
+            f"Frame {frame} is missing in {len(missing)} of the {count_words(total, 'view')} in "
+            f"{path}: {listing(missing)}. Extract the frames of all videos."
+        )
+    names = {number: f"image_c_{number:03d}_f_{frame:06d}.png" for number in photos}
+    capture = _with_cams(case, path, photos, names, soft)
+    if not missing:
+        return capture
+    sentence = f"Frame {frame} is missing in {len(missing)} of the {count_words(total, 'view')}: "
+    return replace(capture, warnings=(*capture.warnings, f"{sentence}{listing(missing)}."))
+
+
+def _with_cams(
+    case: Path, root: Path, photos: dict[int, Path], names: dict[int, str], soft: dict[int, Path]
+) -> Capture:
+    """The photos with the cameras of `case`/cams; all by camera number."""
+    cams = list_cams(case / "cams")
+    without = [names[number] for number in photos if number not in cams]
+    if without:
+        # Cameras that COLMAP lost are left out when these files are numbered, so those after it
+        # would belong to other photos.
+        raise DatasetError(
+            f"{case / 'cams'} has {count_words(len(cams), 'camera')}, numbers {min(cams)} to "
+            f"{max(cams)}, but "
+            f"none for {len(without)} of the {count_words(len(photos), 'photo')} in {root}: "
+            f"{listing(without)}. "
+            f"Number the camera files as the photos, or use another layout of the data set."
+        )
+    warnings = []
+    unused = [cams[number].name for number in cams if number not in photos]
+    if unused:
+        warnings.append(
+            f"No photo belongs to {len(unused)} of the cameras in {case / 'cams'}: "
+            f"{listing(unused)}."
+        )
+    views = []
+    for number, photo in photos.items():
+        path = cams[number]
+        extrinsic, intrinsic = read_cam(path)
+        views.append(
+            View(
+                name=names[number],
+                image=photo,
+                viewmat=rigid_matrix(str(path), "extrinsic", extrinsic),
+                camera=_camera(path, intrinsic, photo),
+                mask=soft.get(number),
+            )
+        )
+    return Capture(root=root, views=views, points=PointCloud.none(), warnings=tuple(warnings))
+
+
+def _camera(path: Path, intrinsic: list[list[float]], photo: Path) -> ColmapCamera:
+    """The camera at the size its file was made for, which the file does not state.
+
+    COLMAP leaves the principal point in the middle, so twice that is the size. It is smaller than
+    the photo where the photos were shrunk before the cameras were exported (4K ones to 2000 px).
+    """
+    info = read_info(photo)
+    width, height = 2 * intrinsic[0][2], 2 * intrinsic[1][2]
+    near = [abs(a - b) <= _SAME * b for a, b in ((width, info.width), (height, info.height))]
+    if all(near):
+        return pinhole_camera(str(path), "intrinsic", intrinsic, info.width, info.height)
+    if not width > 0 or abs(height * info.width / (width * info.height) - 1) > _SAME:
+        raise DatasetError(
+            f"{path} belongs to photos of about {width:.0f} x {height:.0f} pixels (its principal "
+            f"point is their middle), but {photo} is {info.width} x {info.height}. Use the photos "
+            f"that the cameras were made for, or these scaled without cropping."
+        )
+    return pinhole_camera(str(path), "intrinsic", intrinsic, round(width), round(height))

@@ -1,0 +1,70 @@
+"""Scaling photos down with numpy alone: what `images.resize` does with Pillow, bit by bit."""
+
+import numpy as np
+
+from ...errors import ShapeError
+
+_BITS = 22
+"""Fraction bits of a weight; Pillow's 32 less 8 of a value and 2 of headroom."""
+
+
+def downscale(image: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Scale an image down by averaging.
+
+    Whole-numbered factors use the mean of the pixels each new pixel covers, others a Hamming window
+    of that size, first along rows, then along columns, rounded to bytes after each.
+
+    Args:
+        image: [H, W] or [H, W, 3] uint8.
+        width: New width in pixels, not above the old one.
+        height: New height in pixels, not above the old one.
+
+    Returns:
+        [height, width, ...] uint8.
+
+    Raises:
+        ShapeError: another shape or dtype, or a size that is not smaller.
+    """
+    old_height, old_width = image.shape[:2]
+    fits = 0 < width <= old_width and 0 < height <= old_height
+    if not fits or image.dtype != np.uint8 or image.ndim not in (2, 3) or image.shape[2:] == (4,):
+        raise ShapeError(
+            f"downscale takes uint8 images without alpha down to at least 1 x 1, got {image.dtype} "
+            f"{list(image.shape)} to {width} x {height}."
+        )
+    if old_width % width == 0 and old_height % height == 0:
+        return _block_means(image, old_width // width, old_height // height)
+    if old_width != width:
+        image = np.swapaxes(_resample_rows(np.swapaxes(image, 0, 1), width), 0, 1)
+    if old_height != height:
+        image = _resample_rows(image, height)
+    return np.ascontiguousarray(image)
+
+
+def _block_means(image: np.ndarray, across: int, down: int) -> np.ndarray:
+    height, width = image.shape[0] // down, image.shape[1] // across
+    blocks = image.reshape(height, down, width, across, *image.shape[2:])
+    sums = blocks.sum(axis=(1, 3), dtype=np.uint64)
+    count = np.uint64(across * down)
+    reciprocal = np.uint64((1 << 24) // int(count))
+    return ((sums + count // np.uint64(2)) * reciprocal >> np.uint64(24)).astype(np.uint8)
+
+
+def _resample_rows(image: np.ndarray, count: int) -> np.ndarray:
+    """[count, ...] uint8 from [H, ...]: each new row a weighted sum of those around it."""
+    scale = len(image) / count
+    out = np.empty((count, *image.shape[1:]), np.uint8)
+    for row in range(count):
+        center = (row + 0.5) * scale
+        first = max(0, int(center - scale + 0.5))
+        last = min(len(image), int(center + scale + 0.5))
+        weights = _hamming((np.arange(first, last) - center + 0.5) / scale)
+        whole = np.floor(0.5 + weights / weights.sum() * (1 << _BITS)).astype(np.int64)
+        total = np.tensordot(whole, image[first:last].astype(np.int64), axes=1)
+        out[row] = np.clip(total + (1 << (_BITS - 1)) >> _BITS, 0, 255)
+    return out
+
+
+def _hamming(x: np.ndarray) -> np.ndarray:
+    """Hamming-windowed sinc on (-1, 1), 0 outside."""
+    return np.where(np.abs(x) < 1, np.sinc(x) * (0.54 + 0.46 * np.cos(np.pi * x)), 0.0)

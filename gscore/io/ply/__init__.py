@@ -1,0 +1,1 @@
+"""PLY files: every dialect of splats in, the official 3DGS layout out; points."""

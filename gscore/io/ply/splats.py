@@ -1,0 +1,229 @@
+"""Splat models as PLY: every dialect in, the official 3DGS layout out."""
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from ...errors import DatasetError, FormatError
+from ...sh import rgb_to_sh0
+from ...shown import shown
+from ...splats import SH_REST_BY_DEGREE, Splats
+from ..files import atomic_write, open_regular, reason
+from ..splat_rows import drawable, drawable_rows, warn_of_left_out, whole_bands
+from .compressed import decompress, is_compressed
+from .elements import HEADER_END, HEADER_LIMIT, columns, read_elements
+
+__all__ = [
+    "MIP_COMMENT",
+    "is_antialiased_ply",
+    "read_ply",
+    "read_ply_parts",
+    "write_splat_parts",
+    "write_splats",
+]
+
+MIP_COMMENT = "SplatRenderMode: mip"
+"""Header comment of models trained with the anti-aliasing compensation."""
+_POSITION = ["x", "y", "z"]
+_SCALE = ["scale_0", "scale_1", "scale_2"]
+_QUAT = ["rot_0", "rot_1", "rot_2", "rot_3"]
+_DC = ["f_dc_0", "f_dc_1", "f_dc_2"]
+_RGB = ["red", "green", "blue"]
+_ROWS_A_BLOCK = 1 << 15
+
+
+def read_ply(path: str | Path) -> Splats:
+    """Read a splat model; properties are found by name, in any order and among any others.
+
+    Understood are the official layout and its relatives (no normals, SH degree 0 to 4, colours as
+    red, green, blue instead of SH, ASCII, either byte order) and SuperSplat's compressed layout.
+    Splats with numbers that are not finite, or a zero quaternion, are left out; a coefficient
+    beyond degree 3 is cut. Both are logged as a warning.
+
+    Args:
+        path: The .ply file.
+
+    Returns:
+        Raw parameters in the file's world.
+
+    Raises:
+        DatasetError: the file is missing.
+        FormatError: it is truncated or corrupt, no PLY, or a PLY that holds no splats.
+    """
+    path = Path(path)
+    elements = read_elements(path)
+    if is_compressed(elements):
+        raw = decompress(path, elements)
+    else:
+        raw = _plain(path, _vertices(elements))
+    rest = _rest_by_coefficient(path, raw.pop("rest"))
+    return drawable(path, **raw, shN=rest)
+
+
+def read_ply_parts(path: str | Path, rows: int) -> Iterator[Splats]:
+    """As `read_ply`, `rows` splats of the file at a time, for models that outgrow the memory.
+
+    Raises:
+        As `read_ply`; FormatError besides for the compressed layout.
+    """
+    path = Path(path)
+    table = _vertices(read_elements(path))
+    count, left_out = len(table), 0
+    for at in range(0, count, rows):
+        if isinstance(table.base, np.memmap):  # pages that were read stay as long as it is mapped
+            table = _vertices(read_elements(path))
+        raw = _plain(path, table[at : at + rows])
+        rest = _rest_by_coefficient(path, raw.pop("rest"))
+        part = Splats(**raw | {"sh0": raw["sh0"][:, None]}, shN=rest)
+        kept = drawable_rows(part)
+        left_out += len(part) - len(kept)
+        yield kept
+    warn_of_left_out(path, left_out, count)
+
+
+def _vertices(elements: dict[str, np.ndarray]) -> np.ndarray:
+    """The vertex element; one of no rows where there is none."""
+    return elements.get("vertex", np.zeros(0, [("none", "f4")]))
+
+
+def header_comments(path: str | Path) -> tuple[str, ...]:
+    """Comment lines of a PLY's header, without the word comment.
+
+    Raises:
+        DatasetError: the file is missing.
+    """
+    path = Path(path)
+    try:
+        with open_regular(path) as file:
+            header = HEADER_END.split(file.read(HEADER_LIMIT), maxsplit=1)[0]
+    except (OSError, ValueError) as error:
+        raise DatasetError(f"Cannot read {shown(path)}: {reason(error)}") from error
+    lines = header.decode("utf-8", "replace").splitlines()
+    return tuple(line[8:].strip() for line in lines if line.startswith("comment "))
+
+
+def says_antialias(comments: tuple[str, ...]) -> bool:
+    """Whether a header comment says that opacities were compensated, as ours or Postshot's do."""
+    marks = (MIP_COMMENT.lower(), "antialiased 1", "antialiased: 1")
+    return any(line.lower().startswith(marks) for line in comments)
+
+
+def is_antialiased_ply(path: str | Path) -> bool:
+    """Whether the header of a PLY says that its splats want the anti-aliasing compensation.
+
+    Raises:
+        DatasetError: the file is missing.
+    """
+    return says_antialias(header_comments(path))
+
+
+def write_splats(path: str | Path, splats: Splats, *, comments: tuple[str, ...] = ()) -> None:
+    """Write a model in the official layout, completely or not at all.
+
+    Binary little endian float32: x y z nx ny nz f_dc_0..2 f_rest_* opacity scale_0..2 rot_0..3,
+    with zero normals and f_rest channel-major (all red coefficients, then green, then blue).
+
+    Args:
+        path: The file to write; its folder is made.
+        splats: The model, raw parameters.
+        comments: For the header, for example `MIP_COMMENT`. PLY is ASCII: other letters are written
+            as Python's escapes, and each line of a text as a comment of its own.
+
+    Raises:
+        GsError: the file cannot be written.
+    """
+    write_splat_parts(
+        path, [splats], count=len(splats), sh_degree=splats.sh_degree, comments=comments
+    )
+
+
+def write_splat_parts(
+    path: str | Path,
+    parts: Iterable[Splats],
+    *,
+    count: int,
+    sh_degree: int,
+    comments: tuple[str, ...] = (),
+) -> None:
+    """As `write_splats`, for a model that comes in parts: `count` splats of one degree in all."""
+    rest = 3 * SH_REST_BY_DEGREE[sh_degree]
+    names = [*_POSITION, "nx", "ny", "nz", *_DC, *(f"f_rest_{k}" for k in range(rest))]
+    names += ["opacity", *_SCALE, *_QUAT]
+    lines = [line for text in comments for line in text.splitlines()]
+    header = ["ply", "format binary_little_endian 1.0", *(f"comment {line}" for line in lines)]
+    header += [f"element vertex {count}", *(f"property float {name}" for name in names)]
+
+    def write(file: BinaryIO) -> None:
+        file.write("\n".join([*header, "end_header\n"]).encode("ascii", "backslashreplace"))
+        for splats in parts:
+            # Blocks keep the memory small and the transposition in cache.
+            for at in range(0, len(splats), _ROWS_A_BLOCK):
+                file.write(_table(splats, slice(at, at + _ROWS_A_BLOCK)).data)
+
+    atomic_write(path, write)
+
+
+def _table(splats: Splats, part: slice) -> np.ndarray:
+    """[n, 17 + rest] rows of the official layout."""
+    means = splats.means[part]
+    rest = 3 * splats.shN.shape[1]
+    rows = np.zeros((len(means), 17 + rest), "<f4")
+    rows[:, 0:3] = means
+    rows[:, 6:9] = splats.sh0[part, 0]
+    by_channel = splats.shN[part].transpose(0, 2, 1)  # [n, 3, K-1]
+    rows[:, 9 : 9 + rest] = by_channel.reshape(len(means), rest)
+    rows[:, 9 + rest] = splats.opacities[part]
+    rows[:, 10 + rest : 13 + rest] = splats.scales[part]
+    rows[:, 13 + rest :] = splats.quats[part]
+    return rows
+
+
+def _plain(path: Path, table: np.ndarray) -> dict[str, np.ndarray]:
+    """Parameters of an uncompressed vertex element, `rest` in the order of the file's names."""
+    names = table.dtype.names or ()
+    has_dc = all(name in names for name in _DC)
+    has_rgb = all(name in names for name in _RGB)
+    missing = [n for n in (*_POSITION, "opacity", *_SCALE, *_QUAT) if n not in names]
+    if not has_dc and not has_rgb:
+        missing += [n for n in _DC if n not in names]
+    if missing:
+        raise FormatError(
+            f"{path} holds no Gaussian splats: its vertices lack {', '.join(missing)}, so it is a "
+            f"plain mesh or point cloud; choose the point_cloud.ply that a 3D Gaussian Splatting "
+            f"trainer wrote."
+        )
+    if has_dc:
+        sh0 = columns(table, _DC)
+    else:
+        kinds = [table.dtype[name] for name in _RGB]
+        top = float(np.iinfo(kinds[0]).max) if kinds[0].kind in "iu" else 1.0
+        sh0 = rgb_to_sh0(columns(table, _RGB) / top).astype(np.float32)
+    count = sum(1 for name in names if name.startswith("f_rest_"))
+    rest_names = [f"f_rest_{k}" for k in range(count)]
+    if any(name not in names for name in rest_names):
+        raise FormatError(
+            f"{path} has {count} properties f_rest_*, but they are not numbered 0 to {count - 1}. "
+            f"Export it again."
+        )
+    return {
+        "means": columns(table, _POSITION),
+        "quats": columns(table, _QUAT),
+        "scales": columns(table, _SCALE),
+        "opacities": columns(table, ["opacity"])[:, 0],
+        "sh0": sh0,
+        "rest": columns(table, rest_names),
+    }
+
+
+def _rest_by_coefficient(path: Path, rest: np.ndarray) -> np.ndarray:
+    """[N, K-1, 3] from channel-major [N, 3(K'-1)], cut to whole bands of degree 3 at most."""
+    count = rest.shape[1]
+    if count % 3:
+        raise FormatError(
+            f"{path} has {count} properties f_rest_*, expected 0, 9, 24 or 45 (three colour "
+            f"channels of SH degree 0 to 3). Export it again."
+        )
+    by_channel = rest.reshape(len(rest), 3, count // 3).transpose(0, 2, 1)
+    return np.ascontiguousarray(whole_bands(path, by_channel))
