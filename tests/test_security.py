@@ -61,6 +61,8 @@ SPOKEN = {"all_gather", "all_to_all_single", "broadcast"}
 """What it calls of torch.distributed besides meeting and parting: none that passes pickles, as
 those whose names end in `_object` and torch's RPC do."""
 WRITES = {
+    "addon/cameras/camera_path.py:export_path ..core.atomic_write": "the user's choice",
+    "addon/cameras/camera_path.py:export_path ..core.write_cameras": "the user's choice",
     "addon/cameras/export_colmap.py:export_colmap ..core.write_colmap": "the user's choice",
     "addon/cameras/export_transforms.py:export_transforms ..core.atomic_write": "the user's choice",
     "addon/splats/files.py:export_splats ..core.write_splat_file": "the user's choice",
