@@ -5,6 +5,7 @@ from typing import Any, ClassVar
 
 import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
+from bpy_extras.io_utils import ExportHelper
 
 from .. import stored_paths
 from ..interface.operators import Acting, make_active
@@ -311,20 +312,15 @@ class ExportCameras(OnCapture, bpy.types.Operator):
         return export_colmap(folder, objects, context.scene, binary=binary, **shared)
 
 
-class ExportCameraPath(OnCapture, bpy.types.Operator):
+class ExportCameraPath(OnCapture, bpy.types.Operator, ExportHelper):
     """Write the scene camera's animation as a file with a camera for each frame"""
 
     bl_idname = "gscore.export_camera_path"
     bl_label = "Export Camera Path"
     bl_options: ClassVar[set[str]] = {"REGISTER"}
 
-    filepath: StringProperty(
-        name="File",
-        subtype="FILE_PATH",
-        default="camera_path.json",
-        description="JSON file to write",
-        options={"SKIP_SAVE"},
-    )
+    filename_ext = ".json"
+    filter_glob: StringProperty(default="*.json", options={"HIDDEN"})
     kind: EnumProperty(
         name="Files",
         items=(
@@ -341,11 +337,6 @@ class ExportCameraPath(OnCapture, bpy.types.Operator):
         ),
         description="Whose axes, origin and scale to write in",
     )
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Ask for the file."""
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
 
     def act(self, context: bpy.types.Context) -> str:
         """Export."""
