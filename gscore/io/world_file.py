@@ -7,6 +7,7 @@ import numpy as np
 
 from ..errors import FormatError
 from ..json_text import parse_json
+from ..shown import quoted
 from .files import atomic_write, read_bytes
 
 WORLD_FILE = "world.json"
@@ -57,8 +58,8 @@ def checked_up(values: object) -> np.ndarray:
     """
     up = np.asarray(values)
     if up.shape != (3,) or up.dtype.kind not in "if":
-        raise ValueError(f"up, {values!r:.80}")
+        raise ValueError(f"up, {quoted(values)}")
     up = up.astype(np.float64)
     if not _LARGEST[0] < np.abs(up).max() < _LARGEST[1]:  # not for NaN either
-        raise ValueError(f"up, {values!r:.80}")
+        raise ValueError(f"up, {quoted(values)}")
     return up / np.linalg.norm(up)
