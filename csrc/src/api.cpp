@@ -1,6 +1,7 @@
 // The C entry points: check arguments, call, turn exceptions into statuses.
 #include "adam.h"
 #include "dispatch.h"
+#include "packing.h"
 #include "pull.h"
 #include "raster.h"
 #include "stereo.h"
@@ -285,6 +286,54 @@ gs_status gs_add_pull(int64_t count, const float *v_means2d, const int32_t *radi
         return fail(GS_BAD_ARGUMENT, "gs_add_pull: an array is null");
     return guarded("gs_add_pull", [&] {
         gs::add_pull(count, v_means2d, radii, pull, seen, scale_x, scale_y, threads);
+        return GS_OK;
+    });
+}
+
+namespace {
+
+gs_status check_packing(const gs_row_table *tables, int32_t table_count, int64_t rows, const float *packed,
+                        int64_t count, int32_t threads) {
+    if (!tables || table_count < 1 || table_count > GS_ROW_TABLES_MAX)
+        return fail(GS_BAD_ARGUMENT, "there must be 1 to %d tables, got %d", GS_ROW_TABLES_MAX, tables ? table_count : 0);
+    if (rows < 0 || rows > INT32_MAX || count < 0 || count > rows)
+        return fail(GS_BAD_ARGUMENT, "%lld rows cannot be packed of tables of %lld", (long long)count, (long long)rows);
+    if (const gs_status s = check_threads(threads))
+        return s;
+    if (count == 0)
+        return GS_OK;
+    if (!packed)
+        return fail(GS_BAD_ARGUMENT, "the packed rows are null");
+    int64_t width = 1;
+    for (int32_t k = 0; k < table_count; ++k) {
+        if (!tables[k].data || tables[k].width < 1 || tables[k].width > GS_ROW_WIDTH_MAX)
+            return fail(GS_BAD_ARGUMENT, "table %d is null, or not 1 to %d floats wide", k, GS_ROW_WIDTH_MAX);
+        if (!(tables[k].divisor != 0) || !std::isfinite(tables[k].divisor))
+            return fail(GS_BAD_ARGUMENT, "the divisor of table %d must be a number other than 0", k);
+        width += tables[k].width;
+    }
+    const int64_t bad = gs::row_out_of_range(rows, packed, count, width, threads);
+    return bad < 0 ? GS_OK : fail(GS_BAD_ARGUMENT, "packed row %lld is for no row of the tables", (long long)bad);
+}
+
+} // namespace
+
+gs_status gs_pack_rows(const gs_row_table *tables, int32_t table_count, int64_t rows, float *packed, int64_t count,
+                       int32_t threads) {
+    return guarded("gs_pack_rows", [&] {
+        if (const gs_status s = check_packing(tables, table_count, rows, packed, count, threads))
+            return s;
+        gs::pack_rows(tables, table_count, packed, count, threads);
+        return GS_OK;
+    });
+}
+
+gs_status gs_unpack_rows(const gs_row_table *tables, int32_t table_count, int64_t rows, const float *packed,
+                         int64_t count, int32_t threads) {
+    return guarded("gs_unpack_rows", [&] {
+        if (const gs_status s = check_packing(tables, table_count, rows, packed, count, threads))
+            return s;
+        gs::unpack_rows(tables, table_count, packed, count, threads);
         return GS_OK;
     });
 }

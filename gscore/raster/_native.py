@@ -162,6 +162,15 @@ def _declare(lib: ct.CDLL) -> None:
         ct.POINTER(header.LossResultStruct),
         _pointer,
     ]
+    for name in ("gs_pack_rows", "gs_unpack_rows"):
+        getattr(lib, name).argtypes = [
+            ct.POINTER(header.RowTableStruct),
+            ct.c_int32,
+            ct.c_int64,
+            _pointer,
+            ct.c_int64,
+            ct.c_int32,
+        ]
     lib.gs_add_pull.argtypes = [
         ct.c_int64,
         *[_pointer] * 4,
@@ -435,6 +444,34 @@ def add_pull(
             *scale,
             arguments.library_threads(threads),
         )
+    )
+
+
+def pack_rows(
+    tables: Sequence[header.RowTableStruct], rows: int, packed: Array, threads: int
+) -> None:
+    """gs_pack_rows: `packed` is [M, 1 + widths] int32."""
+    raise_status(library().gs_pack_rows(*_packing(tables, rows, packed, threads)))
+
+
+def unpack_rows(
+    tables: Sequence[header.RowTableStruct], rows: int, packed: Array, threads: int
+) -> None:
+    """gs_unpack_rows: `packed` is [M, 1 + widths] int32."""
+    raise_status(library().gs_unpack_rows(*_packing(tables, rows, packed, threads)))
+
+
+def _packing(
+    tables: Sequence[header.RowTableStruct], rows: int, packed: Array, threads: int
+) -> tuple[object, ...]:
+    count, width = len(packed), 1 + sum(table.width for table in tables)
+    return (
+        (header.RowTableStruct * len(tables))(*tables),
+        len(tables),
+        rows,
+        address("packed", packed, (count, width), INT32),
+        count,
+        arguments.library_threads(threads),
     )
 
 

@@ -6,7 +6,7 @@ look at the arrays first.
 
 import ctypes as ct
 
-ABI_VERSION = 4
+ABI_VERSION = 5
 
 OUT_INVERSE_DEPTH, OUT_DEPTH, OUT_MEDIAN_DEPTH, COUNT_USEFUL = 1, 2, 4, 8
 DEPTH_OUTPUTS = {
@@ -170,6 +170,17 @@ class LossResultStruct(ct.Structure):
         ("ssim", ct.c_double),
         ("mse", ct.c_double),
         ("v_log_gain", ct.c_double * 3),
+    )
+
+
+class RowTableStruct(ct.Structure):
+    """gs_row_table"""
+
+    _fields_ = (
+        ("data", _pointer),
+        ("width", ct.c_int32),
+        ("adds", ct.c_int32),
+        ("divisor", ct.c_float),
     )
 
 

@@ -27,8 +27,9 @@ from .host.random import generator_of, uniform
 from .photos.pyramid import AHEAD, Sized
 from .photos.skips import raster_bits
 from .photos.views import Photos, Sampler
-from .ranks import gradients, losses, orders
+from .ranks import losses, orders
 from .ranks.agree import crc_of
+from .ranks.gradients import BatchGradients
 from .ranks.team import Team
 from .rows import bounds, guard
 from .rows.frame import Frame
@@ -176,7 +177,7 @@ class Trainer:
         """All learning rates are multiplied by this."""
         self._skipped = 0
         self._v_rgb = empty(0)
-        self._v_shN = empty(0)
+        self._batch = BatchGradients(team) if team else None
         self.laps = Laps()
         """What the parts of the last step took."""
         cameras = self.frame.similarity.cameras_to_training(photos.scene.cameras)
@@ -376,7 +377,7 @@ class Trainer:
         the splats' places in the picture."""
         moves = self.learnt.pose_rate(self.steps / self.plan.iterations) > 0
         v_means2d = self._painter.gradients(
-            self._into(),
+            self._batch.into(self.model) if self._batch else self.model.grads,
             self._v_rgb,
             loss.v_alpha,
             loss.v_inverse_depth,
@@ -588,16 +589,6 @@ class Trainer:
         size = self.team.size
         return self.sampler.upcoming(AHEAD * size)[self.team.rank :: size]
 
-    def _into(self) -> dict[str, torch.Tensor]:
-        """Where the gradients of this rank's photo go: a team adds them up before they are the
-        model's, where those of shN have gathered."""
-        if self.team is None:
-            return self.model.grads
-        shN = self.model.grads["shN"]
-        if self._v_shN.shape != shN.shape:
-            self._v_shN = empty(*shN.shape)
-        return self.model.grads | {"shN": self._v_shN.zero_()}
-
     @property
     def _mark(self) -> float:
         """A number of the splats, where a team compares them: as often as they are held."""
@@ -666,14 +657,14 @@ class Trainer:
     ) -> tuple[Change, int]:
         """Step with the model's gradients; what changed, and how many rows were left out."""
         model, radii = self.model, self._painter.radii
-        counters = gradients.counters_of(model) if self.team else model.rows
+        counters = self._batch.counters(model) if self._batch else model.rows
         drawn = DrawnView(
             step=step, radii=radii, v_means2d=v_means2d, width=view.width, height=view.height
         )
         self.strategy.observe(counters, drawn)
-        if self.team:
-            radii = gradients.add_up(
-                self.team, model, radii=radii, v_shN=self._v_shN, counters=counters, photos=count
+        if self._batch:
+            radii = self._batch.add_up(
+                model, radii=radii, counters=counters, photos=count, threads=self.config.threads
             )
         self.strategy.shape_gradients(model)
         means_lr = self.rate_factor * self.plan.means_lr_at(step) * math.sqrt(count)

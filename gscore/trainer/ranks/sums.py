@@ -5,41 +5,55 @@ that of rank 0, so that the same ranks give the same bits, and gives the sum to 
 rank has are not sent.
 """
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
 from ...raster.memory import zeros
+from ...raster.packing import Table, pack_rows, unpack_rows, widths_of
+from .room import Room
 from .team import Team
 
 
-def sum_rows(team: Team, rows: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
-    """Add up rows of a large table of which every rank has some.
+class RowSums:
+    """Adds up rows of large tables of which every rank has some; keeps its memory between calls."""
 
-    Args:
-        team: All take part.
-        rows: [M] int64, ascending: which rows this rank has.
-        values: [M, K] float32.
+    def __init__(self, team: Team) -> None:
+        self._team = team
+        self._mine, self._given, self._sums, self._own, self._all = (Room() for _ in range(5))
 
-    Returns:
-        Rows that some rank has, [R] int64, and their sums, [R, K] float32; equal on all ranks.
-    """
-    size = team.size
-    packed = torch.cat([rows.to(torch.int32)[:, None], values.view(torch.int32)], dim=1)
-    owner = rows % size
-    given = team.swap([packed[owner == rank] for rank in range(size)])
-    places = [part[:, 0].to(torch.int64) // size for part in given]
-    count = max((int(at[-1]) + 1 for at in places if len(at)), default=0)
-    sums = zeros(count, values.shape[1])
-    had = zeros(count, dtype=torch.bool)
-    for at, part in zip(places, given, strict=True):
-        sums[at] += _floats(part)
-        had[at] = True
-    at = had.nonzero().flatten()
-    own = (at * size + team.rank).to(torch.int32)
-    found = team.rows(torch.cat([own[:, None], sums[at].view(torch.int32)], dim=1))
-    table = torch.cat(found)
-    return table[:, 0].to(torch.int64), _floats(table)
+    def __call__(self, rows: Tensor, tables: Sequence[Tensor], *, threads: int = 0) -> list[Tensor]:
+        """Add up with all others.
 
+        Args:
+            rows: [M] int64: which rows this rank has, none twice.
+            tables: [N, ...] float32 each, contiguous: K numbers a row in all.
+            threads: 0: all cores.
 
-def _floats(packed: Tensor) -> Tensor:
-    return packed[:, 1:].contiguous().view(torch.float32)
+        Returns:
+            Rows that some rank has and their sums, [R, 1 + K] int32, as
+            `raster.packing.unpack_rows` takes them: one piece of each rank, which have no row in
+            common. Equal on all ranks, and good until the next call.
+        """
+        team, size = self._team, self._team.size
+        width = 1 + widths_of(tables)
+        owner = rows % size
+        mine = [rows[owner == rank] for rank in range(size)]
+        packed = self._mine.of(len(rows), width)
+        pack_rows([Table(t) for t in tables], torch.cat(mine), packed, threads=threads)
+        given = team.swap(packed, [len(part) for part in mine], self._given)
+        places = [part[:, 0] // size for part in given]
+        # Rows need not ascend: the largest may stand anywhere.
+        count = max((int(at.max()) + 1 for at in places if len(at)), default=0)
+        sums = self._sums.of(count, width - 1).view(torch.float32).zero_()
+        had = zeros(count, dtype=torch.bool)
+        for at, part in zip(places, given, strict=True):
+            part[:, 0] = at
+            unpack_rows([Table(sums, adds=True)], part, threads=threads)
+            had[at.to(torch.int64)] = True
+        at = had.nonzero().flatten()
+        own = self._own.of(len(at), width)
+        pack_rows([Table(sums)], at, own, threads=threads)
+        own[:, 0] = at * size + team.rank
+        return team.rows(own, self._all)

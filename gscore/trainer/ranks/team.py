@@ -22,6 +22,7 @@ from ...errors import ConfigError, GsError
 from ...json_text import parse_json
 from ...raster.memory import empty
 from . import orders
+from .room import Room
 
 _PATIENCE = timedelta(days=7)
 """Rank 0 may be paused, or measure, while the others wait."""
@@ -185,28 +186,30 @@ class Team:
 
     def texts(self, mine: str) -> list[str]:
         """The text of each rank."""
-        data = torch.frombuffer(bytearray(mine.encode() or b" "), dtype=torch.uint8)
-        return [bytes(part.numpy()).decode() for part in self.rows(data[:, None])]
+        letters = torch.tensor(list(mine.encode()), dtype=torch.int32, device="cpu")
+        return [bytes(part.flatten().tolist()).decode() for part in self.rows(letters[:, None], Room())]
 
-    def rows(self, mine: Tensor) -> list[Tensor]:
-        """The rows of each rank: `mine` is [M, K], M may differ; copies on every rank."""
+    def rows(self, mine: Tensor, room: Room) -> list[Tensor]:
+        """The rows of each rank: `mine` is [M, K] int32, M may differ; in `room` on every rank."""
         counts = [int(count) for count in self.numbers([len(mine)])[:, 0]]
-        padded = empty(max(counts), mine.shape[1], dtype=mine.dtype)
+        most, width = max(counts), mine.shape[1]
+        words = room.of((self.size + 1) * most, width)
+        padded, found = words[:most], words[most:]
         padded[: len(mine)] = mine
         padded[len(mine) :] = 0
         self.sent += padded.numel() * padded.element_size() * (self.size - 1)
-        found = self._all(padded)
-        return [part[:count] for part, count in zip(found, counts, strict=True)]
+        parts = list(found.split(most)) if most else [found] * self.size
+        if most:
+            self._together(lambda: self._dist.all_gather(parts, padded))
+        return [part[:count] for part, count in zip(parts, counts, strict=True)]
 
-    def swap(self, parts: Sequence[Tensor]) -> list[Tensor]:
-        """Give rank r the rows `parts[r]`, [M_r, K]; what each rank gave to this one."""
-        counts = self.numbers([len(part) for part in parts])[:, self.rank].astype(int).tolist()
-        mine = torch.cat(list(parts))
-        found = empty(sum(counts), mine.shape[1], dtype=mine.dtype)
-        sizes = [len(part) for part in parts]
-        kept = sizes[self.rank]
-        self.sent += (len(mine) - kept) * mine.shape[1] * mine.element_size()
-        self._together(lambda: self._dist.all_to_all_single(found, mine, counts, sizes))
+    def swap(self, mine: Tensor, sizes: Sequence[int], room: Room) -> list[Tensor]:
+        """Give rank r its `sizes[r]` rows of `mine`, [M, K] int32, those of rank 0 first; what each
+        rank gave to this one, in `room`."""
+        counts = self.numbers(sizes)[:, self.rank].astype(int).tolist()
+        found = room.of(sum(counts), mine.shape[1])
+        self.sent += (len(mine) - sizes[self.rank]) * mine.shape[1] * mine.element_size()
+        self._together(lambda: self._dist.all_to_all_single(found, mine, counts, list(sizes)))
         return list(found.split(counts))
 
     def share(self, tensors: Mapping[str, Tensor] | None) -> dict[str, Tensor]:

@@ -1,0 +1,73 @@
+"""Rows of several tables side by side in one, natively on torch tensors: what goes to others."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from torch import Tensor
+
+from . import _native, header
+from .buffers import address
+
+
+class Table(NamedTuple):
+    """Numbers of N rows, and what `unpack_rows` does with new ones."""
+
+    data: Tensor
+    """[N, ...] float32, contiguous, CPU."""
+    adds: bool = False
+    """New numbers are added to those that are there; else they replace them."""
+    divisor: float = 1.0
+    """New numbers are divided by this first."""
+
+
+def widths_of(tables: Sequence[Tensor]) -> int:
+    """Numbers that a row of all tables has."""
+    return sum(map(_width, tables))
+
+
+def pack_rows(tables: Sequence[Table], rows: Tensor, packed: Tensor, *, threads: int = 0) -> None:
+    """Copy rows of all tables.
+
+    Args:
+        tables: Of the same N rows each, at least one.
+        rows: [M] integers, 0 to N - 1, none twice.
+        packed: [M, 1 + K] int32, contiguous, gets the number of the row, then the bits of its K
+            numbers, table by table.
+        threads: 0: all cores.
+
+    Raises:
+        ShapeError: a tensor has another dtype or layout than it should, or a row is out of range.
+    """
+    structs, count = _structs(tables)
+    packed[:, 0] = rows
+    _native.pack_rows(structs, count, packed, threads)
+
+
+def unpack_rows(tables: Sequence[Table], packed: Tensor, *, threads: int = 0) -> None:
+    """Put what `pack_rows` made into tables of the same widths.
+
+    Args:
+        tables: As there, changed in place.
+        packed: [M, 1 + K] int32, contiguous; no row twice.
+        threads: 0: all cores; results do not depend on it.
+
+    Raises:
+        ShapeError: a tensor has another dtype or layout than it should, or a row is out of range;
+            nothing was changed.
+    """
+    structs, count = _structs(tables)
+    _native.unpack_rows(structs, count, packed, threads)
+
+
+def _structs(tables: Sequence[Table]) -> tuple[list[header.RowTableStruct], int]:
+    count = len(tables[0].data)
+    structs = []
+    for data, adds, divisor in tables:
+        place = address("table", data, (count, *data.shape[1:]))
+        structs.append(header.RowTableStruct(place, _width(data), adds, divisor))
+    return structs, count
+
+
+def _width(data: Tensor) -> int:
+    return math.prod(data.shape[1:])
