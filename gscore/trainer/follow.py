@@ -72,6 +72,9 @@ def _obey(team: Team, trainer: Trainer) -> bool:
         order = team.hear()
         if order["do"] == orders.END:
             return not order["failed"]
+        if order["do"] == orders.COLLECT:
+            trainer.collect()
+            continue
         if order["do"] == orders.RESTORE:
             trainer.release()
             trainer.restore(order["state"], team.share(None))

@@ -349,6 +349,7 @@ class Session:
             "watchdog": self._watchdog.state(),
             "stereo": self._stereo.added > 0,
         }
+        self._trainer.collect()
         checkpoint.save(path, self._trainer, state)
         return path
 
@@ -376,6 +377,7 @@ class Session:
     def _finish(self) -> TrainResult:
         trainer, reason = self._trainer, self._steering.reason
         if trainer.team:
+            trainer.collect()
             trainer.team.part()
         finished, reason = bool(reason), reason or self._control.stop_reason
         self._answer()  # a snapshot asked for just before the stop

@@ -29,7 +29,7 @@ from .photos.skips import raster_bits
 from .photos.views import Photos, Sampler
 from .ranks import losses, orders
 from .ranks.agree import crc_of
-from .ranks.gradients import BatchGradients
+from .ranks.gradients import BatchGradients, gathered_of
 from .ranks.team import Team
 from .rows import bounds, guard
 from .rows.frame import Frame
@@ -274,6 +274,7 @@ class Trainer:
                 )
             except DatasetError:
                 self.sampler.put_back(count)
+                self._collect_now()
                 raise
         value, mse = sum(values) / count, sum(errors) / count
         self.steps = step
@@ -314,6 +315,7 @@ class Trainer:
             self.sampler.put_back(count)
             if self.team:
                 losses.fail(self.team, error)
+                self._collect_now()
             raise
         return _Turn(
             indices=indices,
@@ -377,7 +379,7 @@ class Trainer:
         the splats' places in the picture."""
         moves = self.learnt.pose_rate(self.steps / self.plan.iterations) > 0
         v_means2d = self._painter.gradients(
-            self._batch.into(self.model) if self._batch else self.model.grads,
+            self._batch.into(self.model, len(turn.indices)) if self._batch else self.model.grads,
             self._v_rgb,
             loss.v_alpha,
             loss.v_inverse_depth,
@@ -446,13 +448,27 @@ class Trainer:
             "factor": self._factor if math.isfinite(self._factor) else None,
         } | self.removal.state()
 
+    def collect(self) -> None:
+        """Bring what other ranks know alone to rank 0, which calls for it."""
+        if self._batch and not self._batch.complete:
+            assert self.team is not None
+            self.team.say(orders.collect())
+            self._batch.collect(self.model)
+
+    def _collect_now(self) -> None:
+        """As `collect`, where all ranks are about to end for the same error."""
+        if self._batch and not self._batch.complete:
+            self._batch.collect(self.model)
+
     def tensors(self) -> dict[str, torch.Tensor]:
-        """All tensors that the next step depends on, by name; no copies."""
+        """All tensors that the next step depends on, by name; no copies. Of a team, those of this
+        rank; after `collect` rank 0 has all."""
         out = {"generator": self.generator.get_state()}
         for name, p in self.model.params.items():
             moment1, moment2 = self.model.moments(name)
             out |= {f"param/{name}": p, f"m1/{name}": moment1, f"m2/{name}": moment2}
         out |= {"gathered/shN": self.model.grads["shN"], "drift": self.model.drift}
+        out |= self._batch.tensors() if self._batch else {}
         out |= self.learnt.tensors()
         return out | {f"row/{name}": counter for name, counter in self.model.rows.items()}
 
@@ -476,15 +492,19 @@ class Trainer:
         factor = state.get("factor")
         self._factor = math.inf if factor is None else real("factor", factor, low=1)
         names = list(self.model.params)
+        rank, size = (self.team.rank, self.team.size) if self.team else (0, 1)
+        gathered = gathered_of(tensors, rank, size)
         moments = {
             name: Moments(
                 tensors[f"m1/{name}"],
                 tensors[f"m2/{name}"],
                 whole(f"adam_steps of {name}", state["adam_steps"][name]),
-                tensors.get(f"gathered/{name}"),
+                gathered if name == "shN" else None,
             )
             for name in names
         }
+        if self._batch:
+            self._batch.forget()
         self._painter.release()
         self.sight.model = Model({name: tensors[f"param/{name}"] for name in names}, moments)
         rows = {key.removeprefix("row/"): t for key, t in tensors.items() if key[:4] == "row/"}
@@ -670,9 +690,10 @@ class Trainer:
         means_lr = self.rate_factor * self.plan.means_lr_at(step) * math.sqrt(count)
         model.set_rates(self._rates_at(step, count) | {"means": means_lr})
         shown = None if Skip.UNSEEN_SH in self.config.without else radii
-        bad_rows = model.step(
-            shown, shN=self._rest_at(step, count), photos=count, threads=self.config.threads
-        )
+        rest = self._rest_at(step, count)
+        if self._batch:
+            self._batch.add_up_rest(model, shown, rest, threads=self.config.threads)
+        bad_rows = model.step(shown, shN=rest, photos=count, threads=self.config.threads)
         if self.plan.refines_at(step):
             self._painter.release()
         removed = self.removal.clear(model, self.plan, step)

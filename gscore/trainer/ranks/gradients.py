@@ -1,31 +1,41 @@
 """The gradients and counts of a batch: each rank has those of one photo, all get the mean."""
 
+import itertools
+from collections.abc import Mapping
+
 import torch
 from torch import Tensor
 
-from ...raster.memory import empty, zeros
+from ...raster.memory import zeros
 from ...raster.packing import Table, unpack_rows
 from ...splats import PARAMETERS
-from ..rows.model import Model
+from ..rows.model import Model, ShN
 from .sums import RowSums
 from .team import Team
 
+_GATHERED = "gathered/shN"
+
 
 class BatchGradients:
-    """Takes the gradients of this rank's photo, and makes those of the batch of them."""
+    """Makes the gradients of a batch of those of each rank's photo.
+
+    Those of the higher SH coefficients, three quarters of all numbers, gather on each rank, and are
+    added up only for a step of theirs. So the ranks' models differ in what has gathered.
+    """
 
     def __init__(self, team: Team) -> None:
         self._team = team
         self._sums = RowSums(team)
-        self._v_shN = empty(0)
+        self._apart = True
+        """Whether something may have gathered that the others do not know of."""
+        self._others: list[Tensor] = []
 
-    def into(self, model: Model) -> dict[str, Tensor]:
-        """Where the gradients of this rank's photo go, as `model.grads`: those of shN beside the
-        model's, where they have gathered over the steps before."""
-        shN = model.grads["shN"]
-        if self._v_shN.shape != shN.shape:
-            self._v_shN = empty(*shN.shape)
-        return model.grads | {"shN": self._v_shN.zero_()}
+    def into(self, model: Model, photos: int) -> dict[str, Tensor]:
+        """Where the gradients of this rank's photo go, as `model.grads`. A rank that looks at
+        another's photo, since there are fewer `photos` than ranks, keeps nothing of it."""
+        if self._team.rank < photos:
+            return model.grads
+        return model.grads | {"shN": torch.zeros_like(model.grads["shN"])}
 
     @staticmethod
     def counters(model: Model) -> dict[str, Tensor]:
@@ -42,12 +52,12 @@ class BatchGradients:
         photos: int,
         threads: int,
     ) -> Tensor:
-        """Put the mean gradient of all photos into `model.grads`, and add all counts to
-        `model.rows`.
+        """Put the mean gradient of all photos into `model.grads`, but for those of shN, and add all
+        counts to `model.rows`.
 
         Args:
-            model: Its gradients, but for those of shN, and what lies in `into`, are those of this
-                rank's photo. Ranks from `photos` on have nothing to add.
+            model: Its gradients are those of this rank's photo. Ranks from `photos` on have nothing
+                to add.
             radii: [N] int32, above 0 where this rank's photo showed a splat.
             counters: What the strategy counted in this rank's photo.
             photos: How many there are in this batch.
@@ -61,16 +71,68 @@ class BatchGradients:
         rows = (radii > 0).nonzero().flatten()
         if self._team.rank >= photos:
             rows = rows[:0]
-        grads = {name: model.grads[name] for name in PARAMETERS}
-        mine = (grads | {"shN": self._v_shN} | counters).values()
-        found = self._sums(rows, [part for part in mine if part.numel()], threads=threads)
-        for name, grad in grads.items():
-            if name != "shN":
-                grad.zero_()
-        sums = [Table(grad, name == "shN", photos) for name, grad in grads.items()]
+        grads = {name: model.grads[name] for name in PARAMETERS if name != "shN"}
+        found = self._sums(rows, [*grads.values(), *counters.values()], threads=threads)
+        for grad in grads.values():
+            grad.zero_()
+        sums = [Table(grad, divisor=photos) for grad in grads.values()]
         sums += [Table(model.rows[name], adds=True) for name in counters]
         shown = zeros(len(model), dtype=torch.int32)
         for part in found:
-            unpack_rows([sum_ for sum_ in sums if sum_.data.numel()], part, threads=threads)
+            unpack_rows(sums, part, threads=threads)
             shown[part[:, 0].to(torch.int64)] = 1
         return shown
+
+    def add_up_rest(self, model: Model, shown: Tensor | None, does: ShN, *, threads: int) -> None:
+        """Put into `model.grads` what has gathered for shN on all ranks, if these take a step.
+
+        Args:
+            model: Of this rank.
+            shown: [N] int32, above 0 where a photo of this batch showed a splat; None: everywhere.
+            does: What they do in this step.
+            threads: 0: all cores.
+        """
+        self._others = []
+        grad = model.grads["shN"]
+        if grad.numel() == 0 or does is not ShN.STEP:
+            self._apart = True
+            return
+        found = self._sums(model.gathered_rows(shown), [grad], threads=threads)
+        for part in found:
+            unpack_rows([Table(grad)], part, threads=threads)
+        self._apart = False
+
+    @property
+    def complete(self) -> bool:
+        """Whether rank 0 has all that `tensors` needs."""
+        return not self._apart or bool(self._others)
+
+    def collect(self, model: Model) -> None:
+        """Bring what has gathered to rank 0; all ranks call this where it is not complete."""
+        self._others = self._team.to_first(model.grads["shN"])
+
+    def forget(self) -> None:
+        """Another model takes the place of the one that this was for."""
+        self._apart, self._others = True, []
+
+    def tensors(self) -> dict[str, Tensor]:
+        """What has gathered on the other ranks, by the name that `gathered_of` looks for."""
+        return {f"{_GATHERED}/{rank}": part for rank, part in enumerate(self._others, 1)}
+
+
+def gathered_of(tensors: Mapping[str, Tensor], rank: int, size: int) -> Tensor | None:
+    """What one of `size` ranks has gathered of the gradient of shN, of the tensors of a checkpoint;
+    None: nothing. With as many ranks as wrote that, each gets its own; else the first gets all."""
+    if _GATHERED not in tensors:
+        return None
+    names = itertools.takewhile(
+        tensors.__contains__, (f"{_GATHERED}/{k}" for k in itertools.count(1))
+    )
+    parts = [tensors[_GATHERED], *(tensors[name] for name in names)]
+    if len(parts) == size:
+        return parts[rank]
+    if rank:
+        return torch.zeros_like(parts[0])
+    for part in parts[1:]:
+        parts[0] += part
+    return parts[0]

@@ -3,6 +3,7 @@
 from typing import Any
 
 BEGIN, STEP, RESTORE, END = "begin", "step", "restore", "end"
+COLLECT = "collect"
 
 
 def begin(facts: dict[str, Any], config: dict[str, Any], data: dict[str, Any]) -> dict[str, Any]:
@@ -18,6 +19,11 @@ def take_step(iterations: int, rate_factor: float) -> dict[str, Any]:
 def restore(state: dict[str, Any]) -> dict[str, Any]:
     """Go on from the state of a trainer, whose tensors follow."""
     return {"do": RESTORE, "state": state}
+
+
+def collect() -> dict[str, Any]:
+    """Give rank 0 what it needs for a checkpoint."""
+    return {"do": COLLECT}
 
 
 def end(*, failed: bool) -> dict[str, Any]:

@@ -187,7 +187,9 @@ class Team:
     def texts(self, mine: str) -> list[str]:
         """The text of each rank."""
         letters = torch.tensor(list(mine.encode()), dtype=torch.int32, device="cpu")
-        return [bytes(part.flatten().tolist()).decode() for part in self.rows(letters[:, None], Room())]
+        return [
+            bytes(part.flatten().tolist()).decode() for part in self.rows(letters[:, None], Room())
+        ]
 
     def rows(self, mine: Tensor, room: Room) -> list[Tensor]:
         """The rows of each rank: `mine` is [M, K] int32, M may differ; in `room` on every rank."""
@@ -211,6 +213,13 @@ class Team:
         self.sent += (len(mine) - sizes[self.rank]) * mine.shape[1] * mine.element_size()
         self._together(lambda: self._dist.all_to_all_single(found, mine, counts, list(sizes)))
         return list(found.split(counts))
+
+    def to_first(self, mine: Tensor) -> list[Tensor]:
+        """On rank 0 the tensors of the others, as large as its own; on these, nothing."""
+        found = [torch.empty_like(mine) for _ in range(self.size)] if self.leads else None
+        if mine.numel():
+            self._together(lambda: self._dist.gather(mine.contiguous(), found, dst=0))
+        return found[1:] if found else []
 
     def share(self, tensors: Mapping[str, Tensor] | None) -> dict[str, Tensor]:
         """The tensors of rank 0 by name; the others give None."""

@@ -75,8 +75,9 @@ def check_tensors(tensors: Mapping[str, torch.Tensor], like: Model) -> None:
         expected = tensors[f"param/{name}"]
         _same(f"m1/{name}", tensors[f"m1/{name}"], expected.shape, expected.dtype)
         _same(f"m2/{name}", tensors[f"m2/{name}"], expected.shape, expected.dtype)
-    if "gathered/shN" in tensors:
-        _same("gathered/shN", tensors["gathered/shN"], tensors["param/shN"].shape, torch.float32)
+    for key in tensors:
+        if key.startswith("gathered/"):
+            _same(key, tensors[key], tensors["param/shN"].shape, torch.float32)
     _same("drift", tensors["drift"], like.drift.shape, like.drift.dtype)
     for name, counter in like.rows.items():
         _same(f"row/{name}", tensors[f"row/{name}"], (len(splats),), counter.dtype)

@@ -38,7 +38,8 @@ def alone(index: int) -> dict[str, torch.Tensor]:
 
 
 def main() -> int:
-    """0: the mean of the gradients of each photo, and the sum of the counts, to the bit."""
+    """0: the mean of the gradients of each photo, and the sum of the counts and of the gradients of
+    shN, which gather over many photos, to the bit."""
     torch.set_num_threads(1)
     with Team() as team:
         trainer = Trainer(CONFIG, toy_photos(), team=team)
@@ -50,7 +51,7 @@ def main() -> int:
         first, second = (alone(index) for index in trainer.sampler.order[:2])
         for name, found in together.items():
             added = first[name] + second[name]
-            expected = added if name in ("pull", "seen") else added / 2
+            expected = added if name in ("pull", "seen", "shN") else added / 2
             assert torch.equal(found, expected), name
             assert (found != first[name]).any(), name
     return 0

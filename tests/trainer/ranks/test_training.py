@@ -16,6 +16,7 @@ import pytest
 from gscore.io.ply.splats import read_ply
 from gscore.io.runs import AGENT
 from gscore.trainer.files import checkpoint
+from gscore.trainer.ranks.gradients import gathered_of
 
 from .processes import rank_of, wait_for
 from .started import PATIENCE, ROOT, Ended, start
@@ -49,6 +50,27 @@ def test_the_same_ranks_give_the_same_bits_and_rank_0_alone_writes(
     assert not (tmp_path / "a" / AGENT).exists()
     (last,) = (tmp_path / "a" / "checkpoints").iterdir()
     assert checkpoint.load(last).steps == 60
+
+
+def test_what_each_rank_has_gathered_is_in_a_checkpoint(capture: Path, tmp_path: Path) -> None:
+    """Oracle: the PLY of the run that went on, to the bit, where the checkpoint lies between two
+    steps of the higher coefficients; the sum for another number of ranks, in numpy."""
+    line = ("--shN-every", "7", "--checkpoint-iterations", "38")
+    assert_fine(train(capture, tmp_path / "a", *line))
+    kept = tmp_path / "a" / "checkpoints" / "step_00000038.safetensors"
+    assert_fine(train(capture, tmp_path / "b", *line, "--start-checkpoint", str(kept)))
+    files = [(tmp_path / name / "point_cloud.ply").read_bytes() for name in ("a", "b")]
+    assert files[0] == files[1]
+    first, second = (
+        checkpoint.load(kept).tensors[f"gathered/shN{of}"].numpy() for of in ("", "/1")
+    )
+    assert first.any()
+    assert second.any()
+    alone, rest = (gathered_of(checkpoint.load(kept).tensors, rank, 3) for rank in (0, 2))
+    assert alone is not None
+    assert rest is not None
+    assert (alone.numpy() == first + second).all()
+    assert not rest.any()
 
 
 @pytest.mark.slow
