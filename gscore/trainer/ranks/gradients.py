@@ -75,7 +75,7 @@ class BatchGradients:
         found = self._sums(rows, [*grads.values(), *counters.values()], threads=threads)
         for grad in grads.values():
             grad.zero_()
-        sums = [Table(grad, divisor=photos) for grad in grads.values()]
+        sums = [Table(grad, adds=True, divisor=photos) for grad in grads.values()]
         sums += [Table(model.rows[name], adds=True) for name in counters]
         shown = zeros(len(model), dtype=torch.int32)
         for part in found:
@@ -98,8 +98,9 @@ class BatchGradients:
             self._apart = True
             return
         found = self._sums(model.gathered_rows(shown), [grad], threads=threads)
+        grad.zero_()
         for part in found:
-            unpack_rows([Table(grad)], part, threads=threads)
+            unpack_rows([Table(grad, adds=True)], part, threads=threads)
         self._apart = False
 
     @property

@@ -1,8 +1,8 @@
 """Sums over ranks of rows that few of them have, in the order of the ranks.
 
 Row i belongs to rank i modulo the number of ranks: it adds up what the ranks found for it, first
-that of rank 0, so that the same ranks give the same bits, and gives the sum to all. Rows that no
-rank has are not sent.
+that of rank 0, so that the same ranks give the same bits, and gives the sum to all. Two ranks just
+give each other all they have, which is no more. Rows that no rank has are not sent.
 """
 
 from collections.abc import Sequence
@@ -32,12 +32,16 @@ class RowSums:
             threads: 0: all cores.
 
         Returns:
-            Rows that some rank has and their sums, [R, 1 + K] int32, as
-            `raster.packing.unpack_rows` takes them: one piece of each rank, which have no row in
-            common. Equal on all ranks, and good until the next call.
+            Pieces, [R, 1 + K] int32, of rows that some rank has, as `raster.packing.unpack_rows`
+            takes them: added up one after the other they are the sums. Equal on all ranks, and good
+            until the next call.
         """
         team, size = self._team, self._team.size
         width = 1 + widths_of(tables)
+        if size == 2:
+            packed = self._mine.of(len(rows), width)
+            pack_rows([Table(t) for t in tables], rows, packed, threads=threads)
+            return team.rows(packed, self._given)
         owner = rows % size
         mine = [rows[owner == rank] for rank in range(size)]
         packed = self._mine.of(len(rows), width)

@@ -192,18 +192,12 @@ class Team:
         ]
 
     def rows(self, mine: Tensor, room: Room) -> list[Tensor]:
-        """The rows of each rank: `mine` is [M, K] int32, M may differ; in `room` on every rank."""
-        counts = [int(count) for count in self.numbers([len(mine)])[:, 0]]
-        most, width = max(counts), mine.shape[1]
-        words = room.of((self.size + 1) * most, width)
-        padded, found = words[:most], words[most:]
-        padded[: len(mine)] = mine
-        padded[len(mine) :] = 0
-        self.sent += padded.numel() * padded.element_size() * (self.size - 1)
-        parts = list(found.split(most)) if most else [found] * self.size
-        if most:
-            self._together(lambda: self._dist.all_gather(parts, padded))
-        return [part[:count] for part, count in zip(parts, counts, strict=True)]
+        """The rows of each rank: `mine` is [M, K] int32, M may differ. Those of others lie in
+        `room`."""
+        others = [0 if rank == self.rank else 1 for rank in range(self.size)]
+        copies = mine if self.size == 2 else mine.repeat(self.size - 1, 1)
+        found = self.swap(copies, [len(mine) * other for other in others], room)
+        return [part if other else mine for part, other in zip(found, others, strict=True)]
 
     def swap(self, mine: Tensor, sizes: Sequence[int], room: Room) -> list[Tensor]:
         """Give rank r its `sizes[r]` rows of `mine`, [M, K] int32, those of rank 0 first; what each

@@ -2,15 +2,18 @@
 
 from pathlib import Path
 
+import pytest
+
 from .started import start
 
 HERE = "tests.trainer.ranks"
 
 
-def test_rows_add_up_in_the_order_of_the_ranks() -> None:
-    """Oracle: float32 sums in a loop over three ranks, to the bit."""
+@pytest.mark.parametrize("ranks", [2, 3])
+def test_rows_add_up_in_the_order_of_the_ranks(ranks: int) -> None:
+    """Oracle: float32 sums in a loop over the ranks, to the bit."""
     assert Path(__file__).with_name("sums_together.py").is_file()
-    for ended in start(*[["-m", f"{HERE}.sums_together"]] * 3):
+    for ended in start(*[["-m", f"{HERE}.sums_together"]] * ranks):
         assert ended.code == 0, ended.err
 
 
