@@ -1,4 +1,4 @@
-// gs_add_pull and gs_exp2 on any bits: nothing is written beyond the arrays, and what is written is what was promised.
+// gs_add_pull, gs_exp2, gs_pack_rows and gs_unpack_rows on any bits: nothing is written beyond the arrays, and what is written is what was promised.
 #include "scene.h"
 
 using fuzz::Bytes;
@@ -72,6 +72,49 @@ void powers(size_t n, Bytes &in, Noise &noise) {
     REQUIRE(gs_exp2(nullptr, y.data(), 1) == GS_BAD_ARGUMENT && gs_exp2(x.data(), y.data(), -1) == GS_BAD_ARGUMENT);
 }
 
+// Rows of two tables, any bits in them, to packed rows and back; then with numbers of rows of which some are none.
+void packing(size_t n, Bytes &in, Noise &noise) {
+    const int32_t widths[2] = {1 + in.byte() % 5, 1 + in.byte() % 48};
+    const size_t across = size_t(1 + widths[0] + widths[1]);
+    std::vector<float> tables[2];
+    Output there[2] = {Output(n * size_t(widths[0])), Output(n * size_t(widths[1]))};
+    for (int k = 0; k < 2; ++k) {
+        tables[k] = numbers(n * size_t(widths[k]), in, noise);
+        std::fill_n(there[k].data(), n * size_t(widths[k]), 3.0f);
+    }
+    std::vector<int32_t> rows; // each with even odds, none twice
+    for (size_t i = 0; i < n; ++i)
+        if (noise(0, 1) > 0.5f)
+            rows.push_back(int32_t(i));
+    Output packed(rows.size() * across);
+    for (size_t i = 0; i < rows.size(); ++i)
+        std::memcpy(packed.data() + i * across, &rows[i], sizeof(int32_t));
+    const bool adds = in.byte() % 2;
+    const gs_row_table from[2] = {{tables[0].data(), widths[0], 0, 1.0f}, {tables[1].data(), widths[1], 0, 1.0f}};
+    const gs_row_table to[2] = {{there[0].data(), widths[0], adds, 2.0f}, {there[1].data(), widths[1], 0, 1.0f}};
+    REQUIRE(gs_pack_rows(from, 2, int64_t(n), packed.data(), int64_t(rows.size()), 1 + in.byte() % 3) == GS_OK);
+    REQUIRE(packed.guards_hold());
+    REQUIRE(gs_unpack_rows(to, 2, int64_t(n), packed.data(), int64_t(rows.size()), 1 + in.byte() % 3) == GS_OK);
+    REQUIRE(there[0].guards_hold() && there[1].guards_hold());
+    std::vector<bool> moved(n, false);
+    for (const int32_t row : rows)
+        moved[size_t(row)] = true;
+    for (size_t i = 0; i < n; ++i)
+        for (int k = 0; k < 2; ++k)
+            for (size_t j = i * size_t(widths[k]); j < (i + 1) * size_t(widths[k]); ++j) {
+                const float halved = flush(flush(tables[k][j]) / 2) + (adds ? 3.0f : 0.0f);
+                const float wanted = !moved[i] ? 3.0f : k ? tables[k][j] : halved;
+                REQUIRE(same(flush(there[size_t(k)][j]), flush(wanted)));
+            }
+    if (rows.empty())
+        return;
+    const int32_t bad = in.byte() % 2 ? -1 - int32_t(in.byte()) : int32_t(n + in.word() % 1000);
+    std::memcpy(packed.data() + in.byte() % rows.size() * across, &bad, sizeof bad);
+    REQUIRE(gs_pack_rows(from, 2, int64_t(n), packed.data(), int64_t(rows.size()), 0) == GS_BAD_ARGUMENT);
+    REQUIRE(gs_unpack_rows(to, 2, int64_t(n), packed.data(), int64_t(rows.size()), 0) == GS_BAD_ARGUMENT);
+    REQUIRE(std::strlen(gs_last_error()) > 0 && there[0].guards_hold() && packed.guards_hold());
+}
+
 } // namespace
 
 extern "C" int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
@@ -81,5 +124,7 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     const uint8_t few = in.byte();
     pull(few < 250 ? few : 8190 + (few - 250), in, noise); // about a chunk of the library
     powers(in.byte(), in, noise);
+    const uint8_t some = in.byte();
+    packing(some < 250 ? some : 4090 + 4 * (some - 250), in, noise); // about two chunks
     return 0;
 }

@@ -589,6 +589,25 @@ void adam_names_bad_arguments() {
     CHECK(gs_add_pull(0, nullptr, nullptr, nullptr, nullptr, 1, 1, 0) == GS_OK);
 }
 
+void packing_names_bad_arguments() {
+    float data[6] = {1, 2, 3, 4, 5, 6}, packed[4] = {};
+    gs_row_table table = {data, 3, 0, 1.0f};
+    CHECK(gs_pack_rows(&table, 1, 2, packed, 1, 0) == GS_OK); // row 0: its number has no bits set
+    CHECK(packed[1] == 1 && packed[2] == 2 && packed[3] == 3);
+    CHECK(gs_pack_rows(&table, 1, 0, nullptr, 0, 0) == GS_OK);
+    CHECK(gs_pack_rows(nullptr, 1, 2, packed, 1, 0) == GS_BAD_ARGUMENT);
+    CHECK(gs_pack_rows(&table, 0, 2, packed, 1, 0) == GS_BAD_ARGUMENT);
+    CHECK(gs_pack_rows(&table, 1, 2, packed, 3, 0) == GS_BAD_ARGUMENT); // more rows than there are
+    CHECK(gs_pack_rows(&table, 1, 2, nullptr, 1, 0) == GS_BAD_ARGUMENT);
+    CHECK(gs_pack_rows(&table, 1, 2, packed, 1, -1) == GS_BAD_ARGUMENT);
+    table.divisor = 0;
+    CHECK(gs_unpack_rows(&table, 1, 2, packed, 1, 0) == GS_BAD_ARGUMENT);
+    table = {data, 0, 0, 1.0f};
+    CHECK(gs_unpack_rows(&table, 1, 2, packed, 1, 0) == GS_BAD_ARGUMENT);
+    table = {nullptr, 3, 0, 1.0f};
+    CHECK(gs_unpack_rows(&table, 1, 2, packed, 1, 0) == GS_BAD_ARGUMENT);
+}
+
 } // namespace
 
 int main() {
@@ -610,5 +629,6 @@ int main() {
         gains_have_the_gradient_of_the_exposed_picture();
         adam_skips_rows_for_any_number_of_threads();
         adam_names_bad_arguments();
+        packing_names_bad_arguments();
     });
 }

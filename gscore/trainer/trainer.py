@@ -692,7 +692,7 @@ class Trainer:
         shown = None if Skip.UNSEEN_SH in self.config.without else radii
         rest = self._rest_at(step, count)
         if self._batch:
-            self._batch.add_up_rest(model, shown, rest, threads=self.config.threads)
+            self._batch.add_up_rest(model, rest, threads=self.config.threads)
         bad_rows = model.step(shown, shN=rest, photos=count, threads=self.config.threads)
         if self.plan.refines_at(step):
             self._painter.release()

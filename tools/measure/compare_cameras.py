@@ -4,10 +4,12 @@
 
 Prints a row of the table in docs/sfm.md for each capture: photos with a camera, attempts, points,
 error, places, focal lengths, seconds on the clock and of all cores. With --preset, what held-out
-views gain in PSNR by the cameras found, median and mean over the views of all --seeds.
+views gain in PSNR by the cameras found, median and mean over the views of all --seeds and --offsets
+(of every 8 views, the one at that place is held out).
 """
 
 import argparse
+import itertools
 import resource
 import tempfile
 from dataclasses import replace
@@ -41,19 +43,22 @@ def distances(found: np.ndarray, given: np.ndarray) -> np.ndarray:
     return np.linalg.norm(a - fitted, axis=1) / np.linalg.norm(a, axis=1).max()
 
 
-def psnr_by_view(capture: Path, preset: str, seed: int) -> dict[str, float]:
+def psnr_by_view(capture: Path, preset: str, seed: int, offset: int) -> dict[str, float]:
     """Of the held-out views after a training, dB, by their names."""
     data, config = PRESETS[preset](capture)
+    data = replace(data, eval=True, test_offset=offset)
     with tempfile.TemporaryDirectory() as folder:
-        found = train(replace(config, seed=seed), replace(data, eval=True), Path(folder) / "run")
+        found = train(replace(config, seed=seed), data, Path(folder) / "run")
     return {view["name"]: view["psnr"] for view in found.metrics["views"]}
 
 
-def gains(found: Path, given: Path, preset: str, seeds: int) -> str:
+def gains(found: Path, given: Path, args: argparse.Namespace) -> str:
     """By the cameras found, as the end of a row."""
     off = []
-    for seed in range(seeds):
-        mine, theirs = (psnr_by_view(capture, preset, seed) for capture in (found, given))
+    for seed, offset in itertools.product(range(args.seeds), args.offsets):
+        mine, theirs = (
+            psnr_by_view(capture, args.preset, seed, offset) for capture in (found, given)
+        )
         off += [mine[name] - theirs[name] for name in mine.keys() & theirs.keys()]
     return f" {np.median(off):+.2f}, {np.mean(off):+.2f} dB |"
 
@@ -71,6 +76,7 @@ def main() -> None:
     parser.add_argument("--mapper", choices=MAPPERS, default="auto")
     parser.add_argument("--preset", choices=tuple(PRESETS))
     parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--offsets", type=int, nargs="+", default=[0])
     args = parser.parse_args()
     for source in args.captures:
         with tempfile.TemporaryDirectory() as folder:
@@ -81,7 +87,7 @@ def main() -> None:
             found = find_cameras(request)
             used = cpu_seconds() - before
             there, given = centers(read_model(output)), read_model(source)
-            worth = gains(output, source, args.preset, args.seeds) if args.preset else ""
+            worth = gains(output, source, args) if args.preset else ""
         true = centers(given)
         names = sorted(there.keys() & true.keys())
         off = distances(*(np.array([part[name] for name in names]) for part in (there, true)))

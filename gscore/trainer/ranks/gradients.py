@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Mapping
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -83,12 +84,11 @@ class BatchGradients:
             shown[part[:, 0].to(torch.int64)] = 1
         return shown
 
-    def add_up_rest(self, model: Model, shown: Tensor | None, does: ShN, *, threads: int) -> None:
+    def add_up_rest(self, model: Model, does: ShN, *, threads: int) -> None:
         """Put into `model.grads` what has gathered for shN on all ranks, if these take a step.
 
         Args:
             model: Of this rank.
-            shown: [N] int32, above 0 where a photo of this batch showed a splat; None: everywhere.
             does: What they do in this step.
             threads: 0: all cores.
         """
@@ -97,7 +97,8 @@ class BatchGradients:
         if grad.numel() == 0 or does is not ShN.STEP:
             self._apart = True
             return
-        found = self._sums(model.gathered_rows(shown), [grad], threads=threads)
+        rows = torch.from_numpy(np.flatnonzero(np.any(grad.numpy(), axis=(1, 2))))
+        found = self._sums(rows, [grad], threads=threads)
         grad.zero_()
         for part in found:
             unpack_rows([Table(grad, adds=True)], part, threads=threads)

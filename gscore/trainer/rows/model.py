@@ -164,13 +164,6 @@ class Model:
         self._settled = None
         return adam.step(slots, radii, threads=threads)
 
-    def gathered_rows(self, shown: torch.Tensor | None) -> torch.Tensor:
-        """[M] int64: rows of shN that a gradient has come to since their last step, or comes to in
-        this one: where `shown` [N] is above 0; None: all."""
-        if shown is None:
-            return torch.arange(len(self), dtype=torch.int64, device="cpu")
-        return ((self.rows[_SEEN] > 0) | (shown > 0)).nonzero().flatten()
-
     def settle_for(self, view: Frustum, *, threads: int = 0) -> None:
         """Let the rows that `view` may show make up for the steps they skipped."""
         self._settled = None  # a step follows: nobody looks at them again

@@ -1,0 +1,169 @@
+"""A large capture trained whole and in blocks: python tools/measure/blocks.py RUN -o FOLDER.
+
+RUN is a finished run of a capture whose cameras go around something. What it shows is cut out and
+set up several times in a row; photos are rendered all along it, from where the run's cameras stood.
+That capture is trained whole, and split, trained and merged; the held-out photos judge both.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+import gscore
+from gscore.io.cameras_json import read_cameras_json
+from gscore.io.colmap.folder import write_model
+from gscore.io.colmap.model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
+from gscore.scene import Cameras
+from gscore.sh import sh0_to_rgb
+from gscore.splats import PARAMETERS, Splats
+from gscore.transforms import rotmat_to_quat
+
+JITTER = 0.05
+"""Cameras stand so far from those of the run, in mean distances to what they look at."""
+POINTS = 8000
+"""Of each copy, in the capture."""
+
+
+def focus(cameras: Cameras) -> np.ndarray:
+    """[3]: the place nearest to all lines of sight."""
+    ahead, centers = cameras.viewmats[:, 2, :3], cameras.centers
+    across = np.eye(3) - ahead[:, :, None] * ahead[:, None, :]
+    return np.linalg.solve(across.sum(0), np.einsum("cij,cj->i", across, centers))
+
+
+def along_the_ground(cameras: Cameras) -> np.ndarray:
+    """[2, 3]: two directions at right angles in which the cameras spread most."""
+    centers = cameras.centers - cameras.centers.mean(0)
+    return np.linalg.svd(centers, full_matrices=False)[2][:2]
+
+
+def street(splats: Splats, cameras: Cameras, copies: int) -> tuple[Splats, np.ndarray]:
+    """Copies of what the cameras look at, side by side, and where each was moved, [C, 3]."""
+    middle, axes = focus(cameras), along_the_ground(cameras)
+    reach = 0.8 * np.median(np.linalg.norm(cameras.centers - middle, axis=1))
+    inside = (np.abs((splats.means - middle) @ axes.T) < reach).all(axis=1)
+    inside &= np.linalg.norm(splats.means - middle, axis=1) < 2 * reach
+    piece = {name: getattr(splats, name)[inside] for name in PARAMETERS}
+    moves = 2 * reach * np.arange(copies)[:, None] * axes[0]
+    parts = {name: np.concatenate([rows] * copies) for name, rows in piece.items()}
+    parts["means"] = np.concatenate([piece["means"] + move for move in moves]).astype(np.float32)
+    return Splats(**parts), moves
+
+
+def viewpoints(cameras: Cameras, moves: np.ndarray, count: int, rng: np.random.Generator) -> Any:
+    """[V, 4, 4]: `count` cameras in all, near those of the run, beside each copy in turn."""
+    distance = np.linalg.norm(cameras.centers - focus(cameras), axis=1).mean()
+    found = []
+    for k in range(count):
+        viewmat = cameras.viewmats[(k // len(moves)) % len(cameras)].copy()
+        shift = moves[k % len(moves)] + rng.normal(0, JITTER * distance, 3)
+        viewmat[:3, 3] -= viewmat[:3, :3] @ shift
+        found.append(viewmat)
+    return found
+
+
+def write_capture(run: Path, folder: Path, *, photos: int, copies: int, width: int) -> None:
+    """Render the photos and write them as a COLMAP capture."""
+    rng = np.random.default_rng(0)
+    cameras = read_cameras_json(run / "cameras.json")
+    splats, moves = street(gscore.read_splats(run / "point_cloud.ply"), cameras, copies)
+    scale = width / int(cameras.widths[0])
+    height = round(int(cameras.heights[0]) * scale)
+    K = cameras.Ks[0].copy()
+    K[:2] *= scale
+    K[:2, 2] = width / 2, height / 2
+    (folder / "images").mkdir(parents=True)
+    images = []
+    for k, viewmat in enumerate(viewpoints(cameras, moves, photos, rng)):
+        rgb = gscore.render(splats, K, viewmat, width, height, depths=False).rgb
+        name = f"{k % copies}_{k // copies:04d}.png"
+        Image.fromarray((rgb.clip(0, 1) * 255 + 0.5).astype(np.uint8)).save(
+            folder / "images" / name, compress_level=1
+        )
+        images.append(
+            ColmapImage(
+                id=k + 1,
+                name=name,
+                camera_id=1,
+                qvec=rotmat_to_quat(viewmat[:3, :3]),
+                tvec=viewmat[:3, 3],
+                xys=np.zeros((0, 2)),
+                point3D_ids=np.zeros(0, np.int64),
+            )
+        )
+    solid = np.flatnonzero(splats.opacities > 0)
+    rows = rng.choice(solid, min(POINTS * copies, len(solid)), replace=False)
+    points = ColmapPoints(
+        ids=np.arange(1, len(rows) + 1),
+        xyz=splats.means[rows].astype(np.float64),
+        rgb=(sh0_to_rgb(splats.sh0[rows, 0]).clip(0, 1) * 255).astype(np.uint8),
+        error=np.ones(len(rows)),
+        track_lengths=np.zeros(len(rows), np.int32),
+    )
+    pinhole = [K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
+    camera = ColmapCamera(
+        model="PINHOLE", width=width, height=height, params=np.array(pinhole, np.float64)
+    )
+    (folder / "sparse" / "0").mkdir(parents=True)
+    write_model(ColmapModel(cameras={1: camera}, images=images, points=points), folder / "sparse/0")
+
+
+def verb(*arguments: object) -> dict[str, Any]:
+    """Run gscore; its last line as JSON."""
+    line = [sys.executable, "-m", "gscore", *map(str, arguments), "--json", "--quiet"]
+    return json.loads(subprocess.check_output(line, text=True).splitlines()[-1])
+
+
+def told(name: str, found: dict[str, Any], steps: str, most: float, whole: float) -> None:
+    """A row of the table."""
+    cells = (
+        *(name, steps, f"{found['splats']:,}", f"{found['psnr']:.2f}", f"{found['ssim']:.3f}"),
+        *(f"{most / 1e6:,.0f}", f"{most / whole:.2f}"),
+    )
+    print(f"| {' | '.join(cells)} |", flush=True)
+
+
+def main() -> int:
+    """Write the capture, train it both ways, print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("run", type=Path)
+    parser.add_argument("-o", "--output", type=Path, required=True)
+    parser.add_argument("--photos", type=int, default=600)
+    parser.add_argument("--blocks", type=int, default=4)
+    parser.add_argument("--width", type=int, default=1000)
+    parser.add_argument("--steps", type=int, default=1500, help="of a block")
+    parser.add_argument("--splats", type=int, default=50_000, help="of a block")
+    args = parser.parse_args()
+    capture, blocks = args.output / "capture", args.output / "blocks"
+    write_capture(args.run, capture, photos=args.photos, copies=args.blocks, width=args.width)
+    how = ("--preset", "preview", "-r", 1, "--checkpoint-seconds", 0)
+    steps, cap = args.blocks * args.steps, args.blocks * args.splats
+    given = ("--iterations", steps, "--max-splats", cap, "--steps-a-photo", 0)
+    whole = verb("train", capture, "-o", args.output / "whole", *how, *given, "--eval")
+    verb("split", capture, "-o", blocks, "--blocks", args.blocks)
+    given = ("--iterations", args.steps, "--max-splats", args.splats, "--steps-a-photo", 0)
+    parts = [
+        verb("train", blocks, "-o", args.output / "runs", *how, *given, "--block", k, "--eval")
+        for k in range(args.blocks)
+    ]
+    verb("merge", args.output / "runs", "-o", args.output / "merged.ply")
+    merged = verb(
+        *("eval", args.output / "merged.ply", "-s", capture, "-r", 1, "--hold-out", 8),
+        *("-o", args.output / "measured"),
+    )
+    print("| | steps | splats | PSNR | SSIM | MB at most | of the whole's |\n" + 7 * "|---" + "|")
+    peak = whole["peak_memory_bytes"]
+    told("whole", whole, f"{steps:,}", peak, peak)
+    most = max(part["peak_memory_bytes"] for part in parts)
+    told("merged", merged, f"{args.blocks} x {args.steps:,}", most, peak)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
