@@ -83,3 +83,11 @@ long_name(const char *s = "{") {
 } // namespace a
 """
     assert list(_functions(text)) == [("f", 3, 1), ("g", 4, 6), ("long_name", 14, 6)]
+
+
+def test_limits_of_floats_are_no_macros() -> None:
+    """Oracle: the text. Those of <cfloat> are missing where zig compiles for macOS, which no test
+    here does; std::numeric_limits is there."""
+    macro = re.compile(r"\b(?:FLT|DBL)_[A-Z]+\b")
+    found = [path.name for path in (CSRC / "src").iterdir() if macro.search(path.read_text())]
+    assert found == []

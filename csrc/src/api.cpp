@@ -7,10 +7,10 @@
 #include "stereo.h"
 #include "thread_count.h"
 
-#include <cfloat>
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
+#include <limits>
 #include <new>
 
 namespace {
@@ -200,7 +200,7 @@ gs_status gs_image_loss(gs_raster *raster, const gs_loss_args *args, gs_loss_res
     if (!(args->ssim_weight >= 0 && args->ssim_weight <= 1))
         return fail(GS_BAD_ARGUMENT, "ssim_weight must be 0 to 1, got %g", double(args->ssim_weight));
     for (int c = 0; args->gain && c < 3; ++c)
-        if (!(args->gain[c] > 0 && args->gain[c] <= FLT_MAX))
+        if (!(args->gain[c] > 0 && args->gain[c] <= std::numeric_limits<float>::max()))
             return fail(GS_BAD_ARGUMENT, "gain must be above 0 and finite, got %g", double(args->gain[c]));
     if (const gs_status s = check_threads(args->threads))
         return s;

@@ -9,9 +9,9 @@
 
 namespace {
 
+#if defined(__linux__)
 constexpr size_t kHugePage = size_t(2) << 20;
 
-#if defined(__linux__)
 // What is mapped for a piece of memory.
 size_t mapped_bytes(size_t bytes) {
     constexpr size_t page = size_t(64) << 10; // of any system
