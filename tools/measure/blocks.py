@@ -9,6 +9,7 @@ import argparse
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,8 @@ JITTER = 0.05
 """Cameras stand so far from those of the run, in mean distances to what they look at."""
 POINTS = 8000
 """Of each copy, in the capture."""
+HIDDEN = 0.03
+"""A point is seen where the picture is so close to it, as a share of its distance."""
 
 
 def focus(cameras: Cameras) -> np.ndarray:
@@ -68,11 +71,39 @@ def viewpoints(cameras: Cameras, moves: np.ndarray, count: int, rng: np.random.G
     return found
 
 
+def points_of(splats: Splats, count: int, rng: np.random.Generator) -> ColmapPoints:
+    """Middles of solid splats as points of structure from motion."""
+    solid = np.flatnonzero(splats.opacities > 0)
+    rows = rng.choice(solid, min(count, len(solid)), replace=False)
+    return ColmapPoints(
+        ids=np.arange(1, len(rows) + 1),
+        xyz=splats.means[rows].astype(np.float64),
+        rgb=(sh0_to_rgb(splats.sh0[rows, 0]).clip(0, 1) * 255).astype(np.uint8),
+        error=np.ones(len(rows)),
+        track_lengths=np.zeros(len(rows), np.int32),
+    )
+
+
+def seen_in(
+    points: ColmapPoints, K: np.ndarray, viewmat: np.ndarray, depth: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where points that nothing hides lie in a picture of this depth, [M, 2]; their ids, [M]."""
+    height, width = depth.shape
+    places = points.xyz @ viewmat[:3, :3].T + viewmat[:3, 3]
+    with np.errstate(all="ignore"):
+        xys = (places @ K.T)[:, :2] / places[:, 2:]
+    inside = (places[:, 2] > 0) & (xys >= 0).all(1) & (xys < (width, height)).all(1)
+    column, row = np.where(inside[:, None], xys, 0).astype(int).T
+    inside &= np.abs(places[:, 2] - depth[row, column]) < HIDDEN * places[:, 2]
+    return xys[inside], points.ids[inside]
+
+
 def write_capture(run: Path, folder: Path, *, photos: int, copies: int, width: int) -> None:
     """Render the photos and write them as a COLMAP capture."""
     rng = np.random.default_rng(0)
     cameras = read_cameras_json(run / "cameras.json")
     splats, moves = street(gscore.read_splats(run / "point_cloud.ply"), cameras, copies)
+    points = points_of(splats, POINTS * copies, rng)
     scale = width / int(cameras.widths[0])
     height = round(int(cameras.heights[0]) * scale)
     K = cameras.Ks[0].copy()
@@ -81,11 +112,12 @@ def write_capture(run: Path, folder: Path, *, photos: int, copies: int, width: i
     (folder / "images").mkdir(parents=True)
     images = []
     for k, viewmat in enumerate(viewpoints(cameras, moves, photos, rng)):
-        rgb = gscore.render(splats, K, viewmat, width, height, depths=False).rgb
+        drawn = gscore.render(splats, K, viewmat, width, height)
+        assert drawn.median_depth is not None
         name = f"{k % copies}_{k // copies:04d}.png"
-        Image.fromarray((rgb.clip(0, 1) * 255 + 0.5).astype(np.uint8)).save(
-            folder / "images" / name, compress_level=1
-        )
+        picture = (drawn.rgb.clip(0, 1) * 255 + 0.5).astype(np.uint8)
+        Image.fromarray(picture).save(folder / "images" / name, compress_level=1)
+        xys, ids = seen_in(points, K, viewmat, drawn.median_depth)
         images.append(
             ColmapImage(
                 id=k + 1,
@@ -93,23 +125,15 @@ def write_capture(run: Path, folder: Path, *, photos: int, copies: int, width: i
                 camera_id=1,
                 qvec=rotmat_to_quat(viewmat[:3, :3]),
                 tvec=viewmat[:3, 3],
-                xys=np.zeros((0, 2)),
-                point3D_ids=np.zeros(0, np.int64),
+                xys=xys,
+                point3D_ids=ids,
             )
         )
-    solid = np.flatnonzero(splats.opacities > 0)
-    rows = rng.choice(solid, min(POINTS * copies, len(solid)), replace=False)
-    points = ColmapPoints(
-        ids=np.arange(1, len(rows) + 1),
-        xyz=splats.means[rows].astype(np.float64),
-        rgb=(sh0_to_rgb(splats.sh0[rows, 0]).clip(0, 1) * 255).astype(np.uint8),
-        error=np.ones(len(rows)),
-        track_lengths=np.zeros(len(rows), np.int32),
-    )
-    pinhole = [K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
-    camera = ColmapCamera(
-        model="PINHOLE", width=width, height=height, params=np.array(pinhole, np.float64)
-    )
+    lengths = np.bincount(np.concatenate([image.point3D_ids for image in images]))
+    lengths = np.pad(lengths, (0, len(points) + 1 - len(lengths)))[points.ids]
+    points = replace(points, track_lengths=lengths.astype(np.int32))
+    pinhole = np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2]], np.float64)
+    camera = ColmapCamera(model="PINHOLE", width=width, height=height, params=pinhole)
     (folder / "sparse" / "0").mkdir(parents=True)
     write_model(ColmapModel(cameras={1: camera}, images=images, points=points), folder / "sparse/0")
 
