@@ -1,4 +1,4 @@
-// Real spherical harmonics of degree 0 to 3: colours and their gradients.
+// Real spherical harmonics of degree 0 to 4: colours and their gradients.
 // Signs and order are those of 3D Gaussian Splatting: bands in ascending order, within a band m = -l..l.
 #pragma once
 
@@ -8,7 +8,7 @@
 
 namespace gs::GS_NAMESPACE {
 
-constexpr int kShMax = 16;
+constexpr int kShMax = 25;
 // Largest gradient of a basis function that is passed on to the viewing direction.
 constexpr float kSlopeMax = 1e30f;
 
@@ -20,7 +20,45 @@ constexpr float kSh2[5] = {1.0925484305920792f, -1.0925484305920792f, 0.31539156
 constexpr float kSh3[7] = {-0.5900435899266435f, 2.890611442640554f, -0.4570457994644658f, 0.3731763325901154f,
                            -0.4570457994644658f, 1.445305721320277f, -0.5900435899266435f};
 
+constexpr float kSh4[9] = {2.5033429417967046f, -1.7701307697799304f, 0.9461746957575601f,
+                           -0.6690465435572892f, 0.10578554691520431f, -0.6690465435572892f,
+                           0.47308734787878004f, -1.7701307697799304f, 0.6258357354491761f};
+
 static inline int sh_count(int degree) { return (degree + 1) * (degree + 1); }
+
+// The nine functions of degree 4. Apart, and not inlined: models of the 3DGS family rarely have any.
+static __attribute__((noinline)) void sh_basis_4(Vec x, Vec y, Vec z, Vec *b) {
+    const Vec xx = x * x, yy = y * y, zz = z * z;
+    const Vec rr = xx + yy, p = 4.0f * zz - 3.0f * rr, q = 6.0f * zz - rr, d = xx - yy;
+    b[0] = kSh4[0] * (x * y) * d;
+    b[1] = kSh4[1] * (y * z) * (3.0f * xx - yy);
+    b[2] = kSh4[2] * (x * y) * q;
+    b[3] = kSh4[3] * (y * z) * p;
+    b[4] = kSh4[4] * (8.0f * zz * (zz - 3.0f * rr) + 3.0f * rr * rr);
+    b[5] = kSh4[5] * (x * z) * p;
+    b[6] = kSh4[6] * d * q;
+    b[7] = kSh4[7] * (x * z) * (xx - 3.0f * yy);
+    b[8] = kSh4[8] * (xx * (xx - 6.0f * yy) + yy * yy);
+}
+
+// Adds dL/d(x, y, z) given s[k] = dL/db[k] of the functions of degree 4.
+static __attribute__((noinline)) void sh_basis_4_backward(Vec x, Vec y, Vec z, const Vec *s, Vec *v) {
+    const Vec xx = x * x, yy = y * y, zz = z * z;
+    const Vec rr = xx + yy, p = 4.0f * zz - 3.0f * rr, q = 6.0f * zz - rr, d = xx - yy;
+    Vec c[9];
+    for (int k = 0; k < 9; ++k)
+        c[k] = kSh4[k] * s[k];
+    const Vec e = 4.0f * c[4] * (3.0f * rr - 12.0f * zz);
+    v[0] += c[0] * y * (3.0f * xx - yy) + 6.0f * c[1] * x * y * z + c[2] * y * (q - 2.0f * xx) -
+            6.0f * c[3] * x * y * z + e * x + c[5] * z * (p - 6.0f * xx) + 2.0f * c[6] * x * (q - d) +
+            3.0f * c[7] * z * d + 4.0f * c[8] * x * (xx - 3.0f * yy);
+    v[1] += c[0] * x * (xx - 3.0f * yy) + 3.0f * c[1] * z * d + c[2] * x * (q - 2.0f * yy) +
+            c[3] * z * (p - 6.0f * yy) + e * y - 6.0f * c[5] * x * y * z - 2.0f * c[6] * y * (q + d) -
+            6.0f * c[7] * x * y * z + 4.0f * c[8] * y * (yy - 3.0f * xx);
+    v[2] += c[1] * y * (3.0f * xx - yy) + 12.0f * c[2] * x * y * z + c[3] * y * (p + 8.0f * zz) +
+            16.0f * c[4] * z * (2.0f * zz - 3.0f * rr) + c[5] * x * (p + 8.0f * zz) + 12.0f * c[6] * d * z +
+            c[7] * x * (xx - 3.0f * yy);
+}
 
 static inline void sh_basis(int degree, Vec x, Vec y, Vec z, Vec *b) {
     b[0] = set1(kSh0);
@@ -46,6 +84,8 @@ static inline void sh_basis(int degree, Vec x, Vec y, Vec z, Vec *b) {
     b[13] = kSh3[4] * x * (4.0f * zz - xx - yy);
     b[14] = kSh3[5] * z * (xx - yy);
     b[15] = kSh3[6] * x * (xx - 3.0f * yy);
+    if (degree >= 4)
+        sh_basis_4(x, y, z, b + 16);
 }
 
 // dL/d(x, y, z) given s[k] = dL/db[k].
@@ -73,6 +113,8 @@ static inline void sh_basis_backward(int degree, Vec x, Vec y, Vec z, const Vec 
             2.0f * c13 * x * y - 2.0f * c14 * y * z - 6.0f * c15 * x * y;
     v[2] += c10 * x * y + 8.0f * c11 * y * z + c12 * (6.0f * zz - 3.0f * xx - 3.0f * yy) + 8.0f * c13 * x * z +
             c14 * (xx - yy);
+    if (degree >= 4)
+        sh_basis_4_backward(x, y, z, s + 16, v);
 }
 
 // Rows of the higher coefficients; lanes beyond those in `alive` repeat one of them.
