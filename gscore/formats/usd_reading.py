@@ -73,9 +73,8 @@ def read_usd(path: Path) -> tuple[Splats, bool]:
         marks = [prim.GetCustomDataByKey(MARK) is True for prim in prims]
         has_z_up = UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z
     except (Tf.ErrorException, RuntimeError, UnicodeDecodeError) as error:
-        reason = (str(error) or type(error).__name__).strip().splitlines()[-1].strip()
         raise FormatError(
-            f"{path} is a damaged USD file: {reason} Copy or export it again."
+            f"{path} is a damaged USD file: {_reason(error)} Copy or export it again."
         ) from error
     if not parts:
         raise FormatError(
@@ -91,6 +90,15 @@ def read_usd(path: Path) -> tuple[Splats, bool]:
     except ShapeError as error:
         raise FormatError(f"{path}: a prim cannot be placed. {error}") from error
     return half_turn(joined(placed), X), all(marks)
+
+
+def _reason(error: Exception) -> str:
+    """What the library says, which may be bytes of the file that are no text."""
+    try:
+        said = str(error).strip()
+    except UnicodeDecodeError:
+        return "it holds bytes that are no text."
+    return said.splitlines()[-1].strip() if said else type(error).__name__
 
 
 def _matrix(prim: Any) -> np.ndarray:
@@ -144,9 +152,12 @@ def _rows(
     Usd = need("pxr.Usd", "USD")
     for attribute in (prim.GetAttribute(name), prim.GetAttribute(f"{name}h")):
         values = attribute.Get(Usd.TimeCode.EarliestTime()) if attribute else None
-        if values is None or not len(values):
-            continue
-        found = np.asarray(values, np.float32).reshape(-1, width)
+        try:
+            if values is None or not len(values):
+                continue
+            found = np.asarray(values, np.float32).reshape(-1, width)
+        except (TypeError, ValueError) as error:  # a file may declare any type for it
+            raise _damaged(path, prim, f"has {name} that are no rows of {width}") from error
         if count is not None and len(found) < count:
             raise _damaged(path, prim, f"has {len(found)} {name}, expected {count}")
         return found[:count]
