@@ -52,7 +52,6 @@ if TYPE_CHECKING:
         from_line,
     )
     from .formats import SPLAT_ENDINGS, SplatFile, is_antialiased
-    from .formats.joined import cut_degree
     from .formats.joined import joined as join_splats
     from .inspection import CaptureFacts, Problem, find_capture
     from .inspection import inspect as inspect_capture
@@ -143,7 +142,7 @@ _HOME = {
     "cluster_sizes": "edit",
     "colorize": "report.colormap",
     "contributions": "edit",
-    "cut_degree": "formats.joined",
+    "cut_degree": "splats",
     "depth_networks": "depth.catalogue:all_networks",
     "downscale": "io.pictures.resample",
     "enough_steps": "trainer.schedule.enough",

@@ -1,6 +1,6 @@
 """The model as raw numpy arrays: exactly what a 3DGS PLY and a checkpoint store."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -83,3 +83,10 @@ class Splats:
     def subset(self, index: np.ndarray) -> "Splats":
         """The splats selected by a boolean mask [N] or an integer index."""
         return Splats(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
+
+
+def cut_degree(splats: Splats, degree: int) -> Splats:
+    """The model with SH coefficients up to this degree; itself where it has no more."""
+    if degree >= splats.sh_degree:
+        return splats
+    return replace(splats, shN=splats.shN[:, : SH_REST_BY_DEGREE[degree]])

@@ -15,9 +15,9 @@ import numpy as np
 from ..errors import ConfigError, FormatError
 from ..io.file_sample import FileSample
 from ..io.files import atomic_write, read_bytes
-from ..io.splat_rows import LOGIT_OF_BYTE, drawable, opacity_bytes, whole_bands
+from ..io.splat_rows import LOGIT_OF_BYTE, drawable, opacity_bytes
 from ..smallest_three import smallest_three, with_largest
-from ..splats import Splats
+from ..splats import SH_REST_BY_DEGREE, Splats
 from ..words import count_words, number
 from .axes import X, harmonic_signs
 from .packed_bytes import (
@@ -32,8 +32,6 @@ from .splat_file import Decoded, SplatFormat, WriteOptions, colors_note
 _MAGIC = b"NGSP"
 VERSIONS = (3, 4)
 """That are written."""
-_REST = (0, 3, 8, 15, 24)
-"""SH coefficients beyond the constant one, by degree."""
 _HEADER = struct.Struct("<4sIIBBBB")
 _HEADER_4 = struct.Struct("<4sIIBBBBI12x")
 _STREAM = struct.Struct("<QQ")
@@ -68,7 +66,9 @@ class _Header:
     def sizes(self) -> list[int]:
         """Bytes of the arrays, in their order."""
         rotation = 3 if self.version == 2 else 4
-        return [self.count * each for each in (9, 1, 3, 3, rotation, 3 * _REST[self.degree])]
+        return [
+            self.count * each for each in (9, 1, 3, 3, rotation, 3 * SH_REST_BY_DEGREE[self.degree])
+        ]
 
 
 def decode_spz(path: Path, raw: bytes | memoryview) -> Decoded:
@@ -128,7 +128,7 @@ def _header(path: Path, raw: bytes | memoryview) -> _Header:
             f"{path} is an SPZ file of version {version}; versions 2, 3 and 4 are read. Export it "
             f"again in one of these, or as a 3DGS PLY."
         )
-    if degree >= len(_REST):
+    if degree not in SH_REST_BY_DEGREE:
         raise _damaged(path, f"it states SH degree {degree}, expected 0 to 4")
     if bits > _MOST_BITS:
         raise _damaged(path, f"it states {bits} bits of fraction in numbers of 24 bits")
@@ -212,10 +212,9 @@ def _unpack(path: Path, header: _Header, arrays: list[memoryview]) -> Splats:
     places, alphas, colors, scales, rotations, rest = (
         np.frombuffer(array, np.uint8) for array in arrays
     )
-    harmonics = whole_bands(path, rest.reshape(count, _REST[header.degree], 3))
-    shN = _HARMONIC[harmonics]
+    shN = _HARMONIC[rest.reshape(count, SH_REST_BY_DEGREE[header.degree], 3)]
     if header.degree:
-        shN *= harmonic_signs(min(header.degree, 3), X)[:, None]
+        shN *= harmonic_signs(header.degree, X)[:, None]
     unpack = _first_three if header.version == 2 else _smallest_three
     return drawable(
         path,
@@ -349,4 +348,12 @@ def _write(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
     return notes
 
 
-SPZ = SplatFormat(key="spz", name="SPZ", endings=(".spz",), holds=_is_spz, read=_read, write=_write)
+SPZ = SplatFormat(
+    key="spz",
+    name="SPZ",
+    endings=(".spz",),
+    holds=_is_spz,
+    read=_read,
+    write=_write,
+    most_degree=4,
+)

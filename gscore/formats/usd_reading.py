@@ -13,9 +13,9 @@ import numpy as np
 from ..errors import BackendError, FormatError, GsError, ShapeError
 from ..extras import need
 from ..io.ply.splats import write_splats
-from ..io.splat_rows import drawable, log_scales, logits, whole_bands
+from ..io.splat_rows import drawable, log_scales, logits
 from ..logged import collected_warnings
-from ..sh import sh_count
+from ..sh import MAX_DEGREE, sh_count
 from ..splats import Splats
 from ..transforms import transform_splats
 from .axes import X, half_turn
@@ -26,7 +26,6 @@ MARK = "antialiased"
 """In the custom data of a prim; the schema has no place for it."""
 _Y_OF_Z = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 """From a stage with Z up to one with Y up."""
-_MOST_DEGREE = 4
 
 
 def hand_over(file: Path, ply: Path) -> dict[str, Any]:
@@ -127,14 +126,14 @@ def _splats(path: Path, prim: Any) -> Splats:
         scales=log_scales(scales),
         opacities=logits(opacities[:, 0]),
         sh0=np.ascontiguousarray(harmonics[:, 0]),
-        shN=np.ascontiguousarray(whole_bands(path, harmonics[:, 1:])),
+        shN=np.ascontiguousarray(harmonics[:, 1:]),
     )
 
 
 def _harmonics(path: Path, prim: Any, count: int) -> np.ndarray:
     """[N, K, 3], the constant one first; zero where there are none."""
     degree = prim.GetAttribute("radiance:sphericalHarmonicsDegree").Get()
-    if not isinstance(degree, int) or not 0 <= degree <= _MOST_DEGREE:
+    if not isinstance(degree, int) or not 0 <= degree <= MAX_DEGREE:
         raise _damaged(path, prim, f"states SH degree {degree}")
     found = _rows(path, prim, "radiance:sphericalHarmonicsCoefficients", 3)
     each = sh_count(degree)

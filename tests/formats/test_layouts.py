@@ -101,15 +101,16 @@ def test_spz_in_zstd(extension: bytes, tmp_path: Path) -> None:
     _check_spz(found.splats, 4)
 
 
-def test_spz_of_degree_4_is_cut(tmp_path: Path) -> None:
-    """Oracle: the first 15 of 24 coefficients, and a sentence."""
+def test_spz_of_degree_4(tmp_path: Path) -> None:
+    """Oracle: the bytes, by the layout."""
     header = struct.pack("<4sIIBBBB", b"NGSP", 3, 1, 4, 12, 0, 0)
     body = bytes(9 + 1 + 3 + 3 + 4) + bytes(range(128, 200))
     (tmp_path / "a.spz").write_bytes(gzip.compress(header + body))
     found = read_splat_file(tmp_path / "a.spz")
-    assert found.splats.sh_degree == 3
-    assert len(found.notes) == 1 and "degree 3 at most" in found.notes[0]
+    assert found.splats.sh_degree == 4 and not found.notes
     np.testing.assert_allclose(np.abs(found.splats.shN[0, 14]), np.arange(42, 45) / 128)
+    # x⁴-6x²y²+y⁴ is the same after half a turn about x.
+    np.testing.assert_allclose(found.splats.shN[0, 23], np.arange(69, 72) / 128)
 
 
 def test_spz_as_written(tmp_path: Path) -> None:
