@@ -78,6 +78,7 @@ if TYPE_CHECKING:
     from .report.colormap import colorize
     from .sfm.beside import capture_beside
     from .sh import sh0_to_rgb, sh_basis
+    from .splats import cut_degree
     from .trainer.estimate.forecast import Estimate, estimate
     from .trainer.schedule.enough import enough_steps
     from .transforms import quat_to_rotmat, rotmat_to_quat

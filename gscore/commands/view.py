@@ -105,8 +105,8 @@ def _write(
     warnings = [*model.warnings, *views.warnings]
     if model.splats.sh_degree > PAGE_DEGREE:
         warnings.append(
-            f"A page shows colours of SH degree {PAGE_DEGREE} at most; what depends on the direction "
-            f"beyond it is lost."
+            f"A page shows colours of SH degree {PAGE_DEGREE} at most; what depends on the "
+            f"direction beyond it is lost."
         )
     if packed.head["count"] > _MANY:
         warnings.append(
