@@ -35,7 +35,7 @@ _BASIS: tuple[dict[_Powers, float], ...] = (
     {(3, 0, 0): 1, (1, 2, 0): -3},
 )
 """The basis functions after the constant one as polynomials of x, y, z, up to a factor
-each. Those of degree 4, which hardly any model has, would cost all displays nine attributes more."""
+each. Those of degree 4, which hardly any model has, would cost every display nine attributes."""
 _SOMEWHERE = np.array([0.36, 0.48, 0.8])
 """A unit vector at which none of them is zero."""
 

@@ -8,7 +8,6 @@
 
 namespace gs::GS_NAMESPACE {
 
-constexpr int kShMax = 25;
 // Largest gradient of a basis function that is passed on to the viewing direction.
 constexpr float kSlopeMax = 1e30f;
 
@@ -24,10 +23,10 @@ constexpr float kSh4[9] = {2.5033429417967046f, -1.7701307697799304f, 0.94617469
                            -0.6690465435572892f, 0.10578554691520431f, -0.6690465435572892f,
                            0.47308734787878004f, -1.7701307697799304f, 0.6258357354491761f};
 
-static inline int sh_count(int degree) { return (degree + 1) * (degree + 1); }
+static constexpr int sh_count(int degree) { return (degree + 1) * (degree + 1); }
 
-// The nine functions of degree 4. Apart, and not inlined: models of the 3DGS family rarely have any.
-static __attribute__((noinline)) void sh_basis_4(Vec x, Vec y, Vec z, Vec *b) {
+// The nine functions of degree 4.
+static inline void sh_basis_4(Vec x, Vec y, Vec z, Vec *b) {
     const Vec xx = x * x, yy = y * y, zz = z * z;
     const Vec rr = xx + yy, p = 4.0f * zz - 3.0f * rr, q = 6.0f * zz - rr, d = xx - yy;
     b[0] = kSh4[0] * (x * y) * d;
@@ -42,7 +41,7 @@ static __attribute__((noinline)) void sh_basis_4(Vec x, Vec y, Vec z, Vec *b) {
 }
 
 // Adds dL/d(x, y, z) given s[k] = dL/db[k] of the functions of degree 4.
-static __attribute__((noinline)) void sh_basis_4_backward(Vec x, Vec y, Vec z, const Vec *s, Vec *v) {
+static inline void sh_basis_4_backward(Vec x, Vec y, Vec z, const Vec *s, Vec *v) {
     const Vec xx = x * x, yy = y * y, zz = z * z;
     const Vec rr = xx + yy, p = 4.0f * zz - 3.0f * rr, q = 6.0f * zz - rr, d = xx - yy;
     Vec c[9];
@@ -60,7 +59,7 @@ static __attribute__((noinline)) void sh_basis_4_backward(Vec x, Vec y, Vec z, c
             c[7] * x * (xx - 3.0f * yy);
 }
 
-static inline void sh_basis(int degree, Vec x, Vec y, Vec z, Vec *b) {
+template <int kMost> static inline void sh_basis(int degree, Vec x, Vec y, Vec z, Vec *b) {
     b[0] = set1(kSh0);
     if (degree < 1)
         return;
@@ -84,12 +83,12 @@ static inline void sh_basis(int degree, Vec x, Vec y, Vec z, Vec *b) {
     b[13] = kSh3[4] * x * (4.0f * zz - xx - yy);
     b[14] = kSh3[5] * z * (xx - yy);
     b[15] = kSh3[6] * x * (xx - 3.0f * yy);
-    if (degree >= 4)
+    if (kMost >= 4 && degree >= 4)
         sh_basis_4(x, y, z, b + 16);
 }
 
 // dL/d(x, y, z) given s[k] = dL/db[k].
-static inline void sh_basis_backward(int degree, Vec x, Vec y, Vec z, const Vec *s, Vec *v) {
+template <int kMost> static inline void sh_basis_backward(int degree, Vec x, Vec y, Vec z, const Vec *s, Vec *v) {
     v[0] = v[1] = v[2] = Vec{};
     if (degree < 1)
         return;
@@ -113,7 +112,7 @@ static inline void sh_basis_backward(int degree, Vec x, Vec y, Vec z, const Vec 
             2.0f * c13 * x * y - 2.0f * c14 * y * z - 6.0f * c15 * x * y;
     v[2] += c10 * x * y + 8.0f * c11 * y * z + c12 * (6.0f * zz - 3.0f * xx - 3.0f * yy) + 8.0f * c13 * x * z +
             c14 * (xx - yy);
-    if (degree >= 4)
+    if (kMost >= 4 && degree >= 4)
         sh_basis_4_backward(x, y, z, s + 16, v);
 }
 
@@ -125,10 +124,12 @@ static inline void coefficient_rows(const gs_splats &in, const uint32_t *id, uin
 }
 
 // colour = max(0, 0.5 + sum of b_k c_k) of the lanes in `alive`, which are not none; NaN where that is not finite.
-static inline void sh_colors(const gs_splats &in, const uint32_t *id, uint32_t alive, Vec x, Vec y, Vec z,
-                             Vec color[3]) {
-    Vec b[kShMax] = {};
-    sh_basis(in.sh_degree, x, y, z, b);
+template <int kMost>
+static inline void sh_colors_of(const gs_splats &in, const uint32_t *id, uint32_t alive, Vec x, Vec y, Vec z,
+                                Vec color[3]) {
+    constexpr int kMax = sh_count(kMost);
+    Vec b[kMax] = {};
+    sh_basis<kMost>(in.sh_degree, x, y, z, b);
     const int rest = sh_count(in.sh_degree) - 1;
     gather<3>(in.sh0, in.count, id, color);
     for (int c = 0; c < 3; ++c)
@@ -136,7 +137,7 @@ static inline void sh_colors(const gs_splats &in, const uint32_t *id, uint32_t a
     if (rest > 0) {
         const float *row[kLanes];
         coefficient_rows(in, id, alive, row);
-        Vec coefficients[3 * kShMax];
+        Vec coefficients[3 * kMax];
         by_four(3 * rest, [&](int at) { load_columns(row, size_t(at), coefficients + at); });
         for (int k = 0; k < rest; ++k)
             for (int c = 0; c < 3; ++c)
@@ -145,6 +146,20 @@ static inline void sh_colors(const gs_splats &in, const uint32_t *id, uint32_t a
     for (int c = 0; c < 3; ++c)
         color[c] = select(gt(color[c], Vec{}), color[c],
                           select(ge(color[c], set1(-3e38f)), Vec{}, set1(__builtin_nanf(""))));
+}
+
+// Degree 4 lies apart and out of line, so that others, which nearly all models have, do not pay for its room.
+static __attribute__((noinline)) void sh_colors_4(const gs_splats &in, const uint32_t *id, uint32_t alive, Vec x, Vec y,
+                                                  Vec z, Vec color[3]) {
+    sh_colors_of<4>(in, id, alive, x, y, z, color);
+}
+
+static inline void sh_colors(const gs_splats &in, const uint32_t *id, uint32_t alive, Vec x, Vec y, Vec z,
+                             Vec color[3]) {
+    if (in.sh_degree > 3)
+        sh_colors_4(in, id, alive, x, y, z, color);
+    else
+        sh_colors_of<3>(in, id, alive, x, y, z, color);
 }
 
 // Fetches what `sh_backward` reads and writes of a row: it takes pieces of many rows at a time, which hides from the
@@ -158,17 +173,19 @@ static inline void fetch_coefficients(const gs_splats &in, const gs_splat_grads 
 }
 
 // Writes gradients of the coefficients of the first `lanes` lanes and returns dL/d(x, y, z) of the unit direction.
-static inline void sh_backward(const gs_splats &in, const gs_splat_grads &grads, const uint32_t *id, int lanes, Vec x,
-                               Vec y, Vec z, const Vec v_color[3], Vec v_dir[3]) {
-    Vec b[kShMax] = {}, s[kShMax] = {};
-    sh_basis(in.sh_degree, x, y, z, b);
+template <int kMost>
+static inline void sh_backward_of(const gs_splats &in, const gs_splat_grads &grads, const uint32_t *id, int lanes, Vec x,
+                                  Vec y, Vec z, const Vec v_color[3], Vec v_dir[3]) {
+    constexpr int kMax = sh_count(kMost);
+    Vec b[kMax] = {}, s[kMax] = {};
+    sh_basis<kMost>(in.sh_degree, x, y, z, b);
     const int rest = sh_count(in.sh_degree) - 1;
     const Vec v_sh0[3] = {v_color[0] * kSh0, v_color[1] * kSh0, v_color[2] * kSh0};
     scatter<3>(grads.sh0, id, lanes, v_sh0);
     if (rest > 0) {
         const float *row[kLanes];
         coefficient_rows(in, id, (1u << lanes) - 1, row);
-        Vec coefficients[3 * kShMax], gradients[3 * kShMax];
+        Vec coefficients[3 * kMax], gradients[3 * kMax];
         by_four(3 * rest, [&](int at) { load_columns(row, size_t(at), coefficients + at); });
         for (int k = 0; k < rest; ++k) {
             const Vec *const c = coefficients + 3 * k;
@@ -199,7 +216,21 @@ static inline void sh_backward(const gs_splats &in, const gs_splat_grads &grads,
     const Vec most = set1(kSlopeMax);
     for (int k = 1; k <= rest; ++k)
         s[k] = keep(both(ge(most, s[k]), ge(s[k], -most)), s[k]);
-    sh_basis_backward(in.sh_degree, x, y, z, s, v_dir);
+    sh_basis_backward<kMost>(in.sh_degree, x, y, z, s, v_dir);
+}
+
+static __attribute__((noinline)) void sh_backward_4(const gs_splats &in, const gs_splat_grads &grads,
+                                                    const uint32_t *id, int lanes, Vec x, Vec y, Vec z,
+                                                    const Vec v_color[3], Vec v_dir[3]) {
+    sh_backward_of<4>(in, grads, id, lanes, x, y, z, v_color, v_dir);
+}
+
+static inline void sh_backward(const gs_splats &in, const gs_splat_grads &grads, const uint32_t *id, int lanes, Vec x,
+                               Vec y, Vec z, const Vec v_color[3], Vec v_dir[3]) {
+    if (in.sh_degree > 3)
+        sh_backward_4(in, grads, id, lanes, x, y, z, v_color, v_dir);
+    else
+        sh_backward_of<3>(in, grads, id, lanes, x, y, z, v_color, v_dir);
 }
 
 } // namespace gs::GS_NAMESPACE

@@ -124,7 +124,7 @@ def test_spz_in_other_axes(axes: int, place: list[float], tmp_path: Path) -> Non
 
 
 def test_spz_in_other_axes_is_turned_whole(tmp_path: Path) -> None:
-    """Oracle: renders of the model that was put into axes of a mirrored world, front to the right."""
+    """Oracle: renders of the model that was put into the axes of a mirrored world."""
     rng = np.random.default_rng(5)
     model = _one(
         means=[0.1, -0.2, 2], quats=rng.normal(size=4), scales=[-1, -2, -3], sh0=[0.5, 0.2, -0.3],
