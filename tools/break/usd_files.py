@@ -79,6 +79,7 @@ def attack(kind: str, count: int, seed: int) -> bool:
             if not _is_told(end, ends[end], folder / f"again.{kind}", raw):
                 faults += 1
                 _keep(folder, raw, f"{kind}-{seed}-{at}-{end.replace(' ', '-')}")
+            (folder / f"{at}.{kind}").unlink(missing_ok=True)
             at += 1
     signals = ", ".join(f"{n} ended by {end}" for end, n in sorted(ends.items())) or "none ended"
     print(
