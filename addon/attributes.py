@@ -6,7 +6,7 @@
 | `scale` | FLOAT_VECTOR | standard deviations, linear |
 | `rotation` | QUATERNION | wxyz, unit length |
 | `radiance:base` | FLOAT_COLOR | constant SH coefficient r, g, b and the opacity in [0, 1] |
-| `radiance:sh_<k>` | FLOAT_VECTOR | SH coefficient k + 1, rgb; k = 0..14 at degree 3 |
+| `radiance:sh_<k>` | FLOAT_VECTOR | SH coefficient k + 1, rgb; k = 0..14 at degree 3, 0..23 at 4 |
 
 All float32. `exp` and the sigmoid are evaluated in float64, so that the way back is exact to the
 last bits of float32, with one limit: near 1 an opacity is spaced by 6e-8, so logits above 5 come
@@ -22,8 +22,8 @@ from .core import Splats
 
 POSITION, SCALE, ROTATION = "position", "scale", "rotation"
 BASE, SH = "radiance:base", "radiance:sh_"
-SH_COUNTS = (0, 3, 8, 15)
-"""Numbers of `radiance:sh_<k>` attributes of SH degrees 0 to 3."""
+SH_COUNTS = (0, 3, 8, 15, 24)
+"""Numbers of `radiance:sh_<k>` attributes of SH degrees 0 to 4."""
 NO_SPLATS = Splats(
     means=np.zeros((0, 3), np.float32),
     quats=np.zeros((0, 4), np.float32),
@@ -149,7 +149,7 @@ def sh_count(datablock: Any) -> int:
     if not have:
         return 0
     numbers = [int(n.removeprefix(SH)) for n in have if n.removeprefix(SH).isdecimal()]
-    # Degree 4 and beyond is not used by anything here.
+    # Degree 5 and beyond is not used by anything here.
     top = min(max(numbers, default=-1) + 1, SH_COUNTS[-1])
     count = next(c for c in SH_COUNTS if c >= top)
     missing = [f"{SH}{k}" for k in range(count) if f"{SH}{k}" not in have]

@@ -52,7 +52,6 @@ if TYPE_CHECKING:
         from_line,
     )
     from .formats import SPLAT_ENDINGS, SplatFile, is_antialiased
-    from .formats.joined import cut_degree
     from .formats.joined import joined as join_splats
     from .inspection import CaptureFacts, Problem, find_capture
     from .inspection import inspect as inspect_capture
@@ -79,6 +78,7 @@ if TYPE_CHECKING:
     from .report.colormap import colorize
     from .sfm.beside import capture_beside
     from .sh import sh0_to_rgb, sh_basis
+    from .splats import cut_degree
     from .trainer.estimate.forecast import Estimate, estimate
     from .trainer.schedule.enough import enough_steps
     from .transforms import quat_to_rotmat, rotmat_to_quat
@@ -143,7 +143,7 @@ _HOME = {
     "cluster_sizes": "edit",
     "colorize": "report.colormap",
     "contributions": "edit",
-    "cut_degree": "formats.joined",
+    "cut_degree": "splats",
     "depth_networks": "depth.catalogue:all_networks",
     "downscale": "io.pictures.resample",
     "enough_steps": "trainer.schedule.enough",

@@ -28,8 +28,21 @@ SH_C3 = (
     -0.25 * math.sqrt(35.0 / (2.0 * math.pi)),
 )
 """Factors of y(3x²-y²), xyz, y(4z²-x²-y²), z(2z²-3x²-3y²), x(4z²-x²-y²), z(x²-y²), x(x²-3y²)."""
-MAX_DEGREE = 3
-"""Highest degree that splats store here."""
+SH_C4 = (
+    0.75 * math.sqrt(35.0 / math.pi),
+    -0.75 * math.sqrt(35.0 / (2.0 * math.pi)),
+    0.75 * math.sqrt(5.0 / math.pi),
+    -0.75 * math.sqrt(5.0 / (2.0 * math.pi)),
+    3.0 / 16.0 * math.sqrt(1.0 / math.pi),
+    -0.75 * math.sqrt(5.0 / (2.0 * math.pi)),
+    3.0 / 8.0 * math.sqrt(5.0 / math.pi),
+    -0.75 * math.sqrt(35.0 / (2.0 * math.pi)),
+    3.0 / 16.0 * math.sqrt(35.0 / math.pi),
+)
+"""Factors of xy(x²-y²), yz(3x²-y²), xy(6z²-x²-y²), yz(4z²-3x²-3y²), 8z⁴-24z²(x²+y²)+3(x²+y²)²,
+xz(4z²-3x²-3y²), (x²-y²)(6z²-x²-y²), xz(x²-3y²), x⁴-6x²y²+y⁴."""
+MAX_DEGREE = 4
+"""Highest degree that splats store here. Trainers of the 3DGS family write 3 at most."""
 
 
 def sh_count(degree: int) -> int:
@@ -44,7 +57,7 @@ def sh_basis(degree: int, dirs: np.ndarray) -> np.ndarray:
     Spherical Harmonic Evaluation", JCGT 2013), ordered l = 0..degree, m = -l..l as in 3DGS files.
 
     Args:
-        degree: 0 to 3.
+        degree: 0 to 4.
         dirs: [..., 3] float32 or float64 unit vectors from the camera to the splat.
 
     Returns:
@@ -80,7 +93,26 @@ def sh_basis(degree: int, dirs: np.ndarray) -> np.ndarray:
                 SH_C3[5] * z * (xx - yy),
                 SH_C3[6] * x * (xx - 3.0 * yy),
             ]
+        if degree >= 4:
+            out += _fourth_band(x, y, z)
     return np.stack(out, axis=-1)
+
+
+def _fourth_band(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> list[np.ndarray]:
+    """The nine functions of degree 4."""
+    xx, yy, zz = x * x, y * y, z * z
+    rr, odd = xx + yy, 4.0 * zz - 3.0 * (xx + yy)
+    return [
+        SH_C4[0] * x * y * (xx - yy),
+        SH_C4[1] * y * z * (3.0 * xx - yy),
+        SH_C4[2] * x * y * (6.0 * zz - rr),
+        SH_C4[3] * y * z * odd,
+        SH_C4[4] * (8.0 * zz * (zz - 3.0 * rr) + 3.0 * rr * rr),
+        SH_C4[5] * x * z * odd,
+        SH_C4[6] * (xx - yy) * (6.0 * zz - rr),
+        SH_C4[7] * x * z * (xx - 3.0 * yy),
+        SH_C4[8] * (xx * (xx - 6.0 * yy) + yy * yy),
+    ]
 
 
 def sh_rotation(degree: int, rotation: np.ndarray) -> np.ndarray:
@@ -91,7 +123,7 @@ def sh_rotation(degree: int, rotation: np.ndarray) -> np.ndarray:
     sphere is taken by a quadrature that is exact for its polynomials.
 
     Args:
-        degree: The band, 0 to 3.
+        degree: The band, 0 to 4.
         rotation: [3, 3] float64, orthogonal; a reflection is as good as a rotation.
 
     Returns:

@@ -1,6 +1,6 @@
 """The model as raw numpy arrays: exactly what a 3DGS PLY and a checkpoint store."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from .errors import ShapeError
 
 PARAMETERS = ("means", "quats", "scales", "opacities", "sh0", "shN")
 """Of a splat, in the order in which `Splats` holds them and functions take them."""
-SH_REST_BY_DEGREE = {0: 0, 1: 3, 2: 8, 3: 15}
+SH_REST_BY_DEGREE = {0: 0, 1: 3, 2: 8, 3: 15, 4: 24}
 """Number of SH coefficients per channel beyond the constant one, by degree."""
 
 
@@ -55,7 +55,7 @@ class Splats:
     sh0: np.ndarray
     """[N, 1, 3], constant SH coefficient, RGB."""
     shN: np.ndarray
-    """[N, K-1, 3], higher SH coefficients, K = (degree + 1)^2; K-1 is 0, 3, 8 or 15."""
+    """[N, K-1, 3], higher SH coefficients, K = (degree + 1)^2; K-1 is 0, 3, 8, 15 or 24."""
 
     def __post_init__(self) -> None:
         check_array("means", self.means, ("N", 3), np.float32)
@@ -67,7 +67,7 @@ class Splats:
         check_array("shN", self.shN, (n, "K-1", 3), np.float32)
         if self.shN.shape[1] not in SH_REST_BY_DEGREE.values():
             raise ShapeError(
-                f"shN must hold 0, 3, 8 or 15 coefficients a splat (degree 0 to 3), "
+                f"shN must hold 0, 3, 8, 15 or 24 coefficients a splat (degree 0 to 4), "
                 f"got {self.shN.shape[1]}."
             )
 
@@ -76,10 +76,17 @@ class Splats:
 
     @property
     def sh_degree(self) -> int:
-        """Degree of the stored SH coefficients, 0 to 3."""
+        """Degree of the stored SH coefficients, 0 to 4."""
         rest = self.shN.shape[1]
         return next(d for d, count in SH_REST_BY_DEGREE.items() if count == rest)
 
     def subset(self, index: np.ndarray) -> "Splats":
         """The splats selected by a boolean mask [N] or an integer index."""
         return Splats(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
+
+
+def cut_degree(splats: Splats, degree: int) -> Splats:
+    """The model with SH coefficients up to this degree; itself where it has no more."""
+    if degree >= splats.sh_degree:
+        return splats
+    return replace(splats, shN=splats.shN[:, : SH_REST_BY_DEGREE[degree]])

@@ -80,7 +80,7 @@ def _elongation(graph: Graph) -> Socket:
 
 
 def energy_group() -> bpy.types.NodeTree:
-    """The group that gives the root of the sum of squares of all view-dependent coefficients.
+    """The group that gives the root of the sum of squares of the coefficients of degree 1 to 3.
 
     Apart, because the time to build a tree grows with the square of its size.
     """
@@ -90,7 +90,7 @@ def energy_group() -> bpy.types.NodeTree:
 def _build_energy(name: str) -> bpy.types.NodeTree:
     graph, tree = new_group(name)
     total: Socket | None = None
-    for k in range(SH_COUNTS[-1]):
+    for k in range(SH_COUNTS[3]):
         value = graph.attribute(f"{SH}{k}", "FLOAT_VECTOR")
         square = graph.vector("DOT_PRODUCT", value, value)
         total = square if total is None else graph.math("ADD", total, square)

@@ -34,7 +34,8 @@ _BASIS: tuple[dict[_Powers, float], ...] = (
     {(2, 0, 1): 1, (0, 2, 1): -1},
     {(3, 0, 0): 1, (1, 2, 0): -3},
 )
-"""The basis functions after the constant one as polynomials of x, y, z, up to a factor each."""
+"""The basis functions after the constant one as polynomials of x, y, z, up to a factor
+each. Those of degree 4, which hardly any model has, would cost every display nine attributes."""
 _SOMEWHERE = np.array([0.36, 0.48, 0.8])
 """A unit vector at which none of them is zero."""
 

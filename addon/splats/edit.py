@@ -27,7 +27,7 @@ class Stats:
     visible: int | None
     """Splats that pass the display filters; None where counting them would take long."""
     sh_degree: int
-    """0 to 3."""
+    """0 to 4."""
 
 
 def stats(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph | None = None) -> Stats:

@@ -128,10 +128,11 @@ inline Scene read_scene(Bytes &in) {
     size_t n = in.byte();
     if (n > 200) // a few vectors more than one chunk of the library
         n = 1024 + (n - 200) * 37;
-    const int degrees[] = {0, 3, 8, 15};
+    const int degrees[] = {0, 3, 8, 15, 24};
     const uint8_t shape = in.byte();
-    s.sh_rest = degrees[shape & 3];
-    s.sh_degree = std::min(int(shape >> 2 & 3), shape & 3);
+    const int stored = (shape & 3) + (shape >> 7);
+    s.sh_rest = degrees[stored];
+    s.sh_degree = std::min((shape >> 2 & 3) + (shape >> 7), stored);
     s.raw = shape >> 4 & 1;
     add_splats(s, n, shape, noise);
     set_camera(s, in, noise);

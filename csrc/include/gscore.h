@@ -73,8 +73,8 @@ typedef struct gs_splats {
     const float *opacities; /* [N] in [0, 1], or logits where `raw` */
     const float *sh0;       /* [N, 1, 3] */
     const float *shN;       /* [N, sh_rest, 3]; may be null where sh_rest is 0 */
-    int32_t sh_rest;        /* stored coefficients beyond the constant one: 0, 3, 8 or 15 */
-    int32_t sh_degree;      /* evaluated degree, 0 to 3, at most what is stored */
+    int32_t sh_rest;        /* stored coefficients beyond the constant one: 0, 3, 8, 15 or 24 */
+    int32_t sh_degree;      /* evaluated degree, 0 to 4, at most what is stored */
     int32_t raw;            /* 1: scales are logs and opacities logits */
 } gs_splats;
 

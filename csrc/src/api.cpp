@@ -52,10 +52,10 @@ gs_status check_threads(int32_t threads) {
 gs_status check_splats(const gs_splats &s) {
     if (s.count < 0 || s.count > INT32_MAX)
         return fail(GS_BAD_ARGUMENT, "splats.count must be 0 to 2147483647, got %lld", (long long)s.count);
-    if (s.sh_rest != 0 && s.sh_rest != 3 && s.sh_rest != 8 && s.sh_rest != 15)
-        return fail(GS_BAD_ARGUMENT, "splats.sh_rest must be 0, 3, 8 or 15, got %d", s.sh_rest);
-    if (s.sh_degree < 0 || s.sh_degree > 3 || (s.sh_degree + 1) * (s.sh_degree + 1) - 1 > s.sh_rest)
-        return fail(GS_BAD_ARGUMENT, "splats.sh_degree must be 0 to 3 and at most what sh_rest = %d holds, got %d",
+    if (s.sh_rest != 0 && s.sh_rest != 3 && s.sh_rest != 8 && s.sh_rest != 15 && s.sh_rest != 24)
+        return fail(GS_BAD_ARGUMENT, "splats.sh_rest must be 0, 3, 8, 15 or 24, got %d", s.sh_rest);
+    if (s.sh_degree < 0 || s.sh_degree > 4 || (s.sh_degree + 1) * (s.sh_degree + 1) - 1 > s.sh_rest)
+        return fail(GS_BAD_ARGUMENT, "splats.sh_degree must be 0 to 4 and at most what sh_rest = %d holds, got %d",
                     s.sh_rest, s.sh_degree);
     if (s.count > 0 && (!s.means || !s.quats || !s.scales || !s.opacities || !s.sh0 || (s.sh_rest && !s.shN)))
         return fail(GS_BAD_ARGUMENT, "an array of splats is null");

@@ -1,4 +1,4 @@
-// Real spherical harmonics of degree 0 to 3: colours and their gradients.
+// Real spherical harmonics of degree 0 to 4: colours and their gradients.
 // Signs and order are those of 3D Gaussian Splatting: bands in ascending order, within a band m = -l..l.
 #pragma once
 
@@ -8,7 +8,6 @@
 
 namespace gs::GS_NAMESPACE {
 
-constexpr int kShMax = 16;
 // Largest gradient of a basis function that is passed on to the viewing direction.
 constexpr float kSlopeMax = 1e30f;
 
@@ -20,9 +19,47 @@ constexpr float kSh2[5] = {1.0925484305920792f, -1.0925484305920792f, 0.31539156
 constexpr float kSh3[7] = {-0.5900435899266435f, 2.890611442640554f, -0.4570457994644658f, 0.3731763325901154f,
                            -0.4570457994644658f, 1.445305721320277f, -0.5900435899266435f};
 
-static inline int sh_count(int degree) { return (degree + 1) * (degree + 1); }
+constexpr float kSh4[9] = {2.5033429417967046f, -1.7701307697799304f, 0.9461746957575601f,
+                           -0.6690465435572892f, 0.10578554691520431f, -0.6690465435572892f,
+                           0.47308734787878004f, -1.7701307697799304f, 0.6258357354491761f};
 
-static inline void sh_basis(int degree, Vec x, Vec y, Vec z, Vec *b) {
+static constexpr int sh_count(int degree) { return (degree + 1) * (degree + 1); }
+
+// The nine functions of degree 4.
+static inline void sh_basis_4(Vec x, Vec y, Vec z, Vec *b) {
+    const Vec xx = x * x, yy = y * y, zz = z * z;
+    const Vec rr = xx + yy, p = 4.0f * zz - 3.0f * rr, q = 6.0f * zz - rr, d = xx - yy;
+    b[0] = kSh4[0] * (x * y) * d;
+    b[1] = kSh4[1] * (y * z) * (3.0f * xx - yy);
+    b[2] = kSh4[2] * (x * y) * q;
+    b[3] = kSh4[3] * (y * z) * p;
+    b[4] = kSh4[4] * (8.0f * zz * (zz - 3.0f * rr) + 3.0f * rr * rr);
+    b[5] = kSh4[5] * (x * z) * p;
+    b[6] = kSh4[6] * d * q;
+    b[7] = kSh4[7] * (x * z) * (xx - 3.0f * yy);
+    b[8] = kSh4[8] * (xx * (xx - 6.0f * yy) + yy * yy);
+}
+
+// Adds dL/d(x, y, z) given s[k] = dL/db[k] of the functions of degree 4.
+static inline void sh_basis_4_backward(Vec x, Vec y, Vec z, const Vec *s, Vec *v) {
+    const Vec xx = x * x, yy = y * y, zz = z * z;
+    const Vec rr = xx + yy, p = 4.0f * zz - 3.0f * rr, q = 6.0f * zz - rr, d = xx - yy;
+    Vec c[9];
+    for (int k = 0; k < 9; ++k)
+        c[k] = kSh4[k] * s[k];
+    const Vec e = 4.0f * c[4] * (3.0f * rr - 12.0f * zz);
+    v[0] += c[0] * y * (3.0f * xx - yy) + 6.0f * c[1] * x * y * z + c[2] * y * (q - 2.0f * xx) -
+            6.0f * c[3] * x * y * z + e * x + c[5] * z * (p - 6.0f * xx) + 2.0f * c[6] * x * (q - d) +
+            3.0f * c[7] * z * d + 4.0f * c[8] * x * (xx - 3.0f * yy);
+    v[1] += c[0] * x * (xx - 3.0f * yy) + 3.0f * c[1] * z * d + c[2] * x * (q - 2.0f * yy) +
+            c[3] * z * (p - 6.0f * yy) + e * y - 6.0f * c[5] * x * y * z - 2.0f * c[6] * y * (q + d) -
+            6.0f * c[7] * x * y * z + 4.0f * c[8] * y * (yy - 3.0f * xx);
+    v[2] += c[1] * y * (3.0f * xx - yy) + 12.0f * c[2] * x * y * z + c[3] * y * (p + 8.0f * zz) +
+            16.0f * c[4] * z * (2.0f * zz - 3.0f * rr) + c[5] * x * (p + 8.0f * zz) + 12.0f * c[6] * d * z +
+            c[7] * x * (xx - 3.0f * yy);
+}
+
+template <int kMost> static inline void sh_basis(int degree, Vec x, Vec y, Vec z, Vec *b) {
     b[0] = set1(kSh0);
     if (degree < 1)
         return;
@@ -46,10 +83,12 @@ static inline void sh_basis(int degree, Vec x, Vec y, Vec z, Vec *b) {
     b[13] = kSh3[4] * x * (4.0f * zz - xx - yy);
     b[14] = kSh3[5] * z * (xx - yy);
     b[15] = kSh3[6] * x * (xx - 3.0f * yy);
+    if (kMost >= 4 && degree >= 4)
+        sh_basis_4(x, y, z, b + 16);
 }
 
 // dL/d(x, y, z) given s[k] = dL/db[k].
-static inline void sh_basis_backward(int degree, Vec x, Vec y, Vec z, const Vec *s, Vec *v) {
+template <int kMost> static inline void sh_basis_backward(int degree, Vec x, Vec y, Vec z, const Vec *s, Vec *v) {
     v[0] = v[1] = v[2] = Vec{};
     if (degree < 1)
         return;
@@ -73,6 +112,8 @@ static inline void sh_basis_backward(int degree, Vec x, Vec y, Vec z, const Vec 
             2.0f * c13 * x * y - 2.0f * c14 * y * z - 6.0f * c15 * x * y;
     v[2] += c10 * x * y + 8.0f * c11 * y * z + c12 * (6.0f * zz - 3.0f * xx - 3.0f * yy) + 8.0f * c13 * x * z +
             c14 * (xx - yy);
+    if (kMost >= 4 && degree >= 4)
+        sh_basis_4_backward(x, y, z, s + 16, v);
 }
 
 // Rows of the higher coefficients; lanes beyond those in `alive` repeat one of them.
@@ -83,10 +124,12 @@ static inline void coefficient_rows(const gs_splats &in, const uint32_t *id, uin
 }
 
 // colour = max(0, 0.5 + sum of b_k c_k) of the lanes in `alive`, which are not none; NaN where that is not finite.
-static inline void sh_colors(const gs_splats &in, const uint32_t *id, uint32_t alive, Vec x, Vec y, Vec z,
-                             Vec color[3]) {
-    Vec b[kShMax] = {};
-    sh_basis(in.sh_degree, x, y, z, b);
+template <int kMost>
+static inline void sh_colors_of(const gs_splats &in, const uint32_t *id, uint32_t alive, Vec x, Vec y, Vec z,
+                                Vec color[3]) {
+    constexpr int kMax = sh_count(kMost);
+    Vec b[kMax] = {};
+    sh_basis<kMost>(in.sh_degree, x, y, z, b);
     const int rest = sh_count(in.sh_degree) - 1;
     gather<3>(in.sh0, in.count, id, color);
     for (int c = 0; c < 3; ++c)
@@ -94,7 +137,7 @@ static inline void sh_colors(const gs_splats &in, const uint32_t *id, uint32_t a
     if (rest > 0) {
         const float *row[kLanes];
         coefficient_rows(in, id, alive, row);
-        Vec coefficients[3 * kShMax];
+        Vec coefficients[3 * kMax];
         by_four(3 * rest, [&](int at) { load_columns(row, size_t(at), coefficients + at); });
         for (int k = 0; k < rest; ++k)
             for (int c = 0; c < 3; ++c)
@@ -103,6 +146,20 @@ static inline void sh_colors(const gs_splats &in, const uint32_t *id, uint32_t a
     for (int c = 0; c < 3; ++c)
         color[c] = select(gt(color[c], Vec{}), color[c],
                           select(ge(color[c], set1(-3e38f)), Vec{}, set1(__builtin_nanf(""))));
+}
+
+// Degree 4 lies apart and out of line, so that others, which nearly all models have, do not pay for its room.
+static __attribute__((noinline)) void sh_colors_4(const gs_splats &in, const uint32_t *id, uint32_t alive, Vec x, Vec y,
+                                                  Vec z, Vec color[3]) {
+    sh_colors_of<4>(in, id, alive, x, y, z, color);
+}
+
+static inline void sh_colors(const gs_splats &in, const uint32_t *id, uint32_t alive, Vec x, Vec y, Vec z,
+                             Vec color[3]) {
+    if (in.sh_degree > 3)
+        sh_colors_4(in, id, alive, x, y, z, color);
+    else
+        sh_colors_of<3>(in, id, alive, x, y, z, color);
 }
 
 // Fetches what `sh_backward` reads and writes of a row: it takes pieces of many rows at a time, which hides from the
@@ -116,17 +173,19 @@ static inline void fetch_coefficients(const gs_splats &in, const gs_splat_grads 
 }
 
 // Writes gradients of the coefficients of the first `lanes` lanes and returns dL/d(x, y, z) of the unit direction.
-static inline void sh_backward(const gs_splats &in, const gs_splat_grads &grads, const uint32_t *id, int lanes, Vec x,
-                               Vec y, Vec z, const Vec v_color[3], Vec v_dir[3]) {
-    Vec b[kShMax] = {}, s[kShMax] = {};
-    sh_basis(in.sh_degree, x, y, z, b);
+template <int kMost>
+static inline void sh_backward_of(const gs_splats &in, const gs_splat_grads &grads, const uint32_t *id, int lanes, Vec x,
+                                  Vec y, Vec z, const Vec v_color[3], Vec v_dir[3]) {
+    constexpr int kMax = sh_count(kMost);
+    Vec b[kMax] = {}, s[kMax] = {};
+    sh_basis<kMost>(in.sh_degree, x, y, z, b);
     const int rest = sh_count(in.sh_degree) - 1;
     const Vec v_sh0[3] = {v_color[0] * kSh0, v_color[1] * kSh0, v_color[2] * kSh0};
     scatter<3>(grads.sh0, id, lanes, v_sh0);
     if (rest > 0) {
         const float *row[kLanes];
         coefficient_rows(in, id, (1u << lanes) - 1, row);
-        Vec coefficients[3 * kShMax], gradients[3 * kShMax];
+        Vec coefficients[3 * kMax], gradients[3 * kMax];
         by_four(3 * rest, [&](int at) { load_columns(row, size_t(at), coefficients + at); });
         for (int k = 0; k < rest; ++k) {
             const Vec *const c = coefficients + 3 * k;
@@ -157,7 +216,21 @@ static inline void sh_backward(const gs_splats &in, const gs_splat_grads &grads,
     const Vec most = set1(kSlopeMax);
     for (int k = 1; k <= rest; ++k)
         s[k] = keep(both(ge(most, s[k]), ge(s[k], -most)), s[k]);
-    sh_basis_backward(in.sh_degree, x, y, z, s, v_dir);
+    sh_basis_backward<kMost>(in.sh_degree, x, y, z, s, v_dir);
+}
+
+static __attribute__((noinline)) void sh_backward_4(const gs_splats &in, const gs_splat_grads &grads,
+                                                    const uint32_t *id, int lanes, Vec x, Vec y, Vec z,
+                                                    const Vec v_color[3], Vec v_dir[3]) {
+    sh_backward_of<4>(in, grads, id, lanes, x, y, z, v_color, v_dir);
+}
+
+static inline void sh_backward(const gs_splats &in, const gs_splat_grads &grads, const uint32_t *id, int lanes, Vec x,
+                               Vec y, Vec z, const Vec v_color[3], Vec v_dir[3]) {
+    if (in.sh_degree > 3)
+        sh_backward_4(in, grads, id, lanes, x, y, z, v_color, v_dir);
+    else
+        sh_backward_of<3>(in, grads, id, lanes, x, y, z, v_color, v_dir);
 }
 
 } // namespace gs::GS_NAMESPACE

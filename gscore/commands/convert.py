@@ -27,6 +27,7 @@ from ..io.files import read_bytes
 from ..io.lod_file import is_lod_file
 from ..lod.read import LOD_FORMAT, read_lod
 from ..scene import FARTHEST
+from ..sh import MAX_DEGREE
 from ..shown import quoted, shown
 from ..splats import Splats
 from ..words import count_words, number, size_words
@@ -178,7 +179,10 @@ def _add_clean(parser: argparse.ArgumentParser) -> None:
 def _add_fewer_and_place(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("4. fewer coefficients and splats")
     group.add_argument(
-        "--sh-degree", type=int, choices=range(4), help="degree of view-dependent colour at most"
+        "--sh-degree",
+        type=int,
+        choices=range(MAX_DEGREE + 1),
+        help="degree of view-dependent colour at most",
     )
     which = group.add_mutually_exclusive_group()
     which.add_argument("--count", type=_count, metavar="N", help="keep the N that matter most")

@@ -8,7 +8,7 @@ from typing import Any
 from ..config import DataConfig
 from ..errors import ConfigError
 from ..io.places import check_apart
-from ..page.pack import pack
+from ..page.pack import PAGE_DEGREE, pack
 from ..page.page import Page, most_splats, write_page
 from ..report.page_link import PAGE, link_page
 from ..words import count_words, number, size_words
@@ -103,6 +103,11 @@ def _write(
     status.show(["Measuring what the packing costs"])
     cost = difference(model, packed, views, threads=args.threads)
     warnings = [*model.warnings, *views.warnings]
+    if model.splats.sh_degree > PAGE_DEGREE:
+        warnings.append(
+            f"A page shows colours of SH degree {PAGE_DEGREE} at most; what depends on the "
+            f"direction beyond it is lost."
+        )
     if packed.head["count"] > _MANY:
         warnings.append(
             f"{number(packed.head['count'])} splats move slowly on a laptop; gscore convert "
@@ -154,7 +159,7 @@ def _title(model: GivenModel) -> str:
 
 
 def _check_splats(model: GivenModel) -> None:
-    degree = model.splats.sh_degree
+    degree = min(model.splats.sh_degree, PAGE_DEGREE)
     if len(model.splats) > (most := most_splats(degree)):
         raise ConfigError(
             f"{model.path} holds {number(len(model.splats))} splats of SH degree {degree}; a page "

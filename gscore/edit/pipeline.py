@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..errors import ConfigError
-from ..formats.joined import cut_degree, joined
+from ..formats.joined import joined
 from ..importance import importance_of, most_important
 from ..scene import Cameras
-from ..splats import Splats, sigmoid
+from ..splats import Splats, cut_degree, sigmoid
 from ..transforms import transform_splats
 from ..words import count_words
 from .clusters import cluster_sizes

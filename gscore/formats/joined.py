@@ -1,11 +1,11 @@
-"""Several models as one, and a model with fewer SH coefficients."""
+"""Several models as one."""
 
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from ..splats import SH_REST_BY_DEGREE, Splats
+from ..splats import Splats
 
 
 def joined(parts: Sequence[Splats]) -> Splats:
@@ -21,10 +21,3 @@ def joined(parts: Sequence[Splats]) -> Splats:
     return Splats(
         **{name: np.concatenate([getattr(part, name) for part in even]) for name in names}
     )
-
-
-def cut_degree(splats: Splats, degree: int) -> Splats:
-    """The model with SH coefficients up to this degree; itself where it has no more."""
-    if degree >= splats.sh_degree:
-        return splats
-    return replace(splats, shN=splats.shN[:, : SH_REST_BY_DEGREE[degree]])

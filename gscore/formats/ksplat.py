@@ -31,6 +31,7 @@ _LEVELS = (("<f4", "<f4"), ("<f2", "<f2"), ("<f2", "u1"))
 _REACH = 1.5
 """Of SH coefficients in bytes, where the header states none."""
 _COLOR = rgb_to_sh0(np.arange(256) / 255).astype(np.float32)
+_MOST_DEGREE = 3
 _BAND_STARTS = (0, 3, 8, 15)
 
 
@@ -116,7 +117,7 @@ def _read(path: Path) -> Decoded:
 def _section(file: _File, index: int) -> _Section:
     fields = _SECTION.unpack_from(file.raw, _HEADER_BYTES + index * _SECTION_BYTES)
     count, room, size, buckets, block, centre, steps, _, full, partial, degree = fields
-    if degree not in SH_REST_BY_DEGREE:
+    if degree > _MOST_DEGREE:
         raise _damaged(file.path, f"section {index + 1} states SH degree {degree}")
     if file.level and centre < _CENTRE_BYTES:
         raise _damaged(file.path, f"section {index + 1} states {centre} bytes a bucket")

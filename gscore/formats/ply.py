@@ -53,4 +53,5 @@ PLY = SplatFormat(
     write=write,
     says_antialiased=is_antialiased_ply,
     read_parts=read_ply_parts,
+    most_degree=4,
 )

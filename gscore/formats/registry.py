@@ -15,11 +15,11 @@ from ..io.files import is_file, reason
 from ..io.foreign import foreign
 from ..io.splat_rows import finite_splats
 from ..logged import collected_warnings
+from ..sh import MAX_DEGREE
 from ..shown import shown
-from ..splats import SH_REST_BY_DEGREE, Splats
+from ..splats import SH_REST_BY_DEGREE, Splats, cut_degree
 from ..words import count_words, number
 from . import gltf_splats, ksplat, ply, ply_compressed, sog, splat, spz, usd
-from .joined import cut_degree
 from .splat_file import SplatFile, SplatFormat, WriteOptions, WrittenFile
 
 FORMATS: tuple[SplatFormat, ...] = (
@@ -133,7 +133,7 @@ def write_splat_file(
     path = Path(path)
     found = format_to_write(path)
     if sh_degree is not None and sh_degree not in SH_REST_BY_DEGREE:
-        raise ConfigError(f"The SH degree must be 0 to 3, got {sh_degree!r}.")
+        raise ConfigError(f"The SH degree must be 0 to {MAX_DEGREE}, got {sh_degree!r}.")
     notes: list[str] = []
     most = min(splats.sh_degree, found.most_degree)
     kept = _drawable(splats, notes)

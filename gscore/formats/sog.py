@@ -40,6 +40,8 @@ _SLACK = 1 << 16
 _MOST_RATIO = 64
 """Of unpacked to packed bytes of a texture, which is packed already."""
 _FIRST_TAG = 252
+_ANTIALIASED = "antialiased"
+"""What splat-transform writes as the model's kind; before, a SOG had `antialias`."""
 _GAP = "Copy or export it again."
 _BROKEN_ZIP = (
     zipfile.BadZipFile,
@@ -163,7 +165,7 @@ class _Meta:
                 f"splat-transform, or export a 3DGS PLY."
             )
         self.count = self._whole(content, "count", 0, 2**31)
-        self.antialiased = content.get("antialias") is True
+        self.antialiased = content.get("antialias") is True or content.get("model") == _ANTIALIASED
 
     @property
     def has_harmonics(self) -> bool:
@@ -264,7 +266,7 @@ def _write(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
     if not textures.fits(len(splats)):
         raise ConfigError(f"{path}: SOG holds 268 million splats at most.")
     meta, pictures = _textures(splats)
-    meta |= {"antialias": True} if options.antialiased else {}
+    meta |= {"antialias": True, "model": _ANTIALIASED} if options.antialiased else {}
     files = textures.encode_all(pictures)
     text = json.dumps(meta).encode()
     if path.suffix.lower() == ".json":

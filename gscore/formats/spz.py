@@ -5,7 +5,6 @@ Source: the layout published with github.com/nianticlabs/spz. Positions are fixe
 smallest components in 32 bits (3, 4). Its axes are right-up-back.
 """
 
-import logging
 import struct
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,9 +14,10 @@ import numpy as np
 from ..errors import ConfigError, FormatError
 from ..io.file_sample import FileSample
 from ..io.files import atomic_write, read_bytes
-from ..io.splat_rows import LOGIT_OF_BYTE, drawable, opacity_bytes, whole_bands
+from ..io.splat_rows import LOGIT_OF_BYTE, drawable, opacity_bytes
 from ..smallest_three import smallest_three, with_largest
-from ..splats import Splats
+from ..splats import SH_REST_BY_DEGREE, Splats
+from ..transforms import transform_splats
 from ..words import count_words, number
 from .axes import X, harmonic_signs
 from .packed_bytes import (
@@ -28,16 +28,14 @@ from .packed_bytes import (
     zstd_quickly,
 )
 from .splat_file import Decoded, SplatFormat, WriteOptions, colors_note
+from .spz_records import placement
 
 _MAGIC = b"NGSP"
 VERSIONS = (3, 4)
 """That are written."""
-_REST = (0, 3, 8, 15, 24)
-"""SH coefficients beyond the constant one, by degree."""
 _HEADER = struct.Struct("<4sIIBBBB")
 _HEADER_4 = struct.Struct("<4sIIBBBBI12x")
 _STREAM = struct.Struct("<QQ")
-_RECORD = struct.Struct("<II")
 _ANTIALIASED, _EXTENDED = 1, 2
 _MOST_BITS = 23
 """Of the fraction of a position, of 24."""
@@ -53,8 +51,6 @@ _SIGNS = np.array([1, -1, -1], np.float32)
 _ROTATION_STEPS = 511
 _BLOCK = 1 << 17
 
-_log = logging.getLogger(__name__)
-
 
 @dataclass(frozen=True)
 class _Header:
@@ -68,7 +64,9 @@ class _Header:
     def sizes(self) -> list[int]:
         """Bytes of the arrays, in their order."""
         rotation = 3 if self.version == 2 else 4
-        return [self.count * each for each in (9, 1, 3, 3, rotation, 3 * _REST[self.degree])]
+        return [
+            self.count * each for each in (9, 1, 3, 3, rotation, 3 * SH_REST_BY_DEGREE[self.degree])
+        ]
 
 
 def decode_spz(path: Path, raw: bytes | memoryview) -> Decoded:
@@ -79,13 +77,16 @@ def decode_spz(path: Path, raw: bytes | memoryview) -> Decoded:
         BackendError: version 4 without the package zstandard.
     """
     if bytes(raw[:2]) == b"\x1f\x8b":
-        header, arrays = _inflated(path, raw)
+        header, arrays, matrix = _inflated(path, raw)
     elif bytes(raw[:4]) == _MAGIC and len(raw) >= _HEADER.size:
-        header, arrays = _streams(path, raw)
+        header, arrays, matrix = _streams(path, raw)
     else:
         raise _damaged(path, "it does not begin as one")
+    splats = _unpack(path, header, arrays)
+    if matrix is not None:
+        splats = transform_splats(splats, matrix @ np.diag([*_SIGNS, 1.0]))
     return Decoded(
-        splats=_unpack(path, header, arrays),
+        splats=splats,
         layout=f"SPZ {header.version}",
         antialiased=bool(header.flags & _ANTIALIASED),
     )
@@ -128,15 +129,19 @@ def _header(path: Path, raw: bytes | memoryview) -> _Header:
             f"{path} is an SPZ file of version {version}; versions 2, 3 and 4 are read. Export it "
             f"again in one of these, or as a 3DGS PLY."
         )
-    if degree >= len(_REST):
+    if degree not in SH_REST_BY_DEGREE:
         raise _damaged(path, f"it states SH degree {degree}, expected 0 to 4")
     if bits > _MOST_BITS:
         raise _damaged(path, f"it states {bits} bits of fraction in numbers of 24 bits")
     return _Header(version, count, degree, bits, flags)
 
 
-def _inflated(path: Path, raw: bytes | memoryview) -> tuple[_Header, list[memoryview]]:
-    """Header and arrays of versions 2 and 3."""
+_Content = tuple[_Header, list[memoryview], np.ndarray | None]
+"""Header, arrays, and the matrix from the file's axes to right-down-front where it states any."""
+
+
+def _inflated(path: Path, raw: bytes | memoryview) -> _Content:
+    """What versions 2 and 3 hold."""
     what = f"{path} is a damaged SPZ file"
     header = _header(path, gunzip_exactly(what, raw, _HEADER.size, at_least=0))
     if header.version == 4:
@@ -151,12 +156,11 @@ def _inflated(path: Path, raw: bytes | memoryview) -> tuple[_Header, list[memory
         )
     )
     arrays, rest = _split(whole[_HEADER.size :], header.sizes)
-    _tell_of_extensions(path, rest)
-    return header, arrays
+    return header, arrays, placement(path, rest)
 
 
-def _streams(path: Path, raw: bytes | memoryview) -> tuple[_Header, list[memoryview]]:
-    """Header and arrays of version 4, and of 2 and 3 that somebody unpacked."""
+def _streams(path: Path, raw: bytes | memoryview) -> _Content:
+    """What version 4 holds, and 2 and 3 that somebody unpacked."""
     view = memoryview(raw)
     header = _header(path, view)
     if header.version < 4:
@@ -164,7 +168,7 @@ def _streams(path: Path, raw: bytes | memoryview) -> tuple[_Header, list[memoryv
         if len(body) < sum(header.sizes):
             words = count_words(header.count, "splat")
             raise _damaged(path, f"{words} take more than its {number(len(view))} bytes")
-        return header, _split(body, header.sizes)[0]
+        return header, _split(body, header.sizes)[0], None
     if len(view) < _HEADER_4.size:
         raise _damaged(path, "it ends within its header")
     streams, start = _HEADER_4.unpack_from(view)[6:]
@@ -176,7 +180,7 @@ def _streams(path: Path, raw: bytes | memoryview) -> tuple[_Header, list[memoryv
     if first > len(view):
         raise _damaged(path, "it ends within the table of its streams")
     check_ratio(f"{path} is a damaged SPZ file", len(view), sum(wanted))
-    _tell_of_extensions(path, view[_HEADER_4.size : start])
+    matrix = placement(path, view[_HEADER_4.size : start])
     arrays, at = [], first
     for index in range(streams):
         packed, size = _STREAM.unpack_from(view, start + index * _STREAM.size)
@@ -188,7 +192,8 @@ def _streams(path: Path, raw: bytes | memoryview) -> tuple[_Header, list[memoryv
         what = f"{path} is a damaged SPZ file"
         arrays.append(unzstd_exactly(what, view[at : at + packed], size))
         at += packed
-    return header, [*arrays, *[memoryview(b"")] * (len(header.sizes) - len(arrays))]
+    arrays += [memoryview(b"")] * (len(header.sizes) - len(arrays))
+    return header, arrays, matrix
 
 
 def _split(view: memoryview, sizes: list[int]) -> tuple[list[memoryview], memoryview]:
@@ -199,23 +204,14 @@ def _split(view: memoryview, sizes: list[int]) -> tuple[list[memoryview], memory
     return arrays, view
 
 
-def _tell_of_extensions(path: Path, records: memoryview) -> None:
-    """Log the vendors' records, none of which is taken."""
-    while len(records) >= _RECORD.size:
-        kind, size = _RECORD.unpack_from(records)
-        _log.warning("%s: its extension %#010x of %d bytes is not read.", path, kind, size)
-        records = records[_RECORD.size + size :]
-
-
 def _unpack(path: Path, header: _Header, arrays: list[memoryview]) -> Splats:
     count = header.count
     places, alphas, colors, scales, rotations, rest = (
         np.frombuffer(array, np.uint8) for array in arrays
     )
-    harmonics = whole_bands(path, rest.reshape(count, _REST[header.degree], 3))
-    shN = _HARMONIC[harmonics]
+    shN = _HARMONIC[rest.reshape(count, SH_REST_BY_DEGREE[header.degree], 3)]
     if header.degree:
-        shN *= harmonic_signs(min(header.degree, 3), X)[:, None]
+        shN *= harmonic_signs(header.degree, X)[:, None]
     unpack = _first_three if header.version == 2 else _smallest_three
     return drawable(
         path,
@@ -349,4 +345,12 @@ def _write(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
     return notes
 
 
-SPZ = SplatFormat(key="spz", name="SPZ", endings=(".spz",), holds=_is_spz, read=_read, write=_write)
+SPZ = SplatFormat(
+    key="spz",
+    name="SPZ",
+    endings=(".spz",),
+    holds=_is_spz,
+    read=_read,
+    write=_write,
+    most_degree=4,
+)

@@ -23,10 +23,9 @@ from ..io.ply.splats import read_ply
 from ..io.splat_rows import linear_scales, opacities_of
 from ..json_text import parse_json
 from ..sh import sh_count
-from ..splats import Splats
+from ..splats import Splats, cut_degree
 from . import usd_reading
 from .axes import X, half_turn, harmonic_signs
-from .joined import cut_degree
 from .splat_file import Decoded, SplatFormat, WriteOptions
 from .usd_reading import MARK, TYPE, usd_library
 
@@ -154,4 +153,5 @@ USD = SplatFormat(
     holds=_is_usd,
     read=_read,
     write=_write,
+    most_degree=4,
 )

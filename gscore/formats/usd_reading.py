@@ -13,9 +13,9 @@ import numpy as np
 from ..errors import BackendError, FormatError, GsError, ShapeError
 from ..extras import need
 from ..io.ply.splats import write_splats
-from ..io.splat_rows import drawable, log_scales, logits, whole_bands
+from ..io.splat_rows import drawable, log_scales, logits
 from ..logged import collected_warnings
-from ..sh import sh_count
+from ..sh import MAX_DEGREE, sh_count
 from ..splats import Splats
 from ..transforms import transform_splats
 from .axes import X, half_turn
@@ -26,7 +26,6 @@ MARK = "antialiased"
 """In the custom data of a prim; the schema has no place for it."""
 _Y_OF_Z = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 """From a stage with Z up to one with Y up."""
-_MOST_DEGREE = 4
 
 
 def hand_over(file: Path, ply: Path) -> dict[str, Any]:
@@ -73,9 +72,8 @@ def read_usd(path: Path) -> tuple[Splats, bool]:
         marks = [prim.GetCustomDataByKey(MARK) is True for prim in prims]
         has_z_up = UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z
     except (Tf.ErrorException, RuntimeError, UnicodeDecodeError) as error:
-        reason = (str(error) or type(error).__name__).strip().splitlines()[-1].strip()
         raise FormatError(
-            f"{path} is a damaged USD file: {reason} Copy or export it again."
+            f"{path} is a damaged USD file: {_reason(error)} Copy or export it again."
         ) from error
     if not parts:
         raise FormatError(
@@ -91,6 +89,15 @@ def read_usd(path: Path) -> tuple[Splats, bool]:
     except ShapeError as error:
         raise FormatError(f"{path}: a prim cannot be placed. {error}") from error
     return half_turn(joined(placed), X), all(marks)
+
+
+def _reason(error: Exception) -> str:
+    """What the library says, which may be bytes of the file that are no text."""
+    try:
+        said = str(error).strip()
+    except UnicodeDecodeError:
+        return "it holds bytes that are no text."
+    return said.splitlines()[-1].strip() if said else type(error).__name__
 
 
 def _matrix(prim: Any) -> np.ndarray:
@@ -119,14 +126,14 @@ def _splats(path: Path, prim: Any) -> Splats:
         scales=log_scales(scales),
         opacities=logits(opacities[:, 0]),
         sh0=np.ascontiguousarray(harmonics[:, 0]),
-        shN=np.ascontiguousarray(whole_bands(path, harmonics[:, 1:])),
+        shN=np.ascontiguousarray(harmonics[:, 1:]),
     )
 
 
 def _harmonics(path: Path, prim: Any, count: int) -> np.ndarray:
     """[N, K, 3], the constant one first; zero where there are none."""
     degree = prim.GetAttribute("radiance:sphericalHarmonicsDegree").Get()
-    if not isinstance(degree, int) or not 0 <= degree <= _MOST_DEGREE:
+    if not isinstance(degree, int) or not 0 <= degree <= MAX_DEGREE:
         raise _damaged(path, prim, f"states SH degree {degree}")
     found = _rows(path, prim, "radiance:sphericalHarmonicsCoefficients", 3)
     each = sh_count(degree)
@@ -144,9 +151,12 @@ def _rows(
     Usd = need("pxr.Usd", "USD")
     for attribute in (prim.GetAttribute(name), prim.GetAttribute(f"{name}h")):
         values = attribute.Get(Usd.TimeCode.EarliestTime()) if attribute else None
-        if values is None or not len(values):
-            continue
-        found = np.asarray(values, np.float32).reshape(-1, width)
+        try:
+            if values is None or not len(values):
+                continue
+            found = np.asarray(values, np.float32).reshape(-1, width)
+        except (TypeError, ValueError) as error:  # a file may declare any type for it
+            raise _damaged(path, prim, f"has {name} that are no rows of {width}") from error
         if count is not None and len(found) < count:
             raise _damaged(path, prim, f"has {len(found)} {name}, expected {count}")
         return found[:count]

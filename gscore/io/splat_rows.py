@@ -52,14 +52,14 @@ def linear_scales(logs: np.ndarray) -> np.ndarray:
 
 
 def whole_bands(path: Path, rest: np.ndarray) -> np.ndarray:
-    """The coefficients [N, K'-1, 3] that make whole bands of degree 3 at most; others are cut, and
+    """The coefficients [N, K'-1, 3] that make whole bands of degree 4 at most; others are cut, and
     a warning says so."""
     each = rest.shape[1]
     keep = max(kept for kept in SH_REST_BY_DEGREE.values() if kept <= each)
     if keep < each:
         _log.warning(
             "%s has %d SH coefficients a channel beyond the constant one; only the first %d "
-            "(whole bands, degree 3 at most) are used.",
+            "(whole bands, degree 4 at most) are used.",
             path,
             each,
             keep,
@@ -87,7 +87,7 @@ def drawable(
         scales: [N, 3] float32, log.
         opacities: [N] float32, logit.
         sh0: [N, 3] float32.
-        shN: [N, K-1, 3] float32, of degree 0 to 3.
+        shN: [N, K-1, 3] float32, of degree 0 to 4.
     """
     splats = Splats(
         means=means, quats=quats, scales=scales, opacities=opacities, sh0=sh0[:, None], shN=shN

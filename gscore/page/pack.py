@@ -13,12 +13,14 @@ import numpy as np
 
 from ..sh import rgb_to_sh0, sh0_to_rgb
 from ..smallest_three import smallest_three, with_largest
-from ..splats import PARAMETERS, Splats, sigmoid
+from ..splats import PARAMETERS, Splats, cut_degree, sigmoid
 from . import ascii85
 from .blocks import BLOCK, blocks_of
 
 PAGE_BYTES = 20
 """Of the page, for a splat, as text."""
+PAGE_DEGREE = 3
+"""The highest SH degree that its scripts draw."""
 PLACE_LEVELS = 1 << 12
 """Places along each side of the box of a block."""
 TURN_LEVELS = 1 << 7
@@ -64,14 +66,14 @@ class Packed:
 
 def pack(splats: Splats, *, budget: float = PAGE_BYTES) -> Packed:
     """Quantise and deflate; splats that are never drawn, or have numbers that are not finite, are
-    left out, and the others come in another order.
+    left out, and the others come in another order, with SH coefficients up to `PAGE_DEGREE`.
 
     Args:
         splats: What to pack.
         budget: Letters a splat that the text of all of them may take. Below about a thousand
             splats, what they share can need more.
     """
-    kept = splats.subset(_drawn(splats))
+    kept = cut_degree(splats.subset(_drawn(splats)), PAGE_DEGREE)
     order, lengths = blocks_of(kept.means)
     kept = kept.subset(order)
     count = len(kept)

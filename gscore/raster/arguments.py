@@ -22,7 +22,7 @@ def stored_degree(shN: Array) -> int:
     """SH degree of [N, K-1, 3] coefficients; ShapeError where there is none with so many."""
     shape = tuple(shN.shape)
     if len(shape) != 3 or shape[1] not in _DEGREE_BY_REST:
-        raise ShapeError(f"shN must be [N, 0, 3, 8 or 15, 3], got {list(shape)}.")
+        raise ShapeError(f"shN must be [N, 0, 3, 8, 15 or 24, 3], got {list(shape)}.")
     return _DEGREE_BY_REST[shape[1]]
 
 

@@ -142,7 +142,7 @@ def rasterize(
         scales: [N, 3] standard deviations in world units; their natural logs where `raw`.
         opacities: [N] in [0, 1]; logits where `raw`.
         sh0: [N, 1, 3] constant SH coefficient.
-        shN: [N, K-1, 3] higher coefficients, K-1 = 0, 3, 8 or 15.
+        shN: [N, K-1, 3] higher coefficients, K-1 = 0, 3, 8, 15 or 24.
         viewmat: [4, 4] world to camera, OpenCV axes.
         K: [3, 3] pixels, without skew; pixel centres lie at +0.5.
         width: Pixels.

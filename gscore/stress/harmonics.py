@@ -1,4 +1,4 @@
-"""S24: spherical harmonics of degrees 0 to 3, at the poles and at the clamp."""
+"""S24: spherical harmonics of degrees 0 to 4, at the poles and at the clamp."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -13,7 +13,7 @@ from .scenes import SplatScene, draw_scene
 
 def _around(seed: int) -> SplatScene:
     """Splats in all directions a camera can look, the poles of the harmonics among them."""
-    scene = draw_scene(seed, count=40, width=32, height=28)
+    scene = draw_scene(seed, count=40, width=32, height=28, sh_degree=4)
     rotation = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
     rotation *= np.sign(np.linalg.det(rotation))
     axes = np.eye(3)[seed % 3] * (1 if seed % 2 else -1)
@@ -33,7 +33,7 @@ def harmonics(full: bool) -> Iterator[Measure]:
     clamped = 0
     for seed in range(2400, 2406):
         scene = _around(seed)
-        for degree in range(4):
+        for degree in range(5):
             true = truth.ask(scene, sh_degree=degree, weigh=("rgb",))
             drawn = native.draw(scene, true.weights, sh_degree=degree)
             seen = (drawn.radii > 0) & (true.projected["depths"] > 0)

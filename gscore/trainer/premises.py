@@ -40,6 +40,11 @@ def _world(trainer: Trainer) -> Iterator[str]:
             f"{config.start_splats} was trained {'without' if config.antialias else 'with'} "
             "antialiasing, unlike this run; small splats change their opacity at first."
         )
+    if trainer.cut_degree > config.sh_degree:
+        yield (
+            f"The splats to start from have SH degree {trainer.cut_degree}, this run "
+            f"{config.sh_degree} at most: what depends on the direction beyond it is lost."
+        )
     offset = float(np.abs(frame.similarity.shift).max()) * frame.similarity.scale / frame.extent
     if offset > _FAR_FROM_ORIGIN:
         yield (

@@ -206,6 +206,8 @@ class Trainer:
         """What goes besides what the strategy takes out."""
         self._disable = raster_bits(config.without)
         self._given_degree = first.sh_degree
+        self.cut_degree = max(0 if start is None else start.sh_degree, first.sh_degree)
+        """SH degree of given splats before it was cut to what the config allows."""
         if Skip.SH_BANDS in config.without:
             ops.widen_sh(self.model, config.sh_degree)
         self.strategy.start(self.model)

@@ -13,6 +13,7 @@ from gscore.formats import read_splats as read_any
 from gscore.io.ply.splats import MIP_COMMENT, header_comments, read_ply, write_splats
 from gscore.metrics.image import psnr
 from gscore.raster.api import render
+from gscore.splats import Splats
 from gscore.transforms import transform_splats
 
 
@@ -36,6 +37,55 @@ def test_without_options_nothing_changes(gscore, ply, tmp_path, splats):
         code, text, _ = gscore("convert", ply, out)
         assert code == 0 and f"Wrote {out}: 60 splats, SH degree 1" in text
     same(read_ply(out), splats)
+
+
+def with_harmonics(splats, rest):
+    """The splats with so many random coefficients."""
+    rng = np.random.default_rng(3)
+    shN = 0.1 * rng.standard_normal((len(splats), rest, 3), dtype=np.float32)
+    return replace(splats, shN=shN)
+
+
+def test_degree_4_goes_through_every_step(gscore, tmp_path, splats):
+    """Oracle: the picture of what was joined and cropped by hand, from where the camera was."""
+    first, second = with_harmonics(splats, 24), with_harmonics(splats.subset(np.arange(9)), 15)
+    write_splats(tmp_path / "a.ply", first)
+    write_splats(tmp_path / "b.ply", second)
+    turn, _ = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = 2 * turn * np.linalg.det(turn), (1, 0, -3)
+    (tmp_path / "matrix.txt").write_text(str(matrix.tolist()))
+    away = np.linalg.norm(splats.means, axis=1)
+    inside = away < np.median(away)
+    code, text, _ = gscore(
+        "convert", tmp_path / "a.ply", tmp_path / "c.ply", "--merge", tmp_path / "b.ply",
+        "--sphere", 0, 0, 0, np.median(away), "--sh-degree", 4,
+        "--matrix", tmp_path / "matrix.txt", "--json",
+    )  # fmt: skip
+    got, facts = read_ply(tmp_path / "c.ply"), json.loads(text)
+    assert code == 0 and facts["sh_degree"] == facts["sh_degree_before"] == got.sh_degree == 4
+    padded = replace(second, shN=np.pad(second.shN, ((0, 0), (0, 9), (0, 0))))
+    parts = first.subset(inside), padded.subset(inside[:9])
+    wanted = Splats(
+        **{name: np.concatenate([getattr(p, name) for p in parts]) for name in vars(first)}
+    )
+    view, K = np.eye(4), np.array([[40.0, 0, 32], [0, 40, 24], [0, 0, 1]])
+    view[2, 3] = 4
+    turned = np.diag([2.0, 2, 2, 1]) @ view @ np.linalg.inv(matrix)
+    old, new = (render(s, K, v, 64, 48).rgb for s, v in ((wanted, view), (got, turned)))
+    assert len(got) == len(wanted) and old.max() > 0.1
+    assert psnr(old, new) > 70
+    assert psnr(old, render(wanted, K, view, 64, 48, sh_degree=3).rgb) < 60
+
+
+@pytest.mark.parametrize(("name", "degree"), [("a.spz", 4), ("a.glb", 3), ("a.sog", 3)])
+def test_degree_4_in_other_formats(gscore, tmp_path, splats, name, degree):
+    """Oracle: what each format is known to hold; what is lost is said, and info tells the rest."""
+    write_splats(tmp_path / "a.ply", with_harmonics(splats, 24))
+    code, _, err = gscore("convert", tmp_path / "a.ply", tmp_path / name)
+    assert code == 0 and ("holds colours of SH degree 3 at most" in err) == (degree < 4)
+    code, text, _ = gscore("info", tmp_path / name, "--json")
+    assert code == 0 and json.loads(text)["sh_degree"] == degree
 
 
 def test_the_mark_of_antialiasing_stays(gscore, tmp_path, splats):

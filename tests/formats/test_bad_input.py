@@ -293,6 +293,32 @@ def test_usd(content: bytes | None, make_model: MakeModel, tmp_path: Path) -> No
     assert str(path) in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "why"),
+    [
+        (b"def", b"d\xfff", "bytes that are no text"),
+        (b"point3f[] positions = ", b"float positions = 3\nfloat3[] others = ", "no rows of 3"),
+        (
+            b"point3f[] positions = ",
+            b'string[] positions = ["a"]\nfloat3[] others = ',
+            "no rows of 3",
+        ),
+    ],
+)
+def test_usd_that_is_damaged_in_its_words(
+    old: bytes, new: bytes, why: str, make_model: MakeModel, tmp_path: Path
+) -> None:
+    """Oracle: what is wrong, in words, where the library fails to say it or takes it for good."""
+    pytest.importorskip("pxr.UsdVol")
+    path = tmp_path / "a.usda"
+    write_splat_file(path, make_model(3, 1))
+    raw = path.read_bytes()
+    assert old in raw
+    path.write_bytes(raw.replace(old, new, 1))
+    with pytest.raises(FormatError, match=f"damaged.*{why}"):
+        read_splat_file(path)
+
+
 def test_nothing_is_written_where_it_fails(make_model: MakeModel, tmp_path: Path) -> None:
     """Oracle: the folder, after a write into a folder that is a file."""
     (tmp_path / "file").write_bytes(b"")

@@ -12,9 +12,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import gscore
 from gscore.formats import read_splat_file, write_splat_file
 from gscore.sh import SH_C0
 from gscore.splats import Splats
+from gscore.transforms import transform_splats
 
 HALF = np.sqrt(0.5)
 _ONE = np.float32(1)
@@ -101,15 +103,56 @@ def test_spz_in_zstd(extension: bytes, tmp_path: Path) -> None:
     _check_spz(found.splats, 4)
 
 
-def test_spz_of_degree_4_is_cut(tmp_path: Path) -> None:
-    """Oracle: the first 15 of 24 coefficients, and a sentence."""
+@pytest.mark.parametrize(
+    ("axes", "place"),
+    [
+        (4, [1, -2, -4]), (6, [1, 2, 4]), (7, [-1, -2, 4]), (1, [-1, 2, -4]),
+        (16, [1, -4, 2]), (9, [-1, 4, -2]), (0, [1, -2, -4]), (17, [1, -2, -4]),
+    ],
+)  # fmt: skip
+def test_spz_in_other_axes(axes: int, place: list[float], tmp_path: Path) -> None:
+    """Oracle: names of axes in the library, as 16 for right-front-up, turned by hand; a number that
+    has no name leaves the usual ones, and is told."""
+    header = struct.pack("<4sIIBBBBI12x", b"NGSP", 3, 1, 0, 4, 2, 0, 0)[:16]
+    places = b"".join((16 * k).to_bytes(3, "little") for k in (1, 2, 4))
+    body = places + bytes([200] + [128] * 6) + struct.pack("<I", 3 << 30)
+    record = struct.pack("<III", 0xADBE0003, 4, axes)
+    (tmp_path / "a.spz").write_bytes(gzip.compress(header + body + record))
+    found = read_splat_file(tmp_path / "a.spz")
+    np.testing.assert_array_equal(found.splats.means, [place])
+    assert len(found.notes) == (axes in (0, 17))
+
+
+def test_spz_in_other_axes_is_turned_whole(tmp_path: Path) -> None:
+    """Oracle: renders of the model that was put into the axes of a mirrored world."""
+    rng = np.random.default_rng(5)
+    model = _one(
+        means=[0.1, -0.2, 2], quats=rng.normal(size=4), scales=[-1, -2, -3], sh0=[0.5, 0.2, -0.3],
+        shN=0.3 * rng.uniform(-1, 1, (24, 3)),
+    )  # fmt: skip
+    mirrored = np.array([[-1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+    usual = np.diag([1.0, -1, -1, 1])
+    write_splat_file(tmp_path / "a.spz", transform_splats(model, usual @ np.linalg.inv(mirrored)))
+    raw = bytearray(gzip.decompress((tmp_path / "a.spz").read_bytes()))
+    raw[14] |= 2
+    raw += struct.pack("<III", 0xADBE0003, 4, 15)  # left, front, up
+    (tmp_path / "a.spz").write_bytes(gzip.compress(bytes(raw)))
+    K = np.array([[60.0, 0, 24], [0, 60, 24], [0, 0, 1]])
+    again = gscore.read_splats(tmp_path / "a.spz")
+    old, new = (gscore.render(s, K, np.eye(4), 48, 48).rgb for s in (model, again))
+    assert old.max() > 0.1 and np.abs(old - new).max() < 0.03
+
+
+def test_spz_of_degree_4(tmp_path: Path) -> None:
+    """Oracle: the bytes, by the layout."""
     header = struct.pack("<4sIIBBBB", b"NGSP", 3, 1, 4, 12, 0, 0)
     body = bytes(9 + 1 + 3 + 3 + 4) + bytes(range(128, 200))
     (tmp_path / "a.spz").write_bytes(gzip.compress(header + body))
     found = read_splat_file(tmp_path / "a.spz")
-    assert found.splats.sh_degree == 3
-    assert len(found.notes) == 1 and "degree 3 at most" in found.notes[0]
+    assert found.splats.sh_degree == 4 and not found.notes
     np.testing.assert_allclose(np.abs(found.splats.shN[0, 14]), np.arange(42, 45) / 128)
+    # x⁴-6x²y²+y⁴ is the same after half a turn about x.
+    np.testing.assert_allclose(found.splats.shN[0, 23], np.arange(69, 72) / 128)
 
 
 def test_spz_as_written(tmp_path: Path) -> None:
@@ -214,6 +257,29 @@ def test_sog(packing: int, tmp_path: Path) -> None:
     found = read_splat_file(tmp_path / "a")
     assert (found.format, found.antialiased) == ("sog", True)
     _check_sog(found.splats)
+
+
+@pytest.mark.parametrize(
+    ("mark", "antialiased"),
+    [
+        ({"model": "antialiased"}, True),
+        ({"model": "2dgs"}, False),
+        ({"model": 3}, False),
+        ({}, False),
+    ],
+)
+def test_mark_of_splat_transform(mark: dict, antialiased: bool, tmp_path: Path) -> None:
+    """Oracle: the words that splat-transform writes; it reads no `antialias`."""
+    for name, raw in _sog_parts().items():
+        (tmp_path / name).write_bytes(raw)
+    meta = json.loads((tmp_path / "meta.json").read_text())
+    del meta["antialias"]
+    (tmp_path / "meta.json").write_text(json.dumps(meta | mark))
+    found = read_splat_file(tmp_path)
+    assert found.antialiased == antialiased
+    out = tmp_path / "out" / "meta.json"
+    write_splat_file(out, found.splats, antialiased=antialiased)
+    assert json.loads(out.read_text()).get("model") == ("antialiased" if antialiased else None)
 
 
 def test_sog_unpacked(tmp_path: Path) -> None:

@@ -351,6 +351,18 @@ def test_splats_alone_become_a_page(gscore, tmp_path, splats, browser):
     assert browser.complaints() == []
 
 
+def test_a_page_says_what_it_leaves_of_degree_4(gscore, tmp_path, splats):
+    """Oracle: the sentence, which a model of degree 3 is not told."""
+    for rest, told in ((24, True), (15, False)):
+        shN = np.zeros((len(splats), rest, 3), np.float32)
+        write_splats(tmp_path / "a.ply", replace(splats, shN=shN))
+        code, out, err = gscore(
+            "view", tmp_path / "a.ply", "-o", tmp_path / f"{rest}.html", "--json"
+        )
+        assert code == 0 and json.loads(out)["sh_degree"] == 3
+        assert ("SH degree 3 at most" in " ".join(err.split())) == told
+
+
 @pytest.mark.parametrize(
     ("line", "sentence"),
     [

@@ -61,6 +61,13 @@ def test_each_number_is_within_half_a_step(degree: int) -> None:
         assert off.max() <= 0.51 * 3**0.5 * step < 0.3
 
 
+def test_degree_4_is_shown_as_3() -> None:
+    """Oracle: the page of the same splats without their last nine coefficients, to the byte."""
+    splats = cloud(500, 4)
+    less = replace(splats, shN=splats.shN[:, :15].copy())
+    assert pack(splats) == pack(less) and unpack(pack(splats)).sh_degree == 3
+
+
 @pytest.mark.parametrize(("count", "degree"), [(3000, 0), (30_000, 1), (30_000, 2), (30_000, 3)])
 def test_twenty_bytes_a_splat_are_enough(count: int, degree: int) -> None:
     """Oracle: the length of the text; and harmonics get what is left: less of it, larger steps."""

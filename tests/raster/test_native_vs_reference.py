@@ -82,6 +82,7 @@ SCENES = {
         "logits": (0.0, 4.0),
         "sh_degree": 1,
     },
+    "degree 4": {"count": 300, "width": 64, "height": 48, "overscan": 0.1, "sh_degree": 4},
 }
 CASES = [
     (name, antialias)

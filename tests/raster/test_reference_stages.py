@@ -190,7 +190,7 @@ def real_harmonics(directions, degree):
     return np.stack(columns, 1)
 
 
-@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+@pytest.mark.parametrize("degree", [0, 1, 2, 3, 4])
 def test_harmonics_are_scipys(degree):
     directions = normal(200, 3)
     directions = directions / directions.norm(dim=1, keepdim=True)
@@ -209,16 +209,16 @@ def test_harmonics_are_orthonormal():
     z, angle = np.meshgrid(nodes, angles, indexing="ij")
     radius = np.sqrt(1 - z * z)
     directions = np.stack([radius * np.cos(angle), radius * np.sin(angle), z], -1).reshape(-1, 3)
-    basis = reference.sh_basis(torch.from_numpy(directions), 3).numpy()
+    basis = reference.sh_basis(torch.from_numpy(directions), 4).numpy()
     area = (weights[:, None] * np.full(16, 2 * np.pi / 16)).reshape(-1)
-    assert np.abs(basis.T @ (area[:, None] * basis) - np.eye(16)).max() < 1e-13
+    assert np.abs(basis.T @ (area[:, None] * basis) - np.eye(25)).max() < 1e-13
 
 
-@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+@pytest.mark.parametrize("degree", [0, 1, 2, 3, 4])
 def test_color_gradient(degree):
     """All inputs, with colours away from the clamp at zero."""
     means, viewmat = normal(5, 3), rigid(5)
-    sh0, shN = normal(5, 1, 3), normal(5, 15, 3) * 0.3
+    sh0, shN = normal(5, 1, 3), normal(5, 24, 3) * 0.3
     colors = reference.sh_colors(means, viewmat, sh0, shN, degree)
     assert (colors > 0).any()
     assert (colors == 0).any()

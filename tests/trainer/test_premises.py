@@ -9,6 +9,7 @@ import pytest
 from gscore.config import TrainConfig
 from gscore.errors import DatasetError
 from gscore.scene import PointCloud
+from gscore.splats import Splats
 from gscore.trainer.premises import look_over
 from gscore.trainer.trainer import Trainer
 
@@ -27,6 +28,27 @@ def with_points(photos: Any, points: np.ndarray) -> Any:
 def test_a_sound_capture_has_no_warning(photos: Any) -> None:
     """Oracle: none is expected."""
     assert warnings(photos) == []
+
+
+@pytest.mark.parametrize(("degree", "told"), [(4, 1), (3, 0)])
+def test_a_higher_degree_than_a_training_has_is_said(photos: Any, degree: int, told: int) -> None:
+    """Oracle: the degrees; the splats are otherwise the points of the capture."""
+    config = replace(CONFIG, sh_degree=3)
+    count, rest = 50, (degree + 1) ** 2 - 1
+    start = Splats(
+        means=photos.scene.points.points[:count].astype(np.float32),
+        quats=np.ones((count, 4), np.float32),
+        scales=np.full((count, 3), -3, np.float32),
+        opacities=np.zeros(count, np.float32),
+        sh0=np.zeros((count, 1, 3), np.float32),
+        shN=np.ones((count, rest, 3), np.float32),
+    )
+    trainer = Trainer(config, photos, start=start)
+    assert trainer.model.params["shN"].shape[1] == 15
+    assert [sentence for sentence in look_over(trainer) if "have SH degree 4" in sentence] == [
+        sentence for sentence in look_over(trainer) if "direction beyond it is lost" in sentence
+    ]
+    assert sum("SH degree" in sentence for sentence in look_over(trainer)) == told
 
 
 def test_points_that_no_view_shows_are_an_error(photos: Any) -> None:

@@ -162,21 +162,21 @@ class TestDialects:
         )
         assert again.sh_degree == 0
 
-    def test_degree_4_is_cut(
+    def test_degree_5_is_cut(
         self, make_splats: Callable, tmp_path: Path, caplog: pytest.LogCaptureFixture
     ) -> None:
-        """Oracle: the first 15 of 24 coefficients a channel."""
+        """Oracle: the first 24 of 35 coefficients a channel."""
         splats = make_splats(degree=0)
         columns = _columns(splats)
-        rest = np.arange(72, dtype=np.float32)
-        for k in range(72):
+        rest = np.arange(105, dtype=np.float32)
+        for k in range(105):
             columns[f"f_rest_{k}"] = np.full(50, rest[k])
         _write(tmp_path / "a.ply", columns)
         with caplog.at_level(logging.WARNING):
             again = read_ply(tmp_path / "a.ply")
-        assert again.sh_degree == 3
-        np.testing.assert_array_equal(again.shN[0], rest.reshape(3, 24)[:, :15].T)
-        assert "24 SH coefficients" in caplog.text and "first 15" in caplog.text
+        assert again.sh_degree == 4
+        np.testing.assert_array_equal(again.shN[0], rest.reshape(3, 35)[:, :24].T)
+        assert "35 SH coefficients" in caplog.text and "first 24" in caplog.text
 
     def test_incomplete_band_is_cut(self, make_splats: Callable, tmp_path: Path) -> None:
         """Oracle: 5 coefficients a channel hold one whole band of 3."""
@@ -257,7 +257,7 @@ class TestRefusals:
         columns = _columns(make_splats(degree=1))
         del columns["f_rest_8"], columns["f_rest_7"]
         _write(tmp_path / "a.ply", columns)
-        with pytest.raises(FormatError, match="expected 0, 9, 24 or 45"):
+        with pytest.raises(FormatError, match="expected 0, 9, 24, 45 or 72"):
             read_ply(tmp_path / "a.ply")
 
     def test_list_in_place_of_number(self, make_splats: Callable, tmp_path: Path) -> None:

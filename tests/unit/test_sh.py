@@ -16,7 +16,7 @@ def dirs(rng: np.random.Generator) -> np.ndarray:
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
 
-@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+@pytest.mark.parametrize("degree", [0, 1, 2, 3, 4])
 def test_equals_real_form_of_scipy(degree: int, dirs: np.ndarray) -> None:
     """Oracle: scipy.special.sph_harm_y, combined into real harmonics by their definition."""
     theta, phi = np.arccos(dirs[:, 2]), np.arctan2(dirs[:, 1], dirs[:, 0])
@@ -42,17 +42,17 @@ def test_orthonormal() -> None:
     phi = np.arange(16) * (2 * np.pi / 16)
     z, p = np.meshgrid(nodes, phi, indexing="ij")
     r = np.sqrt(1 - z**2)
-    values = sh_basis(3, np.stack([r * np.cos(p), r * np.sin(p), z], -1))
+    values = sh_basis(4, np.stack([r * np.cos(p), r * np.sin(p), z], -1))
     gram = np.einsum("ijk,ijl,i->kl", values, values, weights) * (2 * np.pi / 16)
-    np.testing.assert_allclose(gram, np.eye(16), atol=1e-13)
+    np.testing.assert_allclose(gram, np.eye(25), atol=1e-13)
 
 
 def test_keeps_float32_and_batch_shape(dirs: np.ndarray) -> None:
     """Oracle: the float64 result."""
-    single = sh_basis(3, dirs.astype(np.float32).reshape(2, 100, 3))
+    single = sh_basis(4, dirs.astype(np.float32).reshape(2, 100, 3))
     assert single.dtype == np.float32
-    assert single.shape == (2, 100, sh_count(3))
-    np.testing.assert_allclose(single.reshape(200, 16), sh_basis(3, dirs), atol=2e-6)
+    assert single.shape == (2, 100, sh_count(4))
+    np.testing.assert_allclose(single.reshape(200, 25), sh_basis(4, dirs), atol=2e-6)
 
 
 def test_color_of_constant_coefficient() -> None:
@@ -63,7 +63,7 @@ def test_color_of_constant_coefficient() -> None:
 
 
 @pytest.mark.parametrize(
-    ("degree", "dirs"), [(4, np.zeros((1, 3))), (0, np.zeros(2)), (0, np.zeros((2, 3), int))]
+    ("degree", "dirs"), [(5, np.zeros((1, 3))), (0, np.zeros(2)), (0, np.zeros((2, 3), int))]
 )
 def test_refuses(degree: int, dirs: np.ndarray) -> None:
     """Oracle: the documented limits."""

@@ -38,7 +38,7 @@ def matrix(request: pytest.FixtureRequest, rng: np.random.Generator) -> np.ndarr
     return _matrix(rng, mirrored=request.param)
 
 
-@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+@pytest.mark.parametrize("degree", [0, 1, 2, 3, 4])
 def test_harmonics_turn(degree: int, matrix: np.ndarray, rng: np.random.Generator) -> None:
     """Oracle: sh_basis evaluated at directions turned back."""
     orthogonal = matrix[:3, :3] / 1.7
@@ -54,7 +54,7 @@ def test_harmonics_turn(degree: int, matrix: np.ndarray, rng: np.random.Generato
 
 def test_harmonics_rotation_is_orthogonal(rng: np.random.Generator) -> None:
     """Oracle: a rotation keeps the energy of a function."""
-    for degree in range(4):
+    for degree in range(5):
         turn = sh_rotation(degree, Rotation.random(rng=rng).as_matrix())
         np.testing.assert_allclose(turn @ turn.T, np.eye(2 * degree + 1), atol=1e-13)
 
@@ -62,7 +62,7 @@ def test_harmonics_rotation_is_orthogonal(rng: np.random.Generator) -> None:
 def test_harmonics_rotation_refuses() -> None:
     """Oracle: the documented limits."""
     with pytest.raises(ShapeError, match="degree"):
-        sh_rotation(4, np.eye(3))
+        sh_rotation(5, np.eye(3))
     with pytest.raises(ShapeError, match="rotation"):
         sh_rotation(1, np.eye(4))
 

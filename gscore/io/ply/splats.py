@@ -40,7 +40,7 @@ def read_ply(path: str | Path) -> Splats:
     Understood are the official layout and its relatives (no normals, SH degree 0 to 4, colours as
     red, green, blue instead of SH, ASCII, either byte order) and SuperSplat's compressed layout.
     Splats with numbers that are not finite, or a zero quaternion, are left out; a coefficient
-    beyond degree 3 is cut. Both are logged as a warning.
+    beyond degree 4 is cut. Both are logged as a warning.
 
     Args:
         path: The .ply file.
@@ -218,12 +218,12 @@ def _plain(path: Path, table: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _rest_by_coefficient(path: Path, rest: np.ndarray) -> np.ndarray:
-    """[N, K-1, 3] from channel-major [N, 3(K'-1)], cut to whole bands of degree 3 at most."""
+    """[N, K-1, 3] from channel-major [N, 3(K'-1)], cut to whole bands of degree 4 at most."""
     count = rest.shape[1]
     if count % 3:
         raise FormatError(
-            f"{path} has {count} properties f_rest_*, expected 0, 9, 24 or 45 (three colour "
-            f"channels of SH degree 0 to 3). Export it again."
+            f"{path} has {count} properties f_rest_*, expected 0, 9, 24, 45 or 72 (three "
+            f"colour channels of SH degree 0 to 4). Export it again."
         )
     by_channel = rest.reshape(len(rest), 3, count // 3).transpose(0, 2, 1)
     return np.ascontiguousarray(whole_bands(path, by_channel))

@@ -16,7 +16,7 @@ def sh_basis(directions: Tensor, degree: int) -> Tensor:
 
     Args:
         directions: [N, 3], unit length.
-        degree: 0 to 3.
+        degree: 0 to 4.
 
     Returns:
         [N, (degree + 1)^2].
@@ -47,6 +47,20 @@ def sh_basis(directions: Tensor, degree: int) -> Tensor:
             c2 / 2 * z * (xx - yy),
             -c3 * x * (xx - 3 * yy),
         ]
+    if degree >= 4:
+        c1, c2 = sqrt(45 / (32 * pi)), sqrt(45 / (16 * pi))
+        c3, c4 = sqrt(315 / (32 * pi)), sqrt(315 / (16 * pi))
+        values += [
+            c4 * x * y * (xx - yy),
+            -c3 * y * z * (3 * xx - yy),
+            c2 * x * y * (6 * zz - xx - yy),
+            -c1 * y * z * (4 * zz - 3 * xx - 3 * yy),
+            sqrt(9 / (256 * pi)) * (8 * zz**2 - 24 * zz * (xx + yy) + 3 * (xx + yy) ** 2),
+            -c1 * x * z * (4 * zz - 3 * xx - 3 * yy),
+            c2 / 2 * (xx - yy) * (6 * zz - xx - yy),
+            -c3 * x * z * (xx - 3 * yy),
+            c4 / 4 * (xx**2 - 6 * xx * yy + yy**2),
+        ]
     return torch.stack(values, -1)
 
 
@@ -69,7 +83,7 @@ def sh_colors(
         viewmat: [4, 4], world to camera, rigid.
         sh0: [N, 1, 3].
         shN: [N, K-1, 3]; only the first (degree + 1)^2 - 1 coefficients are read.
-        degree: 0 to 3.
+        degree: 0 to 4.
         orthographic: whether the direction is the camera's +z for all splats instead.
 
     Returns:

@@ -23,7 +23,7 @@ from .geometry import (
 )
 from .harmonics import sh_colors
 
-SH_COUNT_TO_DEGREE = {0: 0, 3: 1, 8: 2, 15: 3}
+SH_COUNT_TO_DEGREE = {0: 0, 3: 1, 8: 2, 15: 3, 24: 4}
 
 
 class SplatTensors(NamedTuple):
@@ -40,7 +40,7 @@ class SplatTensors(NamedTuple):
     sh0: Tensor
     """[N, 1, 3], constant SH coefficient."""
     shN: Tensor
-    """[N, K-1, 3], K-1 = 0, 3, 8 or 15."""
+    """[N, K-1, 3], K-1 = 0, 3, 8, 15 or 24."""
 
     def rows(self, index: Tensor) -> "SplatTensors":
         """The splats at these indices."""
@@ -98,7 +98,7 @@ def check_inputs(splats: SplatTensors, view: Frustum, sh_degree: int | None) -> 
     rest = splats.shN.shape[1]
     if rest not in SH_COUNT_TO_DEGREE:
         raise ShapeError(
-            f"shN must hold 0, 3, 8 or 15 coefficients a splat (degree 0 to 3), got {rest}."
+            f"shN must hold 0, 3, 8, 15 or 24 coefficients a splat (degree 0 to 4), got {rest}."
         )
     if view.width < 1 or view.height < 1:
         raise ShapeError(f"the image must be at least 1 x 1 px, got {view.width} x {view.height}.")
@@ -265,7 +265,7 @@ def rasterize_reference(
         scales: [N, 3], standard deviations in world units, or their logarithms if `raw`.
         opacities: [N], 0 to 1, or logits if `raw`.
         sh0: [N, 1, 3], constant SH coefficient.
-        shN: [N, K-1, 3], K-1 = 0, 3, 8 or 15.
+        shN: [N, K-1, 3], K-1 = 0, 3, 8, 15 or 24.
         viewmat: [4, 4], rigid, world to camera, OpenCV axes, column vectors.
         K: [3, 3], pixels, no skew; pixel centres at +0.5.
         width: pixels.

@@ -7,7 +7,7 @@ import numpy as np
 from ...config import TrainConfig
 from ...errors import ConfigError
 from ...scene import PointCloud
-from ...splats import SH_REST_BY_DEGREE, Splats
+from ...splats import Splats, cut_degree
 from ...words import number
 from ..schedule.plan import Plan
 from .frame import Frame
@@ -42,8 +42,8 @@ def splats_to_go_on_with(start: Splats, config: TrainConfig, frame: Frame) -> Sp
             f"The splats to start from are {number(len(start))}, expected 1 to max_splats = "
             f"{number(config.max_splats)}; raise --max-splats or start from fewer."
         )
-    rest = SH_REST_BY_DEGREE[config.sh_degree]
-    start = replace(start, shN=np.ascontiguousarray(start.shN[:, :rest]))
+    start = cut_degree(start, config.sh_degree)
+    start = replace(start, shN=np.ascontiguousarray(start.shN))
     if config.start_opacity < 1:
         opacity = config.start_opacity / (1 + np.exp(-start.opacities.astype(np.float64)))
         logits = np.log(opacity) - np.log1p(-opacity)

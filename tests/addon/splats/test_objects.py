@@ -43,7 +43,7 @@ def raw_bytes(ob: bpy.types.Object) -> dict[str, bytes]:
     return found
 
 
-@pytest.mark.parametrize("rest", [0, 3, 8, 15])
+@pytest.mark.parametrize("rest", [0, 3, 8, 15, 24])
 def test_round_trip(scene: bpy.types.Scene, make_splats: Make, rest: int) -> None:
     """Oracle: the splats given."""
     splats = make_splats(rest=rest)
