@@ -57,7 +57,7 @@ LISTENS = ROOT / "gscore" / "live" / "server.py"
 """The only file that opens a port."""
 SPEAKS = ROOT / "gscore" / "trainer" / "ranks" / "team.py"
 """The only file that speaks with other processes of one training, through torch's own sockets."""
-SPOKEN = {"all_gather", "all_to_all_single", "broadcast"}
+SPOKEN = {"all_gather", "all_to_all_single", "broadcast", "gather"}
 """What it calls of torch.distributed besides meeting and parting: none that passes pickles, as
 those whose names end in `_object` and torch's RPC do."""
 WRITES = {
