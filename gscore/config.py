@@ -564,7 +564,8 @@ class TrainConfig:
     grow_grad: float = option(
         0.0,
         "`default`: mean positional gradient in normalised image coordinates above which a "
-        "splat is doubled; 0: 2e-4, down to 1e-4 in short runs.",
+        "splat is doubled; 0: 2e-4, down to 1e-4 in short runs, and 5e-5 in runs of 10,000 steps "
+        "and more where masks are opacity.",
         group="refinement",
         when="default",
     )

@@ -158,6 +158,7 @@ class Trainer:
             points=count,
             side=int(min(given.widths.min(), given.heights.min())),
             pixels=int((given.widths * given.heights)[list(photos.train)].mean()),
+            subject=photos.mask_mode == "composite",
         )
         self._factor = math.inf
         self.depth: DepthLoss | None = None

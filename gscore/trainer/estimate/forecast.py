@@ -76,6 +76,7 @@ def estimate(
     *,
     points: int,
     masks: bool = False,
+    subject: bool = False,
     depths: bool = False,
     cloud: int | None = None,
     decoding: int = 0,
@@ -89,6 +90,7 @@ def estimate(
         sizes: Width and height of each photo as trained on, pixels: see `target_size`.
         points: Splats at the start.
         masks: Whether photos have masks.
+        subject: Whether these are opacity, so that nothing but a subject is trained.
         depths: Whether there are depth maps for them.
         cloud: Points of structure from motion; None: as many as `points`.
         decoding: Bytes that photos take while they are decoded, see `Dataset.decoding_bytes`.
@@ -144,6 +146,7 @@ def estimate(
         points=points,
         side=int(min(widths.min(initial=1 << 30), heights.min(initial=1 << 30))),
         pixels=int(pixels.mean()) if len(pixels) else 1,
+        subject=subject,
     )
     seconds = config.time_budget
     if not seconds:

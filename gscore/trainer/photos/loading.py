@@ -88,6 +88,7 @@ def _estimate(
         sizes,
         points=len(photos.scene.points) if splats is None else len(splats),
         masks=photos.nbytes > 3 * pixels,
+        subject=photos.mask_mode == "composite",
         depths=depths,
         cloud=len(photos.scene.points),
         decoding=photos.decoding_bytes(config.threads),
