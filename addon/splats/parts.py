@@ -5,6 +5,7 @@ import numpy as np
 
 from .. import attributes, compat
 from ..core import join_splats
+from ..interface import writable
 from . import objects, settings
 
 
@@ -32,8 +33,7 @@ def separate(ob: bpy.types.Object, chosen: np.ndarray) -> bpy.types.Object:
     other = ob.copy()
     other.data = ob.data.copy()
     other.name = other.data.name = f"{ob.name} part"
-    for collection in ob.users_collection:
-        collection.objects.link(other)
+    writable.link_beside(other, ob)
     for one, keep in ((ob, ~chosen), (other, chosen)):
         attributes.keep(one.data, keep)
         one.data.update()
