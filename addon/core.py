@@ -96,6 +96,7 @@ from gscore.frontend import (
     read_colmap,
     read_header,
     read_lod,
+    read_losses,
     read_moves,
     read_run,
     rotmat_to_quat,

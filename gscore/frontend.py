@@ -68,7 +68,7 @@ if TYPE_CHECKING:
     from .io.pictures.resample import downscale
     from .io.ply.splats import MIP_COMMENT
     from .io.poses_json import POSES_FILE, read_moves
-    from .io.runs import RunInfo, clear_run, read_run
+    from .io.runs import RunInfo, clear_run, read_losses, read_run
     from .io.sequences import SequenceIndex, read_sequence
     from .lod.build import LodFacts, build_lod
     from .lod.draw import LodModel
@@ -169,6 +169,7 @@ _HOME = {
     "read_header": "io.pictures.image_header",
     "read_lod": "lod.read",
     "read_moves": "io.poses_json",
+    "read_losses": "io.runs",
     "read_run": "io.runs",
     "read_sequence": "io.sequences",
     "quat_to_rotmat": "transforms",
@@ -267,6 +268,7 @@ __all__ = [
     "read_colmap",
     "read_header",
     "read_lod",
+    "read_losses",
     "read_moves",
     "read_run",
     "read_sequence",

@@ -18,6 +18,12 @@ def importance_of(splats: Splats) -> np.ndarray:
 
 def most_important(importance: np.ndarray, count: int) -> np.ndarray:
     """[N] bool: the `count` largest of `importance` [N]; of equal ones, those that come first."""
-    keep = np.zeros(len(importance), bool)
-    keep[np.argsort(-importance, kind="stable")[:count]] = True
+    if count >= len(importance):
+        return np.ones(len(importance), bool)
+    if count <= 0:
+        return np.zeros(len(importance), bool)
+    least = np.partition(importance, -count)[-count]
+    keep = importance > least
+    equal = np.flatnonzero(importance == least)
+    keep[equal[: count - int(keep.sum())]] = True
     return keep

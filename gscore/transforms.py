@@ -17,7 +17,7 @@ SMALLEST = 1e-30
 """World units; less is no length to go by. Its inverse is still far from overflowing."""
 _UNEVEN = 1e-4
 """Relative deviation from a similarity that float32 object matrices may show."""
-_BLOCK = 1 << 13
+_BLOCK = 1 << 11
 """Splats whose SH coefficients are turned at once."""
 
 
@@ -254,14 +254,13 @@ def _quat_multiply(left: np.ndarray, right: np.ndarray) -> np.ndarray:
 def _turn_harmonics(rest: np.ndarray, orthogonal: np.ndarray) -> np.ndarray:
     """Coefficients [N, K-1, 3] float32 of the turned functions."""
     out = np.empty_like(rest)
+    rows, turned = (array.reshape(len(rest), 3 * rest.shape[1]) for array in (rest, out))
     degree = math.isqrt(rest.shape[1] + 1) - 1
     for band in range(1, degree + 1):
-        rows = slice(band * band - 1, (band + 1) ** 2 - 1)
-        turn = sh_rotation(band, orthogonal)
+        columns = slice(3 * (band * band - 1), 3 * ((band + 1) ** 2 - 1))
+        # All channels at once, as they lie: four times faster than with channels brought apart.
+        turn = np.kron(sh_rotation(band, orthogonal), np.eye(3)).T
         for at in range(0, len(rest), _BLOCK):
             part = slice(at, at + _BLOCK)
-            # One product of tall and small; a stack of small products is several times slower.
-            by_channel = rest[part, rows].transpose(0, 2, 1).astype(np.float64)  # [n, 3, band]
-            turned = by_channel.reshape(-1, len(turn)) @ turn.T
-            out[part, rows] = turned.reshape(by_channel.shape).transpose(0, 2, 1)
+            turned[part, columns] = rows[part, columns].astype(np.float64) @ turn
     return out

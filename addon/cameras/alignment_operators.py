@@ -1,5 +1,7 @@
 """Operators of a capture's alignment: up, ground, size."""
 
+from collections.abc import Iterable
+
 import bpy
 import numpy as np
 from bpy.props import EnumProperty, FloatProperty
@@ -13,7 +15,15 @@ from .operators import OnCapture
 _AXES = {"X": 0, "Y": 1, "Z": 2}
 
 
-class AlignCapture(OnCapture, bpy.types.Operator):
+class _Aligning(OnCapture):
+    """Moves the capture's empty, and all with it."""
+
+    def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
+        """The empty."""
+        return (find_root(context, self.capture),)
+
+
+class AlignCapture(_Aligning, bpy.types.Operator):
     """Turn a capture so that up is up and the ground lies at height 0; its scale stays"""
 
     bl_idname = "gscore.align_capture"
@@ -60,7 +70,7 @@ class AlignCapture(OnCapture, bpy.types.Operator):
         return sign * np.eye(3)[_AXES[self.up[-1]]]
 
 
-class FlipUp(OnCapture, bpy.types.Operator):
+class FlipUp(_Aligning, bpy.types.Operator):
     """Turn a capture upside down, and find the ground again"""
 
     bl_idname = "gscore.flip_up"
@@ -73,7 +83,7 @@ class FlipUp(OnCapture, bpy.types.Operator):
         return ""
 
 
-class SetExtent(OnCapture, bpy.types.Operator):
+class SetExtent(_Aligning, bpy.types.Operator):
     """Scale a capture to real size by how far apart its outermost cameras were"""
 
     bl_idname = "gscore.set_extent"
@@ -104,7 +114,7 @@ class SetExtent(OnCapture, bpy.types.Operator):
         return ""
 
 
-class ResetAlignment(OnCapture, bpy.types.Operator):
+class ResetAlignment(_Aligning, bpy.types.Operator):
     """Give a capture the axes, origin and scale of its own files back"""
 
     bl_idname = "gscore.reset_alignment"

@@ -23,6 +23,7 @@ from ..core import (
     read_capture,
     rotmat_to_quat,
 )
+from ..interface import writable
 from . import alignment, sfm_points
 from . import formulas as cm
 from . import objects as co
@@ -226,7 +227,10 @@ def use_camera(scene: bpy.types.Scene, ob: bpy.types.Object) -> list[str]:
             f"fx and fy of {own.image} differ; the scene's pixel aspect is now {aspect:.4f} for it."
         )
     photo = co.photo_of(ob)
-    ob.data.show_background_images = True
+    if writable.keeps(ob.data):
+        ob.data.show_background_images = True
+    elif not ob.data.show_background_images:
+        notes.append(f"The photo stays hidden. {writable.problem(ob.data)}")
     if photo is None or not Path(bpy.path.abspath(photo.filepath)).is_file():
         notes.append(f"The photo {own.photo} is not there. Find the capture's folder again.")
     if before is not None and before != ob and is_camera(before):
@@ -396,9 +400,9 @@ def _size_drawings(root: bpy.types.Object, cameras: list[bpy.types.Object]) -> N
     nearest = distances.min(axis=1)
     nearest = nearest[np.isfinite(nearest)]
     length = DISPLAY * float(np.median(nearest)) * scale if len(nearest) else 0.1 * extent
-    for ob in cameras:
-        ob.data.display_size = length
-        ob.data.clip_start, ob.data.clip_end = CLIP_START * extent, CLIP_END * extent
+    for data in filter(writable.keeps, [ob.data for ob in cameras]):
+        data.display_size = length
+        data.clip_start, data.clip_end = CLIP_START * extent, CLIP_END * extent
     root.empty_display_size = 0.1 * extent / scale
 
 

@@ -1,5 +1,6 @@
 """Operators of captures and their cameras: thin covers over `cameras` and the exporters."""
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -8,7 +9,7 @@ from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper
 
 from .. import stored_paths
-from ..interface.operators import Acting, make_active
+from ..interface.operators import Acting, OnScene, make_active
 from ..paths import absolute
 from . import captures
 from .camera_path import export_path
@@ -45,7 +46,7 @@ def _image_items(self: Any, context: bpy.types.Context | None) -> list[tuple[str
     return _shown
 
 
-class ImportCameras(OnCapture, bpy.types.Operator):
+class ImportCameras(OnScene, OnCapture, bpy.types.Operator):
     """Bring a capture's cameras, photos and SfM points into the scene"""
 
     bl_idname = "gscore.import_cameras"
@@ -121,7 +122,7 @@ class ImportCameras(OnCapture, bpy.types.Operator):
         return f"{made.root.name}: {count}{points}"
 
 
-class UseCamera(OnCapture, bpy.types.Operator):
+class UseCamera(OnScene, OnCapture, bpy.types.Operator):
     """Look through a photo's camera: scene camera, resolution, pixel aspect and photo are set"""
 
     bl_idname = "gscore.use_camera"
@@ -154,7 +155,7 @@ class UseCamera(OnCapture, bpy.types.Operator):
         return ""
 
 
-class StepCamera(OnCapture, bpy.types.Operator):
+class StepCamera(OnScene, OnCapture, bpy.types.Operator):
     """Look through the next or the previous photo's camera"""
 
     bl_idname = "gscore.step_camera"
@@ -180,7 +181,7 @@ class StepCamera(OnCapture, bpy.types.Operator):
         return ""
 
 
-class ChooseCamera(OnCapture, bpy.types.Operator):
+class ChooseCamera(OnScene, OnCapture, bpy.types.Operator):
     """Search a photo by name and look through its camera"""
 
     bl_idname = "gscore.choose_camera"
@@ -229,6 +230,12 @@ class RelinkCapture(OnCapture, bpy.types.Operator):
         """Ask for the folder."""
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
+
+    def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
+        """The capture and its cameras, with what they say of their photos."""
+        root = find_root(context, self.capture)
+        obs = captures.cameras_of(root)
+        return (root, *obs, *(ob.data for ob in obs))
 
     def act(self, context: bpy.types.Context) -> str:
         """Relink."""

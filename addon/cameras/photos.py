@@ -2,6 +2,7 @@
 
 import bpy
 
+from ..interface import writable
 from .lookup import panel_root
 from .objects import cameras_of
 
@@ -13,9 +14,14 @@ def _cameras(scene: bpy.types.Scene) -> list[bpy.types.Camera]:
     return [ob.data for ob in obs if ob.data.background_images]
 
 
+def changeable(scene: bpy.types.Scene) -> list[bpy.types.Camera]:
+    """Those whose photos can be shown, hidden and faded: not the ones that are linked."""
+    return list(filter(writable.keeps, _cameras(scene)))
+
+
 def show(scene: bpy.types.Scene, shown: bool) -> None:
     """Show or hide the photos of the sidebar's capture; cameras of others stay as they are."""
-    for camera in _cameras(scene):
+    for camera in changeable(scene):
         camera.show_background_images = shown
 
 
@@ -33,7 +39,7 @@ def _get_opacity(self: "PhotoSettings") -> float:
 
 
 def _set_opacity(self: "PhotoSettings", opacity: float) -> None:
-    for camera in _cameras(self.id_data):
+    for camera in changeable(self.id_data):
         camera.background_images[0].alpha = opacity
 
 

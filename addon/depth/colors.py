@@ -35,7 +35,8 @@ _followed: dict[str, DepthReport] = {}
 def show(root: bpy.types.Object, report: DepthReport) -> int:
     """Color the cameras of a capture by a report; how many of them it knows.
 
-    Cameras of linked files, and views that were not compared yet, keep their color.
+    Cameras of linked files, overrides, which keep no custom properties, and views that were not
+    compared yet keep their color.
     """
     known = 0
     for ob in _own_cameras(root):
@@ -83,7 +84,7 @@ def follow() -> bool:
 
 
 def _own_cameras(root: bpy.types.Object) -> list[bpy.types.Object]:
-    return [ob for ob in cameras_of(root) if ob.library is None]
+    return [ob for ob in cameras_of(root) if ob.library is None and ob.override_library is None]
 
 
 def _verdict(ob: bpy.types.Object, report: DepthReport) -> str | None:
@@ -132,6 +133,8 @@ class ColorCameras(Acting, bpy.types.Operator):
         root = panel_root(scene)
         if root is None:
             raise ValueError("The capture is not imported. Use Import Cameras first.")
+        if not _own_cameras(root):
+            raise ValueError(f"{root.name} has no cameras that can be colored: make them local.")
         if not self.show:
             hide(root)
             return ""

@@ -5,6 +5,7 @@ from collections.abc import Iterable
 import bpy
 
 from ..core import GsError
+from . import writable
 
 
 class Acting:
@@ -18,9 +19,18 @@ class Acting:
         """
         raise NotImplementedError
 
+    def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
+        """What `act` writes to; it is not called unless Blender keeps changes of all of these.
+
+        Raises:
+            ValueError: as `act`.
+        """
+        return ()
+
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Blender calls this."""
         try:
+            writable.check(*self.changes(context))
             told = self.act(context)
         except (GsError, ValueError, OSError) as error:
             self.report({"ERROR"}, str(error))
@@ -33,6 +43,14 @@ class Acting:
         """Show what the user should know besides."""
         for sentence in sentences:
             self.report({"WARNING"}, sentence)
+
+
+class OnScene(Acting):
+    """Sets something of the scene."""
+
+    def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
+        """The scene."""
+        return (context.scene,)
 
 
 def make_active(context: bpy.types.Context, ob: bpy.types.Object) -> None:

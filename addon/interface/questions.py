@@ -4,6 +4,8 @@ import textwrap
 
 import bpy
 
+from . import writable
+
 WIDTH = 90
 """Characters of a line in a dialog and in the preferences."""
 _PIXELS = 520
@@ -35,7 +37,8 @@ def letters(context: bpy.types.Context) -> int:
 
 
 class Asking:
-    """Shows `question` in a dialog before `execute`; the key Enter alone does nothing."""
+    """Mixed in before `Acting`: shows `question` in a dialog before `execute`; the key Enter alone
+    does nothing."""
 
     confirm = "OK"
     """On the button that goes on."""
@@ -51,6 +54,7 @@ class Asking:
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Ask."""
         try:
+            writable.check(*self.changes(context))
             self.lines = self.question(context)
         except ValueError as error:
             self.report({"ERROR"}, str(error))

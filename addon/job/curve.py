@@ -1,6 +1,7 @@
 """The loss of a run as few numbers, and as a small picture; no bpy."""
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -21,6 +22,14 @@ class LossCurve:
         """Mean loss of each point."""
         self._per_point = 1
         self._waiting: list[float] = []
+
+    @classmethod
+    def of(cls, losses: Iterable[tuple[int, float]]) -> "LossCurve":
+        """The curve of a run so far, by steps and losses in order."""
+        curve = cls()
+        for step, loss in losses:
+            curve.add(step, loss)
+        return curve
 
     def add(self, step: int, loss: float) -> None:
         """Take a loss; one that is no finite number is left out.

@@ -13,7 +13,7 @@ from .. import outcomes, preferences, stored_paths
 from ..attributes import NO_SPLATS
 from ..cameras.objects import is_kind, note_moves
 from ..capture.folders import same_folder
-from ..interface import undo
+from ..interface import undo, writable
 from ..paths import absolute, output_folder
 from ..splats import files, objects
 from ..splats.objects import ANTIALIAS
@@ -40,7 +40,8 @@ class Place:
 
 def place_of(job: Job) -> Place | None:
     """Where the open file shows what a job makes: its own scene first, then any of that output."""
-    scenes = sorted(bpy.data.scenes, key=lambda scene: scene.session_uid != job.scene_uid)
+    own = [scene for scene in bpy.data.scenes if writable.keeps(scene)]
+    scenes = sorted(own, key=lambda scene: scene.session_uid != job.scene_uid)
     for scene in scenes:
         for holder in outcomes.holders(scene):
             if _leads_to(scene, holder, job):

@@ -6,7 +6,7 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, StringProperty
 
 from ..interface.images import show_image
-from ..interface.operators import Acting, make_active
+from ..interface.operators import Acting, OnScene, make_active
 from ..interface.questions import Asking
 from ..process import beat
 from . import facts, registry, session, training
@@ -47,7 +47,7 @@ class _OnJob(Acting):
         raise NotImplementedError
 
 
-class Train(Asking, Acting, bpy.types.Operator):
+class Train(Asking, OnScene, bpy.types.Operator):
     """Train splats from the capture in the background; Blender stays free"""
 
     bl_idname = "gscore.train"
@@ -76,7 +76,7 @@ class Train(Asking, Acting, bpy.types.Operator):
         return _told(training.train(context.scene, overwrite=self.overwrite, wait=self.wait))
 
 
-class FitTraining(Acting, bpy.types.Operator):
+class FitTraining(OnScene, bpy.types.Operator):
     """Take the number of splats, or the width of the photos, that fits into the free memory"""
 
     bl_idname = "gscore.fit_training"
@@ -107,7 +107,7 @@ class FitTraining(Acting, bpy.types.Operator):
         return ""
 
 
-class ResumeTraining(Acting, bpy.types.Operator):
+class ResumeTraining(OnScene, bpy.types.Operator):
     """Go on with the run in the output folder from its last checkpoint"""
 
     bl_idname = "gscore.resume_training"

@@ -8,10 +8,12 @@ import bpy
 
 from .. import outcomes, preferences
 from ..capture.inspection import ShownFacts
+from ..core import read_losses
 from ..nodes import display as display_nodes
 from ..paths import absolute, capture_folder, output_folder, relative
 from ..process import beat
 from . import display, earlier, facts, lookups, options, registry
+from .curve import LossCurve
 from .job import Job
 from .launch import launch
 
@@ -134,7 +136,9 @@ def resume(scene: bpy.types.Scene, *, wait: bool = False, python: str | Path | N
         changes=changes,
     )
     began_from = info.data.source
+    losses = read_losses(info.checkpoint)
     job = _start(arguments, source, output, python=python, scene=scene, earlier_source=began_from)
+    job.state.curve = LossCurve.of(losses)
     if wait:
         wait_for(job)
     return job

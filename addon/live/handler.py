@@ -119,7 +119,8 @@ def _draw(context: bpy.types.Context, pointer: int) -> None:
     camera = viewport.view_camera(matrix, window, width, height, perspective=rv3d.is_perspective)
     meshes = _depths(left, bottom, width, height) if _hidden_by(context, depsgraph) else None
     picture = view.draw(
-        _state.card, placed, camera, window, context.scene.gscore_render.antialias, meshes
+        *(_state.card, placed, camera, window, context.scene.gscore_render.antialias, meshes),
+        tint=context.space_data.overlay.show_overlays and not _is_own(context),
     )
     if picture is not None:
         _state.card.show(picture, left, bottom)

@@ -1,11 +1,13 @@
 """The order in which splats are blended, and the colours they show to a view; no bpy, no gpu."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..core import Splats, sh_basis
 from .atlas import Atlas
+from .marks import shown, tinted
 
 _BLOCK = 1 << 14
 """Splats whose colours are computed at once: they stay in the cache, and Blender's thread gets
@@ -21,22 +23,27 @@ class Eye:
     orthographic: bool
 
 
-def arrange(atlas: Atlas, eye: Eye, count: int) -> np.ndarray:
+def arrange(
+    atlas: Atlas, eye: Eye, count: int, marks: Sequence[np.ndarray | None] = ()
+) -> np.ndarray:
     """Sort the first rows of an atlas.
 
     Args:
         atlas: The splats.
         eye: Has one matrix for each of its objects.
         count: How many rows.
+        marks: [N] uint8 of each object's splats (`render.frozen`), or None; empty: of none.
 
     Returns:
-        [count, 4] float32, the farthest first: number of the row, and its colour in this view, sRGB
-        values of at least 0.
+        [M, 4] float32, M = `count` less those that do not show, the farthest first: number of the
+        row, and its colour in this view, sRGB values of at least 0.
     """
     count = min(count, len(atlas))
     depths = np.empty(count, np.float32)
     colors = np.empty((count, 3), np.float32)
+    there = np.ones(count, bool)
     for number, viewmat in enumerate(eye.viewmats):
+        marked = marks[number] if marks else None
         rows = np.flatnonzero(atlas.part[:count] == number)
         for at in range(0, len(rows), _BLOCK):
             here = rows[at : at + _BLOCK]
@@ -45,8 +52,12 @@ def arrange(atlas: Atlas, eye: Eye, count: int) -> np.ndarray:
             colors[here] = shown_colors(
                 atlas.parts[number], atlas.index[here], viewmat, orthographic=eye.orthographic
             )
+            if marked is not None:
+                own = marked[atlas.index[here]]
+                colors[here], there[here] = tinted(colors[here], own), shown(own)
     farthest = np.argsort(-depths, kind="stable")
-    out = np.empty((count, 4), np.float32)
+    farthest = farthest[there[farthest]]
+    out = np.empty((len(farthest), 4), np.float32)
     out[:, 0], out[:, 1:] = farthest, colors[farthest]
     return out
 

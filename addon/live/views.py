@@ -10,7 +10,7 @@ import numpy as np
 from ..cameras.captures import RenderCamera
 from ..process.latest import Latest
 from ..render import picture
-from ..render.scene import Placed, SplatCache
+from ..render.scene import Placed, SplatCache, marks_of
 from . import atlas, order
 from .card import Card, Order, Shot, upload
 from .level import Level
@@ -27,17 +27,24 @@ class Wish:
     eye: order.Eye
     count: int
     """Rows of the atlas to sort; beyond its end: all."""
+    tint: bool = False
+    """Whether what is selected is seen."""
 
     @property
     def parts(self) -> tuple[Any, ...]:
         """What the atlas depends on."""
         return tuple((p.part, p.frozen.fingerprint) for p in self.placed)
 
+    @property
+    def marks(self) -> tuple[Any, ...]:
+        """What differs where other splats are selected or hidden: they need another order alone."""
+        return (self.tint, *((id(p.frozen.marks), p.edited) for p in self.placed))
+
     def same(self, other: "Wish | None") -> bool:
         """Whether the other asks for nothing else."""
         return (
             other is not None
-            and (self.parts, self.count) == (other.parts, other.count)
+            and (self.parts, self.count, self.marks) == (other.parts, other.count, other.marks)
             and self.eye.orthographic == other.eye.orthographic
             and all(map(np.array_equal, self.eye.viewmats, other.eye.viewmats))
         )
@@ -60,7 +67,8 @@ class Arranger:
             parts = self._cache.parts(list(wish.placed))
             self._atlas = wish.parts, atlas.build(parts)
         built = self._atlas[1]
-        return built, order.arrange(built, wish.eye, wish.count)
+        marks = [marks_of(placed, selected=wish.tint) for placed in wish.placed]
+        return built, order.arrange(built, wish.eye, wish.count, marks)
 
 
 class View:
@@ -106,8 +114,10 @@ class View:
         window: np.ndarray,
         antialias: str,
         meshes: gpu.types.GPUTexture | None,
+        *,
+        tint: bool = False,
     ) -> gpu.types.GPUTexture | None:
-        """Draw what is there, and ask for what is missing.
+        """Draw what is there, and ask for what is missing; `tint` what is selected.
 
         Returns:
             The picture, premultiplied sRGB values, the bottom row first; None where there is none.
@@ -121,7 +131,7 @@ class View:
         seen = b"".join(m.tobytes() for m in (camera.K, *viewmats))
         limit = self.level.look(time.monotonic(), seen, total)
         eye = order.Eye(viewmats=viewmats, orthographic=camera.orthographic)
-        wish = Wish(placed=tuple(placed), eye=eye, count=limit)
+        wish = Wish(placed=tuple(placed), eye=eye, count=limit, tint=tint)
         if not wish.same(self._asked):
             self._asked = wish
             self.sorter.ask(wish)

@@ -5,6 +5,7 @@ from typing import ClassVar
 import bpy
 
 from ..cameras.objects import cameras_of, points_of
+from ..cameras.photos import changeable
 from .widgets import TabPanel, found, root, rows, sentence
 
 
@@ -41,6 +42,7 @@ class CamerasPanel(TabPanel, bpy.types.Panel):
         back.step, forth.step = -1, 1
         _aim(empty, back, use, choose, forth)
         photos, row = context.scene.gscore_photos, layout.row(align=True)
+        row.enabled = bool(changeable(context.scene))
         row.prop(photos, "shown")
         opacity = row.row(align=True)
         opacity.enabled = photos.shown

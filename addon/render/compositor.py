@@ -3,6 +3,7 @@
 import bpy
 
 from .. import compat
+from ..interface import writable
 from ..splats.objects import is_splats
 from .engine import MAIN_SCENE, NAME
 
@@ -57,9 +58,7 @@ def set_up(scene: bpy.types.Scene, *, transparent: bool = True) -> bpy.types.Sce
         )
     if scene.camera is None:
         raise ValueError(f"Scene {scene.name} has no camera: add one first.")
-    tree = compat.compositor_tree(scene)
-    if tree is not None and not tree.is_editable:
-        raise ValueError(f"The compositor's nodes {tree.name} are linked: make them local first.")
+    writable.check(*_changed(scene))
     if SPLAT_SCENE not in scene:
         scene[_FILM] = scene.render.film_transparent
     other = _splat_scene(scene)
@@ -71,6 +70,12 @@ def set_up(scene: bpy.types.Scene, *, transparent: bool = True) -> bpy.types.Sce
     scene.render.use_compositing = True
     _insert(compat.make_compositor_tree(scene), scene, other)
     return other
+
+
+def _changed(scene: bpy.types.Scene) -> list[bpy.types.ID]:
+    """What is set up, and taken down: the scene, its nodes, and the splats' displays."""
+    tree = compat.compositor_tree(scene)
+    return [scene, *filter(None, (tree,)), *filter(is_splats, scene.objects)]
 
 
 def _splat_scene(scene: bpy.types.Scene) -> bpy.types.Scene:
@@ -141,7 +146,7 @@ def rest(scene: bpy.types.Scene) -> None:
     """Pass the render on as it is while the scene's own engine draws the splats, which would lie
     over themselves."""
     node, wanted = combine_node(scene), scene.render.engine == NAME
-    if node is not None and node.mute != wanted:
+    if node is not None and node.mute != wanted and writable.keeps(node.id_data):
         node.mute = wanted
 
 
@@ -155,9 +160,8 @@ def take_down(scene: bpy.types.Scene) -> None:
     node, other = combine_node(scene), scene.get(SPLAT_SCENE)
     if node is None and not isinstance(other, bpy.types.Scene):
         raise ValueError(f"Scene {scene.name} has no compositing of splats to be removed.")
+    writable.check(*_changed(scene))
     tree = compat.compositor_tree(scene)
-    if tree is not None and not tree.is_editable:
-        raise ValueError(f"The compositor's nodes {tree.name} are linked: make them local first.")
     if node is not None:
         sources = [link.from_socket for link in node.inputs[0].links]
         for target in [link.to_socket for link in node.outputs[0].links]:

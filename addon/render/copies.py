@@ -20,10 +20,12 @@ class Copies:
         self._frozen: dict[int, FrozenMesh] = {}
         self._stale: dict[int, FrozenMesh] = {}
         self._freezers: dict[int, Freezer] = {}
+        self._unmarked: set[int] = set()
+        """Those in Edit Mode of which other splats may be selected."""
 
     def clear(self) -> None:
         """Let go of everything."""
-        for kept in (self._frozen, self._stale, self._freezers):
+        for kept in (self._frozen, self._stale, self._freezers, self._unmarked):
             kept.clear()
 
     def forget_changed(self, depsgraph: bpy.types.Depsgraph) -> None:
@@ -34,6 +36,8 @@ class Copies:
                 data = update.id.original.data
                 uid = None if data is None else data.session_uid
             elif not update.is_updated_geometry:
+                if _is_edited(update.id):
+                    self._unmarked.add(uid)
                 continue
             self._freezers.pop(uid, None)
             if uid in self._frozen:
@@ -66,6 +70,10 @@ class Copies:
             if stale is not None and len(stale.vertices) > EDITED_AT_ONCE:
                 return stale
             self._frozen[uid] = source.frozen()
+        known = self._frozen.get(uid)
+        if uid in self._unmarked and known and len(known.vertices) <= EDITED_AT_ONCE:
+            self._frozen[uid] = known.remarked(source.marks())
+        self._unmarked.discard(uid)
         while uid not in self._frozen:
             freezer = self._freezers.setdefault(uid, Freezer())
             frozen = freezer.step(source.data, source.ob.name)
@@ -76,6 +84,11 @@ class Copies:
             elif time.perf_counter() > until:
                 return None
         return self._frozen[uid]
+
+
+def _is_edited(block: bpy.types.ID) -> bool:
+    """Whether a mesh is in Edit Mode, where a selection is a change, but none of its geometry."""
+    return isinstance(block, bpy.types.Mesh) and block.original.is_editmode
 
 
 SHARED = Copies()

@@ -1,5 +1,6 @@
 """Copies of splat meshes' attributes, so that decoding them needs neither bpy nor its thread."""
 
+import copy
 import zlib
 from typing import Any
 
@@ -9,6 +10,9 @@ from ..attributes import BASE, POSITION, ROTATION, SCALE, SH
 
 _KEYS = {"FLOAT_VECTOR": ("vector", 3), "QUATERNION": ("value", 4), "FLOAT4": ("vector", 4)}
 _KEYS["FLOAT_COLOR"] = ("color", 4)
+SELECTED, HIDDEN = 1, 2
+"""Bits of marks: what the user has done to a point in Edit Mode."""
+_MARKED_BY = {".select_vert": SELECTED, ".hide_vert": HIDDEN}
 
 
 class _Data:
@@ -55,11 +59,20 @@ class FrozenMesh:
         self.name = name
         self.vertices = range(count)
         self.attributes = _Attributes()
+        self.marks: np.ndarray | None = None
+        """[N] uint8 of SELECTED and HIDDEN; None: no point has any. Not in the fingerprint, because
+        splats stay what they are."""
 
     @property
     def fingerprint(self) -> tuple[Any, ...]:
         """Differs wherever a value does, but for one case in 2^32 an attribute."""
         return (len(self.vertices), *(a.fingerprint for a in self.attributes.values()))
+
+    def remarked(self, marks: np.ndarray | None) -> "FrozenMesh":
+        """The same splats with other marks."""
+        made = copy.copy(self)
+        made.marks = marks
+        return made
 
 
 class Freezer:
@@ -84,6 +97,7 @@ class Freezer:
                 dict.__setitem__(frozen.attributes, wanted, _Attribute(data.attributes[wanted]))
                 return None
         self._begun = None
+        frozen.marks = read_marks(data)
         return frozen
 
 
@@ -98,3 +112,15 @@ def freeze(data: Any, name: str) -> FrozenMesh:
 def _wanted(data: Any) -> list[str]:
     names = [a.name for a in data.attributes]
     return [n for n in names if n in (POSITION, SCALE, ROTATION, BASE) or n.startswith(SH)]
+
+
+def read_marks(data: Any) -> np.ndarray | None:
+    """`FrozenMesh.marks` of a mesh that is not in Edit Mode; a point cloud has none."""
+    count = len(data.vertices) if hasattr(data, "vertices") else 0
+    marks, flags = np.zeros(count, np.uint8), np.empty(count, bool)
+    for name, bit in _MARKED_BY.items():
+        attribute = data.attributes.get(name)
+        if attribute is not None and attribute.domain == "POINT" and len(attribute.data) == count:
+            attribute.data.foreach_get("value", flags)
+            marks |= flags.astype(np.uint8) * np.uint8(bit)
+    return marks if marks.any() else None

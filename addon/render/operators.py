@@ -6,7 +6,7 @@ from typing import ClassVar
 import bpy
 
 from ..interface.images import show_image
-from ..interface.operators import Acting
+from ..interface.operators import Acting, OnScene
 from . import compare as comparing
 from . import compositor
 from .engine import NAME
@@ -44,7 +44,7 @@ def changes_colors(scene: bpy.types.Scene) -> str:
     return ", ".join(found)
 
 
-class UseEngine(Acting, bpy.types.Operator):
+class UseEngine(OnScene, bpy.types.Operator):
     """Render with the Gaussian Splats engine, in the colors of the photos (view Standard)"""
 
     bl_idname = "gscore.use_engine"
@@ -57,7 +57,7 @@ class UseEngine(Acting, bpy.types.Operator):
         return ""
 
 
-class UsePhotoColors(Acting, bpy.types.Operator):
+class UsePhotoColors(OnScene, bpy.types.Operator):
     """Show and save colors as the splats have them: view transform Standard, no look, no dither"""
 
     bl_idname = "gscore.use_photo_colors"
@@ -95,7 +95,7 @@ class ComparePhoto(Acting, bpy.types.Operator):
         return f"{camera.name}: {name} {value}{where}."
 
 
-class SetUpCompositing(Acting, bpy.types.Operator):
+class SetUpCompositing(OnScene, bpy.types.Operator):
     """Add a scene for the splats and nodes that put them before and behind meshes by depth"""
 
     bl_idname = "gscore.set_up_compositing"
@@ -114,7 +114,7 @@ class SetUpCompositing(Acting, bpy.types.Operator):
         return f"Rendering {context.scene.name} now includes {made.name}."
 
 
-class RemoveCompositing(Acting, bpy.types.Operator):
+class RemoveCompositing(OnScene, bpy.types.Operator):
     """Take the splats' scene and the nodes between render and compositor away again"""
 
     bl_idname = "gscore.remove_compositing"

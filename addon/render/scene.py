@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
+import bmesh
 import bpy
 import numpy as np
 
@@ -13,7 +14,7 @@ from ..compat import matrix_to_numpy
 from ..core import Splats, transform_splats
 from ..splats.filters import Filters, filters_of, mask
 from ..splats.objects import ANTIALIAS, KIND
-from .frozen import FrozenMesh, freeze
+from .frozen import HIDDEN, SELECTED, FrozenMesh, freeze, read_marks
 
 _EDITED = threading.Lock()
 
@@ -60,6 +61,16 @@ class Source:
             finally:
                 original.to_mesh_clear()
 
+    def marks(self) -> np.ndarray | None:
+        """What is selected and hidden. Those of a mesh in Edit Mode are looked at in the editor: to
+        take them over into the mesh would count as a change of it."""
+        if not self.is_edited:
+            return read_marks(self.data)
+        verts = bmesh.from_edit_mesh(self.ob.original.data).verts
+        bits = (SELECTED * v.select | HIDDEN * v.hide for v in verts)
+        marks = np.fromiter(bits, np.uint8, len(verts))
+        return marks if marks.any() else None
+
     _depsgraph: bpy.types.Depsgraph
     """Gives `data`."""
 
@@ -78,6 +89,8 @@ class Placed:
     filters: Filters | None
     """What is drawn of it; None: everything."""
     antialias: bool
+    edited: bool = False
+    """Whether it is in Edit Mode, where hidden points do not show."""
 
     @property
     def part(self) -> tuple[int, bytes]:
@@ -135,7 +148,24 @@ def place(source: Source, frozen: FrozenMesh | None = None) -> Placed:
         matrix=source.matrix,
         filters=filters,
         antialias=bool(ob.get(ANTIALIAS, False)),
+        edited=source.is_edited,
     )
+
+
+def marks_of(placed: Placed, *, selected: bool) -> np.ndarray | None:
+    """[N] uint8 marks of the splats that are drawn of an object, or None where none has any.
+
+    Args:
+        placed: The object. Its hidden points count in Edit Mode alone, as those of meshes do.
+        selected: Whether those that are selected count.
+    """
+    wanted = SELECTED * selected | HIDDEN * placed.edited
+    if placed.frozen.marks is None or not wanted:
+        return None
+    marks = placed.frozen.marks & np.uint8(wanted)
+    if not marks.any():
+        return None
+    return marks if placed.filters is None else marks[_kept(placed.frozen, placed.filters)]
 
 
 class SplatCache:

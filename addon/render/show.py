@@ -1,5 +1,6 @@
 """Splats as they were trained, in the 3D view, by one button."""
 
+from collections.abc import Iterable
 from typing import ClassVar
 
 import bpy
@@ -41,12 +42,18 @@ class ShowSplats(Acting, bpy.types.Operator):
     bl_label = "Show Splats"
     bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
+    def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
+        """The scene, and splats that are hidden."""
+        ob = _wanted(context)
+        return (context.scene, ob) if ob.hide_viewport or ob.hide_render else (context.scene,)
+
     def act(self, context: bpy.types.Context) -> str:
         """Set all of it."""
         ob = _wanted(context)
         middle, radius = frame_of(ob)
         ob.hide_set(False)
-        ob.hide_viewport = ob.hide_render = False
+        if ob.hide_viewport or ob.hide_render:
+            ob.hide_viewport = ob.hide_render = False
         make_active(context, ob)
         use_engine(context.scene)
         photos.show(context.scene, False)

@@ -7,7 +7,7 @@ import bpy
 from bpy.props import BoolProperty, StringProperty
 
 from ..core import VIDEO_ENDINGS
-from ..interface.operators import Acting
+from ..interface.operators import OnScene
 from ..job.verb_job import FAILED
 from ..job.verb_operators import Cancelling
 from ..paths import relative
@@ -15,7 +15,7 @@ from . import work
 from .job import SearchJob
 
 
-class ChooseVideo(Acting, bpy.types.Operator):
+class ChooseVideo(OnScene, bpy.types.Operator):
     """Choose a video that was filmed around the subject; sharp frames of it become the photos"""
 
     bl_idname = "gscore.choose_video"
@@ -52,7 +52,7 @@ class ChooseVideo(Acting, bpy.types.Operator):
         return ""
 
 
-class FindCameras(Acting, bpy.types.Operator):
+class FindCameras(OnScene, bpy.types.Operator):
     """Find out where each photo was taken, in the background; Blender stays free.
     Of a video, sharp frames are taken first"""
 

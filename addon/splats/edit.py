@@ -8,6 +8,7 @@ from mathutils import Matrix
 
 from .. import attributes, compat
 from ..cameras.objects import local_matrix
+from ..interface import writable
 from ..nodes import display
 from . import filters, objects
 from . import settings as splat_settings
@@ -133,8 +134,7 @@ def add_crop_box(context: bpy.types.Context, ob: bpy.types.Object) -> bpy.types.
     box.matrix_parent_inverse = ob.matrix_world.inverted_safe()
     box.location = (low + high) / 2
     box.scale = np.maximum((high - low) / 2, 1e-6)
-    for collection in ob.users_collection or (context.collection,):
-        collection.objects.link(box)
+    writable.link_beside(box, ob)
     context.view_layer.update()
     ob.gscore.crop_object = box
     return box

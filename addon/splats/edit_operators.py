@@ -1,5 +1,7 @@
 """Operators that select, grade, separate and join splats, in Object and in Edit Mode, with undo."""
 
+from collections.abc import Iterable
+
 import bpy
 import numpy as np
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, FloatVectorProperty, IntProperty
@@ -20,6 +22,10 @@ _MODES = [
 
 class Editing(OnSplats):
     """Works on the mesh outside of Edit Mode, and goes back to it."""
+
+    def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
+        """The points."""
+        return (objects.meant(context).data,)
 
     def act(self, context: bpy.types.Context) -> str:
         """Leave Edit Mode, edit, and enter it again."""
@@ -258,6 +264,12 @@ class SeparateSplats(Editing, bpy.types.Operator):
         return f"{len(made.data.vertices):,} splats are {made.name}."
 
 
+def _others(context: bpy.types.Context) -> list[bpy.types.Object]:
+    """The selected splat objects besides the one that is worked on."""
+    own = objects.meant(context)
+    return [o for o in context.selected_objects if objects.is_splats(o) and o != own]
+
+
 class JoinSplats(Editing, bpy.types.Operator):
     """Take the other selected splat objects into the active one, as they are seen: places, turns,
     sizes and colors"""
@@ -265,9 +277,13 @@ class JoinSplats(Editing, bpy.types.Operator):
     bl_idname = "gscore.join_splats"
     bl_label = "Join Splats"
 
+    def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
+        """The points of the active object, and the others, which go."""
+        return (*super().changes(context), *_others(context))
+
     def edit(self, context: bpy.types.Context, ob: bpy.types.Object) -> str:
         """Join."""
-        others = [o for o in context.selected_objects if objects.is_splats(o) and o != ob]
+        others = _others(context)
         context.view_layer.update()
         parts.join(ob, others)
         make_active(context, ob)

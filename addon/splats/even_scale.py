@@ -28,9 +28,7 @@ def make_even(context: bpy.types.Context, ob: bpy.types.Object) -> list[str]:
     Raises:
         ValueError: the object would be uneven still; nothing is changed then.
     """
-    if is_even(ob):
-        return []
-    before = {one: (one.scale[:], one.delta_scale[:]) for one in _chain(ob)}
+    before = {one: _scales(one) for one in uneven(ob)}
     for one in before:
         one.scale, one.delta_scale = _even(one.scale), _even(one.delta_scale)
     context.view_layer.update()
@@ -42,7 +40,15 @@ def make_even(context: bpy.types.Context, ob: bpy.types.Object) -> list[str]:
             f"{ob.name} is stretched by something other than its scale or its parents': clear its "
             "parent (Alt P, Clear Parent Inverse), its constraints or its drivers."
         )
-    return [one.name for one, old in before.items() if _scales(one) != old]
+    return [one.name for one in before]
+
+
+def uneven(ob: bpy.types.Object) -> list[bpy.types.Object]:
+    """The object and those it hangs from, as far as one scale for all axes would change them; none
+    where splats can follow as it is."""
+    if is_even(ob):
+        return []
+    return [one for one in _chain(ob) if _scales(one) != (_even(one.scale), _even(one.delta_scale))]
 
 
 def _scales(ob: bpy.types.Object) -> tuple[tuple[float, ...], tuple[float, ...]]:

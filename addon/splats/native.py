@@ -5,6 +5,7 @@ from mathutils import Matrix
 
 from .. import attributes, compat
 from ..core import Splats
+from ..interface import writable
 from . import objects
 
 KIND = "native"
@@ -31,8 +32,7 @@ def make_native(ob: bpy.types.Object) -> bpy.types.Object:
     native = bpy.data.objects.new(cloud.name, cloud)
     native["gs_kind"] = KIND
     native.parent, native.matrix_parent_inverse = ob, Matrix.Identity(4)
-    for collection in ob.users_collection:
-        collection.objects.link(native)
+    writable.link_beside(native, ob)
     ob.gscore.display = "NATIVE"
     return native
 

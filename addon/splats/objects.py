@@ -8,6 +8,7 @@ import numpy as np
 
 from .. import attributes, compat
 from ..core import Splats, transform_splats
+from ..interface import writable
 from . import live, settings
 from .filters import visible_mask
 
@@ -28,7 +29,7 @@ def create(
     Args:
         splats: Raw parameters, in COLMAP's world.
         name: Of object and mesh.
-        collection: Where to link it; the context's collection if not given.
+        collection: Where to link it, if it takes objects; the context's collection if not given.
         parent: Usually the capture's root, whose matrix takes COLMAP's world to Blender's.
     """
     mesh = bpy.data.meshes.new(name)
@@ -36,7 +37,7 @@ def create(
     ob = bpy.data.objects.new(name, mesh)
     ob["gs_kind"] = KIND
     ob.parent = parent
-    (collection or bpy.context.collection).objects.link(ob)
+    writable.taking([collection or bpy.context.collection])[0].objects.link(ob)
     if len(splats):
         # Half the typical splat: points then neither merge nor vanish.
         ob.gscore.point_size = 0.5 * float(np.exp(np.median(splats.scales.max(axis=1))))
@@ -97,11 +98,12 @@ def transformed(ob: bpy.types.Object, matrix: np.ndarray, *, filtered: bool = Fa
 
 
 def check_writable(ob: bpy.types.Object) -> None:
-    """Raise ValueError unless the object's mesh can be written now."""
+    """Raise ValueError unless the points of the object's mesh can be written now."""
     if ob.mode == "EDIT":
         raise ValueError(f"{ob.name} is in Edit Mode: leave it before its splats are changed.")
-    if ob.type != "MESH" or not ob.data.is_editable:
-        raise ValueError(f"{ob.name} has no mesh that can be changed: it is linked or no mesh.")
+    if ob.type != "MESH":
+        raise ValueError(f"{ob.name} is no splat object: it is a {ob.type.lower()}.")
+    writable.check(ob.data)
 
 
 def is_splats(ob: bpy.types.Object | None) -> bool:

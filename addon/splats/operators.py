@@ -1,5 +1,6 @@
 """Operators on splats: import, export, filters, selection, crop, transform, native copy."""
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import ClassVar
 
@@ -16,7 +17,7 @@ from bpy_extras.io_utils import ExportHelper, ImportHelper
 from ..cameras.objects import root_of
 from ..compat import native_splat_type
 from ..core import LOD_ENDING, SPLAT_ENDINGS, GsError, collected_warnings
-from ..interface.operators import Acting, make_active
+from ..interface.operators import Acting, OnScene, make_active
 from . import edit, even_scale, files, native, settings
 from .objects import can_export, is_splats, meant
 
@@ -51,9 +52,14 @@ _WORLDS = [
 
 
 class OnSplats(Acting):
-    """Works on the active splat object, or on the one that the active object crops."""
+    """Works on the active splat object, or on the one that the active object crops: on its own
+    settings, where it does not say otherwise."""
 
     bl_options: ClassVar = {"REGISTER", "UNDO"}
+
+    def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
+        """The object."""
+        return (meant(context),)
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -64,7 +70,7 @@ class OnSplats(Acting):
         return False
 
 
-class ImportSplats(Acting, bpy.types.Operator, ImportHelper):
+class ImportSplats(OnScene, bpy.types.Operator, ImportHelper):
     """Import Gaussian splats of any trainer or viewer: PLY, SPZ, SOG, .splat, .ksplat, glTF, USD;
     or a level of detail of a .lod file"""
 
@@ -227,6 +233,11 @@ class ApplyFilters(OnSplats, bpy.types.Operator):
     bl_idname = "gscore.apply_filters"
     bl_label = "Delete Hidden Splats"
 
+    def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
+        """Its points, and its filters."""
+        ob = meant(context)
+        return ob.data, ob
+
     def act(self, context: bpy.types.Context) -> str:
         """Delete."""
         ob = meant(context)
@@ -261,6 +272,10 @@ class SelectSplats(OnSplats, bpy.types.Operator):
         ],
     )
 
+    def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
+        """Its points."""
+        return (meant(context).data,)
+
     def act(self, context: bpy.types.Context) -> str:
         """Select, and enter Edit Mode on vertices."""
         ob = meant(context)
@@ -289,6 +304,11 @@ class ApplySplatTransform(OnSplats, bpy.types.Operator):
     bl_idname = "gscore.apply_splat_transform"
     bl_label = "Apply Splat Transform"
 
+    def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
+        """Its points, and where it stands."""
+        ob = meant(context)
+        return ob.data, ob
+
     def act(self, context: bpy.types.Context) -> str:
         """Apply."""
         edit.apply_transform(meant(context))
@@ -301,6 +321,10 @@ class MakeScaleEven(OnSplats, bpy.types.Operator):
 
     bl_idname = "gscore.make_scale_even"
     bl_label = "Make Scale Even"
+
+    def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
+        """Those that are scaled anew."""
+        return even_scale.uneven(meant(context))
 
     def act(self, context: bpy.types.Context) -> str:
         """Change the scales."""

@@ -4,7 +4,7 @@ import bpy
 import numpy as np
 
 from .. import attributes, compat
-from ..core import join_splats
+from ..interface import writable
 from . import objects, settings
 
 
@@ -32,8 +32,7 @@ def separate(ob: bpy.types.Object, chosen: np.ndarray) -> bpy.types.Object:
     other = ob.copy()
     other.data = ob.data.copy()
     other.name = other.data.name = f"{ob.name} part"
-    for collection in ob.users_collection:
-        collection.objects.link(other)
+    writable.link_beside(other, ob)
     for one, keep in ((ob, ~chosen), (other, chosen)):
         attributes.keep(one.data, keep)
         one.data.update()
@@ -64,38 +63,15 @@ def join(ob: bpy.types.Object, others: list[bpy.types.Object]) -> None:
     to_own = np.linalg.inv(world)
     matrices = [to_own @ compat.matrix_to_numpy(one.matrix_world) for one in others]
     moved = [objects.transformed(one, m) for one, m in zip(others, matrices, strict=True)]
-    splats = join_splats([objects.read(ob), *moved])
-    more = _stacked(
-        [attributes.table(one.data) for one in parts], [len(o.data.vertices) for o in parts]
-    )
-    objects.refresh(ob, splats)
-    attributes.put(ob.data, more)
+    attributes.check(ob.data)
+    tables = []
+    for one, splats in zip(others, moved, strict=True):
+        own = [c for c in attributes.table(one.data) if not attributes.is_splats(c.name)]
+        tables.append([*attributes.as_table(splats), *own])
+    attributes.append(ob.data, tables)
     ob.data.update()
     for one in others:
         data = one.data
         bpy.data.objects.remove(one)
         if not data.users:
             bpy.data.meshes.remove(data)
-
-
-def _stacked(tables: list[list[attributes.Column]], counts: list[int]) -> list[attributes.Column]:
-    """The attributes that are no splat's, of several meshes one after the other."""
-    own = {attributes.POSITION, attributes.SCALE, attributes.ROTATION, attributes.BASE}
-    kinds = {
-        (c.name, c.kind): c.values
-        for table in reversed(tables)
-        for c in table
-        if c.name not in own and not c.name.startswith(attributes.SH)
-    }
-    names = [name for name, _ in kinds]
-    made = []
-    for (name, kind), example in kinds.items():
-        if names.count(name) > 1:
-            raise ValueError(f"The attribute {name} has another type in each object: rename one.")
-        parts = []
-        for table, count in zip(tables, counts, strict=True):
-            values = next((c.values for c in table if c.name == name), None)
-            empty = np.zeros((count, example.shape[1]), example.dtype)
-            parts.append(empty if values is None else values)
-        made.append(attributes.Column(name, kind, np.concatenate(parts)))
-    return made

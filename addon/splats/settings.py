@@ -47,6 +47,10 @@ _SHAPES = [
 ]
 
 
+_KEPT = {"LIBRARY_OVERRIDABLE"}
+"""Of properties that a library override keeps."""
+
+
 def _update(self: "SplatSettings", context: bpy.types.Context) -> None:
     apply(self.id_data)
 
@@ -57,7 +61,13 @@ def _may_crop(self: "SplatSettings", ob: bpy.types.Object) -> bool:
 
 def _number(name: str, description: str, default: float, **more: object) -> bpy.props.FloatProperty:
     return bpy.props.FloatProperty(
-        name=name, description=description, default=default, min=0.0, update=_update, **more
+        name=name,
+        description=description,
+        default=default,
+        min=0.0,
+        update=_update,
+        override=_KEPT,
+        **more,
     )
 
 
@@ -70,9 +80,14 @@ class SplatSettings(bpy.types.PropertyGroup):
         items=[*_DISPLAYS, _NATIVE] if compat.native_splat_type() else _DISPLAYS,
         default="POINTS",
         update=_update,
+        override=_KEPT,
     )
     colour_by: bpy.props.EnumProperty(
-        name="Color By", description="What the colors show", items=_COLORS, update=_update
+        name="Color By",
+        description="What the colors show",
+        items=_COLORS,
+        update=_update,
+        override=_KEPT,
     )
     point_size: _number(
         "Point Radius",
@@ -108,17 +123,26 @@ class SplatSettings(bpy.types.PropertyGroup):
         type=bpy.types.Object,
         poll=_may_crop,
         update=_update,
+        override=_KEPT,
     )
     crop_shape: bpy.props.EnumProperty(
-        name="Crop Shape", description="Shape of the crop", items=_SHAPES, update=_update
+        name="Crop Shape",
+        description="Shape of the crop",
+        items=_SHAPES,
+        update=_update,
+        override=_KEPT,
     )
     crop_invert: bpy.props.BoolProperty(
-        name="Invert", description="Show what lies outside the crop instead", update=_update
+        name="Invert",
+        description="Show what lies outside the crop instead",
+        update=_update,
+        override=_KEPT,
     )
     apply_filters_to_render: bpy.props.BoolProperty(
         name="Filters in Render",
         description="The Gaussian Splats render engine leaves out what the filters hide",
         default=True,
+        override=_KEPT,
     )
 
 
@@ -171,7 +195,7 @@ CLASSES = (SplatSettings,)
 
 def on_register() -> None:
     """Make the settings a property of objects."""
-    bpy.types.Object.gscore = bpy.props.PointerProperty(type=SplatSettings)
+    bpy.types.Object.gscore = bpy.props.PointerProperty(type=SplatSettings, override=_KEPT)
 
 
 def on_unregister() -> None:

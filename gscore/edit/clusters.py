@@ -1,6 +1,6 @@
 """Which splats hang together: ellipsoids in cells of space that touch, without a gap."""
 
-import itertools
+import math
 
 import numpy as np
 
@@ -15,8 +15,10 @@ _EXPONENT = 88.0
 """Of scales, at most: float32 holds no more, and squares stay finite."""
 _BITS = 20
 """Of a cell's number along an axis."""
-_FORWARD = [step for step in itertools.product((-1, 0, 1), repeat=3) if step > (0, 0, 0)]
-"""Half of the 26 cells around one; the other half sees it from there."""
+_TABLE = 1 << 24
+"""Cells of a box, at most, of which a table is kept."""
+_BLOCK = 1 << 13
+"""Splats whose places are computed at once; they stay in the cache."""
 
 
 def cluster_sizes(splats: Splats, gap: float) -> np.ndarray:
@@ -40,18 +42,21 @@ def cluster_sizes(splats: Splats, gap: float) -> np.ndarray:
     middle = np.median(means, axis=0)
     distances = np.linalg.norm(means - middle, axis=1)
     size = float(np.median(distances)) or 1.0
-    grown = size * np.maximum(distances / size, 1)
-    ends, owners = _ends(splats, means, gap / 2 * grown)
-    places = _near_and_far((np.concatenate([means, ends]) - middle) / size)
-    keys, home = _cells(places / gap)
-    home, of_ends = home[: len(means)], home[len(means) :]
-    first, second = _touching(keys)
-    labels = _components(
-        len(keys),
-        np.concatenate([first, home[owners]]),
-        np.concatenate([second, of_ends]),
-    )[home]
-    return np.bincount(labels, minlength=len(keys))[labels]
+    shortest = gap / 2 * size * np.maximum(distances / size, 1)
+    middles, ends, owners = [], [], []
+    for at in range(0, len(means), _BLOCK):
+        part = slice(at, at + _BLOCK)
+        places, rows = _reached(splats, part, shortest[part])
+        found = _keys(_near_and_far((places - middle) / size) / gap)
+        further = np.flatnonzero(found != found[rows])
+        middles.append(found[: len(shortest[part])])
+        ends.append(found[further])
+        owners.append(at + rows[further])
+    cells, home = _numbered(np.concatenate(middles + ends))
+    own, of_ends = home[: len(means)], home[len(means) :]
+    labels = _merged(np.arange(len(cells)), *_touching(cells))
+    labels = _merged(labels, own[np.concatenate(owners)], of_ends)[own]
+    return np.bincount(labels, minlength=len(cells))[labels]
 
 
 def reached_from(means: np.ndarray, seeds: np.ndarray, gap: float) -> np.ndarray:
@@ -71,32 +76,26 @@ def reached_from(means: np.ndarray, seeds: np.ndarray, gap: float) -> np.ndarray
     if not seeds.any():
         return np.zeros(len(means), bool)
     places = means.astype(np.float64)
-    keys, home = _cells((places - np.median(places[seeds], axis=0)) / gap)
-    labels = _components(len(keys), *_touching(keys))[home]
-    found = np.zeros(len(keys), bool)
+    cells, home = _numbered(_keys((places - np.median(places[seeds], axis=0)) / gap))
+    labels = _merged(np.arange(len(cells)), *_touching(cells))[home]
+    found = np.zeros(len(cells), bool)
     found[labels[seeds]] = True
     return found[labels]
 
 
-def _cells(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The sorted keys of the cells, of side 1, that hold any of the places [M, 3], and the number
-    [M] of each place's own."""
-    half = 1 << (_BITS - 1)
-    cells = np.clip(places, 2 - half, half - 2)  # one to spare on each side
-    return np.unique(_key(np.floor(cells).astype(np.int64) + half), return_inverse=True)
-
-
-def _ends(splats: Splats, means: np.ndarray, shortest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Places [M, 3] along the axes of ellipsoids that reach farther than `shortest` [N], and the
-    row [M] that each belongs to."""
-    reaches = _REACH * np.exp(np.minimum(splats.scales.astype(np.float64), _EXPONENT))
-    places, owners = [np.zeros((0, 3))], [np.zeros(0, np.int64)]
+def _reached(splats: Splats, part: slice, shortest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Places [M, 3] that some splats join: the middles of all, then those along axes that reach
+    farther than `shortest` [B]; and the row [M] in the part that each belongs to."""
+    means = splats.means[part].astype(np.float64)
+    scales = splats.scales[part].astype(np.float64)
+    reaches = _REACH * np.exp(np.minimum(scales, _EXPONENT))
+    places, owners = [means], [np.arange(len(means))]
     for axis in range(3):
         rows = np.flatnonzero(reaches[:, axis] > shortest)
-        turned = quat_to_rotmat(splats.quats[rows].astype(np.float64))[:, :, axis]
-        for step in _STEPS:
-            places.append(means[rows] + step * turned * reaches[rows, axis, None])
-            owners.append(rows)
+        turned = quat_to_rotmat(splats.quats[part][rows].astype(np.float64))[:, :, axis]
+        arm = turned * reaches[rows, axis, None]
+        places += [means[rows] + step * arm for step in _STEPS]
+        owners += [rows] * len(_STEPS)
     return np.concatenate(places), np.concatenate(owners)
 
 
@@ -109,36 +108,67 @@ def _near_and_far(places: np.ndarray) -> np.ndarray:
     return places * shrink[:, None]
 
 
-def _key(cells: np.ndarray) -> np.ndarray:
-    """[M] int64, one number for each cell [M, 3], by which neighbours are a fixed step apart."""
-    return cells[:, 0] << (2 * _BITS) | cells[:, 1] << _BITS | cells[:, 2]
+def _keys(places: np.ndarray) -> np.ndarray:
+    """[M] int64, the cell of side 1 that each place [M, 3] lies in: a number by which neighbours
+    are a fixed step apart."""
+    half = 1 << (_BITS - 1)
+    cells = np.floor(np.clip(places, 2 - half, half - 2)).astype(np.int64)  # one to spare
+    return _packed(*(cells + half).T)
 
 
-def _touching(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs of places in the sorted `keys` whose cells touch."""
-    first, second = [], []
-    for x, y, z in _FORWARD:
-        wanted = keys + ((x << (2 * _BITS)) + (y << _BITS) + z)
-        at = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-        there = np.flatnonzero(keys[at] == wanted)
-        first.append(there)
-        second.append(at[there])
+def _packed(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+    return x << (2 * _BITS) | y << _BITS | z
+
+
+def _numbered(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The cells [C] that hold any of the places whose keys [M] are given, sorted, and the number
+    [M] of each place's own; by a table where they lie in a small box, else by sorting."""
+    mask = (1 << _BITS) - 1
+    axes = [keys >> (2 * _BITS), keys >> _BITS & mask, keys & mask]
+    low = [int(axis.min()) for axis in axes]
+    sides = [int(axis.max()) - least + 1 for axis, least in zip(axes, low, strict=True)]
+    if math.prod(sides) > _TABLE:
+        return np.unique(keys, return_inverse=True)
+    flat = np.ravel_multi_index([a - least for a, least in zip(axes, low, strict=True)], sides)
+    held = np.zeros(math.prod(sides), bool)
+    held[flat] = True
+    found = np.flatnonzero(held)
+    number = np.empty(len(held), np.int64)
+    number[found] = np.arange(len(found))
+    places = np.unravel_index(found, sides)
+    return _packed(*(p + least for p, least in zip(places, low, strict=True))), number[flat]
+
+
+def _touching(cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pairs of places in the sorted `cells` of which each touches the other; every pair once."""
+    last = len(cells) - 1
+    beside = np.flatnonzero(np.diff(cells) == 1)
+    first, second = [beside], [beside + 1]
+    for x, y in ((0, 1), (1, -1), (1, 0), (1, 1)):
+        wanted = cells + ((x << (2 * _BITS)) + (y << _BITS))
+        at = np.searchsorted(cells, wanted - 1)
+        for further in range(3):  # the three of a column follow one another
+            other = np.minimum(at + further, last)
+            there = np.flatnonzero((np.abs(cells[other] - wanted) <= 1) & (at + further <= last))
+            first.append(there)
+            second.append(other[there])
     return np.concatenate(first), np.concatenate(second)
 
 
-def _components(count: int, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """[count] int64, the same number for all nodes that pairs connect: the least of them.
+def _merged(labels: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """[C] int64: labels [C] of nodes after pairs have connected some: the same for all that hang
+    together, the least of theirs. A label is a node that has it itself.
 
     Roots are hung under the least root beyond their pairs, then paths are shortened, until no pair
     joins two trees any more: a few rounds, since trees grow like powers of two.
     """
-    labels = np.arange(count)
     while True:
-        low, high = np.sort(np.stack([labels[first], labels[second]]), axis=0)
-        apart = low != high
-        if not apart.any():
+        one, other = labels[first], labels[second]
+        apart = np.flatnonzero(one != other)
+        if not len(apart):
             return labels
-        first, second = first[apart], second[apart]
-        np.minimum.at(labels, high[apart], low[apart])
+        one, other, first, second = one[apart], other[apart], first[apart], second[apart]
+        labels = labels.copy()
+        np.minimum.at(labels, np.maximum(one, other), np.minimum(one, other))
         while not np.array_equal(labels, shorter := labels[labels]):
             labels = shorter

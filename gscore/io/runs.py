@@ -2,6 +2,7 @@
 
 import contextlib
 import re
+import struct
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -41,6 +42,8 @@ SEARCH_RECORD = "sfm.json"
 MADE_OF = "made_of"
 """In that record: the photos' folder or the video, as an absolute path."""
 
+_MOST_STATED = 1 << 27
+"""Bytes before the tensors of a checkpoint."""
 _CHECKPOINT = re.compile(r"step_(\d{8,})\.safetensors")
 _SNAPSHOT = re.compile(r"step_(\d{6,})\.ply")
 _BELOW = (
@@ -114,6 +117,23 @@ def read_run(path: str | Path) -> RunInfo | None:
         train=train,
         problem=problem,
     )
+
+
+def read_losses(checkpoint: str | Path) -> list[tuple[int, float]]:
+    """Step and loss of a run up to one of its checkpoints, as often as it noted them.
+
+    Reads what the checkpoint states before its tensors, without torch. Of one that cannot be read,
+    or states no such thing, there are none: whether a run can go on from it, its training says.
+    """
+    try:
+        with Path(checkpoint).open("rb") as file:
+            (length,) = struct.unpack("<Q", file.read(8))
+            text = file.read(min(length, _MOST_STATED)).decode()
+        stated = parse_json(parse_json(text)["__metadata__"]["gscore"])
+        rows = stated["session"]["meter"]["history"]
+        return [(row["step"], row["loss"]) for row in rows if isinstance(row["loss"], float)]
+    except (OSError, struct.error, ValueError, LookupError, TypeError, RecursionError):
+        return []
 
 
 def checkpoint_path(path: Path, step: int) -> Path:

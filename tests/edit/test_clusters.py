@@ -9,7 +9,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from gscore.edit import cluster_sizes, reached_from
-from gscore.edit.clusters import _components
+from gscore.edit.clusters import _merged
 from gscore.splats import Splats
 
 Make = Callable[..., Splats]
@@ -94,7 +94,7 @@ def test_components_equal_scipy(edges: int) -> None:
         first, second = nodes[:-1], nodes[1:]
     graph = coo_array((np.ones(edges), (first, second)), shape=(1000, 1000))
     wanted = connected_components(graph, directed=False)[1]
-    got = _components(1000, first, second)
+    got = _merged(np.arange(1000), first, second)
     pairs = set(zip(got.tolist(), wanted.tolist(), strict=True))
     assert len(pairs) == len(set(got.tolist())) == len(set(wanted.tolist()))
 

@@ -7,7 +7,7 @@ import pytest
 
 from gscore.config import PRESETS
 from gscore.config_file import config_json
-from gscore.io.runs import RUN_FILES, clear_run, read_run
+from gscore.io.runs import RUN_FILES, clear_run, read_losses, read_run
 
 
 def _run(path: Path, *, steps: tuple[int, ...], iterations: int) -> Path:
@@ -35,6 +35,18 @@ def test_a_stopped_run_can_go_on(tmp_path: Path) -> None:
     assert info.checkpoint == tmp_path / "checkpoints/step_00001200.safetensors"
     assert info.train is not None and info.train.max_splats == 7
     assert (info.resumable, info.finished, info.problem, info.psnr) == (True, False, "", None)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"x", b"\x05" + bytes(7) + b"{", b"\xff" * 40, b"\x02" + bytes(7) + b"{}"],
+    ids=["empty", "short", "cut", "huge", "without"],
+)
+def test_a_checkpoint_that_is_none_states_no_losses(tmp_path: Path, content: bytes) -> None:
+    """Oracle: none, and no exception; of a checkpoint of a training, tests/trainer/test_run.py."""
+    (tmp_path / "step.safetensors").write_bytes(content)
+    assert read_losses(tmp_path / "step.safetensors") == []
+    assert read_losses(tmp_path / "missing") == []
 
 
 def test_a_finished_run_is_finished(tmp_path: Path) -> None:

@@ -420,15 +420,20 @@ def test_bad_input_is_a_sentence(studio: bpy.types.Scene, play: Play, tmp_path: 
 def test_resume_needs_the_capture_of_the_run(
     studio: bpy.types.Scene, play: Play, tmp_path: Path
 ) -> None:
-    """Oracle: the sentence names the folder that is gone; a chosen one is passed on."""
+    """Oracle: the sentence names the folder that is gone; a chosen one is passed on. The curve goes
+    on from what the checkpoint states."""
     from addon.core import PRESETS
     from gscore.config_file import config_json
 
     out, capture, gone = tmp_path / "out", tmp_path / "moved", tmp_path / "gone"
     (out / "checkpoints").mkdir(parents=True)
-    (out / "checkpoints" / "step_00000010.safetensors").write_bytes(b"x")
+    rows = [{"step": 5 * k, "loss": 1.0 / k} for k in (1, 2)]
+    stated = json.dumps({"session": {"meter": {"history": rows}}})
+    header = json.dumps({"__metadata__": {"gscore": stated}}).encode()
+    raw = len(header).to_bytes(8, "little") + header
+    (out / "checkpoints" / "step_00000010.safetensors").write_bytes(raw)
     (out / "config.json").write_text(config_json(*PRESETS["preview"](gone)))
-    python = play({"say": STARTED | {"step": 10}}, {"exit": 0})
+    python = play({"say": STARTED | {"step": 10}}, step(15), {"exit": 0})
     shutil.copytree(STUDIO, gone)
     studio.gscore.capture_path = str(gone)
     studio.gscore.output_path = str(out)
@@ -436,7 +441,9 @@ def test_resume_needs_the_capture_of_the_run(
     studio.gscore.capture_path = ""
     assert "is not there; choose where it is now" in _error(bpy.ops.gscore.resume_training)
     studio.gscore.capture_path = str(capture / "sparse" / "0")
-    training.resume(studio, wait=True)
+    job = training.resume(studio, wait=True)
+    assert job.state.curve.steps == [5, 10, 15]
+    assert job.state.curve.losses[:2] == [1.0, 0.5]
     arguments = json.loads((python.parent / "script.args").read_text())
     assert arguments[4:8] == [str(capture), "-o", str(out), "--resume"]
 

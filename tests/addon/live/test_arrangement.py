@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from addon.core import Splats, transform_splats
-from addon.live import atlas, order
+from addon.live import atlas, marks, order
 from addon.live.level import FEWEST, STILL, Level
 from addon.process.latest import Latest
+from addon.render.frozen import HIDDEN, SELECTED
 from gscore import sh
 from tests.addon import splat_scenes as lab
 
@@ -66,6 +67,29 @@ def test_the_most_seen_come_first():
         opacities=np.array([3, 3, -3], np.float32),
     )
     assert atlas.build([splats]).index.tolist() == [0, 2, 1]
+
+
+def test_marks_tint_and_hide():
+    """Oracle: the same order without marks: rows that are hidden are gone, colours of those that
+    are selected nearer to the tint, all others to the bit; the atlas is the same."""
+    parts = [lab.blob(900, seed=1), lab.blob(300, seed=2)]
+    made = atlas.build(parts)
+    eye = order.Eye(viewmats=(np.eye(4), similarity(1.5)), orthographic=False)
+    plain = order.arrange(made, eye, len(made))
+    own = np.random.default_rng(0).integers(0, 4, 900).astype(np.uint8)
+    got = order.arrange(made, eye, len(made), [own, None])
+    bits = np.zeros(len(made), np.uint8)
+    mine = made.part == 0
+    bits[mine] = own[made.index[mine]]
+    bits = bits[plain[:, 0].astype(int)]
+    kept = (bits & HIDDEN) == 0
+    np.testing.assert_array_equal(got[:, 0], plain[kept, 0])
+    chosen = (bits[kept] & SELECTED) != 0
+    assert 100 < chosen.sum() < 500
+    np.testing.assert_array_equal(got[~chosen], plain[kept][~chosen])
+    before, after = plain[kept][chosen, 1:], got[chosen, 1:]
+    apart = np.linalg.norm(before - marks.TINT, axis=1)
+    np.testing.assert_allclose(np.linalg.norm(after - marks.TINT, axis=1), 0.35 * apart, atol=1e-5)
 
 
 def test_more_than_float32_numbers_are_refused(monkeypatch):

@@ -11,7 +11,9 @@ from addon.cameras import captures
 from addon.compat import matrix_to_numpy
 from addon.core import render
 from addon.render import copies, picture, viewport
-from addon.render.scene import SplatCache, sources
+from addon.render.frozen import HIDDEN
+from addon.render.scene import Placed, SplatCache, marks_of, sources
+from addon.splats import filters
 from tests.addon import splat_scenes as lab
 
 
@@ -145,3 +147,62 @@ def test_copying_is_spread_over_redraws(scene, monkeypatch):
     placed = found[0]
     assert redraws == 12  # position, scale, rotation, base and 8 of SH
     assert len(SplatCache().model(placed).splats) == 2000
+
+
+@pytest.mark.parametrize("filtered", [False, True])
+def test_what_is_selected_reaches_the_drawing(scene: bpy.types.Scene, filtered: bool) -> None:
+    """Oracle: vertices selected and hidden by Blender's own operators. In Edit Mode a selection is
+    no change of geometry: splats are not copied again, but what is selected is."""
+    ob = lab.add(scene, lab.blob(200))
+    bpy.context.view_layer.objects.active = ob
+    ob.gscore.opacity_min = 0.6 if filtered else 0.0
+    keep = filters.visible_mask(ob)
+    some = np.arange(200) % 3 == 0
+    made = copies.Copies()
+    seen: list[bool] = []
+
+    def copied() -> Placed:
+        found, complete = [], False
+        while not complete:
+            found, complete = made.copied(sources(bpy.context.evaluated_depsgraph_get()))
+        return found[0]
+
+    def look() -> np.ndarray | None:
+        placed = copied()
+        seen.append(placed.frozen.attributes["position"] is before)
+        return marks_of(placed, selected=True)
+
+    def changed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
+        made.forget_changed(depsgraph)
+
+    bpy.app.handlers.depsgraph_update_post.append(changed)
+    try:
+        ob.data.vertices.foreach_set("select", some)
+        ob.data.update()
+        bpy.context.view_layer.update()
+        before = None
+        assert (look() == some[keep]).all()  # stored, in Object Mode
+        bpy.ops.object.mode_set(mode="EDIT")
+        bpy.context.tool_settings.mesh_select_mode = (True, False, False)
+        bpy.context.view_layer.update()
+        look()
+        before = copied().frozen.attributes["position"]
+        bpy.app.handlers.depsgraph_update_post.remove(changed)
+        bpy.context.view_layer.update()  # what looking in Edit Mode has changed
+        bpy.app.handlers.depsgraph_update_post.append(changed)
+        for action, wanted in (("INVERT", ~some), ("SELECT", some | True)):
+            bpy.ops.mesh.select_all(action=action)
+            bpy.context.view_layer.update()
+            assert (look() == wanted[keep]).all() and seen[-1]
+        bpy.ops.mesh.select_all(action="DESELECT")
+        bpy.context.view_layer.update()
+        assert look() is None and seen[-1]
+        bpy.ops.mesh.select_all(action="SELECT")
+        bpy.ops.mesh.hide()
+        bpy.context.view_layer.update()
+        assert (look() == HIDDEN).all()
+        bpy.ops.object.mode_set(mode="OBJECT")
+        bpy.context.view_layer.update()
+        assert look() is None  # as meshes do: what is hidden in Edit Mode shows outside of it
+    finally:
+        bpy.app.handlers.depsgraph_update_post.remove(changed)

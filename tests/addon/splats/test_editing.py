@@ -179,13 +179,15 @@ def test_separate_keeps_everything(ob: bpy.types.Object) -> None:
 
 def test_join_shows_what_was_seen(scene: bpy.types.Scene) -> None:
     """Oracle: the rasterizer's picture of both in the world before, turned and scaled; their SH
-    degrees differ. An attribute that one of them has is 0 in the other."""
+    degrees differ. An attribute that one of them has is 0 in the other. What the first has stays to
+    the bit, which exponentials and logarithms would not do."""
     one, other = lab.add(scene, lab.blob(200)), lab.add(scene, lab.wall(0.4, (0.9, 0.2, 0.1)))
     one.location, one.scale = (0.2, 0, 0), (2, 2, 2)
     other.rotation_euler, other.scale = (0.5, 0.2, 1), (0.5, 0.5, 0.5)
     mine = other.data.attributes.new("mine", "FLOAT", "POINT")
     mine.data.foreach_set("value", np.full(len(other.data.vertices), 7, np.float32))
     bpy.context.view_layer.update()
+    own = attributes.column(one.data, BASE), attributes.column(one.data, SCALE)
     activate(one)
     with pytest.raises(RuntimeError, match="two or more"):
         bpy.ops.gscore.join_splats()
@@ -199,6 +201,8 @@ def test_join_shows_what_was_seen(scene: bpy.types.Scene) -> None:
     values = np.empty(len(one.data.vertices), np.float32)
     one.data.attributes["mine"].data.foreach_get("value", values)
     np.testing.assert_array_equal(values, np.repeat([0, 7], [200, 41 * 41]))
+    np.testing.assert_array_equal(attributes.column(one.data, BASE)[:200], own[0])
+    np.testing.assert_array_equal(attributes.column(one.data, SCALE)[:200], own[1])
 
 
 def picture(splats: Splats) -> np.ndarray:
@@ -206,6 +210,17 @@ def picture(splats: Splats) -> np.ndarray:
     viewmat = np.diag([1.0, -1, -1, 1])
     viewmat[2, 3] = 4
     return render(splats, np.array([[90.0, 0, 48], [0, 90, 32], [0, 0, 1]]), viewmat, 96, 64).rgb
+
+
+def test_attributes_of_two_types_are_not_joined(scene: bpy.types.Scene) -> None:
+    """Oracle: the sentence that names the attribute, and the counts."""
+    one, other = (lab.add(scene, lab.blob(20), name) for name in ("one", "other"))
+    one.data.attributes.new("mine", "FLOAT", "POINT")
+    other.data.attributes.new("mine", "INT", "POINT")
+    activate(one, other)
+    with pytest.raises(RuntimeError, match="mine has another type"):
+        bpy.ops.gscore.join_splats()
+    assert len(one.data.vertices) == len(other.data.vertices) == 20
 
 
 def test_a_refused_join_changes_nothing(scene: bpy.types.Scene) -> None:
