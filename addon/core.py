@@ -98,6 +98,7 @@ from gscore.frontend import (
     read_lod,
     read_moves,
     read_run,
+    read_sequence,
     rotmat_to_quat,
     sh0_to_rgb,
     sh_basis,

@@ -10,6 +10,7 @@ import numpy as np
 from ..cameras.captures import RenderCamera, render_camera
 from ..compat import matrix_to_numpy, rec709_to_scene
 from ..core import Cancelled, GsError
+from ..timeline import follow
 from . import color, copies, ignored, picture
 from .scene import Model, Placed, SplatCache, place, sources
 from .viewport import (
@@ -272,8 +273,14 @@ def border_window(
 CLASSES = (SplatsRenderEngine,)
 
 
+def on_register() -> None:
+    """Have sequences leave their meshes alone while this engine renders."""
+    follow.TAKE_FRAMES.add(NAME)
+
+
 def on_unregister() -> None:
     """Let go of viewports and their splats."""
+    follow.TAKE_FRAMES.discard(NAME)
     _leave_viewports()
     for painter in list(_painters):
         painter.close()

@@ -1,14 +1,36 @@
 """Copies of splat meshes' attributes, so that decoding them needs neither bpy nor its thread."""
 
 import zlib
-from typing import Any
+from collections.abc import Hashable, Sized
+from typing import Any, Protocol
 
 import numpy as np
 
+from .. import attributes
 from ..attributes import BASE, POSITION, ROTATION, SCALE, SH
+from ..core import Splats
+from ..splats.filters import Filters, mask
 
 _KEYS = {"FLOAT_VECTOR": ("vector", 3), "QUATERNION": ("value", 4), "FLOAT4": ("vector", 4)}
 _KEYS["FLOAT_COLOR"] = ("color", 4)
+
+
+class Frozen(Protocol):
+    """Splats that are no longer Blender's, of a mesh or of a file."""
+
+    @property
+    def vertices(self) -> Sized:
+        """One a splat."""
+
+    @property
+    def fingerprint(self) -> Hashable:
+        """Differs wherever a value does."""
+
+    def read(self) -> Splats:
+        """The splats; ValueError where some are missing or not finite."""
+
+    def kept(self, filters: Filters) -> np.ndarray:
+        """[N] bool: which of them filters let pass."""
 
 
 class _Data:
@@ -60,6 +82,15 @@ class FrozenMesh:
     def fingerprint(self) -> tuple[Any, ...]:
         """Differs wherever a value does, but for one case in 2^32 an attribute."""
         return (len(self.vertices), *(a.fingerprint for a in self.attributes.values()))
+
+    def read(self) -> Splats:
+        """The splats; errors as `attributes.read`."""
+        return attributes.read(self)
+
+    def kept(self, filters: Filters) -> np.ndarray:
+        """[N] bool: which of them filters let pass."""
+        means, scales, base = (attributes.column(self, name) for name in (POSITION, SCALE, BASE))
+        return mask(means, scales, base[:, 3], filters)
 
 
 class Freezer:
