@@ -1,6 +1,6 @@
 """The tab "Train Splats" of the 3D view's sidebar, in the order of the work."""
 
-from . import cameras, capture, depth, edit, progress, render, result, train
+from . import cameras, capture, depth, edit, progress, render, result, sequence, train
 
 CLASSES = (
     *capture.CLASSES,
@@ -9,6 +9,7 @@ CLASSES = (
     *train.CLASSES,
     *progress.CLASSES,
     *result.CLASSES,
+    *sequence.CLASSES,
     *edit.CLASSES,
     *render.CLASSES,
 )

@@ -11,6 +11,8 @@ from ..cameras.captures import RenderCamera, render_camera
 from ..compat import matrix_to_numpy, rec709_to_scene
 from ..core import Cancelled, GsError
 from ..timeline import follow
+from ..timeline.moment import gap_sentence
+from ..timeline.settings import plays
 from . import color, copies, ignored, picture
 from .scene import Model, Placed, SplatCache, place, sources
 from .viewport import (
@@ -184,10 +186,11 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         self._deliver(passes, layer.name, scene.render, window)
 
     def _warn(self, shown: ignored.Shown) -> None:
-        """Say what has no effect; of an animation with its first frame."""
+        """Say what has no effect or is missing; of an animation with its first frame."""
         if self.is_animation and shown.scene.frame_current != shown.scene.frame_start:
             return
-        for sentence in ignored.without_effect(shown):
+        gaps = (gap_sentence(ob) for ob in shown.splats if plays(ob))
+        for sentence in [*ignored.without_effect(shown), *filter(None, gaps)]:
             self.report({"WARNING"}, sentence)
 
     def _camera_object(self, scene: bpy.types.Scene) -> bpy.types.Object | None:

@@ -10,8 +10,6 @@ from mathutils import Vector
 from ..compat import matrix_to_numpy
 from ..nodes import display
 from ..splats.objects import is_splats
-from ..timeline.moment import gap_sentence
-from ..timeline.settings import plays
 from .world import world_light
 
 _DRAWN_BY_OTHERS = {
@@ -149,10 +147,6 @@ def _world(shown: Shown) -> str:
     return "" if shown.scene.render.film_transparent else world_light(shown.scene.world)[1]
 
 
-def _gaps(shown: Shown) -> str:
-    return " ".join(filter(None, (gap_sentence(ob) for ob in shown.splats if plays(ob))))
-
-
 CHECKS = (
     Check(
         "The camera is {}, and splats are rendered by perspective and orthographic ones: change "
@@ -172,7 +166,6 @@ CHECKS = (
     ),
     Check("Clip End of {} has no effect: splats beyond it are drawn.", _clip_end),
     Check("{}", _world),
-    Check("{}", _gaps),
     Check(
         "{} is not drawn by this engine: Composite Splats with Meshes renders both.",
         _others,

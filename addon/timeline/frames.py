@@ -12,6 +12,7 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 
 from ..core import SPLAT_ENDINGS, GsError, read_sequence
@@ -62,7 +63,7 @@ class Series:
     def stride(self) -> int:
         """Between the numbers of neighbours; 0 where numbers are no count of frames."""
         numbers = [file.number for file in self.files]
-        found = math.gcd(*(b - a for a, b in zip(numbers, numbers[1:], strict=False))) or 1
+        found = math.gcd(*(b - a for a, b in pairwise(numbers))) or 1
         whole = (numbers[-1] - numbers[0]) // found + 1
         return found if whole <= _MOSTLY_GAPS * len(numbers) else 0
 

@@ -86,6 +86,7 @@ def moment_of(ob: bpy.types.Object, frame: float, *, wait: bool = False) -> Mome
         frame: Of the timeline, with its fraction.
         wait: Look for the files at once, instead of in a while.
     """
+    ob = ob.original  # a handler's changes are in no evaluated copy yet
     if not plays(ob):
         return None
     series, problem = series_of(ob, wait=wait)
@@ -98,7 +99,7 @@ def moment_of(ob: bpy.types.Object, frame: float, *, wait: bool = False) -> Mome
         files = tuple(dict.fromkeys(series.at(slot) for slot in slots))
     return Moment(
         name=ob.name,
-        owner=ob.original.session_uid,
+        owner=ob.session_uid,
         files=() if hidden else files,
         hidden=hidden,
         problem=problem,
@@ -107,6 +108,7 @@ def moment_of(ob: bpy.types.Object, frame: float, *, wait: bool = False) -> Mome
 
 def series_of(ob: bpy.types.Object, *, wait: bool = False) -> tuple[Series | None, str]:
     """The files of an object's sequence as `Library.series`; (None, a sentence) without one."""
+    ob = ob.original
     if not is_sequence(ob):
         return None, f"{ob.name} has no sequence."
     try:
@@ -122,7 +124,7 @@ def folder_of(ob: bpy.types.Object) -> Folder:
     Raises:
         ValueError: the folder is relative to a file that is not saved.
     """
-    text, library = ob.gscore_sequence.folder.strip(), ob.original.library
+    text, library = ob.gscore_sequence.folder.strip(), ob.library
     if text.startswith("//") and library is None and not bpy.data.filepath:
         raise ValueError(
             f"The folder of the frames {text} lies beside the .blend file, which is not saved: "

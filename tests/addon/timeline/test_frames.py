@@ -57,7 +57,7 @@ def test_results_of_gscore_sequence(tmp_path: Path) -> None:
 
 
 def test_folders_with_a_file_each(tmp_path: Path) -> None:
-    """Oracle: the layouts of 3DGS trainers, the last iteration of each, and of one file a folder."""
+    """Oracle: the layout of 3DGS trainers, the last iteration of each; and one file a folder."""
     for number in (1, 2):
         for iteration in (7000, 30000):
             place = tmp_path / "a" / str(number) / "point_cloud" / f"iteration_{iteration}"
@@ -84,12 +84,12 @@ def test_a_file_chooses_among_several_kinds(tmp_path: Path) -> None:
 
 def test_nothing_to_find(tmp_path: Path) -> None:
     """Oracle: sentences that name the folder, for each way in which there are no frames."""
-    with pytest.raises(ValueError, match="cannot be read .No such file.*choose where it is now"):
+    with pytest.raises(ValueError, match=r"cannot be read .No such file.*choose where it is now"):
         find_series(tmp_path / "gone")
     with pytest.raises(ValueError, match="holds no frames: choose the folder"):
         find_series(tmp_path)
     _touch(tmp_path / "a1.ply")
-    with pytest.raises(ValueError, match="no files called b#.ply"):
+    with pytest.raises(ValueError, match=r"no files called b#\.ply"):
         find_series(tmp_path, "b#.ply")
     (tmp_path / "sequence.json").write_text("{")
     with pytest.raises(ValueError, match="not the list of a sequence's frames"):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from addon.core import Splats, write_splats
+from addon.panels.sequence import SequencePanel
 from addon.process import beat
 from addon.render.copies import Copies
 from addon.render.engine import final_cache
@@ -17,6 +18,7 @@ from addon.splats import objects
 from addon.timeline import follow, mesh
 from addon.timeline.library import LIBRARY
 from tests.addon import splat_scenes as lab
+from tests.addon.drawn import drawn
 
 SIZE = (90, 70)
 
@@ -86,7 +88,7 @@ def until(condition: Callable[[], bool]) -> None:
 
 
 def test_one_object_plays_the_folder(scene, playing) -> None:
-    """The mesh holds, attribute by attribute, what each file does, at each frame of the timeline."""
+    """The mesh holds what each file does, attribute by attribute, and our renderers draw it."""
     splat_objects = [ob for ob in scene.objects if objects.is_splats(ob)]
     assert splat_objects == [playing] and playing.name == "frames"
     for frame in (1, 4, 2, 6):
@@ -154,7 +156,7 @@ def test_filters_leave_out_splats_of_each_frame(scene, playing) -> None:
         assert shown()[0][0] == int((1 / (1 + np.exp(-logits)) >= 0.6).sum()) < 300
 
 
-def test_gaps_are_told_and_hold_the_frame_before(scene, folder, tmp_path) -> None:
+def test_gaps_are_told_and_hold_the_frame_before(scene, folder, tmp_path, capfd) -> None:
     """Oracle: the numbers of the files; a render tells of them too."""
     (folder / "frame_0002.ply").unlink()
     (folder / "frame_0003.ply").unlink()
@@ -162,12 +164,11 @@ def test_gaps_are_told_and_hold_the_frame_before(scene, folder, tmp_path) -> Non
     ob = play(folder)
     scene.frame_set(4)
     assert number_of(ob) == 1
-    from addon.render import ignored
-
-    told = ignored.without_effect(
-        ignored.Shown(scene=scene, layer=bpy.context.view_layer, camera=scene.camera)
-    )
-    assert "frames: Frames 2, 3 are missing; the one before is shown." in told
+    lab.render_file(tmp_path / "a.png")
+    told = capfd.readouterr().out
+    assert "Warning: frames: Frames 2, 3 are missing; the one before is shown." in told
+    text = drawn(SequencePanel)
+    assert "4: 0 to 5" in text and "Frames 2, 3 are missing" in text and "frame 1" in text
 
 
 def test_a_damaged_file_ends_a_render_with_its_name(scene, playing, folder, tmp_path) -> None:
@@ -179,9 +180,9 @@ def test_a_damaged_file_ends_a_render_with_its_name(scene, playing, folder, tmp_
     assert number_of(playing) == 2 and "frame_0003.ply" in follow.problem_of(playing)
     message = lab.error_of(lambda: lab.render_file(tmp_path / "a.png"))
     assert "frames:" in message and "frame_0003.ply" in message
-    depsgraph = bpy.context.evaluated_depsgraph_get()
-    made = Copies()
-    assert made.copied(sources(depsgraph))[1] in (True, False)  # nothing is raised in a viewport
+    placed, complete = Copies().copied(sources(bpy.context.evaluated_depsgraph_get()))
+    assert complete and len(placed[0].frozen.vertices) == 320  # a viewport shows the last one
+    assert "frame_0003.ply" in drawn(SequencePanel)
     scene.frame_set(5)
     assert number_of(playing) == 4 and not follow.problem_of(playing)
 
@@ -203,6 +204,8 @@ def test_the_folder_moves_with_the_file(scene, playing, folder, tmp_path) -> Non
     ob = bpy.data.objects["frames"]
     assert number_of(ob) == 0  # as it was saved
     assert "choose where it is now" in follow.problem_of(ob)
+    bpy.context.view_layer.objects.active = ob
+    assert "choose where it is now" in drawn(SequencePanel)
 
 
 def test_edits_make_it_stand_still(scene, playing) -> None:
@@ -214,7 +217,7 @@ def test_edits_make_it_stand_still(scene, playing) -> None:
     attributes.keep(playing.data, keep)
     playing.data.update()
     bpy.context.view_layer.update()
-    assert playing.gscore_sequence.edited
+    assert playing.gscore_sequence.edited and "(Drop Edits and Play)" in drawn(SequencePanel)
     scene.frame_set(5)
     assert len(playing.data.vertices) == 100 and shown()[0][0] == 100
     bpy.ops.gscore.play_again()
@@ -272,7 +275,7 @@ def test_nothing_is_left_of_a_closed_file(scene, playing) -> None:
     assert LIBRARY.held[0] > 0
     bpy.ops.wm.read_homefile(use_empty=True)
     assert LIBRARY.held == (0, 0) and not len(bpy.data.meshes)
-    assert not beat.tick()
+    until(lambda: not beat.tick())
 
 
 def test_a_sequence_under_a_capture_needs_no_axis(scene, folder) -> None:
