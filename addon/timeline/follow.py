@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import bpy
+import numpy as np
 from bpy.app.handlers import persistent
 
 from ..core import GsError
@@ -35,7 +36,7 @@ class _Coming:
     """Session number of the object."""
     frame: Frame
     task: Task
-    """Makes its columns."""
+    """Makes its columns, and their mark."""
     filling: Filling | None = None
 
 
@@ -44,6 +45,8 @@ class _State:
     """Of the session."""
 
     coming: _Coming | None = None
+    refused: str = ""
+    """`FrameFile.label` of the last frame that has no room in a mesh."""
     told: set[str] = field(default_factory=set)
     """Problems that the console was told of."""
     problems: dict[int, str] = field(default_factory=dict)
@@ -123,14 +126,15 @@ def _behind() -> Iterator[tuple[bpy.types.Object, Moment]]:
     for scene in _scenes():
         for ob in _players(scene):
             moment = moment_of(ob, scene.frame_current_final)
-            if moment is None or ob.mode == "EDIT" or not _may_follow(ob):
+            if moment is None or not _may_follow(ob):
                 continue
-            if not _is_there(ob, moment) and not moment.failed():
+            done = _is_there(ob, moment) or moment.failed() or moment.holds == _state.refused
+            if not done:
                 yield ob, moment
 
 
 def _may_follow(ob: bpy.types.Object) -> bool:
-    return bool(ob.is_editable and ob.data.is_editable)
+    return bool(ob.is_editable and ob.data.is_editable and ob.mode != "EDIT")
 
 
 def _scenes() -> list[bpy.types.Scene]:
@@ -169,8 +173,13 @@ def _begin(ob: bpy.types.Object, moment: Moment) -> bool:
     """Begin with the mesh of an object, if its frame is in memory."""
     frame = moment.ready()
     if frame is not None:
-        _state.coming = _Coming(ob.session_uid, frame, Task(lambda _: frame.columns()))
+        _state.coming = _Coming(ob.session_uid, frame, Task(lambda _: _prepared(frame)))
     return frame is not None
+
+
+def _prepared(frame: Frame) -> tuple[tuple[tuple[str, str, np.ndarray], ...], str]:
+    columns = tuple(frame.columns())
+    return columns, mesh.mark_of(columns)
 
 
 def _go_on() -> bool:
@@ -180,14 +189,14 @@ def _go_on() -> bool:
         if coming.task.running:
             return False
         if coming.task.problem:
-            _state.coming = None
+            _state.coming, _state.refused = None, coming.frame.file.label
             return False
         coming.filling = Filling(
             Loaded(
                 path=coming.frame.file.path,
                 final=True,
                 count=len(coming.frame.vertices),
-                columns=tuple(coming.task.result),
+                columns=coming.task.result[0],
             )
         )
     made = coming.filling.step()
@@ -195,10 +204,10 @@ def _go_on() -> bool:
         return False
     _state.coming = None
     ob = next((o for o in bpy.data.objects if o.session_uid == coming.owner), None)
-    if ob is None or not plays(ob) or ob.mode == "EDIT" or not _may_follow(ob):
+    if ob is None or not plays(ob) or not _may_follow(ob):
         bpy.data.meshes.remove(made)
         return False
-    mesh.note(made, coming.frame.file)
+    mesh.note(made, coming.frame.file, coming.task.result[1])
     mesh.exchange(ob, made)
     return True
 
@@ -220,7 +229,7 @@ _FOLLOWER = beat.Follower(_collect, _waits, _hurries)
 def _frame_changed(scene: bpy.types.Scene, *_: object) -> None:
     if _at_once(scene):
         bring(scene)
-    elif _players(scene):
+    elif not bpy.app.is_job_running("RENDER") and _players(scene):  # else another thread draws
         beat.ensure()
 
 
@@ -255,7 +264,7 @@ def _undone(*_: object) -> None:
 
 @persistent
 def _file_loaded(*_: object) -> None:
-    _state.coming = None
+    _state.coming, _state.refused = None, ""
     _state.told.clear()
     _state.problems.clear()
     LIBRARY.clear()
@@ -287,5 +296,7 @@ def on_unregister() -> None:
     settings.CHANGED.remove(settings_changed)
     for name, function in _HANDLERS.items():
         getattr(bpy.app.handlers, name).remove(function)
+    if _state.coming is not None and _state.coming.filling is not None:
+        _state.coming.filling.drop()
     _state.coming = None
     LIBRARY.close()
