@@ -15,6 +15,7 @@ MODULES: tuple[str, ...] = (
     "python.operators",
     "cameras.photos",
     "cameras.operators",
+    "cameras.path_operators",
     "cameras.alignment_operators",
     "splats.settings",
     "splats.operators",

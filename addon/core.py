@@ -91,6 +91,7 @@ from gscore.frontend import (
     options_of,
     quat_to_rotmat,
     reached_from,
+    read_camera_path,
     read_cameras,
     read_capture,
     read_colmap,

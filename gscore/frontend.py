@@ -11,6 +11,7 @@ from .extras import offered
 if TYPE_CHECKING:
     from .config import Switch
     from .datasets import Capture, Folder, View, read_capture
+    from .datasets.camera_path_json import read_camera_path
     from .datasets.mattes import are_mattes
     from .datasets.resolution import target_size
     from .depth.catalogue import KnownNetwork
@@ -163,6 +164,7 @@ _HOME = {
     "of_size": "edit",
     "options_of": "options",
     "reached_from": "edit",
+    "read_camera_path": "datasets.camera_path_json",
     "read_cameras": "io.cameras_json:read_cameras_json",
     "read_capture": "datasets",
     "read_colmap": "io.colmap.folder:read_model",
@@ -262,6 +264,7 @@ __all__ = [
     "options_of",
     "quat_to_rotmat",
     "reached_from",
+    "read_camera_path",
     "read_cameras",
     "read_capture",
     "read_colmap",
