@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from .config import Switch
     from .datasets import Capture, Folder, View, read_capture
     from .datasets.camera_path_json import read_camera_path
+    from .datasets.frames import find_frames
     from .datasets.mattes import are_mattes
     from .datasets.resolution import target_size
     from .depth.catalogue import KnownNetwork
@@ -151,6 +152,7 @@ _HOME = {
     "estimate": "trainer.estimate.forecast",
     "find_capture": "inspection",
     "find_colmap": "io.colmap.folder:find_model",
+    "find_frames": "datasets.frames",
     "from_line": "events",
     "importance_of": "edit",
     "in_unit_shape": "edit",
@@ -250,6 +252,7 @@ __all__ = [
     "estimate",
     "find_capture",
     "find_colmap",
+    "find_frames",
     "from_line",
     "importance_of",
     "in_unit_shape",

@@ -141,9 +141,11 @@ ROOMS = {
     "search": _OBJECTS | {"python", "job"},
     "depth": _OBJECTS | {"python", "job"},
     "timeline": _OBJECTS | {"job"},
+    "sequence": _OBJECTS | {"job"},
     "render": _OBJECTS | {"timeline"},
     "live": _OBJECTS | {"render"},
-    "panels": _OBJECTS | {"python", "job", "search", "depth", "timeline", "render", "live"},
+    "panels": _OBJECTS
+    | {"python", "job", "search", "depth", "timeline", "sequence", "render", "live"},
 }
 """What each room of the add-on, or file beside them, may import besides itself."""
 WITHOUT_BPY = (
@@ -171,6 +173,9 @@ WITHOUT_BPY = (
     "python.installer",
     "search.job",
     "search.registry",
+    "sequence.arguments",
+    "sequence.job",
+    "sequence.registry",
     "splats.filters",
     "splats.live",
     "timeline.frames",

@@ -6,6 +6,7 @@ from typing import ClassVar
 import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
+from ..cameras.lookup import find_root
 from ..cameras.objects import root_of
 from ..core import SPLAT_ENDINGS, collected_warnings
 from ..interface.operators import Acting, make_active
@@ -57,6 +58,11 @@ class ImportSequence(Acting, bpy.types.Operator):
     filter_glob: StringProperty(
         default=";".join(f"*{ending}" for ending in SPLAT_ENDINGS), options={"HIDDEN"}
     )
+    capture: StringProperty(
+        name="Capture",
+        description="Name of the capture's empty to put the splats under; empty: as below",
+        options={"HIDDEN", "SKIP_SAVE"},
+    )
     start: IntProperty(
         name="Start",
         description="Frame of the timeline that shows the first frame of the sequence",
@@ -78,7 +84,9 @@ class ImportSequence(Acting, bpy.types.Operator):
     )
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Ask for the folder, or a file in it."""
+        """Ask for the folder, or a file in it, unless one is named."""
+        if self.directory or self.filepath:
+            return self.execute(context)
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
@@ -91,7 +99,7 @@ class ImportSequence(Acting, bpy.types.Operator):
                 folder,
                 called=called,
                 start=self.start,
-                parent=root_of(context.object) if self.under_capture else None,
+                parent=self._parent(context),
                 up=self.up,
             )
         self.warn(warnings)
@@ -103,6 +111,12 @@ class ImportSequence(Acting, bpy.types.Operator):
             context.scene.frame_end = max(self.start + series.slots - 1, 0)
         beat.ensure()
         return _imported(series)
+
+    def _parent(self, context: bpy.types.Context) -> bpy.types.Object | None:
+        """The capture's empty, if any."""
+        if self.capture:
+            return find_root(context, self.capture)
+        return root_of(context.object) if self.under_capture else None
 
     def _chosen(self) -> tuple[Path, str]:
         """The folder, and what its frames are called."""
