@@ -78,6 +78,14 @@ class Preferences(bpy.types.AddonPreferences):
         min=1000,
         soft_max=500_000,
     )
+    sequence_memory: IntProperty(
+        name="Memory for Frames",
+        description="Megabytes of memory for the frames of splat sequences that are read ahead; "
+        "100,000 splats in full color take 24",
+        default=1000,
+        min=50,
+        soft_max=16_000,
+    )
     lpips_path: StringProperty(
         name="LPIPS Network",
         description="ONNX file of the network that measures LPIPS; empty: LPIPS is not measured",
@@ -112,7 +120,7 @@ class Preferences(bpy.types.AddonPreferences):
             section(self.layout, self)
         column = self.layout.column()
         column.use_property_split = True
-        for name in ("threads", "live_seconds", "live_most", "preview_seconds"):
+        for name in ("threads", "live_seconds", "live_most", "preview_seconds", "sequence_memory"):
             column.prop(self, name)
         column.prop(self, "lpips_path")
         column.prop(self, "depth_network")

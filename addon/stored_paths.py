@@ -65,6 +65,7 @@ def _places() -> Iterator[_Place]:
     for ob in bpy.data.objects:
         if ob.library is None:
             yield from (_Place(ob, key) for key in (SOURCE, PHOTO, RUN) if key in ob)
+            yield _Place(ob.gscore_sequence, "folder")
 
 
 @persistent

@@ -11,6 +11,8 @@ from .extras import offered
 if TYPE_CHECKING:
     from .config import Switch
     from .datasets import Capture, Folder, View, read_capture
+    from .datasets.camera_path_json import read_camera_path
+    from .datasets.frames import find_frames
     from .datasets.mattes import are_mattes
     from .datasets.resolution import target_size
     from .depth.catalogue import KnownNetwork
@@ -150,6 +152,7 @@ _HOME = {
     "estimate": "trainer.estimate.forecast",
     "find_capture": "inspection",
     "find_colmap": "io.colmap.folder:find_model",
+    "find_frames": "datasets.frames",
     "from_line": "events",
     "importance_of": "edit",
     "in_unit_shape": "edit",
@@ -163,6 +166,7 @@ _HOME = {
     "of_size": "edit",
     "options_of": "options",
     "reached_from": "edit",
+    "read_camera_path": "datasets.camera_path_json",
     "read_cameras": "io.cameras_json:read_cameras_json",
     "read_capture": "datasets",
     "read_colmap": "io.colmap.folder:read_model",
@@ -249,6 +253,7 @@ __all__ = [
     "estimate",
     "find_capture",
     "find_colmap",
+    "find_frames",
     "from_line",
     "importance_of",
     "in_unit_shape",
@@ -263,6 +268,7 @@ __all__ = [
     "options_of",
     "quat_to_rotmat",
     "reached_from",
+    "read_camera_path",
     "read_cameras",
     "read_capture",
     "read_colmap",

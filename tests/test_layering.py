@@ -140,9 +140,12 @@ ROOMS = {
     "job": _OBJECTS | {"python"},
     "search": _OBJECTS | {"python", "job"},
     "depth": _OBJECTS | {"python", "job"},
-    "render": _OBJECTS,
+    "timeline": _OBJECTS | {"job"},
+    "sequence": _OBJECTS | {"job"},
+    "render": _OBJECTS | {"timeline"},
     "live": _OBJECTS | {"render"},
-    "panels": _OBJECTS | {"python", "job", "search", "depth", "render", "live"},
+    "panels": _OBJECTS
+    | {"python", "job", "search", "depth", "timeline", "sequence", "render", "live"},
 }
 """What each room of the add-on, or file beside them, may import besides itself."""
 WITHOUT_BPY = (
@@ -170,8 +173,13 @@ WITHOUT_BPY = (
     "python.installer",
     "search.job",
     "search.registry",
+    "sequence.arguments",
+    "sequence.job",
+    "sequence.registry",
     "splats.filters",
     "splats.live",
+    "timeline.frames",
+    "timeline.library",
 )
 """Modules of the add-on that serve scripts outside Blender."""
 

@@ -6,13 +6,11 @@ from typing import Any, ClassVar
 
 import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
-from bpy_extras.io_utils import ExportHelper
 
 from .. import stored_paths
 from ..interface.operators import Acting, OnScene, make_active
 from ..paths import absolute
 from . import captures
-from .camera_path import export_path
 from .export_colmap import Exported, export_colmap
 from .export_transforms import export_transforms
 from .lookup import find_camera, find_root
@@ -319,44 +317,6 @@ class ExportCameras(OnCapture, bpy.types.Operator):
         return export_colmap(folder, objects, context.scene, binary=binary, **shared)
 
 
-class ExportCameraPath(OnCapture, bpy.types.Operator, ExportHelper):
-    """Write the scene camera's animation as a file with a camera for each frame"""
-
-    bl_idname = "gscore.export_camera_path"
-    bl_label = "Export Camera Path"
-    bl_options: ClassVar[set[str]] = {"REGISTER"}
-
-    filename_ext = ".json"
-    filter_glob: StringProperty(default="*.json", options={"HIDDEN"})
-    kind: EnumProperty(
-        name="Files",
-        items=(
-            ("CAMERAS", "cameras.json", "What gscore render takes as --cameras"),
-            ("TRANSFORMS", "transforms.json", "For nerfstudio and others"),
-        ),
-        description="What to write",
-    )
-    world: EnumProperty(
-        name="World",
-        items=(
-            ("CAPTURE", "Capture", "The world of the capture's own files, where its splats lie"),
-            ("BLENDER", "Blender", "Blender's world: z up, as aligned and scaled"),
-        ),
-        description="Whose axes, origin and scale to write in",
-    )
-
-    def act(self, context: bpy.types.Context) -> str:
-        """Export."""
-        path, camera = absolute(self.filepath, "File"), context.scene.camera
-        if camera is None:
-            raise ValueError("The scene has no camera. Make one the scene camera and animate it.")
-        root = find_root(context, self.capture) if self.world == "CAPTURE" else None
-        count = export_path(
-            path, camera, context.scene, root=root, transforms=self.kind == "TRANSFORMS"
-        )
-        return f"{path}: {count} frames of {camera.name}"
-
-
 CLASSES = (
     ImportCameras,
     UseCamera,
@@ -364,7 +324,6 @@ CLASSES = (
     ChooseCamera,
     RelinkCapture,
     ExportCameras,
-    ExportCameraPath,
 )
 
 

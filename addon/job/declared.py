@@ -5,15 +5,17 @@ from typing import Any
 
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
 
-from ..core import DataConfig, TrainConfig, options_of
+from ..core import DataConfig, SequenceOptions, TrainConfig, options_of
 
+Config = DataConfig | TrainConfig | SequenceOptions
+"""Has options."""
 _LARGEST_INT = 2**31 - 1
 """Of Blender's whole numbers."""
 _STEP = 0.01
 """How far a number stays from an end that its option does not take: fields show two digits."""
 
 
-def declared(config: DataConfig | TrainConfig, name: str, label: str, **facts: Any) -> Any:
+def declared(config: Config, name: str, label: str, **facts: Any) -> Any:
     """The property of an option.
 
     Args:

@@ -51,7 +51,7 @@ def read_event(line: str) -> Event | None:
         kind = get_origin(f.type) or f.type
         # Strict JSON has null for numbers that are not finite.
         kinds = (int, float, type(None)) if kind is float else kind
-        if isinstance(value, bool) or not isinstance(value, kinds):
+        if isinstance(value, bool) != (kind is bool) or not isinstance(value, kinds):
             return None
     return event
 

@@ -1,14 +1,27 @@
 """The tab "Train Splats" of the 3D view's sidebar, in the order of the work."""
 
-from . import cameras, capture, depth, edit, progress, render, result, train
+from . import (
+    cameras,
+    capture,
+    depth,
+    edit,
+    progress,
+    render,
+    result,
+    sequence,
+    train,
+    train_sequence,
+)
 
 CLASSES = (
     *capture.CLASSES,
     *cameras.CLASSES,
     *depth.CLASSES,
     *train.CLASSES,
+    *train_sequence.CLASSES,
     *progress.CLASSES,
     *result.CLASSES,
+    *sequence.CLASSES,
     *edit.CLASSES,
     *render.CLASSES,
 )

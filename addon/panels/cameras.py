@@ -75,8 +75,10 @@ class AlignmentPanel(TabPanel, bpy.types.Panel):
         reset = row.operator("gscore.reset_alignment", text="Reset")
         relink = layout.operator("gscore.relink_capture", icon="FILE_REFRESH")
         export = layout.operator("gscore.export_cameras", icon="EXPORT")
-        path = layout.operator("gscore.export_camera_path", icon="CAMERA_DATA")
-        _aim(root(context), align, flip, extent, reset, relink, export, path)
+        row = layout.row(align=True)
+        path = row.operator("gscore.export_camera_path", icon="CAMERA_DATA")
+        back = row.operator("gscore.import_camera_path", text="", icon="IMPORT")
+        _aim(root(context), align, flip, extent, reset, relink, export, path, back)
 
 
 def _aim(empty: bpy.types.Object, *buttons: bpy.types.OperatorProperties) -> None:

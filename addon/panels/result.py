@@ -33,6 +33,7 @@ class ResultPanel(TabPanel, bpy.types.Panel):
         if ob is None:
             sentence(layout, context, "No splats yet: train some, or import a PLY.", icon="INFO")
             layout.operator("gscore.import_splats", icon="IMPORT")
+            layout.operator("gscore.import_sequence", icon="RENDER_ANIMATION")
             return
         row = layout.row(align=True)
         row.label(text=ob.name, icon="OUTLINER_OB_POINTCLOUD")
@@ -63,6 +64,7 @@ class ResultPanel(TabPanel, bpy.types.Panel):
         row = layout.row(align=True)
         row.operator("gscore.import_splats", text="Import", icon="IMPORT")
         row.operator("gscore.export_splats", text="Export", icon="EXPORT")
+        row.operator("gscore.import_sequence", text="", icon="RENDER_ANIMATION")
         training = job(context)
         if stored_paths.RUN in ob and (training is None or training.state.ended):
             layout.operator("gscore.show_report", icon="URL")

@@ -4,7 +4,7 @@ import time
 
 import bpy
 
-from .frozen import Freezer, FrozenMesh
+from .frozen import Freezer, Frozen, FrozenMesh
 from .scene import Placed, Source, place
 
 COPY_BUDGET = 0.015
@@ -18,7 +18,7 @@ class Copies:
 
     def __init__(self) -> None:
         self._frozen: dict[int, FrozenMesh] = {}
-        self._stale: dict[int, FrozenMesh] = {}
+        self._stale: dict[int, Frozen] = {}
         self._freezers: dict[int, Freezer] = {}
         self._unmarked: set[int] = set()
         """Those in Edit Mode of which other splats may be selected."""
@@ -56,20 +56,32 @@ class Copies:
         until = time.perf_counter() + COPY_BUDGET
         placed, complete = [], True
         for source in found:
-            frozen = self._copy(source, until)
+            frozen = self._copy(source, until) if source.moment is None else self._frame(source)
             complete &= frozen is not None
             frozen = frozen or self._stale.get(source.uid)
             if frozen is not None:
                 placed.append(place(source, frozen))
         return placed, complete
 
-    def _copy(self, source: Source, until: float) -> FrozenMesh | None:
+    def _frame(self, source: Source) -> Frozen | None:
+        """The frame that an object shows; where it cannot be read, the last one, or its mesh."""
+        frame = source.moment.ready()
+        if frame is not None:
+            self._stale[source.uid] = frame
+            return frame
+        if source.moment.waits():
+            return None
+        if source.uid not in self._stale:
+            self._stale[source.uid] = source.frozen_mesh()
+        return self._stale[source.uid]
+
+    def _copy(self, source: Source, until: float) -> Frozen | None:
         uid = source.uid
         if uid not in self._frozen and source.is_edited:
             stale = self._stale.get(uid)
             if stale is not None and len(stale.vertices) > EDITED_AT_ONCE:
                 return stale
-            self._frozen[uid] = source.frozen()
+            self._frozen[uid] = source.frozen_mesh()
         known = self._frozen.get(uid)
         if uid in self._unmarked and known and len(known.vertices) <= EDITED_AT_ONCE:
             self._frozen[uid] = known.remarked(source.marks())

@@ -10,6 +10,9 @@ import numpy as np
 from ..cameras.captures import RenderCamera, render_camera
 from ..compat import matrix_to_numpy, rec709_to_scene
 from ..core import Cancelled, GsError
+from ..timeline import follow
+from ..timeline.moment import gap_sentence
+from ..timeline.settings import plays
 from . import color, copies, ignored, picture
 from .scene import Model, Placed, SplatCache, place, sources
 from .viewport import (
@@ -183,10 +186,11 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         self._deliver(passes, layer.name, scene.render, window)
 
     def _warn(self, shown: ignored.Shown) -> None:
-        """Say what has no effect; of an animation with its first frame."""
+        """Say what has no effect or is missing; of an animation with its first frame."""
         if self.is_animation and shown.scene.frame_current != shown.scene.frame_start:
             return
-        for sentence in ignored.without_effect(shown):
+        gaps = (gap_sentence(ob) for ob in shown.splats if plays(ob))
+        for sentence in [*ignored.without_effect(shown), *filter(None, gaps)]:
             self.report({"WARNING"}, sentence)
 
     def _camera_object(self, scene: bpy.types.Scene) -> bpy.types.Object | None:
@@ -272,8 +276,14 @@ def border_window(
 CLASSES = (SplatsRenderEngine,)
 
 
+def on_register() -> None:
+    """Have sequences leave their meshes alone while this engine renders."""
+    follow.TAKE_FRAMES.add(NAME)
+
+
 def on_unregister() -> None:
     """Let go of viewports and their splats."""
+    follow.TAKE_FRAMES.discard(NAME)
     _leave_viewports()
     for painter in list(_painters):
         painter.close()

@@ -2,17 +2,43 @@
 
 import copy
 import zlib
-from typing import Any
+from collections.abc import Hashable, Sized
+from typing import Any, Protocol
 
 import numpy as np
 
+from .. import attributes
 from ..attributes import BASE, POSITION, ROTATION, SCALE, SH
+from ..core import Splats
+from ..splats.filters import Filters, mask
 
 _KEYS = {"FLOAT_VECTOR": ("vector", 3), "QUATERNION": ("value", 4), "FLOAT4": ("vector", 4)}
 _KEYS["FLOAT_COLOR"] = ("color", 4)
 SELECTED, HIDDEN = 1, 2
 """Bits of marks: what the user has done to a point in Edit Mode."""
 _MARKED_BY = {".select_vert": SELECTED, ".hide_vert": HIDDEN}
+
+
+class Frozen(Protocol):
+    """Splats that are no longer Blender's, of a mesh or of a file."""
+
+    @property
+    def vertices(self) -> Sized:
+        """One a splat."""
+
+    @property
+    def fingerprint(self) -> Hashable:
+        """Differs wherever a value does."""
+
+    @property
+    def marks(self) -> np.ndarray | None:
+        """[N] uint8 of SELECTED and HIDDEN; None: none has any."""
+
+    def read(self) -> Splats:
+        """The splats; ValueError where some are missing or not finite."""
+
+    def kept(self, filters: Filters) -> np.ndarray:
+        """[N] bool: which of them filters let pass."""
 
 
 class _Data:
@@ -73,6 +99,15 @@ class FrozenMesh:
         made = copy.copy(self)
         made.marks = marks
         return made
+
+    def read(self) -> Splats:
+        """The splats; errors as `attributes.read`."""
+        return attributes.read(self)
+
+    def kept(self, filters: Filters) -> np.ndarray:
+        """[N] bool: which of them filters let pass."""
+        means, scales, base = (attributes.column(self, name) for name in (POSITION, SCALE, BASE))
+        return mask(means, scales, base[:, 3], filters)
 
 
 class Freezer:

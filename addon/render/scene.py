@@ -12,9 +12,10 @@ import numpy as np
 from .. import attributes
 from ..compat import matrix_to_numpy
 from ..core import Splats, transform_splats
-from ..splats.filters import Filters, filters_of, mask
+from ..splats.filters import Filters, filters_of
 from ..splats.objects import ANTIALIAS, KIND
-from .frozen import HIDDEN, SELECTED, FrozenMesh, freeze, read_marks
+from ..timeline.moment import Moment, moment_of
+from .frozen import HIDDEN, SELECTED, Frozen, FrozenMesh, freeze, read_marks
 
 _EDITED = threading.Lock()
 
@@ -30,11 +31,15 @@ class Source:
     shown_by: bpy.types.Object
     """Evaluated object by which a viewport decides whether to show it: itself, or the one that
     instances its collection."""
+    moment: Moment | None = None
+    """Which frame it shows, where it plays a sequence; else its own data are shown."""
 
     @property
     def uid(self) -> int:
-        """Of the original data; the same as long as Blender runs."""
-        return self.ob.original.data.session_uid
+        """Of what is shown, the original data or an object that plays; the same as long as Blender
+        runs."""
+        original = self.ob.original
+        return (original.data if self.moment is None else original).session_uid
 
     @property
     def data(self) -> Any:
@@ -47,8 +52,18 @@ class Source:
         """Whether `data` are in Edit Mode, where their attributes are out of reach."""
         return bool(getattr(self.ob.original.data, "is_editmode", False))
 
-    def frozen(self) -> FrozenMesh:
-        """A copy of all splat attributes, in Edit Mode too."""
+    def frozen(self) -> Frozen:
+        """A copy of all splat attributes, in Edit Mode too; of a sequence, its frame.
+
+        Raises:
+            ValueError: the frame cannot be read.
+        """
+        if self.moment is not None:
+            return self.moment.frame()
+        return self.frozen_mesh()
+
+    def frozen_mesh(self) -> FrozenMesh:
+        """A copy of the splat attributes of the object's own data."""
         if not self.is_edited:
             return freeze(self.data, self.ob.name)
         original = self.ob.original
@@ -82,8 +97,9 @@ class Placed:
     name: str
     """The object's."""
     uid: int
-    """Of its original mesh; the same as long as Blender runs."""
-    frozen: FrozenMesh
+    """Of its original mesh, or of an object that plays a sequence; the same as long as Blender
+    runs."""
+    frozen: Frozen
     matrix: np.ndarray
     """[4, 4] float64 to the world."""
     filters: Filters | None
@@ -120,11 +136,29 @@ def sources(depsgraph: bpy.types.Depsgraph) -> list[Source]:
     found = []
     for ob in depsgraph.objects:  # leaves out what is hidden or excluded for the depsgraph's mode
         placed = _instances(ob, depsgraph, matrix_to_numpy(ob.matrix_world), 0)
-        found += [Source(ob=o, matrix=m, shown_by=ob, _depsgraph=depsgraph) for o, m in placed]
+        found += [_source(o, m, ob, depsgraph) for o, m in placed]
     return found
 
 
-def place(source: Source, frozen: FrozenMesh | None = None) -> Placed:
+def _source(
+    ob: bpy.types.Object,
+    matrix: np.ndarray,
+    shown_by: bpy.types.Object,
+    depsgraph: bpy.types.Depsgraph,
+) -> Source:
+    edited = bool(getattr(ob.original.data, "is_editmode", False))
+    wait = bpy.app.background or depsgraph.mode == "RENDER"
+    moment = moment_of(ob, depsgraph.scene.frame_current_final, wait=wait)
+    return Source(
+        ob=ob,
+        matrix=matrix,
+        shown_by=shown_by,
+        moment=None if edited else moment,  # what is edited is the mesh
+        _depsgraph=depsgraph,
+    )
+
+
+def place(source: Source, frozen: Frozen | None = None) -> Placed:
     """Copy what is needed of an object.
 
     Args:
@@ -165,7 +199,7 @@ def marks_of(placed: Placed, *, selected: bool) -> np.ndarray | None:
     marks = placed.frozen.marks & np.uint8(wanted)
     if not marks.any():
         return None
-    return marks if placed.filters is None else marks[_kept(placed.frozen, placed.filters)]
+    return marks if placed.filters is None else marks[placed.frozen.kept(placed.filters)]
 
 
 class SplatCache:
@@ -224,9 +258,9 @@ class SplatCache:
     def _decode(self, placed: Placed) -> Splats:
         known = self._parts.get(placed.part)
         if known is None or known[0] != placed.frozen.fingerprint:
-            splats = attributes.read(placed.frozen)
+            splats = placed.frozen.read()
             if placed.filters is not None:
-                splats = splats.subset(_kept(placed.frozen, placed.filters))
+                splats = splats.subset(placed.frozen.kept(placed.filters))
             known = placed.frozen.fingerprint, splats
             self._parts[placed.part] = known
             self.decoded += 1
@@ -270,12 +304,6 @@ def _instances(
 def _leaves_out_anything(filters: Filters) -> bool:
     limits = (filters.opacity_min, filters.size_min, filters.size_max)
     return any(limits) or filters.crop is not None
-
-
-def _kept(frozen: FrozenMesh, filters: Filters) -> np.ndarray:
-    names = (attributes.POSITION, attributes.SCALE, attributes.BASE)
-    means, scales, base = (attributes.column(frozen, name) for name in names)
-    return mask(means, scales, base[:, 3], filters)
 
 
 def _check_similar(placed: Placed) -> None:

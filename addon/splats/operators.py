@@ -35,7 +35,7 @@ _ENDINGS = [
 _DROPPED = ";".join(sorted({ending[ending.rindex(".") :] for ending in SPLAT_ENDINGS} - {".json"}))
 """Endings of files that are dropped. Blender has importers of its own for glTF and USD, so it asks
 which one is meant."""
-_UP = [
+UP_ITEMS = [
     ("-Y", "-Y Up", "The file's +Y points down, as COLMAP and most trainers write it"),
     ("Y", "+Y Up", "The file's +Y points up"),
     ("Z", "+Z Up", "The file's +Z points up, as in Blender"),
@@ -85,7 +85,7 @@ class ImportSplats(OnScene, bpy.types.Operator, ImportHelper):
     )
     directory: StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})
     up: EnumProperty(
-        name="Up", description="Axis of the file that points up", items=_UP, default="-Y"
+        name="Up", description="Axis of the file that points up", items=UP_ITEMS, default="-Y"
     )
     under_capture: BoolProperty(
         name="Under the Active Capture",

@@ -24,7 +24,7 @@ from ..words import count_words
 from .given.lod_model import GivenLod
 from .given.model import GivenModel, add_model_argument, model_path, open_model
 from .parser import add_threads_option
-from .pictures.shots import find_shots
+from .pictures.shots import FPS, PATHS, find_shots
 from .pictures.stills import still_names, to_rgb, to_rgba, write_depth_npy, write_depth_png
 from .pictures.video import need_video, write_video
 from .terminal.output import check_folder, check_replaced, is_ours, others_in, print_json
@@ -65,16 +65,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     which.add_argument("--test", action="store_true", help="the views the run held out")
     which.add_argument(
         "--path",
-        choices=("orbit", "spline"),
-        help="a moving camera: around the middle, or through all cameras in order (a video without "
-        "--view, --all and --test: orbit, else spline)",
+        metavar="{orbit,spline,FILE}",
+        help="a moving camera: around the middle, through all cameras in order, or as a file says: "
+        "a cameras.json, nerfstudio's camera_path.json, a transforms.json (a video without --view, "
+        "--all and --test: orbit, else spline)",
     )
     group.add_argument(
         "--frames",
         type=int,
         help="pictures along the path (8 seconds of them; spline: more with many cameras)",
     )
-    group.add_argument("--fps", type=float, default=30.0, help="pictures a second (30)")
+    group.add_argument(
+        "--fps", type=float, help=f"pictures a second (as the path's file says, else {FPS:g})"
+    )
     group.add_argument(
         "-r",
         "--resolution",
@@ -177,7 +180,7 @@ def _render(args: argparse.Namespace, status: Status, *, is_video: bool) -> dict
     if is_video:
         _check_one_size(shots)
         check_replaced([args.output], overwrite=args.overwrite)
-        write_video(args.output, (to_rgb(r) for r in work), fps=args.fps)
+        write_video(args.output, (to_rgb(r) for r in work), fps=args.fps or found.fps or FPS)
         result: dict[str, Any] = {"files": [str(args.output)]}
     else:
         result = _write_stills(args, work)
@@ -321,7 +324,12 @@ def _check_options(args: argparse.Namespace, *, is_video: bool) -> None:
     views = args.view or args.all or args.test
     if args.frames is not None and not args.path and (views or not is_video):
         raise ConfigError("--frames belongs to --path orbit or --path spline.")
-    if not 0 < args.fps <= 1000:
+    if args.path and args.path not in PATHS and (args.frames is not None or args.cameras):
+        raise ConfigError(
+            f"--path {args.path} says where the camera is in each picture: leave out --frames and "
+            f"--cameras."
+        )
+    if args.fps is not None and not 0 < args.fps <= 1000:
         raise ConfigError(f"--fps must be above 0 and at most 1000, got {args.fps:g}.")
     if args.transparent and args.background is not None:
         raise ConfigError("Give either --transparent or --background.")

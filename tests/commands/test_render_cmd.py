@@ -69,6 +69,28 @@ def test_cameras_of_the_capture_and_resolution(
     np.testing.assert_allclose(small.astype(int), wanted, atol=1)
 
 
+def test_a_path_from_a_file(gscore, run_folder, tmp_path, splats, cameras):
+    """Oracle: the rasterizer from each camera of the file, in its order; a video has its pace."""
+    poses = [np.linalg.inv(m) @ np.diag([1.0, -1, -1, 1]) for m in cameras.viewmats[[4, 1]]]
+    entries = [{"camera_to_world": pose.ravel().tolist(), "fov": 40} for pose in poses]
+    content = {"render_width": 40, "render_height": 30, "fps": 12, "camera_path": entries}
+    path = tmp_path / "path.json"
+    path.write_text(json.dumps(content))
+    given = ("render", folder := run_folder(), "--path", path)
+    code, out, _ = gscore(*given, "-o", tmp_path / "out", "--json")
+    assert code == 0 and json.loads(out)["path"] == str(path)
+    focal = 15 / np.tan(np.radians(20))
+    K = np.array([[focal, 0, 20], [0, focal, 15], [0, 0, 1]])
+    for i, view in enumerate((4, 1)):
+        wanted = as_bytes(render(splats, K, cameras.viewmats[view], 40, 30).rgb)
+        made = read(tmp_path / "out" / f"frame_{i + 1:06d}.png")
+        np.testing.assert_allclose(made.astype(int), wanted, atol=1)
+    code, _, err = gscore(*given, "-o", tmp_path / "out", "--frames", "5")
+    assert code == 2 and "leave out --frames and --cameras" in err
+    code, _, err = gscore("render", folder, "--path", "orbti", "-o", tmp_path / "out")
+    assert code == 2 and "--path orbti: neither orbit nor spline, and there is no such file" in err
+
+
 def test_transparency(gscore, run_folder, tmp_path, picture):
     """Oracle: laid over any background it is the picture rendered over that background."""
     path = tmp_path / "one.png"

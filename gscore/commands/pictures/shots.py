@@ -8,6 +8,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from ...config import DataConfig
+from ...datasets.camera_path_json import read_camera_path
 from ...datasets.resolution import LARGEST_FACTOR, scale_intrinsics, target_size
 from ...errors import ConfigError, DatasetError
 from ...io.cameras_json import read_cameras_json
@@ -17,6 +18,10 @@ from ..given.lod_model import GivenLod
 from ..given.model import GivenModel, is_capture
 from .camera_path import orbit_path, spline_path
 
+PATHS = ("orbit", "spline")
+"""Paths that are made; any other is a file."""
+FPS = 30.0
+"""Pictures a second, where nobody says."""
 _ORBIT_SECONDS = 8.0
 """Of an orbit, at its usual length."""
 _SPLINE_SECONDS = 0.25
@@ -31,7 +36,9 @@ class Shots:
 
     cameras: Cameras
     path: str
-    """orbit or spline; empty: views."""
+    """orbit, spline or the file of a path; empty: views."""
+    fps: float | None = None
+    """Pictures a second, where the file of a path states them."""
     why: str = ""
     """A sentence for the user where the path was not asked for."""
 
@@ -51,6 +58,8 @@ def find_shots(args: argparse.Namespace, model: GivenModel | GivenLod, *, is_vid
         ConfigError: A path or view that there cannot be.
         DatasetError: No cameras, or no such view.
     """
+    if args.path and args.path not in PATHS:
+        return _of_file(args, even=is_video)
     captured = captured_cameras(args.cameras, model)
     cameras = _scaled(captured.cameras, args.resolution, even=is_video)
     if args.path:
@@ -70,6 +79,21 @@ def find_shots(args: argparse.Namespace, model: GivenModel | GivenLod, *, is_vid
     return Shots(cameras=cameras, path="")
 
 
+def _of_file(args: argparse.Namespace, *, even: bool) -> Shots:
+    """The cameras of a file, one a picture."""
+    if not Path(args.path).is_file():
+        raise ConfigError(
+            f"--path {args.path}: neither {' nor '.join(PATHS)}, and there is no such file."
+        )
+    found = read_camera_path(args.path)
+    return Shots(
+        cameras=_scaled(found.cameras, args.resolution, even=even),
+        path=args.path,
+        why=" ".join(found.warnings),
+        fps=found.fps,
+    )
+
+
 def _some_path(cameras: Cameras, args: argparse.Namespace) -> Shots:
     """The path for a video that nobody chose one for."""
     try:
@@ -78,7 +102,7 @@ def _some_path(cameras: Cameras, args: argparse.Namespace) -> Shots:
     except ConfigError:  # the cameras have no common middle
         shots = _along(cameras, "spline", args)
         what = "a way through the cameras in their order, which have no common middle to go around"
-    seconds = len(shots.cameras) / args.fps
+    seconds = len(shots.cameras) / (args.fps or FPS)
     why = f"No --path was given: {what}, {seconds:.1f} s. --all makes a video of the views."
     return replace(shots, why=why)
 
@@ -174,7 +198,7 @@ def _frames(args: argparse.Namespace, kind: str, cameras: int) -> int:
     seconds = _ORBIT_SECONDS
     if kind == "spline":
         seconds = min(max(seconds, _SPLINE_SECONDS * cameras), _LONGEST_SPLINE)
-    return max(2, round(seconds * args.fps))
+    return max(2, round(seconds * (args.fps or FPS)))
 
 
 def _along(cameras: Cameras, kind: str, args: argparse.Namespace) -> Shots:

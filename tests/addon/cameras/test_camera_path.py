@@ -1,6 +1,9 @@
-"""An animated camera written out: what stands in the file projects as Blender does."""
+"""Animated cameras written out and read back: what the file says projects as Blender does."""
 
 import json
+import subprocess
+import sys
+from itertools import pairwise
 from pathlib import Path
 
 import bpy
@@ -9,8 +12,15 @@ import pytest
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 
+from addon.cameras import captures
 from addon.cameras import formulas as cm
+from addon.core import write_splats
+from addon.splats import objects
 from gscore.io.cameras_json import read_cameras_json as read_cameras
+from tests.addon import splat_scenes as lab
+
+ROOT = Path(__file__).parents[3]
+POINTS = [(0.0, 0.0, 0.0), (0.7, -0.4, 1.0), (-0.5, 0.8, 0.3)]
 
 
 @pytest.fixture
@@ -75,3 +85,155 @@ def test_gscore_reads_the_same_cameras(scene, camera, tmp_path: Path) -> None:
         np.testing.assert_allclose(read.Ks[i][[0, 1, 0, 1], [0, 1, 2, 2]], K, rtol=1e-12)
         viewmat = cm.viewmat_from_matrix_world(np.array(values["transform_matrix"]))
         np.testing.assert_allclose(read.viewmats[i], viewmat, rtol=0, atol=1e-6)
+
+
+def seen(scene, camera) -> list[np.ndarray]:
+    """Blender's own projection of three points at each frame of the scene, [3, 2] pixels."""
+    found, render = [], scene.render
+    for number in range(scene.frame_start, scene.frame_end + 1, scene.frame_step):
+        scene.frame_set(number)
+        at = [world_to_camera_view(scene, camera, Vector(point)) for point in POINTS]
+        size = render.resolution_x, render.resolution_y
+        found.append(np.array([(p.x * size[0], (1 - p.y) * size[1]) for p in at]))
+    return found
+
+
+def capture_with(camera) -> bpy.types.Object:
+    """A capture that stands turned, moved and scaled in the scene."""
+    made = captures.import_capture(bpy.context, ROOT / "examples" / "studio", photos=False)
+    captures.set_root_matrix(made.root, made_matrix())
+    bpy.context.view_layer.update()
+    return made.root
+
+
+def made_matrix() -> np.ndarray:
+    """A similarity."""
+    c, s = np.cos(0.7), np.sin(0.7)
+    matrix = np.eye(4)
+    matrix[:3, :3] = 1.7 * np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
+    matrix[:3, 3] = 0.4, -1.1, 0.3
+    return matrix
+
+
+@pytest.mark.parametrize("step", [1, 5])
+@pytest.mark.parametrize("kind", ["CAMERAS", "TRANSFORMS"])
+@pytest.mark.parametrize("world", ["BLENDER", "CAPTURE"])
+def test_a_path_comes_back(scene, camera, tmp_path: Path, kind, world, step) -> None:
+    """Oracle: Blender's projection through the camera that was written, at each frame."""
+    if world == "CAPTURE":
+        capture_with(camera)
+    scene.camera, scene.frame_step = camera, step
+    camera.data.sensor_fit = "VERTICAL"
+    before = seen(scene, camera)
+    file = str(tmp_path / "walk.json")
+    bpy.ops.gscore.export_camera_path(filepath=file, world=world, kind=kind)
+    scene.frame_start, scene.frame_end, scene.render.resolution_x = 1, 250, 1920
+    assert bpy.ops.gscore.import_camera_path(filepath=file, world=world) == {"FINISHED"}
+    again = scene.camera
+    assert again != camera and again.name == "walk" and bpy.context.object == again
+    assert (scene.frame_start, scene.frame_end) == (3, 8)
+    assert (scene.render.resolution_x, scene.render.resolution_y) == (320, 180)
+    scene.frame_step = step
+    for ours, theirs in zip(seen(scene, again), before, strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-2)
+
+
+def test_the_path_of_nerfstudios_viewer(scene, tmp_path: Path) -> None:
+    """Oracle: points projected by hand, with the vertical field of view; its size and pace."""
+    pose = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1]]
+    entries = [
+        {"camera_to_world": np.ravel(pose).tolist(), "fov": fov, "aspect": 1} for fov in (90, 40)
+    ]
+    content = {"render_width": 400, "render_height": 200, "fps": 23.976, "camera_path": entries}
+    file = tmp_path / "camera_path.json"
+    file.write_text(json.dumps(content))
+    bpy.ops.gscore.import_camera_path(filepath=str(file), world="BLENDER", numbered=False, start=7)
+    render = scene.render
+    assert (scene.frame_start, scene.frame_end, render.fps) == (7, 8, 24)
+    assert render.fps / render.fps_base == pytest.approx(23.976, rel=1e-6)
+    for ours, fov in zip(seen(scene, scene.camera), (90, 40), strict=True):
+        focal = 100 / np.tan(np.radians(fov / 2))
+        want = [(200 + focal * x / (4 - z), 100 - focal * y / (4 - z)) for x, y, z in POINTS]
+        np.testing.assert_allclose(ours, want, rtol=0, atol=1e-2)
+
+
+def test_pixels_that_are_not_square(scene, tmp_path: Path) -> None:
+    """Oracle: K of the file; a scene has one pixel aspect, so a path with two is refused."""
+
+    def entry(fy: float) -> dict:
+        return {
+            "id": 0,
+            "img_name": "a",
+            "width": 300,
+            "height": 200,
+            "fx": 250,
+            "fy": fy,
+            "position": [0, 0, 0],
+            "rotation": np.eye(3).tolist(),
+        }
+
+    file = tmp_path / "path.json"
+    file.write_text(json.dumps([entry(200), entry(200)]))
+    bpy.ops.gscore.import_camera_path(filepath=str(file), world="BLENDER")
+    got = captures.render_camera(scene.camera, scene)
+    np.testing.assert_allclose(got.K, [[250, 0, 150], [0, 200, 100], [0, 0, 1]], rtol=1e-6)
+    file.write_text(json.dumps([entry(200), entry(210)]))
+    count = len(bpy.data.cameras)
+    message = lab.error_of(
+        lambda: bpy.ops.gscore.import_camera_path(filepath=str(file), world="BLENDER")
+    )
+    assert "pixels of several shapes" in message and len(bpy.data.cameras) == count
+
+
+def test_the_other_half_of_a_turn(scene, tmp_path: Path) -> None:
+    """Oracle: the angle between neighbours; a camera must not swing around between two frames."""
+    entries = []
+    for i, angle in enumerate(np.linspace(0, 2 * np.pi, 13)):
+        c, s = np.cos(angle), np.sin(angle)
+        turn = [[c, 0, s], [0, 1, 0], [-s, 0, c]]
+        entries.append(
+            {
+                "id": i,
+                "img_name": f"{2 * i}",
+                "width": 30,
+                "height": 20,
+                "fx": 25,
+                "fy": 25,
+                "position": [0, 0, 0],
+                "rotation": turn,
+            }
+        )
+    file = tmp_path / "path.json"
+    file.write_text(json.dumps(entries))
+    bpy.ops.gscore.import_camera_path(filepath=str(file), world="BLENDER")
+    forward = []
+    for number in range(25):  # every second one lies between two cameras of the file
+        scene.frame_set(number)
+        forward.append(np.array(scene.camera.matrix_world)[:3, 2])
+    cosines = [np.clip(a @ b, -1, 1) for a, b in pairwise(forward)]
+    steps = np.degrees(np.arccos(cosines))
+    assert steps.max() < 25 and steps.min() > 5
+
+
+@pytest.mark.parametrize("kind", ["CAMERAS", "TRANSFORMS"])
+def test_gscore_render_draws_what_f12_does(scene, camera, tmp_path: Path, kind) -> None:
+    """Oracle: F12 at each frame; the splats hang from a capture that is turned and scaled."""
+    root = capture_with(camera)
+    splats = lab.blob(3000, size=1.2)
+    objects.create(splats, "s", collection=scene.collection, parent=root)
+    write_splats(tmp_path / "s.ply", splats)
+    lab.prepare(scene, (320, 180))
+    scene.camera, scene.frame_step = camera, 5
+    # Where the blob is seen, in the capture's place.
+    camera.parent = root
+    file = tmp_path / "path.json"
+    bpy.ops.gscore.export_camera_path(filepath=str(file), world="CAPTURE", kind=kind)
+    command = [sys.executable, "-m", "gscore", "render", str(tmp_path / "s.ply"), "--quiet"]
+    command += ["--path", str(file), "--near", str(camera.data.clip_start / 1.7)]
+    subprocess.run([*command, "-o", str(tmp_path / "out")], check=True, cwd=ROOT)
+    for number in (3, 8):
+        scene.frame_set(number)
+        got = lab.render_file(tmp_path / "blender.png")
+        want = lab.read_image(next((tmp_path / "out").rglob(f"frame_{number:06d}.png")))
+        assert np.abs(got - want).mean() < 2 / 255 and np.abs(got - want).max() < 4 / 255
+        assert want[..., :3].std() > 0.05

@@ -50,7 +50,8 @@ def test_buttons_lead_somewhere() -> None:
         assert name in dir(bpy.ops.gscore), name
     scene = bpy.context.scene
     for name in re.findall(r'prop\(settings, "(\w+)"', text):
-        owners = (scene.gscore.bl_rna, bpy.types.Object.bl_rna.properties["gscore"].fixed_type)
+        kinds = (bpy.types.Object.bl_rna.properties[n] for n in ("gscore", "gscore_sequence"))
+        owners = (scene.gscore.bl_rna, *(kind.fixed_type for kind in kinds))
         assert any(name in owner.properties for owner in owners), name
 
 

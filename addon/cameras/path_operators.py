@@ -1,0 +1,127 @@
+"""Operators of camera paths: write the scene camera's animation, read one."""
+
+from typing import ClassVar
+
+import bpy
+from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
+from bpy_extras.io_utils import ExportHelper, ImportHelper
+
+from ..interface.operators import make_active
+from ..paths import absolute
+from .camera_path import export_path
+from .camera_path_import import import_path, use_path
+from .lookup import find_root, roots_of
+from .operators import OnCapture
+
+_BLENDER = ("BLENDER", "Blender", "Blender's world: z up, as aligned and scaled")
+
+
+class ExportCameraPath(OnCapture, bpy.types.Operator, ExportHelper):
+    """Write the scene camera's animation as a file with a camera for each frame"""
+
+    bl_idname = "gscore.export_camera_path"
+    bl_label = "Export Camera Path"
+    bl_options: ClassVar[set[str]] = {"REGISTER"}
+
+    filename_ext = ".json"
+    filter_glob: StringProperty(default="*.json", options={"HIDDEN"})
+    kind: EnumProperty(
+        name="Files",
+        items=(
+            ("CAMERAS", "cameras.json", "What gscore render takes as --path"),
+            (
+                "TRANSFORMS",
+                "transforms.json",
+                "For nerfstudio and others; gscore render takes it as --path too",
+            ),
+        ),
+        description="What to write",
+    )
+    world: EnumProperty(
+        name="World",
+        items=(
+            ("CAPTURE", "Capture", "The world of the capture's own files, where its splats lie"),
+            _BLENDER,
+        ),
+        description="Whose axes, origin and scale to write in",
+    )
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Export."""
+        path, camera = absolute(self.filepath, "File"), context.scene.camera
+        if camera is None:
+            raise ValueError("The scene has no camera. Make one the scene camera and animate it.")
+        root = find_root(context, self.capture) if self.world == "CAPTURE" else None
+        count = export_path(
+            path, camera, context.scene, root=root, transforms=self.kind == "TRANSFORMS"
+        )
+        return f"{path}: {count} frames of {camera.name}"
+
+
+class ImportCameraPath(OnCapture, bpy.types.Operator, ImportHelper):
+    """Make an animated camera of a file with a camera for each frame: a cameras.json, the
+    camera_path.json of nerfstudio's viewer, or a transforms.json"""
+
+    bl_idname = "gscore.import_camera_path"
+    bl_label = "Import Camera Path"
+
+    filename_ext = ".json"
+    filter_glob: StringProperty(default="*.json", options={"HIDDEN"})
+    world: EnumProperty(
+        name="World",
+        items=(
+            ("CAPTURE", "Capture", "The file is in the world of the capture's own files"),
+            _BLENDER,
+        ),
+        description="Whose axes, origin and scale the file has",
+    )
+    numbered: BoolProperty(
+        name="As Numbered",
+        description="Where the cameras' names end with numbers that rise, take these as frames of "
+        "the timeline, whatever Start says",
+        default=True,
+    )
+    start: IntProperty(
+        name="Start", description="Frame of the first camera; the others follow", default=1
+    )
+    set_up_scene: BoolProperty(
+        name="Set Up Scene",
+        description="Render through this camera, at the size, range and pace of the file",
+        default=True,
+    )
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask for the file."""
+        if not self.properties.is_property_set("world") and not roots_of(context.scene):
+            self.world = "BLENDER"
+        return super().invoke(context, event)
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Import."""
+        path = absolute(self.filepath, "File")
+        root = find_root(context, self.capture) if self.world == "CAPTURE" else None
+        scene = context.scene
+        made = import_path(path, scene, root=root, start=self.start, numbered=self.numbered)
+        if self.set_up_scene:
+            use_path(scene, made)
+        make_active(context, made.camera)
+        self.warn(made.warnings)
+        first, last = made.frames
+        return f"{made.camera.name}: {made.count} cameras, frames {first} to {last}"
+
+
+CLASSES = (ExportCameraPath, ImportCameraPath)
+
+
+def _draw_import(self: bpy.types.Menu, context: bpy.types.Context) -> None:
+    self.layout.operator(ImportCameraPath.bl_idname, text="Camera Path (.json)")
+
+
+def on_register() -> None:
+    """Add the entry of File > Import."""
+    bpy.types.TOPBAR_MT_file_import.append(_draw_import)
+
+
+def on_unregister() -> None:
+    """Take it back."""
+    bpy.types.TOPBAR_MT_file_import.remove(_draw_import)

@@ -1,0 +1,93 @@
+"""The sequence that a splat object plays: which frame shows, when, and what is wrong with it."""
+
+from typing import ClassVar
+
+import bpy
+
+from ..timeline import follow
+from ..timeline.frames import Series
+from ..timeline.library import LIBRARY
+from ..timeline.moment import moment_of, series_of
+from ..timeline.settings import is_sequence
+from .result import shown
+from .widgets import TabPanel, rows, sentence
+
+
+class SequencePanel(TabPanel, bpy.types.Panel):
+    """What plays on the timeline"""
+
+    bl_idname = "GSCORE_PT_sequence"
+    bl_label = "Sequence"
+    bl_parent_id = "GSCORE_PT_result"
+    bl_options: ClassVar = set()
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """The splats are those of a sequence."""
+        return is_sequence(shown(context))
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        layout, ob = self.layout, shown(context)
+        settings = ob.gscore_sequence
+        if settings.edited:
+            text = "These splats were edited, so the object stands still and keeps them."
+            sentence(layout, context, text, icon="INFO")
+            layout.operator("gscore.play_again", icon="PLAY")
+        draw_frames(layout, context, ob)
+        layout.prop(settings, "folder", text="")
+        if settings.files:
+            layout.prop(settings, "files")
+        column = layout.column(align=True)
+        for name in ("start", "offset", "speed", "step"):
+            column.prop(settings, name)
+        layout.prop(settings, "beyond", text="Beyond")
+        row = layout.row(align=True)
+        row.operator("gscore.keep_frame", icon="DUPLICATE")
+        row.operator("gscore.look_at_frames_again", text="", icon="FILE_REFRESH")
+
+
+def draw_frames(
+    layout: bpy.types.UILayout, context: bpy.types.Context, ob: bpy.types.Object
+) -> None:
+    """How many frames there are, which of them shows, and why another does not."""
+    series, problem = series_of(ob)
+    if series is None:
+        text = problem or "Looking for the frames"
+        sentence(layout, context, text, icon="ERROR" if problem else "TIME")
+        return
+    count, size = LIBRARY.held
+    pairs = [
+        ("Frames", f"{len(series.files):,}: {_range(series)}"),
+        ("Now", _now(context, ob)),
+        ("In memory", f"{count}, {size / 1e6:,.0f} MB"),
+    ]
+    rows(layout, pairs)
+    if series.gaps:
+        sentence(layout, context, series.gap_words(), icon="ERROR")
+    moment = moment_of(ob, context.scene.frame_current_final)
+    damaged = LIBRARY.frame(moment.files[0])[1] if moment is not None and moment.files else ""
+    if text := damaged or follow.problem_of(ob):
+        sentence(layout, context, text, icon="ERROR")
+    elif ob.library is not None or not ob.data.is_editable:
+        text = "Linked: EEVEE and Cycles show the frame that its file was saved with."
+        sentence(layout, context, text, icon="INFO")
+
+
+def _range(series: Series) -> str:
+    first, last = series.files[0].number, series.files[-1].number
+    steps = f", every {series.stride}" if series.stride > 1 else ""
+    return f"{first} to {last}{steps}"
+
+
+def _now(context: bpy.types.Context, ob: bpy.types.Object) -> str:
+    moment = moment_of(ob, context.scene.frame_current_final)
+    if moment is None:
+        return "stands still"
+    if moment.hidden:
+        return "nothing"
+    waits = " (coming)" if moment.waits() else ""
+    return f"frame {moment.files[0].number}{waits}" if moment.files else "not known"
+
+
+CLASSES = (SequencePanel,)

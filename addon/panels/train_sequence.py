@@ -1,0 +1,96 @@
+"""Training of a sequence: which frames, how far it is, and what to do with what is there."""
+
+from typing import ClassVar
+
+import bpy
+
+from ..job import verb_job
+from ..sequence import work
+from ..sequence.job import SequenceJob
+from .widgets import TabPanel, has_python, root, rows, sentence
+
+_WARNINGS_SHOWN = 3
+
+
+class TrainSequencePanel(TabPanel, bpy.types.Panel):
+    """Frames of a multi-view video, one after the other"""
+
+    bl_idname = "GSCORE_PT_train_sequence"
+    bl_label = "Sequence of Captures"
+    bl_parent_id = "GSCORE_PT_train"
+    bl_options: ClassVar = {"DEFAULT_CLOSED"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        layout, scene = self.layout, context.scene
+        if not scene.gscore.capture_path.strip():
+            sentence(layout, context, "Choose the folder of the frames under Capture.", icon="INFO")
+            return
+        numbers, problem = work.frames_of(scene)
+        if problem:
+            sentence(layout, context, problem, icon="INFO")
+            return
+        if numbers is None:
+            layout.label(text="Looking for frames...", icon="TIME")
+            return
+        rows(layout, [("Frames", f"{len(numbers):,}: {numbers[0]} to {numbers[-1]}")])
+        own = scene.gscore_train_sequence
+        for name in ("frames", "next_iterations", "warm_start"):
+            layout.prop(own, name)
+        draw_state(layout, context)
+
+
+def draw_state(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """The bar of a training, or the buttons that begin one; and what has been trained."""
+    job = work.job_of(context.scene)
+    if job is not None:
+        draw_job(layout, context, job)
+        if not job.ended:
+            return
+    output = work.output_of(context.scene)
+    there, problem = work.trained_in(output)
+    if problem:
+        sentence(layout, context, problem, icon="ERROR")
+    if there is not None and there.frames:
+        count, total = len(there.frames), there.mean.get("frames_total") or len(there.frames)
+        sentence(layout, context, f"{count:,} of {total:,} frames are trained.", icon="INFO")
+        bring = layout.operator("gscore.import_sequence", icon="IMPORT")
+        bring.directory = str(output)
+        bring.capture = empty.name if (empty := root(context)) is not None else ""
+    sentence(layout, context, f"Results go to {output}", icon="FILE_FOLDER")
+    if not has_python(layout, context):
+        return
+    big = layout.row(align=True)
+    big.scale_y = 1.4
+    if there is None and not work.begun(output):
+        big.operator("gscore.train_sequence", icon="PLAY")
+        return
+    big.operator("gscore.train_sequence", text="Go On", icon="PLAY").resume = True
+    over = big.operator("gscore.train_sequence", text="Start Over", icon="FILE_REFRESH")
+    over.overwrite = True
+
+
+def draw_job(layout: bpy.types.UILayout, context: bpy.types.Context, job: SequenceJob) -> None:
+    """How far a training is, or how it ended."""
+    if not job.ended:
+        row = layout.row(align=True)
+        row.progress(factor=job.share, text=bar_text(job))
+        row.operator("gscore.stop_sequence", text="", icon="SNAP_FACE")
+    if job.sentence:
+        icon = "ERROR" if job.status == verb_job.FAILED else "CHECKMARK"
+        sentence(layout, context, job.sentence, icon=icon)
+    for text in job.warnings[-_WARNINGS_SHOWN:]:
+        sentence(layout, context, text, icon="ERROR")
+
+
+def bar_text(job: SequenceJob) -> str:
+    """What stands in the bar."""
+    if job.status == verb_job.STOPPING:
+        return "Writing a checkpoint"
+    if job.frame is None:
+        return "Starting"
+    where = f"Frame {job.frame.frame}, {job.frame.place} of {job.frame.frames}"
+    return where if job.progress is None else f"{where}: step {job.progress.step:,}"
+
+
+CLASSES = (TrainSequencePanel,)

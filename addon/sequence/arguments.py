@@ -1,0 +1,57 @@
+"""The add-on's settings as a command line of `gscore sequence`; no bpy."""
+
+from pathlib import Path
+from typing import Protocol
+
+from ..job.options import Machine, Settings, new_run, resumed_run
+
+
+class OwnSettings(Protocol):
+    """What a sequence has besides the options of a training."""
+
+    frames: str
+    next_iterations: int
+    warm_start: bool
+
+
+def new_sequence(
+    settings: Settings,
+    own: OwnSettings,
+    *,
+    source: Path,
+    output: Path,
+    machine: Machine,
+    overwrite: bool = False,
+) -> list[str]:
+    """Arguments that start a sequence: those of a training of each frame, and its own.
+
+    Args:
+        settings: Of the scene.
+        own: Of the scene's sequence.
+        source: Folder of the sequence.
+        output: Folder for the results.
+        machine: Of the preferences.
+        overwrite: Replace another sequence in `output`.
+    """
+    arguments = new_run(
+        settings, source=source, output=output, machine=machine, overwrite=overwrite
+    )
+    more = ["--frames", own.frames.strip()] if own.frames.strip() else []
+    if own.next_iterations:
+        more += ["--next-iterations", str(own.next_iterations)]
+    if not own.warm_start:
+        more.append("--no-warm-start")
+    return ["sequence", *arguments[1:], *more]
+
+
+def resumed_sequence(own: OwnSettings, *, output: Path, machine: Machine) -> list[str]:
+    """Arguments that go on with a sequence; with other frames, where they are chosen.
+
+    Args:
+        own: Of the scene's sequence.
+        output: Folder of the results.
+        machine: Of the preferences.
+    """
+    arguments = resumed_run(source=None, output=output, machine=machine)
+    more = ["--frames", own.frames.strip()] if own.frames.strip() else []
+    return ["sequence", *arguments[1:], *more]

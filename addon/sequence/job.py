@@ -1,0 +1,67 @@
+"""`gscore sequence` beside Blender: which frame it is at and what came out; no bpy."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from ..core import Event, FrameStarted, Progress, SequenceDone, judged_psnr
+from ..job.verb_job import STOPPING, VerbJob
+
+FINISHED = "finished"
+"""Reason of a sequence that came to its end."""
+
+
+class SequenceJob(VerbJob):
+    """The training of one sequence."""
+
+    kept = "Stopped; complete frames are kept, and Go On continues from there."
+    less = "choose fewer splats or smaller photos, then go on"
+
+    def __init__(
+        self, python: str | Path, arguments: Sequence[str], *, source: Path, output: Path
+    ) -> None:
+        """Start it.
+
+        Args:
+            python: The Python that has gscore.
+            arguments: Of `gscore`.
+            source: The sequence.
+            output: Folder of the results.
+
+        Raises:
+            OSError: `python` cannot be run.
+        """
+        self.output = output
+        self.frame: FrameStarted | None = None
+        """The one that is trained."""
+        self.progress: Progress | None = None
+        """Of that frame."""
+        self.done: SequenceDone | None = None
+        super().__init__(python, arguments, source=source)
+
+    @property
+    def share(self) -> float:
+        """Part that is done, 0 to 1, by frames and the steps of the one under way."""
+        if self.frame is None or self.frame.frames < 1:
+            return 0.0
+        told = self.progress
+        within = told.step / told.iterations if told is not None and told.iterations > 0 else 0.0
+        return min((self.frame.place - 1 + min(within, 1.0)) / self.frame.frames, 1.0)
+
+    def take(self, event: Event) -> None:
+        """Take note of an event."""
+        if isinstance(event, FrameStarted):
+            self.frame, self.progress = event, None
+        elif isinstance(event, Progress):
+            self.progress = event
+        elif isinstance(event, SequenceDone):
+            self.done = event
+
+    def finish(self) -> str:
+        """How many frames are complete; empty where it was stopped."""
+        done = self.done
+        if done is None or (done.reason != FINISHED and self.status == STOPPING):
+            return ""
+        psnr = judged_psnr(done.metrics)
+        quality = "" if psnr is None else f", PSNR {psnr:.2f} dB in the mean"
+        ended = "" if done.reason == FINISHED else f" It ended early: {done.reason}."
+        return f"{done.frames:,} frames are complete{quality}.{ended}"

@@ -1,0 +1,70 @@
+"""Operators of sequences' trainings: train, go on, stop."""
+
+from typing import ClassVar
+
+import bpy
+from bpy.props import BoolProperty
+
+from ..interface.operators import Acting
+from ..interface.questions import Asking
+from ..job.verb_job import FAILED
+from ..job.verb_operators import Cancelling
+from . import work
+from .job import SequenceJob
+
+
+class TrainSequence(Asking, Acting, bpy.types.Operator):
+    """Train the frames of a multi-view video, or of a folder of captures, one after the other in
+    the background, each from the splats of the one before"""
+
+    bl_idname = "gscore.train_sequence"
+    bl_label = "Train Sequence"
+    bl_options: ClassVar = {"REGISTER"}
+
+    resume: BoolProperty(
+        name="Go On",
+        description="Continue the sequence in the output folder",
+        options={"SKIP_SAVE"},
+    )
+    overwrite: BoolProperty(
+        name="Start Over",
+        description="Replace the sequence in the output folder",
+        options={"SKIP_SAVE"},
+    )
+    wait: BoolProperty(
+        name="Wait",
+        description="Return when the training has ended; for scripts",
+        options={"HIDDEN", "SKIP_SAVE"},
+    )
+    confirm = "Start Over"
+
+    def question(self, context: bpy.types.Context) -> list[str]:
+        """Name what an earlier sequence loses."""
+        output = work.output_of(context.scene)
+        if not self.overwrite or not work.begun(output):
+            return []
+        return [f"The frames in {output} are replaced for good."]
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Start."""
+        job = work.train_sequence(
+            context.scene, resume=self.resume, overwrite=self.overwrite, wait=self.wait
+        )
+        if job.status == FAILED:
+            raise ValueError(job.sentence)
+        return job.sentence
+
+
+class StopSequence(Cancelling, bpy.types.Operator):
+    """Stop after a checkpoint; complete frames are kept, and Go On continues from there"""
+
+    bl_idname = "gscore.stop_sequence"
+    bl_label = "Stop"
+    none = "No sequence is being trained."
+
+    def job_of(self, scene: bpy.types.Scene) -> SequenceJob | None:
+        """The training of the scene's sequence."""
+        return work.job_of(scene)
+
+
+CLASSES = (TrainSequence, StopSequence)

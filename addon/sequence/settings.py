@@ -1,0 +1,33 @@
+"""What a scene says about the sequence that it trains."""
+
+import bpy
+
+from ..core import SequenceOptions
+from ..job.declared import declared
+
+
+class TrainSequenceSettings(bpy.types.PropertyGroup):
+    """Options of a sequence, besides those of its frames."""
+
+    frames: declared(
+        SequenceOptions(),
+        "frames",
+        "Frames",
+        default="",
+        description="Which frames: 0,5,12 or 0:30 or 0:30:5 (first, last, step); empty: all",
+    )
+    next_iterations: declared(SequenceOptions(), "next_iterations", "Steps of Later Frames")
+    warm_start: declared(SequenceOptions(), "warm_start", "Start from the Frame Before")
+
+
+CLASSES = (TrainSequenceSettings,)
+
+
+def on_register() -> None:
+    """Make the settings a property of scenes."""
+    bpy.types.Scene.gscore_train_sequence = bpy.props.PointerProperty(type=TrainSequenceSettings)
+
+
+def on_unregister() -> None:
+    """Take the property back."""
+    del bpy.types.Scene.gscore_train_sequence

@@ -1,0 +1,109 @@
+"""The training of a sequence from scripts and operators: begin, go on, and what is there."""
+
+from pathlib import Path
+
+import bpy
+
+from .. import preferences
+from ..core import SequenceIndex
+from ..job import training
+from ..job.launch import follow, launch
+from ..paths import absolute, output_folder
+from ..process import beat
+from . import arguments, registry
+from .job import SequenceJob
+from .registry import JOBS
+
+
+def train_sequence(
+    scene: bpy.types.Scene,
+    *,
+    resume: bool = False,
+    overwrite: bool = False,
+    wait: bool = False,
+    python: str | Path | None = None,
+) -> SequenceJob:
+    """Train the frames of the scene's capture, one after the other.
+
+    Args:
+        scene: Its settings say what and how.
+        resume: Go on with the sequence in the output folder.
+        overwrite: Replace it.
+        wait: Return when it has ended.
+        python: The Python that trains; None: as the preferences say.
+
+    Raises:
+        ValueError: something is missing or in the way; the message says what to do.
+    """
+    source, output = source_of(scene), output_of(scene)
+    if (other := JOBS.of_source(source)) is not None and not other.ended:
+        raise ValueError(f"The frames of {source} are being trained already.")
+    if begun(output) and not (resume or overwrite):
+        raise ValueError(
+            f"{output} holds a sequence; press Go On to continue it, or Start Over to replace it."
+        )
+    own, machine = scene.gscore_train_sequence, training.machine()
+    if resume:
+        line = arguments.resumed_sequence(own, output=output, machine=machine)
+    else:
+        line = arguments.new_sequence(
+            scene.gscore, own, source=source, output=output, machine=machine, overwrite=overwrite
+        )
+    job = launch(lambda program: SequenceJob(program, line, source=source, output=output), python)
+    JOBS.add(job)
+    beat.ensure()
+    follow(lambda: wait and not job.ended)
+    return job
+
+
+def job_of(scene: bpy.types.Scene) -> SequenceJob | None:
+    """The last training of the scene's sequence, under way or ended."""
+    try:
+        return JOBS.of_source(source_of(scene))
+    except ValueError:
+        return None
+
+
+def source_of(scene: bpy.types.Scene) -> Path:
+    """The scene's capture, whose path may hold `{frame:06d}`.
+
+    Raises:
+        ValueError: none is chosen, or it is not there.
+    """
+    source = absolute(scene.gscore.capture_path, "Capture")
+    if "{" not in str(source) and not source.is_dir():
+        raise ValueError(f"There is no folder {source}; choose the one that holds the frames.")
+    return source
+
+
+def output_of(scene: bpy.types.Scene) -> Path:
+    """The folder of the frames' results, beside that of a training.
+
+    Raises:
+        ValueError: it cannot be told.
+    """
+    beside = output_folder(scene, preferences.get().output_folder)
+    return beside.with_name(f"{beside.name}_sequence")
+
+
+def begun(output: Path) -> bool:
+    """Whether there is something of a sequence in a folder."""
+    return output.is_dir() and any(output.iterdir())
+
+
+def frames_of(scene: bpy.types.Scene) -> tuple[list[int] | None, str]:
+    """Numbers of the frames of the scene's capture, as far as is known, or why there are none."""
+    try:
+        source = source_of(scene)
+    except ValueError as error:
+        return None, str(error)
+    answer = registry.frames.get((str(source), scene.gscore.images))
+    beat.ensure()
+    return answer
+
+
+def trained_in(output: Path) -> tuple[SequenceIndex | None, str]:
+    """What an output folder lists, as far as is known, or why it cannot be read."""
+    answer = registry.trained.get(output)
+    beat.ensure()
+    return answer

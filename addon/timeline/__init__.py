@@ -1,0 +1,1 @@
+"""Sequences of splats on Blender's timeline."""

@@ -1,0 +1,302 @@
+"""Keeps the meshes of sequence objects on the frame that they show, and notices when one is edited.
+
+Scripts and renders of other engines get the right frame at once. Where Blender has a window the
+mesh follows bit by bit, while nothing plays; until then only our renderers show the frame.
+"""
+
+import logging
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import bpy
+import numpy as np
+from bpy.app.handlers import persistent
+
+from ..core import GsError
+from ..job.filling import Filling
+from ..job.loader import Loaded
+from ..process import beat
+from ..process.background import Task
+from ..splats import live
+from . import mesh, settings
+from .library import LIBRARY, Frame
+from .moment import Moment, moment_of
+from .settings import is_sequence, plays
+
+TAKE_FRAMES: set[str] = set()
+"""Render engines that take frames from memory, and need no mesh."""
+_log = logging.getLogger(__name__)
+
+
+@dataclass
+class _Coming:
+    """A mesh on its way to an object."""
+
+    owner: int
+    """Session number of the object."""
+    frame: Frame
+    task: Task
+    """Makes its columns, and their mark."""
+    filling: Filling | None = None
+
+
+@dataclass
+class _State:
+    """Of the session."""
+
+    coming: _Coming | None = None
+    refused: str = ""
+    """`FrameFile.label` of the last frame that has no room in a mesh."""
+    told: set[str] = field(default_factory=set)
+    """Problems that the console was told of."""
+    problems: dict[int, str] = field(default_factory=dict)
+    """Why meshes do not follow, by the session number of their object."""
+
+
+_state = _State()
+
+
+def problem_of(ob: bpy.types.Object) -> str:
+    """Why an object's mesh does not follow; empty where it does."""
+    return _state.problems.get(ob.session_uid, "")
+
+
+def bring(scene: bpy.types.Scene) -> None:
+    """Put the frames that a scene shows now into the meshes of its objects, at once."""
+    for ob in _players(scene):
+        try:
+            _bring_one(ob, scene)
+        except (GsError, ValueError) as error:
+            _tell(ob, str(error))
+
+
+def note_edits(obs: list[bpy.types.Object]) -> None:
+    """Let objects whose mesh was edited stand still, and those play whose edits were undone."""
+    for ob in obs:
+        if not is_sequence(ob) or not ob.is_editable or ob.mode == "EDIT":
+            continue
+        edited = mesh.was_edited(ob)
+        if ob.gscore_sequence.edited != edited:
+            ob.gscore_sequence.edited = edited
+
+
+def settings_changed(ob: bpy.types.Object) -> None:
+    """Show what an object's settings say now."""
+    for scene in bpy.data.scenes:
+        if bpy.app.background and scene.objects.get(ob.name) is ob:
+            bring(scene)
+    redraw_views()
+    beat.ensure()
+
+
+def redraw_views() -> None:
+    """Draw all 3D views anew."""
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "VIEW_3D":
+                area.tag_redraw()
+
+
+def _players(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    return [ob for ob in scene.objects if ob.type == "MESH" and plays(ob)]
+
+
+def _bring_one(ob: bpy.types.Object, scene: bpy.types.Scene) -> None:
+    moment = moment_of(ob, scene.frame_current_final, wait=True)
+    if moment is None:
+        return
+    if not _is_there(ob, moment):
+        mesh.fill_at_once(ob, moment.frame())
+    _state.problems.pop(ob.session_uid, None)
+
+
+def _is_there(ob: bpy.types.Object, moment: Moment) -> bool:
+    return mesh.holds(ob) == moment.holds
+
+
+def _tell(ob: bpy.types.Object, problem: str) -> None:
+    _state.problems[ob.session_uid] = problem
+    if problem not in _state.told:
+        _state.told.add(problem)
+        _log.warning("%s", problem)
+
+
+def _behind() -> Iterator[tuple[bpy.types.Object, Moment]]:
+    """Objects whose mesh has yet to follow, and what they show; not while they play live."""
+    for scene in _scenes():
+        for ob in _players(scene):
+            moment = moment_of(ob, scene.frame_current_final)
+            if moment is None or not _may_follow(ob):
+                continue
+            done = _is_there(ob, moment) or moment.failed() or moment.holds == _state.refused
+            if not done:
+                yield ob, moment
+
+
+def _may_follow(ob: bpy.types.Object) -> bool:
+    return bool(ob.is_editable and ob.data.is_editable and ob.mode != "EDIT")
+
+
+def _scenes() -> list[bpy.types.Scene]:
+    windows = bpy.context.window_manager.windows
+    return list({window.scene.name: window.scene for window in windows}.values()) or [
+        bpy.context.scene
+    ]
+
+
+def _playing() -> bool:
+    return any(w.screen.is_animation_playing for w in bpy.context.window_manager.windows)
+
+
+def _needs_mesh(ob: bpy.types.Object) -> bool:
+    """Whether what shows of an object is its mesh, even while it plays."""
+    return ob.gscore.display != "SPLATS" or not live.SESSION.works
+
+
+def _collect() -> bool:
+    """Do a small piece; whether panels have to be drawn anew."""
+    came, LIBRARY.fresh = LIBRARY.fresh, False
+    if came:
+        redraw_views()
+    if bpy.app.is_job_running("RENDER"):
+        return came
+    if _state.coming is not None:
+        return _go_on() or came
+    playing = _playing()
+    for ob, moment in _behind():
+        if (not playing or _needs_mesh(ob)) and _begin(ob, moment):
+            break
+    return came
+
+
+def _begin(ob: bpy.types.Object, moment: Moment) -> bool:
+    """Begin with the mesh of an object, if its frame is in memory."""
+    frame = moment.ready()
+    if frame is not None:
+        _state.coming = _Coming(ob.session_uid, frame, Task(lambda _: _prepared(frame)))
+    return frame is not None
+
+
+def _prepared(frame: Frame) -> tuple[tuple[tuple[str, str, np.ndarray], ...], str]:
+    columns = tuple(frame.columns())
+    return columns, mesh.mark_of(columns)
+
+
+def _go_on() -> bool:
+    """Do the next step with the mesh that is on its way; whether it has come."""
+    coming = _state.coming
+    if coming.filling is None:
+        if coming.task.running:
+            return False
+        if coming.task.problem:
+            _state.coming, _state.refused = None, coming.frame.file.label
+            return False
+        coming.filling = Filling(
+            Loaded(
+                path=coming.frame.file.path,
+                final=True,
+                count=len(coming.frame.vertices),
+                columns=coming.task.result[0],
+            )
+        )
+    made = coming.filling.step()
+    if made is None:
+        return False
+    _state.coming = None
+    ob = next((o for o in bpy.data.objects if o.session_uid == coming.owner), None)
+    if ob is None or not plays(ob) or not _may_follow(ob):
+        bpy.data.meshes.remove(made)
+        return False
+    mesh.note(made, coming.frame.file, coming.task.result[1])
+    mesh.exchange(ob, made)
+    return True
+
+
+def _waits() -> bool:
+    if _state.coming is not None or LIBRARY.busy or LIBRARY.fresh:
+        return True
+    return not bpy.app.is_job_running("RENDER") and next(_behind(), None) is not None
+
+
+def _hurries() -> bool:
+    return _state.coming is not None or LIBRARY.busy
+
+
+_FOLLOWER = beat.Follower(_collect, _waits, _hurries)
+
+
+@persistent
+def _frame_changed(scene: bpy.types.Scene, *_: object) -> None:
+    if _at_once(scene):
+        bring(scene)
+    elif not bpy.app.is_job_running("RENDER") and _players(scene):  # else another thread draws
+        beat.ensure()
+
+
+@persistent
+def _render_begins(scene: bpy.types.Scene, *_: object) -> None:
+    if scene.render.engine not in TAKE_FRAMES:
+        bring(scene)
+
+
+def _at_once(scene: bpy.types.Scene) -> bool:
+    """Whether somebody is about to look at meshes: a script, or a render of another engine."""
+    renders = bpy.app.is_job_running("RENDER") and scene.render.engine not in TAKE_FRAMES
+    return bpy.app.background or renders
+
+
+@persistent
+def _changed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
+    """Something was changed: a mesh perhaps, by others than us."""
+    changed = {u.id.original for u in depsgraph.updates if isinstance(u.id, bpy.types.Mesh)}
+    if changed:
+        note_edits([ob for ob in scene.objects if ob.type == "MESH" and ob.data in changed])
+
+
+@persistent
+def _undone(*_: object) -> None:
+    """Meshes are as they were, of other frames perhaps."""
+    obs = [ob for ob in bpy.data.objects if ob.type == "MESH" and is_sequence(ob)]
+    if obs:
+        note_edits(obs)
+        beat.ensure()
+
+
+@persistent
+def _file_loaded(*_: object) -> None:
+    _state.coming, _state.refused = None, ""
+    _state.told.clear()
+    _state.problems.clear()
+    LIBRARY.clear()
+    if any(_players(scene) for scene in bpy.data.scenes):
+        beat.ensure()
+
+
+_HANDLERS = {
+    "frame_change_post": _frame_changed,
+    "render_pre": _render_begins,
+    "depsgraph_update_post": _changed,
+    "undo_post": _undone,
+    "redo_post": _undone,
+    "load_post": _file_loaded,
+}
+
+
+def on_register() -> None:
+    """Follow the timeline."""
+    for name, function in _HANDLERS.items():
+        getattr(bpy.app.handlers, name).append(function)
+    settings.CHANGED.append(settings_changed)
+    beat.FOLLOWERS.append(_FOLLOWER)
+
+
+def on_unregister() -> None:
+    """Follow no more, and let go of all frames."""
+    beat.FOLLOWERS.remove(_FOLLOWER)
+    settings.CHANGED.remove(settings_changed)
+    for name, function in _HANDLERS.items():
+        getattr(bpy.app.handlers, name).remove(function)
+    if _state.coming is not None and _state.coming.filling is not None:
+        _state.coming.filling.drop()
+    _state.coming = None
+    LIBRARY.close()

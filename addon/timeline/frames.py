@@ -1,0 +1,256 @@
+"""Which files of a folder are the frames of a sequence, and which of them a moment shows; no bpy.
+
+A sequence is the folder of `gscore sequence`, a folder of numbered files, or a folder of numbered
+folders with a file each. Frames are known by their numbers: what is called 2 comes before what is
+called 10, and a number that is left out between others is a gap.
+"""
+
+import math
+import os
+import re
+from collections import defaultdict
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from pathlib import Path
+
+from ..core import SPLAT_ENDINGS, GsError, read_sequence
+
+LOOP, HOLD, HIDE = "LOOP", "HOLD", "HIDE"
+"""What is shown before the first frame and after the last one."""
+RESULT = "point_cloud.ply"
+"""File of splats in the folder that a training leaves."""
+_DIGITS = re.compile(r"\d+")
+_ITERATION = re.compile(r"iteration_(\d+)")
+_ENDINGS = tuple(ending for ending in SPLAT_ENDINGS if not ending.endswith(".json"))
+_MOSTLY_GAPS = 10
+"""Numbers for each file above which numbers are no count of frames, as the times of a clock."""
+_NAMED = 5
+"""Missing numbers that a sentence names."""
+_ROUNDED = 6
+"""Decimals of a speed; Blender keeps it in single precision."""
+_SLACK = 1e-6
+"""Frames by which a moment may fall short of a frame's own."""
+
+
+@dataclass(frozen=True)
+class FrameFile:
+    """The file of one frame."""
+
+    number: int
+    """As its name states it."""
+    path: Path
+    stamp: tuple[int, int]
+    """Time of its last change, nanoseconds, and its size, bytes: another file has others."""
+
+    @property
+    def label(self) -> str:
+        """Text that no other frame of the sequence has."""
+        return f"{self.number} {self.path.name} {self.stamp}"
+
+
+@dataclass(frozen=True)
+class Series:
+    """The frames of a sequence."""
+
+    files: tuple[FrameFile, ...]
+    """At least one, by number; no number twice."""
+    name: str
+    """What the files are called, `#` for the number."""
+
+    @cached_property
+    def stride(self) -> int:
+        """Between the numbers of neighbours; 0 where numbers are no count of frames."""
+        numbers = [file.number for file in self.files]
+        found = math.gcd(*(b - a for a, b in pairwise(numbers))) or 1
+        whole = (numbers[-1] - numbers[0]) // found + 1
+        return found if whole <= _MOSTLY_GAPS * len(numbers) else 0
+
+    @property
+    def slots(self) -> int:
+        """Frames from the first to the last, gaps among them."""
+        if not self.stride:
+            return len(self.files)
+        return (self.files[-1].number - self.files[0].number) // self.stride + 1
+
+    @cached_property
+    def _by_slot(self) -> dict[int, FrameFile]:
+        if not self.stride:
+            return dict(enumerate(self.files))
+        first = self.files[0].number
+        return {(file.number - first) // self.stride: file for file in self.files}
+
+    def at(self, slot: int) -> FrameFile:
+        """The file of a slot, or the last one before it where there is a gap."""
+        while slot not in self._by_slot:
+            slot -= 1
+        return self._by_slot[slot]
+
+    @property
+    def gaps(self) -> int:
+        """How many frames are missing."""
+        return self.slots - len(self.files)
+
+    def gap_words(self) -> str:
+        """Which numbers are missing, a sentence; empty where none is."""
+        if not self.gaps:
+            return ""
+        first = self.files[0].number
+        missing = (first + s * self.stride for s in range(self.slots) if s not in self._by_slot)
+        named = [str(number) for number, _ in zip(missing, range(_NAMED), strict=False)]
+        more = f" and {self.gaps - len(named)} more" if self.gaps > len(named) else ""
+        what = "Frame" if self.gaps == 1 else "Frames"
+        lacks = "is" if self.gaps == 1 else "are"
+        return f"{what} {', '.join(named)}{more} {lacks} missing; the one before is shown."
+
+
+@dataclass(frozen=True, kw_only=True)
+class Timing:
+    """When the frames of a sequence are shown."""
+
+    start: int = 1
+    """Frame of the timeline that shows the first one."""
+    offset: int = 0
+    """Frames of the sequence that are left out at its beginning."""
+    speed: float = 1.0
+    """Frames of the sequence for each frame of the timeline; below 0 it runs backwards."""
+    step: int = 1
+    """Only each so many-th frame is shown, for as long as those between would be."""
+    beyond: str = HOLD
+    """LOOP, HOLD or HIDE."""
+
+    def slot(self, frame: float, slots: int) -> int | None:
+        """The slot, from 0, that a frame of the timeline shows; None: nothing is shown.
+
+        Args:
+            frame: Of the timeline, with its fraction.
+            slots: Of the sequence.
+        """
+        first = min(max(self.offset, 0), slots - 1)
+        count, speed = slots - first, round(self.speed, _ROUNDED)
+        passed = math.floor((frame - self.start) * speed + _SLACK)
+        if speed < 0:
+            passed += count - 1
+        if self.beyond == HIDE and not 0 <= passed < count:
+            return None
+        passed = passed % count if self.beyond == LOOP else min(max(passed, 0), count - 1)
+        step = max(self.step, 1)
+        return first + passed // step * step
+
+    def ahead(self, frame: float, slots: int, count: int) -> Iterator[int]:
+        """The slots of a frame and of the `count` frames of the timeline after it, each once."""
+        seen = set()
+        for further in range(count + 1):
+            slot = self.slot(frame + further, slots)
+            if slot is not None and slot not in seen:
+                seen.add(slot)
+                yield slot
+
+
+def find_series(folder: Path, chosen: str = "") -> Series:
+    """The frames in a folder.
+
+    Args:
+        folder: Of `gscore sequence`, or any with numbered files or folders.
+        chosen: What the files are called, as `Series.name`, where there are several; empty: those
+            of which there are most.
+
+    Raises:
+        ValueError: there is no folder, or it holds no frames.
+    """
+    try:
+        trained = _of_training(folder)
+        groups = {f"frame_#/{RESULT}": trained} if trained else _grouped(folder)
+        name = chosen or max(groups, key=lambda key: (len(groups[key]), key), default="")
+        files = _stamped(groups.get(name, {}))
+    except GsError as error:
+        raise ValueError(str(error)) from error
+    except OSError as error:
+        raise ValueError(
+            f"The folder of the frames {folder} cannot be read ({error.strerror or error}): choose "
+            "where it is now."
+        ) from error
+    if chosen and not files:
+        raise ValueError(f"{folder} holds no files called {chosen}: choose the folder again.")
+    if not files:
+        raise ValueError(
+            f"{folder} holds no frames: choose the folder that gscore sequence wrote, or one with "
+            f"numbered files of splats ({', '.join(_ENDINGS[:4])} ...)."
+        )
+    return Series(files=tuple(files), name=name)
+
+
+def name_of_file(path: Path) -> tuple[Path, str]:
+    """The folder, and what its frames are called, of a file that was chosen among them.
+
+    Raises:
+        ValueError: it is no numbered file of splats.
+    """
+    folder = path.parent
+    if _ITERATION.fullmatch(folder.name):
+        folder = folder.parent.parent
+    for place in (folder, folder.parent):
+        beside = _grouped(place) if place.is_dir() else {}
+        found = [name for name, files in beside.items() if path in files.values()]
+        if found:
+            return place, max(found, key=lambda name: (len(beside[name]), name))
+    raise ValueError(f"{path.name} has no number in its name: choose a frame, or the folder.")
+
+
+def _of_training(folder: Path) -> dict[int, Path]:
+    """The complete frames of a sequence.json, if there is one."""
+    index = read_sequence(folder)
+    frames = [] if index is None else index.frames
+    return {int(entry["frame"]): folder / entry["folder"] / RESULT for entry in frames}
+
+
+def _grouped(folder: Path) -> dict[str, dict[int, Path]]:
+    """Files by number, by what they are called, `#` in place of the number that differs."""
+    groups: dict[str, dict[int, Path]] = defaultdict(dict)
+    with os.scandir(folder) as entries:
+        names = sorted((entry.name, entry.is_dir()) for entry in entries)
+    for name, is_folder in names:
+        if not _DIGITS.search(name) or not (is_folder or _holds_splats(name)):
+            continue
+        path = _inside(folder / name) if is_folder else folder / name
+        if path is None:
+            continue
+        rest = f"/{path.name}" if is_folder else ""
+        for digits in _DIGITS.finditer(name):
+            called = f"{name[: digits.start()]}#{name[digits.end() :]}{rest}"
+            groups[called].setdefault(int(digits.group()), path)
+    return groups
+
+
+def _stamped(named: Mapping[int, Path]) -> list[FrameFile]:
+    """Those that are there, by number."""
+    found = []
+    for number, path in sorted(named.items()):
+        try:
+            facts = path.stat()
+        except OSError:
+            continue  # a gap
+        found.append(FrameFile(number, path, (facts.st_mtime_ns, facts.st_size)))
+    return found
+
+
+def _holds_splats(name: str) -> bool:
+    return name.lower().endswith(_ENDINGS)
+
+
+def _inside(folder: Path) -> Path | None:
+    """The file of splats in the folder of a frame: the result of a training, or the only one."""
+    try:
+        names = os.listdir(folder)  # noqa: PTH208 - names alone
+        if RESULT in names:
+            return folder / RESULT
+        files = [name for name in names if _holds_splats(name)]
+        if len(files) == 1:
+            return folder / files[0]
+        rounds = folder / "point_cloud"
+        found = [(m, p) for p in rounds.iterdir() if (m := _ITERATION.fullmatch(p.name))]
+    except OSError:
+        return None
+    last = max(found, key=lambda pair: int(pair[0].group(1)), default=None)
+    return None if last is None or not (last[1] / RESULT).is_file() else last[1] / RESULT

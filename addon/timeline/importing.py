@@ -1,0 +1,79 @@
+"""A folder of frames as one splat object that plays them."""
+
+from pathlib import Path
+
+import bpy
+
+from ..core import read_splat_file
+from ..paths import relative
+from ..splats import files, objects
+from ..splats.objects import ANTIALIAS
+from . import mesh
+from .frames import Series, find_series
+from .library import LIBRARY
+
+
+def import_sequence(
+    context: bpy.types.Context,
+    folder: Path,
+    *,
+    called: str = "",
+    start: int = 1,
+    parent: bpy.types.Object | None = None,
+    up: str = "-Y",
+) -> tuple[bpy.types.Object, Series]:
+    """Make a splat object that plays the frames in a folder.
+
+    Args:
+        context: Its collection gets the object.
+        folder: Absolute; as `find_series` takes it.
+        called: What the frames are called, where the folder has several kinds.
+        start: Frame of the timeline that shows the first one.
+        parent: The empty of the capture that the splats were trained from.
+        up: Without `parent`, the axis of the files that points up, a key of `files.UP_AXES`.
+
+    Returns:
+        The object, and its frames.
+
+    Raises:
+        GsError: the first frame cannot be read; the scene is untouched.
+        ValueError: there are no frames.
+    """
+    series = find_series(folder, called)
+    first = series.files[0]
+    read = read_splat_file(first.path)
+    ob = objects.create(read.splats, folder.name, collection=context.collection, parent=parent)
+    if read.antialiased:
+        ob[ANTIALIAS] = True
+    if parent is None:
+        files.turn_up(ob, up)
+    mesh.note(ob.data, first)
+    LIBRARY.forget((folder, called))
+    own = ob.gscore_sequence
+    own.start, own.files = start, called
+    own.folder = relative(folder)  # the last: from then on it plays
+    return ob, series
+
+
+def play_again(ob: bpy.types.Object) -> None:
+    """Let an object play whose splats were edited; the edits go."""
+    mesh.forget(ob.data)
+    ob.gscore_sequence.edited = False
+
+
+def keep_frame(ob: bpy.types.Object, number: int) -> bpy.types.Object:
+    """An object of its own with the splats that an object's mesh holds, which plays nothing.
+
+    Args:
+        ob: Plays a sequence.
+        number: Of the frame, for the name.
+    """
+    kept = ob.copy()
+    kept.data = ob.data.copy()
+    mesh.forget(kept.data)
+    kept.gscore_sequence.folder = ""
+    kept.gscore_sequence.edited = False
+    kept.name = kept.data.name = f"{ob.name} {number}"
+    for collection in ob.users_collection:
+        collection.objects.link(kept)
+    return kept

@@ -1,0 +1,323 @@
+"""Frames of sequences in memory: read ahead by a thread, as many as have room; no bpy."""
+
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from ..attributes import NO_SPLATS, columns
+from ..core import GsError, Splats, read_splat_file
+from ..process import threads
+from ..splats.filters import Filters, mask
+from .frames import FrameFile, Series, find_series
+
+MAX_AGE = 3.0
+"""Seconds after which a folder is looked at again while its frames are shown."""
+_GB = 1 << 30
+_KEPT_PROBLEMS = 1000
+_PATIENCE = 60.0
+"""Seconds for which a frame that is being read is waited for before it is read once more."""
+
+AnswerT = TypeVar("AnswerT")
+Folder = tuple[Path, str]
+"""A folder, and what its frames are called."""
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """The splats of a file, as renderers take them in place of a mesh's."""
+
+    file: FrameFile
+    splats: Splats
+    """In the file's own world."""
+
+    @property
+    def fingerprint(self) -> Hashable:
+        """Differs wherever the splats may."""
+        return self.file
+
+    @property
+    def vertices(self) -> range:
+        """One a splat."""
+        return range(len(self.splats))
+
+    @property
+    def marks(self) -> None:
+        """None: what is selected or hidden belongs to meshes."""
+
+    @property
+    def bytes(self) -> int:
+        """Of memory."""
+        return sum(np.asarray(values).nbytes for values in vars(self.splats).values())
+
+    def read(self) -> Splats:
+        """The splats."""
+        return self.splats
+
+    def kept(self, filters: Filters) -> np.ndarray:
+        """[N] bool: which of them filters let pass."""
+        splats = self.splats
+        opacities = 1 / (1 + np.exp(-np.clip(splats.opacities.astype(np.float64), -500, 500)))
+        return mask(splats.means, np.exp(splats.scales), opacities.astype(np.float32), filters)
+
+    def columns(self) -> list[tuple[str, str, np.ndarray]]:
+        """As `attributes.columns`, for a mesh."""
+        return columns(self.splats)
+
+
+NOTHING = Frame(FrameFile(0, Path(), (0, 0)), NO_SPLATS)
+"""Shown before and after a sequence that hides there."""
+
+
+@dataclass
+class _Wanted:
+    """By one object."""
+
+    files: tuple[FrameFile, ...] = ()
+    """The one that is shown first, then those that come."""
+
+
+@dataclass
+class _Known:
+    """What was found out, or why not."""
+
+    answer: Series | None = None
+    problem: str = ""
+    since: float = field(default_factory=time.monotonic)
+
+    @property
+    def old(self) -> bool:
+        return time.monotonic() - self.since > MAX_AGE
+
+
+class Library:
+    """All frames of this Blender session. May be used from any thread."""
+
+    def __init__(
+        self,
+        read: Callable[[Path], Splats] = lambda path: read_splat_file(path).splats,
+        find: Callable[[Path, str], Series] = find_series,
+    ) -> None:
+        """The thread begins with the first wish.
+
+        Args:
+            read: Reads a file.
+            find: Lists a folder.
+        """
+        self._read, self._find = read, find
+        self._changed = threading.Condition()
+        self._series: dict[Folder, _Known] = {}
+        self._asked: OrderedDict[Folder, None] = OrderedDict()
+        self._frames: OrderedDict[FrameFile, Frame] = OrderedDict()
+        self._problems: OrderedDict[FrameFile, str] = OrderedDict()
+        self._wanted: dict[Hashable, _Wanted] = {}
+        self._under_way: FrameFile | None = None
+        self._typical = 0
+        self._era = 0
+        """Counts how often everything was let go of."""
+        self._thread: threading.Thread | None = None
+        self._closed = False
+        self.most = _GB
+        """Bytes that frames take at most; the ones that are shown have room in any case."""
+        self.fresh = False
+        """Whether something came since the owner last set this to False."""
+        self.reads = 0
+        """How many files were read, for measuring."""
+
+    @property
+    def busy(self) -> bool:
+        """Whether something is to be read or listed."""
+        with self._changed:
+            return self._under_way is not None or bool(self._asked) or self._next() is not None
+
+    @property
+    def held(self) -> tuple[int, int]:
+        """How many frames are in memory, and their bytes."""
+        with self._changed:
+            return len(self._frames), sum(frame.bytes for frame in self._frames.values())
+
+    def series(self, folder: Folder, *, wait: bool = False) -> tuple[Series | None, str]:
+        """The frames of a folder, as far as is known: (series, ""), (None, why not), or while it is
+        looked for (None, "").
+
+        Args:
+            folder: Absolute, and what its frames are called.
+            wait: Look at once, in this thread, where the folder was not looked at lately.
+        """
+        with self._changed:
+            known = self._series.get(folder)
+            if known is None or known.old:
+                if wait:
+                    self._asked.pop(folder, None)
+                else:
+                    self._asked[folder] = None
+                    self._wake()
+            else:
+                wait = False
+        if wait:
+            known = self._look(folder)
+        return (None, "") if known is None else (known.answer, known.problem)
+
+    def frame(self, file: FrameFile, *, wait: bool = False) -> tuple[Frame | None, str]:
+        """A frame, if it is there: (frame, ""), (None, why not), or while it is still to be read
+        (None, "").
+
+        Args:
+            file: Of a series.
+            wait: Read it at once, in this thread.
+        """
+        with self._changed:
+            if wait and self._under_way == file:
+                self._changed.wait_for(lambda: self._under_way != file, _PATIENCE)
+            if file in self._frames:
+                self._frames.move_to_end(file)
+                return self._frames[file], ""
+            problem = self._problems.get(file, "")
+        if problem or not wait:
+            return None, problem
+        return self._load(file)
+
+    def want(self, owner: Hashable, files: Sequence[FrameFile]) -> None:
+        """Read these, in this order, as far as there is room; what the owner wanted before is
+        wanted no more.
+
+        Args:
+            owner: Any object's name for itself.
+            files: The one that is shown, then those that come.
+        """
+        with self._changed:
+            self._wanted[owner] = _Wanted(tuple(files))
+            if self._next() is not None:
+                self._wake()
+
+    def forget(self, folder: Folder) -> None:
+        """Look at a folder anew when it is asked for next, and at its files that were damaged."""
+        with self._changed:
+            self._series.pop(folder, None)
+            for file in [f for f in self._problems if folder[0] in f.path.parents]:
+                del self._problems[file]
+
+    def keep_owners(self, owners: set[Hashable]) -> None:
+        """Forget what others wanted."""
+        with self._changed:
+            for owner in self._wanted.keys() - owners:
+                del self._wanted[owner]
+
+    def clear(self) -> None:
+        """Let go of everything; what is being read is dropped when it comes."""
+        with self._changed:
+            self._era += 1
+            for kept in (self._series, self._asked, self._frames, self._problems, self._wanted):
+                kept.clear()
+
+    def close(self) -> None:
+        """End the thread after what it does; the next wish begins another."""
+        self.clear()
+        with self._changed:
+            self._closed, self._thread = True, None
+            self._changed.notify_all()
+
+    def _wake(self) -> None:
+        if self._thread is None:
+            self._closed = False
+            self._thread = threads.start(self._run, "gscore-frames", cancel=self.close)
+        self._changed.notify_all()
+
+    def _run(self) -> None:
+        own = threading.current_thread()
+        while True:
+            with self._changed:
+                while self._thread is own and not self._asked and self._next() is None:
+                    self._changed.wait()
+                if self._thread is not own:
+                    return
+                folder = next(iter(self._asked), None)
+                file = None if folder is not None else self._next()
+                self._under_way = file
+            if folder is not None:
+                self._look(folder)
+            elif file is not None:
+                self._load(file)
+            with self._changed:
+                if folder is not None:
+                    self._asked.pop(folder, None)
+                self._under_way, self.fresh = None, True
+                self._changed.notify_all()
+
+    def _next(self) -> FrameFile | None:
+        """What to read next: what is shown, then what comes, the soonest first."""
+        for file in self._in_order():
+            if file not in self._frames and file not in self._problems:
+                return file
+        return None
+
+    def _in_order(self) -> list[FrameFile]:
+        """What is wanted and has room, by urgency."""
+        queues = [wanted.files for wanted in self._wanted.values()]
+        chosen: dict[FrameFile, None] = {}
+        taken = 0
+        for place in range(max(map(len, queues), default=0)):
+            for queue in queues:
+                file = queue[place] if place < len(queue) else None
+                if file is None or file in chosen:
+                    continue
+                held = self._frames.get(file)
+                taken += self._typical if held is None else held.bytes
+                if place and taken > self.most:
+                    return list(chosen)
+                chosen[file] = None
+        return list(chosen)
+
+    def _load(self, file: FrameFile) -> tuple[Frame | None, str]:
+        era = self._era
+        answer, problem = _tried(lambda: Frame(file, self._read(file.path)), str(file.path))
+        with self._changed:
+            self.reads += 1
+            if era != self._era:
+                return answer, problem
+            if answer is None:
+                self._problems[file] = problem
+                while len(self._problems) > _KEPT_PROBLEMS:
+                    self._problems.popitem(last=False)
+                return None, problem
+            self._typical = answer.bytes
+            self._frames[file] = answer
+            self._make_room(file)
+        return answer, ""
+
+    def _make_room(self, new: FrameFile) -> None:
+        """Let go of frames that nobody wants any more, those unused for the longest time first."""
+        wanted = {new, *self._in_order()}
+        held = sum(frame.bytes for frame in self._frames.values())
+        for file in [f for f in self._frames if f not in wanted]:
+            if held <= self.most:
+                return
+            held -= self._frames.pop(file).bytes
+
+    def _look(self, folder: Folder) -> _Known:
+        era = self._era
+        series, problem = _tried(lambda: self._find(*folder), str(folder[0]))
+        known = _Known(series, problem)
+        with self._changed:
+            if era == self._era:
+                self._series[folder] = known
+        return known
+
+
+def _tried(act: Callable[[], AnswerT], what: str) -> tuple[AnswerT | None, str]:
+    """What came of it, or why nothing did, a sentence."""
+    try:
+        return act(), ""
+    except MemoryError:
+        return None, f"{what} does not fit into memory: close programs, or lower the frame memory."
+    except (GsError, ValueError, OSError) as error:
+        return None, str(error) or f"{what} cannot be read ({type(error).__name__})."
+
+
+LIBRARY = Library()
+"""Of this Blender session."""

@@ -1,0 +1,104 @@
+"""The mesh of an object that plays a sequence: which frame it holds, and whether it was edited.
+
+Our own renderers take frames from memory. The mesh is what everything else sees: EEVEE and Cycles,
+the displays made by nodes, Edit Mode, counts, exports.
+"""
+
+import zlib
+from collections.abc import Sequence
+
+import bpy
+import numpy as np
+
+from .. import attributes
+from ..splats import objects
+from .frames import FrameFile
+from .library import Frame
+
+_HOLDS, _MARK = "gs_frame", "gs_frame_mark"
+"""Custom properties of a mesh: the frame that it holds, and its `_signature` as it came."""
+_LOOKED_AT = (attributes.POSITION, attributes.BASE)
+"""Attributes that an edit changes; to look at all would take five times as long."""
+_KEYS = {"FLOAT_VECTOR": ("vector", 3), "FLOAT_COLOR": ("color", 4), "FLOAT4": ("vector", 4)}
+"""Key for foreach_get and width in floats, by data type."""
+
+
+def holds(ob: bpy.types.Object) -> str:
+    """`FrameFile.label` of the frame in an object's mesh; empty where none is known."""
+    return str(ob.data.get(_HOLDS, ""))
+
+
+def fill_at_once(ob: bpy.types.Object, frame: Frame) -> None:
+    """Put a frame into an object's own mesh.
+
+    Raises:
+        ValueError: the mesh is being edited, or is linked.
+    """
+    objects.check_writable(ob)
+    if ob.data.users > 1:  # others show other moments
+        ob.data = ob.data.copy()
+    objects.refresh(ob, frame.splats)
+    note(ob.data, frame.file)
+
+
+def note(mesh: bpy.types.Mesh, file: FrameFile, mark: str = "") -> None:
+    """Say which frame a mesh holds, as it came.
+
+    Args:
+        mesh: Was just filled.
+        file: The frame's.
+        mark: `mark_of` its columns, where that is known; else the mesh is read.
+    """
+    mesh[_HOLDS], mesh[_MARK] = file.label, mark or _mark_now(mesh)
+
+
+def mark_of(columns: Sequence[tuple[str, str, np.ndarray]]) -> str:
+    """Tells whether splats were deleted, added, moved or coloured since they came.
+
+    Args:
+        columns: As `attributes.columns`.
+    """
+    by_name = {name: (kind, values) for name, kind, values in columns if len(values)}
+    found = [by_name.get(name, ("", np.empty(0, np.float32))) for name in _LOOKED_AT]
+    return " ".join(f"{kind}:{len(values)}:{zlib.crc32(values):08x}" for kind, values in found)
+
+
+def exchange(ob: bpy.types.Object, mesh: bpy.types.Mesh) -> None:
+    """Let a mesh take the place of an object's own; others that share that keep it.
+
+    Raises:
+        ValueError: the mesh is being edited, or is linked.
+    """
+    objects.check_writable(ob)
+    old, name = ob.data, ob.data.name
+    for material in old.materials:
+        mesh.materials.append(material)
+    ob.data = mesh
+    if not old.users:
+        bpy.data.meshes.remove(old)
+    mesh.name = name
+
+
+def forget(mesh: bpy.types.Mesh) -> None:
+    """Let a mesh hold no frame in particular."""
+    for key in (_HOLDS, _MARK):
+        mesh.pop(key, None)
+
+
+def was_edited(ob: bpy.types.Object) -> bool:
+    """Whether an object's mesh is no longer as its frame came; not while it is being edited."""
+    mark = ob.data.get(_MARK, "")
+    return bool(mark) and ob.mode != "EDIT" and mark != _mark_now(ob.data)
+
+
+def _mark_now(mesh: bpy.types.Mesh) -> str:
+    """`mark_of` what a mesh holds; 2 ms for 100,000 splats."""
+    columns = []
+    for name in _LOOKED_AT:
+        found = mesh.attributes.get(name)
+        key, width = _KEYS.get(found.data_type, ("", 0)) if found is not None else ("", 0)
+        values = np.empty(len(found.data) * width if key else 0, np.float32)
+        if len(values):
+            found.data.foreach_get(key, values)
+            columns.append((name, found.data_type, values))
+    return mark_of(columns)

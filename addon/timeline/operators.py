@@ -1,0 +1,201 @@
+"""Operators of sequences: import, play again after an edit, keep a frame, look again."""
+
+from pathlib import Path
+from typing import ClassVar
+
+import bpy
+from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
+
+from ..cameras.lookup import find_root
+from ..cameras.objects import root_of
+from ..core import SPLAT_ENDINGS, collected_warnings
+from ..interface.operators import Acting, make_active
+from ..process import beat
+from ..splats.objects import is_splats, meant
+from ..splats.operators import UP_ITEMS
+from . import follow, importing
+from .frames import Series, name_of_file
+from .library import LIBRARY
+from .moment import folder_of, moment_of
+from .settings import is_sequence
+
+
+class OnSequence(Acting):
+    """Works on the active splat object, which plays a sequence."""
+
+    bl_options: ClassVar = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether it has one."""
+        ob = meant(context)
+        if is_splats(ob) and is_sequence(ob):
+            return True
+        cls.poll_message_set("Select a splat object that plays a sequence")
+        return False
+
+
+class ImportSequence(Acting, bpy.types.Operator):
+    """Import a folder of frames, of gscore sequence or with numbered files of splats, as one object
+    that plays on the timeline"""
+
+    bl_idname = "gscore.import_sequence"
+    bl_label = "Import Splat Sequence"
+    bl_options: ClassVar = {"REGISTER", "UNDO"}
+
+    filepath: StringProperty(
+        name="Frame",
+        description="One of the frames, where the folder has several kinds of files",
+        subtype="FILE_PATH",
+        options={"SKIP_SAVE"},
+    )
+    directory: StringProperty(
+        name="Folder",
+        description="Folder of the frames",
+        subtype="DIR_PATH",
+        options={"SKIP_SAVE"},
+    )
+    filter_glob: StringProperty(
+        default=";".join(f"*{ending}" for ending in SPLAT_ENDINGS), options={"HIDDEN"}
+    )
+    capture: StringProperty(
+        name="Capture",
+        description="Name of the capture's empty to put the splats under; empty: as below",
+        options={"HIDDEN", "SKIP_SAVE"},
+    )
+    start: IntProperty(
+        name="Start",
+        description="Frame of the timeline that shows the first frame of the sequence",
+        default=1,
+    )
+    set_range: BoolProperty(
+        name="Set Scene Range",
+        description="Let the scene begin and end with the sequence",
+        default=False,
+    )
+    up: EnumProperty(
+        name="Up", description="Axis of the files that points up", items=UP_ITEMS, default="-Y"
+    )
+    under_capture: BoolProperty(
+        name="Under the Active Capture",
+        description="Put the splats under the capture that the active object belongs to, so that "
+        "they stand where its photos were taken; the up axis is then the capture's",
+        default=True,
+    )
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask for the folder, or a file in it, unless one is named."""
+        if self.directory or self.filepath:
+            return self.execute(context)
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Import."""
+        folder, called = self._chosen()
+        with collected_warnings() as warnings:
+            ob, series = importing.import_sequence(
+                context,
+                folder,
+                called=called,
+                start=self.start,
+                parent=self._parent(context),
+                up=self.up,
+            )
+        self.warn(warnings)
+        if series.gaps:
+            self.warn([series.gap_words()])
+        make_active(context, ob)
+        if self.set_range:
+            context.scene.frame_start = max(self.start, 0)
+            context.scene.frame_end = max(self.start + series.slots - 1, 0)
+        beat.ensure()
+        return _imported(series)
+
+    def _parent(self, context: bpy.types.Context) -> bpy.types.Object | None:
+        """The capture's empty, if any."""
+        if self.capture:
+            return find_root(context, self.capture)
+        return root_of(context.object) if self.under_capture else None
+
+    def _chosen(self) -> tuple[Path, str]:
+        """The folder, and what its frames are called."""
+        path = Path(bpy.path.abspath(self.filepath)) if self.filepath else None
+        if path is not None and path.is_file() and path.name != "sequence.json":
+            return name_of_file(path)
+        folder = Path(bpy.path.abspath(self.directory)) if self.directory else path
+        if folder is None:
+            raise ValueError("No folder is chosen: choose the one that holds the frames.")
+        if folder.name == "sequence.json" or not (folder.suffix == "" or folder.is_dir()):
+            folder = folder.parent
+        return Path(folder.absolute()), ""
+
+
+class PlayAgain(OnSequence, bpy.types.Operator):
+    """Let the object play again; the edits of the frame that it stands still with are dropped"""
+
+    bl_idname = "gscore.play_again"
+    bl_label = "Drop Edits and Play"
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Play."""
+        importing.play_again(meant(context))
+        follow.settings_changed(meant(context))
+        return ""
+
+
+class KeepFrame(OnSequence, bpy.types.Operator):
+    """Make an object of its own of the frame that shows now, to edit or export it"""
+
+    bl_idname = "gscore.keep_frame"
+    bl_label = "Keep This Frame"
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Keep it."""
+        ob, scene = meant(context), context.scene
+        follow.bring(scene)
+        if problem := follow.problem_of(ob):
+            raise ValueError(problem)
+        moment = moment_of(ob, scene.frame_current_final, wait=True)
+        if moment is not None and moment.hidden:
+            raise ValueError(f"{ob.name} shows nothing at this frame of the timeline.")
+        number = moment.files[0].number if moment is not None else scene.frame_current
+        kept = importing.keep_frame(ob, number)
+        make_active(context, kept)
+        return f"{kept.name} holds {len(kept.data.vertices):,} splats."
+
+
+class LookAgain(OnSequence, bpy.types.Operator):
+    """Look at the folder of the frames again, and at files that could not be read"""
+
+    bl_idname = "gscore.look_at_frames_again"
+    bl_label = "Look Again"
+    bl_options: ClassVar = {"REGISTER"}
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Look."""
+        LIBRARY.forget(folder_of(meant(context)))
+        follow.settings_changed(meant(context))
+        return ""
+
+
+CLASSES = (ImportSequence, PlayAgain, KeepFrame, LookAgain)
+
+
+def _imported(series: Series) -> str:
+    first, last = series.files[0].number, series.files[-1].number
+    return f"Imported {len(series.files):,} frames, {first} to {last}."
+
+
+def _draw_import(self: bpy.types.Menu, context: bpy.types.Context) -> None:
+    self.layout.operator(ImportSequence.bl_idname, text="Gaussian Splat Sequence (folder)")
+
+
+def on_register() -> None:
+    """Add the entry of File > Import."""
+    bpy.types.TOPBAR_MT_file_import.append(_draw_import)
+
+
+def on_unregister() -> None:
+    """Take it back."""
+    bpy.types.TOPBAR_MT_file_import.remove(_draw_import)

@@ -1,0 +1,113 @@
+"""What a splat object says about the sequence that it plays; kept in the .blend file."""
+
+from collections.abc import Callable
+
+import bpy
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
+
+from .. import compat
+from .frames import HIDE, HOLD, LOOP, Timing
+
+_BEYOND = [
+    (HOLD, "Hold", "The first frame shows before the sequence, the last one after it"),
+    (LOOP, "Loop", "The sequence begins anew at its end, and has been running before its start"),
+    (HIDE, "Hide", "Nothing shows before the first frame and after the last one"),
+]
+CHANGED: list[Callable[[bpy.types.Object], None]] = []
+"""Told of an object whose settings a user has changed."""
+
+
+def _update(self: "SequenceSettings", context: bpy.types.Context) -> None:
+    for told in CHANGED:
+        told(self.id_data)
+
+
+class SequenceSettings(bpy.types.PropertyGroup):
+    """The sequence of one splat object."""
+
+    folder: StringProperty(
+        name="Folder",
+        description="Folder of the frames; empty: the object plays no sequence",
+        subtype="DIR_PATH",
+        options=compat.BLEND_RELATIVE,
+        update=_update,
+    )
+    files: StringProperty(
+        name="Files",
+        description="What the files of the frames are called, # for their number, where the folder "
+        "has several kinds; empty: those of which there are most",
+        update=_update,
+    )
+    start: IntProperty(
+        name="Start",
+        description="Frame of the timeline that shows the first frame of the sequence",
+        default=1,
+        update=_update,
+    )
+    offset: IntProperty(
+        name="Offset",
+        description="Frames of the sequence that are left out at its beginning",
+        default=0,
+        min=0,
+        update=_update,
+    )
+    speed: FloatProperty(
+        name="Speed",
+        description="Frames of the sequence for each frame of the timeline: 0.5 shows each twice, "
+        "-1 plays backwards",
+        default=1.0,
+        soft_min=-4.0,
+        soft_max=4.0,
+        update=_update,
+    )
+    step: IntProperty(
+        name="Step",
+        description="Show only every so many-th frame, for as long as those between would show",
+        default=1,
+        min=1,
+        soft_max=10,
+        update=_update,
+    )
+    beyond: EnumProperty(
+        name="Beyond the Ends",
+        description="What shows before the first frame and after the last one",
+        items=_BEYOND,
+        update=_update,
+    )
+    edited: BoolProperty(
+        name="Edited",
+        description="The splats were edited, so the object stands still and shows them",
+        options={"HIDDEN"},
+    )
+
+
+def is_sequence(ob: bpy.types.Object | None) -> bool:
+    """Whether an object has a sequence, playing or not."""
+    settings = getattr(ob, "gscore_sequence", None)
+    return settings is not None and bool(settings.folder.strip())
+
+
+def plays(ob: bpy.types.Object | None) -> bool:
+    """Whether an object shows what its sequence says, and not its own mesh."""
+    return is_sequence(ob) and not ob.gscore_sequence.edited
+
+
+def timing_of(ob: bpy.types.Object) -> Timing:
+    """When an object shows which frame."""
+    own = ob.gscore_sequence
+    return Timing(
+        start=own.start, offset=own.offset, speed=own.speed, step=own.step, beyond=own.beyond
+    )
+
+
+CLASSES = (SequenceSettings,)
+
+
+def on_register() -> None:
+    """Make the settings a property of objects."""
+    bpy.types.Object.gscore_sequence = bpy.props.PointerProperty(type=SequenceSettings)
+
+
+def on_unregister() -> None:
+    """Take the property back."""
+    del bpy.types.Object.gscore_sequence

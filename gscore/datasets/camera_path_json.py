@@ -1,0 +1,163 @@
+"""Files of camera paths: a cameras.json, nerfstudio's camera_path.json, a transforms.json."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import DatasetError, FormatError
+from ..io.cameras_json import read_cameras_json
+from ..io.colmap.camera_models import NO_PINHOLE
+from ..io.files import read_bytes
+from ..json_text import parse_json
+from ..scene import Cameras
+from ..shown import quoted
+from ..transforms import viewmat_from_opengl
+from .capture import View
+from .poses import check_focal, rigid_matrix
+from .transforms_json import views_of_file
+
+_LARGEST = 1 << 16
+"""Pixels of a side."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MovingCamera:
+    """A camera path."""
+
+    cameras: Cameras
+    """One a picture, in the order of time."""
+    fps: float | None
+    """Pictures a second, where the file states them."""
+    warnings: tuple[str, ...] = ()
+    """Sentences for the user."""
+
+
+def read_camera_path(path: str | Path) -> MovingCamera:
+    """Read a cameras.json, the camera_path.json of nerfstudio's viewer, or a transforms.json.
+
+    The world is kept as the file states it. The frames of a transforms.json come in the order of
+    their `time`, where all have one, else in that of the file. nerfstudio's field of view is that
+    of a picture's height, in degrees (`nerfstudio/cameras/camera_paths.py`).
+
+    Raises:
+        DatasetError: the file is missing, or holds no cameras.
+        FormatError: it is something else, or a camera of it cannot be drawn; it is named.
+    """
+    path = Path(path)
+    try:
+        data = parse_json(read_bytes(path))
+    except ValueError as error:
+        raise FormatError(f"{path} is not JSON: {error}. Copy or export it again.") from error
+    if isinstance(data, list):
+        found = MovingCamera(cameras=read_cameras_json(path), fps=None)
+    elif isinstance(data, dict) and isinstance(data.get("camera_path"), list):
+        found = _nerfstudio(path, data)
+    elif isinstance(data, dict) and isinstance(data.get("frames"), list):
+        found = _transforms(path, data)
+    else:
+        raise FormatError(
+            f"{path} is no camera path: expected a cameras.json (a list), or an object with a list "
+            f"`camera_path` (nerfstudio) or `frames` (transforms.json). Export it again."
+        )
+    if not len(found.cameras):
+        raise DatasetError(f"{path} holds no cameras. Export it again.")
+    return found
+
+
+def _nerfstudio(path: Path, data: dict[str, Any]) -> MovingCamera:
+    kind = data.get("camera_type", "perspective")
+    if kind != "perspective":
+        raise FormatError(
+            f"{path}: camera_type is {quoted(kind)}, but paths are drawn by perspective cameras. "
+            f"Export the path with that type."
+        )
+    width, height = (_side(path, data, key) for key in ("render_width", "render_height"))
+    viewmats, Ks, names = [], [], []
+    for i, entry in enumerate(data["camera_path"]):
+        where = f"{path}: camera {i}"
+        if not isinstance(entry, dict):
+            raise FormatError(f"{where} is no object. Export the path again.")
+        pose = _rows(entry.get("camera_to_world"))
+        viewmats.append(viewmat_from_opengl(rigid_matrix(where, "camera_to_world", pose)))
+        fov = _number(where, "fov", entry.get("fov"))
+        focal = 0.5 * height / math.tan(0.5 * math.radians(fov)) if 0 < fov < 180 else math.nan
+        check_focal(where, (focal, focal), width, height)
+        Ks.append(np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]]))
+        names.append(f"frame_{i + 1:06d}.png")
+    count = len(names)
+    cameras = Cameras(
+        viewmats=np.array(viewmats, np.float64).reshape(-1, 4, 4),
+        Ks=np.array(Ks, np.float64).reshape(-1, 3, 3),
+        widths=np.full(count, width, np.int64),
+        heights=np.full(count, height, np.int64),
+        names=tuple(names),
+    )
+    fps = data.get("fps")
+    stated = None if fps is None else _number(str(path), "fps", fps)
+    if stated is not None and not 0 < stated <= 1000:
+        raise FormatError(f"{path}: fps is {stated:g}, expected up to 1000. Export the path again.")
+    return MovingCamera(cameras=cameras, fps=stated)
+
+
+def _transforms(path: Path, data: dict[str, Any]) -> MovingCamera:
+    views, _ = views_of_file(path, data, photos_required=False)
+    times = [frame.get("time") for frame in data["frames"]]
+    if views and all(time is not None for time in times):
+        at = [_number(f"{path}: frame {i}", "time", time) for i, time in enumerate(times)]
+        views = [view for _, view in sorted(zip(at, views, strict=True), key=lambda pair: pair[0])]
+    bent = sum(_is_bent(path, view) for view in views)
+    count = len(views)
+    Ks = np.tile(np.eye(3), (count, 1, 1))
+    for K, view in zip(Ks, views, strict=True):
+        K[[0, 1, 0, 1], [0, 1, 2, 2]] = view.camera.params[:4]
+    warning = f"{path}: the lenses of {bent} of {count} frames bend lines; they are drawn straight."
+    return MovingCamera(
+        cameras=Cameras(
+            viewmats=np.array([view.viewmat for view in views], np.float64).reshape(-1, 4, 4),
+            Ks=Ks,
+            widths=np.array([view.camera.width for view in views], np.int64),
+            heights=np.array([view.camera.height for view in views], np.int64),
+            names=tuple(view.name for view in views),
+        ),
+        fps=None,
+        warnings=(warning,) if bent else (),
+    )
+
+
+def _is_bent(path: Path, view: View) -> bool:
+    """Whether a lens bends lines, which is left out; FormatError where it is no pinhole at all."""
+    camera = view.camera
+    if camera.model in NO_PINHOLE or "FISHEYE" in camera.model:
+        raise FormatError(
+            f"{path}: {view.name} has a camera of the model {camera.model}, but paths are drawn by "
+            f"perspective cameras. Export the path with that type."
+        )
+    return bool(np.any(camera.params[4:]))
+
+
+def _rows(value: Any) -> Any:
+    """Sixteen numbers as four rows; anything else as it is."""
+    if isinstance(value, list) and len(value) == 16:
+        return [value[i : i + 4] for i in range(0, 16, 4)]
+    return value
+
+
+def _side(path: Path, data: dict[str, Any], key: str) -> int:
+    value = data.get(key)
+    if type(value) is not int or not 0 < value <= _LARGEST:
+        raise FormatError(
+            f"{path}: {key} is {quoted(value)}, expected a number of pixels up to {_LARGEST}. "
+            f"Export the path again."
+        )
+    return value
+
+
+def _number(where: str, key: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < math.inf:
+        raise FormatError(
+            f"{where}: {key} is {quoted(value)}, expected a number. Export the path again."
+        )
+    return float(value)

@@ -1,0 +1,191 @@
+"""Oracle: the command line, a scripted `gscore sequence`, and what panels show of both."""
+
+import json
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import bpy
+import pytest
+
+from addon import preferences
+from addon.core import SequenceIndex, SequenceOptions, options_of, read_splats, write_splats
+from addon.job.options import Machine
+from addon.panels.train_sequence import TrainSequencePanel
+from addon.process import beat
+from addon.sequence import arguments, registry, work
+from gscore.io.sequences import write_sequence
+from tests.addon.captures import STUDIO
+from tests.addon.drawn import drawn
+from tests.addon.fake_trainer import fake_python, step
+from tests.addon.trainings import splats, until
+
+REAL = os.environ.get("GSCORE_TRAINER_PYTHON", "")
+needs_trainer = pytest.mark.skipif(not REAL, reason="GSCORE_TRAINER_PYTHON names no Python")
+Play = Callable[..., Path]
+FRAME = {"event": "frame", "frame": 4, "place": 2, "frames": 4, "output": "o", "iterations": 100}
+FRAME |= {"start": "", "complete": False}
+DONE = {"event": "sequence", "reason": "finished", "frames": 4, "path": "p", "train_seconds": 9.0}
+DONE |= {"metrics": {"psnr": 31.234}}
+
+
+@pytest.fixture
+def video(scene: bpy.types.Scene, tmp_path: Path) -> Iterator[bpy.types.Scene]:
+    """A scene whose capture is a folder of four numbered captures; no job is left at the end."""
+    for number in (0, 4, 8, 12):
+        folder = tmp_path / "video" / f"{number:06d}"
+        shutil.copytree(STUDIO / "sparse", folder / "sparse")
+        (folder / "images").mkdir()
+    scene.gscore.capture_path = str(tmp_path / "video")
+    prefs = preferences.get()
+    before = prefs.python_path
+    yield scene
+    for job in registry.JOBS.jobs():
+        job.kill(wait=10)
+    registry.JOBS._jobs.clear()
+    prefs.python_path = before
+
+
+@pytest.fixture
+def play(tmp_path: Path) -> Play:
+    """The preferences' Python becomes a fake that plays a script; gives where its call is noted."""
+
+    def choose(*script: dict) -> Path:
+        preferences.get().python_path = str(fake_python(tmp_path / "python", list(script)))
+        return tmp_path / "python" / "script.args"
+
+    return choose
+
+
+def panel() -> str:
+    """What the panel shows, once the folders have been looked at."""
+    drawn(TrainSequencePanel)
+    until(lambda: not beat.tick() or "Looking" not in drawn(TrainSequencePanel))
+    return drawn(TrainSequencePanel)
+
+
+def settle() -> str:
+    """The same, after everything that was looked up is old."""
+    registry.trained.expire()
+    drawn(TrainSequencePanel)
+    until(lambda: not registry.busy())
+    registry.collect()
+    return drawn(TrainSequencePanel)
+
+
+def leave(output: Path, numbers: tuple[int, ...]) -> None:
+    """What a training leaves."""
+    frames = [{"frame": n, "folder": f"frame_{n:06d}"} for n in numbers]
+    for entry in frames:
+        write_splats(output / entry["folder"] / "point_cloud.ply", splats(50 + entry["frame"]))
+    index = SequenceIndex(options={}, frames=frames, mean={"frames_total": 4})
+    write_sequence(output, index, version="0")
+
+
+def test_from_button_to_timeline(video, tmp_path: Path, play: Play) -> None:
+    """The arguments; the bar; at the end the frames play in the scene."""
+    called = play({"say": FRAME}, step(50), {"await": "go"}, {"say": DONE})
+    text = panel()
+    assert "4: 0 to 12" in text and "(Train Sequence)" in text and "<next_iterations>" in text
+    video.gscore_train_sequence.frames = "0:12:4"
+    assert bpy.ops.gscore.train_sequence() == {"FINISHED"}
+    job = work.job_of(video)
+    until(lambda: job.progress is not None)
+    assert "[38%] Frame 4, 2 of 4: step 50" in drawn(TrainSequencePanel)
+    with pytest.raises(RuntimeError, match="being trained already"):
+        bpy.ops.gscore.train_sequence()
+    output = work.output_of(video)
+    leave(output, (0, 4, 8, 12))
+    job._process.send("go")
+    until(lambda: job.ended)
+    line = json.loads(called.read_text())
+    assert line[:4] == ["-u", "-m", "gscore", "sequence"] and line[4] == str(tmp_path / "video")
+    assert line[line.index("--frames") + 1] == "0:12:4"
+    assert line[line.index("-o") + 1] == str(output)
+    text = settle()
+    assert "4 frames are complete, PSNR 31.23 dB in the mean." in text
+    assert "4 of 4 frames are trained." in text and "(Import Splat Sequence)" in text
+    bpy.ops.gscore.import_sequence(directory=str(output))
+    video.frame_set(3)
+    assert len(bpy.context.object.data.vertices) == 58
+    assert len(read_splats(output / "frame_000008" / "point_cloud.ply")) == 58
+
+
+def test_stop_and_go_on(video, play: Play) -> None:
+    """The trainer is asked to stop; the button then resumes, and Start Over asks first."""
+    stopped = DONE | {"reason": "stopped", "frames": 1}
+    play({"say": FRAME}, {"await": "stop"}, {"say": stopped})
+    panel()
+    bpy.ops.gscore.train_sequence()
+    job = work.job_of(video)
+    until(lambda: job.frame is not None)
+    leave(work.output_of(video), (0,))
+    assert bpy.ops.gscore.stop_sequence() == {"FINISHED"}
+    until(lambda: job.ended)
+    text = settle()
+    assert "Stopped; complete frames are kept" in text and "1 of 4 frames are trained" in text
+    assert "(Go On)" in text and "(Start Over)" in text
+    with pytest.raises(RuntimeError, match="press Go On to continue it"):
+        bpy.ops.gscore.train_sequence()
+    called = play({"say": DONE})
+    bpy.ops.gscore.train_sequence(resume=True, wait=True)
+    assert "--resume" in json.loads(called.read_text())
+    with pytest.raises(RuntimeError, match="No sequence is being trained"):
+        bpy.ops.gscore.stop_sequence()
+
+
+def test_failures_are_told_where_the_button_is(video, play: Play) -> None:
+    """The sentence of the trainer; and of folders that hold no frames."""
+    play(
+        {"say": {"event": "error", "type": "DatasetError", "message": "Frame 4 is broken."}},
+        {"exit": 2},
+    )
+    panel()
+    with pytest.raises(RuntimeError, match="Frame 4 is broken"):
+        bpy.ops.gscore.train_sequence(wait=True)
+    assert "Frame 4 is broken" in drawn(TrainSequencePanel)
+    video.gscore.capture_path = str(STUDIO)
+    assert "holds no frames" in panel()
+    video.gscore.capture_path = str(STUDIO / "gone")
+    assert "There is no folder" in drawn(TrainSequencePanel)
+
+
+def test_arguments_are_those_of_a_training_and_its_own(scene) -> None:
+    """Oracle: gscore's own table of options; only what differs from the defaults is given."""
+    own = scene.gscore_train_sequence
+    places = {"source": Path("/s"), "output": Path("/o"), "machine": Machine()}
+    line = arguments.new_sequence(scene.gscore, own, **places)
+    assert not {"--frames", "--next-iterations", "--no-warm-start"} & set(line)
+    own.frames, own.next_iterations, own.warm_start = "1,2", 70, False
+    line = arguments.new_sequence(scene.gscore, own, overwrite=True, **places)
+    assert line[:4] == ["sequence", "/s", "-o", "/o"] and "--overwrite" in line
+    assert line[-5:] == ["--frames", "1,2", "--next-iterations", "70", "--no-warm-start"]
+    assert {"frames", "next_iterations", "warm_start"} <= set(options_of(SequenceOptions))
+    again = arguments.resumed_sequence(own, output=Path("/o"), machine=Machine())
+    assert again[:4] == ["sequence", "-o", "/o", "--resume"] and again[-2:] == ["--frames", "1,2"]
+
+
+@needs_trainer
+def test_a_real_sequence(video, tmp_path: Path) -> None:
+    """Oracle: `gscore sequence` itself, a few steps of two frames of the studio."""
+    for number in (0, 4):
+        folder = tmp_path / "video" / f"{number:06d}" / "images"
+        folder.rmdir()
+        shutil.copytree(STUDIO / "images", folder)
+    preferences.get().python_path = REAL
+    settings, own = video.gscore, video.gscore_train_sequence
+    settings.iterations, settings.resolution, settings.width = 20, "WIDTH", 48
+    settings.use_masks, settings.max_splats, settings.eval = False, 2000, False
+    own.frames = "0,4"
+    panel()
+    bpy.ops.gscore.train_sequence(wait=True)
+    assert work.job_of(video).sentence.startswith("2 frames are complete")
+    bpy.ops.gscore.import_sequence(directory=str(work.output_of(video)))
+    ob = bpy.context.object
+    counts = []
+    for frame in (1, 2):
+        video.frame_set(frame)
+        counts.append(len(ob.data.vertices))
+        folder = work.output_of(video) / f"frame_{4 * (frame - 1):06d}"
+        assert counts[-1] == len(read_splats(folder / "point_cloud.ply")) > 100

@@ -1,0 +1,165 @@
+"""Frames that are read ahead into a bounded memory. Oracles are named in the tests."""
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from addon.core import Splats
+from addon.splats.filters import Filters
+from addon.timeline import library
+from addon.timeline.frames import FrameFile, Series
+
+
+def _splats(count: int) -> Splats:
+    return Splats(
+        means=np.zeros((count, 3), np.float32),
+        quats=np.ones((count, 4), np.float32),
+        scales=np.zeros((count, 3), np.float32),
+        opacities=np.linspace(-3, 3, count, dtype=np.float32),
+        sh0=np.zeros((count, 1, 3), np.float32),
+        shN=np.zeros((count, 0, 3), np.float32),
+    )
+
+
+FILES = tuple(FrameFile(n, Path(f"/frames/{n}.ply"), (n, 1)) for n in range(10))
+SIZE = library.Frame(FILES[0], _splats(100)).bytes
+
+
+class Disk:
+    """Notes what is read, and lets a file be read only when it may."""
+
+    def __init__(self) -> None:
+        self.read: list[int] = []
+        self.may = threading.Event()
+        self.may.set()
+        self.broken: set[int] = set()
+
+    def __call__(self, path: Path) -> Splats:
+        self.may.wait(20)
+        number = int(path.stem)
+        self.read.append(number)
+        if number in self.broken:
+            raise ValueError(f"{path} is damaged.")
+        return _splats(100)
+
+
+@pytest.fixture
+def disk() -> Disk:
+    """All files are whole."""
+    return Disk()
+
+
+@pytest.fixture
+def frames(disk: Disk) -> Iterator[library.Library]:
+    """Room for four frames."""
+    made = library.Library(disk, lambda folder, name: Series(files=FILES, name="#.ply"))
+    made.most = 4 * SIZE
+    yield made
+    disk.may.set()
+    made.close()
+
+
+def _until(condition: Callable[[], bool]) -> None:
+    until = time.monotonic() + 20
+    while not condition():
+        assert time.monotonic() < until
+        time.sleep(0.005)
+
+
+def test_frames_are_read_in_the_order_they_are_needed(frames, disk) -> None:
+    """Oracle: the wish; four have room, and the one that shows comes first."""
+    frames.want("ob", FILES[3:])
+    assert frames.frame(FILES[3]) == (None, "") or disk.read
+    _until(lambda: not frames.busy)
+    assert disk.read == [3, 4, 5, 6]
+    assert frames.held == (4, 4 * SIZE)
+    found, problem = frames.frame(FILES[4])
+    assert found is not None and found.file == FILES[4] and not problem and frames.fresh
+
+
+def test_what_is_over_makes_room(frames, disk) -> None:
+    """Oracle: the memory's limit at each step; nothing is read twice while it plays on."""
+    for first in range(6):
+        frames.want("ob", FILES[first:])
+        _until(lambda: not frames.busy)
+        assert frames.held[0] <= 4
+    assert disk.read == list(range(9))
+
+
+def test_what_shows_has_room_in_any_case(frames, disk) -> None:
+    """Oracle: five objects that show five frames, with room for one."""
+    frames.most = SIZE
+    for n in range(5):
+        frames.want(n, FILES[n:])
+    _until(lambda: not frames.busy)
+    assert sorted(disk.read) == [0, 1, 2, 3, 4]
+    assert all(frames.frame(FILES[n])[0] is not None for n in range(5))
+
+
+def test_objects_share_frames(frames, disk) -> None:
+    """Oracle: the list of reads."""
+    frames.want("a", FILES[:2])
+    frames.want("b", FILES[:2])
+    _until(lambda: not frames.busy)
+    assert disk.read == [0, 1]
+    assert frames.frame(FILES[0])[0] is frames.frame(FILES[0], wait=True)[0]
+
+
+def test_asking_does_not_wait_for_the_disk(frames, disk) -> None:
+    """Oracle: the answers while the disk does not."""
+    disk.may.clear()
+    frames.want("ob", FILES[:1])
+    assert frames.frame(FILES[0]) == (None, "") and frames.busy
+    assert frames.series((Path("/frames"), "")) == (None, "")
+    disk.may.set()
+    _until(lambda: frames.frame(FILES[0])[0] is not None)
+    _until(lambda: frames.series((Path("/frames"), ""))[0] is not None)
+
+
+def test_waiting_takes_what_is_under_way(frames, disk) -> None:
+    """Oracle: the file is read once, and the answer is the frame."""
+    disk.may.clear()
+    frames.want("ob", FILES[:1])
+    _until(lambda: frames._under_way is not None)
+    threading.Timer(0.05, disk.may.set).start()
+    assert frames.frame(FILES[0], wait=True)[0] is not None
+    assert disk.read == [0]
+
+
+def test_a_damaged_file_is_told_and_others_go_on(frames, disk) -> None:
+    """Oracle: the sentence; it is not read again until somebody asks to look again."""
+    disk.broken = {1}
+    for _ in range(3):
+        frames.want("ob", FILES[:3])
+        _until(lambda: not frames.busy)
+    assert disk.read == [0, 1, 2]
+    assert frames.frame(FILES[1]) == (None, "/frames/1.ply is damaged.")
+    assert frames.frame(FILES[1], wait=True)[1] == "/frames/1.ply is damaged."
+    disk.broken = set()
+    frames.forget((Path("/frames"), ""))
+    assert frames.frame(FILES[1], wait=True)[0] is not None
+
+
+def test_nothing_runs_after_the_end(frames, disk) -> None:
+    """Oracle: the threads of the process; what was being read is not kept."""
+    disk.may.clear()
+    frames.want("ob", FILES)
+    _until(lambda: frames._under_way is not None)
+    frames.close()
+    disk.may.set()
+    _until(lambda: all(t.name != "gscore-frames" for t in threading.enumerate()))
+    assert frames.held == (0, 0) and disk.read == [0]
+    frames.want("ob", FILES[5:6])  # another file is opened
+    _until(lambda: not frames.busy)
+    assert disk.read == [0, 5]
+
+
+def test_filters_of_a_frame() -> None:
+    """Oracle: the sigmoid of the raw opacities, splat by splat."""
+    frame = library.Frame(FILES[0], _splats(100))
+    kept = frame.kept(Filters(opacity_min=0.5))
+    assert kept.tolist() == [bool(x >= 0) for x in np.linspace(-3, 3, 100)]

@@ -1,0 +1,301 @@
+"""Sequences on Blender's timeline. Oracle, unless said otherwise: the files of the frames."""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+
+from addon.core import Splats, write_splats
+from addon.panels.sequence import SequencePanel
+from addon.process import beat
+from addon.render.copies import Copies
+from addon.render.engine import final_cache
+from addon.render.scene import sources
+from addon.splats import objects
+from addon.timeline import follow, mesh
+from addon.timeline.library import LIBRARY
+from tests.addon import splat_scenes as lab
+from tests.addon.drawn import drawn
+
+SIZE = (90, 70)
+
+
+def frame_splats(number: int) -> Splats:
+    """Different ones for each frame: other places, counts and degrees."""
+    splats = lab.blob(300 + 10 * number, seed=number)
+    if number % 2:
+        return splats
+    names = ("means", "quats", "scales", "opacities", "sh0")
+    plain = {name: getattr(splats, name) for name in names}
+    return Splats(**plain, shN=np.zeros((len(splats), 0, 3), np.float32))
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Frames 0 to 5 as PLY."""
+    for number in range(6):
+        write_splats(tmp_path / "frames" / f"frame_{number:04d}.ply", frame_splats(number))
+    return tmp_path / "frames"
+
+
+@pytest.fixture
+def playing(scene, folder) -> bpy.types.Object:
+    """The sequence at frames 1 to 6 of the timeline, before a camera."""
+    lab.prepare(scene, SIZE)
+    return play(folder)
+
+
+def play(folder: Path, **options) -> bpy.types.Object:
+    """Import by the operator."""
+    assert bpy.ops.gscore.import_sequence(directory=str(folder), up="Z", **options) == {"FINISHED"}
+    return bpy.context.object
+
+
+def number_of(ob: bpy.types.Object) -> int:
+    """Which frame is in an object's mesh, by its count of splats."""
+    return (len(ob.data.vertices) - 300) // 10
+
+
+def shown() -> list[tuple[int, np.ndarray]]:
+    """Count and means of what our renderers draw now."""
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    parts = final_cache.parts(copied(depsgraph))
+    return [(len(p), p.means) for p in parts]
+
+
+def copied(depsgraph: bpy.types.Depsgraph) -> list:
+    """What a viewport would draw, once all has come."""
+    made = Copies()
+    until = time.monotonic() + 20
+    while True:
+        placed, complete = made.copied(sources(depsgraph))
+        if complete:
+            return placed
+        assert time.monotonic() < until
+        time.sleep(0.005)
+
+
+def until(condition: Callable[[], bool]) -> None:
+    """Beat until something is so."""
+    end = time.monotonic() + 20
+    while not condition():
+        assert time.monotonic() < end
+        beat.tick()
+        time.sleep(0.005)
+
+
+def test_one_object_plays_the_folder(scene, playing) -> None:
+    """The mesh holds what each file does, attribute by attribute, and our renderers draw it."""
+    splat_objects = [ob for ob in scene.objects if objects.is_splats(ob)]
+    assert splat_objects == [playing] and playing.name == "frames"
+    for frame in (1, 4, 2, 6):
+        scene.frame_set(frame)
+        own, file = objects.read(playing), frame_splats(frame - 1)
+        np.testing.assert_array_equal(own.means, file.means)
+        np.testing.assert_array_equal(own.sh0, file.sh0)
+        np.testing.assert_array_equal(own.shN, file.shN)
+        np.testing.assert_array_equal(shown()[0][1], file.means)
+
+
+def test_pictures_of_an_animation(scene, playing, tmp_path) -> None:
+    """Oracle: gscore.render of the files, for `render.render(animation=True)`."""
+    scene.frame_start, scene.frame_end = 2, 4
+    settings = scene.render.image_settings
+    settings.file_format, settings.color_mode, settings.color_depth = "PNG", "RGB", "8"
+    scene.render.filepath = str(tmp_path / "out_")
+    bpy.ops.render.render(animation=True)
+    for frame in (2, 3, 4):
+        got = lab.read_image(tmp_path / f"out_{frame:04d}.png")
+        want = lab.truth(scene.camera, frame_splats(frame - 1), SIZE).rgb
+        assert np.abs(got[..., :3] - np.clip(want, 0, 1)).max() <= 1.01 / 255
+
+
+def test_other_engines_see_the_mesh_of_the_frame(scene, playing) -> None:
+    """What the depsgraph holds of the mesh, which is what EEVEE and Cycles are given."""
+    scene.render.engine = "BLENDER_WORKBENCH"
+    scene.frame_set(5)
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    assert len(playing.data.evaluated_get(depsgraph).vertices) == 340
+    playing.gscore_sequence.offset = 1  # no frame changes, but what it shows
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    assert len(playing.data.evaluated_get(depsgraph).vertices) == 350
+
+
+def test_a_sequence_that_hides_is_an_empty_picture(scene, playing, tmp_path) -> None:
+    """Oracle: the world's colour before the start; the first frame at it."""
+    playing.gscore_sequence.start, playing.gscore_sequence.beyond = 3, "HIDE"
+    scene.frame_set(2)
+    empty = lab.render_file(tmp_path / "a.png")
+    assert (empty[..., :3] == 0).all() and number_of(playing) == -30
+    scene.frame_set(3)
+    got = lab.render_file(tmp_path / "b.png")
+    want = lab.truth(scene.camera, frame_splats(0), SIZE).rgb
+    assert np.abs(got[..., :3] - np.clip(want, 0, 1)).max() <= 1.01 / 255
+
+
+def test_copies_play_by_times_of_their_own(scene, playing) -> None:
+    """Two objects that share a mesh show two frames, and each its own in its mesh."""
+    other = playing.copy()
+    scene.collection.objects.link(other)
+    assert other.data == playing.data
+    other.gscore_sequence.start = 3
+    scene.frame_set(4)
+    assert (number_of(playing), number_of(other)) == (3, 1)
+    assert sorted(count for count, _ in shown()) == [310, 330]
+
+
+def test_filters_leave_out_splats_of_each_frame(scene, playing) -> None:
+    """Oracle: the sigmoid of the file's opacities."""
+    playing.gscore.opacity_min = 0.6
+    for frame in (2, 5):
+        scene.frame_set(frame)
+        logits = frame_splats(frame - 1).opacities
+        assert shown()[0][0] == int((1 / (1 + np.exp(-logits)) >= 0.6).sum()) < 300
+
+
+def test_gaps_are_told_and_hold_the_frame_before(scene, folder, tmp_path, capfd) -> None:
+    """Oracle: the numbers of the files; a render tells of them too."""
+    (folder / "frame_0002.ply").unlink()
+    (folder / "frame_0003.ply").unlink()
+    lab.prepare(scene, SIZE)
+    ob = play(folder)
+    scene.frame_set(4)
+    assert number_of(ob) == 1
+    lab.render_file(tmp_path / "a.png")
+    told = capfd.readouterr().out
+    assert "Warning: frames: Frames 2, 3 are missing; the one before is shown." in told
+    text = drawn(SequencePanel)
+    assert "4: 0 to 5" in text and "Frames 2, 3 are missing" in text and "frame 1" in text
+
+
+def test_a_damaged_file_ends_a_render_with_its_name(scene, playing, folder, tmp_path) -> None:
+    """Oracle: the sentence; the mesh stays as it was, and plays on with the next frame."""
+    (folder / "frame_0003.ply").write_bytes(b"ply\nbroken")
+    bpy.ops.gscore.look_at_frames_again()
+    scene.frame_set(3)
+    scene.frame_set(4)
+    assert number_of(playing) == 2 and "frame_0003.ply" in follow.problem_of(playing)
+    message = lab.error_of(lambda: lab.render_file(tmp_path / "a.png"))
+    assert "frames:" in message and "frame_0003.ply" in message
+    placed, complete = Copies().copied(sources(bpy.context.evaluated_depsgraph_get()))
+    assert complete and len(placed[0].frozen.vertices) == 320  # a viewport shows the last one
+    assert "frame_0003.ply" in drawn(SequencePanel)
+    scene.frame_set(5)
+    assert number_of(playing) == 4 and not follow.problem_of(playing)
+
+
+def test_the_folder_moves_with_the_file(scene, playing, folder, tmp_path) -> None:
+    """Oracle: Blender's own rule for relative paths; both are moved together."""
+    (tmp_path / "old").mkdir()
+    folder.rename(tmp_path / "old" / "frames")
+    playing.gscore_sequence.folder = str(tmp_path / "old" / "frames")
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "old" / "a.blend"))
+    assert playing.gscore_sequence.folder == "//frames"
+    (tmp_path / "old").rename(tmp_path / "new")
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "new" / "a.blend"))
+    bpy.context.scene.frame_set(6)
+    assert number_of(bpy.data.objects["frames"]) == 5
+    (tmp_path / "new" / "frames").rename(tmp_path / "new" / "elsewhere")
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "new" / "a.blend"))
+    bpy.context.scene.frame_set(2)
+    ob = bpy.data.objects["frames"]
+    assert number_of(ob) == 0  # as it was saved
+    assert "choose where it is now" in follow.problem_of(ob)
+    bpy.context.view_layer.objects.active = ob
+    assert "choose where it is now" in drawn(SequencePanel)
+
+
+def test_edits_make_it_stand_still(scene, playing) -> None:
+    """Data are never lost: what was deleted stays deleted, is drawn so, and can be dropped."""
+    scene.frame_set(3)
+    keep = np.arange(320) < 100
+    from addon import attributes
+
+    attributes.keep(playing.data, keep)
+    playing.data.update()
+    bpy.context.view_layer.update()
+    assert playing.gscore_sequence.edited and "(Drop Edits and Play)" in drawn(SequencePanel)
+    scene.frame_set(5)
+    assert len(playing.data.vertices) == 100 and shown()[0][0] == 100
+    bpy.ops.gscore.play_again()
+    assert number_of(playing) == 4 and not playing.gscore_sequence.edited
+    assert shown()[0][0] == 340
+
+
+def test_edit_mode_shows_the_mesh_and_nothing_writes_to_it(scene, playing) -> None:
+    """Oracle: Blender's edit mesh, whatever the timeline does."""
+    scene.frame_set(2)
+    bpy.ops.object.mode_set(mode="EDIT")
+    scene.frame_set(5)
+    bpy.ops.object.mode_set(mode="OBJECT")
+    assert number_of(playing) == 1 and not playing.gscore_sequence.edited
+    scene.frame_set(4)
+    assert number_of(playing) == 3
+
+
+def test_undo_in_the_middle(scene, playing) -> None:
+    """Oracle: Blender's undo; the object plays on, whichever mesh came back with it."""
+    bpy.ops.ed.undo_push(message="before")
+    scene.frame_set(4)
+    playing.location.x = 1
+    bpy.ops.ed.undo_push(message="moved")
+    bpy.ops.ed.undo()
+    ob = bpy.data.objects["frames"]
+    bpy.context.scene.frame_set(6)
+    assert number_of(ob) == 5 and not ob.gscore_sequence.edited
+
+
+def test_a_frame_that_is_kept(scene, playing) -> None:
+    """The file of the frame, in an object that stands still."""
+    scene.frame_set(4)
+    assert bpy.ops.gscore.keep_frame() == {"FINISHED"}
+    kept = bpy.context.object
+    scene.frame_set(1)
+    assert kept.name == "frames 3" and number_of(kept) == 3 and number_of(playing) == 0
+
+
+def test_a_linked_file_plays_but_keeps_its_mesh(scene, playing, tmp_path) -> None:
+    """Oracle: the pictures' splats; a linked mesh cannot be written, which is no error."""
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "lib.blend"))
+    bpy.ops.wm.read_homefile(use_empty=True)
+    with bpy.data.libraries.load(str(tmp_path / "lib.blend"), link=True) as (_, into):
+        into.objects = ["frames"]
+    bpy.context.scene.collection.objects.link(into.objects[0])
+    bpy.context.scene.frame_set(5)
+    assert number_of(into.objects[0]) == 0
+    assert shown()[0][0] == 340
+
+
+def test_nothing_is_left_of_a_closed_file(scene, playing) -> None:
+    """Oracle: the memory of the session, and Blender's meshes."""
+    shown()
+    assert LIBRARY.held[0] > 0
+    bpy.ops.wm.read_homefile(use_empty=True)
+    assert LIBRARY.held == (0, 0) and not len(bpy.data.meshes)
+    until(lambda: not beat.tick())
+
+
+def test_a_sequence_under_a_capture_needs_no_axis(scene, folder) -> None:
+    """Oracle: the parent; a wrong folder leaves the scene as it was."""
+    before = len(bpy.data.objects), len(bpy.data.meshes)
+    with pytest.raises(RuntimeError, match="holds no frames"):
+        bpy.ops.gscore.import_sequence(directory=str(folder.parent))
+    assert (len(bpy.data.objects), len(bpy.data.meshes)) == before
+
+
+def test_the_mesh_follows_bit_by_bit_where_there_is_a_window(scene, playing, monkeypatch) -> None:
+    """Oracle: the mesh after some beats; the frame change itself writes nothing."""
+    monkeypatch.setattr(follow, "_at_once", lambda scene: False)
+    scene.frame_set(4)
+    assert number_of(playing) == 0
+    until(lambda: number_of(playing) == 3)
+    assert mesh.holds(playing).startswith("3 ") and not mesh.was_edited(playing)
+    until(lambda: not beat.tick())
+    scene.frame_set(6)
+    playing.gscore_sequence.beyond = "HIDE"
+    scene.frame_set(7)
+    until(lambda: len(playing.data.vertices) == 0)
+    assert [m for m in bpy.data.meshes if "gs_filling" in m] == []
