@@ -8,6 +8,7 @@ import bpy
 import numpy as np
 
 from ..core import Cameras, read_camera_path, rotmat_to_quat
+from ..interface import writable
 from . import formulas as cm
 from . import objects as co
 
@@ -142,7 +143,7 @@ def _camera(name: str, scene: bpy.types.Scene, root: bpy.types.Object | None) ->
     ob.rotation_mode = "QUATERNION"
     ob.parent = root
     places = root.users_collection if root is not None else ()
-    (places[0] if places else scene.collection).objects.link(ob)
+    writable.taking(places)[0].objects.link(ob)
     photos = co.cameras_of(root) if root is not None else []
     if photos:
         own = photos[0].data

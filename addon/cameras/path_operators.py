@@ -1,5 +1,6 @@
 """Operators of camera paths: write the scene camera's animation, read one."""
 
+from collections.abc import Iterable
 from typing import ClassVar
 
 import bpy
@@ -95,6 +96,10 @@ class ImportCameraPath(OnCapture, bpy.types.Operator, ImportHelper):
         if not self.properties.is_property_set("world") and not roots_of(context.scene):
             self.world = "BLENDER"
         return super().invoke(context, event)
+
+    def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
+        """The scene."""
+        return (context.scene,)
 
     def act(self, context: bpy.types.Context) -> str:
         """Import."""

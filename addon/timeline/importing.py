@@ -5,6 +5,7 @@ from pathlib import Path
 import bpy
 
 from ..core import read_splat_file
+from ..interface import writable
 from ..paths import relative
 from ..splats import files, objects
 from ..splats.objects import ANTIALIAS
@@ -74,6 +75,5 @@ def keep_frame(ob: bpy.types.Object, number: int) -> bpy.types.Object:
     kept.gscore_sequence.folder = ""
     kept.gscore_sequence.edited = False
     kept.name = kept.data.name = f"{ob.name} {number}"
-    for collection in ob.users_collection:
-        collection.objects.link(kept)
+    writable.link_beside(kept, ob)
     return kept

@@ -1,5 +1,6 @@
 """Operators of sequences: import, play again after an edit, keep a frame, look again."""
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import ClassVar
 
@@ -9,7 +10,7 @@ from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 from ..cameras.lookup import find_root
 from ..cameras.objects import root_of
 from ..core import SPLAT_ENDINGS, collected_warnings
-from ..interface.operators import Acting, make_active
+from ..interface.operators import Acting, OnScene, make_active
 from ..process import beat
 from ..splats.objects import is_splats, meant
 from ..splats.operators import UP_ITEMS
@@ -35,7 +36,7 @@ class OnSequence(Acting):
         return False
 
 
-class ImportSequence(Acting, bpy.types.Operator):
+class ImportSequence(OnScene, bpy.types.Operator):
     """Import a folder of frames, of gscore sequence or with numbered files of splats, as one object
     that plays on the timeline"""
 
@@ -136,6 +137,11 @@ class PlayAgain(OnSequence, bpy.types.Operator):
 
     bl_idname = "gscore.play_again"
     bl_label = "Drop Edits and Play"
+
+    def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
+        """Its points, and whether it plays."""
+        ob = meant(context)
+        return ob.data, ob
 
     def act(self, context: bpy.types.Context) -> str:
         """Play."""

@@ -4,6 +4,7 @@ Oracle of all: the file after it was saved and opened again. What an operator re
 it; what it refused left no mark, and the refusal is one sentence of ours.
 """
 
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +39,11 @@ CALLS: dict[str, dict[str, Any]] = {
     "reset_display": {},
     "make_native_splats": {},
     "import_splats": {"filepath": "a.ply"},
+    "import_sequence": {"directory": "frames"},
+    "play_again": {},
+    "keep_frame": {},
+    "look_at_frames_again": {},
+    "import_camera_path": {"filepath": "path.json", "world": "BLENDER"},
     "import_cameras": {"directory": "capture"},
     "use_camera": {"index": 2},
     "step_camera": {},
@@ -67,12 +73,13 @@ _OF_OVERRIDES = (
     "align_capture",
 )
 _OF_SCENES = ("use_engine", "use_photo_colors", "show_splats", "use_camera", "import_cameras")
+IMPORTS = ("splats", "sequence", "camera_path")
 DONE = {
     *((name, case) for name in _OF_OVERRIDES for case in ("override", "both")),
     *((name, case) for name in _OF_SCENES for case in CASES if case != "scene"),
     *((name, "mesh") for name in ("reset_filters", "add_crop_box")),
     ("set_up_compositing", "override"),
-    *(("import_splats", case) for case in CASES if case != "scene"),
+    *((f"import_{what}", case) for what in IMPORTS for case in CASES if case != "scene"),
 }
 """What has to work: an override keeps settings, and the scene is the user's own."""
 NOT_IN_THE_SCENE = {
@@ -81,6 +88,7 @@ NOT_IN_THE_SCENE = {
     *("pause_training", "continue_training", "stop_training", "discard_training"),
     *("update_splats", "cancel_search", "cancel_depth", "show_depth_sheet"),
     *("show_report", "show_test_view", "check_trainer", "make_environment", "cancel_setup"),
+    *("train_sequence", "stop_sequence"),
 }
 """Operators that write files, or start, steer and show what runs beside Blender."""
 
@@ -116,6 +124,11 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
     plain.select_set(True)
     bpy.ops.gscore.export_splats(filepath=str(folder / "a.ply"))
     bpy.data.objects.remove(plain)
+    (folder / "frames").mkdir()
+    for number in (1, 2):
+        shutil.copy(folder / "a.ply", folder / "frames" / f"{number}.ply")
+    bpy.context.scene.camera = next(o for o in bpy.data.objects if o.type == "CAMERA")
+    bpy.ops.gscore.export_camera_path(filepath=str(folder / "path.json"), world="BLENDER")
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / "library.blend"))
     return folder
 
