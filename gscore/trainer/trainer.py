@@ -548,6 +548,8 @@ class Trainer:
         if self.model.sh_degree < degree:
             self._painter.release()
             ops.widen_sh(self.model, degree)
+            if self._batch:
+                self._batch.forget()
 
     def _learn_of_photos(
         self, indices: Sequence[int], v_log_gain: tuple[float, float, float]

@@ -27,8 +27,8 @@ class BatchGradients:
     def __init__(self, team: Team) -> None:
         self._team = team
         self._sums = RowSums(team)
-        self._apart = True
-        """Whether something may have gathered that the others do not know of."""
+        self.complete = False
+        """Whether rank 0 has all that `tensors` needs; the same on all ranks."""
         self._others: list[Tensor] = []
 
     def into(self, model: Model, photos: int) -> dict[str, Tensor]:
@@ -95,27 +95,23 @@ class BatchGradients:
         self._others = []
         grad = model.grads["shN"]
         if grad.numel() == 0 or does is not ShN.STEP:
-            self._apart = True
+            self.complete = False
             return
         rows = torch.from_numpy(np.flatnonzero(np.any(grad.numpy(), axis=(1, 2))))
         found = self._sums(rows, [grad], threads=threads)
         grad.zero_()
         for part in found:
             unpack_rows([Table(grad, adds=True)], part, threads=threads)
-        self._apart = False
-
-    @property
-    def complete(self) -> bool:
-        """Whether rank 0 has all that `tensors` needs."""
-        return not self._apart or bool(self._others)
+        self.complete = True
 
     def collect(self, model: Model) -> None:
         """Bring what has gathered to rank 0; all ranks call this where it is not complete."""
         self._others = self._team.to_first(model.grads["shN"])
+        self.complete = True
 
     def forget(self) -> None:
-        """Another model takes the place of the one that this was for."""
-        self._apart, self._others = True, []
+        """What was collected is no longer of the model's shape."""
+        self.complete, self._others = False, []
 
     def tensors(self) -> dict[str, Tensor]:
         """What has gathered on the other ranks, by the name that `gathered_of` looks for."""

@@ -21,3 +21,10 @@ def test_a_step_of_two_ranks_learns_from_both_photos() -> None:
     """Oracle: the same kernels on each photo in one process; means and sums, to the bit."""
     for ended in start(*[["-m", f"{HERE}.steps_together"]] * 2):
         assert ended.code == 0, ended.err
+
+
+@pytest.mark.parametrize("collected", ["before", "then"])
+def test_a_photo_that_is_gone_loses_nothing_that_has_gathered(collected: str) -> None:
+    """Oracle: what each rank had gathered; both ends come within the time that is given."""
+    for ended in start(*[["-m", f"{HERE}.fails_together", collected]] * 2):
+        assert ended.code == 0, ended.err
