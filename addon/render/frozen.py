@@ -1,6 +1,5 @@
 """Copies of splat meshes' attributes, so that decoding them needs neither bpy nor its thread."""
 
-import copy
 import zlib
 from collections.abc import Hashable, Sized
 from typing import Any, Protocol
@@ -96,8 +95,8 @@ class FrozenMesh:
 
     def remarked(self, marks: np.ndarray | None) -> "FrozenMesh":
         """The same splats with other marks."""
-        made = copy.copy(self)
-        made.marks = marks
+        made = FrozenMesh(self.name, len(self.vertices))
+        made.attributes, made.marks = self.attributes, marks
         return made
 
     def read(self) -> Splats:

@@ -15,6 +15,7 @@ from ..json_text import parse_json
 from ..scene import Cameras
 from ..shown import quoted
 from ..transforms import viewmat_from_opengl
+from ..words import count_words
 from .capture import View
 from .poses import check_focal, rigid_matrix
 from .transforms_json import views_of_file
@@ -113,7 +114,8 @@ def _transforms(path: Path, data: dict[str, Any]) -> MovingCamera:
     Ks = np.tile(np.eye(3), (count, 1, 1))
     for K, view in zip(Ks, views, strict=True):
         K[[0, 1, 0, 1], [0, 1, 2, 2]] = view.camera.params[:4]
-    warning = f"{path}: the lenses of {bent} of {count} frames bend lines; they are drawn straight."
+    frames = count_words(count, "frame")
+    warning = f"{path}: the lenses of {bent} of {frames} bend lines; they are drawn straight."
     return MovingCamera(
         cameras=Cameras(
             viewmats=np.array([view.viewmat for view in views], np.float64).reshape(-1, 4, 4),

@@ -161,7 +161,7 @@ def test_bad_input_is_refused(random_scene):
     refuses("0 to 1", sh_degree=2)
     refuses("quats must be", quats=inputs["quats"][:, :3])
     refuses("opacities must be", opacities=inputs["opacities"][:, None])
-    refuses("0, 3, 8 or 15", shN=inputs["shN"][:, :2])
+    refuses("0, 3, 8, 15 or 24", shN=inputs["shN"][:, :2])
     refuses("at least 1 x 1", width=0)
 
 
