@@ -33,8 +33,10 @@ def command(capture: Path, out: Path, *options: str) -> list[str]:
 
 @pytest.fixture
 def begin() -> Iterator[Callable[..., subprocess.Popen]]:
-    """`start(arguments, **options)`: a process, gone when the test is over."""
+    """`start(arguments, **options)`: a process, gone when the test is over. It heeds SIGHUP, which
+    nohup may have these tests ignore."""
     made: list[subprocess.Popen] = []
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
     def start(arguments: list[str], **options: Any) -> subprocess.Popen:
         pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
@@ -42,6 +44,7 @@ def begin() -> Iterator[Callable[..., subprocess.Popen]]:
         return made[-1]
 
     yield start
+    signal.signal(signal.SIGHUP, before)
     for process in made:
         process.kill()
         process.communicate()
