@@ -597,6 +597,17 @@ class TrainConfig:
         unit="extents",
         when="default",
     )
+    finest: float = option(
+        0.0,
+        "No axis of a splat is shorter than so many pixels, as a standard deviation, of the "
+        "training photo that is nearest to it: finer detail is in no photo, but shows in pictures "
+        "from nearer. 0: axes may have any length. That happens at every `refine_every`-th step "
+        "and at the last. In the manner of the 3D filter of Yu et al. 2024 (Mip-Splatting), whose "
+        "width is 0.45; PLY files need nothing more.",
+        group="refinement",
+        unit="px",
+        range=Range(high=10),
+    )
     prune_share: float = option(
         0.0,
         "Share of the splats that is removed when refinements are over (`refine_stop`): those "

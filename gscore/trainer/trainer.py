@@ -31,7 +31,7 @@ from .ranks import losses, orders
 from .ranks.agree import crc_of
 from .ranks.gradients import BatchGradients, gathered_of
 from .ranks.team import Team
-from .rows import bounds, guard
+from .rows import bounds, finest, guard
 from .rows.frame import Frame
 from .rows.model import Model, Moments, ShN
 from .rows.near import Nearest
@@ -298,6 +298,8 @@ class Trainer:
         change = replace(change, removed=change.removed + pruned)
         laps.lap("learn")
         lost_rows = self._hold() if step % _HOLD_EVERY == 0 else 0
+        if config.finest > 0 and self.plan.clears_at(step):
+            finest.widen(model, map(self.sight.view, self.sampler.indices), config.finest)
         return StepResult(value, mse, change, bad_rows, False, lost_rows)
 
     def _turn(self, step: int, count: int) -> _Turn:

@@ -218,8 +218,8 @@ class Plan:
         return inside and step % self.refine_every == 0
 
     def clears_at(self, step: int) -> bool:
-        """Whether the free space around cameras is cleared after `step`: as often as splats are
-        refined, but all along, for those that stay move."""
+        """Whether the free space around cameras is cleared, and axes that are too fine are widened,
+        after `step`: as often as splats are refined, but all along, for those that stay move."""
         return step % self.refine_every == 0 or step == self.iterations
 
     def unveils_at(self, step: int) -> bool:
