@@ -23,6 +23,7 @@ class Settings(Protocol):
     strategy: str
     background: str
     antialias: bool
+    finest: float
     free_space: float
     seed: int
     time_budget: float
@@ -78,7 +79,7 @@ def new_run(
             continue  # a budget finds the number of steps itself
         if value != getattr(train, name):
             arguments += [_flag(name), str(value)]
-    for name in ("time_budget", "target_psnr", "free_space"):
+    for name in ("time_budget", "target_psnr", "finest", "free_space"):
         value = getattr(settings, name)  # of single precision
         if abs(value - getattr(train, name)) > 1e-5 * value:
             arguments += [_flag(name), f"{value:g}"]

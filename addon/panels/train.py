@@ -12,6 +12,8 @@ from ..job.options import AS_PRESET, BY_WIDTH, continuation
 from ..paths import output_folder
 from .widgets import TabPanel, found, has_python, job, limit, sentence
 
+_DETAILS = ("strategy", "sh_degree", "background", "antialias", "finest", "free_space", "seed")
+"""The options at the end of the fold."""
 _estimates: dict[str, Estimate] = {}
 """The last estimate of each scene, by its name."""
 
@@ -70,7 +72,7 @@ class TrainOptionsPanel(TabPanel, bpy.types.Panel):
             column.prop(settings, "mask_mode")
             column.prop(settings, "invert_masks")
         column = layout.column()
-        for name in ("strategy", "sh_degree", "background", "antialias", "free_space", "seed"):
+        for name in _DETAILS:
             column.prop(settings, name)
 
 

@@ -69,7 +69,7 @@ def test_defaults_are_those_of_gscore(scene: bpy.types.Scene) -> None:
         assert item.description in (PRESETS[item.identifier].__doc__ or "")
 
 
-NUMBERS = ("iterations", "max_splats", "sh_degree", "free_space", "seed", "time_budget")
+NUMBERS = ("iterations", "max_splats", "sh_degree", "finest", "free_space", "seed", "time_budget")
 
 
 @pytest.mark.parametrize("name", [*NUMBERS, "target_psnr"])
@@ -140,7 +140,7 @@ def test_every_option_arrives(scene: bpy.types.Scene, tmp_path: Path) -> None:
     settings, network = scene.gscore, tmp_path / "lpips.onnx"
     values = {"iterations": 123, "max_splats": 4567, "sh_degree": 1, "seed": 9, "antialias": True}
     values |= {"strategy": "mcmc", "background": "white", "early_stop": True}
-    values |= {"target_psnr": 27.3, "free_space": 0.25}
+    values |= {"target_psnr": 27.3, "free_space": 0.25, "finest": 0.5}
     for name, value in values.items():
         setattr(settings, name, value)  # numbers become single precision
     settings.eval, settings.test_every, settings.images = True, 5, "photos 2"
