@@ -51,9 +51,10 @@ def adjust(model: Any, *, may_free: bool, expected: Mapping[int, float]) -> Adju
         may_free: Give the lenses two focal lengths and more coefficients (OPENCV) where the error
             is above `HIGH_ERROR`: photos that were scaled by other factors across than down need
             two, and one of them bends the whole model.
-        expected: Focal lengths in px by camera that are kept, without distortion, where the photos
-            fit as well with one as with another: where the camera only moves ahead, a longer lens
-            and a longer way look alike.
+        expected: Focal lengths in px by camera that are kept where the photos fit as well with one
+            as with another: where the camera only moves ahead, a longer lens and a longer way look
+            alike. How the lens bends is still found: with a focal length that is off, no bend at
+            all fits the photos worse (lund: 0.464 px instead of 0.459, and drafts lose 0.2 dB).
     """
     before = _error(model)
     freed = may_free and before > HIGH_ERROR
@@ -88,18 +89,18 @@ def _hold_untold(model: Any, expected: Mapping[int, float]) -> bool:
     trial = colmap().Reconstruction(model)
     for camera in trial.cameras.values():
         _set_focal(camera, _OTHER * camera.mean_focal_length())
-    _solve(trial, lens=False, steps=_TRIAL_STEPS)
+    _solve(trial, focal=False, bend=False, steps=_TRIAL_STEPS)
     if not _error(trial) < most:
         return False
     usual = colmap().Reconstruction(model)
     _expect(usual, expected)
-    _solve(usual, lens=False)
+    _solve(usual, focal=False, bend=False)
     if not _error(usual) < most:
         return False
     _expect(model, expected)
-    _solve(model, lens=False)
+    _solve(model, focal=False)
     _leave_out(model)
-    _solve(model, lens=False)
+    _solve(model, focal=False)
     return True
 
 
@@ -127,18 +128,19 @@ def _error(model: Any) -> float:
     return model.compute_mean_reprojection_error()
 
 
-def _solve(model: Any, *, lens: bool = True, steps: int = 0) -> None:
+def _solve(model: Any, *, focal: bool = True, bend: bool = True, steps: int = 0) -> None:
     """Bundle adjustment.
 
     Args:
         model: Changed in place.
-        lens: Focal lengths and coefficients too.
+        focal: Focal lengths too.
+        bend: Coefficients of distortion too.
         steps: At most; 0: as many as COLMAP takes.
     """
     p = colmap()
     options = p.BundleAdjustmentOptions(print_summary=False)
     options.ceres.loss_function_type = p.LossFunctionType.SOFT_L1
-    options.refine_focal_length = options.refine_extra_params = lens
+    options.refine_focal_length, options.refine_extra_params = focal, bend
     if steps:
         options.ceres.solver_options.max_num_iterations = steps
     # Not `bundle_adjustment`, which writes a heading whatever its log's level is.
