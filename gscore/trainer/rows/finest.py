@@ -7,9 +7,10 @@ that, since the rasterizer widens it to half a pixel; a picture taken from neare
 import math
 from collections.abc import Iterable
 
+import numpy as np
 import torch
 
-from ...raster.memory import empty, zeros
+from ...raster.memory import empty, ones, zeros
 from ...raster.request import Frustum
 from .model import Model
 
@@ -32,10 +33,10 @@ def sampling_rates(means: torch.Tensor, views: Iterable[Frustum]) -> torch.Tenso
     rates = zeros(len(means))
     if not len(means):
         return rates
-    places = torch.cat([means.T, torch.ones(1, len(means))])
+    places = torch.cat([means.T, ones(1, len(means))])
     found = empty(3, len(means))
     for view in views:
-        viewmat, K = torch.as_tensor(view.viewmat).float(), torch.as_tensor(view.K).float()
+        viewmat, K = (torch.from_numpy(np.asarray(m, np.float32)) for m in (view.viewmat, view.K))
         x, y, z = torch.mm(K @ viewmat[:3], places, out=found)
         inside = z > view.near
         for at, side in ((x, view.width), (y, view.height)):
@@ -57,5 +58,6 @@ def widen(model: Model, views: Iterable[Frustum], pixels: float) -> None:
     floor = math.log(pixels) - torch.log(rates)
     scales = model.params["scales"]
     # No photo, no limit: log 0 would be one of infinite size.
-    torch.maximum(scales, floor.where(rates > 0, floor.new_tensor(-math.inf))[:, None], out=scales)
+    floor.masked_fill_(rates == 0, -math.inf)
+    torch.maximum(scales, floor[:, None], out=scales)
     model.replace("scales", scales, *model.moments("scales"), grad=model.grads["scales"])
