@@ -355,6 +355,14 @@ class TrainConfig:
         range=Range(high=1, above=True),
         when="start_splats",
     )
+    region: Path | None = option(
+        None,
+        "Train only the splats of `start_splats` that lie in the box of this file; all others "
+        "stand still, are drawn, and come out bit for bit as they were. Photos that do not see "
+        "the box are left out; docs/region.md has the file.",
+        group="start",
+        metavar="FILE.json",
+    )
     init_opacity: float = option(
         0.0,
         "Opacity of the first splats; 0: 0.1, with mcmc 0.5.",
@@ -753,6 +761,10 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         check_options(self)
+        if self.region is not None and self.start_splats is None:
+            raise ConfigError(
+                "A region is a part of splats that are there: give them with --start-splats."
+            )
 
 
 _LONG = TrainConfig(steps_a_photo=80, stereo=Switch.AUTO)

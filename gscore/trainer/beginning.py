@@ -105,7 +105,7 @@ class Beginning:
         """Put trainer and session where the checkpoint has them, and let go of what was read.
 
         Raises:
-            ConfigError: the checkpoint's depth maps are not those of `trainer`.
+            ConfigError: the checkpoint's depth maps or its region are not those of `trainer`.
             FormatError: it states what no run writes.
             GsError: a damaged checkpoint cannot be set aside.
         """
@@ -114,6 +114,7 @@ class Beginning:
         if found is None:
             return
         checkpoint.check_same_depth(found, trainer)
+        checkpoint.check_same_region(found, trainer)
         with checkpoint.understood(found.path):
             trainer.restore(found.trainer, found.tensors)
             session.restore(found.session)
