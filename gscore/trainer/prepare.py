@@ -39,6 +39,8 @@ class Prepared:
     loaded: Loaded
     enough: str
     """A sentence on steps that are left out."""
+    region: str
+    """One on the part of the splats that is trained; empty: all are."""
     depth: DepthSetup
     stereo: StereoStart
     exposure: Exposure
@@ -133,7 +135,9 @@ def prepare(
             team=team,
             region=region,
         )
-    return Prepared(trainer, photos, loaded, enough, depth, added, exposure, placing)
+    return Prepared(
+        trainer, photos, loaded, enough, trainer.region_words, depth, added, exposure, placing
+    )
 
 
 @contextmanager

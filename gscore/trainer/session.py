@@ -72,8 +72,10 @@ class Session:
         placing: Placing | None = None,
         onlookers: Onlookers | None = None,
         enough: str = "",
+        region: str = "",
     ) -> None:
-        """`enough`: a sentence on steps that are left out."""
+        """`enough`: a sentence on steps that are left out; `region`: one on the part of the splats
+        that is trained."""
         self._trainer = trainer
         self._config = trainer.config
         self._folder = folder
@@ -88,6 +90,7 @@ class Session:
         self._placing = placing or Placing()
         self._onlookers = onlookers or Onlookers()
         self._enough = enough
+        self._region = region
         pace = machine_pace(self._config.threads)
         budget = self._config.time_budget or math.inf
         self._meter = Meter(trainer.plan, splats=trainer.splat_count, pace=pace, budget=budget)
@@ -219,7 +222,9 @@ class Session:
                 poses=self._placing.why,
                 viewer=self._onlookers.why,
                 enough=self._enough,
-                mask_mode=photos.mask_mode,
+                # The masks of a region are made as it goes, and its own sentence says so.
+                mask_mode="none" if self._region else photos.mask_mode,
+                region=self._region,
                 config={"data": to_dict(self._data), "train": to_dict(self._config)},
             )
         )

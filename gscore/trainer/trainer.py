@@ -18,7 +18,7 @@ from ..raster.painter import Picture
 from ..raster.request import Frustum, Settings
 from ..scene import Cameras, PointCloud
 from ..splats import Splats, joined
-from ..words import count_words
+from ..words import count_words, number
 from .depth.loss import DepthLoss
 from .depth.regularisers import drop_rate_at, drop_splats, opacity_loss
 from .depth.targets import DepthTargets
@@ -237,6 +237,14 @@ class Trainer:
     @property
     def _standing(self) -> int:
         return 0 if self.still is None else len(self.still)
+
+    @property
+    def region_words(self) -> str:
+        """A sentence on the part of the splats that is trained; empty: all are."""
+        if self.region is None:
+            return ""
+        count = count_words(len(self.model), "splat")
+        return f"{count} in the region; {number(self._standing)} around it stand still."
 
     def plan_of(self, iterations: int) -> Plan:
         """The plan of a run of this length; costs next to nothing."""
