@@ -113,4 +113,5 @@ from gscore.frontend import (
     target_size,
     write_cameras,
     write_colmap,
+    write_region,
 )

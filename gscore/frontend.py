@@ -70,6 +70,7 @@ if TYPE_CHECKING:
     from .io.pictures.resample import downscale
     from .io.ply.splats import MIP_COMMENT
     from .io.poses_json import POSES_FILE, read_moves
+    from .io.region_file import write_region
     from .io.runs import RunInfo, clear_run, read_losses, read_run
     from .io.sequences import SequenceIndex, read_sequence
     from .lod.build import LodFacts, build_lod
@@ -184,6 +185,7 @@ _HOME = {
     "target_size": "datasets.resolution",
     "write_cameras": "io.cameras_json",
     "write_colmap": "io.colmap.folder:write_model",
+    "write_region": "io.region_file",
 }
 """Where a name lives; `module:name` where it is called differently there."""
 
@@ -285,6 +287,7 @@ __all__ = [
     "target_size",
     "write_cameras",
     "write_colmap",
+    "write_region",
 ]
 
 

@@ -1,6 +1,5 @@
 """The model as raw numpy arrays: exactly what a 3DGS PLY and a checkpoint store."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -84,12 +83,6 @@ class Splats:
     def subset(self, index: np.ndarray) -> "Splats":
         """The splats selected by a boolean mask [N] or an integer index."""
         return Splats(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
-
-
-def joined(parts: Sequence[Splats]) -> Splats:
-    """Models of one SH degree, at least one, one after the other."""
-    arrays = {name: [getattr(part, name) for part in parts] for name in PARAMETERS}
-    return Splats(**{name: np.concatenate(found) for name, found in arrays.items()})
 
 
 def cut_degree(splats: Splats, degree: int) -> Splats:

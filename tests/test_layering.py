@@ -142,12 +142,13 @@ ROOMS = {
     "job": _OBJECTS | {"python"},
     "search": _OBJECTS | {"python", "job"},
     "depth": _OBJECTS | {"python", "job"},
+    "steer": _OBJECTS | {"job"},
     "timeline": _OBJECTS | {"job"},
     "sequence": _OBJECTS | {"job"},
     "render": _OBJECTS | {"timeline"},
     "live": _OBJECTS | {"render"},
     "panels": _OBJECTS
-    | {"python", "job", "search", "depth", "timeline", "sequence", "render", "live"},
+    | {"python", "job", "search", "depth", "steer", "timeline", "sequence", "render", "live"},
 }
 """What each room of the add-on, or file beside them, may import besides itself."""
 WITHOUT_BPY = (
@@ -180,6 +181,8 @@ WITHOUT_BPY = (
     "sequence.registry",
     "splats.filters",
     "splats.live",
+    "steer.job",
+    "steer.registry",
     "timeline.frames",
     "timeline.library",
 )

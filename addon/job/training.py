@@ -51,7 +51,7 @@ def train(
     source = capture_folder(scene)
     output = output_folder(scene, preferences.get().output_folder)
     _check_free(output)
-    found = _check_capture(scene)
+    found = check_capture(scene)
     before = earlier.look(output, source)
     if before is not None and before.foreign:
         raise ValueError(before.foreign_words)
@@ -220,7 +220,8 @@ def _chosen_capture(scene: bpy.types.Scene) -> Path | None:
     return absolute(text, "Capture") if text.strip() else None
 
 
-def _check_capture(scene: bpy.types.Scene) -> ShownFacts:
+def check_capture(scene: bpy.types.Scene) -> ShownFacts:
+    """What the scene's capture holds; ValueError unless it can be trained."""
     found, problem = facts.capture(scene)
     if found is None or not found.can_train:
         found, problem = facts.look_again(scene)  # it may have been mended

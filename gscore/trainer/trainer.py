@@ -11,13 +11,14 @@ import torch
 
 from ..config import Background, Skip, TrainConfig
 from ..errors import DatasetError, GsError
+from ..formats.joined import joined
 from ..raster.header import OUT_INVERSE_DEPTH
 from ..raster.loss import image_loss_gradient
 from ..raster.memory import empty, zeros
 from ..raster.painter import Picture
 from ..raster.request import Frustum, Settings
 from ..scene import Cameras, PointCloud
-from ..splats import Splats, joined
+from ..splats import Splats
 from ..words import count_words, number
 from .depth.loss import DepthLoss
 from .depth.regularisers import drop_rate_at, drop_splats, opacity_loss
@@ -578,8 +579,7 @@ class Trainer:
         """`trained` splats after those that stand still, COLMAP world."""
         if self.still is None:
             return trained
-        (still,) = self.still.parts(len(self.still), trained.sh_degree)
-        return joined([still, trained])
+        return joined([self.still.world, trained])
 
     def _in_world(self, params: dict[str, torch.Tensor]) -> Splats:
         return self.frame.similarity.splats_from_training(splats_of_tensors(params))
