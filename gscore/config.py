@@ -359,7 +359,7 @@ class TrainConfig:
         None,
         "Train only the splats of `start_splats` that lie in the box of this file; all others "
         "stand still, are drawn, and come out bit for bit as they were. Photos that do not see "
-        "the box are left out; docs/region.md has the file.",
+        "the box are left out; docs/steer.md has the file.",
         group="start",
         metavar="FILE.json",
     )
@@ -761,10 +761,6 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         check_options(self)
-        if self.region is not None and self.start_splats is None:
-            raise ConfigError(
-                "A region is a part of splats that are there: give them with --start-splats."
-            )
 
 
 _LONG = TrainConfig(steps_a_photo=80, stereo=Switch.AUTO)

@@ -260,11 +260,11 @@ def test_a_region_is_read_as_it_was_written(tmp_path: Path) -> None:
 
 
 def test_what_cannot_be_a_region_run_is_refused(
-    known_splats: Splats, photos: Any, tmp_path: Path
+    known_splats: Splats, photos: Any, capture: Path, tmp_path: Path
 ) -> None:
     """Oracle: what is wrong with each: nothing to start from, nothing in the box, SH to cut."""
     with pytest.raises(ConfigError, match="--start-splats"):
-        TrainConfig(region=tmp_path / "r")
+        train(TrainConfig(region=tmp_path / "r"), DataConfig(source=capture), tmp_path / "out")
     config = replace(CONFIG, start_splats=tmp_path / "a.ply", region=tmp_path / "r")
     away = TURNED.copy()
     away[:3, 3] = 50
