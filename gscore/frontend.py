@@ -66,6 +66,7 @@ if TYPE_CHECKING:
     from .io.colmap.model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
     from .io.files import atomic_write
     from .io.lod_file import LOD_ENDING, is_lod_file
+    from .io.pictures.gray_png import gray_png
     from .io.pictures.image_header import ImageInfo, read_header
     from .io.pictures.resample import downscale
     from .io.ply.splats import MIP_COMMENT
@@ -155,6 +156,7 @@ _HOME = {
     "find_colmap": "io.colmap.folder:find_model",
     "find_frames": "datasets.frames",
     "from_line": "events",
+    "gray_png": "io.pictures.gray_png",
     "importance_of": "edit",
     "in_unit_shape": "edit",
     "inspect_capture": "inspection:inspect",
@@ -257,6 +259,7 @@ __all__ = [
     "find_colmap",
     "find_frames",
     "from_line",
+    "gray_png",
     "importance_of",
     "in_unit_shape",
     "inspect_capture",

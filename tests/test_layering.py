@@ -142,7 +142,7 @@ ROOMS = {
     "job": _OBJECTS | {"python"},
     "search": _OBJECTS | {"python", "job"},
     "depth": _OBJECTS | {"python", "job"},
-    "steer": _OBJECTS | {"job"},
+    "steer": _OBJECTS | {"job", "render"},
     "timeline": _OBJECTS | {"job"},
     "sequence": _OBJECTS | {"job"},
     "render": _OBJECTS | {"timeline"},

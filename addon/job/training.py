@@ -18,6 +18,8 @@ from .job import Job
 from .launch import launch
 
 _BEAT = 0.02
+UNSAVED: list[Callable[[Path], list[str]]] = []
+"""Each says in sentences what of a capture is not saved yet, which a training would not see."""
 
 
 def job_of(scene: bpy.types.Scene) -> Job | None:
@@ -96,6 +98,16 @@ def replaced(scene: bpy.types.Scene) -> list[str]:
         count = len(ob.data.vertices)
         lines.append(f"Its object {ob.name} with {count:,} splats is replaced too.")
     return lines
+
+
+def unsaved(scene: bpy.types.Scene) -> list[str]:
+    """What of the scene's capture a training would not see, because it is not saved.
+
+    Raises:
+        ValueError: no capture is chosen, or it is not there.
+    """
+    source = capture_folder(scene)
+    return [line for told in UNSAVED for line in told(source)]
 
 
 def resume(scene: bpy.types.Scene, *, wait: bool = False, python: str | Path | None = None) -> Job:
