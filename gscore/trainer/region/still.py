@@ -109,7 +109,7 @@ class PainterAround(Painter):
         self, splats: Sequence[Tensor], view: Frustum, settings: Settings | None = None
     ) -> Picture:
         """As `Painter.draw`, with those that stand still."""
-        named = dict(zip(PARAMETERS, splats, strict=True))
+        named: dict[str, Tensor] = dict(zip(PARAMETERS, splats, strict=True))
         return super().draw(tuple(self._still.before(named).values()), view, settings)
 
     @property
