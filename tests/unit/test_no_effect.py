@@ -14,4 +14,72 @@ mask_mode resolution frame rig eval iterations time_budget target_psnr early_sto
 block strategy sh_degree seed threads cache_mb background antialias without near start_splats lpips
 checkpoint_seconds preview_seconds snapshot_every watchdog detect_anomaly means_lr
 means_lr_final sh0_lr opacities_lr scales_lr quats_lr lr_boost lr_final ssim_weight drop_rate
- region
+alpha_weight steps_a_photo refine_start refine_stop refine_every prune_opacity finest prune_share
+free_space quiet events exposure refine_poses no_sfm json disable_viewer set region
+"""
+"""Options that do something in every run, or whose effect the capture decides."""
+REFUSED = frozenset(name.lstrip("-").replace("-", "_") for name in names_3dgs.REFUSED)
+
+
+def told(line: str) -> str:
+    """The sentence for a command line."""
+    parser = argparse.ArgumentParser()
+    train.add_arguments(parser)
+    args = parser.parse_args(f"in -o out {line}".split())
+    given = argparse.Namespace(**vars(args))
+    return idle_options(given, *train.configs(args))
+
+
+def test_no_option_is_forgotten() -> None:
+    """Oracle: the parser; who adds an option says here or in the table whether it can be idle."""
+    parser = argparse.ArgumentParser()
+    train.add_arguments(parser)
+    names = {action.dest for action in parser._actions}
+    always = set(ALWAYS.split())
+    assert names == always | REFUSED | RULES.keys()
+    assert not always & RULES.keys()
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("--ip 127.0.0.1", "--ip (only with --port"),
+        ("--ip 127.0.0.1 --port 6009", ""),
+        ("--port 6009 --disable-viewer", "--port (--disable-viewer)"),
+        ("--debug-from -1", "--debug-from (there are no debug dumps)"),
+        ("--mcmc-noise 1 --scale-reg 0", "--mcmc-noise, --scale-reg (--strategy mcmc alone"),
+        ("--strategy mcmc --grow-grad 1", "--grow-grad (not used by --strategy mcmc)"),
+        ("--strategy mcmc --no-grow-with-photos", ""),
+        ("--depth-weight 1", "--depth-weight (depth supervises only with --depths"),
+        ("-d maps --depth-mode off", "--depths (--depth-mode off)"),
+        ("--depth-mode on", "--depth-mode (there are no depth maps"),
+        ("-d maps --depth-mode on --depth-weight 1", ""),
+        ("--sh-degree 0 --shN-lr 0.1", "--shN-lr (--sh-degree 0"),
+        ("--start-opacity 0.5", "--start-opacity (of --start-splats alone)"),
+        ("--start-splats a.ply --init-scale 2", "--init-scale (--start-splats are"),
+        ("--no-eval --test-every 5", "--test-every (--no-eval holds no views out)"),
+        ("--no-eval --hold-out 5", "--hold-out (--no-eval holds no views out)"),
+        ("--set mcmc_noise=1", "--mcmc-noise (--strategy mcmc alone"),
+        ("--iterations 10 --save-iterations 20 30", "--save-iterations (all after the last step)"),
+        ("--iterations 10 --save-iterations 5 30", ""),
+        ("--masks m --invert-masks --mask-mode none", "--masks, --invert-masks (--mask-mode none)"),
+        ("--mask-mode composite --hidden-share 0.1", "--hidden-share (only where masks hide"),
+        ("--hidden-share 0.1", ""),
+        ("-w --background black", "--white-background (--background says otherwise)"),
+        ("-w", ""),
+        ("--refine-poses off --pose-stop 1", "--pose-stop (--refine-poses off)"),
+        ("--exposure off --exposure-lr 1", "--exposure-lr (--exposure off)"),
+        ("--exposure off --train-test-exp", "--train-test-exp (--exposure says otherwise)"),
+        ("--train-test-exp --exposure-lr-init 1", ""),
+        ("--feature-lr 1", ""),
+        ("--feature-lr 1 --sh0-lr 1 --shN-lr 1", "--feature-lr (--sh0-lr and --shN-lr are given)"),
+        ("--without small-photos --coarse-until 0.1", "--coarse-until (--without small-photos)"),
+        ("--iterations 100 --seed 3 --max-splats 7", ""),
+    ],
+)
+def test_what_is_idle_is_told_with_the_reason(line: str, words: str) -> None:
+    """Oracle: one sentence, or none."""
+    found = told(line)
+    assert words in found
+    assert bool(found) == bool(words)
+    assert found.count("Without effect") == bool(words)
