@@ -113,6 +113,25 @@ def test_what_a_trainer_is_given(studio: bpy.types.Scene, tmp_path: Path, play: 
     assert "The region is trained" in drawn(RegionPanel)
 
 
+def test_undo_brings_the_earlier_splats_back(
+    studio: bpy.types.Scene, tmp_path: Path, play: Play
+) -> None:
+    """Oracle: the splats of the object before, after the training, after undo and after redo."""
+    write_splats(tmp_path / "a.ply", splats(50))
+    write_splats(tmp_path / "b.ply", splats(70, seed=1))
+    play({"say": STARTED}, {"say": done(40, "finished", str(tmp_path / "b.ply"))})
+    name = cropped(studio, tmp_path / "a.ply").name
+    before = positions(bpy.data.objects[name])
+    bpy.ops.ed.undo_push(message="start")
+    bpy.ops.gscore.train_region(wait=True)
+    after = positions(bpy.data.objects[name])
+    assert len(after) == 70
+    bpy.ops.ed.undo()
+    assert np.array_equal(positions(bpy.data.objects[name]), before)
+    bpy.ops.ed.redo()
+    assert np.array_equal(positions(bpy.data.objects[name]), after)
+
+
 def test_a_moved_object_stays_where_it_is_seen(
     studio: bpy.types.Scene, tmp_path: Path, play: Play
 ) -> None:

@@ -1,6 +1,7 @@
 """A part of a result trained again; oracles: bytes, an own drawing of the box, real photos."""
 
 import json
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -117,6 +118,29 @@ def test_a_region_goes_on_bit_by_bit(
     moved = Trainer(config, photos, start=known_splats, region=Box(TURNED @ np.diag([2, 1, 1, 1])))
     with pytest.raises(ConfigError, match="another region"):
         checkpoint.check_same_region(found, moved)
+
+
+def test_a_run_of_a_region_resumes_from_its_folder(
+    capture: Path, start: Path, region: Path, tmp_path: Path
+) -> None:
+    """Oracle: the bytes of the PLY of a run that did not stop; and of other splats around the
+    region, a refusal."""
+    config = replace(CONFIG, start_splats=start, region=region, checkpoint_iterations=(34,))
+    data = DataConfig(source=capture)
+    train(config, data, tmp_path / "whole")
+    shutil.copytree(tmp_path / "whole", tmp_path / "resumed")
+    (tmp_path / "resumed" / "point_cloud.ply").unlink()
+    for path in (tmp_path / "resumed" / "checkpoints").iterdir():
+        if "34" not in path.name:
+            path.unlink()
+    shutil.copytree(tmp_path / "resumed", tmp_path / "other")
+    train(config, data, tmp_path / "resumed", resume=True)
+    files = [tmp_path / name / "point_cloud.ply" for name in ("whole", "resumed")]
+    assert files[0].read_bytes() == files[1].read_bytes()
+    splats = read_splats(start)
+    write_splat_file(start, replace(splats, sh0=splats.sh0 + np.float32(0.5)))
+    with pytest.raises(ConfigError, match="other splats stood around it"):
+        train(config, data, tmp_path / "other", resume=True)
 
 
 def test_the_pixels_of_a_step_are_all_that_a_region_can_change(
