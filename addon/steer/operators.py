@@ -6,6 +6,7 @@ import bpy
 from bpy.props import BoolProperty
 
 from ..interface.operators import Acting
+from ..job import training
 from ..job.verb_job import FAILED
 from ..job.verb_operators import Cancelling
 from ..splats.objects import is_splats, meant
@@ -37,6 +38,7 @@ class TrainRegion(Acting, bpy.types.Operator):
 
     def act(self, context: bpy.types.Context) -> str:
         """Start."""
+        self.warn(training.unsaved(context.scene))
         job = work.train_region(context.scene, meant(context), wait=self.wait)
         if job.status == FAILED:
             raise ValueError(job.sentence)
