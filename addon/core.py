@@ -84,6 +84,7 @@ from gscore.frontend import (
     find_colmap,
     find_frames,
     from_line,
+    gray_png,
     importance_of,
     in_unit_shape,
     inspect_capture,
@@ -113,4 +114,5 @@ from gscore.frontend import (
     target_size,
     write_cameras,
     write_colmap,
+    write_region,
 )

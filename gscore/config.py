@@ -355,6 +355,14 @@ class TrainConfig:
         range=Range(high=1, above=True),
         when="start_splats",
     )
+    region: Path | None = option(
+        None,
+        "Train only the splats of `start_splats` that lie in the box of this file; all others "
+        "stand still, are drawn, and come out bit for bit as they were. Photos that do not see "
+        "the box are left out; docs/steer.md has the file.",
+        group="start",
+        metavar="FILE.json",
+    )
     init_opacity: float = option(
         0.0,
         "Opacity of the first splats; 0: 0.1, with mcmc 0.5.",

@@ -56,6 +56,8 @@ class Started(Event):
     """A sentence on steps that are left out because more do not help so few photos; empty: none."""
     mask_mode: str = "none"
     """What masks are for, where the capture has some: `composite`, `ignore` or `none`."""
+    region: str = ""
+    """A sentence on the part that is trained; empty: all is."""
     config: dict[str, Any] = field(default_factory=dict)
 
 

@@ -66,10 +66,12 @@ if TYPE_CHECKING:
     from .io.colmap.model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
     from .io.files import atomic_write
     from .io.lod_file import LOD_ENDING, is_lod_file
+    from .io.pictures.gray_png import gray_png
     from .io.pictures.image_header import ImageInfo, read_header
     from .io.pictures.resample import downscale
     from .io.ply.splats import MIP_COMMENT
     from .io.poses_json import POSES_FILE, read_moves
+    from .io.region_file import write_region
     from .io.runs import RunInfo, clear_run, read_losses, read_run
     from .io.sequences import SequenceIndex, read_sequence
     from .lod.build import LodFacts, build_lod
@@ -154,6 +156,7 @@ _HOME = {
     "find_colmap": "io.colmap.folder:find_model",
     "find_frames": "datasets.frames",
     "from_line": "events",
+    "gray_png": "io.pictures.gray_png",
     "importance_of": "edit",
     "in_unit_shape": "edit",
     "inspect_capture": "inspection:inspect",
@@ -184,6 +187,7 @@ _HOME = {
     "target_size": "datasets.resolution",
     "write_cameras": "io.cameras_json",
     "write_colmap": "io.colmap.folder:write_model",
+    "write_region": "io.region_file",
 }
 """Where a name lives; `module:name` where it is called differently there."""
 
@@ -255,6 +259,7 @@ __all__ = [
     "find_colmap",
     "find_frames",
     "from_line",
+    "gray_png",
     "importance_of",
     "in_unit_shape",
     "inspect_capture",
@@ -285,6 +290,7 @@ __all__ = [
     "target_size",
     "write_cameras",
     "write_colmap",
+    "write_region",
 ]
 
 

@@ -84,9 +84,11 @@ TRAINER = {
     "photos": {"estimate", "host", "rows", "schedule"},
     "ranks": {"rows"},
     "depth": {"host", "photos", "rows"},
+    "region": {"photos", "rows"},
     "strategy": {"host", "photos", "rows", "schedule"},
-    "views": {"photos", "rows"},
-    "trainer": {"depth", "host", "photos", "ranks", "rows", "schedule", "strategy", "views"},
+    "views": {"photos", "region", "rows"},
+    "trainer": {"depth", "host", "photos", "ranks", "region", "rows", "schedule", "strategy"}
+    | {"views"},
     "evaluation": {"trainer"},
     "premises": {"trainer"},
     "length": {"estimate", "evaluation", "rows", "schedule", "trainer"},
@@ -94,7 +96,7 @@ TRAINER = {
     "session": {"depth", "estimate", "evaluation", "files", "length", "ranks", "rows", "trainer"}
     | {"views"},
     "beginning": {"files", "photos", "rows", "session", "trainer"},
-    "prepare": {"depth", "photos", "ranks", "rows", "schedule", "trainer", "views"},
+    "prepare": {"depth", "photos", "ranks", "region", "rows", "schedule", "trainer", "views"},
     "follow": {"host", "prepare", "ranks", "rows", "trainer"},
     "run": {"beginning", "files", "host", "premises", "prepare", "ranks", "session"},
     "frames": {"files"},
@@ -140,12 +142,13 @@ ROOMS = {
     "job": _OBJECTS | {"python"},
     "search": _OBJECTS | {"python", "job"},
     "depth": _OBJECTS | {"python", "job"},
+    "steer": _OBJECTS | {"job", "render"},
     "timeline": _OBJECTS | {"job"},
     "sequence": _OBJECTS | {"job"},
     "render": _OBJECTS | {"timeline"},
     "live": _OBJECTS | {"render"},
     "panels": _OBJECTS
-    | {"python", "job", "search", "depth", "timeline", "sequence", "render", "live"},
+    | {"python", "job", "search", "depth", "steer", "timeline", "sequence", "render", "live"},
 }
 """What each room of the add-on, or file beside them, may import besides itself."""
 WITHOUT_BPY = (
@@ -178,6 +181,8 @@ WITHOUT_BPY = (
     "sequence.registry",
     "splats.filters",
     "splats.live",
+    "steer.job",
+    "steer.registry",
     "timeline.frames",
     "timeline.library",
 )

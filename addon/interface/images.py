@@ -7,6 +7,13 @@ def show_image(
     context: bpy.types.Context, image: bpy.types.Image, *, new_window: bool = False
 ) -> bool:
     """Show an image in an image editor, if one is open or a window may be opened for it."""
+    return editor_of(context, image, new_window=new_window) is not None
+
+
+def editor_of(
+    context: bpy.types.Context, image: bpy.types.Image, *, new_window: bool = False
+) -> bpy.types.SpaceImageEditor | None:
+    """The image editor that `show_image` shows an image in."""
     windows = context.window_manager.windows
     areas = (area for window in windows for area in window.screen.areas)
     area = next((a for a in areas if a.type == "IMAGE_EDITOR"), None)
@@ -15,6 +22,6 @@ def show_image(
         area = context.window_manager.windows[-1].screen.areas[0]
         area.type = "IMAGE_EDITOR"
     if area is None:
-        return False
+        return None
     area.spaces.active.image = image
-    return True
+    return area.spaces.active

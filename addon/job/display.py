@@ -23,7 +23,7 @@ from .job import Job
 from .loader import Loaded
 
 _FILLED = "gs_filled"
-"""Custom property of a result: its `_signature` as it came, to know whether it was edited."""
+"""Custom property of a result: its `signature` as it came, to know whether it was edited."""
 _FILLED_BY = "gs_job"
 """Custom property of a result: the id of the job that filled it last."""
 
@@ -165,10 +165,10 @@ def shown_object(holder: Any, output: Path, sources: Sequence[Path]) -> bpy.type
 
 def was_edited(ob: bpy.types.Object) -> bool:
     """Whether splats of a result were deleted, added or moved since they came."""
-    return ob.get(_FILLED, "") not in ("", _signature(ob))
+    return ob.get(_FILLED, "") not in ("", signature(ob))
 
 
-def _signature(ob: bpy.types.Object) -> str:
+def signature(ob: bpy.types.Object) -> str:
     """Tells whether splats were deleted, added or moved; 15 ms for a million."""
     positions = np.empty(3 * len(ob.data.vertices), np.float32)
     ob.data.attributes["position"].data.foreach_get("vector", positions)
@@ -219,7 +219,7 @@ def _update_splats(job: Job, place: Place) -> bool:
         before = place.holder.result
         ob = result_object(place, job, filling.loaded)
         replace(ob, mesh)
-        ob[_FILLED], ob[_FILLED_BY] = _signature(ob), job.id
+        ob[_FILLED], ob[_FILLED_BY] = signature(ob), job.id
         job.result_wanted = job.result_wanted and not filling.loaded.final
         if filling.loaded.final and (root := _root(place.scene, job.source)) is not None:
             note_moves(root, filling.loaded.moves)

@@ -68,11 +68,14 @@ class Train(Asking, OnScene, bpy.types.Operator):
     confirm = "Start Over"
 
     def question(self, context: bpy.types.Context) -> list[str]:
-        """Name what an earlier run loses."""
-        return training.replaced(context.scene) if self.overwrite else []
+        """Name what an earlier run loses, and what the training would not see."""
+        lines = training.replaced(context.scene) if self.overwrite else []
+        self.confirm = "Start Over" if lines else "Train Without"
+        return lines + training.unsaved(context.scene)
 
     def act(self, context: bpy.types.Context) -> str:
         """Start."""
+        self.warn(training.unsaved(context.scene))
         return _told(training.train(context.scene, overwrite=self.overwrite, wait=self.wait))
 
 

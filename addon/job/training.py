@@ -18,6 +18,8 @@ from .job import Job
 from .launch import launch
 
 _BEAT = 0.02
+UNSAVED: list[Callable[[Path], list[str]]] = []
+"""Each says in sentences what of a capture is not saved yet, which a training would not see."""
 
 
 def job_of(scene: bpy.types.Scene) -> Job | None:
@@ -51,7 +53,7 @@ def train(
     source = capture_folder(scene)
     output = output_folder(scene, preferences.get().output_folder)
     _check_free(output)
-    found = _check_capture(scene)
+    found = check_capture(scene)
     before = earlier.look(output, source)
     if before is not None and before.foreign:
         raise ValueError(before.foreign_words)
@@ -96,6 +98,16 @@ def replaced(scene: bpy.types.Scene) -> list[str]:
         count = len(ob.data.vertices)
         lines.append(f"Its object {ob.name} with {count:,} splats is replaced too.")
     return lines
+
+
+def unsaved(scene: bpy.types.Scene) -> list[str]:
+    """What of the scene's capture a training would not see, because it is not saved.
+
+    Raises:
+        ValueError: no capture is chosen, or it is not there.
+    """
+    source = capture_folder(scene)
+    return [line for told in UNSAVED for line in told(source)]
 
 
 def resume(scene: bpy.types.Scene, *, wait: bool = False, python: str | Path | None = None) -> Job:
@@ -220,7 +232,8 @@ def _chosen_capture(scene: bpy.types.Scene) -> Path | None:
     return absolute(text, "Capture") if text.strip() else None
 
 
-def _check_capture(scene: bpy.types.Scene) -> ShownFacts:
+def check_capture(scene: bpy.types.Scene) -> ShownFacts:
+    """What the scene's capture holds; ValueError unless it can be trained."""
     found, problem = facts.capture(scene)
     if found is None or not found.can_train:
         found, problem = facts.look_again(scene)  # it may have been mended

@@ -9,6 +9,7 @@ from . import (
     render,
     result,
     sequence,
+    steer,
     train,
     train_sequence,
 )
@@ -23,5 +24,6 @@ CLASSES = (
     *result.CLASSES,
     *sequence.CLASSES,
     *edit.CLASSES,
+    *steer.CLASSES,
     *render.CLASSES,
 )

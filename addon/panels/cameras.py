@@ -6,6 +6,7 @@ import bpy
 
 from ..cameras.objects import cameras_of, points_of
 from ..cameras.photos import changeable
+from ..steer import masks
 from .widgets import TabPanel, found, root, rows, sentence
 
 
@@ -47,8 +48,26 @@ class CamerasPanel(TabPanel, bpy.types.Panel):
         opacity = row.row(align=True)
         opacity.enabled = photos.shown
         opacity.prop(photos, "opacity")
+        draw_mask(layout, context, camera if camera in cameras else None)
         if camera is not None and camera not in cameras:
             sentence(layout, context, "The scene camera is not one of the capture's.")
+
+
+def draw_mask(
+    layout: bpy.types.UILayout, context: bpy.types.Context, camera: bpy.types.Object | None
+) -> None:
+    """The button that paints a mask on the camera's photo, and what is painted and not saved."""
+    row = layout.row(align=True)
+    row.enabled = camera is not None
+    row.operator("gscore.paint_mask", icon="BRUSH_DATA").camera = (
+        "" if camera is None else camera.name
+    )
+    waiting = masks.unsaved_of(root(context))
+    for image in waiting:
+        row = layout.row(align=True)
+        row.label(text=masks.photo_name(image), icon="IMAGE_ALPHA")
+        row.operator("gscore.save_mask", text="Save").image = image.name
+        row.operator("gscore.discard_mask", text="", icon="X").image = image.name
 
 
 class AlignmentPanel(TabPanel, bpy.types.Panel):

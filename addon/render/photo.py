@@ -49,23 +49,23 @@ def load_target(
         ValueError: photo or mask cannot be decoded or have other shapes than the camera.
     """
     own = stated(camera)
-    rgba = _read(own.photo, own)
+    rgba = read_picture(own.photo, own)
     if width > rgba.shape[1] or height > rgba.shape[0]:
         raise ValueError(
             f"The photo {own.photo} has {rgba.shape[1]} x {rgba.shape[0]} pixels, {width} x "
             f"{height} are asked for: lower the scene's resolution percentage."
         )
-    place = None if mask_mode == "none" else _mask_folder(camera)
+    place = None if mask_mode == "none" else mask_folder(camera)
     file = None if place is None else Folder(place).find_mask(own.image)
     opacity, mode = rgba[..., 3], mask_mode
     if file is not None:
-        mask = _read(str(file), own)
+        mask = read_picture(str(file), own)
         if mask.shape != rgba.shape:
             raise ValueError(
                 f"The mask {file} is {mask.shape[1]} x {mask.shape[0]} pixels, its photo "
                 f"{rgba.shape[1]} x {rgba.shape[0]}: make them the same."
             )
-        opacity = _kept(mask, invert_masks)
+        opacity = kept_of(mask, invert_masks)
         if mask_mode == "auto":
             mode = "composite" if _cut_out(camera, invert_masks) else "ignore"
     elif mask_mode == "auto":
@@ -80,7 +80,7 @@ def load_target(
     return Target(pixels=pixels, weight=weight if ignores else None)
 
 
-def _kept(mask: np.ndarray, inverted: bool) -> np.ndarray:
+def kept_of(mask: np.ndarray, inverted: bool) -> np.ndarray:
     """[H, W] of a mask [H, W, 4], 1 = keep."""
     opacity = mask[..., 3] if mask[..., 3].min() < 1 else mask[..., :3].max(axis=2)
     opacity = _yes_or_no(opacity)
@@ -90,7 +90,7 @@ def _kept(mask: np.ndarray, inverted: bool) -> np.ndarray:
 def _cut_out(camera: bpy.types.Object, inverted: bool) -> bool:
     """Whether the masks of a camera's capture cut a subject out, as training sees that."""
     root = root_of(camera)
-    place = _mask_folder(camera)
+    place = mask_folder(camera)
     if root is None or place is None:
         return False
     folder = Folder(place)
@@ -99,7 +99,7 @@ def _cut_out(camera: bpy.types.Object, inverted: bool) -> bool:
 
     def levels(i: int) -> np.ndarray:
         file, one = masks[i]
-        return (_kept(_read(str(file), one), inverted) * 255 + 0.5).astype(np.uint8)
+        return (kept_of(read_picture(str(file), one), inverted) * 255 + 0.5).astype(np.uint8)
 
     return are_mattes(len(masks), levels)
 
@@ -112,13 +112,19 @@ def _yes_or_no(opacity: np.ndarray) -> np.ndarray:
     return (opacity > 0).astype(np.float32)
 
 
-def _mask_folder(camera: bpy.types.Object) -> Path | None:
+def mask_folder(camera: bpy.types.Object) -> Path | None:
+    """The folder of masks of a camera's capture, if it is there."""
+    place = mask_place(camera)
+    return place if place is not None and place.is_dir() else None
+
+
+def mask_place(camera: bpy.types.Object) -> Path | None:
+    """Where masks of a camera's capture belong; None: the camera is of none."""
     root = root_of(camera)
     if root is None:
         return None
     source = Path(stored_paths.read(root, stored_paths.SOURCE))
-    place = (source.parent if source.is_file() else source) / MASKS
-    return place if place.is_dir() else None
+    return (source.parent if source.is_file() else source) / MASKS
 
 
 def _scaled(values: np.ndarray, width: int, height: int) -> np.ndarray:
@@ -127,7 +133,7 @@ def _scaled(values: np.ndarray, width: int, height: int) -> np.ndarray:
     return downscale(levels, width, height) / np.float32(255)
 
 
-def _read(path: str, own: PhotoCamera) -> np.ndarray:
+def read_picture(path: str, own: PhotoCamera) -> np.ndarray:
     """A picture file as [H, W, 4] float32, straight alpha, sRGB values, the top row first.
 
     Raises:

@@ -184,7 +184,7 @@ def train_measured(
                     Point(
                         step=step,
                         seconds=seconds,
-                        splats=len(trainer.model),
+                        splats=trainer.splat_count,
                         psnr=found[0],
                         ssim=found[1],
                     )

@@ -41,7 +41,8 @@ class Beginning:
             start_checkpoint: Go on from this one, of another folder.
 
         Raises:
-            ConfigError: both are asked for, or a file that was named is not there.
+            ConfigError: both are asked for, a file that was named is not there, or a region is to
+                be trained of no splats.
             FormatError: the checkpoint that was named, each one in the folder, or the file of
                 splats is damaged.
         """
@@ -57,6 +58,10 @@ class Beginning:
         """How the run ended if it has nothing left to do."""
         self.splats: Splats | None = None
         """Given splats in COLMAP world, until `go_on`."""
+        if config.region is not None and config.start_splats is None:
+            raise ConfigError(
+                "A region is a part of splats that are there: give them with --start-splats."
+            )
         if config.start_splats is not None and self.ended is None:
             self.splats = read_splats(config.start_splats)
 
@@ -105,7 +110,7 @@ class Beginning:
         """Put trainer and session where the checkpoint has them, and let go of what was read.
 
         Raises:
-            ConfigError: the checkpoint's depth maps are not those of `trainer`.
+            ConfigError: the checkpoint's depth maps or its region are not those of `trainer`.
             FormatError: it states what no run writes.
             GsError: a damaged checkpoint cannot be set aside.
         """
@@ -114,6 +119,7 @@ class Beginning:
         if found is None:
             return
         checkpoint.check_same_depth(found, trainer)
+        checkpoint.check_same_region(found, trainer)
         with checkpoint.understood(found.path):
             trainer.restore(found.trainer, found.tensors)
             session.restore(found.session)

@@ -63,7 +63,7 @@ def _unseen(trainer: Trainer) -> Iterator[str]:
     if len(empty) == len(looked_at) and not any(map(trainer.sight.shows_splats, views)):
         raise DatasetError(
             f"None of the {number(len(views))} training views shows any of the "
-            f"{count_words(len(trainer.model), 'splat')} "
+            f"{count_words(trainer.splat_count, 'splat')} "
             "to start with, so nothing can be learnt. Do the cameras and the points, or the PLY of "
             "--start-splats, belong to one capture?"
         )

@@ -12,7 +12,7 @@ from ..control import Control
 from ..datasets import load_dataset
 from ..datasets.dataset import Dataset
 from ..depth.maps import MapFolder
-from ..errors import BackendError
+from ..errors import BackendError, ConfigError
 from ..events import Event
 from ..splats import Splats
 from .depth.setup import DepthSetup, prepare_depth
@@ -20,6 +20,8 @@ from .depth.stereo import StereoStart, stereo_start
 from .photos.loading import Loaded, load_photos, progress_of
 from .ranks.agree import crc_of
 from .ranks.team import Team
+from .region.box import Box
+from .region.photos import RegionPhotos
 from .rows.frame import Frame
 from .schedule.enough import enough_steps
 from .trainer import Trainer
@@ -37,6 +39,8 @@ class Prepared:
     loaded: Loaded
     enough: str
     """A sentence on steps that are left out."""
+    region: str
+    """One on the part of the splats that is trained; empty: all are."""
     depth: DepthSetup
     stereo: StereoStart
     exposure: Exposure
@@ -84,7 +88,14 @@ def prepare(
         GsError: the capture or the maps cannot be used, or memory is too small.
         Cancelled: `control` said so.
     """
+    region = None if config.region is None else Box.read(config.region)
+    if region is not None and team is not None:
+        raise ConfigError(
+            "A region is trained by one process: start gscore train without torchrun."
+        )
     photos = load_dataset(data, cancelled=lambda: control.stopping)
+    if region is not None:
+        photos = RegionPhotos(photos, region, near=config.near)
     config, enough = enough_steps(
         config, photos=len(photos.train), mask_mode=photos.mask_mode, taken=taken
     )
@@ -122,8 +133,11 @@ def prepare(
             placing=placing,
             photo_cache=loaded.cache,
             team=team,
+            region=region,
         )
-    return Prepared(trainer, photos, loaded, enough, depth, added, exposure, placing)
+    return Prepared(
+        trainer, photos, loaded, enough, trainer.region_words, depth, added, exposure, placing
+    )
 
 
 @contextmanager

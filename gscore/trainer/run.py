@@ -94,6 +94,7 @@ def train(
                 placing=found.placing,
                 onlookers=onlookers,
                 enough=found.enough,
+                region=found.region,
             )
             beginning.go_on(found.trainer, session)
             notes = (*found.photos.warnings, *found.loaded.warnings, *look_over(found.trainer))

@@ -72,8 +72,10 @@ class Session:
         placing: Placing | None = None,
         onlookers: Onlookers | None = None,
         enough: str = "",
+        region: str = "",
     ) -> None:
-        """`enough`: a sentence on steps that are left out."""
+        """`enough`: a sentence on steps that are left out; `region`: one on the part of the splats
+        that is trained."""
         self._trainer = trainer
         self._config = trainer.config
         self._folder = folder
@@ -88,9 +90,10 @@ class Session:
         self._placing = placing or Placing()
         self._onlookers = onlookers or Onlookers()
         self._enough = enough
+        self._region = region
         pace = machine_pace(self._config.threads)
         budget = self._config.time_budget or math.inf
-        self._meter = Meter(trainer.plan, splats=len(trainer.model), pace=pace, budget=budget)
+        self._meter = Meter(trainer.plan, splats=trainer.splat_count, pace=pace, budget=budget)
         self._steering = Steering(trainer, self._meter, self._evaluator)
         self._watchdog = Watchdog(trainer.plan)
         self._evals: list[dict[str, Any]] = []
@@ -143,7 +146,7 @@ class Session:
                 step=trainer.steps,
                 loss=result.loss,
                 mse=result.mse,
-                splats=len(trainer.model),
+                splats=trainer.splat_count,
                 seconds=time.perf_counter() - began,
                 photos=max(trainer.steps - before, 1),
                 photo_factor=trainer.photo_factor,
@@ -208,7 +211,7 @@ class Session:
                 step=self._trainer.steps,
                 train_views=len(photos.train),
                 test_views=len(photos.test),
-                splats=len(self._trainer.model),
+                splats=self._trainer.splat_count,
                 width=int(cameras.widths.max()),
                 height=int(cameras.heights.max()),
                 isa=backend.isa(),
@@ -219,7 +222,9 @@ class Session:
                 poses=self._placing.why,
                 viewer=self._onlookers.why,
                 enough=self._enough,
-                mask_mode=photos.mask_mode,
+                # The masks of a region are made as it goes, and its own sentence says so.
+                mask_mode="none" if self._region else photos.mask_mode,
+                region=self._region,
                 config={"data": to_dict(self._data), "train": to_dict(self._config)},
             )
         )
@@ -280,7 +285,7 @@ class Session:
         found = checkpoint.load(self._folder.checkpoint(back))
         trainer.restore(found.trainer, found.tensors)
         trainer.rate_factor = self._watchdog.rate_factor
-        self._meter.rewind(back, splats=len(trainer.model))
+        self._meter.rewind(back, splats=trainer.splat_count)
         self._steering.restore(found.session.get("steering"))
         self._evals = [entry for entry in self._evals if entry["step"] <= back]
         # Those of the way that led astray must not be what a resume finds.
@@ -298,7 +303,7 @@ class Session:
         if self._control.take_snapshot():
             path = self._results.write_snapshot()
             trainer = self._trainer
-            self._emit(Snapshot(step=trainer.steps, path=str(path), splats=len(trainer.model)))
+            self._emit(Snapshot(step=trainer.steps, path=str(path), splats=trainer.splat_count))
 
     def _between_steps(self) -> None:
         config, step, clock = self._config, self._trainer.steps, self._meter.train_seconds

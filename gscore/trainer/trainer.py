@@ -11,6 +11,7 @@ import torch
 
 from ..config import Background, Skip, TrainConfig
 from ..errors import DatasetError, GsError
+from ..formats.joined import joined
 from ..raster.header import OUT_INVERSE_DEPTH
 from ..raster.loss import image_loss_gradient
 from ..raster.memory import empty, zeros
@@ -18,7 +19,7 @@ from ..raster.painter import Picture
 from ..raster.request import Frustum, Settings
 from ..scene import Cameras, PointCloud
 from ..splats import Splats
-from ..words import count_words
+from ..words import count_words, number
 from .depth.loss import DepthLoss
 from .depth.regularisers import drop_rate_at, drop_splats, opacity_loss
 from .depth.targets import DepthTargets
@@ -31,6 +32,8 @@ from .ranks import losses, orders
 from .ranks.agree import crc_of
 from .ranks.gradients import BatchGradients, gathered_of
 from .ranks.team import Team
+from .region.box import Box
+from .region.still import Still, parted
 from .rows import bounds, finest, guard
 from .rows.frame import Frame
 from .rows.model import Model, Moments, ShN
@@ -127,17 +130,19 @@ class Trainer:
         placing: Placing | None = None,
         photo_cache: int | None = None,
         team: Team | None = None,
+        region: Box | None = None,
     ) -> None:
         """Start from `start` or from `points`, in COLMAP world, or from the points of the capture.
 
         `depth` holds what to supervise depth with; `gains` how photos were exposed, which is
         learnt, None: they are taken as they are; `placing` where training cameras stand, None:
         where the capture has them; `photo_cache` is how many bytes of photos may be kept, None:
-        all; `team` are the processes that train together, each of which makes such a trainer.
+        all; `team` are the processes that train together, each of which makes such a trainer;
+        `region`, in COLMAP world, holds the splats of `start` that are trained, None: all are.
 
         Raises:
             DatasetError: nothing to train on.
-            ConfigError: `start` has more splats than the config allows.
+            ConfigError: `start` has more splats than the config allows, or none in `region`.
         """
         if not photos.train:
             raise DatasetError(
@@ -185,6 +190,12 @@ class Trainer:
         self.learnt = Learnt(config, gains, learnt_poses(placing, photos.train, self.frame))
         """How photos were exposed and where they were taken, as far as that is learnt."""
         self._v_viewmat = zeros(4, 4)
+        self.region = None if region is None else region.in_training(self.frame.similarity)
+        """The box that trained splats may not leave, training world; None: they may be anywhere."""
+        self.still: Still | None = None
+        """What stands around them and is drawn with them; None: nothing does."""
+        if region is not None and start is not None:
+            start, self.still = parted(start, region, config, self.frame)
         first, free_space = self._first_splats(start, cloud, count, cameras)
         self.sight = Sight(
             config,
@@ -194,6 +205,7 @@ class Trainer:
             self.learnt,
             Model(tensors_from_splats(first)),
             cache=photo_cache,
+            still=self.still,
         )
         """The splats as cameras see them."""
         self._painter = self.sight.painter
@@ -217,6 +229,23 @@ class Trainer:
     def model(self) -> Model:
         """The splats with all that is kept for each of them."""
         return self.sight.model
+
+    @property
+    def splat_count(self) -> int:
+        """How many splats there are, with those that stand still."""
+        return len(self.model) + self._standing
+
+    @property
+    def _standing(self) -> int:
+        return 0 if self.still is None else len(self.still)
+
+    @property
+    def region_words(self) -> str:
+        """A sentence on the part of the splats that is trained; empty: all are."""
+        if self.region is None:
+            return ""
+        count = count_words(len(self.model), "splat")
+        return f"{count} in the region; {number(self._standing)} around it stand still."
 
     def plan_of(self, iterations: int) -> Plan:
         """The plan of a run of this length; costs next to nothing."""
@@ -410,12 +439,15 @@ class Trainer:
         return self.sight.error(chosen, self.plan.factor_at(self.steps + 1))
 
     def splats(self) -> Splats:
-        """The splats as they are now, in COLMAP world, with the SH degrees in use so far."""
+        """The splats as they are now, in COLMAP world, with the SH degrees in use so far; first
+        those that stand still."""
         settled = self.model.settled(threads=self.config.threads)
-        return self._in_world({name: p.clone() for name, p in settled.items()})
+        return self._whole(self._in_world({name: p.clone() for name, p in settled.items()}))
 
     def parts(self) -> Iterator[Splats]:
         """What `splats` gives, some rows at a time, which are only good until the next step."""
+        if self.still is not None:
+            yield from self.still.parts(_ROWS_A_PART, self.model.sh_degree)
         for at in range(0, len(self.model), _ROWS_A_PART):
             rows = slice(at, at + _ROWS_A_PART)
             yield self._in_world(self.model.settled_rows(rows, threads=self.config.threads))
@@ -431,7 +463,7 @@ class Trainer:
         self.make_room()
         self.model.settle(threads=self.config.threads)
         self.model.drop_moments()
-        return self._in_world(self.model.params)
+        return self._whole(self._in_world(self.model.params))
 
     def release(self) -> None:
         """Give back what `restore` will replace; until then nothing else may be asked for."""
@@ -542,6 +574,12 @@ class Trainer:
         if start is not None:
             return splats_to_go_on_with(start, config, self.frame), free_space
         return splats_of_cloud(cloud, near, config, self.plan, self.frame), free_space
+
+    def _whole(self, trained: Splats) -> Splats:
+        """`trained` splats after those that stand still, COLMAP world."""
+        if self.still is None:
+            return trained
+        return joined([self.still.world, trained])
 
     def _in_world(self, params: dict[str, torch.Tensor]) -> Splats:
         return self.frame.similarity.splats_from_training(splats_of_tensors(params))
@@ -709,9 +747,11 @@ class Trainer:
             model,
             step=step,
             means_lr=means_lr,
-            cap=self.plan.cap_for(self._factor),
+            cap=self.plan.cap_for(self._factor) - self._standing,
             generator=self.generator,
         )
+        if self.region is not None:
+            self.region.keep_inside(model.params["means"])
         return replace(change, removed=change.removed + removed), bad_rows
 
 

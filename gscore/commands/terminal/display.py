@@ -185,6 +185,8 @@ def _texts(event: Event) -> Iterator[str]:
                 f"{count_words(event.splats, 'splat')} to start with; "
                 f"{count_words(event.threads, 'thread')}, {event.isa}"
             )
+            if event.region:
+                yield event.region
             if sentence := _MASKS.get(event.mask_mode):
                 yield sentence
             said = (event.enough, event.stereo, event.depth, event.exposure, event.poses)

@@ -35,8 +35,8 @@ FREE = frozenset(name for name, one in options_of(TrainConfig).items() if one.fr
 """Options that may change when a run goes on."""
 _OFTEN_CHANGED = ("iterations", "time_budget", "target_psnr", "early_stop", "threads")
 """The most wanted of them, for messages."""
-_DEPTHS = "depths"
-"""Key of the depth maps in a checkpoint's capture."""
+_DEPTHS, _REGION = "depths", "region"
+"""Keys of the depth maps, and of a region and what stands around it, in a checkpoint's capture."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +75,9 @@ def save(path: Path, trainer: Trainer, session: dict[str, Any]) -> None:
         "torch": torch.__version__,
         "isa": backend.isa(),
         "config": to_dict(trainer.config),
-        "capture": fingerprint(trainer.photos) | depth_fingerprint(trainer),
+        "capture": fingerprint(trainer.photos)
+        | depth_fingerprint(trainer)
+        | region_fingerprint(trainer),
         "trainer": trainer.state(),
         "session": session,
     }
@@ -171,7 +173,11 @@ def check_compatible(
     """
     different = differences(checkpoint.config, config, ignore=FREE)
     now = fingerprint(photos)
-    unlike = [k for k, was in checkpoint.capture.items() if k != _DEPTHS and was != now.get(k)]
+    unlike = [
+        k
+        for k, was in checkpoint.capture.items()
+        if k not in (_DEPTHS, _REGION) and was != now.get(k)
+    ]
     if unlike:
         different += changed or [f"{key} of the capture are not the same" for key in unlike]
     if different:
@@ -215,6 +221,26 @@ def check_same_depth(checkpoint: Checkpoint, trainer: Trainer) -> None:
         f"{checkpoint.path} belongs to another run: it was trained {how}. Use the same --depths "
         "and depth options, or start anew in another folder."
     )
+
+
+def check_same_region(checkpoint: Checkpoint, trainer: Trainer) -> None:
+    """Raise ConfigError unless `trainer` trains the region that the checkpoint's did, among the
+    same splats."""
+    now = region_fingerprint(trainer).get(_REGION)
+    if checkpoint.capture.get(_REGION) != now:
+        raise ConfigError(
+            f"{checkpoint.path} belongs to another run: it trained another region, or other splats "
+            f"stood around it. Give back {trainer.config.region} and "
+            f"{trainer.config.start_splats} as they were, or start anew in another folder."
+        )
+
+
+def region_fingerprint(trainer: Trainer) -> dict[str, str]:
+    """Short hash of the region and of what stands around it; nothing where all is trained."""
+    if trainer.region is None:
+        return {}
+    around = "" if trainer.still is None else trainer.still.content_hash()
+    return {_REGION: trainer.region.content_hash() + around}
 
 
 def depth_fingerprint(trainer: Trainer) -> dict[str, str]:

@@ -69,7 +69,7 @@ class Results:
         write_splat_parts(
             path,
             trainer.parts(),
-            count=len(trainer.model),
+            count=trainer.splat_count,
             sh_degree=trainer.model.sh_degree,
             comments=comments,
         )
@@ -127,7 +127,7 @@ class Results:
             test_views=[names[i] for i in photos.test],
             mask_mode=photos.mask_mode,
             background=trainer.sight.background,
-            splats=len(trainer.model),
+            splats=trainer.splat_count,
             sh_degree=trainer.config.sh_degree,
             storage_bytes=folder.point_cloud.stat().st_size,
             isa=backend.isa(),

@@ -42,6 +42,11 @@ def plan_frames(
         output: Folder of the sequence.
         options: Which frames are keyframes, and what goes from one frame to the next.
     """
+    if config.region is not None:
+        raise ConfigError(
+            "A region is trained in one frame: give --region and --start-splats to gscore train, "
+            "not to gscore sequence."
+        )
     config = replace(config, steps_a_photo=0)  # frames take what was asked for
     keys = {run[0] for run in runs_of(len(frames), options)}
     found: list[PlannedFrame] = []

@@ -44,7 +44,7 @@ class Steering:
         if self._pace and self._pace.due(trainer.steps, meter.train_seconds):
             length = self._pace.length(
                 trainer.steps,
-                splats=len(trainer.model),
+                splats=trainer.splat_count,
                 elapsed=meter.train_seconds,
                 pace=meter.pace,
             )

@@ -37,11 +37,7 @@ def splats_to_go_on_with(start: Splats, config: TrainConfig, frame: Frame) -> Sp
     Raises:
         ConfigError: they are none, or more than `max_splats`.
     """
-    if not 0 < len(start) <= config.max_splats:
-        raise ConfigError(
-            f"The splats to start from are {number(len(start))}, expected 1 to max_splats = "
-            f"{number(config.max_splats)}; raise --max-splats or start from fewer."
-        )
+    check_number(start, config)
     start = cut_degree(start, config.sh_degree)
     start = replace(start, shN=np.ascontiguousarray(start.shN))
     if config.start_opacity < 1:
@@ -49,3 +45,12 @@ def splats_to_go_on_with(start: Splats, config: TrainConfig, frame: Frame) -> Sp
         logits = np.log(opacity) - np.log1p(-opacity)
         start = replace(start, opacities=logits.astype(np.float32))
     return frame.similarity.splats_to_training(start)
+
+
+def check_number(start: Splats, config: TrainConfig) -> None:
+    """Raise ConfigError unless given splats are some, and no more than `max_splats`."""
+    if not 0 < len(start) <= config.max_splats:
+        raise ConfigError(
+            f"The splats to start from are {number(len(start))}, expected 1 to max_splats = "
+            f"{number(config.max_splats)}; raise --max-splats or start from fewer."
+        )

@@ -17,6 +17,8 @@ from ...raster.request import Frustum, Settings
 from ...scene import Cameras
 from ..photos.pyramid import Pyramid, Sized, view_of
 from ..photos.views import Photos
+from ..region.narrow import narrowed
+from ..region.still import PainterAround, Still
 from ..rows.frame import Frame
 from ..rows.model import Model
 from .alignment import aligned
@@ -49,18 +51,20 @@ class Sight:
         model: Model,
         *,
         cache: int | None = None,
+        still: Still | None = None,
     ) -> None:
         """Look at `model` from `cameras`, those of `photos` in the training world.
 
         `learnt` says how photos were exposed and where cameras stand; `cache` is how many bytes of
-        photos may be kept, None: all.
+        photos may be kept, None: all; `still` stands around the model and is drawn with it.
         """
         self._config = config
         self._photos = photos
         self._frame = frame
         self._learnt = learnt
         self._pyramid = Pyramid(photos, cameras, near=frame.near, limit=cache)
-        self.painter = Painter()
+        self._still = still
+        self.painter = Painter() if still is None else PainterAround(still)
         """Draws the steps of the training too, so that both use the same memory."""
         self.model = model
         """What is looked at; another one may take its place."""
@@ -80,6 +84,8 @@ class Sight:
         `upcoming`: views that will be asked for next.
         """
         found = self._pyramid.at(index, factor, upcoming=upcoming)
+        if self._still is not None and self._photos.mask_mode == "ignore":
+            found = narrowed(found, self.model.params)
         return found._replace(view=self._learnt.from_its_place(found.view, index))
 
     def behind(self, background: _Color, gain: torch.Tensor | None) -> _Color:
@@ -102,8 +108,9 @@ class Sight:
         settings = Settings(
             antialias=config.antialias, threads=config.threads, background=background
         )
+        settled = self.model.settled(threads=config.threads)
         pose = aligned(
-            self.model.settled(threads=config.threads),
+            settled if self._still is None else self._still.before(settled),
             self.sized(index, factor),
             settings,
             mask_mode=self._photos.mask_mode,

@@ -63,6 +63,7 @@ CALLS: dict[str, dict[str, Any]] = {
     "compare_photo": {},
     "choose_video": {"filepath": "a.ply"},
     "fit_training": {},
+    "paint_mask": {},
 }
 """What operators are called with; names of files lie in the test's folder."""
 _OF_OVERRIDES = (
@@ -88,7 +89,8 @@ NOT_IN_THE_SCENE = {
     *("pause_training", "continue_training", "stop_training", "discard_training"),
     *("update_splats", "cancel_search", "cancel_depth", "show_depth_sheet"),
     *("show_report", "show_test_view", "check_trainer", "make_environment", "cancel_setup"),
-    *("train_sequence", "stop_sequence"),
+    *("train_sequence", "stop_sequence", "train_region", "stop_region"),
+    *("save_mask", "discard_mask", "mask_brush"),
 }
 """Operators that write files, or start, steer and show what runs beside Blender."""
 

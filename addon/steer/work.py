@@ -1,0 +1,168 @@
+"""The training of a region from scripts and operators: begin, and bring in what came out."""
+
+import itertools
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from .. import attributes, preferences
+from ..core import write_region
+from ..interface import undo
+from ..job import display, options, training
+from ..job.filling import Filling, replace
+from ..job.launch import follow, launch
+from ..paths import capture_folder, output_folder
+from ..process import beat
+from ..splats import files, objects
+from .job import RegionJob
+from .region import region_of
+from .registry import JOBS
+
+
+class _Asked:
+    """The scene's options of a training, but for those of a region's."""
+
+    def __init__(self, settings: Any, ob: bpy.types.Object, steps: int) -> None:
+        self._settings = settings
+        self.iterations = steps
+        self.time_budget = self.target_psnr = 0.0
+        self.early_stop = False
+        self.max_splats = max(settings.max_splats, 2 * len(ob.data.vertices))
+        degree = attributes.SH_COUNTS.index(attributes.sh_count(ob.data))
+        self.sh_degree = max(settings.sh_degree, degree)
+        self.antialias = bool(ob.get(objects.ANTIALIAS))
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._settings, name)
+
+
+def train_region(
+    scene: bpy.types.Scene,
+    ob: bpy.types.Object,
+    *,
+    wait: bool = False,
+    python: str | Path | None = None,
+) -> RegionJob:
+    """Train what lies in an object's crop box again, with all else standing still.
+
+    The object as it is, the box and all results go into a folder of their own beside the scene's
+    output folder, so that earlier runs stay.
+
+    Args:
+        scene: Its settings say how.
+        ob: A splat object with a crop object.
+        wait: Return when it has ended and its splats are there.
+        python: The Python that trains; None: as the preferences say.
+
+    Raises:
+        ValueError: something is missing or in the way; the message says what to do.
+        GsError: the folder cannot be written.
+    """
+    source = capture_folder(scene)
+    if (other := JOBS.of_source(source)) is not None and not (other.ended and not other.wanted):
+        raise ValueError(f"A region of {source} is being trained already; wait, or stop it.")
+    objects.check_writable(ob)
+    box = region_of(ob)
+    found = training.check_capture(scene)
+    output = _free(output_folder(scene, preferences.get().output_folder))
+    start, region = output / "start.ply", output / "region.json"
+    asked = _Asked(scene.gscore, ob, scene.gscore_steer.region_steps)
+    line = options.new_run(
+        asked,
+        source=source,
+        output=output,
+        machine=training.machine(),
+        depths=found.depths > 0,
+    )
+    line += ["--start-splats", str(start), "--region", str(region)]
+    files.export_splats([ob], start)
+    write_region(region, box)
+    known = {"source": source, "output": output, "object_uid": ob.session_uid}
+    before = display.signature(ob)
+    job = launch(lambda program: RegionJob(program, line, **known, before=before), python)
+    JOBS.add(job)
+    beat.ensure()
+    follow(lambda: wait and (not job.ended or job.wanted))
+    return job
+
+
+def job_of(scene: bpy.types.Scene) -> RegionJob | None:
+    """The last training of a region of the scene's capture, under way or ended."""
+    try:
+        return JOBS.of_source(capture_folder(scene))
+    except ValueError:
+        return None
+
+
+def bring_in(job: RegionJob) -> bool:
+    """Do the next step on the way of a result into the scene; whether there was one.
+
+    It takes the place of the splats that it began with, which undo brings back; where these were
+    edited or deleted meanwhile, it becomes an object of its own.
+    """
+    if not job.wanted or bpy.app.is_job_running("RENDER") or bpy.context.mode != "OBJECT":
+        return False
+    if job.filling is None:
+        loaded = job.loader.take()
+        if loaded is None:
+            return False
+        if loaded.problem:
+            job.wanted = False
+            job.warnings.append(loaded.problem)
+            return True
+        job.filling = Filling(loaded)
+    mesh = job.filling.step()
+    if mesh is None:
+        return True
+    job.filling, job.wanted = None, False
+    try:
+        _show(job, mesh)
+    except ValueError as error:
+        bpy.data.meshes.remove(mesh)
+        job.warnings.append(str(error))
+    undo.push("Train Region")
+    return True
+
+
+def _show(job: RegionJob, mesh: bpy.types.Mesh) -> None:
+    found = (ob for ob in bpy.data.objects if ob.session_uid == job.object_uid)
+    ob = next(filter(objects.is_splats, found), None)
+    if ob is None:
+        raise ValueError(f"The splats of the region are gone from the scene; {job.output} has all.")
+    if display.signature(ob) != job.before:
+        name = ob.name
+        ob = _beside(ob)
+        job.warnings.append(f"{name} was edited and is kept; the result is {ob.name}.")
+    moved = files.source_matrix_of_data(ob)
+    replace(ob, mesh)
+    if not np.array_equal(moved, np.eye(4)):
+        _stand_in_source(ob, moved)
+
+
+def _stand_in_source(ob: bpy.types.Object, moved: np.ndarray) -> None:
+    """Put an object where splats in its capture's world belong; before, `moved` took its own ones
+    there. Its crop box stays where it is."""
+    box = ob.gscore.crop_object
+    place = None if box is None else box.matrix_world.copy()
+    ob.matrix_world = ob.matrix_world @ Matrix(np.linalg.inv(moved).tolist())
+    bpy.context.view_layer.update()
+    if box is not None:
+        box.matrix_world = place
+
+
+def _beside(ob: bpy.types.Object) -> bpy.types.Object:
+    """A copy of an object, with a mesh of its own."""
+    copy = ob.copy()
+    copy.data = ob.data.copy()
+    for collection in ob.users_collection:
+        collection.objects.link(copy)
+    return copy
+
+
+def _free(beside: Path) -> Path:
+    """The first folder for a region's results that is not there."""
+    numbered = (beside.with_name(f"{beside.name}_region_{n}") for n in itertools.count(1))
+    return next(path for path in numbered if not path.exists())

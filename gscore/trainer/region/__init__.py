@@ -1,0 +1,1 @@
+"""Training a part of a result again while all else stands still."""

@@ -1,0 +1,52 @@
+"""A capture as far as it sees a region: its photos, and the pixels by which a region is judged."""
+
+from typing import Any
+
+import numpy as np
+
+from ...datasets import Dataset
+from ...errors import DatasetError
+from .box import Box
+
+
+class RegionPhotos(Dataset):
+    """The views that may see a box. Held-out ones are judged by the pixels that look at it."""
+
+    def __init__(self, whole: Dataset, box: Box, *, near: float) -> None:
+        """Keep the views of `whole` that may see `box`; `near` in world units.
+
+        Raises:
+            DatasetError: no training view does.
+        """
+        cameras = whole.scene.cameras
+
+        def seen(index: int) -> bool:
+            size = int(cameras.widths[index]), int(cameras.heights[index])
+            return box.may_be_seen(cameras.Ks[index], cameras.viewmats[index], *size, near)
+
+        super().__init__(
+            scene=whole.scene,
+            files=list(whole.files),
+            train=[i for i in whole.train if seen(i)],
+            test=[i for i in whole.test if seen(i)],
+            mask_mode="ignore" if whole.mask_mode == "none" else whole.mask_mode,
+            source=whole.source,
+        )
+        self._box = box
+        self._judged = frozenset(self.test)
+        if whole.train and not self.train:
+            raise DatasetError(
+                f"None of the {len(whole.train)} training photos looks at the region. Is it a box "
+                "in the world of the capture?"
+            )
+
+    def mask(self, index: int) -> np.ndarray | None:
+        """[H, W] uint8. Of a held-out view that is not cut out: only what looks at the box."""
+        own = super().mask(index)
+        if index not in self._judged or self.mask_mode != "ignore":
+            return own
+        cameras: Any = self.scene.cameras
+        size = int(cameras.widths[index]), int(cameras.heights[index])
+        inside = self._box.outline(cameras.Ks[index], cameras.viewmats[index], *size)
+        inside = inside.astype(np.uint8) * 255
+        return inside if own is None else np.minimum(own, inside)
