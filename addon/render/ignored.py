@@ -74,11 +74,6 @@ def _no_camera_type(shown: Shown) -> str:
     return kinds.get(getattr(data, "type", ""), "")
 
 
-def _depth_of_field(shown: Shown) -> str:
-    dof = getattr(getattr(shown.camera, "data", None), "dof", None)
-    return shown.camera.name if dof is not None and dof.use_dof else ""
-
-
 def _clip_end(shown: Shown) -> str:
     """The camera's name where splats lie beyond its far clipping plane."""
     camera = shown.camera
@@ -158,11 +153,6 @@ CHECKS = (
         "Splats are not rendered in stereo: turn off Stereoscopy in the output properties.",
         lambda s: _if(s.scene.render.use_multiview),
         refused=True,
-    ),
-    Check("Depth of Field of {} has no effect: everything is sharp.", _depth_of_field),
-    Check(
-        "Motion Blur has no effect: every frame shows one moment.",
-        lambda s: _if(s.scene.render.use_motion_blur),
     ),
     Check("Clip End of {} has no effect: splats beyond it are drawn.", _clip_end),
     Check("{}", _world),

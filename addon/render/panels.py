@@ -8,6 +8,7 @@ from ..interface.questions import letters, wrapped
 from . import ignored
 from .engine import NAME
 from .operators import changes_colors
+from .stage import blurs
 
 _OTHERS = {"EEVEE_WORLD_PT_surface", "WORLD_PT_context_world"}
 """Panels that say of themselves that they are for other engines, but show what this one reads."""
@@ -23,6 +24,12 @@ def draw_render(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     column.prop(scene.render, "film_transparent", text="Transparent")
     column.prop(scene.gscore_render, "antialias")
     column.prop(scene.gscore_render, "live")
+    column.prop(scene.render, "use_motion_blur")
+    if scene.render.use_motion_blur:
+        column.prop(scene.render, "motion_blur_position")
+        column.prop(scene.render, "motion_blur_shutter")
+    if scene.camera is not None and blurs(scene, scene.camera):
+        column.prop(scene.gscore_render, "blur_samples")
     changes = changes_colors(scene)
     if changes:
         box = layout.box()

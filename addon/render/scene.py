@@ -17,6 +17,10 @@ from ..splats.objects import ANTIALIAS, KIND
 from ..timeline.moment import Moment, moment_of
 from .frozen import HIDDEN, SELECTED, Frozen, FrozenMesh, freeze, read_marks
 
+NO_SPLATS = (
+    "There are no splats to render: import a splat PLY, or enable the splat object and its "
+    "collection for renders."
+)
 _EDITED = threading.Lock()
 
 

@@ -47,7 +47,7 @@ class Request:
                 a.frozen is b.frozen and np.array_equal(a.matrix, b.matrix)
                 for a, b in zip(self.placed, other.placed, strict=True)
             )
-            and _same_camera(self.camera, other.camera)
+            and self.camera.same(other.camera)
             and (self.options, self.transparent) == (other.options, other.transparent)
             and np.array_equal(self.to_scene, other.to_scene)
         )
@@ -238,13 +238,3 @@ def redraw_when_ready(painter: Painter) -> None:
         return _POLL if painter.busy or painter.fresh else None
 
     bpy.app.timers.register(poll, first_interval=_POLL)
-
-
-def _same_camera(a: RenderCamera, b: RenderCamera) -> bool:
-    sizes = (a.width, a.height, a.near, a.orthographic) == (
-        b.width,
-        b.height,
-        b.near,
-        b.orthographic,
-    )
-    return sizes and np.array_equal(a.K, b.K) and np.array_equal(a.viewmat, b.viewmat)

@@ -6,6 +6,7 @@ mesh follows bit by bit, while nothing plays; until then only our renderers show
 
 import logging
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import bpy
@@ -51,6 +52,8 @@ class _State:
     """Problems that the console was told of."""
     problems: dict[int, str] = field(default_factory=dict)
     """Why meshes do not follow, by the session number of their object."""
+    left_alone: int = 0
+    """How many renderers look at several moments of a frame."""
 
 
 _state = _State()
@@ -68,6 +71,16 @@ def bring(scene: bpy.types.Scene) -> None:
             _bring_one(ob, scene)
         except (GsError, ValueError) as error:
             _tell(ob, str(error))
+
+
+@contextmanager
+def left_alone() -> Iterator[None]:
+    """Leave meshes as they are, while a renderer that needs none looks at moments of a frame."""
+    _state.left_alone += 1
+    try:
+        yield
+    finally:
+        _state.left_alone -= 1
 
 
 def note_edits(obs: list[bpy.types.Object]) -> None:
@@ -227,6 +240,8 @@ _FOLLOWER = beat.Follower(_collect, _waits, _hurries)
 
 @persistent
 def _frame_changed(scene: bpy.types.Scene, *_: object) -> None:
+    if _state.left_alone:
+        return
     if _at_once(scene):
         bring(scene)
     elif not bpy.app.is_job_running("RENDER") and _players(scene):  # else another thread draws

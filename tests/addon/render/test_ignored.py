@@ -8,6 +8,7 @@ import bpy
 import numpy as np
 import pytest
 
+from addon import compat
 from addon.render import ignored, panels
 from addon.render.operators import changes_colors, use_photo_colors
 from tests.addon import splat_scenes as lab
@@ -43,7 +44,7 @@ def holdout_collection(scene: bpy.types.Scene) -> None:
 
 def striped_world(scene: bpy.types.Scene) -> None:
     """A world with a texture in its color; the viewport's own color is that of before."""
-    tree = lab.world_nodes(scene.world)
+    tree = compat.world_nodes(scene.world)
     if tree is None:
         scene.world.use_nodes = True
         tree = scene.world.node_tree
@@ -55,11 +56,6 @@ def striped_world(scene: bpy.types.Scene) -> None:
 def override(scene: bpy.types.Scene) -> None:
     """All in one material."""
     bpy.context.view_layer.material_override = bpy.data.materials.new("clay")
-
-
-def dof(scene: bpy.types.Scene) -> None:
-    """A focus far away."""
-    scene.camera.data.dof.use_dof, scene.camera.data.dof.focus_distance = True, 100.0
 
 
 def setting(path: str, value: object) -> Callable[[bpy.types.Scene], None]:
@@ -75,8 +71,6 @@ def setting(path: str, value: object) -> Callable[[bpy.types.Scene], None]:
 
 
 WITHOUT_EFFECT = {
-    "Depth of Field of Camera": dof,
-    "Motion Blur": setting("render.use_motion_blur", True),
     "Clip End of Camera": setting("camera.clip_end", 3.5),
     "World World is not one colour": striped_world,
     "board is not drawn": others,
@@ -150,7 +144,7 @@ def test_an_animation_says_it_once(
     """One report for three frames."""
     lab.prepare(scene)
     lab.add(scene, lab.blob())
-    dof(scene)
+    scene.render.use_freestyle = True
     scene.frame_start, scene.frame_end = 4, 6
     scene.render.filepath = str(tmp_path / "f")
     bpy.ops.render.render(animation=True)
