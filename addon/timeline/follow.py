@@ -18,7 +18,7 @@ from ..job.filling import Filling
 from ..job.loader import Loaded
 from ..process import beat
 from ..process.background import Task
-from ..splats import live
+from ..splats import live, objects
 from . import mesh, settings
 from .library import LIBRARY, Frame
 from .moment import Moment, moment_of
@@ -71,6 +71,29 @@ def bring(scene: bpy.types.Scene) -> None:
             _bring_one(ob, scene)
         except (GsError, ValueError) as error:
             _tell(ob, str(error))
+
+
+def catch_up(ob: bpy.types.Object) -> None:
+    """Put the frame that an object shows now into its mesh, at once; what is edited stays.
+
+    Raises:
+        GsError, ValueError: the frame cannot be read, or the mesh cannot be written.
+    """
+    if ob.type != "MESH" or not plays(ob) or ob.mode == "EDIT":
+        return
+    note_edits([ob])
+    if not plays(ob):
+        return
+    coming = _state.coming
+    if coming is not None and coming.owner == ob.session_uid:
+        _drop_coming()
+    _bring_one(ob, bpy.context.scene)
+
+
+def _drop_coming() -> None:
+    if _state.coming is not None and _state.coming.filling is not None:
+        _state.coming.filling.drop()
+    _state.coming = None
 
 
 @contextmanager
@@ -302,16 +325,16 @@ def on_register() -> None:
     for name, function in _HANDLERS.items():
         getattr(bpy.app.handlers, name).append(function)
     settings.CHANGED.append(settings_changed)
+    objects.CATCH_UP.append(catch_up)
     beat.FOLLOWERS.append(_FOLLOWER)
 
 
 def on_unregister() -> None:
     """Follow no more, and let go of all frames."""
     beat.FOLLOWERS.remove(_FOLLOWER)
+    objects.CATCH_UP.remove(catch_up)
     settings.CHANGED.remove(settings_changed)
     for name, function in _HANDLERS.items():
         getattr(bpy.app.handlers, name).remove(function)
-    if _state.coming is not None and _state.coming.filling is not None:
-        _state.coming.filling.drop()
-    _state.coming = None
+    _drop_coming()
     LIBRARY.close()
