@@ -5,8 +5,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..core import CancelFlag
 from . import color, picture
 from .stage import View
+
+_BLACK, _WHITE = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,18 +26,26 @@ class Film:
         """The same without the pass Depth."""
         return replace(self, options=replace(self.options, depths=False))
 
-    def shoot(self, view: View, stop: Callable[[], bool]) -> dict[str, np.ndarray]:
+    def shoot(
+        self, view: View, stop: Callable[[], bool], cancel: CancelFlag | None = None
+    ) -> dict[str, np.ndarray]:
         """The passes by name, [H, W, 4] and [H, W] float32, the bottom row first.
 
         Raises:
             As `picture.draw`.
         """
-        rendered = picture.draw(view.model, view.camera, self.options, stop=stop)
-        passes = {
-            "Combined": color.combined(
-                rendered, transparent=self.transparent, to_scene=self.to_scene
+        rendered = picture.draw(view.model, view.camera, self.options, stop=stop, cancel=cancel)
+        share = None
+        if view.model.shares is not None:
+            # What is behind everything is not cut out either, but it is only there in a full film.
+            options = replace(
+                self.options, background=_BLACK if self.transparent else _WHITE, depths=False
             )
-        }
+            model = replace(view.model, splats=view.model.shares)
+            share = picture.draw(model, view.camera, options, stop=stop, cancel=cancel).rgb[..., 0]
+        elif self.transparent:
+            share = rendered.alpha
+        passes = {"Combined": color.combined(rendered.rgb, share, to_scene=self.to_scene)}
         if self.options.depths:
             passes["Depth"] = color.z_pass(rendered)
         return passes

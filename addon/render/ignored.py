@@ -101,17 +101,6 @@ def _passes(shown: Shown) -> str:
     return ", ".join(wanted)
 
 
-def _collections(shown: Shown) -> str:
-    """Collections that are to be cut out or seen indirectly alone."""
-    found, waiting = [], [shown.layer.layer_collection]
-    while waiting:
-        layer = waiting.pop()
-        waiting += layer.children
-        if not layer.exclude and (layer.holdout or layer.indirect_only):
-            found.append(layer.name)
-    return ", ".join(sorted(found))
-
-
 def _others(shown: Shown) -> str:
     """The first objects that are for other engines."""
     names = [
@@ -121,10 +110,6 @@ def _others(shown: Shown) -> str:
     ]
     more = f" and {len(names) - 2} more" if len(names) > 2 else ""
     return ", ".join(names[:2]) + more
-
-
-def _hidden_from_rays(shown: Shown) -> str:
-    return ", ".join(ob.name for ob in shown.splats if ob.is_holdout or not ob.visible_camera)
 
 
 def _modified(shown: Shown) -> str:
@@ -161,8 +146,10 @@ CHECKS = (
         _others,
     ),
     Check("Modifiers and shape keys of {} have no effect: Export what they show.", _modified),
-    Check("Holdout and ray visibility of {} have no effect.", _hidden_from_rays),
-    Check("Holdout and Indirect Only of the collection {} have no effect.", _collections),
+    Check(
+        "Shadow Catcher of {} has no effect: light throws no shadows on splats.",
+        lambda s: ", ".join(ob.name for ob in s.splats if ob.is_shadow_catcher),
+    ),
     Check(
         "The Material Override {} has no effect: splats have colors of their own.",
         lambda s: getattr(s.layer.material_override, "name", ""),

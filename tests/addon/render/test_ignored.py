@@ -33,15 +33,6 @@ def modified(scene: bpy.types.Scene) -> None:
     bpy.data.objects["splats"].modifiers.new("Move", "DISPLACE")
 
 
-def holdout_collection(scene: bpy.types.Scene) -> None:
-    """The splats in a collection that is cut out."""
-    collection, ob = bpy.data.collections.new("cut"), bpy.data.objects["splats"]
-    scene.collection.children.link(collection)
-    collection.objects.link(ob)
-    scene.collection.objects.unlink(ob)
-    bpy.context.view_layer.layer_collection.children["cut"].holdout = True
-
-
 def striped_world(scene: bpy.types.Scene) -> None:
     """A world with a texture in its color; the viewport's own color is that of before."""
     tree = compat.world_nodes(scene.world)
@@ -75,8 +66,7 @@ WITHOUT_EFFECT = {
     "World World is not one colour": striped_world,
     "board is not drawn": others,
     "shape keys of splats": modified,
-    "ray visibility of splats": setting("splats.is_holdout", True),
-    "the collection cut": holdout_collection,
+    "Shadow Catcher of splats": setting("splats.is_shadow_catcher", True),
     "Material Override clay": override,
     "its depth: not Mist": setting("layer.use_pass_mist", True),
     "Freestyle": setting("render.use_freestyle", True),
@@ -115,6 +105,13 @@ def test_what_has_no_effect_is_said(
     (sentence,) = ignored.without_effect(shown())
     assert words in sentence and reported(capfd) == [sentence]
     assert sentence.replace(" ", "") in drawn()
+
+
+def test_cryptomatte_is_named(scene: bpy.types.Scene) -> None:
+    """Oracle: the name of Blender's switch."""
+    bpy.context.view_layer.use_pass_cryptomatte_object = True
+    (sentence,) = ignored.without_effect(shown())
+    assert "not Cryptomatte Object" in sentence
 
 
 @pytest.mark.parametrize("words", REFUSED)
