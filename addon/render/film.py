@@ -5,8 +5,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..cameras.captures import RenderCamera
+from ..cameras.panorama import Panorama
 from ..core import CancelFlag
 from . import color, picture
+from .cube import Window, beyond, unfold
+from .scene import Model
 from .stage import View
 
 _BLACK, _WHITE = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
@@ -34,6 +38,8 @@ class Film:
         Raises:
             As `picture.draw`.
         """
+        if isinstance(view.camera, Panorama):
+            return self._unfold(view.model, view.camera, stop)
         rendered = picture.draw(view.model, view.camera, self.options, stop=stop, cancel=cancel)
         share = None
         if view.model.shares is not None:
@@ -48,4 +54,17 @@ class Film:
         passes = {"Combined": color.combined(rendered.rgb, share, to_scene=self.to_scene)}
         if self.options.depths:
             passes["Depth"] = color.z_pass(rendered)
+        return passes
+
+    def _unfold(
+        self, model: Model, camera: Panorama, stop: Callable[[], bool]
+    ) -> dict[str, np.ndarray]:
+        def side(camera: RenderCamera, window: Window) -> dict[str, np.ndarray]:
+            film = replace(self, options=replace(self.options, window=window))
+            return film.shoot(View(model=seen, camera=camera), stop)
+
+        seen = beyond(model, camera)
+        passes = unfold(camera, self.options.window, side)
+        if not self.transparent and model.shares is None:
+            passes["Combined"][..., 3] = 1  # beyond a fisheye's circle it is black
         return passes

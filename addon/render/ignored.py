@@ -7,6 +7,7 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
+from ..cameras.panorama import KINDS, kind_of
 from ..compat import matrix_to_numpy
 from ..nodes import display
 from ..splats.objects import is_splats
@@ -70,8 +71,16 @@ def _if(condition: bool) -> str:
 
 def _no_camera_type(shown: Shown) -> str:
     data = getattr(shown.camera, "data", None)
-    kinds = {"PANO": "panoramic", "CUSTOM": "custom"}
-    return kinds.get(getattr(data, "type", ""), "")
+    kind = getattr(data, "type", "")
+    if kind == "PANO" and (own := kind_of(data)) not in KINDS:
+        return f"panoramic ({own.replace('_', ' ').lower() or 'without Cycles'})"
+    return "custom" if kind == "CUSTOM" else ""
+
+
+def _sharp_panorama(shown: Shown) -> str:
+    data = getattr(shown.camera, "data", None)
+    sharp = getattr(data, "type", "") == "PANO" and data.dof.use_dof
+    return shown.camera.name if sharp else ""
 
 
 def _clip_end(shown: Shown) -> str:
@@ -129,8 +138,8 @@ def _world(shown: Shown) -> str:
 
 CHECKS = (
     Check(
-        "The camera is {}, and splats are rendered by perspective and orthographic ones: change "
-        "its type.",
+        "The camera is {}, and splats are rendered by perspective, orthographic, equirectangular "
+        "and fisheye ones (equidistant, equisolid): change its type.",
         _no_camera_type,
         refused=True,
     ),
@@ -138,6 +147,10 @@ CHECKS = (
         "Splats are not rendered in stereo: turn off Stereoscopy in the output properties.",
         lambda s: _if(s.scene.render.use_multiview),
         refused=True,
+    ),
+    Check(
+        "Depth of Field of {} has no effect: panoramas are sharp at every distance.",
+        _sharp_panorama,
     ),
     Check("Clip End of {} has no effect: splats beyond it are drawn.", _clip_end),
     Check("{}", _world),

@@ -10,6 +10,7 @@ import numpy as np
 
 from .. import attributes
 from ..cameras.captures import RenderCamera, render_camera
+from ..cameras.panorama import Panorama, panorama_of
 from ..compat import matrix_to_numpy
 from ..timeline import follow
 from .frozen import Frozen
@@ -28,7 +29,7 @@ class View:
     """What one picture shows."""
 
     model: Model
-    camera: RenderCamera
+    camera: RenderCamera | Panorama
 
     def same(self, other: "View") -> bool:
         """Whether the other picture is this one."""
@@ -100,7 +101,7 @@ class Stage:
             view, aperture = still or self._view(), self._aperture()
             if view is None:  # objects may be hidden for a part of the exposure
                 view = View(model=_nothing(), camera=self._pinhole())
-            if aperture is not None:
+            if aperture is not None and isinstance(view.camera, RenderCamera):
                 view = replace(view, camera=through(view.camera, *aperture.point(sample), aperture))
             yield view
 
@@ -116,8 +117,11 @@ class Stage:
                 self._frozen[source.uid] = placed[-1].frozen
         return View(model=self._cache.model(placed), camera=camera) if placed else None
 
-    def _pinhole(self) -> RenderCamera:
+    def _pinhole(self) -> RenderCamera | Panorama:
         width, height = self._size
+        own = self._camera.evaluated_get(self._depsgraph)
+        if own.type == "CAMERA" and own.data.type == "PANO":
+            return panorama_of(own, self._depsgraph.scene, width=width, height=height)
         return render_camera(
             self._camera,
             self._depsgraph.scene,

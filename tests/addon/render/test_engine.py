@@ -9,6 +9,7 @@ import bpy
 import numpy as np
 import pytest
 
+from addon import compat
 from addon.cameras import captures
 from addon.compat import matrix_to_numpy
 from addon.core import Cancelled, transform_splats, write_splats
@@ -371,6 +372,7 @@ def no_splats(scene):
 
 def panorama(scene):
     scene.camera.data.type = "PANO"
+    compat.panorama_settings(scene.camera.data).panorama_type = "MIRRORBALL"
 
 
 def stretched(scene):
@@ -395,7 +397,7 @@ def two_minds(scene):
     [
         (no_camera, "no camera"),
         (no_splats, "no splats to render"),
-        (panorama, "panoramic"),
+        (panorama, "Camera is mirrorball; panoramas"),
         (stretched, "splats cannot be rendered.*unevenly"),
         (no_attribute, "scale"),
         (stereo, "stereo"),
