@@ -6,6 +6,8 @@ from ..cameras.objects import is_camera
 from ..render.compositor import combine_node
 from ..render.engine import NAME
 from ..render.panels import draw_render
+from ..splats.objects import meant
+from ..stored_paths import RUN
 from .widgets import TabPanel, root, sentence
 
 
@@ -35,6 +37,8 @@ class RenderPanel(TabPanel, bpy.types.Panel):
             row = layout.row()
             row.enabled = is_camera(context.object) or is_camera(scene.camera)
             row.operator("gscore.compare_photo", icon="IMAGE_REFERENCE")
+        if RUN in (meant(context) or ()):
+            layout.operator("gscore.compare_worst_photo")
         draw_compositing(layout, context)
 
 
