@@ -121,6 +121,20 @@ def _others(shown: Shown) -> str:
     return ", ".join(names[:2]) + more
 
 
+def held_out_meshes(scene: bpy.types.Scene) -> str:
+    """What to say of the meshes of a scene that are cut out; empty where there are none."""
+    layer = scene.view_layers[0]
+    names = ", ".join(
+        ob.name
+        for ob in layer.objects
+        if ob.type in _DRAWN_BY_OTHERS and "gs_kind" not in ob and not ob.hide_render
+        if ob.is_holdout or ob.original.holdout_get(view_layer=layer)
+    )
+    return (
+        f"Holdout of {names} hides no splats: only splats cut holes into splats." if names else ""
+    )
+
+
 def _modified(shown: Shown) -> str:
     """Splat objects that more than their display modifier would change."""
     return ", ".join(ob.name for ob in shown.splats if _changes(ob))
@@ -158,6 +172,7 @@ CHECKS = (
         "{} is not drawn by this engine: Composite Splats with Meshes renders both.",
         _others,
     ),
+    Check("{}", lambda s: held_out_meshes(s.scene)),
     Check("Modifiers and shape keys of {} have no effect: Export what they show.", _modified),
     Check(
         "Shadow Catcher of {} has no effect: light throws no shadows on splats.",

@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 from addon import compat
-from addon.render import ignored, panels
+from addon.panels.render import RenderPanel
+from addon.render import compositor, ignored, panels
 from addon.render.operators import changes_colors, use_photo_colors
 from tests.addon import splat_scenes as lab
+from tests.addon.drawn import drawn as drawn_panel
 
 
 def shown() -> ignored.Shown:
@@ -81,8 +83,8 @@ WITHOUT_EFFECT = {
     "Threads": setting("render.threads_mode", "FIXED"),
     "pixel filter": setting("render.filter_size", 5.0),
 }
-ELSEWHERE = {"Depth of Field"}
-"""Tried in test_panorama.py, with a panorama."""
+ELSEWHERE = {"Depth of Field", "Holdout"}
+"""Tried in test_panorama.py with a panorama, and below with meshes, which have a row besides."""
 REFUSED = {
     "mirrorball": mirror_ball,
     "stereo": setting("render.use_multiview", True),
@@ -114,6 +116,23 @@ def test_what_has_no_effect_is_said(
     (sentence,) = ignored.without_effect(shown())
     assert words in sentence and reported(capfd) == [sentence]
     assert sentence.replace(" ", "") in drawn()
+
+
+def test_meshes_that_are_held_out_are_named(
+    scene: bpy.types.Scene, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Oracle: the mesh's name, from the engine's render, and in the panel among meshes."""
+    lab.prepare(scene)
+    lab.add(scene, lab.blob())
+    others(scene)
+    scene.objects["board"].is_holdout = True
+    wanted = "Holdout of board hides no splats"
+    lab.render_exr(tmp_path)
+    assert wanted in " ".join(reported(capfd))
+    scene.render.engine = "CYCLES"
+    assert wanted not in drawn_panel(RenderPanel)
+    compositor.set_up(scene)
+    assert wanted in drawn_panel(RenderPanel)
 
 
 def test_cryptomatte_is_named(scene: bpy.types.Scene) -> None:
