@@ -49,6 +49,7 @@ MODULES: tuple[str, ...] = (
     "steer.masks",
     "steer.mask_operators",
     "panels.curve_icon",
+    "panels.histogram_icons",
     "panels.depth_table",
     "panels",
 )

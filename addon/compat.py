@@ -51,6 +51,11 @@ def remove_by_wildcard(node: bpy.types.Node) -> None:
         node.inputs["Pattern Mode"].default_value = "Wildcard"
 
 
+def panorama_settings(camera: bpy.types.Camera) -> Any:
+    """What holds the settings of a panoramic camera; before 5.0 that is Cycles', if it is on."""
+    return camera if hasattr(camera, "panorama_type") else getattr(camera, "cycles", None)
+
+
 def native_splat_type() -> tuple[str, str] | None:
     """Property of PointCloud and its value that make Blender's own splats; None without them."""
     for prop in bpy.types.PointCloud.bl_rna.properties:

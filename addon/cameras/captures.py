@@ -92,6 +92,16 @@ class RenderCamera:
     name: str
     """Of the object."""
 
+    def same(self, other: object) -> bool:
+        """Whether another sees the same, whatever it is called."""
+        fields = ("width", "height", "near", "orthographic")
+        return (
+            isinstance(other, RenderCamera)
+            and all(getattr(self, name) == getattr(other, name) for name in fields)
+            and np.array_equal(self.K, other.K)
+            and np.array_equal(self.viewmat, other.viewmat)
+        )
+
 
 def render_camera(
     camera_object: bpy.types.Object,

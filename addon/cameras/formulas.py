@@ -68,7 +68,7 @@ def intrinsics(lens: Lens, frame: Frame) -> np.ndarray:
     Raises:
         ValueError: another camera type, or a size or lens that is not positive.
     """
-    side, stretch = _fitted_side(lens, frame), frame.pixel_aspect_x / frame.pixel_aspect_y
+    side, stretch = fitted_side(lens, frame), frame.pixel_aspect_x / frame.pixel_aspect_y
     if lens.type == "PERSP":
         sensor = lens.sensor_height if lens.sensor_fit == "VERTICAL" else lens.sensor_width
         focal = lens.lens / sensor * side
@@ -178,7 +178,7 @@ def project(
     return plane * K[[0, 1], [0, 1]] + K[:2, 2], camera[:, 2]
 
 
-def _fitted_side(lens: Lens, frame: Frame) -> float:
+def fitted_side(lens: Lens, frame: Frame) -> float:
     """The side that the sensor spans, in widths of a pixel."""
     if min(frame.width, frame.height) <= 0:
         raise ValueError(f"The size must be positive, got {frame.width} x {frame.height} pixels.")

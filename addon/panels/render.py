@@ -5,7 +5,10 @@ import bpy
 from ..cameras.objects import is_camera
 from ..render.compositor import combine_node
 from ..render.engine import NAME
+from ..render.ignored import held_out_meshes
 from ..render.panels import draw_render
+from ..splats.objects import meant
+from ..stored_paths import RUN
 from .widgets import TabPanel, root, sentence
 
 
@@ -35,6 +38,8 @@ class RenderPanel(TabPanel, bpy.types.Panel):
             row = layout.row()
             row.enabled = is_camera(context.object) or is_camera(scene.camera)
             row.operator("gscore.compare_photo", icon="IMAGE_REFERENCE")
+        if RUN in (meant(context) or ()):
+            layout.operator("gscore.compare_worst_photo")
         draw_compositing(layout, context)
 
 
@@ -45,6 +50,8 @@ def draw_compositing(layout: bpy.types.UILayout, context: bpy.types.Context) -> 
     if there and scene.render.engine == NAME:
         text = "Compositing with meshes rests: this engine draws the splats already. Cycles or "
         sentence(layout, context, f"{text}EEVEE brings it back.", icon="INFO")
+    elif there and (text := held_out_meshes(scene)):
+        sentence(layout, context, text, icon="INFO")
     row = layout.row(align=True)
     part = row.row(align=True)
     part.enabled = scene.render.engine != NAME

@@ -8,7 +8,11 @@ from .. import stored_paths
 from ..live import handler
 from ..splats import edit, even_scale, live
 from ..splats.objects import is_splats, meant
+from .histogram_icons import ICONS, OPACITY, SIZE
 from .widgets import TabPanel, job, limit, rows, sentence
+
+_HISTOGRAM_SCALE = 4.0
+"""Height of a histogram, in buttons."""
 
 
 def shown(context: bpy.types.Context) -> bpy.types.Object | None:
@@ -87,9 +91,7 @@ class FiltersPanel(TabPanel, bpy.types.Panel):
         """Draw the panel."""
         layout, ob = self.layout, shown(context)
         settings = ob.gscore
-        column = layout.column(align=True)
-        for name in ("opacity_min", "size_min", "size_max"):
-            limit(column, settings, name)
+        draw_limits(layout, ob)
         column = layout.column(align=True)
         column.prop(settings, "crop_object", text="Crop")
         if settings.crop_object is not None:
@@ -130,6 +132,24 @@ class MorePanel(TabPanel, bpy.types.Panel):
         layout.operator("gscore.reset_display")
         if "NATIVE" in meant(context).gscore.bl_rna.properties["display"].enum_items:
             layout.operator("gscore.make_native_splats")
+
+
+def draw_limits(layout: bpy.types.UILayout, ob: bpy.types.Object) -> None:
+    """How many splats there are of which opacity and size; below each, sliders that hide some."""
+    kinds = {OPACITY: ("opacity_min",), SIZE: ("size_min", "size_max")}
+    try:
+        icons = {kind: ICONS.update(ob, kind) for kind in kinds}
+    except ValueError:  # the counts above say why
+        icons = {}
+    pictured = any(icons.values())
+    row = layout.row() if pictured else layout.column(align=True)
+    for kind, names in kinds.items():
+        column = row.column(align=True)
+        if pictured:
+            column.label(text=f"By {kind}")
+            column.template_icon(icons[kind], scale=_HISTOGRAM_SCALE)
+        for name in names:
+            limit(column, ob.gscore, name)
 
 
 def draw_live(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:

@@ -22,27 +22,27 @@ def encode(light: np.ndarray) -> np.ndarray:
     return np.where(light <= np.float32(0.0031308), light * np.float32(12.92), curve)
 
 
-def combined(rendered: Any, *, transparent: bool, to_scene: np.ndarray) -> np.ndarray:
+def combined(rgb: np.ndarray, alpha: np.ndarray | None, *, to_scene: np.ndarray) -> np.ndarray:
     """A picture as Blender's Combined pass wants it.
 
     Args:
-        rendered: What gscore.render returned; over black if `transparent`, else over the
-            background, which so is part of what is decoded.
-        transparent: Keep alpha. Colours are then decoded as they are before alpha multiplies them
-            (straight), so that a saved PNG holds the splats' own colours.
+        rgb: [H, W, 3] sRGB values, over black where there is an alpha; else over the background,
+            which so is part of what is decoded.
+        alpha: [H, W] how much of each pixel is there; None: all. Colours are decoded as they are
+            before it multiplies them (straight), so that a saved PNG holds the splats' own colours.
         to_scene: [3, 3], from linear Rec. 709 to the file's working space.
 
     Returns:
         [H, W, 4] float32, scene-linear, premultiplied, the bottom row first.
     """
-    out = np.ones((*rendered.alpha.shape, 4), np.float32)
-    if transparent:
-        alpha = rendered.alpha[..., None]
-        straight = np.divide(rendered.rgb, alpha, out=np.zeros_like(rendered.rgb), where=alpha > 0)
-        out[..., :3] = decode(straight) * alpha
-        out[..., 3] = rendered.alpha
+    out = np.ones((*rgb.shape[:2], 4), np.float32)
+    if alpha is not None:
+        share = alpha[..., None]
+        straight = np.divide(rgb, share, out=np.zeros_like(rgb), where=share > 0)
+        out[..., :3] = decode(straight) * share
+        out[..., 3] = alpha
     else:
-        out[..., :3] = decode(rendered.rgb)
+        out[..., :3] = decode(rgb)
     if not np.allclose(to_scene, np.eye(3), atol=1e-6):
         out[..., :3] = out[..., :3] @ to_scene.T.astype(np.float32)
     return np.ascontiguousarray(out[::-1])

@@ -28,6 +28,9 @@ _SHARED = (
     "border_max_x",
     "border_min_y",
     "border_max_y",
+    "use_motion_blur",
+    "motion_blur_shutter",
+    "motion_blur_position",
 )
 
 
@@ -105,7 +108,8 @@ def _synchronise(
     # Blender draws no frame beyond these, whatever the frame of the meshes' scene.
     other.frame_start, other.frame_end = 0, other.bl_rna.properties["frame_end"].hard_max
     _follow(scene, other)
-    other.gscore_render.antialias = scene.gscore_render.antialias
+    for name in ("antialias", "blur_samples"):
+        setattr(other.gscore_render, name, getattr(scene.gscore_render, name))
     other.view_layers[0].use_pass_z = True
 
 

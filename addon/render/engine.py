@@ -1,20 +1,22 @@
 """The render engine "Gaussian Splats": F12, animations, and the viewport's Rendered shading."""
 
 import traceback
+from contextlib import closing
 from typing import Any
 from weakref import WeakSet, finalize
 
 import bpy
 import numpy as np
 
-from ..cameras.captures import RenderCamera, render_camera
 from ..compat import matrix_to_numpy, rec709_to_scene
 from ..core import Cancelled, GsError
 from ..timeline import follow
 from ..timeline.moment import gap_sentence
 from ..timeline.settings import plays
-from . import color, copies, ignored, picture
-from .scene import Model, Placed, SplatCache, place, sources
+from . import copies, ignored, picture
+from .film import Film
+from .scene import NO_SPLATS, Model, Placed, SplatCache, place, sources
+from .stage import Stage
 from .viewport import (
     EXACT,
     STAND_INS,
@@ -156,34 +158,51 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         self.report({"ERROR"}, message)
 
     def _render(self, depsgraph: bpy.types.Depsgraph) -> None:
-        scene = depsgraph.scene
-        camera = self._camera(depsgraph)
+        scene, layer = depsgraph.scene, depsgraph.view_layer_eval
+        size = self.resolution_x, self.resolution_y
+        camera = self._camera(scene)
         self.update_stats("", "Reading splats")
-        model = collect(depsgraph, final_cache)
+        stage = Stage(depsgraph, camera, size, final_cache, self.frame_set)
+        still = stage.view()
+        self._warn(ignored.Shown(scene=scene, layer=layer, camera=camera))
+        film = self._film(scene, depths=layer.use_pass_z)
+        self.update_progress(0.1)
+        self.update_stats("", f"Drawing {len(still.model.splats):,} splats")
+        if stage.blurs:
+            # Of the frame itself, through the lens's middle: means of depths are of no use.
+            passes = film.shoot(still, self.test_break) if film.options.depths else {}
+            count = scene.gscore_render.blur_samples
+            passes["Combined"] = self._mean(film, stage, count)
+        else:
+            passes = film.shoot(still, self.test_break)
+        self.update_progress(0.9)
+        self._deliver(passes, layer.name, scene.render, film.options.window)
+
+    def _film(self, scene: bpy.types.Scene, *, depths: bool) -> Film:
         transparent = scene.render.film_transparent
-        light = world_light(scene.world)[0]
-        layer = depsgraph.view_layer_eval
-        self._warn(ignored.Shown(scene=scene, layer=layer, camera=self._camera_object(scene)))
         black = (0.0, 0.0, 0.0)
-        window = border_window(scene.render, self.resolution_x, self.resolution_y)
         options = picture.Options(
-            background=black if transparent else background_of(light),
-            depths=layer.use_pass_z,
+            background=black if transparent else background_of(world_light(scene.world)[0]),
+            depths=depths,
             antialias=scene.gscore_render.antialias,
-            window=window,
+            window=border_window(scene.render, self.resolution_x, self.resolution_y),
         )
-        self.update_progress(0.2)
-        self.update_stats("", f"Drawing {len(model.splats):,} splats")
-        rendered = picture.draw(model, camera, options, stop=self.test_break)
-        self.update_progress(0.8)
-        passes = {
-            "Combined": color.combined(
-                rendered, transparent=transparent, to_scene=rec709_to_scene()
-            )
-        }
-        if layer.use_pass_z:
-            passes["Depth"] = color.z_pass(rendered)
-        self._deliver(passes, layer.name, scene.render, window)
+        return Film(options=options, transparent=transparent, to_scene=rec709_to_scene())
+
+    def _mean(self, film: Film, stage: Stage, count: int) -> np.ndarray:
+        """The mean of the pictures from all over the lens and the exposure, [H, W, 4] float32."""
+        plain = film.without_depths()
+        total, last, pixels = None, None, None
+        with closing(stage.views(count)) as views:
+            for i, view in enumerate(views):
+                self.update_stats("", f"Sample {i + 1} of {count}")
+                if last is None or not view.same(last):
+                    last, pixels = view, plain.shoot(view, self.test_break)["Combined"]
+                if self.test_break():
+                    raise Cancelled
+                total = pixels.copy() if total is None else np.add(total, pixels, out=total)
+                self.update_progress(0.1 + 0.8 * (i + 1) / count)
+        return total / np.float32(count)
 
     def _warn(self, shown: ignored.Shown) -> None:
         """Say what has no effect or is missing; of an animation with its first frame."""
@@ -193,11 +212,8 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         for sentence in [*ignored.without_effect(shown), *filter(None, gaps)]:
             self.report({"WARNING"}, sentence)
 
-    def _camera_object(self, scene: bpy.types.Scene) -> bpy.types.Object | None:
-        return self.camera_override or scene.camera
-
-    def _camera(self, depsgraph: bpy.types.Depsgraph) -> RenderCamera:
-        scene, ob = depsgraph.scene, self._camera_object(depsgraph.scene)
+    def _camera(self, scene: bpy.types.Scene) -> bpy.types.Object:
+        ob = self.camera_override or scene.camera
         if ob is None:
             raise ValueError(
                 f"Scene {scene.name} has no camera: add one, or choose an imported one as the "
@@ -213,8 +229,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
             raise ValueError(
                 "Splats are not rendered in stereo: turn off Stereoscopy in the output properties."
             )
-        size = {"width": self.resolution_x, "height": self.resolution_y}
-        return render_camera(ob, scene, depsgraph=depsgraph, **size)
+        return ob
 
     def _deliver(
         self,
@@ -246,10 +261,7 @@ def collect(depsgraph: bpy.types.Depsgraph, cache: SplatCache) -> Model:
     """
     placed = [place(source) for source in sources(depsgraph)]
     if not placed:
-        raise ValueError(
-            "There are no splats to render: import a splat PLY, or enable the splat object and its "
-            "collection for renders."
-        )
+        raise ValueError(NO_SPLATS)
     return cache.model(placed)
 
 

@@ -7,6 +7,7 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
+from ..cameras.panorama import KINDS, kind_of
 from ..compat import matrix_to_numpy
 from ..nodes import display
 from ..splats.objects import is_splats
@@ -70,13 +71,16 @@ def _if(condition: bool) -> str:
 
 def _no_camera_type(shown: Shown) -> str:
     data = getattr(shown.camera, "data", None)
-    kinds = {"PANO": "panoramic", "CUSTOM": "custom"}
-    return kinds.get(getattr(data, "type", ""), "")
+    kind = getattr(data, "type", "")
+    if kind == "PANO" and (own := kind_of(data)) not in KINDS:
+        return f"panoramic ({own.replace('_', ' ').lower() or 'without Cycles'})"
+    return "custom" if kind == "CUSTOM" else ""
 
 
-def _depth_of_field(shown: Shown) -> str:
-    dof = getattr(getattr(shown.camera, "data", None), "dof", None)
-    return shown.camera.name if dof is not None and dof.use_dof else ""
+def _sharp_panorama(shown: Shown) -> str:
+    data = getattr(shown.camera, "data", None)
+    sharp = getattr(data, "type", "") == "PANO" and data.dof.use_dof
+    return shown.camera.name if sharp else ""
 
 
 def _clip_end(shown: Shown) -> str:
@@ -106,17 +110,6 @@ def _passes(shown: Shown) -> str:
     return ", ".join(wanted)
 
 
-def _collections(shown: Shown) -> str:
-    """Collections that are to be cut out or seen indirectly alone."""
-    found, waiting = [], [shown.layer.layer_collection]
-    while waiting:
-        layer = waiting.pop()
-        waiting += layer.children
-        if not layer.exclude and (layer.holdout or layer.indirect_only):
-            found.append(layer.name)
-    return ", ".join(sorted(found))
-
-
 def _others(shown: Shown) -> str:
     """The first objects that are for other engines."""
     names = [
@@ -128,8 +121,18 @@ def _others(shown: Shown) -> str:
     return ", ".join(names[:2]) + more
 
 
-def _hidden_from_rays(shown: Shown) -> str:
-    return ", ".join(ob.name for ob in shown.splats if ob.is_holdout or not ob.visible_camera)
+def held_out_meshes(scene: bpy.types.Scene) -> str:
+    """What to say of the meshes of a scene that are cut out; empty where there are none."""
+    layer = scene.view_layers[0]
+    names = ", ".join(
+        ob.name
+        for ob in layer.objects
+        if ob.type in _DRAWN_BY_OTHERS and "gs_kind" not in ob and not ob.hide_render
+        if ob.is_holdout or ob.original.holdout_get(view_layer=layer)
+    )
+    return (
+        f"Holdout of {names} hides no splats: only splats cut holes into splats." if names else ""
+    )
 
 
 def _modified(shown: Shown) -> str:
@@ -149,8 +152,8 @@ def _world(shown: Shown) -> str:
 
 CHECKS = (
     Check(
-        "The camera is {}, and splats are rendered by perspective and orthographic ones: change "
-        "its type.",
+        "The camera is {}, and splats are rendered by perspective, orthographic, equirectangular "
+        "and fisheye ones (equidistant, equisolid): change its type.",
         _no_camera_type,
         refused=True,
     ),
@@ -159,10 +162,9 @@ CHECKS = (
         lambda s: _if(s.scene.render.use_multiview),
         refused=True,
     ),
-    Check("Depth of Field of {} has no effect: everything is sharp.", _depth_of_field),
     Check(
-        "Motion Blur has no effect: every frame shows one moment.",
-        lambda s: _if(s.scene.render.use_motion_blur),
+        "Depth of Field of {} has no effect: panoramas are sharp at every distance.",
+        _sharp_panorama,
     ),
     Check("Clip End of {} has no effect: splats beyond it are drawn.", _clip_end),
     Check("{}", _world),
@@ -170,9 +172,12 @@ CHECKS = (
         "{} is not drawn by this engine: Composite Splats with Meshes renders both.",
         _others,
     ),
+    Check("{}", lambda s: held_out_meshes(s.scene)),
     Check("Modifiers and shape keys of {} have no effect: Export what they show.", _modified),
-    Check("Holdout and ray visibility of {} have no effect.", _hidden_from_rays),
-    Check("Holdout and Indirect Only of the collection {} have no effect.", _collections),
+    Check(
+        "Shadow Catcher of {} has no effect: light throws no shadows on splats.",
+        lambda s: ", ".join(ob.name for ob in s.splats if ob.is_shadow_catcher),
+    ),
     Check(
         "The Material Override {} has no effect: splats have colors of their own.",
         lambda s: getattr(s.layer.material_override, "name", ""),

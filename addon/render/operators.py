@@ -6,10 +6,13 @@ from typing import ClassVar
 import bpy
 
 from ..interface.images import show_image
-from ..interface.operators import Acting, OnScene
+from ..interface.operators import Acting, OnScene, make_active
+from ..splats.objects import is_splats, meant
+from ..stored_paths import RUN
 from . import compare as comparing
 from . import compositor
 from .engine import NAME
+from .worst import worst_of
 
 
 def use_engine(scene: bpy.types.Scene) -> None:
@@ -84,15 +87,39 @@ class ComparePhoto(Acting, bpy.types.Operator):
 
     def act(self, context: bpy.types.Context) -> str:
         """Compare, show the pictures in an image editor, in a new window if need be, and report."""
-        camera = chosen_camera(context, self.camera)
-        found = comparing.compare(context.scene, camera, context.evaluated_depsgraph_get())
-        shown = show_image(context, found.images["Comparison"], new_window=True)
-        where = "" if shown else f"; open the image {found.images['Comparison'].name} to see it"
-        name, psnr = "PSNR", found.psnr
-        if found.psnr_masked is not None:
-            name, psnr = "PSNR inside the mask", found.psnr_masked
-        value = "infinite" if math.isinf(psnr) else f"{psnr:.2f} dB"
-        return f"{camera.name}: {name} {value}{where}."
+        return compared(context, chosen_camera(context, self.camera))
+
+
+class CompareWorstPhoto(Acting, bpy.types.Operator):
+    """Compare with the photo that the training met worst of those that it evaluated"""
+
+    bl_idname = "gscore.compare_worst_photo"
+    bl_label = "Compare Worst Photo"
+    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether splats of a training are active."""
+        return is_splats(ob := meant(context)) and RUN in ob
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Find the camera, compare from it, and make it the active object."""
+        found = worst_of(context.scene, meant(context))
+        told = compared(context, found.camera)
+        make_active(context, found.camera)
+        return f"Worst of {found.among} photos, {found.psnr:.2f} dB when trained. {told}"
+
+
+def compared(context: bpy.types.Context, camera: bpy.types.Object) -> str:
+    """Compare from a camera and show it; what to tell the user."""
+    found = comparing.compare(context.scene, camera, context.evaluated_depsgraph_get())
+    shown = show_image(context, found.images["Comparison"], new_window=True)
+    where = "" if shown else f"; open the image {found.images['Comparison'].name} to see it"
+    name, psnr = "PSNR", found.psnr
+    if found.psnr_masked is not None:
+        name, psnr = "PSNR inside the mask", found.psnr_masked
+    value = "infinite" if math.isinf(psnr) else f"{psnr:.2f} dB"
+    return f"{camera.name}: {name} {value}{where}."
 
 
 class SetUpCompositing(OnScene, bpy.types.Operator):
@@ -148,6 +175,7 @@ CLASSES = (
     UseEngine,
     UsePhotoColors,
     ComparePhoto,
+    CompareWorstPhoto,
     SetUpCompositing,
     RemoveCompositing,
 )

@@ -4,10 +4,13 @@ from typing import Any, ClassVar
 
 import bpy
 
+from ..cameras.panorama import KINDS, kind_of
+from ..compat import panorama_settings
 from ..interface.questions import letters, wrapped
 from . import ignored
 from .engine import NAME
 from .operators import changes_colors
+from .stage import blurs
 
 _OTHERS = {"EEVEE_WORLD_PT_surface", "WORLD_PT_context_world"}
 """Panels that say of themselves that they are for other engines, but show what this one reads."""
@@ -23,6 +26,12 @@ def draw_render(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     column.prop(scene.render, "film_transparent", text="Transparent")
     column.prop(scene.gscore_render, "antialias")
     column.prop(scene.gscore_render, "live")
+    column.prop(scene.render, "use_motion_blur")
+    if scene.render.use_motion_blur:
+        column.prop(scene.render, "motion_blur_position")
+        column.prop(scene.render, "motion_blur_shutter")
+    if scene.camera is not None and blurs(scene, scene.camera):
+        column.prop(scene.gscore_render, "blur_samples")
     changes = changes_colors(scene)
     if changes:
         box = layout.box()
@@ -70,7 +79,37 @@ class VIEWLAYER_PT_gscore_passes(bpy.types.Panel):  # noqa: N801 Blender's rule
         self.layout.prop(context.view_layer, "use_pass_z", text="Depth")
 
 
-CLASSES = (RENDER_PT_gscore, VIEWLAYER_PT_gscore_passes)
+class DATA_PT_gscore_panorama(bpy.types.Panel):  # noqa: N801 Blender's rule
+    """Settings of panoramic cameras, which Blender's own panel shows for Cycles alone."""
+
+    bl_label = "Panorama"
+    bl_space_type, bl_region_type, bl_context = "PROPERTIES", "WINDOW", "data"
+    COMPAT_ENGINES: ClassVar[set[str]] = {NAME}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """For this engine, of a panoramic camera."""
+        camera = context.camera
+        return context.engine in cls.COMPAT_ENGINES and camera is not None and camera.type == "PANO"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Lay it out."""
+        draw_panorama(self.layout, context.camera)
+
+
+def draw_panorama(layout: bpy.types.UILayout, camera: bpy.types.Camera) -> None:
+    """The kind of a panoramic camera, and its settings."""
+    own, column = panorama_settings(camera), layout.column()
+    column.use_property_split = True
+    if own is None:
+        column.label(text="Enable Cycles, which keeps these settings", icon="ERROR")
+        return
+    column.prop(own, "panorama_type")
+    for name in KINDS.get(kind_of(camera), ()):
+        column.prop(own, name)
+
+
+CLASSES = (RENDER_PT_gscore, VIEWLAYER_PT_gscore_passes, DATA_PT_gscore_panorama)
 
 
 def _shared() -> list[Any]:

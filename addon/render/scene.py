@@ -16,7 +16,12 @@ from ..splats.filters import Filters, filters_of
 from ..splats.objects import ANTIALIAS, KIND
 from ..timeline.moment import Moment, moment_of
 from .frozen import HIDDEN, SELECTED, Frozen, FrozenMesh, freeze, read_marks
+from .holdout import held_out
 
+NO_SPLATS = (
+    "There are no splats to render: import a splat PLY, or enable the splat object and its "
+    "collection for renders."
+)
 _EDITED = threading.Lock()
 
 
@@ -33,6 +38,20 @@ class Source:
     instances its collection."""
     moment: Moment | None = None
     """Which frame it shows, where it plays a sequence; else its own data are shown."""
+
+    @property
+    def is_seen(self) -> bool:
+        """Whether the camera sees it, not only light that others throw."""
+        layer = self._depsgraph.view_layer
+        return self.ob.visible_camera and not self.shown_by.original.indirect_only_get(
+            view_layer=layer
+        )
+
+    @property
+    def is_holdout(self) -> bool:
+        """Whether it, or its collection, cuts a hole into the picture."""
+        layer = self._depsgraph.view_layer
+        return self.ob.is_holdout or self.shown_by.original.holdout_get(view_layer=layer)
 
     @property
     def uid(self) -> int:
@@ -107,6 +126,8 @@ class Placed:
     antialias: bool
     edited: bool = False
     """Whether it is in Edit Mode, where hidden points do not show."""
+    holdout: bool = False
+    """Whether it cuts a hole into the picture where it is."""
 
     @property
     def part(self) -> tuple[int, bytes]:
@@ -129,6 +150,9 @@ class Model:
     """Names of the objects that were trained with anti-aliasing."""
     plain: tuple[str, ...]
     """Names of the others."""
+    shares: Splats | None = None
+    """Where objects are held out, whose `splats` are black then: the same splats, those black and
+    all others white, which so draw how much of the light is not cut out."""
 
 
 def sources(depsgraph: bpy.types.Depsgraph) -> list[Source]:
@@ -137,6 +161,8 @@ def sources(depsgraph: bpy.types.Depsgraph) -> list[Source]:
     for ob in depsgraph.objects:  # leaves out what is hidden or excluded for the depsgraph's mode
         placed = _instances(ob, depsgraph, matrix_to_numpy(ob.matrix_world), 0)
         found += [_source(o, m, ob, depsgraph) for o, m in placed]
+    if depsgraph.mode == "RENDER":
+        return [source for source in found if source.is_seen]
     return found
 
 
@@ -183,6 +209,7 @@ def place(source: Source, frozen: Frozen | None = None) -> Placed:
         filters=filters,
         antialias=bool(ob.get(ANTIALIAS, False)),
         edited=source.is_edited,
+        holdout=source.is_holdout,
     )
 
 
@@ -209,6 +236,7 @@ class SplatCache:
         self._lock = threading.Lock()
         self._parts: dict[tuple[int, bytes], tuple[Any, Splats]] = {}
         self._merged: tuple[list[tuple[Splats, np.ndarray]], Splats] | None = None
+        self._held: tuple[Splats, list[tuple[int, bool]], tuple[Splats, Splats]] | None = None
         self.decoded = 0
         """How many times an object has been decoded, for measuring."""
         self.merged = 0
@@ -217,7 +245,7 @@ class SplatCache:
     def clear(self) -> None:
         """Let go of everything."""
         with self._lock:
-            self._parts, self._merged = {}, None
+            self._parts, self._merged, self._held = {}, None, None
 
     def model(self, placed: list[Placed]) -> Model:
         """One model of all objects; only what has changed since the last call is computed.
@@ -233,9 +261,13 @@ class SplatCache:
             turned = [
                 (parts[p.part], np.eye(4) if p is base else inverse @ p.matrix) for p in placed
             ]
-            splats = self._merge(turned)
+            splats, shares = self._merge(turned), None
+            if any(p.holdout for p in placed):
+                runs = [(len(parts[p.part]), p.holdout) for p in placed]
+                splats, shares = self._hold_out(splats, runs)
         return Model(
             splats=splats,
+            shares=shares,
             matrix=base.matrix,
             antialias=tuple(p.name for p in placed if p.antialias),
             plain=tuple(p.name for p in placed if not p.antialias),
@@ -265,6 +297,12 @@ class SplatCache:
             self._parts[placed.part] = known
             self.decoded += 1
         return known[1]
+
+    def _hold_out(self, splats: Splats, runs: list[tuple[int, bool]]) -> tuple[Splats, Splats]:
+        """`Model.splats` and `shares`, of splats of which so many each are held out or not."""
+        if self._held is None or self._held[0] is not splats or self._held[1] != runs:
+            self._held = splats, runs, held_out(splats, runs)
+        return self._held[2]
 
     def _merge(self, turned: list[tuple[Splats, np.ndarray]]) -> Splats:
         """Splats, each with the matrix to the common space, as one model."""

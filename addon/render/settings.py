@@ -18,6 +18,15 @@ class RenderSettings(bpy.types.PropertyGroup):
         ],
         default=AUTO,
     )
+    blur_samples: bpy.props.IntProperty(
+        name="Blur Samples",
+        description="Pictures of which one with depth of field or motion blur is the mean; more "
+        "make wide blur smoother",
+        default=32,
+        min=1,
+        max=4096,
+        soft_max=512,
+    )
     live: bpy.props.BoolProperty(
         name="Live Viewport",
         description="In Rendered shading, have the graphics card draw splats until the exact "

@@ -10,7 +10,7 @@ from mathutils import Vector
 from .. import attributes, compat
 from ..cameras import photos
 from ..interface.operators import Acting, make_active
-from ..splats.objects import is_splats, meant
+from ..splats.objects import catch_up, is_splats, meant
 from .operators import use_engine
 
 _MOST = 0.9
@@ -25,6 +25,7 @@ def frame_of(ob: bpy.types.Object) -> tuple[np.ndarray, float]:
     Raises:
         ValueError: there are none, or their attributes are out of reach in Edit Mode.
     """
+    catch_up(ob)
     means = attributes.column(ob.data, attributes.POSITION) if len(ob.data.vertices) else ()
     if not len(means):
         raise ValueError(f"{ob.name} shows no splats: it has none, or is in Edit Mode.")

@@ -14,8 +14,10 @@ from ..cameras.captures import RenderCamera
 from ..cameras.formulas import FLIP
 from ..core import CancelFlag, Cancelled, GsError
 from ..process import threads
-from . import color, picture
+from . import picture
+from .film import Film
 from .scene import Placed, SplatCache
+from .stage import View
 
 QUICK = 0.08
 """Seconds a picture should take while the view turns; above, it is drawn smaller first."""
@@ -41,13 +43,13 @@ class Request:
         """Whether the other picture is this one."""
         return (
             other is not None
-            and [(p.part, p.antialias) for p in self.placed]
-            == [(p.part, p.antialias) for p in other.placed]
+            and [(p.part, p.antialias, p.holdout) for p in self.placed]
+            == [(p.part, p.antialias, p.holdout) for p in other.placed]
             and all(
                 a.frozen is b.frozen and np.array_equal(a.matrix, b.matrix)
                 for a, b in zip(self.placed, other.placed, strict=True)
             )
-            and _same_camera(self.camera, other.camera)
+            and self.camera.same(other.camera)
             and (self.options, self.transparent) == (other.options, other.transparent)
             and np.array_equal(self.to_scene, other.to_scene)
         )
@@ -122,20 +124,18 @@ class Painter:
     def _paint(self, request: Request) -> None:
         """Draw at a size that is quick, then at the full one."""
         model = self._cache.model(request.placed)
+        film = Film(
+            options=request.options, transparent=request.transparent, to_scene=request.to_scene
+        )
         for factor in dict.fromkeys((self._factor, 1)):
             began = time.perf_counter()
             camera = smaller(request.camera, factor)
             until = began + PATIENCE if factor == 1 else float("inf")
-            rendered = picture.draw(
-                model,
-                camera,
-                request.options,
-                stop=lambda until=until: self._is_old(request) and time.perf_counter() > until,
-                cancel=self._cancel,
-            )
-            pixels = color.combined(
-                rendered, transparent=request.transparent, to_scene=request.to_scene
-            )
+            pixels = film.shoot(
+                View(model=model, camera=camera),
+                lambda until=until: self._is_old(request) and time.perf_counter() > until,
+                self._cancel,
+            )["Combined"]
             took = time.perf_counter() - began
             self.pixels, self.problem, self.fresh = pixels, "", True
             if factor > 1 and self._is_old(request):
@@ -238,13 +238,3 @@ def redraw_when_ready(painter: Painter) -> None:
         return _POLL if painter.busy or painter.fresh else None
 
     bpy.app.timers.register(poll, first_interval=_POLL)
-
-
-def _same_camera(a: RenderCamera, b: RenderCamera) -> bool:
-    sizes = (a.width, a.height, a.near, a.orthographic) == (
-        b.width,
-        b.height,
-        b.near,
-        b.orthographic,
-    )
-    return sizes and np.array_equal(a.K, b.K) and np.array_equal(a.viewmat, b.viewmat)

@@ -81,6 +81,7 @@ def apply_filters(ob: bpy.types.Object) -> int:
             be left.
     """
     objects.check_writable(ob)
+    objects.catch_up(ob)
     keep = filters.visible_mask(ob)
     if len(keep) and not keep.any():
         raise ValueError(f"{ob.name}: the filters hide every splat; relax them before applying.")
@@ -101,6 +102,7 @@ def select(ob: bpy.types.Object, *, hidden: bool) -> int:
         ValueError: Edit Mode or missing attributes.
     """
     objects.check_writable(ob)
+    objects.catch_up(ob)
     chosen = filters.visible_mask(ob) != hidden
     ob.data.vertices.foreach_set("select", chosen)
     ob.data.update()
@@ -118,6 +120,7 @@ def add_crop_box(context: bpy.types.Context, ob: bpy.types.Object) -> bpy.types.
     """
     if ob.mode == "EDIT":
         raise ValueError(f"{ob.name} is in Edit Mode: leave it before a crop box is added.")
+    objects.catch_up(ob)
     means = attributes.column(ob.data, attributes.POSITION) if len(ob.data.vertices) else ()
     if not len(means):
         raise ValueError(f"{ob.name} has no splats to put a box around.")

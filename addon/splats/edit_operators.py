@@ -30,6 +30,7 @@ class Editing(OnSplats):
     def act(self, context: bpy.types.Context) -> str:
         """Leave Edit Mode, edit, and enter it again."""
         ob = objects.meant(context)
+        objects.catch_up(ob)
         edited = ob.mode == "EDIT"
         if edited:
             bpy.ops.object.mode_set(mode="OBJECT")

@@ -1,6 +1,6 @@
 """Splats as a mesh object: create, refresh, read, count."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import bpy
@@ -15,6 +15,8 @@ from .filters import visible_mask
 KIND = "splats"
 ANTIALIAS = "gs_antialias"
 """Custom property of a splat object whose opacities want compensation (Mip-Splatting)."""
+CATCH_UP: list[Callable[[bpy.types.Object], None]] = []
+"""Bring an object's mesh up to what the object shows; ValueError where that cannot be."""
 
 
 def create(
@@ -60,6 +62,18 @@ def refresh(ob: bpy.types.Object, splats: Splats) -> None:
     _fill(ob.data, splats)
 
 
+def catch_up(ob: bpy.types.Object) -> None:
+    """Have an object's mesh hold what the object shows now: in a window it follows with a delay.
+
+    Whatever reads the splats of an object, or edits them, does this first.
+
+    Raises:
+        ValueError: it cannot, because a file or the object says so.
+    """
+    for bring in CATCH_UP:
+        bring(ob.original)
+
+
 def read(ob: bpy.types.Object, *, filtered: bool = False) -> Splats:
     """Raw parameters in object space, from the object's own mesh (no modifiers).
 
@@ -68,10 +82,11 @@ def read(ob: bpy.types.Object, *, filtered: bool = False) -> Splats:
         filtered: Leave out what the object's display filters hide.
 
     Raises:
-        ValueError: attributes are missing or not finite; the message names them.
+        ValueError: attributes are missing or not finite, and named; or as `catch_up`.
     """
     if ob.type not in {"MESH", "POINTCLOUD"}:
         raise ValueError(f"{ob.name} is no splat object: it is a {ob.type.lower()}.")
+    catch_up(ob)
     with _readable(ob) as data:
         splats = attributes.read(data)
         return splats.subset(visible_mask(ob, data)) if filtered else splats

@@ -6,6 +6,7 @@ mesh follows bit by bit, while nothing plays; until then only our renderers show
 
 import logging
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import bpy
@@ -17,7 +18,7 @@ from ..job.filling import Filling
 from ..job.loader import Loaded
 from ..process import beat
 from ..process.background import Task
-from ..splats import live
+from ..splats import live, objects
 from . import mesh, settings
 from .library import LIBRARY, Frame
 from .moment import Moment, moment_of
@@ -51,6 +52,8 @@ class _State:
     """Problems that the console was told of."""
     problems: dict[int, str] = field(default_factory=dict)
     """Why meshes do not follow, by the session number of their object."""
+    left_alone: int = 0
+    """How many renderers look at several moments of a frame."""
 
 
 _state = _State()
@@ -68,6 +71,39 @@ def bring(scene: bpy.types.Scene) -> None:
             _bring_one(ob, scene)
         except (GsError, ValueError) as error:
             _tell(ob, str(error))
+
+
+def catch_up(ob: bpy.types.Object) -> None:
+    """Put the frame that an object shows now into its mesh, at once; what is edited stays.
+
+    Raises:
+        GsError, ValueError: the frame cannot be read, or the mesh cannot be written.
+    """
+    if ob.type != "MESH" or not plays(ob) or ob.mode == "EDIT":
+        return
+    note_edits([ob])
+    if not plays(ob):
+        return
+    coming = _state.coming
+    if coming is not None and coming.owner == ob.session_uid:
+        _drop_coming()
+    _bring_one(ob, bpy.context.scene)
+
+
+def _drop_coming() -> None:
+    if _state.coming is not None and _state.coming.filling is not None:
+        _state.coming.filling.drop()
+    _state.coming = None
+
+
+@contextmanager
+def left_alone() -> Iterator[None]:
+    """Leave meshes as they are, while a renderer that needs none looks at moments of a frame."""
+    _state.left_alone += 1
+    try:
+        yield
+    finally:
+        _state.left_alone -= 1
 
 
 def note_edits(obs: list[bpy.types.Object]) -> None:
@@ -227,6 +263,8 @@ _FOLLOWER = beat.Follower(_collect, _waits, _hurries)
 
 @persistent
 def _frame_changed(scene: bpy.types.Scene, *_: object) -> None:
+    if _state.left_alone:
+        return
     if _at_once(scene):
         bring(scene)
     elif not bpy.app.is_job_running("RENDER") and _players(scene):  # else another thread draws
@@ -287,16 +325,16 @@ def on_register() -> None:
     for name, function in _HANDLERS.items():
         getattr(bpy.app.handlers, name).append(function)
     settings.CHANGED.append(settings_changed)
+    objects.CATCH_UP.append(catch_up)
     beat.FOLLOWERS.append(_FOLLOWER)
 
 
 def on_unregister() -> None:
     """Follow no more, and let go of all frames."""
     beat.FOLLOWERS.remove(_FOLLOWER)
+    objects.CATCH_UP.remove(catch_up)
     settings.CHANGED.remove(settings_changed)
     for name, function in _HANDLERS.items():
         getattr(bpy.app.handlers, name).remove(function)
-    if _state.coming is not None and _state.coming.filling is not None:
-        _state.coming.filling.drop()
-    _state.coming = None
+    _drop_coming()
     LIBRARY.close()

@@ -31,6 +31,11 @@ class Layout:
         assert 0 <= factor <= 1
         self.notes.append(f"[{factor:.0%}] {text}")
 
+    def template_icon(self, icon_value: int, *, scale: float) -> None:
+        """Note a picture."""
+        assert icon_value > 0 and scale > 0
+        self.notes.append("[picture]")
+
     def prop(self, owner: Any, name: str, *, text: str | None = None, **_: Any) -> None:
         """Note a property."""
         assert name in owner.bl_rna.properties, name

@@ -6,7 +6,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from addon.compat import world_nodes
+from addon import compat
 from addon.core import Rendered, Splats, render
 from addon.splats import objects
 
@@ -61,7 +61,7 @@ def prepare(
     scene.render.resolution_x, scene.render.resolution_y = size
     world = bpy.data.worlds.new("World")
     world.color = (light,) * 3
-    tree = world_nodes(world)
+    tree = compat.world_nodes(world)
     if tree is not None:
         tree.nodes["Background"].inputs[0].default_value = (light, light, light, 1)
     scene.world = world
@@ -120,6 +120,15 @@ def render_file(path: Path, kind: str = "PNG", mode: str = "RGB") -> np.ndarray:
 def render_exr(folder: Path, name: str = "a") -> np.ndarray:
     """F12 as scene-linear float32 RGBA."""
     return render_file(folder / f"{name}.exr", "OPEN_EXR", "RGBA")
+
+
+def render_pass(scene: bpy.types.Scene, folder: Path, name: str) -> np.ndarray:
+    """A pass by way of the compositor, [H, W]."""
+    tree = compat.make_compositor_tree(scene)
+    layers = next(n for n in tree.nodes if n.type == "R_LAYERS")
+    tree.links.new(layers.outputs[name], compat.compositor_result(tree))
+    scene.render.use_compositing = True
+    return render_exr(folder, name)[..., 0]
 
 
 def error_of(action: Callable[[], object]) -> str:

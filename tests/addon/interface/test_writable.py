@@ -61,6 +61,7 @@ CALLS: dict[str, dict[str, Any]] = {
     "show_splats": {},
     "select_result": {},
     "compare_photo": {},
+    "compare_worst_photo": {},
     "choose_video": {"filepath": "a.ply"},
     "fit_training": {},
     "paint_mask": {},

@@ -1,5 +1,6 @@
 """Comparison with photos. Oracle: gscore's metrics and pictures of the same view."""
 
+import json
 import shutil
 from pathlib import Path
 
@@ -11,10 +12,12 @@ from addon import stored_paths
 from addon.cameras import captures
 from addon.cameras.objects import stated
 from addon.core import downscale, psnr, render
+from addon.panels.render import RenderPanel
 from addon.render import compare, photo
 from addon.splats import objects
 from gscore.io.pictures.images import write_png
 from tests.addon import splat_scenes as lab
+from tests.addon.drawn import drawn
 
 STUDIO = Path(__file__).parents[3] / "examples" / "studio"
 
@@ -118,6 +121,38 @@ def test_operator_reports_and_stores(studio, scene, capfd):
     scene.gscore.use_masks = False
     assert bpy.ops.gscore.compare_photo() == {"FINISHED"}
     assert f"PSNR {camera['gs_psnr']:.2f} dB" in capfd.readouterr().out
+
+
+def test_one_click_from_the_worst_photo(studio, scene, tmp_path, capfd):
+    """Oracle: metrics.json of the run, and Compare with Photo of the camera that it says."""
+    capture, _ = studio
+    ob = bpy.data.objects["s"]
+    names = [capture.cameras[i]["gs_image"] for i in (4, 7, 11)]
+    views = [{"name": n, "psnr": p} for n, p in zip(names, (31.0, 17.5, 40.0), strict=True)]
+    views.append({"name": "elsewhere.jpg", "psnr": 3.0})
+    (tmp_path / "metrics.json").write_text(json.dumps({"views": views}))
+    bpy.context.view_layer.objects.active = ob
+    assert not bpy.ops.gscore.compare_worst_photo.poll()
+    stored_paths.write(ob, stored_paths.RUN, tmp_path)
+    assert "(Compare Worst Photo)" in drawn(RenderPanel)
+    assert bpy.ops.gscore.compare_worst_photo() == {"FINISHED"}
+    camera = capture.cameras[7]
+    assert bpy.context.object == camera
+    said = capfd.readouterr().out
+    assert f"Worst of 3 photos, 17.50 dB when trained. {camera.name}: PSNR" in said
+    assert "gs_psnr" in camera and "gs_psnr" not in capture.cameras[4]
+
+
+@pytest.mark.parametrize("text", [None, "{", "[]", '{"views": [{"psnr": 1}]}', '{"views": []}'])
+def test_a_run_that_evaluated_nothing_is_a_sentence(studio, tmp_path, text):
+    """Oracle: the message names the file; nothing is selected."""
+    ob = bpy.data.objects["s"]
+    if text is not None:
+        (tmp_path / "metrics.json").write_text(text)
+    stored_paths.write(ob, stored_paths.RUN, tmp_path)
+    bpy.context.view_layer.objects.active = ob
+    assert "metrics.json" in lab.error_of(bpy.ops.gscore.compare_worst_photo)
+    assert bpy.context.object == ob
 
 
 def no_photo(camera, folder):

@@ -9,6 +9,7 @@ import bpy
 import numpy as np
 import pytest
 
+from addon import compat
 from addon.cameras import captures
 from addon.compat import matrix_to_numpy
 from addon.core import Cancelled, transform_splats, write_splats
@@ -99,22 +100,11 @@ def test_depth_pass(scene, tmp_path):
     lab.prepare(scene)
     lab.add(scene, lab.wall(1.0, (0.9, 0.2, 0.1), half=0.5))
     scene.view_layers[0].use_pass_z = True
-    depth = _pass(scene, tmp_path, "Depth")
+    depth = lab.render_pass(scene, tmp_path, "Depth")
     assert depth[35, 45] == pytest.approx(3.0, abs=1e-5)
     assert depth[2, 2] == pytest.approx(1e10)
     near = depth[depth < 1e9]
     assert near.size > 100 and np.abs(near - 3).max() < 0.01
-
-
-def _pass(scene: bpy.types.Scene, folder: Path, name: str) -> np.ndarray:
-    """A pass by way of the compositor, [H, W]."""
-    from addon import compat
-
-    tree = compat.make_compositor_tree(scene)
-    layers = next(n for n in tree.nodes if n.type == "R_LAYERS")
-    tree.links.new(layers.outputs[name], compat.compositor_result(tree))
-    scene.render.use_compositing = True
-    return lab.render_exr(folder, name)[..., 0]
 
 
 @pytest.mark.parametrize("crop", [False, True])
@@ -382,6 +372,7 @@ def no_splats(scene):
 
 def panorama(scene):
     scene.camera.data.type = "PANO"
+    compat.panorama_settings(scene.camera.data).panorama_type = "MIRRORBALL"
 
 
 def stretched(scene):
@@ -406,7 +397,7 @@ def two_minds(scene):
     [
         (no_camera, "no camera"),
         (no_splats, "no splats to render"),
-        (panorama, "panoramic"),
+        (panorama, "Camera is mirrorball; panoramas"),
         (stretched, "splats cannot be rendered.*unevenly"),
         (no_attribute, "scale"),
         (stereo, "stereo"),

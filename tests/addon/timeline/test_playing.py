@@ -8,7 +8,8 @@ import bpy
 import numpy as np
 import pytest
 
-from addon.core import Splats, write_splats
+from addon import attributes
+from addon.core import Splats, read_splats, write_splats
 from addon.panels.sequence import SequencePanel
 from addon.process import beat
 from addon.render.copies import Copies
@@ -212,8 +213,6 @@ def test_edits_make_it_stand_still(scene, playing) -> None:
     """Data are never lost: what was deleted stays deleted, is drawn so, and can be dropped."""
     scene.frame_set(3)
     keep = np.arange(320) < 100
-    from addon import attributes
-
     attributes.keep(playing.data, keep)
     playing.data.update()
     bpy.context.view_layer.update()
@@ -299,3 +298,60 @@ def test_the_mesh_follows_bit_by_bit_where_there_is_a_window(scene, playing, mon
     scene.frame_set(7)
     until(lambda: len(playing.data.vertices) == 0)
     assert [m for m in bpy.data.meshes if "gs_filling" in m] == []
+
+
+@pytest.fixture
+def scrubbed(scene, playing, monkeypatch) -> bpy.types.Object:
+    """As in a window just after scrubbing to frame 4, before the mesh has followed."""
+    monkeypatch.setattr(follow, "_at_once", lambda scene: False)
+    scene.frame_set(4)
+    assert number_of(playing) == 0
+    return playing
+
+
+def test_an_export_after_scrubbing_has_the_frame_that_shows(scrubbed, tmp_path) -> None:
+    """Oracle: the frame's file, read back from the export."""
+    bpy.ops.gscore.export_splats(filepath=str(tmp_path / "out.ply"), world="SOURCE")
+    assert read_splats(tmp_path / "out.ply").means.shape == (330, 3)
+    np.testing.assert_array_equal(objects.read(scrubbed).means, frame_splats(3).means)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["select_by_opacity", "select_splats", "grade_splats", "add_crop_box", "apply_filters"],
+)
+def test_an_edit_after_scrubbing_is_one_of_the_frame_that_shows(scene, scrubbed, name) -> None:
+    """Oracle: the number of splats of the frame, which stays when the timeline rests."""
+    assert getattr(bpy.ops.gscore, name)() == {"FINISHED"}
+    if bpy.context.mode != "OBJECT":
+        bpy.ops.object.mode_set(mode="OBJECT")
+    assert number_of(scrubbed) == 3
+    until(lambda: not beat.tick())
+    assert number_of(scrubbed) == 3
+
+
+def test_a_mesh_on_its_way_never_lands_on_an_edit(scene, scrubbed) -> None:
+    """Oracle: what the edit left, however long one waits."""
+    beat.tick()  # begins to bring frame 3
+    scrubbed.gscore.opacity_min = 0.5
+    assert bpy.ops.gscore.apply_filters() == {"FINISHED"}
+    left = len(scrubbed.data.vertices)
+    assert left < 330
+    bpy.context.view_layer.update()
+    until(lambda: not beat.tick())
+    assert len(scrubbed.data.vertices) == left and scrubbed.gscore_sequence.edited
+
+
+def test_an_export_of_a_frame_that_cannot_be_read_says_so(scrubbed, folder, tmp_path) -> None:
+    """Oracle: no file, and the name of the frame's."""
+    (folder / "frame_0003.ply").write_bytes(b"ply\nnonsense")
+    LIBRARY.clear()
+    export = bpy.ops.gscore.export_splats
+    error = lab.error_of(lambda: export(filepath=str(tmp_path / "out.ply")))
+    assert "frame_0003" in error and not (tmp_path / "out.ply").exists()
+
+
+def test_an_edit_that_blender_has_not_seen_is_kept(scene, scrubbed) -> None:
+    """Oracle: the splats that a script left, exported before the scene was evaluated."""
+    attributes.keep(scrubbed.data, np.arange(300) < 120)
+    assert len(objects.read(scrubbed)) == 120

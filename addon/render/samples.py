@@ -1,0 +1,96 @@
+"""The pictures that a blurred one is the mean of: where on the lens, and when; no bpy."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+_GOLDEN = (5**0.5 - 1) / 2
+"""Turns from one point to the next of a sunflower's (Vogel 1979), which no two points share."""
+_PLASTIC = 0.7548776662466927
+"""Inverse of the plastic number: shares of it are spread as evenly, and otherwise."""
+_STEPS = 256
+"""In which a shutter's curve is added up."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sample:
+    """One of the pictures."""
+
+    reach: float
+    """Distance from the lens's middle, 0 to 1 at its edge; equal areas are met equally often."""
+    turn: float
+    """Direction from the middle, 0 to 1 around it."""
+    moment: float
+    """How much of the light of the exposure came before, 0 to 1."""
+
+
+def samples(count: int) -> list[Sample]:
+    """As many as wanted, in the order of their moments, the same each time.
+
+    Moments follow each other evenly. On the lens points lie as in a sunflower, and are taken in an
+    order that has nothing to do with their place, so that early ones lie everywhere.
+    """
+    if count == 1:
+        return [Sample(reach=0.0, turn=0.0, moment=0.5)]
+    index = np.arange(count)
+    place = np.argsort(np.argsort(index * _PLASTIC % 1))
+    reach, turn = np.sqrt((place + 0.5) / count), place * _GOLDEN % 1
+    moment = (index + 0.5) / count
+    return [
+        Sample(reach=float(r), turn=float(t), moment=float(m))
+        for r, t, m in zip(reach, turn, moment, strict=True)
+    ]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Aperture:
+    """The hole through which a camera's light falls, and what is in focus."""
+
+    radius: float
+    """World units."""
+    distance: float
+    """Of what is in focus, along the camera's axis, world units."""
+    blades: int = 0
+    """Sides of the hole; fewer than three make a disk."""
+    rotation: float = 0.0
+    """Of the blades, radians."""
+    ratio: float = 1.0
+    """Height of the hole in relation to its width."""
+
+    def point(self, sample: Sample) -> tuple[float, float]:
+        """Where a sample's light passes, x to the right and y up, world units from the axis."""
+        if self.blades < 3:
+            angle = 2 * np.pi * sample.turn
+            x, y = np.cos(angle), np.sin(angle)
+        else:
+            # Evenly along the sides, so that areas are met evenly too.
+            side, along = divmod(sample.turn * self.blades, 1)
+            half = np.pi / self.blades
+            ends = self.rotation + half * (2 * side + np.array([-1, 1]))
+            x, y = ((1 - along) * f(ends[0]) + along * f(ends[1]) for f in (np.cos, np.sin))
+        reach = self.radius * sample.reach
+        return float(reach * x / self.ratio), float(reach * y)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shutter:
+    """When light falls onto the film."""
+
+    opens: float
+    """Frames after the one that is rendered."""
+    length: float
+    """Frames that it stays open."""
+    curve: tuple[float, ...] = ()
+    """How open it is, at moments that follow each other evenly; empty: quite, all the time."""
+
+    def time(self, sample: Sample) -> float:
+        """When a sample is taken, in frames after the one that is rendered."""
+        share = sample.moment
+        light = np.maximum(np.array(self.curve, np.float64), 0)
+        if light.size > 1 and light.any():
+            ends = np.linspace(0, 1, _STEPS + 1)
+            middles = (ends[1:] + ends[:-1]) / 2
+            amounts = np.interp(middles, np.linspace(0, 1, light.size), light)
+            total = np.concatenate([[0], np.cumsum(amounts)])
+            share = float(np.interp(share, total / total[-1], ends))
+        return self.opens + self.length * share

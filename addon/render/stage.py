@@ -1,0 +1,230 @@
+"""What stands before a camera, through which point of its lens and at which moment of a frame."""
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+
+import bpy
+import numpy as np
+
+from .. import attributes
+from ..cameras.captures import RenderCamera, render_camera
+from ..cameras.panorama import Panorama, panorama_of
+from ..compat import matrix_to_numpy
+from ..timeline import follow
+from .frozen import Frozen
+from .samples import Aperture, Sample, Shutter, samples
+from .scene import NO_SPLATS, Model, SplatCache, place, sources
+
+_OPENINGS = {"START": 0.0, "CENTER": -0.5, "END": -1.0}
+"""When the shutter opens, in lengths of the exposure after the frame, by Blender's names."""
+_CURVE_POINTS = 65
+_NARROWEST = 1e-5
+"""Smallest f-stop, as Cycles has it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """What one picture shows."""
+
+    model: Model
+    camera: RenderCamera | Panorama
+
+    def same(self, other: "View") -> bool:
+        """Whether the other picture is this one."""
+        return (
+            self.model.splats is other.model.splats
+            and np.array_equal(self.model.matrix, other.model.matrix)
+            and self.camera.same(other.camera)
+        )
+
+
+class Stage:
+    """Of one frame that is being rendered.
+
+    Args:
+        depsgraph: Of the render.
+        camera: Through which it looks.
+        size: Width and height, pixels.
+        cache: Keeps decoded splats.
+        frame_set: Evaluates the depsgraph at a frame and a fraction of one.
+    """
+
+    def __init__(
+        self,
+        depsgraph: bpy.types.Depsgraph,
+        camera: bpy.types.Object,
+        size: tuple[int, int],
+        cache: SplatCache,
+        frame_set: Callable[[int, float], None],
+    ) -> None:
+        self._depsgraph, self._camera, self._size = depsgraph, camera, size
+        self._cache, self._frame_set = cache, frame_set
+        self._frame = float(depsgraph.scene.frame_current_final)
+        self._shutter = shutter_of(depsgraph.scene)
+        self._frozen: dict[int, Frozen] = {}
+
+    @property
+    def blurs(self) -> bool:
+        """Whether a picture is the mean of several."""
+        camera = self._camera.evaluated_get(self._depsgraph)
+        return blurs(self._depsgraph.scene, camera)
+
+    def view(self) -> View:
+        """What a pinhole in the middle of the lens shows at the frame itself.
+
+        Raises:
+            ValueError: there is nothing to draw, an object cannot be drawn, or the camera is none.
+        """
+        view = self._view()
+        if view is None:
+            raise ValueError(NO_SPLATS)
+        return view
+
+    def views(self, count: int) -> Iterator[View]:
+        """What shows from as many places of the lens, at as many moments; errors as `view`.
+
+        The scene is at its own frame again once all were taken or the iterator is closed.
+        """
+        if self._shutter is None:
+            yield from self._through(samples(count))
+            return
+        with self._other_moments():
+            yield from self._through(samples(count))
+
+    def _through(self, wanted: list[Sample]) -> Iterator[View]:
+        still = None if self._shutter is not None else self.view()
+        for sample in wanted:
+            if self._shutter is not None:
+                self._go(self._frame + self._shutter.time(sample))
+            view, aperture = still or self._view(), self._aperture()
+            if view is None:  # objects may be hidden for a part of the exposure
+                view = View(model=_nothing(), camera=self._pinhole())
+            if aperture is not None and isinstance(view.camera, RenderCamera):
+                view = replace(view, camera=through(view.camera, *aperture.point(sample), aperture))
+            yield view
+
+    def _view(self) -> View | None:
+        camera = self._pinhole()
+        found = sources(self._depsgraph)
+        placed = []
+        for source in found:
+            # A frame of a sequence is kept elsewhere; what a mesh holds is the same all the time.
+            known = None if source.moment is not None else self._frozen.get(source.uid)
+            placed.append(place(source, known))
+            if source.moment is None:
+                self._frozen[source.uid] = placed[-1].frozen
+        return View(model=self._cache.model(placed), camera=camera) if placed else None
+
+    def _pinhole(self) -> RenderCamera | Panorama:
+        width, height = self._size
+        own = self._camera.evaluated_get(self._depsgraph)
+        if own.type == "CAMERA" and own.data.type == "PANO":
+            return panorama_of(own, self._depsgraph.scene, width=width, height=height)
+        return render_camera(
+            self._camera,
+            self._depsgraph.scene,
+            depsgraph=self._depsgraph,
+            width=width,
+            height=height,
+        )
+
+    def _aperture(self) -> Aperture | None:
+        return aperture_of(self._camera.evaluated_get(self._depsgraph), self._depsgraph)
+
+    def _go(self, frame: float) -> None:
+        whole = math.floor(frame)
+        self._frame_set(whole, frame - whole)
+
+    @contextmanager
+    def _other_moments(self) -> Iterator[None]:
+        with follow.left_alone():
+            try:
+                yield
+            finally:
+                self._go(self._frame)
+
+
+def blurs(scene: bpy.types.Scene, camera: bpy.types.Object) -> bool:
+    """Whether pictures of a scene by a camera are the mean of several."""
+    return _opens(scene.render) or _has_depth_of_field(camera)
+
+
+def shutter_of(scene: bpy.types.Scene) -> Shutter | None:
+    """When light falls in a frame of a scene; None without motion blur."""
+    render = scene.render
+    if not _opens(render):
+        return None
+    length = float(render.motion_blur_shutter)
+    curve = render.motion_blur_shutter_curve
+    curve.initialize()
+    points = (curve.evaluate(curve.curves[0], x) for x in np.linspace(0, 1, _CURVE_POINTS))
+    return Shutter(
+        opens=_OPENINGS[render.motion_blur_position] * length, length=length, curve=tuple(points)
+    )
+
+
+def aperture_of(camera: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Aperture | None:
+    """The hole of an evaluated camera, in Cycles' units: its lens is in thousandths of one.
+
+    None where everything is in focus.
+    """
+    if not _has_depth_of_field(camera):
+        return None
+    data, dof = camera.data, camera.data.dof
+    length = data.lens * 1e-3 if data.type == "PERSP" else 1.0
+    return Aperture(
+        radius=length / (2 * max(dof.aperture_fstop, _NARROWEST)),
+        distance=max(_focus_distance(camera, dof, depsgraph), data.clip_start),
+        blades=dof.aperture_blades,
+        rotation=dof.aperture_rotation,
+        ratio=max(dof.aperture_ratio, 1e-3),
+    )
+
+
+def _opens(render: bpy.types.RenderSettings) -> bool:
+    return render.use_motion_blur and render.motion_blur_shutter > 0
+
+
+def _has_depth_of_field(camera: bpy.types.Object) -> bool:
+    data = camera.data
+    return getattr(data, "type", "") in {"PERSP", "ORTHO"} and data.dof.use_dof
+
+
+def _focus_distance(
+    camera: bpy.types.Object, dof: bpy.types.CameraDOFSettings, depsgraph: bpy.types.Depsgraph
+) -> float:
+    if dof.focus_object is None:
+        return dof.focus_distance
+    target = dof.focus_object.original.evaluated_get(depsgraph)
+    matrix = matrix_to_numpy(target.matrix_world)
+    bone = target.pose.bones.get(dof.focus_subtarget) if target.pose is not None else None
+    if bone is not None:
+        matrix = matrix @ matrix_to_numpy(bone.matrix)
+    eye = matrix_to_numpy(camera.matrix_world)
+    axis = eye[:3, 2] / np.linalg.norm(eye[:3, 2])
+    return float(abs(axis @ (eye[:3, 3] - matrix[:3, 3])))
+
+
+def through(camera: RenderCamera, x: float, y: float, aperture: Aperture) -> RenderCamera:
+    """A camera whose light passes beside the lens's middle; what is in focus stays where it is.
+
+    Args:
+        camera: Of the middle.
+        x: To the right, world units.
+        y: Up, world units.
+        aperture: Says what is in focus.
+    """
+    moved = np.eye(4)
+    moved[:2, 3] = -x, y  # camera axes are OpenCV's, whose y points down
+    K = camera.K.copy()
+    if camera.orthographic:
+        moved[:2, 2] = -moved[:2, 3] / aperture.distance  # rays stay parallel, and lean
+    else:
+        K[:2, 2] -= K[[0, 1], [0, 1]] * moved[:2, 3] / aperture.distance
+    return replace(camera, viewmat=moved @ camera.viewmat, K=K)
+
+
+def _nothing() -> Model:
+    return Model(splats=attributes.NO_SPLATS, matrix=np.eye(4), antialias=(), plain=())

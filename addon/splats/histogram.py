@@ -1,0 +1,72 @@
+"""How many splats there are of each opacity and size, counted and drawn; no bpy."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+_BINS = 96
+_SHOWN = (0.3, 0.6, 0.95)
+_HIDDEN = (0.45, 0.45, 0.45)
+"""Colours of bars, RGB in [0, 1]."""
+_TAILS = (0.001, 0.999)
+"""Shares of the splats between which sizes are drawn; the rest is at the ends."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Histogram:
+    """Counts along an axis."""
+
+    counts: np.ndarray
+    """[bins] int64."""
+    low: float
+    """Value at the left end, or its logarithm."""
+    high: float
+    """Value at the right end, or its logarithm."""
+    logarithmic: bool
+    """Whether the axis is one of natural logarithms."""
+
+    def place(self, value: float) -> float:
+        """Where a value lies on the axis, 0 at its left and 1 at its right end."""
+        if self.logarithmic:
+            value = np.log(max(value, 1e-30))
+        return float(np.clip((value - self.low) / (self.high - self.low), 0, 1))
+
+    def picture(self, width: int, height: int, smallest: float, largest: float) -> np.ndarray:
+        """The counts as bars, whose areas go with the square roots of the counts.
+
+        Args:
+            width: Pixels.
+            height: Pixels.
+            smallest: Bars below are drawn as hidden.
+            largest: Bars above too; 0: none.
+
+        Returns:
+            [height, width, 4] float32 RGBA, premultiplied, bottom row first, as icons are.
+        """
+        column = (np.arange(width) + 0.5) / width
+        tall = np.sqrt(self.counts / max(int(self.counts.max(initial=0)), 1))
+        bars = tall[np.minimum((column * len(tall)).astype(int), len(tall) - 1)] * height
+        ends = self.place(smallest) if smallest > 0 else 0.0, 1.0
+        if largest > 0:
+            ends = ends[0], self.place(largest)
+        shown = (column >= ends[0]) & (column <= ends[1])
+        pixels = np.zeros((height, width, 4), np.float32)
+        alpha = np.clip(bars - np.arange(height)[:, None], 0, 1) * np.where(shown, 1.0, 0.6)
+        pixels[..., 3] = alpha
+        pixels[..., :3] = alpha[..., None] * np.where(shown[:, None], _SHOWN, _HIDDEN)
+        return pixels
+
+
+def of_opacities(opacities: np.ndarray) -> Histogram:
+    """Of values [N] in [0, 1]."""
+    counts, _ = np.histogram(opacities, _BINS, (0, 1))
+    return Histogram(counts=counts, low=0.0, high=1.0, logarithmic=False)
+
+
+def of_sizes(sizes: np.ndarray) -> Histogram:
+    """Of positive values [N], on a logarithmic axis."""
+    logs = np.log(np.maximum(sizes, 1e-30))
+    low, high = np.quantile(logs, _TAILS) if len(logs) else (0.0, 1.0)
+    low, high = (low, high) if high - low > 1e-3 else (low - 0.5, low + 0.5)
+    counts, _ = np.histogram(np.clip(logs, low, high), _BINS, (low, high))
+    return Histogram(counts=counts, low=float(low), high=float(high), logarithmic=True)

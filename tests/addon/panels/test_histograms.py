@@ -1,0 +1,98 @@
+"""Histograms of splats. Oracle: numpy's counts, and the filters that hide splats."""
+
+import bpy
+import numpy as np
+import pytest
+
+from addon import attributes
+from addon.panels import histogram_icons
+from addon.panels.result import FiltersPanel
+from addon.splats.histogram import of_opacities, of_sizes
+from tests.addon import splat_scenes as lab
+from tests.addon.drawn import drawn
+
+
+def heights(pixels: np.ndarray, shown: bool) -> np.ndarray:
+    """How high the bars stand in each column, of those that are shown or hidden."""
+    blue = pixels[..., 2] > 1.5 * pixels[..., 0]
+    return ((pixels[..., 3] > 0.3) & (blue == shown)).sum(0)
+
+
+def test_bars_go_with_the_counts():
+    """Oracle: a ramp of counts; the square root of each, of the picture's height."""
+    values = np.repeat((np.arange(96) + 0.5) / 96, np.arange(96) + 1)
+    found = of_opacities(values)
+    np.testing.assert_array_equal(found.counts, np.arange(96) + 1)
+    bars = heights(found.picture(96, 100, 0.0, 0.0), shown=True)
+    np.testing.assert_allclose(bars, 100 * np.sqrt((np.arange(96) + 1) / 96), atol=1)
+
+
+@pytest.mark.parametrize(("smallest", "largest"), [(0.0, 0.0), (0.02, 0.0), (0.01, 0.1)])
+def test_what_the_limits_hide_is_grey(smallest, largest):
+    """Oracle: the share of the splats that the filters' own mask keeps."""
+    sizes = np.exp(np.random.default_rng(0).uniform(np.log(0.001), 0, 100_000))
+    found = of_sizes(sizes)
+    assert found.counts.sum() == len(sizes)
+    pixels = found.picture(192, 64, smallest, largest)
+    shown, hidden = heights(pixels, True) > 0, heights(pixels, False) > 0
+    kept = (sizes >= smallest) & ((sizes <= largest) if largest else True)
+    assert shown.sum() / 192 == pytest.approx(kept.mean(), abs=0.02)
+    assert (shown | hidden).all() and not (shown & hidden).any()
+
+
+def test_odd_splats_have_histograms_too():
+    """Oracle: counts, of none, of one, and of splats all alike."""
+    for sizes in ([], [0.1], [0.1] * 5, [0.0, 0.1]):
+        found = of_sizes(np.array(sizes, np.float32))
+        assert found.counts.sum() == len(sizes)
+        assert np.isfinite(found.picture(20, 20, 0.05, 0.2)).all()
+
+
+def test_meshes_are_counted_when_they_have_changed(scene, monkeypatch):
+    """Oracle: the number of readings, and numpy's counts after an edit."""
+    lab.prepare(scene)
+    ob = lab.add(scene, lab.blob())
+    bpy.context.view_layer.update()
+    icons = histogram_icons.ICONS
+    first = icons.histograms(ob)[histogram_icons.OPACITY]
+    assert first.counts.sum() == 400
+    assert icons.histograms(ob)[histogram_icons.OPACITY] is first
+    attributes.keep(ob.data, np.arange(400) < 150)
+    ob.data.update()
+    bpy.context.view_layer.update()
+    opacities = attributes.column(ob.data, attributes.BASE)[:, 3]
+    counts = icons.histograms(ob)[histogram_icons.OPACITY].counts
+    np.testing.assert_array_equal(counts, np.histogram(opacities, 96, (0, 1))[0])
+    bpy.context.view_layer.objects.active = ob
+    bpy.ops.object.mode_set(mode="EDIT")
+    icons.forget({ob.data.session_uid})
+    assert icons.histograms(ob) == {}
+    bpy.ops.object.mode_set(mode="OBJECT")
+
+
+def test_the_panel_shows_two_with_their_sliders(scene, monkeypatch):
+    """Oracle: the order of what the panel puts down, with icons as a window has them."""
+    lab.prepare(scene)
+    ob = lab.add(scene, lab.blob())
+    bpy.context.view_layer.objects.active = ob
+    assert drawn(FiltersPanel).startswith("<opacity_min>")  # icons have no number here
+    monkeypatch.setattr(histogram_icons.ICONS, "update", lambda ob, kind: 7)
+    wanted = "By opacity [picture] <opacity_min> By size [picture] <size_min> <size_max>"
+    assert drawn(FiltersPanel).startswith(wanted)
+
+
+def test_icons_follow_the_filters(scene):
+    """Oracle: the picture that the counts give for the limits."""
+    lab.prepare(scene)
+    ob = lab.add(scene, lab.blob())
+    icons = histogram_icons.ICONS
+    for limit in (0.0, 0.5):
+        ob.gscore.opacity_min = limit
+        icons.update(ob, "opacity")
+        wanted = icons.histograms(ob)["opacity"].picture(192, 192, limit, 0.0)
+        got = np.array(icons._icons["opacity"].image_pixels_float[:]).reshape(192, 192, 4)
+        np.testing.assert_allclose(got, wanted, atol=1 / 255)
+    ob.data.attributes.remove(ob.data.attributes["scale"])
+    icons.forget({ob.data.session_uid})
+    bpy.context.view_layer.objects.active = ob
+    assert drawn(FiltersPanel).startswith("<opacity_min>")

@@ -1,0 +1,265 @@
+"""Depth of field and motion blur. Oracles: thin-lens optics, and pictures without either."""
+
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+
+from addon.core import Splats, write_splats
+from addon.render import film, picture
+from addon.render.samples import Aperture, Shutter, samples
+from addon.timeline import importing, mesh
+from tests.addon import splat_scenes as lab
+
+LEVEL = 1 / 255
+
+
+def point(place: tuple[float, float, float]) -> Splats:
+    """One white opaque splat much smaller than a pixel."""
+    return Splats(
+        means=np.array([place], np.float32),
+        quats=np.array([[1, 0, 0, 0]], np.float32),
+        scales=np.full((1, 3), np.log(1e-4), np.float32),
+        opacities=np.full(1, 8, np.float32),
+        sh0=np.full((1, 1, 3), 0.5 / lab.SH_C0, np.float32),
+        shN=np.zeros((1, 0, 3), np.float32),
+    )
+
+
+def open_lens(
+    scene: bpy.types.Scene, diameter: float, focus: float, count: int = 256
+) -> bpy.types.Camera:
+    """Give the scene's camera a hole of a diameter in world units, with what is in focus."""
+    data = scene.camera.data
+    data.dof.use_dof, data.dof.focus_distance = True, focus
+    length = data.lens * 1e-3 if data.type == "PERSP" else 1.0
+    data.dof.aperture_fstop = length / diameter
+    scene.gscore_render.blur_samples = count
+    return data
+
+
+def spot(picture: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Middle, standard deviations (x, y in pixels) and sum of the light of a picture."""
+    light = picture[..., 3].astype(np.float64)
+    y, x = np.mgrid[: light.shape[0], : light.shape[1]] + 0.5
+    places = np.stack([x, y])
+    middle = (places * light).sum((1, 2)) / light.sum()
+    variance = ((places - middle[:, None, None]) ** 2 * light).sum((1, 2)) / light.sum()
+    return middle, np.sqrt(variance), float(light.sum())
+
+
+@pytest.mark.parametrize(
+    ("depth", "focus", "diameter"), [(4.0, 2.0, 0.5), (2.0, 4.0, 0.25), (3.0, 40.0, 0.4)]
+)
+def test_circle_of_confusion(scene, tmp_path, depth, focus, diameter):
+    """Oracle: the thin lens, c = A f |1/F - 1/z| pixels, by extent and by second moment."""
+    lab.prepare(scene, size=(120, 100))
+    scene.render.film_transparent = True
+    lab.add(scene, point((0.0, 0.0, 4.0 - depth)))
+    _, sharp, _ = spot(lab.render_exr(tmp_path, "sharp"))
+    data = open_lens(scene, diameter, focus)
+    picture = lab.render_exr(tmp_path)
+    pixels = data.lens / data.sensor_width * 120
+    wanted = diameter * pixels * abs(1 / focus - 1 / depth)
+    assert wanted > 10
+    middle, spread, _ = spot(picture)
+    np.testing.assert_allclose(middle, [60, 50], atol=0.2)
+    # A disk's variance along an axis is a sixteenth of its squared diameter.
+    disk = 4 * np.sqrt(spread**2 - sharp**2)
+    np.testing.assert_allclose(disk, wanted, atol=0.5)
+    lit = picture[..., 3] > picture[..., 3].max() / 8
+    across = lit.any(0).sum(), lit.any(1).sum()
+    np.testing.assert_allclose(across, wanted + 1.5, atol=2)
+
+
+def test_what_is_in_focus_stays_as_it_is(scene, tmp_path):
+    """Oracle: the picture without depth of field, to 2/255 in sRGB; what is before it differs."""
+    lab.prepare(scene, light=0.2)
+    lab.add(scene, lab.wall(0.0, (0.2, 0.5, 0.8), half=0.8))
+    lab.add(scene, lab.wall(0.001, (0.9, 0.5, 0.1), half=0.3), "smaller")
+    sharp = lab.srgb(lab.render_exr(tmp_path, "sharp")[..., :3])
+    open_lens(scene, 0.3, 4.0, 32)
+    focused = lab.srgb(lab.render_exr(tmp_path, "focused")[..., :3])
+    assert np.abs(focused - sharp).max() <= 2 * LEVEL
+    scene.camera.data.dof.focus_distance = 2.0
+    blurred = lab.srgb(lab.render_exr(tmp_path, "blurred")[..., :3])
+    assert np.abs(blurred - sharp).max() > 40 * LEVEL
+
+
+def test_parallel_rays_lean_through_what_is_in_focus(scene, tmp_path):
+    """Oracle: the cone of an aperture A that meets at F is A |1 - z / F| wide at z."""
+    camera = lab.prepare(scene, size=(100, 100))
+    camera.data.type, camera.data.ortho_scale = "ORTHO", 4.0
+    scene.render.film_transparent = True
+    ob = lab.add(scene, point((0.0, 0.0, 0.0)))
+    _, sharp, _ = spot(lab.render_exr(tmp_path, "sharp"))
+    open_lens(scene, 0.5, 2.0)
+    middle, spread, _ = spot(lab.render_exr(tmp_path))
+    np.testing.assert_allclose(middle, [50, 50], atol=0.2)
+    np.testing.assert_allclose(4 * np.sqrt(spread**2 - sharp**2), 0.5 * 25, atol=0.5)
+    ob.location.z = 2.0
+    np.testing.assert_allclose(spot(lab.render_exr(tmp_path, "focused"))[1], sharp, atol=0.01)
+
+
+def test_focus_on_an_object(scene, tmp_path):
+    """Oracle: the distance along the camera's axis, typed in."""
+    lab.prepare(scene)
+    lab.add(scene, lab.blob())
+    data = open_lens(scene, 0.3, 2.5, 8)
+    typed = lab.render_exr(tmp_path, "typed")
+    target = bpy.data.objects.new("target", None)
+    scene.collection.objects.link(target)
+    target.location = (0.7, -0.4, 1.5)
+    data.dof.focus_object, data.dof.focus_distance = target, 77.0
+    np.testing.assert_allclose(lab.render_exr(tmp_path, "object"), typed, atol=1e-5)
+
+
+def test_blades_and_ratio_shape_the_hole():
+    """Oracle: the outline and area moments of a regular polygon, and of an ellipse."""
+    many = samples(4096)
+    disk = np.array([Aperture(radius=2.0, distance=1.0).point(s) for s in many])
+    np.testing.assert_allclose((disk**2).mean(0), 1.0, rtol=5e-3)  # R^2 / 4
+    assert np.abs(disk.mean(0)).max() < 5e-3
+    wide = [Aperture(radius=2.0, distance=1.0, ratio=2.0).point(s) for s in many]
+    np.testing.assert_allclose(np.array(wide), disk / [2, 1])
+    square = Aperture(radius=1.0, distance=1.0, blades=4)
+    corners = np.array([square.point(s) for s in many])
+    # Circumradius 1, corners at 45 degrees: sides of length sqrt 2 along the axes.
+    assert 0.69 < np.abs(corners).max() <= 0.5**0.5 + 1e-9
+    np.testing.assert_allclose((corners**2).mean(0), 2 / 12, rtol=1e-2)
+    turned = Aperture(radius=1.0, distance=1.0, blades=4, rotation=np.pi / 4)
+    assert np.abs(np.abs(np.array([turned.point(s) for s in many])).sum(1)).max() <= 1 + 1e-9
+
+
+def test_a_shutter_curve_gives_moments_their_share():
+    """Oracle: a curve that opens linearly has gone half way in light after sqrt(1/2)."""
+    even = Shutter(opens=-0.25, length=0.5)
+    times = [even.time(s) for s in samples(4)]
+    np.testing.assert_allclose(times, [-0.1875, -0.0625, 0.0625, 0.1875])
+    rising = Shutter(opens=0.0, length=1.0, curve=tuple(np.linspace(0, 1, 65)))
+    times = [rising.time(s) for s in samples(64)]
+    np.testing.assert_allclose(times, np.sqrt((np.arange(64) + 0.5) / 64), atol=2e-3)
+
+
+def moving(ob: bpy.types.Object, pace: float) -> None:
+    """So far along x in each frame, through its own place at frame 5."""
+    middle = ob.location.x
+    for frame in (0, 10):
+        ob.location.x = middle + pace * (frame - 5)
+        ob.keyframe_insert("location", frame=frame)
+    for curve in curves(ob):
+        for key in curve.keyframe_points:
+            key.interpolation = "LINEAR"
+
+
+def curves(ob: bpy.types.Object) -> list:
+    """The curves of an object's action, which since 4.4 lie in its layers."""
+    action = ob.animation_data.action
+    if hasattr(action, "fcurves"):
+        return list(action.fcurves)
+    return [c for s in action.layers[0].strips for bag in s.channelbags for c in bag.fcurves]
+
+
+@pytest.mark.parametrize("what", ["splats", "camera"])
+@pytest.mark.parametrize(("position", "offset"), [("START", 0.5), ("CENTER", 0), ("END", -0.5)])
+def test_motion_makes_streaks(scene, tmp_path, what, position, offset):
+    """Oracle: a streak of speed times shutter, whose place is that of the exposure."""
+    camera = lab.prepare(scene, size=(160, 40))
+    scene.render.film_transparent = True
+    splats = lab.add(scene, point((0.0, 0.0, 0.0)))
+    scene.frame_set(5)
+    _, sharp, light = spot(lab.render_exr(tmp_path, "sharp"))
+    ob, sign = (splats, 1) if what == "splats" else (camera, -1)
+    moving(ob, 0.4)
+    scene.frame_set(5)
+    scene.render.use_motion_blur, scene.render.motion_blur_shutter = True, 0.8
+    scene.render.motion_blur_position = position
+    scene.gscore_render.blur_samples = 64
+    middle, spread, streak = spot(lab.render_exr(tmp_path))
+    pixels = camera.data.lens / camera.data.sensor_width * 160 / 4
+    length = 0.4 * 0.8 * pixels
+    np.testing.assert_allclose(middle, [80 + sign * offset * length, 20], atol=0.1)
+    # A line's variance is a twelfth of its squared length.
+    assert np.sqrt(12 * (spread[0] ** 2 - sharp[0] ** 2)) == pytest.approx(length, abs=0.3)
+    assert spread[1] == pytest.approx(sharp[1], abs=0.05)
+    assert streak == pytest.approx(light, rel=0.05)
+    assert scene.frame_current_final == 5
+
+
+def test_what_stands_still_is_drawn_once(scene, tmp_path, monkeypatch):
+    """Oracle: the picture without motion blur, and the number of drawings."""
+    drawings = []
+
+    def draw(*args, **options):
+        drawings.append(args)
+        return picture.draw(*args, **options)
+
+    lab.prepare(scene, light=0.3)
+    lab.add(scene, lab.blob())
+    still = lab.render_exr(tmp_path, "still")
+    monkeypatch.setattr(film, "picture", type("Counted", (), {"draw": staticmethod(draw)}))
+    scene.render.use_motion_blur = True
+    np.testing.assert_allclose(lab.render_exr(tmp_path), still, rtol=1e-6, atol=1e-7)
+    assert len(drawings) == 1
+
+
+def test_depth_is_that_of_the_frame_itself(scene, tmp_path):
+    """Oracle: the wall's distance at the frame, with an open lens and a moving wall."""
+    camera = lab.prepare(scene)
+    lab.add(scene, lab.wall(1.0, (0.9, 0.2, 0.1), half=0.5))
+    moving(camera, 0.3)
+    scene.frame_set(5)
+    scene.view_layers[0].use_pass_z = True
+    sharp = lab.render_pass(scene, tmp_path, "Depth")
+    open_lens(scene, 0.5, 1.0, 4)
+    scene.render.use_motion_blur = True
+    np.testing.assert_array_equal(lab.render_pass(scene, tmp_path, "Depth"), sharp)
+    assert (sharp < 1e9).any()
+
+
+def test_hidden_for_half_of_the_exposure(scene, tmp_path):
+    """Oracle: half of the light, from an object that is hidden from the frame's middle on."""
+    lab.prepare(scene)
+    scene.render.film_transparent = True
+    ob = lab.add(scene, lab.wall(0.0, (0.9, 0.2, 0.1)))
+    for frame, hidden in ((5, False), (6, True)):
+        ob.hide_render = hidden
+        ob.keyframe_insert("hide_render", frame=frame)
+    scene.frame_set(5)
+    scene.render.use_motion_blur, scene.render.motion_blur_shutter = True, 2.0
+    scene.render.motion_blur_position = "START"
+    assert lab.render_exr(tmp_path)[35, 45, 3] == pytest.approx(0.5, abs=0.01)
+
+
+def test_same_picture_every_time(scene, tmp_path):
+    """Oracle: the first render, bit by bit."""
+    lab.prepare(scene)
+    lab.add(scene, lab.blob())
+    open_lens(scene, 0.3, 3.0, 8)
+    first = lab.render_exr(tmp_path, "first")
+    np.testing.assert_array_equal(lab.render_exr(tmp_path, "second"), first)
+
+
+def test_a_sequence_blurs_over_its_frames(scene, tmp_path: Path):
+    """Oracle: the mean of the frames that the exposure meets, rendered alone; their mesh stays."""
+    lab.prepare(scene)
+    scene.render.film_transparent = True
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    for i in range(1, 9):
+        write_splats(folder / f"{i:04}.ply", lab.blob(200, seed=i))
+    ob, _ = importing.import_sequence(bpy.context, folder)
+    alone = []
+    for frame in (3, 4):
+        scene.frame_set(frame)
+        alone.append(lab.render_exr(tmp_path, f"alone{frame}"))
+    scene.frame_set(3)
+    held = mesh.holds(ob)
+    scene.render.use_motion_blur, scene.render.motion_blur_shutter = True, 2.0
+    scene.render.motion_blur_position = "START"
+    scene.gscore_render.blur_samples = 16
+    got = lab.render_exr(tmp_path)
+    np.testing.assert_allclose(got, np.mean(alone, 0), atol=1e-5)
+    assert np.abs(alone[0] - alone[1]).max() > 0.1
+    assert mesh.holds(ob) == held
