@@ -357,9 +357,10 @@ class TrainConfig:
     )
     region: Path | None = option(
         None,
-        "Train only the splats of `start_splats` that lie in the box of this file; all others "
-        "stand still, are drawn, and come out bit for bit as they were. Photos that do not see "
-        "the box are left out; docs/steer.md has the file.",
+        "Train what lies in the box of this file. Of `start_splats` those in it are trained; all "
+        "others stand still, are drawn, and come out bit for bit as they were. Without them only "
+        "pixels that look at the box count. Photos that do not see it are left out; docs/steer.md "
+        "has the file.",
         group="start",
         metavar="FILE.json",
     )

@@ -41,8 +41,7 @@ class Beginning:
             start_checkpoint: Go on from this one, of another folder.
 
         Raises:
-            ConfigError: both are asked for, a file that was named is not there, or a region is to
-                be trained of no splats.
+            ConfigError: both are asked for, or a file that was named is not there.
             FormatError: the checkpoint that was named, each one in the folder, or the file of
                 splats is damaged.
         """
@@ -58,10 +57,6 @@ class Beginning:
         """How the run ended if it has nothing left to do."""
         self.splats: Splats | None = None
         """Given splats in COLMAP world, until `go_on`."""
-        if config.region is not None and config.start_splats is None:
-            raise ConfigError(
-                "A region is a part of splats that are there: give them with --start-splats."
-            )
         if config.start_splats is not None and self.ended is None:
             self.splats = read_splats(config.start_splats)
 

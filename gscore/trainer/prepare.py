@@ -95,7 +95,7 @@ def prepare(
         )
     photos = load_dataset(data, cancelled=lambda: control.stopping)
     if region is not None:
-        photos = RegionPhotos(photos, region, near=config.near)
+        photos = RegionPhotos(photos, region, near=config.near, narrow=start is None)
     config, enough = enough_steps(
         config, photos=len(photos.train), mask_mode=photos.mask_mode, taken=taken
     )

@@ -138,7 +138,8 @@ class Trainer:
         learnt, None: they are taken as they are; `placing` where training cameras stand, None:
         where the capture has them; `photo_cache` is how many bytes of photos may be kept, None:
         all; `team` are the processes that train together, each of which makes such a trainer;
-        `region`, in COLMAP world, holds the splats of `start` that are trained, None: all are.
+        `region`, in COLMAP world, holds the splats of `start` that are trained, None: all are;
+        where there is no `start`, `photos` are those that are narrowed to it.
 
         Raises:
             DatasetError: nothing to train on.
@@ -191,9 +192,10 @@ class Trainer:
         """How photos were exposed and where they were taken, as far as that is learnt."""
         self._v_viewmat = zeros(4, 4)
         self.region = None if region is None else region.in_training(self.frame.similarity)
-        """The box that trained splats may not leave, training world; None: they may be anywhere."""
+        """The box that matters, training world; of given splats, those in it may not leave it."""
         self.still: Still | None = None
         """What stands around them and is drawn with them; None: nothing does."""
+        self._given = start is not None
         if region is not None and start is not None:
             start, self.still = parted(start, region, config, self.frame)
         first, free_space = self._first_splats(start, cloud, count, cameras)
@@ -244,6 +246,8 @@ class Trainer:
         """A sentence on the part of the splats that is trained; empty: all are."""
         if self.region is None:
             return ""
+        if not self._given:
+            return "Only pixels that look at the region count."
         count = count_words(len(self.model), "splat")
         return f"{count} in the region; {number(self._standing)} around it stand still."
 
@@ -750,7 +754,7 @@ class Trainer:
             cap=self.plan.cap_for(self._factor) - self._standing,
             generator=self.generator,
         )
-        if self.region is not None:
+        if self.region is not None and self._given:
             self.region.keep_inside(model.params["means"])
         return replace(change, removed=change.removed + removed), bad_rows
 

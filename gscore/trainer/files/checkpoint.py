@@ -228,10 +228,11 @@ def check_same_region(checkpoint: Checkpoint, trainer: Trainer) -> None:
     same splats."""
     now = region_fingerprint(trainer).get(_REGION)
     if checkpoint.capture.get(_REGION) != now:
+        given = [path for path in (trainer.config.region, trainer.config.start_splats) if path]
         raise ConfigError(
             f"{checkpoint.path} belongs to another run: it trained another region, or other splats "
-            f"stood around it. Give back {trainer.config.region} and "
-            f"{trainer.config.start_splats} as they were, or start anew in another folder."
+            f"stood around it. Give back {' and '.join(map(str, given)) or 'its region'} as it "
+            "was, or start anew in another folder."
         )
 
 

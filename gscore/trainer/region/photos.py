@@ -5,19 +5,26 @@ from typing import Any
 import numpy as np
 
 from ...datasets import Dataset
-from ...errors import DatasetError
+from ...errors import ConfigError, DatasetError
 from .box import Box
 
 
 class RegionPhotos(Dataset):
     """The views that may see a box. Held-out ones are judged by the pixels that look at it."""
 
-    def __init__(self, whole: Dataset, box: Box, *, near: float) -> None:
-        """Keep the views of `whole` that may see `box`; `near` in world units.
+    def __init__(self, whole: Dataset, box: Box, *, near: float, narrow: bool = False) -> None:
+        """Keep the views of `whole` that may see `box`; `near` in world units. `narrow`: what does
+        not look at it counts in no view at all.
 
         Raises:
             DatasetError: no training view does.
+            ConfigError: views are to be narrowed whose masks cut the subject out already.
         """
+        if narrow and whole.mask_mode == "composite":
+            raise ConfigError(
+                "The masks of this capture are opacity: they cut the subject out already. A region "
+                "of a new training takes --mask-mode ignore or none."
+            )
         cameras = whole.scene.cameras
 
         def seen(index: int) -> bool:
@@ -33,7 +40,7 @@ class RegionPhotos(Dataset):
             source=whole.source,
         )
         self._box = box
-        self._judged = frozenset(self.test)
+        self._narrowed = frozenset(self.test + self.train if narrow else self.test)
         if whole.train and not self.train:
             raise DatasetError(
                 f"None of the {len(whole.train)} training photos looks at the region. Is it a box "
@@ -41,9 +48,10 @@ class RegionPhotos(Dataset):
             )
 
     def mask(self, index: int) -> np.ndarray | None:
-        """[H, W] uint8. Of a held-out view that is not cut out: only what looks at the box."""
+        """[H, W] uint8. Of a view that is not cut out, held out or narrowed: only what looks at the
+        box."""
         own = super().mask(index)
-        if index not in self._judged or self.mask_mode != "ignore":
+        if index not in self._narrowed or self.mask_mode != "ignore":
             return own
         cameras: Any = self.scene.cameras
         size = int(cameras.widths[index]), int(cameras.heights[index])

@@ -1,0 +1,95 @@
+"""A region of a training from the start; oracles: the outline of its box, bytes."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gscore.config import DataConfig
+from gscore.datasets import load_dataset
+from gscore.errors import ConfigError
+from gscore.events import Started
+from gscore.io.region_file import write_region
+from gscore.trainer.region.box import Box
+from gscore.trainer.region.photos import RegionPhotos
+from gscore.trainer.run import train
+from gscore.trainer.trainer import Trainer
+from tests.trainer.short_run import CONFIG
+
+BOX = np.diag([0.3, 0.3, 0.3, 1.0])
+"""About the middle of the toy capture; half of its points lie outside."""
+ANEW = replace(CONFIG, region=Path("r"))
+
+
+@pytest.mark.parametrize("narrow", [False, True])
+def test_only_pixels_that_look_at_the_region_count(capture: Path, narrow: bool) -> None:
+    """Oracle: the outline of the box, which has its own test; masks of training views have it
+    where they are narrowed, of held-out views always."""
+    dataset = load_dataset(DataConfig(source=capture, eval=True))
+    box, cameras = Box(BOX), dataset.scene.cameras
+    found = RegionPhotos(dataset, box, near=0.01, narrow=narrow)
+    assert found.mask_mode == "ignore" and found.test
+    for index in (*found.train, *found.test):
+        size = int(cameras.widths[index]), int(cameras.heights[index])
+        outline = box.outline(cameras.Ks[index], cameras.viewmats[index], *size)
+        assert 0 < outline.mean() < 1
+        mask = found.mask(index)
+        if narrow or index in found.test:
+            assert mask is not None and np.array_equal(mask > 0, outline)
+        else:
+            assert mask is None
+
+
+def test_nothing_else_of_photos_is_learnt(capture: Path) -> None:
+    """Oracle: the same training with photos that are black all around the region: the same bits."""
+
+    class Blackened(RegionPhotos):
+        def image(self, index: int) -> np.ndarray:
+            mask = self.mask(index)
+            assert mask is not None
+            return super().image(index) * (mask > 0)[..., None].astype(np.uint8)
+
+    def trained(kind: type[RegionPhotos]) -> bytes:
+        dataset = load_dataset(DataConfig(source=capture))
+        photos = kind(dataset, Box(BOX), near=0.01, narrow=True)
+        # Exposure and stereo are judged on whole photos elsewhere; here only the loss sees them.
+        trainer = Trainer(ANEW, photos, region=Box(BOX))
+        for _ in range(30):
+            trainer.step()
+        return trainer.splats().means.tobytes()
+
+    assert trained(Blackened) == trained(RegionPhotos)
+
+
+def test_photos_that_masks_cut_out_are_refused(capture: Path) -> None:
+    """Oracle: their masks are opacity already, which a region cannot narrow."""
+    dataset = load_dataset(DataConfig(source=capture))
+    dataset.mask_mode = "composite"
+    with pytest.raises(ConfigError, match="--mask-mode ignore"):
+        RegionPhotos(dataset, Box(BOX), near=0.01, narrow=True)
+
+
+def test_another_region_does_not_go_on(capture: Path, tmp_path: Path) -> None:
+    """Oracle: a run that was stopped goes on in its own box, and not in another."""
+    config = replace(ANEW, iterations=40, region=tmp_path / "r.json")
+    write_region(tmp_path / "r.json", BOX)
+    source = DataConfig(source=capture)
+    train(config, source, tmp_path / "out")
+    longer = replace(config, iterations=50)
+    assert train(longer, source, tmp_path / "out", resume=True).steps == 50
+    write_region(tmp_path / "r.json", BOX * [[2], [2], [2], [1]])
+    with pytest.raises(ConfigError, match="another region"):
+        train(replace(config, iterations=60), source, tmp_path / "out", resume=True)
+
+
+def test_a_run_says_what_it_trains(capture: Path, tmp_path: Path) -> None:
+    """Oracle: the sentence of the event, and the results of a run."""
+    write_region(tmp_path / "r.json", BOX)
+    told = []
+    config = replace(CONFIG, region=tmp_path / "r.json")
+    result = train(config, DataConfig(source=capture, eval=True), tmp_path / "out",
+                   on_event=told.append)  # fmt: skip
+    (sentence,) = [event.region for event in told if isinstance(event, Started)]
+    assert "look at the region" in sentence
+    assert result.metrics is not None and result.metrics["psnr_masked"] > 0
