@@ -138,6 +138,26 @@ def test_a_path_comes_back(scene, camera, tmp_path: Path, kind, world, step) -> 
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-2)
 
 
+@pytest.mark.skipif(not bpy.app.build_options.alembic, reason="this Blender has no Alembic")
+def test_cameras_of_alembic_files(scene, camera, tmp_path: Path) -> None:
+    """Oracle: the path of the camera that Blender itself wrote to Alembic and read again."""
+    bpy.ops.object.select_all(action="DESELECT")
+    camera.select_set(True)
+    file, paths = str(tmp_path / "walk.abc"), [tmp_path / "before.json", tmp_path / "after.json"]
+    bpy.ops.gscore.export_camera_path(filepath=str(paths[0]), world="BLENDER", kind="TRANSFORMS")
+    bpy.ops.wm.alembic_export(filepath=file, start=3, end=8, selected=True, as_background_job=False)
+    bpy.data.objects.remove(camera)
+    bpy.ops.wm.alembic_import(filepath=file, as_background_job=False, set_frame_range=False)
+    scene.camera = next(ob for ob in scene.objects if ob.type == "CAMERA")
+    bpy.ops.gscore.export_camera_path(filepath=str(paths[1]), world="BLENDER", kind="TRANSFORMS")
+    before, after = (json.loads(path.read_text()) for path in paths)
+    assert len(before["frames"]) == len(after["frames"]) == 6
+    for theirs, ours in zip(before["frames"], after["frames"], strict=True):
+        for key in ("transform_matrix", "fl_x", "cx", "cy"):
+            want, got = ({**whole, **one}[key] for whole, one in ((before, theirs), (after, ours)))
+            np.testing.assert_allclose(got, want, rtol=2e-4, atol=1e-4)
+
+
 def test_the_path_of_nerfstudios_viewer(scene, tmp_path: Path) -> None:
     """Oracle: points projected by hand, with the vertical field of view; its size and pace."""
     pose = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1]]
