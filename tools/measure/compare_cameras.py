@@ -46,7 +46,8 @@ def distances(found: np.ndarray, given: np.ndarray) -> np.ndarray:
 def psnr_by_view(capture: Path, preset: str, seed: int, offset: int) -> dict[str, float]:
     """Of the held-out views after a training, dB, by their names."""
     data, config = PRESETS[preset](capture)
-    data = replace(data, eval=True, test_offset=offset)
+    # The search takes no masks along, so neither training may use any.
+    data = replace(data, eval=True, test_offset=offset, mask_mode="none")
     with tempfile.TemporaryDirectory() as folder:
         found = train(replace(config, seed=seed), data, Path(folder) / "run")
     return {view["name"]: view["psnr"] for view in found.metrics["views"]}
