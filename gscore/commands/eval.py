@@ -158,7 +158,7 @@ def _measure(args: argparse.Namespace, show: Show, control: Control) -> tuple[di
         threads=args.threads or backend.default_threads(),
         course=course,
     )
-    mapped = {} if errors is None else _write_map(args.error_map, model, errors)
+    mapped = _write_map(args.error_map, model, errors) if errors and args.error_map else {}
     content = write_results(
         output,
         metrics,
