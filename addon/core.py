@@ -44,6 +44,8 @@ from gscore.frontend import (
     Done,
     Estimate,
     Eval,
+    EvalDone,
+    EvalProgress,
     Failed,
     Folder,
     FramesDone,

@@ -209,6 +209,37 @@ class DepthDone(Event):
 
 
 @dataclass(frozen=True, kw_only=True)
+class EvalProgress(Event):
+    """How far the measuring of a model is."""
+
+    kind: ClassVar[str] = "eval_progress"
+    done: int
+    """Views."""
+    total: int
+    """Views; 0: not known yet."""
+    view: str
+    """The last one and its PSNR; empty before the first."""
+    eta_s: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvalDone(Event):
+    """A model was measured, and the results were written."""
+
+    kind: ClassVar[str] = "evaluated"
+    split: str
+    path: str
+    """Folder of metrics.json and report.html."""
+    views: dict[str, float | None] = field(default_factory=dict)
+    """The PSNR of each view as `judged_psnr` says, dB, by its name; null: it is infinite, or there
+    is none."""
+    error_map: str = ""
+    """The splats in the colours of their errors; empty: not asked for."""
+    error_bright: float = 0.0
+    """The error that its brightest colour stands for, 0 to 1."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class SfmEstimated(Event):
     """What finding the cameras of photos will take, told once they are read and before each further
     attempt."""
@@ -338,6 +369,8 @@ KINDS: dict[str, type[Event]] = {
         Failed,
         DepthProgress,
         DepthDone,
+        EvalProgress,
+        EvalDone,
         SfmEstimated,
         SfmProgress,
         SfmDone,

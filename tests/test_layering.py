@@ -143,12 +143,24 @@ ROOMS = {
     "search": _OBJECTS | {"python", "job"},
     "depth": _OBJECTS | {"python", "job"},
     "steer": _OBJECTS | {"job", "render"},
+    "judge": _OBJECTS | {"job"},
     "timeline": _OBJECTS | {"job"},
     "sequence": _OBJECTS | {"job"},
     "render": _OBJECTS | {"timeline"},
     "live": _OBJECTS | {"render"},
     "panels": _OBJECTS
-    | {"python", "job", "search", "depth", "steer", "timeline", "sequence", "render", "live"},
+    | {
+        "python",
+        "job",
+        "search",
+        "depth",
+        "steer",
+        "judge",
+        "timeline",
+        "sequence",
+        "render",
+        "live",
+    },
 }
 """What each room of the add-on, or file beside them, may import besides itself."""
 WITHOUT_BPY = (

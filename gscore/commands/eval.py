@@ -2,27 +2,38 @@
 
 import argparse
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ..config import DataConfig
+from ..control import Control
 from ..datasets import Dataset, load_dataset
-from ..errors import ConfigError, DatasetError
-from ..events import judged_psnr
+from ..errors import Cancelled, ConfigError, DatasetError
+from ..events import EvalDone, EvalProgress, Show, Warn, judged_psnr
+from ..formats import format_to_write, write_splat_file
 from ..io.metrics_file import metrics_problem, read_metrics
 from ..io.places import check_place
 from ..metrics import Course, Metrics, evaluate, find_lpips, headline, lpips_warnings
-from ..metrics.evaluate import ViewHook
+from ..metrics.splat_errors import SplatErrors
 from ..raster import backend
+from ..raster.request import Frustum
 from ..report import PictureCollector, cameras_section, splat_histograms, write_results
+from ..report.error_map import brightest, error_map
 from ..report.page_link import link_page
+from ..scene import Cameras
 from ..words import count_words, psnr_name, quality_words
 from .given.data_options import add_data_options, with_data_options
 from .given.model import GivenModel, add_model_argument, model_path, open_model
 from .parser import add_threads_option
+from .terminal.attend import attend
 from .terminal.output import check_folder, check_replaced, print_json
-from .terminal.status import Counted, Status, wrapped
+from .terminal.status import wrapped
+
+_STOPPED = "Stopped; nothing was written."
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -59,20 +70,39 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="replace a metrics.json or report.html that gscore did not write",
     )
+    parser.add_argument(
+        "--error-map",
+        type=Path,
+        metavar="FILE",
+        help="also write the splats in the colours of their errors, to be looked at in any viewer: "
+        "black where the pixels that they are in are like the photos, pale yellow where not",
+    )
     add_threads_option(parser)
     parser.add_argument("--json", action="store_true", help="the results as JSON, last on stdout")
     parser.add_argument("--quiet", action="store_true", help="no progress")
+    parser.add_argument(
+        "--events", choices=("jsonl",), help="events as JSON lines on stdout, commands on stdin"
+    )
     add_data_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Measure, write metrics.json and report.html, say the means."""
-    with Status(sys.stderr, quiet=args.quiet) as status:
-        return _measure(args, status)
+    result, code = attend(
+        args, lambda show, control: _measure(args, show, control), stopped=lambda: _STOPPED
+    )
+    if result is None:
+        return code
+    content, output = result
+    if args.json:
+        print_json(headline(content) | {"output": str(output)})
+    elif not args.events:
+        print(wrapped(_summary(content, output), sys.stdout))
+    return code
 
 
-def _measure(args: argparse.Namespace, status: Status) -> int:
-    status.show(["Reading the splats"])
+def _measure(args: argparse.Namespace, show: Show, control: Control) -> tuple[dict[str, Any], Path]:
+    _say(show, "Reading the splats")
     lpips, lpips_reason = find_lpips(args.lpips, threads=args.threads, download=args.lpips_download)
     model = open_model(model_path(args))
     output = args.output or model.run
@@ -84,7 +114,10 @@ def _measure(args: argparse.Namespace, status: Status) -> int:
     check_folder(output)
     config = _data_config(args, model)
     _check_output(output, config, model, overwrite=args.overwrite)
-    status.show([f"Reading the capture {config.source}"])
+    if args.error_map is not None:
+        format_to_write(args.error_map)
+        check_replaced([args.error_map], overwrite=args.overwrite)
+    _say(show, f"Reading the capture {config.source}")
     dataset = load_dataset(config)
     split, indices = _indices(args.split, dataset)
     if output == model.run and split != "test" and read_metrics(output).get("split") == "test":
@@ -97,7 +130,10 @@ def _measure(args: argparse.Namespace, status: Status) -> int:
     warnings = [*model.warnings, *dataset.warnings, *lpips_warnings(lpips_reason)]
     warnings += [problem] if problem else []
     warnings += _doubts(model, dataset, course, asked=args.split, split=split)
-    collector = PictureCollector(count=len(indices))
+    pictures = PictureCollector(count=len(indices))
+    errors = None
+    if args.error_map is not None:
+        errors = SplatErrors(model.splats, antialias=model.antialias, threads=args.threads)
     evaluation = evaluate(
         lambda index: model.picture(dataset.scene.cameras, index, threads=args.threads),
         dataset,
@@ -105,7 +141,7 @@ def _measure(args: argparse.Namespace, status: Status) -> int:
         lpips=lpips,
         lpips_reason=lpips_reason,
         background=model.background,
-        on_view=_telling(collector, Counted(status, len(indices), "view")),
+        on_view=_Views(model, dataset.scene.cameras, indices, pictures, errors, show, control),
     )
     names = dataset.scene.cameras.names
     metrics = Metrics(
@@ -122,26 +158,83 @@ def _measure(args: argparse.Namespace, status: Status) -> int:
         threads=args.threads or backend.default_threads(),
         course=course,
     )
+    mapped = _write_map(args.error_map, model, errors) if errors and args.error_map else {}
     content = write_results(
         output,
         metrics,
         data=config,
         run=model.run,
         trained=(model.data, model.train) if model.data and model.train else None,
-        views=collector.views,
+        views=pictures.views,
         warnings=warnings,
         cameras=cameras_section(config.source, dataset.scene),
         histograms=splat_histograms([model.splats]),
     )
     link_page(output)
-    status.clear()
     for sentence in warnings:
-        print(wrapped(f"Warning: {sentence}", sys.stderr), file=sys.stderr)
-    if args.json:
-        print_json(headline(content) | {"output": str(output)})
-    else:
-        print(wrapped(_summary(content, output), sys.stdout))
-    return 0
+        if args.quiet and not args.events:  # of which only progress is left out
+            print(wrapped(f"Warning: {sentence}", sys.stderr), file=sys.stderr)
+        else:
+            show(Warn(message=sentence))
+    views = {view["name"]: judged_psnr(view) for view in content["views"]}
+    show(EvalDone(split=split, path=str(output), views=views, **mapped))
+    return content | mapped, output
+
+
+def _say(show: Show, what: str) -> None:
+    show(EvalProgress(done=0, total=0, view=what, eta_s=float("nan")))
+
+
+def _write_map(path: Path, model: GivenModel, errors: SplatErrors) -> dict[str, Any]:
+    """Write the splats in the colours of their errors; what `EvalDone` tells of them."""
+    found = errors.mean()
+    bright = brightest(found)
+    colored = error_map(model.splats, found, bright=bright)
+    write_splat_file(path, colored, antialiased=model.antialias)
+    return {"error_map": str(path), "error_bright": bright}
+
+
+class _Views:
+    """Takes each view: keeps its pictures, finds whose errors they are, and says what it is
+    worth."""
+
+    def __init__(
+        self,
+        model: GivenModel,
+        cameras: Cameras,
+        indices: list[int],
+        pictures: PictureCollector,
+        errors: SplatErrors | None,
+        show: Show,
+        control: Control,
+    ) -> None:
+        self._model, self._cameras, self._indices = model, cameras, indices
+        self._pictures, self._errors = pictures, errors
+        self._show, self._control = show, control
+        self._began = time.monotonic()
+
+    def __call__(
+        self,
+        place: int,
+        target: np.ndarray,
+        rendered: np.ndarray,
+        weights: np.ndarray | None,
+        values: dict[str, Any],
+    ) -> None:
+        if self._control.stopping:
+            raise Cancelled(_STOPPED)
+        self._pictures(place, target, rendered, weights, values)
+        if self._errors is not None:
+            at, of = self._indices[place], self._cameras
+            size = int(of.widths[at]), int(of.heights[at])
+            view = Frustum(of.viewmats[at], of.Ks[at], *size, self._model.near)
+            self._errors.add(view, rendered, target, weights)
+        psnr = judged_psnr(values)
+        worth = "identical" if psnr is None else f"{psnr_name(values)} {psnr:.2f} dB"
+        done, total = place + 1, len(self._indices)
+        left = (time.monotonic() - self._began) / done * (total - done)
+        text = f"{values['name']}: {worth}"
+        self._show(EvalProgress(done=done, total=total, view=text, eta_s=left))
 
 
 def _doubts(
@@ -160,20 +253,6 @@ def _doubts(
             "neutral, so PSNR is lower than in its report where exposures differ."
         )
     return found
-
-
-def _telling(collector: PictureCollector, told: Counted) -> ViewHook:
-    """Collects the pictures of each view, and says what it is worth."""
-
-    def on_view(
-        place: int, target: Any, rendered: Any, weights: Any, values: dict[str, Any]
-    ) -> None:
-        collector(place, target, rendered, weights, values)
-        psnr = judged_psnr(values)
-        worth = "identical" if psnr is None else f"{psnr_name(values)} {psnr:.2f} dB"
-        told(place + 1, f"{values['name']}: {worth}")
-
-    return on_view
 
 
 def _check_output(output: Path, config: DataConfig, model: GivenModel, *, overwrite: bool) -> None:
@@ -245,4 +324,8 @@ def _summary(metrics: dict[str, Any], output: Path) -> str:
     worth = quality_words(metrics) or f"no PSNR ({why})"
     if metrics.get("psnr_cc") is not None:
         worth += f", colour-corrected PSNR {metrics['psnr_cc']:.2f} dB"
-    return f"{views}: {worth}\nResults: {output / 'metrics.json'}, {output / 'report.html'}"
+    text = f"{views}: {worth}\nResults: {output / 'metrics.json'}, {output / 'report.html'}"
+    if "error_map" in metrics:
+        text += f"\nErrors on the splats: {metrics['error_map']}, brightest from "
+        text += f"{metrics['error_bright']:.3f} on"
+    return text

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from gscore.io.metrics_file import read_metrics
-from gscore.io.ply.splats import write_splats
+from gscore.io.ply.splats import read_ply, write_splats
 from gscore.sh import SH_C0
 from tests.commands.conftest import STEPS
 
@@ -240,3 +240,35 @@ def test_reports_show_splats_and_cameras(gscore, trained, run_folder, tmp_path):
         assert text.count("<polygon") == 2 * 9
         assert "<title>a_1.png</title>" in text
     assert 'class="wedge scored"' in (trained / "report.html").read_text()
+
+
+def test_errors_on_the_splats(gscore, run_folder, splats, tmp_path):
+    """Oracle: half of the splats are of a wrong colour: theirs are the bright ones; the events."""
+    wrong = splats.means[:, 0] > np.median(splats.means[:, 0])
+    sh0 = splats.sh0.copy()
+    sh0[wrong] = 0.9 / SH_C0
+    folder = run_folder(splats=replace(splats, sh0=sh0))
+    path = tmp_path / "e" / "errors.ply"
+    options = ("--split", "all", "-o", tmp_path / "e", "--error-map", path)
+    code, out, _ = gscore("eval", folder, *options, "--events", "jsonl")
+    events = [json.loads(line) for line in out.splitlines()]
+    assert code == 0 and events[-1]["event"] == "evaluated" and events[-1]["error_bright"] > 0.05
+    told = [event for event in events if event["event"] == "eval_progress" and event["done"]]
+    assert [event["done"] for event in told] == list(range(1, 10))
+    written = read_metrics(tmp_path / "e")
+    assert events[-1]["views"] == {view["name"]: view["psnr"] for view in written["views"]}
+    found = read_ply(path)
+    light = found.sh0.mean(axis=(1, 2))
+    assert np.array_equal(found.means, splats.means) and found.sh_degree == 0
+    assert np.median(light[wrong]) > np.median(light[~wrong]) + 0.2
+    code, _, err = gscore("eval", folder, *options)
+    assert code == 2 and "--overwrite" in err
+    code, out, _ = gscore("eval", folder, *options, "--overwrite")
+    assert code == 0 and str(path) in out
+
+
+def test_an_error_map_of_no_format(gscore, run_folder, tmp_path):
+    """Oracle: the endings that splats can be written with; nothing is written."""
+    options = ("-o", tmp_path / "e", "--error-map", tmp_path / "errors.jpg")
+    code, _, err = gscore("eval", run_folder(), *options)
+    assert code == 2 and ".ply" in err and not (tmp_path / "e").exists()

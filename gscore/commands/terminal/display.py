@@ -13,6 +13,8 @@ from ...events import (
     Done,
     Estimated,
     Eval,
+    EvalDone,
+    EvalProgress,
     Event,
     Failed,
     FramesDone,
@@ -93,13 +95,18 @@ class Lines:
                 self._progress(event)
             case DepthProgress():
                 self._depth(event)
+            case EvalProgress():
+                self._evaluation(event)
             case SfmProgress():
                 self._sfm(event)
             case Eval():
                 self._measured = eval_text(event)
             case FramesProgress():
                 self._frames(event)
-            case Done() | DepthDone() | SequenceDone() | SfmDone() | FramesDone() | Failed():
+            case (
+                Done() | DepthDone() | EvalDone() | SequenceDone() | SfmDone() | FramesDone()
+                | Failed()
+            ):  # fmt: skip
                 self._end()
             case Saved():
                 self._saved(event)
@@ -124,6 +131,14 @@ class Lines:
         last = event.done == event.total
         share = event.done / event.total
         self._status.show([*parts, event.view], share=share, at_once=last)
+
+    def _evaluation(self, event: EvalProgress) -> None:
+        if not event.done:
+            self._status.show([event.view or "Reading"])
+            return
+        parts = [f"{clock(event.eta_s)} left", f"view {event.done} of {event.total}", event.view]
+        last = event.done == event.total
+        self._status.show(parts, share=event.done / event.total, at_once=last)
 
     def _sfm(self, event: SfmProgress) -> None:
         what = "pair" if event.phase == "comparing photos" else "photo"

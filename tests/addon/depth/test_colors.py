@@ -8,12 +8,13 @@ import pytest
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 
+from addon.cameras import coloring, overlay
 from addon.cameras.lookup import roots_of
 from addon.cameras.objects import cameras_of
 from addon.capture import depth_maps
 from addon.capture.depth_maps import ACCEPTED, MISSING, REFUSED, UNKNOWN, DepthReport, DepthRow
 from addon.depth import colors as depth_colors
-from addon.depth import overlay, work
+from addon.depth import work
 from tests.addon.captures import write_capture
 
 SQUARE = {1: ("PINHOLE", 60, 40, (50.0, 50.0, 30.0, 20.0))}
@@ -60,10 +61,10 @@ def test_colors_come_and_go(root: bpy.types.Object) -> None:
     assert not depth_colors.matches(root, report(root, 1))
     depth_colors.show(root, report(root, 1))
     depth_colors.show(root, report(root, 1))
-    depth_colors.hide(root)
+    coloring.hide(root)
     np.testing.assert_array_equal(colors(root), before)
     assert not depth_colors.shown(root)
-    assert not any(key.startswith("gs_depth") for ob in cameras_of(root) for key, _ in ob.items())
+    assert not any(key.startswith("gs_color") for ob in cameras_of(root) for key, _ in ob.items())
 
 
 def test_a_color_the_user_gives_meanwhile_stays(root: bpy.types.Object) -> None:
@@ -71,7 +72,7 @@ def test_a_color_the_user_gives_meanwhile_stays(root: bpy.types.Object) -> None:
     depth_colors.show(root, report(root))
     camera = cameras_of(root)[0]
     camera.color = (0.25, 0.5, 0.75, 1.0)
-    depth_colors.hide(root)
+    coloring.hide(root)
     assert tuple(camera.color) == (0.25, 0.5, 0.75, 1.0)
 
 
@@ -156,7 +157,7 @@ def test_a_selected_camera_keeps_its_lines(root: bpy.types.Object) -> None:
     """Oracle: eight lines a camera, none for the selected one; every plane is filled."""
     scene = bpy.context.scene
     depth_colors.show(root, report(root))
-    cameras = [ob for ob in cameras_of(root) if depth_colors.VERDICT in ob]
+    cameras = [ob for ob in cameras_of(root) if coloring.MARK in ob]
     cameras[0].select_set(True)
     lines, line_colors, faces, face_colors = overlay.geometry(cameras, scene)
     assert (lines.shape, faces.shape) == ((5 * 16, 3), (6 * 6, 3))

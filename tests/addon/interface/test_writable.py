@@ -62,6 +62,9 @@ CALLS: dict[str, dict[str, Any]] = {
     "select_result": {},
     "compare_photo": {},
     "compare_worst_photo": {},
+    "color_by_error": {"show": False},
+    "show_error_map": {},
+    "remove_errors": {},
     "choose_video": {"filepath": "a.ply"},
     "fit_training": {},
     "paint_mask": {},
@@ -91,6 +94,7 @@ NOT_IN_THE_SCENE = {
     *("update_splats", "cancel_search", "cancel_depth", "show_depth_sheet"),
     *("show_report", "show_test_view", "check_trainer", "make_environment", "cancel_setup"),
     *("train_sequence", "stop_sequence", "train_region", "stop_region"),
+    *("measure_errors", "stop_errors"),
     *("save_mask", "discard_mask", "mask_brush"),
 }
 """Operators that write files, or start, steer and show what runs beside Blender."""
@@ -190,7 +194,7 @@ def _object(ob: bpy.types.Object) -> list[Any]:
     own = ob.gscore
     made: list[Any] = [[round(v, 4) for row in ob.matrix_basis for v in row]]
     made += [own.display, own.opacity_min, own.crop_object and own.crop_object.name]
-    made += [ob.hide_viewport, ob.hide_render, ob.get("gs_depth"), ob.parent and ob.parent.name]
+    made += [ob.hide_viewport, ob.hide_render, ob.get("gs_colored"), ob.parent and ob.parent.name]
     for modifier in ob.modifiers:
         made.append((modifier.name, modifier.show_render, _inputs(modifier)))
     if ob.type == "CAMERA":

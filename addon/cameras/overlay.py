@@ -11,7 +11,7 @@ import numpy as np
 from gpu_extras.batch import batch_for_shader
 from mathutils import Matrix
 
-from .colors import VERDICT
+from .coloring import MARK
 
 LINE_WIDTH = 2.5
 """Pixels at a scale of the interface of 1."""
@@ -30,10 +30,7 @@ def colored_cameras(context: bpy.types.Context) -> list[bpy.types.Object]:
     return [
         ob
         for ob in context.view_layer.objects
-        if ob.type == "CAMERA"
-        and VERDICT in ob
-        and ob != through
-        and ob.visible_get(viewport=space)
+        if ob.type == "CAMERA" and MARK in ob and ob != through and ob.visible_get(viewport=space)
     ]
 
 

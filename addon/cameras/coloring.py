@@ -1,0 +1,57 @@
+"""Colors that cameras are given to show something, and how they come back.
+
+The color is the camera object's own, and the viewport's drawing of it is `overlay`. What the user
+had there is kept in a custom property.
+"""
+
+import bpy
+
+from .objects import cameras_of
+
+MARK, _KEPT = "gs_colored", "gs_colors"
+"""Custom properties of a colored camera: what for; the color it had and the one it was given, RGBA
+each."""
+_TOLERANCE = 1e-5
+
+
+def own_cameras(root: bpy.types.Object) -> list[bpy.types.Object]:
+    """Cameras of a capture that can be colored: those of linked files, and overrides, keep no
+    custom properties."""
+    return [ob for ob in cameras_of(root) if ob.library is None and ob.override_library is None]
+
+
+def give(ob: bpy.types.Object, mark: str, color: tuple[float, ...]) -> None:
+    """Color a camera, linear RGBA; `mark` says what for."""
+    take(ob)
+    own = [float(v) for v in ob.color]
+    ob.color = color
+    ob[MARK], ob[_KEPT] = mark, [*own, *(float(v) for v in ob.color)]
+
+
+def take(ob: bpy.types.Object) -> None:
+    """Give a camera its color back; one that the user has given it since stays."""
+    if MARK not in ob:
+        return
+    kept = [float(v) for v in ob.get(_KEPT, ())]
+    now = [float(v) for v in ob.color]
+    if len(kept) == 8 and all(abs(a - b) < _TOLERANCE for a, b in zip(now, kept[4:], strict=True)):
+        ob.color = kept[:4]
+    del ob[MARK]
+    if _KEPT in ob:
+        del ob[_KEPT]
+
+
+def mark_of(ob: bpy.types.Object) -> str:
+    """What a camera is colored for; empty: it is not."""
+    return str(ob.get(MARK, ""))
+
+
+def marks(root: bpy.types.Object) -> set[str]:
+    """What cameras of a capture are colored for."""
+    return {mark_of(ob) for ob in root.children_recursive} - {""}
+
+
+def hide(root: bpy.types.Object) -> None:
+    """Give the cameras of a capture the colors back that they had."""
+    for ob in own_cameras(root):
+        take(ob)

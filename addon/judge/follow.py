@@ -1,0 +1,14 @@
+"""The part of measurings in the beat, and their end with the end of Blender."""
+
+from ..job.launch import following_verb
+from . import work
+from .job import ErrorsJob
+from .registry import JOBS
+
+
+def _wanted(job: ErrorsJob) -> bool:
+    return job.wanted
+
+
+_FOLLOWING = following_verb(JOBS, lambda: None, bring_in=work.bring_in, wanted=_wanted)
+on_register, on_unregister = _FOLLOWING.on_register, _FOLLOWING.on_unregister

@@ -1,0 +1,182 @@
+"""The measuring of a run from scripts and operators: begin, and bring in what came out."""
+
+from pathlib import Path
+
+import bpy
+
+from .. import preferences, stored_paths
+from ..attributes import NO_SPLATS
+from ..cameras.coloring import hide
+from ..cameras.objects import root_of
+from ..interface import undo
+from ..job.filling import Filling, replace
+from ..job.launch import follow, launch
+from ..process import beat
+from ..splats import objects
+from . import colors
+from .job import ErrorsJob
+from .registry import JOBS
+
+MAP = "gs_error_map"
+"""Custom property of an object that shows the errors of another one's run."""
+FOLDER, FILE = "errors", "errors.ply"
+"""In the folder of the run."""
+
+
+def measure(
+    ob: bpy.types.Object, *, wait: bool = False, python: str | Path | None = None
+) -> ErrorsJob:
+    """Measure the run of a splat object on all its photos, those it was trained on too.
+
+    Args:
+        ob: A splat object that comes from a training.
+        wait: Return when it has ended and the map is in the scene.
+        python: The Python that measures; None: as the preferences say.
+
+    Raises:
+        ValueError: something is missing or in the way; the message says what to do.
+    """
+    run = run_of(ob)
+    other = JOBS.of_source(run)
+    if other is not None and not (other.ended and not other.wanted):
+        raise ValueError(f"{run} is being measured already; wait, or stop it.")
+    if not (run / "point_cloud.ply").is_file():
+        raise ValueError(f"{run} holds no finished training; train to the end first.")
+    folder = run / FOLDER
+    line = ["eval", str(run), "-o", str(folder), "--split", "all", "--overwrite"]
+    line += ["--error-map", str(folder / FILE), "--events", "jsonl"]
+    source = stored_paths.read(ob, stored_paths.SOURCE)
+    if source and Path(source).is_dir():
+        line += ["-s", source]
+    if threads := preferences.get().threads:
+        line += ["--threads", str(threads)]
+    job = launch(lambda program: ErrorsJob(program, line, source=run), python)
+    JOBS.add(job)
+    beat.ensure()
+    follow(lambda: wait and (not job.ended or job.wanted))
+    return job
+
+
+def run_of(ob: bpy.types.Object) -> Path:
+    """The folder of the training that an object, or the one whose errors it shows, comes from.
+
+    Raises:
+        ValueError: of none.
+    """
+    text = stored_paths.read(ob, stored_paths.RUN)
+    if not text:
+        raise ValueError(f"{ob.name} comes from no training here, which would know its photos.")
+    return Path(text)
+
+
+def job_of(ob: bpy.types.Object) -> ErrorsJob | None:
+    """The last measuring of an object's run, under way or ended."""
+    try:
+        return JOBS.of_source(run_of(ob))
+    except ValueError:
+        return None
+
+
+def is_map(ob: bpy.types.Object) -> bool:
+    """Whether an object shows errors."""
+    return bool(ob.get(MAP))
+
+
+def siblings(ob: bpy.types.Object) -> tuple[list[bpy.types.Object], list[bpy.types.Object]]:
+    """The objects that show the splats of an object's run, and those that show their errors."""
+    run = run_of(ob)
+    there = [
+        other
+        for other in bpy.context.scene.objects
+        if objects.is_splats(other) and stored_paths.read(other, stored_paths.RUN) == str(run)
+    ]
+    return [o for o in there if not is_map(o)], [o for o in there if is_map(o)]
+
+
+def show_map(ob: bpy.types.Object, show: bool) -> None:
+    """Show the errors of an object's run in its place, or the splats again.
+
+    Raises:
+        ValueError: there is no map.
+    """
+    splats, maps = siblings(ob)
+    if not maps:
+        raise ValueError(f"There is no map of the errors of {ob.name}; press Measure Errors.")
+    for other, visible in [*((o, not show) for o in splats), *((o, show) for o in maps)]:
+        other.hide_set(not visible)
+        other.hide_render = not visible
+    active = (maps if show else splats)[:1]
+    if active:
+        bpy.context.view_layer.objects.active = active[0]
+
+
+def remove(ob: bpy.types.Object) -> None:
+    """Take the map of an object's run away, show its splats again, and give cameras their colors
+    back."""
+    splats, maps = siblings(ob)
+    if maps:
+        show_map(ob, False)
+    for other in maps:
+        mesh = other.data
+        bpy.data.objects.remove(other)
+        if not mesh.users:
+            bpy.data.meshes.remove(mesh)
+    root = root_of(splats[0]) if splats else None
+    if root is not None and colors.shown(root):
+        hide(root)
+
+
+def bring_in(job: ErrorsJob) -> bool:
+    """Do the next step on the way of a map into the scene; whether there was one."""
+    if not job.wanted or bpy.app.is_job_running("RENDER") or bpy.context.mode != "OBJECT":
+        return False
+    if job.filling is None:
+        loaded = job.loader.take()
+        if loaded is None:
+            return False
+        if loaded.problem:
+            job.wanted = False
+            job.warnings.append(loaded.problem)
+            return True
+        job.filling = Filling(loaded)
+    mesh = job.filling.step()
+    if mesh is None:
+        return True
+    job.filling, job.wanted = None, False
+    try:
+        _show(job, mesh)
+    except ValueError as error:
+        bpy.data.meshes.remove(mesh)
+        job.warnings.append(str(error))
+    undo.push("Measure Errors")
+    return True
+
+
+def _show(job: ErrorsJob, mesh: bpy.types.Mesh) -> None:
+    """Make the map's object, where the splats stand, and color the cameras."""
+    found = (o for o in bpy.context.scene.objects if objects.is_splats(o) and not is_map(o))
+    ob = next((o for o in found if stored_paths.read(o, stored_paths.RUN) == str(job.source)), None)
+    if ob is None:
+        raise ValueError(f"The splats are gone from the scene; {job.source / FOLDER} has the map.")
+    maps = siblings(ob)[1]
+    shown = maps[0] if maps else _made(ob)
+    replace(shown, mesh)
+    show_map(ob, True)
+    root = root_of(ob)
+    if root is not None:
+        colors.show(root, job)
+
+
+def _made(ob: bpy.types.Object) -> bpy.types.Object:
+    """An empty object for the map of `ob`, which stands where that does."""
+    made = objects.create(
+        NO_SPLATS, f"{ob.name} errors", collection=ob.users_collection[0], parent=ob.parent
+    )
+    made[MAP] = True
+    for key in (stored_paths.RUN, stored_paths.SOURCE):
+        stored_paths.write(made, key, stored_paths.read(ob, key))
+    if ob.get(objects.ANTIALIAS):
+        made[objects.ANTIALIAS] = True
+    made.gscore.point_size = ob.gscore.point_size
+    made.matrix_world = ob.matrix_world
+    return made

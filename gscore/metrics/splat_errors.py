@@ -1,0 +1,58 @@
+"""How far renders are from photos, told for each splat: where in the scene the error sits.
+
+The error of a splat is the mean error of the pixels that it is blended into, weighted by its
+blending weights: the weights with which the gradient of a loss of the picture reaches its colour.
+"""
+
+import numpy as np
+
+from ..raster.request import Frustum, Settings
+from ..raster.weights import GEOMETRY, blending_weights
+from ..splats import Splats
+
+_LEAST = 1.0
+"""Weight, in pixels of all views, below which nothing is said of a splat."""
+
+
+class SplatErrors:
+    """Adds up the errors of views."""
+
+    def __init__(self, splats: Splats, *, antialias: bool = False, threads: int = 0) -> None:
+        """Of `splats`, raw parameters, drawn with or without the `antialias` compensation."""
+        self._geometry = [
+            np.require(getattr(splats, name), np.float32, ["C", "A"]) for name in GEOMETRY
+        ]
+        self._scratch = {
+            name: np.empty_like(a) for name, a in zip(GEOMETRY, self._geometry, strict=True)
+        }
+        self._settings = Settings(antialias=antialias, threads=threads)
+        self._sums = np.zeros((len(splats), 2))
+
+    def add(
+        self, view: Frustum, picture: np.ndarray, target: np.ndarray, weights: np.ndarray | None
+    ) -> None:
+        """Add a view.
+
+        Args:
+            view: The camera, in the world of the splats.
+            picture: [H, W, 3] float, the render; clipped to [0, 1].
+            target: [H, W, 3] float in [0, 1], the photo.
+            weights: [H, W] uint8, how much each pixel counts, 255 for all of it; None: all do.
+        """
+        counts = np.ones(target.shape[:2]) if weights is None else weights / 255.0
+        error = np.abs(np.clip(picture, 0.0, 1.0) - target).mean(axis=2) * counts
+        shares = np.zeros((*counts.shape, 3), np.float32)
+        shares[..., 0], shares[..., 1] = error, counts
+        found = blending_weights(
+            self._geometry, view, self._settings, shares, scratch=self._scratch
+        )
+        self._sums += found[:, :2]
+
+    def mean(self) -> np.ndarray:
+        """[N] float32, 0 to 1: mean absolute difference of a channel in the pixels of each splat;
+        NaN for splats that hardly any pixel shows."""
+        error, weight = self._sums.T
+        seen = weight >= _LEAST
+        found = np.full(len(error), np.nan, np.float32)
+        found[seen] = np.clip(error[seen] / weight[seen], 0.0, 1.0)
+        return found
