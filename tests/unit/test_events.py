@@ -67,7 +67,7 @@ def test_fields_of_later_versions_are_skipped() -> None:
 def test_kinds_are_those_of_the_protocol() -> None:
     """Oracle: the protocol's words."""
     words = "estimate started progress preview snapshot eval warning saved done error"
-    words += " sequence frame depth depth_progress"
+    words += " sequence frame depth depth_progress evaluated eval_progress"
     words += " sfm sfm_estimate sfm_progress frames frames_progress"
     assert set(KINDS) == set(words.split())
     assert KINDS["started"] is Started
