@@ -284,6 +284,7 @@ class Session:
             result.mse,
             skipped=result.skipped,
             lost=result.lost_rows / max(len(self._trainer.model), 1),
+            cleared=result.cleared_rows / max(len(self._trainer.model), 1),
         )
         return self._config.watchdog and diverged
 

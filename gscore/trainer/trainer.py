@@ -77,6 +77,8 @@ class StepResult(NamedTuple):
     """The loss was not finite or came from splats that ran away, so nothing was learnt."""
     lost_rows: int = 0
     """Splats that ran away and were taken out."""
+    cleared_rows: int = 0
+    """Splats that were taken out before a guide."""
 
 
 class _Turn(NamedTuple):
@@ -306,6 +308,7 @@ class Trainer:
     def _step(self, count: int) -> StepResult:
         """A step that takes `count` views at once, on this rank one of them."""
         step, config, model = self.steps + count, self.config, self.model
+        cleared = self.removal.guided.count
         laps = self.laps = Laps()
         self._widen_to(self.plan.sh_degree_at(step))
         turn = self._turn(step, count)
@@ -349,7 +352,8 @@ class Trainer:
         lost_rows = self._hold() if step % _HOLD_EVERY == 0 else 0
         if config.finest > 0 and self.plan.clears_at(step):
             finest.widen(model, map(self.sight.view, self.sampler.indices), config.finest)
-        return StepResult(value, mse, change, bad_rows, False, lost_rows)
+        cleared = self.removal.guided.count - cleared
+        return StepResult(value, mse, change, bad_rows, False, lost_rows, cleared)
 
     def _turn(self, step: int, count: int) -> _Turn:
         """Draw the views of a step and take out this rank's photo.
