@@ -9,6 +9,9 @@ from ...shown import quoted
 from ..files import read_bytes
 from .triangles import TriangleMesh, check_count, checked_mesh, fans
 
+_LAST = 2**31 - 1
+"""Of rows that an int32 counts."""
+
 
 def read_mesh_obj(path: Path) -> TriangleMesh:
     """The faces of all objects in an OBJ file as triangles.
@@ -43,6 +46,6 @@ def read_mesh_obj(path: Path) -> TriangleMesh:
 def _row(word: bytes, known: int) -> int:
     """Of a corner like 7, 7/1, 7/1/3 or 7//3, from 0; negative ones count back from the last."""
     stated = int(word.split(b"/", 1)[0])
-    if stated == 0:
-        raise ValueError("rows count from 1")
+    if stated == 0 or abs(stated) > _LAST:
+        raise ValueError("no row of a file")
     return stated - 1 if stated > 0 else known + stated
