@@ -21,6 +21,8 @@ from gscore.raster.api import render
 from gscore.scene import Cameras
 from gscore.splats import Splats
 from gscore.trainer.depth.targets import DepthTargets
+from gscore.trainer.estimate.forecast import estimate
+from gscore.trainer.estimate.memory import depth_bytes
 from gscore.trainer.guide.setup import prepare_guide
 from gscore.trainer.guide.sightings import MeshSightings, trusted
 from gscore.trainer.guide.space import KeptFree
@@ -373,6 +375,21 @@ def test_maps_and_a_guide_count_both(dataset: Dataset, known_splats: Splats, mes
     by_maps, by_mesh = (found[key] - found[False, False] for key in ((True, False), (False, True)))
     assert min(by_maps, by_mesh) > 1e-3
     assert found[True, True] == pytest.approx(found[False, False] + by_maps + by_mesh, rel=1e-5)
+
+
+def test_memory_of_a_surface_is_foreseen() -> None:
+    """Oracle: that of depth maps for the same photos, for each of them."""
+    sizes, config = [(1000, 1000)] * 100, TrainConfig(max_splats=1000)
+
+    def peak(guides: int, *, depths: bool) -> int:
+        paths = [Path("a.ply")] * guides + [None] * 2
+        given = replace(config, guide_surface=paths[0], guide_free=paths[1])
+        return estimate(given, sizes, points=9, depths=depths, free=10**12, pace=1.0).peak_bytes
+
+    maps = depth_bytes(100 * 1000 * 1000)
+    found = [peak(0, depths=False), peak(1, depths=False), peak(2, depths=False)]
+    found.append(peak(2, depths=True))
+    assert np.diff(found) == pytest.approx([maps] * 3, rel=0.15)  # forecasts are rounded
 
 
 def test_no_triangle_too_many_is_silent(tmp_path: Path, dataset: Dataset) -> None:
