@@ -24,6 +24,7 @@ MODULES: tuple[str, ...] = (
     "job.properties",
     "job.follow",
     "job.operators",
+    "job.guide_operators",
     "search.follow",
     "search.operators",
     "depth.follow",

@@ -27,6 +27,7 @@ from gscore import (
     write_splats,
 )
 from gscore.frontend import (
+    GUIDES,
     LOD_ENDING,
     MIP_COMMENT,
     NO_PINHOLE,
@@ -116,5 +117,6 @@ from gscore.frontend import (
     target_size,
     write_cameras,
     write_colmap,
+    write_mesh,
     write_region,
 )

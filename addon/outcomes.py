@@ -1,4 +1,4 @@
-"""What belongs to each capture of a scene: its output folder, its splats and its test view.
+"""What belongs to each capture of a scene: its output folder, splats, test view and guides.
 
 `Scene.gscore` has them for the capture that is chosen. Those of the others wait in
 `Scene.gscore.outcomes`, and come back when their capture is chosen again.
@@ -16,7 +16,7 @@ from .capture.folders import means_capture, same_folder
 from .core import find_capture
 from .paths import absolute
 
-_KEPT = ("output_path", "result", "preview")
+_KEPT = ("output_path", "result", "preview", "guide_surface", "guide_free")
 
 
 class Outcome(bpy.types.PropertyGroup):
@@ -39,6 +39,12 @@ class Outcome(bpy.types.PropertyGroup):
     )
     preview: PointerProperty(
         name="Test View", description="Picture of one of its test views", type=bpy.types.Image
+    )
+    guide_surface: PointerProperty(
+        name="Splats Lie On", description="Its meshes to lie on", type=bpy.types.Collection
+    )
+    guide_free: PointerProperty(
+        name="Nothing Before", description="Its meshes to keep free", type=bpy.types.Collection
     )
 
 

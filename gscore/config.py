@@ -440,6 +440,30 @@ class TrainConfig:
         unit="points",
         when="depth",
     )
+    guide_surface: Path | None = option(
+        None,
+        "Mesh on which splats are to lie, PLY or OBJ, in the capture's world: a wall, a floor, a "
+        "scan. It counts where no point that a photo sees says otherwise: what stands before it "
+        "is left there. docs/steer.md says what it brings.",
+        group="guides",
+        metavar="FILE",
+        free=True,
+    )
+    guide_free: Path | None = option(
+        None,
+        "Mesh before which nothing stands, PLY or OBJ, in the capture's world: splats between a "
+        "training camera and it are taken out, at every `refine_every`-th step and at the last. "
+        "Where that would be more than a fifth of all, none are.",
+        group="guides",
+        metavar="FILE",
+        free=True,
+    )
+    guide_weight: float = option(
+        1.0,
+        "Weight of the loss of `guide_surface`, in the unit of the depth loss.",
+        group="guides",
+        when="guide_surface",
+    )
     exposure: Switch = option(
         Switch.AUTO,
         "Learn how bright each photo is, and its white balance, apart from the scene; `auto`: "

@@ -58,6 +58,8 @@ class Started(Event):
     """What masks are for, where the capture has some: `composite`, `ignore` or `none`."""
     region: str = ""
     """A sentence on the part that is trained; empty: all is."""
+    guide: str = ""
+    """Sentences on the meshes that guide it; empty: there are none."""
     config: dict[str, Any] = field(default_factory=dict)
 
 

@@ -68,13 +68,14 @@ if TYPE_CHECKING:
     from .io.colmap.model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
     from .io.files import atomic_write
     from .io.lod_file import LOD_ENDING, is_lod_file
+    from .io.mesh.ply import write_mesh
     from .io.pictures.gray_png import gray_png
     from .io.pictures.image_header import ImageInfo, read_header
     from .io.pictures.resample import downscale
     from .io.ply.splats import MIP_COMMENT
     from .io.poses_json import POSES_FILE, read_moves
     from .io.region_file import write_region
-    from .io.runs import RunInfo, clear_run, read_losses, read_run
+    from .io.runs import GUIDES, RunInfo, clear_run, read_losses, read_run
     from .io.sequences import SequenceIndex, read_sequence
     from .lod.build import LodFacts, build_lod
     from .lod.draw import LodModel
@@ -112,6 +113,7 @@ _HOME = {
     "FrameStarted": "events",
     "FramesDone": "events",
     "FramesProgress": "events",
+    "GUIDES": "io.runs",
     "ImageInfo": "io.pictures.image_header",
     "KnownNetwork": "depth.catalogue",
     "LOD_ENDING": "io.lod_file",
@@ -191,11 +193,13 @@ _HOME = {
     "target_size": "datasets.resolution",
     "write_cameras": "io.cameras_json",
     "write_colmap": "io.colmap.folder:write_model",
+    "write_mesh": "io.mesh.ply",
     "write_region": "io.region_file",
 }
 """Where a name lives; `module:name` where it is called differently there."""
 
 __all__ = [
+    "GUIDES",
     "LOD_ENDING",
     "MIP_COMMENT",
     "NO_PINHOLE",
@@ -296,6 +300,7 @@ __all__ = [
     "target_size",
     "write_cameras",
     "write_colmap",
+    "write_mesh",
     "write_region",
 ]
 

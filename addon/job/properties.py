@@ -171,6 +171,18 @@ class SceneSettings(bpy.types.PropertyGroup):
     )
     target_psnr: declared(_TRAIN, "target_psnr", "Target PSNR", soft_max=40.0)
     early_stop: declared(_TRAIN, "early_stop", "Stop When Nothing Improves")
+    guide_surface: PointerProperty(
+        name="Splats Lie On",
+        description="Collection of meshes that splats are to lie on: walls, floors, a scan. What "
+        "shows in the viewport counts, with modifiers",
+        type=bpy.types.Collection,
+    )
+    guide_free: PointerProperty(
+        name="Nothing Before",
+        description="Collection of meshes before which nothing stands, as seen from any photo: "
+        "splats there are taken out. What shows in the viewport counts, with modifiers",
+        type=bpy.types.Collection,
+    )
     live_splats: BoolProperty(
         name="Live Splats",
         description="Show the splats in the viewport while they are trained",

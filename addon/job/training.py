@@ -12,7 +12,7 @@ from ..core import read_losses
 from ..nodes import display as display_nodes
 from ..paths import absolute, capture_folder, output_folder, relative
 from ..process import beat
-from . import display, earlier, facts, lookups, options, registry
+from . import display, earlier, facts, guides, lookups, options, registry
 from .curve import LossCurve
 from .job import Job
 from .launch import launch
@@ -70,6 +70,7 @@ def train(
         overwrite=overwrite,
         depths=found.depths > 0,
     )
+    arguments += guides.arguments(scene, output)
     scene.gscore.output_path = relative(output)
     scene.gscore.outcome_of = scene.gscore.capture_path
     scene.gscore.depth_shown = "RUN"  # once there is one
@@ -101,13 +102,15 @@ def replaced(scene: bpy.types.Scene) -> list[str]:
 
 
 def unsaved(scene: bpy.types.Scene) -> list[str]:
-    """What of the scene's capture a training would not see, because it is not saved.
+    """What of the scene and its capture a training would not see, because it is not saved, or
+    hidden, or no mesh.
 
     Raises:
         ValueError: no capture is chosen, or it is not there.
     """
     source = capture_folder(scene)
-    return [line for told in UNSAVED for line in told(source)]
+    lines = [line for told in UNSAVED for line in told(source)]
+    return lines + guides.left_out(scene)
 
 
 def resume(scene: bpy.types.Scene, *, wait: bool = False, python: str | Path | None = None) -> Job:

@@ -67,6 +67,8 @@ class ProgressPanel(TabPanel, bpy.types.Panel):
         if state.sentence:
             icon = "ERROR" if state.status == session.FAILED else "CHECKMARK"
             sentence(layout, context, state.sentence, icon=icon)
+        if state.started is not None and state.started.guide and not state.ended:
+            sentence(layout, context, state.started.guide, icon="MESH_GRID")
         if current.silence:
             sentence(layout, context, current.silence, icon="QUESTION")
         for text in state.warnings[-_WARNINGS_SHOWN:]:

@@ -6,8 +6,9 @@ from typing import ClassVar
 import bpy
 
 from .. import preferences
+from ..cameras.lookup import panel_root
 from ..core import PRESETS, Estimate, RunInfo
-from ..job import facts, forecast
+from ..job import facts, forecast, guides
 from ..job.options import AS_PRESET, BY_WIDTH, continuation
 from ..paths import output_folder
 from .widgets import TabPanel, found, has_python, job, limit, sentence
@@ -74,6 +75,27 @@ class TrainOptionsPanel(TabPanel, bpy.types.Panel):
         column = layout.column()
         for name in _DETAILS:
             column.prop(settings, name)
+
+
+class GuidesPanel(TabPanel, bpy.types.Panel):
+    """Meshes of the scene that the training heeds"""
+
+    bl_idname = "GSCORE_PT_guides"
+    bl_label = "Guide Meshes"
+    bl_parent_id = "GSCORE_PT_train"
+    bl_options: ClassVar = {"DEFAULT_CLOSED"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        layout, settings = self.layout, context.scene.gscore
+        for role, name in guides.ROLES.items():
+            row = layout.row(align=True)
+            row.prop(settings, name)
+            row.operator("gscore.add_guides", text="", icon="ADD").role = role
+        given = any(getattr(settings, name) is not None for name in guides.ROLES.values())
+        if given and panel_root(context.scene) is None:
+            text = "Import the cameras: they say where these meshes stand among the photos."
+            sentence(layout, context, text, icon="ERROR")
 
 
 def preset_sentence(settings: bpy.types.PropertyGroup) -> str:
@@ -179,4 +201,4 @@ def run_sentence(info: RunInfo) -> str:
     return f"The output folder holds a run that was stopped at {done}{quality}."
 
 
-CLASSES = (TrainPanel, TrainOptionsPanel)
+CLASSES = (TrainPanel, TrainOptionsPanel, GuidesPanel)

@@ -11,7 +11,7 @@ from mathutils import Matrix
 from .. import attributes, preferences
 from ..core import write_region
 from ..interface import undo
-from ..job import display, options, training
+from ..job import display, guides, options, training
 from ..job.filling import Filling, replace
 from ..job.launch import follow, launch
 from ..paths import capture_folder, output_folder
@@ -77,6 +77,7 @@ def train_region(
         machine=training.machine(),
         depths=found.depths > 0,
     )
+    line += guides.arguments(scene, output)
     line += ["--start-splats", str(start), "--region", str(region)]
     files.export_splats([ob], start)
     write_region(region, box)

@@ -372,6 +372,19 @@ typedef struct gs_stereo_check_args {
 GS_API gs_status gs_stereo_check(const gs_stereo_check_args *args, uint8_t *agree, uint8_t *contradict,
                                  float *inverse_depth);
 
+/* Triangles as a camera sees them, [3] double a corner: (u z, v z, z) where pixel (u, v) shows what lies z in front of
+ * the camera, that is K times the place in the camera's axes. Corners may lie behind the camera. */
+typedef struct gs_mesh {
+    int64_t corner_count;     /* up to 2147483647 */
+    const double *corners;    /* [V, 3], of magnitudes up to 1e50 */
+    int64_t triangle_count;
+    const int32_t *triangles; /* [T, 3] rows of `corners`; either side may face the camera */
+} gs_mesh;
+
+/* 1 / z of the nearest triangle at each pixel's centre, [H, W]; 0 where there is none. One thread: views are what
+ * callers do at once. */
+GS_API gs_status gs_mesh_depth(const gs_mesh *mesh, int32_t width, int32_t height, float *inverse_depth);
+
 #ifdef __cplusplus
 }
 #endif

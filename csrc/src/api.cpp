@@ -1,6 +1,7 @@
 // The C entry points: check arguments, call, turn exceptions into statuses.
 #include "adam.h"
 #include "dispatch.h"
+#include "mesh_depth.h"
 #include "packing.h"
 #include "pull.h"
 #include "raster.h"
@@ -435,4 +436,35 @@ gs_status gs_stereo_check(const gs_stereo_check_args *args, uint8_t *agree, uint
         gs::stereo_check(*args, agree, contradict, inverse_depth);
         return GS_OK;
     });
+}
+
+namespace {
+
+gs_status check_mesh(const gs_mesh &mesh) {
+    if (mesh.corner_count < 0 || mesh.corner_count > INT32_MAX || mesh.triangle_count < 0)
+        return fail(GS_BAD_ARGUMENT, "a mesh has 0 to 2147483647 corners and 0 triangles or more, got %lld and %lld",
+                    (long long)mesh.corner_count, (long long)mesh.triangle_count);
+    if ((mesh.corner_count > 0 && !mesh.corners) || (mesh.triangle_count > 0 && !mesh.triangles))
+        return fail(GS_BAD_ARGUMENT, "the corners or triangles of a mesh are null");
+    for (int64_t i = 0; i < 3 * mesh.corner_count; ++i)
+        if (!(std::fabs(mesh.corners[i]) <= gs::kMeshLargest))
+            return fail(GS_BAD_ARGUMENT, "corner %lld of a mesh is not finite or too far away", (long long)(i / 3));
+    for (int64_t i = 0; i < 3 * mesh.triangle_count; ++i)
+        if (mesh.triangles[i] < 0 || mesh.triangles[i] >= mesh.corner_count)
+            return fail(GS_BAD_ARGUMENT, "triangle %lld of a mesh names corner %d of %lld", (long long)(i / 3),
+                        mesh.triangles[i], (long long)mesh.corner_count);
+    return GS_OK;
+}
+
+} // namespace
+
+gs_status gs_mesh_depth(const gs_mesh *mesh, int32_t width, int32_t height, float *inverse_depth) {
+    if (!mesh || !inverse_depth)
+        return fail(GS_BAD_ARGUMENT, "gs_mesh_depth: an argument or an array is null");
+    if (width < 1 || width > 65536 || height < 1 || height > 65536)
+        return fail(GS_BAD_ARGUMENT, "image size must be 1 to 65536 px a side, got %d x %d", width, height);
+    if (const gs_status s = check_mesh(*mesh))
+        return s;
+    gs::mesh_depth(*mesh, width, height, inverse_depth);
+    return GS_OK;
 }

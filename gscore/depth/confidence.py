@@ -23,11 +23,20 @@ def confidence(values: np.ndarray, mask: np.ndarray | None) -> np.ndarray:
     if not known.any():
         return np.zeros(values.shape, np.float32)
     low, high = np.quantile(values[known], (0.02, 0.98))
-    bend = _spread_by_one(_bend(values))
-    half = _STEP_SHARE * max(float(high - low), 1e-30)
-    out = 1.0 / (1.0 + (bend / np.float32(half)) ** 2)
-    out[~(known & np.isfinite(bend))] = 0
+    out = inner(values, np.float32(_STEP_SHARE * max(float(high - low), 1e-30)))
     return out if mask is None else shown_by(mask, out)
+
+
+def inner(values: np.ndarray, half: np.ndarray | np.float32) -> np.ndarray:
+    """[H, W] float32 trust in the pixels of a map [H, W] float32, NaN: unknown, by its bends alone.
+
+    0.5 where a second difference there or beside it is `half`, [H, W] or one number; 0 next to
+    unknown ones.
+    """
+    bend = _spread_by_one(_bend(values))
+    out = 1.0 / (1.0 + (bend / half) ** 2)
+    out[~(np.isfinite(values) & np.isfinite(bend))] = 0
+    return out
 
 
 def shown_by(mask: np.ndarray, trust: np.ndarray) -> np.ndarray:

@@ -195,6 +195,11 @@ def _declare(lib: ct.CDLL) -> None:
         ct.POINTER(header.StereoCheckArgsStruct),
         *[_pointer] * 3,
     ]
+    lib.gs_mesh_depth.argtypes = [
+        ct.POINTER(header.MeshStruct),
+        *[ct.c_int32] * 2,
+        _pointer,
+    ]
 
 
 _lock = threading.Lock()

@@ -1,7 +1,7 @@
 """Constants and structs of `csrc/include/gscore.h` for ctypes; that header is their manual.
 
-Structs that hold addresses are filled in `arguments.py` and, those of stereo, in `stereo.py`, which
-look at the arrays first.
+Structs that hold addresses are filled in `arguments.py` and, those of stereo and meshes, in
+`stereo.py` and `mesh.py`, which look at the arrays first.
 """
 
 import ctypes as ct
@@ -288,4 +288,15 @@ class StereoCheckArgsStruct(ct.Structure):
         ("relative", ct.c_float),
         ("passed", ct.c_float),
         ("threads", ct.c_int32),
+    )
+
+
+class MeshStruct(ct.Structure):
+    """gs_mesh"""
+
+    _fields_ = (
+        ("corner_count", ct.c_int64),
+        ("corners", _pointer),
+        ("triangle_count", ct.c_int64),
+        ("triangles", _pointer),
     )

@@ -105,7 +105,7 @@ class Beginning:
         """Put trainer and session where the checkpoint has them, and let go of what was read.
 
         Raises:
-            ConfigError: the checkpoint's depth maps or its region are not those of `trainer`.
+            ConfigError: the checkpoint's depth maps, region or guides are not those of `trainer`.
             FormatError: it states what no run writes.
             GsError: a damaged checkpoint cannot be set aside.
         """
@@ -115,6 +115,7 @@ class Beginning:
             return
         checkpoint.check_same_depth(found, trainer)
         checkpoint.check_same_region(found, trainer)
+        checkpoint.check_same_guide(found, trainer)
         with checkpoint.understood(found.path):
             trainer.restore(found.trainer, found.tensors)
             session.restore(found.session)

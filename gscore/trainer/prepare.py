@@ -17,6 +17,7 @@ from ..events import Event
 from ..splats import Splats
 from .depth.setup import DepthSetup, prepare_depth
 from .depth.stereo import StereoStart, stereo_start
+from .guide.setup import GuideSetup, prepare_guide
 from .photos.loading import Loaded, load_photos, progress_of
 from .ranks.agree import crc_of
 from .ranks.team import Team
@@ -42,6 +43,7 @@ class Prepared:
     region: str
     """One on the part of the splats that is trained; empty: all are."""
     depth: DepthSetup
+    guide: GuideSetup
     stereo: StereoStart
     exposure: Exposure
     placing: Placing
@@ -55,6 +57,7 @@ class Prepared:
                 {"train": torch.tensor(list(self.photos.train), dtype=torch.int64, device="cpu")}
             ),
             "the plan": repr(trainer.plan),
+            "the meshes that guide it": trainer.guide_digest,
             "the first splats": crc_of(trainer.tensors()),
         }
 
@@ -116,6 +119,9 @@ def prepare(
         depth = prepare_depth(
             data, config, photos, on_progress=progress_of("depth maps", config, emit, control)
         )
+        guide = prepare_guide(
+            config, photos, on_progress=progress_of("guide meshes", config, emit, control)
+        )
         points = photos.scene.points if depth.points is None else depth.points
         added = StereoStart()
         if stereo:
@@ -134,9 +140,19 @@ def prepare(
             photo_cache=loaded.cache,
             team=team,
             region=region,
+            guide=guide,
         )
     return Prepared(
-        trainer, photos, loaded, enough, trainer.region_words, depth, added, exposure, placing
+        trainer=trainer,
+        photos=photos,
+        loaded=loaded,
+        enough=enough,
+        region=trainer.region_words,
+        depth=depth,
+        guide=guide,
+        stereo=added,
+        exposure=exposure,
+        placing=placing,
     )
 
 

@@ -95,6 +95,7 @@ def train(
                 onlookers=onlookers,
                 enough=found.enough,
                 region=found.region,
+                guide=found.guide.why,
             )
             beginning.go_on(found.trainer, session)
             notes = (*found.photos.warnings, *found.loaded.warnings, *look_over(found.trainer))
@@ -106,6 +107,8 @@ def train(
                 session.warn(message, "evaluation")
             for message in found.depth.warnings:
                 session.warn(message, "depth")
+            for message in found.guide.warnings:
+                session.warn(message, "guide")
             if found.stereo.why and not found.stereo.added and config.stereo is Switch.ON:
                 session.warn(found.stereo.why, "stereo")
             with _kept_for(agent, folder) as end:

@@ -48,6 +48,11 @@ _CROWDED = (
     "Many splats stand closer before a camera than the points of the capture let expect. They are "
     "left there, as with --free-space 0."
 )
+_FILLED = (
+    "More than a fifth of the splats stand before the mesh of --guide-free, so they are left "
+    "there. It may stand in the wrong place, or behind things that are to stay; --guide-surface "
+    "leaves what stands before a mesh."
+)
 _MANY_CLEARED = 0.02
 """Splats taken out before cameras, as a share of those at the end, that are told. Trainings of real
 captures take out up to 0.005 in all."""
@@ -73,9 +78,10 @@ class Session:
         onlookers: Onlookers | None = None,
         enough: str = "",
         region: str = "",
+        guide: str = "",
     ) -> None:
         """`enough`: a sentence on steps that are left out; `region`: one on the part of the splats
-        that is trained."""
+        that is trained; `guide`: some on meshes that guide it."""
         self._trainer = trainer
         self._config = trainer.config
         self._folder = folder
@@ -91,6 +97,7 @@ class Session:
         self._onlookers = onlookers or Onlookers()
         self._enough = enough
         self._region = region
+        self._guide = guide
         pace = machine_pace(self._config.threads)
         budget = self._config.time_budget or math.inf
         self._meter = Meter(trainer.plan, splats=trainer.splat_count, pace=pace, budget=budget)
@@ -225,6 +232,7 @@ class Session:
                 # The masks of a region are made as it goes, and its own sentence says so.
                 mask_mode="none" if self._region else photos.mask_mode,
                 region=self._region,
+                guide=self._guide,
                 config={"data": to_dict(self._data), "train": to_dict(self._config)},
             )
         )
@@ -242,8 +250,10 @@ class Session:
         team = self._trainer.team
         if team and self._waits and (slow := self._waits.met(team.accounts[:, 1])):
             self.warn(slow, "slow_rank")
-        if self._trainer.removal.crowded and _CROWDED not in self._warnings:
+        if self._trainer.removal.around.crowded and _CROWDED not in self._warnings:
             self.warn(_CROWDED, "crowded")
+        if self._trainer.removal.guided.crowded and _FILLED not in self._warnings:
+            self.warn(_FILLED, "crowded")
         lost = self._trainer.lost_rows
         if any(lost - result.lost_rows < limit <= lost for limit in _WARN_LOST_ROWS):
             self.warn(
@@ -274,6 +284,7 @@ class Session:
             result.mse,
             skipped=result.skipped,
             lost=result.lost_rows / max(len(self._trainer.model), 1),
+            cleared=result.cleared_rows / max(len(self._trainer.model), 1),
         )
         return self._config.watchdog and diverged
 
@@ -386,7 +397,7 @@ class Session:
             trainer.team.part()
         finished, reason = bool(reason), reason or self._control.stop_reason
         self._answer()  # a snapshot asked for just before the stop
-        cleared = trainer.removal.cleared
+        cleared = trainer.removal.around.count
         if cleared > _MANY_CLEARED * len(trainer.model):
             self.warn(
                 f"{count_words(cleared, 'splat was', 'splats were')} taken out, standing nearer to "

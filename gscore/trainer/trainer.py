@@ -23,6 +23,9 @@ from ..words import count_words, number
 from .depth.loss import DepthLoss
 from .depth.regularisers import drop_rate_at, drop_splats, opacity_loss
 from .depth.targets import DepthTargets
+from .guide.loss import GuideLoss
+from .guide.setup import GuideSetup
+from .guide.space import KeptFree
 from .host.laps import Laps
 from .host.random import generator_of, uniform
 from .photos.pyramid import AHEAD, Sized
@@ -74,6 +77,8 @@ class StepResult(NamedTuple):
     """The loss was not finite or came from splats that ran away, so nothing was learnt."""
     lost_rows: int = 0
     """Splats that ran away and were taken out."""
+    cleared_rows: int = 0
+    """Splats that were taken out before a guide."""
 
 
 class _Turn(NamedTuple):
@@ -88,8 +93,8 @@ class _Turn(NamedTuple):
     background: tuple[float, float, float]
     gain: torch.Tensor | None
     """[3]: how its photo was exposed, where that is learnt."""
-    depth_weight: float
-    """Of the depth loss; 0: none."""
+    depth_terms: list[tuple[float, DepthLoss | GuideLoss]]
+    """Losses of its inverse depth, by maps and by a guide, with their weights."""
 
     @property
     def view(self) -> Frustum:
@@ -131,6 +136,7 @@ class Trainer:
         photo_cache: int | None = None,
         team: Team | None = None,
         region: Box | None = None,
+        guide: GuideSetup | None = None,
     ) -> None:
         """Start from `start` or from `points`, in COLMAP world, or from the points of the capture.
 
@@ -139,7 +145,8 @@ class Trainer:
         where the capture has them; `photo_cache` is how many bytes of photos may be kept, None:
         all; `team` are the processes that train together, each of which makes such a trainer;
         `region`, in COLMAP world, holds the splats of `start` that are trained, None: all are;
-        where there is no `start`, `photos` are those that are narrowed to it.
+        where there is no `start`, `photos` are those that are narrowed to it; `guide` are the
+        meshes that guide the run.
 
         Raises:
             DatasetError: nothing to train on.
@@ -171,6 +178,14 @@ class Trainer:
         """The depth loss, where depth is supervised."""
         if depth is not None:
             self.depth = DepthLoss(config, depth, scale=self.frame.similarity.scale)
+        self.guide: GuideLoss | None = None
+        """The loss of a guide's surface, where there is one."""
+        if guide is not None and guide.surface is not None:
+            self.guide = GuideLoss(
+                guide.surface, weight=config.guide_weight, scale=self.frame.similarity.scale
+            )
+        self.guide_digest = "" if guide is None else guide.digest
+        """Changes with any of the meshes that guide the run; empty: none do."""
         self.replan(config.iterations)
         self.generator = generator_of(config.seed)
         self.sampler = Sampler(photos.train)
@@ -217,6 +232,9 @@ class Trainer:
             self._painter,
             self._training_views,
             masks_hide=photos.mask_mode == "ignore",
+            guided=KeptFree(guide.free, given, self.frame.similarity)
+            if guide is not None and guide.free
+            else None,
         )
         """What goes besides what the strategy takes out."""
         self._disable = raster_bits(config.without)
@@ -290,6 +308,7 @@ class Trainer:
     def _step(self, count: int) -> StepResult:
         """A step that takes `count` views at once, on this rank one of them."""
         step, config, model = self.steps + count, self.config, self.model
+        cleared = self.removal.guided.count
         laps = self.laps = Laps()
         self._widen_to(self.plan.sh_degree_at(step))
         turn = self._turn(step, count)
@@ -333,7 +352,8 @@ class Trainer:
         lost_rows = self._hold() if step % _HOLD_EVERY == 0 else 0
         if config.finest > 0 and self.plan.clears_at(step):
             finest.widen(model, map(self.sight.view, self.sampler.indices), config.finest)
-        return StepResult(value, mse, change, bad_rows, False, lost_rows)
+        cleared = self.removal.guided.count - cleared
+        return StepResult(value, mse, change, bad_rows, False, lost_rows, cleared)
 
     def _turn(self, step: int, count: int) -> _Turn:
         """Draw the views of a step and take out this rank's photo.
@@ -361,8 +381,17 @@ class Trainer:
             sized=sized,
             background=[self._step_background() for _ in range(count)][place],
             gain=self.learnt.gain_of(index),
-            depth_weight=self.depth.weight(index, step) if self.depth else 0.0,
+            depth_terms=self._depth_terms(index, step),
         )
+
+    def _depth_terms(self, index: int, step: int) -> list[tuple[float, DepthLoss | GuideLoss]]:
+        """Losses of the inverse depth of a view that count at a step, with their weights."""
+        found: list[tuple[float, DepthLoss | GuideLoss]] = []
+        if self.depth:
+            found.append((self.depth.weight(index, step), self.depth))
+        if self.guide:
+            found.append((self.guide.weight(index), self.guide))
+        return [(weight, loss) for weight, loss in found if weight > 0]
 
     def _draw(self, turn: _Turn, opacities: torch.Tensor, step: int) -> Picture:
         config = self.config
@@ -373,7 +402,7 @@ class Trainer:
                 sh_degree=self._sh_degree_at(step),
                 background=self.sight.behind(turn.background, turn.gain),
                 antialias=config.antialias,
-                outputs=OUT_INVERSE_DEPTH if turn.depth_weight > 0 else 0,
+                outputs=OUT_INVERSE_DEPTH if turn.depth_terms else 0,
                 threads=config.threads,
                 disable=self._disable,
                 tiles=None if Skip.MASKED_TILE in config.without else turn.sized.tiles,
@@ -682,14 +711,15 @@ class Trainer:
     def _further_terms(
         self, turn: _Turn, picture: Picture
     ) -> tuple[float, torch.Tensor | None, torch.Tensor | None]:
-        """What depth and masks add to the loss of a view, and its gradients in the picture's
-        opacity and inverse depth; None: it does not depend on them."""
+        """What depth, guides and masks add to the loss of a view, and its gradients in the
+        picture's opacity and inverse depth; None: it does not depend on them."""
         mask = turn.sized.mask
         value, v_alpha, v_inverse_depth = 0.0, None, None
-        if self.depth and picture.inverse_depth is not None:
+        if turn.depth_terms and picture.inverse_depth is not None:
             inverse_depth = picture.inverse_depth.detach().requires_grad_()
             alpha = picture.alpha.detach().requires_grad_()
-            term = turn.depth_weight * self.depth(turn.index, inverse_depth, alpha)
+            parts = [w * loss(turn.index, inverse_depth, alpha) for w, loss in turn.depth_terms]
+            term = sum(parts[1:], start=parts[0])
             value += term.item()
             v_inverse_depth, v_alpha = _slopes(term, inverse_depth, alpha)
         if self.config.alpha_weight and mask is not None and self.photos.mask_mode == "composite":

@@ -24,6 +24,8 @@ from gscore.io.cameras_json import read_cameras_json, write_cameras
 from gscore.io.cams_txt import read_cam
 from gscore.io.colmap.folder import read_model, write_model
 from gscore.io.colmap.model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
+from gscore.io.mesh.files import read_mesh
+from gscore.io.mesh.ply import write_mesh
 from gscore.io.pictures.images import read_image, read_info, read_mask, write_png
 from gscore.io.ply.points import read_point_cloud
 from gscore.io.ply.splats import read_ply, write_splats
@@ -390,6 +392,28 @@ def _colmap(name: str, binary: bool) -> Format:
     )
 
 
+def _write_mesh_ply(root: Path) -> None:
+    rng = np.random.default_rng(3)
+    write_mesh(root / "a.ply", rng.normal(size=(6, 3)), rng.integers(0, 6, (5, 3)))
+
+
+def _write_mesh_obj(root: Path) -> None:
+    (root / "a.obj").write_text(
+        "o one\nv 0 0 0\nv 1 0.5 0\nv 1 1 -2e-1\nv 0 1 0\nvn 0 0 1\nf 1//1 2//1 3//1 4//1\n"
+        "f -1 1 2\n"
+    )
+
+
+def _read_mesh(name: str) -> Callable[[Path], None]:
+    def read(root: Path) -> None:
+        mesh = read_mesh(root / name)
+        assert len(mesh) and mesh.triangles.min() >= 0
+        assert mesh.triangles.max() < len(mesh.vertices)
+        assert np.isfinite(mesh.vertices).all()
+
+    return read
+
+
 def _plain_ply(root: Path) -> None:
     write_splats(root / "a.ply", _splats())
 
@@ -474,6 +498,8 @@ FORMATS = [
     Format("ply_ascii", "a.ply", _write_ascii_ply, _read_splats),
     Format("ply_compressed", "a.ply", _write_compressed, _read_splats),
     Format("ply_points", "a.ply", _write_points, _read_points),
+    Format("mesh_ply", "a.ply", _write_mesh_ply, _read_mesh("a.ply")),
+    Format("mesh_obj", "a.obj", _write_mesh_obj, _read_mesh("a.obj")),
     *(
         Format(f"image_{ending[1:]}", f"a{ending}", _write_picture(ending), _read_picture(ending))
         for ending in (".png", ".jpg", ".webp", ".tif", ".bmp", ".tga", ".ppm")

@@ -24,8 +24,9 @@ TARGETS = {
     "catch_up": 0.1,
     "arrays": 0.05,
     "stereo": 0.1,
+    "mesh": 0.05,
 }
-READERS, SCENES = 0.25, 0.15
+READERS, SCENES = 0.25, 0.1
 """Shares of the time, together all of it."""
 FORMATS = 52
 

@@ -204,8 +204,8 @@ def _texts(event: Event) -> Iterator[str]:
                 yield event.region
             if sentence := _MASKS.get(event.mask_mode):
                 yield sentence
-            said = (event.enough, event.stereo, event.depth, event.exposure, event.poses)
-            yield from filter(None, (*said, event.viewer))
+            said = (event.enough, event.stereo, event.depth, event.guide)
+            yield from filter(None, (*said, event.exposure, event.poses, event.viewer))
         case Warn():
             yield f"Warning: {event.message}"
 

@@ -105,7 +105,8 @@ def estimate(
     pixels = widths * heights
     free = free_memory() if free is None else free
     largest, total = int(pixels.max(initial=1)), int(pixels.sum())
-    maps = depth_bytes(total) if depths else 0
+    guides = (config.guide_surface is not None) + (config.guide_free is not None)
+    maps = depth_bytes(total) * (depths + guides)
     photos = total * (4 if masks else 3)
     network = lpips_file(config.lpips)
     lpips = bool(named_net(config.lpips)) or (network is not None and network.is_file())

@@ -35,8 +35,9 @@ FREE = frozenset(name for name, one in options_of(TrainConfig).items() if one.fr
 """Options that may change when a run goes on."""
 _OFTEN_CHANGED = ("iterations", "time_budget", "target_psnr", "early_stop", "threads")
 """The most wanted of them, for messages."""
-_DEPTHS, _REGION = "depths", "region"
-"""Keys of the depth maps, and of a region and what stands around it, in a checkpoint's capture."""
+_DEPTHS, _REGION, _GUIDE = "depths", "region", "guide"
+"""Keys of the depth maps, of a region and what stands around it, and of the meshes that guide it,
+in a checkpoint's capture."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +78,8 @@ def save(path: Path, trainer: Trainer, session: dict[str, Any]) -> None:
         "config": to_dict(trainer.config),
         "capture": fingerprint(trainer.photos)
         | depth_fingerprint(trainer)
-        | region_fingerprint(trainer),
+        | region_fingerprint(trainer)
+        | guide_fingerprint(trainer),
         "trainer": trainer.state(),
         "session": session,
     }
@@ -176,7 +178,7 @@ def check_compatible(
     unlike = [
         k
         for k, was in checkpoint.capture.items()
-        if k not in (_DEPTHS, _REGION) and was != now.get(k)
+        if k not in (_DEPTHS, _REGION, _GUIDE) and was != now.get(k)
     ]
     if unlike:
         different += changed or [f"{key} of the capture are not the same" for key in unlike]
@@ -234,6 +236,21 @@ def check_same_region(checkpoint: Checkpoint, trainer: Trainer) -> None:
             f"stood around it. Give back {' and '.join(map(str, given)) or 'its region'} as it "
             "was, or start anew in another folder."
         )
+
+
+def check_same_guide(checkpoint: Checkpoint, trainer: Trainer) -> None:
+    """Raise ConfigError unless the meshes that guide `trainer` are those of the checkpoint."""
+    if checkpoint.capture.get(_GUIDE) != guide_fingerprint(trainer).get(_GUIDE):
+        raise ConfigError(
+            f"{checkpoint.path} belongs to another run: other meshes guided it, or none. Give back "
+            "those of --guide-surface and --guide-free as they were, or start anew in another "
+            "folder."
+        )
+
+
+def guide_fingerprint(trainer: Trainer) -> dict[str, str]:
+    """Short hash of the meshes that guide a run; nothing where none do."""
+    return {_GUIDE: trainer.guide_digest} if trainer.guide_digest else {}
 
 
 def region_fingerprint(trainer: Trainer) -> dict[str, str]:

@@ -25,6 +25,9 @@ _SPOILT = 0.5
 """Diverged: more than this share of the last steps had no finite loss."""
 _LOST = 0.5
 """Diverged: as many splats ran away, as a share of those there were, as this."""
+_EMPTIED = 0.01
+"""As many splats were taken out before a guide at once, as a share of those there were, as to leave
+holes in pictures."""
 _FADES = 1000
 """Steps after which splats that ran away count a third."""
 _HEALTHY = 1.2
@@ -58,7 +61,9 @@ class Watchdog:
         self._good = []
         self._begin(error)
 
-    def observe(self, step: int, mse: float, *, skipped: bool, lost: float = 0.0) -> bool:
+    def observe(
+        self, step: int, mse: float, *, skipped: bool, lost: float = 0.0, cleared: float = 0.0
+    ) -> bool:
         """Take note of a step; whether the run diverged.
 
         Args:
@@ -66,6 +71,7 @@ class Watchdog:
             mse: Mean squared error of its view.
             skipped: Whether its loss was not finite.
             lost: Share of the splats that were taken out because they ran away.
+            cleared: Share of the splats that were taken out before a guide.
         """
         self._lost += lost - self._lost / _FADES
         self._spoilt += (float(skipped) - self._spoilt) / _WINDOW
@@ -79,6 +85,10 @@ class Watchdog:
         if self.plan.resets_at(step):
             # Lowered opacities darken the picture; what counts begins anew once they are back.
             self._quiet_until = step + self.plan.reset_every // 2
+            self._best = math.inf
+        if cleared > _EMPTIED:
+            # So do holes, until what stood behind is seen and learnt.
+            self._quiet_until = max(self._quiet_until, step + 2 * _WINDOW)
             self._best = math.inf
         if self._spoilt > _SPOILT or self._lost > _LOST:
             return True

@@ -1,6 +1,7 @@
 """Splats that go because of what photos, masks and cameras say, whatever the strategy does."""
 
 from collections.abc import Callable, Iterable, Iterator
+from typing import Protocol
 
 import torch
 
@@ -12,10 +13,45 @@ from ..rows.stored import whole
 from ..schedule.plan import Plan
 from . import ops
 from .contribution import Weights, least, most_in_a_view, mostly_hidden, weights_by_view
-from .free_space import FreeSpace
 
 _CROWD = 0.2
-"""Share of the splats in the free space around cameras from which on it is not free."""
+"""Share of the splats in a space from which on it is not free."""
+
+
+class Space(Protocol):
+    """Where nothing is to stand."""
+
+    def holds(self, means: torch.Tensor) -> torch.Tensor:
+        """[N] bool: which of `means` [N, 3], training world, lie in it."""
+        ...
+
+
+class Emptied:
+    """A space that is kept empty, unless so much stands in it that something must be there."""
+
+    def __init__(self, space: Space | None) -> None:
+        self._space = space
+        self.count = 0
+        """Splats taken out of it so far."""
+        self.crowded = False
+        """Too many stood there at once: it is left as it is."""
+
+    def due(self, means: torch.Tensor) -> torch.Tensor | None:
+        """[N] bool: which splats to take out; None: none."""
+        if self._space is None or self.crowded:
+            return None
+        inside = self._space.holds(means)
+        count = int(inside.sum())
+        self.crowded = count > _CROWD * len(means)
+        if count == 0 or self.crowded:
+            return None
+        self.count += count
+        return inside
+
+    def restore(self, state: dict[str, int | bool], cleared: str, crowded: str) -> None:
+        """Go on from what stands in `state` under these keys, if it does."""
+        self.count = whole(cleared, state.get(cleared, 0))
+        self.crowded = state.get(crowded, False) is True
 
 
 class Removal:
@@ -27,37 +63,36 @@ class Removal:
     def __init__(
         self,
         config: TrainConfig,
-        free_space: FreeSpace,
+        free_space: Space,
         painter: Painter,
         shown: Callable[[], Iterable[Sized]],
         *,
         masks_hide: bool,
+        guided: Space | None = None,
     ) -> None:
         """`shown` gives the training views at the size of the last step; `masks_hide` says whether
-        pixels count only as far as masks show them. What `painter` drew last is lost."""
+        pixels count only as far as masks show them; `guided` is the space that a guide keeps free.
+        What `painter` drew last is lost."""
         self._config = config
-        self._free_space = free_space
         self._painter = painter
         self._shown = shown
         self._masks_hide = masks_hide
-        self.cleared = 0
-        """Splats taken out so far because they stood too close before a camera."""
-        self.crowded = False
-        """So many stood there at once that something must be there: no space is free."""
+        self.around = Emptied(free_space)
+        """The space around cameras."""
+        self.guided = Emptied(guided)
+        """The space before a guide."""
         self._pruned = 0
 
     def clear(self, model: Model, plan: Plan, step: int) -> int:
-        """Take out what stands in the free space around cameras."""
-        if self.crowded or not plan.clears_at(step):
+        """Take out what stands where nothing is to stand: around cameras and before a guide."""
+        if not plan.clears_at(step):
             return 0
-        inside = self._free_space.holds(model.params["means"])
-        count = int(inside.sum())
-        self.crowded = count > _CROWD * len(model)
-        if count == 0 or self.crowded:
-            return 0
-        self._take_out(model, inside)
-        self.cleared += count
-        return count
+        before = len(model)
+        for space in (self.around, self.guided):
+            rows = space.due(model.params["means"])
+            if rows is not None:
+                self._take_out(model, rows)
+        return before - len(model)
 
     def unveil(self, model: Model, plan: Plan, step: int) -> int:
         """Take out what stands where masks hide it."""
@@ -82,7 +117,13 @@ class Removal:
 
     def state(self) -> dict[str, int | bool]:
         """All that the next removals depend on, as JSON values."""
-        return {"cleared": self.cleared, "crowded": self.crowded, "pruned": self._pruned}
+        return {
+            "cleared": self.around.count,
+            "crowded": self.around.crowded,
+            "guide_cleared": self.guided.count,
+            "guide_crowded": self.guided.crowded,
+            "pruned": self._pruned,
+        }
 
     def restore(self, state: dict[str, int | bool]) -> None:
         """Go on from what `state` returned, among other keys.
@@ -90,8 +131,8 @@ class Removal:
         Raises:
             ValueError, KeyError: it is not what that returns.
         """
-        self.cleared = whole("cleared", state.get("cleared", 0))
-        self.crowded = state.get("crowded", False) is True
+        self.around.restore(state, "cleared", "crowded")
+        self.guided.restore(state, "guide_cleared", "guide_crowded")
         self._pruned = whole("pruned", state["pruned"])
 
     def _weights(self, model: Model) -> Iterator[Weights]:

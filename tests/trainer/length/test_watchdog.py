@@ -49,6 +49,22 @@ def test_falling_noisy_and_level_errors_are_healthy() -> None:
     assert feed(dog(), errors) is None
 
 
+def test_holes_that_a_guide_leaves_are_no_divergence() -> None:
+    """Oracle: an error that doubles where a tenth of the splats is taken out and sinks again within
+    a hundred steps; the same without, or for good, is one."""
+    errors = [0.1] * 100 + [0.4 - 0.003 * k for k in range(100)] + [0.1] * 100
+    assert feed(dog(), errors) is not None
+    for shares, healthy in (([0.1], True), ([0.005], False), ([0.1, 0.1, 0.1], True)):
+        watching = dog()
+        assert feed(watching, errors[:100]) is None
+        barked = []
+        for k, error in enumerate(errors[100:]):
+            share = shares[k // 30] if k % 30 == 0 and k // 30 < len(shares) else 0.0
+            barked.append(watching.observe(101 + k, error**2, skipped=False, cleared=share))
+        assert (not any(barked)) == healthy
+        assert feed(watching, [0.9] * 80, first=301) is not None
+
+
 @pytest.mark.parametrize("bad", [0.5, 0.9, 30.0])
 def test_an_explosion_is_noticed_within_a_window(bad: float) -> None:
     """Oracle: 300 good steps, then an error far above 1.7 times the best."""

@@ -100,7 +100,7 @@ def test_walls_before_cameras_go(known: Any, known_splats: Splats, strategy: Str
     start = with_walls(known_splats, known)
     trainer = Trainer(config, known, start=start)
     removed = [trainer.step().change.removed for _ in range(40)]
-    assert trainer.removal.cleared == walls == removed[9]
+    assert trainer.removal.around.count == walls == removed[9]
     centers, near = known.scene.cameras.centers, trainer.splats().means[:, None]
     assert np.linalg.norm(near - centers, axis=2).min() > 0.2
     assert len(trainer.model) >= len(known_splats) - 5
@@ -109,7 +109,7 @@ def test_walls_before_cameras_go(known: Any, known_splats: Splats, strategy: Str
     for _ in range(40):
         left.step()
     near = np.linalg.norm(left.splats().means[:, None] - centers, axis=2).min(axis=0)
-    assert left.removal.cleared == 0 and (near < 0.2).all()
+    assert left.removal.around.count == 0 and (near < 0.2).all()
 
 
 def test_clearing_goes_on_to_the_end_and_after_a_resume(
@@ -125,7 +125,7 @@ def test_clearing_goes_on_to_the_end_and_after_a_resume(
             ahead = whole.frame.similarity.points_to_training(known.scene.cameras.centers)
             whole.model.params["means"][:walls] = torch.from_numpy(ahead + 1e-3).float()
             checkpoint.save(tmp_path / "25.safetensors", whole, {})
-    assert whole.removal.cleared == 2 * walls
+    assert whole.removal.around.count == 2 * walls
     found = checkpoint.load(tmp_path / "25.safetensors")
     resumed = Trainer(replace(config, threads=2), known, start=known_splats)
     resumed.restore(found.trainer, found.tensors)
@@ -146,13 +146,17 @@ def test_where_many_splats_stand_no_space_is_free(known: Any, known_splats: Spla
     trainer = Trainer(config, known, start=start)
     for _ in range(12):
         trainer.step()
-    assert len(trainer.model) == walls and trainer.removal.cleared == 0 and trainer.removal.crowded
+    assert (
+        len(trainer.model) == walls
+        and trainer.removal.around.count == 0
+        and trainer.removal.around.crowded
+    )
     resumed = Trainer(config, known, start=start)
     resumed.restore(trainer.state(), dict(trainer.tensors()))
     resumed.model.params["means"][1:] = 0.0
     while resumed.steps < 40:
         resumed.step()
-    assert resumed.removal.crowded and resumed.removal.cleared == 0
+    assert resumed.removal.around.crowded and resumed.removal.around.count == 0
 
 
 def test_points_that_are_made_up_free_nothing(known: Any, known_splats: Splats) -> None:
@@ -169,7 +173,7 @@ def test_points_that_are_made_up_free_nothing(known: Any, known_splats: Splats) 
         trainer = Trainer(config, known, start=start, points=points)
         for _ in range(10):
             trainer.step()
-        assert trainer.removal.cleared == gone
+        assert trainer.removal.around.count == gone
 
 
 def test_held_out_cameras_free_nothing(known: Any, known_splats: Splats) -> None:
@@ -179,7 +183,7 @@ def test_held_out_cameras_free_nothing(known: Any, known_splats: Splats) -> None
     trainer = Trainer(config, seven, start=with_walls(known_splats, known))
     for _ in range(10):
         trainer.step()
-    assert trainer.removal.cleared == 7
+    assert trainer.removal.around.count == 7
 
 
 def test_many_cleared_splats_are_told(

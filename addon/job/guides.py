@@ -1,0 +1,173 @@
+"""Meshes of the scene that guide a training: gathered, and written for the trainer.
+
+A collection says which: all its objects that show in the viewport, with their modifiers, children
+of their collections and instances, in Blender's world. The capture's empty says where the world of
+the photos is in that.
+"""
+
+import hashlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import bpy
+import numpy as np
+
+from ..cameras.lookup import panel_root
+from ..compat import matrix_to_numpy
+from ..core import GUIDES, write_mesh
+from ..splats.files import source_matrix
+from ..splats.objects import is_splats
+
+ROLES = {"surface": "guide_surface", "free": "guide_free"}
+"""What a mesh is for, and the setting that names its collection."""
+
+
+class Triangles(NamedTuple):
+    """A mesh without its object."""
+
+    vertices: np.ndarray
+    """[V, 3] float64."""
+    triangles: np.ndarray
+    """[T, 3] int32, rows of `vertices`."""
+
+
+def arguments(scene: bpy.types.Scene, output: Path) -> list[str]:
+    """Write the guides of a scene for a training into `output`; options that tell it of them.
+
+    Files are named by what they hold, so that those of an earlier run stay as they are.
+
+    Raises:
+        ValueError: the capture is not in the scene, or a collection shows no mesh.
+        GsError: a file cannot be written.
+    """
+    line: list[str] = []
+    for role, collection in _chosen(scene):
+        found = gathered(scene, collection)
+        digest = hashlib.sha256(found.vertices.tobytes() + found.triangles.tobytes())
+        path = output / GUIDES / f"{role}-{digest.hexdigest()[:8]}.ply"
+        if not path.is_file():
+            write_mesh(path, found.vertices, found.triangles)
+        line += [f"--guide-{role}", str(path)]
+    return line
+
+
+def left_out(scene: bpy.types.Scene) -> list[str]:
+    """Sentences on objects in the collections of guides that guide nothing."""
+    lines = []
+    for _, collection in _chosen(scene):
+        hidden = [ob.name for ob in collection.all_objects if not ob.visible_get()]
+        others = [
+            ob.name for ob in collection.all_objects if ob.visible_get() and not may_guide(ob)
+        ]
+        if hidden:
+            lines.append(f"Hidden in {collection.name}, so no guides: {_listed(hidden)}.")
+        if others:
+            lines.append(f"No meshes, so no guides: {_listed(others)} in {collection.name}.")
+    return lines
+
+
+def gathered(scene: bpy.types.Scene, collection: bpy.types.Collection) -> Triangles:
+    """All meshes that a collection shows, as one, in the world of the scene's capture.
+
+    Raises:
+        ValueError: the capture is not in the scene, the collection shows no mesh, or a corner of
+            one is no place.
+    """
+    root = panel_root(scene)
+    if root is None:
+        raise ValueError(
+            f"The meshes of {collection.name} guide a training by where they stand among the "
+            "photos: press Import Cameras first."
+        )
+    to_capture = np.linalg.inv(source_matrix(root))
+    vertices, triangles, total = [], [], 0
+    for name, matrix, part in _shown(collection):
+        places = part.vertices @ (to_capture @ matrix)[:3, :3].T + (to_capture @ matrix)[:3, 3]
+        if not np.isfinite(places).all():
+            raise ValueError(
+                f"Corners of {name} are no places in space; mend it with Mesh > Clean Up."
+            )
+        vertices.append(places)
+        triangles.append(part.triangles + np.int32(total))
+        total += len(places)
+    if not triangles:
+        raise ValueError(
+            f"{collection.name} shows no faces that could guide a training: put meshes there, show "
+            "them in the viewport, or clear the field."
+        )
+    return Triangles(np.concatenate(vertices), np.concatenate(triangles))
+
+
+def add_to_guides(
+    scene: bpy.types.Scene, role: str, obs: list[bpy.types.Object]
+) -> bpy.types.Collection:
+    """Link objects to the collection of a role, which is made where there is none yet."""
+    collection = getattr(scene.gscore, ROLES[role])
+    if collection is None:
+        collection = bpy.data.collections.new(_NAMES[role])
+        scene.collection.children.link(collection)
+        setattr(scene.gscore, ROLES[role], collection)
+    for ob in obs:
+        if ob.name not in collection.objects:
+            collection.objects.link(ob)
+    return collection
+
+
+_NAMES = {"surface": "Guide Surfaces", "free": "Guide Free Space"}
+_WITH_FACES = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
+_MOST_LISTED = 5
+
+
+def _chosen(scene: bpy.types.Scene) -> Iterator[tuple[str, bpy.types.Collection]]:
+    for role, setting in ROLES.items():
+        collection = getattr(scene.gscore, setting)
+        if collection is not None:
+            yield role, collection
+
+
+def may_guide(ob: bpy.types.Object) -> bool:
+    """Whether an object is a mesh that could guide, becomes one, or shows others."""
+    if ob.instance_type == "COLLECTION":
+        return True
+    return ob.type in _WITH_FACES and not is_splats(ob)
+
+
+def _shown(collection: bpy.types.Collection) -> Iterator[tuple[str, np.ndarray, Triangles]]:
+    """Name, matrix to Blender's world and faces of each mesh that shows, instances too."""
+    wanted = {ob.session_uid for ob in collection.all_objects if ob.visible_get()}
+    graph = bpy.context.evaluated_depsgraph_get()
+    known: dict[int, Triangles] = {}
+    for instance in graph.object_instances:
+        ob = instance.object
+        owner = instance.parent if instance.is_instance else ob
+        if owner.original.session_uid not in wanted or not instance.show_self:
+            continue
+        if ob.type not in _WITH_FACES or is_splats(ob.original):
+            continue
+        key = ob.data.as_pointer() if ob.type == "MESH" else ob.as_pointer()
+        if key not in known:
+            known[key] = _triangles_of(ob)
+        if len(known[key].triangles):
+            yield ob.name, matrix_to_numpy(instance.matrix_world), known[key]
+
+
+def _triangles_of(ob: bpy.types.Object) -> Triangles:
+    """The faces of an evaluated object, in its own axes."""
+    mesh = ob.to_mesh()
+    if mesh is None:
+        return Triangles(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
+    try:
+        mesh.calc_loop_triangles()
+        vertices = np.empty((len(mesh.vertices), 3), np.float32)
+        mesh.vertices.foreach_get("co", vertices.ravel())
+        triangles = np.empty((len(mesh.loop_triangles), 3), np.int32)
+        mesh.loop_triangles.foreach_get("vertices", triangles.ravel())
+    finally:
+        ob.to_mesh_clear()
+    return Triangles(vertices.astype(np.float64), triangles)
+
+
+def _listed(names: list[str]) -> str:
+    more = len(names) - _MOST_LISTED
+    return ", ".join(names[:_MOST_LISTED]) + (f" and {more} more" if more > 0 else "")

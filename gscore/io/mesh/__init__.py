@@ -1,0 +1,1 @@
+"""Triangle meshes: PLY and OBJ files in, PLY out."""

@@ -1,0 +1,92 @@
+"""A mesh of triangles, and what is looked over in one that comes from a file."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ...errors import FormatError
+from ...words import count_words, number
+
+MOST_TRIANGLES = 20_000_000
+"""Of one mesh: more than that takes gigabytes, and says no more of where a surface is."""
+_LARGEST = 1e9
+"""Of a coordinate; scenes in any unit are smaller, and K times it stays exact."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TriangleMesh:
+    """Triangles with corners in common."""
+
+    vertices: np.ndarray
+    """[V, 3] float64, world of the capture."""
+    triangles: np.ndarray
+    """[T, 3] int32, rows of `vertices`."""
+
+    def __len__(self) -> int:
+        return len(self.triangles)
+
+
+def checked_mesh(path: Path, vertices: np.ndarray, triangles: np.ndarray) -> TriangleMesh:
+    """The mesh of a file.
+
+    Args:
+        path: The file, for messages.
+        vertices: [V, 3] float64.
+        triangles: [T, 3] int64.
+
+    Raises:
+        FormatError: there are no triangles or too many, one names a vertex that is not there, or
+            has a corner that is no place.
+    """
+    if len(triangles) == 0:
+        raise FormatError(
+            f"{path} has no faces ({count_words(len(vertices), 'vertex', 'vertices')}). Export a "
+            "mesh with faces; a cloud of points has none."
+        )
+    check_count(path, len(triangles))
+    outside = (triangles < 0) | (triangles >= len(vertices))
+    if outside.any():
+        row, corner = (int(at) for at in np.argwhere(outside)[0])
+        raise FormatError(
+            f"{path} is damaged: a face names vertex {int(triangles[row, corner])}, and there are "
+            f"{number(len(vertices))}. Export it again."
+        )
+    with np.errstate(invalid="ignore"):
+        good = (np.abs(vertices) <= _LARGEST).all(axis=1)
+    used = np.zeros(len(vertices), bool)
+    used[triangles.ravel()] = True
+    wrong = np.flatnonzero(used & ~good)
+    if len(wrong):
+        raise FormatError(
+            f"{path}: {count_words(len(wrong), 'vertex is', 'vertices are')} no place in space, "
+            f"the first one number {wrong[0]} (counted from 0): {vertices[wrong[0]].tolist()}. "
+            "Clean the mesh up and export it again."
+        )
+    places = vertices.copy()
+    places[~good] = 0  # no face knows them
+    return TriangleMesh(vertices=places, triangles=np.ascontiguousarray(triangles, np.int32))
+
+
+def check_count(path: Path, triangles: int) -> None:
+    """Raise FormatError where these are more triangles than are taken."""
+    if triangles > MOST_TRIANGLES:
+        raise FormatError(
+            f"{path} has {number(triangles)} triangles, at most {number(MOST_TRIANGLES)} are "
+            "taken. Simplify the mesh; a hundred thousand say as much about a room."
+        )
+
+
+def fans(polygons: Sequence[np.ndarray]) -> np.ndarray:
+    """[T, 3] int64 triangles of polygons [n] of n >= 3 corners each, about their first corners;
+    shorter ones are none."""
+    sizes = np.fromiter((len(polygon) for polygon in polygons), np.int64, len(polygons))
+    if not (sizes >= 3).any():
+        return np.zeros((0, 3), np.int64)
+    flat = np.concatenate(list(polygons)).astype(np.int64)
+    starts = np.cumsum(sizes) - sizes
+    counts = np.maximum(sizes - 2, 0)
+    first = np.repeat(starts, counts)
+    step = np.arange(len(first)) - np.repeat(np.cumsum(counts) - counts, counts)
+    return np.stack([flat[first], flat[first + step + 1], flat[first + step + 2]], axis=1)

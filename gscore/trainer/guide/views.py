@@ -1,0 +1,73 @@
+"""What training photos see of a mesh."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...datasets import Dataset
+from ...datasets.dataset import map_threads
+from ...depth.confidence import inner, shown_by
+from ...io.mesh.triangles import TriangleMesh
+from ...raster.mesh import mesh_depth
+
+_BEND = 0.02
+"""Bend of inverse depth from pixel to pixel, relative to it, at which a pixel counts half: folds of
+a surface are less, its outlines before something else of the mesh more."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshView:
+    """A mesh as one photo sees it; a prior as `DepthTargets` takes them."""
+
+    inverse_depth: np.ndarray
+    """[H, W] float32, 1/world unit; 0 where the mesh is not."""
+    confidence: np.ndarray
+    """[H, W] float32 in [0, 1]; 0 where the mesh is not, at its outline and where masks hide."""
+    aligned: bool = True
+    """It has the scale of the capture."""
+
+
+def mesh_views(
+    mesh: TriangleMesh,
+    photos: Dataset,
+    *,
+    threads: int = 0,
+    on_progress: Callable[[int, int], None] | None = None,
+) -> list[MeshView | None]:
+    """What each photo sees of a mesh, at training resolution, by index of the view.
+
+    Held-out views, and those that see nothing of it, are None.
+
+    Args:
+        mesh: In the world of the capture.
+        photos: The capture.
+        threads: Views taken at once; 0: as many as there are cores.
+        on_progress: Called with (done, total) after each training view; may raise to stop.
+    """
+    cameras, train = photos.scene.cameras, list(photos.train)
+
+    def seen(index: int) -> MeshView | None:
+        inverse = mesh_depth(
+            mesh.vertices,
+            mesh.triangles,
+            cameras.Ks[index],
+            cameras.viewmats[index],
+            int(cameras.widths[index]),
+            int(cameras.heights[index]),
+        )
+        if not inverse.any():
+            return None
+        known = np.where(inverse > 0, inverse, np.float32(np.nan))
+        trust = inner(known, np.float32(_BEND) * np.maximum(inverse, np.float32(1e-30)))
+        mask = photos.mask(index) if photos.mask_mode != "none" else None
+        if mask is not None:
+            trust = shown_by(mask, trust)
+        return MeshView(inverse_depth=inverse, confidence=trust.astype(np.float32, copy=False))
+
+    out: list[MeshView | None] = [None] * len(photos)
+    for done, view in enumerate(map_threads(seen, train, threads=threads), start=1):
+        out[train[done - 1]] = view
+        if on_progress is not None:
+            on_progress(done, len(train))
+    return out
