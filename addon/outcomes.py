@@ -16,7 +16,7 @@ from .capture.folders import means_capture, same_folder
 from .core import find_capture
 from .paths import absolute
 
-_KEPT = ("output_path", "result", "preview", "guide_surface", "guide_free")
+_KEPT = ("output_path", "result", "preview", "guide_surface", "guide_free", "train_within")
 
 
 class Outcome(bpy.types.PropertyGroup):
@@ -45,6 +45,9 @@ class Outcome(bpy.types.PropertyGroup):
     )
     guide_free: PointerProperty(
         name="Nothing Before", description="Its meshes to keep free", type=bpy.types.Collection
+    )
+    train_within: PointerProperty(
+        name="Only Within", description="The object around its subject", type=bpy.types.Object
     )
 
 

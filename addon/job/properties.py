@@ -55,6 +55,10 @@ _MASK_MODES = (
 )
 
 
+def _may_bound(_: bpy.types.PropertyGroup, ob: bpy.types.Object) -> bool:
+    return ob.type in {"MESH", "EMPTY"} and not ob.get("gs_kind")
+
+
 def preset_items() -> list[tuple[str, str, str]]:
     """Presets as an enum: gscore's names and its own sentences about them."""
     return [
@@ -182,6 +186,13 @@ class SceneSettings(bpy.types.PropertyGroup):
         description="Collection of meshes before which nothing stands, as seen from any photo: "
         "splats there are taken out. What shows in the viewport counts, with modifiers",
         type=bpy.types.Collection,
+    )
+    train_within: PointerProperty(
+        name="Only Within",
+        description="Object whose bounds hold what matters, a crop box or an empty: photos count "
+        "only where they look at it. Import the cameras first, and put it around the subject",
+        type=bpy.types.Object,
+        poll=_may_bound,
     )
     live_splats: BoolProperty(
         name="Live Splats",

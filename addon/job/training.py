@@ -12,7 +12,7 @@ from ..core import read_losses
 from ..nodes import display as display_nodes
 from ..paths import absolute, capture_folder, output_folder, relative
 from ..process import beat
-from . import display, earlier, facts, guides, lookups, options, registry
+from . import display, earlier, facts, guides, lookups, options, registry, within
 from .curve import LossCurve
 from .job import Job
 from .launch import launch
@@ -70,7 +70,7 @@ def train(
         overwrite=overwrite,
         depths=found.depths > 0,
     )
-    arguments += guides.arguments(scene, output)
+    arguments += guides.arguments(scene, output) + within.arguments(scene, output)
     scene.gscore.output_path = relative(output)
     scene.gscore.outcome_of = scene.gscore.capture_path
     scene.gscore.depth_shown = "RUN"  # once there is one

@@ -67,6 +67,7 @@ class TrainOptionsPanel(TabPanel, bpy.types.Panel):
         column = layout.column()
         limit(column, settings, "target_psnr")
         column.prop(settings, "early_stop")
+        layout.prop(settings, "train_within")
         column = layout.column()
         column.prop(settings, "use_masks")
         if settings.use_masks:

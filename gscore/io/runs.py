@@ -36,7 +36,7 @@ RUN_FILES = (
 RUN_FOLDERS = ("checkpoints", "point_cloud", "previews", "snapshots")
 """Folders that a training writes."""
 GUIDES = "guides"
-"""Folder of the meshes that guide a training, where a front end writes them for it."""
+"""Folder of the meshes and boxes that guide a training, where a front end writes them for it."""
 CAPTURE = "capture"
 """Folder of the capture made of plain photos, which a next training uses again."""
 SEARCH_RECORD = "sfm.json"
@@ -219,7 +219,7 @@ def remove_results(path: Path) -> None:
 
 
 def clear_run(path: str | Path) -> None:
-    """Remove what a training has written into a folder, with the meshes that were put there to
+    """Remove what a training has written into a folder, with what was put there to
     guide it, and the folder if nothing else is in it.
 
     Only for a folder in which no training is running. What cannot be removed stays.
@@ -228,8 +228,9 @@ def clear_run(path: str | Path) -> None:
     with contextlib.suppress(OSError, ConfigError):
         remove_results(path)
     with contextlib.suppress(OSError):
-        for mesh in (path / GUIDES).glob("*.ply"):
-            mesh.unlink(missing_ok=True)
+        for kind in ("*.ply", "*.json"):
+            for guide in (path / GUIDES).glob(kind):
+                guide.unlink(missing_ok=True)
         (path / GUIDES).rmdir()
     clear_unfinished(path)
     with contextlib.suppress(OSError):

@@ -23,7 +23,7 @@ class RegionPhotos(Dataset):
         if narrow and whole.mask_mode == "composite":
             raise ConfigError(
                 "The masks of this capture are opacity: they cut the subject out already. A region "
-                "of a new training takes --mask-mode ignore or none."
+                "of a new training takes masks of mode ignore, or none."
             )
         cameras = whole.scene.cameras
 

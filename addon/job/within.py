@@ -1,0 +1,39 @@
+"""The object that limits a training to what lies in its bounds: its box, for the trainer."""
+
+import hashlib
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from ..cameras.lookup import panel_root
+from ..core import GUIDES, write_region
+from ..splats.filters import crop_matrix
+
+
+def arguments(scene: bpy.types.Scene, output: Path) -> list[str]:
+    """Write the box of a scene's object for a training into `output`; the option that tells it.
+
+    The file is named by what it holds, so that one of an earlier run stays as it is.
+
+    Raises:
+        ValueError: the capture is not in the scene, or the object has no volume.
+        GsError: the file cannot be written.
+    """
+    ob = scene.gscore.train_within
+    if ob is None:
+        return []
+    root = panel_root(scene)
+    if root is None:
+        raise ValueError(
+            f"{ob.name} limits the training by where it stands among the photos: press Import "
+            "Cameras first, or clear Only Within."
+        )
+    to_unit = crop_matrix(root, ob)
+    if not abs(np.linalg.det(to_unit[:3, :3])) > 0:
+        raise ValueError(f"{ob.name} has no volume; scale it up on all axes.")
+    box = np.linalg.inv(to_unit)
+    path = output / GUIDES / f"within-{hashlib.sha256(box.tobytes()).hexdigest()[:8]}.json"
+    if not path.is_file():
+        write_region(path, box)
+    return ["--region", str(path)]
