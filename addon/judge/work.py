@@ -11,6 +11,7 @@ from ..cameras.objects import root_of
 from ..interface import undo
 from ..job.filling import Filling, replace
 from ..job.launch import follow, launch
+from ..paths import MEASURED
 from ..process import beat
 from ..splats import objects
 from . import colors
@@ -19,8 +20,8 @@ from .registry import JOBS
 
 MAP = "gs_error_map"
 """Custom property of an object that shows the errors of another one's run."""
-FOLDER, FILE = "errors", "errors.ply"
-"""In the folder of the run."""
+FILE = "errors.ply"
+"""In the folder `MEASURED` of the run."""
 
 
 def measure(
@@ -42,7 +43,7 @@ def measure(
         raise ValueError(f"{run} is being measured already; wait, or stop it.")
     if not (run / "point_cloud.ply").is_file():
         raise ValueError(f"{run} holds no finished training; train to the end first.")
-    folder = run / FOLDER
+    folder = run / MEASURED
     line = ["eval", str(run), "-o", str(folder), "--split", "all", "--overwrite"]
     line += ["--error-map", str(folder / FILE), "--events", "jsonl"]
     source = stored_paths.read(ob, stored_paths.SOURCE)
@@ -157,7 +158,9 @@ def _show(job: ErrorsJob, mesh: bpy.types.Mesh) -> None:
     found = (o for o in bpy.context.scene.objects if objects.is_splats(o) and not is_map(o))
     ob = next((o for o in found if stored_paths.read(o, stored_paths.RUN) == str(job.source)), None)
     if ob is None:
-        raise ValueError(f"The splats are gone from the scene; {job.source / FOLDER} has the map.")
+        raise ValueError(
+            f"The splats are gone from the scene; {job.source / MEASURED} has the map."
+        )
     maps = siblings(ob)[1]
     shown = maps[0] if maps else _made(ob)
     replace(shown, mesh)

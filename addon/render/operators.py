@@ -91,7 +91,7 @@ class ComparePhoto(Acting, bpy.types.Operator):
 
 
 class CompareWorstPhoto(Acting, bpy.types.Operator):
-    """Compare with the photo that the training met worst of those that it evaluated"""
+    """Compare with the photo that the splats meet worst of those that were measured"""
 
     bl_idname = "gscore.compare_worst_photo"
     bl_label = "Compare Worst Photo"
@@ -107,7 +107,7 @@ class CompareWorstPhoto(Acting, bpy.types.Operator):
         found = worst_of(context.scene, meant(context))
         told = compared(context, found.camera)
         make_active(context, found.camera)
-        return f"Worst of {found.among} photos, {found.psnr:.2f} dB when trained. {told}"
+        return f"Worst of {found.among} photos, {found.psnr:.2f} dB when measured. {told}"
 
 
 def compared(context: bpy.types.Context, camera: bpy.types.Object) -> str:

@@ -1,4 +1,4 @@
-"""The photo that a training met worst, as its own evaluation says, and the camera that took it."""
+"""The photo that splats meet worst, as their run was measured, and the camera that took it."""
 
 import json
 from dataclasses import dataclass
@@ -9,6 +9,7 @@ import bpy
 from .. import stored_paths
 from ..cameras.objects import cameras_of, is_camera, root_of
 from ..core import judged_psnr
+from ..paths import MEASURED
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -17,13 +18,13 @@ class Worst:
 
     camera: bpy.types.Object
     psnr: float
-    """dB, as the training judged it."""
+    """dB, as it was measured."""
     among: int
-    """How many photos were evaluated whose cameras are there."""
+    """How many photos were measured whose cameras are there."""
 
 
 def worst_of(scene: bpy.types.Scene, ob: bpy.types.Object) -> Worst:
-    """The camera of the worst evaluated photo of the run that splats come from.
+    """The camera of the worst measured photo of the run that splats come from.
 
     Args:
         scene: Has the cameras, where the splats are under no capture.
@@ -36,7 +37,7 @@ def worst_of(scene: bpy.types.Scene, ob: bpy.types.Object) -> Worst:
     folder = stored_paths.read(ob, stored_paths.RUN)
     if not folder:
         raise ValueError(f"{ob.name} comes from no training here, which would know its photos.")
-    path = Path(folder) / "metrics.json"
+    path = _figures(Path(folder))
     found = _evaluated(path)
     root = root_of(ob)
     cameras = cameras_of(root) if root is not None else filter(is_camera, scene.objects)
@@ -50,6 +51,18 @@ def worst_of(scene: bpy.types.Scene, ob: bpy.types.Object) -> Worst:
         )
     psnr, camera = min(known, key=lambda pair: pair[0])
     return Worst(camera=camera, psnr=psnr, among=len(known))
+
+
+def _figures(run: Path) -> Path:
+    """The metrics.json of all photos, where Measure Errors wrote one since the training; else that
+    of the training, which knows some."""
+    measured = run / MEASURED / "metrics.json"
+    try:
+        if measured.stat().st_mtime >= (run / "point_cloud.ply").stat().st_mtime:
+            return measured
+    except OSError:
+        pass
+    return run / "metrics.json"
 
 
 def _evaluated(path: Path) -> dict[str, float]:

@@ -1,6 +1,7 @@
 """Comparison with photos. Oracle: gscore's metrics and pictures of the same view."""
 
 import json
+import os
 import shutil
 from pathlib import Path
 
@@ -139,8 +140,28 @@ def test_one_click_from_the_worst_photo(studio, scene, tmp_path, capfd):
     camera = capture.cameras[7]
     assert bpy.context.object == camera
     said = capfd.readouterr().out
-    assert f"Worst of 3 photos, 17.50 dB when trained. {camera.name}: PSNR" in said
+    assert f"Worst of 3 photos, 17.50 dB when measured. {camera.name}: PSNR" in said
     assert "gs_psnr" in camera and "gs_psnr" not in capture.cameras[4]
+
+
+def test_the_worst_photo_is_of_all_once_these_are_measured(studio, scene, tmp_path, capfd):
+    """Oracle: metrics.json of Measure Errors; that of the training where this is younger."""
+    capture, _ = studio
+    ob = bpy.data.objects["s"]
+    (tmp_path / "errors").mkdir()
+    (tmp_path / "point_cloud.ply").write_bytes(b"ply")
+    for folder, (row, worth) in ((tmp_path, (4, 31.0)), (tmp_path / "errors", (9, 12.25))):
+        view = {"name": capture.cameras[row]["gs_image"], "psnr": worth}
+        (folder / "metrics.json").write_text(json.dumps({"views": [view]}))
+    stored_paths.write(ob, stored_paths.RUN, tmp_path)
+    bpy.context.view_layer.objects.active = ob
+    assert bpy.ops.gscore.compare_worst_photo() == {"FINISHED"}
+    assert bpy.context.object == capture.cameras[9]
+    assert "12.25 dB" in capfd.readouterr().out
+    os.utime(tmp_path / "errors" / "metrics.json", (1e9, 1e9))
+    bpy.context.view_layer.objects.active = ob
+    assert bpy.ops.gscore.compare_worst_photo() == {"FINISHED"}
+    assert bpy.context.object == capture.cameras[4]
 
 
 @pytest.mark.parametrize("text", [None, "{", "[]", '{"views": [{"psnr": 1}]}', '{"views": []}'])
