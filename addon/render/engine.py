@@ -14,6 +14,7 @@ from ..timeline import follow
 from ..timeline.moment import gap_sentence
 from ..timeline.settings import plays
 from . import copies, ignored, picture
+from .apart import main_scene
 from .film import Film
 from .scene import NO_SPLATS, Model, Placed, SplatCache, place, sources
 from .stage import Stage
@@ -30,8 +31,6 @@ from .world import background_of, world_light
 
 NAME = "GSCORE_SPLATS"
 """The engine in `scene.render.engine`."""
-MAIN_SCENE = "gs_main_scene"
-"""Custom property of a scene that only renders the splats of another: that scene."""
 final_cache = SplatCache()
 """Decoded splats of the last picture: the frames of an animation share it."""
 _painters: WeakSet[Painter] = WeakSet()
@@ -219,7 +218,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
                 f"Scene {scene.name} has no camera: add one, or choose an imported one as the "
                 f"scene's camera."
             )
-        main = scene.get(MAIN_SCENE)
+        main = main_scene(scene)
         if main is not None and main.camera is not None and main.camera.name != ob.name:
             raise ValueError(
                 f"Scene {scene.name} looks through {ob.name}, scene {main.name} through "
