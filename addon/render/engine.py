@@ -16,7 +16,7 @@ from ..timeline.settings import plays
 from . import copies, ignored, picture
 from .apart import main_scene
 from .film import Film
-from .scene import NO_SPLATS, Model, Placed, SplatCache, place, sources
+from .scene import NO_SPLATS, NONE_IN_VIEW, Model, Placed, SplatCache, place, sources
 from .stage import Stage
 from .viewport import (
     EXACT,
@@ -260,7 +260,7 @@ def collect(depsgraph: bpy.types.Depsgraph, cache: SplatCache) -> Model:
     """
     placed = [place(source) for source in sources(depsgraph)]
     if not placed:
-        raise ValueError(NO_SPLATS)
+        raise ValueError(NO_SPLATS if depsgraph.mode == "RENDER" else NONE_IN_VIEW)
     return cache.model(placed)
 
 

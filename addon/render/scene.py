@@ -23,6 +23,9 @@ NO_SPLATS = (
     "There are no splats to render: import a splat PLY, or enable the splat object and its "
     "collection for renders."
 )
+NONE_IN_VIEW = (
+    "There are no splats to be seen: show the splat object and its collection in the viewport."
+)
 _EDITED = threading.Lock()
 
 
