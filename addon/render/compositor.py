@@ -5,7 +5,8 @@ import bpy
 from .. import compat
 from ..interface import writable
 from ..splats.objects import is_splats
-from .engine import MAIN_SCENE, NAME
+from .apart import MAIN_SCENE
+from .engine import NAME
 
 SPLAT_SCENE = "gs_splat_scene"
 """Custom property of a scene: the scene that renders its splats."""
@@ -31,6 +32,7 @@ _SHARED = (
     "use_motion_blur",
     "motion_blur_shutter",
     "motion_blur_position",
+    "use_multiview",
 )
 
 

@@ -14,8 +14,9 @@ from ..timeline import follow
 from ..timeline.moment import gap_sentence
 from ..timeline.settings import plays
 from . import copies, ignored, picture
+from .apart import main_scene
 from .film import Film
-from .scene import NO_SPLATS, Model, Placed, SplatCache, place, sources
+from .scene import NO_SPLATS, NONE_IN_VIEW, Model, Placed, SplatCache, place, sources
 from .stage import Stage
 from .viewport import (
     EXACT,
@@ -30,8 +31,6 @@ from .world import background_of, world_light
 
 NAME = "GSCORE_SPLATS"
 """The engine in `scene.render.engine`."""
-MAIN_SCENE = "gs_main_scene"
-"""Custom property of a scene that only renders the splats of another: that scene."""
 final_cache = SplatCache()
 """Decoded splats of the last picture: the frames of an animation share it."""
 _painters: WeakSet[Painter] = WeakSet()
@@ -219,7 +218,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
                 f"Scene {scene.name} has no camera: add one, or choose an imported one as the "
                 f"scene's camera."
             )
-        main = scene.get(MAIN_SCENE)
+        main = main_scene(scene)
         if main is not None and main.camera is not None and main.camera.name != ob.name:
             raise ValueError(
                 f"Scene {scene.name} looks through {ob.name}, scene {main.name} through "
@@ -261,7 +260,7 @@ def collect(depsgraph: bpy.types.Depsgraph, cache: SplatCache) -> Model:
     """
     placed = [place(source) for source in sources(depsgraph)]
     if not placed:
-        raise ValueError(NO_SPLATS)
+        raise ValueError(NO_SPLATS if depsgraph.mode == "RENDER" else NONE_IN_VIEW)
     return cache.model(placed)
 
 

@@ -15,12 +15,16 @@ from ..core import Splats, transform_splats
 from ..splats.filters import Filters, filters_of
 from ..splats.objects import ANTIALIAS, KIND
 from ..timeline.moment import Moment, moment_of
+from . import apart
 from .frozen import HIDDEN, SELECTED, Frozen, FrozenMesh, freeze, read_marks
 from .holdout import held_out
 
 NO_SPLATS = (
     "There are no splats to render: import a splat PLY, or enable the splat object and its "
     "collection for renders."
+)
+NONE_IN_VIEW = (
+    "There are no splats to be seen: show the splat object and its collection in the viewport."
 )
 _EDITED = threading.Lock()
 
@@ -42,16 +46,12 @@ class Source:
     @property
     def is_seen(self) -> bool:
         """Whether the camera sees it, not only light that others throw."""
-        layer = self._depsgraph.view_layer
-        return self.ob.visible_camera and not self.shown_by.original.indirect_only_get(
-            view_layer=layer
-        )
+        return self.ob.visible_camera and apart.is_seen(self.shown_by.original, self._depsgraph)
 
     @property
     def is_holdout(self) -> bool:
         """Whether it, or its collection, cuts a hole into the picture."""
-        layer = self._depsgraph.view_layer
-        return self.ob.is_holdout or self.shown_by.original.holdout_get(view_layer=layer)
+        return self.ob.is_holdout or apart.is_held_out(self.shown_by.original, self._depsgraph)
 
     @property
     def uid(self) -> int:

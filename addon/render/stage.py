@@ -13,6 +13,7 @@ from ..cameras.captures import RenderCamera, render_camera
 from ..cameras.panorama import Panorama, panorama_of
 from ..compat import matrix_to_numpy
 from ..timeline import follow
+from .apart import main_scene
 from .frozen import Frozen
 from .samples import Aperture, Sample, Shutter, samples
 from .scene import NO_SPLATS, Model, SplatCache, place, sources
@@ -79,7 +80,9 @@ class Stage:
         """
         view = self._view()
         if view is None:
-            raise ValueError(NO_SPLATS)
+            if main_scene(self._depsgraph.scene) is None:
+                raise ValueError(NO_SPLATS)
+            return self._empty()  # the meshes of the other scene show alone
         return view
 
     def views(self, count: int) -> Iterator[View]:
@@ -100,7 +103,7 @@ class Stage:
                 self._go(self._frame + self._shutter.time(sample))
             view, aperture = still or self._view(), self._aperture()
             if view is None:  # objects may be hidden for a part of the exposure
-                view = View(model=_nothing(), camera=self._pinhole())
+                view = self._empty()
             if aperture is not None and isinstance(view.camera, RenderCamera):
                 view = replace(view, camera=through(view.camera, *aperture.point(sample), aperture))
             yield view
@@ -116,6 +119,9 @@ class Stage:
             if source.moment is None:
                 self._frozen[source.uid] = placed[-1].frozen
         return View(model=self._cache.model(placed), camera=camera) if placed else None
+
+    def _empty(self) -> View:
+        return View(model=_nothing(), camera=self._pinhole())
 
     def _pinhole(self) -> RenderCamera | Panorama:
         width, height = self._size

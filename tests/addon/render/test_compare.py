@@ -275,3 +275,10 @@ def test_pictures_are_kept_and_nothing_is_unsaved(studio, scene, tmp_path):
     again = bpy.data.images["GS Comparison"]
     np.testing.assert_array_equal(pixels(again), before)
     assert not again.is_dirty and before.std() > 0.05
+
+
+def test_splats_that_the_view_hides_are_not_blamed_on_renders(studio):
+    """Oracle: the sentence, of splats that renders show and the viewport does not."""
+    bpy.data.objects["s"].hide_set(True)
+    with pytest.raises(RuntimeError, match="show the splat object and its collection in the view"):
+        bpy.ops.gscore.compare_photo(camera=studio[0].cameras[3].name)

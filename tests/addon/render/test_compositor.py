@@ -219,3 +219,53 @@ def test_refusals_leave_the_file_alone(mixed, spoil, words):
         len(bpy.data.node_groups),
         mixed.render.film_transparent,
     )
+
+
+def in_collection(scene, ob) -> None:
+    """Put an object into a collection of its own."""
+    own = bpy.data.collections.new("own")
+    scene.collection.children.link(own)
+    own.objects.link(ob)
+    scene.collection.objects.unlink(ob)
+
+
+def switch(scene, name: str, *, on: bool) -> None:
+    """Set a switch of that collection, or of the view layer's."""
+    layer = scene.view_layers[0].layer_collection.children["own"]
+    setattr(layer.collection if name == "hide_render" else layer, name, on)
+
+
+@pytest.mark.parametrize("hide", ["hide_render", "exclude", "indirect_only", "holdout"])
+def test_what_collections_hide_is_hidden_and_comes_back(mixed, tmp_path, hide):
+    """Oracle: what stands where, by construction, without the wall; then the picture of before."""
+    in_collection(mixed, bpy.data.objects["splats"])
+    compositor.set_up(mixed)
+    before = lab.render_exr(tmp_path, "before")
+    switch(mixed, hide, on=True)
+    hidden = lab.render_exr(tmp_path, "hidden")
+    assert hidden[24, 32, 3] == 0
+    assert hidden[24, 38, :3] == pytest.approx((0, 0, 1), abs=1e-2)
+    assert hidden[24, 22, :3] == pytest.approx((0, 1, 0), abs=1e-2)
+    switch(mixed, hide, on=False)
+    np.testing.assert_array_equal(lab.render_exr(tmp_path, "after"), before)
+
+
+def test_held_out_splats_hide_splats_alone(mixed, tmp_path):
+    """Oracle: what stands where, by construction: a held-out wall before red splats and meshes."""
+    lab.add(mixed, lab.wall(1.5, (0.1, 0.1, 0.9), half=0.8), "cut")
+    in_collection(mixed, bpy.data.objects["cut"])
+    switch(mixed, "holdout", on=True)
+    compositor.set_up(mixed)
+    got = lab.render_exr(tmp_path)
+    assert got[24, 32, 3] < 0.02
+    assert got[24, 38, :3] == pytest.approx((0, 0, 1), abs=0.02)
+
+
+def test_stereo_is_refused_by_name(mixed, capfd):
+    """Oracle: what Blender prints: the sentence of the engine of the splats, and no other."""
+    compositor.set_up(mixed)
+    bpy.ops.render.render()
+    assert "stereo" not in capfd.readouterr().out
+    mixed.render.use_multiview = True
+    bpy.ops.render.render()
+    assert "Splats are not rendered in stereo: turn off" in capfd.readouterr().out

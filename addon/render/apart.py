@@ -1,0 +1,41 @@
+"""What collections say of splats, where a scene of their own renders them for another scene.
+
+Collections hide objects, or cut them out, in the view layers of one scene. The scene that only
+renders the splats of another has none of these, so the other's first view layer is asked.
+"""
+
+import bpy
+
+MAIN_SCENE = "gs_main_scene"
+"""Custom property of a scene that only renders the splats of another: that scene."""
+
+
+def main_scene(scene: bpy.types.Scene) -> bpy.types.Scene | None:
+    """The scene whose splats a scene renders apart; None for any other scene."""
+    main = scene.original.get(MAIN_SCENE)
+    return main if isinstance(main, bpy.types.Scene) else None
+
+
+def is_seen(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:
+    """Whether the camera sees an original object, as far as collections say."""
+    main = main_scene(depsgraph.scene)
+    if main is None:
+        return not ob.indirect_only_get(view_layer=depsgraph.view_layer)
+    layer = main.view_layers[0]
+    rendered = _is_rendered(ob, layer.layer_collection)
+    return rendered and not ob.indirect_only_get(view_layer=layer)
+
+
+def is_held_out(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:
+    """Whether collections cut an original object out."""
+    main = main_scene(depsgraph.scene)
+    layer = depsgraph.view_layer if main is None else main.view_layers[0]
+    return ob.holdout_get(view_layer=layer)
+
+
+def _is_rendered(ob: bpy.types.Object, found: bpy.types.LayerCollection) -> bool:
+    """Whether a collection of a view layer, or one in it, shows an object to renders."""
+    if found.collection.hide_render:
+        return False
+    holds = not found.exclude and found.collection.objects.get(ob.name) == ob
+    return holds or any(_is_rendered(ob, child) for child in found.children)
