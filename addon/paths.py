@@ -10,9 +10,6 @@ import bpy
 from .capture.folders import means_capture
 from .core import find_capture
 
-MEASURED = "errors"
-"""In the folder of a run: its measuring on all photos."""
-
 ROOT = __package__.removesuffix(".addon")
 """Name under which Blender knows the add-on."""
 

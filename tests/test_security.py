@@ -66,6 +66,7 @@ WRITES = {
     "addon/cameras/export_colmap.py:export_colmap ..core.write_colmap": "the user's choice",
     "addon/cameras/export_transforms.py:export_transforms ..core.atomic_write": "the user's choice",
     "addon/job/guides.py:arguments ..core.write_mesh": "the output folder",
+    "addon/job/within.py:arguments ..core.write_region": "the output folder",
     "addon/steer/mask_operators.py:SaveMask.act ..masks.save": "the capture's folder of masks",
     "addon/steer/masks.py:save ..core.atomic_write": "the capture's folder of masks",
     "addon/steer/work.py:train_region ..core.write_region": "a new folder beside the output",

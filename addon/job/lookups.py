@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from ..capture.depth_maps import DepthReport, read_run_report
+from ..capture.figures import Figures, measured
 from ..capture.inspection import ShownFacts, inspect
 from ..core import Estimate
 from ..process.lookup import Lookup
@@ -19,11 +20,13 @@ runs: Lookup[tuple[Path, Path | None], earlier.EarlierRun | None] = Lookup(
 """What an output folder holds already, by its path and the chosen capture's."""
 depth_runs: Lookup[Path, DepthReport | None] = Lookup(read_run_report, max_age=10.0)
 """What became of the depth maps in the training in an output folder."""
+figures: Lookup[Path, Figures | None] = Lookup(measured, max_age=10.0)
+"""How well a run meets all its photos, by its folder, where that was measured."""
 forecasts: Lookup[forecast.Question, Estimate] = Lookup(forecast.answer, max_age=20.0)
 """What a training would take."""
 networks: Lookup[str, frozenset[str]] = Lookup(networks_here, max_age=300.0)
 """Names of the depth networks that are on this computer, by the Python that predicts."""
-_ALL = (captures, runs, depth_runs, forecasts, networks)
+_ALL = (captures, runs, depth_runs, figures, forecasts, networks)
 
 
 def collect() -> bool:

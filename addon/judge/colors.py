@@ -4,18 +4,17 @@ import bpy
 import numpy as np
 
 from ..cameras.coloring import give, marks, own_cameras, take
+from ..capture.figures import Figures
 from ..core import colorize
-from .job import ErrorsJob
 
 _MARK = "error"
 _DARKEST = 0.15
 """Place in the color map of the best photo: black lines would not be seen."""
 
 
-def show(root: bpy.types.Object, job: ErrorsJob) -> int:
-    """Color the cameras of a capture by what a measuring found; how many of them it knows."""
-    ranked = job.ranked
-    known = {} if job.done is None else job.done.views
+def show(root: bpy.types.Object, figures: Figures) -> int:
+    """Color the cameras of a capture by the figures of their photos; how many have some."""
+    ranked, known = figures.ranked, figures.views
     low, high = (ranked[0][1], ranked[-1][1]) if ranked else (0.0, 0.0)
     shown = 0
     for ob in own_cameras(root):

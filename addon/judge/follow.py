@@ -1,5 +1,6 @@
 """The part of measurings in the beat, and their end with the end of Blender."""
 
+from ..job import lookups
 from ..job.launch import following_verb
 from . import work
 from .job import ErrorsJob
@@ -10,5 +11,5 @@ def _wanted(job: ErrorsJob) -> bool:
     return job.wanted
 
 
-_FOLLOWING = following_verb(JOBS, lambda: None, bring_in=work.bring_in, wanted=_wanted)
+_FOLLOWING = following_verb(JOBS, lookups.figures.expire, bring_in=work.bring_in, wanted=_wanted)
 on_register, on_unregister = _FOLLOWING.on_register, _FOLLOWING.on_unregister

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from ..capture.figures import MEASURED, Figures
 from ..core import EvalDone, EvalProgress, Event
 from ..job.loader import Loader
 from ..job.verb_job import VerbJob
@@ -32,11 +33,10 @@ class ErrorsJob(VerbJob):
         return min(told.done / told.total, 1.0) if told is not None and told.total > 0 else 0.0
 
     @property
-    def ranked(self) -> list[tuple[str, float]]:
-        """Photos and their PSNR in dB, the worst first; those without one are left out."""
-        known = {} if self.done is None else self.done.views
-        found = [(name, psnr) for name, psnr in known.items() if psnr is not None]
-        return sorted(found, key=lambda pair: pair[1])
+    def figures(self) -> Figures:
+        """Of all photos, once it has finished."""
+        views = {} if self.done is None else self.done.views
+        return Figures(path=self.source / MEASURED / "metrics.json", views=views)
 
     def take(self, event: Event) -> None:
         """Take note of an event."""
@@ -51,7 +51,7 @@ class ErrorsJob(VerbJob):
             return ""
         self.wanted = True
         self.loader.request(Path(self.done.error_map), final=True)
-        ranked = self.ranked
+        ranked = self.figures.ranked
         count = f"{len(self.done.views)} photos"
         if not ranked:
             return f"{count} are met exactly."

@@ -7,6 +7,7 @@ from bpy.props import BoolProperty
 
 from ..cameras.coloring import hide
 from ..cameras.objects import root_of
+from ..capture.figures import measured
 from ..interface.operators import Acting
 from ..job.verb_job import FAILED
 from ..job.verb_operators import Cancelling
@@ -80,15 +81,16 @@ class ColorByError(_OfRun, bpy.types.Operator):
     def act(self, context: bpy.types.Context) -> str:
         """Color, or take the colors away."""
         ob = meant(context)
-        root, job = root_of(ob), work.job_of(ob)
+        root = root_of(ob)
         if root is None:
             raise ValueError(f"{ob.name} has no cameras here: use Import Cameras first.")
         if not self.show:
             hide(root)
             return ""
-        if job is None or job.done is None:
-            raise ValueError("Press Measure Errors first.")
-        if not colors.show(root, job):
+        figures = measured(work.run_of(ob))
+        if figures is None:
+            raise ValueError("Press Measure Errors first: the training was not measured since.")
+        if not colors.show(root, figures):
             raise ValueError(f"None of the photos that were measured has a camera in {root.name}.")
         return ""
 

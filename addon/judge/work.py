@@ -8,10 +8,10 @@ from .. import preferences, stored_paths
 from ..attributes import NO_SPLATS
 from ..cameras.coloring import hide
 from ..cameras.objects import root_of
+from ..capture.figures import MEASURED
 from ..interface import undo
 from ..job.filling import Filling, replace
 from ..job.launch import follow, launch
-from ..paths import MEASURED
 from ..process import beat
 from ..splats import objects
 from . import colors
@@ -167,7 +167,7 @@ def _show(job: ErrorsJob, mesh: bpy.types.Mesh) -> None:
     show_map(ob, True)
     root = root_of(ob)
     if root is not None:
-        colors.show(root, job)
+        colors.show(root, job.figures)
 
 
 def _made(ob: bpy.types.Object) -> bpy.types.Object:

@@ -5,9 +5,11 @@ from typing import ClassVar
 import bpy
 
 from ..cameras.objects import cameras_of, root_of
-from ..job import verb_job
+from ..capture.figures import Figures
+from ..job import lookups, verb_job
 from ..judge import colors, work
 from ..judge.job import ErrorsJob
+from ..process import beat
 from ..splats.objects import is_splats, meant
 from ..stored_paths import RUN
 from .widgets import TabPanel, has_python, sentence
@@ -44,9 +46,13 @@ class ErrorsPanel(TabPanel, bpy.types.Panel):
             draw_end(layout, context, job)
         if has_python(layout, context):
             layout.operator("gscore.measure_errors", icon="VIEWZOOM")
-        draw_switches(layout, context, ob)
-        if job is not None and job.done is not None:
-            draw_worst(layout, ob, job)
+        figures, problem = lookups.figures.get(work.run_of(ob))
+        beat.ensure()  # which takes in what is looked up
+        if problem:
+            sentence(layout, context, problem, icon="ERROR")
+        draw_switches(layout, ob, figures)
+        if figures is not None:
+            draw_worst(layout, ob, figures)
 
 
 def draw_end(layout: bpy.types.UILayout, context: bpy.types.Context, job: ErrorsJob) -> None:
@@ -68,17 +74,16 @@ def draw_end(layout: bpy.types.UILayout, context: bpy.types.Context, job: Errors
 
 
 def draw_switches(
-    layout: bpy.types.UILayout, context: bpy.types.Context, ob: bpy.types.Object
+    layout: bpy.types.UILayout, ob: bpy.types.Object, figures: Figures | None
 ) -> None:
     """Which of the colors are shown."""
     root, maps = root_of(ob), work.siblings(ob)[1]
-    job = work.job_of(ob)
     colored = root is not None and colors.shown(root)
-    if not maps and not colored and (job is None or job.done is None):
+    if not maps and not colored and figures is None:
         return
     row = layout.row(align=True)
     part = row.row(align=True)
-    part.enabled = root is not None
+    part.enabled = root is not None and (colored or figures is not None)
     cameras = part.operator("gscore.color_by_error", text="Cameras", icon="COLOR", depress=colored)
     cameras.show = not colored
     part = row.row(align=True)
@@ -89,12 +94,12 @@ def draw_switches(
     row.operator("gscore.remove_errors", text="", icon="X")
 
 
-def draw_worst(layout: bpy.types.UILayout, ob: bpy.types.Object, job: ErrorsJob) -> None:
+def draw_worst(layout: bpy.types.UILayout, ob: bpy.types.Object, figures: Figures) -> None:
     """The worst photos, with a look through their cameras and the comparison."""
     root = root_of(ob)
     cameras = {} if root is None else {c.get("gs_image"): c.name for c in cameras_of(root)}
     column = layout.column(align=True)
-    for name, psnr in job.ranked[:_WORST]:
+    for name, psnr in figures.ranked[:_WORST]:
         row = column.row(align=True)
         row.label(text=f"{psnr:.1f} dB  {name}")
         part = row.row(align=True)

@@ -13,7 +13,7 @@ import pytest
 from addon import attributes, preferences, stored_paths
 from addon.cameras.objects import cameras_of
 from addon.core import colorize, write_splats
-from addon.job import facts, verb_job
+from addon.job import facts, lookups, verb_job
 from addon.judge import colors, work
 from addon.judge.registry import JOBS
 from addon.panels.judge import ErrorsPanel
@@ -56,6 +56,8 @@ def play(tmp_path: Path, ob: bpy.types.Object, views: dict[str, float | None]) -
     """The preferences' Python becomes a fake that measures; gives where its call is noted."""
     path = work.run_of(ob) / "errors" / "errors.ply"
     write_splats(path, replace(splats(50), shN=np.zeros((50, 0, 3), np.float32)))
+    figures = [{"name": name, "psnr": psnr} for name, psnr in views.items()]
+    (path.parent / "metrics.json").write_text(json.dumps({"views": figures}))
     done = {"event": "evaluated", "split": "all", "path": str(path.parent), "views": views}
     script = [
         {"say": {"event": "eval_progress", "done": 1, "total": 2, "view": "a: 20 dB", "eta_s": 1}},
@@ -92,14 +94,20 @@ def test_errors_are_shown_and_taken_away(result: bpy.types.Object, tmp_path: Pat
         again = np.where(linear > 0.0031308, 1.055 * linear ** (1 / 2.4) - 0.055, 12.92 * linear)
         np.testing.assert_allclose(again, srgb, atol=1e-3)
     assert tuple(cameras[-1].color) == own[-1]
+    assert lookups.figures.wait(run)[0] is not None
     text = drawn(ErrorsPanel)
     assert "20.0 dB" in text and names[0] in text and "8%" in text
+    JOBS._jobs.clear()  # as after a start of Blender
+    assert "20.0 dB" in drawn(ErrorsPanel)
     bpy.ops.gscore.show_error_map(show=False)
     assert result.visible_get() and not shown.visible_get() and bpy.context.object == result
     bpy.ops.gscore.color_by_error(show=False)
     assert [tuple(camera.color) for camera in cameras] == own
     bpy.ops.gscore.color_by_error(show=True)
     assert colors.shown(result.parent)
+    os.utime(run / "errors" / "metrics.json", (1e9, 1e9))
+    with pytest.raises(RuntimeError, match="not measured since"):
+        bpy.ops.gscore.color_by_error(show=True)
     bpy.ops.gscore.remove_errors()
     assert set(bpy.data.objects) == there and result.visible_get() and not result.hide_render
     assert [tuple(camera.color) for camera in cameras] == own
@@ -142,7 +150,7 @@ def test_a_real_run(result: bpy.types.Object) -> None:
     (run / "config.json").write_text(json.dumps(config))
     job = work.measure(result, wait=True)
     assert job.status == verb_job.FINISHED, job.sentence
-    assert len(job.ranked) == 60 and colors.shown(result.parent)
+    assert len(job.figures.ranked) == 60 and colors.shown(result.parent)
     (shown,) = work.siblings(result)[1]
     positions = (attributes.column(ob.data, attributes.POSITION) for ob in (shown, result))
     assert np.array_equal(*positions) and objects.is_splats(shown)
