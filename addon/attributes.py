@@ -174,18 +174,43 @@ def read(datablock: Any, *, rest: bool = True) -> Splats:
     Raises:
         ValueError: attributes are missing (they are named) or hold numbers that are not finite.
     """
+    return as_splats({name: column(datablock, name) for name in names(datablock, rest=rest)})
+
+
+def names(datablock: Any, *, rest: bool = True) -> list[str]:
+    """Names of the attributes of splats that a mesh or point cloud has, as `as_splats` wants them.
+
+    Args:
+        datablock: Mesh or PointCloud with `attributes`.
+        rest: Those of the view-dependent coefficients too.
+
+    Raises:
+        ValueError: attributes are missing; they are named.
+    """
     check(datablock)
-    base, scales = column(datablock, BASE), column(datablock, SCALE)
-    quats = column(datablock, ROTATION)
+    found = [BASE, SCALE, ROTATION]
+    if _count(datablock):  # else Blender drops `position`
+        found.append(POSITION)
+    return found + [f"{SH}{k}" for k in range(sh_count(datablock) if rest else 0)]
+
+
+def as_splats(columns: dict[str, np.ndarray]) -> Splats:
+    """Raw parameters from copies of attributes; touches no datablock.
+
+    Args:
+        columns: [N, 3] or [N, 4] of `names`; emptied, as most of it is not needed twice in memory.
+    """
+    base, scales, quats = (columns.pop(name) for name in (BASE, SCALE, ROTATION))
     quats[~quats.any(axis=1)] = (1, 0, 0, 0)
     alpha = np.clip(base[:, 3].astype(np.float64), _TINY, _LARGEST_OPACITY)
     alpha[~scales.any(axis=1)] = _TINY
-    count = sh_count(datablock) if rest else 0
+    means = columns.pop(POSITION, np.zeros((0, 3), np.float32))
+    count = len(columns)
     coefficients = np.empty((count, len(base), 3), np.float32)
     for k in range(count):
-        coefficients[k] = column(datablock, f"{SH}{k}")
+        coefficients[k] = columns.pop(f"{SH}{k}")
     return Splats(
-        means=column(datablock, POSITION) if len(base) else np.zeros((0, 3), np.float32),
+        means=means,
         quats=quats,
         scales=np.log(np.maximum(np.abs(scales).astype(np.float64), _TINY)).astype(np.float32),
         opacities=(np.log(alpha) - np.log1p(-alpha)).astype(np.float32),

@@ -103,13 +103,21 @@ def read_world(ob: bpy.types.Object, *, filtered: bool = False) -> Splats:
 
 def transformed(ob: bpy.types.Object, matrix: np.ndarray, *, filtered: bool = False) -> Splats:
     """The object's splats after a 4x4 similarity from object space; ValueError as `read_world`."""
-    splats = read(ob, filtered=filtered)
+    return moved(read(ob, filtered=filtered), matrix, ob.name)
+
+
+def moved(splats: Splats, matrix: np.ndarray, name: str) -> Splats:
+    """The splats of an object called `name` after a 4x4 similarity; touches no bpy.
+
+    Raises:
+        ValueError: the matrix is no similarity; the object is named.
+    """
     if np.array_equal(matrix, np.eye(4)):
         return splats
     try:
         return transform_splats(splats, matrix)
     except ValueError as error:
-        raise ValueError(f"{ob.name} cannot be transformed. {error}") from error
+        raise ValueError(f"{name} cannot be transformed. {error}") from error
 
 
 def check_writable(ob: bpy.types.Object) -> None:
