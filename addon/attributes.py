@@ -50,6 +50,7 @@ _COPIED = {
 """The same for everything that follows when points are deleted."""
 _BLOCK = 1 << 12
 """Splats rearranged at once."""
+_SELECTION = ".select_vert"
 _DTYPES = {"INT": np.int32, "BOOLEAN": np.bool_}
 _TINY = float(np.finfo(np.float32).tiny)
 _LARGEST_OPACITY = 1.0 - 2.0**-24
@@ -245,8 +246,22 @@ def keep(mesh: Any, mask: np.ndarray) -> None:
     kept = [Column(c.name, c.kind, c.values.take(rows, axis=0)) for c in table(mesh)]
     # Blender has no other way to take vertices away without a copy of everything in its editor.
     mesh.clear_geometry()
-    mesh.vertices.add(len(rows))
+    add_points(mesh, len(rows))
     put(mesh, kept)
+
+
+def add_points(mesh: Any, count: int) -> None:
+    """Add points to a mesh; those that are there stay as they are.
+
+    They are not selected, which Blender would leave them: the live viewport tints what is.
+    """
+    chosen = np.zeros(len(mesh.vertices) + count, bool)
+    mesh.vertices.foreach_get("select", chosen[: len(mesh.vertices)])
+    mesh.vertices.add(count)
+    if chosen.any():
+        mesh.vertices.foreach_set("select", chosen)
+    elif (selection := mesh.attributes.get(_SELECTION)) is not None:
+        mesh.attributes.remove(selection)
 
 
 class Column(NamedTuple):
@@ -280,7 +295,7 @@ def append(mesh: Any, tables: list[list[Column]]) -> None:
                 f"The attribute {column_.name} has another type in each object: rename one."
             )
     at = np.cumsum([len(mesh.vertices), *(len(columns[0].values) for columns in tables)])
-    mesh.vertices.add(int(at[-1] - at[0]))
+    add_points(mesh, int(at[-1] - at[0]))
     for name, kind in kinds.items():
         if name not in mesh.attributes:
             mesh.attributes.new(name, kind, "POINT")

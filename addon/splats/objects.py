@@ -170,7 +170,7 @@ def _readable(ob: bpy.types.Object) -> Iterator[bpy.types.ID]:
 def _fill(mesh: bpy.types.Mesh, splats: Splats) -> None:
     missing = len(splats) - len(mesh.vertices)
     if missing:
-        mesh.vertices.add(missing)
+        attributes.add_points(mesh, missing)
     attributes.write(mesh, splats)
     mesh.update()
 

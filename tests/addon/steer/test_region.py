@@ -16,6 +16,7 @@ from addon.core import read_splats, write_splats
 from addon.job import facts, verb_job
 from addon.panels.steer import RegionPanel
 from addon.process import beat
+from addon.render.frozen import read_marks
 from addon.splats import edit, files, leaving, objects
 from addon.splats.files import import_splats
 from addon.steer import start, work
@@ -112,6 +113,7 @@ def test_what_a_trainer_is_given(studio: bpy.types.Scene, tmp_path: Path, play: 
     until(lambda: job.ended and not job.wanted)
     assert len(ob.data.vertices) == 700
     assert np.array_equal(positions(ob), read_splats(tmp_path / "b.ply").means)
+    assert read_marks(ob.data) is None  # else it would be tinted as selected
     assert "The region is trained" in drawn(RegionPanel)
 
 
