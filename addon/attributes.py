@@ -50,6 +50,7 @@ _COPIED = {
 """The same for everything that follows when points are deleted."""
 _BLOCK = 1 << 12
 """Splats rearranged at once."""
+_SELECTION = ".select_vert"
 _DTYPES = {"INT": np.int32, "BOOLEAN": np.bool_}
 _TINY = float(np.finfo(np.float32).tiny)
 _LARGEST_OPACITY = 1.0 - 2.0**-24
@@ -174,18 +175,43 @@ def read(datablock: Any, *, rest: bool = True) -> Splats:
     Raises:
         ValueError: attributes are missing (they are named) or hold numbers that are not finite.
     """
+    return as_splats({name: column(datablock, name) for name in names(datablock, rest=rest)})
+
+
+def names(datablock: Any, *, rest: bool = True) -> list[str]:
+    """Names of the attributes of splats that a mesh or point cloud has, as `as_splats` wants them.
+
+    Args:
+        datablock: Mesh or PointCloud with `attributes`.
+        rest: Those of the view-dependent coefficients too.
+
+    Raises:
+        ValueError: attributes are missing; they are named.
+    """
     check(datablock)
-    base, scales = column(datablock, BASE), column(datablock, SCALE)
-    quats = column(datablock, ROTATION)
+    found = [BASE, SCALE, ROTATION]
+    if _count(datablock):  # else Blender drops `position`
+        found.append(POSITION)
+    return found + [f"{SH}{k}" for k in range(sh_count(datablock) if rest else 0)]
+
+
+def as_splats(columns: dict[str, np.ndarray]) -> Splats:
+    """Raw parameters from copies of attributes; touches no datablock.
+
+    Args:
+        columns: [N, 3] or [N, 4] of `names`; emptied, as most of it is not needed twice in memory.
+    """
+    base, scales, quats = (columns.pop(name) for name in (BASE, SCALE, ROTATION))
     quats[~quats.any(axis=1)] = (1, 0, 0, 0)
     alpha = np.clip(base[:, 3].astype(np.float64), _TINY, _LARGEST_OPACITY)
     alpha[~scales.any(axis=1)] = _TINY
-    count = sh_count(datablock) if rest else 0
+    means = columns.pop(POSITION, np.zeros((0, 3), np.float32))
+    count = len(columns)
     coefficients = np.empty((count, len(base), 3), np.float32)
     for k in range(count):
-        coefficients[k] = column(datablock, f"{SH}{k}")
+        coefficients[k] = columns.pop(f"{SH}{k}")
     return Splats(
-        means=column(datablock, POSITION) if len(base) else np.zeros((0, 3), np.float32),
+        means=means,
         quats=quats,
         scales=np.log(np.maximum(np.abs(scales).astype(np.float64), _TINY)).astype(np.float32),
         opacities=(np.log(alpha) - np.log1p(-alpha)).astype(np.float32),
@@ -220,8 +246,22 @@ def keep(mesh: Any, mask: np.ndarray) -> None:
     kept = [Column(c.name, c.kind, c.values.take(rows, axis=0)) for c in table(mesh)]
     # Blender has no other way to take vertices away without a copy of everything in its editor.
     mesh.clear_geometry()
-    mesh.vertices.add(len(rows))
+    add_points(mesh, len(rows))
     put(mesh, kept)
+
+
+def add_points(mesh: Any, count: int) -> None:
+    """Add points to a mesh; those that are there stay as they are.
+
+    They are not selected, which Blender would leave them: the live viewport tints what is.
+    """
+    chosen = np.zeros(len(mesh.vertices) + count, bool)
+    mesh.vertices.foreach_get("select", chosen[: len(mesh.vertices)])
+    mesh.vertices.add(count)
+    if chosen.any():
+        mesh.vertices.foreach_set("select", chosen)
+    elif (selection := mesh.attributes.get(_SELECTION)) is not None:
+        mesh.attributes.remove(selection)
 
 
 class Column(NamedTuple):
@@ -255,7 +295,7 @@ def append(mesh: Any, tables: list[list[Column]]) -> None:
                 f"The attribute {column_.name} has another type in each object: rename one."
             )
     at = np.cumsum([len(mesh.vertices), *(len(columns[0].values) for columns in tables)])
-    mesh.vertices.add(int(at[-1] - at[0]))
+    add_points(mesh, int(at[-1] - at[0]))
     for name, kind in kinds.items():
         if name not in mesh.attributes:
             mesh.attributes.new(name, kind, "POINT")

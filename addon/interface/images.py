@@ -12,8 +12,8 @@ def show_image(
 
 def editor_of(
     context: bpy.types.Context, image: bpy.types.Image, *, new_window: bool = False
-) -> bpy.types.SpaceImageEditor | None:
-    """The image editor that `show_image` shows an image in."""
+) -> bpy.types.Area | None:
+    """The area of the image editor that `show_image` shows an image in."""
     windows = context.window_manager.windows
     areas = (area for window in windows for area in window.screen.areas)
     area = next((a for a in areas if a.type == "IMAGE_EDITOR"), None)
@@ -24,4 +24,4 @@ def editor_of(
     if area is None:
         return None
     area.spaces.active.image = image
-    return area.spaces.active
+    return area

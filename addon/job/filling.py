@@ -53,7 +53,7 @@ class Filling:
         if mesh is None or mesh.get(_MARK) != self._mark:
             mesh = bpy.data.meshes.new("splats")
             mesh[_MARK] = self._mark
-            mesh.vertices.add(self.loaded.count)
+            attributes.add_points(mesh, self.loaded.count)
             self._name, self._next = mesh.name, 0
         return mesh
 

@@ -30,8 +30,17 @@ def launch(make: Callable[[str | Path], JobT], python: str | Path | None) -> Job
         ValueError: there is no such Python, or it cannot be run; the message says what to do.
     """
     program = python or setup.trainer_python(preferences.get())
+    return begin(program, lambda: make(program))
+
+
+def begin(program: str | Path, start: Callable[[], JobT]) -> JobT:
+    """Call what starts a process.
+
+    Raises:
+        ValueError: OSError came of it; the message says that `program` is why, and what to do.
+    """
     try:
-        return make(program)
+        return start()
     except OSError as error:
         raise ValueError(
             f"{program} cannot be run ({error.strerror or error}); press Check in the add-on's "

@@ -31,13 +31,16 @@ class VerbJob:
     less = ""
     """What to do where memory ran out."""
 
-    def __init__(self, python: str | Path, arguments: Sequence[str], *, source: Path) -> None:
+    def __init__(
+        self, python: str | Path, arguments: Sequence[str], *, source: Path, later: bool = False
+    ) -> None:
         """Start it.
 
         Args:
             python: The Python that has gscore.
             arguments: Of `gscore`.
             source: What it works on.
+            later: It starts with `begin`, once all that it needs is there.
 
         Raises:
             OSError: `python` cannot be run.
@@ -49,7 +52,18 @@ class VerbJob:
         """How it ended, for people; empty before the end."""
         self._failure: Failed | None = None
         self._stopped_at = 0.0
-        self._process = Process([str(python), "-u", "-m", "gscore", *arguments])
+        self._command = [str(python), "-u", "-m", "gscore", *arguments]
+        self._process: Process | None = None
+        if not later:
+            self.begin()
+
+    def begin(self) -> None:
+        """Start the process.
+
+        Raises:
+            OSError: the Python cannot be run.
+        """
+        self._process = Process(self._command)
 
     @property
     def ended(self) -> bool:
@@ -58,7 +72,7 @@ class VerbJob:
 
     def poll(self, budget: float = session.BUDGET) -> bool:
         """Take in what it told since the last call; whether something changed."""
-        if self.ended:
+        if self.ended or self._process is None:
             return False
         changed = False
         for event in session.events(self._process.lines(budget)):
@@ -78,17 +92,23 @@ class VerbJob:
 
     def cancel(self) -> None:
         """Ask it to end."""
-        if self.status == RUNNING:
+        if self.status != RUNNING:
+            return
+        if self._process is None:
+            self.status, self.sentence = CANCELLED, self.kept
+        else:
             self.status, self._stopped_at = STOPPING, time.monotonic()
             self._process.send("stop")
 
     def leave(self) -> None:
         """Let go because Blender ends: it ends by itself soon."""
-        self._process.end_input()
+        if self._process is not None:
+            self._process.end_input()
 
     def kill(self, *, wait: float = 0.0) -> None:
         """End it at once."""
-        self._process.kill(wait=wait)
+        if self._process is not None:
+            self._process.kill(wait=wait)
 
     def take(self, event: Event) -> None:
         """Take note of an event of its own."""

@@ -54,6 +54,8 @@ def draw_job(layout: bpy.types.UILayout, context: bpy.types.Context, job: Region
         row = layout.row(align=True)
         told = job.progress
         text = "Starting" if told is None or not told.splats else f"Step {told.step:,}"
+        if job.start is not None:
+            text = "Writing the splats"
         row.progress(factor=job.share, text=text)
         row.operator("gscore.stop_region", text="", icon="SNAP_FACE")
         if job.started is not None and job.started.region:

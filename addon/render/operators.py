@@ -100,7 +100,10 @@ class CompareWorstPhoto(Acting, bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Whether splats of a training are active."""
-        return is_splats(ob := meant(context)) and RUN in ob
+        if is_splats(ob := meant(context)) and RUN in ob:
+            return True
+        cls.poll_message_set("Select splats that were trained here")
+        return False
 
     def act(self, context: bpy.types.Context) -> str:
         """Find the camera, compare from it, and make it the active object."""

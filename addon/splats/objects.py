@@ -103,13 +103,21 @@ def read_world(ob: bpy.types.Object, *, filtered: bool = False) -> Splats:
 
 def transformed(ob: bpy.types.Object, matrix: np.ndarray, *, filtered: bool = False) -> Splats:
     """The object's splats after a 4x4 similarity from object space; ValueError as `read_world`."""
-    splats = read(ob, filtered=filtered)
+    return moved(read(ob, filtered=filtered), matrix, ob.name)
+
+
+def moved(splats: Splats, matrix: np.ndarray, name: str) -> Splats:
+    """The splats of an object called `name` after a 4x4 similarity; touches no bpy.
+
+    Raises:
+        ValueError: the matrix is no similarity; the object is named.
+    """
     if np.array_equal(matrix, np.eye(4)):
         return splats
     try:
         return transform_splats(splats, matrix)
     except ValueError as error:
-        raise ValueError(f"{ob.name} cannot be transformed. {error}") from error
+        raise ValueError(f"{name} cannot be transformed. {error}") from error
 
 
 def check_writable(ob: bpy.types.Object) -> None:
@@ -162,7 +170,7 @@ def _readable(ob: bpy.types.Object) -> Iterator[bpy.types.ID]:
 def _fill(mesh: bpy.types.Mesh, splats: Splats) -> None:
     missing = len(splats) - len(mesh.vertices)
     if missing:
-        mesh.vertices.add(missing)
+        attributes.add_points(mesh, missing)
     attributes.write(mesh, splats)
     mesh.update()
 

@@ -11,5 +11,5 @@ def _wanted(job: RegionJob) -> bool:
     return job.wanted
 
 
-_FOLLOWING = following_verb(JOBS, lookups.runs.expire, bring_in=work.bring_in, wanted=_wanted)
+_FOLLOWING = following_verb(JOBS, lookups.runs.expire, bring_in=work.proceed, wanted=_wanted)
 on_register, on_unregister = _FOLLOWING.on_register, _FOLLOWING.on_unregister

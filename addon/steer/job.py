@@ -5,7 +5,7 @@ from pathlib import Path
 
 from ..core import Done, Event, Progress, Started, judged_psnr
 from ..job.loader import Loader
-from ..job.verb_job import STOPPING, VerbJob
+from ..job.verb_job import FAILED, STOPPING, VerbJob
 
 FINISHED = ("finished", "converged", "target")
 """Reasons of trainings that came to their end."""
@@ -27,7 +27,7 @@ class RegionJob(VerbJob):
         object_uid: int,
         before: str,
     ) -> None:
-        """Start it.
+        """It starts with `begin`, once the files that it begins with are there.
 
         Args:
             python: The Python that has gscore.
@@ -36,11 +36,10 @@ class RegionJob(VerbJob):
             output: Folder of the results.
             object_uid: Session number of the object whose splats are trained.
             before: What tells whether these were edited since.
-
-        Raises:
-            OSError: `python` cannot be run.
         """
         self.output, self.object_uid, self.before = output, object_uid, before
+        self.start = None
+        """The files that it begins with, until they are there."""
         self.started: Started | None = None
         self.progress: Progress | None = None
         self.done: Done | None = None
@@ -49,13 +48,17 @@ class RegionJob(VerbJob):
         self.loader = Loader()
         self.filling = None
         """The result on its way into the open file."""
-        super().__init__(python, arguments, source=source)
+        super().__init__(python, arguments, source=source, later=True)
 
     @property
     def share(self) -> float:
         """Part that is done, 0 to 1."""
         told = self.progress
         return min(told.step / told.iterations, 1.0) if told and told.iterations > 0 else 0.0
+
+    def fail(self, sentence: str) -> None:
+        """It cannot start, for a reason."""
+        self.status, self.sentence = FAILED, sentence
 
     def take(self, event: Event) -> None:
         """Take note of an event."""

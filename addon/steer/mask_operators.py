@@ -11,6 +11,8 @@ from ..interface.images import editor_of
 from ..interface.operators import Acting
 from . import masks
 
+_NO_BRUSH = "There is no brush yet; choose one in the image editor, then press Leave Out."
+
 
 class PaintMask(Acting, bpy.types.Operator):
     """Paint on the photo of the camera what is not to count in training; erased is left out"""
@@ -29,11 +31,13 @@ class PaintMask(Acting, bpy.types.Operator):
         """Make the image, and open it in paint mode."""
         camera = find_camera(context, find_root(context), self.camera)
         image = masks.make(context.scene, camera)
-        editor = editor_of(context, image, new_window=True)
-        if editor is None:
+        area = editor_of(context, image, new_window=True)
+        if area is None:
             return f"{image.name} is made; open it in an Image Editor to paint."
-        editor.ui_mode = "PAINT"
-        use_brush(context, hides=True)
+        area.spaces.active.ui_mode = "PAINT"
+        area.spaces.active.show_region_ui = True  # where the mask is saved
+        if not use_brush(context, hides=True):
+            self.warn([_NO_BRUSH])
         return ""
 
 
@@ -113,7 +117,7 @@ class MaskBrush(_OnMask, bpy.types.Operator):
     def act(self, context: bpy.types.Context) -> str:
         """Set it."""
         if not use_brush(context, hides=self.does == "HIDE"):
-            raise ValueError("There is no brush yet; choose one in the image editor's toolbar.")
+            raise ValueError(_NO_BRUSH)
         return ""
 
 
@@ -155,7 +159,10 @@ def shown(context: bpy.types.Context) -> bpy.types.Image | None:
 
 
 def use_brush(context: bpy.types.Context, *, hides: bool) -> bool:
-    """Have the brush of image painting erase or add alpha; whether there is one."""
+    """Have the brush of image painting erase or add alpha; whether there is one.
+
+    Builds of Blender without its assets have none.
+    """
     brush = context.tool_settings.image_paint.brush
     if brush is None:
         return False

@@ -9,17 +9,17 @@ import numpy as np
 from mathutils import Matrix
 
 from .. import attributes, preferences
-from ..core import write_region
 from ..interface import undo
 from ..job import display, guides, options, training
 from ..job.filling import Filling, replace
-from ..job.launch import follow, launch
+from ..job.launch import begin, follow, launch
 from ..paths import capture_folder, output_folder
 from ..process import beat
 from ..splats import files, objects
 from .job import RegionJob
 from .region import region_of
 from .registry import JOBS
+from .start import Start
 
 
 class _Asked:
@@ -59,16 +59,17 @@ def train_region(
 
     Raises:
         ValueError: something is missing or in the way; the message says what to do.
-        GsError: the folder cannot be written.
+        GsError: the scene's guides cannot be written.
     """
     source = capture_folder(scene)
     if (other := JOBS.of_source(source)) is not None and not (other.ended and not other.wanted):
         raise ValueError(f"A region of {source} is being trained already; wait, or stop it.")
     objects.check_writable(ob)
+    objects.catch_up(ob)
     box = region_of(ob)
     found = training.check_capture(scene)
     output = _free(output_folder(scene, preferences.get().output_folder))
-    start, region = output / "start.ply", output / "region.json"
+    start_file, region_file = output / "start.ply", output / "region.json"
     asked = _Asked(scene.gscore, ob, scene.gscore_steer.region_steps)
     line = options.new_run(
         asked,
@@ -78,12 +79,11 @@ def train_region(
         depths=found.depths > 0,
     )
     line += guides.arguments(scene, output)
-    line += ["--start-splats", str(start), "--region", str(region)]
-    files.export_splats([ob], start)
-    write_region(region, box)
+    line += ["--start-splats", str(start_file), "--region", str(region_file)]
     known = {"source": source, "output": output, "object_uid": ob.session_uid}
     before = display.signature(ob)
     job = launch(lambda program: RegionJob(program, line, **known, before=before), python)
+    job.start = Start(ob, box, splats_file=start_file, region_file=region_file)
     JOBS.add(job)
     beat.ensure()
     follow(lambda: wait and (not job.ended or job.wanted))
@@ -96,6 +96,24 @@ def job_of(scene: bpy.types.Scene) -> RegionJob | None:
         return JOBS.of_source(capture_folder(scene))
     except ValueError:
         return None
+
+
+def proceed(job: RegionJob) -> bool:
+    """Do the next step on the way to a training's start, or on that of its result into the scene;
+    whether panels changed."""
+    if job.start is None:
+        return bring_in(job)
+    try:
+        if job.ended:
+            job.start.drop()
+        elif not job.start.step():
+            return False
+        else:
+            begin(job.python, job.begin)
+    except ValueError as error:
+        job.fail(str(error))
+    job.start = None
+    return True
 
 
 def bring_in(job: RegionJob) -> bool:

@@ -7,7 +7,9 @@ import bpy
 import numpy as np
 import pytest
 
+from addon import attributes
 from addon.core import Splats, read_splats, transform_splats, write_splats
+from addon.render.frozen import read_marks
 from addon.splats import objects
 
 Make = Callable[..., Splats]
@@ -122,6 +124,23 @@ def test_refresh(scene: bpy.types.Scene, make_splats: Make, change: tuple[int, i
     assert ob.parent == parent and tuple(ob.location) == (1, 2, 3)
     objects.refresh(ob, make_splats(50))
     equal(objects.read(ob), make_splats(50))
+
+
+def test_new_splats_are_not_selected(scene: bpy.types.Scene, make_splats: Make) -> None:
+    """Oracle: the marks by which the live viewport tints what is selected, after each way in which
+    vertices are added; those that were selected before splats are joined still are."""
+    ob = objects.create(make_splats(), "Splats")
+    assert read_marks(ob.data) is None
+    objects.refresh(ob, make_splats(count=40))
+    assert len(ob.data.vertices) == 40 and read_marks(ob.data) is None
+    attributes.keep(ob.data, np.arange(40) < 30)
+    assert len(ob.data.vertices) == 30 and read_marks(ob.data) is None
+    other = attributes.table(objects.create(make_splats(count=5), "Other").data)
+    attributes.append(ob.data, [other])
+    assert len(ob.data.vertices) == 35 and read_marks(ob.data) is None
+    ob.data.vertices[7].select = True
+    attributes.append(ob.data, [other])
+    assert np.flatnonzero(read_marks(ob.data)).tolist() == [7]
 
 
 def test_delete_in_edit_mode(scene: bpy.types.Scene, make_splats: Make) -> None:

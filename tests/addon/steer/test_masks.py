@@ -81,6 +81,22 @@ def test_from_button_to_training(studio: bpy.types.Scene, tmp_path: Path) -> Non
     assert facts.look_again(studio)[0].masks == 1
 
 
+def test_what_painting_needs_is_at_hand(studio: bpy.types.Scene) -> None:
+    """Oracle: Blender's own image editor: its mode, its sidebar, where the mask is saved, and what
+    its brush does."""
+    area = bpy.context.window_manager.windows[0].screen.areas[0]
+    before, area.type = area.type, "IMAGE_EDITOR"
+    try:
+        space = area.spaces.active
+        assert not space.show_region_ui
+        assert bpy.ops.gscore.paint_mask() == {"FINISHED"}
+        assert masks.is_mask(space.image)
+        assert space.ui_mode == "PAINT" and space.show_region_ui
+        assert bpy.context.tool_settings.image_paint.brush.blend == "ERASE_ALPHA"
+    finally:
+        area.type = before
+
+
 @pytest.mark.parametrize("inverted", [False, True])
 def test_a_mask_that_is_there_is_painted_on(studio: bpy.types.Scene, inverted: bool) -> None:
     """Oracle: the levels of a file, and those after something was painted on it."""

@@ -2,6 +2,7 @@
 
 import json
 import os
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -10,13 +11,15 @@ import numpy as np
 import pytest
 from mathutils import Vector
 
-from addon import preferences
+from addon import attributes, preferences
 from addon.core import read_splats, write_splats
 from addon.job import facts, verb_job
 from addon.panels.steer import RegionPanel
-from addon.splats import edit, objects
+from addon.process import beat
+from addon.render.frozen import read_marks
+from addon.splats import edit, files, leaving, objects
 from addon.splats.files import import_splats
-from addon.steer import work
+from addon.steer import start, work
 from addon.steer.registry import JOBS
 from tests.addon.captures import STUDIO
 from tests.addon.drawn import drawn
@@ -110,6 +113,7 @@ def test_what_a_trainer_is_given(studio: bpy.types.Scene, tmp_path: Path, play: 
     until(lambda: job.ended and not job.wanted)
     assert len(ob.data.vertices) == 700
     assert np.array_equal(positions(ob), read_splats(tmp_path / "b.ply").means)
+    assert read_marks(ob.data) is None  # else it would be tinted as selected
     assert "The region is trained" in drawn(RegionPanel)
 
 
@@ -163,9 +167,12 @@ def test_splats_that_were_edited_meanwhile_are_kept(
     ob.data.vertices[3].co.x += 1
     edited = positions(ob)
     job = work.job_of(studio)
+    until(lambda: job._process is not None)
     job._process.send("go")
     until(lambda: job.ended and not job.wanted)
     assert np.array_equal(positions(ob), edited)
+    start = read_splats(tmp_path / "out_region_1/start.ply")
+    assert np.array_equal(start.means, read_splats(tmp_path / "a.ply").means)
     others = [o for o in studio.objects if objects.is_splats(o) and o != ob]
     assert [len(o.data.vertices) for o in others] == [70]
     assert f"{ob.name} was edited and is kept" in drawn(RegionPanel)
@@ -185,6 +192,78 @@ def test_stopping_leaves_all_as_it_was(studio: bpy.types.Scene, tmp_path: Path, 
     assert job.status == verb_job.CANCELLED and not job.wanted
     assert np.array_equal(positions(ob), before)
     assert "stay as they were" in drawn(RegionPanel)
+
+
+def test_no_step_of_the_start_is_long(
+    studio: bpy.types.Scene, tmp_path: Path, play: Play, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: attributes that one call reads, none by the press itself; the thread that writes; the
+    splats of the moment of the press, byte by byte, though all were painted over meanwhile."""
+    write_splats(tmp_path / "a.ply", splats(50))
+    play({"say": STARTED}, {"follow": 30})
+    ob = cropped(studio, tmp_path / "a.ply")
+    expected = objects.transformed(ob, files.source_matrix_of_data(ob))
+    read, writers, meshes = [], [], len(bpy.data.meshes)
+    column, write = attributes.column, start.write_splat_file
+    monkeypatch.setattr(leaving, "BUDGET", 0.0)
+    monkeypatch.setattr(attributes, "column", lambda *a: (read.append(a[1]), column(*a))[1])
+    monkeypatch.setattr(
+        start,
+        "write_splat_file",
+        lambda *a, **k: (writers.append(threading.current_thread()), write(*a, **k))[1],
+    )
+    bpy.ops.gscore.train_region()
+    assert not read and not (tmp_path / "out_region_1").exists()
+    assert "Writing the splats" in drawn(RegionPanel)
+    ob.data.attributes["radiance:base"].data.foreach_set("color", np.zeros(200, np.float32))
+    job = work.job_of(studio)
+    while job._process is None:
+        before = len(read)
+        beat.tick()
+        assert len(read) <= before + 1
+    assert len(read) == 7 and writers != [threading.main_thread()]
+    assert len(bpy.data.meshes) == meshes
+    found = read_splats(tmp_path / "out_region_1/start.ply")
+    for name in ("means", "quats", "scales", "opacities", "sh0", "shN"):
+        assert getattr(found, name).tobytes() == getattr(expected, name).tobytes()
+
+
+def test_stopping_before_the_start(studio: bpy.types.Scene, tmp_path: Path, play: Play) -> None:
+    """Oracle: no file, no mesh, and no process is left of it, and the next one may begin."""
+    write_splats(tmp_path / "a.ply", splats(50))
+    told = play({"say": STARTED}, {"follow": 30})
+    cropped(studio, tmp_path / "a.ply")
+    meshes = len(bpy.data.meshes)
+    bpy.ops.gscore.train_region()
+    job = work.job_of(studio)
+    assert bpy.ops.gscore.stop_region() == {"FINISHED"}
+    assert job.status == verb_job.CANCELLED
+    beat.tick()
+    assert job.start is None and len(bpy.data.meshes) == meshes
+    assert not told.exists() and not (tmp_path / "out_region_1").exists()
+    assert bpy.ops.gscore.train_region() == {"FINISHED"}
+
+
+def test_a_start_that_cannot_be_written(
+    studio: bpy.types.Scene, tmp_path: Path, play: Play
+) -> None:
+    """Oracle: a sentence in the panel that names the file, or says that the splats are gone."""
+    write_splats(tmp_path / "a.ply", splats(50))
+    play({"say": STARTED}, {"follow": 30})
+    cropped(studio, tmp_path / "a.ply")
+    (tmp_path / "full").write_text("a file where a folder should be")
+    studio.gscore.output_path = str(tmp_path / "full" / "out")
+    bpy.ops.gscore.train_region()
+    job = work.job_of(studio)
+    until(lambda: job.ended)
+    assert job.status == verb_job.FAILED and "full" in job.sentence
+    assert "a part of its path is a file" in drawn(RegionPanel)
+    studio.gscore.output_path = str(tmp_path / "out")
+    bpy.ops.gscore.train_region()
+    bpy.data.meshes.remove(next(m for m in bpy.data.meshes if "gs_leaving" in m))
+    job = work.job_of(studio)
+    until(lambda: job.ended)
+    assert job.status == verb_job.FAILED and "taken away" in job.sentence
 
 
 def test_what_is_no_region(studio: bpy.types.Scene, tmp_path: Path, play: Play) -> None:
