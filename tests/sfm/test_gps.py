@@ -172,12 +172,13 @@ def made(
 def test_photos_with_gps_give_metres_and_up(
     flight: tuple[Path, np.ndarray, np.ndarray], made: Path
 ) -> None:
-    """Oracle: the cameras that rendered the photos, by which up is known in the found world."""
+    """Oracle: the cameras that rendered the photos, by which up is known in the found world; up is
+    kept where it is off by 4 degrees or less, and mappers differ by some tenths from run to run."""
     model = read_model(made)
     true = {f"DJI_{i:04}.jpg": viewmat for i, viewmat in enumerate(flight[1])}
     ups = [im.viewmat[:3, :3].T @ true[im.name][:3, :3] @ [0, 0, 1] for im in model.images]
     assert len(ups) == 12
-    assert _degrees(model.up, np.mean(ups, axis=0)) < 2
+    assert _degrees(model.up, np.mean(ups, axis=0)) < 4
     centers = {im.name: -im.viewmat[:3, :3].T @ im.viewmat[:3, 3] for im in model.images}
     apart = math.dist(centers["DJI_0000.jpg"], centers["DJI_0011.jpg"])
     assert apart == pytest.approx(METRES * math.dist(flight[2][0], flight[2][11]), rel=0.05)
