@@ -363,6 +363,7 @@ class TrainConfig:
         "has the file.",
         group="start",
         metavar="FILE.json",
+        free=True,
     )
     init_opacity: float = option(
         0.0,

@@ -17,13 +17,19 @@ class RegionPhotos(Dataset):
         not look at it counts in no view at all.
 
         Raises:
-            DatasetError: no training view does.
+            DatasetError: no training view does, or a new training would have no point in it.
             ConfigError: views are to be narrowed whose masks cut the subject out already.
         """
         if narrow and whole.mask_mode == "composite":
             raise ConfigError(
                 "The masks of this capture are opacity: they cut the subject out already. A region "
                 "of a new training takes masks of mode ignore, or none."
+            )
+        points = whole.scene.points.points
+        if narrow and len(points) and not box.holds(points).any():
+            raise DatasetError(
+                f"None of the {len(points):,} points of the capture lies in the region. Is it a "
+                "box in the world of the capture?"
             )
         cameras = whole.scene.cameras
 

@@ -8,7 +8,7 @@ import pytest
 
 from gscore.config import DataConfig
 from gscore.datasets import load_dataset
-from gscore.errors import ConfigError
+from gscore.errors import ConfigError, DatasetError
 from gscore.events import Started
 from gscore.io.region_file import write_region
 from gscore.trainer.region.box import Box
@@ -70,13 +70,28 @@ def test_photos_that_masks_cut_out_are_refused(capture: Path) -> None:
         RegionPhotos(dataset, Box(BOX), near=0.01, narrow=True)
 
 
-def test_another_region_does_not_go_on(capture: Path, tmp_path: Path) -> None:
-    """Oracle: a run that was stopped goes on in its own box, and not in another."""
-    config = replace(ANEW, iterations=40, region=tmp_path / "r.json")
+def test_a_region_without_points_is_refused(capture: Path) -> None:
+    """Oracle: a box that photos look through, far behind all points."""
+    dataset = load_dataset(DataConfig(source=capture))
+    direction = dataset.scene.cameras.viewmats[0][2, :3]
+    far = np.eye(4)
+    far[:3, 3] = 100 * direction
+    with pytest.raises(DatasetError, match="points of the capture lies in the region"):
+        RegionPhotos(dataset, Box(far), near=0.01, narrow=True)
+    assert RegionPhotos(dataset, Box(far), near=0.01).train
+
+
+def test_another_region_does_not_go_on(
+    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: a run that was stopped goes on in its own box, named from any folder, and not in
+    another."""
+    monkeypatch.chdir(tmp_path)
+    config = replace(ANEW, iterations=40, region=Path("r.json"))
     write_region(tmp_path / "r.json", BOX)
     source = DataConfig(source=capture)
     train(config, source, tmp_path / "out")
-    longer = replace(config, iterations=50)
+    longer = replace(config, iterations=50, region=tmp_path / "r.json")
     assert train(longer, source, tmp_path / "out", resume=True).steps == 50
     write_region(tmp_path / "r.json", BOX * [[2], [2], [2], [1]])
     with pytest.raises(ConfigError, match="another region"):
