@@ -103,12 +103,14 @@ def show_map(ob: bpy.types.Object, show: bool) -> None:
     splats, maps = siblings(ob)
     if not maps:
         raise ValueError(f"There is no map of the errors of {ob.name}; press Measure Errors.")
+    layer = bpy.context.view_layer
     for other, visible in [*((o, not show) for o in splats), *((o, show) for o in maps)]:
-        other.hide_set(not visible)
         other.hide_render = not visible
-    active = (maps if show else splats)[:1]
-    if active:
-        bpy.context.view_layer.objects.active = active[0]
+        if other.name in layer.objects:  # not in a collection that the layer excludes
+            other.hide_set(not visible)
+    layer.objects.active = next(
+        (other for other in (maps if show else splats) if other.name in layer.objects), None
+    )
 
 
 def remove(ob: bpy.types.Object) -> None:

@@ -121,6 +121,25 @@ def test_measured_again_into_the_same_object(result: bpy.types.Object, tmp_path:
     assert len(work.siblings(result)[1]) == 1 and work.is_map(bpy.context.object)
 
 
+def test_splats_that_the_view_layer_excludes(result: bpy.types.Object, tmp_path: Path) -> None:
+    """Oracle: the map is made, and is there when the collection is back."""
+    play(tmp_path, result, {"a": 20.0})
+    collection = bpy.data.collections.new("away")
+    bpy.context.scene.collection.children.link(collection)
+    for holder in result.users_collection:
+        holder.objects.unlink(result)
+    collection.objects.link(result)
+    child = bpy.context.view_layer.layer_collection.children["away"]
+    job = work.measure(result)
+    child.exclude = True
+    until(lambda: job.ended and not job.wanted)
+    assert not job.warnings and len(work.siblings(result)[1]) == 1
+    child.exclude = False
+    bpy.context.view_layer.objects.active = result
+    bpy.ops.gscore.show_error_map(show=True)
+    assert not result.visible_get() and work.is_map(bpy.context.object)
+
+
 def test_what_cannot_be_measured(result: bpy.types.Object, tmp_path: Path) -> None:
     """Oracle: sentences, and a scene in which nothing changed."""
     (work.run_of(result) / "point_cloud.ply").unlink()
