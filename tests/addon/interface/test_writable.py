@@ -63,6 +63,7 @@ CALLS: dict[str, dict[str, Any]] = {
     "compare_photo": {},
     "compare_worst_photo": {},
     "color_by_error": {"show": False},
+    "add_guides": {},
     "show_error_map": {},
     "remove_errors": {},
     "choose_video": {"filepath": "a.ply"},
