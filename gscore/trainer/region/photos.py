@@ -6,6 +6,7 @@ import numpy as np
 
 from ...datasets import Dataset
 from ...errors import ConfigError, DatasetError
+from ...words import number
 from .box import Box
 
 
@@ -28,8 +29,8 @@ class RegionPhotos(Dataset):
         points = whole.scene.points.points
         if narrow and len(points) and not box.holds(points).any():
             raise DatasetError(
-                f"None of the {len(points):,} points of the capture lies in the region. Is it a "
-                "box in the world of the capture?"
+                f"None of the {number(len(points))} points of the capture lies in the region. Is "
+                "it a box in the world of the capture?"
             )
         cameras = whole.scene.cameras
 
