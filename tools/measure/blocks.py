@@ -6,14 +6,13 @@ That capture is trained whole, and split, trained and merged; the held-out photo
 """
 
 import argparse
-import json
-import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from gscore_line import verb
 from PIL import Image
 
 import gscore
@@ -138,12 +137,6 @@ def write_capture(run: Path, folder: Path, *, photos: int, copies: int, width: i
     write_model(ColmapModel(cameras={1: camera}, images=images, points=points), folder / "sparse/0")
 
 
-def verb(*arguments: object) -> dict[str, Any]:
-    """Run gscore; its last line as JSON."""
-    line = [sys.executable, "-m", "gscore", *map(str, arguments), "--json", "--quiet"]
-    return json.loads(subprocess.check_output(line, text=True).splitlines()[-1])
-
-
 def told(name: str, found: dict[str, Any], steps: str, most: float, whole: float) -> None:
     """A row of the table."""
     cells = (
@@ -163,15 +156,27 @@ def main() -> int:
     parser.add_argument("--width", type=int, default=1000)
     parser.add_argument("--steps", type=int, default=1500, help="of a block")
     parser.add_argument("--splats", type=int, default=50_000, help="of a block")
+    parser.add_argument("--whole-steps", type=int, help="of the whole; blocks times --steps")
+    parser.add_argument("--whole-splats", type=int, help="of the whole; blocks times --splats")
+    parser.add_argument("--coarse", action="store_true", help="blocks start from a preview")
+    parser.add_argument("--share", type=float, help="of `gscore split`")
+    parser.add_argument("--margin", type=float, help="of `gscore split`")
     args = parser.parse_args()
     capture, blocks = args.output / "capture", args.output / "blocks"
     write_capture(args.run, capture, photos=args.photos, copies=args.blocks, width=args.width)
     how = ("--preset", "preview", "-r", 1, "--checkpoint-seconds", 0)
-    steps, cap = args.blocks * args.steps, args.blocks * args.splats
+    steps = args.whole_steps or args.blocks * args.steps
+    cap = args.whole_splats or args.blocks * args.splats
     given = ("--iterations", steps, "--max-splats", cap, "--steps-a-photo", 0)
     whole = verb("train", capture, "-o", args.output / "whole", *how, *given, "--eval")
-    verb("split", capture, "-o", blocks, "--blocks", args.blocks)
+    cut = {"--share": args.share, "--margin": args.margin}
+    cuts = [text for name, value in cut.items() if value is not None for text in (name, value)]
+    verb("split", capture, "-o", blocks, "--blocks", args.blocks, *cuts)
     given = ("--iterations", args.steps, "--max-splats", args.splats, "--steps-a-photo", 0)
+    if args.coarse:
+        coarse = args.output / "coarse"
+        verb("train", capture, "-o", coarse, "--preset", "preview", "--checkpoint-seconds", 0)
+        given += ("--start-splats", coarse / "point_cloud.ply")
     parts = [
         verb("train", blocks, "-o", args.output / "runs", *how, *given, "--block", k, "--eval")
         for k in range(args.blocks)

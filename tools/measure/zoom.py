@@ -8,24 +8,16 @@ docs/quality.md: PSNR, dB, and SSIM, means over the views.
 """
 
 import argparse
-import json
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
-from typing import Any
+
+from gscore_line import verb
 
 from gscore.config import DataConfig
 from gscore.datasets.read import read_capture
 
 SIZES = {"4": 4.0, "2": 2.0, "1": 1.0, "1/2": 1 / 2, "1/4": 1 / 4, "1/8": 1 / 8}
 """Of the pictures, against those trained on."""
-
-
-def verb(*arguments: object) -> dict[str, Any]:
-    """Run gscore; its last line as JSON."""
-    line = [sys.executable, "-m", "gscore", *map(str, arguments), "--json", "--quiet"]
-    return json.loads(subprocess.check_output(line, text=True).splitlines()[-1])
 
 
 def row(capture: Path, width: int, preset: str, change: str) -> list[str]:

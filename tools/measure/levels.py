@@ -1,0 +1,173 @@
+"""Levels of detail of a large model: python tools/measure/levels.py RUN -o FOLDER.
+
+Sets up what a finished run trained many times side by side, lets `gscore lod` make levels of it,
+and draws pictures at 640 x 360 from the disk: one camera among the copies, one that sees all of
+them, and a walk among them. Each picture is a process of its own, for its peak memory. The finest
+level is compared with the whole model in memory.
+"""
+
+import argparse
+import json
+import resource
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+import gscore
+from gscore.frontend import LodModel
+from gscore.io.cameras_json import read_cameras_json
+from gscore.splats import PARAMETERS, Splats
+
+WIDTH, HEIGHT, FOCAL = 640, 360, 500.0
+APART = 1.5
+"""Copies stand so many times as far apart as nine tenths of their splats reach."""
+STEPS, WARM = 60, 10
+"""Pictures of the walk; the first ones, which read what they show, do not count."""
+DRAWN = {
+    "among, --lod-px 0": ("among", {"lod_px": 0.0}),
+    "all, --lod-px 0": ("all", {"lod_px": 0.0}),
+    "all, --lod-px 1": ("all", {"lod_px": 1.0}),
+    "all, --lod-px 4": ("all", {"lod_px": 4.0}),
+    "all, --lod-splats 400000": ("all", {"lod_px": 1.0, "most": 400_000}),
+    "among, --lod-splats 400000": ("among", {"lod_px": 1.0, "most": 400_000}),
+}
+
+
+def tiled(splats: Splats, copies: int) -> tuple[Splats, np.ndarray]:
+    """Copies in a square along the two directions in which splats reach farthest, with SH degree 3,
+    and the two vectors, [2, 3], from each to its neighbours."""
+    low, high = np.quantile(splats.means, (0.05, 0.95), axis=0)
+    axes = np.argsort(low - high)[:2]
+    moves = np.zeros((2, 3), np.float32)
+    moves[[0, 1], axes] = APART * (high - low)[axes]
+    side = int(np.ceil(np.sqrt(copies)))
+    places = np.stack(np.divmod(np.arange(copies), side), axis=1) @ moves
+    parts = {name: np.concatenate([getattr(splats, name)] * copies) for name in PARAMETERS}
+    parts["means"] = (splats.means[None] + places[:, None]).reshape(-1, 3).astype(np.float32)
+    missing = 15 - parts["shN"].shape[1]
+    parts["shN"] = np.pad(parts["shN"], ((0, 0), (0, missing), (0, 0)))
+    return Splats(**parts), moves
+
+
+def viewmats(run: Path, moves: np.ndarray, copies: int) -> dict[str, np.ndarray]:
+    """[4, 4] of the camera among the copies and of that which sees all; [STEPS, 4, 4] of the
+    walk."""
+    cameras = read_cameras_json(run / "cameras.json")
+    side = int(np.ceil(np.sqrt(copies)))
+    walk = np.repeat(cameras.viewmats[:1], STEPS, axis=0)
+    begin = side // 2 * moves.sum(0)
+    shifts = begin + np.linspace(0, 1, STEPS)[:, None] * moves[0]
+    walk[:, :3, 3] -= shifts @ walk[0, :3, :3].T
+    middle, far = (side - 1) / 2 * moves.sum(0), walk[0].copy()
+    # Backwards until the square fits into the narrower half of the picture.
+    reach = np.abs((side * moves) @ far[:3, :3].T)[:, :2].sum()
+    far[:3, 3] = -far[:3, :3] @ middle + np.array([0, 0, FOCAL / HEIGHT * reach])
+    return {"among": walk[0], "all": far, "walk": walk}
+
+
+def picture(model: Path, viewmat: np.ndarray, how: dict[str, float]) -> tuple[np.ndarray, int]:
+    """RGB, and how many splats were drawn; of a file of levels, or of a whole PLY."""
+    K = np.array([[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1]])
+    if model.suffix == ".ply":
+        splats = gscore.read_splats(model)
+        drawn = gscore.render(splats, K, viewmat, WIDTH, HEIGHT, depths=False)
+        return drawn.rgb, len(splats)
+    with LodModel(model) as levels:
+        drawn = levels.render(K, viewmat, WIDTH, HEIGHT, depths=False, **how)
+        assert levels.chosen is not None
+        return drawn.rgb, levels.chosen.splats
+
+
+def walked(model: Path, walk: np.ndarray, how: dict[str, float]) -> tuple[float, int]:
+    """Median seconds of a picture of the walk, and splats drawn."""
+    K = np.array([[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1]])
+    seconds, counts = [], []
+    with LodModel(model) as levels:
+        for viewmat in walk:
+            began = time.perf_counter()
+            levels.render(K, viewmat, WIDTH, HEIGHT, depths=False, **how)
+            seconds.append(time.perf_counter() - began)
+            assert levels.chosen is not None
+            counts.append(levels.chosen.splats)
+    return float(np.median(seconds[WARM:])), int(np.median(counts[WARM:]))
+
+
+def peak_mb() -> float:
+    """Of this process, resident."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+
+
+def as_process(folder: Path, *words: str) -> dict[str, float]:
+    """What another process of this file prints."""
+    line = [sys.executable, __file__, str(folder), "-o", str(folder), "--one", *words]
+    return json.loads(subprocess.check_output(line, text=True))
+
+
+def one(folder: Path, name: str, where: str, how: dict[str, float]) -> dict[str, float]:
+    """Draw a picture, or the walk, and say what it took."""
+    views = np.load(folder / "views.npz")
+    if where == "walk":
+        seconds, count = walked(folder / "tiled.lod", views[where], how)
+        return {"seconds": seconds, "splats": count, "mb": peak_mb()}
+    model = folder / ("tiled.ply" if name == "whole" else "tiled.lod")
+    rgb, count = picture(model, views[where], how)
+    np.save(folder / f"{name}.npy", rgb)
+    return {"splats": count, "mb": peak_mb()}
+
+
+def apart(a: np.ndarray, b: np.ndarray) -> str:
+    """How two pictures differ."""
+    most, mse = np.abs(a - b).max() * 255, float(((a - b) ** 2).mean())
+    return "the same bits" if most == 0 else f"{most:.2f}/255, {-10 * np.log10(mse):.0f} dB"
+
+
+def main() -> int:
+    """Build, draw and print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("run", type=Path)
+    parser.add_argument("-o", "--output", type=Path, required=True)
+    parser.add_argument("--copies", type=int, default=210)
+    parser.add_argument("--one", nargs=3, help=argparse.SUPPRESS)
+    args = parser.parse_args()
+    folder: Path = args.output
+    if args.one:
+        name, where, how = args.one
+        print(json.dumps(one(folder, name, where, json.loads(how))))
+        return 0
+    folder.mkdir(parents=True, exist_ok=True)
+    splats, moves = tiled(gscore.read_splats(args.run / "point_cloud.ply"), args.copies)
+    gscore.write_splats(folder / "tiled.ply", splats)
+    del splats
+    np.savez(folder / "views.npz", **viewmats(args.run, moves, args.copies))
+    if not (folder / "tiled.lod").exists():
+        began = time.perf_counter()
+        line = [sys.executable, "-m", "gscore", "lod", folder / "tiled.ply"]
+        subprocess.run([*line, "-o", folder / "tiled.lod", "--quiet"], check=True)
+        most = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e3
+        print(f"Built in {time.perf_counter() - began:.0f} s, {most:.0f} MB")
+    print(
+        "| picture | splats drawn | MB | against the whole model |\n|---|---|---|---|", flush=True
+    )
+    whole = {}
+    for where in ("among", "all"):
+        told = as_process(folder, "whole", where, "{}")
+        whole[where] = np.load(folder / "whole.npy")
+        print(f"| {where}, the PLY | {told['splats']:,.0f} | {told['mb']:,.0f} | |", flush=True)
+    for label, (where, how) in DRAWN.items():
+        told = as_process(folder, "levels", where, json.dumps(how))
+        found = apart(np.load(folder / "levels.npy"), whole[where])
+        print(f"| {label} | {told['splats']:,.0f} | {told['mb']:,.0f} | {found} |", flush=True)
+    print("| walk | splats drawn | MB | ms a picture |\n|---|---|---|---|", flush=True)
+    for how in ({"lod_px": 1.0}, {"lod_px": 4.0}, {"lod_px": 1.0, "most": 400_000}):
+        told = as_process(folder, "walk", "walk", json.dumps(how))
+        print(
+            f"| {how} | {told['splats']:,.0f} | {told['mb']:,.0f} | {1e3 * told['seconds']:.0f} |"
+        )
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
