@@ -321,16 +321,7 @@ class Trainer:
         picture = self._draw(turn, opacities, step)
         laps.lap("draw")
         loss = self._compare(turn, picture)
-        values, errors = [loss.value], [loss.mse]
-        if self.team:
-            try:
-                values, errors = losses.of_all(
-                    self.team, loss.value, loss.mse, photos=count, mark=self._mark
-                )
-            except DatasetError:
-                self.sampler.put_back(count)
-                self._collect_now()
-                raise
+        values, errors = self._of_all(loss, count)
         value, mse = sum(values) / count, sum(errors) / count
         self.steps = step
         laps.lap("loss")
@@ -433,6 +424,26 @@ class Trainer:
             v_alpha=v_alpha,
             v_inverse_depth=v_inverse_depth,
         )
+
+    def _of_all(self, loss: _Loss, count: int) -> tuple[list[float], list[float]]:
+        """Losses and mean squared errors of the `count` photos of a batch.
+
+        Raises:
+            DatasetError: another rank's photo cannot be had; nothing was done.
+        """
+        if self.team is None or self._batch is None:
+            return [loss.value], [loss.mse]
+        sizes = self._batch.sizes(self._painter.radii, count)
+        try:
+            found = losses.of_all(
+                self.team, loss.value, loss.mse, photos=count, mark=self._mark, sizes=sizes
+            )
+        except DatasetError:
+            self.sampler.put_back(count)
+            self._collect_now()
+            raise
+        self._batch.hear(found.sizes)
+        return found.values, found.errors
 
     def _gradients(
         self,
@@ -763,7 +774,7 @@ class Trainer:
         self.strategy.observe(counters, drawn)
         if self._batch:
             radii = self._batch.add_up(
-                model, radii=radii, counters=counters, photos=count, threads=self.config.threads
+                model, counters=counters, photos=count, threads=self.config.threads
             )
         self.strategy.shape_gradients(model)
         means_lr = self.rate_factor * self.plan.means_lr_at(step) * math.sqrt(count)

@@ -30,6 +30,23 @@ class BatchGradients:
         self.complete = False
         """Whether rank 0 has all that `tensors` needs; the same on all ranks."""
         self._others: list[Tensor] = []
+        self._rows = self._sums.sorted(torch.zeros(0, dtype=torch.int64))
+        self._told: np.ndarray | None = None
+
+    def sizes(self, radii: Tensor, photos: int) -> list[int]:
+        """How many rows this rank will give to each rank of what its photo shows.
+
+        Args:
+            radii: [N] int32, above 0 where it shows a splat.
+            photos: How many there are in this batch. Ranks from there on have nothing to add.
+        """
+        rows = (radii > 0).nonzero().flatten()
+        self._rows = self._sums.sorted(rows[:0] if self._team.rank >= photos else rows)
+        return self._rows.sizes
+
+    def hear(self, sizes: np.ndarray) -> None:
+        """[size, size] `sizes` of each rank."""
+        self._told = sizes
 
     def into(self, model: Model, photos: int) -> dict[str, Tensor]:
         """Where the gradients of this rank's photo go, as `model.grads`. A rank that looks at
@@ -48,18 +65,15 @@ class BatchGradients:
         self,
         model: Model,
         *,
-        radii: Tensor,
         counters: dict[str, Tensor],
         photos: int,
         threads: int,
     ) -> Tensor:
         """Put the mean gradient of all photos into `model.grads`, but for those of shN, and add all
-        counts to `model.rows`.
+        counts to `model.rows`. All have told their `sizes` before.
 
         Args:
-            model: Its gradients are those of this rank's photo. Ranks from `photos` on have nothing
-                to add.
-            radii: [N] int32, above 0 where this rank's photo showed a splat.
+            model: Its gradients are those of this rank's photo.
             counters: What the strategy counted in this rank's photo.
             photos: How many there are in this batch.
             threads: 0: all cores.
@@ -67,18 +81,16 @@ class BatchGradients:
         Returns:
             [N] int32, 1 where some photo showed a splat.
         """
+        shown = zeros(len(model), dtype=torch.int32)
         if len(model) == 0:
-            return radii
-        rows = (radii > 0).nonzero().flatten()
-        if self._team.rank >= photos:
-            rows = rows[:0]
+            return shown
         grads = {name: model.grads[name] for name in PARAMETERS if name != "shN"}
-        found = self._sums(rows, [*grads.values(), *counters.values()], threads=threads)
+        tables = [*grads.values(), *counters.values()]
+        found = self._sums(self._rows, tables, told=self._told, threads=threads)
         for grad in grads.values():
             grad.zero_()
         sums = [Table(grad, adds=True, divisor=photos) for grad in grads.values()]
         sums += [Table(model.rows[name], adds=True) for name in counters]
-        shown = zeros(len(model), dtype=torch.int32)
         for part in found:
             unpack_rows(sums, part, threads=threads)
             shown[part[:, 0].to(torch.int64)] = 1
@@ -98,7 +110,7 @@ class BatchGradients:
             self.complete = False
             return
         rows = torch.from_numpy(np.flatnonzero(np.any(grad.numpy(), axis=(1, 2))))
-        found = self._sums(rows, [grad], threads=threads)
+        found = self._sums(self._sums.sorted(rows), [grad], threads=threads)
         grad.zero_()
         for part in found:
             unpack_rows([Table(grad, adds=True)], part, threads=threads)

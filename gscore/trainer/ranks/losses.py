@@ -1,20 +1,36 @@
 """What the ranks found in their photos, compared before anything is learnt of them."""
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
 from ...errors import DatasetError, GsError
 from .team import Team
 
 
 def fail(team: Team, error: GsError) -> None:
     """Tell the others that this rank's photo cannot be had."""
-    team.numbers([1.0, 0.0, 0.0, 0.0, *team.account])
+    _told(team, [1.0, 0.0, 0.0, 0.0], [0] * team.size)
     team.texts(str(error))
     team.told = True
 
 
+class Found(NamedTuple):
+    """What all ranks know of a batch."""
+
+    values: list[float]
+    """The loss of each photo, in the order of the ranks."""
+    errors: list[float]
+    """Their mean squared errors."""
+    sizes: np.ndarray
+    """[size, size] the `sizes` of each rank."""
+
+
 def of_all(
-    team: Team, value: float, mse: float, *, photos: int, mark: float
-) -> tuple[list[float], list[float]]:
-    """The loss and the mean squared error of each photo of the batch, in the order of the ranks.
+    team: Team, value: float, mse: float, *, photos: int, mark: float, sizes: Sequence[int]
+) -> Found:
+    """Compare what the ranks found in their photos of a batch.
 
     Args:
         team: All take part.
@@ -22,13 +38,13 @@ def of_all(
         mse: Its mean squared error.
         photos: How many there are in this batch.
         mark: A number that must be the same on all ranks.
+        sizes: How many rows of gradients this rank will give each rank.
 
     Raises:
         DatasetError: a rank cannot have its photo, see `fail`.
         GsError: the marks differ.
     """
-    found = team.numbers([0.0, value, mse, mark, *team.account])
-    team.accounts = found[:, 4:]
+    found, told = _told(team, [0.0, value, mse, mark], sizes)
     if found[:, 0].any():
         rank, texts = int(found[:, 0].argmax()), team.texts("")
         team.told = True
@@ -41,4 +57,11 @@ def of_all(
             "otherwise. Start again with --resume on machines of one kind, or with GSCORE_ISA and "
             "ATEN_CPU_CAPABILITY set to what all have."
         )
-    return found[:photos, 1].tolist(), found[:photos, 2].tolist()
+    return Found(found[:photos, 1].tolist(), found[:photos, 2].tolist(), told)
+
+
+def _told(team: Team, mine: Sequence[float], sizes: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+    """Of each rank [size, 4] `mine` and [size, size] `sizes`; the team keeps their accounts."""
+    found = team.numbers([*mine, *sizes, *team.account])
+    told, sized, team.accounts = np.split(found, [len(mine), len(mine) + team.size], axis=1)
+    return told, sized

@@ -6,7 +6,9 @@ give each other all they have, which is no more. Rows that no rank has are not s
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -16,6 +18,15 @@ from .room import Room
 from .team import Team
 
 
+class Sorted(NamedTuple):
+    """Rows of a rank."""
+
+    rows: Tensor
+    """[M] int64; for more than two ranks, first those that rank 0 adds up."""
+    sizes: list[int]
+    """How many each rank is given."""
+
+
 class RowSums:
     """Adds up rows of large tables of which every rank has some; keeps its memory between calls."""
 
@@ -23,12 +34,30 @@ class RowSums:
         self._team = team
         self._mine, self._given, self._sums, self._own, self._all = (Room() for _ in range(5))
 
-    def __call__(self, rows: Tensor, tables: Sequence[Tensor], *, threads: int = 0) -> list[Tensor]:
+    def sorted(self, rows: Tensor) -> "Sorted":
+        """The rows that this rank has, [M] int64, none twice, by those who add them up."""
+        rank, size = self._team.rank, self._team.size
+        if size == 2:
+            return Sorted(rows, [0 if other == rank else len(rows) for other in range(size)])
+        owner = rows % size
+        parts = [rows[owner == other] for other in range(size)]
+        return Sorted(torch.cat(parts), [len(part) for part in parts])
+
+    def __call__(
+        self,
+        mine: "Sorted",
+        tables: Sequence[Tensor],
+        *,
+        told: np.ndarray | None = None,
+        threads: int = 0,
+    ) -> list[Tensor]:
         """Add up with all others.
 
         Args:
-            rows: [M] int64: which rows this rank has, none twice.
+            mine: Which rows this rank has.
             tables: [N, ...] float32 each, contiguous: K numbers a row in all.
+            told: [size, size] `sizes` of what each rank has, where all know them already; None:
+                the ranks meet for it.
             threads: 0: all cores.
 
         Returns:
@@ -38,15 +67,11 @@ class RowSums:
         """
         team, size = self._team, self._team.size
         width = 1 + widths_of(tables)
+        packed = self._mine.of(len(mine.rows), width)
+        pack_rows([Table(t) for t in tables], mine.rows, packed, threads=threads)
         if size == 2:
-            packed = self._mine.of(len(rows), width)
-            pack_rows([Table(t) for t in tables], rows, packed, threads=threads)
-            return team.rows(packed, self._given)
-        owner = rows % size
-        mine = [rows[owner == rank] for rank in range(size)]
-        packed = self._mine.of(len(rows), width)
-        pack_rows([Table(t) for t in tables], torch.cat(mine), packed, threads=threads)
-        given = team.swap(packed, [len(part) for part in mine], self._given)
+            return team.rows(packed, self._given, told=told)
+        given = team.swap(packed, mine.sizes, self._given, told=told)
         places = [part[:, 0] // size for part in given]
         # Rows need not ascend: the largest may stand anywhere.
         count = max((int(at.max()) + 1 for at in places if len(at)), default=0)

@@ -7,6 +7,7 @@ connection; how long one may take is left to the user, as a pause is.
 import json
 import os
 import platform
+import struct
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -32,6 +33,8 @@ _DTYPES = {
     str(dtype): dtype
     for dtype in (torch.float32, torch.float64, torch.int64, torch.int32, torch.uint8)
 }
+_LETTER = 120
+"""Bytes that go with their number; orders of a step are shorter, so ranks meet once for them."""
 _WORLD, _RANK, _LOCAL = "WORLD_SIZE", "RANK", "LOCAL_WORLD_SIZE"
 _ENDED = "gscore ended"
 _RESTARTS = "TORCHELASTIC_RESTART_COUNT"
@@ -191,18 +194,24 @@ class Team:
             bytes(part.flatten().tolist()).decode() for part in self.rows(letters[:, None], Room())
         ]
 
-    def rows(self, mine: Tensor, room: Room) -> list[Tensor]:
+    def rows(self, mine: Tensor, room: Room, *, told: np.ndarray | None = None) -> list[Tensor]:
         """The rows of each rank: `mine` is [M, K] int32, M may differ. Those of others lie in
-        `room`."""
+        `room`; `told` as in `swap`."""
         others = [0 if rank == self.rank else 1 for rank in range(self.size)]
         copies = mine if self.size == 2 else mine.repeat(self.size - 1, 1)
-        found = self.swap(copies, [len(mine) * other for other in others], room)
+        found = self.swap(copies, [len(mine) * other for other in others], room, told=told)
         return [part if other else mine for part, other in zip(found, others, strict=True)]
 
-    def swap(self, mine: Tensor, sizes: Sequence[int], room: Room) -> list[Tensor]:
+    def swap(
+        self, mine: Tensor, sizes: Sequence[int], room: Room, *, told: np.ndarray | None = None
+    ) -> list[Tensor]:
         """Give rank r its `sizes[r]` rows of `mine`, [M, K] int32, those of rank 0 first; what each
-        rank gave to this one, in `room`."""
-        counts = self.numbers(sizes)[:, self.rank].astype(int).tolist()
+        rank gave to this one, in `room`.
+
+        `told`: [size, size] `sizes` of each rank, where they know them; None: they are asked.
+        """
+        told = self.numbers(sizes) if told is None else told
+        counts = told[:, self.rank].astype(int).tolist()
         found = room.of(sum(counts), mine.shape[1])
         self.sent += (len(mine) - sizes[self.rank]) * mine.shape[1] * mine.element_size()
         self._together(lambda: self._dist.all_to_all_single(found, mine, counts, list(sizes)))
@@ -236,13 +245,16 @@ class Team:
         return found
 
     def _broadcast(self, data: bytes) -> bytes:
-        length = _tensor([len(data)])
-        self._together(lambda: self._dist.broadcast(length, src=0))
-        content = empty(int(length), dtype=torch.uint8)
-        if self.leads:
-            content = torch.frombuffer(bytearray(data), dtype=torch.uint8)
-        self._together(lambda: self._dist.broadcast(content, src=0))
-        return bytes(content.numpy())
+        """What rank 0 gives to all: its length and first bytes at once, then what is left."""
+        letter = bytearray(struct.pack("<q", len(data)) + data[:_LETTER]).ljust(8 + _LETTER)
+        first = torch.frombuffer(letter, dtype=torch.uint8)
+        self._together(lambda: self._dist.broadcast(first, src=0))
+        length = struct.unpack_from("<q", letter)[0]
+        rest = bytearray(data[_LETTER:]) if self.leads else bytearray(max(length - _LETTER, 0))
+        if rest:
+            more = torch.frombuffer(rest, dtype=torch.uint8)
+            self._together(lambda: self._dist.broadcast(more, src=0))
+        return bytes(letter[8 : 8 + length] + rest)
 
     def _together(self, call: Callable[[], _Found]) -> _Found:
         """What `call` returns once the others have done their part.

@@ -1,5 +1,6 @@
 """Run by some ranks: rows added up by the team, and in a plain loop in the order of the ranks."""
 
+import itertools
 import sys
 
 import numpy as np
@@ -25,7 +26,8 @@ def main() -> int:
     """0: equal to the loop to the bit, also where a rank has nothing, or all have nothing."""
     with Team() as team:
         sums_of = RowSums(team)
-        for silent in ((), (team.size - 1,), tuple(range(team.size))):
+        silent_ones = (), (team.size - 1,), tuple(range(team.size))
+        for silent, known in itertools.product(silent_ones, (False, True)):
             table, had = np.zeros((ROWS, WIDTH), np.float32), np.zeros(ROWS, bool)
             for rank in range(team.size):
                 rows, values = of_rank(rank)
@@ -40,7 +42,9 @@ def main() -> int:
             parts = [torch.from_numpy(np.ascontiguousarray(mine[:, at])) for at in PARTS]
             sums = [torch.zeros_like(part) for part in parts]
             found = np.zeros(ROWS, bool)
-            for piece in sums_of(torch.from_numpy(rows), parts):
+            have = sums_of.sorted(torch.from_numpy(rows))
+            told = team.numbers(have.sizes) if known else None
+            for piece in sums_of(have, parts, told=told):
                 unpack_rows([Table(sum_, adds=True) for sum_ in sums], piece)
                 found[piece[:, 0].numpy()] = True
             assert (found == had).all()
