@@ -30,7 +30,7 @@ class BatchGradients:
         self.complete = False
         """Whether rank 0 has all that `tensors` needs; the same on all ranks."""
         self._others: list[Tensor] = []
-        self._rows = self._sums.sorted(torch.zeros(0, dtype=torch.int64))
+        self._rows = self._sums.sorted(torch.zeros(0, dtype=torch.int64, device="cpu"))
         self._told: np.ndarray | None = None
 
     def sizes(self, radii: Tensor, photos: int) -> list[int]:

@@ -16,7 +16,7 @@ def fail(team: Team, error: GsError) -> None:
     team.told = True
 
 
-class Found(NamedTuple):
+class BatchLosses(NamedTuple):
     """What all ranks know of a batch."""
 
     values: list[float]
@@ -29,7 +29,7 @@ class Found(NamedTuple):
 
 def of_all(
     team: Team, value: float, mse: float, *, photos: int, mark: float, sizes: Sequence[int]
-) -> Found:
+) -> BatchLosses:
     """Compare what the ranks found in their photos of a batch.
 
     Args:
@@ -57,7 +57,7 @@ def of_all(
             "otherwise. Start again with --resume on machines of one kind, or with GSCORE_ISA and "
             "ATEN_CPU_CAPABILITY set to what all have."
         )
-    return Found(found[:photos, 1].tolist(), found[:photos, 2].tolist(), told)
+    return BatchLosses(found[:photos, 1].tolist(), found[:photos, 2].tolist(), told)
 
 
 def _told(team: Team, mine: Sequence[float], sizes: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
