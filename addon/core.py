@@ -110,6 +110,7 @@ from gscore.frontend import (
     read_moves,
     read_run,
     read_sequence,
+    rgba_png,
     rotmat_to_quat,
     sh0_to_rgb,
     sh_basis,

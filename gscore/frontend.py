@@ -69,8 +69,8 @@ if TYPE_CHECKING:
     from .io.files import atomic_write
     from .io.lod_file import LOD_ENDING, is_lod_file
     from .io.mesh.ply import write_mesh
-    from .io.pictures.gray_png import gray_png
     from .io.pictures.image_header import ImageInfo, read_header
+    from .io.pictures.png import gray_png, rgba_png
     from .io.pictures.resample import downscale
     from .io.ply.splats import MIP_COMMENT
     from .io.poses_json import POSES_FILE, read_moves
@@ -162,7 +162,7 @@ _HOME = {
     "find_colmap": "io.colmap.folder:find_model",
     "find_frames": "datasets.frames",
     "from_line": "events",
-    "gray_png": "io.pictures.gray_png",
+    "gray_png": "io.pictures.png",
     "importance_of": "edit",
     "in_unit_shape": "edit",
     "inspect_capture": "inspection:inspect",
@@ -186,6 +186,7 @@ _HOME = {
     "read_run": "io.runs",
     "read_sequence": "io.sequences",
     "quat_to_rotmat": "transforms",
+    "rgba_png": "io.pictures.png",
     "rotmat_to_quat": "transforms",
     "sh0_to_rgb": "sh",
     "sh_basis": "sh",
@@ -293,6 +294,7 @@ __all__ = [
     "read_moves",
     "read_run",
     "read_sequence",
+    "rgba_png",
     "rotmat_to_quat",
     "sh0_to_rgb",
     "sh_basis",

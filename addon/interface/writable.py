@@ -42,10 +42,10 @@ def check(*blocks: bpy.types.ID) -> None:
         raise ValueError(found)
 
 
-def taking(wanted: Iterable[bpy.types.Collection]) -> list[bpy.types.Collection]:
+def taking(wanted: Iterable[bpy.types.Collection | None]) -> list[bpy.types.Collection]:
     """Those of some collections that take objects, else the scene's own: linked and overridden ones
-    take none."""
-    found = [c for c in wanted if c.is_editable and c.override_library is None]
+    take none, and a context may have none."""
+    found = [c for c in wanted if c is not None and c.is_editable and c.override_library is None]
     return found or [bpy.context.scene.collection]
 
 

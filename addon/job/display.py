@@ -16,9 +16,9 @@ from ..capture.folders import same_folder
 from ..interface import undo, writable
 from ..paths import absolute, output_folder
 from ..splats import files, objects
+from ..splats.filling import Filling, replace
 from ..splats.objects import ANTIALIAS
 from . import registry, session
-from .filling import Filling, replace
 from .job import Job
 from .loader import Loaded
 

@@ -10,10 +10,10 @@ from ..cameras.coloring import hide
 from ..cameras.objects import root_of
 from ..capture.figures import MEASURED
 from ..interface import undo
-from ..job.filling import Filling, replace
 from ..job.launch import follow, launch
 from ..process import beat
 from ..splats import objects
+from ..splats.filling import Filling, replace
 from . import colors
 from .job import ErrorsJob
 from .registry import JOBS

@@ -8,7 +8,7 @@ from . import harmonics
 from .filters import exists, largest, opacity
 from .graph import Graph, Socket, ensure, inputs, new_group, result, socket, use_group
 
-NAME, ENERGY = "Splat Colors", "Splat Color Energy"
+NAME, ENERGY, MEASURE = "Splat Colors", "Splat Color Energy", "Splat Color Measure"
 MODES = ("COLOR", "OPACITY", "SIZE", "ANISOTROPY", "SH_ENERGY", "DEPTH")
 """By number, as the group's input Color By has them."""
 ELONGATION_DECADES = 2.0
@@ -31,6 +31,23 @@ def _build(name: str) -> bpy.types.NodeTree:
     socket(tree, "Color By", "Int", 0, min_value=0, max_value=len(MODES) - 1)
     socket(tree, "From Camera", "Bool", False)
     given = inputs(graph)
+    mapped = _color_map(graph, use_group(graph, measure_group(), given))
+    options = [_color(graph, given["From Camera"])] + [mapped] * (len(MODES) - 1)
+    result(graph, "Color", "Color", graph.choose("RGBA", given["Color By"], options))
+    return tree
+
+
+def measure_group() -> bpy.types.NodeTree:
+    """The group that gives the chosen quantity of a splat as 0 to 1; apart as `energy_group`."""
+    return ensure(bpy.data.node_groups, MEASURE, _build_measure)
+
+
+def _build_measure(name: str) -> bpy.types.NodeTree:
+    graph, tree = new_group(name)
+    socket(tree, "Geometry", "Geometry")
+    socket(tree, "Visible", "Bool", True)
+    socket(tree, "Color By", "Int", 0, min_value=0, max_value=len(MODES) - 1)
+    given = inputs(graph)
     size = graph.math("LOGARITHM", largest(graph), 10.0)
     energy = use_group(graph, energy_group(), {})
     measures = [
@@ -41,10 +58,7 @@ def _build(name: str) -> bpy.types.NodeTree:
         _spread(graph, given, energy, from_zero=True),
         _spread(graph, given, _camera_depth(graph)),
     ]
-    measure = graph.choose("FLOAT", given["Color By"], measures)
-    mapped = _color_map(graph, measure)
-    options = [_color(graph, given["From Camera"])] + [mapped] * (len(MODES) - 1)
-    result(graph, "Color", "Color", graph.choose("RGBA", given["Color By"], options))
+    result(graph, "Measure", "Float", graph.choose("FLOAT", given["Color By"], measures))
     return tree
 
 

@@ -29,7 +29,8 @@ def builders() -> list[Callable[[], bpy.types.ID]]:
     At once they take a tenth of a second, which a user would feel.
     """
     parts = [materials.points, materials.ellipsoids, materials.soft, filters.group]
-    return [*parts, colors.energy_group, *harmonics.builders(), colors.group, group]
+    measures = [colors.energy_group, colors.measure_group]
+    return [*parts, *measures, *harmonics.builders(), colors.group, group]
 
 
 def modifier_of(ob: bpy.types.Object) -> bpy.types.NodesModifier | None:

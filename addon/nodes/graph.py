@@ -9,7 +9,7 @@ Socket = bpy.types.NodeSocket
 Value = Any
 """A socket to link, or a constant for the socket's default."""
 
-VERSION = 3
+VERSION = 4
 """Of the node groups and materials; a file with older ones gets new ones."""
 _TAG = "gs_nodes"
 

@@ -1,6 +1,7 @@
 """Files of splats into the scene and out of it, in Blender's world or in that of the photos."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
@@ -34,6 +35,25 @@ _IMPORT_MATRIX = "gs_import_matrix"
 _NOISE = 1e-12
 
 
+@dataclass(frozen=True, kw_only=True)
+class Wanted:
+    """A file that is to be imported, and where its splats go: needs no bpy to be read."""
+
+    path: Path
+    level: int | None
+    to_unit: np.ndarray | None
+    """[4, 4] from the file to the unit box of what is read of it; None: all."""
+    crop: str
+    """Name of the crop object that says so."""
+    parent: int
+    """Session number of the object that becomes the parent; 0: none."""
+    basis: tuple[Matrix, Matrix] | None
+    """Where the object of a crop stands: its matrix and that of its parent's inverse."""
+    stored: tuple[float, ...]
+    """What is remembered of that object's import; empty: nothing."""
+    up: str
+
+
 def import_splats(
     context: bpy.types.Context,
     path: str | Path,
@@ -60,42 +80,81 @@ def import_splats(
         GsError: the file is missing, corrupt or holds no splats; the scene is untouched.
         ValueError: there is no such level, or nothing in the box.
     """
-    path = Path(bpy.path.abspath(str(path)))
-    found = _read(path, level, cropped)
-    if cropped is not None:
-        parent = cropped.parent
-    ob = objects.create(found.splats, path.stem, collection=context.collection, parent=parent)
-    if found.antialiased:
-        ob[ANTIALIAS] = True
-    if cropped is not None:
-        _stand_like(ob, cropped)
-    elif parent is None:
-        turn_up(ob, up)
+    return import_wanted(context, want(path, parent=parent, up=up, level=level, cropped=cropped))
+
+
+def import_wanted(context: bpy.types.Context, wanted: Wanted) -> bpy.types.Object:
+    """As `import_splats`, of what `want` returns."""
+    found = read(wanted)
+    ob = objects.create(found.splats, wanted.path.stem, collection=context.collection)
+    settle(ob, wanted, antialiased=found.antialiased)
     return ob
 
 
-def _read(path: Path, level: int | None, cropped: bpy.types.Object | None) -> SplatFile:
-    """What is imported; errors as `import_splats`."""
-    if not is_lod_file(path):
-        if level is not None or cropped is not None:
-            raise ValueError(f"{path} has no levels of detail; gscore lod makes them.")
-        return read_splat_file(path)
-    if cropped is None:
-        return read_lod(path, level, most=MOST_AT_ONCE)
-    if not is_cropped(cropped):
-        raise ValueError(f"{cropped.name} has no crop object; add a crop box first.")
-    found = read_lod(path, level or 0, to_unit=crop_matrix(cropped, cropped.gscore.crop_object))
+def want(
+    path: str | Path,
+    *,
+    parent: bpy.types.Object | None = None,
+    up: str = "-Y",
+    level: int | None = None,
+    cropped: bpy.types.Object | None = None,
+) -> Wanted:
+    """What `import_splats` is asked for, so that another thread can `read` it.
+
+    Raises:
+        ValueError: `cropped` has no crop object, or the file no levels of detail.
+    """
+    path = Path(bpy.path.abspath(str(path)))
+    if (level is not None or cropped is not None) and not is_lod_file(path):
+        raise ValueError(f"{path} has no levels of detail; gscore lod makes them.")
+    to_unit, crop, basis, stored = None, "", None, ()
+    if cropped is not None:
+        if not is_cropped(cropped):
+            raise ValueError(f"{cropped.name} has no crop object; add a crop box first.")
+        parent, crop = cropped.parent, cropped.gscore.crop_object.name
+        to_unit = crop_matrix(cropped, cropped.gscore.crop_object)
+        basis = cropped.matrix_basis.copy(), cropped.matrix_parent_inverse.copy()
+        stored = tuple(cropped.get(_IMPORT_MATRIX, ()))
+    return Wanted(
+        path=path,
+        level=level,
+        to_unit=to_unit,
+        crop=crop,
+        parent=0 if parent is None else parent.session_uid,
+        basis=basis,
+        stored=stored,
+        up=up,
+    )
+
+
+def read(wanted: Wanted) -> SplatFile:
+    """What is imported; in any thread.
+
+    Raises:
+        As `import_splats`.
+    """
+    if not is_lod_file(wanted.path):
+        return read_splat_file(wanted.path)
+    if wanted.to_unit is None:
+        return read_lod(wanted.path, wanted.level, most=MOST_AT_ONCE)
+    found = read_lod(wanted.path, wanted.level or 0, to_unit=wanted.to_unit)
     if not len(found.splats):
-        raise ValueError(f"No splat of {path} lies in {cropped.gscore.crop_object.name}.")
+        raise ValueError(f"No splat of {wanted.path} lies in {wanted.crop}.")
     return found
 
 
-def _stand_like(ob: bpy.types.Object, other: bpy.types.Object) -> None:
-    """Put an object where another one of the same parent stands."""
-    ob.matrix_parent_inverse = other.matrix_parent_inverse
-    ob.matrix_basis = other.matrix_basis
-    if _IMPORT_MATRIX in other:
-        ob[_IMPORT_MATRIX] = list(other[_IMPORT_MATRIX])
+def settle(ob: bpy.types.Object, wanted: Wanted, *, antialiased: bool) -> None:
+    """Put the object of a file where it was wanted; under no parent where that is gone."""
+    if antialiased:
+        ob[ANTIALIAS] = True
+    uids = {other.session_uid: other for other in bpy.data.objects} if wanted.parent else {}
+    ob.parent = uids.get(wanted.parent)
+    if wanted.basis is not None:
+        ob.matrix_basis, ob.matrix_parent_inverse = wanted.basis
+        if wanted.stored:
+            ob[_IMPORT_MATRIX] = list(wanted.stored)
+    elif ob.parent is None:
+        turn_up(ob, wanted.up)
 
 
 def turn_up(ob: bpy.types.Object, up: str) -> None:

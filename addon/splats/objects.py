@@ -36,13 +36,36 @@ def create(
     """
     mesh = bpy.data.meshes.new(name)
     _fill(mesh, splats)
-    ob = bpy.data.objects.new(name, mesh)
+    return around(mesh, typical_size(splats), collection=collection, parent=parent)
+
+
+def typical_size(splats: Splats) -> float:
+    """Median of the largest standard deviations; 0 without splats."""
+    return float(np.exp(np.median(splats.scales.max(axis=1)))) if len(splats) else 0.0
+
+
+def around(
+    mesh: bpy.types.Mesh,
+    size: float,
+    *,
+    collection: bpy.types.Collection | None = None,
+    parent: bpy.types.Object | None = None,
+) -> bpy.types.Object:
+    """Make a splat object of a mesh that has the attributes.
+
+    Args:
+        mesh: Lends its name.
+        size: `typical_size` of its splats.
+        collection: As `create`.
+        parent: As `create`.
+    """
+    ob = bpy.data.objects.new(mesh.name, mesh)
     ob["gs_kind"] = KIND
     ob.parent = parent
     writable.taking([collection or bpy.context.collection])[0].objects.link(ob)
-    if len(splats):
+    if size:
         # Half the typical splat: points then neither merge nor vanish.
-        ob.gscore.point_size = 0.5 * float(np.exp(np.median(splats.scales.max(axis=1))))
+        ob.gscore.point_size = 0.5 * size
     settings.attach(ob)
     if live.SESSION.works:
         ob.gscore.display = "SPLATS"

@@ -17,8 +17,11 @@ from bpy_extras.io_utils import ExportHelper, ImportHelper
 from ..cameras.objects import root_of
 from ..compat import native_splat_type
 from ..core import LOD_ENDING, SPLAT_ENDINGS, GsError, collected_warnings
+from ..interface import writable
 from ..interface.operators import Acting, OnScene, make_active
+from ..interface.waiting import Waiting
 from . import edit, even_scale, files, native, settings
+from .arrival import Arrival
 from .objects import can_export, is_splats, meant
 
 _GLOB = ";".join(f"*{ending}" for ending in SPLAT_ENDINGS)
@@ -113,39 +116,88 @@ class ImportSplats(OnScene, bpy.types.Operator, ImportHelper):
         """Open the file browser, or the options of a file that was dropped."""
         return self.invoke_popup(context)
 
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Import: for a user in a window bit by bit, for a script or once more at once."""
+        called = self.options.is_invoke and not self.options.is_repeat
+        if bpy.app.background or context.window is None or not called:
+            return super().execute(context)
+        try:
+            writable.check(*self.changes(context))
+            self._arrival = Arrival(context, self._wanted(context))
+        except (ValueError, OSError) as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        self._waiting = Waiting(context, "Esc cancels")
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Go on with it; whatever else is pressed is for others."""
+        if event.type == "ESC" and event.value == "PRESS":
+            self.cancel(context)
+            self.report({"INFO"}, "The import is cancelled.")
+            return {"CANCELLED"}
+        if event.type != "TIMER" or bpy.app.is_job_running("RENDER"):
+            return {"PASS_THROUGH"}
+        try:
+            made = self._arrival.step()
+            if made is None:
+                self._waiting.tell(self._arrival.sentence)
+                return {"PASS_THROUGH"}
+            self._waiting.end()
+            told = self._show(context, made, self._arrival.warnings)
+        except ValueError as error:
+            self.cancel(context)
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        self.report({"INFO"}, told)
+        return {"FINISHED"}
+
+    def cancel(self, context: bpy.types.Context) -> None:
+        """Blender calls this where another file is opened, or it ends: leave nothing."""
+        if (arrival := getattr(self, "_arrival", None)) is not None:  # else it was the file browser
+            arrival.cancel()
+            self._waiting.end()
+
     def act(self, context: bpy.types.Context) -> str:
         """Import one or several files; none of them where one cannot be read."""
-        paths = [Path(self.directory, file.name) for file in self.files if file.name]
-        parent = root_of(context.object) if self.under_capture else None
         made: list[bpy.types.Object] = []
         try:
             with collected_warnings() as warnings:
-                for path in paths or [Path(self.filepath)]:
-                    made.append(self._one(context, path, parent))
+                for wanted in self._wanted(context):
+                    made.append(files.import_wanted(context, wanted))
         except (GsError, ValueError, OSError):
             for ob in made:
                 bpy.data.meshes.remove(ob.data)
             raise
-        self.warn(warnings)
-        for ob in context.selected_objects:
-            ob.select_set(False)
-        for ob in made:
-            ob.select_set(True)
-        context.view_layer.objects.active = made[-1]
-        total = sum(len(ob.data.vertices) for ob in made)
-        return f"Imported {total:,} splats from {len(made)} file(s)."
+        return self._show(context, made, warnings)
 
-    def _one(
-        self, context: bpy.types.Context, path: Path, parent: bpy.types.Object | None
-    ) -> bpy.types.Object:
-        """The object of a file."""
+    def _wanted(self, context: bpy.types.Context) -> list[files.Wanted]:
+        """What the properties say; ValueError where they ask for what there is not."""
+        paths = [Path(self.directory, file.name) for file in self.files if file.name]
+        parent = root_of(context.object) if self.under_capture else None
         cropped = meant(context) if self.in_crop else None
         if self.in_crop and not is_splats(cropped):
             raise ValueError("Select the splat object whose crop says what to import.")
         level = None if self.level < 0 else self.level
-        return files.import_splats(
-            context, path, parent=parent, up=self.up, level=level, cropped=cropped
-        )
+        return [
+            files.want(path, parent=parent, up=self.up, level=level, cropped=cropped)
+            for path in paths or [Path(self.filepath)]
+        ]
+
+    def _show(
+        self, context: bpy.types.Context, made: list[bpy.types.Object], warnings: list[str]
+    ) -> str:
+        """Select what was imported; what to tell the user."""
+        self.warn(warnings)
+        free = context.mode == "OBJECT"  # asked first, it has the view layer know the new objects
+        here = [ob for ob in made if ob.name in context.view_layer.objects]
+        if here and free:
+            make_active(context, here[-1])
+            for ob in here:
+                ob.select_set(True)
+        total = sum(len(ob.data.vertices) for ob in made)
+        return f"Imported {total:,} splats from {len(made)} file(s)."
 
 
 class ExportSplats(Acting, bpy.types.Operator, ExportHelper):

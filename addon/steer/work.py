@@ -11,11 +11,11 @@ from mathutils import Matrix
 from .. import attributes, preferences
 from ..interface import undo
 from ..job import display, guides, options, training
-from ..job.filling import Filling, replace
 from ..job.launch import begin, follow, launch
 from ..paths import capture_folder, output_folder
 from ..process import beat
 from ..splats import files, objects
+from ..splats.filling import Filling, replace
 from .job import RegionJob
 from .region import region_of
 from .registry import JOBS

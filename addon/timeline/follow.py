@@ -14,11 +14,11 @@ import numpy as np
 from bpy.app.handlers import persistent
 
 from ..core import GsError
-from ..job.filling import Filling
 from ..job.loader import Loaded
 from ..process import beat
 from ..process.background import Task
 from ..splats import live, objects
+from ..splats.filling import Filling
 from . import mesh, settings
 from .library import LIBRARY, Frame
 from .moment import Moment, moment_of

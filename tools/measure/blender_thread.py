@@ -81,9 +81,10 @@ def training(options: argparse.Namespace) -> None:
 
 def arrival(count: int) -> None:
     """Steps in which many splats are handed over."""
+    from addon.attributes import NO_SPLATS
     from addon.core import Splats, write_splats
-    from addon.job import display, filling, loader
-    from addon.splats import objects
+    from addon.job import loader
+    from addon.splats import filling, objects
 
     rng = np.random.default_rng(0)
 
@@ -107,7 +108,7 @@ def arrival(count: int) -> None:
         time.sleep(0.01)
     loaded = reader.take()
     assert loaded is not None
-    ob = objects.create(display.EMPTY, "many")
+    ob = objects.create(NO_SPLATS, "many")
     steps, mesh, hand = [], None, filling.Filling(loaded)
     while mesh is None:
         start = time.perf_counter()

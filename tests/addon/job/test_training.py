@@ -18,10 +18,11 @@ from addon import job as job_api
 from addon import preferences
 from addon.cameras.captures import import_capture
 from addon.core import write_splats
-from addon.job import display, filling, registry, session, training
+from addon.job import display, registry, session, training
 from addon.job.job import Job
 from addon.paths import output_folder
 from addon.process import beat
+from addon.splats import filling
 from addon.stored_paths import RUN
 from tests.addon.fake_trainer import CONFIG, STARTED, fake_python, finish, step
 from tests.addon.trainings import positions, splats, until

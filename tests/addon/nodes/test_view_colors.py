@@ -9,8 +9,7 @@ from mathutils import Matrix
 
 from addon import attributes
 from addon.core import Splats
-from addon.job import filling
-from addon.splats import objects
+from addon.splats import filling, objects
 from tests.addon import splat_scenes
 
 PLACES = {

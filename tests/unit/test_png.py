@@ -7,8 +7,8 @@ import pytest
 from PIL import Image
 
 from gscore.errors import ShapeError
-from gscore.io.pictures.gray_png import gray_png
 from gscore.io.pictures.images import read_mask
+from gscore.io.pictures.png import gray_png, rgba_png
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (7, 5), (300, 201)])
@@ -31,3 +31,17 @@ def test_what_is_no_grey_picture(wrong: np.ndarray) -> None:
     """Oracle: three axes, floats, no pixels."""
     with pytest.raises(ShapeError, match="grey picture"):
         gray_png(wrong)
+
+
+@pytest.mark.parametrize("packed", [True, False])
+def test_colours_and_opacity(tmp_path: Path, packed: bool) -> None:
+    """Oracle: Pillow's decoder; levels as they were, those of transparent pixels too."""
+    pixels = np.random.default_rng(1).integers(0, 256, (7, 5, 4)).astype(np.uint8)
+    pixels[:2, :, 3] = 0
+    (tmp_path / "a.png").write_bytes(rgba_png(pixels, packed=packed))
+    with Image.open(tmp_path / "a.png") as image:
+        assert image.mode == "RGBA"
+        assert np.array_equal(np.asarray(image), pixels)
+    for wrong in (pixels[..., :3], pixels.astype(np.float32), pixels[:0]):
+        with pytest.raises(ShapeError, match="uint8"):
+            rgba_png(wrong)

@@ -6,38 +6,73 @@ place of the old one at once.
 
 import time
 import uuid
+from typing import Generic, Protocol, TypeVar
 
 import bpy
+import numpy as np
 
 from .. import attributes
-from ..splats import objects
-from .loader import Loaded
+from . import objects
 
 BUDGET = 0.008
 """Seconds of a beat in which attributes are begun; the last one may take as long again."""
 _MARK = "gs_filling"
 
 
-class Filling:
+class Ready(Protocol):
+    """Splats as Blender takes them."""
+
+    @property
+    def count(self) -> int:
+        """How many."""
+        ...
+
+    @property
+    def columns(self) -> tuple[tuple[str, str, np.ndarray], ...]:
+        """As `attributes.columns`."""
+        ...
+
+
+ReadyT = TypeVar("ReadyT", bound=Ready)
+
+
+class Filling(Generic[ReadyT]):
     """A mesh on its way. It is looked up anew at each step: undo, or another file, may take it."""
 
-    def __init__(self, loaded: Loaded) -> None:
+    def __init__(self, loaded: ReadyT) -> None:
         self.loaded = loaded
         self._mark = uuid.uuid4().hex
         self._name = ""
         self._next = 0
 
     def step(self) -> bpy.types.Mesh | None:
-        """Fill some more; the mesh once it is complete."""
+        """Fill some more; the mesh once it is complete, which then is the caller's."""
+        return self.take() if self.fill() else None
+
+    @property
+    def share(self) -> float:
+        """How much of it is filled, 0 to 1."""
+        return self._next / max(len(self.loaded.columns), 1)
+
+    def fill(self) -> bool:
+        """Fill some more; whether it is complete."""
         mesh = self._mesh()
         until = time.perf_counter() + BUDGET
         while self._next < len(self.loaded.columns):
             name, kind, values = self.loaded.columns[self._next]
-            attributes.declare(mesh, name, kind)
+            if name not in mesh.attributes:
+                attributes.declare(mesh, name, kind)
+                if time.perf_counter() > until:
+                    return False
             attributes.fill(mesh, name, kind, values)
             self._next += 1
             if time.perf_counter() > until:
-                return None
+                return False
+        return True
+
+    def take(self) -> bpy.types.Mesh:
+        """The complete mesh, which from now on is the caller's."""
+        mesh = self._mesh()
         del mesh[_MARK]
         mesh.update()
         return mesh

@@ -1,0 +1,134 @@
+"""Imports that come bit by bit; oracle: the same files imported at once."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+
+from addon.core import Splats, write_splats
+from addon.splats import arrival, files, filling, objects
+from addon.splats.arrival import Arrival
+
+FIELDS = ("means", "quats", "scales", "opacities", "sh0", "shN")
+
+
+@pytest.fixture(autouse=True)
+def small_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One attribute, or one node group, a step."""
+    monkeypatch.setattr(filling, "BUDGET", 0.0)
+    monkeypatch.setattr(arrival, "BUDGET", 0.0)
+
+
+@pytest.fixture
+def paths(tmp_path: Path, make_splats: Callable[..., Splats]) -> list[Path]:
+    """Two files of different numbers and degrees."""
+    write_splats(tmp_path / "chair.ply", make_splats(300))
+    write_splats(tmp_path / "table.ply", make_splats(200, rest=3, seed=1))
+    return [tmp_path / "chair.ply", tmp_path / "table.ply"]
+
+
+def begun(paths: list[Path], **options: object) -> Arrival:
+    """An import whose files are read."""
+    made = Arrival(bpy.context, [files.want(path, **options) for path in paths])
+    assert made._task.wait(20)
+    return made
+
+
+def finished(coming: Arrival) -> list[bpy.types.Object]:
+    """Its objects."""
+    for _ in range(200):
+        made = coming.step()
+        if made is not None:
+            return made
+    raise AssertionError("it never ends")
+
+
+def until_filling(coming: Arrival) -> bpy.types.Mesh:
+    """The mesh that is half filled."""
+    while coming._fillings is None or coming._fillings[0].share < 0.5:
+        assert coming.step() is None
+    return next(mesh for mesh in bpy.data.meshes if "gs_filling" in mesh)
+
+
+def same(one: bpy.types.Object, other: bpy.types.Object) -> None:
+    """Raise unless two objects hold the same splats at the same place."""
+    got, wanted = objects.read(one), objects.read(other)
+    for name in FIELDS:
+        np.testing.assert_array_equal(getattr(got, name), getattr(wanted, name))
+    assert one.matrix_basis == other.matrix_basis
+    assert one.gscore.point_size == other.gscore.point_size
+    assert one.parent == other.parent
+
+
+@pytest.mark.parametrize("up", ["-Y", "Z"])
+def test_as_at_once(scene: bpy.types.Scene, paths: list[Path], up: str) -> None:
+    """Oracle: `import_splats`, to the bit; and nothing half made in the file meanwhile."""
+    coming = begun(paths, up=up)
+    assert "table.ply" in coming.sentence
+    until_filling(coming)
+    assert not bpy.data.objects and "500 splats" in coming.sentence
+    made = finished(coming)
+    assert [ob.name for ob in made] == [ob.data.name for ob in made] == ["chair", "table"]
+    assert not any("gs_filling" in mesh for mesh in bpy.data.meshes)
+    for ob, path in zip(made, paths, strict=True):
+        same(ob, files.import_splats(bpy.context, path, up=up))
+
+
+def test_all_or_none(scene: bpy.types.Scene, paths: list[Path]) -> None:
+    """Oracle: an empty file, and a sentence with the name of the broken one."""
+    paths[1].write_bytes(paths[1].read_bytes()[:-100])
+    with pytest.raises(ValueError, match=r"table\.ply is a truncated"):
+        finished(begun(paths))
+    paths[1].unlink()
+    with pytest.raises(ValueError, match=r"table\.ply"):
+        finished(begun(paths))
+    assert not bpy.data.objects and not bpy.data.meshes
+
+
+def test_what_undo_takes_comes_again(scene: bpy.types.Scene, paths: list[Path]) -> None:
+    """Oracle: `import_splats`; undo takes meshes that no object has, complete ones too."""
+    coming = begun(paths)
+    bpy.data.meshes.remove(until_filling(coming))
+    while coming._fillings[1].share < 0.5:
+        assert coming.step() is None
+    for mesh in list(bpy.data.meshes):
+        bpy.data.meshes.remove(mesh)
+    for ob, path in zip(finished(coming), paths, strict=True):
+        same(ob, files.import_splats(bpy.context, path))
+
+
+def test_cancelled(scene: bpy.types.Scene, paths: list[Path]) -> None:
+    """Oracle: a file as it was, whether it was reading or filling."""
+    coming = begun(paths)
+    until_filling(coming)
+    coming.cancel()
+    Arrival(bpy.context, [files.want(paths[0])]).cancel()
+    assert not bpy.data.objects and not bpy.data.meshes
+
+
+def test_what_is_gone_meanwhile(scene: bpy.types.Scene, paths: list[Path]) -> None:
+    """Oracle: Blender's data: no parent, and the scene's own collection; without the scene none."""
+    parent = bpy.data.objects.new("capture", None)
+    own = bpy.data.collections.new("own")
+    scene.collection.objects.link(parent)
+    scene.collection.children.link(own)
+    layer = bpy.context.view_layer
+    layer.active_layer_collection = layer.layer_collection.children["own"]
+    coming = begun(paths[:1], parent=parent)
+    bpy.data.objects.remove(parent)
+    bpy.data.collections.remove(own)
+    ob = finished(coming)[0]
+    assert ob.parent is None and ob.users_collection == (scene.collection,)
+    assert "chair" in coming.warnings[0] and "gone" in coming.warnings[0]
+    same(ob, files.import_splats(bpy.context, paths[0]))
+
+    other = bpy.data.scenes.new("other")
+    with bpy.context.temp_override(scene=other, view_layer=other.view_layers[0]):
+        coming = begun(paths[:1])
+    bpy.data.scenes.remove(other)
+    meshes = len(bpy.data.meshes)
+    with pytest.raises(ValueError, match="scene"):
+        finished(coming)
+    assert len(bpy.data.meshes) == meshes
