@@ -34,7 +34,7 @@ class SequenceOptions:
     )
     keyframe_every: int = option(
         0,
-        "Every so manieth frame is a keyframe, trained like the first. From each, frames go on up "
+        "Every how many frames one is a keyframe, trained like the first. From each, frames go on "
         "to the next by themselves, so several processes can take them in turn. 0: the first only.",
         group="sequence",
         range=Range(),

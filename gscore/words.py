@@ -57,6 +57,17 @@ def quality_words(metrics: Mapping[str, Any]) -> str:
     return ", ".join(parts)
 
 
+def colour_words(metrics: Mapping[str, Any]) -> str:
+    """PSNR once colours are matched, to put behind `quality_words`; empty: it was not measured."""
+    worth = metrics.get("psnr_cc")
+    return "" if worth is None else f", colour-corrected PSNR {worth:.2f} dB"
+
+
+def learnt_exposure(metrics: Mapping[str, Any]) -> bool:
+    """Whether the training of a metrics.json learnt how each photo was exposed."""
+    return bool((metrics.get("exposure") or {}).get("learnt"))
+
+
 def psnr_name(metrics: Mapping[str, Any]) -> str:
     """What `judged_psnr` is called: where masks hide pixels, it is that of the others."""
     return "PSNR inside the masks" if "psnr_masked" in metrics else "PSNR"

@@ -25,7 +25,7 @@ from ..report import PictureCollector, cameras_section, splat_histograms, write_
 from ..report.error_map import brightest, error_map
 from ..report.page_link import link_page
 from ..scene import Cameras
-from ..words import count_words, psnr_name, quality_words
+from ..words import colour_words, count_words, psnr_name, quality_words
 from .given.data_options import add_data_options, with_data_options
 from .given.model import GivenModel, add_model_argument, model_path, open_model
 from .parser import add_threads_option
@@ -322,9 +322,8 @@ def _summary(metrics: dict[str, Any], output: Path) -> str:
     views = count_words(len(metrics["views"]), held)
     why = metrics.get("psnr_masked_reason") or metrics.get("psnr_reason", "")
     worth = quality_words(metrics) or f"no PSNR ({why})"
-    if metrics.get("psnr_cc") is not None:
-        worth += f", colour-corrected PSNR {metrics['psnr_cc']:.2f} dB"
-    text = f"{views}: {worth}\nResults: {output / 'metrics.json'}, {output / 'report.html'}"
+    text = f"{views}: {worth}{colour_words(metrics)}\n"
+    text += f"Results: {output / 'metrics.json'}, {output / 'report.html'}"
     if "error_map" in metrics:
         text += f"\nErrors on the splats: {metrics['error_map']}, brightest from "
         text += f"{metrics['error_bright']:.3f} on"

@@ -14,7 +14,7 @@ from ..errors import ConfigError
 from ..events import CONVERGED, ENDED, FINISHED, TARGET, Show, Warn
 from ..io.places import check_place
 from ..io.runs import others_in_run
-from ..words import count_words, quality_words, size_words
+from ..words import colour_words, count_words, learnt_exposure, quality_words, size_words
 from .block_runs import train_blocks, wants_blocks
 from .cameras import is_finding, with_cameras
 from .given.data_options import add_data_options, with_data_options
@@ -234,6 +234,7 @@ def _summary(result: "TrainResult", config: TrainConfig) -> str:
     ]
     if worth := quality_words(metrics):
         view = "test view" if metrics["split"] == "test" else "training view"
+        worth += colour_words(metrics) if learnt_exposure(metrics) else ""
         lines.append(f"{count_words(len(metrics['views']), view)}: {worth}")
     if config.target_psnr and result.reason in (FINISHED, CONVERGED):
         lines.append(f"The {config.target_psnr:g} dB asked for were not reached.")

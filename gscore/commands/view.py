@@ -176,5 +176,8 @@ def _summary(result: dict[str, Any]) -> str:
         f"{result['bytes_per_splat']:.1f} bytes a splat."
     )
     if result["packing_psnr"] is not None:
-        text += f"\nRenders of the packed splats differ by {result['packing_psnr']:.1f} dB."
+        text += (
+            f"\nPictures of the packed splats are {result['packing_psnr']:.1f} dB from those "
+            "of the originals."
+        )
     return f"{text}\nOpen it in a browser, or send it: it needs nothing else."

@@ -112,7 +112,7 @@ def _notes(splats: Splats, order: np.ndarray) -> list[str]:
     wide = int((np.abs(splats.shN) > _REACH).any(axis=(1, 2)).sum())
     if wide:
         notes.append(
-            f"{count_words(wide, 'splat')} had SH coefficients beyond -4 to 4, and got its ends."
+            f"{count_words(wide, 'splat')} had SH coefficients beyond -4 to 4, cut to that."
         )
     return notes
 

@@ -84,7 +84,7 @@ def colors_note(sh0: np.ndarray, low: float, high: float, name: str) -> str:
     )
     return (
         f"{count_words(beyond, 'splat')} had colours darker or brighter than {name} holds, {ends}, "
-        f"and got its ends."
+        f"and were cut to that."
     )
 
 

@@ -276,13 +276,13 @@ def _clamped(splats: Splats) -> list[str]:
     if beyond:
         notes.append(
             f"{count_words(beyond, 'splat')} had a size outside of SPZ's range, e^-10 to e^5.9, "
-            f"and got its end."
+            f"and were cut to that."
         )
     wide = int((np.abs(splats.shN) > 1.004).any(axis=(1, 2)).sum())
     if wide:
         notes.append(
             f"{count_words(wide, 'splat')} had SH coefficients beyond -1 to 1, which SPZ holds, "
-            f"and got its ends."
+            f"and were cut to that."
         )
     return notes
 

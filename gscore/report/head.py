@@ -7,7 +7,7 @@ from typing import Any
 
 from ..events import CONVERGED, FINISHED, TARGET, judged_psnr
 from ..metrics.named import NAMED_METRICS, NamedMetric
-from ..words import count_words, number, size_words, time_words
+from ..words import count_words, learnt_exposure, number, size_words, time_words
 
 TIMES = "\u00d7"
 _MASKED = "psnr_masked"
@@ -162,6 +162,14 @@ def meaning_html(metrics: dict[str, Any], depth_command: str = "") -> str:
     gap = trained - held_out
     if gap < FAR_ABOVE:
         return ""
+    matched = metrics.get("psnr_cc") if learnt_exposure(metrics) else None
+    if matched is not None and trained - matched < FAR_ABOVE:
+        return (
+            '<section class="meaning"><h2>What this means</h2>'
+            f"<p>Training views reach {trained:.1f} dB, held-out views {held_out:.1f} dB, and "
+            f"{matched:.1f} dB with their colours matched to the photos: these are exposed "
+            f"differently, and that is most of the gap.</p><p>{EXPOSED}</p></section>\n"
+        )
     maps = html.escape(depth_command or "gscore depth")
     return (
         '<section class="meaning"><h2>What this means</h2>'
@@ -174,11 +182,6 @@ def meaning_html(metrics: dict[str, Any], depth_command: str = "") -> str:
         "(<code>--max-splats</code>). If single views below are far worse than the others, look "
         "at their cameras and photos first.</p></section>\n"
     )
-
-
-def learnt_exposure(metrics: dict[str, Any]) -> bool:
-    """Whether the training learnt how each photo was exposed."""
-    return bool((metrics.get("exposure") or {}).get("learnt"))
 
 
 def _trained_psnr(metrics: dict[str, Any]) -> float | None:

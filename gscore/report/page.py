@@ -11,12 +11,12 @@ import numpy as np
 
 from ..events import judged_psnr
 from ..metrics.named import NAMED_METRICS, NamedMetric
-from ..words import count_words, number_words, psnr_name, size_words
+from ..words import count_words, learnt_exposure, number_words, psnr_name, size_words
 from .cameras_plan import CamerasSection, cameras_html
 from .colormap import colorize
 from .curves import Mark, Series, clean_points, legend, line_chart
 from .depth import DepthSection, depth_html
-from .head import EXPOSED, TIMES, head_html, learnt_exposure, meaning_html, tiles_html
+from .head import EXPOSED, TIMES, head_html, meaning_html, tiles_html
 from .histograms import Histogram, histograms_html
 from .html_parts import AXES, switch, warnings_html, whole_page, write_html
 from .page_link import SEAM

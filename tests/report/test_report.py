@@ -138,6 +138,19 @@ def test_figures_of_exposed_and_neutral_pictures_are_told_apart(run):
     assert report_html(content).count("exposed as it is") == 2
 
 
+def test_a_gap_that_is_exposure_is_told_so(run):
+    """Oracle: matched colours are within the limit of the training views, or are not; and are not
+    asked where photos were taken as they are."""
+    content = run(split="test")
+    content.metrics["history"][-1]["psnr"] = 30.0
+    for learnt, matched, told in ((True, 27.5, True), (True, 20.0, False), (False, 27.5, False)):
+        numbers = {"psnr": 19.0, "psnr_cc": matched, "exposure": {"learnt": learnt}}
+        content.metrics.update(numbers)
+        shown = Page(report_html(content)).shown
+        assert ("and 27.5 dB with their colours matched" in shown) is told
+        assert ("fit the photos better than the scene" in shown) is not told
+
+
 def test_few_photos_are_told_how_to_get_maps(run):
     """Oracle: the command given, as HTML."""
     content = replace(run(split="test"), depth_command="gscore depth 'run/<capture>' --hold-out 8")

@@ -85,7 +85,7 @@ def learns_exposure(mode: Switch, apart: float, farthest: float, *, known: str) 
         farthest: The largest of these.
         known: By what they are known; empty: they are not.
     """
-    fact = f"{apart:.2f} stops, {farthest:.1f} at most, by {known}"
+    fact = f"{apart:.2f} stops apart, the farthest {farthest:.1f}, by {known}"
     if mode is Switch.ON:
         return True, f"The exposure of each photo is learnt ({fact if known else 'asked for'})."
     if not known:
@@ -95,8 +95,8 @@ def learns_exposure(mode: Switch, apart: float, farthest: float, *, known: str) 
         )
     if apart < LEAST_STOPS and farthest < FAR_STOPS:
         return False, (
-            f"Photos side by side are exposed alike ({fact}), so their colours are taken as they "
-            "are."
+            f"Photos side by side are exposed much alike ({fact}), so their colours are taken as "
+            "they are."
         )
     return True, (
         f"Photos side by side are exposed differently ({fact}), so the exposure of each is learnt; "
