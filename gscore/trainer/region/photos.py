@@ -1,5 +1,6 @@
 """A capture as far as it sees a region: its photos, and the pixels by which a region is judged."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -8,6 +9,10 @@ from ...datasets import Dataset
 from ...errors import ConfigError, DatasetError
 from ...words import number
 from .box import Box
+
+
+_COARSE = 400
+"""Pixels of the longer side at which a view must show something of the box."""
 
 
 class RegionPhotos(Dataset):
@@ -32,17 +37,19 @@ class RegionPhotos(Dataset):
                 f"None of the {number(len(points))} points of the capture lies in the region. Is "
                 "it a box in the world of the capture?"
             )
-        cameras = whole.scene.cameras
+        cameras: Any = whole.scene.cameras
 
-        def seen(index: int) -> bool:
+        def seen(index: int, *, alone: bool) -> bool:
+            """Whether a view may see the box; where the box alone counts, whether it does."""
             size = int(cameras.widths[index]), int(cameras.heights[index])
-            return box.may_be_seen(cameras.Ks[index], cameras.viewmats[index], *size, near)
+            camera = cameras.Ks[index], cameras.viewmats[index], *size
+            return box.may_be_seen(*camera, near) and (not alone or _shows(box, *camera))
 
         super().__init__(
             scene=whole.scene,
             files=list(whole.files),
-            train=[i for i in whole.train if seen(i)],
-            test=[i for i in whole.test if seen(i)],
+            train=[i for i in whole.train if seen(i, alone=narrow)],
+            test=[i for i in whole.test if seen(i, alone=True)],
             mask_mode="ignore" if whole.mask_mode == "none" else whole.mask_mode,
             source=whole.source,
         )
@@ -65,3 +72,11 @@ class RegionPhotos(Dataset):
         inside = self._box.outline(cameras.Ks[index], cameras.viewmats[index], *size)
         inside = inside.astype(np.uint8) * 255
         return inside if own is None else np.minimum(own, inside)
+
+
+def _shows(box: Box, K: np.ndarray, viewmat: np.ndarray, width: int, height: int) -> bool:
+    """Whether the middle of a coarse pixel looks at the box."""
+    shrink = min(1.0, _COARSE / max(width, height))
+    coarse = np.diag([shrink, shrink, 1.0]) @ K
+    size = math.ceil(width * shrink), math.ceil(height * shrink)
+    return bool(box.outline(coarse, viewmat, *size).any())

@@ -219,6 +219,26 @@ def test_photos_that_do_not_see_a_region_are_left_out(capture: Path) -> None:
         RegionPhotos(dataset, Box(box), near=0.01)
 
 
+def test_views_that_look_past_a_region_do_not_judge_it(capture: Path) -> None:
+    """Oracle: long thin boxes that pass a corner of a held-out picture; none of its pixels looks at
+    them, though no side of the picture has them beyond it."""
+    dataset = load_dataset(DataConfig(source=capture, eval=True))
+    cameras, rng, past = dataset.scene.cameras, np.random.default_rng(0), 0
+    for _ in range(300):
+        matrix = np.eye(4)
+        matrix[:3, :3] = np.linalg.qr(rng.normal(size=(3, 3)))[0] * (4.0, 0.02, 0.02)
+        matrix[:3, 3] = rng.uniform(-3, 3, 3)
+        box, one = Box(matrix), dataset.test[0]
+        size = int(cameras.widths[one]), int(cameras.heights[one])
+        camera = cameras.Ks[one], cameras.viewmats[one], *size
+        if not box.may_be_seen(*camera, 0.01):
+            continue
+        seen = box.outline(*camera).any()
+        past += not seen
+        assert (one in RegionPhotos(dataset, box, near=0.01).test) == seen
+    assert past >= 10
+
+
 def test_a_region_is_judged_by_its_own_pixels(
     capture: Path, start: Path, region: Path, tmp_path: Path
 ) -> None:
