@@ -41,7 +41,8 @@ class _Part:
     needed: bool
     """Without it there is no training."""
     offered: bool = True
-    """Whether it belongs to what one installs when it is missing; bpy fits one Python only."""
+    """Whether it belongs to what one installs when it is missing: few need what has an extra of its
+    own, and bpy fits one Python only."""
 
 
 _PARTS = (
@@ -53,7 +54,13 @@ _PARTS = (
     _Part("safetensors", "safetensors", "checkpoints", True),
     _Part("pycolmap", "pycolmap", "photos with lens distortion", True),
     _Part("onnxruntime", "onnxruntime", "LPIPS and predicting depth", False),
+    _Part("OpenEXR", "OpenEXR", "depth maps in OpenEXR files", False),
     _Part("av", "av", "MP4 files", False),
+    _Part("zstandard", "zstandard", "SPZ files of version 4", False),
+    _Part("huggingface_hub", "huggingface_hub", "fetching depth networks by name", False),
+    _Part("pillow_heif", "pillow-heif", "HEIC photos, the extra heic", False, offered=False),
+    _Part("pxr", "usd-core", "USD files, the extra usd", False, offered=False),
+    _Part("lpips", "lpips", "LPIPS as papers have it, the extra lpips-torch", False, offered=False),
     _Part("bpy", "bpy", "Blender as a Python module, the extra blender", False, offered=False),
 )
 

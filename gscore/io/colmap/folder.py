@@ -31,7 +31,10 @@ __all__ = [
 ]
 
 
-_ADVICE = "Give the folder above `sparse`, or one with photos, whose cameras `gscore sfm` finds."
+_ADVICE = (
+    "Give the folder above `sparse`. Of photos alone `gscore sfm` finds the cameras; a training that "
+    "found them keeps them in the folder `capture` of its output."
+)
 
 
 def has_model(folder: Path) -> bool:
