@@ -32,8 +32,8 @@ __all__ = [
 
 
 _ADVICE = (
-    "Give the folder above `sparse`. Of photos alone `gscore sfm` finds the cameras; a training that "
-    "found them keeps them in the folder `capture` of its output."
+    "Give the folder above `sparse`. Of photos alone `gscore sfm` finds the cameras; a training "
+    "that found them keeps them in the folder `capture` of its output."
 )
 
 

@@ -10,7 +10,6 @@ from ...errors import ConfigError, DatasetError
 from ...words import number
 from .box import Box
 
-
 _COARSE = 400
 """Pixels of the longer side at which a view must show something of the box."""
 
