@@ -1,9 +1,11 @@
 """What a capture holds, in words for the panel, and what Blender makes of it; no bpy."""
 
+from collections import Counter
+from collections.abc import Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
 
-from ..core import CaptureFacts, DataConfig, Problem, find_capture, inspect_capture
+from ..core import NO_PINHOLE, CaptureFacts, DataConfig, Problem, find_capture, inspect_capture
 from .depth_maps import DepthReport, from_table
 
 DEPTHS = "depths"
@@ -30,7 +32,7 @@ class ShownFacts(CaptureFacts):
             (self.kind, str(self.model or self.source)),
             ("Photos", f"{self.photos} of {self.photos + len(self.missing)}"),
             ("Size", sizes[0] if len(sizes) == 1 else f"{len(sizes)} different"),
-            ("Cameras", ", ".join(f"{n} {name}" for name, n in self.camera_models.items())),
+            ("Cameras", ", ".join(_lenses(self.camera_models))),
             ("Points", f"{self.points:,}"),
         ]
         masks = f"{self.masks} files" if self.masks else f"{self.alphas} photos with alpha"
@@ -39,6 +41,23 @@ class ShownFacts(CaptureFacts):
         if self.depths or self.depth_params:
             rows.append(("Depths", f"{self.depths} maps, {self.depth_params} scales"))
         return rows
+
+
+def _lenses(models: Mapping[str, int]) -> Iterator[str]:
+    """How many cameras there are of each kind of lens; without a word those that bend no line."""
+    counts = Counter[str]()
+    for name, count in models.items():
+        counts[_kind_of(name)] += count
+    return (f"{count} {kind}".rstrip() for kind, count in counts.items())
+
+
+def _kind_of(model: str) -> str:
+    """The kind of lens of one of COLMAP's camera models, in words."""
+    if model in NO_PINHOLE:
+        return "panoramic"
+    if model.endswith("FISHEYE"):
+        return "fisheye"
+    return "" if model.endswith("PINHOLE") else "with lens distortion"
 
 
 def inspect(
@@ -70,10 +89,9 @@ def _of_blender(found: CaptureFacts) -> list[str]:
             f"them; Blender's camera backgrounds do not."
         )
     if found.distorted:
-        kinds = ", ".join(f"{n} {name}" for name, n in found.distorted.items())
         notes.append(
-            f"The photos have lens distortion ({kinds}). Training removes it; Blender's "
-            f"cameras have the undistorted lens, so background photos fit only near the middle."
+            "The photos have lens distortion. Training removes it; Blender's cameras have the "
+            "undistorted lens, so background photos fit only near the middle."
         )
     if found.not_square:
         notes.append(

@@ -6,6 +6,7 @@ from typing import Any
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
 
 from ..core import DataConfig, SequenceOptions, TrainConfig, options_of
+from ..interface.flags import LABELS
 
 Config = DataConfig | TrainConfig | SequenceOptions
 """Has options."""
@@ -24,6 +25,7 @@ def declared(config: Config, name: str, label: str, **facts: Any) -> Any:
         label: Its name in the panel.
         **facts: What else `bpy.props` takes, or takes otherwise; `items` of choices.
     """
+    LABELS[name] = label
     one = options_of(type(config))[name]
     value = getattr(config, name)
     given = {"name": label, "description": describe(one.text, short=bool(one.choices))}

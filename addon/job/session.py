@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, get_origin
 
@@ -23,6 +23,7 @@ from ..core import (
     from_line,
     judged_psnr,
 )
+from ..interface.flags import panel_words
 from .curve import LossCurve
 
 BUDGET = 0.005
@@ -53,6 +54,8 @@ def read_event(line: str) -> Event | None:
         kinds = (int, float, type(None)) if kind is float else kind
         if isinstance(value, bool) != (kind is bool) or not isinstance(value, kinds):
             return None
+    if isinstance(event, Warn | Failed):
+        return replace(event, message=panel_words(event.message))
     return event
 
 

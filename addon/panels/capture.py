@@ -3,6 +3,7 @@
 import bpy
 
 from ..capture.inspection import ShownFacts
+from ..interface.flags import panel_words
 from ..job import facts
 from ..search import work
 from .widgets import TabPanel, has_python, rows, sentence
@@ -34,7 +35,7 @@ class CapturePanel(TabPanel, bpy.types.Panel):
             rows(layout, [(k, v) for k, v in found.lines() if k != found.kind])
             for item in found.problems:
                 icon = "ERROR" if item.is_error else "INFO"
-                sentence(layout, context, item.text, icon=icon)
+                sentence(layout, context, panel_words(item.text), icon=icon)
             if found.can_train:
                 layout.label(text=f"Good to train on ({found.kind})", icon="CHECKMARK")
             if found.bare:

@@ -49,6 +49,7 @@ def test_studio() -> None:
     assert facts.can_train and facts.problems == ()
     rows = dict(facts.lines())
     assert rows["Photos"] == "60 of 60" and rows["Size"] == "480 x 640 px"
+    assert rows["Cameras"] == "60"
     assert rows["Points"] == "6,725" and rows["Depths"] == "60 maps, 60 scales"
 
 
@@ -174,7 +175,8 @@ def test_cameras_and_points(tmp_path: Path) -> None:
     write_capture(tmp_path, np.random.default_rng(0), points=20)
     facts = inspect(tmp_path)
     notes = texts(facts, False)
-    assert "2 OPENCV, 2 SIMPLE_RADIAL" in notes
+    assert "lens distortion" in notes
+    assert "4 with lens distortion" in dict(facts.lines())["Cameras"]
     assert "not square" in notes and "40.2%" in notes
     assert "Only 20 SfM points" in notes
     write_capture(tmp_path, np.random.default_rng(0), points=0)

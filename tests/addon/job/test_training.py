@@ -99,7 +99,7 @@ def test_the_display_is_built_bit_by_bit(
     job._process.send("go")
     write_splats(tmp_path / "out" / "point_cloud.ply", splats(10))
     assert training.wait_for(job, timeout=20) and studio.gscore.result is not None
-    assert set(bpy.data.node_groups) == built and len(built) == 8
+    assert set(bpy.data.node_groups) == built and len(built) == 9
 
 
 @pytest.mark.parametrize("stated", [False, True])

@@ -1,0 +1,20 @@
+"""Flags of the command line in gscore's sentences, as the names that they have in the panels."""
+
+import re
+
+LABELS: dict[str, str] = {}
+"""Option to its name in a panel; `declared` notes them."""
+_FLAG = re.compile(r"(?<![\w/-])--([a-z][a-z0-9-]*)(?: (on|off|auto|none|ignore|composite)\b)?")
+
+
+def panel_words(sentence: str) -> str:
+    """`sentence` with the names of panels for flags; those that no panel has become options."""
+    return _FLAG.sub(_label, sentence)
+
+
+def _label(found: re.Match[str]) -> str:
+    flag, value = found.groups()
+    label = LABELS.get(flag.replace("-", "_"))
+    if label is None:
+        return f"the option {flag.replace('-', ' ')}" + (f" ({value})" if value else "")
+    return f'"{label}: {value.capitalize()}"' if value else f'"{label}"'

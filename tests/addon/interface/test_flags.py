@@ -1,0 +1,32 @@
+"""Sentences of the trainer in a panel: no flag of the command line is left."""
+
+import bpy
+import pytest
+
+from addon.interface.flags import panel_words
+from addon.job.session import read_event
+from gscore.events import Failed, Warn, to_line
+
+
+@pytest.mark.parametrize(
+    ("said", "shown"),
+    [
+        ("Not used; --depth-mode on uses it.", 'Not used; "Use Depth: On" uses it.'),
+        ("Give fewer --max-splats.", 'Give fewer "Most Splats".'),
+        ("--exposure off takes colours as they are.", "the option exposure (off) takes"),
+        ("/tmp/a--b and x-- y stay", "/tmp/a--b and x-- y stay"),
+    ],
+)
+def test_names_of_panels(scene: bpy.types.Scene, said: str, shown: str) -> None:
+    """Oracle: the names as the panel's own properties have them."""
+    assert scene.gscore.bl_rna.properties["depth_mode"].name == "Use Depth"
+    assert scene.gscore.bl_rna.properties["max_splats"].name == "Most Splats"
+    assert panel_words(said).startswith(shown)
+
+
+def test_warnings_and_failures_of_a_process(scene: bpy.types.Scene) -> None:
+    """Oracle: lines as the trainer writes them."""
+    warned = read_event(to_line(Warn(message="Try --depth-mode off.", code="depth")))
+    assert isinstance(warned, Warn) and warned.message == 'Try "Use Depth: Off".'
+    failed = read_event(to_line(Failed(message="Needs --max-splats.")))
+    assert isinstance(failed, Failed) and failed.message == 'Needs "Most Splats".'
