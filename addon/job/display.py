@@ -11,7 +11,7 @@ import numpy as np
 
 from .. import outcomes, preferences, stored_paths
 from ..attributes import NO_SPLATS
-from ..cameras.objects import is_kind, note_moves
+from ..cameras.objects import is_kind, note_moves, points_of
 from ..capture.folders import same_folder
 from ..interface import undo, writable
 from ..paths import absolute, output_folder
@@ -185,6 +185,8 @@ def _remove_discarded(job: Job, place: Place) -> bool:
     bpy.data.objects.remove(ob)
     if mesh.users == 0:
         bpy.data.meshes.remove(mesh)
+    if (root := _root(place.scene, job.source)) is not None:
+        _hide_points(place.scene, root, False)
     undo.push("Discard Training")
     return True
 
@@ -221,8 +223,11 @@ def _update_splats(job: Job, place: Place) -> bool:
         replace(ob, mesh)
         ob[_FILLED], ob[_FILLED_BY] = signature(ob), job.id
         job.result_wanted = job.result_wanted and not filling.loaded.final
-        if filling.loaded.final and (root := _root(place.scene, job.source)) is not None:
-            note_moves(root, filling.loaded.moves)
+        if (root := _root(place.scene, job.source)) is not None:
+            if filling.loaded.final:
+                note_moves(root, filling.loaded.moves)
+            if ob != before:
+                _hide_points(place.scene, root, True)
         if filling.loaded.final or ob != before:
             undo.push("Training Result" if filling.loaded.final else "Live Splats")
     except ValueError as error:
@@ -237,6 +242,15 @@ def _give_up(job: Job, loaded: Loaded, problem: str) -> None:
     if loaded.final:
         job.result_wanted = False
         job.state.sentence += " The splats could not be shown."
+
+
+def _hide_points(scene: bpy.types.Scene, root: bpy.types.Object, hide: bool) -> None:
+    """The SfM points of a capture would lie over its splats as black dots; the eye in the outliner
+    shows them again."""
+    points = points_of(root)
+    for layer in scene.view_layers if points is not None else ():
+        if points.name in layer.objects:
+            points.hide_set(hide, view_layer=layer)
 
 
 def _root(scene: bpy.types.Scene, source: Path) -> bpy.types.Object | None:

@@ -84,6 +84,32 @@ def test_snapshots_then_the_result_reach_one_object(
     assert len([a for a in ob.data.attributes if a.name.startswith("radiance:sh_")]) == 3
 
 
+@pytest.mark.parametrize("discarded", [False, True])
+def test_points_make_room_for_splats(
+    studio: bpy.types.Scene, play: Play, tmp_path: Path, discarded: bool
+) -> None:
+    """Oracle: they are hidden with the first splats; who shows them again keeps them; and a
+    training that is discarded gives them back."""
+    points = import_capture(bpy.context, STUDIO, photos=False).points
+    write_splats(tmp_path / "a.ply", splats(10))
+    write_splats(tmp_path / "out" / "point_cloud.ply", splats(10))
+    event = {"event": "snapshot", "step": 1, "path": str(tmp_path / "a.ply"), "splats": 10}
+    after = ({"sleep": 60},) if discarded else ({"await": "go"}, finish())
+    play({"say": STARTED}, {"say": event}, *after)
+    job = training.train(studio, overwrite=True)
+    assert points.visible_get()
+    until(lambda: studio.gscore.result is not None)
+    assert not points.visible_get()
+    if discarded:
+        assert bpy.ops.gscore.discard_training() == {"FINISHED"}
+        until(lambda: job.state.ended and studio.gscore.result is None)
+    else:
+        points.hide_set(False)
+        job._process.send("go")
+        assert training.wait_for(job, timeout=20)
+    assert points.visible_get()
+
+
 def test_the_display_is_built_bit_by_bit(
     studio: bpy.types.Scene, play: Play, tmp_path: Path
 ) -> None:
