@@ -3,12 +3,12 @@
 Sets up what a finished run trained many times side by side, lets `gscore lod` make levels of it,
 and draws pictures at 640 x 360 from the disk: one camera among the copies, one that sees all of
 them, and a walk among them. Each picture is a process of its own, for its peak memory. The finest
-level is compared with the whole model in memory.
+level is compared with the whole model in memory. What FOLDER holds from before is drawn again.
 """
 
 import argparse
 import json
-import resource
+import os
 import subprocess
 import sys
 import time
@@ -96,8 +96,9 @@ def walked(model: Path, walk: np.ndarray, how: dict[str, float]) -> tuple[float,
 
 
 def peak_mb() -> float:
-    """Of this process, resident."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+    """Of this process, resident. Linux alone tells it apart from that of the process before."""
+    status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+    return int(status["VmHWM"].split()[0]) / 1e3
 
 
 def as_process(folder: Path, *words: str) -> dict[str, float]:
@@ -106,8 +107,18 @@ def as_process(folder: Path, *words: str) -> dict[str, float]:
     return json.loads(subprocess.check_output(line, text=True))
 
 
+def tile(folder: Path, run: Path, copies: int) -> None:
+    """Write the copies and the cameras."""
+    splats, moves = tiled(gscore.read_splats(run / "point_cloud.ply"), copies)
+    gscore.write_splats(folder / "tiled.ply", splats)
+    np.savez(folder / "views.npz", **viewmats(run, moves, copies))
+
+
 def one(folder: Path, name: str, where: str, how: dict[str, float]) -> dict[str, float]:
-    """Draw a picture, or the walk, and say what it took."""
+    """Set the copies up, or draw a picture or the walk, and say what it took."""
+    if name == "tile":
+        tile(folder, Path(where), int(how["copies"]))
+        return {}
     views = np.load(folder / "views.npz")
     if where == "walk":
         seconds, count = walked(folder / "tiled.lod", views[where], how)
@@ -138,16 +149,16 @@ def main() -> int:
         print(json.dumps(one(folder, name, where, json.loads(how))))
         return 0
     folder.mkdir(parents=True, exist_ok=True)
-    splats, moves = tiled(gscore.read_splats(args.run / "point_cloud.ply"), args.copies)
-    gscore.write_splats(folder / "tiled.ply", splats)
-    del splats
-    np.savez(folder / "views.npz", **viewmats(args.run, moves, args.copies))
     if not (folder / "tiled.lod").exists():
+        as_process(folder, "tile", str(args.run), json.dumps({"copies": args.copies}))
         began = time.perf_counter()
         line = [sys.executable, "-m", "gscore", "lod", folder / "tiled.ply"]
-        subprocess.run([*line, "-o", folder / "tiled.lod", "--quiet"], check=True)
-        most = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e3
-        print(f"Built in {time.perf_counter() - began:.0f} s, {most:.0f} MB")
+        made = subprocess.Popen([*line, "-o", folder / "tiled.lod", "--quiet"])
+        _, status, used = os.wait4(made.pid, 0)
+        if status != 0:
+            return 1
+        seconds, busy = time.perf_counter() - began, used.ru_utime + used.ru_stime
+        print(f"Built in {seconds:.0f} s, {busy:.0f} s of processor, {used.ru_maxrss / 1e3:.0f} MB")
     print(
         "| picture | splats drawn | MB | against the whole model |\n|---|---|---|---|", flush=True
     )
