@@ -1,5 +1,6 @@
 """A training of plain photos or a video: cameras are found first, and kept in its folder."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,6 +26,7 @@ def with_cameras(
     control: Control,
     *,
     allowed: bool,
+    check: Callable[[], None],
     threads: int,
 ) -> DataConfig:
     """What to train on: as given, or the capture made of plain photos or a video.
@@ -36,6 +38,7 @@ def with_cameras(
         show: Told how far it is.
         control: Asked whether to stop.
         allowed: Whether cameras may be found at all.
+        check: Called before a search, which takes long: raises where the training cannot be.
         threads: CPU threads; 0: one a core.
 
     Raises:
@@ -62,6 +65,7 @@ def with_cameras(
         apart=output,
     )
     if not (capture / "sparse").exists():
+        check()
         with photos_from(request, [data.source], on_event=show, control=control) as photos:
             find_cameras(photos, on_event=show, control=control)
         return found

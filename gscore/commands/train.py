@@ -182,6 +182,7 @@ def _train(
 ) -> "TrainResult":
     data, config = told_configs(args, show)
     from ..trainer.files.folder import check_writable
+    from ..trainer.files.named import check_named_files
     from ..trainer.run import train
 
     check_place(args.output, data)  # of / or the capture nobody wants to hear what is in it
@@ -197,6 +198,7 @@ def _train(
         control,
         # One of many must not: the others need the cameras too.
         allowed=not (args.no_sfm or team),
+        check=lambda: check_named_files(config, data),
         threads=config.threads,
     )
     with onlookers_of(args, data.source, show, after_the_end=True) as onlookers:

@@ -63,7 +63,7 @@ def split_views(
         left = "no view to test" if not test else "no view to train"
         raise DatasetError(
             f"The test split ({rule}) leaves {left}: {len(test)} of {count_words(count, 'view')} "
-            "are test views. Choose another split, or train without --eval."
+            "are test views. Choose another rule, or hold no view out."
         )
     return [i for i in range(count) if i not in test], sorted(test)
 

@@ -44,8 +44,10 @@ def write_region(path: str | Path, box: np.ndarray) -> None:
 
 
 def _matrix(content: Any) -> np.ndarray:
-    if not isinstance(content, dict) or not ("box" in content or "low" in content):
+    if not isinstance(content, dict) or not {"box", "low", "high"} & set(content):
         raise ValueError("it names no box")
+    if "box" not in content and not {"low", "high"} <= set(content):
+        raise ValueError("it has one corner of two")
     if "box" in content:
         return _checked(np.array(content["box"], np.float64))
     low, high = (np.array(content[key], np.float64) for key in ("low", "high"))

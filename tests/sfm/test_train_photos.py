@@ -77,6 +77,31 @@ def test_a_taken_folder_is_refused_before_the_search(
     assert [path.name for path in out.iterdir()] == ["point_cloud.ply"]
 
 
+@pytest.mark.parametrize(
+    ("flag", "value", "said"),
+    [
+        ("--region", "no.json", "no.json"),
+        ("--region", "half.json", "one corner of two"),
+        ("--guide-surface", "no.ply", "no.ply"),
+        ("--guide-free", "half.json", "half.json"),
+        ("--start-splats", "no.ply", "no.ply"),
+        ("--hold-out", "no.txt", "no.txt"),
+        ("--lpips", "no.onnx", "no.onnx"),
+        ("-d", "depths", "gscore depth OUTPUT/capture"),
+    ],
+)
+def test_what_options_name_is_looked_at_before_the_search(
+    mine: Path, tmp_path: Path, capsys: Out, flag: str, value: str, said: str
+) -> None:
+    """Oracle: exit code 2, a sentence about the file, and no search."""
+    (tmp_path / "half.json").write_text('{"low": [0, 0, 0]}')
+    given = value if flag == "-d" else tmp_path / value
+    assert _train(mine, "-o", tmp_path / "out", flag, given) == 2
+    error = capsys.readouterr().err
+    assert said in error and "Finding the cameras" not in error
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.parametrize("place", ["film.mp4", "film.mp4/run"])
 def test_a_file_as_output_is_refused_at_once(
     mine: Path, tmp_path: Path, capsys: Out, place: str
