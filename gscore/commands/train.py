@@ -8,12 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..config import PRESETS, DataConfig, TrainConfig
-from ..config_file import load_config
 from ..control import Control
 from ..errors import ConfigError
 from ..events import CONVERGED, ENDED, FINISHED, TARGET, Show, Warn
 from ..io.places import check_place
-from ..io.runs import others_in_run
+from ..io.runs import options_of_run, others_in_run
 from ..words import colour_words, count_words, learnt_exposure, quality_words, size_words
 from .block_runs import train_blocks, wants_blocks
 from .cameras import is_finding, with_cameras
@@ -142,10 +141,10 @@ def configs(args: argparse.Namespace) -> tuple[DataConfig, TrainConfig]:
             check_free(args.output)  # a run that has only just begun has written nothing yet
             raise ConfigError(f"{args.output} holds no run to resume; leave --resume out.")
     if args.preset and stored:
-        source = load_config(stored)[0].source
+        source = options_of_run(stored)[0].source
         data, config = PRESETS[args.preset](source)
     elif stored:
-        data, config = load_config(stored)
+        data, config = options_of_run(stored)
         data = replace(data, source=source or data.source)
     elif source is None:
         raise ConfigError("No capture was given: `gscore train SOURCE -o OUTPUT`.")

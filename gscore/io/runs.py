@@ -3,7 +3,7 @@
 import contextlib
 import re
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -103,7 +103,7 @@ def read_run(path: str | Path) -> RunInfo | None:
         return None
     data, train, problem = None, None, ""
     try:
-        data, train = load_config(path / "config.json")
+        data, train = options_of_run(path / "config.json")
     except (ConfigError, OSError) as error:
         problem = str(error)
     steps, checkpoint = max(checkpoints_in(path).items(), default=(0, None))
@@ -119,6 +119,20 @@ def read_run(path: str | Path) -> RunInfo | None:
         train=train,
         problem=problem,
     )
+
+
+def options_of_run(config: Path) -> tuple[DataConfig, TrainConfig]:
+    """The options in the config.json of a run. Where the run was moved, the capture of plain photos
+    in its folder has moved along.
+
+    Raises:
+        ConfigError: as `load_config`.
+    """
+    data, train = load_config(config)
+    beside = config.parent / CAPTURE
+    if data.source.name == CAPTURE and not data.source.exists() and beside.is_dir():
+        data = replace(data, source=beside.absolute())
+    return data, train
 
 
 def read_losses(checkpoint: str | Path) -> list[tuple[int, float]]:

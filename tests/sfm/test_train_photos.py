@@ -65,6 +65,24 @@ def test_cameras_are_found_once_and_kept(mine: Path, tmp_path: Path, capsys: Out
     assert model.stat().st_mtime_ns == written and (out / "point_cloud.ply").is_file()
 
 
+def test_a_run_that_was_moved_takes_its_capture_along(
+    mine: Path, tmp_path: Path, capsys: Out
+) -> None:
+    """Oracle: the same figures as before from `gscore eval`, and a run that goes on."""
+    assert _train(mine, "-o", tmp_path / "out") == 0
+    moved = (tmp_path / "out").rename(tmp_path / "moved")
+    capsys.readouterr()
+    assert main(["eval", str(moved), "--json"]) == 0
+    again = json.loads(capsys.readouterr().out.splitlines()[-1])
+    before = json.loads((moved / "metrics.json").read_text())
+    assert again["psnr"] == pytest.approx(before["psnr"], abs=1e-6)
+    assert main(["train", "-o", str(moved), "--resume", "--iterations", "6", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["steps"] == 6
+    assert json.loads((moved / "config.json").read_text())["data"]["source"] == str(
+        moved / "capture"
+    )
+
+
 def test_a_taken_folder_is_refused_before_the_search(
     mine: Path, tmp_path: Path, capsys: Out
 ) -> None:

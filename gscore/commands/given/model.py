@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from ...config import Background, DataConfig, TrainConfig
-from ...config_file import load_config
 from ...errors import ConfigError, DatasetError
 from ...formats import SplatFile, is_splat_file, read_splat_file
 from ...io.colmap.folder import find_model
 from ...io.files import check_regular
 from ...io.foreign import foreign
+from ...io.runs import options_of_run
 from ...raster.api import Rendered, render, render_camera
 from ...scene import Cameras
 from ...splats import Splats
@@ -134,7 +134,7 @@ def open_model(path: Path) -> GivenModel:
     """
     found = find_splats(path)
     run = find_run(found)
-    data, train = load_config(run / "config.json") if run else (None, None)
+    data, train = options_of_run(run / "config.json") if run else (None, None)
     return GivenModel(file=read_splat_file(found), run=run, data=data, train=train)
 
 
