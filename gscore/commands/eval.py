@@ -19,12 +19,14 @@ from ..io.metrics_file import metrics_problem, read_metrics
 from ..io.places import check_place
 from ..metrics import Course, Metrics, evaluate, find_lpips, headline, lpips_warnings
 from ..metrics.splat_errors import SplatErrors
+from ..metrics.strangers import told_of_strangers
 from ..raster import backend
 from ..raster.request import Frustum
 from ..report import PictureCollector, cameras_section, splat_histograms, write_results
 from ..report.error_map import brightest, error_map
 from ..report.page_link import link_page
 from ..scene import Cameras
+from ..shown import shown
 from ..words import colour_words, count_words, psnr_name, quality_words
 from .given.data_options import add_data_options, with_data_options
 from .given.model import GivenModel, add_model_argument, model_path, open_model
@@ -142,6 +144,9 @@ def _measure(args: argparse.Namespace, show: Show, control: Control) -> tuple[di
         lpips_reason=lpips_reason,
         background=model.background,
         on_view=_Views(model, dataset.scene.cameras, indices, pictures, errors, show, control),
+    )
+    warnings += told_of_strangers(
+        judged_psnr(evaluation.mean), f"The splats of {shown(str(model.path))}"
     )
     names = dataset.scene.cameras.names
     metrics = Metrics(

@@ -1,5 +1,6 @@
 """What is looked over before the first step: whether cameras and splats can be trained at all."""
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -8,12 +9,16 @@ from ..datasets.capture import listing
 from ..datasets.placement import told_of_axes, told_of_places
 from ..errors import DatasetError
 from ..formats import is_antialiased
+from ..metrics.strangers import told_of_strangers
 from ..words import count_words, number
 from .trainer import Trainer
 
 _FAR_FROM_ORIGIN = 1e4
 _LOOKED_AT = 64
 """Training views, spread evenly, of which is told that they show nothing."""
+
+_GLANCED_AT, _GLANCE = 8, 8
+"""Training views by which given splats are judged, and what their sides are divided by."""
 
 
 def look_over(trainer: Trainer) -> list[str]:
@@ -24,7 +29,7 @@ def look_over(trainer: Trainer) -> list[str]:
     """
     scene = trainer.photos.scene
     placed = [*told_of_places(scene), *told_of_axes(scene)]
-    return [*_world(trainer), *placed, *_unseen(trainer)]
+    return [*_world(trainer), *placed, *_unseen(trainer), *_strange(trainer)]
 
 
 def _world(trainer: Trainer) -> Iterator[str]:
@@ -51,6 +56,16 @@ def _world(trainer: Trainer) -> Iterator[str]:
             f"The capture lies {offset:.0f} times its own size from the origin; the float32 "
             "numbers of a PLY are coarse there. Move its origin near the cameras before exporting."
         )
+
+
+def _strange(trainer: Trainer) -> list[str]:
+    """Whether splats to start from are those of another scene."""
+    if trainer.config.start_splats is None or trainer.steps:
+        return []
+    views = trainer.photos.train
+    error = trainer.sight.error(views[:: -(-len(views) // _GLANCED_AT)], _GLANCE)
+    psnr = -20 * math.log10(max(error, 1e-6))
+    return told_of_strangers(psnr, f"The splats of {trainer.config.start_splats}")
 
 
 def _unseen(trainer: Trainer) -> Iterator[str]:

@@ -1,6 +1,7 @@
 """What is looked over before a training; oracle: captures damaged by hand."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 
 from gscore.config import TrainConfig
 from gscore.errors import DatasetError
+from gscore.formats import write_splat_file
 from gscore.scene import PointCloud
 from gscore.splats import Splats
 from gscore.trainer.premises import look_over
@@ -49,6 +51,19 @@ def test_a_higher_degree_than_a_training_has_is_said(photos: Any, degree: int, t
         sentence for sentence in look_over(trainer) if "direction beyond it is lost" in sentence
     ]
     assert sum("SH degree" in sentence for sentence in look_over(trainer)) == told
+
+
+@pytest.mark.parametrize("strange", [False, True])
+def test_splats_of_another_scene_are_told(
+    photos: Any, known_splats: Splats, tmp_path: Path, strange: bool
+) -> None:
+    """Oracle: what the photos show; and the same with colours turned round."""
+    start = replace(known_splats, sh0=-3 * known_splats.sh0) if strange else known_splats
+    write_splat_file(tmp_path / "a.ply", start)
+    config = replace(CONFIG, start_splats=tmp_path / "a.ply", sh_degree=1)
+    trainer = Trainer(config, photos, start=start)
+    told = [text for text in look_over(trainer) if "Are they of this capture" in text]
+    assert len(told) == strange
 
 
 def test_points_that_no_view_shows_are_an_error(photos: Any) -> None:
