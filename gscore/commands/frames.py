@@ -4,6 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from ..errors import DatasetError
 from ..io.places import check_place
 from ..video import FrameRequest, extract_frames
 from ..video.request import FRAME_FORMATS
@@ -47,6 +48,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Look, choose, write, say what came out."""
+    if args.video.is_dir():
+        raise DatasetError(
+            f"{args.video} is a folder; gscore frames takes a video. If it holds photos, give it "
+            "to gscore train."
+        )
     request = FrameRequest(
         video=args.video, output=args.output, frames=args.frames, format=args.format
     )

@@ -12,7 +12,7 @@ from ..config import DataConfig
 from ..errors import DatasetError
 from ..formats import is_splat_file
 from ..inspection import CaptureFacts, inspect
-from ..io.block_record import read_block
+from ..io.block_record import block_records, read_block
 from ..io.files import check_regular
 from ..io.lod_file import is_lod_file, open_lod_file
 from ..io.metrics_file import metrics_problem, read_metrics
@@ -66,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
         facts = {"kind": "sequence", "path": str(path), **vars(index)}
     elif path.is_dir() and _holds_model(path):
         facts = _run_facts(path)
-    elif is_plain(path):
+    elif is_plain(path) and not block_records(path):
         facts = photos_facts(path, with_data_options(DataConfig(source=path), args))
     else:
         facts = _capture_facts(path, args)

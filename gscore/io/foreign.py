@@ -11,8 +11,10 @@ from pathlib import Path
 
 from ..errors import GsError
 from ..words import count_words
+from .block_record import BLOCK_RECORD
 from .file_sample import FileSample, sample_file
 from .lod_index import KIND
+from .runs import CAPTURE
 
 _MOST_NAMES = 10_000
 """Of a folder that are looked at."""
@@ -109,8 +111,7 @@ _FORMATS = (
     _Format("a mesh of FBX", _MESH, _starts(b"Kaydara FBX Binary")),
     _Format("a mesh (OBJ or STL)", _MESH, _ends(".obj", ".stl")),
     _Format("a video", _MOVIE, _is_movie, but=" without cameras"),
-    _Format("a single photo", "Give the folder of a capture: photos, and the cameras that COLMAP "
-            "found for them.",
+    _Format("a single photo", "Give the folder of the photos.",
             lambda s: _starts(b"\xff\xd8\xff", b"\x89PNG", b"II*\0", b"MM\0*")(s)
             or s.head[8:12] in (b"WEBP", b"heic", b"heix", b"mif1", b"avif")),
     _Format("a splat file of antimatter15's viewer (.splat)", _SPLATS, _is_splat, _MODEL),
@@ -143,6 +144,8 @@ def _file(path: Path) -> str:
 
 def _folder(path: Path) -> str:
     names = list(islice(path.iterdir(), _MOST_NAMES))
+    if told := _ours(path, sorted(n for n in names if n.is_dir())):
+        return told
     if (path / "meta.json").is_file() and any(n.suffix == ".webp" for n in names):
         return f"{path} is an unpacked splat file of PlayCanvas (SOG){_MODEL}. {_SPLATS}"
     below = sum(_photos(n) for n in names if n.is_dir() and not n.name.startswith("."))
@@ -155,6 +158,31 @@ def _folder(path: Path) -> str:
             )
     others = sorted(n for n in names if n.is_file() and n.suffix.lower() != ".json")
     return next((told for told in map(_file, others[:20]) if told), "")
+
+
+def _ours(path: Path, folders: list[Path]) -> str:
+    """What a folder is that gscore wrote."""
+    if any((folder / BLOCK_RECORD).is_file() for folder in folders):
+        blocks = [folder for folder in folders if (folder / BLOCK_RECORD).is_file()]
+        return (
+            f"{path} holds {count_words(len(blocks), 'block')} of a capture. gscore train "
+            f"{_argument(path)} -o RUNS trains all; each is a capture too, {blocks[0]} the first."
+        )
+    if _is_run(path):
+        capture = path / CAPTURE
+        where = f"Its capture is {capture}." if capture.is_dir() else "Give the capture."
+        return f"{path} is the folder of a training. {where}"
+    runs = [folder for folder in folders if _is_run(folder)]
+    if runs:
+        return (
+            f"{path} holds {count_words(len(runs), 'training')}, {runs[0]} the first: give one. "
+            f"Those of blocks are put together by gscore merge {_argument(path)} -o splats.ply."
+        )
+    return ""
+
+
+def _is_run(folder: Path) -> bool:
+    return all((folder / name).is_file() for name in ("config.json", "point_cloud.ply"))
 
 
 def _capture(path: Path, place: Path) -> Path:

@@ -127,7 +127,8 @@ def _check_masks(runs: Sequence[ComparedRun]) -> None:
         raise ConfigError(
             f"{shown(runs[0].label)} was scored with --mask-mode {modes[0]}, "
             f"{shown(runs[1].label)} with {modes[1]}: their numbers are of different pixels. "
-            "Measure one of them as the other: gscore eval --mask-mode."
+            "Measure one of them as the other, in its own folder: gscore eval "
+            f"{shown(runs[1].folder)} --mask-mode {modes[0]}."
         )
 
 
@@ -139,7 +140,7 @@ def _check_sizes(
         raise ConfigError(
             f"{shown(runs[0].label)} was scored at {sizes[0]}, {shown(runs[1].label)} at "
             f"{sizes[1]} (view {shown(name)}): their numbers cannot be compared. Measure one of "
-            "them at the size of the other: gscore eval -r."
+            "them at the size of the other, in its own folder: gscore eval RUN -r."
         )
 
 

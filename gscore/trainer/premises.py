@@ -17,6 +17,8 @@ _FAR_FROM_ORIGIN = 1e4
 _LOOKED_AT = 64
 """Training views, spread evenly, of which is told that they show nothing."""
 
+_FEW_IN_REGION = 100
+"""Splats in a region below which it is hardly the one that was meant."""
 _GLANCED_AT, _GLANCE = 8, 8
 """Training views by which given splats are judged, and what their sides are divided by."""
 
@@ -44,6 +46,12 @@ def _world(trainer: Trainer) -> Iterator[str]:
         yield (
             f"{config.start_splats} was trained {'without' if config.antialias else 'with'} "
             "antialiasing, unlike this run; small splats change their opacity at first."
+        )
+    count = len(trainer.model)
+    if config.region and config.start_splats and not trainer.steps and count < _FEW_IN_REGION:
+        yield (
+            f"Only {count_words(count, 'splat')} of {config.start_splats} lie in the region "
+            f"{config.region}; gscore info says where splats are."
         )
     if trainer.cut_degree > config.sh_degree:
         yield (

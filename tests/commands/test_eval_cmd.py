@@ -208,7 +208,7 @@ def test_what_is_no_measurement_of_this_run_is_not_replaced(gscore, run_folder, 
     before = {p: p.read_bytes() for p in files}
     for place, words in (
         (other, "is the folder of another run"),
-        (theirs, f"Nothing in {theirs / 'metrics.json'} says"),
+        (theirs, f"{theirs / 'metrics.json'} is there already. Nothing in it says"),
         (capture, "is the capture itself"),
         (capture / "images", "is the folder of the photos"),
     ):

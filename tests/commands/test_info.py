@@ -136,7 +136,7 @@ def test_nothing_there(gscore, tmp_path):
     code, _, err = gscore("info", tmp_path / "none")
     assert code == 2 and "There is no file or folder" in err
     code, _, err = gscore("info", tmp_path)
-    assert code == 2 and "No COLMAP model" in err
+    assert code == 2 and "is an empty folder" in err
     (tmp_path / "x.txt").write_text("hello")
     code, _, err = gscore("info", tmp_path / "x.txt")
     assert code == 2 and "holds no splats in a format that is known" in err

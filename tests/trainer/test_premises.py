@@ -13,6 +13,7 @@ from gscore.formats import write_splat_file
 from gscore.scene import PointCloud
 from gscore.splats import Splats
 from gscore.trainer.premises import look_over
+from gscore.trainer.region.box import Box
 from gscore.trainer.trainer import Trainer
 
 CONFIG = TrainConfig(iterations=10, max_splats=500, sh_degree=0)
@@ -64,6 +65,19 @@ def test_splats_of_another_scene_are_told(
     trainer = Trainer(config, photos, start=start)
     told = [text for text in look_over(trainer) if "Are they of this capture" in text]
     assert len(told) == strange
+
+
+@pytest.mark.parametrize("count", [99, 100])
+def test_a_region_that_holds_next_to_nothing_is_told(
+    photos: Any, known_splats: Splats, tmp_path: Path, count: int
+) -> None:
+    """Oracle: how many splats there are."""
+    start = known_splats.subset(np.arange(count))
+    write_splat_file(tmp_path / "a.ply", start)
+    given = {"start_splats": tmp_path / "a.ply", "region": tmp_path / "r.json", "sh_degree": 1}
+    trainer = Trainer(replace(CONFIG, **given), photos, start=start, region=Box(10 * np.eye(4)))
+    told = [text for text in look_over(trainer) if "lie in the region" in text]
+    assert len(told) == (count < 100)
 
 
 def test_points_that_no_view_shows_are_an_error(photos: Any) -> None:

@@ -226,6 +226,9 @@ class TestMissing:
         with pytest.raises(DatasetError, match="There is no folder"):
             _load(tmp_path / "nowhere")
         (tmp_path / "empty").mkdir()
+        with pytest.raises(DatasetError, match="is an empty folder"):
+            _load(tmp_path / "empty")
+        (tmp_path / "empty" / "notes.txt").touch()
         with pytest.raises(DatasetError, match=r"No COLMAP model.*or a transforms\.json"):
             _load(tmp_path / "empty")
 

@@ -13,6 +13,7 @@ from gscore.commands import main
 from gscore.config import DataConfig
 from gscore.datasets import load_dataset
 from gscore.errors import GsError
+from gscore.io.block_record import BLOCK_RECORD
 from gscore.io.foreign import foreign
 from gscore.io.pictures.images import write_png
 from gscore.io.ply.splats import read_ply
@@ -131,6 +132,34 @@ def test_a_folder_of_other_things(tmp_path: Path) -> None:
     (bundle / "meta.json").write_text("{}")
     (bundle / "means_l.webp").write_bytes(b"RIFF")
     assert "SOG" in foreign(bundle)
+
+
+def test_what_gscore_wrote_itself(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Oracle: sentences that name the folder, its kind, and what takes it."""
+    blocks, runs, run = (tmp_path / name for name in ("blocks", "runs", "run"))
+    for k in range(2):
+        write_png(blocks / f"block_{k}" / "images" / "a.png", np.zeros((4, 4, 3), np.uint8))
+        (blocks / f"block_{k}" / BLOCK_RECORD).write_text("{}")
+    for folder in (runs / "block_0", runs / "block_1", run):
+        folder.mkdir(parents=True)
+        for name in ("config.json", "point_cloud.ply"):
+            (folder / name).touch()
+    assert "2 blocks" in foreign(blocks) and f"gscore train {blocks}" in foreign(blocks)
+    assert "2 trainings" in foreign(runs) and f"gscore merge {runs}" in foreign(runs)
+    assert "folder of a training. Give the capture" in foreign(run)
+    (run / "capture").mkdir()
+    assert f"Its capture is {run / 'capture'}" in foreign(run)
+    (tmp_path / "empty").mkdir()
+    for line, said in (
+        (f"render {runs} -o {tmp_path}/out", "gscore merge"),
+        (f"eval {runs}", "gscore merge"),
+        (f"info {tmp_path}/empty", "is an empty folder"),
+        (f"train {tmp_path}/empty -o {tmp_path}/out", "is an empty folder"),
+        (f"frames {run} -o {tmp_path}/out", "is a folder; gscore frames takes a video"),
+    ):
+        assert main(line.split()) == 2
+        assert said in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_capture_where_a_run_is_expected(

@@ -37,8 +37,9 @@ def check_replaced(paths: Iterable[Path], *, overwrite: bool) -> None:
     foreign = [] if overwrite else [path for path in there if not is_ours(path)]
     if foreign:
         raise ConfigError(
-            f"Nothing in {first_few([str(path) for path in foreign])} says that gscore wrote it, "
-            "so it stays. Choose another output, or give --overwrite."
+            f"{first_few([str(path) for path in foreign])} is there already. Nothing in it "
+            "says that gscore wrote it (SPZ, .splat and USD files never do), so it stays. Choose "
+            "another output, or give --overwrite."
         )
 
 

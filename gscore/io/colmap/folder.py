@@ -74,6 +74,10 @@ def find_model(path: str | Path) -> tuple[Path, tuple[str, ...]]:
             )
         if has_model(root):
             return root, ()
+    if not any(path.iterdir()):
+        raise DatasetError(
+            f"{path} is an empty folder. Give one with photos, or with photos and their cameras."
+        )
     raise DatasetError(
         f"No COLMAP model in {path}: expected cameras and images (.bin or .txt) in sparse/0, in "
         f"sparse or in the folder itself, or a transforms.json. " + (foreign(path) or _ADVICE)
