@@ -42,6 +42,7 @@ MODULES: tuple[str, ...] = (
     "live.handler",
     "render.operators",
     "render.show",
+    "render.see_through",
     "render.decimate",
     "render.panels",
     "judge.follow",

@@ -16,6 +16,7 @@ from ..capture.folders import same_folder
 from ..interface import undo, writable
 from ..paths import absolute, output_folder
 from ..splats import files, objects
+from ..splats.error_maps import drop_maps
 from ..splats.filling import Filling, replace
 from ..splats.objects import ANTIALIAS
 from . import registry, session
@@ -228,6 +229,8 @@ def _update_splats(job: Job, place: Place) -> bool:
                 note_moves(root, filling.loaded.moves)
             if ob != before:
                 _hide_points(place.scene, root, True)
+        if filling.loaded.final:
+            drop_maps(ob)  # of what it showed before
         if filling.loaded.final or ob != before:
             undo.push("Training Result" if filling.loaded.final else "Live Splats")
     except ValueError as error:

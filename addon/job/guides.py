@@ -138,6 +138,7 @@ def _shown(collection: bpy.types.Collection) -> Iterator[tuple[str, np.ndarray, 
     wanted = {ob.session_uid for ob in collection.all_objects if ob.visible_get()}
     graph = bpy.context.evaluated_depsgraph_get()
     known: dict[int, Triangles] = {}
+    given: set[tuple[int, str, bytes, bytes]] = set()
     for instance in graph.object_instances:
         ob = instance.object
         owner = instance.parent if instance.is_instance else ob
@@ -145,11 +146,17 @@ def _shown(collection: bpy.types.Collection) -> Iterator[tuple[str, np.ndarray, 
             continue
         if ob.type not in _WITH_FACES or is_splats(ob.original):
             continue
-        key = ob.data.as_pointer() if ob.type == "MESH" else ob.as_pointer()
-        if key not in known:
-            known[key] = _triangles_of(ob)
-        if len(known[key].triangles):
-            yield ob.name, matrix_to_numpy(instance.matrix_world), known[key]
+        if ob.type != "MESH":  # Blender shows other instances under the same address
+            found = _triangles_of(ob)
+        elif (found := known.get(ob.data.as_pointer())) is None:
+            found = known[ob.data.as_pointer()] = _triangles_of(ob)
+        matrix = matrix_to_numpy(instance.matrix_world)
+        # A text in an instanced collection comes twice: as itself, and as the mesh that it becomes.
+        of = owner.original.session_uid
+        one = of, ob.name, matrix.tobytes(), found.vertices.tobytes()
+        if len(found.triangles) and one not in given:
+            given.add(one)
+            yield ob.name, matrix, found
 
 
 def _triangles_of(ob: bpy.types.Object) -> Triangles:

@@ -13,13 +13,12 @@ from ..interface import undo
 from ..job.launch import follow, launch
 from ..process import beat
 from ..splats import objects
+from ..splats.error_maps import MAP, drop_maps, is_map, run_of, show_map, siblings
 from ..splats.filling import Filling, replace
 from . import colors
 from .job import ErrorsJob
 from .registry import JOBS
 
-MAP = "gs_error_map"
-"""Custom property of an object that shows the errors of another one's run."""
 FILE = "errors.ply"
 """In the folder `MEASURED` of the run."""
 
@@ -58,18 +57,6 @@ def measure(
     return job
 
 
-def run_of(ob: bpy.types.Object) -> Path:
-    """The folder of the training that an object, or the one whose errors it shows, comes from.
-
-    Raises:
-        ValueError: of none.
-    """
-    text = stored_paths.read(ob, stored_paths.RUN)
-    if not text:
-        raise ValueError(f"{ob.name} comes from no training here, which would know its photos.")
-    return Path(text)
-
-
 def job_of(ob: bpy.types.Object) -> ErrorsJob | None:
     """The last measuring of an object's run, under way or ended."""
     try:
@@ -78,52 +65,11 @@ def job_of(ob: bpy.types.Object) -> ErrorsJob | None:
         return None
 
 
-def is_map(ob: bpy.types.Object) -> bool:
-    """Whether an object shows errors."""
-    return bool(ob.get(MAP))
-
-
-def siblings(ob: bpy.types.Object) -> tuple[list[bpy.types.Object], list[bpy.types.Object]]:
-    """The objects that show the splats of an object's run, and those that show their errors."""
-    run = run_of(ob)
-    there = [
-        other
-        for other in bpy.context.scene.objects
-        if objects.is_splats(other) and stored_paths.read(other, stored_paths.RUN) == str(run)
-    ]
-    return [o for o in there if not is_map(o)], [o for o in there if is_map(o)]
-
-
-def show_map(ob: bpy.types.Object, show: bool) -> None:
-    """Show the errors of an object's run in its place, or the splats again.
-
-    Raises:
-        ValueError: there is no map.
-    """
-    splats, maps = siblings(ob)
-    if not maps:
-        raise ValueError(f"There is no map of the errors of {ob.name}; press Measure Errors.")
-    layer = bpy.context.view_layer
-    for other, visible in [*((o, not show) for o in splats), *((o, show) for o in maps)]:
-        other.hide_render = not visible
-        if other.name in layer.objects:  # not in a collection that the layer excludes
-            other.hide_set(not visible)
-    layer.objects.active = next(
-        (other for other in (maps if show else splats) if other.name in layer.objects), None
-    )
-
-
 def remove(ob: bpy.types.Object) -> None:
     """Take the map of an object's run away, show its splats again, and give cameras their colors
     back."""
-    splats, maps = siblings(ob)
-    if maps:
-        show_map(ob, False)
-    for other in maps:
-        mesh = other.data
-        bpy.data.objects.remove(other)
-        if not mesh.users:
-            bpy.data.meshes.remove(mesh)
+    splats, _ = siblings(ob)
+    drop_maps(ob)
     root = root_of(splats[0]) if splats else None
     if root is not None and colors.shown(root):
         hide(root)

@@ -3,6 +3,7 @@
 import bpy
 
 from ..cameras.objects import is_camera
+from ..render import see_through
 from ..render.compositor import combine_node
 from ..render.engine import NAME
 from ..render.ignored import held_out_meshes
@@ -28,6 +29,11 @@ class RenderPanel(TabPanel, bpy.types.Panel):
             text = "The engine Gaussian Splats draws them exactly as they were trained."
             sentence(layout, context, text, icon="INFO")
             layout.operator("gscore.use_engine", icon="SCENE")
+        if see_through.ends_early(scene):
+            most = scene.cycles.transparent_max_bounces
+            text = f"Cycles ends rays after {most} splats, so soft splats come out dark."
+            sentence(layout, context, text, icon="ERROR")
+            layout.operator("gscore.see_through_splats", icon="LIGHT")
         row = layout.row(align=True)
         row.enabled = scene.camera is not None
         row.operator("render.render", text="Picture", icon="RENDER_STILL").use_viewport = True

@@ -7,9 +7,10 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
-from .. import attributes, compat
+from .. import attributes, compat, stored_paths
 from ..cameras import photos
 from ..interface.operators import Acting, make_active
+from ..splats.error_maps import is_map, show_map, siblings
 from ..splats.objects import catch_up, is_splats, meant
 from .operators import use_engine
 
@@ -52,6 +53,8 @@ class ShowSplats(Acting, bpy.types.Operator):
         """Set all of it."""
         ob = _wanted(context)
         middle, radius = frame_of(ob)
+        if any(map(is_map, _of_run(context, ob))):
+            show_map(ob, False)
         ob.hide_set(False)
         if ob.hide_viewport or ob.hide_render:
             ob.hide_viewport = ob.hide_render = False
@@ -68,8 +71,17 @@ def _wanted(context: bpy.types.Context) -> bpy.types.Object:
     """The splats that a user works on, else those of the training."""
     for ob in (meant(context), context.scene.gscore.result):
         if is_splats(ob) and context.view_layer.objects.get(ob.name) == ob:
-            return ob
+            splats = (other for other in _of_run(context, ob) if not is_map(other))
+            return next(splats, ob) if is_map(ob) else ob
     raise ValueError("This scene shows no splats: train some, or import a splat PLY.")
+
+
+def _of_run(context: bpy.types.Context, ob: bpy.types.Object) -> list[bpy.types.Object]:
+    """The splats and maps of errors of an object's run, as far as the view layer has them."""
+    if not stored_paths.read(ob, stored_paths.RUN):
+        return []
+    splats, maps = siblings(ob)
+    return [other for other in (*splats, *maps) if other.name in context.view_layer.objects]
 
 
 def _turn(space: bpy.types.SpaceView3D, middle: np.ndarray, radius: float) -> None:

@@ -144,12 +144,12 @@ class ImportSplats(OnScene, bpy.types.Operator, ImportHelper):
             if made is None:
                 self._waiting.tell(self._arrival.sentence)
                 return {"PASS_THROUGH"}
-            self._waiting.end()
             told = self._show(context, made, self._arrival.warnings)
         except ValueError as error:
             self.cancel(context)
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
+        self._waiting.end()
         self.report({"INFO"}, told)
         return {"FINISHED"}
 

@@ -27,7 +27,7 @@ _DISPLAYS = [
         "SOFT",
         "Soft Splats",
         "Ellipsoids that fade out like the splats they stand for, in Material Preview and "
-        "Rendered shading. In Cycles, raise Light Paths > Transparent to 64 or more",
+        "Rendered shading. In Cycles, raise Light Paths > Transparent to 256",
         2,
     ),
 ]

@@ -28,8 +28,9 @@ from ..job import facts, lookups, training
 from ..render.photo import kept_of, mask_folder, mask_place, read_picture
 
 _CAPTURE, _PHOTO, _SAVED = "gs_mask_capture", "gs_mask_photo", "gs_mask_saved"
-"""Custom properties of an image: the capture's folder, the photo's name in it, and what tells
-whether the image is as it was made or saved."""
+_FILE = "gs_mask_file"
+"""Custom properties of an image: the capture's folder, the photo's name in it, what tells whether
+the image is as it was made or saved, and the mask's file."""
 
 
 def is_mask(image: bpy.types.Image | None) -> bool:
@@ -82,6 +83,7 @@ def make(scene: bpy.types.Scene, camera: bpy.types.Object) -> bpy.types.Image:
     image = bpy.data.images.new(f"Mask of {Path(own.image).name}", width, height, alpha=True)
     image.alpha_mode = "STRAIGHT"
     image[_CAPTURE], image[_PHOTO] = source, own.image
+    image[_FILE] = str(file or mask_place(camera) / f"{own.image}.png")
     image.use_fake_user = True  # no file has it until it is saved
     _settle(image, _levels(rgba))
     return image
@@ -104,6 +106,7 @@ def save(scene: bpy.types.Scene, image: bpy.types.Image) -> Path:
     pixels = _levels(flat.reshape(height, width, image.channels)[::-1])
     levels = pixels[..., -1]
     atomic_write(file, gray_png(255 - levels if scene.gscore.invert_masks else levels))
+    image[_FILE] = str(file)
     _settle(image, pixels)
     lookups.captures.expire()
     facts.capture(scene)
@@ -143,8 +146,11 @@ def _pack(image: bpy.types.Image, png: bytes) -> None:
 
 
 def _mark(image: bpy.types.Image) -> str:
-    packed = image.packed_file
-    return "" if packed is None else str(packed.size)
+    """What changes where an image, or the mask's file, becomes another: undo of a save brings the
+    image back, not the file."""
+    packed, file = image.packed_file, Path(str(image.get(_FILE, "")))
+    written = file.stat().st_mtime_ns if file.is_file() else 0
+    return "" if packed is None else f"{packed.size} {written}"
 
 
 def _of_capture(source: Path) -> list[bpy.types.Image]:

@@ -15,6 +15,7 @@ from ..job.launch import begin, follow, launch
 from ..paths import capture_folder, output_folder
 from ..process import beat
 from ..splats import files, objects
+from ..splats.error_maps import is_map
 from ..splats.filling import Filling, replace
 from .job import RegionJob
 from .region import region_of
@@ -64,6 +65,8 @@ def train_region(
     source = capture_folder(scene)
     if (other := JOBS.of_source(source)) is not None and not (other.ended and not other.wanted):
         raise ValueError(f"A region of {source} is being trained already; wait, or stop it.")
+    if is_map(ob):
+        raise ValueError(f"{ob.name} shows errors, not splats; press Show Splats first.")
     objects.check_writable(ob)
     objects.catch_up(ob)
     box = region_of(ob)

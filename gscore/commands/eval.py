@@ -12,7 +12,7 @@ import numpy as np
 from ..config import DataConfig
 from ..control import Control
 from ..datasets import Dataset, load_dataset
-from ..errors import Cancelled, ConfigError, DatasetError
+from ..errors import Cancelled, ConfigError, DatasetError, GsError
 from ..events import EvalDone, EvalProgress, Show, Warn, judged_psnr
 from ..formats import format_to_write, write_splat_file
 from ..io.metrics_file import metrics_problem, read_metrics
@@ -118,9 +118,16 @@ def _measure(args: argparse.Namespace, show: Show, control: Control) -> tuple[di
     _check_output(output, config, model, overwrite=args.overwrite)
     if args.error_map is not None:
         format_to_write(args.error_map)
+        if args.error_map.resolve() == model.path.resolve():
+            raise ConfigError(
+                f"{args.error_map} is the model itself; name another file for the map."
+            )
         check_replaced([args.error_map], overwrite=args.overwrite)
     _say(show, f"Reading the capture {config.source}")
     dataset = load_dataset(config)
+    told: list[str] = []
+    if model.data is not None and config.source.resolve() == model.data.source.resolve():
+        dataset, told = _of_region(dataset, model)
     split, indices = _indices(args.split, dataset)
     if output == model.run and split != "test" and read_metrics(output).get("split") == "test":
         raise ConfigError(
@@ -129,7 +136,7 @@ def _measure(args: argparse.Namespace, show: Show, control: Control) -> tuple[di
         )
     course = _of_the_training(model)
     problem = metrics_problem(output) if output == model.run else ""
-    warnings = [*model.warnings, *dataset.warnings, *lpips_warnings(lpips_reason)]
+    warnings = [*told, *model.warnings, *dataset.warnings, *lpips_warnings(lpips_reason)]
     warnings += [problem] if problem else []
     warnings += _doubts(model, dataset, course, asked=args.split, split=split)
     pictures = PictureCollector(count=len(indices))
@@ -311,8 +318,25 @@ def _indices(split: str | None, dataset: Dataset) -> tuple[str, list[int]]:
     if split == "test" or (split is None and dataset.test):
         return "test", dataset.test
     if split == "all":
-        return "all", list(range(len(dataset)))
+        return "all", sorted([*dataset.train, *dataset.test])
     return "train", dataset.train
+
+
+def _of_region(dataset: Dataset, model: GivenModel) -> tuple[Dataset, list[str]]:
+    """The capture as far as it sees the region that the run trained, with its masks, and sentences
+    about it; all of it where the run trained all."""
+    config = model.train
+    if config is None or config.region is None:
+        return dataset, []
+    from ..trainer.region.box import Box
+    from ..trainer.region.photos import RegionPhotos
+
+    try:
+        box = Box.read(config.region)
+    except GsError as error:
+        return dataset, [f"The run trained a region, but whole pictures are measured: {error}"]
+    narrow = config.start_splats is None
+    return RegionPhotos(dataset, box, near=config.near, narrow=narrow), []
 
 
 def _of_the_training(model: GivenModel) -> Course:

@@ -48,6 +48,8 @@ _MOST_STATED = 1 << 27
 """Bytes before the tensors of a checkpoint."""
 _CHECKPOINT = re.compile(r"step_(\d{8,})\.safetensors")
 _SNAPSHOT = re.compile(r"step_(\d{6,})\.ply")
+_GUIDE = re.compile(r"(surface|free)-[0-9a-f]{8}\.ply|within-[0-9a-f]{8}\.json")
+"""Files that the add-on puts into GUIDES."""
 _BELOW = (
     rf"checkpoints/{_CHECKPOINT.pattern}(\.damaged)?",
     r"point_cloud/iteration_\d+/point_cloud\.ply",
@@ -241,9 +243,8 @@ def clear_run(path: str | Path) -> None:
     path = Path(path)
     with contextlib.suppress(OSError, ConfigError):
         remove_results(path)
-    with contextlib.suppress(OSError):
-        for kind in ("*.ply", "*.json"):
-            for guide in (path / GUIDES).glob(kind):
+        for guide in _listed(path / GUIDES):
+            if _GUIDE.fullmatch(guide.name):
                 guide.unlink(missing_ok=True)
         (path / GUIDES).rmdir()
     clear_unfinished(path)

@@ -87,6 +87,25 @@ def test_clearing_spares_what_is_not_ours(tmp_path: Path) -> None:
     assert [path.name for path in shared.iterdir()] == ["scene.blend"]
 
 
+@pytest.mark.parametrize("ours", [True, False])
+def test_clearing_spares_meshes_of_the_user(tmp_path: Path, ours: bool) -> None:
+    """Oracle: guides by the names that the add-on gives go, others stay; all stay beside a
+    metrics.json that no training wrote."""
+    own = _run(tmp_path / "own", steps=(5,), iterations=9)
+    if not ours:
+        (own / "config.json").unlink()
+        (own / "metrics.json").write_text("mine")
+    guides = ("surface-0a1b2c3d.ply", "free-0a1b2c3d.ply", "within-0a1b2c3d.json")
+    mine = {"my_scan.ply", "notes.json", "surface.ply"}
+    (own / "guides").mkdir()
+    for name in (*guides, *mine):
+        (own / "guides" / name).touch()
+    clear_run(own)
+    assert {path.name for path in (own / "guides").iterdir()} == (
+        mine if ours else {*mine, *guides}
+    )
+
+
 def test_names_are_those_of_the_trainer() -> None:
     """Oracle: `gscore.trainer.files.folder`, which needs torch and so cannot be read in Blender."""
     pytest.importorskip("torch")

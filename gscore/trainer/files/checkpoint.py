@@ -181,7 +181,8 @@ def check_compatible(
         if k not in (_DEPTHS, _REGION, _GUIDE) and was != now.get(k)
     ]
     if unlike:
-        different += changed or [f"{key} of the capture are not the same" for key in unlike]
+        seen = "" if config.region is None else f" that see the region {config.region}"
+        different += changed or [f"{key} of the capture{seen} are not the same" for key in unlike]
     if different:
         free = ", ".join(flag_of(name) for name in _OFTEN_CHANGED)
         raise ConfigError(

@@ -44,8 +44,8 @@ def plan_frames(
     """
     if config.region is not None:
         raise ConfigError(
-            "A region is trained in one frame: give --region and --start-splats to gscore train, "
-            "not to gscore sequence."
+            "A region is trained in one frame: give --region to gscore train, not to gscore "
+            "sequence."
         )
     config = replace(config, steps_a_photo=0)  # frames take what was asked for
     keys = {run[0] for run in runs_of(len(frames), options)}

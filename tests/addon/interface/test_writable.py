@@ -56,6 +56,7 @@ CALLS: dict[str, dict[str, Any]] = {
     "color_cameras": {},
     "use_engine": {},
     "use_photo_colors": {},
+    "see_through_splats": {},
     "set_up_compositing": {},
     "remove_compositing": {},
     "show_splats": {},

@@ -172,6 +172,25 @@ def test_instances_modifiers_and_text_count_and_hidden_ones_do_not(
     assert len(told) == 2
 
 
+def test_texts_in_an_instanced_collection_keep_their_shapes(studio: bpy.types.Scene) -> None:
+    """Oracle: each text turned into a mesh by Blender by itself, once."""
+    source, wanted = bpy.data.collections.new("Sign"), 0
+    for body in ("l", "o", "mm"):
+        text = bpy.data.objects.new(body, bpy.data.curves.new(body, "FONT"))
+        text.data.body = body
+        text.location.x = 5.0 * len(source.objects)
+        source.objects.link(text)
+        studio.collection.objects.link(text)
+        bpy.context.view_layer.update()
+        mesh = text.evaluated_get(bpy.context.evaluated_depsgraph_get()).to_mesh()
+        mesh.calc_loop_triangles()
+        wanted += len(mesh.loop_triangles)
+        studio.collection.objects.unlink(text)
+    sign = an_object("Signs", None)
+    sign.instance_type, sign.instance_collection = "COLLECTION", source
+    assert len(guides.gathered(studio, into(studio, "surface", sign)).triangles) == wanted
+
+
 def test_a_training_is_told_of_its_guides(studio: bpy.types.Scene, tmp_path: Path) -> None:
     """Oracle: the words that the trainer is given, and the files they name; another shape gets a
     file of its own, so that the first run can go on."""

@@ -18,7 +18,9 @@ from addon.judge import colors, work
 from addon.judge.registry import JOBS
 from addon.panels.judge import ErrorsPanel
 from addon.splats import objects
+from addon.splats.error_maps import drop_maps
 from addon.splats.files import import_splats
+from addon.steer.work import train_region
 from tests.addon.captures import STUDIO
 from tests.addon.drawn import drawn
 from tests.addon.fake_trainer import fake_python
@@ -119,6 +121,22 @@ def test_measured_again_into_the_same_object(result: bpy.types.Object, tmp_path:
     for _ in range(2):
         bpy.ops.gscore.measure_errors(wait=True)
     assert len(work.siblings(result)[1]) == 1 and work.is_map(bpy.context.object)
+
+
+def test_splats_and_their_errors_never_overlie(result: bpy.types.Object, tmp_path: Path) -> None:
+    """Oracle: which of both is seen, in the view and in renders; no region is trained of a map; a
+    map of what is no longer shown goes."""
+    play(tmp_path, result, {"a": 20.0})
+    bpy.ops.gscore.measure_errors(wait=True)
+    shown = bpy.context.object
+    with pytest.raises(ValueError, match="shows errors, not splats"):
+        train_region(bpy.context.scene, shown)
+    assert bpy.ops.gscore.show_splats() == {"FINISHED"}
+    assert bpy.context.object == result and result.visible_get() and not result.hide_render
+    assert not shown.visible_get() and shown.hide_render
+    work.show_map(result, True)
+    drop_maps(result)
+    assert work.siblings(result) == ([result], []) and result.visible_get()
 
 
 def test_splats_that_the_view_layer_excludes(result: bpy.types.Object, tmp_path: Path) -> None:

@@ -147,6 +147,19 @@ def test_discarding_leaves_the_file(studio: bpy.types.Scene, tmp_path: Path) -> 
     assert drawn(MaskPanel) == ""
 
 
+def test_undo_of_a_save_is_told(studio: bpy.types.Scene, tmp_path: Path) -> None:
+    """Oracle: the image as undo brings it back, with its properties, beside the file that stays."""
+    bpy.ops.gscore.paint_mask()
+    image = next(filter(masks.is_mask, bpy.data.images))
+    before = {key: image[key] for key in image.keys() if key.startswith("gs_mask")}  # noqa: SIM118
+    painted(image)
+    bpy.ops.gscore.save_mask(image=image.name)
+    assert not masks.is_unsaved(image)
+    for key, value in before.items():
+        image[key] = value
+    assert masks.is_unsaved(image)
+
+
 def test_no_mask_among_photos(studio: bpy.types.Scene, tmp_path: Path) -> None:
     """Oracle: a folder of masks that is the photos' by a link: a sentence, and their bytes."""
     folder = tmp_path / "studio"

@@ -1,11 +1,13 @@
 """A region of a training from the start; oracles: the outline of its box, bytes."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from gscore.commands import main
 from gscore.config import DataConfig
 from gscore.datasets import load_dataset
 from gscore.errors import ConfigError, DatasetError
@@ -108,3 +110,20 @@ def test_a_run_says_what_it_trains(capture: Path, tmp_path: Path) -> None:
     (sentence,) = [event.region for event in told if isinstance(event, Started)]
     assert "look at the region" in sentence
     assert result.metrics is not None and result.metrics["psnr_masked"] > 0
+
+
+def test_measured_again_it_is_the_region_still(
+    capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Oracle: the figures of the training; without the file of the region, a warning."""
+    write_region(tmp_path / "r.json", BOX)
+    config = replace(CONFIG, region=tmp_path / "r.json")
+    result = train(config, DataConfig(source=capture, eval=True), tmp_path / "out")
+    words = ["eval", str(tmp_path / "out"), "-o", str(tmp_path / "again"), "--json", "--overwrite"]
+    assert main(words) == 0
+    again = json.loads(capsys.readouterr().out.splitlines()[-1])
+    for key in ("psnr_masked", "psnr", "ssim"):
+        assert again[key] == pytest.approx(result.metrics[key], abs=1e-4)
+    (tmp_path / "r.json").unlink()
+    assert main(words) == 0
+    assert "whole pictures are measured" in capsys.readouterr().err

@@ -1,0 +1,74 @@
+"""Objects that show the errors of a run in the place of its splats: told apart, shown, removed."""
+
+from pathlib import Path
+
+import bpy
+
+from .. import stored_paths
+from .objects import is_splats
+
+MAP = "gs_error_map"
+"""Custom property of an object that shows the errors of another one's run."""
+
+
+def run_of(ob: bpy.types.Object) -> Path:
+    """The folder of the training that an object, or the one whose errors it shows, comes from.
+
+    Raises:
+        ValueError: of none.
+    """
+    text = stored_paths.read(ob, stored_paths.RUN)
+    if not text:
+        raise ValueError(f"{ob.name} comes from no training here, which would know its photos.")
+    return Path(text)
+
+
+def is_map(ob: bpy.types.Object) -> bool:
+    """Whether an object shows errors."""
+    return bool(ob.get(MAP))
+
+
+def siblings(ob: bpy.types.Object) -> tuple[list[bpy.types.Object], list[bpy.types.Object]]:
+    """The objects that show the splats of an object's run, and those that show their errors.
+
+    Raises:
+        ValueError: it comes from no run.
+    """
+    run = run_of(ob)
+    there = [
+        other
+        for other in bpy.context.scene.objects
+        if is_splats(other) and stored_paths.read(other, stored_paths.RUN) == str(run)
+    ]
+    return [o for o in there if not is_map(o)], [o for o in there if is_map(o)]
+
+
+def show_map(ob: bpy.types.Object, show: bool) -> None:
+    """Show the errors of an object's run in its place, or the splats again.
+
+    Raises:
+        ValueError: there is no map.
+    """
+    splats, maps = siblings(ob)
+    if not maps:
+        raise ValueError(f"There is no map of the errors of {ob.name}; press Measure Errors.")
+    layer = bpy.context.view_layer
+    for other, visible in [*((o, not show) for o in splats), *((o, show) for o in maps)]:
+        other.hide_render = not visible
+        if other.name in layer.objects:  # not in a collection that the layer excludes
+            other.hide_set(not visible)
+    layer.objects.active = next(
+        (other for other in (maps if show else splats) if other.name in layer.objects), None
+    )
+
+
+def drop_maps(ob: bpy.types.Object) -> None:
+    """Take the maps of an object's run away, and show its splats again."""
+    maps = siblings(ob)[1] if stored_paths.read(ob, stored_paths.RUN) else []
+    if maps:
+        show_map(ob, False)
+    for other in maps:
+        mesh = other.data
+        bpy.data.objects.remove(other)
+        if not mesh.users:
+            bpy.data.meshes.remove(mesh)

@@ -1,0 +1,65 @@
+"""Cycles ends rays among soft splats: told, and set right by a button."""
+
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+
+from addon.render.see_through import ENOUGH, ends_early
+from tests.addon import splat_scenes as lab
+
+
+def picture(path: Path) -> np.ndarray:
+    """A render of the scene, [H, W, 4]."""
+    bpy.context.scene.render.filepath = str(path)
+    bpy.ops.render.render(write_still=True)
+    image = bpy.data.images.load(str(path), check_existing=False)
+    width, height = image.size
+    return np.array(image.pixels[:]).reshape(height, width, 4)
+
+
+@pytest.mark.parametrize(
+    ("engine", "display", "hidden", "told"),
+    [
+        ("CYCLES", "SOFT", False, True),
+        ("CYCLES", "SPLATS", False, True),
+        ("CYCLES", "POINTS", False, False),
+        ("CYCLES", "SOFT", True, False),
+        ("GSCORE_SPLATS", "SOFT", False, False),
+    ],
+)
+def test_when_it_is_told(
+    scene: bpy.types.Scene, engine: str, display: str, hidden: bool, told: bool
+) -> None:
+    """Oracle: which displays render as soft splats; the button ends it, once."""
+    ob = lab.add(scene, lab.blob())
+    ob.gscore.display, ob.hide_render = display, hidden
+    scene.render.engine = engine
+    scene.cycles.transparent_max_bounces = 8
+    assert ends_early(scene) is told
+    assert bpy.ops.gscore.see_through_splats.poll() is told
+    if told:
+        assert bpy.ops.gscore.see_through_splats() == {"FINISHED"}
+        assert scene.cycles.transparent_max_bounces == ENOUGH
+        assert not ends_early(scene)
+
+
+def test_splats_behind_each_other_let_light_through(scene: bpy.types.Scene, tmp_path: Path) -> None:
+    """Oracle: forty faint white splats in a row before a camera are brighter by the button."""
+    splats = lab.blob(40)
+    splats.means[:] = np.linspace(-1, 1, 40)[:, None] * (0, 1, 0)
+    splats.scales[:], splats.opacities[:] = np.log(0.5), -3.5
+    splats.sh0[:], splats.shN[:] = 1.7, 0.0
+    ob = lab.add(scene, splats)
+    ob.gscore.display = "SOFT"
+    camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+    scene.collection.objects.link(camera)
+    camera.location, camera.rotation_euler = (0, -6, 0), (np.pi / 2, 0, 0)
+    scene.camera, scene.render.engine = camera, "CYCLES"
+    scene.render.resolution_x, scene.render.resolution_y = 16, 16
+    scene.world = None
+    scene.cycles.samples, scene.cycles.transparent_max_bounces = 4, 8
+    dark = picture(tmp_path / "dark.png")[8, 8, 0]
+    assert bpy.ops.gscore.see_through_splats() == {"FINISHED"}
+    assert picture(tmp_path / "bright.png")[8, 8, 0] > 1.3 * dark > 0
