@@ -26,7 +26,7 @@ def with_cameras(
     control: Control,
     *,
     allowed: bool,
-    check: Callable[[], None],
+    check: Callable[[list[str] | None], None],
     threads: int,
 ) -> DataConfig:
     """What to train on: as given, or the capture made of plain photos or a video.
@@ -38,7 +38,8 @@ def with_cameras(
         show: Told how far it is.
         control: Asked whether to stop.
         allowed: Whether cameras may be found at all.
-        check: Called before a search, which takes long: raises where the training cannot be.
+        check: Called before a search, which takes long, with the names of the photos, or None where
+            they are yet to be made: raises where the training cannot be.
         threads: CPU threads; 0: one a core.
 
     Raises:
@@ -65,7 +66,8 @@ def with_cameras(
         apart=output,
     )
     if not (capture / "sparse").exists():
-        check()
+        whole = not (is_video(data.source) or is_gathered(request, [data.source]))
+        check([name for name, *_ in photos_of(request)] if whole else None)
         with photos_from(request, [data.source], on_event=show, control=control) as photos:
             find_cameras(photos, on_event=show, control=control)
         return found

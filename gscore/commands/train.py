@@ -18,7 +18,7 @@ from .block_runs import train_blocks, wants_blocks
 from .cameras import is_finding, with_cameras
 from .given.data_options import add_data_options, with_data_options
 from .given.declared import Set, declare, given_options
-from .given.live import add_live_options, onlookers_of
+from .given.live import add_live_options, check_live_options, onlookers_of
 from .given.names_3dgs import add_3dgs_names, translate
 from .given.no_effect import idle_options
 from .terminal.attend import STOPPED, add_output_options, attend
@@ -181,7 +181,6 @@ def _train(
 ) -> "TrainResult":
     data, config = told_configs(args, show)
     from ..trainer.files.folder import check_writable
-    from ..trainer.files.named import check_named_files
     from ..trainer.run import train
 
     check_place(args.output, data)  # of / or the capture nobody wants to hear what is in it
@@ -197,7 +196,7 @@ def _train(
         control,
         # One of many must not: the others need the cameras too.
         allowed=not (args.no_sfm or team),
-        check=lambda: check_named_files(config, data),
+        check=lambda names: _check_given(args, config, data, names),
         threads=config.threads,
     )
     with onlookers_of(args, data.source, show, after_the_end=True) as onlookers:
@@ -214,6 +213,16 @@ def _train(
             team=team,
             agent=agent(),
         )
+
+
+def _check_given(
+    args: argparse.Namespace, config: TrainConfig, data: DataConfig, names: list[str] | None
+) -> None:
+    """Raise where what was given cannot be used, before the cameras of photos are found."""
+    from ..trainer.files.named import check_named_files
+
+    check_live_options(args)
+    check_named_files(config, data, names=names, start_checkpoint=args.start_checkpoint)
 
 
 def _stopped(args: argparse.Namespace) -> str:

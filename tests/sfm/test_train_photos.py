@@ -105,7 +105,14 @@ def test_a_taken_folder_is_refused_before_the_search(
         ("--start-splats", "no.ply", "no.ply"),
         ("--hold-out", "no.txt", "no.txt"),
         ("--lpips", "no.onnx", "no.onnx"),
+        ("--hold-out", "none.txt", "leaves no view to test"),
+        ("--hold-out", "strange.txt", "names 1 view that the capture does not have"),
+        ("--hold-out", "first:8", "leaves no view to train"),
+        ("--start-checkpoint", "no.safetensors", "no.safetensors"),
+        ("--start-checkpoint", "half.json", "is not a complete checkpoint"),
         ("-d", "depths", "gscore depth OUTPUT/capture"),
+        ("--depth-mode", "on", "Leave --depth-mode on out"),
+        ("--port", "99999", "port"),
     ],
 )
 def test_what_options_name_is_looked_at_before_the_search(
@@ -113,11 +120,29 @@ def test_what_options_name_is_looked_at_before_the_search(
 ) -> None:
     """Oracle: exit code 2, a sentence about the file, and no search."""
     (tmp_path / "half.json").write_text('{"low": [0, 0, 0]}')
-    given = value if flag == "-d" else tmp_path / value
+    (tmp_path / "none.txt").touch()
+    (tmp_path / "strange.txt").write_text("nobody.jpg")
+    given = tmp_path / value if "." in value else value
     assert _train(mine, "-o", tmp_path / "out", flag, given) == 2
     error = capsys.readouterr().err
     assert said in error and "Finding the cameras" not in error
     assert not (tmp_path / "out").exists()
+
+
+def test_a_list_of_test_views_is_one_of_the_photos(mine: Path, tmp_path: Path, capsys: Out) -> None:
+    """Oracle: names as they are below the folder pass before the search, and split after it."""
+    (tmp_path / "list.txt").write_text("front/view 001.jpg\n")
+    assert _train(mine, "-o", tmp_path / "out", "--hold-out", tmp_path / "list.txt") == 0
+    capsys.readouterr()
+    metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    assert metrics["split"] == "test" and len(metrics["views"]) == 1
+
+
+def test_a_run_that_never_began_is_not_resumed(mine: Path, tmp_path: Path, capsys: Out) -> None:
+    """Oracle: exit code 2 and no search, with a preset too, which needs no config.json."""
+    out = tmp_path / "out"
+    assert _train(mine, "-o", out, "--resume", "--preset", "preview") == 2
+    assert "no checkpoint to resume from" in capsys.readouterr().err and not out.exists()
 
 
 @pytest.mark.parametrize("place", ["film.mp4", "film.mp4/run"])

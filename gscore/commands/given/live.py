@@ -19,6 +19,17 @@ def add_live_options(group: argparse._ActionsContainer) -> None:
     declare(group, LiveOptions)
 
 
+def check_live_options(args: argparse.Namespace) -> None:
+    """Raise where nobody could watch; the port is not opened yet.
+
+    Raises:
+        ConfigError: the port or the address is none.
+    """
+    options = LiveOptions(**given_options(LiveOptions, args))
+    if options.port and not args.disable_viewer:
+        _is_own(options.ip)
+
+
 @contextmanager
 def onlookers_of(
     args: argparse.Namespace, source: Path, show: Show, *, after_the_end: bool = False

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ...config import DataConfig, TrainConfig
+from ...config import DataConfig, Switch, TrainConfig
 from ...datasets import Dataset
 from ...depth import load_priors
 from ...errors import ConfigError
@@ -58,9 +58,10 @@ def prepare_depth(
         ConfigError: depth is asked for and no maps are named.
     """
     if not data.depths:
-        if config.depth_mode == "on" or config.depth_points > 0:
+        if asked := asked_for_depth(config):
             raise ConfigError(
-                "Depth is asked for, but no folder of depth maps is named: give it with --depths."
+                f"{asked} takes depth maps, but no folder of these is named. gscore depth "
+                f"{data.source} makes them in its folder depths; give that with -d depths."
             )
         return DepthSetup()
     facts = coverage(photos.scene, photos.train)
@@ -108,6 +109,13 @@ def prepare_depth(
         table=priors.table,
         warnings=tuple(warnings),
     )
+
+
+def asked_for_depth(config: TrainConfig) -> str:
+    """The option that takes depth maps in any case; empty where none does."""
+    if config.depth_mode is Switch.ON:
+        return "--depth-mode on"
+    return f"--depth-points {config.depth_points}" if config.depth_points > 0 else ""
 
 
 def _weight_words(first: float, last: float) -> str:

@@ -110,9 +110,8 @@ def open_folder(
     except (OSError, ValueError) as error:  # others answer otherwise to `exists` and `glob`
         raise GsError(f"Cannot use {shown(path)}: {reason(error)}") from error
     check_place(path, data)
-    if resume and not folder.checkpoints():
-        check_free(path)
-        raise ConfigError(f"{path} holds no checkpoint to resume from; leave --resume out.")
+    if resume:
+        _check_begun(folder)
     new = not path.exists()
     lock = _lock(path)
     try:
@@ -126,6 +125,13 @@ def open_folder(
         if new:
             with contextlib.suppress(OSError):
                 path.rmdir()  # only an empty folder can be removed
+
+
+def _check_begun(folder: RunFolder) -> None:
+    """ConfigError unless a folder holds a checkpoint."""
+    if not folder.checkpoints():
+        check_free(folder.path)
+        raise ConfigError(f"{folder.path} holds no checkpoint to resume from; leave --resume out.")
 
 
 def _check_room(folder: RunFolder, *, overwrite: bool) -> None:
@@ -148,7 +154,9 @@ def check_writable(path: Path, *, resume: bool, overwrite: bool) -> None:
         ConfigError, GsError: as `open_folder`.
     """
     check_free(path)
-    if not resume:
+    if resume:
+        _check_begun(RunFolder(path))
+    else:
         _check_room(RunFolder(path), overwrite=overwrite)
 
 
