@@ -217,6 +217,9 @@ class TestFinding:
 
     def test_none(self, tmp_path: Path) -> None:
         """Oracle: the sentence says where was looked and what to do."""
+        with pytest.raises(DatasetError, match=r"is an empty folder\. Give one with photos"):
+            read_model(tmp_path)
+        (tmp_path / "notes.md").touch()
         with pytest.raises(
             DatasetError, match=r"No COLMAP model in .*sparse/0.*Give the folder above"
         ):
