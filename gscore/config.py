@@ -92,7 +92,7 @@ class DataConfig:
     resolution: float = option(
         -1,
         "Size of the photos: 1, 2, 4, 8 divide it; a larger number is the width in pixels; -1: "
-        "as they are, at most 1600 wide, whatever the preset or the run takes.",
+        "as they are, at most as wide as the preset or the run says, else 1600.",
         group="capture",
         range=None,  # `datasets.resolution` checks it
         metavar="N",

@@ -109,7 +109,10 @@ def load_transforms(path: Path) -> dict[str, Any]:
     except ValueError as error:
         raise FormatError(f"{path} is not JSON: {error}. Copy or export it again.") from error
     if not isinstance(data, dict) or not isinstance(data.get("frames"), list):
-        raise FormatError(f"{path} must hold an object with a list `frames`. Export it again.")
+        raise FormatError(
+            f"{path} is no transforms.json: it must hold an object with a list `frames`. Export "
+            "it again, or give the folder of the capture."
+        )
     return data
 
 
