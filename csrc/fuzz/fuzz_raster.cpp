@@ -1,6 +1,8 @@
 // Forward and backward on hostile splats, cameras and options: nothing crashes, and what comes out keeps its promises.
 #include "scene.h"
 
+#include <limits>
+
 using fuzz::Bytes;
 using fuzz::Noise;
 using fuzz::Output;
@@ -110,13 +112,18 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     const bool sane = scene.camera.width > 0 && scene.camera.height > 0;
     const size_t pixels = sane ? size_t(scene.camera.width) * size_t(scene.camera.height) : 1;
 
+    Noise noise{uint32_t(size)};
+    std::vector<float> far_depths(size % 3 ? 0 : pixels);
+    for (size_t i = 0; i < far_depths.size(); ++i)
+        far_depths[i] = i % 11 ? noise(-1, 7) : std::numeric_limits<float>::quiet_NaN();
+    scene.options.far_depths = size % 3 ? nullptr : far_depths.data();
+
     gs_raster *raster = nullptr;
     REQUIRE(gs_raster_create(&raster) == GS_OK);
     const Drawn drawn(raster, scene, pixels);
     check_image(drawn, scene);
 
     std::vector<float> v(6 * pixels);
-    Noise noise{uint32_t(size)};
     for (float &x : v)
         x = noise(-1, 1);
     const gs_image_grads grads = {v.data(), v.data() + 3 * pixels,

@@ -36,7 +36,7 @@ extern "C" {
 #endif
 
 /* Changes whenever a struct or a signature below changes. */
-#define GS_ABI_VERSION 5
+#define GS_ABI_VERSION 6
 
 /* A splat contributes to a pixel where its alpha is at least this. */
 #define GS_ALPHA_MIN (1.0f / 255.0f)
@@ -111,6 +111,8 @@ typedef struct gs_options {
     int32_t threads;      /* up to GS_THREADS_MAX; 0: gs_default_threads() */
     const volatile int32_t *cancel; /* may be null; polled between tiles */
     const uint8_t *tiles; /* [ceil(H / GS_TILE), ceil(W / GS_TILE)]; where 0, no splat is drawn; null: draw everywhere */
+    const float *far_depths; /* [H, W]; at a pixel only splats with z <= this are drawn, as before something that hides the
+                                others; null, or NaN at a pixel: all are */
 } gs_options;
 
 /* Where gs_raster_forward writes. Pointers of outputs that were not asked for are ignored. */

@@ -315,19 +315,25 @@ GS_INLINE void add_splat(Vec (&pixels)[C::kPlanes][kBlockVecs], const Projected 
         if constexpr (C::kSumAlpha)
             pixels[C::kCover][k] += w[k];
         if constexpr (C::kMedian) {
-            // A splat leaves at least 1 - kAlphaMax, so none completes a pixel and crosses 0.5 at once.
             const Mask crossed = both(gt(pixels[0][k], set1(0.5f)), ge(set1(0.5f), next[k]));
-            pixels[C::kMedianAt][k] += keep(crossed, set1(p.channel[kChannelZ]));
+            const Mask blended = gt(next[k], Vec{}); // not one that ends the pixel
+            pixels[C::kMedianAt][k] += keep(both(crossed, blended), set1(p.channel[kChannelZ]));
         }
         pixels[0][k] = next[k];
     }
 }
 
+// Lets a splat at depth z leave nothing of the transmittance of pixels that end before it; `far` is the block's.
+GS_INLINE void end_before(float z, const float *far, Vec *next) {
+    for (int k = 0; k < kBlockVecs; ++k)
+        next[k] = select(gt(set1(z), load(far + k * kLanes)), Vec{}, next[k]);
+}
+
 // Blends all splats of the batch that reach a block, and takes it out of `live` when it is complete; returns how many
-// passed until then.
+// passed until then. `far` has the depths at which the tile's pixels end; null: they do not.
 template <class C>
 GS_INLINE int blend_block(C &canvas, Ends ends, const ForwardBatch &batch, int block, uint32_t outputs, int third,
-                          uint32_t &live, int64_t &useful) {
+                          const float *far, uint32_t &live, int64_t &useful) {
     const int at = block * kBlockPixels, count = batch.count[block];
     const uint8_t *const list = batch.list[block];
     Vec pixels[C::kPlanes][kBlockVecs];
@@ -352,8 +358,11 @@ GS_INLINE int blend_block(C &canvas, Ends ends, const ForwardBatch &batch, int b
             for (int k = 0; k < kBlockVecs; ++k) {
                 w[k] = min(alpha[j * kBlockVecs + k], set1(kAlphaMax)) * pixels[0][k];
                 next[k] = pixels[0][k] - w[k];
-                finished |= bits(ge(set1(kTransmittanceMin), next[k])) << (k * kLanes);
             }
+            if (far) [[unlikely]]
+                end_before(batch.splat[s].channel[kChannelZ], far + at, next);
+            for (int k = 0; k < kBlockVecs; ++k)
+                finished |= bits(ge(set1(kTransmittanceMin), next[k])) << (k * kLanes);
             if (finished != complete) [[unlikely]] {
                 stop_pixels(ends, at, batch.index[s], pixels[0], w, next);
                 complete = finished;
@@ -410,6 +419,21 @@ GS_INLINE void write_pictures(const C &canvas, Ends ends, const BlendArgs &a, ui
         }
 }
 
+// The tile's part of `far_depths`, in the order of its pixels; those beyond the picture get 0.
+GS_INLINE void read_far(float *to, const BlendArgs &a, const Area &area) {
+    std::memset(to, 0, kTilePixels * sizeof(float));
+    for (int s = 0; s * kBlock < area.columns; ++s)
+        for (int r = 0; r < area.rows; ++r) {
+            const int count = area.columns - s * kBlock < kBlock ? area.columns - s * kBlock : kBlock;
+            const size_t pixel = size_t(area.y0 + r) * size_t(a.width) + size_t(area.x0 + s * kBlock);
+            // Not below 0, so that the splat that fills up groups, at depth 0, ends nothing.
+            for (int x = 0; x < count; ++x) {
+                const float far = a.far_depths[pixel + size_t(x)];
+                to[s * kBlock * kTileHeight + r * kBlock + x] = far < 0 ? 0 : far;
+            }
+        }
+}
+
 template <int kChannels, bool kMedian>
 static PairCount blend_tile(const BlendArgs &a, uint32_t outputs, uint32_t tile) {
     const Area area = area_of(a, tile);
@@ -420,6 +444,10 @@ static PairCount blend_tile(const BlendArgs &a, uint32_t outputs, uint32_t tile)
     uint32_t live = clear(canvas, ends, area);
     const int third = third_channel(outputs);
     const uint32_t begin = a.tile_begin[tile], end = a.tile_begin[tile + 1];
+    alignas(64) float far_depths[kTilePixels];
+    const float *const far = a.far_depths ? far_depths : nullptr;
+    if (far)
+        read_far(far_depths, a, area);
     ForwardBatch batch;
     int64_t evaluated = 0, useful = 0;
     for (uint32_t e = begin; e < end && live;) {
@@ -427,7 +455,7 @@ static PairCount blend_tile(const BlendArgs &a, uint32_t outputs, uint32_t tile)
         for (uint32_t left = live; left; left &= left - 1) {
             const int block = __builtin_ctz(left);
             if (batch.count[block])
-                evaluated += blend_block(canvas, ends, batch, block, outputs, third, live, useful);
+                evaluated += blend_block(canvas, ends, batch, block, outputs, third, far, live, useful);
         }
     }
     write_pictures(canvas, ends, a, outputs, area);

@@ -185,6 +185,7 @@ PairCount gs_raster::blend(const gs_image &image, uint32_t tiles) {
     blend_.height = camera_.height;
     blend_.tiles_x = ceil_div(camera_.width, kTileWidth);
     std::copy_n(options_.background, 3, blend_.background);
+    blend_.far_depths = options_.far_depths;
     blend_.image = image;
     blend_.final_transmittance = final_transmittance_.ensure(size_t(tiles) * kTilePixels);
     blend_.stop_index = stop_index_.ensure(size_t(tiles) * kTilePixels);
@@ -197,6 +198,7 @@ PairCount gs_raster::blend(const gs_image &image, uint32_t tiles) {
         useful += found.useful;
     });
     blend_.image = {}; // the caller's arrays may be gone by the backward call
+    blend_.far_depths = nullptr;
     return {pairs, useful};
 }
 
@@ -234,6 +236,7 @@ gs_status gs_raster::forward(const gs_splats &splats, const gs_camera &camera, c
     const PairCount pairs = blend(image, tiles);
     options_.cancel = nullptr;
     options_.tiles = nullptr;
+    options_.far_depths = nullptr;
     if (cancelled(options.cancel))
         return GS_CANCELLED;
     stats.blend_ms = timer.lap_ms();

@@ -110,6 +110,7 @@ struct BlendArgs {
     const uint32_t *tile_begin; // [tiles + 1]
     int32_t width, height, tiles_x;
     float background[3];
+    const float *far_depths; // [height, width], or null
     gs_image image;
     float *final_transmittance; // [tiles * kTilePixels]
     int32_t *stop_index;        // [tiles * kTilePixels], first entry of the tile that is not blended, or INT32_MAX

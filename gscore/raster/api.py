@@ -48,6 +48,7 @@ def render(
     depths: bool = True,
     orthographic: bool = False,
     window: tuple[int, int, int, int] | None = None,
+    far_depths: np.ndarray | None = None,
     threads: int = 0,
     cancel: CancelFlag | None = None,
 ) -> Rendered:
@@ -70,6 +71,8 @@ def render(
             and colours are those seen along the camera's +z.
         window: Left, top, width and height, pixels: only this part of the picture is drawn and
             returned, bit for bit as in the whole one.
+        far_depths: [H, W] float32: at a pixel only splats with z at most this are drawn, as before
+            something that hides the others; world units. None, or NaN at a pixel: all are.
         threads: 0: all cores.
         cancel: Set it from another thread to stop.
 
@@ -77,7 +80,7 @@ def render(
         The picture and its depths.
 
     Raises:
-        ShapeError: K, viewmat, size, window or degree cannot be used.
+        ShapeError: K, viewmat, size, window, far_depths or degree cannot be used.
         FormatError: The file holds no splats that can be read.
         BackendError: The native library is missing or out of memory.
         Cancelled: `cancel` was set.
@@ -102,6 +105,7 @@ def render(
         background=background,
         outputs=sum(header.DEPTH_OUTPUTS.values()) if depths else 0,
         tiles=tiles,
+        far_depths=far_depths,
         threads=threads,
         cancel=cancel,
     )

@@ -109,6 +109,7 @@ def options(view: Frustum, settings: Settings) -> header.OptionsStruct:
     if s.tiles is not None:
         shape = (-(-view.height // header.TILE), -(-view.width // header.TILE))
         found.tiles = address("tiles", s.tiles, shape, UINT8)
+    found.far_depths = optional("far_depths", s.far_depths, (view.height, view.width))
     return found
 
 

@@ -129,6 +129,7 @@ def rasterize(
     disable: int = 0,
     cancel: CancelFlag | None = None,
     tiles: Tensor | None = None,
+    far_depths: Tensor | None = None,
     aux: RasterAux | None = None,
 ) -> RasterOutput:
     """Render splats from one pinhole camera (Kerbl et al. 2023; EWA of Zwicker et al. 2001).
@@ -162,6 +163,8 @@ def rasterize(
         cancel: Set it from another thread to stop this call or its backward pass.
         tiles: [ceil(H / 16), ceil(W / 16)] uint8: no splat is drawn in tiles of 16 x 16 px that are
             0 here; None: all are drawn.
+        far_depths: [H, W] float32: at a pixel only splats with z at most this are drawn, as before
+            something that hides the others; world units. None, or NaN at a pixel: all are.
         aux: Where radii, screen gradients and statistics go.
 
     Returns:
@@ -191,6 +194,7 @@ def rasterize(
         background=color,
         outputs=sum(bit for name, bit in header.DEPTH_OUTPUTS.items() if wanted[name]),
         tiles=None if tiles is None else tiles.contiguous(),
+        far_depths=None if far_depths is None else far_depths.detach().contiguous(),
         threads=threads,
         disable=disable,
         cancel=cancel,

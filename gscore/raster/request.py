@@ -56,6 +56,9 @@ class Settings:
     tiles: Array | None = None
     """[ceil(H / 16), ceil(W / 16)] uint8: no splat is drawn in tiles of 16 x 16 px that are 0 here;
     None: all are drawn."""
+    far_depths: Array | None = None
+    """[H, W]: at a pixel only splats with z at most this are drawn, as before something that hides
+    the others; world units. None, or NaN at a pixel: all are."""
     threads: int = 0
     """0: all cores."""
     disable: int = 0

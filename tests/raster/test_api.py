@@ -70,6 +70,21 @@ def test_a_window_is_a_part_of_the_picture(window: tuple[int, int, int, int]) ->
     assert whole.rgb.std() > 0.05
 
 
+@pytest.mark.parametrize("depths", [False, True])
+def test_pixels_that_end_at_one_depth_are_those_of_a_far_plane(depths: bool) -> None:
+    """Oracles: `far`, bit for bit; nothing and everything where depths are no usual ones."""
+    splats, _ = synthetic_scene(3000, 160, 90)
+    whole = _view(splats, depths=depths)
+    ends = {value: np.full((90, 160), value, np.float32) for value in (3.5, 0, -np.inf, np.nan)}
+    drawn = {v: _view(splats, depths=depths, far_depths=far) for v, far in ends.items()}
+    cut = _view(splats, depths=depths, far=3.5)
+    assert 0.01 < cut.alpha.mean() < whole.alpha.mean() - 0.01
+    for name in ("rgb", "alpha", "depth", "inverse_depth", "median_depth")[: 5 if depths else 2]:
+        np.testing.assert_array_equal(getattr(drawn[3.5], name), getattr(cut, name))
+        np.testing.assert_array_equal(getattr(drawn[np.nan], name), getattr(whole, name))
+        assert not getattr(drawn[0], name).any() and not getattr(drawn[-np.inf], name).any()
+
+
 def test_cancel_stops_a_long_call() -> None:
     """Oracle: the clock. Uncancelled, this picture takes many times longer."""
     splats, _ = synthetic_scene(20_000, 160, 90)
@@ -131,6 +146,7 @@ def test_cancel_stops_a_long_call() -> None:
         ({"window": (0, 0, 33, 1)}, "window must be .* inside 32 x 32 px"),
         ({"window": (-1, 0, 3, 1)}, "window must be"),
         ({"window": (0, 0, 3, 0)}, "window must be"),
+        ({"far_depths": np.ones((32, 31), np.float32)}, r"far_depths must be \[32, 32\] float32"),
     ],
 )
 def test_bad_input_is_named(options: dict, message: str) -> None:

@@ -106,7 +106,7 @@ def loss_of(pictures, weights):
     return sum((pictures[name] * weights[name].to(pictures[name].dtype)).sum() for name in PICTURES)
 
 
-def ask_reference(scene, *, antialias=False, near=0.01, far=1e10, **options):
+def ask_reference(scene, *, antialias=False, near=0.01, far=1e10, far_depths=None, **options):
     """Pictures, band, loss weights and gradients of a scene in float64."""
     inputs = scene.inputs()
     asked = request_of(inputs, near=near, far=far, antialias=antialias, **{"raw": False, **options})
@@ -117,6 +117,7 @@ def ask_reference(scene, *, antialias=False, near=0.01, far=1e10, **options):
         scene.width,
         scene.height,
         background=BACKGROUND,
+        far_depths=far_depths,
         inverse_depth=True,
         depth=True,
     )
@@ -240,6 +241,22 @@ def test_clip_planes_and_low_pass(draw, isa):
     truth = ask_reference(scene, **options)
     culled = ~truth.gradients["v_means2d"].any(1)
     assert 0.2 < culled.double().mean() < 0.8
+    pictures, gradients, _ = ask_native(scene, truth, **options)
+    check_pictures(pictures, truth)
+    check_gradients(gradients, truth)
+
+
+def test_pixels_that_end_at_depths_of_their_own(draw, isa):
+    """Pictures and gradients; of a slope that passes through the splats, and of pixels without."""
+    scene = draw("plain")
+    far_depths = torch.linspace(2, 6, scene.width).expand(scene.height, -1).clone()
+    far_depths[:, ::7] = torch.nan
+    options = {"raw": True, "far_depths": far_depths}
+    truth = ask_reference(scene, **options)
+    whole = ask_reference(scene, raw=True).pictures["alpha"]
+    hidden = (whole - truth.pictures["alpha"])[:, 1:4]
+    assert (hidden > 0.1).double().mean() > 0.5
+    assert torch.equal(truth.pictures["alpha"][:, ::7], whole[:, ::7])
     pictures, gradients, _ = ask_native(scene, truth, **options)
     check_pictures(pictures, truth)
     check_gradients(gradients, truth)

@@ -61,6 +61,7 @@ def blend_pixels(
     opacities: Tensor,
     depths: Tensor,
     features: Tensor,
+    far_depths: Tensor | None = None,
 ) -> Blended:
     """Blend M splats, given front to back, at P pixels.
 
@@ -74,6 +75,7 @@ def blend_pixels(
         opacities: [M].
         depths: [M], camera z, ascending.
         features: [M, F], whatever is to be summed: colour, depth, one.
+        far_depths: [P], splats with z above it are not drawn at a pixel; NaN or None: all are.
 
     Returns:
         The sums, the final transmittance and the median depth.
@@ -81,6 +83,8 @@ def blend_pixels(
     uncapped = gaussian_alpha(pixels, means2d, conics, opacities)  # [P, M]
     alpha = torch.where(uncapped < ALPHA_MAX, uncapped, ALPHA_MAX)
     alpha = torch.where(uncapped >= ALPHA_MIN, alpha, 0.0)
+    if far_depths is not None:
+        alpha = torch.where(depths > far_depths[:, None], 0.0, alpha)
 
     # Transmittance only falls, so the splats that come before the stop are those after which it
     # would still be above the limit.
@@ -106,6 +110,7 @@ def blend(
     *,
     width: int,
     height: int,
+    far_depths: Tensor | None = None,
     pairs_per_chunk: int = PAIRS_PER_CHUNK,
 ) -> Blended:
     """`blend_pixels` over a whole image, a few rows at a time, recomputed in the backward pass.
@@ -118,6 +123,7 @@ def blend(
         features: [M, F].
         width: pixels.
         height: pixels.
+        far_depths: [H, W], as there.
         pairs_per_chunk: memory bound; changes nothing but the memory used.
 
     Returns:
@@ -125,11 +131,13 @@ def blend(
     """
     pixels = pixel_centers(width, height, like=means2d)
     chunk = max(1, pairs_per_chunk // max(1, len(means2d)))
+    far = pixels.new_full((len(pixels),), torch.nan)
+    if far_depths is not None:
+        far = far_depths.to(far).reshape(-1)
+    splats = means2d, conics, opacities, depths, features
     parts = [
         # Recomputing a chunk in the backward pass keeps only its inputs alive.
-        checkpoint(
-            blend_pixels, part, means2d, conics, opacities, depths, features, use_reentrant=False
-        )
-        for part in pixels.split(chunk)
+        checkpoint(blend_pixels, part, *splats, limits, use_reentrant=False)
+        for part, limits in zip(pixels.split(chunk), far.split(chunk), strict=True)
     ]
     return Blended(*(torch.cat(field) for field in zip(*parts, strict=True)))

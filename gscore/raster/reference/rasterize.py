@@ -196,6 +196,7 @@ def composite(
     height: int,
     *,
     background: Tensor | None = None,
+    far_depths: Tensor | None = None,
     inverse_depth: bool = False,
     depth: bool = False,
     pairs_per_chunk: int = PAIRS_PER_CHUNK,
@@ -213,6 +214,7 @@ def composite(
         torch.cat([splats.colors, 1 / z, z, torch.ones_like(z)], 1),
         width=width,
         height=height,
+        far_depths=far_depths,
         pairs_per_chunk=pairs_per_chunk,
     )
     rgb, inverse, depth_sum, weight = blended.sums.split([3, 1, 1, 1], 1)
@@ -248,6 +250,7 @@ def rasterize_reference(
     eps2d: float = 0.3,
     antialias: bool = False,
     orthographic: bool = False,
+    far_depths: Tensor | None = None,
     inverse_depth: bool = False,
     depth: bool = False,
     dtype: torch.dtype = torch.float64,
@@ -278,6 +281,7 @@ def rasterize_reference(
         eps2d: variance added in the image, pixels squared.
         antialias: scale opacities to undo the widening by `eps2d`.
         orthographic: parallel rays; K's focal lengths are pixels per world unit.
+        far_depths: [H, W], splats with z above it are not drawn at a pixel; NaN or None: all are.
         inverse_depth: whether to return the accumulated inverse depth.
         depth: whether to return expected and median depth.
         dtype: floating dtype to compute in; inputs of another are converted.
@@ -301,6 +305,7 @@ def rasterize_reference(
         width,
         height,
         background=background,
+        far_depths=far_depths,
         inverse_depth=inverse_depth,
         depth=depth,
         pairs_per_chunk=pairs_per_chunk,
