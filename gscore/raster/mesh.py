@@ -16,6 +16,9 @@ def mesh_depth(
     viewmat: np.ndarray,
     width: int,
     height: int,
+    *,
+    near: float = 0.0,
+    orthographic: bool = False,
 ) -> np.ndarray:
     """Inverse depth of the nearest triangle at the centre of each pixel.
 
@@ -29,9 +32,12 @@ def mesh_depth(
         viewmat: [4, 4], world to camera, OpenCV axes.
         width: Of the picture.
         height: Of the picture.
+        near: Of triangles, what has z below this is not there; world units.
+        orthographic: Parallel rays: K's focal lengths are pixels per world unit, x = fx X + cx.
 
     Returns:
-        [H, W] float32, 1/world unit along the camera's z; 0 where there is no triangle.
+        [H, W] float32, 1/world unit along the camera's z; 0 where there is no triangle. With
+        parallel rays z is right to 1e-6 of how far the triangles reach.
 
     Raises:
         ShapeError: an array of another shape, a number that is not finite, or a triangle whose
@@ -40,7 +46,12 @@ def mesh_depth(
     """
     if vertices.ndim != 2 or vertices.shape[1] != 3:
         raise ShapeError(f"vertices must be [V, 3], got {list(vertices.shape)}.")
-    corners = seen_corners(vertices, K, viewmat)
+    corners, farthest = seen_corners(vertices, K, viewmat), None
+    if near > 0 or orthographic:
+        corners, triangles = _before(near, vertices, triangles, viewmat)
+        corners = corners @ np.asarray(K, np.float64).T
+    if orthographic:
+        corners, farthest = _linear(corners, K)
     mesh = header.MeshStruct(
         corner_count=len(corners),
         corners=address("corners", corners, corners.shape, FLOAT64),
@@ -53,7 +64,57 @@ def mesh_depth(
             ct.byref(mesh), width, height, address("inverse_depth", out, (height, width))
         )
     )
+    if farthest is not None:
+        np.divide(1, np.float64(farthest) - out, out=out, where=out > 0)
     return out
+
+
+def _before(
+    near: float, vertices: np.ndarray, triangles: np.ndarray, viewmat: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Triangles cut off at z = near: [V', 3] in the camera's axes, and [T', 3] int32 rows."""
+    address("triangles", triangles, (len(triangles), 3), INT32)
+    if triangles.size and not (0 <= triangles.min() and triangles.max() < len(vertices)):
+        raise ShapeError(f"triangles names corners that are not there, of {len(vertices)}.")
+    places = seen_corners(vertices, np.eye(3), viewmat)
+    there = places[:, 2] >= near
+    kept = there[triangles]
+    count = kept.sum(1)
+    whole = triangles[count == 3]
+    # Turned so that the corner which is on its own side comes first.
+    tip, stump = triangles[count == 1], triangles[count == 2]
+    tip, stump = _turned(tip, kept[count == 1].argmax(1)), _turned(stump, kept[count == 2].argmin(1))
+    ends = np.concatenate([tip[:, [0, 1]], tip[:, [0, 2]], stump[:, [1, 0]], stump[:, [2, 0]]])
+    inside, outside = places[ends[:, 0]], places[ends[:, 1]]
+    share = (near - inside[:, 2:]) / (outside[:, 2:] - inside[:, 2:])
+    cuts = inside + share * (outside - inside)
+    cuts[:, 2] = near
+    at = np.split(len(places) + np.arange(len(ends)), np.cumsum([len(tip)] * 2 + [len(stump)]))
+    parts = [
+        whole,
+        np.stack([tip[:, 0], at[0], at[1]], 1),
+        np.stack([stump[:, 1], stump[:, 2], at[3]], 1),
+        np.stack([stump[:, 1], at[3], at[2]], 1),
+    ]
+    return np.concatenate([places, cuts]), np.concatenate(parts).astype(np.int32)
+
+
+def _turned(triangles: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """[T, 3] with the corners of `first` [T] in front, in the same sense of rotation."""
+    return np.take_along_axis(triangles, (first[:, None] + np.arange(3)) % 3, 1)
+
+
+def _linear(corners: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, float]:
+    """Corners whose inverse depth is how far before a plane they lie, which is linear in a picture
+    of parallel rays; and where the plane is."""
+    z = corners[:, 2]
+    if not len(z):
+        return corners, 1.0
+    center = np.asarray(K, np.float64)[:2, 2]
+    places = corners[:, :2] - z[:, None] * center + center  # K times (X, Y, 1)
+    farthest = float(z.max() + max(np.ptp(z), abs(z).max() * 1e-3))
+    weight = 1 / (farthest - z)
+    return np.column_stack([places * weight[:, None], weight]), farthest
 
 
 def seen_corners(vertices: np.ndarray, K: np.ndarray, viewmat: np.ndarray) -> np.ndarray:

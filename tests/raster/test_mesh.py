@@ -93,6 +93,29 @@ def test_triangles_are_those_of_the_twin(seed: int) -> None:
     assert (wanted > 0).any()
 
 
+@pytest.mark.parametrize("orthographic", [False, True])
+@pytest.mark.parametrize("near", [0.0, 2.5])
+@pytest.mark.parametrize("seed", range(4))
+def test_near_ends_and_parallel_rays_are_those_of_the_twin(
+    seed: int, near: float, orthographic: bool
+) -> None:
+    """Oracle: the float64 twin, which solves for each pixel; triangles lie on both sides of it."""
+    rng = np.random.default_rng(seed)
+    vertices = rng.normal(size=(60, 3)) * 3
+    triangles = rng.integers(0, 60, (40, 3)).astype(np.int32)
+    viewmat, how = pose(seed), {"near": near, "orthographic": orthographic}
+    scale = np.diag([0.15, 0.15, 1]) if orthographic else np.eye(3)
+    found = mesh.mesh_depth(vertices, triangles, scale @ K, viewmat, *SIZE, **how)
+    wanted = twin.mesh_depth(vertices, triangles, scale @ K, viewmat, *SIZE, **how)
+    with np.errstate(divide="ignore"):
+        off = ~np.isclose(1 / found, 1 / wanted, rtol=1e-5, atol=1e-5)
+    assert off.sum() <= 2  # a centre on an edge to rounding
+    assert (wanted > 0).mean() > 0.2
+    if near:
+        assert found.max() <= 1 / near * (1 + 1e-6)
+        assert (found != twin.mesh_depth(vertices, triangles, scale @ K, viewmat, *SIZE)).any()
+
+
 def test_neighbours_leave_no_crack() -> None:
     """Oracle: every ray into a closed ball hits it; edges lie wherever they happen to."""
     for seed in range(20):

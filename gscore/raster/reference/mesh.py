@@ -12,19 +12,29 @@ def mesh_depth(
     viewmat: np.ndarray,
     width: int,
     height: int,
+    *,
+    near: float = 0.0,
+    orthographic: bool = False,
 ) -> np.ndarray:
     """As `gscore.raster.mesh.mesh_depth`, [H, W] float64.
 
     The corners weighed by l / z give the ray of a pixel, whose z is 1: one system of three
-    equations a triangle.
+    equations a triangle. With parallel rays, K times (X, Y, 1) weighed by l gives the pixel.
     """
     x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     rays = np.stack([x, y, np.ones_like(x)]).reshape(3, -1)
     out = np.zeros(width * height)
-    for corners in seen_corners(vertices, K, viewmat)[triangles]:
+    places = seen_corners(vertices, np.eye(3), viewmat)
+    depths = places[:, 2].copy()
+    if orthographic:
+        places[:, 2] = 1
+    for rows in triangles:
+        corners = places[rows] @ np.asarray(K, np.float64).T
         if np.linalg.matrix_rank(corners) < 3:
             continue  # a line, or seen edge-on
         shares = np.linalg.solve(corners.T, rays)
-        hit = (shares >= 0).all(axis=0)
-        out[hit] = np.maximum(out[hit], shares.sum(axis=0)[hit])
+        with np.errstate(divide="ignore"):
+            inverse = 1 / (depths[rows] @ shares) if orthographic else shares.sum(axis=0)
+            hit = (shares >= 0).all(axis=0) & (inverse > 0) & (1 / inverse >= near)
+        out[hit] = np.maximum(out[hit], inverse[hit])
     return out.reshape(height, width)
