@@ -95,6 +95,7 @@ from gscore.frontend import (
     is_lod_file,
     is_video,
     join_splats,
+    mesh_depth,
     most_important,
     of_size,
     options_of,

@@ -82,6 +82,7 @@ if TYPE_CHECKING:
     from .lod.read import read_lod
     from .logged import collected_warnings
     from .options import Option, options_of
+    from .raster.mesh import mesh_depth
     from .report.colormap import colorize
     from .sfm.beside import capture_beside
     from .sh import sh0_to_rgb, sh_basis
@@ -171,6 +172,7 @@ _HOME = {
     "is_video": "video",
     "isolation_of": "edit",
     "join_splats": "formats.joined:joined",
+    "mesh_depth": "raster.mesh",
     "most_important": "edit",
     "of_size": "edit",
     "options_of": "options",
@@ -279,6 +281,7 @@ __all__ = [
     "is_video",
     "isolation_of",
     "join_splats",
+    "mesh_depth",
     "most_important",
     "of_size",
     "options_of",

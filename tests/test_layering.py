@@ -143,11 +143,12 @@ IN_BLENDER = {"bmesh", "bpy", "bpy_extras", "gpu", "gpu_extras", "mathutils", "n
 _FLOOR = {"attributes", "compat", "core", "registration"}
 _FILES = _FLOOR | {"capture", "paths", "stored_paths", "outcomes"}
 _SHARED = _FILES | {"interface", "preferences", "process"}
-_OBJECTS = _SHARED | {"cameras", "nodes", "splats"}
+_OBJECTS = _SHARED | {"cameras", "nodes", "splats", "triangles"}
 ROOMS = {
     "core": set(),
     "compat": set(),
     "registration": set(),
+    "triangles": set(),
     "attributes": {"core"},
     "capture": {"core"},
     "process": set(),

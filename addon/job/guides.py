@@ -8,7 +8,6 @@ the photos is in that.
 import hashlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
 
 import bpy
 import numpy as np
@@ -18,18 +17,10 @@ from ..compat import matrix_to_numpy
 from ..core import GUIDES, write_mesh
 from ..splats.files import source_matrix
 from ..splats.objects import is_splats
+from ..triangles import WITH_FACES, Triangles, joined, moved, triangles_of
 
 ROLES = {"surface": "guide_surface", "free": "guide_free"}
 """What a mesh is for, and the setting that names its collection."""
-
-
-class Triangles(NamedTuple):
-    """A mesh without its object."""
-
-    vertices: np.ndarray
-    """[V, 3] float64."""
-    triangles: np.ndarray
-    """[T, 3] int32, rows of `vertices`."""
 
 
 def arguments(scene: bpy.types.Scene, output: Path) -> list[str]:
@@ -81,22 +72,20 @@ def gathered(scene: bpy.types.Scene, collection: bpy.types.Collection) -> Triang
             "photos: press Import Cameras first."
         )
     to_capture = np.linalg.inv(source_matrix(root))
-    vertices, triangles, total = [], [], 0
+    parts = []
     for name, matrix, part in _shown(collection):
-        places = part.vertices @ (to_capture @ matrix)[:3, :3].T + (to_capture @ matrix)[:3, 3]
+        places = moved(part.vertices, to_capture @ matrix)
         if not np.isfinite(places).all():
             raise ValueError(
                 f"Corners of {name} are no places in space; mend it with Mesh > Clean Up."
             )
-        vertices.append(places)
-        triangles.append(part.triangles + np.int32(total))
-        total += len(places)
-    if not triangles:
+        parts.append(Triangles(places, part.triangles))
+    if not parts:
         raise ValueError(
             f"{collection.name} shows no faces that could guide a training: put meshes there, show "
             "them in the viewport, or clear the field."
         )
-    return Triangles(np.concatenate(vertices), np.concatenate(triangles))
+    return joined(parts)
 
 
 def add_to_guides(
@@ -115,7 +104,6 @@ def add_to_guides(
 
 
 _NAMES = {"surface": "Guide Surfaces", "free": "Guide Free Space"}
-_WITH_FACES = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
 _MOST_LISTED = 5
 
 
@@ -130,7 +118,7 @@ def may_guide(ob: bpy.types.Object) -> bool:
     """Whether an object is a mesh that could guide, becomes one, or shows others."""
     if ob.instance_type == "COLLECTION":
         return True
-    return ob.type in _WITH_FACES and not is_splats(ob)
+    return ob.type in WITH_FACES and not is_splats(ob)
 
 
 def _shown(collection: bpy.types.Collection) -> Iterator[tuple[str, np.ndarray, Triangles]]:
@@ -144,12 +132,12 @@ def _shown(collection: bpy.types.Collection) -> Iterator[tuple[str, np.ndarray, 
         owner = instance.parent if instance.is_instance else ob
         if owner.original.session_uid not in wanted or not instance.show_self:
             continue
-        if ob.type not in _WITH_FACES or is_splats(ob.original):
+        if ob.type not in WITH_FACES or is_splats(ob.original):
             continue
         if ob.type != "MESH":  # Blender shows other instances under the same address
-            found = _triangles_of(ob)
+            found = triangles_of(ob)
         elif (found := known.get(ob.data.as_pointer())) is None:
-            found = known[ob.data.as_pointer()] = _triangles_of(ob)
+            found = known[ob.data.as_pointer()] = triangles_of(ob)
         matrix = matrix_to_numpy(instance.matrix_world)
         # A text in an instanced collection comes twice: as itself, and as the mesh that it becomes.
         of = owner.original.session_uid
@@ -157,22 +145,6 @@ def _shown(collection: bpy.types.Collection) -> Iterator[tuple[str, np.ndarray, 
         if len(found.triangles) and one not in given:
             given.add(one)
             yield ob.name, matrix, found
-
-
-def _triangles_of(ob: bpy.types.Object) -> Triangles:
-    """The faces of an evaluated object, in its own axes."""
-    mesh = ob.to_mesh()
-    if mesh is None:
-        return Triangles(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
-    try:
-        mesh.calc_loop_triangles()
-        vertices = np.empty((len(mesh.vertices), 3), np.float32)
-        mesh.vertices.foreach_get("co", vertices.ravel())
-        triangles = np.empty((len(mesh.loop_triangles), 3), np.int32)
-        mesh.loop_triangles.foreach_get("vertices", triangles.ravel())
-    finally:
-        ob.to_mesh_clear()
-    return Triangles(vertices.astype(np.float64), triangles)
 
 
 def _listed(names: list[str]) -> str:

@@ -4,9 +4,10 @@ import bpy
 
 from ..cameras.objects import is_camera
 from ..render import see_through
-from ..render.compositor import combine_node
+from ..render.compositor import SPLAT_SCENE, combine_node
 from ..render.engine import NAME
-from ..render.ignored import held_out_meshes
+from ..render.held_meshes import not_taken_over
+from ..render.ignored import NOT_TAKEN_OVER
 from ..render.panels import draw_render
 from ..splats.objects import meant
 from ..stored_paths import RUN
@@ -56,8 +57,8 @@ def draw_compositing(layout: bpy.types.UILayout, context: bpy.types.Context) -> 
     if there and scene.render.engine == NAME:
         text = "Compositing with meshes rests: this engine draws the splats already. Cycles or "
         sentence(layout, context, f"{text}EEVEE brings it back.", icon="INFO")
-    elif there and (text := held_out_meshes(scene)):
-        sentence(layout, context, text, icon="INFO")
+    elif names := not_taken_over(scene, scene.get(SPLAT_SCENE)):
+        sentence(layout, context, NOT_TAKEN_OVER.format(names), icon="INFO")
     row = layout.row(align=True)
     part = row.row(align=True)
     part.enabled = scene.render.engine != NAME

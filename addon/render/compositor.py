@@ -7,6 +7,7 @@ from ..interface import writable
 from ..splats.objects import is_splats
 from .apart import MAIN_SCENE
 from .engine import NAME
+from .held_meshes import held_by
 
 SPLAT_SCENE = "gs_splat_scene"
 """Custom property of a scene: the scene that renders its splats."""
@@ -96,11 +97,8 @@ def _synchronise(
     scene: bpy.types.Scene, other: bpy.types.Scene, splats: list[bpy.types.Object]
 ) -> None:
     """Give the splats' scene the objects and view of the meshes' scene."""
-    for ob in [o for o in other.collection.objects if o not in splats]:
-        other.collection.objects.unlink(ob)
+    _link(scene, other)
     for ob in splats:
-        if other.collection.objects.get(ob.name) is None:
-            other.collection.objects.link(ob)
         for modifier in ob.modifiers:
             # Their picture comes from the other scene; points without faces show nothing here.
             if modifier.type == "NODES":
@@ -113,6 +111,17 @@ def _synchronise(
     for name in ("antialias", "blur_samples"):
         setattr(other.gscore_render, name, getattr(scene.gscore_render, name))
     other.view_layers[0].use_pass_z = True
+
+
+def _link(scene: bpy.types.Scene, other: bpy.types.Scene) -> None:
+    """Give the splats' scene the splats, and what is held out of the meshes' scene: it hides splats
+    behind it."""
+    wanted = [*filter(is_splats, scene.objects), *held_by(scene)]
+    for ob in [o for o in other.collection.objects if o not in wanted]:
+        other.collection.objects.unlink(ob)
+    for ob in wanted:
+        if other.collection.objects.get(ob.name) != ob:
+            other.collection.objects.link(ob)
 
 
 def _follow(scene: bpy.types.Scene, other: bpy.types.Scene) -> None:

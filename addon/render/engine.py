@@ -13,7 +13,7 @@ from ..core import Cancelled, GsError
 from ..timeline import follow
 from ..timeline.moment import gap_sentence
 from ..timeline.settings import plays
-from . import copies, ignored, picture
+from . import copies, held_meshes, ignored, picture
 from .apart import main_scene
 from .film import Film
 from .scene import NO_SPLATS, NONE_IN_VIEW, Model, Placed, SplatCache, place, sources
@@ -74,6 +74,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
     def view_update(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
         """Something in the scene has changed."""
         copies.SHARED.forget_changed(depsgraph)
+        held_meshes.SHARED.forget_changed(depsgraph)
 
     def view_draw(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
         """Show the last picture that is ready, and ask for the one of now.
@@ -88,7 +89,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         except ValueError as error:
             self.update_stats("", str(error))
             return
-        request = self._request(context, depsgraph.scene, placed)
+        request = self._request(context, depsgraph, placed)
         live = next((one for one in STAND_INS if one.stands_in(context)), None)
         if not complete:
             self.update_stats("", "Reading splats")
@@ -121,8 +122,9 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         return self._view
 
     def _request(
-        self, context: bpy.types.Context, scene: bpy.types.Scene, placed: list[Placed]
+        self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph, placed: list[Placed]
     ) -> Request:
+        scene = depsgraph.scene
         region, rv3d = context.region, context.region_data
         matrices = (matrix_to_numpy(m) for m in (rv3d.view_matrix, rv3d.window_matrix))
         size = region.width, region.height
@@ -130,6 +132,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         light = np.zeros(3) if transparent else world_light(scene.world)[0]
         return Request(
             placed=placed,
+            held=held_meshes.SHARED.of(depsgraph),
             camera=view_camera(*matrices, *size, perspective=rv3d.is_perspective),
             options=picture.Options(
                 background=background_of(light), antialias=scene.gscore_render.antialias
@@ -300,6 +303,7 @@ def on_unregister() -> None:
         painter.close()
     final_cache.clear()
     copies.SHARED.clear()
+    held_meshes.SHARED.clear()
 
 
 def _leave_viewports() -> None:

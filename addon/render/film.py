@@ -7,9 +7,10 @@ import numpy as np
 
 from ..cameras.captures import RenderCamera
 from ..cameras.panorama import Panorama
-from ..core import CancelFlag
+from ..core import CancelFlag, Rendered
 from . import color, picture
 from .cube import Window, beyond, unfold
+from .mesh_holdout import Hidden, cut, hidden
 from .scene import Model
 from .stage import View
 
@@ -39,32 +40,62 @@ class Film:
             As `picture.draw`.
         """
         if isinstance(view.camera, Panorama):
-            return self._unfold(view.model, view.camera, stop)
-        rendered = picture.draw(view.model, view.camera, self.options, stop=stop, cancel=cancel)
+            return self._unfold(view, view.camera, stop)
+        at = hidden(view.held, view.camera) if view.held else None
+
+        def expose(model: Model, options: picture.Options) -> tuple[Rendered, np.ndarray | None]:
+            return _exposed(model, view.camera, options, at, stop, cancel)
+
+        rendered, light = expose(view.model, self.options)
         share = None
         if view.model.shares is not None:
             # What is behind everything is not cut out either, but it is only there in a full film.
-            options = replace(
-                self.options, background=_BLACK if self.transparent else _WHITE, depths=False
-            )
+            background = _BLACK if self.transparent else _WHITE
+            options = replace(self.options, background=background, depths=False)
             model = replace(view.model, splats=view.model.shares)
-            share = picture.draw(model, view.camera, options, stop=stop, cancel=cancel).rgb[..., 0]
+            share = expose(model, options)[0].rgb[..., 0]
         elif self.transparent:
             share = rendered.alpha
+        elif light is not None:
+            share = rendered.alpha + light
         passes = {"Combined": color.combined(rendered.rgb, share, to_scene=self.to_scene)}
         if self.options.depths:
             passes["Depth"] = color.z_pass(rendered)
         return passes
 
     def _unfold(
-        self, model: Model, camera: Panorama, stop: Callable[[], bool]
+        self, view: View, camera: Panorama, stop: Callable[[], bool]
     ) -> dict[str, np.ndarray]:
         def side(camera: RenderCamera, window: Window) -> dict[str, np.ndarray]:
             film = replace(self, options=replace(self.options, window=window))
-            return film.shoot(View(model=seen, camera=camera), stop)
+            return film.shoot(replace(view, model=seen, camera=camera), stop)
 
-        seen = beyond(model, camera)
+        seen = beyond(view.model, camera)
         passes = unfold(camera, self.options.window, side)
-        if not self.transparent and model.shares is None:
+        if not (self.transparent or view.model.shares or view.held):
             passes["Combined"][..., 3] = 1  # beyond a fisheye's circle it is black
         return passes
+
+
+def _exposed(
+    model: Model,
+    camera: RenderCamera,
+    options: picture.Options,
+    at: Hidden | None,
+    stop: Callable[[], bool],
+    cancel: CancelFlag | None,
+) -> tuple[Rendered, np.ndarray | None]:
+    """A picture, and where meshes hide something how much of its background shows."""
+    if at is None:
+        return picture.draw(model, camera, options, stop=stop, cancel=cancel), None
+    bare = replace(options, background=_BLACK)
+    before = picture.draw(model, camera, bare, far_depths=at.far, stop=stop, cancel=cancel)
+    part, free = at.inside(options.window), None
+    if part.edges is not None:
+        left, top, width, height = part.edges
+        window = options.window or (0, 0)
+        edges = replace(bare, window=(left + window[0], top + window[1], width, height))
+        free = picture.draw(model, camera, edges, stop=stop, cancel=cancel)
+    drawn, light = cut(before, free, part)
+    rgb = drawn.rgb + light[..., None] * np.array(options.background, np.float32)
+    return replace(drawn, rgb=rgb), light

@@ -11,8 +11,12 @@ from ..cameras.panorama import KINDS, kind_of
 from ..compat import matrix_to_numpy
 from ..nodes import display
 from ..splats.objects import is_splats
+from .apart import main_scene
+from .held_meshes import is_held_by, may_be_held, not_taken_over
 from .world import world_light
 
+NOT_TAKEN_OVER = "Holdout of {} hides no splats yet: press Composite Splats with Meshes again."
+"""Sentence on meshes that were held out after that."""
 _DRAWN_BY_OTHERS = {
     *("MESH", "CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD", "VOLUME"),
     *("GPENCIL", "GREASEPENCIL"),
@@ -116,22 +120,19 @@ def _others(shown: Shown) -> str:
         ob.name
         for ob in shown.layer.objects
         if ob.type in _DRAWN_BY_OTHERS and not ob.hide_render and "gs_kind" not in ob
+        if not (may_be_held(ob) and is_held_by(shown.layer, ob))
     ]
     more = f" and {len(names) - 2} more" if len(names) > 2 else ""
     return ", ".join(names[:2]) + more
 
 
-def held_out_meshes(scene: bpy.types.Scene) -> str:
-    """What to say of the meshes of a scene that are cut out; empty where there are none."""
-    layer = scene.view_layers[0]
-    names = ", ".join(
+def _held_without_faces(shown: Shown) -> str:
+    """Objects that are cut out and have no faces."""
+    return ", ".join(
         ob.name
-        for ob in layer.objects
+        for ob in shown.layer.objects
         if ob.type in _DRAWN_BY_OTHERS and "gs_kind" not in ob and not ob.hide_render
-        if ob.is_holdout or ob.original.holdout_get(view_layer=layer)
-    )
-    return (
-        f"Holdout of {names} hides no splats: only splats cut holes into splats." if names else ""
+        if not may_be_held(ob) and is_held_by(shown.layer, ob)
     )
 
 
@@ -172,7 +173,11 @@ CHECKS = (
         "{} is not drawn by this engine: Composite Splats with Meshes renders both.",
         _others,
     ),
-    Check("{}", lambda s: held_out_meshes(s.scene)),
+    Check("Holdout of {} hides no splats: only faces do.", _held_without_faces),
+    Check(
+        NOT_TAKEN_OVER,
+        lambda s: not_taken_over(main_scene(s.scene), s.scene),
+    ),
     Check("Modifiers and shape keys of {} have no effect: Export what they show.", _modified),
     Check(
         "Shadow Catcher of {} has no effect: light throws no shadows on splats.",

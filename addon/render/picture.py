@@ -56,6 +56,7 @@ def draw(
     camera: RenderCamera,
     options: Options,
     *,
+    far_depths: np.ndarray | None = None,
     stop: Callable[[], bool] = lambda: False,
     cancel: CancelFlag | None = None,
 ) -> Rendered:
@@ -65,6 +66,7 @@ def draw(
         model: What to draw.
         camera: From where.
         options: How.
+        far_depths: [H, W] float32, z behind which a pixel shows no splat; NaN: it shows all.
         stop: Asked every `POLL` seconds on the calling thread.
         cancel: Another way to stop, from another thread.
 
@@ -94,6 +96,7 @@ def draw(
                     depths=options.depths,
                     orthographic=camera.orthographic,
                     window=options.window,
+                    far_depths=far_depths,
                     cancel=flag,
                 )
             )

@@ -1,7 +1,6 @@
 """From the objects of a depsgraph to one model of splats, remembered between pictures."""
 
 import threading
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,7 +9,6 @@ import bpy
 import numpy as np
 
 from .. import attributes
-from ..compat import matrix_to_numpy
 from ..core import Splats, transform_splats
 from ..splats.filters import Filters, filters_of
 from ..splats.objects import ANTIALIAS, KIND
@@ -18,6 +16,7 @@ from ..timeline.moment import Moment, moment_of
 from . import apart
 from .frozen import HIDDEN, SELECTED, Frozen, FrozenMesh, freeze, read_marks
 from .holdout import held_out
+from .instances import instances
 
 NO_SPLATS = (
     "There are no splats to render: import a splat PLY, or enable the splat object and its "
@@ -159,8 +158,7 @@ def sources(depsgraph: bpy.types.Depsgraph) -> list[Source]:
     """The splat objects that a depsgraph shows, those in collection instances too."""
     found = []
     for ob in depsgraph.objects:  # leaves out what is hidden or excluded for the depsgraph's mode
-        placed = _instances(ob, depsgraph, matrix_to_numpy(ob.matrix_world), 0)
-        found += [_source(o, m, ob, depsgraph) for o, m in placed]
+        found += [_source(o, m, ob, depsgraph) for o, m in instances(ob, depsgraph, _may_show)]
     if depsgraph.mode == "RENDER":
         return [source for source in found if source.is_seen]
     return found
@@ -320,23 +318,8 @@ class SplatCache:
         return self._merged[1]
 
 
-def _instances(
-    ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph, matrix: np.ndarray, depth: int
-) -> Iterator[tuple[bpy.types.Object, np.ndarray]]:
-    """A splat object itself, or those in the collection that an object instances."""
-    if ob.get("gs_kind") == KIND and ob.type in {"MESH", "POINTCLOUD"}:
-        yield ob, matrix
-    collection = ob.instance_collection if ob.instance_type == "COLLECTION" else None
-    # Not through depsgraph.object_instances: that walks over every ellipsoid of a display.
-    if collection is None or depth > 8:
-        return
-    offset = np.eye(4)
-    offset[:3, 3] = -np.array(collection.instance_offset)
-    for inner in collection.all_objects:
-        if not (inner.hide_render if depsgraph.mode == "RENDER" else inner.hide_viewport):
-            inner = inner.evaluated_get(depsgraph)
-            inside = matrix @ offset @ matrix_to_numpy(inner.matrix_world)
-            yield from _instances(inner, depsgraph, inside, depth + 1)
+def _may_show(ob: bpy.types.Object) -> bool:
+    return ob.get("gs_kind") == KIND and ob.type in {"MESH", "POINTCLOUD"}
 
 
 def _leaves_out_anything(filters: Filters) -> bool:

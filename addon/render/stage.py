@@ -15,6 +15,7 @@ from ..compat import matrix_to_numpy
 from ..timeline import follow
 from .apart import main_scene
 from .frozen import Frozen
+from .held_meshes import HeldMesh, HeldMeshes, same_meshes
 from .samples import Aperture, Sample, Shutter, samples
 from .scene import NO_SPLATS, Model, SplatCache, place, sources
 
@@ -31,6 +32,8 @@ class View:
 
     model: Model
     camera: RenderCamera | Panorama
+    held: tuple[HeldMesh, ...] = ()
+    """Meshes that hide the splats behind them."""
 
     def same(self, other: "View") -> bool:
         """Whether the other picture is this one."""
@@ -38,6 +41,7 @@ class View:
             self.model.splats is other.model.splats
             and np.array_equal(self.model.matrix, other.model.matrix)
             and self.camera.same(other.camera)
+            and same_meshes(self.held, other.held)
         )
 
 
@@ -118,7 +122,10 @@ class Stage:
             placed.append(place(source, known))
             if source.moment is None:
                 self._frozen[source.uid] = placed[-1].frozen
-        return View(model=self._cache.model(placed), camera=camera) if placed else None
+        if not placed:
+            return None
+        held = HeldMeshes().of(self._depsgraph)
+        return View(model=self._cache.model(placed), camera=camera, held=held)
 
     def _empty(self) -> View:
         return View(model=_nothing(), camera=self._pinhole())

@@ -16,6 +16,7 @@ from ..core import CancelFlag, Cancelled, GsError
 from ..process import threads
 from . import picture
 from .film import Film
+from .held_meshes import HeldMesh, same_meshes
 from .scene import Placed, SplatCache
 from .stage import View
 
@@ -34,6 +35,7 @@ class Request:
     """A picture that is wanted."""
 
     placed: list[Placed]
+    held: tuple[HeldMesh, ...]
     camera: RenderCamera
     options: picture.Options
     transparent: bool
@@ -49,6 +51,7 @@ class Request:
                 a.frozen is b.frozen and np.array_equal(a.matrix, b.matrix)
                 for a, b in zip(self.placed, other.placed, strict=True)
             )
+            and same_meshes(self.held, other.held)
             and self.camera.same(other.camera)
             and (self.options, self.transparent) == (other.options, other.transparent)
             and np.array_equal(self.to_scene, other.to_scene)
@@ -132,7 +135,7 @@ class Painter:
             camera = smaller(request.camera, factor)
             until = began + PATIENCE if factor == 1 else float("inf")
             pixels = film.shoot(
-                View(model=model, camera=camera),
+                View(model=model, camera=camera, held=request.held),
                 lambda until=until: self._is_old(request) and time.perf_counter() > until,
                 self._cancel,
             )["Combined"]

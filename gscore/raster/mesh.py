@@ -74,7 +74,7 @@ def _before(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Triangles cut off at z = near: [V', 3] in the camera's axes, and [T', 3] int32 rows."""
     address("triangles", triangles, (len(triangles), 3), INT32)
-    if triangles.size and not (0 <= triangles.min() and triangles.max() < len(vertices)):
+    if triangles.size and (triangles.min() < 0 or triangles.max() >= len(vertices)):
         raise ShapeError(f"triangles names corners that are not there, of {len(vertices)}.")
     places = seen_corners(vertices, np.eye(3), viewmat)
     there = places[:, 2] >= near
@@ -83,7 +83,10 @@ def _before(
     whole = triangles[count == 3]
     # Turned so that the corner which is on its own side comes first.
     tip, stump = triangles[count == 1], triangles[count == 2]
-    tip, stump = _turned(tip, kept[count == 1].argmax(1)), _turned(stump, kept[count == 2].argmin(1))
+    tip, stump = (
+        _turned(tip, kept[count == 1].argmax(1)),
+        _turned(stump, kept[count == 2].argmin(1)),
+    )
     ends = np.concatenate([tip[:, [0, 1]], tip[:, [0, 2]], stump[:, [1, 0]], stump[:, [2, 0]]])
     inside, outside = places[ends[:, 0]], places[ends[:, 1]]
     share = (near - inside[:, 2:]) / (outside[:, 2:] - inside[:, 2:])

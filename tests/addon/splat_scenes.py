@@ -78,6 +78,25 @@ def add(scene: bpy.types.Scene, splats: Splats, name: str = "splats") -> bpy.typ
     return objects.create(splats, name, collection=scene.collection)
 
 
+def moving(ob: bpy.types.Object, pace: float) -> None:
+    """So far along x in each frame, through its own place at frame 5."""
+    middle = ob.location.x
+    for frame in (0, 10):
+        ob.location.x = middle + pace * (frame - 5)
+        ob.keyframe_insert("location", frame=frame)
+    for curve in curves(ob):
+        for key in curve.keyframe_points:
+            key.interpolation = "LINEAR"
+
+
+def curves(ob: bpy.types.Object) -> list:
+    """The curves of an object's action, which since 4.4 lie in its layers."""
+    action = ob.animation_data.action
+    if hasattr(action, "fcurves"):
+        return list(action.fcurves)
+    return [c for s in action.layers[0].strips for bag in s.channelbags for c in bag.fcurves]
+
+
 def truth(camera: bpy.types.Object, splats: Splats, size: tuple[int, int], **options) -> Rendered:
     """gscore's own picture for a perspective camera without shift, by the textbook."""
     width, height = size

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from addon.core import Splats, write_splats
-from addon.render import film, picture
+from addon.render import film
 from addon.render.samples import Aperture, Shutter, samples
 from addon.timeline import importing, mesh
 from tests.addon import splat_scenes as lab
@@ -142,25 +142,6 @@ def test_a_shutter_curve_gives_moments_their_share():
     np.testing.assert_allclose(times, np.sqrt((np.arange(64) + 0.5) / 64), atol=2e-3)
 
 
-def moving(ob: bpy.types.Object, pace: float) -> None:
-    """So far along x in each frame, through its own place at frame 5."""
-    middle = ob.location.x
-    for frame in (0, 10):
-        ob.location.x = middle + pace * (frame - 5)
-        ob.keyframe_insert("location", frame=frame)
-    for curve in curves(ob):
-        for key in curve.keyframe_points:
-            key.interpolation = "LINEAR"
-
-
-def curves(ob: bpy.types.Object) -> list:
-    """The curves of an object's action, which since 4.4 lie in its layers."""
-    action = ob.animation_data.action
-    if hasattr(action, "fcurves"):
-        return list(action.fcurves)
-    return [c for s in action.layers[0].strips for bag in s.channelbags for c in bag.fcurves]
-
-
 @pytest.mark.parametrize("what", ["splats", "camera"])
 @pytest.mark.parametrize(("position", "offset"), [("START", 0.5), ("CENTER", 0), ("END", -0.5)])
 def test_motion_makes_streaks(scene, tmp_path, what, position, offset):
@@ -171,7 +152,7 @@ def test_motion_makes_streaks(scene, tmp_path, what, position, offset):
     scene.frame_set(5)
     _, sharp, light = spot(lab.render_exr(tmp_path, "sharp"))
     ob, sign = (splats, 1) if what == "splats" else (camera, -1)
-    moving(ob, 0.4)
+    lab.moving(ob, 0.4)
     scene.frame_set(5)
     scene.render.use_motion_blur, scene.render.motion_blur_shutter = True, 0.8
     scene.render.motion_blur_position = position
@@ -189,16 +170,16 @@ def test_motion_makes_streaks(scene, tmp_path, what, position, offset):
 
 def test_what_stands_still_is_drawn_once(scene, tmp_path, monkeypatch):
     """Oracle: the picture without motion blur, and the number of drawings."""
-    drawings = []
+    drawings, drawn = [], film.picture.draw
 
     def draw(*args, **options):
         drawings.append(args)
-        return picture.draw(*args, **options)
+        return drawn(*args, **options)
 
     lab.prepare(scene, light=0.3)
     lab.add(scene, lab.blob())
     still = lab.render_exr(tmp_path, "still")
-    monkeypatch.setattr(film, "picture", type("Counted", (), {"draw": staticmethod(draw)}))
+    monkeypatch.setattr(film.picture, "draw", draw)
     scene.render.use_motion_blur = True
     np.testing.assert_allclose(lab.render_exr(tmp_path), still, rtol=1e-6, atol=1e-7)
     assert len(drawings) == 1
@@ -208,7 +189,7 @@ def test_depth_is_that_of_the_frame_itself(scene, tmp_path):
     """Oracle: the wall's distance at the frame, with an open lens and a moving wall."""
     camera = lab.prepare(scene)
     lab.add(scene, lab.wall(1.0, (0.9, 0.2, 0.1), half=0.5))
-    moving(camera, 0.3)
+    lab.moving(camera, 0.3)
     scene.frame_set(5)
     scene.view_layers[0].use_pass_z = True
     sharp = lab.render_pass(scene, tmp_path, "Depth")

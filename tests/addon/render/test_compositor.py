@@ -6,7 +6,7 @@ import pytest
 
 from addon import compat
 from addon.panels.render import RenderPanel
-from addon.render import compositor
+from addon.render import compositor, ignored
 from tests.addon import splat_scenes as lab
 from tests.addon.drawn import drawn
 
@@ -259,6 +259,24 @@ def test_held_out_splats_hide_splats_alone(mixed, tmp_path):
     got = lab.render_exr(tmp_path)
     assert got[24, 32, 3] < 0.02
     assert got[24, 38, :3] == pytest.approx((0, 0, 1), abs=0.02)
+
+
+def test_held_out_meshes_hide_splats(mixed, tmp_path, capfd):
+    """Oracle: what stands where, by construction; one that is held out later is named."""
+    compositor.set_up(mixed)
+    before = lab.render_exr(tmp_path, "before")
+    mixed.objects["before"].is_holdout = True
+    sentence = ignored.NOT_TAKEN_OVER.format("before")
+    assert sentence in drawn(RenderPanel)
+    lab.render_exr(tmp_path, "later")
+    assert sentence in capfd.readouterr().out
+    compositor.set_up(mixed)
+    got = lab.render_exr(tmp_path, "held")
+    assert "Holdout" not in drawn(RenderPanel) + capfd.readouterr().out
+    assert got[24, 22, 3] < 0.02 and before[24, 22, 3] > 0.99
+    assert lab.srgb(got[24, 38, :3]) == pytest.approx(RED, abs=0.01)
+    mixed.objects["before"].is_holdout = False
+    np.testing.assert_array_equal(lab.render_exr(tmp_path, "after"), before)
 
 
 def test_stereo_is_refused_by_name(mixed, capfd):

@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 
 from addon import compat
-from addon.panels.render import RenderPanel
-from addon.render import compositor, ignored, panels
+from addon.render import ignored, panels
 from addon.render.operators import changes_colors, use_photo_colors
 from tests.addon import splat_scenes as lab
-from tests.addon.drawn import drawn as drawn_panel
 
 
 def shown() -> ignored.Shown:
@@ -83,8 +81,8 @@ WITHOUT_EFFECT = {
     "Threads": setting("render.threads_mode", "FIXED"),
     "pixel filter": setting("render.filter_size", 5.0),
 }
-ELSEWHERE = {"Depth of Field", "Holdout"}
-"""Tried in test_panorama.py with a panorama, and below with meshes, which have a row besides."""
+ELSEWHERE = {"Depth of Field", "Holdout", "Holdout among meshes"}
+"""Tried in test_panorama.py with a panorama, below with meshes, and in test_compositor.py."""
 REFUSED = {
     "mirrorball": mirror_ball,
     "stereo": setting("render.use_multiview", True),
@@ -118,21 +116,20 @@ def test_what_has_no_effect_is_said(
     assert sentence.replace(" ", "") in drawn()
 
 
-def test_meshes_that_are_held_out_are_named(
+def test_what_is_held_out_and_has_no_faces_is_named(
     scene: bpy.types.Scene, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Oracle: the mesh's name, from the engine's render, and in the panel among meshes."""
+    """Oracle: the volume's name, and not that of a mesh, which has an effect."""
     lab.prepare(scene)
     lab.add(scene, lab.blob())
     others(scene)
-    scene.objects["board"].is_holdout = True
-    wanted = "Holdout of board hides no splats"
+    smoke = bpy.data.objects.new("smoke", bpy.data.volumes.new("smoke"))
+    scene.collection.objects.link(smoke)
+    for name in ("board", "smoke"):
+        scene.objects[name].is_holdout = True
     lab.render_exr(tmp_path)
-    assert wanted in " ".join(reported(capfd))
-    scene.render.engine = "CYCLES"
-    assert wanted not in drawn_panel(RenderPanel)
-    compositor.set_up(scene)
-    assert wanted in drawn_panel(RenderPanel)
+    (said,) = [text for text in reported(capfd) if "Holdout" in text]
+    assert "Holdout of smoke hides no splats" in said
 
 
 def test_cryptomatte_is_named(scene: bpy.types.Scene) -> None:

@@ -50,6 +50,7 @@ def request_for(scene, splats, size=(96, 64), **options):
         placed, complete = made.copied(sources(depsgraph))
     return viewport.Request(
         placed=placed,
+        held=(),
         camera=captures.render_camera(
             scene.camera, scene, depsgraph=depsgraph, width=size[0], height=size[1]
         ),

@@ -1,0 +1,43 @@
+"""Objects as a depsgraph places them: themselves, and those of collections that it instances."""
+
+from collections.abc import Callable, Iterator
+
+import bpy
+import numpy as np
+
+from ..compat import matrix_to_numpy
+
+_DEEPEST = 8
+"""Collections in collections that are followed."""
+
+
+def instances(
+    ob: bpy.types.Object,
+    depsgraph: bpy.types.Depsgraph,
+    wanted: Callable[[bpy.types.Object], bool],
+) -> Iterator[tuple[bpy.types.Object, np.ndarray]]:
+    """An evaluated object itself, or those in the collection that it instances, if they are wanted;
+    each with its matrix to the world, [4, 4] float64."""
+    # Not through depsgraph.object_instances: that walks over every ellipsoid of a display.
+    return _instances(ob, depsgraph, wanted, matrix_to_numpy(ob.matrix_world), 0)
+
+
+def _instances(
+    ob: bpy.types.Object,
+    depsgraph: bpy.types.Depsgraph,
+    wanted: Callable[[bpy.types.Object], bool],
+    matrix: np.ndarray,
+    depth: int,
+) -> Iterator[tuple[bpy.types.Object, np.ndarray]]:
+    if wanted(ob):
+        yield ob, matrix
+    collection = ob.instance_collection if ob.instance_type == "COLLECTION" else None
+    if collection is None or depth > _DEEPEST:
+        return
+    offset = np.eye(4)
+    offset[:3, 3] = -np.array(collection.instance_offset)
+    for inner in collection.all_objects:
+        if not (inner.hide_render if depsgraph.mode == "RENDER" else inner.hide_viewport):
+            inner = inner.evaluated_get(depsgraph)
+            inside = matrix @ offset @ matrix_to_numpy(inner.matrix_world)
+            yield from _instances(inner, depsgraph, wanted, inside, depth + 1)

@@ -1,0 +1,118 @@
+"""What of a picture meshes hide, and from which depth on."""
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..cameras.captures import RenderCamera
+from ..core import Rendered, mesh_depth
+from ..triangles import Triangles, joined, moved
+from .held_meshes import HeldMesh
+
+Window = tuple[int, int, int, int]
+"""Left, top, width and height, pixels."""
+_LOOKS = 4
+"""Places along either side of a pixel at which meshes are looked for."""
+_AT_ONCE = 1 << 22
+"""Such places that are looked at together."""
+_BLENDED = ("rgb", "alpha")
+_PICTURES = (*_BLENDED, "depth", "inverse_depth", "median_depth")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hidden:
+    """What meshes do to a picture."""
+
+    share: np.ndarray
+    """[H, W] float32, how much of a pixel is covered by them."""
+    far: np.ndarray
+    """[H, W] float32, z of what covers it; NaN where nothing does."""
+
+    def inside(self, window: Window | None) -> "Hidden":
+        """The same of a window of the picture; None: of everything."""
+        if window is None:
+            return self
+        left, top, width, height = window
+        part = (slice(top, top + height), slice(left, left + width))
+        return Hidden(share=self.share[part], far=self.far[part])
+
+    @property
+    def edges(self) -> Window | None:
+        """What holds all pixels that are covered in part."""
+        rows, columns = np.nonzero((self.share > 0) & (self.share < 1))
+        if not len(rows):
+            return None
+        left, top = int(columns.min()), int(rows.min())
+        return left, top, int(columns.max()) - left + 1, int(rows.max()) - top + 1
+
+
+def hidden(held: Sequence[HeldMesh], camera: RenderCamera) -> Hidden:
+    """What meshes hide from a camera, looked for at 4 x 4 places of each pixel."""
+    places = [Triangles(moved(m.triangles.vertices, m.matrix), m.triangles.triangles) for m in held]
+    mesh, height = joined(places), camera.height
+    rows = max(1, _AT_ONCE // (_LOOKS**2 * camera.width))
+    bands = [slice(first, min(first + rows, height)) for first in range(0, height, rows)]
+    share = np.zeros((height, camera.width), np.float32)
+    far = np.full_like(share, np.nan)
+
+    def look(band: slice) -> None:
+        share[band], far[band] = _looked(mesh, camera, band)
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        list(pool.map(look, bands))
+    return Hidden(share=share, far=far)
+
+
+def _looked(mesh: Triangles, camera: RenderCamera, band: slice) -> tuple[np.ndarray, np.ndarray]:
+    """`Hidden.share` and `far` of some rows."""
+    K = camera.K.copy()
+    K[1, 2] -= band.start
+    K[:2] *= _LOOKS
+    inverse = mesh_depth(
+        mesh.vertices,
+        mesh.triangles,
+        K,
+        camera.viewmat,
+        camera.width * _LOOKS,
+        (band.stop - band.start) * _LOOKS,
+        near=camera.near,
+        orthographic=camera.orthographic,
+    ).reshape(band.stop - band.start, _LOOKS, camera.width, _LOOKS)
+    hits = (inverse > 0).sum((1, 3), dtype=np.float32)
+    with np.errstate(invalid="ignore"):
+        # The mean of inverse depths is that of a plane in the middle of the pixel.
+        far = hits / inverse.sum((1, 3), dtype=np.float32)
+    return hits / np.float32(_LOOKS**2), far
+
+
+def cut(covered: Rendered, free: Rendered | None, at: Hidden) -> tuple[Rendered, np.ndarray]:
+    """A picture without background in which meshes hide what is behind them.
+
+    Args:
+        covered: The splats before the meshes.
+        free: The same of all splats, in the window `at.edges`; None where that is None.
+        at: What the meshes hide.
+
+    Returns:
+        The picture, with the depths of what covers more of a pixel; and [H, W] float32, how much of
+        what is behind everything still shows.
+    """
+    light = (1 - at.share) * (1 - covered.alpha)
+    if free is None or at.edges is None:
+        return covered, light
+    left, top, width, height = at.edges
+    part = (slice(top, top + height), slice(left, left + width))
+    share = at.share[part]
+    light[part] = (1 - share) * (1 - free.alpha)
+    mixed = {name: getattr(covered, name) for name in _PICTURES}
+    mixed = {name: picture.copy() for name, picture in mixed.items() if picture is not None}
+    for name, picture in mixed.items():
+        mine, other = picture[part], getattr(free, name)
+        weight = (share if name in _BLENDED else np.round(share)).reshape(
+            share.shape + (1,) * (mine.ndim - 2)
+        )
+        picture[part] = weight * mine + (1 - weight) * other
+    return replace(covered, **mixed), light

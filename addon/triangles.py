@@ -1,0 +1,50 @@
+"""The faces of evaluated objects, as triangles."""
+
+from typing import NamedTuple
+
+import bpy
+import numpy as np
+
+WITH_FACES = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
+"""Types of objects that are meshes or become some."""
+
+
+class Triangles(NamedTuple):
+    """A mesh without its object."""
+
+    vertices: np.ndarray
+    """[V, 3] float64."""
+    triangles: np.ndarray
+    """[T, 3] int32, rows of `vertices`."""
+
+
+def triangles_of(ob: bpy.types.Object) -> Triangles:
+    """The faces of an evaluated object, in its own axes; none where it has no mesh."""
+    mesh = ob.to_mesh()
+    if mesh is None:
+        return Triangles(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
+    try:
+        mesh.calc_loop_triangles()
+        vertices = np.empty((len(mesh.vertices), 3), np.float32)
+        mesh.vertices.foreach_get("co", vertices.ravel())
+        triangles = np.empty((len(mesh.loop_triangles), 3), np.int32)
+        mesh.loop_triangles.foreach_get("vertices", triangles.ravel())
+    finally:
+        ob.to_mesh_clear()
+    return Triangles(vertices.astype(np.float64), triangles)
+
+
+def joined(parts: list[Triangles]) -> Triangles:
+    """One mesh of several, in their order; none of none."""
+    if not parts:
+        return Triangles(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
+    starts = np.cumsum([0, *(len(p.vertices) for p in parts[:-1])]).astype(np.int32)
+    return Triangles(
+        np.concatenate([p.vertices for p in parts]),
+        np.concatenate([p.triangles + s for p, s in zip(parts, starts, strict=True)]),
+    )
+
+
+def moved(vertices: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+    """[V, 3] vertices through a [4, 4] affine matrix."""
+    return vertices @ matrix[:3, :3].T + matrix[:3, 3]
