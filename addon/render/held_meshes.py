@@ -51,7 +51,7 @@ def held_by(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     layer = scene.view_layers[0]
     return [
         ob
-        for ob in layer.objects
+        for ob in filter(None, layer.objects)  # 4.2 keeps places of removed objects
         if (may_be_held(ob) or ob.instance_type == "COLLECTION") and is_held_by(layer, ob)
     ]
 
