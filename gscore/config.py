@@ -201,6 +201,18 @@ class TrainConfig:
         metavar="N",
         free=True,
     )
+    splats_a_photo: int = option(
+        0,
+        "Never more splats than this for each training photo: more fit the photos, and no new view "
+        "gains. 300,000 are always allowed, and as many as `max_splats` where masks are opacity, "
+        "where `--max-splats` is given by itself, or in `gscore sequence`; 0: no limit, which "
+        "Python has to say beside `max_splats`.",
+        group="run",
+        range=Range(high=_MOST),
+        unit="splats",
+        metavar="N",
+        free=True,
+    )
     max_splats: int = option(
         400_000,
         "Never more splats than this; memory and time grow with it.",
@@ -814,13 +826,17 @@ def normal(source: Path) -> tuple[DataConfig, TrainConfig]:
 
 def high(source: Path) -> tuple[DataConfig, TrainConfig]:
     """Everything the method gives, ten minutes to half an hour on two cores."""
-    train = replace(_LONG, iterations=15_000, max_splats=600_000)
+    train = replace(_LONG, iterations=15_000, max_splats=600_000, splats_a_photo=6000)
     return DataConfig(source=source, max_width=1600), train
 
 
 PRESETS: dict[str, Callable[[Path], tuple[DataConfig, TrainConfig]]] = {
     f.__name__: f for f in (preview, draft, normal, high)
 }
+
+
+LIFTED_BY = {"iterations": "steps_a_photo", "max_splats": "splats_a_photo"}
+"""Limits by the number of photos, by the option that lifts them where it is given by itself."""
 
 
 def flag_of(name: str) -> str:

@@ -6,7 +6,7 @@ from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
 
-from .config import PRESETS, DataConfig, TrainConfig, flag_of
+from .config import LIFTED_BY, PRESETS, DataConfig, TrainConfig, flag_of
 from .hold_out import SPLIT, hold_out_word
 
 _OF_THE_SPLIT = ("eval", "test_offset", *SPLIT)
@@ -25,8 +25,10 @@ def preset_words(data: DataConfig, train: TrainConfig) -> str:
     if not name:
         return ""
     plain = PRESETS[name](data.source)[1]
-    if train.iterations < plain.iterations and train.steps_a_photo:  # those of so many photos
-        plain = replace(plain, iterations=train.iterations)
+    for option, limit in LIFTED_BY.items():
+        found = getattr(train, option)
+        if found < getattr(plain, option) and getattr(train, limit):  # those of so many photos
+            plain = replace(plain, **{option: found})
     changed = any(getattr(plain, option) != getattr(train, option) for option in _OF_A_PRESET)
     return f"preset {name}, changed" if changed else f"preset {name}"
 
@@ -51,8 +53,9 @@ def train_command(data: DataConfig, train: TrainConfig, output: Path) -> str:
     for name, value in _differences(plain_train, train):
         if name != "iterations" or not train.time_budget:  # a budget finds the steps itself
             words += _option(name, value)
-            if name == "iterations" and plain_train.steps_a_photo == train.steps_a_photo != 0:
-                words += _option("steps_a_photo", train.steps_a_photo)  # or it would be lifted
+            limit = LIFTED_BY.get(name, "")
+            if limit and getattr(plain_train, limit) == getattr(train, limit) != 0:
+                words += _option(limit, getattr(train, limit))  # or it would be lifted
     return shlex.join(words)
 
 

@@ -88,7 +88,7 @@ if TYPE_CHECKING:
     from .sh import sh0_to_rgb, sh_basis
     from .splats import cut_degree
     from .trainer.estimate.forecast import Estimate, estimate
-    from .trainer.schedule.enough import enough_steps
+    from .trainer.schedule.enough import limit_by_photos
     from .transforms import quat_to_rotmat, rotmat_to_quat
     from .video import VIDEO_ENDINGS, is_video
 
@@ -157,7 +157,7 @@ _HOME = {
     "cut_degree": "splats",
     "depth_networks": "depth.catalogue:all_networks",
     "downscale": "io.pictures.resample",
-    "enough_steps": "trainer.schedule.enough",
+    "limit_by_photos": "trainer.schedule.enough",
     "estimate": "trainer.estimate.forecast",
     "find_capture": "inspection",
     "find_colmap": "io.colmap.folder:find_model",
@@ -266,7 +266,6 @@ __all__ = [
     "cut_degree",
     "depth_networks",
     "downscale",
-    "enough_steps",
     "estimate",
     "find_capture",
     "find_colmap",
@@ -281,6 +280,7 @@ __all__ = [
     "is_video",
     "isolation_of",
     "join_splats",
+    "limit_by_photos",
     "mesh_depth",
     "most_important",
     "of_size",

@@ -9,8 +9,8 @@ from ..core import (
     Estimate,
     Strategy,
     TrainConfig,
-    enough_steps,
     estimate,
+    limit_by_photos,
     target_size,
 )
 from .options import AS_PRESET, BY_WIDTH, Settings
@@ -44,8 +44,9 @@ def question(settings: Settings, facts: CaptureFacts, *, threads: int) -> Questi
         strategy=Strategy(settings.strategy),
         time_budget=settings.time_budget,
         threads=threads,
-        # A number of steps that somebody chose is meant, as for `gscore train`.
+        # A number that somebody chose is meant, as for `gscore train`.
         steps_a_photo=train.steps_a_photo if settings.iterations == train.iterations else 0,
+        splats_a_photo=train.splats_a_photo if settings.max_splats == train.max_splats else 0,
     )
     photos = sum(facts.sizes.values())
     if settings.eval:
@@ -56,7 +57,7 @@ def question(settings: Settings, facts: CaptureFacts, *, threads: int) -> Questi
         sizes[size] = sizes.get(size, 0) + count
     return Question(
         # Alpha is most often a matte, of which all steps are taken; photos are not decoded here.
-        train=enough_steps(
+        train=limit_by_photos(
             train,
             photos=photos,
             mask_mode="composite" if settings.use_masks and facts.alphas else "none",

@@ -7,7 +7,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..config import PRESETS, DataConfig, TrainConfig
+from ..config import LIFTED_BY, PRESETS, DataConfig, TrainConfig
 from ..control import Control
 from ..errors import ConfigError
 from ..events import CONVERGED, ENDED, FINISHED, TARGET, Show, Warn
@@ -162,9 +162,9 @@ def configs(args: argparse.Namespace) -> tuple[DataConfig, TrainConfig]:
 
 
 def _given(args: argparse.Namespace) -> dict[str, Any]:
-    """The options given one by one; a number of steps that is among them is meant."""
+    """The options given one by one; a number of steps or splats that is among them is meant."""
     given = given_options(TrainConfig, args)
-    return {"steps_a_photo": 0} | given if "iterations" in given else given
+    return {LIFTED_BY[name]: 0 for name in LIFTED_BY.keys() & given.keys()} | given
 
 
 def told_configs(args: argparse.Namespace, show: Show) -> tuple[DataConfig, TrainConfig]:

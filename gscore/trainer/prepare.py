@@ -24,7 +24,7 @@ from .ranks.team import Team
 from .region.box import Box
 from .region.photos import RegionPhotos
 from .rows.frame import Frame
-from .schedule.enough import enough_steps
+from .schedule.enough import limit_by_photos
 from .trainer import Trainer
 from .views.exposure import Exposure
 from .views.judged import judge_photos
@@ -99,7 +99,7 @@ def prepare(
     photos = load_dataset(data, cancelled=lambda: control.stopping)
     if region is not None:
         photos = RegionPhotos(photos, region, near=config.near, narrow=start is None)
-    config, enough = enough_steps(
+    config, enough = limit_by_photos(
         config, photos=len(photos.train), mask_mode=photos.mask_mode, taken=taken
     )
     world = frame(photos)

@@ -148,7 +148,7 @@ def test_trainings_take_the_steps_that_gscore_train_takes(
 ) -> None:
     """Oracle: 3 steps for each of the photos that are not held out, where that is more than the
     least; all of them without the limit."""
-    monkeypatch.setattr(enough, "_FEWEST", 10)
+    monkeypatch.setattr(enough, "_FEWEST_STEPS", 10)
     taken = {}
     real = study.train_judged
 

@@ -73,7 +73,7 @@ def test_a_run_takes_as_many_steps_as_its_photos_are_good_for(
 ) -> None:
     """Oracle: the product of photos and steps a photo; the files say what was taken, so that a
     resume finds nothing left to do, more steps can be asked for, and none are taken back."""
-    monkeypatch.setattr(enough, "_FEWEST", 10)
+    monkeypatch.setattr(enough, "_FEWEST_STEPS", 10)
     config, data, out = replace(CONFIG, steps_a_photo=2), data_of(capture), tmp_path / "run"
     events: list[Event] = []
     result = train(config, data, out, events.append)

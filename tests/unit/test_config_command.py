@@ -109,11 +109,15 @@ def test_a_budget_takes_the_place_of_steps() -> None:
     assert parsed(train_command(data, train, Path("run")))[1].time_budget == 9.5
 
 
-def test_steps_that_photos_limit_are_given_back() -> None:
+@pytest.mark.parametrize(
+    ("limit", "option", "value"),
+    [("steps_a_photo", "iterations", 4160), ("splats_a_photo", "max_splats", 312_000)],
+)
+def test_what_photos_limit_is_given_back(limit: str, option: str, value: int) -> None:
     """Oracle: equality after a round trip, with the limit and without; the preset is as it was."""
     data, train = PRESETS["high"](CAPTURE)
-    limited = replace(train, iterations=4160)
-    meant = replace(limited, steps_a_photo=0)
+    limited = replace(train, **{option: value})
+    meant = replace(limited, **{limit: 0})
     for options in (limited, meant):
         assert parsed(train_command(data, options, Path("run"))) == (data, options)
     assert preset_words(data, limited) == "preset high"

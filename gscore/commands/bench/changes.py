@@ -4,14 +4,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from ...config import Skip, Strategy, TrainConfig
+from ...config import LIFTED_BY, Skip, Strategy, TrainConfig
 from ...config_file import from_dict, to_dict
 from ...errors import ConfigError
 from ...json_text import parse_json
 from ...shown import quoted
 from ...trainer.files.checkpoint import FREE
 
-_NOT_HERE = ("seed", "start_opacity", *sorted(FREE - {"iterations", "steps_a_photo"}))
+_NOT_HERE = ("seed", "start_opacity", *sorted(FREE - {"iterations", *LIFTED_BY.values()}))
 """Options that benches set otherwise, or that change nothing in a training from points."""
 
 
@@ -46,8 +46,8 @@ def _changed(config: TrainConfig, name: str, flag: str) -> TrainConfig:
             "learns."
         )
     values = to_dict(config) | {option: _value(value, getattr(config, option, None))}
-    if option == "iterations":  # as for `gscore train`
-        values["steps_a_photo"] = 0
+    if option in LIFTED_BY:  # as for `gscore train`
+        values[LIFTED_BY[option]] = 0
     return from_dict(TrainConfig, values, where=f"{flag} {name}")
 
 

@@ -11,7 +11,7 @@ from ...bench.quality import train_judged
 from ...config import PRESETS, DataConfig
 from ...io.places import check_place
 from ...metrics import Lpips, LpipsNet, find_lpips
-from ...trainer.schedule.enough import enough_steps
+from ...trainer.schedule.enough import limit_by_photos
 from ..terminal.output import check_folder, check_replaced
 from ..terminal.status import Status
 from .numbers import check_numbers
@@ -81,7 +81,7 @@ def _train(
             label, photos = variant.label, variant.photos
             if results.has(cell.capture, label, seed, cell.offset):
                 continue
-            config, _ = enough_steps(
+            config, _ = limit_by_photos(
                 replace(variant.config, seed=seed),
                 photos=len(photos.train),
                 mask_mode=photos.mask_mode,

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from ...config import PRESETS, DataConfig, Strategy, TrainConfig
+from ...config import LIFTED_BY, PRESETS, DataConfig, Strategy, TrainConfig
 from ...errors import ConfigError
 from ...shown import quoted
 from ..given.data_options import add_data_options, with_data_options
@@ -54,8 +54,7 @@ def training_configs(
         for name in ("iterations", "max_splats")
         if getattr(args, name) is not None
     }
-    if "iterations" in given:  # as for `gscore train`
-        given["steps_a_photo"] = 0
+    given |= {LIFTED_BY[name]: 0 for name in given}  # as for `gscore train`
     if args.strategy is not None:
         given["strategy"] = Strategy(args.strategy)
     return data, replace(train, threads=args.threads, **given)

@@ -47,7 +47,7 @@ def plan_frames(
             "A region is trained in one frame: give --region to gscore train, not to gscore "
             "sequence."
         )
-    config = replace(config, steps_a_photo=0)  # frames take what was asked for
+    config = replace(config, steps_a_photo=0, splats_a_photo=0)  # frames take what was asked for
     keys = {run[0] for run in runs_of(len(frames), options)}
     found: list[PlannedFrame] = []
     for place, frame in enumerate(frames):

@@ -1,22 +1,24 @@
-"""How many steps pay: beyond some for each photo a training learns the photos, not the scene."""
+"""How many steps and splats pay: beyond some for each photo a training learns the photos, not the
+scene."""
 
 from dataclasses import replace
 
 from ...config import TrainConfig
 from ...words import count_words, number
 
-_FEWEST = 1500
-"""Steps that are always taken if they were asked for, those of a preview: fewer leave too little
-time to grow."""
+_FEWEST_STEPS, _FEWEST_SPLATS = 1500, 300_000
+"""What is always allowed if it was asked for: the steps of the preset `preview`, for fewer leave
+too little time to grow, and the splats of `normal`."""
 
 
-def enough_steps(
+def limit_by_photos(
     config: TrainConfig, *, photos: int, mask_mode: str = "none", taken: int = 0
 ) -> tuple[TrainConfig, str]:
-    """The options with no more steps than so many photos are good for.
+    """The options with no more steps and splats than so many photos are good for.
 
-    Where masks are opacity (`composite`), all steps are taken: a subject alone is seen from all
-    sides, and there is nothing before or behind it that one photo alone could explain.
+    Where masks are opacity (`composite`), all are taken: a subject alone is seen from all sides,
+    and there is nothing before or behind it that one photo alone could explain. Under a time budget
+    steps are found otherwise.
 
     Args:
         config: How to train.
@@ -25,15 +27,23 @@ def enough_steps(
         taken: Steps that a run has taken already, which nothing takes back.
 
     Returns:
-        The options, and a sentence that says what was left out; empty where nothing was.
+        The options, and a sentence for each thing that was left out; empty where nothing was.
     """
-    most = max(config.steps_a_photo * photos, _FEWEST, taken)
-    asked = config.iterations
-    limited = config.steps_a_photo and not config.time_budget and mask_mode != "composite"
-    if not limited or asked <= most:
+    if mask_mode == "composite":
         return config, ""
-    why = (
-        f"{number(most)} of {number(asked)} steps are taken: more do not make unseen views of "
-        f"{count_words(photos, 'photo')} better (--steps-a-photo 0 takes them all)."
-    )
-    return replace(config, iterations=most), why
+    words, of_photos = [], count_words(photos, "photo")
+    asked, steps = config.iterations, max(config.steps_a_photo * photos, _FEWEST_STEPS, taken)
+    if config.steps_a_photo and not config.time_budget and steps < asked:
+        config = replace(config, iterations=steps)
+        words.append(
+            f"{number(steps)} of {number(asked)} steps are taken: more do not make unseen views of "
+            f"{of_photos} better (--steps-a-photo 0 takes them all)."
+        )
+    most, splats = config.max_splats, max(config.splats_a_photo * photos, _FEWEST_SPLATS)
+    if config.splats_a_photo and splats < most:
+        config = replace(config, max_splats=splats)
+        words.append(
+            f"At most {number(splats)} of {number(most)} splats grow: more do not make unseen "
+            f"views of {of_photos} better (--splats-a-photo 0 allows them all)."
+        )
+    return config, " ".join(words)

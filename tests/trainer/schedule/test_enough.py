@@ -1,4 +1,4 @@
-"""How many steps so many photos are good for; oracle: products by hand."""
+"""How many steps and splats so many photos are good for; oracle: products by hand."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from gscore.config import PRESETS, TrainConfig
-from gscore.trainer.schedule.enough import enough_steps
+from gscore.trainer.schedule.enough import limit_by_photos
 
 TRAIN = TrainConfig(iterations=7000, steps_a_photo=80)
 
@@ -16,15 +16,15 @@ TRAIN = TrainConfig(iterations=7000, steps_a_photo=80)
 )
 def test_each_photo_is_good_for_so_many(photos: int, steps: int) -> None:
     """Oracle: 80 times the photos, at least 1,500, at most what is asked for."""
-    found, why = enough_steps(TRAIN, photos=photos)
+    found, why = limit_by_photos(TRAIN, photos=photos)
     assert found == replace(TRAIN, iterations=steps)
     assert bool(why) == (steps < 7000)
-    assert enough_steps(found, photos=photos) == (found, "")
+    assert limit_by_photos(found, photos=photos) == (found, "")
 
 
 def test_the_sentence() -> None:
     """Oracle: by hand."""
-    assert enough_steps(TRAIN, photos=52)[1] == (
+    assert limit_by_photos(TRAIN, photos=52)[1] == (
         "4,160 of 7,000 steps are taken: more do not make unseen views of 52 photos better "
         "(--steps-a-photo 0 takes them all)."
     )
@@ -41,10 +41,39 @@ def test_the_sentence() -> None:
 )
 def test_where_all_are_taken(config: TrainConfig, mask_mode: str) -> None:
     """Oracle: the text of the option."""
-    assert enough_steps(config, photos=10, mask_mode=mask_mode) == (config, "")
+    assert limit_by_photos(config, photos=10, mask_mode=mask_mode) == (config, "")
 
 
 def test_which_presets_have_the_limit() -> None:
     """Oracle: preview and draft are what they were; the longer ones have it."""
     limits = {name: make(Path())[1].steps_a_photo for name, make in PRESETS.items()}
     assert limits == {"preview": 0, "draft": 0, "normal": 80, "high": 80}
+    limits = {name: make(Path())[1].splats_a_photo for name, make in PRESETS.items()}
+    assert limits == {"preview": 0, "draft": 0, "normal": 0, "high": 6000}
+
+
+@pytest.mark.parametrize(
+    ("photos", "splats"),
+    [(6, 300_000), (50, 300_000), (52, 312_000), (99, 594_000), (100, 600_000)],
+)
+def test_each_photo_is_good_for_so_many_splats(photos: int, splats: int) -> None:
+    """Oracle: 6,000 times the photos, at least 300,000, at most what is asked for."""
+    config = TrainConfig(max_splats=600_000, splats_a_photo=6000)
+    found, why = limit_by_photos(config, photos=photos)
+    assert found == replace(config, max_splats=splats)
+    assert limit_by_photos(found, photos=photos) == (found, "")
+    assert limit_by_photos(config, photos=photos, mask_mode="composite") == (config, "")
+    assert limit_by_photos(replace(config, splats_a_photo=0), photos=photos)[1] == ""
+    told = (
+        f"At most {splats:,} of 600,000 splats grow: more do not make unseen views of {photos} "
+        "photos better (--splats-a-photo 0 allows them all)."
+    )
+    assert why == ("" if photos == 100 else told)
+
+
+def test_both_limits_are_told() -> None:
+    """Oracle: the sentences of each alone."""
+    both = replace(TRAIN, max_splats=600_000, splats_a_photo=6000)
+    steps, splats = replace(both, splats_a_photo=0), replace(both, steps_a_photo=0)
+    alone = [limit_by_photos(one, photos=20)[1] for one in (steps, splats)]
+    assert limit_by_photos(both, photos=20)[1] == " ".join(alone)
