@@ -121,7 +121,8 @@ class Arrival:
                 )
         return made, list(warnings)
 
-    def _finish(self, fillings: list[Filling[_Read]]) -> list[bpy.types.Object]:
+    # Quoted: see ready.py.
+    def _finish(self, fillings: "list[Filling[_Read]]") -> list[bpy.types.Object]:
         scene = next((s for s in bpy.data.scenes if s.session_uid == self._scene), None)
         if scene is None:
             self.cancel()

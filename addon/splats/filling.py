@@ -6,34 +6,17 @@ place of the old one at once.
 
 import time
 import uuid
-from typing import Generic, Protocol, TypeVar
+from typing import Generic
 
 import bpy
-import numpy as np
 
 from .. import attributes
 from . import objects
+from .ready import ReadyT
 
 BUDGET = 0.008
 """Seconds of a beat in which attributes are begun; the last one may take as long again."""
 _MARK = "gs_filling"
-
-
-class Ready(Protocol):
-    """Splats as Blender takes them."""
-
-    @property
-    def count(self) -> int:
-        """How many."""
-        ...
-
-    @property
-    def columns(self) -> tuple[tuple[str, str, np.ndarray], ...]:
-        """As `attributes.columns`."""
-        ...
-
-
-ReadyT = TypeVar("ReadyT", bound=Ready)
 
 
 class Filling(Generic[ReadyT]):

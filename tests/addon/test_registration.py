@@ -13,6 +13,14 @@ import pytest
 import addon
 
 ROOT = Path(__file__).parent.parent.parent
+ENABLED_AND_DISABLED = """
+import sys
+import bpy
+import addon_utils
+sys.path.insert(0, {root!r})
+assert addon_utils.enable("addon", default_set=True) is not None
+addon_utils.disable("addon")
+"""
 OWNERS = (bpy.types.Scene, bpy.types.Object, bpy.types.WindowManager, bpy.types.Camera)
 
 
@@ -130,3 +138,9 @@ def test_the_root_is_empty_outside_blender() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
+
+
+@pytest.mark.skipif(bpy.app.version < (4, 5), reason="bpy 4.2 crashes with any add-on at its end")
+def test_python_ends_after_the_add_on_was_used(run_blender: Callable[..., str]) -> None:
+    """Nothing keeps bpy alive when Python ends: bpy 4.5 then hangs for ever."""
+    run_blender(ENABLED_AND_DISABLED.format(root=str(ROOT)), timeout=60)
