@@ -9,6 +9,7 @@ from ..cameras.lookup import chosen_root
 from ..capture.folders import same_folder
 from ..core import capture_beside
 from ..interface import undo
+from ..interface.overriding import acting_in
 from ..job import facts, lookups, options
 from ..job.launch import follow, launch
 from ..paths import absolute, capture_folder, relative
@@ -95,8 +96,6 @@ def _arrive(scene: bpy.types.Scene, capture: Path) -> None:
     scene.gscore.images = "images"
     facts.capture(scene)
     if chosen_root(scene) is None:
-        windows = [w for w in bpy.context.window_manager.windows if w.scene == scene]
-        place = {"window": windows[0]} if windows else {"scene": scene}
-        with bpy.context.temp_override(**place, view_layer=scene.view_layers[0]):
+        with acting_in(scene):
             bpy.ops.gscore.import_cameras()
     undo.push("Cameras Found")
