@@ -7,6 +7,7 @@ import bpy
 
 from ..interface.images import show_image
 from ..interface.operators import Acting, OnScene, make_active
+from ..splats.error_maps import splats_in_view
 from ..splats.objects import is_splats, meant
 from ..stored_paths import RUN
 from . import compare as comparing
@@ -115,7 +116,8 @@ class CompareWorstPhoto(Acting, bpy.types.Operator):
 
 def compared(context: bpy.types.Context, camera: bpy.types.Object) -> str:
     """Compare from a camera and show it; what to tell the user."""
-    found = comparing.compare(context.scene, camera, context.evaluated_depsgraph_get())
+    with splats_in_view():
+        found = comparing.compare(context.scene, camera, context.evaluated_depsgraph_get())
     shown = show_image(context, found.images["Comparison"], new_window=True)
     where = "" if shown else f"; open the image {found.images['Comparison'].name} to see it"
     name, psnr = "PSNR", found.psnr

@@ -10,7 +10,7 @@ from .. import attributes
 from ..core import in_unit_shape
 from ..interface.operators import make_active
 from . import choose, filters, grading, objects, parts
-from .operators import OnSplats, edit_vertices
+from .operators import OnSplats, check_shown, edit_vertices
 
 _MODES = [
     (choose.SET, "New", "Select what is found, and nothing else"),
@@ -53,6 +53,7 @@ class _Selecting(Editing):
 
     def edit(self, context: bpy.types.Context, ob: bpy.types.Object) -> str:
         """Select."""
+        check_shown(ob)  # before the selection changes
         before = parts.selected(ob)
         chosen = choose.combined(before, self.found(ob, before), self.mode)
         ob.data.vertices.foreach_set("select", chosen)

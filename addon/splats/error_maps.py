@@ -1,5 +1,7 @@
 """Objects that show the errors of a run in the place of its splats: told apart, shown, removed."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import bpy
@@ -60,6 +62,25 @@ def show_map(ob: bpy.types.Object, show: bool) -> None:
     layer.objects.active = next(
         (other for other in (maps if show else splats) if other.name in layer.objects), None
     )
+
+
+@contextmanager
+def splats_in_view() -> Iterator[None]:
+    """Have the view layer show splats in the place of their errors, as long as this lasts.
+
+    Errors are no colors of the scene: what is compared with photos are the splats.
+    """
+    layer = bpy.context.view_layer
+    seen = [ob for ob in layer.objects if is_map(ob) and ob.visible_get()]
+    both = {ob for shown in seen for side in siblings(shown) for ob in side}
+    changed = {ob: ob.hide_get() for ob in both if ob.name in layer.objects}
+    try:
+        for ob in changed:
+            ob.hide_set(is_map(ob))
+        yield
+    finally:
+        for ob, hidden in changed.items():
+            ob.hide_set(hidden)
 
 
 def drop_maps(ob: bpy.types.Object) -> None:

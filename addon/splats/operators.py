@@ -446,8 +446,23 @@ CLASSES = (
 )
 
 
+def check_shown(ob: bpy.types.Object) -> None:
+    """Whether the view layer shows an object, without which it has no Edit Mode.
+
+    Raises:
+        ValueError: it does not.
+    """
+    if not ob.visible_get():
+        raise ValueError(f"{ob.name} is hidden; show it, with its eye in the outliner, to edit it.")
+
+
 def edit_vertices(context: bpy.types.Context, ob: bpy.types.Object) -> None:
-    """Enter Edit Mode of an object, and no other, on vertices."""
+    """Enter Edit Mode of an object, and no other, on vertices.
+
+    Raises:
+        ValueError: it is hidden.
+    """
+    check_shown(ob)
     make_active(context, ob)
     context.tool_settings.mesh_select_mode = (True, False, False)
     bpy.ops.object.mode_set(mode="EDIT")

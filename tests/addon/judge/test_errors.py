@@ -17,7 +17,9 @@ from addon.job import facts, lookups, verb_job
 from addon.judge import colors, work
 from addon.judge.registry import JOBS
 from addon.panels.judge import ErrorsPanel
-from addon.splats import objects
+from addon.render import compare
+from addon.render.compare import PSNR
+from addon.splats import objects, parts
 from addon.splats.error_maps import drop_maps
 from addon.splats.files import import_splats
 from addon.steer.work import train_region
@@ -137,6 +139,37 @@ def test_splats_and_their_errors_never_overlie(result: bpy.types.Object, tmp_pat
     work.show_map(result, True)
     drop_maps(result)
     assert work.siblings(result) == ([result], []) and result.visible_get()
+
+
+def test_photos_are_compared_with_splats_and_never_with_errors(
+    result: bpy.types.Object, tmp_path: Path
+) -> None:
+    """Oracle: the PSNR before there was a map; which of both is seen, before and after."""
+    camera = cameras_of(result.parent)[0]
+    bpy.ops.gscore.compare_photo(camera=camera.name)
+    before = camera[PSNR]
+    play(tmp_path, result, {"a": 20.0})
+    map_path = work.run_of(result) / "errors" / "errors.ply"
+    other = splats(50)
+    write_splats(map_path, replace(other, means=other.means + 0.3, shN=other.shN[:, :0]))
+    bpy.ops.gscore.measure_errors(wait=True)
+    shown = bpy.context.object
+    seen = compare.compare(bpy.context.scene, camera, bpy.context.evaluated_depsgraph_get())
+    assert abs(seen.psnr - before) > 1e-3  # the map is another picture
+    bpy.ops.gscore.compare_photo(camera=camera.name)
+    assert camera[PSNR] == pytest.approx(before, abs=1e-6)
+    assert shown.visible_get() and not result.visible_get()
+
+
+def test_hidden_splats_are_not_edited(result: bpy.types.Object, tmp_path: Path) -> None:
+    """Oracle: what to do is said, and the selection is as before."""
+    result.hide_set(True)
+    bpy.context.view_layer.objects.active = result
+    before = parts.selected(result)
+    for verb in (bpy.ops.gscore.select_floaters, bpy.ops.gscore.select_by_opacity):
+        with pytest.raises(RuntimeError, match=r"is hidden; show it, with its eye"):
+            verb()
+    assert (parts.selected(result) == before).all() and bpy.context.mode == "OBJECT"
 
 
 def test_splats_that_the_view_layer_excludes(result: bpy.types.Object, tmp_path: Path) -> None:
