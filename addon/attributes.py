@@ -140,6 +140,11 @@ def column(datablock: Any, name: str) -> np.ndarray:
     return values
 
 
+def point_count(datablock: Any) -> int:
+    """The vertices of a mesh, or points of a point cloud."""
+    return len(datablock.vertices if hasattr(datablock, "vertices") else datablock.points)
+
+
 def sh_count(datablock: Any) -> int:
     """Number of `radiance:sh_<k>` attributes.
 
@@ -190,7 +195,7 @@ def names(datablock: Any, *, rest: bool = True) -> list[str]:
     """
     check(datablock)
     found = [BASE, SCALE, ROTATION]
-    if _count(datablock):  # else Blender drops `position`
+    if point_count(datablock):  # else Blender drops `position`
         found.append(POSITION)
     return found + [f"{SH}{k}" for k in range(sh_count(datablock) if rest else 0)]
 
@@ -224,7 +229,7 @@ def check(datablock: Any) -> None:
     """Raise ValueError, which names what is missing, unless there are the attributes of splats."""
     missing = [n for n in (POSITION, SCALE, ROTATION, BASE) if n not in datablock.attributes]
     # Blender drops `position` from a mesh without vertices.
-    if missing and not (missing == [POSITION] and _count(datablock) == 0):
+    if missing and not (missing == [POSITION] and point_count(datablock) == 0):
         raise ValueError(
             f"{datablock.name} holds no splats: the attributes {', '.join(missing)} are missing. "
             f"Choose an object made by an import or a training run."
@@ -340,10 +345,6 @@ def put(mesh: Any, columns: list[Column]) -> None:
             mesh.attributes.new(name, kind, "POINT")
     for name, kind, values in columns:
         mesh.attributes[name].data.foreach_set(_COPIED[kind][0], values.reshape(-1))
-
-
-def _count(datablock: Any) -> int:
-    return len(datablock.vertices if hasattr(datablock, "vertices") else datablock.points)
 
 
 def _swapped(values: np.ndarray) -> np.ndarray:

@@ -2,6 +2,9 @@
 
 import bpy
 
+_FILLS = 0.9
+"""Of an editor's width and height: its header and the sliders at its edges need the rest."""
+
 
 def show_image(
     context: bpy.types.Context, image: bpy.types.Image, *, new_window: bool = False
@@ -13,7 +16,7 @@ def show_image(
 def editor_of(
     context: bpy.types.Context, image: bpy.types.Image, *, new_window: bool = False
 ) -> bpy.types.Area | None:
-    """The area of the image editor that `show_image` shows an image in."""
+    """The area of the image editor that `show_image` shows an image in; the whole image is seen."""
     windows = context.window_manager.windows
     areas = (area for window in windows for area in window.screen.areas)
     area = next((a for a in areas if a.type == "IMAGE_EDITOR"), None)
@@ -23,5 +26,19 @@ def editor_of(
         area.type = "IMAGE_EDITOR"
     if area is None:
         return None
-    area.spaces.active.image = image
+    if area.spaces.active.image != image:  # else it stays as the user has zoomed into it
+        area.spaces.active.image = image
+        _fit(area, next(window for window in windows if area in window.screen.areas[:]))
     return area
+
+
+def _fit(area: bpy.types.Area, window: bpy.types.Window) -> None:
+    """Zoom out until the image of an editor fits into it.
+
+    `bpy.ops.image.view_all` would need another context, and an area that was drawn already.
+    """
+    space = area.spaces.active
+    drawn = area.width > 1  # an area in a new window knows no size yet
+    room = (area.width, area.height) if drawn else (window.width, window.height)
+    zoom = min(_FILLS * r / max(s, 1) for r, s in zip(room, space.image.size, strict=True))
+    space.zoom_percentage = 100 * min(zoom, 1.0)

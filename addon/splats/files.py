@@ -8,6 +8,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
+from ..attributes import point_count
 from ..cameras.objects import local_matrix, root_of
 from ..compat import matrix_to_numpy
 from ..core import (
@@ -189,7 +190,8 @@ def export_splats(
         filtered: Leave out what the display filters hide.
 
     Returns:
-        Number of splats written, and sentences on what of them the format does not hold.
+        Number of splats written, and sentences on what the format does not hold of them and on how
+        many were left out.
 
     Raises:
         ValueError: no objects, no splats, or a matrix that is no similarity; nothing is written.
@@ -209,7 +211,9 @@ def export_splats(
         raise ValueError(f"{names}: no splats left to export; relax the filters or undo deletions.")
     antialiased = all(ob.get(ANTIALIAS) for ob in obs)
     made = write_splat_file(Path(bpy.path.abspath(str(path))), splats, antialiased=antialiased)
-    return len(splats), made.notes
+    hidden = sum(point_count(ob.data) for ob in obs) - len(splats)
+    left = (f"{hidden:,} splats that the filters hide were left out.",) if hidden else ()
+    return len(splats), (*made.notes, *left)
 
 
 def source_matrix(ob: bpy.types.Object) -> np.ndarray:

@@ -214,8 +214,8 @@ class ExportSplats(Acting, bpy.types.Operator, ExportHelper):
     world: EnumProperty(name="World", description="Axes and scale of the file", items=_WORLDS)
     filtered: BoolProperty(
         name="Only Visible",
-        description="Leave out splats that the display filters hide",
-        default=False,
+        description="Leave out splats that the filters and the crop hide",
+        default=True,
     )
     collection: StringProperty(
         name="Collection",

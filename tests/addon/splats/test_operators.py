@@ -20,7 +20,7 @@ from addon.core import (
     write_splats,
 )
 from addon.panels import result
-from addon.splats import edit, even_scale, objects
+from addon.splats import edit, even_scale, files, objects
 from addon.splats import native as native_splats
 from addon.splats.filters import visible_mask
 from gscore.formats.registry import FORMATS, format_to_write
@@ -273,7 +273,7 @@ def test_export_refuses(ob: bpy.types.Object, tmp_path: Path) -> None:
     ob.scale = (1, 1, 1)
     ob.gscore.opacity_min = 1.0
     with pytest.raises(RuntimeError, match=r"chair: no splats left"):
-        bpy.ops.gscore.export_splats(filepath=str(out), filtered=True)
+        bpy.ops.gscore.export_splats(filepath=str(out))
     assert out.read_bytes() == b"older"
     ob.gscore.opacity_min = 0.0
     with pytest.raises(RuntimeError, match="Cannot write"):
@@ -281,14 +281,17 @@ def test_export_refuses(ob: bpy.types.Object, tmp_path: Path) -> None:
 
 
 def test_export_visible(ob: bpy.types.Object, tmp_path: Path) -> None:
-    """Oracle: the mask's rows."""
+    """Oracle: the mask's rows, and how many the others are; all of them where that is asked."""
     ob.gscore.opacity_min = 0.5
     keep = visible_mask(ob)
-    bpy.ops.gscore.export_splats(filepath=str(tmp_path / "out.ply"), filtered=True)
-    np.testing.assert_array_equal(
-        read_splats(tmp_path / "out.ply").means, objects.read(ob).means[keep]
-    )
+    out, means = tmp_path / "out.ply", objects.read(ob).means
+    bpy.ops.gscore.export_splats(filepath=str(out))
+    np.testing.assert_array_equal(read_splats(out).means, means[keep])
     assert len(ob.data.vertices) == COUNT
+    _, notes = files.export_splats([ob], out, filtered=True)
+    assert notes == (f"{COUNT - keep.sum():,} splats that the filters hide were left out.",)
+    bpy.ops.gscore.export_splats(filepath=str(out), filtered=False)
+    np.testing.assert_array_equal(read_splats(out).means, means)
 
 
 def test_apply_filters(ob: bpy.types.Object) -> None:
