@@ -538,6 +538,13 @@ class TrainConfig:
         group="loss",
         range=Range(high=1, below=True),
     )
+    opaque_weight: float = option(
+        0.005,
+        "Weight of the mean share of light that passes between splats where the pixels of a photo "
+        "count, unless masks are opacity: black on a black background needs no splats, but would "
+        "be a hole over another one; 0: none.",
+        group="loss",
+    )
     alpha_weight: float = option(
         0.0,
         "Weight of the mean absolute difference between rendered opacity and mask, where masks "

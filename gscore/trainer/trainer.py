@@ -21,7 +21,7 @@ from ..scene import Cameras, PointCloud
 from ..splats import Splats
 from ..words import count_words, number
 from .depth.loss import DepthLoss
-from .depth.regularisers import drop_rate_at, drop_splats, opacity_loss
+from .depth.regularisers import drop_rate_at, drop_splats, opacity_loss, see_through
 from .depth.targets import DepthTargets
 from .guide.loss import GuideLoss
 from .guide.setup import GuideSetup
@@ -722,7 +722,7 @@ class Trainer:
     def _further_terms(
         self, turn: _Turn, picture: Picture
     ) -> tuple[float, torch.Tensor | None, torch.Tensor | None]:
-        """What depth, guides and masks add to the loss of a view, and its gradients in the
+        """What depth, guides, masks and holes add to the loss of a view, and its gradients in the
         picture's opacity and inverse depth; None: it does not depend on them."""
         mask = turn.sized.mask
         value, v_alpha, v_inverse_depth = 0.0, None, None
@@ -739,6 +739,11 @@ class Trainer:
             value += term.item()
             (more,) = _slopes(term, alpha)
             v_alpha = more if v_alpha is None or more is None else v_alpha + more
+        if self.config.opaque_weight and self.photos.mask_mode != "composite":
+            through, slope = see_through(picture.alpha.detach(), mask)
+            value += self.config.opaque_weight * through
+            slope *= self.config.opaque_weight
+            v_alpha = slope if v_alpha is None else v_alpha + slope
         return value, v_alpha, v_inverse_depth
 
     def _assert_finite(self, turn: _Turn, value: float) -> None:

@@ -14,9 +14,9 @@ mask_mode resolution frame rig eval iterations time_budget target_psnr early_sto
 block strategy sh_degree seed threads cache_mb background antialias without near start_splats lpips
 checkpoint_seconds preview_seconds snapshot_every watchdog detect_anomaly means_lr
 means_lr_final sh0_lr opacities_lr scales_lr quats_lr lr_boost lr_final ssim_weight drop_rate
-alpha_weight steps_a_photo splats_a_photo refine_start refine_stop refine_every prune_opacity
-finest prune_share free_space quiet events exposure refine_poses no_sfm json disable_viewer set
-region guide_surface guide_free
+alpha_weight opaque_weight steps_a_photo splats_a_photo refine_start refine_stop refine_every
+prune_opacity finest prune_share free_space quiet events exposure refine_poses no_sfm json
+disable_viewer set region guide_surface guide_free
 """
 """Options that do something in every run, or whose effect the capture decides."""
 REFUSED = frozenset(name.lstrip("-").replace("-", "_") for name in names_3dgs.REFUSED)

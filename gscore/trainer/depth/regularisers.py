@@ -1,5 +1,6 @@
-"""What keeps few views from being learnt by heart: splats left out at random, opacity by masks."""
+"""What photos alone do not decide: splats left out at random; opacity, by masks or everywhere."""
 
+import numpy as np
 import torch
 
 from ..host.random import uniform
@@ -44,3 +45,23 @@ def opacity_loss(alpha: torch.Tensor, mask: torch.Tensor) -> torch.Tensor:
         mask: [H, W] uint8, 255 = opaque.
     """
     return (alpha - mask.to(alpha.dtype) * (1 / 255)).abs().mean()
+
+
+def see_through(alpha: torch.Tensor, mask: np.ndarray | None) -> tuple[float, torch.Tensor]:
+    """Mean share of light that passes between the splats, and its gradient in `alpha`.
+
+    Over a black background what is black is right without any splat, and 1 to 7 % of the light of
+    whole captures passes (docs/experiments). This asks that photos of a scene be opaque.
+
+    Args:
+        alpha: [H, W] float, rendered opacity.
+        mask: [H, W] uint8, how much each pixel counts, 255 = whole; None: all do.
+
+    Returns:
+        The mean of (1 - alpha) mask / 255 over all pixels, and [H, W] of alpha's dtype.
+    """
+    if mask is None:
+        slope = torch.full_like(alpha, -1 / alpha.numel())
+    else:
+        slope = torch.from_numpy(mask).to(alpha.dtype) * (-1 / (255 * alpha.numel()))
+    return float(((alpha - 1) * slope).sum()), slope

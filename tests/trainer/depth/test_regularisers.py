@@ -1,4 +1,4 @@
-"""Splats left out and opacity by masks; oracles: expectations, formulas, and counts."""
+"""Splats left out; opacity, by masks or everywhere; oracles: expectations, formulas, counts."""
 
 from dataclasses import replace
 from typing import Any
@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from gscore.config import Background, TrainConfig
-from gscore.trainer.depth.regularisers import drop_rate_at, drop_splats, opacity_loss
+from gscore.trainer.depth.regularisers import drop_rate_at, drop_splats, opacity_loss, see_through
 from gscore.trainer.trainer import Trainer
 
 
@@ -47,6 +47,42 @@ def test_opacity_loss_is_its_formula() -> None:
     alpha, mask = rng.uniform(size=(6, 7)), rng.integers(0, 256, (6, 7)).astype(np.uint8)
     found = opacity_loss(torch.from_numpy(alpha), torch.from_numpy(mask))
     assert float(found) == pytest.approx(np.abs(alpha - mask / 255).mean(), rel=1e-12)
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_what_passes_is_its_formula(masked: bool) -> None:
+    """Oracle: numpy, and autograd of the same formula in float64."""
+    rng = np.random.default_rng(0)
+    mask = rng.integers(0, 256, (6, 7)).astype(np.uint8) if masked else None
+    alpha = torch.from_numpy(rng.uniform(size=(6, 7))).requires_grad_()
+    weights = np.ones((6, 7)) if mask is None else mask / 255
+    expected = ((1 - alpha) * torch.from_numpy(weights)).mean()
+    expected.backward()
+    value, slope = see_through(alpha.detach(), mask)
+    assert value == pytest.approx(float(expected), rel=1e-12)
+    torch.testing.assert_close(slope, alpha.grad)
+
+
+def test_black_surfaces_are_no_holes(make_photos: Any) -> None:
+    """Oracle: as for masks that ask for opacity, but of photos without any, and where a mask says
+    that pixels do not count nothing is asked."""
+    photos = make_photos()
+    for i in range(len(photos.images)):
+        photos.images[i] = np.zeros((48, 48, 3), np.uint8)
+    config = TrainConfig(iterations=40, max_splats=200, coarse_factor=1, sh_degree=0)
+
+    def opacity(weight: float) -> float:
+        trainer = Trainer(replace(config, opaque_weight=weight), photos)
+        for _ in range(40):
+            trainer.step()
+        return float(torch.sigmoid(trainer.model.params["opacities"]).detach().mean())
+
+    without, asked = opacity(0.0), opacity(1.0)
+    assert asked > 2 * without, (asked, without)
+    for i in range(len(photos.images)):
+        photos.masks[i] = np.zeros((48, 48), np.uint8)
+    photos.mask_mode = "ignore"
+    assert opacity(1.0) == opacity(0.0)
 
 
 def test_splats_left_out_are_not_drawn_and_do_not_change(photos: Any) -> None:
