@@ -815,7 +815,8 @@ photo lose on views between the photos."""
 
 def preview(source: Path) -> tuple[DataConfig, TrainConfig]:
     """A first look, in about a quarter of a minute on two cores."""
-    train = TrainConfig(iterations=1500, max_splats=50_000, sh_degree=1)
+    # Its few steps need more weight to close what is dark (docs/experiments).
+    train = TrainConfig(iterations=1500, max_splats=50_000, sh_degree=1, opaque_weight=0.02)
     return DataConfig(source=source, max_width=400), train
 
 
