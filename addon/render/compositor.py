@@ -245,7 +245,8 @@ def _render_layers(tree: bpy.types.NodeTree, scene: bpy.types.Scene) -> bpy.type
 def _group() -> bpy.types.NodeTree:
     """Two premultiplied pictures with depths to one: at each pixel the nearer one over the other.
 
-    Blender's own Z Combine multiplies colours by alpha once more, so it is not used.
+    Blender's own Z Combine multiplies colours by alpha once more, so it is not used. Depths know no
+    part of a pixel: where meshes and splats meet, the edge is smoothed.
     """
     tree = bpy.data.node_groups.get(GROUP)
     if tree is not None and tree.bl_idname == "CompositorNodeTree":
@@ -256,9 +257,13 @@ def _group() -> bpy.types.NodeTree:
         tree.interface.new_socket(f"{name} Depth", in_out="INPUT", socket_type="NodeSocketFloat")
     tree.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
     given, result = tree.nodes.new("NodeGroupInput"), tree.nodes.new("NodeGroupOutput")
-    given.location, result.location = (-800, 0), (400, 0)
+    given.location, result.location = (-1000, 0), (400, 0)
     meshes, mesh_depth, splats, splat_depth = given.outputs[:4]
-    before = _compare(tree, "LESS_THAN", splat_depth, mesh_depth, (-600, -200))
+    nearer = _compare(tree, "LESS_THAN", splat_depth, mesh_depth, (-800, -200))
+    smooth = tree.nodes.new("CompositorNodeAntiAliasing")
+    smooth.location = (-600, -200)
+    tree.links.new(nearer, smooth.inputs[0])
+    before = smooth.outputs[0]
     behind = _compare(tree, "SUBTRACT", None, before, (-400, -200))
     far = _over(tree, None, splats, behind, (-200, 0))
     middle = _over(tree, far, meshes, None, (0, 0))
