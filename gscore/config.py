@@ -539,7 +539,7 @@ class TrainConfig:
         range=Range(high=1, below=True),
     )
     opaque_weight: float = option(
-        0.005,
+        0.0,
         "Weight of the mean share of light that passes between splats where the pixels of a photo "
         "count, unless masks are opacity: black on a black background needs no splats, but would "
         "be a hole over another one; 0: none.",
@@ -808,7 +808,8 @@ class TrainConfig:
         check_options(self)
 
 
-_LONG = TrainConfig(steps_a_photo=80, stereo=Switch.AUTO)
+_OPAQUE = TrainConfig(opaque_weight=0.005)
+_LONG = replace(_OPAQUE, steps_a_photo=80, stereo=Switch.AUTO)
 """What the longer presets share: points of stereo place what they grow, and more steps for each
 photo lose on views between the photos."""
 
@@ -822,7 +823,7 @@ def preview(source: Path) -> tuple[DataConfig, TrainConfig]:
 
 def draft(source: Path) -> tuple[DataConfig, TrainConfig]:
     """Good enough to judge a capture, in about a minute and a quarter on two cores."""
-    train = TrainConfig(iterations=4000, max_splats=150_000, sh_degree=2)
+    train = replace(_OPAQUE, iterations=4000, max_splats=150_000, sh_degree=2)
     return DataConfig(source=source, max_width=640), train
 
 

@@ -25,6 +25,7 @@ WANTED = (
         TRAIN,
         steps_a_photo=0,  # the preset had neither this limit
         stereo=Switch.OFF,  # nor points of stereo
+        opaque_weight=0.0,  # nor this weight
         iterations=4,
         max_splats=160,
         sh_degree=0,
