@@ -10,7 +10,8 @@ from ..io.block_record import block_name, block_records
 from ..io.runs import checkpoints_in, results_in
 from ..shown import shown
 from ..words import count_words
-from .together import agent, train_in_turn, train_together, under_torchrun
+from .terminal.launcher import under_torchrun
+from .together import agent, train_in_turn, train_together
 
 if TYPE_CHECKING:
     from ..trainer.ranks.team import Team

@@ -17,9 +17,10 @@ from . import train as train_command
 from .given.declared import declare, given_options
 from .given.live import onlookers_of
 from .terminal.attend import attend
+from .terminal.launcher import under_torchrun
 from .terminal.output import check_folder, others_in, print_json
 from .terminal.status import wrapped
-from .together import agent, train_in_turn, under_torchrun
+from .together import agent, train_in_turn
 
 if TYPE_CHECKING:
     from ..trainer.ranks.team import Team

@@ -10,6 +10,7 @@ from ..errors import DatasetError, GsError
 from ..io.runs import AGENT, checkpoints_in
 from ..metrics.machine import cores
 from .terminal.interrupt import interrupts
+from .terminal.launcher import under_torchrun
 
 if TYPE_CHECKING:
     from ..trainer.ranks.team import Team
@@ -19,11 +20,6 @@ _OWN = {
     *("quiet", "events", "json", "config", "masks"),
 }
 """Options of which each rank may have its own, or which rank 0 alone reads."""
-
-
-def under_torchrun() -> bool:
-    """Whether torchrun, or what speaks as it does, has started this process."""
-    return {"RANK", "WORLD_SIZE"} <= os.environ.keys()
 
 
 def train_together(
@@ -110,7 +106,8 @@ def _lead(
     except BaseException:
         _part(team, failed=True)
         raise
-    _part(team, failed=False)
+    # torchrun starts a rank again that was stopped; it waits for ranks that say they have finished.
+    _part(team, failed=code != 0)
     return code
 
 

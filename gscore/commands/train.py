@@ -22,9 +22,10 @@ from .given.live import add_live_options, check_live_options, onlookers_of
 from .given.names_3dgs import add_3dgs_names, translate
 from .given.no_effect import idle_options
 from .terminal.attend import STOPPED, add_output_options, attend
+from .terminal.launcher import under_torchrun
 from .terminal.output import check_folder, first_few, print_json
 from .terminal.status import wrapped
-from .together import agent, train_together, under_torchrun
+from .together import agent, train_together
 
 if TYPE_CHECKING:  # torch, which training imports, takes seconds to load: --help need not wait
     from ..trainer.files.ended import TrainResult

@@ -394,7 +394,8 @@ class Session:
         trainer, reason = self._trainer, self._steering.reason
         if trainer.team:
             trainer.collect()
-            trainer.team.part()
+            if reason:  # the others of a run that was stopped hear with which exit code it ends
+                trainer.team.part()
         finished, reason = bool(reason), reason or self._control.stop_reason
         self._answer()  # a snapshot asked for just before the stop
         cleared = trainer.removal.around.count

@@ -46,6 +46,22 @@ def test_what_was_lost_has_a_code(
     assert capsys.readouterr().err.count("the disk is full") == (number == errno.ENOSPC)
 
 
+def test_a_rank_needs_nobody_who_takes_its_output(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: no request to stop and no exit code, under torchrun's variables alone."""
+    asked: list[str] = []
+
+    def lose_output() -> int:
+        interrupt = Interrupt()
+        with interrupt.asking(asked.append, quiet=True):
+            interrupt.output_lost(141)
+        return interrupt.exit_code
+
+    assert (lose_output(), asked) == (141, ["output closed"])
+    monkeypatch.setenv("RANK", "0")
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    assert (lose_output(), asked) == (0, ["output closed"])
+
+
 def test_letters_that_a_stream_lacks_are_spelled_out() -> None:
     """Oracle: Python's own escapes."""
     raw = io.BytesIO()

@@ -15,6 +15,7 @@ from types import FrameType
 from typing import Any, Self
 
 from ...control import ending_signals
+from .launcher import under_torchrun
 
 _SIGPIPE = 13
 """Of POSIX; the code is the same where there is no such signal."""
@@ -89,7 +90,10 @@ class Interrupt:
             self._stop, self._over = None, True
 
     def output_lost(self, code: int) -> None:
-        """Nobody takes the output any more; `code` is to be the exit code."""
+        """Nobody takes the output any more; `code` is to be the exit code. One of many ranks goes
+        on all the same: torchrun would start it again, while the others are through."""
+        if under_torchrun():
+            return
         self._output_code = self._output_code or code
         if self._stop is not None:
             self._stop("output closed")

@@ -152,7 +152,7 @@ def test_a_killed_rank_is_resumed(video: Path, whole: Path, tmp_path: Path, vict
     try:
         wait_for(out / "frame_000000" / "config.json")
         wait_for(out / "frame_000010" / "config.json")
-        os.kill(rank_of(running.pid, victim), signal.SIGKILL)
+        os.kill(rank_of([running.pid], victim), signal.SIGKILL)
         _, told = running.communicate(timeout=PATIENCE)
     finally:
         running.kill()

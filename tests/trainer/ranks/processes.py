@@ -1,6 +1,7 @@
 """Processes that a torchrun has started, found so that something can be done to them."""
 
 import time
+from collections.abc import Collection
 from pathlib import Path
 
 from .started import PATIENCE
@@ -14,14 +15,14 @@ def wait_for(path: Path) -> None:
         time.sleep(0.005)
 
 
-def rank_of(agent: int, rank: int) -> int:
-    """The process that a torchrun started as this rank."""
+def rank_of(agents: Collection[int], rank: int) -> int:
+    """The process that one of these torchruns started as this rank."""
     for folder in Path("/proc").iterdir():
         try:
             parent = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
             environment = (folder / "environ").read_bytes().split(b"\0")
         except (OSError, ValueError, IndexError):
             continue
-        if parent == agent and f"RANK={rank}".encode() in environment:
+        if parent in agents and f"RANK={rank}".encode() in environment:
             return int(folder.name)
     raise AssertionError("no such rank")

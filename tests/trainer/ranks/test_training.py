@@ -157,12 +157,66 @@ def test_a_killed_rank_costs_nothing(capture: Path, tmp_path: Path, victim: int)
     )
     try:
         wait_for(output / "checkpoints" / "step_00000100.safetensors")
-        os.kill(rank_of(running.pid, victim), signal.SIGKILL)
+        os.kill(rank_of([running.pid], victim), signal.SIGKILL)
         _, told = running.communicate(timeout=PATIENCE)
     finally:
         running.kill()
     assert running.returncode == 0, told
     files = [tmp_path / name / "point_cloud.ply" for name in ("whole", "killed")]
+    assert files[0].read_bytes() == files[1].read_bytes()
+
+
+def two_machines(capture: Path, output: Path, *more: str) -> list[subprocess.Popen[str]]:
+    """A torchrun for each of two ranks, as on two machines."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    line = [
+        *(sys.executable, "-m", "torch.distributed.run", "--nnodes", "2", "--nproc-per-node", "1"),
+        *("--rdzv-backend", "c10d", "--rdzv-endpoint", f"127.0.0.1:{port}", "--rdzv-id", "1"),
+        *("--max-restarts", "1", "-m", "gscore", "train", str(capture), "-o", str(output)),
+        *SHORT,
+        *more,
+    ]
+    return [
+        subprocess.Popen(
+            line,
+            cwd=ROOT,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=os.environ | {"OMP_NUM_THREADS": "1", "GSCORE_THREADS": "1"},
+        )
+        for _ in range(2)
+    ]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="looks for processes in /proc")
+@pytest.mark.parametrize("what", ["told to stop", "output lost"])
+def test_machines_whose_lead_is_disturbed_end_together(
+    capture: Path, tmp_path: Path, what: str
+) -> None:
+    """Oracle: the PLY of a run that nobody disturbed, to the bit; both torchruns end well."""
+    line = ("--iterations", "800", "--checkpoint-iterations", "100")
+    assert_fine(train(capture, tmp_path / "whole", *line))
+    output = tmp_path / "disturbed"
+    machines = two_machines(capture, output, *line)
+    try:
+        wait_for(output / "checkpoints" / "step_00000100.safetensors")
+        if what == "told to stop":
+            os.kill(rank_of([one.pid for one in machines], 0), signal.SIGTERM)
+        else:
+            for one in machines:
+                assert one.stdout is not None and one.stderr is not None
+                one.stdout.close()
+                one.stderr.close()
+        codes = [one.wait(PATIENCE) for one in machines]
+    finally:
+        for one in machines:
+            one.kill()
+    assert codes == [0, 0]
+    files = [tmp_path / name / "point_cloud.ply" for name in ("whole", "disturbed")]
     assert files[0].read_bytes() == files[1].read_bytes()
 
 
