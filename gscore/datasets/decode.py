@@ -18,6 +18,8 @@ _PIXEL, _PIXEL_WITH_ALPHA, _PIXEL_TO_UNDISTORT = 8, 5, 4
 """Bytes for a pixel of the photo: four of Pillow and three of ours, and what else comes with it."""
 
 _ROWS_A_STRIP = 64
+_NO_TRACE = 1.9
+"""Interpolation at twice the final size leaves no trace after scaling down; sizes are rounded."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -180,6 +182,7 @@ def _fit(file: ViewFile, image: np.ndarray, *, nearest: bool = False) -> np.ndar
             size,
             pixels=(pixels[0] / factor, pixels[1] / factor),
             nearest=nearest,
+            sharp=min(size[0] / file.size[0], size[1] / file.size[1]) < _NO_TRACE,
         )
     return resize(image, *file.size)
 
@@ -193,8 +196,8 @@ def _undistorted_size(file: ViewFile, plan: Undistortion) -> tuple[float, float]
 def _factor(full: tuple[float, float], size: tuple[int, int]) -> int:
     """The factor a photo is averaged by before it is undistorted to `full`, scaled down to `size`.
 
-    Interpolation at twice the final size leaves no trace after scaling down, so large photos are
-    first averaged by whole factors, many times cheaper.
+    Large photos are first averaged by whole factors to twice the final size or more, many times
+    cheaper than interpolating between all of their pixels.
     """
     ratio = min(full[0] / size[0], full[1] / size[1])
     return max(1, int(ratio / 2 + 0.05))  # 0.05: sizes are rounded

@@ -53,6 +53,7 @@ class Undistortion:
         *,
         pixels: tuple[float, float] = (1.0, 1.0),
         nearest: bool = False,
+        sharp: bool = False,
     ) -> np.ndarray:
         """Resample an image of the distorted camera as one of the pinhole camera.
 
@@ -65,6 +66,8 @@ class Undistortion:
                 another size than the camera was calibrated at.
             nearest: Take the nearest pixel (labels, binary masks, depth) instead of interpolating
                 bilinearly.
+            sharp: Interpolate bytes by cubic convolution, for photos that are not scaled down
+                after: between pixels a bilinear one loses half of the contrast of fine detail.
 
         Returns:
             [size[1], size[0], ...] of the dtype of `image`. Outside the photo its border is
@@ -86,7 +89,8 @@ class Undistortion:
             if nearest:
                 part[...] = image[np.rint(y).astype(np.int64), np.rint(x).astype(np.int64)]
             else:
-                _bilinear(rows_of_pixels, (height, width), x, y, part)
+                interpolate = _cubic if sharp else _bilinear
+                interpolate(rows_of_pixels, (height, width), x, y, part)
         return out
 
 
@@ -260,6 +264,42 @@ def _bilinear(
         d += fx * (e - d)
         a += fy * (d - a)
         out[key] = np.rint(a) if out.dtype.kind in "iu" else a
+
+
+def _cubic(
+    flat: np.ndarray, shape: tuple[int, int], x: np.ndarray, y: np.ndarray, out: np.ndarray
+) -> None:
+    """As `_bilinear`, for bytes, by cubic convolution (Keys 1981, with a = -1/2). Beyond the border
+    its pixels are repeated."""
+    height, width = shape
+    left, top = x.astype(np.int64), y.astype(np.int64)
+    across, down = _keys((x - left).astype(np.float32)), _keys((y - top).astype(np.float32))
+    columns = [np.clip(left + k, 0, width - 1) for k in _TAPS]
+    channels = range(out.shape[2]) if out.ndim == 3 else [...]
+    sums = [np.zeros(x.shape, np.float32) for _ in channels]
+    for k, weight_down in zip(_TAPS, down, strict=True):
+        rows = np.clip(top + k, 0, height - 1) * width
+        for column, weight_across in zip(columns, across, strict=True):
+            pixels, weight = _unpacked(flat[rows + column], out), weight_down * weight_across
+            for total, c in zip(sums, channels, strict=True):
+                total += weight * (pixels if c is ... else pixels[..., c])
+    for total, c in zip(sums, channels, strict=True):
+        np.clip(np.rint(total, out=total), 0, 255, out=total)
+        out[... if c is ... else (..., c)] = total
+
+
+_TAPS = (-1, 0, 1, 2)
+
+
+def _keys(t: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Weights of the pixels at `_TAPS` of a place that lies `t`, 0 to 1, after a pixel."""
+    s = 1 - t
+    return (
+        -0.5 * t * s * s,
+        1 + t * t * (1.5 * t - 2.5),
+        1 + s * s * (1.5 * s - 2.5),
+        -0.5 * s * t * t,
+    )
 
 
 def _packed(image: np.ndarray) -> np.ndarray:

@@ -132,6 +132,68 @@ def test_pictures_equal_those_of_colmap(model: str, rng: np.random.Generator) ->
     assert difference[inside].max() <= 1
 
 
+def _stripes(points: np.ndarray) -> np.ndarray:
+    """[..., 3] of 0 to 255 at [..., 2] px: waves of 4 and 5 px along both axes."""
+    x, y = points[..., 0], points[..., 1]
+    waves = (np.sin(np.pi / 2 * x), np.sin(2 * np.pi / 5 * y), np.sin(2 * np.pi / 5 * (x + y)))
+    return 127.5 + 100 * np.stack(waves, axis=-1)
+
+
+@pytest.mark.parametrize("model", ["SIMPLE_RADIAL", "OPENCV_FISHEYE"])
+def test_sharp_photos_keep_fine_detail(model: str) -> None:
+    """Oracle: the waves that the photo shows, evaluated where the lens takes each pixel."""
+    plan = _plan(_camera(model))
+    row, column = np.mgrid[0 : _SIZE[1], 0 : _SIZE[0]] + 0.5
+    photo = np.rint(_stripes(np.stack([column, row], axis=-1))).astype(np.uint8)
+    row, column = np.mgrid[0 : plan.height, 0 : plan.width] + 0.5
+    source = plan.distort(np.column_stack([column.ravel(), row.ravel()])).reshape(*row.shape, 2)
+    inside = ((source > 3) & (source < np.array(_SIZE) - 3)).all(axis=2)
+    found = {
+        sharp: plan.remap(photo, (plan.width, plan.height), sharp=sharp)[inside].astype(float)
+        for sharp in (False, True)
+    }
+    errors = {s: np.abs(f - _stripes(source)[inside]).mean() for s, f in found.items()}
+    assert errors[True] < 0.5 * errors[False], errors
+    contrast = {s: f.std(axis=0).mean() / _stripes(source)[inside].std() for s, f in found.items()}
+    assert contrast[True] > 0.93 > 0.9 > contrast[False], contrast
+
+
+def test_sharp_photos_of_one_value_stay_so() -> None:
+    """Oracle: weights that add up to 1 everywhere, also where the border is repeated; bytes that
+    cubic convolution would take beyond their range end there."""
+    plan = _plan(_camera("OPENCV"))
+    size = (plan.width, plan.height)
+    assert (plan.remap(np.full((150, 200, 3), 201, np.uint8), size, sharp=True) == 201).all()
+    edge = np.zeros((150, 200), np.uint8)
+    edge[:, 100:] = 255
+    found = plan.remap(edge, size, sharp=True)
+    assert found[:, : plan.width // 3].max() == 0 and found[:, -(plan.width // 3) :].min() == 255
+
+
+@pytest.mark.parametrize(("width", "sharp"), [(0, True), (100, False)])
+def test_photos_that_are_not_scaled_down_are_sharp(
+    width: int, sharp: bool, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    """Oracle: `remap` itself, at the full size and at half of it."""
+    camera = _camera("SIMPLE_RADIAL")
+    plan = _plan(camera)
+    photo = rng.integers(0, 256, (*_SIZE[::-1], 3)).astype(np.uint8)
+    write_png(tmp_path / "a.png", photo)
+    size = (width, round(plan.height * width / plan.width)) if width else (plan.width, plan.height)
+    file = ViewFile(
+        image=tmp_path / "a.png",
+        mask=None,
+        mask_inverted=False,
+        use_alpha=False,
+        upright=True,
+        photo_size=_SIZE,
+        size=size,
+        plan=plan,
+    )
+    remapped = plan.remap(photo, (plan.width, plan.height), sharp=sharp)
+    np.testing.assert_array_equal(decode_view(file)[0], resize(remapped, *size))
+
+
 def test_nearest_keeps_values(rng: np.random.Generator) -> None:
     """Oracle: labels and depths stay members of the input; bilinear floats stay in range."""
     plan = _plan(_camera("OPENCV"))
