@@ -14,6 +14,7 @@ from ..datasets.dataset import Dataset
 from ..depth.maps import MapFolder
 from ..errors import BackendError, ConfigError
 from ..events import Event
+from ..io.block_record import read_block
 from ..splats import Splats
 from .depth.setup import DepthSetup, prepare_depth
 from .depth.stereo import StereoStart, stereo_start
@@ -22,6 +23,7 @@ from .photos.loading import Loaded, load_photos, progress_of
 from .ranks.agree import crc_of
 from .ranks.team import Team
 from .region.box import Box
+from .region.cell import Cell
 from .region.photos import RegionPhotos
 from .rows.frame import Frame
 from .schedule.enough import limit_by_photos
@@ -141,6 +143,7 @@ def prepare(
             team=team,
             region=region,
             guide=guide,
+            cell=_cell_of(photos) if start is not None and region is None else None,
         )
     return Prepared(
         trainer=trainer,
@@ -154,6 +157,13 @@ def prepare(
         exposure=exposure,
         placing=placing,
     )
+
+
+def _cell_of(photos: Dataset) -> Cell | None:
+    """The cell of a block whose splats outside of it are there from a coarse model: what lies
+    there goes when blocks are merged, so it need not grow."""
+    record = read_block(photos.source)
+    return None if record is None else Cell.of(record)
 
 
 @contextmanager

@@ -36,6 +36,7 @@ from .ranks.agree import crc_of
 from .ranks.gradients import BatchGradients, gathered_of
 from .ranks.team import Team
 from .region.box import Box
+from .region.cell import Cell
 from .region.still import Still, parted
 from .rows import bounds, finest, guard
 from .rows.frame import Frame
@@ -46,7 +47,7 @@ from .rows.start import splats_of_cloud, splats_to_go_on_with
 from .rows.stored import check_tensors, choices, real, whole
 from .schedule.batches import photos_at_once
 from .schedule.plan import Plan
-from .strategy import Change, DrawnView, make_strategy, ops
+from .strategy import Change, DrawnView, everywhere, make_strategy, ops
 from .strategy.free_space import FreeSpace
 from .strategy.removal import Removal
 from .views.gains import PhotoGains, without_background
@@ -54,6 +55,10 @@ from .views.learnt import Learnt, learnt_poses
 from .views.placing import Placing
 from .views.sight import COLORS, Sight, mse_of_counted
 
+_IN_CELL = (
+    "Splats are added in the block's cell alone: those around it, which `gscore merge` leaves out, "
+    "are there from the splats that were given."
+)
 _MAX_SKIPPED = 100
 _ABSURD_MSE = 1e4
 """Pictures are 0 to 1; colours of 100 come from splats that ran away."""
@@ -137,6 +142,7 @@ class Trainer:
         team: Team | None = None,
         region: Box | None = None,
         guide: GuideSetup | None = None,
+        cell: Cell | None = None,
     ) -> None:
         """Start from `start` or from `points`, in COLMAP world, or from the points of the capture.
 
@@ -146,7 +152,8 @@ class Trainer:
         all; `team` are the processes that train together, each of which makes such a trainer;
         `region`, in COLMAP world, holds the splats of `start` that are trained, None: all are;
         where there is no `start`, `photos` are those that are narrowed to it; `guide` are the
-        meshes that guide the run.
+        meshes that guide the run; `cell`, in COLMAP world, is where splats are added, None:
+        everywhere.
 
         Raises:
             DatasetError: nothing to train on.
@@ -186,6 +193,7 @@ class Trainer:
             )
         self.guide_digest = "" if guide is None else guide.digest
         """Changes with any of the meshes that guide the run; empty: none do."""
+        self._cell = None if cell is None else cell.in_training(self.frame.similarity)
         self.replan(config.iterations)
         self.generator = generator_of(config.seed)
         self.sampler = Sampler(photos.train)
@@ -263,7 +271,7 @@ class Trainer:
     def region_words(self) -> str:
         """A sentence on the part of the splats that is trained; empty: all are."""
         if self.region is None:
-            return ""
+            return _IN_CELL if self._cell else ""
         if not self._given:
             return "Only pixels that look at the region count."
         count = count_words(len(self.model), "splat")
@@ -278,7 +286,10 @@ class Trainer:
         that is `iterations` steps long."""
         self.plan = self.plan_of(iterations)
         """When things happen."""
-        self.strategy = make_strategy(self.config, self.plan, extent=self.frame.extent)
+        may_grow = self._cell.holds if self._cell else everywhere
+        self.strategy = make_strategy(
+            self.config, self.plan, extent=self.frame.extent, may_grow=may_grow
+        )
         if self.depth:
             self.depth.set_length(iterations)
 

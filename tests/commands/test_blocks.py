@@ -67,6 +67,37 @@ def test_merge_keeps_each_block_to_its_cell(gscore, blocks, tmp_path):
     assert (tmp_path / "again.ply").read_bytes() == out.read_bytes()
 
 
+def test_a_block_that_starts_from_splats_grows_in_its_cell(gscore, blocks, tmp_path):
+    """Oracle: the splats on both sides of the cell's bounds, before and after; the same photos as a
+    capture of their own grow them on both sides."""
+    start = tmp_path / "start.ply"
+    gscore("merge", blocks / "runs", "-o", start)
+    record = read_block(blocks / "blocks/block_0")
+    low, high = record.bounds[0]
+
+    def inside_and_around(path):
+        ground = read_ply(path).means.astype(np.float64) @ record.axes.T
+        inside = ((ground >= low) & (ground < high)).all(axis=1)
+        return int(inside.sum()), int((~inside).sum())
+
+    line = ("--preset", "preview", "--iterations", 60, "--refine-every", 10, "--refine-start", 10)
+    line = (*line, "--grow-grad", 1e-7, "--max-splats", 9000, "--start-splats", start)
+    plain = tmp_path / "plain"
+    shutil.copytree(blocks / "blocks/block_0", plain)
+    (plain / "block.json").unlink()
+    told, found = [], [inside_and_around(start)]
+    for source in (blocks / "blocks/block_0", plain):
+        code, _, err = gscore("train", source, "-o", tmp_path / f"run_{source.stem}", *line)
+        assert code == 0
+        told.append("Splats are added in the block's cell alone" in err)
+        found.append(inside_and_around(tmp_path / f"run_{source.stem}/point_cloud.ply"))
+    assert told == [True, False]
+    (inside, around), block, whole = found
+    assert block[0] > 4 * inside and whole[0] > 4 * inside
+    # Splats move: some that came into being inside are outside in the end.
+    assert block[1] < 2 * around and whole[1] > 4 * around
+
+
 def test_blocks_that_were_moved(gscore, blocks, tmp_path):
     """Oracle: a sentence that names the option, with which the same file comes out."""
     elsewhere = tmp_path / "elsewhere"

@@ -2,14 +2,16 @@
 
 from ...config import Strategy, TrainConfig
 from ..schedule.plan import Plan
-from .base import Change, DrawnView, Policy
+from .base import Change, DrawnView, Policy, Within, everywhere
 from .default import DefaultStrategy
 from .mcmc import MCMCStrategy
 
-__all__ = ["Change", "DrawnView", "Policy", "make_strategy"]
+__all__ = ["Change", "DrawnView", "Policy", "Within", "everywhere", "make_strategy"]
 
 
-def make_strategy(config: TrainConfig, plan: Plan, *, extent: float) -> Policy:
-    """The strategy that `config` names."""
+def make_strategy(
+    config: TrainConfig, plan: Plan, *, extent: float, may_grow: Within = everywhere
+) -> Policy:
+    """The strategy that `config` names; splats are added where `may_grow` says so."""
     kinds = {Strategy.DEFAULT: DefaultStrategy, Strategy.MCMC: MCMCStrategy}
-    return kinds[config.strategy](config, plan, extent=extent)
+    return kinds[config.strategy](config, plan, extent=extent, may_grow=may_grow)

@@ -1,6 +1,6 @@
 """What the training loop asks of a strategy, the policy that adds, moves and removes splats."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -37,6 +37,15 @@ class DrawnView:
     """px."""
     height: int
     """px."""
+
+
+Within = Callable[[torch.Tensor], torch.Tensor]
+"""Which of `means` [N, 3], training world, lie where something may be done: [N] bool."""
+
+
+def everywhere(means: torch.Tensor) -> torch.Tensor:
+    """All of them."""
+    return torch.ones(len(means), dtype=torch.bool, device="cpu")
 
 
 class Policy(Protocol):

@@ -12,7 +12,7 @@ from ...raster.pull import add_pull
 from ..rows.model import Model
 from ..schedule.plan import Plan
 from . import ops
-from .base import Change, DrawnView
+from .base import Change, DrawnView, Within, everywhere
 
 RESET_OPACITY = 0.01
 """Ceiling of all opacities at a reset."""
@@ -25,10 +25,13 @@ class DefaultStrategy:
     image coordinates (2 per image side). Under a cap the splats that are pulled hardest go first.
     """
 
-    def __init__(self, config: TrainConfig, plan: Plan, *, extent: float) -> None:
+    def __init__(
+        self, config: TrainConfig, plan: Plan, *, extent: float, may_grow: Within = everywhere
+    ) -> None:
         self._config = config
         self._plan = plan
         self._extent = extent
+        self._may_grow = may_grow
 
     def start(self, model: Model) -> None:
         model.rows["pull"] = zeros(len(model))
@@ -59,7 +62,7 @@ class DefaultStrategy:
         before = len(model)
         pull = model.rows["pull"] / model.rows["seen"].clamp_min(1)
         doomed = self._to_prune(model.params, step)
-        grow = (pull >= self._plan.grow_grad) & ~doomed
+        grow = (pull >= self._plan.grow_grad) & ~doomed & self._may_grow(model.params["means"])
         room = cap - before + int(doomed.sum())
         grow = _strongest(grow, pull, max(room, 0))
         new, replaced = self._doubled(model, grow, generator)

@@ -10,7 +10,7 @@ from ..host.random import gaussian
 from ..rows.model import Model
 from ..schedule.plan import Plan
 from . import ops
-from .base import Change, DrawnView
+from .base import Change, DrawnView, Within, everywhere
 
 GATE_SHARPNESS = 100.0
 GATE_OPACITY = 0.005
@@ -22,10 +22,13 @@ NOISE_MAX_OPACITY = 0.1
 class MCMCStrategy:
     """Keeps the number of splats on a fixed course and moves those that are not needed."""
 
-    def __init__(self, config: TrainConfig, plan: Plan, *, extent: float) -> None:
+    def __init__(
+        self, config: TrainConfig, plan: Plan, *, extent: float, may_grow: Within = everywhere
+    ) -> None:
         self._config = config
         self._plan = plan
         self._extent = extent
+        self._may_grow = may_grow
 
     def start(self, model: Model) -> None:
         pass
@@ -60,9 +63,11 @@ class MCMCStrategy:
         opacities = model.params["opacities"]
         dead = ~(opacities > ops.logit(floor))  # NaN is dead too
         dead |= model.params["quats"].square().sum(dim=1) < 1e-8
-        moved = ops.relocate(model, dead, generator, min_opacity=floor)
+        within = self._may_grow(model.params["means"])
+        moved = ops.relocate(model, dead, generator, within=within, min_opacity=floor)
         target = min(cap, int((1 + self._plan.mcmc_growth) * len(model)))
-        added = ops.grow(model, target - len(model), generator, min_opacity=floor)
+        within = self._may_grow(model.params["means"])
+        added = ops.grow(model, target - len(model), generator, within=within, min_opacity=floor)
         return Change(added=added, moved=moved)
 
     def _add_noise(self, model: Model, means_lr: float, generator: torch.Generator) -> None:

@@ -163,7 +163,12 @@ def widen_sh(model: Model, degree: int) -> None:
 
 
 def relocate(
-    model: Model, dead: torch.Tensor, generator: torch.Generator, *, min_opacity: float
+    model: Model,
+    dead: torch.Tensor,
+    generator: torch.Generator,
+    *,
+    within: torch.Tensor | None = None,
+    min_opacity: float,
 ) -> int:
     """Move dead splats onto live ones, drawn by opacity, without changing the picture.
 
@@ -174,13 +179,14 @@ def relocate(
         model: Changed in place.
         dead: [N] bool.
         generator: Source of the draw.
+        within: [N] bool, those onto which others may be moved; None: all.
         min_opacity: No opacity falls below this.
 
     Returns:
-        Number of splats that were moved; 0 if none or all are dead.
+        Number of splats that were moved; 0 if none is dead, or none is alive within.
     """
     targets = dead.nonzero().flatten()
-    alive = (~dead).nonzero().flatten()
+    alive = (~dead if within is None else ~dead & within).nonzero().flatten()
     if len(targets) == 0 or len(alive) == 0:
         return 0
     model.settle()
@@ -195,16 +201,31 @@ def relocate(
     return len(targets)
 
 
-def grow(model: Model, count: int, generator: torch.Generator, *, min_opacity: float) -> int:
+def grow(
+    model: Model,
+    count: int,
+    generator: torch.Generator,
+    *,
+    within: torch.Tensor | None = None,
+    min_opacity: float,
+) -> int:
     """Add `count` copies of splats drawn by opacity, without changing the picture.
 
+    Args:
+        model: Changed in place.
+        count: How many.
+        generator: Source of the draw.
+        within: [N] bool, those that may be copied; None: all.
+        min_opacity: No opacity falls below this.
+
     Returns:
-        Number of splats that were added.
+        Number of splats that were added; 0 where none may be copied.
     """
     everyone = torch.arange(len(model), dtype=torch.int64, device="cpu")
-    if count <= 0 or len(model) == 0:
+    among = everyone if within is None else everyone[within]
+    if count <= 0 or len(among) == 0:
         return 0
-    chosen = _draw(model, everyone, count, generator)
+    chosen = among[_draw(model, among, count, generator)]
     _share(model, chosen, min_opacity)
     edit(model, append=duplicate(model, chosen))
     return count

@@ -198,6 +198,38 @@ def test_nothing_is_added_beyond_the_cap(marked_model: Make, kind: Strategy) -> 
         assert len(model) == before + change.added - change.removed == expected, step
 
 
+@pytest.mark.parametrize("kind", list(Strategy))
+def test_splats_are_added_only_where_they_may_be(marked_model: Make, kind: Strategy) -> None:
+    """Oracle: of splats in a row, all pulled alike, those on one side stay as many as they were,
+    and what is added or moved has the marks of the others."""
+    config = replace(CONFIG, strategy=kind, mcmc_growth=1)
+
+    def on_the_right(means: torch.Tensor) -> torch.Tensor:
+        return means[:, 0] > 2.5
+
+    strategy = make_strategy(config, plan_of(config), extent=EXTENT, may_grow=on_the_right)
+    model = opaque(marked_model(6), 1e-4)
+    strategy.start(model)
+    if isinstance(strategy, DefaultStrategy):
+        see(strategy, model, [1.0] * 6)
+    else:
+        model.params["opacities"].data[5] = -20.0  # dead: it moves onto a living one
+    after(strategy, model, 10, 9)
+    marks = model.params["sh0"][:, 0, 0].tolist()
+    assert len(marks) == 9 and sorted(marks)[:3] == [0, 1, 2]
+    assert all(mark > 2 for mark in sorted(marks)[3:])
+
+
+def test_nothing_is_added_where_nothing_may_be(marked_model: Make) -> None:
+    """Oracle: the number of splats; dead ones find no place to go."""
+    strategy, _ = mcmc(mcmc_growth=1)
+    strategy._may_grow = lambda means: torch.zeros(len(means), dtype=torch.bool)
+    model = opaque(marked_model(4), 1e-4)
+    model.params["opacities"].data[0] = -20.0
+    assert after(strategy, model, 10, 9) == Change()
+    assert len(model) == 4
+
+
 def test_mcmc_grows_to_the_cap_and_no_further(marked_model: Make) -> None:
     """Oracle: floor(1.5 N) at each refinement, then exactly the cap."""
     strategy, _ = mcmc(mcmc_growth=0.5)
