@@ -21,6 +21,26 @@ int64_t row_of(const float *packed) {
     return row;
 }
 
+// Calls work(j) for j below width. Widths that the tables of a training mostly have are spelled out: a loop of unknown
+// length, or a call of memcpy, takes longer than what it does for three numbers.
+template <class Work>
+inline void each_number(int64_t width, Work work) {
+    switch (width) {
+    case 1:
+        work(0);
+        break;
+    case 3:
+        work(0), work(1), work(2);
+        break;
+    case 4:
+        work(0), work(1), work(2), work(3);
+        break;
+    default:
+        for (int64_t j = 0; j < width; ++j)
+            work(j);
+    }
+}
+
 // Calls work(packed row, its row of the tables) for all of them, by many threads.
 template <class Float, class Work>
 void each_row(const gs_row_table *tables, int table_count, Float *packed, int64_t count, int threads, Work work) {
@@ -63,7 +83,8 @@ void pack_rows(const gs_row_table *tables, int table_count, float *packed, int64
     each_row(tables, table_count, packed, count, threads, [&](float *to, int64_t row) {
         for (int k = 0; k < table_count; ++k) {
             const int64_t width = tables[k].width;
-            std::memcpy(to, tables[k].data + row * width, size_t(width) * sizeof(float));
+            const float *from = tables[k].data + row * width;
+            each_number(width, [&](int64_t j) { to[j] = from[j]; });
             to += width;
         }
     });
@@ -75,8 +96,10 @@ void unpack_rows(const gs_row_table *tables, int table_count, const float *packe
             const int64_t width = tables[k].width;
             const float divisor = tables[k].divisor;
             float *to = tables[k].data + row * width;
-            for (int64_t j = 0; j < width; ++j)
-                to[j] = from[j] / divisor + (tables[k].adds ? to[j] : 0.0f);
+            if (tables[k].adds)
+                each_number(width, [&](int64_t j) { to[j] += from[j] / divisor; });
+            else
+                each_number(width, [&](int64_t j) { to[j] = from[j] / divisor; });
             from += width;
         }
     });

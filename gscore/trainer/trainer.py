@@ -33,6 +33,7 @@ from .photos.skips import raster_bits
 from .photos.views import Photos, Sampler
 from .ranks import losses, orders
 from .ranks.agree import crc_of
+from .ranks.alike import alike_together
 from .ranks.gradients import BatchGradients, gathered_of
 from .ranks.team import Team
 from .region.box import Box
@@ -44,7 +45,7 @@ from .rows.model import Model, Moments, ShN
 from .rows.near import Nearest
 from .rows.params import splats_of_tensors, tensors_from_splats
 from .rows.start import splats_of_cloud, splats_to_go_on_with
-from .rows.stored import check_tensors, choices, real, whole
+from .rows.stored import check_tensors, choices, measurements, real, whole
 from .schedule.batches import photos_at_once
 from .schedule.plan import Plan
 from .strategy import Change, DrawnView, everywhere, make_strategy, ops
@@ -197,6 +198,8 @@ class Trainer:
         self.replan(config.iterations)
         self.generator = generator_of(config.seed)
         self.sampler = Sampler(photos.train)
+        self._costs: dict[int, float] = {}
+        """What drawing each view took when a team last did; the same on all ranks."""
         self.steps = 0
         """Steps taken."""
         self.bad_rows = 0
@@ -332,7 +335,7 @@ class Trainer:
         picture = self._draw(turn, opacities, step)
         laps.lap("draw")
         loss = self._compare(turn, picture)
-        values, errors = self._of_all(loss, count)
+        values, errors = self._of_all(turn, loss)
         value, mse = sum(values) / count, sum(errors) / count
         self.steps = step
         laps.lap("loss")
@@ -363,7 +366,7 @@ class Trainer:
         Raises:
             DatasetError, FormatError: it cannot be had; nothing was done.
         """
-        indices = [self.sampler.next(self.generator) for _ in range(count)]
+        indices = self._next_views(count)
         # A rank that has no view in a batch looks at another's and keeps what it finds to itself.
         place = min(self.team.rank, count - 1) if self.team else 0
         index = indices[place]
@@ -385,6 +388,19 @@ class Trainer:
             gain=self.learnt.gain_of(index),
             depth_terms=self._depth_terms(index, step),
         )
+
+    def _next_views(self, count: int) -> list[int]:
+        """The views of a batch; in a team of photos that cost alike."""
+        views = []
+        for missing in range(count, 0, -1):
+            if self.team and self.sampler.through:
+                self.sampler.begin(self.generator)
+                size = self.team.size
+                self.sampler.order = alike_together(
+                    self.sampler.order, self._costs, size, first=missing % size
+                )
+            views.append(self.sampler.next(self.generator))
+        return views
 
     def _depth_terms(self, index: int, step: int) -> list[tuple[float, DepthLoss | GuideLoss]]:
         """Losses of the inverse depth of a view that count at a step, with their weights."""
@@ -436,24 +452,32 @@ class Trainer:
             v_inverse_depth=v_inverse_depth,
         )
 
-    def _of_all(self, loss: _Loss, count: int) -> tuple[list[float], list[float]]:
-        """Losses and mean squared errors of the `count` photos of a batch.
+    def _of_all(self, turn: _Turn, loss: _Loss) -> tuple[list[float], list[float]]:
+        """Losses and mean squared errors of all photos of a batch.
 
         Raises:
             DatasetError: another rank's photo cannot be had; nothing was done.
         """
         if self.team is None or self._batch is None:
             return [loss.value], [loss.mse]
+        count = len(turn.indices)
         sizes = self._batch.sizes(self._painter.radii, count)
         try:
             found = losses.of_all(
-                self.team, loss.value, loss.mse, photos=count, mark=self._mark, sizes=sizes
+                self.team,
+                loss.value,
+                loss.mse,
+                cost=self._painter.stats()["entries"],
+                photos=count,
+                mark=self._mark,
+                sizes=sizes,
             )
         except DatasetError:
             self.sampler.put_back(count)
             self._collect_now()
             raise
         self._batch.hear(found.sizes)
+        self._costs.update(zip(turn.indices, found.costs, strict=True))
         return found.values, found.errors
 
     def _gradients(
@@ -533,6 +557,7 @@ class Trainer:
             "frame": self.frame.to_dict(),
             "order": self.sampler.order,
             "position": self.sampler.position,
+            "costs": sorted(self._costs.items()),
             "adam_steps": {name: self.model.steps(name) for name in self.model.params},
             "bad_rows": self.bad_rows,
             "lost_rows": self.lost_rows,
@@ -605,6 +630,7 @@ class Trainer:
         self.learnt.restore(self.sampler.indices, len(self.photos.scene.cameras), tensors)
         self.generator.set_state(tensors["generator"])
         self.sampler.order = choices("order", state["order"], set(self.sampler.indices))
+        self._costs = dict(measurements("costs", state.get("costs", [])))
         self.sampler.position = whole("position", state["position"], high=len(state["order"]))
         self.steps = whole("steps", state["steps"])
         self.bad_rows = whole("bad_rows", state["bad_rows"])

@@ -72,12 +72,21 @@ class Sampler:
         """The next views as far as they are drawn already, at most `count`."""
         return self.order[self.position : self.position + count]
 
+    @property
+    def through(self) -> bool:
+        """Whether the next view is the first of an epoch."""
+        return self.position >= len(self.order)
+
+    def begin(self, generator: torch.Generator) -> None:
+        """Draw the order of an epoch."""
+        shuffled = order(len(self.indices), generator)
+        self.order = [self.indices[i] for i in shuffled]
+        self.position = 0
+
     def next(self, generator: torch.Generator) -> int:
         """The next view; draws an order where an epoch begins."""
-        if self.position >= len(self.order):
-            shuffled = order(len(self.indices), generator)
-            self.order = [self.indices[i] for i in shuffled]
-            self.position = 0
+        if self.through:
+            self.begin(generator)
         self.position += 1
         return self.order[self.position - 1]
 

@@ -1,7 +1,7 @@
 """The gradients and counts of a batch: each rank has those of one photo, all get the mean."""
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 import torch
@@ -30,6 +30,7 @@ class BatchGradients:
         self.complete = False
         """Whether rank 0 has all that `tensors` needs; the same on all ranks."""
         self._others: list[Tensor] = []
+        self._gathers = self._gathered = torch.zeros(0, dtype=torch.uint8, device="cpu")
         self._rows = self._sums.sorted(torch.zeros(0, dtype=torch.int64, device="cpu"))
         self._told: np.ndarray | None = None
 
@@ -41,7 +42,10 @@ class BatchGradients:
             photos: How many there are in this batch. Ranks from there on have nothing to add.
         """
         rows = (radii > 0).nonzero().flatten()
-        self._rows = self._sums.sorted(rows[:0] if self._team.rank >= photos else rows)
+        rows = rows[:0] if self._team.rank >= photos else rows
+        if len(self._gathered) == len(radii):
+            self._gathered[rows] = 1
+        self._rows = self._sums.sorted(rows)
         return self._rows.sizes
 
     def hear(self, sizes: np.ndarray) -> None:
@@ -84,16 +88,27 @@ class BatchGradients:
         shown = zeros(len(model), dtype=torch.int32)
         if len(model) == 0:
             return shown
-        grads = {name: model.grads[name] for name in PARAMETERS if name != "shN"}
-        tables = [*grads.values(), *counters.values()]
+        self._note_gathered(model.grads["shN"])
+        grads = [model.grads[name] for name in PARAMETERS if name != "shN"]
+        tables = [*grads, *counters.values()]
         found = self._sums(self._rows, tables, told=self._told, threads=threads)
-        for grad in grads.values():
-            grad.zero_()
-        sums = [Table(grad, adds=True, divisor=photos) for grad in grads.values()]
-        sums += [Table(model.rows[name], adds=True) for name in counters]
+        if self._team.rank >= photos:  # what it looked at is another's
+            _clear(tables)
+        if self._team.size == 2:
+            # Two numbers are the same sum either way round, so what is here already stays.
+            shown[found[self._team.rank][:, 0].to(torch.int64)] = 1
+            found = [found[1 - self._team.rank]]
+            for grad in grads if photos > 1 else ():
+                grad.div_(photos)
+        else:
+            _clear(tables)
+        sums = [Table(grad, adds=True, divisor=photos) for grad in grads]
+        sums += [Table(counter, adds=True) for counter in counters.values()]
         for part in found:
             unpack_rows(sums, part, threads=threads)
             shown[part[:, 0].to(torch.int64)] = 1
+        for name, counter in counters.items():
+            model.rows[name] += counter
         return shown
 
     def add_up_rest(self, model: Model, does: ShN, *, threads: int) -> None:
@@ -109,12 +124,24 @@ class BatchGradients:
         if grad.numel() == 0 or does is not ShN.STEP:
             self.complete = False
             return
-        rows = torch.from_numpy(np.flatnonzero(np.any(grad.numpy(), axis=(1, 2))))
+        rows = self._gathered.nonzero().flatten()
         found = self._sums(self._sums.sorted(rows), [grad], threads=threads)
-        grad.zero_()
+        if self._team.size == 2:
+            found = [found[1 - self._team.rank]]
+        else:
+            grad.zero_()
         for part in found:
             unpack_rows([Table(grad, adds=True)], part, threads=threads)
+        self._gathered.zero_()
         self.complete = True
+
+    def _note_gathered(self, grad: Tensor) -> None:
+        """Which rows of the gradient of shN are not zero: those that this rank's photos have shown
+        since the last step, as `sizes` has noted, unless another tensor came into its place."""
+        if self._gathers is grad:
+            return
+        self._gathers = grad
+        self._gathered = torch.from_numpy(np.any(grad.numpy(), axis=(1, 2)).astype(np.uint8))
 
     def collect(self, model: Model) -> None:
         """Bring what has gathered to rank 0; all ranks call this where it is not complete."""
@@ -128,6 +155,11 @@ class BatchGradients:
     def tensors(self) -> dict[str, Tensor]:
         """What has gathered on the other ranks, by the name that `gathered_of` looks for."""
         return {f"{_GATHERED}/{rank}": part for rank, part in enumerate(self._others, 1)}
+
+
+def _clear(tables: Iterable[Tensor]) -> None:
+    for table in tables:
+        table.zero_()
 
 
 def gathered_of(tensors: Mapping[str, Tensor], rank: int, size: int) -> Tensor | None:
