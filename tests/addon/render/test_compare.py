@@ -26,7 +26,7 @@ STUDIO = Path(__file__).parents[3] / "examples" / "studio"
 @pytest.fixture
 def studio(scene):
     """The bundled capture, a splat at each of its points, and the engine's settings."""
-    capture = captures.import_capture(bpy.context, STUDIO, photos=False)
+    capture = captures.import_capture(bpy.context.scene, STUDIO, photos=False)
     values = np.empty(3 * len(capture.points.data.vertices), np.float32)
     capture.points.data.attributes["position"].data.foreach_get("vector", values)
     means = values.reshape(-1, 3)
