@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from .config import Switch
     from .datasets import Capture, Folder, View, read_capture
     from .datasets.camera_path_json import read_camera_path
-    from .datasets.frames import find_frames
+    from .datasets.frames import SequenceFrame, choose_frames, find_frames
     from .datasets.mattes import are_mattes
     from .datasets.resolution import target_size
     from .depth.catalogue import KnownNetwork
@@ -161,7 +161,9 @@ _HOME = {
     "estimate": "trainer.estimate.forecast",
     "find_capture": "inspection",
     "find_colmap": "io.colmap.folder:find_model",
+    "choose_frames": "datasets.frames",
     "find_frames": "datasets.frames",
+    "SequenceFrame": "datasets.frames",
     "from_line": "events",
     "gray_png": "io.pictures.png",
     "importance_of": "edit",
@@ -241,6 +243,7 @@ __all__ = [
     "RunInfo",
     "Saved",
     "SequenceDone",
+    "SequenceFrame",
     "SequenceIndex",
     "SfmDone",
     "SfmEstimated",
@@ -258,6 +261,7 @@ __all__ = [
     "atomic_write",
     "build_lod",
     "capture_beside",
+    "choose_frames",
     "clear_run",
     "cluster_sizes",
     "collected_warnings",

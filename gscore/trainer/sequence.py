@@ -22,7 +22,7 @@ from .files.ended import TrainResult
 from .files.folder import RunFolder
 from .frames.listed import Listed
 from .frames.plan import (
-    GUIDES,
+    PER_FRAME,
     PlannedFrame,
     check_guides,
     check_shareable,
@@ -155,7 +155,7 @@ class _Sequence:
         self.runs = runs_of(len(frames), options)
         """Frames that must be trained one after another, by their places."""
         self._writes = writes
-        asked = {name: getattr(config, name) for name in GUIDES}
+        asked = {name: getattr(config, name) for name in PER_FRAME}
         self._about = config_json(data, replace(frames[0].config, **asked)).encode()
         self._options = options
         self._emit = emit

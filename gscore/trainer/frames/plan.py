@@ -11,7 +11,7 @@ from ...sequence_options import SequenceOptions
 from ...words import count_words
 from ..files.folder import RunFolder
 
-GUIDES = ("guide_surface", "guide_free")
+PER_FRAME = ("guide_surface", "guide_free")
 """Options of meshes, which may hold `{frame}`: each frame then has its own."""
 
 
@@ -59,7 +59,7 @@ def plan_frames(
     for place, frame in enumerate(frames):
         own = config if place in keys else _after(found[-1], config, options)
         own = replace(
-            own, **{name: of_frame(getattr(config, name), frame.number) for name in GUIDES}
+            own, **{name: of_frame(getattr(config, name), frame.number) for name in PER_FRAME}
         )
         data = _data_of(frame, frames[0], options)
         folder = output / frame.name
@@ -81,7 +81,7 @@ def check_guides(frames: Sequence[PlannedFrame]) -> None:
     """Raise ConfigError unless the meshes of all frames are there: a sequence is not to end in its
     middle for want of one."""
     for frame in frames:
-        for name in GUIDES:
+        for name in PER_FRAME:
             path = getattr(frame.config, name)
             if path is not None and not path.is_file():
                 raise ConfigError(
