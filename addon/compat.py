@@ -37,6 +37,11 @@ def set_modifier_input(modifier: bpy.types.NodesModifier, name: str, value: Any)
     modifier.id_data.update_tag()
 
 
+def evaluated_geometry(ob: bpy.types.Object) -> Any:
+    """All that an evaluated object's modifiers make, a GeometrySet; None before 4.5."""
+    return ob.evaluated_geometry() if hasattr(ob, "evaluated_geometry") else None
+
+
 def use_nodes(material: bpy.types.Material) -> None:
     """Give a material its node tree; since 5.0 every material has one."""
     if material.node_tree is None:

@@ -27,6 +27,7 @@ from gscore import (
     write_splats,
 )
 from gscore.frontend import (
+    BENT,
     GUIDES,
     LOD_ENDING,
     MIP_COMMENT,
@@ -60,6 +61,7 @@ from gscore.frontend import (
     RunInfo,
     Saved,
     SequenceDone,
+    SequenceFrame,
     SequenceIndex,
     SfmDone,
     SfmEstimated,
@@ -74,7 +76,9 @@ from gscore.frontend import (
     are_mattes,
     at_least_opaque,
     atomic_write,
+    bent_pixels,
     capture_beside,
+    choose_frames,
     clear_run,
     cluster_sizes,
     collected_warnings,

@@ -24,13 +24,18 @@ def triangles_of(ob: bpy.types.Object) -> Triangles:
     if mesh is None:
         return Triangles(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
     try:
-        mesh.calc_loop_triangles()
-        vertices = np.empty((len(mesh.vertices), 3), np.float32)
-        mesh.vertices.foreach_get("co", vertices.ravel())
-        triangles = np.empty((len(mesh.loop_triangles), 3), np.int32)
-        mesh.loop_triangles.foreach_get("vertices", triangles.ravel())
+        return triangles_of_mesh(mesh)
     finally:
         ob.to_mesh_clear()
+
+
+def triangles_of_mesh(mesh: bpy.types.Mesh) -> Triangles:
+    """The faces of an evaluated mesh."""
+    mesh.calc_loop_triangles()
+    vertices = np.empty((len(mesh.vertices), 3), np.float32)
+    mesh.vertices.foreach_get("co", vertices.ravel())
+    triangles = np.empty((len(mesh.loop_triangles), 3), np.int32)
+    mesh.loop_triangles.foreach_get("vertices", triangles.ravel())
     return Triangles(vertices.astype(np.float64), triangles)
 
 
@@ -48,3 +53,11 @@ def joined(parts: list[Triangles]) -> Triangles:
 def moved(vertices: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     """[V, 3] vertices through a [4, 4] affine matrix."""
     return vertices @ matrix[:3, :3].T + matrix[:3, 3]
+
+
+def repeated(mesh: Triangles, matrices: np.ndarray) -> Triangles:
+    """A mesh at all places that [K, 4, 4] affine matrices say."""
+    vertices = mesh.vertices @ matrices[:, :3, :3].transpose(0, 2, 1) + matrices[:, None, :3, 3]
+    starts = len(mesh.vertices) * np.arange(len(matrices), dtype=np.int32)
+    triangles = mesh.triangles[None] + starts[:, None, None]
+    return Triangles(vertices.reshape(-1, 3), triangles.reshape(-1, 3))

@@ -457,7 +457,8 @@ class TrainConfig:
         None,
         "Mesh on which splats are to lie, PLY or OBJ, in the capture's world: a wall, a floor, a "
         "scan. It counts where no point that a photo sees says otherwise: what stands before it "
-        "is left there. docs/steer.md says what it brings.",
+        "is left there. `gscore sequence` fills in the number of each frame for {frame:06d}. "
+        "docs/steer.md says what it brings.",
         group="guides",
         metavar="FILE",
         free=True,
@@ -466,7 +467,8 @@ class TrainConfig:
         None,
         "Mesh before which nothing stands, PLY or OBJ, in the capture's world: splats between a "
         "training camera and it are taken out, at every `refine_every`-th step and at the last. "
-        "Where that would be more than a fifth of all, none are.",
+        "Where that would be more than a fifth of all, none are. `gscore sequence` fills in the "
+        "number of each frame for {frame:06d}.",
         group="guides",
         metavar="FILE",
         free=True,

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from .config import Switch
     from .datasets import Capture, Folder, View, read_capture
     from .datasets.camera_path_json import read_camera_path
-    from .datasets.frames import find_frames
+    from .datasets.frames import SequenceFrame, choose_frames, find_frames
     from .datasets.mattes import are_mattes
     from .datasets.resolution import target_size
     from .depth.catalogue import KnownNetwork
@@ -65,6 +65,7 @@ if TYPE_CHECKING:
     from .io.colmap.folder import find_model as find_colmap
     from .io.colmap.folder import read_model as read_colmap
     from .io.colmap.folder import write_model as write_colmap
+    from .io.colmap.lenses import BENT, bent_pixels
     from .io.colmap.model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
     from .io.files import atomic_write
     from .io.lod_file import LOD_ENDING, is_lod_file
@@ -161,7 +162,11 @@ _HOME = {
     "estimate": "trainer.estimate.forecast",
     "find_capture": "inspection",
     "find_colmap": "io.colmap.folder:find_model",
+    "BENT": "io.colmap.lenses",
+    "bent_pixels": "io.colmap.lenses",
+    "choose_frames": "datasets.frames",
     "find_frames": "datasets.frames",
+    "SequenceFrame": "datasets.frames",
     "from_line": "events",
     "gray_png": "io.pictures.png",
     "importance_of": "edit",
@@ -202,6 +207,7 @@ _HOME = {
 """Where a name lives; `module:name` where it is called differently there."""
 
 __all__ = [
+    "BENT",
     "GUIDES",
     "LOD_ENDING",
     "MIP_COMMENT",
@@ -241,6 +247,7 @@ __all__ = [
     "RunInfo",
     "Saved",
     "SequenceDone",
+    "SequenceFrame",
     "SequenceIndex",
     "SfmDone",
     "SfmEstimated",
@@ -256,8 +263,10 @@ __all__ = [
     "are_mattes",
     "at_least_opaque",
     "atomic_write",
+    "bent_pixels",
     "build_lod",
     "capture_beside",
+    "choose_frames",
     "clear_run",
     "cluster_sizes",
     "collected_warnings",

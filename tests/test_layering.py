@@ -167,7 +167,7 @@ ROOMS = {
     "steer": _OBJECTS | {"job", "render"},
     "judge": _OBJECTS | {"job"},
     "timeline": _OBJECTS | {"job"},
-    "sequence": _OBJECTS | {"job"},
+    "sequence": _OBJECTS | {"job", "timeline"},
     "render": _OBJECTS | {"timeline"},
     "live": _OBJECTS | {"render"},
     "panels": _OBJECTS

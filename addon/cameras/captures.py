@@ -145,7 +145,7 @@ def render_camera(
 
 
 def import_capture(
-    context: bpy.types.Context,
+    scene: bpy.types.Scene,
     path: str | Path,
     *,
     images: str = "images",
@@ -157,7 +157,7 @@ def import_capture(
     """Bring a capture into the scene; nothing is made before everything has been read.
 
     Args:
-        context: Of the scene to import into.
+        scene: Gets everything.
         path: A capture's folder, or a folder or file inside it.
         images: Folder of the photos in a COLMAP capture.
         photos: Put the photos into the cameras' backgrounds; Blender decodes them when drawn.
@@ -182,7 +182,7 @@ def import_capture(
 
     name = (source.parent if source.is_file() else source).name or "Capture"
     collection = bpy.data.collections.new(name)
-    context.scene.collection.children.link(collection)
+    scene.collection.children.link(collection)
     root = _make_root(name, collection, source, images)
     if capture.up is not None:
         root[_UP] = capture.up.tolist()

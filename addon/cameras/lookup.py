@@ -46,10 +46,19 @@ def chosen_root(scene: bpy.types.Scene) -> bpy.types.Object | None:
         chosen = absolute(settings.capture_path, "Capture")
     except ValueError:
         return None
-    places = [(root, Path(stored_paths.read(root, stored_paths.SOURCE))) for root in roots]
-    exact = [root for root, source in places if means_capture(chosen, source)]
-    alike = [root for root, source in places if source.name and source.name in chosen.parts[-3:]]
-    return next(iter(exact or alike), None)
+    exact = root_from(scene, chosen)
+    if exact is not None:
+        return exact
+    names = ((root, Path(stored_paths.read(root, stored_paths.SOURCE)).name) for root in roots)
+    return next((root for root, name in names if name and name in chosen.parts[-3:]), None)
+
+
+def root_from(scene: bpy.types.Scene, chosen: Path) -> bpy.types.Object | None:
+    """The empty of the capture in a folder, or of one that the folder is in, if it was imported."""
+    for root in roots_of(scene):
+        if means_capture(chosen, Path(stored_paths.read(root, stored_paths.SOURCE))):
+            return root
+    return None
 
 
 def panel_root(scene: bpy.types.Scene) -> bpy.types.Object | None:

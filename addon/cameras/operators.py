@@ -7,12 +7,12 @@ from typing import Any, ClassVar
 import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
-from .. import stored_paths
-from ..interface.operators import Acting, OnScene, make_active
+from ..interface.operators import Acting, OnScene
 from ..paths import absolute
 from . import captures
 from .export_colmap import Exported, export_colmap
 from .export_transforms import export_transforms
+from .into_scene import into_scene
 from .lookup import find_camera, find_root
 
 
@@ -79,8 +79,8 @@ class ImportCameras(OnScene, OnCapture, bpy.types.Operator):
     set_up_views: BoolProperty(
         name="Set Up Views",
         default=True,
-        description="Let this window's 3D views show the points' colors in Solid shading, and "
-        "hide outlines and the lines from each camera to its capture",
+        description="Let 3D views show the points' colors in Solid shading, and hide outlines and "
+        "the lines from each camera to its capture",
     )
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
@@ -99,22 +99,19 @@ class ImportCameras(OnScene, OnCapture, bpy.types.Operator):
         manager = context.window_manager
         manager.progress_begin(0, 1)
         try:
-            made = captures.import_capture(
-                context,
+            made = into_scene(
+                context.scene,
                 path,
                 images=images,
                 photos=self.photos,
                 points=self.points,
                 align=self.align,
+                set_up_views=self.set_up_views,
                 progress=manager.progress_update,
             )
         finally:
             manager.progress_end()
-        make_active(context, made.root)
         self.warn(made.warnings)
-        if self.set_up_views:
-            _set_up_views(context)
-        _remember(context, made.root, images)
         count = f"{len(made.cameras)} cameras"
         points = f", {len(made.points.data.vertices)} points" if made.points else ""
         return f"{made.root.name}: {count}{points}"
@@ -336,13 +333,6 @@ def _panel_path(context: bpy.types.Context) -> str:
     return getattr(_settings(context), "capture_path", "").strip()
 
 
-def _remember(context: bpy.types.Context, root: bpy.types.Object, images: str) -> None:
-    """Train on what was imported, unless another capture has been chosen."""
-    settings = _settings(context)
-    if settings is not None and not _panel_path(context):
-        settings.capture_path, settings.images = root[stored_paths.SOURCE], images
-
-
 def _chosen(
     context: bpy.types.Context, which: str, root: bpy.types.Object | None
 ) -> list[bpy.types.Object]:
@@ -355,13 +345,6 @@ def _chosen(
 def _views(context: bpy.types.Context) -> list[bpy.types.SpaceView3D]:
     areas = context.screen.areas if context.screen else []
     return [area.spaces.active for area in areas if area.type == "VIEW_3D"]
-
-
-def _set_up_views(context: bpy.types.Context) -> None:
-    for space in _views(context):
-        space.shading.color_type = "VERTEX"
-        space.shading.show_object_outline = False  # around a dot it leaves nothing but outline
-        space.overlay.show_relationship_lines = False
 
 
 def _look_through(context: bpy.types.Context) -> None:

@@ -55,7 +55,12 @@ class OnScene(Acting):
 
 def make_active(context: bpy.types.Context, ob: bpy.types.Object) -> None:
     """Select an object and no other, and make it the active one."""
-    for other in context.selected_objects:
-        other.select_set(False)
-    ob.select_set(True)
-    context.view_layer.objects.active = ob
+    make_active_in(context.view_layer, ob)
+
+
+def make_active_in(layer: bpy.types.ViewLayer, ob: bpy.types.Object) -> None:
+    """The same in a view layer, which no window has to show."""
+    for other in layer.objects.selected:
+        other.select_set(False, view_layer=layer)
+    ob.select_set(True, view_layer=layer)
+    layer.objects.active = ob

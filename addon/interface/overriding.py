@@ -1,4 +1,4 @@
-"""Operators that are called beside a click: in which window and scene they act."""
+"""Operators that are called beside a click: in which window they act."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -7,28 +7,19 @@ import bpy
 
 
 @contextmanager
-def acting_in(scene: bpy.types.Scene | None = None) -> Iterator[bool]:
-    """Operators called within have a window, and act on a scene; yields whether they have one.
+def in_a_window() -> Iterator[bool]:
+    """Operators called within have a window; yields whether they do.
 
-    Nothing is overridden that is so already. With Python 3.11, which Blender has up to 5.0, an
+    Nothing is overridden where there is one. With Python 3.11, which Blender has up to 5.0, an
     operator looks up what was overridden without holding Python's lock: Blender crashes now and
     then where a thread runs meanwhile.
-
-    Args:
-        scene: None: that of the window.
     """
     context = bpy.context
     windows = list(context.window_manager.windows)
-    if scene is None or context.scene == scene:
-        if context.window is not None:
-            yield True
-        elif windows:
-            with context.temp_override(window=windows[0]):
-                yield True
-        else:
-            yield False
-        return
-    shown = [window for window in windows if window.scene == scene]
-    place = {"window": shown[0]} if shown else {"scene": scene}
-    with context.temp_override(**place, view_layer=scene.view_layers[0]):
+    if context.window is not None:
         yield True
+    elif windows:
+        with context.temp_override(window=windows[0]):
+            yield True
+    else:
+        yield False

@@ -2,11 +2,11 @@
 
 import bpy
 
-from .overriding import acting_in
+from .overriding import in_a_window
 
 
 def push(message: str) -> None:
     """Make what was done a step of its own: else undoing the user's next step undoes this too."""
-    with acting_in() as there_is_a_window:
+    with in_a_window() as there_is_a_window:
         if there_is_a_window:
             bpy.ops.ed.undo_push(message=message)

@@ -33,20 +33,24 @@ def arguments(scene: bpy.types.Scene, output: Path) -> list[str]:
         GsError: a file cannot be written.
     """
     line: list[str] = []
-    for role, collection in _chosen(scene):
+    for role, collection in chosen(scene):
         found = gathered(scene, collection)
-        digest = hashlib.sha256(found.vertices.tobytes() + found.triangles.tobytes())
-        path = output / GUIDES / f"{role}-{digest.hexdigest()[:8]}.ply"
+        path = output / GUIDES / f"{role}-{digest(found)}.ply"
         if not path.is_file():
             write_mesh(path, found.vertices, found.triangles)
         line += [f"--guide-{role}", str(path)]
     return line
 
 
+def digest(found: Triangles) -> str:
+    """Eight letters, others for another mesh."""
+    return hashlib.sha256(found.vertices.tobytes() + found.triangles.tobytes()).hexdigest()[:8]
+
+
 def left_out(scene: bpy.types.Scene) -> list[str]:
     """Sentences on objects in the collections of guides that guide nothing."""
     lines = []
-    for _, collection in _chosen(scene):
+    for _, collection in chosen(scene):
         hidden = [ob.name for ob in collection.all_objects if not ob.visible_get()]
         others = [
             ob.name for ob in collection.all_objects if ob.visible_get() and not may_guide(ob)
@@ -58,14 +62,23 @@ def left_out(scene: bpy.types.Scene) -> list[str]:
     return lines
 
 
-def gathered(scene: bpy.types.Scene, collection: bpy.types.Collection) -> Triangles:
-    """All meshes that a collection shows, as one, in the world of the scene's capture.
+def gathered(
+    scene: bpy.types.Scene,
+    collection: bpy.types.Collection,
+    root: bpy.types.Object | None = None,
+) -> Triangles:
+    """All meshes that a collection shows, as one, in the world of a capture.
+
+    Args:
+        scene: What shows.
+        collection: Of the meshes.
+        root: The capture's empty; None: that of the scene's capture.
 
     Raises:
         ValueError: the capture is not in the scene, the collection shows no mesh, or a corner of
             one is no place.
     """
-    root = panel_root(scene)
+    root = root or panel_root(scene)
     if root is None:
         raise ValueError(
             f"The meshes of {collection.name} guide a training by where they stand among the "
@@ -107,7 +120,8 @@ _NAMES = {"surface": "Guide Surfaces", "free": "Guide Free Space"}
 _MOST_LISTED = 5
 
 
-def _chosen(scene: bpy.types.Scene) -> Iterator[tuple[str, bpy.types.Collection]]:
+def chosen(scene: bpy.types.Scene) -> Iterator[tuple[str, bpy.types.Collection]]:
+    """Each role for which a collection is chosen, and that."""
     for role, setting in ROLES.items():
         collection = getattr(scene.gscore, setting)
         if collection is not None:

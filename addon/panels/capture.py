@@ -6,6 +6,7 @@ from ..capture.inspection import ShownFacts
 from ..interface.flags import panel_words
 from ..job import facts
 from ..search import work
+from ..sequence import work as sequence
 from .widgets import TabPanel, has_python, rows, sentence
 
 
@@ -27,6 +28,11 @@ class CapturePanel(TabPanel, bpy.types.Panel):
             sentence(layout, context, text, icon="INFO")
             return
         found, problem = facts.capture(context.scene)
+        frames = sequence.frames_of(context.scene)[0]
+        if frames and (problem or (found is not None and not found.can_train)):
+            text = f"{len(frames):,} frames, a capture each: train them in Sequence of Captures."
+            sentence(layout, context, text, icon="INFO")
+            return
         if problem:
             sentence(layout, context, problem, icon="ERROR")
         elif found is None:

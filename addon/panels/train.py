@@ -11,6 +11,7 @@ from ..core import PRESETS, Estimate, RunInfo
 from ..job import facts, forecast, guides
 from ..job.options import AS_PRESET, BY_WIDTH, continuation
 from ..paths import output_folder
+from ..sequence import work as sequence
 from .widgets import TabPanel, found, has_python, job, limit, sentence
 
 _DETAILS = ("strategy", "sh_degree", "background", "antialias", "finest", "free_space", "seed")
@@ -94,7 +95,7 @@ class GuidesPanel(TabPanel, bpy.types.Panel):
             row.prop(settings, name)
             row.operator("gscore.add_guides", text="", icon="ADD").role = role
         given = any(getattr(settings, name) is not None for name in guides.ROLES.values())
-        if given and panel_root(context.scene) is None:
+        if given and panel_root(context.scene) is None and not sequence.frames_of(context.scene)[0]:
             text = "Import the cameras: they say where these meshes stand among the photos."
             sentence(layout, context, text, icon="ERROR")
 

@@ -4,7 +4,9 @@ from typing import ClassVar
 
 import bpy
 
-from ..job import verb_job
+from ..cameras.lookup import root_from
+from ..core import GsError, SequenceFrame, choose_frames
+from ..job import guides, verb_job
 from ..sequence import work
 from ..sequence.job import SequenceJob
 from .widgets import TabPanel, has_python, root, rows, sentence
@@ -26,21 +28,48 @@ class TrainSequencePanel(TabPanel, bpy.types.Panel):
         if not scene.gscore.capture_path.strip():
             sentence(layout, context, "Choose the folder of the frames under Capture.", icon="INFO")
             return
-        numbers, problem = work.frames_of(scene)
+        frames, problem = work.frames_of(scene)
         if problem:
             sentence(layout, context, problem, icon="INFO")
             return
-        if numbers is None:
+        if frames is None:
             layout.label(text="Looking for frames...", icon="TIME")
             return
-        rows(layout, [("Frames", f"{len(numbers):,}: {numbers[0]} to {numbers[-1]}")])
+        numbers = f"{frames[0].number} to {frames[-1].number}"
+        rows(layout, [("Frames", f"{len(frames):,}: {numbers}")])
         own = scene.gscore_train_sequence
         for name in ("frames", "next_iterations", "warm_start"):
             layout.prop(own, name)
-        draw_state(layout, context)
+        draw_guides(layout, context, frames)
+        draw_state(layout, context, frames)
 
 
-def draw_state(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+def draw_guides(
+    layout: bpy.types.UILayout, context: bpy.types.Context, frames: list[SequenceFrame]
+) -> None:
+    """What of the scene guides a sequence: meshes do, once the cameras are there."""
+    scene = context.scene
+    own, within = scene.gscore_train_sequence, scene.gscore.train_within
+    if within is not None:
+        sentence(layout, context, work.ONLY_WITHIN.format(within.name), icon="INFO")
+    if not any(guides.chosen(scene)):
+        return
+    layout.prop(own, "guide_start")
+    try:
+        first = choose_frames(frames, own.frames.strip() or ":")[0]
+    except GsError as error:
+        sentence(layout, context, str(error), icon="ERROR")
+        return
+    if root_from(scene, first.data.source) is None:
+        text = f"Guide meshes stand among the photos of frame {first.number}: import its cameras."
+        sentence(layout, context, text, icon="ERROR")
+        row = layout.operator("gscore.import_cameras", text=f"Import Frame {first.number}")
+        row.directory, row.images = str(first.data.source), first.data.images
+
+
+def draw_state(
+    layout: bpy.types.UILayout, context: bpy.types.Context, frames: list[SequenceFrame]
+) -> None:
     """The bar of a training, or the buttons that begin one; and what has been trained."""
     job = work.job_of(context.scene)
     if job is not None:
@@ -56,7 +85,8 @@ def draw_state(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
         sentence(layout, context, f"{count:,} of {total:,} frames are trained.", icon="INFO")
         bring = layout.operator("gscore.import_sequence", icon="IMPORT")
         bring.directory = str(output)
-        bring.capture = empty.name if (empty := root(context)) is not None else ""
+        empty = root_from(context.scene, frames[0].data.source) or root(context)
+        bring.capture = empty.name if empty is not None else ""
     sentence(layout, context, f"Results go to {output}", icon="FILE_FOLDER")
     if not has_python(layout, context):
         return

@@ -14,6 +14,7 @@ from ..core import colorize, psnr
 from . import picture
 from .engine import collect, final_cache
 from .photo import Target, load_target
+from .straight import can_straighten
 from .world import background_of, world_light
 
 ERROR_GAIN = 4.0
@@ -22,7 +23,6 @@ PSNR, PSNR_MASKED = "gs_psnr", "gs_psnr_masked"
 """Custom properties of a camera: results of the last comparison, dB."""
 KINDS = ("Photo", "Render", "Error", "Comparison")
 """Pictures that are made; Comparison has the others side by side."""
-_PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +45,8 @@ def compare(
 
     The picture has the photo's size times the scene's resolution percentage, whatever the scene's
     resolution; the photo is scaled to that as it is for training. Masks are heeded as the scene's
-    settings for training say; what they make transparent is put over the world's colour.
+    settings for training say; what they make transparent is put over the world's colour. Photos of
+    lenses that bend lines are straightened, and count where they show something then.
 
     Args:
         scene: Gives percentage, world and settings, and receives nothing.
@@ -53,7 +54,7 @@ def compare(
         depsgraph: What is visible in it is drawn.
 
     Raises:
-        ValueError: no such camera, a distorted one, no splats, or no photo.
+        ValueError: no such camera, one of a lens that is not known, no splats, or no photo.
         GsError: the native library is missing.
     """
     if not is_camera(camera):
@@ -61,10 +62,10 @@ def compare(
             f"{camera.name} is no camera of a photo: choose one that Import Capture made."
         )
     own = stated(camera)
-    if own.model not in _PINHOLES:
+    if not can_straighten(own):
         raise ValueError(
-            f"The lens of {own.image} is distorted ({own.model}), the splats are seen through an "
-            f"ideal one: import the capture as COLMAP's image_undistorter leaves it to compare."
+            f"The lens of {own.image} bends lines ({own.model}), the splats are seen through an "
+            "ideal one: import the capture as COLMAP's image_undistorter leaves it to compare."
         )
     background = background_of(world_light(scene.world)[0])
     size = cm.frame_size(own.width, own.height, scene.render.resolution_percentage)

@@ -116,6 +116,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         # Not in __init__, whose arguments differ between versions of Blender.
         if self._view is None:
             self._view = Viewport(final_cache)
+            held_meshes.SHARED.clear()  # nobody told of changes while none was drawn
             _painters.add(self._view.painter)
             # Not in __del__ either: by then the instance's attributes are out of reach.
             finalize(self, self._view.painter.close)

@@ -1,13 +1,17 @@
-"""Meshes that are held out, as a depsgraph shows them: they hide the splats behind them."""
+"""Meshes that are held out, as a depsgraph shows them: they hide the splats behind them.
+
+An object that is held out hides with all instances that it makes, whatever they are of. In a
+collection that is instanced, an object that is held out does by itself too.
+"""
 
 from dataclasses import dataclass
 
 import bpy
 import numpy as np
 
-from ..splats.objects import is_splats
-from ..triangles import WITH_FACES, Triangles, triangles_of
-from . import apart
+from ..triangles import Triangles, triangles_of
+from . import apart, grown
+from .grown import may_be_held
 from .instances import instances
 
 
@@ -16,15 +20,15 @@ class HeldMesh:
     """A mesh copied out of Blender."""
 
     triangles: Triangles
-    """In the object's own axes."""
-    matrix: np.ndarray
-    """[4, 4] float64 to the world."""
+    """In its own axes."""
+    matrices: np.ndarray
+    """[K, 4, 4] float64 to the world, of each place where it stands."""
 
 
 def same_meshes(some: tuple[HeldMesh, ...], others: tuple[HeldMesh, ...]) -> bool:
     """Whether they hide the same."""
     return len(some) == len(others) and all(
-        np.array_equal(a.matrix, b.matrix) and _same(a.triangles, b.triangles)
+        np.array_equal(a.matrices, b.matrices) and _same(a.triangles, b.triangles)
         for a, b in zip(some, others, strict=True)
     )
 
@@ -36,9 +40,9 @@ def _same(one: Triangles, other: Triangles) -> bool:
     )
 
 
-def may_be_held(ob: bpy.types.Object) -> bool:
-    """Whether an object has faces, or may get some, and is none of ours."""
-    return ob.type in WITH_FACES and not is_splats(ob) and "gs_kind" not in ob
+def may_hide(ob: bpy.types.Object) -> bool:
+    """Whether an object may hide splats: by its faces, or by those of instances."""
+    return may_be_held(ob) or grown.may_grow(ob) or ob.instance_type == "COLLECTION"
 
 
 def is_held_by(layer: bpy.types.ViewLayer, ob: bpy.types.Object) -> bool:
@@ -47,13 +51,13 @@ def is_held_by(layer: bpy.types.ViewLayer, ob: bpy.types.Object) -> bool:
 
 
 def held_by(scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """Objects that a scene holds out: with faces, or with instances that may have some."""
+    """Objects that a scene holds out, and what it takes for their instances to be made."""
     layer = scene.view_layers[0]
-    return [
-        ob
-        for ob in filter(None, layer.objects)  # 4.2 keeps places of removed objects
-        if (may_be_held(ob) or ob.instance_type == "COLLECTION") and is_held_by(layer, ob)
-    ]
+    there = [ob for ob in layer.objects if ob is not None]  # 4.2 keeps places of removed objects
+    found = [ob for ob in there if may_hide(ob) and is_held_by(layer, ob)]
+    on_corners = {ob for ob in found if ob.instance_type in {"VERTS", "FACES"}}
+    shown = (ob for ob in there if ob.parent in on_corners and "gs_kind" not in ob)
+    return list(dict.fromkeys([*found, *shown]))
 
 
 def not_taken_over(main: bpy.types.Scene | None, apart: bpy.types.Scene | None) -> str:
@@ -69,33 +73,58 @@ class HeldMeshes:
 
     def __init__(self) -> None:
         self._known: dict[int, Triangles] = {}
+        self._grown: dict[int, list[grown.Part]] = {}
+        """In the axes of the objects that make them."""
+        self._walked: dict[int, list[grown.Part]] = {}
+        """In the world."""
 
     def clear(self) -> None:
         """Let go of everything."""
-        self._known.clear()
+        for kept in (self._known, self._grown, self._walked):
+            kept.clear()
 
     def forget_changed(self, depsgraph: bpy.types.Depsgraph) -> None:
         """Copy again what a depsgraph update says has changed."""
         for update in depsgraph.updates:
+            # Instances may be of anything.
+            self._grown.clear()
+            self._walked.clear()
             if update.is_updated_geometry and isinstance(update.id, bpy.types.Object):
                 self._known.pop(update.id.original.session_uid, None)
 
     def of(self, depsgraph: bpy.types.Depsgraph) -> tuple[HeldMesh, ...]:
-        """All that a depsgraph holds out; those in collection instances too."""
-        found, uids = [], set()
+        """All that a depsgraph holds out, with the instances that it makes."""
+        found, uids, walkers = [], set(), set()
         for shown_by in depsgraph.objects:
-            for ob, matrix in instances(shown_by, depsgraph, may_be_held):
+            for ob, matrix in instances(shown_by, depsgraph, may_hide):
                 if not _is_held(ob, shown_by, depsgraph):
                     continue
                 uid = ob.original.session_uid
                 uids.add(uid)
-                if uid not in self._known:
-                    self._known[uid] = triangles_of(ob)
-                if len(self._known[uid].triangles):
-                    found.append(HeldMesh(triangles=self._known[uid], matrix=matrix))
+                parts = [self._own(ob)] if may_be_held(ob) else []
+                if grown.has_to_be_walked(ob):
+                    walkers.add(shown_by.original.session_uid)
+                elif grown.may_grow(ob):
+                    if uid not in self._grown:
+                        self._grown[uid] = grown.grown(ob, depsgraph)
+                    parts += self._grown[uid]
+                for triangles, places in parts:
+                    if len(triangles.triangles):
+                        found.append(HeldMesh(triangles=triangles, matrices=matrix @ places))
+        if walkers - self._walked.keys():
+            self._walked = grown.walked(depsgraph, walkers)
+        for uid in walkers:
+            found += [HeldMesh(triangles=t, matrices=m) for t, m in self._walked[uid]]
         for uid in self._known.keys() - uids:
             del self._known[uid]
         return tuple(found)
+
+    def _own(self, ob: bpy.types.Object) -> grown.Part:
+        """The faces of an evaluated object by itself."""
+        uid = ob.original.session_uid
+        if uid not in self._known:
+            self._known[uid] = triangles_of(ob)
+        return self._known[uid], np.eye(4)[None]
 
 
 def _is_held(
@@ -106,7 +135,8 @@ def _is_held(
         return False
     if depsgraph.mode != "RENDER":
         return True
-    return ob.visible_camera and apart.is_seen(shown_by.original, depsgraph)
+    seen = ob.visible_camera and shown_by.visible_camera
+    return seen and apart.is_seen(shown_by.original, depsgraph)
 
 
 SHARED = HeldMeshes()

@@ -12,7 +12,7 @@ from ..compat import matrix_to_numpy
 from ..nodes import display
 from ..splats.objects import is_splats
 from .apart import main_scene
-from .held_meshes import is_held_by, may_be_held, not_taken_over
+from .held_meshes import is_held_by, may_hide, not_taken_over
 from .world import world_light
 
 NOT_TAKEN_OVER = "Holdout of {} hides no splats yet: press Composite Splats with Meshes again."
@@ -120,7 +120,7 @@ def _others(shown: Shown) -> str:
         ob.name
         for ob in shown.layer.objects
         if ob.type in _DRAWN_BY_OTHERS and not ob.hide_render and "gs_kind" not in ob
-        if not (may_be_held(ob) and is_held_by(shown.layer, ob))
+        if not (may_hide(ob) and is_held_by(shown.layer, ob))
     ]
     more = f" and {len(names) - 2} more" if len(names) > 2 else ""
     return ", ".join(names[:2]) + more
@@ -132,7 +132,7 @@ def _held_without_faces(shown: Shown) -> str:
         ob.name
         for ob in shown.layer.objects
         if ob.type in _DRAWN_BY_OTHERS and "gs_kind" not in ob and not ob.hide_render
-        if not may_be_held(ob) and is_held_by(shown.layer, ob)
+        if not may_hide(ob) and is_held_by(shown.layer, ob)
     )
 
 

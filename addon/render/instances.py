@@ -7,7 +7,7 @@ import numpy as np
 
 from ..compat import matrix_to_numpy
 
-_DEEPEST = 8
+DEEPEST = 8
 """Collections in collections that are followed."""
 
 
@@ -32,12 +32,20 @@ def _instances(
     if wanted(ob):
         yield ob, matrix
     collection = ob.instance_collection if ob.instance_type == "COLLECTION" else None
-    if collection is None or depth > _DEEPEST:
+    if collection is None or depth > DEEPEST:
         return
+    for inner, place in inside(collection, depsgraph):
+        yield from _instances(inner, depsgraph, wanted, matrix @ place, depth + 1)
+
+
+def inside(
+    collection: bpy.types.Collection, depsgraph: bpy.types.Depsgraph
+) -> Iterator[tuple[bpy.types.Object, np.ndarray]]:
+    """The evaluated objects that a collection shows, each with its matrix to where the collection
+    is instanced."""
     offset = np.eye(4)
     offset[:3, 3] = -np.array(collection.instance_offset)
     for inner in collection.all_objects:
         if not (inner.hide_render if depsgraph.mode == "RENDER" else inner.hide_viewport):
             inner = inner.evaluated_get(depsgraph)
-            inside = matrix @ offset @ matrix_to_numpy(inner.matrix_world)
-            yield from _instances(inner, depsgraph, wanted, inside, depth + 1)
+            yield inner, offset @ matrix_to_numpy(inner.matrix_world)

@@ -9,13 +9,15 @@ import numpy as np
 
 from ..cameras.captures import RenderCamera
 from ..core import Rendered, mesh_depth
-from ..triangles import Triangles, joined, moved
+from ..triangles import Triangles, joined, repeated
 from .held_meshes import HeldMesh
 
 Window = tuple[int, int, int, int]
 """Left, top, width and height, pixels."""
 _LOOKS = 4
 """Places along either side of a pixel at which meshes are looked for."""
+MOST_TRIANGLES = 20_000_000
+"""Of all that is held out, each instance counted."""
 _AT_ONCE = 1 << 22
 """Such places that are looked at together."""
 _BLENDED = ("rgb", "alpha")
@@ -50,9 +52,18 @@ class Hidden:
 
 
 def hidden(held: Sequence[HeldMesh], camera: RenderCamera) -> Hidden:
-    """What meshes hide from a camera, looked for at 4 x 4 places of each pixel."""
-    places = [Triangles(moved(m.triangles.vertices, m.matrix), m.triangles.triangles) for m in held]
-    mesh, height = joined(places), camera.height
+    """What meshes hide from a camera, looked for at 4 x 4 places of each pixel.
+
+    Raises:
+        ValueError: there are too many triangles.
+    """
+    count = sum(len(m.triangles.triangles) * len(m.matrices) for m in held)
+    if count > MOST_TRIANGLES:
+        raise ValueError(
+            f"What is held out has {count:,} triangles with all its instances; splats can be "
+            f"hidden by {MOST_TRIANGLES:,}. Hold out a simpler mesh in its place."
+        )
+    mesh, height = joined([repeated(m.triangles, m.matrices) for m in held]), camera.height
     rows = max(1, _AT_ONCE // (_LOOKS**2 * camera.width))
     bands = [slice(first, min(first + rows, height)) for first in range(0, height, rows)]
     share = np.zeros((height, camera.width), np.float32)

@@ -10,6 +10,7 @@ from .. import stored_paths
 from ..cameras.objects import PhotoCamera, cameras_of, root_of, stated
 from ..core import Folder, are_mattes, downscale
 from . import color
+from .straight import STRAIGHT, straightened
 
 MASKS = "masks"
 """Folder of masks in a capture, where the capture names no others."""
@@ -70,6 +71,10 @@ def load_target(
             mode = "composite" if _cut_out(camera, invert_masks) else "ignore"
     elif mask_mode == "auto":
         mode = "composite"
+    seen = None
+    if own.model not in STRAIGHT:
+        both, seen = straightened(np.dstack([rgba[..., :3], opacity]), own)
+        rgba, opacity = both, both[..., 3]
     pixels = _scaled(rgba[..., :3], width, height)
     weight = _scaled(opacity, width, height)
     if mode == "composite" and opacity.min() < 1:
@@ -77,7 +82,11 @@ def load_target(
         colors = _scaled(rgba[..., :3] * opacity[..., None], width, height)
         pixels = colors + np.array(background, np.float32) * (1 - weight[..., None])
     ignores = mode == "ignore" and opacity.min() < 1
-    return Target(pixels=pixels, weight=weight if ignores else None)
+    counted = weight if ignores else None
+    if seen is not None and not seen.all():
+        shown = _scaled(seen.astype(np.float32), width, height)
+        counted = shown if counted is None else counted * shown
+    return Target(pixels=pixels, weight=counted)
 
 
 def kept_of(mask: np.ndarray, inverted: bool) -> np.ndarray:

@@ -68,7 +68,7 @@ class FindCameras(OnScene, bpy.types.Operator):
 
     def act(self, context: bpy.types.Context) -> str:
         """Start."""
-        job = work.find(context.scene, wait=self.wait)
+        job = work.find(context.scene, wait=self.wait, warn=self.warn)
         if job is None:
             return "These cameras were found before; they are brought in."
         if job.status == FAILED:

@@ -1,15 +1,16 @@
 """The search for cameras from scripts and operators: begin, cancel, bring in what was found."""
 
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import bpy
 
 from .. import preferences
+from ..cameras.into_scene import into_scene
 from ..cameras.lookup import chosen_root
 from ..capture.folders import same_folder
-from ..core import capture_beside
-from ..interface import undo
-from ..interface.overriding import acting_in
+from ..core import GsError, capture_beside
+from ..interface import undo, writable
 from ..job import facts, lookups, options
 from ..job.launch import follow, launch
 from ..paths import absolute, capture_folder, relative
@@ -19,7 +20,11 @@ from .registry import JOBS
 
 
 def find(
-    scene: bpy.types.Scene, *, wait: bool = False, python: str | Path | None = None
+    scene: bpy.types.Scene,
+    *,
+    wait: bool = False,
+    python: str | Path | None = None,
+    warn: Callable[[Iterable[str]], None] = tuple,
 ) -> SearchJob | None:
     """Find the cameras of the scene's photos or video, and bring them in.
 
@@ -29,6 +34,7 @@ def find(
         scene: Its `gscore` settings name photos or a video.
         wait: Return when it has ended and the cameras are there.
         python: The Python that searches; None: as the preferences say.
+        warn: Told what the user should know of a capture that is taken at once.
 
     Returns:
         The search; None: there was nothing to search for.
@@ -46,7 +52,7 @@ def find(
         raise ValueError(f"The cameras of {source} are being looked for already.")
     beside = capture_beside(source)
     if beside.is_there:
-        _arrive(scene, beside.capture)
+        warn(_arrive(scene, beside.capture))
         return None
     arguments = options.search(
         scene.gscore, source=source, capture=beside.capture, threads=preferences.get().threads
@@ -84,18 +90,26 @@ def bring_in(job: SearchJob) -> bool:
         if job_of(scene) is job:
             lookups.captures.expire()
             try:
-                _arrive(scene, job.capture)
-            except (RuntimeError, ValueError) as error:
-                job.warnings.append(str(error).removeprefix("Error: ").strip())
+                job.warnings += _arrive(scene, job.capture)
+            except (GsError, ValueError, OSError) as error:
+                job.warnings.append(str(error))
     return True
 
 
-def _arrive(scene: bpy.types.Scene, capture: Path) -> None:
-    """Choose the capture, and import its cameras, points and photos unless they are there."""
+def _arrive(scene: bpy.types.Scene, capture: Path) -> tuple[str, ...]:
+    """Choose the capture, and import its cameras, points and photos unless they are there; what
+    the user should know besides.
+
+    Raises:
+        GsError, ValueError, OSError: they cannot be imported; the message is for the user.
+    """
     scene.gscore.capture_path = relative(capture)
     scene.gscore.images = "images"
     facts.capture(scene)
+    warnings: tuple[str, ...] = ()
     if chosen_root(scene) is None:
-        with acting_in(scene):
-            bpy.ops.gscore.import_cameras()
+        writable.check(scene)
+        # No operator, which would act on the scene of a window.
+        warnings = into_scene(scene, absolute(scene.gscore.capture_path, "Capture")).warnings
     undo.push("Cameras Found")
+    return warnings

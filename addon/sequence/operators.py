@@ -39,14 +39,18 @@ class TrainSequence(Asking, Acting, bpy.types.Operator):
     confirm = "Start Over"
 
     def question(self, context: bpy.types.Context) -> list[str]:
-        """Name what an earlier sequence loses."""
+        """Name what an earlier sequence loses, and what the training would not see."""
         output = work.output_of(context.scene)
-        if not self.overwrite or not work.begun(output):
-            return []
-        return [f"The frames in {output} are replaced for good."]
+        lines = []
+        if self.overwrite and work.begun(output):
+            lines = [f"The frames in {output} are replaced for good."]
+        self.confirm = "Start Over" if lines else "Train Without"
+        return lines if self.resume else lines + work.not_seen(context.scene)
 
     def act(self, context: bpy.types.Context) -> str:
         """Start."""
+        if not self.resume:
+            self.warn(work.not_seen(context.scene))
         job = work.train_sequence(
             context.scene, resume=self.resume, overwrite=self.overwrite, wait=self.wait
         )

@@ -2,17 +2,17 @@
 
 from pathlib import Path
 
-from ..core import DataConfig, SequenceIndex, find_frames, read_sequence
+from ..core import DataConfig, SequenceFrame, SequenceIndex, find_frames, read_sequence
 from ..job.verb_jobs import VerbJobs
 from ..process.lookup import Lookup
 from .job import SequenceJob
 
 JOBS: VerbJobs[SequenceJob] = VerbJobs()
 """Those of each source."""
-frames: Lookup[tuple[str, str], list[int]] = Lookup(
-    lambda key: [frame.number for frame in find_frames(_config(*key))], max_age=60.0
+frames: Lookup[tuple[str, str], list[SequenceFrame]] = Lookup(
+    lambda key: find_frames(DataConfig(source=Path(key[0]), images=key[1])), max_age=60.0
 )
-"""Numbers of a capture's frames, by its path and the name of its photo folder."""
+"""A capture's frames, by its path and the name of its photo folder."""
 trained: Lookup[Path, SequenceIndex | None] = Lookup(read_sequence, max_age=3.0)
 """What an output folder lists."""
 
@@ -25,7 +25,3 @@ def collect() -> bool:
 def busy() -> bool:
     """Whether something is being looked up."""
     return frames.busy or trained.busy
-
-
-def _config(source: str, images: str) -> DataConfig:
-    return DataConfig(source=Path(source), images=images)

@@ -18,6 +18,12 @@ class TrainSequenceSettings(bpy.types.PropertyGroup):
     )
     next_iterations: declared(SequenceOptions(), "next_iterations", "Steps of Later Frames")
     warm_start: declared(SequenceOptions(), "warm_start", "Start from the Frame Before")
+    guide_start: bpy.props.IntProperty(
+        name="Guides Start",
+        description="Frame of the timeline that shows the guide meshes as they are in the first "
+        "frame that is trained; later frames of the sequence take later ones",
+        default=1,
+    )
 
 
 CLASSES = (TrainSequenceSettings,)

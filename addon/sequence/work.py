@@ -5,14 +5,24 @@ from pathlib import Path
 import bpy
 
 from .. import preferences
-from ..core import SequenceIndex
+from ..core import (
+    GUIDES,
+    DataConfig,
+    SequenceFrame,
+    SequenceIndex,
+    choose_frames,
+    find_frames,
+)
 from ..job import training
+from ..job.guides import left_out
 from ..job.launch import follow, launch
 from ..paths import absolute, output_folder
 from ..process import beat
-from . import arguments, registry
+from . import arguments, guides, registry
 from .job import SequenceJob
 from .registry import JOBS
+
+ONLY_WITHIN = "Only Within ({}) is for single trainings: frames of a sequence are trained whole."
 
 
 def train_sequence(
@@ -33,7 +43,7 @@ def train_sequence(
         python: The Python that trains; None: as the preferences say.
 
     Raises:
-        ValueError: something is missing or in the way; the message says what to do.
+        GsError, ValueError: something is missing or in the way; the message says what to do.
     """
     source, output = source_of(scene), output_of(scene)
     if (other := JOBS.of_source(source)) is not None and not other.ended:
@@ -49,6 +59,7 @@ def train_sequence(
         line = arguments.new_sequence(
             scene.gscore, own, source=source, output=output, machine=machine, overwrite=overwrite
         )
+        line += guides.arguments(scene, lambda: chosen_frames(scene), output)
     job = launch(lambda program: SequenceJob(program, line, source=source, output=output), python)
     JOBS.add(job)
     beat.ensure()
@@ -87,12 +98,29 @@ def output_of(scene: bpy.types.Scene) -> Path:
 
 
 def begun(output: Path) -> bool:
-    """Whether there is something of a sequence in a folder."""
-    return output.is_dir() and any(output.iterdir())
+    """Whether there is something of a sequence in a folder, besides meshes for one."""
+    return output.is_dir() and any(path.name != GUIDES for path in output.iterdir())
 
 
-def frames_of(scene: bpy.types.Scene) -> tuple[list[int] | None, str]:
-    """Numbers of the frames of the scene's capture, as far as is known, or why there are none."""
+def chosen_frames(scene: bpy.types.Scene) -> list[SequenceFrame]:
+    """The frames that are to be trained, looked for at once.
+
+    Raises:
+        GsError, ValueError: there are none, or they are chosen in other words than they can be.
+    """
+    found = find_frames(DataConfig(source=source_of(scene), images=scene.gscore.images))
+    return choose_frames(found, scene.gscore_train_sequence.frames.strip() or ":")
+
+
+def not_seen(scene: bpy.types.Scene) -> list[str]:
+    """What of the scene a training of a sequence would not see, in sentences."""
+    within = scene.gscore.train_within
+    lines = [] if within is None else [ONLY_WITHIN.format(within.name)]
+    return lines + left_out(scene)
+
+
+def frames_of(scene: bpy.types.Scene) -> tuple[list[SequenceFrame] | None, str]:
+    """The frames of the scene's capture, as far as is known, or why there are none."""
     try:
         source = source_of(scene)
     except ValueError as error:

@@ -9,7 +9,7 @@ import math
 import os
 import re
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -50,6 +50,19 @@ class FrameFile:
         return f"{self.number} {self.path.name} {self.stamp}"
 
 
+def stride_of(numbers: Sequence[int]) -> int:
+    """Between neighbours of rising numbers; 0 where they are no count of frames."""
+    found = math.gcd(*(b - a for a, b in pairwise(numbers))) or 1
+    whole = (numbers[-1] - numbers[0]) // found + 1
+    return found if whole <= _MOSTLY_GAPS * len(numbers) else 0
+
+
+def slots_of(numbers: Sequence[int]) -> list[int]:
+    """The place of each of rising numbers, from 0, gaps counted as places."""
+    stride = stride_of(numbers)
+    return [(n - numbers[0]) // stride if stride else i for i, n in enumerate(numbers)]
+
+
 @dataclass(frozen=True)
 class Series:
     """The frames of a sequence."""
@@ -62,10 +75,7 @@ class Series:
     @cached_property
     def stride(self) -> int:
         """Between the numbers of neighbours; 0 where numbers are no count of frames."""
-        numbers = [file.number for file in self.files]
-        found = math.gcd(*(b - a for a, b in pairwise(numbers))) or 1
-        whole = (numbers[-1] - numbers[0]) // found + 1
-        return found if whole <= _MOSTLY_GAPS * len(numbers) else 0
+        return stride_of([file.number for file in self.files])
 
     @property
     def slots(self) -> int:

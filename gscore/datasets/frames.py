@@ -120,6 +120,15 @@ def choose_frames(frames: list[SequenceFrame], wanted: str) -> list[SequenceFram
     return [frame for frame in frames if frame.number in chosen]
 
 
+def of_frame(path: Path | None, number: int) -> Path | None:
+    """A path with a frame's number in place of `{frame}` or `{frame:06d}`; others stay.
+
+    Raises:
+        ConfigError: it holds something else in braces.
+    """
+    return path if path is None or "{" not in str(path) else Path(_fill(str(path), number))
+
+
 def _is_capture(folder: Path) -> bool:
     places = (folder, folder / "sparse", folder / "sparse/0", folder / "colmap/sparse/0")
     return find_transforms(folder) is not None or any(has_model(place) for place in places)

@@ -2,6 +2,7 @@
 
 import contextlib
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from ..config import DataConfig, TrainConfig
@@ -20,7 +21,15 @@ from ..words import count_words
 from .files.ended import TrainResult
 from .files.folder import RunFolder
 from .frames.listed import Listed
-from .frames.plan import PlannedFrame, check_shareable, plan_frames, run_with, runs_of
+from .frames.plan import (
+    PER_FRAME,
+    PlannedFrame,
+    check_guides,
+    check_shareable,
+    plan_frames,
+    run_with,
+    runs_of,
+)
 from .frames.results import SequenceResult, completed, is_measured, result_of
 from .ranks.agree import check_ready
 from .ranks.team import Team
@@ -88,6 +97,7 @@ def train_sequence(
         check_place(output, data)
         chosen = choose_frames(find_frames(data), options.frames)
         frames = plan_frames(chosen, config, output, options)
+        check_guides(frames)
         return _Sequence(config, data, output, options, frames, emit, onlookers, writes=writes)
 
     if team:
@@ -145,7 +155,8 @@ class _Sequence:
         self.runs = runs_of(len(frames), options)
         """Frames that must be trained one after another, by their places."""
         self._writes = writes
-        self._about = config_json(data, frames[0].config).encode()
+        asked = {name: getattr(config, name) for name in PER_FRAME}
+        self._about = config_json(data, replace(frames[0].config, **asked)).encode()
         self._options = options
         self._emit = emit
         self._onlookers = onlookers

@@ -20,6 +20,7 @@ from gscore.datasets.frames import SequenceFrame, choose_frames, find_frames
 from gscore.errors import Cancelled, ConfigError, DatasetError, FormatError
 from gscore.events import Done, Event, FrameStarted, Saved, SequenceDone, Started, from_line
 from gscore.io.colmap.folder import read_model, write_model
+from gscore.io.mesh.ply import write_mesh
 from gscore.io.pictures.images import read_image, write_png
 from gscore.io.ply.splats import read_ply
 from gscore.io.sequences import read_sequence
@@ -365,3 +366,39 @@ def test_frames_with_masks_are_judged_inside_them(
     assert index is not None
     assert index.frames[0]["psnr_masked"] == index.mean["psnr_masked"] == own
     assert f"PSNR inside the masks {own:.2f} dB" in capsys.readouterr().out
+
+
+def test_each_frame_is_guided_by_its_own_mesh(frames: Path, tmp_path: Path) -> None:
+    """Oracle: the files that the frames' own words name; the pattern stays for those who go on."""
+    out = tmp_path / "out"
+    square = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float64)
+    for place, number in enumerate((0, 5, 10)):
+        corners = square + np.array([0.1 * place, 0, 0])
+        write_mesh(tmp_path / f"wall-{number:03d}.ply", corners, np.array([[0, 1, 2], [0, 2, 3]]))
+    config = replace(CONFIG, guide_surface=tmp_path / "wall-{frame:03d}.ply")
+    events: list[Event] = []
+    control = Control()
+
+    def take(event: Event) -> None:
+        events.append(event)
+        if isinstance(event, Done):
+            control.stop()
+
+    data = DataConfig(source=frames)
+    train_sequence(config, data, out, take, control, options=SequenceOptions(next_iterations=5))
+    assert load_config(out / "config.json")[1].guide_surface == config.guide_surface
+    assert main(["sequence", "-o", str(out), "--resume", "--quiet"]) == 0
+    assert numbers_in(out) == [0, 5, 10]
+    guides = [
+        load_config(out / f"frame_{n:06d}" / "config.json")[1].guide_surface for n in (0, 5, 10)
+    ]
+    assert [path.name for path in guides if path] == [
+        "wall-000.ply",
+        "wall-005.ply",
+        "wall-010.ply",
+    ]
+    assert "Splats are to lie on wall-000.ply" in of_kind(events, Started)[0].guide
+    (tmp_path / "wall-010.ply").unlink()
+    with pytest.raises(ConfigError, match="the mesh of --guide-surface for frame 10"):
+        train_sequence(config, data, tmp_path / "other")
+    assert not (tmp_path / "other").exists()

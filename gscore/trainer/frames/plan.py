@@ -5,11 +5,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ...config import DataConfig, TrainConfig
-from ...datasets.frames import SequenceFrame
+from ...datasets.frames import SequenceFrame, of_frame
 from ...errors import ConfigError
 from ...sequence_options import SequenceOptions
 from ...words import count_words
 from ..files.folder import RunFolder
+
+PER_FRAME = ("guide_surface", "guide_free")
+"""Options of meshes, which may hold `{frame}`: each frame then has its own."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,6 +44,9 @@ def plan_frames(
         config: Of the first frame and of all keyframes.
         output: Folder of the sequence.
         options: Which frames are keyframes, and what goes from one frame to the next.
+
+    Raises:
+        ConfigError: an option is for one frame alone, or names a frame's mesh wrongly.
     """
     if config.region is not None:
         raise ConfigError(
@@ -52,6 +58,9 @@ def plan_frames(
     found: list[PlannedFrame] = []
     for place, frame in enumerate(frames):
         own = config if place in keys else _after(found[-1], config, options)
+        own = replace(
+            own, **{name: of_frame(getattr(config, name), frame.number) for name in PER_FRAME}
+        )
         data = _data_of(frame, frames[0], options)
         folder = output / frame.name
         found.append(PlannedFrame(number=frame.number, folder=folder, config=own, data=data))
@@ -66,6 +75,20 @@ def runs_of(count: int, options: SequenceOptions) -> list[range]:
     """
     every = (options.keyframe_every or count) if options.warm_start else 1
     return [range(first, min(first + every, count)) for first in range(0, count, every)]
+
+
+def check_guides(frames: Sequence[PlannedFrame]) -> None:
+    """Raise ConfigError unless the meshes of all frames are there: a sequence is not to end in its
+    middle for want of one."""
+    for frame in frames:
+        for name in PER_FRAME:
+            path = getattr(frame.config, name)
+            if path is not None and not path.is_file():
+                raise ConfigError(
+                    f"There is no {path}, the mesh of --{name.replace('_', '-')} for frame "
+                    f"{frame.number}. Put one there for each frame, or leave the frame out with "
+                    "--frames."
+                )
 
 
 def check_shareable(runs: Sequence[range], processes: int) -> str:

@@ -100,7 +100,7 @@ def seen(scene, camera) -> list[np.ndarray]:
 
 def capture_with(camera) -> bpy.types.Object:
     """A capture that stands turned, moved and scaled in the scene."""
-    made = captures.import_capture(bpy.context, ROOT / "examples" / "studio", photos=False)
+    made = captures.import_capture(bpy.context.scene, ROOT / "examples" / "studio", photos=False)
     captures.set_root_matrix(made.root, made_matrix())
     bpy.context.view_layer.update()
     return made.root

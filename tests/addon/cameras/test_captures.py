@@ -49,7 +49,7 @@ def capture(tmp_path: Path) -> Path:
 @pytest.mark.parametrize("aligned", [False, True])
 def test_imported_cameras_project_as_colmap_says(scene, capture: Path, aligned: bool) -> None:
     """Oracle: COLMAP's K and pose in float64, compared with Blender's own projection."""
-    made = captures.import_capture(bpy.context, capture, align=aligned)
+    made = captures.import_capture(bpy.context.scene, capture, align=aligned)
     if aligned:
         captures.set_extent(made.root, 12.5)
     bpy.context.view_layer.update()
@@ -158,7 +158,7 @@ def test_another_size(scene) -> None:
 
 def test_what_an_import_makes(scene) -> None:
     """Oracle: the model: names, sizes, float64 kept to the last bit, photos not decoded."""
-    made = captures.import_capture(bpy.context, STUDIO / "sparse" / "0")
+    made = captures.import_capture(bpy.context.scene, STUDIO / "sparse" / "0")
     model = read_colmap(STUDIO)
     assert made.root["gs_kind"] == "capture" and made.root["gs_source"] == str(STUDIO)
     assert [ob["gs_image"] for ob in made.cameras] == sorted(i.name for i in model.images)
@@ -178,7 +178,7 @@ def test_what_an_import_makes(scene) -> None:
 
 def test_points_show_their_colors(scene) -> None:
     """Oracle: the model's points; the depsgraph's mesh: octahedra and one bare vertex."""
-    made = captures.import_capture(bpy.context, STUDIO)
+    made = captures.import_capture(bpy.context.scene, STUDIO)
     model = read_colmap(STUDIO)
     np.testing.assert_array_equal(
         sfm_points.positions_of(made.points), model.points.xyz.astype(np.float32)
@@ -194,7 +194,7 @@ def test_points_show_their_colors(scene) -> None:
 
 def test_use_camera(scene) -> None:
     """Oracle: the photo's size and K; the former camera's photo leaves memory."""
-    made = captures.import_capture(bpy.context, STUDIO)
+    made = captures.import_capture(bpy.context.scene, STUDIO)
     first, second = made.cameras[:2]
     assert captures.use_camera(scene, first) == []
     assert scene.camera == first
@@ -215,7 +215,7 @@ def test_use_camera(scene) -> None:
 
 def test_pixel_aspect_is_said(scene, capture: Path) -> None:
     """Oracle: fy / fx of the model, in the scene and in the sentence."""
-    made = captures.import_capture(bpy.context, capture)
+    made = captures.import_capture(bpy.context.scene, capture)
     assert any("fx and fy differ" in warning for warning in made.warnings)
     assert any("differ in size" in warning for warning in made.warnings)
     ob = next(ob for ob in made.cameras if tuple(ob["gs_size"]) == (640, 640))
@@ -226,7 +226,7 @@ def test_pixel_aspect_is_said(scene, capture: Path) -> None:
 
 def test_distortion_is_said(scene, capture: Path) -> None:
     """Oracle: the pinhole part of the model; the parameters are kept."""
-    made = captures.import_capture(bpy.context, capture)
+    made = captures.import_capture(bpy.context.scene, capture)
     assert any("OPENCV, SIMPLE_RADIAL" in warning for warning in made.warnings)
     ob = next(ob for ob in made.cameras if ob["gs_model"] == "OPENCV")
     own = co.stated(ob)
@@ -239,7 +239,7 @@ def test_photos_that_are_missing(scene, tmp_path: Path) -> None:
     shutil.copytree(STUDIO / "sparse", tmp_path / "c" / "sparse")
     (tmp_path / "c" / "images").mkdir()
     shutil.copy(STUDIO / "images" / "view_000.jpg", tmp_path / "c" / "images")
-    made = captures.import_capture(bpy.context, tmp_path / "c")
+    made = captures.import_capture(bpy.context.scene, tmp_path / "c")
     assert "59 of the 60 images" in made.warnings[0]
     assert [co.photo_of(ob) is not None for ob in made.cameras] == [True] + 59 * [False]
     notes = captures.use_camera(scene, made.cameras[1])
@@ -262,7 +262,7 @@ def test_bad_captures_leave_the_scene_alone(scene, tmp_path: Path, kind: str) ->
         file.write_bytes(file.read_bytes()[:100])
     before = _counts()
     with pytest.raises((GsError, ValueError), match=str(folder)):
-        captures.import_capture(bpy.context, folder)
+        captures.import_capture(bpy.context.scene, folder)
     with pytest.raises(RuntimeError, match=str(folder)):
         bpy.ops.gscore.import_cameras(directory=str(folder))
     assert _counts() == before
@@ -275,7 +275,7 @@ def _counts() -> dict[str, int]:
 
 def test_save_and_load(scene, tmp_path: Path) -> None:
     """Oracle: what the model states, read from the .blend to the last bit."""
-    captures.import_capture(bpy.context, STUDIO)
+    captures.import_capture(bpy.context.scene, STUDIO)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
     bpy.ops.wm.read_homefile(use_empty=True)
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "a.blend"))
@@ -296,10 +296,10 @@ def test_up_that_a_capture_states(scene, tmp_path: Path) -> None:
     as nothing else is asked for; the cameras' own is another."""
     shutil.copytree(STUDIO / "sparse", tmp_path / "studio" / "sparse")
     model = read_colmap(tmp_path / "studio")
-    own = captures.import_capture(bpy.context, tmp_path / "studio", photos=False).root
+    own = captures.import_capture(bpy.context.scene, tmp_path / "studio", photos=False).root
     stated = np.array([1.0, 2.0, 2.0]) / 3
     write_colmap(replace(model, up=stated), tmp_path / "studio" / "sparse" / "0")
-    root = captures.import_capture(bpy.context, tmp_path / "studio", photos=False).root
+    root = captures.import_capture(bpy.context.scene, tmp_path / "studio", photos=False).root
     turned = matrix_to_numpy(root.matrix_basis)[:3, :3] @ stated
     assert turned[2] > np.cos(np.radians(12.1))  # by so much a ground may lean
     bpy.ops.gscore.align_capture(capture=root.name, up="CAMERAS")
@@ -314,7 +314,7 @@ def test_up_that_a_capture_states(scene, tmp_path: Path) -> None:
 def test_another_machine(scene, tmp_path: Path) -> None:
     """Oracle: cameras as before; a sentence about the photo; found again where it is now."""
     shutil.copytree(STUDIO, tmp_path / "here" / "studio")
-    made = captures.import_capture(bpy.context, tmp_path / "here" / "studio")
+    made = captures.import_capture(bpy.context.scene, tmp_path / "here" / "studio")
     (tmp_path / "here").rename(tmp_path / "there")
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "a.blend"))
@@ -349,7 +349,7 @@ def test_undo(scene) -> None:
 
 def test_moving_and_zooming_is_noticed(scene) -> None:
     """Oracle: a change of a hundredth of a pixel counts, another rotation mode does not."""
-    made = captures.import_capture(bpy.context, STUDIO)
+    made = captures.import_capture(bpy.context.scene, STUDIO)
     ob = made.cameras[7]
     own = co.stated(ob)
     ob.rotation_mode = "XYZ"
@@ -374,7 +374,7 @@ def test_moving_and_zooming_is_noticed(scene) -> None:
 
 def test_a_property_that_is_gone(scene) -> None:
     """Oracle: the sentence names camera and property."""
-    made = captures.import_capture(bpy.context, STUDIO)
+    made = captures.import_capture(bpy.context.scene, STUDIO)
     del made.cameras[0]["gs_K"]
     with pytest.raises(ValueError, match=r"view_000 .*gs_K"):
         co.stated(made.cameras[0])
@@ -425,8 +425,8 @@ def test_operators(scene) -> None:
 
 def test_two_captures(scene, capture: Path) -> None:
     """Oracle: the active object decides; without one, a name must be given."""
-    a = captures.import_capture(bpy.context, STUDIO)
-    b = captures.import_capture(bpy.context, capture)
+    a = captures.import_capture(bpy.context.scene, STUDIO)
+    b = captures.import_capture(bpy.context.scene, capture)
     assert a.root != b.root and len(captures.cameras_of(a.root)) == 60
     with pytest.raises(RuntimeError, match="several captures"):
         bpy.ops.gscore.use_camera(index=0)
@@ -441,11 +441,11 @@ def test_transforms_json(scene, tmp_path: Path) -> None:
     """Oracle: gscore's reader of the same file, photos decoded by Blender."""
     from addon.core import DataConfig
 
-    made = captures.import_capture(bpy.context, STUDIO)
+    made = captures.import_capture(bpy.context.scene, STUDIO)
     bpy.ops.gscore.export_cameras(directory=str(tmp_path), kind="TRANSFORMS")
     shutil.copytree(STUDIO / "images", tmp_path / "images")
     bpy.ops.wm.read_homefile(use_empty=True)
-    made = captures.import_capture(bpy.context, tmp_path / "transforms.json")
+    made = captures.import_capture(bpy.context.scene, tmp_path / "transforms.json")
     views = {v.name: v for v in read_capture(DataConfig(source=tmp_path)).views}
     assert len(made.cameras) == 60 and len(made.points.data.vertices) == 6725
     for ob in made.cameras:
@@ -458,7 +458,7 @@ def test_transforms_json(scene, tmp_path: Path) -> None:
 def test_one_switch_shows_all_photos_of_the_capture(scene, tmp_path: Path) -> None:
     """Oracle: Blender's own settings of each camera; a camera of the user keeps its own."""
     write_capture(tmp_path / "odd", np.random.default_rng(0), photos=True)
-    made = captures.import_capture(bpy.context, tmp_path / "odd")
+    made = captures.import_capture(bpy.context.scene, tmp_path / "odd")
     own = bpy.data.objects.new("own", bpy.data.cameras.new("own"))
     scene.collection.objects.link(own)
     own.data.background_images.new().alpha, own.data.show_background_images = 0.25, True

@@ -32,7 +32,7 @@ def capture(tmp_path: Path) -> Path:
 @pytest.fixture
 def made(scene, capture: Path) -> captures.ImportedCapture:
     """That capture in Blender, aligned and scaled."""
-    made = captures.import_capture(bpy.context, capture)
+    made = captures.import_capture(bpy.context.scene, capture)
     captures.set_extent(made.root, 3.0)
     bpy.context.view_layer.update()
     return made
@@ -54,7 +54,7 @@ def test_untouched_is_bit_for_bit(made, scene, capture: Path, tmp_path: Path) ->
 
 def test_real_capture_is_kept(scene, tmp_path: Path) -> None:
     """Oracle: the studio's files; only the order of points within tracks may differ."""
-    made = captures.import_capture(bpy.context, STUDIO)
+    made = captures.import_capture(bpy.context.scene, STUDIO)
     export_colmap(tmp_path, made.cameras, scene, root=made.root, depsgraph=graph())
     for name in ("cameras", "images"):
         ours = tmp_path / "sparse" / "0" / f"{name}.bin"
@@ -67,9 +67,9 @@ def test_real_capture_is_kept(scene, tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", ["COLMAP", "COLMAP_TEXT", "TRANSFORMS"])
 def test_imported_again_the_cameras_are_the_same(scene, tmp_path: Path, kind: str) -> None:
     """Oracle: Blender's own numbers of the first import."""
-    first = captures.import_capture(bpy.context, STUDIO, align=False)
+    first = captures.import_capture(bpy.context.scene, STUDIO, align=False)
     bpy.ops.gscore.export_cameras(directory=str(tmp_path), kind=kind)
-    again = captures.import_capture(bpy.context, tmp_path, align=False)
+    again = captures.import_capture(bpy.context.scene, tmp_path, align=False)
     for a, b in zip(first.cameras, again.cameras, strict=True):
         assert Path(a["gs_image"]).name == Path(b["gs_image"]).name
         for field in ("location", "rotation_quaternion"):
@@ -204,7 +204,7 @@ def test_cameras_of_ones_own(made, scene, tmp_path: Path) -> None:
     wanted = captures.render_camera(ob, scene)
     done = export_colmap(tmp_path, [*made.cameras, ob], scene, root=made.root, depsgraph=graph())
     assert (done.views, done.moved) == (15, 1)
-    other = captures.import_capture(bpy.context, tmp_path, align=False)
+    other = captures.import_capture(bpy.context.scene, tmp_path, align=False)
     captures.set_root_matrix(other.root, matrix_to_numpy(made.root.matrix_basis))
     again = next(o for o in other.cameras if o["gs_image"] == "Dolly_1.png")
     captures.use_camera(scene, again)
@@ -348,7 +348,7 @@ def test_other_captures_of_the_file_stay(made, scene, tmp_path: Path) -> None:
         write_capture(folder, np.random.default_rng(1))
         (folder / "transforms.json").write_text("{}")
     before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
-    captures.import_capture(bpy.context, imported)
+    captures.import_capture(bpy.context.scene, imported)
     scene.gscore.capture_path = str(chosen)
     for folder in (chosen, imported):
         with pytest.raises(ValueError, match=f"own model of .*{folder.name}"):
@@ -362,7 +362,7 @@ def test_a_fisheye_has_no_transforms(scene, tmp_path: Path) -> None:
     """Oracle: the sentence names photo and model."""
     bent = {1: ("THIN_PRISM_FISHEYE", 640, 480, (400.0, 400.0, 320.0, 240.0, *8 * (0.01,)))}
     write_capture(tmp_path / "c", np.random.default_rng(0), cameras=bent)
-    made = captures.import_capture(bpy.context, tmp_path / "c")
+    made = captures.import_capture(bpy.context.scene, tmp_path / "c")
     with pytest.raises(ValueError, match=r"v000.png has the camera model THIN_PRISM"):
         export_transforms(tmp_path / "transforms.json", made.cameras, scene, root=made.root)
     assert not (tmp_path / "transforms.json").exists()

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import bpy
 
-from addon.interface.overriding import acting_in
+from addon.interface.overriding import in_a_window
 
 ROOT = Path(__file__).parents[3]
 PUSHES_BESIDE_THREADS = """
@@ -35,21 +35,10 @@ os._exit(0)  # bpy 4.2 crashes at the end of Python whatever was done
 """
 
 
-def test_another_scene_is_acted_on(scene: bpy.types.Scene) -> None:
-    """Inside, the context has the scene that was asked for; outside, the one it had."""
-    other = bpy.data.scenes.new("Other")
-    shown = bpy.context.scene
-    with acting_in(other) as window:
-        assert window and bpy.context.scene == other
-        assert bpy.context.view_layer == other.view_layers[0]
-    assert bpy.context.scene == shown
-
-
-def test_nothing_is_overridden_that_is_so_already(scene: bpy.types.Scene) -> None:
-    """The scene of the window, with or without its name."""
-    for wanted in (None, bpy.context.scene):
-        with acting_in(wanted) as window:
-            assert window and bpy.context.window is not None
+def test_there_is_a_window() -> None:
+    """Inside, as outside where there was one."""
+    with in_a_window() as window:
+        assert window and bpy.context.window is not None
 
 
 def test_steps_are_pushed_while_threads_run(run_blender: Callable[..., str]) -> None:

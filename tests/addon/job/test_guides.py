@@ -39,7 +39,7 @@ def studio(scene: bpy.types.Scene, tmp_path: Path) -> Iterator[bpy.types.Scene]:
     at once."""
     scene.gscore.capture_path = str(STUDIO)
     scene.gscore.output_path = str(tmp_path / "out")
-    found: Capture = import_capture(bpy.context, STUDIO)
+    found: Capture = import_capture(bpy.context.scene, STUDIO)
     place = Matrix.Translation((3, -2, 1)) @ Euler((0.3, 0.2, 0.9)).to_matrix().to_4x4()
     found.root.matrix_world = place @ Matrix.Scale(2.5, 4) @ found.root.matrix_world
     bpy.context.view_layer.update()

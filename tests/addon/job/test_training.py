@@ -90,7 +90,7 @@ def test_points_make_room_for_splats(
 ) -> None:
     """Oracle: they are hidden with the first splats; who shows them again keeps them; and a
     training that is discarded gives them back."""
-    points = import_capture(bpy.context, STUDIO, photos=False).points
+    points = import_capture(bpy.context.scene, STUDIO, photos=False).points
     write_splats(tmp_path / "a.ply", splats(10))
     write_splats(tmp_path / "out" / "point_cloud.ply", splats(10))
     event = {"event": "snapshot", "step": 1, "path": str(tmp_path / "a.ply"), "splats": 10}
@@ -160,7 +160,7 @@ def test_cameras_say_how_far_they_were_moved(
 ) -> None:
     """Oracle: the poses.json of the run; cameras that it does not name say nothing, also those that
     an earlier run had moved."""
-    made = import_capture(bpy.context, STUDIO, photos=False, points=False)
+    made = import_capture(bpy.context.scene, STUDIO, photos=False, points=False)
     first, second = made.cameras[:2]
     second["gs_turned_degrees"] = 7.0
     facts = {"degrees": 0.25, "distance": 0.5, "viewmat": np.eye(4).tolist()}

@@ -55,7 +55,7 @@ def told(tmp_path: Path) -> list[str]:
 
 def test_a_training_is_told_the_box(studio: bpy.types.Scene, tmp_path: Path) -> None:
     """Oracle: Blender's matrices take points of the object where the file's box has them."""
-    root = import_capture(bpy.context, STUDIO).root
+    root = import_capture(bpy.context.scene, STUDIO).root
     root.matrix_world = Matrix.Rotation(0.4, 4, "X") @ Matrix.Scale(2.0, 4) @ root.matrix_world
     ob = around(studio, (0.5, 1.0, 2.0))
     assert bpy.ops.gscore.train() == {"FINISHED"}
@@ -73,7 +73,7 @@ def test_what_limits_nothing_is_refused(studio: bpy.types.Scene, tmp_path: Path)
     ob = around(studio, (1, 1, 0))
     with pytest.raises(RuntimeError, match="press Import Cameras first"):
         bpy.ops.gscore.train()
-    import_capture(bpy.context, STUDIO)
+    import_capture(bpy.context.scene, STUDIO)
     with pytest.raises(RuntimeError, match="subject has no volume"):
         bpy.ops.gscore.train()
     assert not registry.jobs() and not (tmp_path / "out").exists()

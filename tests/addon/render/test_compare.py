@@ -26,7 +26,7 @@ STUDIO = Path(__file__).parents[3] / "examples" / "studio"
 @pytest.fixture
 def studio(scene):
     """The bundled capture, a splat at each of its points, and the engine's settings."""
-    capture = captures.import_capture(bpy.context, STUDIO, photos=False)
+    capture = captures.import_capture(bpy.context.scene, STUDIO, photos=False)
     values = np.empty(3 * len(capture.points.data.vertices), np.float32)
     capture.points.data.attributes["position"].data.foreach_get("vector", values)
     means = values.reshape(-1, 3)
@@ -188,7 +188,7 @@ def other_photo(camera, folder):
 
 
 def distorted(camera, folder):
-    camera["gs_model"] = "OPENCV"
+    camera["gs_model"] = "FOV"
 
 
 def no_picture(camera, folder):
@@ -225,7 +225,7 @@ def test_masks_of_labels_are_yes_and_no(studio, scene, tmp_path, top):
         (film, "is a film"),
         (no_photo, "find the capture's folder again"),
         (other_photo, "30 x 20 pixels"),
-        (distorted, "distorted"),
+        (distorted, "bends lines (FOV)"),
         (no_picture, "decode"),
     ],
 )
@@ -282,3 +282,36 @@ def test_splats_that_the_view_hides_are_not_blamed_on_renders(studio):
     bpy.data.objects["s"].hide_set(True)
     with pytest.raises(RuntimeError, match="show the splat object and its collection in the view"):
         bpy.ops.gscore.compare_photo(camera=studio[0].cameras[3].name)
+
+
+@pytest.mark.parametrize(("k", "all_seen"), [(-0.12, True), (0.1, False)])
+def test_photos_of_lenses_that_bend_are_straightened(studio, scene, tmp_path, k, all_seen):
+    """Oracle: what the splats show through an ideal lens, bent by solving the lens's equation for
+    each pixel of the photo."""
+    camera = studio[0].cameras[9]
+    scene.gscore.use_masks = False
+    straight = compare.compare(scene, camera, bpy.context.evaluated_depsgraph_get())
+    shown = pixels(straight.images["Render"])
+    own = stated(camera)
+    focal = own.K[0, 0]
+    camera["gs_K"] = [focal, 0, own.K[0, 2], 0, focal, own.K[1, 2], 0, 0, 1]
+    compare.compare(scene, camera, bpy.context.evaluated_depsgraph_get())
+    shown = pixels(bpy.data.images["GS Render"])
+    y, x = np.mgrid[0 : own.height, 0 : own.width] + 0.5
+    bent = np.stack([x - own.K[0, 2], y - own.K[1, 2]], axis=-1) / focal
+    ray = bent.copy()
+    for _ in range(100):
+        ray = bent / (1 + k * (ray**2).sum(-1, keepdims=True))
+    at = np.rint(ray * focal + own.K[:2, 2] - 0.5).astype(int)
+    inside = ((at >= 0) & (at < [own.width, own.height])).all(-1)
+    at = np.clip(at, 0, [own.width - 1, own.height - 1])
+    photographed = shown[at[..., 1], at[..., 0]]
+    write_png(tmp_path / "bent.png", (photographed * 255 + 0.5).astype(np.uint8))
+    camera["gs_photo"] = str(tmp_path / "bent.png")
+    as_it_is = compare.compare(scene, camera, bpy.context.evaluated_depsgraph_get()).psnr
+    camera["gs_model"] = "SIMPLE_RADIAL"
+    camera["gs_params"] = [focal, own.K[0, 2], own.K[1, 2], k]
+    found = compare.compare(scene, camera, bpy.context.evaluated_depsgraph_get())
+    assert found.psnr > as_it_is + 6 and found.psnr > 30
+    assert (found.psnr_masked is None) == all_seen
+    assert inside.mean() > 0.8

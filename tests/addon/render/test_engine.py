@@ -38,7 +38,7 @@ def test_png_shows_the_values_of_gscore(scene, tmp_path, light):
 
 def test_same_picture_as_the_command_line(scene, tmp_path):
     """Oracle: `gscore render` from the capture's own camera, pixel by pixel."""
-    capture = captures.import_capture(bpy.context, ROOT / "examples" / "studio", photos=False)
+    capture = captures.import_capture(bpy.context.scene, ROOT / "examples" / "studio", photos=False)
     splats = _around(_means(capture.points))
     write_splats(tmp_path / "a.ply", splats)
     objects.create(splats, "s", collection=capture.collection, parent=capture.root)

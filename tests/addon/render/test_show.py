@@ -14,7 +14,7 @@ from tests.addon.captures import write_capture
 def test_one_button_shows_splats(scene: bpy.types.Scene, tmp_path: Path) -> None:
     """Oracle: engine, colours, photos, selection and visibility afterwards."""
     write_capture(tmp_path / "odd", np.random.default_rng(0), photos=True)
-    captures.import_capture(bpy.context, tmp_path / "odd")
+    captures.import_capture(bpy.context.scene, tmp_path / "odd")
     ob = lab.add(scene, lab.blob())
     ob.hide_viewport = True
     scene.gscore.result = ob

@@ -148,6 +148,34 @@ def test_a_package_that_is_missing(holiday: bpy.types.Scene, tmp_path: Path, pla
     assert "\nav==" in pins and "\nhuggingface-hub==" in pins
 
 
+@pytest.mark.parametrize("shown", [False, True])
+def test_cameras_come_into_the_scene_that_asked(
+    holiday: bpy.types.Scene, tmp_path: Path, play: Play, monkeypatch: pytest.MonkeyPatch, shown
+) -> None:
+    """Another scene is in the window, or this one. Oracle: what either holds, selects and chooses;
+    no operator's context is overridden, which can crash Blender beside threads."""
+    monkeypatch.setattr(bpy.types.Context, "temp_override", None)
+    other, window = bpy.data.scenes.new("Other"), bpy.context.window_manager.windows[0]
+    capture = tmp_path / "holiday-capture"
+    play(*_made(capture))
+    bpy.ops.gscore.find_cameras()
+    job = work.job_of(holiday)
+    try:
+        if not shown:
+            window.scene = other
+        (tmp_path / "waiting").rename(capture)
+        job._process.send("go")
+        until(lambda: job.ended and not job.wanted)
+        root, layer = chosen_root(holiday), holiday.view_layers[0]
+        assert len(cameras_of(root)) == 60 and not other.objects and not other.gscore.capture_path
+        assert layer.objects.active == root
+        assert [ob for ob in layer.objects if ob.select_get(view_layer=layer)] == [root]
+        assert not any("Error" in text for text in job.warnings)
+    finally:
+        window.scene = holiday
+        bpy.data.scenes.remove(other)
+
+
 def test_another_capture_chosen_meanwhile_stays(
     holiday: bpy.types.Scene, tmp_path: Path, play: Play
 ) -> None:

@@ -11,7 +11,9 @@ import pytest
 
 from addon import preferences
 from addon.core import SequenceIndex, SequenceOptions, options_of, read_splats, write_splats
+from addon.job import facts
 from addon.job.options import Machine
+from addon.panels.capture import CapturePanel
 from addon.panels.train_sequence import TrainSequencePanel
 from addon.process import beat
 from addon.sequence import arguments, registry, work
@@ -87,6 +89,9 @@ def test_from_button_to_timeline(video, tmp_path: Path, play: Play) -> None:
     """The arguments; the bar; at the end the frames play in the scene."""
     called = play({"say": FRAME}, step(50), {"await": "go"}, {"say": DONE})
     text = panel()
+    facts.look_again(video)
+    said = drawn(CapturePanel)
+    assert "4 frames, a capture each" in said and "Find Cameras" not in said
     assert "4: 0 to 12" in text and "(Train Sequence)" in text and "<next_iterations>" in text
     video.gscore_train_sequence.frames = "0:12:4"
     assert bpy.ops.gscore.train_sequence() == {"FINISHED"}

@@ -28,7 +28,7 @@ def studio(scene: bpy.types.Scene, tmp_path: Path) -> bpy.types.Scene:
     shutil.copytree(STUDIO, tmp_path / "studio", ignore=shutil.ignore_patterns("masks"))
     scene.gscore.capture_path = str(tmp_path / "studio")
     facts.look_again(scene)
-    capture = captures.import_capture(bpy.context, tmp_path / "studio")
+    capture = captures.import_capture(bpy.context.scene, tmp_path / "studio")
     scene.camera = capture.cameras[5]
     bpy.context.view_layer.objects.active = capture.cameras[5]
     return scene
@@ -184,7 +184,7 @@ def test_photos_with_opacity_of_their_own(scene: bpy.types.Scene, tmp_path: Path
     frame = {"file_path": "a.png", "transform_matrix": np.eye(4).tolist()}
     facts_of = {"w": 40, "h": 30, "fl_x": 30, "frames": [frame]}
     (folder / "transforms.json").write_text(json.dumps(facts_of))
-    capture = captures.import_capture(bpy.context, folder)
+    capture = captures.import_capture(bpy.context.scene, folder)
     scene.gscore.capture_path = str(folder)
     facts.look_again(scene)
     scene.camera = capture.cameras[0]
@@ -201,7 +201,7 @@ def test_a_mask_that_the_capture_names(scene: bpy.types.Scene, tmp_path: Path) -
     facts_of = {"w": 40, "h": 30, "fl_x": 30, "frames": [frame]}
     (folder / "transforms.json").write_text(json.dumps(facts_of))
     scene.gscore.capture_path = str(folder)
-    captures.import_capture(bpy.context, folder)
+    captures.import_capture(bpy.context.scene, folder)
     bpy.ops.gscore.paint_mask(camera="a.png")
     image = next(filter(masks.is_mask, bpy.data.images))
     pixels = np.array(image.pixels[:], np.float32).reshape(30, 40, 4)

@@ -8,7 +8,13 @@ from gscore.config import DataConfig, TrainConfig
 from gscore.datasets.frames import SequenceFrame
 from gscore.errors import ConfigError
 from gscore.sequence_options import SequenceOptions
-from gscore.trainer.frames.plan import PlannedFrame, plan_frames, run_with, runs_of
+from gscore.trainer.frames.plan import (
+    PlannedFrame,
+    check_guides,
+    plan_frames,
+    run_with,
+    runs_of,
+)
 
 
 def planned(options: SequenceOptions) -> list[PlannedFrame]:
@@ -45,3 +51,26 @@ def test_a_frame_is_found_in_its_run() -> None:
     assert run_with(frames, runs, 30) == run_with(frames, runs, 20) == range(2, 4)
     with pytest.raises(ConfigError, match="--frame 3 is none of the frames of this sequence, 0 to"):
         run_with(frames, runs, 3)
+
+
+def test_each_frame_has_the_mesh_of_its_number(tmp_path: Path) -> None:
+    """Oracle: names written out; the sentences on one that is not there and on other braces."""
+    frames = [SequenceFrame(number=n, data=DataConfig(source=Path(str(n)))) for n in (4, 8)]
+    config = TrainConfig(
+        guide_surface=tmp_path / "wall-{frame:04d}.ply", guide_free=tmp_path / "floor.ply"
+    )
+    plan = plan_frames(frames, config, Path("out"), SequenceOptions())
+    names = ["wall-0004.ply", "wall-0008.ply"]
+    assert [frame.config.guide_surface for frame in plan] == [tmp_path / name for name in names]
+    assert {frame.config.guide_free for frame in plan} == {tmp_path / "floor.ply"}
+    for name in ("floor.ply", names[0]):
+        (tmp_path / name).touch()
+    with pytest.raises(
+        ConfigError, match=r"wall-0008.ply, the mesh of --guide-surface for frame 8"
+    ):
+        check_guides(plan)
+    (tmp_path / names[1]).touch()
+    check_guides(plan)
+    wrong = TrainConfig(guide_free=Path("{number}.ply"))
+    with pytest.raises(ConfigError, match=r"expected \{frame\} or \{frame:06d\} in the braces"):
+        plan_frames(frames, wrong, Path("out"), SequenceOptions())

@@ -1,0 +1,137 @@
+"""Meshes of the scene that guide a sequence: for each frame as the timeline shows them then."""
+
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from uuid import uuid4
+
+import bpy
+
+from ..cameras.lookup import root_from
+from ..core import GUIDES, SequenceFrame, write_mesh
+from ..job import guides
+from ..timeline import follow
+from ..timeline.frames import slots_of
+from ..triangles import Triangles
+
+
+def arguments(
+    scene: bpy.types.Scene, frames: Callable[[], list[SequenceFrame]], output: Path
+) -> list[str]:
+    """Write the guides of a scene for a sequence into `output`; options that tell it of them.
+
+    Where a role's meshes are the same all the time it is one file; else one for each frame.
+
+    Args:
+        scene: Which meshes, and at which frame of the timeline the first frame is.
+        frames: Gives those that are trained, rising; not called where nothing guides.
+        output: Of the sequence.
+
+    Raises:
+        ValueError: the cameras of the first frame are not in the scene, or a collection shows no
+            mesh at a frame.
+        GsError: a file cannot be written.
+    """
+    roles = list(guides.chosen(scene))
+    if not roles:
+        return []
+    trained = frames()
+    root = root_from(scene, trained[0].data.source)
+    if root is None:
+        raise ValueError(
+            f"The meshes of {roles[0][1].name} guide a training by where they stand among the "
+            f"photos: import the cameras of frame {trained[0].number} first, in whose world all "
+            "frames are trained."
+        )
+    files = {role: _Files(output / GUIDES, role) for role, _ in roles}
+    start = scene.gscore_train_sequence.guide_start
+    places = [start + slot for slot in slots_of([frame.number for frame in trained])]
+    manager = bpy.context.window_manager
+    manager.progress_begin(0, len(trained))
+    try:
+        with _other_frames(scene):
+            for done, (frame, place) in enumerate(zip(trained, places, strict=True)):
+                scene.frame_set(place)
+                for role, collection in roles:
+                    found = _gathered(scene, collection, root, frame, place)
+                    files[role].add(frame.number, found)
+                manager.progress_update(done)
+    finally:
+        manager.progress_end()
+    line = []
+    for role, written in files.items():
+        line += [f"--guide-{role}", str(written.close())]
+    return line
+
+
+def _gathered(
+    scene: bpy.types.Scene,
+    collection: bpy.types.Collection,
+    root: bpy.types.Object,
+    frame: SequenceFrame,
+    place: int,
+) -> Triangles:
+    try:
+        return guides.gathered(scene, collection, root)
+    except ValueError as error:
+        where = f"At frame {place} of the timeline, for frame {frame.number} of the sequence"
+        raise ValueError(f"{where}: {error}") from error
+
+
+class _Files:
+    """Those of a role: one as long as all frames have the same mesh."""
+
+    def __init__(self, folder: Path, role: str) -> None:
+        self._folder, self._role = folder, role
+        self._name = f"{role}-{uuid4().hex[:8]}"
+        self._first: Triangles | None = None
+        self._moves = False
+        self._numbers: list[int] = []
+
+    def add(self, number: int, found: Triangles) -> None:
+        """The mesh of a frame."""
+        if self._first is None:
+            self._first = found
+        same = guides.digest(found) == guides.digest(self._first)
+        if not same and not self._moves:
+            self._moves = True
+            for earlier in self._numbers:
+                self._write(self._path(earlier), self._first)
+        self._numbers.append(number)
+        if self._moves:
+            self._write(self._path(number), found)
+
+    def close(self) -> Path:
+        """What the trainer is told; removes the files of a sequence that is replaced."""
+        assert self._first is not None
+        if self._moves:
+            told, kept = self._path("{frame:06d}"), {self._path(n) for n in self._numbers}
+        else:
+            told = self._folder / f"{self._role}-{guides.digest(self._first)}.ply"
+            kept = {told}
+            self._write(told, self._first)
+        ours = re.compile(rf"{self._role}-[0-9a-f]{{8}}(-\d{{6,}})?\.ply")
+        for path in self._folder.iterdir():
+            if ours.fullmatch(path.name) and path not in kept:
+                path.unlink(missing_ok=True)
+        return told
+
+    def _path(self, number: int | str) -> Path:
+        stands = number if isinstance(number, str) else f"{number:06d}"
+        return self._folder / f"{self._name}-{stands}.ply"
+
+    @staticmethod
+    def _write(path: Path, found: Triangles) -> None:
+        write_mesh(path, found.vertices, found.triangles)
+
+
+@contextmanager
+def _other_frames(scene: bpy.types.Scene) -> Iterator[None]:
+    """Go through the timeline and come back; sequences of splats stay as they are meanwhile."""
+    frame, subframe = scene.frame_current, scene.frame_subframe
+    with follow.left_alone():
+        try:
+            yield
+        finally:
+            scene.frame_set(frame, subframe=subframe)

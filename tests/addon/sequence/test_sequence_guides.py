@@ -1,0 +1,190 @@
+"""Meshes that guide a sequence. Oracle: the files that the trainer is told of, against the meshes
+of the scene at the frames of the timeline, and what the real trainer says it sees."""
+
+import json
+import os
+import shutil
+from pathlib import Path
+
+import bpy
+import numpy as np
+import plyfile
+import pytest
+
+from addon import preferences
+from addon.cameras.captures import cameras_of
+from addon.job import guides
+from addon.panels.train import GuidesPanel
+from addon.panels.train_sequence import TrainSequencePanel
+from addon.sequence import work
+from tests.addon.captures import STUDIO
+from tests.addon.drawn import drawn
+from tests.addon.sequence.test_train_sequence import (  # noqa: F401 - fixtures
+    DONE,
+    Play,
+    needs_trainer,
+    panel,
+    play,
+    video,
+)
+
+REAL = os.environ.get("GSCORE_TRAINER_PYTHON", "")
+
+
+def a_wall(scene: bpy.types.Scene, name: str = "Wall") -> bpy.types.Object:
+    """A square in a collection of guides."""
+    mesh = bpy.data.meshes.new(name)
+    mesh.from_pydata([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], [], [(0, 1, 2, 3)])
+    ob = bpy.data.objects.new(name, mesh)
+    scene.collection.objects.link(ob)
+    guides.add_to_guides(scene, "surface", [ob])
+    bpy.context.view_layer.update()
+    return ob
+
+
+def corners(path: Path) -> np.ndarray:
+    """[V, 3] of a file."""
+    vertex = plyfile.PlyData.read(path)["vertex"]
+    return np.stack([vertex[axis] for axis in "xyz"], axis=1)
+
+
+def told(called: Path) -> Path:
+    """What the trainer is told of the surface."""
+    words = json.loads(called.read_text())
+    return Path(words[words.index("--guide-surface") + 1])
+
+
+def bring_first(scene: bpy.types.Scene, tmp_path: Path) -> bpy.types.Object:
+    """The cameras of the first frame, upright."""
+    bpy.ops.gscore.import_cameras(directory=str(tmp_path / "video" / "000000"), photos=False)
+    return next(ob for ob in scene.objects if ob.type == "EMPTY")
+
+
+def test_meshes_that_move_are_written_at_each_frame(
+    video: bpy.types.Scene,  # noqa: F811
+    tmp_path: Path,
+    play: Play,  # noqa: F811
+) -> None:
+    """Frames 0, 4 and 12 are those 11, 12 and 14 of the timeline; the scene stays where it is."""
+    ob = a_wall(video)
+    video.frame_set(7)
+    text = panel()
+    assert "import its cameras" in text and "(Import Frame 0)" in text
+    assert "Import the cameras" not in drawn(GuidesPanel)
+    called = play({"say": DONE})
+    with pytest.raises(RuntimeError, match="import the cameras of frame 0 first"):
+        bpy.ops.gscore.train_sequence()
+    assert not work.begun(work.output_of(video))
+    root = bring_first(video, tmp_path)
+    assert len(cameras_of(root)) == 60
+    text = drawn(TrainSequencePanel)
+    assert "import its cameras" not in text and "<guide_start>" in text
+    for frame in (11, 14):
+        ob.location.x = 0.1 * frame
+        ob.keyframe_insert("location", frame=frame)
+        ob.data.shape_keys or ob.shape_key_add(name="Basis")
+    bent = ob.shape_key_add(name="Bent")
+    bent.data[0].co.z = 1.0
+    for frame, value in ((11, 0.0), (14, 1.0)):
+        bent.value = value
+        bent.keyframe_insert("value", frame=frame)
+    own = video.gscore_train_sequence
+    own.guide_start, own.frames = 11, "0,4,12"
+    bpy.ops.gscore.train_sequence(wait=True)
+    assert video.frame_current == 7
+    pattern = told(called)
+    assert pattern.parent == work.output_of(video) / "guides"
+    files = sorted(pattern.parent.iterdir())
+    assert [path.name for path in files] == [
+        pattern.name.replace("{frame:06d}", f"{n:06d}") for n in (0, 4, 12)
+    ]
+    for path, frame in zip(files, (11, 12, 14), strict=True):
+        video.frame_set(frame)
+        graph = bpy.context.evaluated_depsgraph_get()
+        seen = ob.evaluated_get(graph)
+        to_capture = root.matrix_world.inverted() @ seen.matrix_world
+        wanted = [tuple(to_capture @ v.co) for v in seen.data.vertices]
+        np.testing.assert_allclose(corners(path), wanted, atol=1e-5)
+    assert not np.allclose(corners(files[0]), corners(files[1]), atol=0.01)
+
+
+def test_meshes_that_stand_still_are_one_file(
+    video: bpy.types.Scene,  # noqa: F811
+    tmp_path: Path,
+    play: Play,  # noqa: F811
+) -> None:
+    """Oracle: the file; another shape replaces it; going on is told of none."""
+    ob = a_wall(video)
+    bring_first(video, tmp_path)
+    called = play({"say": DONE})
+    panel()
+    bpy.ops.gscore.train_sequence(wait=True)
+    first = told(called)
+    assert first.is_file() and [first] == list(first.parent.iterdir())
+    mine = first.with_name("surface-mine.ply")
+    mine.touch()
+    ob.data.vertices[0].co.x = 3
+    ob.data.update()
+    bpy.ops.gscore.train_sequence(overwrite=True, wait=True)
+    assert told(called) != first and {told(called), mine} == set(first.parent.iterdir())
+    (work.output_of(video) / "sequence.json").write_text("{}")
+    bpy.ops.gscore.train_sequence(resume=True, wait=True)
+    assert "--guide-surface" not in json.loads(called.read_text())
+
+
+def test_what_a_sequence_does_not_see_is_told(
+    video: bpy.types.Scene,  # noqa: F811
+    tmp_path: Path,
+    play: Play,  # noqa: F811
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    """Oracle: sentences on a hidden mesh, one that is not there at a frame, and Only Within."""
+    play({"say": DONE})
+    ob, hidden = a_wall(video), a_wall(video, "Hidden")
+    hidden.hide_set(True)
+    bring_first(video, tmp_path)
+    box = bpy.data.objects.new("Box", None)
+    video.collection.objects.link(box)
+    video.gscore.train_within = box
+    assert "Only Within (Box) is for single trainings" in panel()
+    lines = work.not_seen(video)
+    assert "Only Within (Box) is for single" in lines[0] and "Hidden in Guide Sur" in lines[1]
+    for frame, value in ((1, False), (3, True)):
+        ob.hide_viewport = value
+        ob.keyframe_insert("hide_viewport", frame=frame)
+    video.frame_set(1)
+    with pytest.raises(
+        RuntimeError, match=r"At frame 3 of the timeline, for frame 8 of the sequence: Guide Surf"
+    ):
+        bpy.ops.gscore.train_sequence()
+    assert video.frame_current == 1
+    assert "Only Within (Box)" in capfd.readouterr().out
+
+
+@needs_trainer
+def test_a_real_sequence_is_guided(video: bpy.types.Scene, tmp_path: Path) -> None:  # noqa: F811
+    """Oracle: config.json of each frame, and files that the trainer could read and see."""
+    for number in (0, 4):
+        folder = tmp_path / "video" / f"{number:06d}" / "images"
+        folder.rmdir()
+        shutil.copytree(STUDIO / "images", folder)
+    bring_first(video, tmp_path)
+    ob = a_wall(video)
+    for frame, height in ((1, 0.0), (2, 0.2)):
+        ob.location.z = height
+        ob.keyframe_insert("location", frame=frame)
+    preferences.get().python_path = REAL
+    settings, own = video.gscore, video.gscore_train_sequence
+    settings.iterations, settings.resolution, settings.width = 20, "WIDTH", 48
+    settings.use_masks, settings.max_splats, settings.eval = False, 2000, False
+    own.frames = "0,4"
+    panel()
+    bpy.ops.gscore.train_sequence(wait=True)
+    assert work.job_of(video).sentence.startswith("2 frames are complete")
+    output, names = work.output_of(video), []
+    for number in (0, 4):
+        options = json.loads((output / f"frame_{number:06d}" / "config.json").read_text())
+        names.append(Path(options["train"]["guide_surface"]))
+    assert names[0] != names[1] and all(path.is_file() for path in names)
+    asked = json.loads((output / "config.json").read_text())["train"]["guide_surface"]
+    assert asked.endswith("-{frame:06d}.ply")
