@@ -61,6 +61,7 @@ def make_active(context: bpy.types.Context, ob: bpy.types.Object) -> None:
 def make_active_in(layer: bpy.types.ViewLayer, ob: bpy.types.Object) -> None:
     """The same in a view layer, which no window has to show."""
     for other in layer.objects.selected:
-        other.select_set(False, view_layer=layer)
+        if other is not None:  # removed, and the layer not yet brought up to date
+            other.select_set(False, view_layer=layer)
     ob.select_set(True, view_layer=layer)
     layer.objects.active = ob

@@ -30,6 +30,7 @@ class _Read:
     size: float
     """As `objects.typical_size`."""
     antialiased: bool
+    comments: tuple[str, ...]
 
 
 class Arrival:
@@ -117,6 +118,7 @@ class Arrival:
                         columns=columns,
                         size=objects.typical_size(found.splats),
                         antialiased=found.antialiased,
+                        comments=tuple(found.comments),
                     )
                 )
         return made, list(warnings)
@@ -135,7 +137,7 @@ class Arrival:
             mesh = filling.take()
             mesh.name = read.wanted.path.stem
             ob = objects.around(mesh, read.size, collection=collection)
-            files.settle(ob, read.wanted, antialiased=read.antialiased)
+            files.settle(ob, read.wanted, antialiased=read.antialiased, comments=read.comments)
             if read.wanted.parent and ob.parent is None:
                 self.warnings.append(
                     f"What {ob.name} was to be put under is gone; it stands by itself."

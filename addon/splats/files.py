@@ -32,6 +32,10 @@ UP_AXES = {
 MOST_AT_ONCE = 1_000_000
 """Splats of the level that is read where none is chosen: as many as Blender edits at ease."""
 SOURCE, BLENDER = "SOURCE", "BLENDER"
+FROM_FILE = "FILE"
+"""In place of an axis: what an export has noted in the file; -Y where it notes nothing."""
+_UP_NOTE = "gscore up "
+"""Begins the comment of a PLY that names the axis."""
 _IMPORT_MATRIX = "gs_import_matrix"
 _NOISE = 1e-12
 
@@ -60,7 +64,7 @@ def import_splats(
     path: str | Path,
     *,
     parent: bpy.types.Object | None = None,
-    up: str = "-Y",
+    up: str = FROM_FILE,
     level: int | None = None,
     cropped: bpy.types.Object | None = None,
 ) -> bpy.types.Object:
@@ -70,8 +74,9 @@ def import_splats(
         context: Its collection gets the object.
         path: The file.
         parent: The empty of the capture that the splats were trained from; its alignment applies.
-        up: Without `parent`, the axis of the file that points up: a key of `UP_AXES`. The turn is
-            the object's; the data stay in the file's world.
+        up: Without `parent`, the axis of the file that points up: a key of `UP_AXES`, or
+            `FROM_FILE`. The turn is the object's; the data stay in the file's world. What the file
+            says to be exported in Blender's world lands there, under a parent too.
         level: Of a file of levels of detail, the one to read, 0 the finest; None: the finest of
             `MOST_AT_ONCE` splats at most.
         cropped: A splat object of the file, with a crop object: of the file's finest level, or of
@@ -88,7 +93,7 @@ def import_wanted(context: bpy.types.Context, wanted: Wanted) -> bpy.types.Objec
     """As `import_splats`, of what `want` returns."""
     found = read(wanted)
     ob = objects.create(found.splats, wanted.path.stem, collection=context.collection)
-    settle(ob, wanted, antialiased=found.antialiased)
+    settle(ob, wanted, antialiased=found.antialiased, comments=found.comments)
     return ob
 
 
@@ -96,7 +101,7 @@ def want(
     path: str | Path,
     *,
     parent: bpy.types.Object | None = None,
-    up: str = "-Y",
+    up: str = FROM_FILE,
     level: int | None = None,
     cropped: bpy.types.Object | None = None,
 ) -> Wanted:
@@ -144,8 +149,11 @@ def read(wanted: Wanted) -> SplatFile:
     return found
 
 
-def settle(ob: bpy.types.Object, wanted: Wanted, *, antialiased: bool) -> None:
-    """Put the object of a file where it was wanted; under no parent where that is gone."""
+def settle(
+    ob: bpy.types.Object, wanted: Wanted, *, antialiased: bool, comments: Sequence[str]
+) -> None:
+    """Put the object of a file, with such comments, where it was wanted; under no parent where that
+    is gone."""
     if antialiased:
         ob[ANTIALIAS] = True
     uids = {other.session_uid: other for other in bpy.data.objects} if wanted.parent else {}
@@ -154,8 +162,12 @@ def settle(ob: bpy.types.Object, wanted: Wanted, *, antialiased: bool) -> None:
         ob.matrix_basis, ob.matrix_parent_inverse = wanted.basis
         if wanted.stored:
             ob[_IMPORT_MATRIX] = list(wanted.stored)
-    elif ob.parent is None:
-        turn_up(ob, wanted.up)
+        return
+    up = _noted_up(comments) if wanted.up == FROM_FILE else wanted.up
+    if ob.parent is None:
+        turn_up(ob, up or "-Y")
+    elif wanted.up == FROM_FILE and up == "Z":
+        ob.matrix_parent_inverse = ob.parent.matrix_world.inverted_safe()
 
 
 def turn_up(ob: bpy.types.Object, up: str) -> None:
@@ -209,11 +221,32 @@ def export_splats(
     if not len(splats):
         names = ", ".join(ob.name for ob in obs)
         raise ValueError(f"{names}: no splats left to export; relax the filters or undo deletions.")
-    antialiased = all(ob.get(ANTIALIAS) for ob in obs)
-    made = write_splat_file(Path(bpy.path.abspath(str(path))), splats, antialiased=antialiased)
+    made = write_splat_file(
+        Path(bpy.path.abspath(str(path))),
+        splats,
+        antialiased=all(ob.get(ANTIALIAS) for ob in obs),
+        comments=_note_of_up(obs[0], world),
+    )
     hidden = sum(point_count(ob.data) for ob in obs) - len(splats)
     left = (f"{hidden:,} splats that the filters hide were left out.",) if hidden else ()
     return len(splats), (*made.notes, *left)
+
+
+def _note_of_up(ob: bpy.types.Object, world: str) -> tuple[str, ...]:
+    """The comment that says which axis of an export points up, so that it lands in place when it is
+    imported again; nothing in the world of photos, which their capture's alignment turns."""
+    if world == BLENDER:
+        return (f"{_UP_NOTE}Z",)
+    if root_of(ob) is not None:
+        return ()
+    matrix = source_matrix(ob)
+    return tuple(f"{_UP_NOTE}{up}" for up, m in UP_AXES.items() if np.allclose(matrix, m, atol=1e-5))
+
+
+def _noted_up(comments: Sequence[str]) -> str:
+    """The axis, a key of `UP_AXES`, that the comments of a file name; empty: none."""
+    named = (line.removeprefix(_UP_NOTE) for line in comments if line.startswith(_UP_NOTE))
+    return next((up for up in named if up in UP_AXES), "")
 
 
 def source_matrix(ob: bpy.types.Object) -> np.ndarray:

@@ -38,10 +38,19 @@ _ENDINGS = [
 _DROPPED = ";".join(sorted({ending[ending.rindex(".") :] for ending in SPLAT_ENDINGS} - {".json"}))
 """Endings of files that are dropped. Blender has importers of its own for glTF and USD, so it asks
 which one is meant."""
-UP_ITEMS = [
+AXIS_ITEMS = [
     ("-Y", "-Y Up", "The file's +Y points down, as COLMAP and most trainers write it"),
     ("Y", "+Y Up", "The file's +Y points up"),
     ("Z", "+Z Up", "The file's +Z points up, as in Blender"),
+]
+_UP_ITEMS = [
+    (
+        files.FROM_FILE,
+        "As Exported",
+        "The axis that the Blender export of gscore has noted in the file; -Y Up where it notes "
+        "none, as COLMAP and most trainers write it",
+    ),
+    *AXIS_ITEMS,
 ]
 _WORLDS = [
     (
@@ -88,7 +97,10 @@ class ImportSplats(OnScene, bpy.types.Operator, ImportHelper):
     )
     directory: StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})
     up: EnumProperty(
-        name="Up", description="Axis of the file that points up", items=UP_ITEMS, default="-Y"
+        name="Up",
+        description="Axis of the file that points up",
+        items=_UP_ITEMS,
+        default=files.FROM_FILE,
     )
     under_capture: BoolProperty(
         name="Under the Active Capture",

@@ -13,7 +13,7 @@ from ..core import SPLAT_ENDINGS, collected_warnings
 from ..interface.operators import Acting, OnScene, make_active
 from ..process import beat
 from ..splats.objects import is_splats, meant
-from ..splats.operators import UP_ITEMS
+from ..splats.operators import AXIS_ITEMS
 from . import follow, importing
 from .frames import Series, name_of_file
 from .library import LIBRARY
@@ -75,7 +75,7 @@ class ImportSequence(OnScene, bpy.types.Operator):
         default=False,
     )
     up: EnumProperty(
-        name="Up", description="Axis of the files that points up", items=UP_ITEMS, default="-Y"
+        name="Up", description="Axis of the files that points up", items=AXIS_ITEMS, default="-Y"
     )
     under_capture: BoolProperty(
         name="Under the Active Capture",

@@ -96,6 +96,38 @@ def test_import_below_the_capture(scene: bpy.types.Scene, ply: Path) -> None:
     np.testing.assert_allclose(ob.matrix_world, root.matrix_world, atol=1e-6)
 
 
+@pytest.mark.parametrize("under", [False, True])
+@pytest.mark.parametrize(("axis", "world"), [("-Y", "BLENDER"), ("Y", "BLENDER"), ("Y", "SOURCE")])
+def test_an_export_lands_in_place(
+    scene: bpy.types.Scene, ply: Path, tmp_path: Path, axis: str, world: str, under: bool
+) -> None:
+    """Oracle: where the splats were in Blender's world before the export, whatever axis was up in
+    their file; under a turned capture too what was exported in Blender's world."""
+    bpy.ops.gscore.import_splats(filepath=str(ply), up=axis)
+    first = bpy.context.object
+    bpy.context.view_layer.update()
+    moved = np.array(first.matrix_world)
+    wanted = objects.read(first).means @ moved[:3, :3].T + moved[:3, 3]
+    bpy.ops.gscore.export_splats(filepath=str(tmp_path / "again.ply"), world=world)
+    if under:
+        root = bpy.data.objects.new("Capture", None)
+        root["gs_kind"] = "capture"
+        root.rotation_euler, root.scale = (0.3, 0.2, 0.1), (2, 2, 2)
+        scene.collection.objects.link(root)
+        bpy.context.view_layer.objects.active = root
+        bpy.context.view_layer.update()
+    bpy.ops.gscore.import_splats(filepath=str(tmp_path / "again.ply"))
+    ob = bpy.context.object
+    assert (ob.parent is not None) == under
+    bpy.context.view_layer.update()
+    matrix = np.array(ob.matrix_world)
+    found = objects.read(ob).means @ matrix[:3, :3].T + matrix[:3, 3]
+    if under and world == "SOURCE":  # the capture's own world: its alignment turns it
+        assert np.abs(found - wanted).max() > 0.1
+    else:
+        np.testing.assert_allclose(found, wanted, atol=1e-5)
+
+
 @pytest.mark.parametrize("content", [b"", b"ply\nformat ascii 1.0\nend_header\n", b"hello"])
 def test_bad_file(scene: bpy.types.Scene, tmp_path: Path, ply: Path, content: bytes) -> None:
     """Oracle: an error naming the file, and nothing in the scene; of good files neither."""
