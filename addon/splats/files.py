@@ -240,7 +240,8 @@ def _note_of_up(ob: bpy.types.Object, world: str) -> tuple[str, ...]:
     if root_of(ob) is not None:
         return ()
     matrix = source_matrix(ob)
-    return tuple(f"{_UP_NOTE}{up}" for up, m in UP_AXES.items() if np.allclose(matrix, m, atol=1e-5))
+    named = (up for up, turn in UP_AXES.items() if np.allclose(matrix, turn, atol=1e-5))
+    return tuple(f"{_UP_NOTE}{up}" for up in named)
 
 
 def _noted_up(comments: Sequence[str]) -> str:

@@ -166,8 +166,10 @@ def _check_size(file: ViewFile, path: Path, image: np.ndarray) -> None:
         )
 
 
-def _fit(file: ViewFile, image: np.ndarray, *, nearest: bool = False) -> np.ndarray:
-    """Undistort and scale [h, w, ...] uint8 to the size to deliver."""
+def _fit(
+    file: ViewFile, image: np.ndarray, *, nearest: bool = False, sharp: bool = True
+) -> np.ndarray:
+    """Undistort and scale [h, w, ...] uint8 to the size to deliver; `sharp` where that shows."""
     if file.plan is not None:
         width, height = file.photo_size
         pixels = (width / file.plan.camera.width, height / file.plan.camera.height)
@@ -182,7 +184,7 @@ def _fit(file: ViewFile, image: np.ndarray, *, nearest: bool = False) -> np.ndar
             size,
             pixels=(pixels[0] / factor, pixels[1] / factor),
             nearest=nearest,
-            sharp=min(size[0] / file.size[0], size[1] / file.size[1]) < _NO_TRACE,
+            sharp=sharp and min(size[0] / file.size[0], size[1] / file.size[1]) < _NO_TRACE,
         )
     return resize(image, *file.size)
 
@@ -212,9 +214,10 @@ def _fit_rgba(file: ViewFile, image: np.ndarray) -> np.ndarray:
         strip = image[top : top + _ROWS_A_STRIP]
         alpha = strip[..., 3:].astype(np.uint16)
         rgb[top : top + _ROWS_A_STRIP] = (strip[..., :3] * alpha + 127) // 255
-    # Apart, because Pillow would weigh the colours of a four-channel image by alpha once more.
-    rgb = _fit(file, rgb).astype(np.uint16)
-    fitted = _fit(file, np.ascontiguousarray(image[..., 3]))
+    # Apart, because Pillow would weigh the colours of a four-channel image by alpha once more. Not
+    # sharp: where alpha would go beyond 255 and premultiplied colours would not, rims turn bright.
+    rgb = _fit(file, rgb, sharp=False).astype(np.uint16)
+    fitted = _fit(file, np.ascontiguousarray(image[..., 3]), sharp=False)
     weight = np.maximum(fitted, 1).astype(np.uint16)[..., None]
     rgb = np.minimum((rgb * 255 + weight // 2) // weight, 255).astype(np.uint8)
     return np.dstack([rgb, fitted])

@@ -23,7 +23,7 @@ from .photos.loading import Loaded, load_photos, progress_of
 from .ranks.agree import crc_of
 from .ranks.team import Team
 from .region.box import Box
-from .region.cell import Cell
+from .region.cell import BlockCell
 from .region.photos import RegionPhotos
 from .rows.frame import Frame
 from .schedule.enough import limit_by_photos
@@ -43,7 +43,8 @@ class Prepared:
     enough: str
     """A sentence on steps that are left out."""
     region: str
-    """One on the part of the splats that is trained; empty: all are."""
+    """One on the part of the splats that is trained, or where they are added; empty: all are,
+    everywhere."""
     depth: DepthSetup
     guide: GuideSetup
     stereo: StereoStart
@@ -159,11 +160,11 @@ def prepare(
     )
 
 
-def _cell_of(photos: Dataset) -> Cell | None:
+def _cell_of(photos: Dataset) -> BlockCell | None:
     """The cell of a block whose splats outside of it are there from a coarse model: what lies
     there goes when blocks are merged, so it need not grow."""
     record = read_block(photos.source)
-    return None if record is None else Cell.of(record)
+    return None if record is None else BlockCell.of(record)
 
 
 @contextmanager

@@ -37,7 +37,7 @@ from .ranks.alike import alike_together
 from .ranks.gradients import BatchGradients, gathered_of
 from .ranks.team import Team
 from .region.box import Box
-from .region.cell import Cell
+from .region.cell import BlockCell
 from .region.still import Still, parted
 from .rows import bounds, finest, guard
 from .rows.frame import Frame
@@ -143,7 +143,7 @@ class Trainer:
         team: Team | None = None,
         region: Box | None = None,
         guide: GuideSetup | None = None,
-        cell: Cell | None = None,
+        cell: BlockCell | None = None,
     ) -> None:
         """Start from `start` or from `points`, in COLMAP world, or from the points of the capture.
 
@@ -272,7 +272,8 @@ class Trainer:
 
     @property
     def region_words(self) -> str:
-        """A sentence on the part of the splats that is trained; empty: all are."""
+        """A sentence on the part of the splats that is trained, or where they are added; empty: all
+        are, everywhere."""
         if self.region is None:
             return _IN_CELL if self._cell else ""
         if not self._given:

@@ -60,6 +60,8 @@ def test_a_rank_needs_nobody_who_takes_its_output(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setenv("RANK", "0")
     monkeypatch.setenv("WORLD_SIZE", "2")
     assert (lose_output(), asked) == (0, ["output closed"])
+    monkeypatch.setenv("WORLD_SIZE", "1")
+    assert lose_output() == 141
 
 
 def test_letters_that_a_stream_lacks_are_spelled_out() -> None:

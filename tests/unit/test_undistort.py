@@ -194,6 +194,27 @@ def test_photos_that_are_not_scaled_down_are_sharp(
     np.testing.assert_array_equal(decode_view(file)[0], resize(remapped, *size))
 
 
+def test_a_colour_under_an_edge_of_alpha_stays(tmp_path: Path) -> None:
+    """Oracle: the one colour of the photo, wherever alpha shows it."""
+    plan = _plan(_camera("SIMPLE_RADIAL"))
+    photo = np.full((*_SIZE[::-1], 4), 128, np.uint8)
+    photo[:, : _SIZE[0] // 2, 3], photo[:, _SIZE[0] // 2 :, 3] = 0, 255
+    write_png(tmp_path / "a.png", photo)
+    file = ViewFile(
+        image=tmp_path / "a.png",
+        mask=None,
+        mask_inverted=False,
+        use_alpha=True,
+        upright=True,
+        photo_size=_SIZE,
+        size=(plan.width, plan.height),
+        plan=plan,
+    )
+    rgb, alpha = decode_view(file)
+    assert alpha is not None and 0.4 < (alpha > 128).mean() < 0.6
+    assert np.abs(rgb[alpha > 200].astype(int) - 128).max() <= 1
+
+
 def test_nearest_keeps_values(rng: np.random.Generator) -> None:
     """Oracle: labels and depths stay members of the input; bilinear floats stay in range."""
     plan = _plan(_camera("OPENCV"))

@@ -15,12 +15,14 @@ from types import FrameType
 from typing import Any, Self
 
 from ...control import ending_signals
-from .launcher import under_torchrun
+from .launcher import one_of_many
 
 _SIGPIPE = 13
 """Of POSIX; the code is the same where there is no such signal."""
 PIPE_CLOSED = 128 + _SIGPIPE
 """Exit code where the reader of the output is gone."""
+HUNG_UP = 129
+"""Exit code where the terminal is gone: 128 + SIGHUP."""
 _current: "Interrupt | None" = None
 
 
@@ -91,8 +93,8 @@ class Interrupt:
 
     def output_lost(self, code: int) -> None:
         """Nobody takes the output any more; `code` is to be the exit code. One of many ranks goes
-        on all the same: torchrun would start it again, while the others are through."""
-        if under_torchrun():
+        on where its reader is gone: torchrun would start it again, while the others are through."""
+        if one_of_many() and code in (PIPE_CLOSED, HUNG_UP):
             return
         self._output_code = self._output_code or code
         if self._stop is not None:

@@ -11,10 +11,8 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from ...io.files import reason
-from .interrupt import PIPE_CLOSED
+from .interrupt import HUNG_UP, PIPE_CLOSED
 
-_HUNG_UP = 129
-"""Exit code where the terminal is gone: 128 + SIGHUP."""
 _CANNOT_WRITE = 2
 _NAMES = ("stdin", "stdout", "stderr")
 _COMMANDS = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
@@ -81,7 +79,7 @@ def steady_streams(prog: str, on_lost: Callable[[int], None]) -> Iterator[None]:
         if error.errno in (errno.EPIPE, errno.EINVAL):  # the second is Windows'
             on_lost(PIPE_CLOSED)
         elif error.errno == errno.EIO:
-            on_lost(_HUNG_UP)
+            on_lost(HUNG_UP)
         else:
             on_lost(_CANNOT_WRITE)
             print(f"{prog}: error: Cannot write the output: {reason(error)}", file=sys.stderr)

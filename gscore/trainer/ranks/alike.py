@@ -3,7 +3,8 @@
 from collections.abc import Mapping, Sequence
 
 _BATCHES = 8
-"""Batches whose photos are dealt out anew together: so the same photos do not always meet."""
+"""Batches, at most, whose photos are dealt out anew together, and no more than a third of an epoch:
+chance decides which these are, so the same photos do not always meet."""
 
 
 def alike_together(
@@ -23,8 +24,9 @@ def alike_together(
         return list(order)
     place = {photo: k for k, photo in enumerate(order)}
     dealt, rest = list(order[:first]), order[first:]
-    for begin in range(0, len(rest), _BATCHES * size):
-        some = sorted(rest[begin : begin + _BATCHES * size], key=costs.__getitem__)
+    width = size * max(1, min(_BATCHES, len(rest) // (3 * size)))
+    for begin in range(0, len(rest), width):
+        some = sorted(rest[begin : begin + width], key=costs.__getitem__)
         parts = (some[k : k + size] for k in range(0, len(some), size))
         batches = [sorted(part, key=place.__getitem__) for part in parts]
         whole = [batch for batch in batches if len(batch) == size]

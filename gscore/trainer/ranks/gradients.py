@@ -1,6 +1,7 @@
 """The gradients and counts of a batch: each rank has those of one photo, all get the mean."""
 
 import itertools
+import weakref
 from collections.abc import Iterable, Mapping
 
 import numpy as np
@@ -30,7 +31,8 @@ class BatchGradients:
         self.complete = False
         """Whether rank 0 has all that `tensors` needs; the same on all ranks."""
         self._others: list[Tensor] = []
-        self._gathers = self._gathered = torch.zeros(0, dtype=torch.uint8, device="cpu")
+        self._gathered = torch.zeros(0, dtype=torch.uint8, device="cpu")
+        self._gathers: weakref.ref[Tensor] | None = None
         self._rows = self._sums.sorted(torch.zeros(0, dtype=torch.int64, device="cpu"))
         self._told: np.ndarray | None = None
 
@@ -138,9 +140,9 @@ class BatchGradients:
     def _note_gathered(self, grad: Tensor) -> None:
         """Which rows of the gradient of shN are not zero: those that this rank's photos have shown
         since the last step, as `sizes` has noted, unless another tensor came into its place."""
-        if self._gathers is grad:
+        if self._gathers is not None and self._gathers() is grad:
             return
-        self._gathers = grad
+        self._gathers = weakref.ref(grad)
         self._gathered = torch.from_numpy(np.any(grad.numpy(), axis=(1, 2)).astype(np.uint8))
 
     def collect(self, model: Model) -> None:

@@ -10,7 +10,7 @@ from ...transforms import Similarity
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cell:
+class BlockCell:
     """An upright prism of some world."""
 
     axes: np.ndarray
@@ -21,12 +21,12 @@ class Cell:
     """[2] float64, where it ends."""
 
     @classmethod
-    def of(cls, record: BlockRecord) -> "Cell":
+    def of(cls, record: BlockRecord) -> "BlockCell":
         """That of a block, in the world of the capture."""
         low, high = record.bounds[record.index]
         return cls(axes=record.axes, low=low, high=high)
 
-    def in_training(self, similarity: Similarity) -> "Cell":
+    def in_training(self, similarity: Similarity) -> "BlockCell":
         """The same in the training world."""
         origin = self.axes @ similarity.shift
         low, high = ((end - origin) * similarity.scale for end in (self.low, self.high))

@@ -41,11 +41,13 @@ def choices(what: str, value: Any, allowed: Collection[int]) -> list[int]:
 
 
 def measurements(what: str, value: Any) -> list[tuple[int, float]]:
-    """`value` if it is a list of steps and numbers."""
+    """`value` if it is a list of steps, or views, and numbers."""
     pairs = isinstance(value, list) and all(isinstance(v, list | tuple) for v in value)
     if not pairs or any(len(v) != 2 for v in value):
-        raise ValueError(f"{what} is {quoted(value)}, expected pairs of a step and a number")
-    return [(whole(what, step), real(what, found, finite=False)) for step, found in value]
+        raise ValueError(
+            f"{what} is {quoted(value)}, expected pairs of a whole number and a number"
+        )
+    return [(whole(what, at), real(what, found, finite=False)) for at, found in value]
 
 
 def records(what: str, value: Any) -> list[dict[str, Any]]:

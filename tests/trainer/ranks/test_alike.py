@@ -2,8 +2,11 @@
 
 import random
 
+import pytest
+
 from gscore.trainer.ranks.alike import alike_together
 
+MORE = {photo: (photo * 31 % 97) + 50.0 for photo in range(52, 60)}
 COSTS = {photo: (photo * 7919 % 101) + 50.0 for photo in range(52)}
 
 
@@ -33,6 +36,18 @@ def test_chance_decides_who_meets_and_who_is_first() -> None:
             slower[COSTS[b] > COSTS[a]] += 1
     assert sum(1 for a, _ in partners if a == 7) > 5
     assert min(slower) > 0.4 * sum(slower)
+
+
+@pytest.mark.parametrize(("photos", "size"), [(16, 2), (32, 4), (59, 8)])
+def test_few_photos_meet_others_each_time(photos: int, size: int) -> None:
+    """Oracle: of the batches of many epochs most are different ones."""
+    chance, seen, count = random.Random(1), set(), 0
+    for _ in range(40):
+        dealt = alike_together(chance.sample(range(photos), photos), COSTS | MORE, size)
+        for begin in range(0, photos, size):
+            seen.add(frozenset(dealt[begin : begin + size]))
+            count += 1
+    assert len(seen) > (0.25 if size == 2 else 0.8) * count
 
 
 def pairs(order: list[int]) -> list[tuple[int, int]]:

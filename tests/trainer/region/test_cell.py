@@ -5,7 +5,7 @@ import torch
 
 from gscore.blocks.cells import Cells
 from gscore.io.block_record import BlockRecord
-from gscore.trainer.region.cell import Cell
+from gscore.trainer.region.cell import BlockCell
 from gscore.transforms import Similarity
 
 AXES = np.array([[0.6, 0.0, 0.8], [-0.8, 0.0, 0.6]])
@@ -18,7 +18,7 @@ def test_a_cell_holds_what_a_merge_keeps() -> None:
     means = np.random.default_rng(0).normal(size=(500, 3)).astype(np.float32)
     means[0] = 0.5 * AXES[0]  # on the end where it begins
     kept = Cells(axes=AXES, bounds=BOUNDS[1:]).holding(means.astype(np.float64))[0]
-    found = Cell.of(RECORD).holds(torch.from_numpy(means))
+    found = BlockCell.of(RECORD).holds(torch.from_numpy(means))
     np.testing.assert_array_equal(found.numpy(), kept)
     assert 0.1 < kept.mean() < 0.9
 
@@ -27,8 +27,8 @@ def test_a_cell_moves_with_the_training_world() -> None:
     """Oracle: the same splats, moved and scaled as they are."""
     similarity = Similarity(scale=0.125, shift=np.array([30.0, -4.0, 7.0]))
     means = np.random.default_rng(1).normal(size=(500, 3))
-    found = Cell.of(RECORD).in_training(similarity)
+    found = BlockCell.of(RECORD).in_training(similarity)
     moved = torch.from_numpy(similarity.points_to_training(means))
     np.testing.assert_array_equal(
-        found.holds(moved).numpy(), Cell.of(RECORD).holds(torch.from_numpy(means)).numpy()
+        found.holds(moved).numpy(), BlockCell.of(RECORD).holds(torch.from_numpy(means)).numpy()
     )
