@@ -10,7 +10,7 @@ import numpy as np
 from ..compat import evaluated_geometry, matrix_to_numpy
 from ..splats.objects import is_splats
 from ..triangles import WITH_FACES, Triangles, triangles_of, triangles_of_mesh
-from .instances import DEEPEST, inside
+from .instances import DEEPEST, Path, inside, path_of
 
 Part = tuple[Triangles, np.ndarray]
 """Faces, and [K, 4, 4] float64 matrices of all their places."""
@@ -37,27 +37,46 @@ def grown(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> list[Part]:
     return list(_of_object(ob, np.eye(4)[None], depsgraph, 0, itself=False))
 
 
-def walked(depsgraph: bpy.types.Depsgraph, uids: set[int]) -> dict[int, list[Part]]:
-    """All instances that some objects make, in the world, by the objects' uids."""
+Walker = tuple[int, Path]
+"""Uid of an object that a depsgraph shows, and the way from it to what makes instances."""
+
+
+def walked(
+    depsgraph: bpy.types.Depsgraph, walkers: set[Walker], elsewhere: set[Walker]
+) -> dict[Walker, list[Part]]:
+    """All instances that some objects make, in the world.
+
+    Args:
+        depsgraph: What shows.
+        walkers: Which objects.
+        elsewhere: What is found in other ways, and is left out.
+    """
     # The iterator has to be followed to its end, and what it gives does not outlive a step.
     known: dict[tuple[int, bool], Triangles] = {}
-    places: dict[tuple[int, tuple[int, bool]], list[np.ndarray]] = {}
+    places: dict[tuple[Walker, tuple[int, bool]], list[np.ndarray]] = {}
+    owners = {uid for uid, _ in walkers}
     for instance in depsgraph.object_instances:
         if not instance.is_instance or instance.parent is None:
             continue
-        owner, ob = instance.parent.original.session_uid, instance.object
-        if owner not in uids or not _counts(ob, depsgraph):
+        owner = instance.parent.original.session_uid
+        if owner not in owners:
+            continue
+        path = path_of(instance)
+        before = ((owner, path[:length]) for length in reversed(range(len(path))))
+        walker = next((one for one in before if one in walkers), None)
+        ob = instance.object
+        if walker is None or (owner, path) in elsewhere or not _counts(ob, depsgraph):
             continue
         # Blender shows instances of texts and the like one after the other under one address.
         is_mesh = ob.type == "MESH"
         key = (ob.data.as_pointer() if is_mesh else ob.original.session_uid), is_mesh
         if key not in known:
             known[key] = triangles_of(ob)
-        places.setdefault((owner, key), []).append(matrix_to_numpy(instance.matrix_world))
-    found: dict[int, list[Part]] = {uid: [] for uid in uids}
-    for (owner, key), matrices in places.items():
+        places.setdefault((walker, key), []).append(matrix_to_numpy(instance.matrix_world))
+    found: dict[Walker, list[Part]] = {walker: [] for walker in walkers}
+    for (walker, key), matrices in places.items():
         if len(known[key].triangles):
-            found[owner].append((known[key], np.array(matrices)))
+            found[walker].append((known[key], np.array(matrices)))
     return found
 
 
@@ -103,7 +122,7 @@ def _of_collection(
     depsgraph: bpy.types.Depsgraph,
     depth: int,
 ) -> Iterator[Part]:
-    for inner, matrix in inside(collection, depsgraph):
+    for _, inner, matrix in inside(collection, depsgraph):
         yield from _of_object(inner, matrices @ matrix, depsgraph, depth + 1)
 
 

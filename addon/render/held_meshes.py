@@ -12,7 +12,7 @@ import numpy as np
 from ..triangles import Triangles, triangles_of
 from . import apart, grown
 from .grown import may_be_held
-from .instances import instances
+from .instances import instances_with_paths
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +75,7 @@ class HeldMeshes:
         self._known: dict[int, Triangles] = {}
         self._grown: dict[int, list[grown.Part]] = {}
         """In the axes of the objects that make them."""
-        self._walked: dict[int, list[grown.Part]] = {}
+        self._walked: dict[grown.Walker, list[grown.Part]] = {}
         """In the world."""
 
     def clear(self) -> None:
@@ -94,16 +94,20 @@ class HeldMeshes:
 
     def of(self, depsgraph: bpy.types.Depsgraph) -> tuple[HeldMesh, ...]:
         """All that a depsgraph holds out, with the instances that it makes."""
-        found, uids, walkers = [], set(), set()
+        found, uids = [], set()
+        walkers: set[grown.Walker] = set()
+        paths: set[grown.Walker] = set()
         for shown_by in depsgraph.objects:
-            for ob, matrix in instances(shown_by, depsgraph, may_hide):
+            for ob, matrix, path in instances_with_paths(shown_by, depsgraph, may_hide):
                 if not _is_held(ob, shown_by, depsgraph):
                     continue
                 uid = ob.original.session_uid
                 uids.add(uid)
+                walker = shown_by.original.session_uid, path
+                paths.add(walker)
                 parts = [self._own(ob)] if may_be_held(ob) else []
                 if grown.has_to_be_walked(ob):
-                    walkers.add(shown_by.original.session_uid)
+                    walkers.add(walker)
                 elif grown.may_grow(ob):
                     if uid not in self._grown:
                         self._grown[uid] = grown.grown(ob, depsgraph)
@@ -112,9 +116,9 @@ class HeldMeshes:
                     if len(triangles.triangles):
                         found.append(HeldMesh(triangles=triangles, matrices=matrix @ places))
         if walkers - self._walked.keys():
-            self._walked = grown.walked(depsgraph, walkers)
-        for uid in walkers:
-            found += [HeldMesh(triangles=t, matrices=m) for t, m in self._walked[uid]]
+            self._walked = grown.walked(depsgraph, walkers, paths)
+        for walker in walkers:
+            found += [HeldMesh(triangles=t, matrices=m) for t, m in self._walked[walker]]
         for uid in self._known.keys() - uids:
             del self._known[uid]
         return tuple(found)

@@ -209,6 +209,48 @@ def test_instances_on_corners_and_of_particles(held, tmp_path):
     assert len(of_hairs.triangles.vertices) == len(shown.data.vertices)
 
 
+def grow_hair(ob: bpy.types.Object, shown: bpy.types.Object, count: int) -> None:
+    """Let an object show another one many times, as hair."""
+    ob.modifiers.new("grass", "PARTICLE_SYSTEM")
+    settings = ob.particle_systems[0].settings
+    settings.type, settings.count = "HAIR", count
+    settings.render_type, settings.instance_object = "OBJECT", shown
+
+
+def counts() -> dict[tuple[int, float], int]:
+    """How often meshes hide, by their corners' number and largest coordinate."""
+    bpy.context.view_layer.update()
+    found = HeldMeshes().of(bpy.context.evaluated_depsgraph_get())
+    keys = [(len(m.triangles.vertices), round(float(m.triangles.vertices.max()), 2)) for m in found]
+    assert len(keys) == len(set(keys))
+    return {key: len(mesh.matrices) for key, mesh in zip(keys, found, strict=True)}
+
+
+@pytest.mark.parametrize("nested", [False, True])
+def test_what_an_instanced_object_makes_hides_alone(held, nested):
+    """Oracle: the emitter once and each of its hairs; nothing beside it in the collection."""
+    group = bpy.data.collections.new("cut")
+    link(group, "before", quad("before", 0.31))
+    shown = link(held.collection, "shown", quad("shown", 0.2))
+    emitter = link(group, "emitter", quad("emitter", 1.0))
+    emitter.is_holdout = True
+    link(group, "hidden", quad("hidden", 0.32)).hide_viewport = True
+    link(group, "after", quad("after", 0.33))
+    other = link(group, "other", quad("other", 0.9))
+    grow_hair(emitter, shown, 20)
+    grow_hair(other, shown, 7)
+    shower = link(held.collection, "shower", None)
+    shower.instance_type, shower.instance_collection = "COLLECTION", group
+    if nested:
+        outer = bpy.data.collections.new("outer")
+        link(outer, "first", quad("first", 0.34))
+        held.collection.objects.unlink(shower)
+        outer.objects.link(shower)
+        above = link(held.collection, "above", None)
+        above.instance_type, above.instance_collection = "COLLECTION", outer
+    assert counts() == {(4, 1.0): 1, (4, 0.2): 20}
+
+
 def test_viewports_follow_what_nodes_make(held, way):
     """Oracle: a look at the depsgraph without memory, at the same moment."""
     ob, _ = owner(held, "object")
