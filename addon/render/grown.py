@@ -24,12 +24,17 @@ def may_be_held(ob: bpy.types.Object) -> bool:
 def may_grow(ob: bpy.types.Object) -> bool:
     """Whether an object that is none of ours may make such instances."""
     ours = is_splats(ob) or "gs_kind" in ob
-    return not ours and (_has_nodes(ob) or _is_walked(ob))
+    return not ours and (_has_nodes(ob) or always_grows(ob))
+
+
+def always_grows(ob: bpy.types.Object) -> bool:
+    """Whether Blender takes an object for one that makes such instances, whatever comes of it."""
+    return ob.instance_type in {"VERTS", "FACES"} or len(ob.particle_systems) > 0
 
 
 def has_to_be_walked(ob: bpy.types.Object) -> bool:
     """Whether what an evaluated object makes is found by `walked` alone, not by `grown`."""
-    return _is_walked(ob) or (_has_nodes(ob) and not hasattr(ob, "evaluated_geometry"))
+    return always_grows(ob) or (_has_nodes(ob) and not hasattr(ob, "evaluated_geometry"))
 
 
 def grown(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> list[Part]:
@@ -56,7 +61,7 @@ def walked(
     places: dict[tuple[Walker, tuple[int, bool]], list[np.ndarray]] = {}
     owners = {uid for uid, _ in walkers}
     for instance in depsgraph.object_instances:
-        if not instance.is_instance or instance.parent is None:
+        if not (instance.is_instance and instance.show_self) or instance.parent is None:
             continue
         owner = instance.parent.original.session_uid
         if owner not in owners:
@@ -82,10 +87,6 @@ def walked(
 
 def _has_nodes(ob: bpy.types.Object) -> bool:
     return any(modifier.type == "NODES" for modifier in ob.modifiers)
-
-
-def _is_walked(ob: bpy.types.Object) -> bool:
-    return ob.instance_type in {"VERTS", "FACES"} or len(ob.particle_systems) > 0
 
 
 def _counts(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:

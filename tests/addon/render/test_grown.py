@@ -251,6 +251,62 @@ def test_what_an_instanced_object_makes_hides_alone(held, nested):
     assert counts() == {(4, 1.0): 1, (4, 0.2): 20}
 
 
+@pytest.mark.parametrize("render", [False, True])
+@pytest.mark.parametrize("how", ["faces", "hair", "nodes", "in a collection"])
+def test_instances_hide_without_their_instancer(held, tmp_path, monkeypatch, way, how, render):
+    """Oracle: what hides with Show Instancer, without the faces of the instancer."""
+    shown = link(held.collection, "shown", quad("shown", 0.2))
+    ob = link(held.collection, "owner", quad("owner", 1.0))
+    ob.is_holdout = True
+    if how == "faces":
+        shown.parent, ob.instance_type = ob, "FACES"
+    elif how == "nodes":
+        tree = on_points(shown)
+        ob.modifiers.new("nodes", "NODES").node_group = tree
+        join, (made,) = tree.nodes.new("GeometryNodeJoinGeometry"), tree.nodes[1].inputs[0].links
+        for socket in (tree.nodes[0].outputs[0], made.from_socket):
+            tree.links.new(socket, join.inputs[0])
+        tree.links.new(join.outputs[0], tree.nodes[1].inputs[0])
+    else:
+        grow_hair(ob, shown, 20)
+    off = [ob]
+    if how == "in a collection":
+        group = bpy.data.collections.new("cut")
+        held.collection.objects.unlink(ob)
+        group.objects.link(ob)
+        shower = link(held.collection, "shower", None)
+        shower.instance_type, shower.instance_collection = "COLLECTION", group
+        off.append(shower)
+
+    def hiding() -> dict[tuple[int, float], int]:
+        if not render:
+            return counts()
+        found = {}
+
+        def of(self: HeldMeshes, depsgraph: bpy.types.Depsgraph):
+            for mesh in kept(self, depsgraph):
+                corners = mesh.triangles.vertices
+                found[len(corners), round(float(corners.max()), 2)] = len(mesh.matrices)
+            return ()
+
+        kept = HeldMeshes.of
+        with monkeypatch.context() as patch:
+            patch.setattr(HeldMeshes, "of", of)
+            lab.render_exr(tmp_path, "seen")
+        return found
+
+    with_it = hiding()
+    for one in off:
+        one.show_instancer_for_render = one.show_instancer_for_viewport = False
+    without = hiding()
+    assert with_it.pop((4, 1.0)) == 1 and with_it
+    assert without == with_it
+    for one in off:
+        one.hide_render = True
+        one.hide_set(True) if one.name in held.view_layers[0].objects else None
+    assert hiding() == {}
+
+
 def test_viewports_follow_what_nodes_make(held, way):
     """Oracle: a look at the depsgraph without memory, at the same moment."""
     ob, _ = owner(held, "object")
