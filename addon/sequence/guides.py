@@ -1,6 +1,5 @@
 """Meshes of the scene that guide a sequence: for each frame as the timeline shows them then."""
 
-import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -9,7 +8,7 @@ from uuid import uuid4
 import bpy
 
 from ..cameras.lookup import root_from
-from ..core import GUIDES, SequenceFrame, write_mesh
+from ..core import GUIDE_FILE, GUIDES, SequenceFrame, write_mesh
 from ..job import guides
 from ..timeline import follow
 from ..timeline.frames import slots_of
@@ -125,9 +124,9 @@ class _Files:
 
     def remove_earlier(self) -> None:
         """Remove the files of other sequences in the same folder."""
-        ours = re.compile(rf"{self._role}-[0-9a-f]{{8}}(-\d{{6,}})?\.ply")
         for path in self._folder.iterdir():
-            if ours.fullmatch(path.name) and path not in self._kept:
+            match = GUIDE_FILE.fullmatch(path.name)
+            if match and match["role"] == self._role and path not in self._kept:
                 with suppress(OSError):  # the trainer runs already, and needs none of them
                     path.unlink(missing_ok=True)
 
