@@ -28,6 +28,7 @@ from gscore import (
 )
 from gscore.frontend import (
     BENT,
+    GUIDE_FILE,
     GUIDES,
     LOD_ENDING,
     MIP_COMMENT,

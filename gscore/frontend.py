@@ -76,7 +76,7 @@ if TYPE_CHECKING:
     from .io.ply.splats import MIP_COMMENT
     from .io.poses_json import POSES_FILE, read_moves
     from .io.region_file import write_region
-    from .io.runs import GUIDES, RunInfo, clear_run, read_losses, read_run
+    from .io.runs import GUIDE_FILE, GUIDES, RunInfo, clear_run, read_losses, read_run
     from .io.sequences import SequenceIndex, read_sequence
     from .lod.build import LodFacts, build_lod
     from .lod.draw import LodModel
@@ -116,6 +116,7 @@ _HOME = {
     "FramesDone": "events",
     "FramesProgress": "events",
     "GUIDES": "io.runs",
+    "GUIDE_FILE": "io.runs",
     "ImageInfo": "io.pictures.image_header",
     "KnownNetwork": "depth.catalogue",
     "LOD_ENDING": "io.lod_file",
@@ -209,6 +210,7 @@ _HOME = {
 __all__ = [
     "BENT",
     "GUIDES",
+    "GUIDE_FILE",
     "LOD_ENDING",
     "MIP_COMMENT",
     "NO_PINHOLE",

@@ -22,7 +22,7 @@ def is_seen(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:
     if main is None:
         return not ob.indirect_only_get(view_layer=depsgraph.view_layer)
     layer = main.view_layers[0]
-    rendered = _is_rendered(ob, layer.layer_collection)
+    rendered = is_rendered(ob, layer.layer_collection)
     return rendered and not ob.indirect_only_get(view_layer=layer)
 
 
@@ -33,9 +33,9 @@ def is_held_out(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:
     return ob.holdout_get(view_layer=layer)
 
 
-def _is_rendered(ob: bpy.types.Object, found: bpy.types.LayerCollection) -> bool:
-    """Whether a collection of a view layer, or one in it, shows an object to renders."""
+def is_rendered(ob: bpy.types.Object, found: bpy.types.LayerCollection) -> bool:
+    """Whether a collection of a view layer, or one in it, shows an original object to renders."""
     if found.collection.hide_render:
         return False
     holds = not found.exclude and found.collection.objects.get(ob.name) == ob
-    return holds or any(_is_rendered(ob, child) for child in found.children)
+    return holds or any(is_rendered(ob, child) for child in found.children)

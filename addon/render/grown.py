@@ -10,7 +10,7 @@ import numpy as np
 from ..compat import evaluated_geometry, matrix_to_numpy
 from ..splats.objects import is_splats
 from ..triangles import WITH_FACES, Triangles, triangles_of, triangles_of_mesh
-from .instances import DEEPEST, inside
+from .instances import DEEPEST, Path, inside, path_of
 
 Part = tuple[Triangles, np.ndarray]
 """Faces, and [K, 4, 4] float64 matrices of all their places."""
@@ -24,12 +24,17 @@ def may_be_held(ob: bpy.types.Object) -> bool:
 def may_grow(ob: bpy.types.Object) -> bool:
     """Whether an object that is none of ours may make such instances."""
     ours = is_splats(ob) or "gs_kind" in ob
-    return not ours and (_has_nodes(ob) or _is_walked(ob))
+    return not ours and (_has_nodes(ob) or always_grows(ob))
+
+
+def always_grows(ob: bpy.types.Object) -> bool:
+    """Whether Blender takes an object for one that makes such instances, whatever comes of it."""
+    return ob.instance_type in {"VERTS", "FACES"} or len(ob.particle_systems) > 0
 
 
 def has_to_be_walked(ob: bpy.types.Object) -> bool:
     """Whether what an evaluated object makes is found by `walked` alone, not by `grown`."""
-    return _is_walked(ob) or (_has_nodes(ob) and not hasattr(ob, "evaluated_geometry"))
+    return always_grows(ob) or (_has_nodes(ob) and not hasattr(ob, "evaluated_geometry"))
 
 
 def grown(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> list[Part]:
@@ -37,36 +42,51 @@ def grown(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> list[Part]:
     return list(_of_object(ob, np.eye(4)[None], depsgraph, 0, itself=False))
 
 
-def walked(depsgraph: bpy.types.Depsgraph, uids: set[int]) -> dict[int, list[Part]]:
-    """All instances that some objects make, in the world, by the objects' uids."""
+Walker = tuple[int, Path]
+"""Uid of an object that a depsgraph shows, and the way from it to what makes instances."""
+
+
+def walked(
+    depsgraph: bpy.types.Depsgraph, walkers: set[Walker], elsewhere: set[Walker]
+) -> dict[Walker, list[Part]]:
+    """All instances that some objects make, in the world.
+
+    Args:
+        depsgraph: What shows.
+        walkers: Which objects.
+        elsewhere: What is found in other ways, and is left out.
+    """
     # The iterator has to be followed to its end, and what it gives does not outlive a step.
     known: dict[tuple[int, bool], Triangles] = {}
-    places: dict[tuple[int, tuple[int, bool]], list[np.ndarray]] = {}
+    places: dict[tuple[Walker, tuple[int, bool]], list[np.ndarray]] = {}
+    owners = {uid for uid, _ in walkers}
     for instance in depsgraph.object_instances:
-        if not instance.is_instance or instance.parent is None:
+        if not (instance.is_instance and instance.show_self) or instance.parent is None:
             continue
-        owner, ob = instance.parent.original.session_uid, instance.object
-        if owner not in uids or not _counts(ob, depsgraph):
+        owner = instance.parent.original.session_uid
+        if owner not in owners:
+            continue
+        path = path_of(instance)
+        before = ((owner, path[:length]) for length in reversed(range(len(path))))
+        walker = next((one for one in before if one in walkers), None)
+        ob = instance.object
+        if walker is None or (owner, path) in elsewhere or not _counts(ob, depsgraph):
             continue
         # Blender shows instances of texts and the like one after the other under one address.
         is_mesh = ob.type == "MESH"
         key = (ob.data.as_pointer() if is_mesh else ob.original.session_uid), is_mesh
         if key not in known:
             known[key] = triangles_of(ob)
-        places.setdefault((owner, key), []).append(matrix_to_numpy(instance.matrix_world))
-    found: dict[int, list[Part]] = {uid: [] for uid in uids}
-    for (owner, key), matrices in places.items():
+        places.setdefault((walker, key), []).append(matrix_to_numpy(instance.matrix_world))
+    found: dict[Walker, list[Part]] = {walker: [] for walker in walkers}
+    for (walker, key), matrices in places.items():
         if len(known[key].triangles):
-            found[owner].append((known[key], np.array(matrices)))
+            found[walker].append((known[key], np.array(matrices)))
     return found
 
 
 def _has_nodes(ob: bpy.types.Object) -> bool:
     return any(modifier.type == "NODES" for modifier in ob.modifiers)
-
-
-def _is_walked(ob: bpy.types.Object) -> bool:
-    return ob.instance_type in {"VERTS", "FACES"} or len(ob.particle_systems) > 0
 
 
 def _counts(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:
@@ -103,7 +123,7 @@ def _of_collection(
     depsgraph: bpy.types.Depsgraph,
     depth: int,
 ) -> Iterator[Part]:
-    for inner, matrix in inside(collection, depsgraph):
+    for _, inner, matrix in inside(collection, depsgraph):
         yield from _of_object(inner, matrices @ matrix, depsgraph, depth + 1)
 
 

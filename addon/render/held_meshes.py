@@ -4,6 +4,7 @@ An object that is held out hides with all instances that it makes, whatever they
 collection that is instanced, an object that is held out does by itself too.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import bpy
@@ -12,7 +13,7 @@ import numpy as np
 from ..triangles import Triangles, triangles_of
 from . import apart, grown
 from .grown import may_be_held
-from .instances import instances
+from .instances import instances_with_paths
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +76,7 @@ class HeldMeshes:
         self._known: dict[int, Triangles] = {}
         self._grown: dict[int, list[grown.Part]] = {}
         """In the axes of the objects that make them."""
-        self._walked: dict[int, list[grown.Part]] = {}
+        self._walked: dict[grown.Walker, list[grown.Part]] = {}
         """In the world."""
 
     def clear(self) -> None:
@@ -94,27 +95,34 @@ class HeldMeshes:
 
     def of(self, depsgraph: bpy.types.Depsgraph) -> tuple[HeldMesh, ...]:
         """All that a depsgraph holds out, with the instances that it makes."""
-        found, uids, walkers = [], set(), set()
-        for shown_by in depsgraph.objects:
-            for ob, matrix in instances(shown_by, depsgraph, may_hide):
+        found, uids = [], set()
+        walkers: set[grown.Walker] = set()
+        paths: set[grown.Walker] = set()
+        for shown_by, is_shown in _owners(depsgraph):
+            for ob, matrix, path in instances_with_paths(shown_by, depsgraph, may_hide):
                 if not _is_held(ob, shown_by, depsgraph):
                     continue
                 uid = ob.original.session_uid
                 uids.add(uid)
-                parts = [self._own(ob)] if may_be_held(ob) else []
+                walker = shown_by.original.session_uid, path
+                paths.add(walker)
+                parts = []
                 if grown.has_to_be_walked(ob):
-                    walkers.add(shown_by.original.session_uid)
+                    walkers.add(walker)
                 elif grown.may_grow(ob):
                     if uid not in self._grown:
                         self._grown[uid] = grown.grown(ob, depsgraph)
-                    parts += self._grown[uid]
+                    parts = self._grown[uid]
+                itself = is_shown or ob != shown_by
+                if itself and may_be_held(ob) and not _hides_itself(ob, depsgraph, bool(parts)):
+                    parts = [self._own(ob), *parts]
                 for triangles, places in parts:
                     if len(triangles.triangles):
                         found.append(HeldMesh(triangles=triangles, matrices=matrix @ places))
         if walkers - self._walked.keys():
-            self._walked = grown.walked(depsgraph, walkers)
-        for uid in walkers:
-            found += [HeldMesh(triangles=t, matrices=m) for t, m in self._walked[uid]]
+            self._walked = grown.walked(depsgraph, walkers, paths)
+        for walker in walkers:
+            found += [HeldMesh(triangles=t, matrices=m) for t, m in self._walked[walker]]
         for uid in self._known.keys() - uids:
             del self._known[uid]
         return tuple(found)
@@ -125,6 +133,39 @@ class HeldMeshes:
         if uid not in self._known:
             self._known[uid] = triangles_of(ob)
         return self._known[uid], np.eye(4)[None]
+
+
+def _owners(depsgraph: bpy.types.Depsgraph) -> Iterator[tuple[bpy.types.Object, bool]]:
+    """The evaluated objects that a depsgraph shows, or whose instances it does; whether it shows
+    them."""
+    seen = set()
+    for ob in depsgraph.objects:
+        seen.add(ob.original.session_uid)
+        yield ob, True
+    # What has instances and no Show Instancer is not among them.
+    for ob in depsgraph.view_layer.objects:
+        if ob is None or ob.original.session_uid in seen or not may_hide(ob):
+            continue
+        if not _shows_instancer(ob, depsgraph) and _is_on(ob.original, depsgraph):
+            yield ob.evaluated_get(depsgraph), False
+
+
+def _is_on(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:
+    """Whether nothing hides an original object of the view layer."""
+    layer = depsgraph.view_layer
+    if depsgraph.mode != "RENDER":
+        return ob.visible_get(view_layer=layer)
+    return not ob.hide_render and apart.is_rendered(ob, layer.layer_collection)
+
+
+def _shows_instancer(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:
+    render = depsgraph.mode == "RENDER"
+    return ob.show_instancer_for_render if render else ob.show_instancer_for_viewport
+
+
+def _hides_itself(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph, grows: bool) -> bool:
+    """Whether an evaluated object leaves its own faces out for those of its instances."""
+    return not _shows_instancer(ob, depsgraph) and (grows or grown.always_grows(ob))
 
 
 def _is_held(

@@ -11,6 +11,14 @@ DEEPEST = 8
 """Collections in collections that are followed."""
 
 
+Path = tuple[int, ...]
+"""Which of the objects of a collection was gone into, and so on from there; () of what instances
+it. Blender numbers instances in the same way: see `path_of`."""
+
+_NO_ID = 0x7FFFFFFF
+"""What Blender puts where an instance has no further number."""
+
+
 def instances(
     ob: bpy.types.Object,
     depsgraph: bpy.types.Depsgraph,
@@ -18,8 +26,24 @@ def instances(
 ) -> Iterator[tuple[bpy.types.Object, np.ndarray]]:
     """An evaluated object itself, or those in the collection that it instances, if they are wanted;
     each with its matrix to the world, [4, 4] float64."""
+    for found, matrix, _ in instances_with_paths(ob, depsgraph, wanted):
+        yield found, matrix
+
+
+def instances_with_paths(
+    ob: bpy.types.Object,
+    depsgraph: bpy.types.Depsgraph,
+    wanted: Callable[[bpy.types.Object], bool],
+) -> Iterator[tuple[bpy.types.Object, np.ndarray, Path]]:
+    """The same, each with the way to it."""
     # Not through depsgraph.object_instances: that walks over every ellipsoid of a display.
-    return _instances(ob, depsgraph, wanted, matrix_to_numpy(ob.matrix_world), 0)
+    return _instances(ob, depsgraph, wanted, matrix_to_numpy(ob.matrix_world), ())
+
+
+def path_of(instance: bpy.types.DepsgraphObjectInstance) -> Path:
+    """The way to an instance from the object at which it begins."""
+    numbers = [number for number in instance.persistent_id if number != _NO_ID]
+    return tuple(reversed(numbers))
 
 
 def _instances(
@@ -27,25 +51,25 @@ def _instances(
     depsgraph: bpy.types.Depsgraph,
     wanted: Callable[[bpy.types.Object], bool],
     matrix: np.ndarray,
-    depth: int,
-) -> Iterator[tuple[bpy.types.Object, np.ndarray]]:
+    path: Path,
+) -> Iterator[tuple[bpy.types.Object, np.ndarray, Path]]:
     if wanted(ob):
-        yield ob, matrix
+        yield ob, matrix, path
     collection = ob.instance_collection if ob.instance_type == "COLLECTION" else None
-    if collection is None or depth > DEEPEST:
+    if collection is None or len(path) > DEEPEST:
         return
-    for inner, place in inside(collection, depsgraph):
-        yield from _instances(inner, depsgraph, wanted, matrix @ place, depth + 1)
+    for number, inner, place in inside(collection, depsgraph):
+        yield from _instances(inner, depsgraph, wanted, matrix @ place, (*path, number))
 
 
 def inside(
     collection: bpy.types.Collection, depsgraph: bpy.types.Depsgraph
-) -> Iterator[tuple[bpy.types.Object, np.ndarray]]:
-    """The evaluated objects that a collection shows, each with its matrix to where the collection
-    is instanced."""
+) -> Iterator[tuple[int, bpy.types.Object, np.ndarray]]:
+    """The evaluated objects that a collection shows, each with its number among all of them and its
+    matrix to where the collection is instanced."""
     offset = np.eye(4)
     offset[:3, 3] = -np.array(collection.instance_offset)
-    for inner in collection.all_objects:
+    for number, inner in enumerate(collection.all_objects):
         if not (inner.hide_render if depsgraph.mode == "RENDER" else inner.hide_viewport):
             inner = inner.evaluated_get(depsgraph)
-            yield inner, offset @ matrix_to_numpy(inner.matrix_world)
+            yield number, inner, offset @ matrix_to_numpy(inner.matrix_world)

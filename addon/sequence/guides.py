@@ -1,15 +1,14 @@
 """Meshes of the scene that guide a sequence: for each frame as the timeline shows them then."""
 
-import re
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from uuid import uuid4
 
 import bpy
 
 from ..cameras.lookup import root_from
-from ..core import GUIDES, SequenceFrame, write_mesh
+from ..core import GUIDE_FILE, GUIDES, SequenceFrame, write_mesh
 from ..job import guides
 from ..timeline import follow
 from ..timeline.frames import slots_of
@@ -18,10 +17,14 @@ from ..triangles import Triangles
 
 def arguments(
     scene: bpy.types.Scene, frames: Callable[[], list[SequenceFrame]], output: Path
-) -> list[str]:
-    """Write the guides of a scene for a sequence into `output`; options that tell it of them.
+) -> tuple[list[str], Callable[[], None]]:
+    """Write the guides of a scene for a sequence into `output`.
 
     Where a role's meshes are the same all the time it is one file; else one for each frame.
+
+    Returns:
+        Options that tell the trainer of them, and what removes those of the sequence that is
+        replaced: to be called once the trainer runs, as till then that one may be gone on with.
 
     Args:
         scene: Which meshes, and at which frame of the timeline the first frame is.
@@ -35,7 +38,7 @@ def arguments(
     """
     roles = list(guides.chosen(scene))
     if not roles:
-        return []
+        return [], lambda: None
     trained = frames()
     root = root_from(scene, trained[0].data.source)
     if root is None:
@@ -62,7 +65,12 @@ def arguments(
     line = []
     for role, written in files.items():
         line += [f"--guide-{role}", str(written.close())]
-    return line
+
+    def replace() -> None:
+        for written in files.values():
+            written.remove_earlier()
+
+    return line, replace
 
 
 def _gathered(
@@ -88,6 +96,7 @@ class _Files:
         self._first: Triangles | None = None
         self._moves = False
         self._numbers: list[int] = []
+        self._kept: set[Path] = set()
 
     def add(self, number: int, found: Triangles) -> None:
         """The mesh of a frame."""
@@ -103,19 +112,23 @@ class _Files:
             self._write(self._path(number), found)
 
     def close(self) -> Path:
-        """What the trainer is told; removes the files of a sequence that is replaced."""
+        """What the trainer is told."""
         assert self._first is not None
         if self._moves:
-            told, kept = self._path("{frame:06d}"), {self._path(n) for n in self._numbers}
+            told, self._kept = self._path("{frame:06d}"), {self._path(n) for n in self._numbers}
         else:
             told = self._folder / f"{self._role}-{guides.digest(self._first)}.ply"
-            kept = {told}
+            self._kept = {told}
             self._write(told, self._first)
-        ours = re.compile(rf"{self._role}-[0-9a-f]{{8}}(-\d{{6,}})?\.ply")
-        for path in self._folder.iterdir():
-            if ours.fullmatch(path.name) and path not in kept:
-                path.unlink(missing_ok=True)
         return told
+
+    def remove_earlier(self) -> None:
+        """Remove the files of other sequences in the same folder."""
+        for path in self._folder.iterdir():
+            match = GUIDE_FILE.fullmatch(path.name)
+            if match and match["role"] == self._role and path not in self._kept:
+                with suppress(OSError):  # the trainer runs already, and needs none of them
+                    path.unlink(missing_ok=True)
 
     def _path(self, number: int | str) -> Path:
         stands = number if isinstance(number, str) else f"{number:06d}"

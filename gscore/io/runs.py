@@ -37,6 +37,10 @@ RUN_FOLDERS = ("checkpoints", "point_cloud", "previews", "snapshots")
 """Folders that a training writes."""
 GUIDES = "guides"
 """Folder of the meshes and boxes that guide a training, where a front end writes them for it."""
+GUIDE_FILE = re.compile(
+    r"(?P<role>surface|free)-[0-9a-f]{8}(-\d{6,})?\.ply|within-[0-9a-f]{8}\.json"
+)
+"""Names that the add-on gives files in GUIDES: of meshes, for one frame or all, and of boxes."""
 CAPTURE = "capture"
 """Folder of the capture made of plain photos, which a next training uses again."""
 SEARCH_RECORD = "sfm.json"
@@ -48,8 +52,6 @@ _MOST_STATED = 1 << 27
 """Bytes before the tensors of a checkpoint."""
 _CHECKPOINT = re.compile(r"step_(\d{8,})\.safetensors")
 _SNAPSHOT = re.compile(r"step_(\d{6,})\.ply")
-_GUIDE = re.compile(r"(surface|free)-[0-9a-f]{8}\.ply|within-[0-9a-f]{8}\.json")
-"""Files that the add-on puts into GUIDES."""
 _BELOW = (
     rf"checkpoints/{_CHECKPOINT.pattern}(\.damaged)?",
     r"point_cloud/iteration_\d+/point_cloud\.ply",
@@ -244,7 +246,7 @@ def clear_run(path: str | Path) -> None:
     with contextlib.suppress(OSError, ConfigError):
         remove_results(path)
         for guide in _listed(path / GUIDES):
-            if _GUIDE.fullmatch(guide.name):
+            if GUIDE_FILE.fullmatch(guide.name):
                 guide.unlink(missing_ok=True)
         (path / GUIDES).rmdir()
     clear_unfinished(path)

@@ -97,7 +97,7 @@ def train_sequence(
         check_place(output, data)
         chosen = choose_frames(find_frames(data), options.frames)
         frames = plan_frames(chosen, config, output, options)
-        check_guides(frames)
+        check_guides(_to_train(frames, options, frame, begun=resume, overwrite=overwrite))
         return _Sequence(config, data, output, options, frames, emit, onlookers, writes=writes)
 
     if team:
@@ -267,6 +267,24 @@ class _Sequence:
     def _list(self) -> None:
         if self._writes:
             self._listed.write()
+
+
+def _to_train(
+    frames: list[PlannedFrame],
+    options: SequenceOptions,
+    number: int | None,
+    *,
+    begun: bool,
+    overwrite: bool,
+) -> list[PlannedFrame]:
+    """The frames that are left to be trained: of all, or of the run with the frame of a number.
+
+    `begun`: what is there is gone on with.
+    """
+    if number is not None:
+        run = run_with(frames, runs_of(len(frames), options), number)
+        frames, begun = [frames[place] for place in run], not overwrite
+    return [frame for frame in frames if not (begun and completed(frame))]
 
 
 def _train_together(

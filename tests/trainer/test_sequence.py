@@ -403,3 +403,30 @@ def test_each_frame_is_guided_by_its_own_mesh(frames: Path, tmp_path: Path) -> N
     with pytest.raises(ConfigError, match="the mesh of --guide-surface for frame 10"):
         train_sequence(config, data, tmp_path / "other")
     assert not (tmp_path / "other").exists()
+
+
+def test_only_frames_left_to_train_need_their_meshes(frames: Path, tmp_path: Path) -> None:
+    """Oracle: what is trained while the meshes of complete frames and of others' runs are gone."""
+    square = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float64)
+    walls = {number: tmp_path / f"wall-{number:03d}.ply" for number in (0, 5, 10)}
+
+    def build(number: int) -> None:
+        write_mesh(walls[number], square, np.array([[0, 1, 2], [0, 2, 3]]))
+
+    config = replace(CONFIG, iterations=5, guide_surface=tmp_path / "wall-{frame:03d}.ply")
+    options = SequenceOptions(next_iterations=5, keyframe_every=2)
+    out, data = tmp_path / "out", DataConfig(source=frames)
+    build(10)
+    assert train_sequence(config, data, out, options=options, frame=10).reason == "finished"
+    walls[10].unlink()
+    train_sequence(config, data, out, options=options, frame=10)
+    for number, more in ((5, {"frame": 5}), (0, {"resume": True})):
+        with pytest.raises(ConfigError, match="the mesh of --guide-surface for frame 0"):
+            train_sequence(config, data, out, options=options, **more)
+        build(number)
+    train_sequence(config, data, out, options=options, resume=True)
+    assert numbers_in(out) == [0, 5, 10]
+    for more in ({"frame": 10}, {}):
+        with pytest.raises(ConfigError, match="the mesh of --guide-surface for frame 10"):
+            train_sequence(config, data, out, options=options, overwrite=True, **more)
+    assert numbers_in(out) == [0, 5, 10]

@@ -96,7 +96,8 @@ def test_clearing_spares_meshes_of_the_user(tmp_path: Path, ours: bool) -> None:
         (own / "config.json").unlink()
         (own / "metrics.json").write_text("mine")
     guides = ("surface-0a1b2c3d.ply", "free-0a1b2c3d.ply", "within-0a1b2c3d.json")
-    mine = {"my_scan.ply", "notes.json", "surface.ply"}
+    guides += ("surface-0a1b2c3d-000004.ply", "free-0a1b2c3d-1000000.ply")
+    mine = {"my_scan.ply", "notes.json", "surface.ply", "surface-0a1b2c3d-4.ply"}
     (own / "guides").mkdir()
     for name in (*guides, *mine):
         (own / "guides" / name).touch()

@@ -78,8 +78,8 @@ def runs_of(count: int, options: SequenceOptions) -> list[range]:
 
 
 def check_guides(frames: Sequence[PlannedFrame]) -> None:
-    """Raise ConfigError unless the meshes of all frames are there: a sequence is not to end in its
-    middle for want of one."""
+    """Raise ConfigError unless the meshes of frames that are to be trained are there: a sequence is
+    not to end in its middle for want of one."""
     for frame in frames:
         for name in PER_FRAME:
             path = getattr(frame.config, name)

@@ -209,6 +209,104 @@ def test_instances_on_corners_and_of_particles(held, tmp_path):
     assert len(of_hairs.triangles.vertices) == len(shown.data.vertices)
 
 
+def grow_hair(ob: bpy.types.Object, shown: bpy.types.Object, count: int) -> None:
+    """Let an object show another one many times, as hair."""
+    ob.modifiers.new("grass", "PARTICLE_SYSTEM")
+    settings = ob.particle_systems[0].settings
+    settings.type, settings.count = "HAIR", count
+    settings.render_type, settings.instance_object = "OBJECT", shown
+
+
+def counts() -> dict[tuple[int, float], int]:
+    """How often meshes hide, by their corners' number and largest coordinate."""
+    bpy.context.view_layer.update()
+    found = HeldMeshes().of(bpy.context.evaluated_depsgraph_get())
+    keys = [(len(m.triangles.vertices), round(float(m.triangles.vertices.max()), 2)) for m in found]
+    assert len(keys) == len(set(keys))
+    return {key: len(mesh.matrices) for key, mesh in zip(keys, found, strict=True)}
+
+
+@pytest.mark.parametrize("nested", [False, True])
+def test_what_an_instanced_object_makes_hides_alone(held, nested):
+    """Oracle: the emitter once and each of its hairs; nothing beside it in the collection."""
+    group = bpy.data.collections.new("cut")
+    link(group, "before", quad("before", 0.31))
+    shown = link(held.collection, "shown", quad("shown", 0.2))
+    emitter = link(group, "emitter", quad("emitter", 1.0))
+    emitter.is_holdout = True
+    link(group, "hidden", quad("hidden", 0.32)).hide_viewport = True
+    link(group, "after", quad("after", 0.33))
+    other = link(group, "other", quad("other", 0.9))
+    grow_hair(emitter, shown, 20)
+    grow_hair(other, shown, 7)
+    shower = link(held.collection, "shower", None)
+    shower.instance_type, shower.instance_collection = "COLLECTION", group
+    if nested:
+        outer = bpy.data.collections.new("outer")
+        link(outer, "first", quad("first", 0.34))
+        held.collection.objects.unlink(shower)
+        outer.objects.link(shower)
+        above = link(held.collection, "above", None)
+        above.instance_type, above.instance_collection = "COLLECTION", outer
+    assert counts() == {(4, 1.0): 1, (4, 0.2): 20}
+
+
+@pytest.mark.parametrize("render", [False, True])
+@pytest.mark.parametrize("how", ["faces", "hair", "nodes", "in a collection"])
+def test_instances_hide_without_their_instancer(held, tmp_path, monkeypatch, way, how, render):
+    """Oracle: what hides with Show Instancer, without the faces of the instancer."""
+    shown = link(held.collection, "shown", quad("shown", 0.2))
+    ob = link(held.collection, "owner", quad("owner", 1.0))
+    ob.is_holdout = True
+    if how == "faces":
+        shown.parent, ob.instance_type = ob, "FACES"
+    elif how == "nodes":
+        tree = on_points(shown)
+        ob.modifiers.new("nodes", "NODES").node_group = tree
+        join, (made,) = tree.nodes.new("GeometryNodeJoinGeometry"), tree.nodes[1].inputs[0].links
+        for socket in (tree.nodes[0].outputs[0], made.from_socket):
+            tree.links.new(socket, join.inputs[0])
+        tree.links.new(join.outputs[0], tree.nodes[1].inputs[0])
+    else:
+        grow_hair(ob, shown, 20)
+    off = [ob]
+    if how == "in a collection":
+        group = bpy.data.collections.new("cut")
+        held.collection.objects.unlink(ob)
+        group.objects.link(ob)
+        shower = link(held.collection, "shower", None)
+        shower.instance_type, shower.instance_collection = "COLLECTION", group
+        off.append(shower)
+
+    def hiding() -> dict[tuple[int, float], int]:
+        if not render:
+            return counts()
+        found = {}
+
+        def of(self: HeldMeshes, depsgraph: bpy.types.Depsgraph):
+            for mesh in kept(self, depsgraph):
+                corners = mesh.triangles.vertices
+                found[len(corners), round(float(corners.max()), 2)] = len(mesh.matrices)
+            return ()
+
+        kept = HeldMeshes.of
+        with monkeypatch.context() as patch:
+            patch.setattr(HeldMeshes, "of", of)
+            lab.render_exr(tmp_path, "seen")
+        return found
+
+    with_it = hiding()
+    for one in off:
+        one.show_instancer_for_render = one.show_instancer_for_viewport = False
+    without = hiding()
+    assert with_it.pop((4, 1.0)) == 1 and with_it
+    assert without == with_it
+    for one in off:
+        one.hide_render = True
+        one.hide_set(True) if one.name in held.view_layers[0].objects else None
+    assert hiding() == {}
+
+
 def test_viewports_follow_what_nodes_make(held, way):
     """Oracle: a look at the depsgraph without memory, at the same moment."""
     ob, _ = owner(held, "object")

@@ -132,6 +132,31 @@ def test_meshes_that_stand_still_are_one_file(
     assert "--guide-surface" not in json.loads(called.read_text())
 
 
+def test_meshes_of_a_sequence_stay_until_another_begins(
+    video: bpy.types.Scene,  # noqa: F811
+    tmp_path: Path,
+    play: Play,  # noqa: F811
+) -> None:
+    """Oracle: the files, after Start Over without a Python that runs, and with one."""
+    ob = a_wall(video)
+    bring_first(video, tmp_path)
+    for frame in (1, 4):
+        ob.location.x = 0.1 * frame
+        ob.keyframe_insert("location", frame=frame)
+    called = play({"say": DONE})
+    panel()
+    bpy.ops.gscore.train_sequence(wait=True)
+    folder = told(called).parent
+    before = set(folder.iterdir())
+    assert len(before) == 4
+    with pytest.raises(ValueError, match="cannot be run"):
+        work.train_sequence(video, overwrite=True, python=tmp_path / "no python")
+    assert before < set(folder.iterdir())
+    bpy.ops.gscore.train_sequence(overwrite=True, wait=True)
+    after = set(folder.iterdir())
+    assert len(after) == 4 and not after & before
+
+
 def test_what_a_sequence_does_not_see_is_told(
     video: bpy.types.Scene,  # noqa: F811
     tmp_path: Path,
