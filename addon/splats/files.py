@@ -34,8 +34,9 @@ MOST_AT_ONCE = 1_000_000
 SOURCE, BLENDER = "SOURCE", "BLENDER"
 FROM_FILE = "FILE"
 """In place of an axis: what an export has noted in the file; -Y where it notes nothing."""
+_USUAL_UP = "-Y"
 _UP_NOTE = "gscore up "
-"""Begins the comment of a PLY that names the axis."""
+"""Begins the comment of a PLY that names an axis other than the usual one."""
 _IMPORT_MATRIX = "gs_import_matrix"
 _NOISE = 1e-12
 
@@ -165,7 +166,7 @@ def settle(
         return
     up = _noted_up(comments) if wanted.up == FROM_FILE else wanted.up
     if ob.parent is None:
-        turn_up(ob, up or "-Y")
+        turn_up(ob, up or _USUAL_UP)
     elif wanted.up == FROM_FILE and up == "Z":
         ob.matrix_parent_inverse = ob.parent.matrix_world.inverted_safe()
 
@@ -241,7 +242,7 @@ def _note_of_up(ob: bpy.types.Object, world: str) -> tuple[str, ...]:
         return ()
     matrix = source_matrix(ob)
     named = (up for up, turn in UP_AXES.items() if np.allclose(matrix, turn, atol=1e-5))
-    return tuple(f"{_UP_NOTE}{up}" for up in named)
+    return tuple(f"{_UP_NOTE}{up}" for up in named if up != _USUAL_UP)
 
 
 def _noted_up(comments: Sequence[str]) -> str:
