@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..io.block_record import in_cells
+
 _RIM = 0.01
 """Share of the points beyond each end that does not count as the extent: strays lie far away."""
 _UPRIGHT = 0.5
@@ -26,7 +28,7 @@ class Cells:
 
     def holding(self, points: np.ndarray) -> np.ndarray:
         """[N, P] bool: which cell holds which of the points [P, 3]; each is in one alone."""
-        return self._within(points, self.bounds)
+        return in_cells(points, self.axes, self.bounds)
 
     def around(self, points: np.ndarray, margin: float) -> np.ndarray:
         """As `holding`, with cells that are larger on each side by `margin` of their extent,
@@ -36,12 +38,7 @@ class Cells:
         ends = np.clip(self.bounds, low, high)
         wider = margin * (ends[:, 1] - ends[:, 0])
         bounds = np.stack([self.bounds[:, 0] - wider, self.bounds[:, 1] + wider], axis=1)
-        return self._within(points, bounds)
-
-    def _within(self, points: np.ndarray, bounds: np.ndarray) -> np.ndarray:
-        ground = (points @ self.axes.T)[None]
-        inside = (ground >= bounds[:, None, 0]) & (ground < bounds[:, None, 1])
-        return np.logical_and.reduce(inside, axis=-1)
+        return in_cells(points, self.axes, bounds)
 
 
 def make_cells(

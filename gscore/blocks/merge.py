@@ -11,7 +11,6 @@ from ..formats.joined import joined
 from ..io.block_record import BlockRecord
 from ..splats import Splats
 from ..words import count_words, number
-from .cells import Cells
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,8 +74,6 @@ def merge_blocks(blocks: Sequence[TrainedBlock]) -> Merged:
     """
     parts = []
     for block in sorted(blocks, key=lambda block: block.record.index):
-        record = block.record
-        cells = Cells(axes=record.axes, bounds=record.bounds[record.index][None])
-        inside = cells.holding(block.splats.means.astype(np.float64))[0]
+        inside = block.record.holds(block.splats.means.astype(np.float64))
         parts.append(block.splats.subset(inside))
     return Merged(splats=joined(parts), kept=tuple(len(part) for part in parts))

@@ -42,6 +42,10 @@ class BlockRecord:
         """How many blocks there are."""
         return len(self.bounds)
 
+    def holds(self, points: np.ndarray) -> np.ndarray:
+        """[P] bool: which of `points` [P, 3], in the world of the capture, lie in its cell."""
+        return in_cells(points, self.axes, self.bounds[self.index][None])[0]
+
     def write(self, folder: Path) -> None:
         """Write it into the folder of its block.
 
@@ -59,6 +63,14 @@ class BlockRecord:
             "masks_are": self.masks_are,
         }
         atomic_write(folder / BLOCK_RECORD, (strict_json(content) + "\n").encode())
+
+
+def in_cells(points: np.ndarray, axes: np.ndarray, bounds: np.ndarray) -> np.ndarray:
+    """[N, P] bool: which of `points` [P, 3] lie in which of N cells; `axes` and `bounds` as in
+    `BlockRecord`."""
+    ground = (points @ axes.T)[None]
+    inside = (ground >= bounds[:, None, 0]) & (ground < bounds[:, None, 1])
+    return np.logical_and.reduce(inside, axis=-1)
 
 
 def block_name(index: int) -> str:

@@ -23,7 +23,6 @@ from .photos.loading import Loaded, load_photos, progress_of
 from .ranks.agree import crc_of
 from .ranks.team import Team
 from .region.box import Box
-from .region.cell import BlockCell
 from .region.photos import RegionPhotos
 from .rows.frame import Frame
 from .schedule.enough import limit_by_photos
@@ -144,7 +143,8 @@ def prepare(
             team=team,
             region=region,
             guide=guide,
-            cell=_cell_of(photos) if start is not None and region is None else None,
+            # Around a block's cell, given splats are there, and go when blocks are merged.
+            block=read_block(photos.source) if start is not None and region is None else None,
         )
     return Prepared(
         trainer=trainer,
@@ -158,13 +158,6 @@ def prepare(
         exposure=exposure,
         placing=placing,
     )
-
-
-def _cell_of(photos: Dataset) -> BlockCell | None:
-    """The cell of a block whose splats outside of it are there from a coarse model: what lies
-    there goes when blocks are merged, so it need not grow."""
-    record = read_block(photos.source)
-    return None if record is None else BlockCell.of(record)
 
 
 @contextmanager

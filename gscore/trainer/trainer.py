@@ -12,6 +12,7 @@ import torch
 from ..config import Background, Skip, TrainConfig
 from ..errors import DatasetError, GsError
 from ..formats.joined import joined
+from ..io.block_record import BlockRecord
 from ..raster.header import OUT_INVERSE_DEPTH
 from ..raster.loss import image_loss_gradient
 from ..raster.memory import empty, zeros
@@ -37,7 +38,6 @@ from .ranks.alike import alike_together
 from .ranks.gradients import BatchGradients, gathered_of
 from .ranks.team import Team
 from .region.box import Box
-from .region.cell import BlockCell
 from .region.still import Still, parted
 from .rows import bounds, finest, guard
 from .rows.frame import Frame
@@ -143,7 +143,7 @@ class Trainer:
         team: Team | None = None,
         region: Box | None = None,
         guide: GuideSetup | None = None,
-        cell: BlockCell | None = None,
+        block: BlockRecord | None = None,
     ) -> None:
         """Start from `start` or from `points`, in COLMAP world, or from the points of the capture.
 
@@ -153,8 +153,8 @@ class Trainer:
         all; `team` are the processes that train together, each of which makes such a trainer;
         `region`, in COLMAP world, holds the splats of `start` that are trained, None: all are;
         where there is no `start`, `photos` are those that are narrowed to it; `guide` are the
-        meshes that guide the run; `cell`, in COLMAP world, is where splats are added, None:
-        everywhere.
+        meshes that guide the run; `block` is the one in whose cell alone splats are
+        added, None: they are everywhere.
 
         Raises:
             DatasetError: nothing to train on.
@@ -194,7 +194,7 @@ class Trainer:
             )
         self.guide_digest = "" if guide is None else guide.digest
         """Changes with any of the meshes that guide the run; empty: none do."""
-        self._cell = None if cell is None else cell.in_training(self.frame.similarity)
+        self._block = block
         self.replan(config.iterations)
         self.generator = generator_of(config.seed)
         self.sampler = Sampler(photos.train)
@@ -275,7 +275,7 @@ class Trainer:
         """A sentence on the part of the splats that is trained, or where they are added; empty: all
         are, everywhere."""
         if self.region is None:
-            return _IN_CELL if self._cell else ""
+            return _IN_CELL if self._block else ""
         if not self._given:
             return "Only pixels that look at the region count."
         count = count_words(len(self.model), "splat")
@@ -290,12 +290,18 @@ class Trainer:
         that is `iterations` steps long."""
         self.plan = self.plan_of(iterations)
         """When things happen."""
-        may_grow = self._cell.holds if self._cell else everywhere
         self.strategy = make_strategy(
-            self.config, self.plan, extent=self.frame.extent, may_grow=may_grow
+            self.config, self.plan, extent=self.frame.extent, may_grow=self._may_grow
         )
         if self.depth:
             self.depth.set_length(iterations)
+
+    def _may_grow(self, means: torch.Tensor) -> torch.Tensor:
+        """[N] bool: beside which of `means` [N, 3] splats may be added."""
+        if self._block is None:
+            return everywhere(means)
+        world = self.frame.similarity.points_from_training(means.numpy())
+        return torch.from_numpy(self._block.holds(world))
 
     @property
     def photo_factor(self) -> float:

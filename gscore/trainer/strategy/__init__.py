@@ -6,7 +6,7 @@ from .base import Change, DrawnView, Policy, Within, everywhere
 from .default import DefaultStrategy
 from .mcmc import MCMCStrategy
 
-__all__ = ["Change", "DrawnView", "Policy", "Within", "everywhere", "make_strategy"]
+__all__ = ["Change", "DrawnView", "Policy", "everywhere", "make_strategy"]
 
 
 def make_strategy(

@@ -12,7 +12,7 @@ from ...raster.pull import add_pull
 from ..rows.model import Model
 from ..schedule.plan import Plan
 from . import ops
-from .base import Change, DrawnView, Within, everywhere
+from .base import Change, DrawnView, Within
 
 RESET_OPACITY = 0.01
 """Ceiling of all opacities at a reset."""
@@ -25,9 +25,7 @@ class DefaultStrategy:
     image coordinates (2 per image side). Under a cap the splats that are pulled hardest go first.
     """
 
-    def __init__(
-        self, config: TrainConfig, plan: Plan, *, extent: float, may_grow: Within = everywhere
-    ) -> None:
+    def __init__(self, config: TrainConfig, plan: Plan, *, extent: float, may_grow: Within) -> None:
         self._config = config
         self._plan = plan
         self._extent = extent

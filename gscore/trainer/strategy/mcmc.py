@@ -10,7 +10,7 @@ from ..host.random import gaussian
 from ..rows.model import Model
 from ..schedule.plan import Plan
 from . import ops
-from .base import Change, DrawnView, Within, everywhere
+from .base import Change, DrawnView, Within
 
 GATE_SHARPNESS = 100.0
 GATE_OPACITY = 0.005
@@ -22,9 +22,7 @@ NOISE_MAX_OPACITY = 0.1
 class MCMCStrategy:
     """Keeps the number of splats on a fixed course and moves those that are not needed."""
 
-    def __init__(
-        self, config: TrainConfig, plan: Plan, *, extent: float, may_grow: Within = everywhere
-    ) -> None:
+    def __init__(self, config: TrainConfig, plan: Plan, *, extent: float, may_grow: Within) -> None:
         self._config = config
         self._plan = plan
         self._extent = extent
