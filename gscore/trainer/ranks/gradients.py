@@ -2,7 +2,7 @@
 
 import itertools
 import weakref
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 import torch
@@ -94,16 +94,17 @@ class BatchGradients:
         grads = [model.grads[name] for name in PARAMETERS if name != "shN"]
         tables = [*grads, *counters.values()]
         found = self._sums(self._rows, tables, told=self._told, threads=threads)
-        if self._team.rank >= photos:  # what it looked at is another's
-            _clear(tables)
-        if self._team.size == 2:
-            # Two numbers are the same sum either way round, so what is here already stays.
+        # Two numbers are the same sum either way round, so what is here already stays: of two
+        # ranks, and unless what this one looked at is another's.
+        stays = self._team.size == 2 and self._team.rank < photos
+        if stays:
             shown[found[self._team.rank][:, 0].to(torch.int64)] = 1
             found = [found[1 - self._team.rank]]
             for grad in grads if photos > 1 else ():
                 grad.div_(photos)
         else:
-            _clear(tables)
+            for table in tables:
+                table.zero_()
         sums = [Table(grad, adds=True, divisor=photos) for grad in grads]
         sums += [Table(counter, adds=True) for counter in counters.values()]
         for part in found:
@@ -157,11 +158,6 @@ class BatchGradients:
     def tensors(self) -> dict[str, Tensor]:
         """What has gathered on the other ranks, by the name that `gathered_of` looks for."""
         return {f"{_GATHERED}/{rank}": part for rank, part in enumerate(self._others, 1)}
-
-
-def _clear(tables: Iterable[Tensor]) -> None:
-    for table in tables:
-        table.zero_()
 
 
 def gathered_of(tensors: Mapping[str, Tensor], rank: int, size: int) -> Tensor | None:
