@@ -56,6 +56,7 @@ from gscore.frontend import (
     FrameStarted,
     ImageInfo,
     KnownNetwork,
+    Pixels,
     Preview,
     Problem,
     Progress,

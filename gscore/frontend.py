@@ -71,6 +71,7 @@ if TYPE_CHECKING:
     from .io.lod_file import LOD_ENDING, is_lod_file
     from .io.mesh.ply import write_mesh
     from .io.pictures.image_header import ImageInfo, read_header
+    from .io.pictures.lookup import Pixels
     from .io.pictures.png import gray_png, rgba_png
     from .io.pictures.resample import downscale
     from .io.ply.splats import MIP_COMMENT
@@ -94,6 +95,7 @@ if TYPE_CHECKING:
     from .video import VIDEO_ENDINGS, is_video
 
 _HOME = {
+    "BENT": "io.colmap.lenses",
     "Capture": "datasets",
     "CaptureFacts": "inspection",
     "ColmapCamera": "io.colmap.model",
@@ -127,12 +129,14 @@ _HOME = {
     "Option": "options",
     "POSES_FILE": "io.poses_json",
     "SPLAT_ENDINGS": "formats",
+    "Pixels": "io.pictures.lookup",
     "Preview": "events",
     "Problem": "inspection",
     "Progress": "events",
     "RunInfo": "io.runs",
     "Saved": "events",
     "SequenceDone": "events",
+    "SequenceFrame": "datasets.frames",
     "SequenceIndex": "io.sequences",
     "SfmDone": "events",
     "SfmEstimated": "events",
@@ -149,8 +153,10 @@ _HOME = {
     "are_mattes": "datasets.mattes",
     "at_least_opaque": "edit",
     "atomic_write": "io.files",
+    "bent_pixels": "io.colmap.lenses",
     "build_lod": "lod.build",
     "capture_beside": "sfm.beside",
+    "choose_frames": "datasets.frames",
     "clear_run": "io.runs",
     "collected_warnings": "logged",
     "cluster_sizes": "edit",
@@ -163,11 +169,7 @@ _HOME = {
     "estimate": "trainer.estimate.forecast",
     "find_capture": "inspection",
     "find_colmap": "io.colmap.folder:find_model",
-    "BENT": "io.colmap.lenses",
-    "bent_pixels": "io.colmap.lenses",
-    "choose_frames": "datasets.frames",
     "find_frames": "datasets.frames",
-    "SequenceFrame": "datasets.frames",
     "from_line": "events",
     "gray_png": "io.pictures.png",
     "importance_of": "edit",
@@ -243,6 +245,7 @@ __all__ = [
     "LodFacts",
     "LodModel",
     "Option",
+    "Pixels",
     "Preview",
     "Problem",
     "Progress",

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ..cameras.objects import PhotoCamera
-from ..core import BENT, bent_pixels
+from ..core import BENT, Pixels, bent_pixels
 
 STRAIGHT = frozenset({"PINHOLE", "SIMPLE_PINHOLE"})
 """Models without a bend."""
@@ -30,7 +30,7 @@ def straightened(picture: np.ndarray, own: PhotoCamera) -> tuple[np.ndarray, np.
     """
     height, width = picture.shape[:2]
     scale = np.array([width / own.width, height / own.height])
-    out, seen = np.zeros_like(picture), np.zeros((height, width), bool)
+    lookup, out, seen = Pixels(picture), np.empty_like(picture), np.zeros((height, width), bool)
     middle, focal = own.K[:2, 2], own.K[[0, 1], [0, 1]]
     for top in range(0, height, _ROWS):
         rows = slice(top, min(top + _ROWS, height))
@@ -44,21 +44,9 @@ def straightened(picture: np.ndarray, own: PhotoCamera) -> tuple[np.ndarray, np.
         with np.errstate(invalid="ignore"):
             there = (x >= -0.5) & (y >= -0.5) & (x <= width - 0.5) & (y <= height - 0.5)
         there &= ~folded
-        values = _bilinear(picture, np.where(there, x, 0), np.where(there, y, 0))
         shape = rows.stop - rows.start, width
         seen[rows] = there.reshape(shape)
-        out[rows] = (values * there[:, None]).reshape(*shape, -1)
+        x, y = np.clip(np.where(there, x, 0), 0, width - 1), np.where(there, y, 0)
+        lookup.bilinear(x.reshape(shape), np.clip(y, 0, height - 1).reshape(shape), out[rows])
+    out[~seen] = 0
     return out, seen
-
-
-def _bilinear(picture: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """[P, D] at places of pixel centres; the border is repeated."""
-    height, width = picture.shape[:2]
-    x, y = np.clip(x, 0, width - 1), np.clip(y, 0, height - 1)
-    left, above = np.minimum(x.astype(np.int64), max(width - 2, 0)), y.astype(np.int64)
-    above = np.minimum(above, max(height - 2, 0))
-    right, below = np.minimum(left + 1, width - 1), np.minimum(above + 1, height - 1)
-    across, down = (x - left)[:, None].astype(np.float32), (y - above)[:, None].astype(np.float32)
-    upper = (1 - across) * picture[above, left] + across * picture[above, right]
-    lower = (1 - across) * picture[below, left] + across * picture[below, right]
-    return (1 - down) * upper + down * lower

@@ -132,6 +132,22 @@ def test_pictures_equal_those_of_colmap(model: str, rng: np.random.Generator) ->
     assert difference[inside].max() <= 1
 
 
+def _view(
+    image: Path, size: tuple[int, int], plan: Undistortion, *, use_alpha: bool = False
+) -> ViewFile:
+    """A photo of `_SIZE` without a mask."""
+    return ViewFile(
+        image=image,
+        mask=None,
+        mask_inverted=False,
+        use_alpha=use_alpha,
+        upright=True,
+        photo_size=_SIZE,
+        size=size,
+        plan=plan,
+    )
+
+
 def _stripes(points: np.ndarray) -> np.ndarray:
     """[..., 3] of 0 to 255 at [..., 2] px: waves of 4 and 5 px along both axes."""
     x, y = points[..., 0], points[..., 1]
@@ -180,16 +196,7 @@ def test_photos_that_are_not_scaled_down_are_sharp(
     photo = rng.integers(0, 256, (*_SIZE[::-1], 3)).astype(np.uint8)
     write_png(tmp_path / "a.png", photo)
     size = (width, round(plan.height * width / plan.width)) if width else (plan.width, plan.height)
-    file = ViewFile(
-        image=tmp_path / "a.png",
-        mask=None,
-        mask_inverted=False,
-        use_alpha=False,
-        upright=True,
-        photo_size=_SIZE,
-        size=size,
-        plan=plan,
-    )
+    file = _view(tmp_path / "a.png", size, plan)
     remapped = plan.remap(photo, (plan.width, plan.height), sharp=sharp)
     np.testing.assert_array_equal(decode_view(file)[0], resize(remapped, *size))
 
@@ -200,17 +207,8 @@ def test_a_colour_under_an_edge_of_alpha_stays(tmp_path: Path) -> None:
     photo = np.full((*_SIZE[::-1], 4), 128, np.uint8)
     photo[:, : _SIZE[0] // 2, 3], photo[:, _SIZE[0] // 2 :, 3] = 0, 255
     write_png(tmp_path / "a.png", photo)
-    file = ViewFile(
-        image=tmp_path / "a.png",
-        mask=None,
-        mask_inverted=False,
-        use_alpha=True,
-        upright=True,
-        photo_size=_SIZE,
-        size=(plan.width, plan.height),
-        plan=plan,
-    )
-    rgb, alpha = decode_view(file)
+    size = (plan.width, plan.height)
+    rgb, alpha = decode_view(_view(tmp_path / "a.png", size, plan, use_alpha=True))
     assert alpha is not None and 0.4 < (alpha > 128).mean() < 0.6
     assert np.abs(rgb[alpha > 200].astype(int) - 128).max() <= 1
 
