@@ -37,9 +37,13 @@ def set_modifier_input(modifier: bpy.types.NodesModifier, name: str, value: Any)
     modifier.id_data.update_tag()
 
 
+HAS_GEOMETRY_SETS = hasattr(bpy.types.Object, "evaluated_geometry")
+"""Whether `evaluated_geometry` has something to give: from 4.5 on."""
+
+
 def evaluated_geometry(ob: bpy.types.Object) -> Any:
     """All that an evaluated object's modifiers make, a GeometrySet; None before 4.5."""
-    return ob.evaluated_geometry() if hasattr(ob, "evaluated_geometry") else None
+    return ob.evaluated_geometry() if HAS_GEOMETRY_SETS else None
 
 
 def use_nodes(material: bpy.types.Material) -> None:

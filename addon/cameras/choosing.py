@@ -1,42 +1,20 @@
-"""A capture brought into a scene: imported, selected, chosen in the panel, and seen in views."""
-
-from collections.abc import Callable
-from pathlib import Path
+"""A capture that came into a scene: selected, chosen in the panel, and seen in views."""
 
 import bpy
 
 from .. import stored_paths
 from ..interface.operators import make_active_in
-from . import captures
 from .captures import ImportedCapture
 
 
-def into_scene(
-    scene: bpy.types.Scene,
-    path: str | Path,
-    *,
-    images: str = "images",
-    photos: bool = True,
-    points: bool = True,
-    align: bool = True,
-    set_up_views: bool = True,
-    progress: Callable[[float], None] | None = None,
-) -> ImportedCapture:
-    """Import a capture into a scene, which no window has to show.
+def choose(scene: bpy.types.Scene, made: ImportedCapture, *, set_up_views: bool = True) -> None:
+    """Let the user find a capture that was imported into a scene, which no window has to show.
 
     Args:
-        scene: As in `import_capture`, with all that it raises.
-        path: As there.
-        images: As there.
-        photos: As there.
-        points: As there.
-        align: As there.
+        scene: Has it.
+        made: It.
         set_up_views: Let the 3D views of the scene's windows show its points' colors.
-        progress: As there.
     """
-    made = captures.import_capture(
-        scene, path, images=images, photos=photos, points=points, align=align, progress=progress
-    )
     windows = [w for w in bpy.context.window_manager.windows if w.scene == scene]
     if bpy.context.scene == scene:
         layers = [bpy.context.view_layer]
@@ -48,8 +26,8 @@ def into_scene(
             _set_up_views(window.screen)
     settings = getattr(scene, "gscore", None)  # None where cameras alone are registered
     if settings is not None and not settings.capture_path.strip():
-        settings.capture_path, settings.images = made.root[stored_paths.SOURCE], images
-    return made
+        settings.capture_path = made.root[stored_paths.SOURCE]
+        settings.images = made.root["gs_images"]
 
 
 def _set_up_views(screen: bpy.types.Screen) -> None:

@@ -10,9 +10,9 @@ from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 from ..interface.operators import Acting, OnScene
 from ..paths import absolute
 from . import captures
+from .choosing import choose
 from .export_colmap import Exported, export_colmap
 from .export_transforms import export_transforms
-from .into_scene import into_scene
 from .lookup import find_camera, find_root
 
 
@@ -99,18 +99,18 @@ class ImportCameras(OnScene, OnCapture, bpy.types.Operator):
         manager = context.window_manager
         manager.progress_begin(0, 1)
         try:
-            made = into_scene(
+            made = captures.import_capture(
                 context.scene,
                 path,
                 images=images,
                 photos=self.photos,
                 points=self.points,
                 align=self.align,
-                set_up_views=self.set_up_views,
                 progress=manager.progress_update,
             )
         finally:
             manager.progress_end()
+        choose(context.scene, made, set_up_views=self.set_up_views)
         self.warn(made.warnings)
         count = f"{len(made.cameras)} cameras"
         points = f", {len(made.points.data.vertices)} points" if made.points else ""

@@ -7,7 +7,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ..compat import evaluated_geometry, matrix_to_numpy
+from ..compat import HAS_GEOMETRY_SETS, evaluated_geometry, matrix_to_numpy
 from ..splats.objects import is_splats
 from ..triangles import WITH_FACES, Triangles, triangles_of, triangles_of_mesh
 from .instances import DEEPEST, Path, inside, path_of
@@ -34,7 +34,7 @@ def always_grows(ob: bpy.types.Object) -> bool:
 
 def has_to_be_walked(ob: bpy.types.Object) -> bool:
     """Whether what an evaluated object makes is found by `walked` alone, not by `grown`."""
-    return always_grows(ob) or (_has_nodes(ob) and not hasattr(ob, "evaluated_geometry"))
+    return always_grows(ob) or (_has_nodes(ob) and not HAS_GEOMETRY_SETS)
 
 
 def grown(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> list[Part]:

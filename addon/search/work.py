@@ -6,7 +6,8 @@ from pathlib import Path
 import bpy
 
 from .. import preferences
-from ..cameras.into_scene import into_scene
+from ..cameras.captures import import_capture
+from ..cameras.choosing import choose
 from ..cameras.lookup import chosen_root
 from ..capture.folders import same_folder
 from ..core import GsError, capture_beside
@@ -110,6 +111,8 @@ def _arrive(scene: bpy.types.Scene, capture: Path) -> tuple[str, ...]:
     if chosen_root(scene) is None:
         writable.check(scene)
         # No operator, which would act on the scene of a window.
-        warnings = into_scene(scene, absolute(scene.gscore.capture_path, "Capture")).warnings
+        made = import_capture(scene, absolute(scene.gscore.capture_path, "Capture"))
+        choose(scene, made)
+        warnings = made.warnings
     undo.push("Cameras Found")
     return warnings

@@ -94,16 +94,17 @@ class _Files:
         self._folder, self._role = folder, role
         self._name = f"{role}-{uuid4().hex[:8]}"
         self._first: Triangles | None = None
+        self._digest = ""
         self._moves = False
         self._numbers: list[int] = []
         self._kept: set[Path] = set()
 
     def add(self, number: int, found: Triangles) -> None:
         """The mesh of a frame."""
+        digest = guides.digest(found)
         if self._first is None:
-            self._first = found
-        same = guides.digest(found) == guides.digest(self._first)
-        if not same and not self._moves:
+            self._first, self._digest = found, digest
+        if digest != self._digest and not self._moves:
             self._moves = True
             for earlier in self._numbers:
                 self._write(self._path(earlier), self._first)
@@ -117,7 +118,7 @@ class _Files:
         if self._moves:
             told, self._kept = self._path("{frame:06d}"), {self._path(n) for n in self._numbers}
         else:
-            told = self._folder / f"{self._role}-{guides.digest(self._first)}.ply"
+            told = self._folder / f"{self._role}-{self._digest}.ply"
             self._kept = {told}
             self._write(told, self._first)
         return told

@@ -63,9 +63,9 @@ def _shown(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> int | None:
     told = (
         modifier is not None and modifier.show_viewport and own.display not in {"NATIVE", "SPLATS"}
     )
-    if not told or not hasattr(evaluated, "evaluated_geometry"):
+    geometry = compat.evaluated_geometry(evaluated) if told else None
+    if geometry is None:
         return None
-    geometry = evaluated.evaluated_geometry()
     points = geometry.pointcloud or geometry.instances_pointcloud()
     return 0 if points is None else len(points.points)
 

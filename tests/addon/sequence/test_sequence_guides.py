@@ -2,8 +2,6 @@
 of the scene at the frames of the timeline, and what the real trainer says it sees."""
 
 import json
-import os
-import shutil
 from pathlib import Path
 
 import bpy
@@ -11,13 +9,11 @@ import numpy as np
 import plyfile
 import pytest
 
-from addon import preferences
 from addon.cameras.captures import cameras_of
 from addon.job import guides
 from addon.panels.train import GuidesPanel
 from addon.panels.train_sequence import TrainSequencePanel
 from addon.sequence import work
-from tests.addon.captures import STUDIO
 from tests.addon.drawn import drawn
 from tests.addon.sequence.test_train_sequence import (  # noqa: F401 - fixtures
     DONE,
@@ -25,10 +21,9 @@ from tests.addon.sequence.test_train_sequence import (  # noqa: F401 - fixtures
     needs_trainer,
     panel,
     play,
+    two_real_frames,
     video,
 )
-
-REAL = os.environ.get("GSCORE_TRAINER_PYTHON", "")
 
 
 def a_wall(scene: bpy.types.Scene, name: str = "Wall") -> bpy.types.Object:
@@ -58,6 +53,14 @@ def bring_first(scene: bpy.types.Scene, tmp_path: Path) -> bpy.types.Object:
     """The cameras of the first frame, upright."""
     bpy.ops.gscore.import_cameras(directory=str(tmp_path / "video" / "000000"), photos=False)
     return next(ob for ob in scene.objects if ob.type == "EMPTY")
+
+
+@pytest.fixture
+def wall(video: bpy.types.Scene, tmp_path: Path) -> bpy.types.Object:  # noqa: F811
+    """A wall that guides, and the cameras of the first frame."""
+    ob = a_wall(video)
+    bring_first(video, tmp_path)
+    return ob
 
 
 def test_meshes_that_move_are_written_at_each_frame(
@@ -109,13 +112,11 @@ def test_meshes_that_move_are_written_at_each_frame(
 
 
 def test_meshes_that_stand_still_are_one_file(
+    wall: bpy.types.Object,
     video: bpy.types.Scene,  # noqa: F811
-    tmp_path: Path,
     play: Play,  # noqa: F811
 ) -> None:
     """Oracle: the file; another shape replaces it; going on is told of none."""
-    ob = a_wall(video)
-    bring_first(video, tmp_path)
     called = play({"say": DONE})
     panel()
     bpy.ops.gscore.train_sequence(wait=True)
@@ -123,8 +124,8 @@ def test_meshes_that_stand_still_are_one_file(
     assert first.is_file() and [first] == list(first.parent.iterdir())
     mine = first.with_name("surface-mine.ply")
     mine.touch()
-    ob.data.vertices[0].co.x = 3
-    ob.data.update()
+    wall.data.vertices[0].co.x = 3
+    wall.data.update()
     bpy.ops.gscore.train_sequence(overwrite=True, wait=True)
     assert told(called) != first and {told(called), mine} == set(first.parent.iterdir())
     (work.output_of(video) / "sequence.json").write_text("{}")
@@ -133,16 +134,15 @@ def test_meshes_that_stand_still_are_one_file(
 
 
 def test_meshes_of_a_sequence_stay_until_another_begins(
+    wall: bpy.types.Object,
     video: bpy.types.Scene,  # noqa: F811
     tmp_path: Path,
     play: Play,  # noqa: F811
 ) -> None:
     """Oracle: the files, after Start Over without a Python that runs, and with one."""
-    ob = a_wall(video)
-    bring_first(video, tmp_path)
     for frame in (1, 4):
-        ob.location.x = 0.1 * frame
-        ob.keyframe_insert("location", frame=frame)
+        wall.location.x = 0.1 * frame
+        wall.keyframe_insert("location", frame=frame)
     called = play({"say": DONE})
     panel()
     bpy.ops.gscore.train_sequence(wait=True)
@@ -189,20 +189,12 @@ def test_what_a_sequence_does_not_see_is_told(
 @needs_trainer
 def test_a_real_sequence_is_guided(video: bpy.types.Scene, tmp_path: Path) -> None:  # noqa: F811
     """Oracle: config.json of each frame, and files that the trainer could read and see."""
-    for number in (0, 4):
-        folder = tmp_path / "video" / f"{number:06d}" / "images"
-        folder.rmdir()
-        shutil.copytree(STUDIO / "images", folder)
+    two_real_frames(video, tmp_path)
     bring_first(video, tmp_path)
     ob = a_wall(video)
     for frame, height in ((1, 0.0), (2, 0.2)):
         ob.location.z = height
         ob.keyframe_insert("location", frame=frame)
-    preferences.get().python_path = REAL
-    settings, own = video.gscore, video.gscore_train_sequence
-    settings.iterations, settings.resolution, settings.width = 20, "WIDTH", 48
-    settings.use_masks, settings.max_splats, settings.eval = False, 2000, False
-    own.frames = "0,4"
     panel()
     bpy.ops.gscore.train_sequence(wait=True)
     assert work.job_of(video).sentence.startswith("2 frames are complete")

@@ -171,9 +171,8 @@ def test_arguments_are_those_of_a_training_and_its_own(scene) -> None:
     assert again[:4] == ["sequence", "-o", "/o", "--resume"] and again[-2:] == ["--frames", "1,2"]
 
 
-@needs_trainer
-def test_a_real_sequence(video, tmp_path: Path) -> None:
-    """Oracle: `gscore sequence` itself, a few steps of two frames of the studio."""
+def two_real_frames(video: bpy.types.Scene, tmp_path: Path) -> None:
+    """Frames 0 and 4 become the studio, for a few steps of the trainer that is named."""
     for number in (0, 4):
         folder = tmp_path / "video" / f"{number:06d}" / "images"
         folder.rmdir()
@@ -183,6 +182,12 @@ def test_a_real_sequence(video, tmp_path: Path) -> None:
     settings.iterations, settings.resolution, settings.width = 20, "WIDTH", 48
     settings.use_masks, settings.max_splats, settings.eval = False, 2000, False
     own.frames = "0,4"
+
+
+@needs_trainer
+def test_a_real_sequence(video, tmp_path: Path) -> None:
+    """Oracle: `gscore sequence` itself, a few steps of two frames of the studio."""
+    two_real_frames(video, tmp_path)
     panel()
     bpy.ops.gscore.train_sequence(wait=True)
     assert work.job_of(video).sentence.startswith("2 frames are complete")
