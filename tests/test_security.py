@@ -68,7 +68,7 @@ WRITES = {
     "addon/job/guides.py:arguments ..core.write_mesh": "the output folder",
     "addon/job/within.py:arguments ..core.write_region": "the output folder",
     "addon/sequence/guides.py:_Files._write ..core.write_mesh": "the output folder",
-    "addon/sequence/guides.py:_Files.remove_earlier path.unlink": "the output folder's earlier meshes",
+    "addon/sequence/guides.py:_Files.remove_earlier path.unlink": "the output folder",
     "addon/steer/mask_operators.py:SaveMask.act ..masks.save": "the capture's folder of masks",
     "addon/steer/masks.py:save ..core.atomic_write": "the capture's folder of masks",
     "addon/steer/start.py:Start._write ..core.write_region": "a new folder beside the output",
