@@ -91,6 +91,7 @@ from gscore.frontend import (
     find_capture,
     find_colmap,
     find_frames,
+    frame_pattern,
     from_line,
     gray_png,
     importance_of,

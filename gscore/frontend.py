@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from .config import Switch
     from .datasets import Capture, Folder, View, read_capture
     from .datasets.camera_path_json import read_camera_path
-    from .datasets.frames import SequenceFrame, choose_frames, find_frames
+    from .datasets.frames import SequenceFrame, choose_frames, find_frames, frame_pattern
     from .datasets.mattes import are_mattes
     from .datasets.resolution import target_size
     from .depth.catalogue import KnownNetwork
@@ -170,6 +170,7 @@ _HOME = {
     "find_capture": "inspection",
     "find_colmap": "io.colmap.folder:find_model",
     "find_frames": "datasets.frames",
+    "frame_pattern": "datasets.frames",
     "from_line": "events",
     "gray_png": "io.pictures.png",
     "importance_of": "edit",
@@ -284,6 +285,7 @@ __all__ = [
     "find_capture",
     "find_colmap",
     "find_frames",
+    "frame_pattern",
     "from_line",
     "gray_png",
     "importance_of",
