@@ -14,6 +14,8 @@ MODULES: tuple[str, ...] = (
     "python.section",
     "python.operators",
     "cameras.photos",
+    "cameras.straightening",
+    "cameras.straight_operators",
     "cameras.operators",
     "cameras.path_operators",
     "cameras.alignment_operators",
