@@ -57,6 +57,7 @@ MODULES: tuple[str, ...] = (
     "panels.curve_icon",
     "panels.histogram_icons",
     "panels.depth_table",
+    "panels.manual",
     "panels",
 )
 """Modules that `registration` registers, in the order in which they need each other."""
