@@ -24,7 +24,7 @@ class StraightenPhotos(Acting, bpy.types.Operator):
 
     bl_idname = "gscore.straighten_photos"
     bl_label = "Straighten Photos"
-    bl_options: ClassVar = {"REGISTER"}
+    bl_options: ClassVar = {"REGISTER", "UNDO"}
 
     capture: StringProperty(
         name="Capture",
