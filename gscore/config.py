@@ -396,7 +396,6 @@ class TrainConfig:
         "there: outdoors, what no photo shows behind the rest is then not black. From outside the "
         "sphere hides the scene. Opacities are then reset only where `reset_every` says so.",
         group="start",
-        basic=True,
         when="points",
     )
     stereo: Switch = option(
