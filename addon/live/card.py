@@ -106,26 +106,43 @@ class Order:
     CHUNK = 1 << 18
     """Entries; one takes a few milliseconds."""
 
-    def __init__(self, entries: np.ndarray) -> None:
+    def __init__(self, entries: np.ndarray, before: "Order | None" = None) -> None:
         """Nothing is uploaded yet.
 
         Args:
             entries: [N, 4] float32, of `order.arrange`.
+            before: Another that is on the card; chunks that are the same need no upload.
         """
         self._entries = entries
+        self._before = () if before is None else (before._entries, tuple(before.chunks))
         self.chunks: list[tuple[gpu.types.GPUTexture, int]] = []
         """Textures and how many entries each has, in the order of drawing."""
 
     def step(self) -> bool:
         """Upload one more chunk; whether all are there."""
-        at = len(self.chunks) * self.CHUNK
+        number = len(self.chunks)
+        at = number * self.CHUNK
         part = self._entries[at : at + self.CHUNK]
-        if len(part):
+        known = self._known(number, part)
+        if known is not None:
+            self.chunks.append(known)
+        elif len(part):
             rows = -(-len(part) // ORDER_COLUMNS)
             padded = np.zeros((rows * ORDER_COLUMNS, 4), np.float32)
             padded[: len(part)] = part
             self.chunks.append((texture(padded.reshape(rows, ORDER_COLUMNS, 4)), len(part)))
-        return at + self.CHUNK >= len(self._entries)
+        complete = at + self.CHUNK >= len(self._entries)
+        if complete:
+            self._before = ()  # else each would keep all that were before it
+        return complete
+
+    def _known(self, number: int, part: np.ndarray) -> tuple[gpu.types.GPUTexture, int] | None:
+        """The chunk of this number of the order before, if it has the same entries."""
+        if not self._before or number >= len(self._before[1]):
+            return None
+        at = number * self.CHUNK
+        same = np.array_equal(self._before[0][at : at + self.CHUNK], part)
+        return self._before[1][number] if same else None
 
 
 def upload(atlas: Atlas) -> gpu.types.GPUTexture:

@@ -1,5 +1,6 @@
 """Copies of splat meshes' attributes, so that decoding them needs neither bpy nor its thread."""
 
+import copy
 import zlib
 from collections.abc import Hashable, Sized
 from typing import Any, Protocol
@@ -66,8 +67,17 @@ class _Attribute:
         values = np.empty(count, np.float32)
         if count:
             attribute.data.foreach_get(key, values)
+        self._take(values, width)
+
+    def _take(self, values: np.ndarray, width: int) -> None:
         self.data = _Data(values, width)
         self.fingerprint = (self.name, self.domain, self.data_type, zlib.crc32(values))
+
+    def refilled(self, values: np.ndarray) -> "_Attribute":
+        """The same attribute with other values, flat float32."""
+        made = copy.copy(self)
+        made._take(values, self.data.width)
+        return made
 
 
 class _Attributes(dict[str, _Attribute]):
@@ -98,6 +108,35 @@ class FrozenMesh:
         made = FrozenMesh(self.name, len(self.vertices))
         made.attributes, made.marks = self.attributes, marks
         return made
+
+    def can_take(self, base: np.ndarray) -> bool:
+        """Whether `repainted` can be given this."""
+        return BASE in self.attributes and len(base) == len(self.vertices)
+
+    def repainted(self, base: np.ndarray) -> "FrozenMesh":
+        """The same splats with other colours and opacities.
+
+        Args:
+            base: [N, 4] float32, contiguous, of `radiance:base`; from now on it belongs to this.
+        """
+        made = FrozenMesh(self.name, len(self.vertices))
+        made.attributes.update((a.name, a) for a in self.attributes)
+        dict.__setitem__(made.attributes, BASE, self.attributes[BASE].refilled(base.reshape(-1)))
+        made.marks = self.marks
+        return made
+
+    def alike(self, other: "FrozenMesh") -> bool:
+        """Whether another copy differs in the values of `radiance:base` at most."""
+        mine, theirs = (
+            {a.name: a.fingerprint[: 3 if a.name == BASE else 4] for a in one.attributes}
+            for one in (self, other)
+        )
+        return BASE in mine and mine == theirs and len(self.vertices) == len(other.vertices)
+
+    @property
+    def base(self) -> np.ndarray:
+        """[N, 4] float32 view of `radiance:base`."""
+        return self.attributes[BASE].data.values.reshape(-1, 4)
 
     def read(self) -> Splats:
         """The splats; errors as `attributes.read`."""
@@ -133,6 +172,27 @@ class Freezer:
         self._begun = None
         frozen.marks = read_marks(data)
         return frozen
+
+    def repaint(self, base: np.ndarray) -> None:
+        """Have the copy that has begun get other colours and opacities; as `FrozenMesh.repainted`.
+
+        It does where it has copied those of the datablock; else they are copied in their turn.
+        """
+        if self._begun is not None and self._begun.can_take(base):
+            self._begun = self._begun.repainted(base)
+
+
+def repainted_rows(before: Frozen, after: Frozen) -> np.ndarray | None:
+    """[K], which splats differ in colour or opacity, where two copies are alike in all else.
+
+    None where they are not, or where new values are not finite, which reading them refuses.
+    """
+    if not (isinstance(before, FrozenMesh) and isinstance(after, FrozenMesh)):
+        return None
+    if not before.alike(after):
+        return None
+    rows = np.flatnonzero((before.base != after.base).any(axis=1))
+    return rows if np.isfinite(after.base[rows]).all() else None
 
 
 def freeze(data: Any, name: str) -> FrozenMesh:

@@ -2,6 +2,7 @@
 
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -90,6 +91,67 @@ def test_marks_tint_and_hide():
     before, after = plain[kept][chosen, 1:], got[chosen, 1:]
     apart = np.linalg.norm(before - marks.TINT, axis=1)
     np.testing.assert_allclose(np.linalg.norm(after - marks.TINT, axis=1), 0.35 * apart, atol=1e-5)
+
+
+def repainted(splats: Splats, rows: np.ndarray, *, fade: bool) -> Splats:
+    """The same arrays, but for colours, and opacities if wanted, of some rows."""
+    sh0, opacities = splats.sh0.copy(), splats.opacities.copy()
+    sh0[rows] += 0.7
+    opacities[rows] -= 1.5 * fade
+    return replace(splats, sh0=sh0, opacities=opacities)
+
+
+@pytest.mark.parametrize("fade", [False, True])
+def test_a_repainted_atlas_is_one_of_what_was_painted(fade):
+    """Oracle: an atlas laid out anew, splat by splat; the texels are shared while they are the
+    same, and the earlier atlas keeps its own."""
+    parts = [lab.blob(1500, seed=1), lab.blob(700, seed=2)]
+    made = atlas.build(parts)
+    texels = made.texels.copy()
+    now = [parts[0], repainted(parts[1], np.arange(20, 90), fade=fade)]
+    got, differ = atlas.repainted(made, now)
+    want = atlas.build(now)
+    assert (got.texels is made.texels) == (not fade)
+    np.testing.assert_array_equal(made.texels, texels)
+    rows = got.texels.reshape(-1, atlas.TEXELS, 4)
+    place = {(p, i): row for row, (p, i) in enumerate(zip(want.part, want.index, strict=True))}
+    for row, key in enumerate(zip(got.part, got.index, strict=True)):
+        wanted = want.texels.reshape(-1, atlas.TEXELS, 4)[place[key]]
+        np.testing.assert_array_equal(rows[row], wanted)
+    assert differ.sum() == 70 and got.parts == tuple(now)
+    assert set(got.index[differ]) == set(range(20, 90)) and (got.part[differ] == 1).all()
+
+
+def test_other_splats_are_no_repainted_ones():
+    """Oracle: what was exchanged: an array that is no colour, or the number of objects."""
+    parts = [lab.blob(100)]
+    made = atlas.build(parts)
+    assert atlas.repainted(made, [replace(parts[0], means=parts[0].means.copy())]) is None
+    assert atlas.repainted(made, [*parts, lab.blob(5)]) is None
+
+
+def test_recoloured_entries_are_those_of_a_new_order():
+    """Oracle: `arrange` of the repainted atlas, to the bit; splats are selected and hidden, too."""
+    parts = [lab.blob(1500, seed=1), lab.blob(700, seed=2)]
+    made = atlas.build(parts)
+    eye = order.Eye(viewmats=(np.eye(4), similarity(1.5)), orthographic=False)
+    own = np.random.default_rng(0).integers(0, 4, 700).astype(np.uint8)
+    before = order.arrange(made, eye, 1800, [None, own])
+    now = [repainted(p, np.arange(0, 600, 3), fade=True) for p in parts]
+    painted, differ = atlas.repainted(made, now)
+    got = order.recolored(before, painted, eye, differ, [None, own])
+    np.testing.assert_array_equal(got, order.arrange(painted, eye, 1800, [None, own]))
+    assert (got != before).any()
+
+
+def test_which_splats_were_selected_anew():
+    """Oracle: the bits, counted by hand."""
+    before = np.array([0, SELECTED, HIDDEN, 0], np.uint8)
+    after = np.array([SELECTED, 0, HIDDEN, 0], np.uint8)
+    assert marks.reselected(before, after, 4).tolist() == [True, True, False, False]
+    assert marks.reselected(None, after, 4) is None
+    assert marks.reselected(None, after & np.uint8(SELECTED), 4).tolist() == [True, *[False] * 3]
+    assert not marks.reselected(None, None, 4).any()
 
 
 def test_more_than_float32_numbers_are_refused(monkeypatch):
