@@ -1,0 +1,120 @@
+"""What a view shows of the splats of an object: where they are, which are in front, which colour a
+pixel has."""
+
+import bpy
+import numpy as np
+
+from .. import attributes, compat
+from ..cameras.captures import RenderCamera
+from ..cameras.formulas import project
+from ..core import Rendered, render
+from ..render.viewport import smaller
+from ..splats import filters, objects
+
+LARGEST = 512
+"""Pixels of the larger side of the picture whose depths say what is in front."""
+_SLACK = 4.0
+"""Widths of that picture's pixels by which a splat in front may lie behind the surface, besides its
+own size: surfaces are slanted."""
+_FAINTEST = 0.05
+"""Opacity of a pixel below which nothing is seen there."""
+
+
+def pixels(ob: bpy.types.Object, view: RenderCamera) -> tuple[np.ndarray, np.ndarray]:
+    """Where a view shows the centers of the N splats of an object.
+
+    Returns:
+        [N, 2] pixels from the top left, and [N] bool: which of them lie before the view's near
+        plane and within its picture.
+    """
+    means = attributes.column(ob.data, attributes.POSITION)
+    with np.errstate(all="ignore"):  # what lies behind the view is left out
+        found, depths = project(means, view.K, _viewmat(ob, view), orthographic=view.orthographic)
+        there = (depths > view.near) & (found >= 0).all(axis=1)
+        there &= (found[:, 0] < view.width) & (found[:, 1] < view.height)
+    found[~there] = 0
+    return found, there
+
+
+def in_front(ob: bpy.types.Object, view: RenderCamera, at: np.ndarray) -> np.ndarray:
+    """[N] bool: splats whose center does not lie behind the surface that a view shows of an object.
+
+    The surface is where half of the light is blocked by the object's own splats, those that its
+    filters hide apart; the rasterizer says where, on a picture of `LARGEST` pixels. A splat may lie
+    behind it by its own size, its largest standard deviation, and by as much as `_SLACK` pixels of
+    that picture are wide at this depth.
+
+    Args:
+        ob: A splat object in Object Mode.
+        view: From where.
+        at: [N, 2], as `pixels` gives it.
+
+    Raises:
+        ValueError: attributes are missing or not finite, or the object is scaled unevenly.
+    """
+    small = smaller(view, -(-max(view.width, view.height) // LARGEST))
+    viewmat = _viewmat(ob, view)
+    surface = _drawn(ob, small, depths=True).median_depth
+    assert surface is not None
+    column = np.clip(at[:, 0] * (small.width / view.width), 0, small.width - 1).astype(np.int32)
+    row = np.clip(at[:, 1] * (small.height / view.height), 0, small.height - 1).astype(np.int32)
+    surface = surface[row, column]
+    means = attributes.column(ob.data, attributes.POSITION)
+    depths = means @ viewmat[2, :3].astype(np.float32) + np.float32(viewmat[2, 3])
+    size = np.abs(attributes.column(ob.data, attributes.SCALE)).max(axis=1, initial=0)
+    size *= np.float32(np.cbrt(abs(np.linalg.det(viewmat[:3, :3]))))
+    pixel = (1 if view.orthographic else surface) / np.float32(small.K[0, 0])
+    # Where the light is never blocked, nothing is behind anything.
+    return (surface <= 0) | (depths <= surface + _SLACK * pixel + size)
+
+
+def color_at(ob: bpy.types.Object, view: RenderCamera, point: np.ndarray) -> np.ndarray:
+    """[3] sRGB values that an object's splats show at a pixel, without what depends on the view.
+
+    Args:
+        ob: A splat object in Object Mode.
+        view: From where.
+        point: [2] pixels from the top left.
+
+    Raises:
+        ValueError: nothing is seen there, or as `in_front`.
+    """
+    left, top = (int(v) for v in np.floor(point))
+    if not (0 <= left < view.width and 0 <= top < view.height):
+        raise ValueError("There is no view under the cursor: pick a color within the 3D view.")
+    drawn = _drawn(ob, view, depths=False, window=(left, top, 1, 1))
+    if drawn.alpha[0, 0] < _FAINTEST:
+        raise ValueError(f"There are no splats of {ob.name} under the cursor.")
+    return np.clip(drawn.rgb[0, 0] / drawn.alpha[0, 0], 0, 1)
+
+
+def _drawn(
+    ob: bpy.types.Object,
+    view: RenderCamera,
+    *,
+    depths: bool,
+    window: tuple[int, int, int, int] | None = None,
+) -> Rendered:
+    """A picture of an object alone, without what its filters hide and what depends on the view."""
+    matrix = compat.matrix_to_numpy(ob.matrix_world)
+    objects.moved(attributes.NO_SPLATS, matrix, ob.name)  # refuses a scale that is uneven
+    splats = attributes.read(ob.data, rest=False)
+    if filters.filters_of(ob).leave_out_anything:
+        splats = splats.subset(filters.visible_mask(ob))
+    return render(
+        splats,
+        view.K,
+        view.viewmat @ matrix,
+        view.width,
+        view.height,
+        near=view.near,
+        antialias=bool(ob.get(objects.ANTIALIAS, False)),
+        orthographic=view.orthographic,
+        depths=depths,
+        window=window,
+    )
+
+
+def _viewmat(ob: bpy.types.Object, view: RenderCamera) -> np.ndarray:
+    """[4, 4] float64 from the object's space to the view's."""
+    return view.viewmat @ compat.matrix_to_numpy(ob.matrix_world)
