@@ -12,13 +12,32 @@ from ..splats.operators import OnSplats, edit_vertices
 from .session import UNDO, Answer, Session, paintable
 
 
-class _Running:
-    """Of this Blender session: one is enough."""
+class Running:
+    """The painting that is under way in this Blender: one is enough."""
 
-    session: Session | None = None
+    def __init__(self) -> None:
+        self.session: Session | None = None
+        self._workspace: bpy.types.WorkSpace | None = None
+
+    def begin(self, context: bpy.types.Context) -> None:
+        """Paint from now on, with the brush's circle and the keys in the status bar."""
+        self.session, self._workspace = Session(), context.workspace
+        self.tell(context)
+
+    def tell(self, context: bpy.types.Context) -> None:
+        """Bring what the status bar says up to date."""
+        sentence = self.session.sentence(context.window_manager.gscore_paint)
+        self._workspace.status_text_set(sentence)
+
+    def end(self) -> None:
+        """Leave nothing behind; nothing happens where none is under way."""
+        session, self.session = self.session, None
+        if session is not None:
+            session.close()
+            self._workspace.status_text_set(None)
 
 
-RUNNING = _Running()
+RUNNING = Running()
 
 
 class PaintSplats(OnSplats, bpy.types.Operator):
@@ -58,47 +77,38 @@ class PaintSplats(OnSplats, bpy.types.Operator):
             return self.execute(context)
         self._edited = ""
         try:
-            ob = objects.meant(context)
-            edited = ob.mode == "EDIT"
-            paintable(context)
+            edited = objects.meant(context).mode == "EDIT"
+            ob = paintable(context)
         except (GsError, ValueError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         if edited:
             self._edited = ob.name
             undo.push(UNDO)  # else undoing the first stroke would lead back into Edit Mode
-        self._session = RUNNING.session = Session()
-        self._workspace = context.workspace
-        self._tell(context)
+        RUNNING.begin(context)
         context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Hand an event to the session."""
         try:
-            answer = self._session.take(context, event)
+            answer = RUNNING.session.take(context, event)
         except (GsError, ValueError) as error:
             self.report({"ERROR"}, str(error))
             answer = Answer.TAKEN
         except BaseException:
-            self.cancel(context)
+            RUNNING.end()
             raise
         if answer is Answer.ENDED:
-            self.cancel(context)
+            RUNNING.end()
             self._edit_again(context)
         else:
-            self._tell(context)
+            RUNNING.tell(context)
         return {answer.value}
 
     def cancel(self, context: bpy.types.Context) -> None:
-        """Leave nothing behind; Blender calls this where another file is opened, or it ends."""
-        RUNNING.session = None
-        self._workspace.status_text_set(None)
-        self._session.close()
-
-    def _tell(self, context: bpy.types.Context) -> None:
-        sentence = self._session.sentence(context.window_manager.gscore_paint)
-        self._workspace.status_text_set(sentence)
+        """Blender calls this where another file is opened, or it ends."""
+        RUNNING.end()
 
     def _edit_again(self, context: bpy.types.Context) -> None:
         """Go back to Edit Mode, if painting began there."""
@@ -113,6 +123,4 @@ CLASSES = (PaintSplats,)
 
 def on_unregister() -> None:
     """End painting that is under way: its operator is no more."""
-    if RUNNING.session is not None:
-        RUNNING.session.close()
-        RUNNING.session = None
+    RUNNING.end()

@@ -1,6 +1,5 @@
 """Copies of splat meshes' attributes, so that decoding them needs neither bpy nor its thread."""
 
-import copy
 import zlib
 from collections.abc import Hashable, Sized
 from typing import Any, Protocol
@@ -58,26 +57,25 @@ class _Data:
 class _Attribute:
     """What an attribute offers; its memory is its own."""
 
-    def __init__(self, attribute: Any) -> None:
-        self.name, self.domain = attribute.name, attribute.domain
-        self.data_type = attribute.data_type
-        key, width = _KEYS.get(self.data_type, ("", 1))
-        # Of another type or domain than a splat's: nothing is copied, the reader refuses it.
-        count = len(attribute.data) * width if key else 0
-        values = np.empty(count, np.float32)
-        if count:
-            attribute.data.foreach_get(key, values)
-        self._take(values, width)
-
-    def _take(self, values: np.ndarray, width: int) -> None:
-        self.data = _Data(values, width)
-        self.fingerprint = (self.name, self.domain, self.data_type, zlib.crc32(values))
+    def __init__(self, name: str, domain: str, data_type: str, values: np.ndarray) -> None:
+        self.name, self.domain, self.data_type = name, domain, data_type
+        self.data = _Data(values, _KEYS.get(data_type, ("", 1))[1])
+        self.fingerprint = (name, domain, data_type, zlib.crc32(values))
 
     def refilled(self, values: np.ndarray) -> "_Attribute":
         """The same attribute with other values, flat float32."""
-        made = copy.copy(self)
-        made._take(values, self.data.width)
-        return made
+        return _Attribute(self.name, self.domain, self.data_type, values)
+
+
+def _copied(attribute: Any) -> _Attribute:
+    """A copy of Blender's attribute; an empty one where its type is none of a splat's, which the
+    reader refuses."""
+    key, width = _KEYS.get(attribute.data_type, ("", 1))
+    count = len(attribute.data) * width if key else 0
+    values = np.empty(count, np.float32)
+    if count:
+        attribute.data.foreach_get(key, values)
+    return _Attribute(attribute.name, attribute.domain, attribute.data_type, values)
 
 
 class _Attributes(dict[str, _Attribute]):
@@ -121,7 +119,7 @@ class FrozenMesh:
         """
         made = FrozenMesh(self.name, len(self.vertices))
         made.attributes.update((a.name, a) for a in self.attributes)
-        dict.__setitem__(made.attributes, BASE, self.attributes[BASE].refilled(base.reshape(-1)))
+        made.attributes[BASE] = self.attributes[BASE].refilled(base.reshape(-1))
         made.marks = self.marks
         return made
 
@@ -167,7 +165,7 @@ class Freezer:
         frozen = self._begun
         for wanted in sorted(_wanted(data)):
             if wanted not in frozen.attributes:
-                dict.__setitem__(frozen.attributes, wanted, _Attribute(data.attributes[wanted]))
+                dict.__setitem__(frozen.attributes, wanted, _copied(data.attributes[wanted]))
                 return None
         self._begun = None
         frozen.marks = read_marks(data)
