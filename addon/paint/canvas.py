@@ -68,7 +68,7 @@ class Canvas:
         self._selected = (self._marks & SELECTED) != 0
         self._touched = False
         self._live = ob.gscore.display == "SPLATS" and live.SESSION.works and not plays(ob)
-        self._shown = self._live or count <= copies.EDITED_AT_ONCE
+        self._follows = self._live or count <= copies.EDITED_AT_ONCE
 
     @staticmethod
     def _within_reach(
@@ -109,7 +109,7 @@ class Canvas:
         splats, at its end."""
         if self._live:
             self._show_live()
-        elif self._shown and self._touched:
+        elif self._follows and self._touched:
             self._write(self._after, self._selected)
 
     def finish(self) -> int:
@@ -127,7 +127,7 @@ class Canvas:
 
     def cancel(self) -> None:
         """Leave everything as it was before the stroke."""
-        written = self._shown and not self._live and self._touched
+        written = self._follows and not self._live and self._touched
         self._after, self._selected = self._before, (self._marks & SELECTED) != 0
         if self._live:
             self._show_live()

@@ -24,14 +24,16 @@ def pixels(ob: bpy.types.Object, view: RenderCamera) -> tuple[np.ndarray, np.nda
     """Where a view shows the centers of the N splats of an object.
 
     Returns:
-        [N, 2] pixels from the top left, and [N] bool: which of them lie before the view's near
-        plane and within its picture.
+        [N, 2] float32, pixels from the top left, and [N] bool: which of them lie beyond the view's
+        near plane and within its picture.
     """
     means = attributes.column(ob.data, attributes.POSITION)
+    K, viewmat = (matrix.astype(np.float32) for matrix in (view.K, _viewmat(ob, view)))
     with np.errstate(all="ignore"):  # what lies behind the view is left out
-        found, depths = project(means, view.K, _viewmat(ob, view), orthographic=view.orthographic)
-        there = (depths > view.near) & (found >= 0).all(axis=1)
-        there &= (found[:, 0] < view.width) & (found[:, 1] < view.height)
+        found, depths = project(means, K, viewmat, orthographic=view.orthographic)
+        there = depths > view.near
+        for axis, end in enumerate((view.width, view.height)):
+            there &= (found[:, axis] >= 0) & (found[:, axis] < end)
     found[~there] = 0
     return found, there
 

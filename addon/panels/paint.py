@@ -30,7 +30,9 @@ class PaintPanel(TabPanel, bpy.types.Panel):
         layout.use_property_decorate = False
         text = "Paint Splats" if RUNNING.session is None else "Stop Painting"
         layout.operator("gscore.paint_splats", text=text, icon="BRUSH_DATA")
-        layout.row(align=True).prop(brush, "does", expand=True)
+        row = layout.row(align=True)
+        row.use_property_split = False  # else the names have no room
+        row.prop(brush, "does", expand=True)
         if brush.does == COLOR:
             layout.prop(brush, "color")
         elif brush.does == OPACITY:
