@@ -1,6 +1,8 @@
 """What a view shows of the splats of an object: where they are, which are in front, which colour a
 pixel has."""
 
+from collections.abc import Iterator
+
 import bpy
 import numpy as np
 
@@ -16,6 +18,8 @@ LARGEST = 512
 _SLACK = 4.0
 """Widths of that picture's pixels by which a splat in front may lie behind the surface, besides its
 own size: surfaces are slanted."""
+_BLOCK = 1 << 15
+"""Splats looked at at once."""
 _FAINTEST = 0.05
 """Opacity of a pixel below which nothing is seen there."""
 
@@ -29,12 +33,14 @@ def pixels(ob: bpy.types.Object, view: RenderCamera) -> tuple[np.ndarray, np.nda
     """
     means = attributes.column(ob.data, attributes.POSITION)
     K, viewmat = (matrix.astype(np.float32) for matrix in (view.K, _viewmat(ob, view)))
-    with np.errstate(all="ignore"):  # what lies behind the view is left out
-        found, depths = project(means, K, viewmat, orthographic=view.orthographic)
-        there = depths > view.near
-        for axis, end in enumerate((view.width, view.height)):
-            there &= (found[:, axis] >= 0) & (found[:, axis] < end)
-    found[~there] = 0
+    found, there = np.zeros((len(means), 2), np.float32), np.zeros(len(means), bool)
+    for part in _blocks(len(means)):
+        with np.errstate(all="ignore"):  # what lies behind the view is left out
+            at, depths = project(means[part], K, viewmat, orthographic=view.orthographic)
+            inside = depths > view.near
+            for axis, end in enumerate((view.width, view.height)):
+                inside &= (at[:, axis] >= 0) & (at[:, axis] < end)
+        found[part], there[part] = np.where(inside[:, None], at, 0), inside
     return found, there
 
 
@@ -58,16 +64,32 @@ def in_front(ob: bpy.types.Object, view: RenderCamera, at: np.ndarray) -> np.nda
     viewmat = _viewmat(ob, view)
     surface = _drawn(ob, small, depths=True).median_depth
     assert surface is not None
-    column = np.clip(at[:, 0] * (small.width / view.width), 0, small.width - 1).astype(np.int32)
-    row = np.clip(at[:, 1] * (small.height / view.height), 0, small.height - 1).astype(np.int32)
-    surface = surface[row, column]
     means = attributes.column(ob.data, attributes.POSITION)
-    depths = means @ viewmat[2, :3].astype(np.float32) + np.float32(viewmat[2, 3])
-    size = np.abs(attributes.column(ob.data, attributes.SCALE)).max(axis=1, initial=0)
-    size *= np.float32(np.cbrt(abs(np.linalg.det(viewmat[:3, :3]))))
-    pixel = (1 if view.orthographic else surface) / np.float32(small.K[0, 0])
-    # Where the light is never blocked, nothing is behind anything.
-    return (surface <= 0) | (depths <= surface + _SLACK * pixel + size)
+    scales = attributes.column(ob.data, attributes.SCALE)
+    row = viewmat[2].astype(np.float32)
+    larger = np.float32(np.cbrt(abs(np.linalg.det(viewmat[:3, :3]))))
+    found = np.empty(len(means), bool)
+    for part in _blocks(len(means)):
+        before = _looked_up(surface, at[part], view)
+        pixel = (1 if view.orthographic else before) / np.float32(small.K[0, 0])
+        size = larger * np.abs(scales[part].T.copy()).max(axis=0)  # by axis: the other way is slow
+        depths = means[part] @ row[:3] + row[3]
+        # Where the light is never blocked, nothing is behind anything.
+        found[part] = (before <= 0) | (depths <= before + _SLACK * pixel + size)
+    return found
+
+
+def _looked_up(picture: np.ndarray, at: np.ndarray, view: RenderCamera) -> np.ndarray:
+    """[B] values of a smaller picture [H, W] of a view at its pixels [B, 2]."""
+    height, width = picture.shape
+    column = np.clip(at[:, 0] * np.float32(width / view.width), 0, width - 1).astype(np.int32)
+    line = np.clip(at[:, 1] * np.float32(height / view.height), 0, height - 1).astype(np.int32)
+    return picture[line, column]
+
+
+def _blocks(count: int) -> Iterator[slice]:
+    """So many splats in parts that stay in a cache, several times faster than all at once."""
+    return (slice(at, at + _BLOCK) for at in range(0, count, _BLOCK))
 
 
 def color_at(ob: bpy.types.Object, view: RenderCamera, point: np.ndarray) -> np.ndarray:
