@@ -14,6 +14,8 @@ MODULES: tuple[str, ...] = (
     "python.section",
     "python.operators",
     "cameras.photos",
+    "cameras.straightening",
+    "cameras.straight_operators",
     "cameras.operators",
     "cameras.path_operators",
     "cameras.alignment_operators",
@@ -58,6 +60,7 @@ MODULES: tuple[str, ...] = (
     "panels.curve_icon",
     "panels.histogram_icons",
     "panels.depth_table",
+    "panels.manual",
     "panels",
 )
 """Modules that `registration` registers, in the order in which they need each other."""

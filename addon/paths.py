@@ -14,6 +14,14 @@ ROOT = __package__.removesuffix(".addon")
 """Name under which Blender knows the add-on."""
 
 
+def own_folder() -> Path:
+    """The folder that Blender gives the add-on for what it makes for itself."""
+    try:
+        return Path(bpy.utils.extension_path_user(ROOT))
+    except ValueError:  # run from a checkout, not installed as an extension
+        return Path(bpy.utils.user_resource("DATAFILES", path="gscore"))
+
+
 def absolute(text: str, what: str) -> Path:
     """The folder or file meant by a property; `//` is the folder of the .blend file.
 

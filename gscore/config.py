@@ -390,6 +390,15 @@ class TrainConfig:
         group="start",
         when="points",
     )
+    sky: bool = option(
+        False,
+        "Start with a far sphere of splats around all else too, in the colours that photos have "
+        "there: outdoors, what no photo shows behind the rest is then not black. From outside the "
+        "sphere hides the scene. Opacities are then reset only where `reset_every` says so.",
+        group="start",
+        basic=True,
+        when="points",
+    )
     stereo: Switch = option(
         Switch.OFF,
         "Start from more points than SfM found: those whose depth the photos agree on. Found in "
@@ -610,7 +619,7 @@ class TrainConfig:
     reset_every: int = option(
         0,
         "`default`: steps between two opacity resets, up to `refine_stop` or, where that is 0, "
-        "half of the run; 0: 3,000, none in runs under 6,000 steps; -1: never.",
+        "half of the run; 0: 3,000, none in runs under 6,000 steps or with `sky`; -1: never.",
         group="refinement",
         range=Range(low=-1),
         unit="steps",

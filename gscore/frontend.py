@@ -12,9 +12,10 @@ if TYPE_CHECKING:
     from .config import Switch
     from .datasets import Capture, Folder, View, read_capture
     from .datasets.camera_path_json import read_camera_path
-    from .datasets.frames import SequenceFrame, choose_frames, find_frames
+    from .datasets.frames import SequenceFrame, choose_frames, find_frames, frame_pattern
     from .datasets.mattes import are_mattes
     from .datasets.resolution import target_size
+    from .datasets.undistort import Undistortion, plan_undistortion
     from .depth.catalogue import KnownNetwork
     from .depth.catalogue import all_networks as depth_networks
     from .depth.stated import StatedDepth, stated_depth
@@ -65,13 +66,11 @@ if TYPE_CHECKING:
     from .io.colmap.folder import find_model as find_colmap
     from .io.colmap.folder import read_model as read_colmap
     from .io.colmap.folder import write_model as write_colmap
-    from .io.colmap.lenses import BENT, bent_pixels
     from .io.colmap.model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
     from .io.files import atomic_write
     from .io.lod_file import LOD_ENDING, is_lod_file
     from .io.mesh.ply import write_mesh
     from .io.pictures.image_header import ImageInfo, read_header
-    from .io.pictures.lookup import Pixels
     from .io.pictures.png import gray_png, rgba_png
     from .io.pictures.resample import downscale
     from .io.ply.splats import MIP_COMMENT
@@ -95,7 +94,6 @@ if TYPE_CHECKING:
     from .video import VIDEO_ENDINGS, is_video
 
 _HOME = {
-    "BENT": "io.colmap.lenses",
     "Capture": "datasets",
     "CaptureFacts": "inspection",
     "ColmapCamera": "io.colmap.model",
@@ -129,7 +127,6 @@ _HOME = {
     "Option": "options",
     "POSES_FILE": "io.poses_json",
     "SPLAT_ENDINGS": "formats",
-    "Pixels": "io.pictures.lookup",
     "Preview": "events",
     "Problem": "inspection",
     "Progress": "events",
@@ -146,6 +143,7 @@ _HOME = {
     "Started": "events",
     "StatedDepth": "depth.stated",
     "Switch": "config",
+    "Undistortion": "datasets.undistort",
     "VIDEO_ENDINGS": "video",
     "View": "datasets",
     "Warn": "events",
@@ -153,7 +151,6 @@ _HOME = {
     "are_mattes": "datasets.mattes",
     "at_least_opaque": "edit",
     "atomic_write": "io.files",
-    "bent_pixels": "io.colmap.lenses",
     "build_lod": "lod.build",
     "capture_beside": "sfm.beside",
     "choose_frames": "datasets.frames",
@@ -170,6 +167,7 @@ _HOME = {
     "find_capture": "inspection",
     "find_colmap": "io.colmap.folder:find_model",
     "find_frames": "datasets.frames",
+    "frame_pattern": "datasets.frames",
     "from_line": "events",
     "gray_png": "io.pictures.png",
     "importance_of": "edit",
@@ -184,6 +182,7 @@ _HOME = {
     "most_important": "edit",
     "of_size": "edit",
     "options_of": "options",
+    "plan_undistortion": "datasets.undistort",
     "reached_from": "edit",
     "read_camera_path": "datasets.camera_path_json",
     "read_cameras": "io.cameras_json:read_cameras_json",
@@ -211,7 +210,6 @@ _HOME = {
 """Where a name lives; `module:name` where it is called differently there."""
 
 __all__ = [
-    "BENT",
     "GUIDES",
     "GUIDE_FILE",
     "LOD_ENDING",
@@ -246,7 +244,6 @@ __all__ = [
     "LodFacts",
     "LodModel",
     "Option",
-    "Pixels",
     "Preview",
     "Problem",
     "Progress",
@@ -263,13 +260,13 @@ __all__ = [
     "Started",
     "StatedDepth",
     "Switch",
+    "Undistortion",
     "View",
     "Warn",
     "apply_edits",
     "are_mattes",
     "at_least_opaque",
     "atomic_write",
-    "bent_pixels",
     "build_lod",
     "capture_beside",
     "choose_frames",
@@ -285,6 +282,7 @@ __all__ = [
     "find_capture",
     "find_colmap",
     "find_frames",
+    "frame_pattern",
     "from_line",
     "gray_png",
     "importance_of",
@@ -300,6 +298,7 @@ __all__ = [
     "most_important",
     "of_size",
     "options_of",
+    "plan_undistortion",
     "quat_to_rotmat",
     "reached_from",
     "read_camera_path",

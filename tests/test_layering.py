@@ -140,7 +140,7 @@ DOORS = {"gscore": gscore.__all__, "gscore.frontend": frontend.__all__}
 ADDON = ROOT / "addon"
 IN_BLENDER = {"bmesh", "bpy", "bpy_extras", "gpu", "gpu_extras", "mathutils", "numpy"}
 """What the add-on may import besides the standard library and itself."""
-_FLOOR = {"attributes", "compat", "core", "registration"}
+_FLOOR = {"attributes", "compat", "core", "registration", "srgb"}
 _FILES = _FLOOR | {"capture", "paths", "stored_paths", "outcomes"}
 _SHARED = _FILES | {"interface", "preferences", "process"}
 _OBJECTS = _SHARED | {"cameras", "nodes", "splats", "triangles"}
@@ -149,6 +149,7 @@ ROOMS = {
     "compat": set(),
     "registration": set(),
     "triangles": set(),
+    "srgb": set(),
     "attributes": {"core"},
     "capture": {"core"},
     "process": set(),
@@ -191,6 +192,7 @@ WITHOUT_BPY = (
     "attributes",
     "cameras.alignment",
     "cameras.formulas",
+    "cameras.straight_queue",
     "capture.depth_maps",
     "capture.folders",
     "capture.inspection",
@@ -219,6 +221,7 @@ WITHOUT_BPY = (
     "sequence.registry",
     "splats.filters",
     "splats.live",
+    "srgb",
     "steer.job",
     "steer.registry",
     "timeline.frames",

@@ -16,17 +16,22 @@ from ..compat import matrix_to_numpy
 from ..core import (
     NO_PINHOLE,
     Capture,
+    ColmapCamera,
     DataConfig,
     Folder,
+    GsError,
+    Undistortion,
     View,
     find_capture,
+    plan_undistortion,
     read_capture,
     rotmat_to_quat,
 )
 from ..interface import writable
-from . import alignment, sfm_points
+from . import alignment, sfm_points, straightening
 from . import formulas as cm
 from . import objects as co
+from .backgrounds import known_images, photo_of, set_photo
 from .objects import cameras_of, is_camera, root_of
 
 __all__ = [
@@ -160,7 +165,8 @@ def import_capture(
         scene: Gets everything.
         path: A capture's folder, or a folder or file inside it.
         images: Folder of the photos in a COLMAP capture.
-        photos: Put the photos into the cameras' backgrounds; Blender decodes them when drawn.
+        photos: Put the photos into the cameras' backgrounds; Blender decodes them when drawn. Those
+            of lenses that bend lines are straightened in the background, in a window.
         points: Make an object of the SfM points.
         align: Put z up and the ground at z = 0; else the empty keeps COLMAP's axes.
         progress: Told how much is done, 0 to 1.
@@ -189,14 +195,17 @@ def import_capture(
     set_root_matrix(root, matrix)
     inner = bpy.data.collections.new(f"{name} cameras")
     collection.children.link(inner)
-    known = co.known_images()
+    known, lenses = known_images(), _Lenses()
     cameras = []
     for i, view in enumerate(usable):
-        cameras.append(co.make(_stated(view), Path(view.name).stem, root, inner))
+        stated = _stated(view, lenses.undistortion(view.camera))
+        cameras.append(co.make(stated, Path(view.name).stem, root, inner))
         if photos:
-            co.set_photo(cameras[-1], view.image, known)
+            set_photo(cameras[-1], view.image, known)
         if progress is not None and i % 50 == 0:
             progress(i / len(usable))
+    if photos and not bpy.app.background:
+        straightening.ask(cameras)
     _size_drawings(root, cameras)
     made = None
     if points and len(cloud):
@@ -204,7 +213,7 @@ def import_capture(
         radius = sfm_points.point_radius(cloud, _centers(viewmats))
         made = sfm_points.create(cloud, colors, f"{name} points", collection, root, indices, radius)
         made[co.KIND] = "points"
-    warnings = (*capture.warnings, *_warnings(views, viewmats, capture))
+    warnings = (*capture.warnings, *lenses.problems, *_warnings(views, viewmats, capture))
     return ImportedCapture(
         root=root, collection=collection, cameras=cameras, points=made, warnings=warnings
     )
@@ -236,15 +245,17 @@ def use_camera(scene: bpy.types.Scene, ob: bpy.types.Object) -> list[str]:
         notes.append(
             f"fx and fy of {own.image} differ; the scene's pixel aspect is now {aspect:.4f} for it."
         )
-    photo = co.photo_of(ob)
+    if not bpy.app.background:
+        straightening.ask([ob])
+    photo = photo_of(ob)
     if writable.keeps(ob.data):
         ob.data.show_background_images = True
     elif not ob.data.show_background_images:
         notes.append(f"The photo stays hidden. {writable.problem(ob.data)}")
-    if photo is None or not Path(bpy.path.abspath(photo.filepath)).is_file():
+    if photo is None or not Path(own.photo).is_file():
         notes.append(f"The photo {own.photo} is not there. Find the capture's folder again.")
     if before is not None and before != ob and is_camera(before):
-        old = co.photo_of(before)
+        old = photo_of(before)
         if old is not None and old != photo and not old.is_dirty and not old.packed_file:
             old.buffers_free()
     return notes
@@ -361,10 +372,12 @@ def relink(root: bpy.types.Object, path: str | Path, images: str = "images") -> 
         )
     stored_paths.write(root, stored_paths.SOURCE, source)
     root["gs_images"] = images
-    known = co.known_images()
+    known = known_images()
     for ob in cameras:
         if found[ob.name] is not None:
-            co.set_photo(ob, found[ob.name], known)
+            set_photo(ob, found[ob.name], known)
+    if not bpy.app.background:
+        straightening.ask(cameras)
     return sum(1 for file in found.values() if file), len(cameras)
 
 
@@ -373,17 +386,39 @@ def _centers(viewmats: np.ndarray) -> np.ndarray:
     return np.array([cm.matrix_world_from_viewmat(v)[:3, 3] for v in viewmats]).reshape(-1, 3)
 
 
-def _stated(view: View) -> co.PhotoCamera:
+class _Lenses:
+    """The lenses of a capture, each looked at once."""
+
+    def __init__(self) -> None:
+        self.problems: list[str] = []
+        """Of lenses that cannot be straightened, sentences."""
+        self._known: dict[tuple, Undistortion | None] = {}
+
+    def undistortion(self, camera: ColmapCamera) -> Undistortion | None:
+        """How to straighten a camera's photos; None: they are straight, or cannot be."""
+        key = (camera.model, camera.width, camera.height, *camera.params.tolist())
+        if key not in self._known:
+            try:
+                self._known[key] = plan_undistortion(camera)
+            except GsError as error:
+                self._known[key] = None
+                self.problems.append(f"{error} Until then its photos do not fit their cameras.")
+        return self._known[key]
+
+
+def _stated(view: View, plan: Undistortion | None) -> co.PhotoCamera:
     camera = view.camera
+    seen = camera if plan is None else plan
     return co.PhotoCamera(
         image=view.name,
         photo=str(view.image),
         viewmat=view.viewmat,
-        K=camera.K,
-        width=camera.width,
-        height=camera.height,
+        K=seen.K,
+        width=seen.width,
+        height=seen.height,
         model=camera.model,
         params=tuple(camera.params.tolist()),
+        photo_size=None if plan is None else (camera.width, camera.height),
     )
 
 
@@ -422,12 +457,6 @@ def _warnings(views: list[View], viewmats: np.ndarray, capture: Capture) -> list
     if len(usable) < len(views):
         out.append(
             f"{len(views) - len(usable)} panoramas were left out: Blender has no K for them."
-        )
-    bent = sorted({view.camera.model for view in usable if not view.camera.is_pinhole})
-    if bent:
-        out.append(
-            f"The photos have lens distortion ({', '.join(bent)}); the cameras are the undistorted "
-            f"ones, so photos fit only near the middle."
         )
     Ks = np.stack([view.camera.K for view in usable])
     if np.abs(Ks[:, 1, 1] / Ks[:, 0, 0] - 1).max() > 1e-3:

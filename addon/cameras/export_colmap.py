@@ -33,6 +33,7 @@ from ..paths import absolute
 from . import formulas as cm
 from . import objects as co
 from . import sfm_points
+from .straight import lens_of
 
 UNKNOWN_ERROR = -1.0
 """Reprojection error of a point that COLMAP did not make, pixels."""
@@ -203,12 +204,8 @@ def _photo_view(
     if bent:
         _, frame = cm.lens_from_intrinsics(own.K, own.width, own.height)
         camera = _pinhole(_intrinsics(ob, frame), frame)
-    elif own.params:
-        camera = ColmapCamera(
-            model=own.model, width=own.width, height=own.height, params=np.array(own.params)
-        )
     else:
-        camera = _pinhole(own.K, cm.Frame(width=own.width, height=own.height))
+        camera = lens_of(own)
     return ExportView(
         name=own.image,
         photo=Path(own.photo) if own.photo else None,

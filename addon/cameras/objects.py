@@ -1,10 +1,7 @@
 """Blender cameras that stand for photos: how they are marked, made and read back."""
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import bpy
 import numpy as np
@@ -33,7 +30,7 @@ class PhotoCamera:
     viewmat: np.ndarray
     """[4, 4], world to camera, OpenCV axes, in the capture's world."""
     K: np.ndarray
-    """[3, 3], pixels; of a distorted camera the pinhole part."""
+    """[3, 3], pixels; of a lens that bends lines those of its straightened photo."""
     width: int
     """Pixels."""
     height: int
@@ -42,6 +39,14 @@ class PhotoCamera:
     """COLMAP's name of the camera model."""
     params: tuple[float, ...] = ()
     """Parameters of the model in COLMAP's order."""
+    photo_size: tuple[int, int] | None = None
+    """Width and height of the photo before it is straightened, pixels; None: `K` sees the photo as
+    it is, or its lens cannot be straightened."""
+
+    @property
+    def taken(self) -> tuple[int, int]:
+        """Width and height of the photo as it was taken, pixels."""
+        return self.photo_size or (self.width, self.height)
 
 
 def is_kind(ob: bpy.types.Object | None, kind: str) -> bool:
@@ -93,6 +98,8 @@ def make(
     ob["gs_viewmat"] = stated.viewmat.ravel().tolist()
     ob["gs_size"] = [stated.width, stated.height]
     ob["gs_model"], ob["gs_params"] = stated.model, list(stated.params)
+    if stated.photo_size is not None:
+        ob["gs_photo_size"] = list(stated.photo_size)
     return ob
 
 
@@ -103,16 +110,18 @@ def stated(ob: bpy.types.Object) -> PhotoCamera:
         ValueError: a custom property is missing or has been changed into something else.
     """
     try:
-        size = [int(v) for v in ob["gs_size"]]
+        width, height = (int(v) for v in ob["gs_size"])
+        taken = ob.get("gs_photo_size")
         return PhotoCamera(
             image=str(ob["gs_image"]),
             photo=stored_paths.read(ob, stored_paths.PHOTO),
             viewmat=np.array(ob["gs_viewmat"], np.float64).reshape(4, 4),
             K=np.array(ob["gs_K"], np.float64).reshape(3, 3),
-            width=size[0],
-            height=size[1],
+            width=width,
+            height=height,
             model=str(ob.get("gs_model", "PINHOLE")),
             params=tuple(float(v) for v in ob.get("gs_params", ())),
+            photo_size=None if taken is None else (int(taken[0]), int(taken[1])),
         )
     except (KeyError, TypeError, ValueError, IndexError) as error:
         raise ValueError(
@@ -249,47 +258,6 @@ def rigid_viewmat(matrix: np.ndarray, name: str) -> np.ndarray:
             f"positive scale for all axes."
         )
     return viewmat
-
-
-def photo_of(ob: bpy.types.Object) -> bpy.types.Image | None:
-    """The photo in a camera's background, or None."""
-    return next((slot.image for slot in ob.data.background_images if slot.image), None)
-
-
-def set_photo(ob: bpy.types.Object, file: Path, known: dict[str, bpy.types.Image]) -> bool:
-    """Put a photo into a camera's background; whether the file is there.
-
-    Blender decodes it when it is first drawn.
-
-    Args:
-        ob: The camera.
-        file: The photo.
-        known: Images already in the file by absolute path; the new one is added.
-    """
-    stored_paths.write(ob, stored_paths.PHOTO, file)
-    if not file.is_file():
-        return False
-    image = known.get(str(file))
-    if image is None:
-        # `images.load` looks into every file, which makes it 80 times slower.
-        image = known[str(file)] = bpy.data.images.new(file.name, 1, 1)
-        image.source, image.filepath = "FILE", ob[stored_paths.PHOTO]
-    slots = ob.data.background_images
-    slot = slots[0] if slots else slots.new()
-    slot.image, slot.alpha = image, 1.0
-    # The raster of the photo is the camera's own, so it fills the frame whatever the pixel aspect.
-    slot.frame_method, slot.display_depth = "STRETCH", "BACK"
-    ob.data.show_background_images = True
-    return True
-
-
-def known_images() -> dict[str, Any]:
-    """The images of this file by absolute path."""
-    return {
-        os.path.normpath(bpy.path.abspath(image.filepath, library=image.library)): image
-        for image in bpy.data.images
-        if image.source == "FILE" and image.filepath
-    }
 
 
 def _is_plain_child(ob: bpy.types.Object) -> bool:

@@ -88,11 +88,6 @@ def _of_blender(found: CaptureFacts) -> list[str]:
             f"{found.sideways} photos are stored sideways and turned by EXIF. Training turns "
             f"them; Blender's camera backgrounds do not."
         )
-    if found.distorted:
-        notes.append(
-            "The photos have lens distortion. Training removes it; Blender's cameras have the "
-            "undistorted lens, so background photos fit only near the middle."
-        )
     if found.not_square:
         notes.append(
             f"{found.not_square} cameras have pixels that are not square (fx and fy differ by up "

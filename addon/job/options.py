@@ -23,6 +23,7 @@ class Settings(Protocol):
     strategy: str
     background: str
     antialias: bool
+    sky: bool
     finest: float
     free_space: float
     seed: int
@@ -83,7 +84,7 @@ def new_run(
         value = getattr(settings, name)  # of single precision
         if abs(value - getattr(train, name)) > 1e-5 * value:
             arguments += [_flag(name), f"{value:g}"]
-    for name in ("antialias", "early_stop"):
+    for name in ("antialias", "sky", "early_stop"):
         if getattr(settings, name) != getattr(train, name):
             arguments.append(_flag(name if getattr(settings, name) else f"no_{name}"))
     arguments.append("--eval" if settings.eval else "--no-eval")

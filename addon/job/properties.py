@@ -162,6 +162,7 @@ class SceneSettings(bpy.types.PropertyGroup):
     strategy: declared(_TRAIN, "strategy", "Strategy", items=_items(Strategy, _STRATEGIES))
     background: declared(_TRAIN, "background", "Background", items=_items(Background, _BACKGROUNDS))
     antialias: declared(_TRAIN, "antialias", "Anti-Aliasing")
+    sky: declared(_TRAIN, "sky", "Sky")
     finest: declared(_TRAIN, "finest", "Finest Detail")
     free_space: declared(_TRAIN, "free_space", "Free Space")
     seed: declared(_TRAIN, "seed", "Seed")

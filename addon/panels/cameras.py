@@ -4,6 +4,8 @@ from typing import ClassVar
 
 import bpy
 
+from ..cameras import straightening
+from ..cameras.backgrounds import copy_needed
 from ..cameras.objects import cameras_of, points_of
 from ..cameras.photos import changeable
 from ..steer import masks
@@ -48,9 +50,28 @@ class CamerasPanel(TabPanel, bpy.types.Panel):
         opacity = row.row(align=True)
         opacity.enabled = photos.shown
         opacity.prop(photos, "opacity")
+        draw_straightening(layout, context, cameras)
         draw_mask(layout, context, camera if camera in cameras else None)
         if camera is not None and camera not in cameras:
             sentence(layout, context, "The scene camera is not one of the capture's.")
+
+
+def draw_straightening(
+    layout: bpy.types.UILayout, context: bpy.types.Context, cameras: list[bpy.types.Object]
+) -> None:
+    """How far the photos are straightened, where some are; else a button where some have to be."""
+    queue = straightening.QUEUE
+    if queue.busy:
+        row, total = layout.row(align=True), max(queue.total, 1)
+        text = f"Straightening photos: {queue.done} of {queue.total}"
+        row.progress(factor=queue.done / total, text=text)
+        row.operator("gscore.stop_straightening", text="", icon="X")
+        return
+    for problem in straightening.problems_of(cameras)[:1]:
+        sentence(layout, context, problem, icon="ERROR")
+    if any(copy_needed(ob) is not None for ob in cameras):
+        button = layout.operator("gscore.straighten_photos", icon="IMAGE_DATA")
+        button.capture = root(context).name
 
 
 def draw_mask(

@@ -7,6 +7,7 @@ from ..interface.flags import panel_words
 from ..job import facts
 from ..search import work
 from ..sequence import work as sequence
+from .manual import draw_help
 from .widgets import TabPanel, has_python, rows, sentence
 
 
@@ -16,6 +17,10 @@ class CapturePanel(TabPanel, bpy.types.Panel):
     bl_idname = "GSCORE_PT_capture"
     bl_label = "Capture"
     bl_order = 0
+
+    def draw_header_preset(self, context: bpy.types.Context) -> None:
+        """Help, at the right of the header."""
+        draw_help(self.layout)
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""

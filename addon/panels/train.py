@@ -14,7 +14,16 @@ from ..paths import output_folder
 from ..sequence import work as sequence
 from .widgets import TabPanel, found, has_python, job, limit, sentence
 
-_DETAILS = ("strategy", "sh_degree", "background", "antialias", "finest", "free_space", "seed")
+_DETAILS = (
+    "strategy",
+    "sh_degree",
+    "background",
+    "antialias",
+    "sky",
+    "finest",
+    "free_space",
+    "seed",
+)
 """The options at the end of the fold."""
 _estimates: dict[str, Estimate] = {}
 """The last estimate of each scene, by its name."""

@@ -7,7 +7,7 @@ import bpy
 
 from .. import preferences
 from ..core import __version__
-from ..paths import ROOT
+from ..paths import own_folder
 from ..process import beat
 from ..process.background import Task
 from . import environment, installer
@@ -16,11 +16,7 @@ from .environment import Verdict
 
 def private_folder() -> Path:
     """Folder of the add-on's own environment, whether it is there or not."""
-    try:
-        base = bpy.utils.extension_path_user(ROOT)
-    except ValueError:  # run from a checkout, not installed as an extension
-        base = bpy.utils.user_resource("DATAFILES", path="gscore")
-    return Path(base) / "trainer"
+    return own_folder() / "trainer"
 
 
 def bundled_wheel() -> Path | None:

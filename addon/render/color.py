@@ -1,25 +1,13 @@
-"""Between the values splats are blended in (sRGB, as the photos) and scene-linear light; no bpy."""
+"""From the values splats are blended in (sRGB, as the photos) to Blender's passes; no bpy."""
 
 from typing import Any
 
 import numpy as np
 
+from ..srgb import decode
+
 NOTHING = 1e10
 """Depth of a pixel without anything, as Blender's own engines write it."""
-
-
-def decode(values: np.ndarray) -> np.ndarray:
-    """Linear light of sRGB values (IEC 61966-2-1), float32; values above 1 continue the curve."""
-    values = np.maximum(np.asarray(values, np.float32), np.float32(0))
-    curve = ((values + np.float32(0.055)) * np.float32(1 / 1.055)) ** np.float32(2.4)
-    return np.where(values <= np.float32(0.04045), values * np.float32(1 / 12.92), curve)
-
-
-def encode(light: np.ndarray) -> np.ndarray:
-    """The inverse of `decode`."""
-    light = np.maximum(np.asarray(light, np.float32), np.float32(0))
-    curve = np.float32(1.055) * light ** np.float32(1 / 2.4) - np.float32(0.055)
-    return np.where(light <= np.float32(0.0031308), light * np.float32(12.92), curve)
 
 
 def combined(rgb: np.ndarray, alpha: np.ndarray | None, *, to_scene: np.ndarray) -> np.ndarray:

@@ -14,7 +14,6 @@ from ..core import colorize, psnr
 from . import picture
 from .engine import collect, final_cache
 from .photo import Target, load_target
-from .straight import can_straighten
 from .world import background_of, world_light
 
 ERROR_GAIN = 4.0
@@ -46,7 +45,7 @@ def compare(
     The picture has the photo's size times the scene's resolution percentage, whatever the scene's
     resolution; the photo is scaled to that as it is for training. Masks are heeded as the scene's
     settings for training say; what they make transparent is put over the world's colour. Photos of
-    lenses that bend lines are straightened, and count where they show something then.
+    lenses that bend lines are straightened as for training.
 
     Args:
         scene: Gives percentage, world and settings, and receives nothing.
@@ -54,7 +53,8 @@ def compare(
         depsgraph: What is visible in it is drawn.
 
     Raises:
-        ValueError: no such camera, one of a lens that is not known, no splats, or no photo.
+        ValueError: no such camera, one that is not made for straightened photos, no splats, or no
+            photo.
         GsError: the native library is missing.
     """
     if not is_camera(camera):
@@ -62,11 +62,6 @@ def compare(
             f"{camera.name} is no camera of a photo: choose one that Import Capture made."
         )
     own = stated(camera)
-    if not can_straighten(own):
-        raise ValueError(
-            f"The lens of {own.image} bends lines ({own.model}), the splats are seen through an "
-            "ideal one: import the capture as COLMAP's image_undistorter leaves it to compare."
-        )
     background = background_of(world_light(scene.world)[0])
     size = cm.frame_size(own.width, own.height, scene.render.resolution_percentage)
     width, height = max(size[0], 1), max(size[1], 1)

@@ -143,16 +143,28 @@ def _owners(depsgraph: bpy.types.Depsgraph) -> Iterator[tuple[bpy.types.Object, 
         seen.add(ob.original.session_uid)
         yield ob, True
     # What has instances and no Show Instancer is not among them.
-    for ob in depsgraph.view_layer.objects:
-        if ob is None or ob.original.session_uid in seen or not may_hide(ob):
-            continue
-        if not _shows_instancer(ob, depsgraph) and _is_on(ob.original, depsgraph):
-            yield ob.evaluated_get(depsgraph), False
+    for layer in _layers(depsgraph):
+        for ob in layer.objects:
+            if ob is None or ob.original.session_uid in seen or not may_hide(ob):
+                continue
+            if not _shows_instancer(ob, depsgraph) and _is_on(ob.original, layer, depsgraph):
+                yield ob.evaluated_get(depsgraph), False
 
 
-def _is_on(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:
-    """Whether nothing hides an original object of the view layer."""
-    layer = depsgraph.view_layer
+def _layers(depsgraph: bpy.types.Depsgraph) -> Iterator[bpy.types.ViewLayer]:
+    """The view layer of a depsgraph, and those of its scene's background sets, as Blender takes
+    them."""
+    yield depsgraph.view_layer
+    scene = depsgraph.scene.original.background_set
+    while scene is not None:
+        yield next((layer for layer in scene.view_layers if layer.use), scene.view_layers[0])
+        scene = scene.background_set
+
+
+def _is_on(
+    ob: bpy.types.Object, layer: bpy.types.ViewLayer, depsgraph: bpy.types.Depsgraph
+) -> bool:
+    """Whether nothing hides an original object of a view layer."""
     if depsgraph.mode != "RENDER":
         return ob.visible_get(view_layer=layer)
     return not ob.hide_render and apart.is_rendered(ob, layer.layer_collection)

@@ -7,10 +7,10 @@ import bpy
 import numpy as np
 
 from .. import stored_paths
-from ..cameras.objects import PhotoCamera, cameras_of, root_of, stated
-from ..core import Folder, are_mattes, downscale
-from . import color
-from .straight import STRAIGHT, straightened
+from ..cameras.objects import cameras_of, root_of, stated
+from ..cameras.pictures import levels_of, read_picture
+from ..cameras.straight import undistortion_of
+from ..core import Folder, Undistortion, are_mattes, downscale
 
 MASKS = "masks"
 """Folder of masks in a capture, where the capture names no others."""
@@ -50,12 +50,8 @@ def load_target(
         ValueError: photo or mask cannot be decoded or have other shapes than the camera.
     """
     own = stated(camera)
+    plan = undistortion_of(own)
     rgba = read_picture(own.photo, own)
-    if width > rgba.shape[1] or height > rgba.shape[0]:
-        raise ValueError(
-            f"The photo {own.photo} has {rgba.shape[1]} x {rgba.shape[0]} pixels, {width} x "
-            f"{height} are asked for: lower the scene's resolution percentage."
-        )
     place = None if mask_mode == "none" else mask_folder(camera)
     file = None if place is None else Folder(place).find_mask(own.image)
     opacity, mode = rgba[..., 3], mask_mode
@@ -71,10 +67,14 @@ def load_target(
             mode = "composite" if _cut_out(camera, invert_masks) else "ignore"
     elif mask_mode == "auto":
         mode = "composite"
-    seen = None
-    if own.model not in STRAIGHT:
-        both, seen = straightened(np.dstack([rgba[..., :3], opacity]), own)
-        rgba, opacity = both, both[..., 3]
+    if plan is not None:
+        cuts_out = file is None and mask_mode != "none"
+        rgba, opacity = _straightened(rgba[..., :3], opacity, plan, cut_out=cuts_out)
+    if width > rgba.shape[1] or height > rgba.shape[0]:
+        raise ValueError(
+            f"The photo {own.photo} has {rgba.shape[1]} x {rgba.shape[0]} pixels, {width} x "
+            f"{height} are asked for: lower the scene's resolution percentage."
+        )
     pixels = _scaled(rgba[..., :3], width, height)
     weight = _scaled(opacity, width, height)
     if mode == "composite" and opacity.min() < 1:
@@ -82,11 +82,31 @@ def load_target(
         colors = _scaled(rgba[..., :3] * opacity[..., None], width, height)
         pixels = colors + np.array(background, np.float32) * (1 - weight[..., None])
     ignores = mode == "ignore" and opacity.min() < 1
-    counted = weight if ignores else None
-    if seen is not None and not seen.all():
-        shown = _scaled(seen.astype(np.float32), width, height)
-        counted = shown if counted is None else counted * shown
-    return Target(pixels=pixels, weight=counted)
+    return Target(pixels=pixels, weight=weight if ignores else None)
+
+
+def _straightened(
+    colors: np.ndarray, opacity: np.ndarray, plan: Undistortion, *, cut_out: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """A photo [h, w, 3] and what says where it counts [h, w] as a training straightens them.
+
+    Args:
+        colors: In [0, 1].
+        opacity: In [0, 1].
+        plan: The way to what the camera sees.
+        cut_out: The opacity is the photo's own, and not a mask.
+    """
+    photo, mask = levels_of(colors), levels_of(opacity)
+    if cut_out:
+        rgba = plan.straighten(np.dstack([photo, mask])) / np.float32(255)
+        return rgba, rgba[..., 3]
+    straight = plan.straighten(photo)
+    height, width = straight.shape[:2]
+    scale = (mask.shape[1] / plan.camera.width, mask.shape[0] / plan.camera.height)
+    # A mask of only yes and no stays one: half-transparent rims would be invented otherwise.
+    yes_or_no = not ((mask > 0) & (mask < 255)).any()
+    kept = plan.remap(mask, (width, height), pixels=scale, nearest=yes_or_no)
+    return straight / np.float32(255), kept / np.float32(255)
 
 
 def kept_of(mask: np.ndarray, inverted: bool) -> np.ndarray:
@@ -108,7 +128,7 @@ def _cut_out(camera: bpy.types.Object, inverted: bool) -> bool:
 
     def levels(i: int) -> np.ndarray:
         file, one = masks[i]
-        return (kept_of(read_picture(str(file), one), inverted) * 255 + 0.5).astype(np.uint8)
+        return levels_of(kept_of(read_picture(str(file), one), inverted))
 
     return are_mattes(len(masks), levels)
 
@@ -138,47 +158,4 @@ def mask_place(camera: bpy.types.Object) -> Path | None:
 
 def _scaled(values: np.ndarray, width: int, height: int) -> np.ndarray:
     """[height, width, ...] float32 of values in [0, 1], by way of bytes as in training."""
-    levels = (np.clip(values, 0, 1) * 255 + 0.5).astype(np.uint8)
-    return downscale(levels, width, height) / np.float32(255)
-
-
-def read_picture(path: str, own: PhotoCamera) -> np.ndarray:
-    """A picture file as [H, W, 4] float32, straight alpha, sRGB values, the top row first.
-
-    Raises:
-        ValueError: it is not there, cannot be decoded, or has another shape than the camera.
-    """
-    if Path(path).suffix.lower() in bpy.path.extensions_movie:
-        raise ValueError(f"{path} is a film, of which Blender would open what it refers to.")
-    try:
-        image = bpy.data.images.load(path, check_existing=False)
-    except RuntimeError as error:
-        raise ValueError(
-            f"The picture {path} cannot be read: find the capture's folder again."
-        ) from error
-    try:
-        pixels = _decoded(image, path)
-    finally:
-        bpy.data.images.remove(image)
-    height, width = pixels.shape[:2]
-    # Copies of a photo at other sizes (images_2) are rounded to whole pixels.
-    if abs(width * own.height - height * own.width) > own.width + own.height:
-        raise ValueError(
-            f"{path} is {width} x {height} pixels, its camera was made for {own.width} x "
-            f"{own.height}: find the photo that COLMAP saw."
-        )
-    return pixels
-
-
-def _decoded(image: bpy.types.Image, path: str) -> np.ndarray:
-    width, height = image.size
-    if not width * height or image.channels not in (1, 3, 4):
-        raise ValueError(f"{path} is no picture that Blender can decode.")
-    flat = np.empty(width * height * image.channels, np.float32)
-    image.pixels.foreach_get(flat)
-    found = flat.reshape(height, width, image.channels)[::-1]
-    pixels = np.ones((height, width, 4), np.float32)
-    pixels[..., : 3 if image.channels == 1 else image.channels] = found
-    if image.is_float:  # 16 bits and more are decoded to linear light, bytes are left as they are
-        pixels[..., :3] = color.encode(pixels[..., :3])
-    return pixels
+    return downscale(levels_of(values), width, height) / np.float32(255)

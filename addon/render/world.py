@@ -4,7 +4,7 @@ import bpy
 import numpy as np
 
 from ..compat import rec709_to_scene, world_nodes
-from . import color
+from ..srgb import encode
 
 
 def world_light(world: bpy.types.World | None) -> tuple[np.ndarray, str]:
@@ -27,5 +27,5 @@ def world_light(world: bpy.types.World | None) -> tuple[np.ndarray, str]:
 def background_of(light: np.ndarray) -> tuple[float, float, float]:
     """sRGB values of a scene-linear colour."""
     rec709 = np.linalg.solve(rec709_to_scene(), np.asarray(light, np.float64))
-    r, g, b = (float(v) for v in color.encode(rec709))
+    r, g, b = (float(v) for v in encode(rec709))
     return r, g, b

@@ -8,7 +8,7 @@ from uuid import uuid4
 import bpy
 
 from ..cameras.lookup import root_from
-from ..core import GUIDE_FILE, GUIDES, SequenceFrame, write_mesh
+from ..core import GUIDE_FILE, GUIDES, SequenceFrame, frame_pattern, write_mesh
 from ..job import guides
 from ..timeline import follow
 from ..timeline.frames import slots_of
@@ -24,7 +24,7 @@ def arguments(
 
     Returns:
         Options that tell the trainer of them, and what removes those of the sequence that is
-        replaced: to be called once the trainer runs, as till then that one may be gone on with.
+        replaced: to be called once the training begins, as till then that one may be gone on with.
 
     Args:
         scene: Which meshes, and at which frame of the timeline the first frame is.
@@ -116,12 +116,12 @@ class _Files:
         """What the trainer is told."""
         assert self._first is not None
         if self._moves:
-            told, self._kept = self._path("{frame:06d}"), {self._path(n) for n in self._numbers}
-        else:
-            told = self._folder / f"{self._role}-{self._digest}.ply"
-            self._kept = {told}
-            self._write(told, self._first)
-        return told
+            self._kept = {self._path(n) for n in self._numbers}
+            return frame_pattern(self._folder, f"{self._name}-{{frame:06d}}.ply")
+        whole = self._folder / f"{self._role}-{self._digest}.ply"
+        self._kept = {whole}
+        self._write(whole, self._first)
+        return frame_pattern(self._folder, whole.name)
 
     def remove_earlier(self) -> None:
         """Remove the files of other sequences in the same folder."""
@@ -131,9 +131,8 @@ class _Files:
                 with suppress(OSError):  # the trainer runs already, and needs none of them
                     path.unlink(missing_ok=True)
 
-    def _path(self, number: int | str) -> Path:
-        stands = number if isinstance(number, str) else f"{number:06d}"
-        return self._folder / f"{self._name}-{stands}.ply"
+    def _path(self, number: int) -> Path:
+        return self._folder / f"{self._name}-{number:06d}.ply"
 
     @staticmethod
     def _write(path: Path, found: Triangles) -> None:

@@ -1,6 +1,6 @@
 """`gscore sequence` beside Blender: which frame it is at and what came out; no bpy."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from ..core import Event, FrameStarted, Progress, SequenceDone, judged_psnr
@@ -17,7 +17,13 @@ class SequenceJob(VerbJob):
     less = "choose fewer splats or smaller photos, then go on"
 
     def __init__(
-        self, python: str | Path, arguments: Sequence[str], *, source: Path, output: Path
+        self,
+        python: str | Path,
+        arguments: Sequence[str],
+        *,
+        source: Path,
+        output: Path,
+        begun: Callable[[], object] = lambda: None,
     ) -> None:
         """Start it.
 
@@ -26,6 +32,8 @@ class SequenceJob(VerbJob):
             arguments: Of `gscore`.
             source: The sequence.
             output: Folder of the results.
+            begun: Called once the trainer has looked at everything and begins, or had nothing left
+                to do; never where it refuses.
 
         Raises:
             OSError: `python` cannot be run.
@@ -35,6 +43,7 @@ class SequenceJob(VerbJob):
         """The one that is trained."""
         self.progress: Progress | None = None
         """Of that frame."""
+        self._begun: Callable[[], object] | None = begun
         self.done: SequenceDone | None = None
         super().__init__(python, arguments, source=source)
 
@@ -49,6 +58,9 @@ class SequenceJob(VerbJob):
 
     def take(self, event: Event) -> None:
         """Take note of an event."""
+        if isinstance(event, FrameStarted | SequenceDone) and self._begun is not None:
+            self._begun()
+            self._begun = None
         if isinstance(event, FrameStarted):
             self.frame, self.progress = event, None
         elif isinstance(event, Progress):

@@ -55,17 +55,16 @@ def train_sequence(
     own, machine = scene.gscore_train_sequence, training.machine()
     if resume:
         line = arguments.resumed_sequence(own, output=output, machine=machine)
-        told, remove_earlier = [], None
+        told, replace_guides = [], lambda: None
     else:
         line = arguments.new_sequence(
             scene.gscore, own, source=source, output=output, machine=machine, overwrite=overwrite
         )
-        told, remove_earlier = guides.arguments(scene, lambda: chosen_frames(scene), output)
+        told, replace_guides = guides.arguments(scene, lambda: chosen_frames(scene), output)
     line += told
-    job = launch(lambda program: SequenceJob(program, line, source=source, output=output), python)
+    places = {"source": source, "output": output}
+    job = launch(lambda program: SequenceJob(program, line, **places, begun=replace_guides), python)
     JOBS.add(job)
-    if remove_earlier is not None:
-        remove_earlier()
     beat.ensure()
     follow(lambda: wait and not job.ended)
     return job

@@ -13,6 +13,7 @@ from bpy.app.handlers import persistent
 
 from .. import stored_paths
 from ..cameras.objects import cameras_of, root_of, stated
+from ..cameras.pictures import levels_of, read_picture
 from ..capture.folders import same_folder
 from ..core import (
     DataConfig,
@@ -25,7 +26,7 @@ from ..core import (
 )
 from ..interface import undo
 from ..job import facts, lookups, training
-from ..render.photo import kept_of, mask_folder, mask_place, read_picture
+from ..render.photo import kept_of, mask_folder, mask_place
 
 _CAPTURE, _PHOTO, _SAVED = "gs_mask_capture", "gs_mask_photo", "gs_mask_saved"
 _FILE = "gs_mask_file"
@@ -85,7 +86,7 @@ def make(scene: bpy.types.Scene, camera: bpy.types.Object) -> bpy.types.Image:
     image[_CAPTURE], image[_PHOTO] = source, own.image
     image[_FILE] = str(file or mask_place(camera) / f"{own.image}.png")
     image.use_fake_user = True  # no file has it until it is saved
-    _settle(image, _levels(rgba))
+    _settle(image, levels_of(rgba))
     return image
 
 
@@ -103,7 +104,7 @@ def save(scene: bpy.types.Scene, image: bpy.types.Image) -> Path:
     width, height = image.size
     flat = np.empty(width * height * image.channels, np.float32)
     image.pixels.foreach_get(flat)
-    pixels = _levels(flat.reshape(height, width, image.channels)[::-1])
+    pixels = levels_of(flat.reshape(height, width, image.channels)[::-1])
     levels = pixels[..., -1]
     atomic_write(file, gray_png(255 - levels if scene.gscore.invert_masks else levels))
     image[_FILE] = str(file)
@@ -117,14 +118,6 @@ def discard(image: bpy.types.Image) -> None:
     """Forget what was painted; the mask's file, if there is one, stays as it is."""
     bpy.data.images.remove(image)
     undo.push("Discard Mask")
-
-
-def _levels(pixels: np.ndarray) -> np.ndarray:
-    """uint8 of values in [0, 1]."""
-    levels = np.multiply(pixels, np.float32(255))
-    np.clip(levels, 0, 255, out=levels)
-    levels += np.float32(0.5)
-    return levels.astype(np.uint8)
 
 
 def _settle(image: bpy.types.Image, pixels: np.ndarray) -> None:
@@ -265,7 +258,7 @@ def _make_small(image: bpy.types.Image) -> None:
         return
     flat = np.empty(width * height * image.channels, np.float32)
     image.pixels.foreach_get(flat)
-    _pack(image, rgba_png(_levels(flat.reshape(height, width, image.channels)[::-1])))
+    _pack(image, rgba_png(levels_of(flat.reshape(height, width, image.channels)[::-1])))
 
 
 def on_register() -> None:

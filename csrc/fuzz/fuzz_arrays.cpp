@@ -82,23 +82,26 @@ void packing(size_t n, Bytes &in, Noise &noise) {
         tables[k] = numbers(n * size_t(widths[k]), in, noise);
         std::fill_n(there[k].data(), n * size_t(widths[k]), 3.0f);
     }
-    std::vector<int32_t> rows; // each with even odds, none twice
+    std::vector<int64_t> rows; // each with even odds, none twice
     for (size_t i = 0; i < n; ++i)
         if (noise(0, 1) > 0.5f)
-            rows.push_back(int32_t(i));
+            rows.push_back(int64_t(i));
+    const int64_t count = int64_t(rows.size());
     Output packed(rows.size() * across);
-    for (size_t i = 0; i < rows.size(); ++i)
-        std::memcpy(packed.data() + i * across, &rows[i], sizeof(int32_t));
+    std::vector<int32_t> marks(n, 0);
     const bool adds = in.byte() % 2;
-    const gs_row_table from[2] = {{tables[0].data(), widths[0], 0, 1.0f}, {tables[1].data(), widths[1], 0, 1.0f}};
-    const gs_row_table to[2] = {{there[0].data(), widths[0], adds, 2.0f}, {there[1].data(), widths[1], 0, 1.0f}};
-    REQUIRE(gs_pack_rows(from, 2, int64_t(n), packed.data(), int64_t(rows.size()), 1 + in.byte() % 3) == GS_OK);
+    std::vector<float> halves = tables[0];
+    const gs_row_table from[2] = {{halves.data(), widths[0], 0, 2.0f}, {tables[1].data(), widths[1], 0, 1.0f}};
+    const gs_row_table to[2] = {{there[0].data(), widths[0], adds, 1.0f}, {there[1].data(), widths[1], 0, 1.0f}};
+    REQUIRE(gs_pack_rows(from, 2, int64_t(n), rows.data(), packed.data(), count, 1 + in.byte() % 3) == GS_OK);
     REQUIRE(packed.guards_hold());
-    REQUIRE(gs_unpack_rows(to, 2, int64_t(n), packed.data(), int64_t(rows.size()), 1 + in.byte() % 3) == GS_OK);
+    REQUIRE(gs_unpack_rows(to, 2, int64_t(n), packed.data(), marks.data(), count, 1 + in.byte() % 3) == GS_OK);
     REQUIRE(there[0].guards_hold() && there[1].guards_hold());
     std::vector<bool> moved(n, false);
-    for (const int32_t row : rows)
+    for (const int64_t row : rows)
         moved[size_t(row)] = true;
+    for (size_t i = 0; i < n; ++i)
+        REQUIRE(marks[i] == moved[i]);
     for (size_t i = 0; i < n; ++i)
         for (int k = 0; k < 2; ++k)
             for (size_t j = i * size_t(widths[k]); j < (i + 1) * size_t(widths[k]); ++j) {
@@ -109,9 +112,11 @@ void packing(size_t n, Bytes &in, Noise &noise) {
     if (rows.empty())
         return;
     const int32_t bad = in.byte() % 2 ? -1 - int32_t(in.byte()) : int32_t(n + in.word() % 1000);
-    std::memcpy(packed.data() + in.byte() % rows.size() * across, &bad, sizeof bad);
-    REQUIRE(gs_pack_rows(from, 2, int64_t(n), packed.data(), int64_t(rows.size()), 0) == GS_BAD_ARGUMENT);
-    REQUIRE(gs_unpack_rows(to, 2, int64_t(n), packed.data(), int64_t(rows.size()), 0) == GS_BAD_ARGUMENT);
+    const size_t at = in.byte() % rows.size();
+    std::memcpy(packed.data() + at * across, &bad, sizeof bad);
+    rows[at] = bad;
+    REQUIRE(gs_pack_rows(from, 2, int64_t(n), rows.data(), packed.data(), count, 0) == GS_BAD_ARGUMENT);
+    REQUIRE(gs_unpack_rows(to, 2, int64_t(n), packed.data(), nullptr, count, 0) == GS_BAD_ARGUMENT);
     REQUIRE(std::strlen(gs_last_error()) > 0 && there[0].guards_hold() && packed.guards_hold());
 }
 

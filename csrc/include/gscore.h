@@ -36,7 +36,7 @@ extern "C" {
 #endif
 
 /* Changes whenever a struct or a signature below changes. */
-#define GS_ABI_VERSION 6
+#define GS_ABI_VERSION 7
 
 /* A splat contributes to a pixel where its alpha is at least this. */
 #define GS_ALPHA_MIN (1.0f / 255.0f)
@@ -241,16 +241,17 @@ typedef struct gs_row_table {
     float *data;     /* [N, width] */
     int32_t width;   /* floats a row, 1 to GS_ROW_WIDTH_MAX */
     int32_t adds;    /* gs_unpack_rows adds to the rows that are there; 0: it replaces them */
-    float divisor;   /* what gs_unpack_rows divides numbers by first, not 0 */
+    float divisor;   /* what gs_pack_rows divides rows by, in the table too, before it copies them; not 0 */
 } gs_row_table;
 
 /* `packed` is [count, 1 + the widths of all tables], 4 bytes each. The first of each row is an int32 that says which row
- * of the tables it is, 0 to N - 1, none twice; gs_pack_rows fills in what follows, the bits of that row of all tables,
- * and gs_unpack_rows puts that back. Where a number of a row is out of range nothing is done. */
-GS_API gs_status gs_pack_rows(const gs_row_table *tables, int32_t table_count, int64_t rows, float *packed,
-                              int64_t count, int32_t threads);
+ * of the tables it is, 0 to N - 1, none twice; then come the bits of that row of all tables. gs_pack_rows makes that of
+ * the rows that `places`, [count], names. gs_unpack_rows puts it back, and sets marks[row], of [N], to 1 for each row;
+ * `marks` may be null. A row out of range is left out, and the first of these named in the error. */
+GS_API gs_status gs_pack_rows(const gs_row_table *tables, int32_t table_count, int64_t rows, const int64_t *places,
+                              float *packed, int64_t count, int32_t threads);
 GS_API gs_status gs_unpack_rows(const gs_row_table *tables, int32_t table_count, int64_t rows, const float *packed,
-                                int64_t count, int32_t threads);
+                                int32_t *marks, int64_t count, int32_t threads);
 
 /* Adam (Kingma and Ba 2015) over the parameters of N splats, one call a step. */
 #define GS_ADAM_BETA1 0.9

@@ -305,37 +305,40 @@ gs_status check_packing(const gs_row_table *tables, int32_t table_count, int64_t
         return GS_OK;
     if (!packed)
         return fail(GS_BAD_ARGUMENT, "the packed rows are null");
-    int64_t width = 1;
     for (int32_t k = 0; k < table_count; ++k) {
         if (!tables[k].data || tables[k].width < 1 || tables[k].width > GS_ROW_WIDTH_MAX)
             return fail(GS_BAD_ARGUMENT, "table %d is null, or not 1 to %d floats wide", k, GS_ROW_WIDTH_MAX);
         if (!(tables[k].divisor != 0) || !std::isfinite(tables[k].divisor))
             return fail(GS_BAD_ARGUMENT, "the divisor of table %d must be a number other than 0", k);
-        width += tables[k].width;
     }
-    const int64_t bad = gs::row_out_of_range(rows, packed, count, width, threads);
-    return bad < 0 ? GS_OK : fail(GS_BAD_ARGUMENT, "packed row %lld is for no row of the tables", (long long)bad);
+    return GS_OK;
+}
+
+gs_status packing_status(int64_t out_of_range) {
+    if (out_of_range < 0)
+        return GS_OK;
+    return fail(GS_BAD_ARGUMENT, "packed row %lld is for no row of the tables", (long long)out_of_range);
 }
 
 } // namespace
 
-gs_status gs_pack_rows(const gs_row_table *tables, int32_t table_count, int64_t rows, float *packed, int64_t count,
-                       int32_t threads) {
+gs_status gs_pack_rows(const gs_row_table *tables, int32_t table_count, int64_t rows, const int64_t *places,
+                       float *packed, int64_t count, int32_t threads) {
     return guarded("gs_pack_rows", [&] {
         if (const gs_status s = check_packing(tables, table_count, rows, packed, count, threads))
             return s;
-        gs::pack_rows(tables, table_count, packed, count, threads);
-        return GS_OK;
+        if (!places && count > 0)
+            return fail(GS_BAD_ARGUMENT, "the places of the rows are null");
+        return packing_status(gs::pack_rows(tables, table_count, rows, places, packed, count, threads));
     });
 }
 
 gs_status gs_unpack_rows(const gs_row_table *tables, int32_t table_count, int64_t rows, const float *packed,
-                         int64_t count, int32_t threads) {
+                         int32_t *marks, int64_t count, int32_t threads) {
     return guarded("gs_unpack_rows", [&] {
         if (const gs_status s = check_packing(tables, table_count, rows, packed, count, threads))
             return s;
-        gs::unpack_rows(tables, table_count, packed, count, threads);
-        return GS_OK;
+        return packing_status(gs::unpack_rows(tables, table_count, rows, packed, marks, count, threads));
     });
 }
 

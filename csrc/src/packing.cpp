@@ -15,12 +15,6 @@ namespace {
 constexpr int64_t kRows = 2048;
 constexpr int64_t kAhead = 8; // rows that are fetched before they are needed: their places in the tables jump
 
-int64_t row_of(const float *packed) {
-    int32_t row;
-    std::memcpy(&row, packed, sizeof row);
-    return row;
-}
-
 // Calls work(j) for j below width. Widths that the tables of a training mostly have are spelled out: a loop of unknown
 // length, or a call of memcpy, takes longer than what it does for three numbers.
 template <class Work>
@@ -41,67 +35,84 @@ inline void each_number(int64_t width, Work work) {
     }
 }
 
-// Calls work(packed row, its row of the tables) for all of them, by many threads.
-template <class Float, class Work>
-void each_row(const gs_row_table *tables, int table_count, Float *packed, int64_t count, int threads, Work work) {
-    int64_t width = 1;
-    for (int k = 0; k < table_count; ++k)
-        width += tables[k].width;
-    parallel_for(size_t((count + kRows - 1) / kRows), threads_of(threads), [&](size_t c, int) {
-        const int64_t begin = int64_t(c) * kRows, end = std::min(begin + kRows, count);
-        for (int64_t i = begin; i < end; ++i) {
-            if (i + kAhead < end) {
-                const int64_t next = row_of(packed + (i + kAhead) * width);
-                for (int k = 0; k < table_count; ++k)
-                    __builtin_prefetch(tables[k].data + next * tables[k].width);
-            }
-            work(packed + i * width + 1, row_of(packed + i * width));
-        }
-    });
-}
-
-} // namespace
-
-int64_t row_out_of_range(int64_t rows, const float *packed, int64_t count, int64_t width, int threads) {
+// Calls work(i, row) for all i below `count` whose row, row_of(i), is one of `rows`, by many threads; the first i whose
+// row is none, or -1.
+template <class RowOf, class Work>
+int64_t each_row(const gs_row_table *tables, int table_count, int64_t rows, int64_t count, int threads, RowOf row_of,
+                 Work work) {
     std::atomic<int64_t> first{count};
     parallel_for(size_t((count + kRows - 1) / kRows), threads_of(threads), [&](size_t c, int) {
         const int64_t begin = int64_t(c) * kRows, end = std::min(begin + kRows, count);
         for (int64_t i = begin; i < end; ++i) {
-            const int64_t row = row_of(packed + i * width);
-            if (row >= 0 && row < rows)
+            if (i + kAhead < end) {
+                const int64_t next = row_of(i + kAhead);
+                if (next >= 0 && next < rows)
+                    for (int k = 0; k < table_count; ++k)
+                        __builtin_prefetch(tables[k].data + next * tables[k].width);
+            }
+            const int64_t row = row_of(i);
+            if (row >= 0 && row < rows) {
+                work(i, row);
                 continue;
+            }
             int64_t known = first.load();
             while (i < known && !first.compare_exchange_weak(known, i)) {
             }
-            return;
         }
     });
     return first.load() < count ? first.load() : -1;
 }
 
-void pack_rows(const gs_row_table *tables, int table_count, float *packed, int64_t count, int threads) {
-    each_row(tables, table_count, packed, count, threads, [&](float *to, int64_t row) {
+int64_t width_of(const gs_row_table *tables, int table_count) {
+    int64_t width = 1;
+    for (int k = 0; k < table_count; ++k)
+        width += tables[k].width;
+    return width;
+}
+
+} // namespace
+
+int64_t pack_rows(const gs_row_table *tables, int table_count, int64_t rows, const int64_t *places, float *packed,
+                  int64_t count, int threads) {
+    const int64_t across = width_of(tables, table_count);
+    const auto row_of = [&](int64_t i) { return places[i]; };
+    return each_row(tables, table_count, rows, count, threads, row_of, [&](int64_t i, int64_t row) {
+        float *to = packed + i * across;
+        const int32_t place = int32_t(row);
+        std::memcpy(to++, &place, sizeof place);
         for (int k = 0; k < table_count; ++k) {
             const int64_t width = tables[k].width;
-            const float *from = tables[k].data + row * width;
+            const float divisor = tables[k].divisor;
+            float *from = tables[k].data + row * width;
+            if (divisor != 1)
+                each_number(width, [&](int64_t j) { from[j] /= divisor; });
             each_number(width, [&](int64_t j) { to[j] = from[j]; });
             to += width;
         }
     });
 }
 
-void unpack_rows(const gs_row_table *tables, int table_count, const float *packed, int64_t count, int threads) {
-    each_row(tables, table_count, packed, count, threads, [&](const float *from, int64_t row) {
+int64_t unpack_rows(const gs_row_table *tables, int table_count, int64_t rows, const float *packed, int32_t *marks,
+                    int64_t count, int threads) {
+    const int64_t across = width_of(tables, table_count);
+    const auto row_of = [&](int64_t i) {
+        int32_t row;
+        std::memcpy(&row, packed + i * across, sizeof row);
+        return int64_t(row);
+    };
+    return each_row(tables, table_count, rows, count, threads, row_of, [&](int64_t i, int64_t row) {
+        const float *from = packed + i * across + 1;
         for (int k = 0; k < table_count; ++k) {
             const int64_t width = tables[k].width;
-            const float divisor = tables[k].divisor;
             float *to = tables[k].data + row * width;
             if (tables[k].adds)
-                each_number(width, [&](int64_t j) { to[j] += from[j] / divisor; });
+                each_number(width, [&](int64_t j) { to[j] += from[j]; });
             else
-                each_number(width, [&](int64_t j) { to[j] = from[j] / divisor; });
+                each_number(width, [&](int64_t j) { to[j] = from[j]; });
             from += width;
         }
+        if (marks)
+            marks[row] = 1;
     });
 }
 

@@ -5,11 +5,12 @@
 
 namespace gs {
 
-// The first of `count` packed rows of `width` numbers that is for no row of tables of `rows`; -1: there is none.
-int64_t row_out_of_range(int64_t rows, const float *packed, int64_t count, int64_t width, int threads);
+// Both leave out what is for no row of tables of `rows`, and return the first of these; -1: there is none.
 
-void pack_rows(const gs_row_table *tables, int table_count, float *packed, int64_t count, int threads);
+int64_t pack_rows(const gs_row_table *tables, int table_count, int64_t rows, const int64_t *places, float *packed,
+                  int64_t count, int threads);
 
-void unpack_rows(const gs_row_table *tables, int table_count, const float *packed, int64_t count, int threads);
+int64_t unpack_rows(const gs_row_table *tables, int table_count, int64_t rows, const float *packed, int32_t *marks,
+                    int64_t count, int threads);
 
 } // namespace gs

@@ -591,21 +591,26 @@ void adam_names_bad_arguments() {
 
 void packing_names_bad_arguments() {
     float data[6] = {1, 2, 3, 4, 5, 6}, packed[4] = {};
-    gs_row_table table = {data, 3, 0, 1.0f};
-    CHECK(gs_pack_rows(&table, 1, 2, packed, 1, 0) == GS_OK); // row 0: its number has no bits set
-    CHECK(packed[1] == 1 && packed[2] == 2 && packed[3] == 3);
-    CHECK(gs_pack_rows(&table, 1, 0, nullptr, 0, 0) == GS_OK);
-    CHECK(gs_pack_rows(nullptr, 1, 2, packed, 1, 0) == GS_BAD_ARGUMENT);
-    CHECK(gs_pack_rows(&table, 0, 2, packed, 1, 0) == GS_BAD_ARGUMENT);
-    CHECK(gs_pack_rows(&table, 1, 2, packed, 3, 0) == GS_BAD_ARGUMENT); // more rows than there are
-    CHECK(gs_pack_rows(&table, 1, 2, nullptr, 1, 0) == GS_BAD_ARGUMENT);
-    CHECK(gs_pack_rows(&table, 1, 2, packed, 1, -1) == GS_BAD_ARGUMENT);
+    const int64_t places[3] = {1, 0, 2};
+    gs_row_table table = {data, 3, 0, 2.0f};
+    CHECK(gs_pack_rows(&table, 1, 2, places, packed, 1, 0) == GS_OK);
+    CHECK(packed[1] == 2 && packed[2] == 2.5f && packed[3] == 3);
+    CHECK(data[2] == 3 && data[3] == 2 && data[5] == 3); // divided where it was packed
+    table.divisor = 1;
+    CHECK(gs_pack_rows(&table, 1, 0, nullptr, nullptr, 0, 0) == GS_OK);
+    CHECK(gs_pack_rows(nullptr, 1, 2, places, packed, 1, 0) == GS_BAD_ARGUMENT);
+    CHECK(gs_pack_rows(&table, 0, 2, places, packed, 1, 0) == GS_BAD_ARGUMENT);
+    CHECK(gs_pack_rows(&table, 1, 2, places, packed, 3, 0) == GS_BAD_ARGUMENT); // more rows than there are
+    CHECK(gs_pack_rows(&table, 1, 2, nullptr, packed, 1, 0) == GS_BAD_ARGUMENT);
+    CHECK(gs_pack_rows(&table, 1, 2, places, nullptr, 1, 0) == GS_BAD_ARGUMENT);
+    CHECK(gs_pack_rows(&table, 1, 2, places, packed, 1, -1) == GS_BAD_ARGUMENT);
+    CHECK(gs_pack_rows(&table, 1, 2, places + 2, packed, 1, 0) == GS_BAD_ARGUMENT); // no such row
     table.divisor = 0;
-    CHECK(gs_unpack_rows(&table, 1, 2, packed, 1, 0) == GS_BAD_ARGUMENT);
+    CHECK(gs_unpack_rows(&table, 1, 2, packed, nullptr, 1, 0) == GS_BAD_ARGUMENT);
     table = {data, 0, 0, 1.0f};
-    CHECK(gs_unpack_rows(&table, 1, 2, packed, 1, 0) == GS_BAD_ARGUMENT);
+    CHECK(gs_unpack_rows(&table, 1, 2, packed, nullptr, 1, 0) == GS_BAD_ARGUMENT);
     table = {nullptr, 3, 0, 1.0f};
-    CHECK(gs_unpack_rows(&table, 1, 2, packed, 1, 0) == GS_BAD_ARGUMENT);
+    CHECK(gs_unpack_rows(&table, 1, 2, packed, nullptr, 1, 0) == GS_BAD_ARGUMENT);
 }
 
 } // namespace

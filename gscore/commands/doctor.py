@@ -52,7 +52,7 @@ _PARTS = (
     _Part("scipy", "scipy", "first sizes of splats, SSIM", True),
     _Part("PIL", "pillow", "reading photos", True),
     _Part("safetensors", "safetensors", "checkpoints", True),
-    _Part("pycolmap", "pycolmap", "photos with lens distortion", True),
+    _Part("pycolmap", "pycolmap", "finding cameras of photos", False),
     _Part("onnxruntime", "onnxruntime", "LPIPS and predicting depth", False),
     _Part("OpenEXR", "OpenEXR", "depth maps in OpenEXR files", False),
     _Part("av", "av", "MP4 files", False),

@@ -9,6 +9,7 @@ from threading import Condition
 import numpy as np
 
 from ..errors import FormatError, ShapeError
+from ..io.pictures.alpha import divided, premultiplied
 from ..io.pictures.images import read_image, read_mask, reduce, resize, resize_map
 from .undistort import Undistortion
 
@@ -17,7 +18,6 @@ DECODED_AT_ONCE = 1_000_000_000
 _PIXEL, _PIXEL_WITH_ALPHA, _PIXEL_TO_UNDISTORT = 8, 5, 4
 """Bytes for a pixel of the photo: four of Pillow and three of ours, and what else comes with it."""
 
-_ROWS_A_STRIP = 64
 _NO_TRACE = 1.9
 """Interpolation at twice the final size leaves no trace after scaling down; sizes are rounded."""
 
@@ -209,15 +209,7 @@ def _fit_rgba(file: ViewFile, image: np.ndarray) -> np.ndarray:
     """`_fit` for colours with alpha: averaged premultiplied, so hidden colours do not bleed in."""
     if file.plan is None:
         return resize(image, *file.size)  # weighs by alpha itself
-    rgb = np.empty((*image.shape[:2], 3), np.uint8)
-    for top in range(0, len(image), _ROWS_A_STRIP):
-        strip = image[top : top + _ROWS_A_STRIP]
-        alpha = strip[..., 3:].astype(np.uint16)
-        rgb[top : top + _ROWS_A_STRIP] = (strip[..., :3] * alpha + 127) // 255
     # Apart, because Pillow would weigh the colours of a four-channel image by alpha once more. Not
     # sharp: where alpha would go beyond 255 and premultiplied colours would not, rims turn bright.
-    rgb = _fit(file, rgb, sharp=False).astype(np.uint16)
-    fitted = _fit(file, np.ascontiguousarray(image[..., 3]), sharp=False)
-    weight = np.maximum(fitted, 1).astype(np.uint16)[..., None]
-    rgb = np.minimum((rgb * 255 + weight // 2) // weight, 255).astype(np.uint8)
-    return np.dstack([rgb, fitted])
+    colors = _fit(file, premultiplied(image), sharp=False)
+    return divided(colors, _fit(file, np.ascontiguousarray(image[..., 3]), sharp=False))

@@ -129,6 +129,18 @@ def of_frame(path: Path | None, number: int) -> Path | None:
     return path if path is None or "{" not in str(path) else Path(_fill(str(path), number))
 
 
+def frame_pattern(folder: Path, name: str) -> Path:
+    """A path that `of_frame` fills in, to a file in a folder whose own name may hold braces.
+
+    Args:
+        folder: Stays as it is.
+        name: Of the file; may hold `{frame:06d}`, and else holds no braces.
+    """
+    if "{" not in f"{folder}{name}":
+        return folder / name
+    return Path(str(folder).replace("{", "{{").replace("}", "}}")) / name
+
+
 def _is_capture(folder: Path) -> bool:
     places = (folder, folder / "sparse", folder / "sparse/0", folder / "colmap/sparse/0")
     return find_transforms(folder) is not None or any(has_model(place) for place in places)

@@ -1,19 +1,20 @@
-"""Distorted cameras to pinhole cameras: pycolmap plans, numpy resamples photos, masks, depths."""
+"""Distorted cameras to pinhole cameras, and their photos, masks and depths; numpy alone."""
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
-from ..errors import BackendError, DatasetError, FormatError
-from ..extras import need
+from ..errors import DatasetError, FormatError
+from ..io.colmap.lenses import bent_pixels, straight_rays
 from ..io.colmap.model import ColmapCamera
+from ..io.pictures.alpha import divided, premultiplied
 from ..io.pictures.lookup import Pixels
-from ..shown import shown
 
 _ROWS_A_STRIP, _PIXELS_A_STRIP = 32, 1 << 17
 _MOST_BLANK = 0.05
 """Share of the picture that may lie outside the photo, or beyond a fold of the distortion."""
+_SCALES = (0.2, 2.0)
+"""Sizes of the pinhole camera's picture at least and at most, of the photo's."""
 _WAYS, _STEPS = 33, 400
 """Ways to each side of the picture on which folds are looked for, and places on each of them."""
 
@@ -35,17 +36,28 @@ class Undistortion:
 
     def distort(self, points: np.ndarray) -> np.ndarray:
         """Pixels of the distorted camera for pixels of the pinhole camera, both [P, 2] float64."""
-        pycolmap = _pycolmap()
-        rays = np.ones((len(points), 3))
-        rays[:, 0] = (points[:, 0] - self.K[0, 2]) / self.K[0, 0]
-        rays[:, 1] = (points[:, 1] - self.K[1, 2]) / self.K[1, 1]
-        return pycolmap_camera(pycolmap, self.camera).img_from_cam(rays)
+        rays = (points - self.K[:2, 2]) / np.diag(self.K)[:2]
+        return bent_pixels(self.camera.model, self.camera.params.tolist(), rays)
 
     def undistort(self, points: np.ndarray) -> np.ndarray:
         """The way back: pixels of the pinhole camera for those of the distorted one, both [P, 2]
         float64; NaN where the distortion has no inverse."""
-        rays = np.asarray(pycolmap_camera(_pycolmap(), self.camera).cam_from_img(points))
-        return rays[:, :2] * np.diag(self.K)[:2] + self.K[:2, 2]
+        return rays_of(self.camera, points) * np.diag(self.K)[:2] + self.K[:2, 2]
+
+    def straighten(self, photo: np.ndarray) -> np.ndarray:
+        """A photo [h, w, 3 or 4] uint8 of the distorted camera as one of the pinhole camera, of the
+        same channels, in pixels as large as its own."""
+        height, width = photo.shape[:2]
+        pixels = (width / self.camera.width, height / self.camera.height)
+        size = (round(self.width * pixels[0]), round(self.height * pixels[1]))
+        opaque = photo.shape[2] == 3 or photo[..., 3].min() == 255
+        colors = np.ascontiguousarray(photo[..., :3]) if opaque else premultiplied(photo)
+        # Where alpha would go beyond 255 and premultiplied colours would not, rims turn bright.
+        colors = self.remap(colors, size, pixels=pixels, sharp=opaque)
+        if photo.shape[2] == 3:
+            return colors
+        alpha = self.remap(np.ascontiguousarray(photo[..., 3]), size, pixels=pixels)
+        return divided(colors, alpha)
 
     def remap(
         self,
@@ -96,14 +108,9 @@ class Undistortion:
 
 
 def rays_of(camera: ColmapCamera, pixels: np.ndarray) -> np.ndarray:
-    """x / z and y / z of the rays that a distorted camera sees at its pixels, both [P, 2] float64.
-
-    Raises:
-        BackendError: pycolmap is not installed.
-    """
-    if not len(pixels):
-        return np.zeros((0, 2))
-    return np.asarray(pycolmap_camera(_pycolmap(), camera).cam_from_img(pixels))[:, :2]
+    """x / z and y / z of the rays that a distorted camera sees at its pixels, both [P, 2] float64;
+    NaN where the distortion has no inverse."""
+    return straight_rays(camera.model, camera.params.tolist(), pixels)
 
 
 def plan_undistortion(camera: ColmapCamera) -> Undistortion | None:
@@ -116,7 +123,6 @@ def plan_undistortion(camera: ColmapCamera) -> Undistortion | None:
         DatasetError: the camera sees in all directions, no pinhole camera can replace it.
         FormatError: the parameters make no camera, or one whose distortion folds back in more than
             a rim.
-        BackendError: pycolmap is not installed or does not know the model.
     """
     if camera.is_pinhole:
         return None
@@ -125,55 +131,33 @@ def plan_undistortion(camera: ColmapCamera) -> Undistortion | None:
             "The capture has 360 degree (EQUIRECTANGULAR) photos, which no pinhole camera can "
             "show. Cut them into ordinary views with COLMAP's panorama script first."
         )
-    pycolmap = _pycolmap()
-    try:
-        distorted = pycolmap_camera(pycolmap, camera)
-    except (ValueError, KeyError, AttributeError, TypeError, RuntimeError) as error:
-        raise BackendError(
-            f"The installed pycolmap {pycolmap.__version__} does not know the camera model "
-            f"{camera.model}. Update it: pip install -U pycolmap"
-        ) from error
-    try:
-        pinhole = pycolmap.undistort_camera(pycolmap.UndistortCameraOptions(), distorted)
-    except (ValueError, RuntimeError) as error:
-        raise FormatError(
-            f"The {camera.model} camera with parameters {camera.params.tolist()} cannot be "
-            f"undistorted: {shown(error)}. Run COLMAP again, perhaps with a simpler camera model."
-        ) from error
-    fx, fy, cx, cy = pinhole.params
-    plan = Undistortion(
-        camera=camera,
-        width=int(pinhole.width),
-        height=int(pinhole.height),
-        K=np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64),
-    )
+    plan = _without_blanks(camera)
     plan = _unfolded(plan)
     _check_plan(plan)
     return plan
 
 
-def pycolmap_camera(pycolmap: Any, camera: ColmapCamera) -> Any:
-    """The camera as pycolmap's own."""
-    return pycolmap.Camera(
-        model=camera.model,
-        width=camera.width,
-        height=camera.height,
-        params=camera.params.tolist(),
-    )
-
-
-def _pycolmap() -> Any:
-    """The module, loaded when first needed."""
-    try:
-        pycolmap = need("pycolmap", "Undistorting the photos")
-    except BackendError as error:
-        raise BackendError(f"{error} Or undistort them with COLMAP.") from error
-    if not hasattr(pycolmap, "undistort_camera"):
-        raise BackendError(
-            f"The installed pycolmap {pycolmap.__version__} cannot undistort single cameras, "
-            f"expected 3.12 or newer. Update it: pip install -U pycolmap"
-        )
-    return pycolmap
+def _without_blanks(camera: ColmapCamera) -> Undistortion:
+    """The largest picture of the camera's focal length that a photo fills, as COLMAP's image
+    undistorter chooses it."""
+    size = np.array([camera.width, camera.height])
+    whole = Undistortion(camera=camera, width=camera.width, height=camera.height, K=camera.K)
+    scale = np.ones(2)
+    for axis, other in ((0, 1), (1, 0)):
+        middle, rim = camera.K[axis, 2], np.empty((size[other], 2))
+        rim[:, other] = np.arange(size[other]) + 0.5
+        rim[:, axis] = 0.5
+        near = np.fmax.reduce(whole.undistort(rim)[:, axis], initial=-np.inf)
+        rim[:, axis] = size[axis] - 0.5
+        far = np.fmin.reduce(whole.undistort(rim)[:, axis], initial=np.inf)
+        # A side that no ray leads to sets no limit.
+        with np.errstate(divide="ignore"):
+            smaller = max(middle / (middle - near), (size[axis] - 0.5 - middle) / (far - middle))
+        scale[axis] = min(max(1 / smaller, _SCALES[0]), _SCALES[1]) if smaller else _SCALES[1]
+    width, height = np.maximum(1, (scale * size).astype(int)).tolist()
+    K = camera.K
+    K[:2, 2] *= np.array([width, height]) / size
+    return Undistortion(camera=camera, width=width, height=height, K=K)
 
 
 def _unfolded(plan: Undistortion) -> Undistortion:

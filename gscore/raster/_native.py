@@ -21,7 +21,7 @@ from ..io.files import reason
 from ..shown import shown
 from ..words import number
 from . import arguments, header
-from .buffers import INT32, Array, address, optional
+from .buffers import INT32, INT64, Array, address, optional
 from .request import Frustum, Settings
 from .whole_library import bytes_missing
 
@@ -167,7 +167,7 @@ def _declare(lib: ct.CDLL) -> None:
             ct.POINTER(header.RowTableStruct),
             ct.c_int32,
             ct.c_int64,
-            _pointer,
+            *[_pointer] * 2,
             ct.c_int64,
             ct.c_int32,
         ]
@@ -453,31 +453,44 @@ def add_pull(
 
 
 def pack_rows(
-    tables: Sequence[header.RowTableStruct], rows: int, packed: Array, threads: int
+    tables: Sequence[header.RowTableStruct], rows: int, places: Array, packed: Array, threads: int
 ) -> None:
-    """gs_pack_rows: `packed` is [M, 1 + widths] int32."""
-    raise_status(library().gs_pack_rows(*_packing(tables, rows, packed, threads)))
-
-
-def unpack_rows(
-    tables: Sequence[header.RowTableStruct], rows: int, packed: Array, threads: int
-) -> None:
-    """gs_unpack_rows: `packed` is [M, 1 + widths] int32."""
-    raise_status(library().gs_unpack_rows(*_packing(tables, rows, packed, threads)))
-
-
-def _packing(
-    tables: Sequence[header.RowTableStruct], rows: int, packed: Array, threads: int
-) -> tuple[object, ...]:
-    count, width = len(packed), 1 + sum(table.width for table in tables)
-    return (
+    """gs_pack_rows: `places` is [M] int64, `packed` [M, 1 + widths] int32."""
+    count = len(packed)
+    status = library().gs_pack_rows(
         (header.RowTableStruct * len(tables))(*tables),
         len(tables),
         rows,
-        address("packed", packed, (count, width), INT32),
+        address("rows", places, (count,), INT64),
+        _packed(tables, packed),
         count,
         arguments.library_threads(threads),
     )
+    raise_status(status)
+
+
+def unpack_rows(
+    tables: Sequence[header.RowTableStruct],
+    rows: int,
+    packed: Array,
+    marks: Array | None,
+    threads: int,
+) -> None:
+    """gs_unpack_rows: `packed` is [M, 1 + widths] int32, `marks` [rows] int32."""
+    status = library().gs_unpack_rows(
+        (header.RowTableStruct * len(tables))(*tables),
+        len(tables),
+        rows,
+        _packed(tables, packed),
+        optional("marks", marks, (rows,), INT32),
+        len(packed),
+        arguments.library_threads(threads),
+    )
+    raise_status(status)
+
+
+def _packed(tables: Sequence[header.RowTableStruct], packed: Array) -> int:
+    return address("packed", packed, (len(packed), 1 + sum(t.width for t in tables)), INT32)
 
 
 def adam_catch_up(

@@ -14,7 +14,7 @@ from ..errors import ShapeError
 Array = Any
 """A numpy.ndarray or, where torch is there, a torch.Tensor on the CPU."""
 FLOAT32, FLOAT64 = np.dtype(np.float32), np.dtype(np.float64)
-INT32, UINT8 = np.dtype(np.int32), np.dtype(np.uint8)
+INT32, INT64, UINT8 = np.dtype(np.int32), np.dtype(np.int64), np.dtype(np.uint8)
 
 _of_torch: dict[Any, np.dtype | None] = {}
 """The same dtypes by torch's objects, as they come along; this file does without torch."""

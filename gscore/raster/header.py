@@ -6,7 +6,7 @@ Structs that hold addresses are filled in `arguments.py` and, those of stereo an
 
 import ctypes as ct
 
-ABI_VERSION = 6
+ABI_VERSION = 7
 
 OUT_INVERSE_DEPTH, OUT_DEPTH, OUT_MEDIAN_DEPTH, COUNT_USEFUL = 1, 2, 4, 8
 DEPTH_OUTPUTS = {

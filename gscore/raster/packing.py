@@ -11,14 +11,14 @@ from .buffers import address
 
 
 class Table(NamedTuple):
-    """Numbers of N rows, and what `unpack_rows` does with new ones."""
+    """Numbers of N rows, and what is done with them."""
 
     data: Tensor
     """[N, ...] float32, contiguous, CPU."""
     adds: bool = False
-    """New numbers are added to those that are there; else they replace them."""
+    """`unpack_rows` adds new numbers to those that are there; else they replace them."""
     divisor: float = 1.0
-    """New numbers are divided by this first."""
+    """`pack_rows` divides the rows by this in the table itself before it copies them."""
 
 
 def widths_of(tables: Sequence[Tensor]) -> int:
@@ -31,33 +31,36 @@ def pack_rows(tables: Sequence[Table], rows: Tensor, packed: Tensor, *, threads:
 
     Args:
         tables: Of the same N rows each, at least one.
-        rows: [M] integers, 0 to N - 1, none twice.
+        rows: [M] int64, contiguous, 0 to N - 1, none twice.
         packed: [M, 1 + K] int32, contiguous, gets the number of the row, then the bits of its K
             numbers, table by table.
-        threads: 0: all cores.
+        threads: 0: all cores; results do not depend on it.
 
     Raises:
-        ShapeError: a tensor has another dtype or layout than it should, or a row is out of range.
+        ShapeError: a tensor has another dtype or layout than it should, and nothing was done; or a
+            row is out of range, and was left out.
     """
     structs, count = _structs(tables)
-    packed[:, 0] = rows
-    _native.pack_rows(structs, count, packed, threads)
+    _native.pack_rows(structs, count, rows, packed, threads)
 
 
-def unpack_rows(tables: Sequence[Table], packed: Tensor, *, threads: int = 0) -> None:
+def unpack_rows(
+    tables: Sequence[Table], packed: Tensor, *, marks: Tensor | None = None, threads: int = 0
+) -> None:
     """Put what `pack_rows` made into tables of the same widths.
 
     Args:
         tables: As there, changed in place.
         packed: [M, 1 + K] int32, contiguous; no row twice.
+        marks: [N] int32, contiguous, becomes 1 for each of the rows; None: nothing does.
         threads: 0: all cores; results do not depend on it.
 
     Raises:
-        ShapeError: a tensor has another dtype or layout than it should, or a row is out of range;
-            nothing was changed.
+        ShapeError: a tensor has another dtype or layout than it should, and nothing was done; or a
+            row is out of range, and was left out.
     """
     structs, count = _structs(tables)
-    _native.unpack_rows(structs, count, packed, threads)
+    _native.unpack_rows(structs, count, packed, marks, threads)
 
 
 def _structs(tables: Sequence[Table]) -> tuple[list[header.RowTableStruct], int]:

@@ -31,6 +31,7 @@ from .host.laps import Laps
 from .host.random import generator_of, uniform
 from .photos.pyramid import AHEAD, Sized
 from .photos.skips import raster_bits
+from .photos.sky import sky_splats
 from .photos.views import Photos, Sampler
 from .ranks import losses, orders
 from .ranks.agree import crc_of
@@ -661,7 +662,11 @@ class Trainer:
         )
         if start is not None:
             return splats_to_go_on_with(start, config, self.frame), free_space
-        return splats_of_cloud(cloud, near, config, self.plan, self.frame), free_space
+        if (sky := sky_splats(config, self.photos, cameras, cloud.points)) is None:
+            return splats_of_cloud(cloud, near, config, self.plan, self.frame), free_space
+        rest = replace(config, max_splats=config.max_splats - len(sky))
+        first = splats_of_cloud(cloud, near, rest, self.plan, self.frame)
+        return joined([first, sky]), free_space
 
     def _whole(self, trained: Splats) -> Splats:
         """`trained` splats after those that stand still, COLMAP world."""

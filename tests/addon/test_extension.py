@@ -115,7 +115,8 @@ def test_the_zip_is_whole(package: Path) -> None:
     files = [p for p in (ROOT / "addon").rglob("*") if p.is_file() and p.suffix != ".pyc"]
     ours = {p.relative_to(ROOT).as_posix() for p in files}
     assert "addon/python/pinned/packages.txt" in ours
-    assert ours | {"__init__.py", "blender_manifest.toml", "LICENSE"} <= names
+    top = {"__init__.py", "blender_manifest.toml", "LICENSE", "manual.html"}
+    assert ours | top <= names
     assert not [name for name in names if "__pycache__" in name or name.startswith("tests")]
     assert len([name for name in names if name.startswith("wheels/gscore-")]) == 1
 

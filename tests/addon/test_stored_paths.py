@@ -8,6 +8,7 @@ import bpy
 from addon import paths, stored_paths
 from addon.cameras import captures
 from addon.cameras import objects as co
+from addon.cameras.backgrounds import photo_of
 
 STUDIO = Path(__file__).parent.parent.parent / "examples" / "studio"
 
@@ -39,7 +40,7 @@ def test_a_project_moves_as_a_whole(scene: bpy.types.Scene, tmp_path: Path) -> N
         assert paths.capture_folder(scene) == there / "shots"
         assert Path(co.stated(camera).photo) == there / "shots" / "images" / camera["gs_image"]
         assert captures.use_camera(scene, camera) == []
-        assert len(co.photo_of(camera).pixels) == 4 * 480 * 640
+        assert len(photo_of(camera).pixels) == 4 * 480 * 640
 
 
 def test_saving_elsewhere_keeps_what_is_meant(scene: bpy.types.Scene, tmp_path: Path) -> None:

@@ -57,7 +57,7 @@ def test_wrong_pictures_mean_no_training(gscore, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("package", "trains"), [("torch", False), ("pycolmap", False), ("onnxruntime", True)]
+    ("package", "trains"), [("torch", False), ("pycolmap", True), ("onnxruntime", True)]
 )
 def test_missing_packages(gscore, monkeypatch, package, trains):
     """Oracle: a None in sys.modules makes the import fail; only what training needs is fatal."""

@@ -16,28 +16,37 @@ def tables(seed: int) -> list[torch.Tensor]:
     return [torch.randn(shape, generator=generator) for shape in SHAPES]
 
 
-def packed_of(parts: list[torch.Tensor], rows: np.ndarray) -> torch.Tensor:
-    """These rows of the tables."""
+def packed_of(parts: list[torch.Tensor], rows: np.ndarray, divisor: float = 1) -> torch.Tensor:
+    """These rows of the tables; those of the last one are divided."""
     packed = torch.empty(len(rows), 1 + widths_of(parts), dtype=torch.int32)
-    pack_rows([Table(part) for part in parts], torch.from_numpy(rows), packed)
+    divided = [*map(Table, parts[:-1]), Table(parts[-1], divisor=divisor)]
+    pack_rows(divided, torch.from_numpy(rows), packed)
     return packed
 
 
 @pytest.mark.parametrize("threads", [1, 3])
-def test_rows_are_copied_added_and_divided(threads: int) -> None:
+def test_rows_are_divided_copied_and_added(threads: int) -> None:
     """Oracle: numpy's indexing, to the bit; rows that were not packed stay as they are."""
     rows = np.random.default_rng(0).permutation(500)[:200]
     there, mine = tables(1), tables(0)
+    thirds = mine[2].numpy().copy()
+    thirds[rows] /= np.float32(3)
     expected = [part.numpy().copy() for part in there]
     expected[0][rows] = mine[0].numpy()[rows]
     expected[1][rows] += mine[1].numpy()[rows]
-    expected[2][rows] = mine[2].numpy()[rows] / np.float32(3)
-    packed = packed_of(mine, rows)
+    expected[2][rows] = thirds[rows]
+    packed = packed_of(mine, rows, divisor=3)
     assert (packed[:, 0].numpy() == rows).all()
-    into = [Table(there[0]), Table(there[1], adds=True), Table(there[2], divisor=3)]
-    unpack_rows(into, packed, threads=threads)
+    assert (mine[2].numpy() == thirds).all()
+    marks = torch.zeros(500, dtype=torch.int32)
+    marks[7] = 5
+    into = [Table(there[0]), Table(there[1], adds=True), Table(there[2])]
+    unpack_rows(into, packed, marks=marks, threads=threads)
     for found, wanted in zip(there, expected, strict=True):
         assert (found.numpy() == wanted).all()
+    wanted = np.isin(np.arange(500), rows).astype(int)
+    wanted[7] = wanted[7] or 5
+    assert (marks.numpy() == wanted).all()
 
 
 def test_no_rows_and_no_tables_of_rows_are_fine() -> None:
@@ -52,14 +61,17 @@ def test_no_rows_and_no_tables_of_rows_are_fine() -> None:
 
 @pytest.mark.parametrize("row", [-1, 500])
 def test_rows_that_are_none_are_refused(row: int) -> None:
-    """Oracle: the error, and tables that are as they were."""
+    """Oracle: the error, and tables that are as they were but for the other rows."""
     there = tables(1)
     packed = packed_of(tables(0), np.arange(7))
     packed[5, 0] = row
     with pytest.raises(ShapeError, match="row 5 is for no row"):
         unpack_rows([Table(part) for part in there], packed)
-    for found, before in zip(there, tables(1), strict=True):
-        assert (found == before).all()
+    for found, before, given in zip(there, tables(1), tables(0), strict=True):
+        assert (found[[5, *range(7, 500)]] == before[[5, *range(7, 500)]]).all()
+        assert (found[[0, 1, 2, 3, 4, 6]] == given[[0, 1, 2, 3, 4, 6]]).all()
+    with pytest.raises(ShapeError, match="row 1 is for no row"):
+        packed_of(tables(0), np.array([3, row, 4]))
 
 
 def test_tables_that_are_none_are_refused() -> None:
@@ -71,3 +83,7 @@ def test_tables_that_are_none_are_refused() -> None:
         unpack_rows([Table(torch.zeros(9, 3, dtype=torch.float64))], packed)
     with pytest.raises(ShapeError, match="packed"):
         unpack_rows([Table(torch.zeros(9, 4))], packed)
+    with pytest.raises(ShapeError, match="rows must be"):
+        pack_rows([Table(torch.zeros(9, 3))], torch.zeros(2, dtype=torch.int32), packed)
+    with pytest.raises(ShapeError, match="marks must be"):
+        unpack_rows([Table(torch.zeros(9, 3))], packed, marks=torch.zeros(8, dtype=torch.int32))

@@ -3,21 +3,17 @@
 import os
 import random
 import shlex
-import shutil
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from gscore.events import Failed, from_line
-from gscore.io.colmap.folder import read_model, write_model
 from gscore.io.ply.splats import read_ply
 from gscore.trainer.files import checkpoint
 from gscore.trainer.files.folder import RunFolder
@@ -78,28 +74,6 @@ def test_every_signal_leaves_a_checkpoint(
     assert "--resume" in out
     assert checkpoint.load(RunFolder(tmp_path).checkpoints()[-1]).steps > 0
     assert (tmp_path / "metrics.json").is_file()
-
-
-def test_the_signal_reaches_a_run_that_undistorts(
-    capture: Path, tmp_path: Path, begin: Callable[..., subprocess.Popen]
-) -> None:
-    """Oracle: as above, with photos that pycolmap undistorts, which brings a crash handler of its
-    own for SIGTERM."""
-    pytest.importorskip("pycolmap")
-    shutil.copytree(capture, tmp_path / "bent")
-    bent, out = tmp_path / "bent", tmp_path / "out"
-    model = read_model(bent)
-    ((camera_id, camera),) = model.cameras.items()
-    radial = replace(camera, model="RADIAL", params=np.append(camera.params[1:], [-0.05, 0.0]))
-    write_model(replace(model, cameras={camera_id: radial}), bent / "sparse" / "0")
-    process = begin(command(bent, out, *LONG))
-    is_training(process, out)
-    process.send_signal(signal.SIGTERM)
-    text, err = process.communicate(timeout=60)
-    assert process.returncode == 143
-    assert "Traceback" not in err and "***" not in err
-    assert "--resume" in text
-    assert checkpoint.load(RunFolder(out).checkpoints()[-1]).steps > 0
 
 
 def test_a_second_ctrl_c_ends_at_once(

@@ -4,18 +4,55 @@ import numpy as np
 import pycolmap
 import pytest
 
-from gscore.io.colmap.camera_models import MODELS_BY_NAME
-from gscore.io.colmap.lenses import BENT, bent_pixels
+from gscore.io.colmap.camera_models import CAMERA_MODELS, MODELS_BY_NAME, NO_PINHOLE
+from gscore.io.colmap.lenses import BENT, bent_pixels, straight_rays
+
+_KNOWN = {"f": 500.0, "fx": 500.0, "fy": 480.0, "cx": 310.0, "cy": 255.0}
+_SHAPES = {"omega": 0.9, "alpha": 0.6, "beta": 1.1}
+
+
+def _params(model: str, rng: np.random.Generator) -> list[float]:
+    """Every parameter other than 0."""
+    names = MODELS_BY_NAME[model].params
+    return [(_KNOWN | _SHAPES).get(name) or rng.uniform(-0.05, 0.05) for name in names]
+
+
+def test_all_models_are_known() -> None:
+    """Oracle: the list of COLMAP's models, without those that bend nothing or have no focus."""
+    straight = {"PINHOLE", "SIMPLE_PINHOLE"}
+    assert {model.name for model in CAMERA_MODELS} - straight - NO_PINHOLE == BENT
 
 
 @pytest.mark.parametrize("model", sorted(BENT))
 def test_rays_meet_the_pixels_of_pycolmap(model: str) -> None:
-    """Every parameter other than 0; rays up to 45 degrees aside, and the axis."""
+    """Rays up to 45 degrees aside, and the axis; and back."""
     rng = np.random.default_rng(3)
-    names = MODELS_BY_NAME[model].params
-    known = {"f": 500.0, "fx": 500.0, "fy": 480.0, "cx": 310.0, "cy": 255.0}
-    params = [known.get(name, rng.uniform(-0.05, 0.05)) for name in names]
+    params = _params(model, rng)
     camera = pycolmap.Camera(model=model, width=640, height=480, params=params)
     rays = np.concatenate([rng.uniform(-0.7, 0.7, (200, 2)), np.zeros((1, 2))])
     wanted = camera.img_from_cam(np.concatenate([rays, np.ones((len(rays), 1))], axis=1))
-    np.testing.assert_allclose(bent_pixels(model, params, rays), wanted, rtol=0, atol=1e-9)
+    # FOV: near its axis theirs is a series.
+    np.testing.assert_allclose(bent_pixels(model, params, rays), wanted, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(straight_rays(model, params, wanted), rays, rtol=0, atol=1e-8)
+
+
+def test_lenses_of_no_bend_are_those_of_a_pinhole() -> None:
+    """Oracle: f x / z, of models whose formulas have a limit there."""
+    rays = np.array([[0.0, 0.0], [0.3, -0.4]])
+    for model, bend in (("FOV", [0.0]), ("EUCM", [0.0, 1.0]), ("DIVISION", [0.0])):
+        params = [500.0, 480.0, 310.0, 255.0, *bend]
+        wanted = rays * [500, 480] + [310, 255]
+        np.testing.assert_allclose(bent_pixels(model, params, rays), wanted)
+        np.testing.assert_allclose(straight_rays(model, params, wanted), rays, atol=1e-12)
+
+
+def test_what_the_lens_never_reaches_has_no_ray() -> None:
+    """Oracle: r (1 - 0.5 r^2) is never above 0.544; an even fisheye's picture has a right angle at
+    pi / 2 focal lengths."""
+    pixels = np.array([[0.5, 0.0], [0.53, 0.0], [0.56, 0.0], [0.0, -5.0]])
+    rays = straight_rays("SIMPLE_RADIAL", [1.0, 0.0, 0.0, -0.5], pixels)
+    assert np.isfinite(rays[:2]).all() and np.isnan(rays[2:]).all()
+    turns_back = (1 / 1.5) ** 0.5
+    assert (np.linalg.norm(rays[:2], axis=1) < turns_back).all()
+    wide = straight_rays("SIMPLE_FISHEYE", [1.0, 0.0, 0.0], np.array([[1.5, 0.0], [1.6, 0.0]]))
+    assert wide[0, 0] == pytest.approx(np.tan(1.5)) and np.isnan(wide[1]).all()

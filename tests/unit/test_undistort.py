@@ -11,7 +11,7 @@ from gscore.config import DataConfig
 from gscore.datasets import load_dataset
 from gscore.datasets.decode import ViewFile, decode_view
 from gscore.datasets.resolution import scale_intrinsics
-from gscore.datasets.undistort import Undistortion, plan_undistortion, pycolmap_camera
+from gscore.datasets.undistort import Undistortion, plan_undistortion
 from gscore.errors import DatasetError, FormatError
 from gscore.io.colmap.camera_models import CAMERA_MODELS
 from gscore.io.colmap.folder import ColmapCamera
@@ -43,10 +43,13 @@ def _camera(model: str) -> ColmapCamera:
 
 def _project(camera: ColmapCamera, points: np.ndarray) -> np.ndarray:
     """Pixels of camera-space points [P, 3], by pycolmap."""
-    theirs = pycolmap.Camera(
+    return _theirs(camera).img_from_cam(points)
+
+
+def _theirs(camera: ColmapCamera) -> pycolmap.Camera:
+    return pycolmap.Camera(
         model=camera.model, width=camera.width, height=camera.height, params=camera.params
     )
-    return theirs.img_from_cam(points)
 
 
 def _marker(size: tuple[int, int], at: np.ndarray) -> np.ndarray:
@@ -100,6 +103,29 @@ def test_markers_land_where_the_pinhole_predicts(model: str, scale: float) -> No
 def _project_pinhole(camera: ColmapCamera, rays: np.ndarray) -> np.ndarray:
     projected = rays @ camera.K.T
     return projected[:, :2] / projected[:, 2:]
+
+
+@pytest.mark.parametrize("model", _DISTORTED)
+def test_the_pinhole_is_the_one_of_colmap(model: str, rng: np.random.Generator) -> None:
+    """Oracle: pycolmap's own choice, of lenses that bend little and much, in and out."""
+    told = 0
+    for _ in range(20):
+        camera = _camera(model)
+        bend = rng.uniform(-0.2, 0.2, len(camera.params))
+        names = list(camera.named_params)
+        bends = [i for i, name in enumerate(names) if name[0] == "k"]
+        camera.params[bends] = bend[bends] * [1.0 if i == bends[0] else 0.2 for i in bends]
+        theirs = pycolmap.undistort_camera(pycolmap.UndistortCameraOptions(), _theirs(camera))
+        try:
+            plan = _plan(camera)
+        except FormatError:
+            continue  # what is refused is tested below
+        if plan.cut_off:
+            continue
+        told += 1
+        assert (theirs.width, theirs.height) == (plan.width, plan.height)
+        np.testing.assert_allclose(theirs.calibration_matrix(), plan.K)
+    assert told >= 5
 
 
 @pytest.mark.parametrize("model", ["SIMPLE_RADIAL", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV"])
@@ -198,7 +224,10 @@ def test_photos_that_are_not_scaled_down_are_sharp(
     size = (width, round(plan.height * width / plan.width)) if width else (plan.width, plan.height)
     file = _view(tmp_path / "a.png", size, plan)
     remapped = plan.remap(photo, (plan.width, plan.height), sharp=sharp)
-    np.testing.assert_array_equal(decode_view(file)[0], resize(remapped, *size))
+    decoded = decode_view(file)[0]
+    np.testing.assert_array_equal(decoded, resize(remapped, *size))
+    if sharp:
+        np.testing.assert_array_equal(plan.straighten(photo), decoded)
 
 
 def test_a_colour_under_an_edge_of_alpha_stays(tmp_path: Path) -> None:
@@ -210,6 +239,7 @@ def test_a_colour_under_an_edge_of_alpha_stays(tmp_path: Path) -> None:
     size = (plan.width, plan.height)
     rgb, alpha = decode_view(_view(tmp_path / "a.png", size, plan, use_alpha=True))
     assert alpha is not None and 0.4 < (alpha > 128).mean() < 0.6
+    np.testing.assert_array_equal(plan.straighten(photo), np.dstack([rgb, alpha]))
     assert np.abs(rgb[alpha > 200].astype(int) - 128).max() <= 1
 
 
@@ -284,9 +314,7 @@ def test_rims_that_fold_are_left_out(k1: float) -> None:
     """Oracle: the model's formula in float64: r (1 + k1 r^2) turns back at r = (-3 k1)^-1/2, and
     what is left in the picture is one to one and nearly reaches there."""
     camera = _barrel(k1)
-    theirs = pycolmap.undistort_camera(
-        pycolmap.UndistortCameraOptions(), pycolmap_camera(pycolmap, camera)
-    )
+    theirs = pycolmap.undistort_camera(pycolmap.UndistortCameraOptions(), _theirs(camera))
     whole = Undistortion(
         camera=camera,
         width=theirs.width,

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ...report.depth import DepthPictures, DepthSection, depth_errors
-from ..photos.views import Photos
+from ..photos.views import Photos, evenly
 from .setup import DepthSetup
 
 _MOST_VIEWS = 24
@@ -48,7 +48,7 @@ def measure_depth(
         row["split"] = "test" if index in set(photos.test) else "train"
     with_map = [i for i in (*photos.test, *photos.train) if i in targets]
     pictures = DepthPictures(count=min(len(with_map), _MOST_VIEWS))
-    for i in _evenly(with_map, _MOST_VIEWS):
+    for i in evenly(with_map, _MOST_VIEWS):
         if interrupted():
             break
         image = photos.image(i)
@@ -75,9 +75,3 @@ def measure_depth(
     return DepthReport(
         numbers=numbers, section=DepthSection(why=setup.why, rows=rows, views=pictures.views)
     )
-
-
-def _evenly(indices: list[int], most: int) -> list[int]:
-    if len(indices) <= most:
-        return indices
-    return [indices[i] for i in np.linspace(0, len(indices) - 1, most).round().astype(int)]

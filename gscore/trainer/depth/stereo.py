@@ -10,6 +10,7 @@ from ...datasets import Dataset
 from ...scene import PointCloud
 from ...stereo import dense_points, stereo_maps
 from ...words import count_words, number
+from ..photos.views import evenly
 from .points import MOST_ADDED, SPLATS_A_POINT
 
 _MOST_VIEWS = 120
@@ -51,7 +52,7 @@ def stereo_start(
     most = _wanted(config, known)
     if most <= 0:
         return _nothing(f"{number(len(known))} points leave no room for more")
-    used = _evenly(list(photos.train))
+    used = evenly(photos.train, _MOST_VIEWS)
     found = stereo_maps(photos, used, side=_SIDE, threads=config.threads, on_view=on_view)
     if found.reason:
         return _nothing(found.reason)
@@ -79,10 +80,3 @@ def _wanted(config: TrainConfig, known: PointCloud) -> int:
 
 def _nothing(why: str) -> StereoStart:
     return StereoStart(why=f"No points were added by stereo: {why}.")
-
-
-def _evenly(indices: list[int]) -> list[int]:
-    if len(indices) <= _MOST_VIEWS:
-        return indices
-    places = np.linspace(0, len(indices) - 1, _MOST_VIEWS).round().astype(int)
-    return [indices[i] for i in places]

@@ -58,6 +58,13 @@ def view_of(viewmat: np.ndarray, K: np.ndarray, width: int, height: int, near: f
     )
 
 
+def evenly(indices: Sequence[int], most: int) -> list[int]:
+    """`indices`, or of more than `most` as many at even distances."""
+    if len(indices) <= most:
+        return list(indices)
+    return [indices[i] for i in np.linspace(0, len(indices) - 1, most).round().astype(int)]
+
+
 class Sampler:
     """Each view once an epoch, in another order each epoch."""
 

@@ -8,7 +8,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ...raster.memory import zeros
 from ...raster.packing import Table, unpack_rows
 from ...splats import PARAMETERS
 from ..rows.model import Model, ShN
@@ -31,9 +30,11 @@ class BatchGradients:
         self.complete = False
         """Whether rank 0 has all that `tensors` needs; the same on all ranks."""
         self._others: list[Tensor] = []
-        self._gathered = torch.zeros(0, dtype=torch.uint8, device="cpu")
+        self._gathered = torch.zeros(0, dtype=torch.bool, device="cpu")
         self._gathers: weakref.ref[Tensor] | None = None
-        self._rows = self._sums.sorted(torch.zeros(0, dtype=torch.int64, device="cpu"))
+        self._shown = torch.zeros(0, dtype=torch.bool, device="cpu")
+        """[N]: what this rank's photo shows."""
+        self._rows = self._sums.sorted(self._shown.nonzero().flatten())
         self._told: np.ndarray | None = None
 
     def sizes(self, radii: Tensor, photos: int) -> list[int]:
@@ -43,11 +44,12 @@ class BatchGradients:
             radii: [N] int32, above 0 where it shows a splat.
             photos: How many there are in this batch. Ranks from there on have nothing to add.
         """
-        rows = (radii > 0).nonzero().flatten()
-        rows = rows[:0] if self._team.rank >= photos else rows
+        self._shown = radii > 0
+        if self._team.rank >= photos:
+            self._shown.zero_()
         if len(self._gathered) == len(radii):
-            self._gathered[rows] = 1
-        self._rows = self._sums.sorted(rows)
+            self._gathered |= self._shown
+        self._rows = self._sums.sorted(self._shown.nonzero().flatten())
         return self._rows.sizes
 
     def hear(self, sizes: np.ndarray) -> None:
@@ -87,29 +89,23 @@ class BatchGradients:
         Returns:
             [N] int32, 1 where some photo showed a splat.
         """
-        shown = zeros(len(model), dtype=torch.int32)
+        shown = self._shown.to(torch.int32)
         if len(model) == 0:
             return shown
         self._note_gathered(model.grads["shN"])
         grads = [model.grads[name] for name in PARAMETERS if name != "shN"]
-        tables = [*grads, *counters.values()]
+        tables = [Table(grad, adds=True, divisor=photos) for grad in grads]
+        tables += [Table(counter, adds=True) for counter in counters.values()]
         found = self._sums(self._rows, tables, told=self._told, threads=threads)
         # Two numbers are the same sum either way round, so what is here already stays: of two
         # ranks, and unless what this one looked at is another's.
-        stays = self._team.size == 2 and self._team.rank < photos
-        if stays:
-            shown[found[self._team.rank][:, 0].to(torch.int64)] = 1
+        if self._team.size == 2 and self._team.rank < photos:
             found = [found[1 - self._team.rank]]
-            for grad in grads if photos > 1 else ():
-                grad.div_(photos)
         else:
             for table in tables:
-                table.zero_()
-        sums = [Table(grad, adds=True, divisor=photos) for grad in grads]
-        sums += [Table(counter, adds=True) for counter in counters.values()]
+                table.data.zero_()
         for part in found:
-            unpack_rows(sums, part, threads=threads)
-            shown[part[:, 0].to(torch.int64)] = 1
+            unpack_rows(tables, part, marks=shown, threads=threads)
         for name, counter in counters.items():
             model.rows[name] += counter
         return shown
@@ -128,13 +124,14 @@ class BatchGradients:
             self.complete = False
             return
         rows = self._gathered.nonzero().flatten()
-        found = self._sums(self._sums.sorted(rows), [grad], threads=threads)
+        table = Table(grad, adds=True)
+        found = self._sums(self._sums.sorted(rows), [table], threads=threads)
         if self._team.size == 2:
             found = [found[1 - self._team.rank]]
         else:
             grad.zero_()
         for part in found:
-            unpack_rows([Table(grad, adds=True)], part, threads=threads)
+            unpack_rows([table], part, threads=threads)
         self._gathered.zero_()
         self.complete = True
 
@@ -144,7 +141,7 @@ class BatchGradients:
         if self._gathers is not None and self._gathers() is grad:
             return
         self._gathers = weakref.ref(grad)
-        self._gathered = torch.from_numpy(np.any(grad.numpy(), axis=(1, 2)).astype(np.uint8))
+        self._gathered = torch.from_numpy(np.any(grad.numpy(), axis=(1, 2)))
 
     def collect(self, model: Model) -> None:
         """Bring what has gathered to rank 0; all ranks call this where it is not complete."""

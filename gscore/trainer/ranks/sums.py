@@ -46,7 +46,7 @@ class RowSums:
     def __call__(
         self,
         mine: "Sorted",
-        tables: Sequence[Tensor],
+        tables: Sequence[Table],
         *,
         told: np.ndarray | None = None,
         threads: int = 0,
@@ -55,7 +55,7 @@ class RowSums:
 
         Args:
             mine: Which rows this rank has.
-            tables: [N, ...] float32 each, contiguous: K numbers a row in all.
+            tables: K numbers a row in all; those with a divisor are divided by it first.
             told: [size, size] `sizes` of what each rank has, where all know them already; None:
                 the ranks meet for it.
             threads: 0: all cores.
@@ -66,9 +66,9 @@ class RowSums:
             until the next call.
         """
         team, size = self._team, self._team.size
-        width = 1 + widths_of(tables)
+        width = 1 + widths_of([table.data for table in tables])
         packed = self._mine.of(len(mine.rows), width)
-        pack_rows([Table(t) for t in tables], mine.rows, packed, threads=threads)
+        pack_rows(tables, mine.rows, packed, threads=threads)
         if size == 2:
             return team.rows(packed, self._given, told=told)
         given = team.swap(packed, mine.sizes, self._given, told=told)

@@ -13,8 +13,9 @@ from mathutils import Vector
 from addon.cameras import captures, sfm_points
 from addon.cameras import formulas as cm
 from addon.cameras import objects as co
+from addon.cameras.backgrounds import photo_of
 from addon.compat import matrix_to_numpy
-from addon.core import GsError, read_capture, read_colmap, write_colmap
+from addon.core import GsError, plan_undistortion, read_capture, read_colmap, write_colmap
 from tests.addon.captures import STUDIO, write_capture
 
 PIXELS = 1e-3
@@ -60,6 +61,7 @@ def test_imported_cameras_project_as_colmap_says(scene, capture: Path, aligned: 
     for ob in made.cameras:
         image = states[ob["gs_image"]]
         camera = intrinsics[image.camera_id]
+        camera = plan_undistortion(camera) or camera
         captures.use_camera(scene, ob)
         render = captures.render_camera(ob, scene)
         points = in_view(render, rng)
@@ -168,7 +170,7 @@ def test_what_an_import_makes(scene) -> None:
         own = co.stated(ob)
         np.testing.assert_array_equal(own.viewmat, by_name[own.image].viewmat)
         np.testing.assert_array_equal(own.K, model.cameras[by_name[own.image].camera_id].K)
-        photo = co.photo_of(ob)
+        photo = photo_of(ob)
         assert Path(photo.filepath) == STUDIO / "images" / own.image
         assert not photo.has_data
         assert not co.is_moved(ob, own) and not co.is_lens_changed(ob.data, own)
@@ -199,7 +201,7 @@ def test_use_camera(scene) -> None:
     assert captures.use_camera(scene, first) == []
     assert scene.camera == first
     assert (scene.render.resolution_x, scene.render.resolution_y) == (480, 640)
-    photo = co.photo_of(first)
+    photo = photo_of(first)
     assert len(photo.pixels) == 4 * 480 * 640  # decodes it
     assert photo.has_data
     assert captures.step_camera(scene, made.root, 1) == second
@@ -224,14 +226,30 @@ def test_pixel_aspect_is_said(scene, capture: Path) -> None:
     assert "1.4020" in notes[0]
 
 
-def test_distortion_is_said(scene, capture: Path) -> None:
-    """Oracle: the pinhole part of the model; the parameters are kept."""
+def test_distorted_cameras_come_as_trainings_see_them(scene, capture: Path) -> None:
+    """Oracle: the pinhole camera of a training; model, parameters and the photo's size are kept."""
     made = captures.import_capture(bpy.context.scene, capture)
-    assert any("OPENCV, SIMPLE_RADIAL" in warning for warning in made.warnings)
     ob = next(ob for ob in made.cameras if ob["gs_model"] == "OPENCV")
     own = co.stated(ob)
     assert own.params == (800.0, 801.0, 505.0, 370.0, -0.1, 0.02, 0.001, -0.002)
-    np.testing.assert_array_equal(own.K, [[800, 0, 505], [0, 801, 370], [0, 0, 1]])
+    assert own.photo_size == own.taken == (1000, 750)
+    lens = next(c for c in read_colmap(capture).cameras.values() if c.model == "OPENCV")
+    plan = plan_undistortion(lens)
+    np.testing.assert_array_equal(own.K, plan.K)
+    assert (own.width, own.height) == (plan.width, plan.height) != own.taken
+
+
+def test_a_lens_that_cannot_be_straightened_is_said(scene, tmp_path: Path) -> None:
+    """Oracle: r (1 - 1.5 r^2) turns back at 0.47, within the photo: the camera is the pinhole part
+    of the lens, and its photo comes as it is."""
+    bent = {1: ("SIMPLE_RADIAL", 640, 480, (400.0, 320.0, 240.0, -1.5))}
+    write_capture(tmp_path / "x", np.random.default_rng(0), cameras=bent, photos=True)
+    made = captures.import_capture(bpy.context.scene, tmp_path / "x")
+    assert sum("cannot be undistorted" in warning for warning in made.warnings) == 1
+    own = co.stated(made.cameras[0])
+    np.testing.assert_array_equal(own.K, [[400, 0, 320], [0, 400, 240], [0, 0, 1]])
+    assert own.photo_size is None and own.taken == (640, 480)
+    assert Path(photo_of(made.cameras[0]).filepath) == Path(own.photo)
 
 
 def test_photos_that_are_missing(scene, tmp_path: Path) -> None:
@@ -241,7 +259,7 @@ def test_photos_that_are_missing(scene, tmp_path: Path) -> None:
     shutil.copy(STUDIO / "images" / "view_000.jpg", tmp_path / "c" / "images")
     made = captures.import_capture(bpy.context.scene, tmp_path / "c")
     assert "59 of the 60 images" in made.warnings[0]
-    assert [co.photo_of(ob) is not None for ob in made.cameras] == [True] + 59 * [False]
+    assert [photo_of(ob) is not None for ob in made.cameras] == [True] + 59 * [False]
     notes = captures.use_camera(scene, made.cameras[1])
     assert str(tmp_path / "c" / "images" / "view_001.jpg") in notes[0]
 
@@ -329,7 +347,7 @@ def test_another_machine(scene, tmp_path: Path) -> None:
     assert captures.relink(root, tmp_path / "there" / "studio" / "images") == (60, 60)
     assert captures.use_camera(scene, ob) == []
     assert root["gs_source"] == "//there/studio"
-    assert len(co.photo_of(ob).pixels) == 4 * 480 * 640
+    assert len(photo_of(ob).pixels) == 4 * 480 * 640
     del made
 
 

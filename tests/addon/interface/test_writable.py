@@ -104,6 +104,7 @@ NOT_IN_THE_SCENE = {
     *("train_sequence", "stop_sequence", "train_region", "stop_region"),
     *("measure_errors", "stop_errors"),
     *("save_mask", "discard_mask", "mask_brush"),
+    *("straighten_photos", "stop_straightening", "remove_straight_photos", "open_manual"),
 }
 """Operators that write files, or start, steer and show what runs beside Blender."""
 

@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
@@ -12,9 +13,11 @@ import pytest
 from addon import stored_paths
 from addon.cameras import captures
 from addon.cameras.objects import stated
-from addon.core import downscale, psnr, render
+from addon.cameras.straight import lens_of
+from addon.core import downscale, plan_undistortion, psnr, read_colmap, render, write_colmap
 from addon.panels.render import RenderPanel
-from addon.render import compare, photo
+from addon.render import compare
+from addon.render import photo as photo_module
 from addon.splats import objects
 from gscore.io.pictures.images import write_png
 from tests.addon import splat_scenes as lab
@@ -188,7 +191,7 @@ def other_photo(camera, folder):
 
 
 def distorted(camera, folder):
-    camera["gs_model"] = "FOV"
+    camera["gs_model"], camera["gs_params"] = "SIMPLE_RADIAL", [800.0, 240.0, 320.0, 0.1]
 
 
 def no_picture(camera, folder):
@@ -214,7 +217,7 @@ def test_masks_of_labels_are_yes_and_no(studio, scene, tmp_path, top):
         labels[: own.height // 2] = white
         write_png(tmp_path / "in" / "masks" / f"{Path(own.photo).stem}.png", labels)
         options = {"background": (0.0, 0.0, 0.0), "mask_mode": "ignore"}
-        found.append(photo.load_target(camera, own.width, own.height, **options))
+        found.append(photo_module.load_target(camera, own.width, own.height, **options))
     np.testing.assert_array_equal(found[0].weight, found[1].weight)
     assert set(np.unique(found[0].weight).tolist()) == {0, 1}
 
@@ -225,7 +228,7 @@ def test_masks_of_labels_are_yes_and_no(studio, scene, tmp_path, top):
         (film, "is a film"),
         (no_photo, "find the capture's folder again"),
         (other_photo, "30 x 20 pixels"),
-        (distorted, "bends lines (FOV)"),
+        (distorted, "bends lines (SIMPLE_RADIAL)"),
         (no_picture, "decode"),
     ],
 )
@@ -284,34 +287,75 @@ def test_splats_that_the_view_hides_are_not_blamed_on_renders(studio):
         bpy.ops.gscore.compare_photo(camera=studio[0].cameras[3].name)
 
 
-@pytest.mark.parametrize(("k", "all_seen"), [(-0.12, True), (0.1, False)])
-def test_photos_of_lenses_that_bend_are_straightened(studio, scene, tmp_path, k, all_seen):
-    """Oracle: what the splats show through an ideal lens, bent by solving the lens's equation for
-    each pixel of the photo."""
-    camera = studio[0].cameras[9]
+@pytest.fixture
+def bent(scene, tmp_path):
+    """The studio photographed through a lens of this bend: a pinhole's pixels are looked up where
+    the lens's equation, solved for each pixel of the photo, puts them."""
+
+    def make(k):
+        model = read_colmap(STUDIO)
+        (key,) = {image.camera_id for image in model.images}
+        camera = model.cameras[key]
+        focal, middle = camera.K[0, 0], camera.K[:2, 2]
+        lens = replace(camera, model="SIMPLE_RADIAL", params=np.array([focal, *middle, k]))
+        image = model.images[9]
+        pinhole = lab.read_image(STUDIO / "images" / image.name)[..., :3]
+        y, x = np.mgrid[0 : camera.height, 0 : camera.width] + 0.5
+        wanted = (np.stack([x, y], axis=-1) - middle) / focal
+        ray = wanted.copy()
+        for _ in range(200):
+            ray = wanted / (1 + k * (ray**2).sum(-1, keepdims=True))
+        at = np.rint(ray * focal + middle - 0.5).astype(int)
+        at = np.clip(at, 0, [camera.width - 1, camera.height - 1])
+        photo = np.rint(pinhole[at[..., 1], at[..., 0]] * 255).astype(np.uint8)
+        folder = tmp_path / "bent"
+        write_png(folder / "images" / image.name.replace(".jpg", ".png"), photo)
+        image = replace(image, name=image.name.replace(".jpg", ".png"))
+        write_colmap(replace(model, cameras={key: lens}, images=[image]), folder / "sparse" / "0")
+        return captures.import_capture(scene, folder), pinhole, photo
+
+    return make
+
+
+@pytest.mark.parametrize("k", [-0.12, 0.1])
+def test_photos_of_lenses_that_bend_are_straightened_as_for_training(scene, bent, k):
+    """Oracle: the pinhole's picture before it was bent, moved to the principal point of the
+    straightened camera; and, to the byte, what a training makes of the photo."""
+    capture, pinhole, photo = bent(k)
+    lab.prepare(scene)
+    lab.add(scene, lab.blob())
     scene.gscore.use_masks = False
-    straight = compare.compare(scene, camera, bpy.context.evaluated_depsgraph_get())
-    shown = pixels(straight.images["Render"])
-    own = stated(camera)
-    focal = own.K[0, 0]
-    camera["gs_K"] = [focal, 0, own.K[0, 2], 0, focal, own.K[1, 2], 0, 0, 1]
-    compare.compare(scene, camera, bpy.context.evaluated_depsgraph_get())
-    shown = pixels(bpy.data.images["GS Render"])
-    y, x = np.mgrid[0 : own.height, 0 : own.width] + 0.5
-    bent = np.stack([x - own.K[0, 2], y - own.K[1, 2]], axis=-1) / focal
-    ray = bent.copy()
-    for _ in range(100):
-        ray = bent / (1 + k * (ray**2).sum(-1, keepdims=True))
-    at = np.rint(ray * focal + own.K[:2, 2] - 0.5).astype(int)
-    inside = ((at >= 0) & (at < [own.width, own.height])).all(-1)
-    at = np.clip(at, 0, [own.width - 1, own.height - 1])
-    photographed = shown[at[..., 1], at[..., 0]]
-    write_png(tmp_path / "bent.png", (photographed * 255 + 0.5).astype(np.uint8))
-    camera["gs_photo"] = str(tmp_path / "bent.png")
-    as_it_is = compare.compare(scene, camera, bpy.context.evaluated_depsgraph_get()).psnr
-    camera["gs_model"] = "SIMPLE_RADIAL"
-    camera["gs_params"] = [focal, own.K[0, 2], own.K[1, 2], k]
+    camera = capture.cameras[0]
     found = compare.compare(scene, camera, bpy.context.evaluated_depsgraph_get())
-    assert found.psnr > as_it_is + 6 and found.psnr > 30
-    assert (found.psnr_masked is None) == all_seen
-    assert inside.mean() > 0.8
+    own, shown = stated(camera), pixels(found.images["Photo"])
+    plan = plan_undistortion(lens_of(own))
+    assert shown.shape == (own.height, own.width, 3) == (plan.height, plan.width, 3)
+    np.testing.assert_array_equal(np.rint(shown * 255), plan.straighten(photo))
+    assert found.psnr_masked is None
+    y, x = np.mgrid[20 : own.height - 20, 20 : own.width - 20] + 0.5
+    ray = np.stack([x - own.K[0, 2], y - own.K[1, 2]], axis=-1) / own.K[0, 0]
+    at = np.rint(ray * own.K[0, 0] + np.array(own.params[1:3]) - 0.5).astype(int)
+    inside = ((at >= 0) & (at < [pinhole.shape[1], pinhole.shape[0]])).all(-1)
+    at = np.clip(at, 0, [pinhole.shape[1] - 1, pinhole.shape[0] - 1])
+    straight = shown[20:-20, 20:-20]
+    error = (straight - pinhole[at[..., 1], at[..., 0]])[inside]
+    assert inside.mean() > 0.8 and -10 * np.log10((error**2).mean()) > 26
+
+
+def test_masks_of_lenses_that_bend_are_straightened_too(scene, bent):
+    """Oracle: the mask's rows, looked up where the lens has the rows of the straightened photo."""
+    capture, _, photo = bent(-0.12)
+    camera = capture.cameras[0]
+    own = stated(camera)
+    mask = np.zeros(photo.shape[:2], np.uint8)
+    mask[200:] = 255
+    folder = Path(own.photo).parents[1]
+    write_png(folder / "masks" / f"{own.image}.png", mask)
+    options = {"background": (0.0, 0.0, 0.0), "mask_mode": "ignore"}
+    found = photo_module.load_target(camera, own.width, own.height, **options)
+    y, x = np.mgrid[0 : own.height, 0 : own.width] + 0.5
+    ray = (np.stack([x, y], axis=-1) - own.K[:2, 2]) / own.K[0, 0]
+    f, _, cy, k = own.params
+    row = (ray[..., 1] * (1 + k * (ray**2).sum(-1))) * f + cy
+    sure = abs(row - 200) > 1
+    np.testing.assert_array_equal(found.weight[sure], (row > 200)[sure])

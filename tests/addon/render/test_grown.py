@@ -252,13 +252,16 @@ def test_what_an_instanced_object_makes_hides_alone(held, nested):
 
 
 @pytest.mark.parametrize("render", [False, True])
-@pytest.mark.parametrize("how", ["faces", "hair", "nodes", "in a collection"])
+@pytest.mark.parametrize("how", ["faces", "hair", "nodes", "in a collection", "in a set"])
 def test_instances_hide_without_their_instancer(held, tmp_path, monkeypatch, way, how, render):
     """Oracle: what hides with Show Instancer, without the faces of the instancer."""
-    shown = link(held.collection, "shown", quad("shown", 0.2))
-    ob = link(held.collection, "owner", quad("owner", 1.0))
+    scene = held
+    if how == "in a set":
+        scene = held.background_set = bpy.data.scenes.new("set")
+    shown = link(scene.collection, "shown", quad("shown", 0.2))
+    ob = link(scene.collection, "owner", quad("owner", 1.0))
     ob.is_holdout = True
-    if how == "faces":
+    if how in ("faces", "in a set"):
         shown.parent, ob.instance_type = ob, "FACES"
     elif how == "nodes":
         tree = on_points(shown)
@@ -303,7 +306,7 @@ def test_instances_hide_without_their_instancer(held, tmp_path, monkeypatch, way
     assert without == with_it
     for one in off:
         one.hide_render = True
-        one.hide_set(True) if one.name in held.view_layers[0].objects else None
+        one.hide_viewport = True
     assert hiding() == {}
 
 

@@ -14,6 +14,7 @@ from addon.job import guides
 from addon.panels.train import GuidesPanel
 from addon.panels.train_sequence import TrainSequencePanel
 from addon.sequence import work
+from gscore.datasets.frames import of_frame
 from tests.addon.drawn import drawn
 from tests.addon.sequence.test_train_sequence import (  # noqa: F401 - fixtures
     DONE,
@@ -139,7 +140,8 @@ def test_meshes_of_a_sequence_stay_until_another_begins(
     tmp_path: Path,
     play: Play,  # noqa: F811
 ) -> None:
-    """Oracle: the files, after Start Over without a Python that runs, and with one."""
+    """Oracle: the files, after Start Over without a Python that runs, with a trainer that refuses
+    at once, and with one that trains."""
     for frame in (1, 4):
         wall.location.x = 0.1 * frame
         wall.keyframe_insert("location", frame=frame)
@@ -152,9 +154,36 @@ def test_meshes_of_a_sequence_stay_until_another_begins(
     with pytest.raises(ValueError, match="cannot be run"):
         work.train_sequence(video, overwrite=True, python=tmp_path / "no python")
     assert before < set(folder.iterdir())
+    refused = {"event": "error", "type": "ConfigError", "message": "No such mesh."}
+    play({"say": refused}, {"exit": 2})
+    with pytest.raises(RuntimeError, match="No such mesh"):
+        bpy.ops.gscore.train_sequence(overwrite=True, wait=True)
+    assert before < set(folder.iterdir())
+    play({"say": DONE})
     bpy.ops.gscore.train_sequence(overwrite=True, wait=True)
     after = set(folder.iterdir())
     assert len(after) == 4 and not after & before
+
+
+@pytest.mark.parametrize("moves", [False, True])
+def test_folders_of_results_may_hold_braces(
+    wall: bpy.types.Object,
+    video: bpy.types.Scene,  # noqa: F811
+    tmp_path: Path,
+    play: Play,  # noqa: F811
+    moves: bool,
+) -> None:
+    """Oracle: what gscore makes of the option for each frame, and the files that are there."""
+    for frame in (1, 4) if moves else ():
+        wall.location.x = 0.1 * frame
+        wall.keyframe_insert("location", frame=frame)
+    video.gscore.output_path = str(tmp_path / "a {b} }c{ {frame}" / "out")
+    called = play({"say": DONE})
+    panel()
+    bpy.ops.gscore.train_sequence(wait=True)
+    files = {of_frame(told(called), number) for number in (0, 4, 8, 12)}
+    folder = work.output_of(video) / "guides"
+    assert files == set(folder.iterdir()) and len(files) == (4 if moves else 1)
 
 
 def test_what_a_sequence_does_not_see_is_told(

@@ -44,7 +44,7 @@ def main() -> int:
             found = np.zeros(ROWS, bool)
             have = sums_of.sorted(torch.from_numpy(rows))
             told = team.numbers(have.sizes) if known else None
-            for piece in sums_of(have, parts, told=told):
+            for piece in sums_of(have, list(map(Table, parts)), told=told):
                 unpack_rows([Table(sum_, adds=True) for sum_ in sums], piece)
                 found[piece[:, 0].numpy()] = True
             assert (found == had).all()

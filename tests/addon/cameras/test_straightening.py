@@ -1,0 +1,247 @@
+"""Backgrounds of lenses that bend lines. Oracle: a chessboard, photographed by the formulas of the
+lenses, and where Blender's own projection has its corners."""
+
+import os
+import shutil
+import time
+from functools import lru_cache
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+from bpy_extras.object_utils import world_to_camera_view
+from mathutils import Vector
+
+from addon.cameras import captures, straight, straightening
+from addon.cameras.backgrounds import copy_needed, photo_of
+from addon.cameras.objects import stated
+from addon.core import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints, write_colmap
+from addon.panels.cameras import CamerasPanel
+from addon.steer import masks
+from gscore.io.pictures.images import write_png
+from tests.addon.drawn import drawn
+
+SIZE = (320, 240)
+LENSES = {
+    "OPENCV": (260.0, 264.0, 165.0, 116.0, -0.16, 0.03, 0.004, -0.003),
+    "OPENCV_FISHEYE": (200.0, 203.0, 157.0, 122.0, -0.03, 0.01, -0.002, 0.001),
+    "SIMPLE_RADIAL": (260.0, 158.0, 121.0, 0.18),
+}
+FIELD, FAR = 0.25, 2.0
+"""Side of a field of the board, and its distance from the first camera, whose axes are its own."""
+
+
+def bend(model: str, rays: np.ndarray) -> np.ndarray:
+    """Pixels of rays [..., 2], from the formulas in OpenCV's manual."""
+    p, x, y = LENSES[model], rays[..., 0], rays[..., 1]
+    r = np.sqrt(x**2 + y**2)
+    if model == "SIMPLE_RADIAL":
+        f, cx, cy, k = p
+        return np.stack([f * x * (1 + k * r**2) + cx, f * y * (1 + k * r**2) + cy], axis=-1)
+    fx, fy, cx, cy, a, b, c, d = p
+    if model == "OPENCV":
+        s = 1 + a * r**2 + b * r**4
+        u = x * s + 2 * c * x * y + d * (r**2 + 2 * x**2)
+        v = y * s + c * (r**2 + 2 * y**2) + 2 * d * x * y
+    else:
+        t = np.arctan(r)
+        s = t * (1 + a * t**2 + b * t**4 + c * t**6 + d * t**8) / np.maximum(r, 1e-12)
+        u, v = x * s, y * s
+    return np.stack([fx * u + cx, fy * v + cy], axis=-1)
+
+
+def rays_of(model: str, places: np.ndarray) -> np.ndarray:
+    """The way back, by steps that shrink the difference."""
+    focal = np.array(LENSES[model][:1] * 2 if model == "SIMPLE_RADIAL" else LENSES[model][:2])
+    middle = bend(model, np.zeros(2))
+    ray = (places - middle) / focal
+    for _ in range(60):
+        ray = ray + 0.8 * (places - bend(model, ray)) / focal
+    assert np.abs(bend(model, ray) - places).max() < 1e-3
+    return ray
+
+
+@lru_cache
+def board(model: str, times: int = 2) -> np.ndarray:
+    """[H, W, 3] uint8: the board before the camera, each pixel the mean of `times` squared."""
+    y, x = (np.mgrid[0 : SIZE[1] * times, 0 : SIZE[0] * times] + 0.5) / times
+    at = rays_of(model, np.stack([x, y], axis=-1)) * FAR / FIELD
+    white = (np.floor(at[..., 0]) + np.floor(at[..., 1])) % 2
+    gray = white.reshape(SIZE[1], times, SIZE[0], times).mean(axis=(1, 3))
+    return np.repeat(np.rint(255 * gray)[..., None], 3, axis=2).astype(np.uint8)
+
+
+def capture_of(folder: Path, names: list[str], ending: str = ".png") -> Path:
+    """A capture with a camera and a photo of the board for each of `LENSES` that is named."""
+    table, listed = {}, []
+    for i, model in enumerate(names, 1):
+        lens = np.array(LENSES[model])
+        table[i] = ColmapCamera(model=model, width=SIZE[0], height=SIZE[1], params=lens)
+        listed.append(
+            ColmapImage(
+                id=i,
+                name=f"{model}{ending}",
+                camera_id=i,
+                qvec=np.array([1.0, 0, 0, 0]),
+                tvec=np.zeros(3),
+                xys=np.zeros((0, 2)),
+                point3D_ids=np.zeros(0, np.int64),
+            )
+        )
+        write_png(folder / "images" / f"{model}.png", board(model))
+        if ending == ".jpg":
+            image = bpy.data.images.load(str(folder / "images" / f"{model}.png"))
+            image.file_format = "JPEG"
+            image.save(filepath=str(folder / "images" / f"{model}.jpg"), quality=98)
+            bpy.data.images.remove(image)
+            (folder / "images" / f"{model}.png").unlink()
+    model = ColmapModel(cameras=table, images=listed, points=ColmapPoints.none())
+    write_colmap(model, folder / "sparse" / "0")
+    return folder
+
+
+def shown(image: bpy.types.Image) -> np.ndarray:
+    """[H, W] grey values of a picture, the top row first."""
+    flat = np.empty(image.size[0] * image.size[1] * image.channels, np.float32)
+    image.pixels.foreach_get(flat)
+    return flat.reshape(image.size[1], image.size[0], -1)[::-1, :, 0]
+
+
+def corner_near(picture: np.ndarray, place: np.ndarray, half: int = 4) -> np.ndarray:
+    """Where four fields of a board meet: the saddle of the quadric through the pixels around."""
+    column, row = (int(v) for v in place)
+    part = picture[row - half : row + half + 1, column - half : column + half + 1]
+    y, x = np.mgrid[-half : half + 1, -half : half + 1]
+    x, y = (v.ravel() + 0.5 + o - p for v, o, p in zip((x, y), (column, row), place, strict=True))
+    weight = np.exp(-(x**2 + y**2) / 8)
+    terms = np.stack([x * x, x * y, y * y, x, y, np.ones_like(x)], axis=1)
+    a, b, c, d, e, _ = np.linalg.lstsq(terms * weight[:, None], part.ravel() * weight, rcond=None)[
+        0
+    ]
+    return place - np.linalg.solve([[2 * a, b], [b, 2 * c]], [d, e])
+
+
+@pytest.fixture(autouse=True)
+def own_copies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Copies go to a folder of the test."""
+    folder = tmp_path / "own"
+    monkeypatch.setattr(straight, "own_folder", lambda: folder)
+    return folder / "straight"
+
+
+@pytest.mark.parametrize("ending", [".png", ".jpg"])
+def test_backgrounds_fit_up_to_the_corners(scene, tmp_path: Path, ending: str) -> None:
+    """Oracle: corners of the board, which Blender projects where the background shows them."""
+    names = [*LENSES] if ending == ".png" else ["OPENCV"]
+    made = captures.import_capture(
+        scene, capture_of(tmp_path / "c", names, ending), align=False, points=False
+    )
+    assert bpy.ops.gscore.straighten_photos() == {"FINISHED"}
+    bpy.context.view_layer.update()
+    for ob in made.cameras:
+        assert not any("not there" in note for note in captures.use_camera(scene, ob))
+        own, picture = stated(ob), shown(photo_of(ob))
+        assert picture.shape == (own.height, own.width)
+        assert picture.shape == (scene.render.resolution_y, scene.render.resolution_x)
+        errors, reach, original = [], [], []
+        for i, j in np.ndindex(41, 41):
+            point = np.array([(i - 20) * FIELD, (j - 20) * FIELD, FAR])
+            found = world_to_camera_view(scene, ob, Vector(point))
+            place = np.array([found.x * own.width, (1 - found.y) * own.height])
+            if (place < 6).any() or (place > [own.width - 6, own.height - 6]).any():
+                continue
+            errors.append(np.linalg.norm(corner_near(picture, place) - place))
+            reach.append(np.abs((place - own.K[:2, 2]) / own.K[:2, 2]).min())
+            bent = bend(own.model, point[:2] / point[2])
+            original.append(np.abs(bent / SIZE - place / [own.width, own.height]).max() * SIZE[0])
+        assert len(errors) > 60 and max(reach) > 0.8  # well into the corners
+        assert max(errors) < 0.5, (own.model, max(errors))
+        assert max(original) > 2  # as it was taken, it would not fit
+
+
+def test_masks_stay_those_of_the_photo(scene, tmp_path: Path) -> None:
+    """Oracle: the photo's own pixels and size, and the size of the file that is saved."""
+    made = captures.import_capture(scene, capture_of(tmp_path / "c", ["OPENCV"]))
+    scene.gscore.capture_path = str(tmp_path / "c")
+    image = masks.make(scene, made.cameras[0])
+    assert tuple(image.size) == SIZE != (stated(made.cameras[0]).width,) * 2
+    np.testing.assert_array_equal(np.rint(shown(image) * 255), board("OPENCV")[..., 0])
+    saved = bpy.data.images.load(str(masks.save(scene, image)))
+    assert tuple(saved.size) == SIZE
+
+
+def test_photos_that_change_or_move_get_new_copies(scene, tmp_path: Path, own_copies: Path) -> None:
+    """Oracle: the files in the folder, and the picture, which is that of the photo as it is now."""
+    made = captures.import_capture(scene, capture_of(tmp_path / "c", ["OPENCV"]))
+    ob = made.cameras[0]
+    assert copy_needed(ob) is not None and "(Straighten Photos)" in drawn(CamerasPanel)
+    bpy.ops.gscore.straighten_photos()
+    assert copy_needed(ob) is None and "(Straighten Photos)" not in drawn(CamerasPanel)
+    (first,) = own_copies.iterdir()
+    before = shown(photo_of(ob)).copy()
+
+    photo = Path(stated(ob).photo)
+    write_png(photo, 255 - board("OPENCV"))
+    os.utime(photo, (1e9, 1e9))
+    ob.data.background_images[0].alpha, ob.data.show_background_images = 0.5, False
+    bpy.ops.gscore.straighten_photos()
+    (second,) = own_copies.iterdir()
+    assert second != first
+    np.testing.assert_allclose(shown(photo_of(ob)), 1 - before, atol=1.5 / 255)
+    assert ob.data.background_images[0].alpha == 0.5 and not ob.data.show_background_images
+
+    shutil.move(tmp_path / "c", tmp_path / "d")
+    assert copy_needed(ob) is None  # there is nothing to make it of
+    assert captures.relink(made.root, tmp_path / "d") == (1, 1)
+    assert copy_needed(ob) is not None
+    bpy.ops.gscore.straighten_photos()
+    assert len([*own_copies.iterdir()]) == 2
+    np.testing.assert_allclose(shown(photo_of(ob)), 1 - before, atol=1.5 / 255)
+
+
+def test_files_find_their_copies_again(scene, tmp_path: Path, own_copies: Path) -> None:
+    """Oracle: the picture after the file was opened; a sentence where nothing is to be made."""
+    captures.import_capture(scene, capture_of(tmp_path / "c", ["OPENCV", "SIMPLE_RADIAL"]))
+    bpy.ops.gscore.straighten_photos()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "c" / "x.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "c" / "x.blend"))
+    cameras = [ob for ob in bpy.data.objects if captures.is_camera(ob)]
+    assert [copy_needed(ob) for ob in cameras] == [None, None]
+    assert straightening.ask(cameras) == 0
+    assert shown(photo_of(cameras[0])).std() > 0.3
+    assert bpy.ops.gscore.straighten_photos() == {"FINISHED"}
+    assert bpy.ops.gscore.remove_straight_photos() == {"FINISHED"}
+    assert [*own_copies.iterdir()] == []
+    assert None not in [copy_needed(ob) for ob in cameras]
+
+
+def test_a_photo_that_cannot_be_read_is_said(scene, tmp_path: Path, own_copies: Path) -> None:
+    """Oracle: the sentence, from the operator and in the panel; the other photo is there."""
+    folder = capture_of(tmp_path / "c", ["OPENCV", "SIMPLE_RADIAL"])
+    (folder / "images" / "OPENCV.png").write_bytes(b"no picture")
+    captures.import_capture(scene, folder)
+    with pytest.raises(RuntimeError, match=r"OPENCV\.png"):
+        bpy.ops.gscore.straighten_photos()
+    assert "OPENCV.png" in drawn(CamerasPanel)
+    (copy,) = own_copies.iterdir()
+    assert copy.name.startswith("SIMPLE_RADIAL-")
+
+
+def test_the_queue_stops_and_goes_on(scene, tmp_path: Path, own_copies: Path) -> None:
+    """Oracle: the copies that are there; Blender is never waited for."""
+    made = captures.import_capture(scene, capture_of(tmp_path / "c", [*LENSES]))
+    assert not bpy.ops.gscore.stop_straightening.poll()
+    began = time.monotonic()
+    assert straightening.ask(made.cameras) == 3
+    straightening.collect()
+    assert time.monotonic() - began < 0.5
+    assert "Straightening photos: 0 of 3" in drawn(CamerasPanel)
+    assert not bpy.ops.gscore.remove_straight_photos.poll()
+    assert bpy.ops.gscore.stop_straightening() == {"FINISHED"}
+    straightening.wait()
+    there = [copy.name for copy in straight.copies(own_copies)]
+    assert len(there) <= 1
+    bpy.ops.gscore.straighten_photos()
+    assert len(straight.copies(own_copies)) == 3
+    assert [copy_needed(ob) for ob in made.cameras] == [None] * 3

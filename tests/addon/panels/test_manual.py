@@ -1,0 +1,75 @@
+"""Help. Oracle: what Blender itself looks up for a button or a field, and the manual's headings."""
+
+import re
+import webbrowser
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+import bl_operators.wm
+import bpy
+import pytest
+
+from addon.panels import manual
+from tests.addon.captures import ROOT
+from tools.build.manual_page import anchor, manual_page
+
+MARKDOWN = (ROOT / "docs" / "blender.md").read_text(encoding="utf-8")
+WITHOUT_CODE = re.sub(r"(?ms)^```.*?^```", "", MARKDOWN)
+HEADINGS = {anchor(title) for title in re.findall(r"(?m)^#+ (.*)$", WITHOUT_CODE)}
+
+
+def looked_up(name: str) -> str:
+    """The address that *Online Manual* opens."""
+    return bl_operators.wm.WM_OT_doc_view_manual._lookup_rna_url(name, verbose=False)
+
+
+@pytest.mark.parametrize(
+    ("name", "section"),
+    [
+        ("bpy.ops.gscore.train", "from-photos-to-splats"),
+        ("bpy.ops.gscore.compare_photo", "render"),
+        ("bpy.ops.gscore.paint_mask", "steer-training"),
+        ("bpy.ops.gscore.grade_splats", "edit"),
+        ("bpy.ops.gscore.paint_splats", "paint"),
+        ("bpy.types.BrushSettings.radius", "paint"),
+        ("bpy.ops.gscore.make_environment", "install"),
+        ("bpy.ops.gscore.measure_errors", "where-it-is-wrong"),
+        ("bpy.types.SequenceSettings.speed", "sequences"),
+    ],
+)
+def test_buttons_and_fields_have_their_place(name: str, section: str) -> None:
+    """Each is known to Blender, and leads to a heading that is there."""
+    found = urlsplit(looked_up(name))
+    assert found.fragment == section and section in HEADINGS
+    assert Path(unquote(found.path)) == manual.page()
+
+
+def test_everything_of_the_addon_is_in_it() -> None:
+    """Oracle: the operators under our name, and the sections of the map."""
+    for verb in dir(bpy.ops.gscore):
+        assert looked_up(f"bpy.ops.gscore.{verb}"), verb
+    assert {section[1:] for _, section in manual.manual_map()[1]} <= HEADINGS
+    assert looked_up("bpy.ops.object.delete").startswith("https://docs.blender.org/")
+
+
+def test_the_button_opens_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: the address that the browser is given; a sentence where the page is gone."""
+    opened: list[str] = []
+    monkeypatch.setattr(webbrowser, "open", opened.append)
+    assert bpy.ops.gscore.open_manual() == {"FINISHED"}
+    assert opened == [manual.page().as_uri()]
+    monkeypatch.setattr(manual, "_PLACES", (Path("/gone/manual.html"),))
+    with pytest.raises(RuntimeError, match="install the add-on again"):
+        bpy.ops.gscore.open_manual()
+
+
+def test_the_page_has_all_of_the_manual() -> None:
+    """Oracle: headings, words and tables of the Markdown; no link leads out of the page."""
+    page = manual_page(MARKDOWN)
+    assert set(re.findall(r'<h[1-6] id="([^"]*)"', page)) == HEADINGS
+    assert page.count("<table>") == len(re.findall(r"(?m)^\s*\|[-:| ]+\|$", MARKDOWN))
+    assert page.count("<pre>") == MARKDOWN.count("```") // 2
+    links = re.findall(r'href="([^"]*)"', page)
+    assert all(link.startswith(("#", "https://")) for link in links)
+    assert {link[1:] for link in links if link.startswith("#")} <= HEADINGS
+    assert "<img" not in page and "![" not in page and "**" not in page
