@@ -282,13 +282,28 @@ def add_points(mesh: Any, count: int) -> None:
 
     They are not selected, which Blender would leave them: the live viewport tints what is.
     """
-    chosen = np.zeros(len(mesh.vertices) + count, bool)
-    mesh.vertices.foreach_get("select", chosen[: len(mesh.vertices)])
+    chosen = np.append(selected(mesh), np.zeros(count, bool))
     mesh.vertices.add(count)
     if chosen.any():
-        mesh.vertices.foreach_set("select", chosen)
+        select(mesh, chosen)
     elif (selection := mesh.attributes.get(_SELECTION)) is not None:
         mesh.attributes.remove(selection)
+
+
+def selected(mesh: Any) -> np.ndarray:
+    """[N] bool: the selected vertices of a mesh that is not in Edit Mode."""
+    found = np.zeros(len(mesh.vertices), bool)
+    if (selection := mesh.attributes.get(_SELECTION)) is not None:
+        selection.data.foreach_get("value", found)
+    return found
+
+
+def select(mesh: Any, chosen: np.ndarray) -> None:
+    """Select the vertices `chosen` [N] bool of a mesh of points, and no others."""
+    if (selection := mesh.attributes.get(_SELECTION)) is not None:
+        selection.data.foreach_set("value", chosen)  # a hundred times as fast as the vertices
+    else:
+        mesh.vertices.foreach_set("select", chosen)
 
 
 class Column(NamedTuple):

@@ -11,13 +11,18 @@ from ..cameras.captures import RenderCamera
 from ..process.latest import Latest
 from ..render import picture
 from ..render.scene import Placed, SplatCache, marks_of
+from ..render.viewport import smaller
 from . import atlas, order
-from .card import Card, Order, Shot, upload
+from .canvas import Canvas
+from .card import Card, Order, Shot
 from .level import Level
 from .marks import reselected
 
 UPLOAD = 0.004
 """Seconds of a redraw after which no further chunk of an order is uploaded."""
+
+_LIKE = 1.25
+"""How many times more splats than are wanted an order has that is as good as the wanted one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,8 +152,7 @@ class View:
         self._answered: Wish | None = None
         self._coming: tuple[Wish, atlas.Atlas, Order] | None = None
         self._shown: tuple[Wish, atlas.Atlas, Order] | None = None
-        self._atlas: tuple[np.ndarray, gpu.types.GPUTexture] | None = None
-        self._target: gpu.types.GPUOffScreen | None = None
+        self._canvas = Canvas()
 
     @property
     def waits(self) -> bool:
@@ -188,9 +192,9 @@ class View:
         total = sum(len(p.frozen.vertices) for p in placed)
         viewmats = tuple(camera.viewmat @ p.matrix for p in placed)
         seen = b"".join(m.tobytes() for m in (camera.K, *viewmats))
-        limit = self.level.look(time.monotonic(), seen, total)
+        detail = self.level.look(time.monotonic(), seen, total)
         eye = order.Eye(viewmats=viewmats, orthographic=camera.orthographic)
-        wish = Wish(placed=tuple(placed), eye=eye, count=limit, tint=tint)
+        wish = Wish(placed=tuple(placed), eye=eye, count=detail.count, tint=tint)
         if not wish.same(self._asked):
             self._asked = wish
             self.sorter.ask(wish)
@@ -199,14 +203,18 @@ class View:
             return None
         self.complete = self._shown[0].same(wish) and not self.level.moving
         shot = Shot(
-            camera=camera,
+            camera=smaller(camera, detail.factor),
             viewmats=_viewmats(self._shown[0], wish, camera),
             window=window,
             antialias=_antialias(placed, antialias),
-            limit=limit,
+            limit=detail.count,
         )
-        picture_ = self._drawn(card, shot, meshes)
-        self.drawn = min(limit, self._shown[0].count)
+        shown, atlas_, entries = self._shown
+        # An order of many more splats than are wanted takes the time of those too.
+        like = shown.count <= _LIKE * detail.count
+        took = self.level.took if self.level.measures and like else None
+        picture_ = self._canvas.draw(card, atlas_, entries, shot, meshes, took)
+        self.drawn = min(detail.count, self._shown[0].count)
         self.seconds = time.perf_counter() - began
         return picture_
 
@@ -222,19 +230,6 @@ class View:
         while self._coming is not None and time.perf_counter() < until:
             if self._coming[2].step():
                 self._shown, self._coming = self._coming, None
-
-    def _drawn(
-        self, card: Card, shot: Shot, meshes: gpu.types.GPUTexture | None
-    ) -> gpu.types.GPUTexture:
-        assert self._shown is not None
-        _, atlas_, entries = self._shown
-        if self._atlas is None or self._atlas[0] is not atlas_.texels:
-            self._atlas = atlas_.texels, upload(atlas_)
-        size = shot.camera.width, shot.camera.height
-        if self._target is None or (self._target.width, self._target.height) != size:
-            self._target = gpu.types.GPUOffScreen(*size, format="RGBA16F")
-        card.draw(self._target, self._atlas[1], entries, shot, meshes)
-        return self._target.texture_color
 
 
 def _viewmats(shown: Wish, wish: Wish, camera: RenderCamera) -> tuple[np.ndarray, ...]:

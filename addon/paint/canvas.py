@@ -149,7 +149,7 @@ class Canvas:
                 "again."
             )
         if self._brush.does == SELECT:
-            mesh.vertices.foreach_set("select", selected)
+            attributes.select(mesh, selected)
         else:
             kind = mesh.attributes[attributes.BASE].data_type
             attributes.fill(mesh, attributes.BASE, kind, base.reshape(-1))

@@ -24,7 +24,6 @@ addon_utils.enable("addon", default_set=True, persistent=True)
 
 from addon import attributes  # noqa: E402
 from addon.paint import modal  # noqa: E402
-from addon.splats import parts  # noqa: E402
 from tests.addon import splat_scenes as lab  # noqa: E402
 from tests.window.desk import Teller, area, at_rest, clear, region, space  # noqa: E402
 
@@ -122,7 +121,7 @@ def story() -> Iterator[object]:
     brush.does = "SELECT"
     yield from drag(40, 60)
     yield from let_go(60)
-    seen["selected"] = int(parts.selected(bpy.data.objects["wall"]).sum())
+    seen["selected"] = int(attributes.selected(bpy.data.objects["wall"].data).sum())
     before = view.view_rotation.copy()
     send("MIDDLEMOUSE")
     for aside in (10, 20):

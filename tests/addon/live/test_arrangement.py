@@ -9,7 +9,7 @@ import pytest
 
 from addon.core import Splats, transform_splats
 from addon.live import atlas, marks, order
-from addon.live.level import FEWEST, STILL, Level
+from addon.live.level import BUDGET, FEWEST, STILL, Detail, Level
 from addon.process.latest import Latest
 from addon.render.frozen import HIDDEN, SELECTED
 from gscore import sh
@@ -190,24 +190,47 @@ def test_fewer_are_the_first_of_the_atlas():
     np.testing.assert_array_equal(few, full[full[:, 0] < 700])
 
 
-def test_all_are_drawn_at_rest_and_fewer_on_the_move():
-    """Oracle: the clock that the test hands over."""
-    level, now = Level(), 100.0
-    assert level.look(now, b"a", 10**6) == 10**6  # opened: nothing moves
-    counts = []
-    for step in range(30):
-        now += 0.2
-        counts.append(level.look(now, b"%d" % step, 10**6))
-    assert level.moving and counts[0] < 10**6
-    assert counts == sorted(counts, reverse=True) and counts[-1] == FEWEST
+def card_seconds(detail: Detail) -> float:
+    """What a card needs that draws a splat in 100 ns and a pixel of a whole view in 20 ms."""
+    return 1e-7 * detail.count + 0.02 / detail.factor**2
+
+
+def test_all_are_drawn_at_rest_and_less_on_the_move():
+    """Oracle: the clock that the test hands over, and a card of known speed."""
+    level, now, total = Level(), 100.0, 10**6
+    whole = Detail(count=total, factor=1)
+    assert level.look(now, b"a", total) == whole  # opened: nothing moves
+    assert level.measures
+    level.took(card_seconds(whole))
+    assert not level.measures and level.look(now, b"a", total) == whole
+    measured = 0
     for step in range(60):
-        now += 0.01
-        counts.append(level.look(now, b"q%d" % step, 10**6))
-    assert counts[-1] == 10**6
-    assert level.look(now + 0.1, b"q59", 10**6) == level.look(now, b"q59", 10**6)
+        now += 0.02
+        detail = level.look(now, b"%d" % step, total)
+        assert level.moving
+        if level.measures:
+            measured += 1
+            level.took(card_seconds(detail))
+    assert measured <= 8  # each is a wait
+    assert detail.factor > 1 and FEWEST <= detail.count < total
+    assert 0.5 * BUDGET < card_seconds(detail) < 1.2 * BUDGET
+    assert level.look(now + 0.1, b"59", total) == level.look(now, b"59", total)
     assert level.rests_at == pytest.approx(now + STILL)
-    assert level.look(now + STILL, b"q59", 10**6) == 10**6 and not level.moving
-    assert level.look(now + 9, b"x", 5) == 5
+    assert level.look(now + STILL, b"59", total) == whole and not level.moving
+    assert level.look(now + 9, b"x", 5).count == 5
+
+
+def test_a_quick_card_draws_all_and_a_slow_one_a_little():
+    """Oracle: what cards can do in the budget: everything, and nothing at all."""
+    for seconds, want in ((BUDGET / 2, Detail(count=40_000, factor=1)),
+                          (1.0, Detail(count=FEWEST, factor=3))):  # fmt: skip
+        level, now = Level(), 0.0
+        for step in range(100):
+            now += 0.02
+            detail = level.look(now, b"%d" % step, 40_000)
+            if level.measures:
+                level.took(seconds)
+        assert detail == want
 
 
 def test_a_thread_answers_the_last_wish():

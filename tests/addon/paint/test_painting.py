@@ -16,7 +16,7 @@ from addon.core import Splats, join_splats
 from addon.paint import canvas
 from addon.paint.brush import COLOR, OPACITY, Brush
 from addon.render.viewport import view_camera
-from addon.splats import objects, parts
+from addon.splats import objects
 from tests.addon import splat_scenes as lab
 from tests.addon.paint.test_brush import falloff, from_way
 
@@ -105,9 +105,9 @@ def test_selecting(ob: bpy.types.Object) -> None:
     before, under = objects.read(ob), shares(ob, 25, 0.5) > 0
     how = {"radius": 25, "does": "SELECT", "front_only": False}
     bpy.ops.gscore.paint_stroke(stroke=stroke(WAY), **how)
-    np.testing.assert_array_equal(parts.selected(ob), under)
+    np.testing.assert_array_equal(attributes.selected(ob.data), under)
     bpy.ops.gscore.paint_stroke(stroke=stroke(WAY[:1]), inverted=True, **how)
-    left = parts.selected(ob)
+    left = attributes.selected(ob.data)
     assert 0 < left.sum() < under.sum() and not (left & ~under).any()
     for field in FIELDS:
         np.testing.assert_array_equal(getattr(objects.read(ob), field), getattr(before, field))

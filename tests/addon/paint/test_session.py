@@ -14,7 +14,7 @@ from addon.cameras.captures import render_camera
 from addon.paint import canvas, session
 from addon.paint.session import Answer, Session
 from addon.panels.paint import PaintPanel
-from addon.splats import objects, parts
+from addon.splats import objects
 from tests.addon import splat_scenes as lab
 from tests.addon.drawn import drawn
 
@@ -139,9 +139,9 @@ def test_ctrl_paints_the_opposite(ob: bpy.types.Object, desk: Desk) -> None:
     assert (want[:, 3] == 1).sum() > 20
     desk.brush.does = "SELECT"
     desk.paint()
-    assert parts.selected(ob).sum() > 20
+    assert attributes.selected(ob.data).sum() > 20
     desk.paint(ctrl=True)
-    assert not parts.selected(ob).any()
+    assert not attributes.selected(ob.data).any()
 
 
 def test_escape_drops_the_stroke_then_ends(ob: bpy.types.Object, desk: Desk) -> None:
