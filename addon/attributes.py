@@ -14,6 +14,7 @@ back with an error growing to 1e-3 at logit 10, and those above 16.6 as 16.6 (an
 1 - 2^-24). None of that can be seen: no splat is drawn with more than 0.99.
 """
 
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -55,6 +56,8 @@ _DTYPES = {"INT": np.int32, "BOOLEAN": np.bool_}
 _TINY = float(np.finfo(np.float32).tiny)
 _LARGEST_OPACITY = 1.0 - 2.0**-24
 """The float32 below 1."""
+_SMALLEST_SCALE = np.float32(np.log(_TINY))
+"""Log of the scale that a splat without extent gets."""
 
 
 def write(datablock: Any, splats: Splats, *, base_type: str = "FLOAT_COLOR") -> None:
@@ -208,8 +211,6 @@ def as_splats(columns: dict[str, np.ndarray]) -> Splats:
     """
     base, scales, quats = (columns.pop(name) for name in (BASE, SCALE, ROTATION))
     quats[~quats.any(axis=1)] = (1, 0, 0, 0)
-    alpha = np.clip(base[:, 3].astype(np.float64), _TINY, _LARGEST_OPACITY)
-    alpha[~scales.any(axis=1)] = _TINY
     means = columns.pop(POSITION, np.zeros((0, 3), np.float32))
     count = len(columns)
     coefficients = np.empty((count, len(base), 3), np.float32)
@@ -219,10 +220,31 @@ def as_splats(columns: dict[str, np.ndarray]) -> Splats:
         means=means,
         quats=quats,
         scales=np.log(np.maximum(np.abs(scales).astype(np.float64), _TINY)).astype(np.float32),
-        opacities=(np.log(alpha) - np.log1p(-alpha)).astype(np.float32),
+        opacities=_logits(base[:, 3], ~scales.any(axis=1)),
         sh0=np.ascontiguousarray(base[:, None, :3]),
         shN=_swapped(coefficients),
     )
+
+
+def repainted(splats: Splats, rows: np.ndarray, base: np.ndarray) -> Splats:
+    """The same splats with another constant colour and opacity in some rows.
+
+    Args:
+        splats: As `as_splats` made them; what is no colour and no opacity is shared.
+        rows: [K], which of them.
+        base: [K, 4] of `radiance:base`, finite.
+    """
+    sh0, opacities = splats.sh0.copy(), splats.opacities.copy()
+    never_seen = (splats.scales[rows] <= _SMALLEST_SCALE).all(axis=1)
+    sh0[rows, 0], opacities[rows] = base[:, :3], _logits(base[:, 3], never_seen)
+    return replace(splats, sh0=sh0, opacities=opacities)
+
+
+def _logits(opacities: np.ndarray, never_seen: np.ndarray) -> np.ndarray:
+    """[K] float32 of opacities [K]; the smallest where a splat has no extent."""
+    alpha = np.clip(opacities.astype(np.float64), _TINY, _LARGEST_OPACITY)
+    alpha[never_seen] = _TINY
+    return (np.log(alpha) - np.log1p(-alpha)).astype(np.float32)
 
 
 def check(datablock: Any) -> None:
@@ -260,13 +282,28 @@ def add_points(mesh: Any, count: int) -> None:
 
     They are not selected, which Blender would leave them: the live viewport tints what is.
     """
-    chosen = np.zeros(len(mesh.vertices) + count, bool)
-    mesh.vertices.foreach_get("select", chosen[: len(mesh.vertices)])
+    chosen = np.append(selected(mesh), np.zeros(count, bool))
     mesh.vertices.add(count)
     if chosen.any():
-        mesh.vertices.foreach_set("select", chosen)
+        select(mesh, chosen)
     elif (selection := mesh.attributes.get(_SELECTION)) is not None:
         mesh.attributes.remove(selection)
+
+
+def selected(mesh: Any) -> np.ndarray:
+    """[N] bool: the selected vertices of a mesh that is not in Edit Mode."""
+    found = np.zeros(len(mesh.vertices), bool)
+    if (selection := mesh.attributes.get(_SELECTION)) is not None:
+        selection.data.foreach_get("value", found)
+    return found
+
+
+def select(mesh: Any, chosen: np.ndarray) -> None:
+    """Select the vertices `chosen` [N] bool of a mesh of points, and no others."""
+    if (selection := mesh.attributes.get(_SELECTION)) is not None:
+        selection.data.foreach_set("value", chosen)  # a hundred times as fast as the vertices
+    else:
+        mesh.vertices.foreach_set("select", chosen)
 
 
 class Column(NamedTuple):

@@ -117,6 +117,7 @@ from gscore.frontend import (
     read_moves,
     read_run,
     read_sequence,
+    rgb_to_sh0,
     rgba_png,
     rotmat_to_quat,
     sh0_to_rgb,

@@ -86,7 +86,7 @@ if TYPE_CHECKING:
     from .raster.mesh import mesh_depth
     from .report.colormap import colorize
     from .sfm.beside import capture_beside
-    from .sh import sh0_to_rgb, sh_basis
+    from .sh import rgb_to_sh0, sh0_to_rgb, sh_basis
     from .splats import cut_degree
     from .trainer.estimate.forecast import Estimate, estimate
     from .trainer.schedule.enough import limit_by_photos
@@ -195,6 +195,7 @@ _HOME = {
     "read_run": "io.runs",
     "read_sequence": "io.sequences",
     "quat_to_rotmat": "transforms",
+    "rgb_to_sh0": "sh",
     "rgba_png": "io.pictures.png",
     "rotmat_to_quat": "transforms",
     "sh0_to_rgb": "sh",
@@ -310,6 +311,7 @@ __all__ = [
     "read_moves",
     "read_run",
     "read_sequence",
+    "rgb_to_sh0",
     "rgba_png",
     "rotmat_to_quat",
     "sh0_to_rgb",

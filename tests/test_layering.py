@@ -171,6 +171,7 @@ ROOMS = {
     "sequence": _OBJECTS | {"job", "timeline"},
     "render": _OBJECTS | {"timeline"},
     "live": _OBJECTS | {"render"},
+    "paint": _OBJECTS | {"timeline", "render"},
     "panels": _OBJECTS
     | {
         "python",
@@ -183,6 +184,7 @@ ROOMS = {
         "sequence",
         "render",
         "live",
+        "paint",
     },
 }
 """What each room of the add-on, or file beside them, may import besides itself."""
@@ -204,6 +206,8 @@ WITHOUT_BPY = (
     "live.atlas",
     "live.level",
     "live.order",
+    "paint.brush",
+    "paint.stroke",
     "process.background",
     "process.latest",
     "process.lookup",

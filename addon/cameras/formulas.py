@@ -172,7 +172,8 @@ def matrix_world_from_viewmat(viewmat: np.ndarray) -> np.ndarray:
 def project(
     points: np.ndarray, K: np.ndarray, viewmat: np.ndarray, *, orthographic: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels [P, 2] and depths [P] (camera z) of world points [P, 3], all float64."""
+    """Pixels [P, 2] and depths [P] (camera z) of world points [P, 3], as precise as these, `K` and
+    `viewmat` are."""
     camera = points @ viewmat[:3, :3].T + viewmat[:3, 3]
     plane = camera[:, :2] if orthographic else camera[:, :2] / camera[:, 2:]
     return plane * K[[0, 1], [0, 1]] + K[:2, 2], camera[:, 2]

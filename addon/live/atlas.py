@@ -1,6 +1,6 @@
 """Splats as the graphics card reads them, those that are seen most first; no bpy, no gpu."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -63,6 +63,39 @@ def build(parts: list[Splats]) -> Atlas:
             texels[here] = _texels(splats, index[here], number)
     shaped = texels.reshape(rows, COLUMNS, TEXELS, 4)
     return Atlas(parts=tuple(parts), part=part, index=index, texels=shaped)
+
+
+def repainted(atlas: Atlas, parts: list[Splats]) -> tuple[Atlas, np.ndarray] | None:
+    """The atlas of the same objects after colours and opacities have changed.
+
+    Rows stay where they are, though opacities are part of what puts some first. None where more has
+    changed: the other arrays are not those of `atlas.parts` themselves.
+
+    Returns:
+        The atlas, whose texels are shared where all opacities are the same, and [N] bool: the rows
+        that differ.
+    """
+    if len(parts) != len(atlas.parts) or not all(map(_same_shapes, atlas.parts, parts)):
+        return None
+    differ = np.zeros(len(atlas), bool)
+    texels = atlas.texels
+    for number, (before, after) in enumerate(zip(atlas.parts, parts, strict=True)):
+        if before is after:
+            continue
+        rows = np.flatnonzero(atlas.part == number)
+        index = atlas.index[rows]
+        fades = before.opacities != after.opacities
+        differ[rows] = (fades | (before.sh0[:, 0] != after.sh0[:, 0]).any(axis=1))[index]
+        if fades.any():
+            texels = texels.copy() if texels is atlas.texels else texels
+            here = fades[index]
+            opacities = opacity(after.opacities[index[here]])
+            texels.reshape(-1, TEXELS, 4)[rows[here], 0, 3] = opacities
+    return replace(atlas, parts=tuple(parts), texels=texels), differ
+
+
+def _same_shapes(before: Splats, after: Splats) -> bool:
+    return all(getattr(before, n) is getattr(after, n) for n in ("means", "quats", "scales", "shN"))
 
 
 def weight(splats: Splats) -> np.ndarray:

@@ -26,6 +26,15 @@ class Shot:
     limit: int
     """Rows of the atlas that are drawn."""
 
+    def same(self, other: "Shot") -> bool:
+        """Whether the other gives the same picture of the same objects."""
+        return (
+            self.camera.same(other.camera)
+            and (self.antialias, self.limit) == (other.antialias, other.limit)
+            and np.array_equal(self.window, other.window)
+            and all(map(np.array_equal, self.viewmats, other.viewmats))
+        )
+
 
 class Card:
     """The programs, and the shapes they draw."""
@@ -83,18 +92,22 @@ class Card:
             shader.uniform_sampler("atlas", atlas)
             shader.uniform_sampler("places", places)
             shader.uniform_sampler("meshes", self._nothing if meshes is None else meshes)
+            hides = float(meshes is not None)
             for entries, count in order.chunks:
                 shader.uniform_sampler("sorted", entries)
-                shader.uniform_float("count", (count, shot.limit, 0, 0))
+                shader.uniform_float("count", (count, shot.limit, hides, 0))
                 self._quads.draw_instanced(shader, instance_count=-(-count // QUADS))
             gpu.state.blend_set("NONE")
 
-    def show(self, picture: gpu.types.GPUTexture, left: int, bottom: int) -> None:
-        """Lay a picture over what is drawn to, as Blender's 3D view keeps it."""
+    def show(
+        self, picture: gpu.types.GPUTexture, left: int, bottom: int, width: int, height: int
+    ) -> None:
+        """Lay a picture over a part of what is drawn to, as Blender's 3D view keeps it."""
         gpu.state.blend_set("ALPHA_PREMULT")
         gpu.state.depth_test_set("NONE")
         self._view.bind()
-        self._view.uniform_float("origin", (left, bottom, 0, 0))
+        smaller = picture.width / width, picture.height / height
+        self._view.uniform_float("place", (left, bottom, *smaller))
         self._view.uniform_sampler("picture", picture)
         self._screen.draw(self._view)
         gpu.state.blend_set("NONE")
@@ -103,29 +116,46 @@ class Card:
 class Order:
     """An order of splats on the card, in chunks that are uploaded one at a time."""
 
-    CHUNK = 1 << 18
-    """Entries; one takes a few milliseconds."""
+    CHUNK = 1 << 17
+    """Entries; one takes a millisecond or two."""
 
-    def __init__(self, entries: np.ndarray) -> None:
+    def __init__(self, entries: np.ndarray, before: "Order | None" = None) -> None:
         """Nothing is uploaded yet.
 
         Args:
             entries: [N, 4] float32, of `order.arrange`.
+            before: Another that is on the card; chunks that are the same need no upload.
         """
         self._entries = entries
+        self._before = () if before is None else (before._entries, tuple(before.chunks))
         self.chunks: list[tuple[gpu.types.GPUTexture, int]] = []
         """Textures and how many entries each has, in the order of drawing."""
 
     def step(self) -> bool:
         """Upload one more chunk; whether all are there."""
-        at = len(self.chunks) * self.CHUNK
+        number = len(self.chunks)
+        at = number * self.CHUNK
         part = self._entries[at : at + self.CHUNK]
-        if len(part):
+        known = self._known(number, part)
+        if known is not None:
+            self.chunks.append(known)
+        elif len(part):
             rows = -(-len(part) // ORDER_COLUMNS)
             padded = np.zeros((rows * ORDER_COLUMNS, 4), np.float32)
             padded[: len(part)] = part
             self.chunks.append((texture(padded.reshape(rows, ORDER_COLUMNS, 4)), len(part)))
-        return at + self.CHUNK >= len(self._entries)
+        complete = at + self.CHUNK >= len(self._entries)
+        if complete:
+            self._before = ()  # else each would keep all that were before it
+        return complete
+
+    def _known(self, number: int, part: np.ndarray) -> tuple[gpu.types.GPUTexture, int] | None:
+        """The chunk of this number of the order before, if it has the same entries."""
+        if not self._before or number >= len(self._before[1]):
+            return None
+        at = number * self.CHUNK
+        same = np.array_equal(self._before[0][at : at + self.CHUNK], part)
+        return self._before[1][number] if same else None
 
 
 def upload(atlas: Atlas) -> gpu.types.GPUTexture:

@@ -123,7 +123,7 @@ def _draw(context: bpy.types.Context, pointer: int) -> None:
         tint=context.space_data.overlay.show_overlays and not _is_own(context),
     )
     if picture is not None:
-        _state.card.show(picture, left, bottom)
+        _state.card.show(picture, left, bottom, width, height)
     if view.waits or not complete:
         _ensure()
 

@@ -16,6 +16,16 @@ def tinted(colors: np.ndarray, marks: np.ndarray) -> np.ndarray:
     return np.where(chosen[:, None], colors + SHARE * (TINT - colors), colors)
 
 
+def reselected(
+    before: np.ndarray | None, after: np.ndarray | None, count: int
+) -> np.ndarray | None:
+    """[count] bool: which splats were selected or deselected from some marks to others, [count] or
+    None; None where others show."""
+    none = np.zeros(count, np.uint8)
+    differ = (none if before is None else before) ^ (none if after is None else after)
+    return None if (differ & HIDDEN).any() else differ != 0
+
+
 def shown(marks: np.ndarray) -> np.ndarray:
     """[B] bool: which splats with these marks [B] show."""
     return (marks & HIDDEN) == 0

@@ -49,17 +49,54 @@ def arrange(
             here = rows[at : at + _BLOCK]
             means = atlas.means[here]
             depths[here] = means @ viewmat[2, :3].astype(np.float32) + np.float32(viewmat[2, 3])
-            colors[here] = shown_colors(
-                atlas.parts[number], atlas.index[here], viewmat, orthographic=eye.orthographic
-            )
+            colors[here] = _colors(atlas, here, number, eye, marked)
             if marked is not None:
-                own = marked[atlas.index[here]]
-                colors[here], there[here] = tinted(colors[here], own), shown(own)
+                there[here] = shown(marked[atlas.index[here]])
     farthest = np.argsort(-depths, kind="stable")
     farthest = farthest[there[farthest]]
     out = np.empty((len(farthest), 4), np.float32)
     out[:, 0], out[:, 1:] = farthest, colors[farthest]
     return out
+
+
+def recolored(
+    entries: np.ndarray,
+    atlas: Atlas,
+    eye: Eye,
+    rows: np.ndarray,
+    marks: Sequence[np.ndarray | None] = (),
+) -> np.ndarray:
+    """What `arrange` gave, with the colours that some rows have now; places and order are the same.
+
+    Args:
+        entries: [M, 4], of the same eye.
+        atlas: The splats.
+        eye: As `arrange`.
+        rows: [N] bool, of the atlas: whose colours are computed anew.
+        marks: As `arrange`; what does not show is the same as in `entries`.
+    """
+    out = entries.copy()
+    row = entries[:, 0].astype(np.int32)
+    places = np.flatnonzero(rows[row])
+    part = atlas.part[row[places]]
+    for number in range(len(eye.viewmats)):
+        own = places[part == number]
+        marked = marks[number] if marks else None
+        for at in range(0, len(own), _BLOCK):
+            here = own[at : at + _BLOCK]
+            out[here, 1:] = _colors(atlas, row[here], number, eye, marked)
+    return out
+
+
+def _colors(
+    atlas: Atlas, rows: np.ndarray, number: int, eye: Eye, marked: np.ndarray | None
+) -> np.ndarray:
+    """[B, 3] sRGB values of some rows of an atlas, all of one object, tinted where selected."""
+    index = atlas.index[rows]
+    colors = shown_colors(
+        atlas.parts[number], index, eye.viewmats[number], orthographic=eye.orthographic
+    )
+    return colors if marked is None else tinted(colors, marked[index])
 
 
 def shown_colors(

@@ -96,9 +96,11 @@ void main()
   if (alpha < 1.0 / 255.0) {
     discard;
   }
-  vec2 scale = vec2(textureSize(meshes, 0)) / frame.xy;
-  if (place > texelFetch(meshes, ivec2(gl_FragCoord.xy * scale), 0).r) {
-    discard;
+  if (count.z > 0.5) {
+    vec2 scale = vec2(textureSize(meshes, 0)) / frame.xy;
+    if (place > texelFetch(meshes, ivec2(gl_FragCoord.xy * scale), 0).r) {
+      discard;
+    }
   }
   result = vec4(shade.rgb * alpha, alpha);
 }
@@ -112,7 +114,20 @@ void main()
 _VIEW_FRAGMENT = """
 void main()
 {
-  vec4 found = texelFetch(picture, ivec2(gl_FragCoord.xy - origin.xy), 0);
+  vec2 at = (gl_FragCoord.xy - place.xy) * place.zw;
+  vec4 found;
+  if (place.z == 1.0) {
+    found = texelFetch(picture, ivec2(at), 0);
+  }
+  else {  // a smaller picture, between its pixels
+    at -= 0.5;
+    ivec2 low = ivec2(floor(at)), most = textureSize(picture, 0) - 1;
+    vec2 part = at - vec2(low);
+    ivec2 p0 = clamp(low, ivec2(0), most), p1 = clamp(low + 1, ivec2(0), most);
+    vec4 below = mix(texelFetch(picture, p0, 0), texelFetch(picture, ivec2(p1.x, p0.y), 0), part.x);
+    vec4 above = mix(texelFetch(picture, ivec2(p0.x, p1.y), 0), texelFetch(picture, p1, 0), part.x);
+    found = mix(below, above, part.y);
+  }
   if (found.a <= 0.0) {
     discard;
   }
@@ -138,7 +153,7 @@ def splats() -> gpu.types.GPUShader:
     info.push_constant("VEC4", "lens")  # fx, fy, cx, cy, pixels
     info.push_constant("VEC4", "frame")  # width, height, near, whether rays are parallel
     info.push_constant("VEC4", "projection")  # depth's factor, offset, by z?, antialias?
-    info.push_constant("VEC4", "count")  # entries of the order, rows that are drawn
+    info.push_constant("VEC4", "count")  # entries of the order, rows that are drawn, meshes?
     for slot, name in enumerate(("atlas", "sorted", "places", "meshes")):
         info.sampler(slot, "FLOAT_2D", name)
     info.vertex_in(0, "VEC3", "corner")
@@ -157,7 +172,7 @@ def view() -> gpu.types.GPUShader:
         Exception: the driver refuses it.
     """
     info = gpu.types.GPUShaderCreateInfo()
-    info.push_constant("VEC4", "origin")
+    info.push_constant("VEC4", "place")  # left, bottom, picture's pixels for one of the view
     info.sampler(0, "FLOAT_2D", "picture")
     info.vertex_in(0, "VEC2", "corner")
     return _made(info, _VIEW_VERTEX, _VIEW_FRAGMENT)

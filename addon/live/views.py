@@ -11,12 +11,18 @@ from ..cameras.captures import RenderCamera
 from ..process.latest import Latest
 from ..render import picture
 from ..render.scene import Placed, SplatCache, marks_of
+from ..render.viewport import smaller
 from . import atlas, order
-from .card import Card, Order, Shot, upload
+from .canvas import Canvas
+from .card import Card, Order, Shot
 from .level import Level
+from .marks import reselected
 
 UPLOAD = 0.004
 """Seconds of a redraw after which no further chunk of an order is uploaded."""
+
+_LIKE = 1.25
+"""How many times more splats than are wanted an order has that is as good as the wanted one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,18 +50,42 @@ class Wish:
         """Whether the other asks for nothing else."""
         return (
             other is not None
-            and (self.parts, self.count, self.marks) == (other.parts, other.count, other.marks)
+            and (self.parts, self.marks) == (other.parts, other.marks)
+            and self.same_order(other)
+        )
+
+    def same_order(self, other: "Wish") -> bool:
+        """Whether the other has as many splats in the same order, if they are the same."""
+        return (
+            self.count == other.count
             and self.eye.orthographic == other.eye.orthographic
+            and len(self.eye.viewmats) == len(other.eye.viewmats)
             and all(map(np.array_equal, self.eye.viewmats, other.eye.viewmats))
         )
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Arranged:
+    """What was made of a wish."""
+
+    wish: Wish
+    atlas: atlas.Atlas
+    marks: list[np.ndarray | None]
+    """Of each object, [N] as `render.scene.marks_of`."""
+    entries: np.ndarray
+    """[M, 4], the order."""
+
+
 class Arranger:
-    """Sorts for one view, in a thread; keeps the atlas while the splats stay the same."""
+    """Sorts for one view, in a thread.
+
+    While splats stay the same it keeps the atlas; where colours, opacities and what is selected are
+    all that has changed, it goes over those of them alone.
+    """
 
     def __init__(self, cache: SplatCache) -> None:
         self._cache = cache
-        self._atlas: tuple[Any, atlas.Atlas] | None = None
+        self._last: _Arranged | None = None
 
     def __call__(self, wish: Wish) -> tuple[atlas.Atlas, np.ndarray]:
         """The atlas, and the entries of the order.
@@ -63,12 +93,46 @@ class Arranger:
         Raises:
             ValueError: an object cannot be drawn; it is named.
         """
-        if self._atlas is None or self._atlas[0] != wish.parts:
-            parts = self._cache.parts(list(wish.placed))
-            self._atlas = wish.parts, atlas.build(parts)
-        built = self._atlas[1]
+        built, repainted = self._laid_out(wish)
         marks = [marks_of(placed, selected=wish.tint) for placed in wish.placed]
-        return built, order.arrange(built, wish.eye, wish.count, marks)
+        rows = None
+        if self._last is not None and repainted is not None and wish.same_order(self._last.wish):
+            rows = _recolored_rows(built, repainted, self._last.marks, marks)
+        if rows is None:
+            entries = order.arrange(built, wish.eye, wish.count, marks)
+        else:
+            entries = order.recolored(self._last.entries, built, wish.eye, rows, marks)
+        self._last = _Arranged(wish=wish, atlas=built, marks=marks, entries=entries)
+        return built, entries
+
+    def _laid_out(self, wish: Wish) -> tuple[atlas.Atlas, np.ndarray | None]:
+        """The atlas, and which of its rows [N] have other colours or opacities than in the last;
+        None where it has other splats."""
+        last = self._last
+        if last is not None and last.wish.parts == wish.parts:
+            return last.atlas, np.zeros(len(last.atlas), bool)
+        parts = self._cache.parts(list(wish.placed))
+        found = None if last is None else atlas.repainted(last.atlas, parts)
+        return (atlas.build(parts), None) if found is None else found
+
+
+def _recolored_rows(
+    built: atlas.Atlas,
+    repainted: np.ndarray,
+    before: list[np.ndarray | None],
+    after: list[np.ndarray | None],
+) -> np.ndarray | None:
+    """[N] bool: which rows of an atlas have other colours, of those that were repainted [N], and of
+    those that were selected or deselected; None where others show."""
+    rows = repainted.copy()
+    for number, (was, now) in enumerate(zip(before, after, strict=True)):
+        if was is not now:
+            differ = reselected(was, now, len(built.parts[number]))
+            if differ is None:
+                return None
+            own = built.part == number
+            rows[own] |= differ[built.index[own]]
+    return rows
 
 
 class View:
@@ -88,8 +152,7 @@ class View:
         self._answered: Wish | None = None
         self._coming: tuple[Wish, atlas.Atlas, Order] | None = None
         self._shown: tuple[Wish, atlas.Atlas, Order] | None = None
-        self._atlas: tuple[atlas.Atlas, gpu.types.GPUTexture] | None = None
-        self._target: gpu.types.GPUOffScreen | None = None
+        self._canvas = Canvas()
 
     @property
     def waits(self) -> bool:
@@ -129,9 +192,9 @@ class View:
         total = sum(len(p.frozen.vertices) for p in placed)
         viewmats = tuple(camera.viewmat @ p.matrix for p in placed)
         seen = b"".join(m.tobytes() for m in (camera.K, *viewmats))
-        limit = self.level.look(time.monotonic(), seen, total)
+        detail = self.level.look(time.monotonic(), seen, total)
         eye = order.Eye(viewmats=viewmats, orthographic=camera.orthographic)
-        wish = Wish(placed=tuple(placed), eye=eye, count=limit, tint=tint)
+        wish = Wish(placed=tuple(placed), eye=eye, count=detail.count, tint=tint)
         if not wish.same(self._asked):
             self._asked = wish
             self.sorter.ask(wish)
@@ -140,14 +203,18 @@ class View:
             return None
         self.complete = self._shown[0].same(wish) and not self.level.moving
         shot = Shot(
-            camera=camera,
+            camera=smaller(camera, detail.factor),
             viewmats=_viewmats(self._shown[0], wish, camera),
             window=window,
             antialias=_antialias(placed, antialias),
-            limit=limit,
+            limit=detail.count,
         )
-        picture_ = self._drawn(card, shot, meshes)
-        self.drawn = min(limit, self._shown[0].count)
+        shown, atlas_, entries = self._shown
+        # An order of many more splats than are wanted takes the time of those too.
+        like = shown.count <= _LIKE * detail.count
+        took = self.level.took if self.level.measures and like else None
+        picture_ = self._canvas.draw(card, atlas_, entries, shot, meshes, took)
+        self.drawn = min(detail.count, self._shown[0].count)
         self.seconds = time.perf_counter() - began
         return picture_
 
@@ -158,28 +225,16 @@ class View:
         answer = self.sorter.answer
         if self._coming is None and answer is not None and answer[0] is not self._answered:
             self._answered = answer[0]
-            self._coming = answer[0], answer[1][0], Order(answer[1][1])
+            before = None if self._shown is None else self._shown[2]
+            self._coming = answer[0], answer[1][0], Order(answer[1][1], before)
         while self._coming is not None and time.perf_counter() < until:
             if self._coming[2].step():
                 self._shown, self._coming = self._coming, None
 
-    def _drawn(
-        self, card: Card, shot: Shot, meshes: gpu.types.GPUTexture | None
-    ) -> gpu.types.GPUTexture:
-        assert self._shown is not None
-        _, atlas_, entries = self._shown
-        if self._atlas is None or self._atlas[0] is not atlas_:
-            self._atlas = atlas_, upload(atlas_)
-        size = shot.camera.width, shot.camera.height
-        if self._target is None or (self._target.width, self._target.height) != size:
-            self._target = gpu.types.GPUOffScreen(*size, format="RGBA16F")
-        card.draw(self._target, self._atlas[1], entries, shot, meshes)
-        return self._target.texture_color
-
 
 def _viewmats(shown: Wish, wish: Wish, camera: RenderCamera) -> tuple[np.ndarray, ...]:
     """Of the objects that an order has, where they are by now."""
-    if shown.parts == wish.parts:
+    if [p.part for p in shown.placed] == [p.part for p in wish.placed]:
         return wish.eye.viewmats
     places = {p.uid: p.matrix for p in wish.placed}
     return tuple(camera.viewmat @ places.get(p.uid, p.matrix) for p in shown.placed)

@@ -6,6 +6,7 @@ from . import (
     depth,
     edit,
     judge,
+    paint,
     progress,
     render,
     result,
@@ -26,6 +27,7 @@ CLASSES = (
     *judge.CLASSES,
     *sequence.CLASSES,
     *edit.CLASSES,
+    *paint.CLASSES,
     *steer.CLASSES,
     *render.CLASSES,
 )

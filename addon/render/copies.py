@@ -3,6 +3,7 @@
 import time
 
 import bpy
+import numpy as np
 
 from .frozen import Freezer, Frozen, FrozenMesh
 from .scene import Placed, Source, place
@@ -42,6 +43,25 @@ class Copies:
             self._freezers.pop(uid, None)
             if uid in self._frozen:
                 self._stale[uid] = self._frozen.pop(uid)
+
+    def repaint(self, uid: int, base: np.ndarray) -> None:
+        """Show a mesh with other colours and opacities than it has, until it is copied again.
+
+        Args:
+            uid: Session number of the mesh.
+            base: [N, 4] float32, contiguous, of `radiance:base`; from now on it belongs to this.
+        """
+        for kept in (self._frozen, self._stale):
+            if uid in kept and kept[uid].can_take(base):
+                kept[uid] = kept[uid].repainted(base)
+        if uid in self._freezers:
+            self._freezers[uid].repaint(base)
+
+    def remark(self, uid: int, marks: np.ndarray | None) -> None:
+        """The same for what is selected and hidden, [N] uint8 as `FrozenMesh.marks`."""
+        for kept in (self._frozen, self._stale):
+            if uid in kept and (marks is None or len(kept[uid].vertices) == len(marks)):
+                kept[uid] = kept[uid].remarked(marks)
 
     def keep_only(self, found: list[Source]) -> None:
         """Let go of what is not among these."""

@@ -63,7 +63,7 @@ def likeness(before: Splats, after: Splats, views: list[View], *, antialias: boo
     values = []
     for K, viewmat, width, height in views:
         one, other = (
-            np.clip(render(s, K, viewmat, width, height, antialias=antialias).rgb, 0, 1)
+            render(s, K, viewmat, width, height, antialias=antialias, depths=False).rgb.clip(0, 1)
             for s in (before, after)
         )
         values.append(psnr(one, other))

@@ -57,17 +57,25 @@ class _Data:
 class _Attribute:
     """What an attribute offers; its memory is its own."""
 
-    def __init__(self, attribute: Any) -> None:
-        self.name, self.domain = attribute.name, attribute.domain
-        self.data_type = attribute.data_type
-        key, width = _KEYS.get(self.data_type, ("", 1))
-        # Of another type or domain than a splat's: nothing is copied, the reader refuses it.
-        count = len(attribute.data) * width if key else 0
-        values = np.empty(count, np.float32)
-        if count:
-            attribute.data.foreach_get(key, values)
-        self.data = _Data(values, width)
-        self.fingerprint = (self.name, self.domain, self.data_type, zlib.crc32(values))
+    def __init__(self, name: str, domain: str, data_type: str, values: np.ndarray) -> None:
+        self.name, self.domain, self.data_type = name, domain, data_type
+        self.data = _Data(values, _KEYS.get(data_type, ("", 1))[1])
+        self.fingerprint = (name, domain, data_type, zlib.crc32(values))
+
+    def refilled(self, values: np.ndarray) -> "_Attribute":
+        """The same attribute with other values, flat float32."""
+        return _Attribute(self.name, self.domain, self.data_type, values)
+
+
+def _copied(attribute: Any) -> _Attribute:
+    """A copy of Blender's attribute; an empty one where its type is none of a splat's, which the
+    reader refuses."""
+    key, width = _KEYS.get(attribute.data_type, ("", 1))
+    count = len(attribute.data) * width if key else 0
+    values = np.empty(count, np.float32)
+    if count:
+        attribute.data.foreach_get(key, values)
+    return _Attribute(attribute.name, attribute.domain, attribute.data_type, values)
 
 
 class _Attributes(dict[str, _Attribute]):
@@ -99,6 +107,35 @@ class FrozenMesh:
         made.attributes, made.marks = self.attributes, marks
         return made
 
+    def can_take(self, base: np.ndarray) -> bool:
+        """Whether `repainted` can be given this."""
+        return BASE in self.attributes and len(base) == len(self.vertices)
+
+    def repainted(self, base: np.ndarray) -> "FrozenMesh":
+        """The same splats with other colours and opacities.
+
+        Args:
+            base: [N, 4] float32, contiguous, of `radiance:base`; from now on it belongs to this.
+        """
+        made = FrozenMesh(self.name, len(self.vertices))
+        made.attributes.update((a.name, a) for a in self.attributes)
+        made.attributes[BASE] = self.attributes[BASE].refilled(base.reshape(-1))
+        made.marks = self.marks
+        return made
+
+    def alike(self, other: "FrozenMesh") -> bool:
+        """Whether another copy differs in the values of `radiance:base` at most."""
+        mine, theirs = (
+            {a.name: a.fingerprint[: 3 if a.name == BASE else 4] for a in one.attributes}
+            for one in (self, other)
+        )
+        return BASE in mine and mine == theirs and len(self.vertices) == len(other.vertices)
+
+    @property
+    def base(self) -> np.ndarray:
+        """[N, 4] float32 view of `radiance:base`."""
+        return self.attributes[BASE].data.values.reshape(-1, 4)
+
     def read(self) -> Splats:
         """The splats; errors as `attributes.read`."""
         return attributes.read(self)
@@ -128,11 +165,32 @@ class Freezer:
         frozen = self._begun
         for wanted in sorted(_wanted(data)):
             if wanted not in frozen.attributes:
-                dict.__setitem__(frozen.attributes, wanted, _Attribute(data.attributes[wanted]))
+                dict.__setitem__(frozen.attributes, wanted, _copied(data.attributes[wanted]))
                 return None
         self._begun = None
         frozen.marks = read_marks(data)
         return frozen
+
+    def repaint(self, base: np.ndarray) -> None:
+        """Have the copy that has begun get other colours and opacities; as `FrozenMesh.repainted`.
+
+        It does where it has copied those of the datablock; else they are copied in their turn.
+        """
+        if self._begun is not None and self._begun.can_take(base):
+            self._begun = self._begun.repainted(base)
+
+
+def repainted_rows(before: Frozen, after: Frozen) -> np.ndarray | None:
+    """[K], which splats differ in colour or opacity, where two copies are alike in all else.
+
+    None where they are not, or where new values are not finite, which reading them refuses.
+    """
+    if not (isinstance(before, FrozenMesh) and isinstance(after, FrozenMesh)):
+        return None
+    if not before.alike(after):
+        return None
+    rows = np.flatnonzero((before.base != after.base).any(axis=1))
+    return rows if np.isfinite(after.base[rows]).all() else None
 
 
 def freeze(data: Any, name: str) -> FrozenMesh:

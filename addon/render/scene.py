@@ -14,7 +14,7 @@ from ..splats.filters import Filters, filters_of
 from ..splats.objects import ANTIALIAS, KIND
 from ..timeline.moment import Moment, moment_of
 from . import apart
-from .frozen import HIDDEN, SELECTED, Frozen, FrozenMesh, freeze, read_marks
+from .frozen import HIDDEN, SELECTED, Frozen, FrozenMesh, freeze, read_marks, repainted_rows
 from .holdout import held_out
 from .instances import instances
 
@@ -197,7 +197,7 @@ def place(source: Source, frozen: Frozen | None = None) -> Placed:
     settings = getattr(ob, "gscore", None)
     filtered = settings is not None and settings.apply_filters_to_render
     filters = filters_of(ob) if filtered else None
-    if filters is not None and not _leaves_out_anything(filters):
+    if filters is not None and not filters.leave_out_anything:
         filters = None
     return Placed(
         name=ob.name,
@@ -232,7 +232,7 @@ class SplatCache:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._parts: dict[tuple[int, bytes], tuple[Any, Splats]] = {}
+        self._parts: dict[tuple[int, bytes], tuple[Frozen, Splats]] = {}
         self._merged: tuple[list[tuple[Splats, np.ndarray]], Splats] | None = None
         self._held: tuple[Splats, list[tuple[int, bool]], tuple[Splats, Splats]] | None = None
         self.decoded = 0
@@ -287,14 +287,16 @@ class SplatCache:
 
     def _decode(self, placed: Placed) -> Splats:
         known = self._parts.get(placed.part)
-        if known is None or known[0] != placed.frozen.fingerprint:
+        if known is not None and known[0].fingerprint == placed.frozen.fingerprint:
+            return known[1]
+        splats = None if known is None else _repainted(*known, placed)
+        if splats is None:
             splats = placed.frozen.read()
             if placed.filters is not None:
                 splats = splats.subset(placed.frozen.kept(placed.filters))
-            known = placed.frozen.fingerprint, splats
-            self._parts[placed.part] = known
             self.decoded += 1
-        return known[1]
+        self._parts[placed.part] = placed.frozen, splats
+        return splats
 
     def _hold_out(self, splats: Splats, runs: list[tuple[int, bool]]) -> tuple[Splats, Splats]:
         """`Model.splats` and `shares`, of splats of which so many each are held out or not."""
@@ -318,13 +320,34 @@ class SplatCache:
         return self._merged[1]
 
 
+def _repainted(before: Frozen, splats: Splats, placed: Placed) -> Splats | None:
+    """The splats of an object of which only colours and opacities have changed; their other arrays
+    are shared with what they were.
+
+    Args:
+        before: The copy that `splats` were decoded from, with the filters that it has now.
+        splats: As they were.
+        placed: The object.
+
+    Returns:
+        None where more has changed, or others pass the filters.
+    """
+    rows = repainted_rows(before, placed.frozen)
+    if rows is None:
+        return None
+    assert isinstance(placed.frozen, FrozenMesh)
+    base = placed.frozen.base
+    if placed.filters is None:
+        return attributes.repainted(splats, rows, base[rows])
+    kept = placed.frozen.kept(placed.filters)
+    if not np.array_equal(kept, before.kept(placed.filters)):
+        return None
+    rows = rows[kept[rows]]
+    return attributes.repainted(splats, (np.cumsum(kept) - 1)[rows], base[rows])
+
+
 def _may_show(ob: bpy.types.Object) -> bool:
     return ob.get("gs_kind") == KIND and ob.type in {"MESH", "POINTCLOUD"}
-
-
-def _leaves_out_anything(filters: Filters) -> bool:
-    limits = (filters.opacity_min, filters.size_min, filters.size_max)
-    return any(limits) or filters.crop is not None
 
 
 def _check_similar(placed: Placed) -> None:

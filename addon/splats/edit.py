@@ -104,7 +104,7 @@ def select(ob: bpy.types.Object, *, hidden: bool) -> int:
     objects.check_writable(ob)
     objects.catch_up(ob)
     chosen = filters.visible_mask(ob) != hidden
-    ob.data.vertices.foreach_set("select", chosen)
+    attributes.select(ob.data, chosen)
     ob.data.update()
     return int(chosen.sum())
 

@@ -54,9 +54,9 @@ class _Selecting(Editing):
     def edit(self, context: bpy.types.Context, ob: bpy.types.Object) -> str:
         """Select."""
         check_shown(ob)  # before the selection changes
-        before = parts.selected(ob)
+        before = attributes.selected(ob.data)
         chosen = choose.combined(before, self.found(ob, before), self.mode)
-        ob.data.vertices.foreach_set("select", chosen)
+        attributes.select(ob.data, chosen)
         ob.data.update()
         edit_vertices(context, ob)
         return f"{int(chosen.sum()):,} splats are selected."
@@ -240,7 +240,7 @@ class GradeSplats(Editing, bpy.types.Operator):
     def edit(self, context: bpy.types.Context, ob: bpy.types.Object) -> str:
         """Grade."""
         base = _base(ob)
-        chosen = parts.selected(ob) if self.only_selected else np.ones(len(base), bool)
+        chosen = attributes.selected(ob.data) if self.only_selected else np.ones(len(base), bool)
         grade = grading.Grade(
             lift=tuple(self.lift),
             gamma=tuple(self.gamma),
@@ -262,7 +262,7 @@ class SeparateSplats(Editing, bpy.types.Operator):
 
     def edit(self, context: bpy.types.Context, ob: bpy.types.Object) -> str:
         """Separate."""
-        made = parts.separate(ob, parts.selected(ob))
+        made = parts.separate(ob, attributes.selected(ob.data))
         return f"{len(made.data.vertices):,} splats are {made.name}."
 
 

@@ -29,6 +29,12 @@ class Filters:
     crop_invert: bool = False
     """Show what lies outside."""
 
+    @property
+    def leave_out_anything(self) -> bool:
+        """Whether there may be a splat that does not pass."""
+        limits = (self.opacity_min, self.size_min, self.size_max)
+        return any(limits) or self.crop is not None
+
 
 def mask(
     means: np.ndarray, scales: np.ndarray, opacities: np.ndarray, filters: Filters

@@ -4,12 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..core import sh0_to_rgb
+from ..core import rgb_to_sh0, sh0_to_rgb
 
 _LUMA = np.array([0.2126, 0.7152, 0.0722])
 """Rec. 709."""
-_MIDDLE = float(sh0_to_rgb(0.0))
-_FACTOR = float(sh0_to_rgb(1.0)) - _MIDDLE
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +32,7 @@ def graded(base: np.ndarray, grade: Grade) -> np.ndarray:
     """
     if grade == Grade():
         return base.copy()
-    colors = _FACTOR * base[:, :3].astype(np.float64) + _MIDDLE
+    colors = sh0_to_rgb(base[:, :3].astype(np.float64))
     lift, gamma, gain = (np.array(v) for v in (grade.lift, grade.gamma, grade.gain))
     colors = lift + colors * (1 - lift)
     if (gamma != 1).any():
@@ -43,5 +41,5 @@ def graded(base: np.ndarray, grade: Grade) -> np.ndarray:
     grey = (colors @ _LUMA)[:, None]
     colors = grey + (colors - grey) * grade.saturation
     out = base.copy()
-    out[:, :3] = (colors - _MIDDLE) / _FACTOR
+    out[:, :3] = rgb_to_sh0(colors)
     return out

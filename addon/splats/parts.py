@@ -8,13 +8,6 @@ from ..interface import writable
 from . import objects, settings
 
 
-def selected(ob: bpy.types.Object) -> np.ndarray:
-    """[N] bool: the selected vertices of an object that is not in Edit Mode."""
-    found = np.zeros(len(ob.data.vertices), bool)
-    ob.data.vertices.foreach_get("select", found)
-    return found
-
-
 def separate(ob: bpy.types.Object, chosen: np.ndarray) -> bpy.types.Object:
     """Move splats into an object of their own, with the same place, display and filters.
 

@@ -40,7 +40,7 @@ def cluster_sizes(splats: Splats, gap: float) -> np.ndarray:
         return np.zeros(0, np.int64)
     means = splats.means.astype(np.float64)
     middle = np.median(means, axis=0)
-    distances = np.linalg.norm(means - middle, axis=1)
+    distances = _lengths(means - middle)
     size = float(np.median(distances)) or 1.0
     shortest = gap / 2 * size * np.maximum(distances / size, 1)
     middles, ends, owners = [], [], []
@@ -101,11 +101,17 @@ def _reached(splats: Splats, part: slice, shortest: np.ndarray) -> tuple[np.ndar
 
 def _near_and_far(places: np.ndarray) -> np.ndarray:
     """Places in units of the model's size; a distance beyond 1 becomes 1 + its logarithm."""
-    distances = np.linalg.norm(places, axis=1)
+    distances = _lengths(places)
     shrink = np.ones(len(places))
     far = distances > 1
     shrink[far] = (1 + np.log(distances[far])) / distances[far]
     return places * shrink[:, None]
+
+
+def _lengths(vectors: np.ndarray) -> np.ndarray:
+    """[M] of vectors [M, 3], to the bit as np.linalg.norm has them, which sums rows one by one."""
+    x, y, z = vectors.T
+    return np.sqrt(x * x + y * y + z * z)
 
 
 def _keys(places: np.ndarray) -> np.ndarray:

@@ -5,86 +5,35 @@ program; without it `blender` is taken.
 """
 
 import json
-import os
-import re
-import shutil
 import subprocess
-import sys
-import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.window import programs
+
 pytestmark = pytest.mark.window
 
-ROOT = Path(__file__).parents[2]
 SCREEN = (1000, 700)
 LONGEST = 500
 COLOR = (204, 102, 51)
 """Of the wall, 8 bit."""
 
 
-def program() -> str:
-    """A Blender that can be used, or the test is skipped."""
-    found = os.environ.get("GSCORE_BLENDER") or shutil.which("blender")
-    tools = [name for name in ("Xvfb", "import", "convert") if shutil.which(name) is None]
-    if found is None or tools:
-        pytest.skip(f"there is no {'Blender' if found is None else ', '.join(tools)}")
-    told = subprocess.run([found, "--version"], capture_output=True, text=True, check=False).stdout
-    version = re.search(r"Blender (\d+)\.(\d+)", told)
-    if version is None or tuple(map(int, version.groups())) < (4, 2):
-        pytest.skip(f"{found} is no Blender of 4.2 or later")
-    return found
-
-
 @pytest.fixture(scope="module")
-def screen() -> Iterator[str]:
-    """The name of a display that is not there."""
-    read, write = os.pipe()
-    server = subprocess.Popen(
-        ["Xvfb", "-displayfd", str(write), "-screen", "0", "{}x{}x24".format(*SCREEN)],
-        pass_fds=[write],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    os.close(write)
-    with os.fdopen(read) as told:
-        number = told.readline().strip()
-    time.sleep(0.5)
-    yield f":{number}"
-    server.terminate()
-    server.wait(10)
-
-
-@pytest.fixture(scope="module")
-def seen(screen: str, tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path]:
+def seen(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path]:
     """What `live_scene.py` saw, and the folder of its pictures."""
-    blender, folder = program(), tmp_path_factory.mktemp("window")
-    (folder / "profile").mkdir()
-    packages = [p for p in sys.path if (Path(p) / "plyfile.py").is_file()]
-    environment = {
-        **os.environ,
-        "DISPLAY": screen,
-        "LIBGL_ALWAYS_SOFTWARE": "1",
-        "BLENDER_USER_RESOURCES": str(folder / "profile"),
-    }
-    place = ["-p", "0", "0", *map(str, SCREEN)]
-    script = ["-P", str(ROOT / "tests/window/live_scene.py"), "--", str(folder), *packages[:1]]
-    done = subprocess.run(
-        [blender, "--factory-startup", *place, *script],
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=LONGEST,
-        check=False,
-    )
+    blender, problem = programs.find()
+    if not blender:
+        pytest.skip(problem)
+    folder, script = tmp_path_factory.mktemp("window"), Path(__file__).with_name("live_scene.py")
+    with programs.screen(*SCREEN) as display:
+        output = programs.run(blender, script, folder, display, SCREEN, LONGEST)
     told = folder / "seen.json"
-    assert told.is_file(), done.stdout + done.stderr
+    assert told.is_file(), output
     found = json.loads(told.read_text())
     assert not found["log"], found["log"]
-    output = done.stdout + done.stderr
     refused = output.count("Splats cannot be drawn live.")  # what the driver said is shown whole
     assert refused == output.count("Traceback") == 1, output
     return found, folder
@@ -123,6 +72,13 @@ def test_which_objects_are_shown(seen):
     assert found["both"] == ["blob", "wall"]
     assert found["hidden"] == found["as_points"] == ["wall"]
     assert found["local"] == ["blob"]
+
+
+def test_a_picture_is_kept_until_the_view_changes(seen):
+    """Oracle: how often the card was asked for one; there and back the screen is the same."""
+    found, folder = seen
+    assert found["pictures"]["again"] == 0 < found["pictures"]["turned"]
+    assert np.array_equal(pixels(folder, "both"), pixels(folder, "both_again"))
 
 
 def test_the_exact_picture_takes_over(seen):

@@ -70,6 +70,12 @@ CALLS: dict[str, dict[str, Any]] = {
     "choose_video": {"filepath": "a.ply"},
     "fit_training": {},
     "paint_mask": {},
+    "paint_splats": {},
+    "paint_stroke": {
+        "stroke": [{"name": "", "place": (0.0, 0.0, 0.0)}],
+        "way": "PLACES",
+        "radius": 1e3,
+    },
 }
 """What operators are called with; names of files lie in the test's folder."""
 _OF_OVERRIDES = (

@@ -19,7 +19,7 @@ from addon.judge.registry import JOBS
 from addon.panels.judge import ErrorsPanel
 from addon.render import compare
 from addon.render.compare import PSNR
-from addon.splats import objects, parts
+from addon.splats import objects
 from addon.splats.error_maps import drop_maps
 from addon.splats.files import import_splats
 from addon.steer.work import train_region
@@ -165,11 +165,11 @@ def test_hidden_splats_are_not_edited(result: bpy.types.Object, tmp_path: Path) 
     """Oracle: what to do is said, and the selection is as before."""
     result.hide_set(True)
     bpy.context.view_layer.objects.active = result
-    before = parts.selected(result)
+    before = attributes.selected(result.data)
     for verb in (bpy.ops.gscore.select_floaters, bpy.ops.gscore.select_by_opacity):
         with pytest.raises(RuntimeError, match=r"is hidden; show it, with its eye"):
             verb()
-    assert (parts.selected(result) == before).all() and bpy.context.mode == "OBJECT"
+    assert (attributes.selected(result.data) == before).all() and bpy.context.mode == "OBJECT"
 
 
 def test_splats_that_the_view_layer_excludes(result: bpy.types.Object, tmp_path: Path) -> None:

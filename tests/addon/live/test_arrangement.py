@@ -2,13 +2,14 @@
 
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from addon.core import Splats, transform_splats
 from addon.live import atlas, marks, order
-from addon.live.level import FEWEST, STILL, Level
+from addon.live.level import BUDGET, FEWEST, STILL, Detail, Level
 from addon.process.latest import Latest
 from addon.render.frozen import HIDDEN, SELECTED
 from gscore import sh
@@ -92,6 +93,67 @@ def test_marks_tint_and_hide():
     np.testing.assert_allclose(np.linalg.norm(after - marks.TINT, axis=1), 0.35 * apart, atol=1e-5)
 
 
+def repainted(splats: Splats, rows: np.ndarray, *, fade: bool) -> Splats:
+    """The same arrays, but for colours, and opacities if wanted, of some rows."""
+    sh0, opacities = splats.sh0.copy(), splats.opacities.copy()
+    sh0[rows] += 0.7
+    opacities[rows] -= 1.5 * fade
+    return replace(splats, sh0=sh0, opacities=opacities)
+
+
+@pytest.mark.parametrize("fade", [False, True])
+def test_a_repainted_atlas_is_one_of_what_was_painted(fade):
+    """Oracle: an atlas laid out anew, splat by splat; the texels are shared while they are the
+    same, and the earlier atlas keeps its own."""
+    parts = [lab.blob(1500, seed=1), lab.blob(700, seed=2)]
+    made = atlas.build(parts)
+    texels = made.texels.copy()
+    now = [parts[0], repainted(parts[1], np.arange(20, 90), fade=fade)]
+    got, differ = atlas.repainted(made, now)
+    want = atlas.build(now)
+    assert (got.texels is made.texels) == (not fade)
+    np.testing.assert_array_equal(made.texels, texels)
+    rows = got.texels.reshape(-1, atlas.TEXELS, 4)
+    place = {(p, i): row for row, (p, i) in enumerate(zip(want.part, want.index, strict=True))}
+    for row, key in enumerate(zip(got.part, got.index, strict=True)):
+        wanted = want.texels.reshape(-1, atlas.TEXELS, 4)[place[key]]
+        np.testing.assert_array_equal(rows[row], wanted)
+    assert differ.sum() == 70 and got.parts == tuple(now)
+    assert set(got.index[differ]) == set(range(20, 90)) and (got.part[differ] == 1).all()
+
+
+def test_other_splats_are_no_repainted_ones():
+    """Oracle: what was exchanged: an array that is no colour, or the number of objects."""
+    parts = [lab.blob(100)]
+    made = atlas.build(parts)
+    assert atlas.repainted(made, [replace(parts[0], means=parts[0].means.copy())]) is None
+    assert atlas.repainted(made, [*parts, lab.blob(5)]) is None
+
+
+def test_recoloured_entries_are_those_of_a_new_order():
+    """Oracle: `arrange` of the repainted atlas, to the bit; splats are selected and hidden, too."""
+    parts = [lab.blob(1500, seed=1), lab.blob(700, seed=2)]
+    made = atlas.build(parts)
+    eye = order.Eye(viewmats=(np.eye(4), similarity(1.5)), orthographic=False)
+    own = np.random.default_rng(0).integers(0, 4, 700).astype(np.uint8)
+    before = order.arrange(made, eye, 1800, [None, own])
+    now = [repainted(p, np.arange(0, 600, 3), fade=True) for p in parts]
+    painted, differ = atlas.repainted(made, now)
+    got = order.recolored(before, painted, eye, differ, [None, own])
+    np.testing.assert_array_equal(got, order.arrange(painted, eye, 1800, [None, own]))
+    assert (got != before).any()
+
+
+def test_which_splats_were_selected_anew():
+    """Oracle: the bits, counted by hand."""
+    before = np.array([0, SELECTED, HIDDEN, 0], np.uint8)
+    after = np.array([SELECTED, 0, HIDDEN, 0], np.uint8)
+    assert marks.reselected(before, after, 4).tolist() == [True, True, False, False]
+    assert marks.reselected(None, after, 4) is None
+    assert marks.reselected(None, after & np.uint8(SELECTED), 4).tolist() == [True, *[False] * 3]
+    assert not marks.reselected(None, None, 4).any()
+
+
 def test_more_than_float32_numbers_are_refused(monkeypatch):
     """Oracle: the sentence names both numbers."""
     monkeypatch.setattr(atlas, "MOST", 1000)
@@ -128,24 +190,47 @@ def test_fewer_are_the_first_of_the_atlas():
     np.testing.assert_array_equal(few, full[full[:, 0] < 700])
 
 
-def test_all_are_drawn_at_rest_and_fewer_on_the_move():
-    """Oracle: the clock that the test hands over."""
-    level, now = Level(), 100.0
-    assert level.look(now, b"a", 10**6) == 10**6  # opened: nothing moves
-    counts = []
-    for step in range(30):
-        now += 0.2
-        counts.append(level.look(now, b"%d" % step, 10**6))
-    assert level.moving and counts[0] < 10**6
-    assert counts == sorted(counts, reverse=True) and counts[-1] == FEWEST
+def card_seconds(detail: Detail) -> float:
+    """What a card needs that draws a splat in 100 ns and a pixel of a whole view in 20 ms."""
+    return 1e-7 * detail.count + 0.02 / detail.factor**2
+
+
+def test_all_are_drawn_at_rest_and_less_on_the_move():
+    """Oracle: the clock that the test hands over, and a card of known speed."""
+    level, now, total = Level(), 100.0, 10**6
+    whole = Detail(count=total, factor=1)
+    assert level.look(now, b"a", total) == whole  # opened: nothing moves
+    assert level.measures
+    level.took(card_seconds(whole))
+    assert not level.measures and level.look(now, b"a", total) == whole
+    measured = 0
     for step in range(60):
-        now += 0.01
-        counts.append(level.look(now, b"q%d" % step, 10**6))
-    assert counts[-1] == 10**6
-    assert level.look(now + 0.1, b"q59", 10**6) == level.look(now, b"q59", 10**6)
+        now += 0.02
+        detail = level.look(now, b"%d" % step, total)
+        assert level.moving
+        if level.measures:
+            measured += 1
+            level.took(card_seconds(detail))
+    assert measured <= 8  # each is a wait
+    assert detail.factor > 1 and FEWEST <= detail.count < total
+    assert 0.5 * BUDGET < card_seconds(detail) < 1.2 * BUDGET
+    assert level.look(now + 0.1, b"59", total) == level.look(now, b"59", total)
     assert level.rests_at == pytest.approx(now + STILL)
-    assert level.look(now + STILL, b"q59", 10**6) == 10**6 and not level.moving
-    assert level.look(now + 9, b"x", 5) == 5
+    assert level.look(now + STILL, b"59", total) == whole and not level.moving
+    assert level.look(now + 9, b"x", 5).count == 5
+
+
+def test_a_quick_card_draws_all_and_a_slow_one_a_little():
+    """Oracle: what cards can do in the budget: everything, and nothing at all."""
+    for seconds, want in ((BUDGET / 2, Detail(count=40_000, factor=1)),
+                          (1.0, Detail(count=FEWEST, factor=3))):  # fmt: skip
+        level, now = Level(), 0.0
+        for step in range(100):
+            now += 0.02
+            detail = level.look(now, b"%d" % step, 40_000)
+            if level.measures:
+                level.took(seconds)
+        assert detail == want
 
 
 def test_a_thread_answers_the_last_wish():

@@ -142,6 +142,29 @@ def test_fewer_splats(card):
     assert np.abs(got[..., :3] - truth(splats.subset(chosen), view()).rgb).max() < LIMIT
 
 
+def test_chunks_that_stay_are_not_uploaded_again(card, monkeypatch):
+    """Oracle: the textures themselves, and the picture of an order that is uploaded whole."""
+    from addon.live.card import Order
+
+    monkeypatch.setattr(Order, "CHUNK", 500)
+    entries = np.random.default_rng(0).uniform(0, 1, (1300, 4)).astype(np.float32)
+    first = Order(entries)
+    while not first.step():
+        pass
+    changed = entries.copy()
+    changed[700, 1] = 9
+    second = Order(changed, first)
+    while not second.step():
+        pass
+    kept = [a[0] is b[0] for a, b in zip(first.chunks, second.chunks, strict=True)]
+    assert kept == [True, False, True] and [n for _, n in second.chunks] == [500, 500, 300]
+    shorter = Order(changed[:1200], second)
+    while not shorter.step():
+        pass
+    assert [n for _, n in shorter.chunks] == [500, 500, 200]
+    assert shorter.chunks[2][0] is not second.chunks[2][0]
+
+
 def test_without_a_window_nothing_is_registered(scene):
     """Oracle: the display of new objects, and the sentence of the panel."""
     from addon.splats.live import SESSION

@@ -30,6 +30,8 @@ def looked_up(name: str) -> str:
         ("bpy.ops.gscore.compare_photo", "render"),
         ("bpy.ops.gscore.paint_mask", "steer-training"),
         ("bpy.ops.gscore.grade_splats", "edit"),
+        ("bpy.ops.gscore.paint_splats", "paint"),
+        ("bpy.types.BrushSettings.radius", "paint"),
         ("bpy.ops.gscore.make_environment", "install"),
         ("bpy.ops.gscore.measure_errors", "where-it-is-wrong"),
         ("bpy.types.SequenceSettings.speed", "sequences"),

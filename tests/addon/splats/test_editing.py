@@ -12,7 +12,7 @@ from addon import attributes
 from addon.attributes import BASE, SCALE
 from addon.core import Splats, join_splats, render, sh0_to_rgb
 from addon.panels.edit import EditPanel
-from addon.splats import filters, objects, parts
+from addon.splats import filters, objects
 from tests.addon import splat_scenes as lab
 from tests.addon.drawn import drawn
 
@@ -48,12 +48,26 @@ def chosen(ob: bpy.types.Object) -> np.ndarray:
     """Which vertices are selected, after leaving Edit Mode, in which selections end."""
     assert ob.mode == "EDIT"
     bpy.ops.object.mode_set(mode="OBJECT")
-    return parts.selected(ob)
+    found = np.zeros(len(ob.data.vertices), bool)
+    ob.data.vertices.foreach_get("select", found)
+    return found
 
 
 def color_of(ob: bpy.types.Object) -> np.ndarray:
     """[N, 3] sRGB values."""
     return np.maximum(sh0_to_rgb(attributes.column(ob.data, BASE)[:, :3]), 0)
+
+
+def test_selections_are_those_of_vertices(scene: bpy.types.Scene) -> None:
+    """Oracle: what the vertices themselves say, with and without an attribute that says it."""
+    ob = lab.add(scene, lab.blob(50))
+    wanted, found = np.arange(50) % 3 == 0, np.ones(50, bool)
+    assert not attributes.selected(ob.data).any()
+    for chosen in (wanted, ~wanted):
+        attributes.select(ob.data, chosen)
+        ob.data.vertices.foreach_get("select", found)
+        assert np.array_equal(found, chosen)
+        assert np.array_equal(attributes.selected(ob.data), chosen)
 
 
 def test_by_opacity_and_size(ob: bpy.types.Object) -> None:

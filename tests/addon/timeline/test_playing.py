@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from addon import attributes
-from addon.core import Splats, read_splats, write_splats
+from addon.core import Splats, read_splats, sh0_to_rgb, write_splats
 from addon.panels.sequence import SequencePanel
 from addon.process import beat
 from addon.render.copies import Copies
@@ -328,6 +328,17 @@ def test_an_edit_after_scrubbing_is_one_of_the_frame_that_shows(scene, scrubbed,
     assert number_of(scrubbed) == 3
     until(lambda: not beat.tick())
     assert number_of(scrubbed) == 3
+
+
+def test_a_stroke_after_scrubbing_keeps_the_frame_that_shows(scene, scrubbed) -> None:
+    """Oracle: the number of splats of the frame, and the colour of the brush, however long one
+    waits."""
+    stroke, white = [{"name": "", "place": (0.0, 0.0, 0.0)}], (1.0, 1.0, 1.0)
+    bpy.ops.gscore.paint_stroke(stroke=stroke, way="PLACES", radius=1e3, hardness=1.0, color=white)
+    until(lambda: not beat.tick())
+    assert number_of(scrubbed) == 3 and scrubbed.gscore_sequence.edited
+    colors = sh0_to_rgb(objects.read(scrubbed).sh0)
+    np.testing.assert_allclose(colors, 1.0, atol=1e-6)
 
 
 def test_a_mesh_on_its_way_never_lands_on_an_edit(scene, scrubbed) -> None:

@@ -1,0 +1,1 @@
+"""Splats painted with a brush: colours, opacities, selections."""

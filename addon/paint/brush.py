@@ -1,0 +1,66 @@
+"""What a brush does to the splats under it; needs no bpy."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..core import rgb_to_sh0
+
+COLOR, OPACITY, SELECT = "COLOR", "OPACITY", "SELECT"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Brush:
+    """A brush as it is during a stroke."""
+
+    radius: float
+    """Pixels of the view that is painted in; units of the world where places are painted."""
+    does: str = COLOR
+    """COLOR or OPACITY: what is changed; SELECT: nothing, splats are selected."""
+    strength: float = 1.0
+    """How much of the way to the target one stroke goes in the middle of the brush, 0 to 1."""
+    hardness: float = 0.5
+    """Share of the radius within which the brush acts in full, 0 to 1."""
+    color: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    """Target, sRGB values."""
+    opacity: float = 0.0
+    """Target, 0 to 1."""
+    inverted: bool = False
+    """Go to the opposite opacity, 1 - `opacity`; deselect. Colours have no opposite."""
+
+    def __post_init__(self) -> None:
+        if not 0 < self.radius < np.inf:
+            raise ValueError(f"The brush's radius must be above 0, got {self.radius}.")
+        for name in ("strength", "hardness", "opacity"):
+            value = getattr(self, name)
+            if not 0 <= value <= 1:
+                raise ValueError(f"The brush's {name} must be between 0 and 1, got {value}.")
+
+    def share(self, distances: np.ndarray) -> np.ndarray:
+        """[K] in [0, 1]: how much of the brush there is at distances [K] from its middle.
+
+        1 up to the hard part's edge; from there 1 - u^2 (3 - 2 u), u from 0 to 1 at the radius.
+        """
+        beyond = distances - self.hardness * self.radius
+        soft = max((1 - self.hardness) * self.radius, 1e-6 * self.radius)
+        u = np.clip(beyond / soft, 0, 1)
+        return 1 - u * u * (3 - 2 * u)
+
+    def painted(self, base: np.ndarray, share: np.ndarray) -> np.ndarray:
+        """[K, 4] float32: `radiance:base` after a stroke.
+
+        View-dependent coefficients are no part of it: what they add to a colour stays.
+
+        Args:
+            base: [K, 4] float32 before the stroke.
+            share: [K], as `share`; the most that the stroke had of it.
+        """
+        out = base.copy()
+        way = (self.strength * share).astype(np.float32)
+        if self.does == COLOR:
+            target = rgb_to_sh0(np.array(self.color, np.float64)).astype(np.float32)
+            out[:, :3] = (1 - way)[:, None] * base[:, :3] + way[:, None] * target
+        elif self.does == OPACITY:
+            target = np.float32(1 - self.opacity if self.inverted else self.opacity)
+            out[:, 3] = (1 - way) * base[:, 3] + way * target
+        return out

@@ -1,0 +1,126 @@
+"""The operator that paints in 3D views until it is ended."""
+
+from collections.abc import Iterable
+from typing import ClassVar
+
+import bpy
+
+from ..core import GsError
+from ..interface import undo
+from ..splats import objects
+from ..splats.operators import OnSplats, edit_vertices
+from .session import UNDO, Answer, Session, paintable
+
+
+class Running:
+    """The painting that is under way in this Blender: one is enough."""
+
+    def __init__(self) -> None:
+        self.session: Session | None = None
+        self._workspace: bpy.types.WorkSpace | None = None
+
+    def begin(self, context: bpy.types.Context) -> None:
+        """Paint from now on, with the brush's circle and the keys in the status bar."""
+        self.session, self._workspace = Session(), context.workspace
+        self.tell(context)
+
+    def tell(self, context: bpy.types.Context) -> None:
+        """Bring what the status bar says up to date."""
+        sentence = self.session.sentence(context.window_manager.gscore_paint)
+        self._workspace.status_text_set(sentence)
+
+    def end(self) -> None:
+        """Leave nothing behind; nothing happens where none is under way."""
+        session, self.session = self.session, None
+        if session is not None:
+            session.close()
+            self._workspace.status_text_set(None)
+
+
+RUNNING = Running()
+
+
+class PaintSplats(OnSplats, bpy.types.Operator):
+    """Paint colors, opacities or the selection of splats with a brush in the 3D view. Pressed once
+    more, it ends painting"""
+
+    bl_idname = "gscore.paint_splats"
+    bl_label = "Paint Splats"
+    bl_options: ClassVar = set()  # each stroke is an undo step of its own
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether a splat object is active, and in a mode that can be left."""
+        if not super().poll(context):
+            return False
+        if context.mode in {"OBJECT", "EDIT_MESH"}:
+            return True
+        cls.poll_message_set("Go to Object Mode to paint splats")
+        return False
+
+    def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
+        """The points."""
+        return (objects.meant(context).data,)
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Refuse: there is nothing to paint in."""
+        raise ValueError(
+            "Paint Splats needs a 3D view in a window; scripts paint with gscore.paint_stroke."
+        )
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Begin, or end what has begun."""
+        if RUNNING.session is not None:
+            RUNNING.session.ended = True
+            return {"CANCELLED"}
+        if bpy.app.background or context.window is None:
+            return self.execute(context)
+        self._edited = ""
+        try:
+            edited = objects.meant(context).mode == "EDIT"
+            ob = paintable(context)
+        except (GsError, ValueError) as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        if edited:
+            self._edited = ob.name
+            undo.push(UNDO)  # else undoing the first stroke would lead back into Edit Mode
+        RUNNING.begin(context)
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Hand an event to the session."""
+        try:
+            answer = RUNNING.session.take(context, event)
+        except (GsError, ValueError) as error:
+            self.report({"ERROR"}, str(error))
+            answer = Answer.TAKEN
+        except BaseException:
+            RUNNING.end()
+            raise
+        if answer is Answer.ENDED:
+            RUNNING.end()
+            self._edit_again(context)
+        else:
+            RUNNING.tell(context)
+        return {answer.value}
+
+    def cancel(self, context: bpy.types.Context) -> None:
+        """Blender calls this where another file is opened, or it ends."""
+        RUNNING.end()
+
+    def _edit_again(self, context: bpy.types.Context) -> None:
+        """Go back to Edit Mode, if painting began there."""
+        ob = context.view_layer.objects.get(self._edited) if self._edited else None
+        if objects.is_splats(ob) and ob.visible_get() and ob.mode == "OBJECT":
+            edit_vertices(context, ob)
+            undo.push(UNDO)
+
+
+CLASSES = (PaintSplats,)
+
+
+def on_unregister() -> None:
+    """End painting that is under way: its operator is no more."""
+    RUNNING.end()

@@ -1,0 +1,105 @@
+"""The operator by which scripts paint: a whole stroke at once."""
+
+import bpy
+import numpy as np
+from bpy.props import (
+    BoolProperty,
+    CollectionProperty,
+    EnumProperty,
+    FloatProperty,
+    FloatVectorProperty,
+    StringProperty,
+)
+
+from ..cameras.captures import RenderCamera, render_camera
+from ..splats.edit_operators import Editing
+from . import canvas
+from .settings import BrushProperties
+
+_CAMERA, _PLACES = "CAMERA", "PLACES"
+_WAYS = [
+    (_CAMERA, "In a Picture", "Through a camera: points are pixels of its picture"),
+    (_PLACES, "Around Places", "In space: points are places in Blender's world"),
+]
+
+
+class StrokePoint(bpy.types.PropertyGroup):
+    """A point of a stroke's way."""
+
+    place: FloatVectorProperty(
+        name="Place",
+        description="Pixels from the lower left of the camera's picture, the third number left "
+        "out; or a place in Blender's world",
+        size=3,
+    )
+
+
+class PaintStroke(BrushProperties, Editing, bpy.types.Operator):
+    """Paint one stroke on splats, through a camera or around places; for scripts"""
+
+    bl_idname = "gscore.paint_stroke"
+    bl_label = "Paint Stroke"
+
+    stroke: CollectionProperty(
+        name="Stroke",
+        description="Points of the way",
+        type=StrokePoint,
+        options={"HIDDEN", "SKIP_SAVE"},
+    )
+    way: EnumProperty(name="Painted", description="What the stroke's points are", items=_WAYS)
+    camera: StringProperty(
+        name="Camera",
+        description="Object through which the stroke is painted, at the scene's resolution; empty: "
+        "the scene's camera",
+        options={"SKIP_SAVE"},
+    )
+    radius: FloatProperty(
+        name="Radius",
+        description="Of the brush: pixels of the picture, or units of the world around places",
+        min=1e-6,
+        default=50.0,
+    )
+    inverted: BoolProperty(
+        name="Inverted", description="Paint the opposite opacity, or deselect", default=False
+    )
+
+    def edit(self, context: bpy.types.Context, ob: bpy.types.Object) -> str:
+        """Paint."""
+        if not self.stroke:
+            raise ValueError("The stroke has no points: give it one or more.")
+        context.view_layer.update()
+        view = self._view(context) if self.way == _CAMERA else None
+        count = canvas.paint(
+            ob,
+            [self._point(point, view) for point in self.stroke],
+            self.brush(inverted=self.inverted),
+            view,
+            front_only=self.front_only and view is not None,
+            only_selected=self.only_selected,
+        )
+        return f"{count:,} splats painted."
+
+    def _view(self, context: bpy.types.Context) -> RenderCamera:
+        """Of the camera that is meant, as it is at the scene's frame.
+
+        Raises:
+            ValueError: there is none, or it cannot be painted through.
+        """
+        scene = context.scene
+        camera = scene.objects.get(self.camera) if self.camera else scene.camera
+        if camera is None:
+            missing = f"an object {self.camera}" if self.camera else "a camera"
+            raise ValueError(f"The scene has not {missing} to paint through: choose a camera.")
+        depsgraph = context.evaluated_depsgraph_get()
+        return render_camera(camera, scene, depsgraph=depsgraph)
+
+    @staticmethod
+    def _point(point: StrokePoint, view: RenderCamera | None) -> np.ndarray:
+        """[2] pixels from the top left, or [3] in the world."""
+        if view is None:
+            return np.array(point.place, np.float64)
+        x, y, _ = point.place
+        return np.array([x, view.height - y], np.float64)
+
+
+CLASSES = (StrokePoint, PaintStroke)

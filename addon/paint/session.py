@@ -1,0 +1,286 @@
+"""Painting in 3D views: what the mouse and the keys do, from its beginning to its end."""
+
+from contextlib import suppress
+from dataclasses import dataclass
+from enum import Enum
+
+import bpy
+import numpy as np
+
+from ..cameras.captures import RenderCamera
+from ..compat import matrix_to_numpy
+from ..interface import undo, writable
+from ..render.viewport import view_camera
+from ..splats import objects
+from ..splats.operators import check_shown
+from ..timeline.follow import redraw_views
+from . import canvas, sight
+from .brush import OPACITY, SELECT
+from .cursor import Cursor
+from .settings import LARGEST_RADIUS, BrushSettings
+
+UNDO = "Paint Splats"
+"""What the history calls a stroke."""
+STEP = 1.1
+"""By which [ and ] change the radius."""
+_NAVIGATION = (
+    "MIDDLEMOUSE",
+    "WHEEL",
+    "TRACKPAD",
+    "MOUSEROTATE",
+    "MOUSESMARTZOOM",
+    "NDOF",
+    "NUMPAD_",
+    "HOME",
+    "ACCENT_GRAVE",
+)
+"""What events that turn a view begin with."""
+_UNTOUCHED = ("TIMER", "WINDOW", "NONE", "INBETWEEN")
+"""What events begin with that change nothing of a scene: clocks, windows."""
+_HELD = {f"{side}_{key}" for side in ("LEFT", "RIGHT") for key in ("CTRL", "SHIFT", "ALT")}
+"""Keys that are held while others are pressed."""
+_PANELS = {"N", "T"}
+"""Keys that show and hide the regions at a view's sides."""
+_BUTTONS = {"LEFTMOUSE", "RIGHTMOUSE"}
+"""Of the mouse; with Alt they turn views, where the preferences say so."""
+_ENDS, _ENTERS = {"ESC", "RET", "NUMPAD_ENTER"}, {"LEFTMOUSE", "RET", "NUMPAD_ENTER"}
+_DROPS = {"ESC", "RIGHTMOUSE"}
+
+
+class Answer(Enum):
+    """What becomes of an event."""
+
+    TAKEN = "RUNNING_MODAL"
+    """It was for the brush."""
+    PASSED = "PASS_THROUGH"
+    """It is for others."""
+    ENDED = "FINISHED"
+    """Painting is over."""
+
+
+@dataclass(frozen=True)
+class Spot:
+    """Where the mouse is."""
+
+    region: bpy.types.Region
+    """Main region of a 3D view."""
+    x: float
+    """Pixels from its lower left."""
+    y: float
+
+    @property
+    def view(self) -> RenderCamera:
+        """What the region shows."""
+        own = self.region.data
+        return view_camera(
+            matrix_to_numpy(own.view_matrix),
+            matrix_to_numpy(own.window_matrix),
+            self.region.width,
+            self.region.height,
+            perspective=own.is_perspective,
+        )
+
+    @property
+    def point(self) -> np.ndarray:
+        """[2] pixels from the top left of the view."""
+        return np.array([self.x, self.region.height - self.y])
+
+
+class Session:
+    """Strokes are painted one after the other, each an undo step, on the splat object that is
+    active when it begins. Nothing of the scene is kept between events: undo may replace it."""
+
+    def __init__(self) -> None:
+        self.ended = False
+        """Set it to have painting end with the next event."""
+        self.cursor = Cursor()
+        self._stroke: canvas.Canvas | None = None
+        self._stroke_region = 0
+        self._sizing: tuple[float, float] | None = None
+        """Radius before F was pressed, and the mouse's x."""
+        self._undone = False
+
+    def close(self) -> None:
+        """End; a stroke that is under way is taken back."""
+        self.cursor.close()
+        if self._stroke is not None:
+            with suppress(ValueError):  # what it was painted on is gone
+                self._drop()
+        redraw_views()
+
+    def take(self, context: bpy.types.Context, event: bpy.types.Event) -> Answer:
+        """Do what an event says.
+
+        Raises:
+            GsError, ValueError: it cannot be done, a sentence; painting goes on.
+        """
+        if self.ended:
+            return Answer.ENDED
+        if self._undone:
+            self._undone = False
+            self._show_undone(context)
+        spot = spot_of(context.window, event.mouse_x, event.mouse_y)
+        brush = context.window_manager.gscore_paint
+        if self._stroke is not None:
+            answer = self._go_on(spot, event)
+        elif self._sizing is not None:
+            answer = self._size(brush, event)
+        else:
+            answer = self._begin(context, spot, brush, event)
+        self._place_cursor(spot, brush)
+        return answer
+
+    def _begin(
+        self,
+        context: bpy.types.Context,
+        spot: Spot | None,
+        brush: BrushSettings,
+        event: bpy.types.Event,
+    ) -> Answer:
+        """While nothing is painted."""
+        key, pressed = event.type, event.value == "PRESS"
+        if spot is None or key == "MOUSEMOVE" or (event.alt and key in _BUTTONS):
+            return Answer.PASSED
+        if key in _ENDS and pressed:
+            return Answer.ENDED
+        if key == "LEFTMOUSE" and pressed:
+            if event.shift:
+                self._pick(context, spot, brush)
+            else:
+                self._begin_stroke(context, spot, brush, inverted=event.ctrl)
+        elif key == "S" and pressed:
+            self._pick(context, spot, brush)
+        elif key == "F" and pressed:
+            self._sizing = brush.radius, event.mouse_x
+        elif key in {"LEFT_BRACKET", "RIGHT_BRACKET"} and pressed:
+            brush.radius *= STEP if key == "RIGHT_BRACKET" else 1 / STEP
+        elif key == "Z" and (event.ctrl or event.oskey):
+            self._undone = True  # once Blender has done it
+            return Answer.PASSED
+        elif key in _PANELS | _HELD or key.startswith((*_NAVIGATION, *_UNTOUCHED)):
+            return Answer.PASSED
+        # What is left would change the scene: delete, move, another mode.
+        return Answer.TAKEN
+
+    def _begin_stroke(
+        self, context: bpy.types.Context, spot: Spot, brush: BrushSettings, *, inverted: bool
+    ) -> None:
+        ob = paintable(context)
+        self._stroke = canvas.Canvas(
+            ob,
+            brush.brush(inverted=inverted),
+            spot.view,
+            front_only=brush.front_only,
+            only_selected=brush.only_selected,
+        )
+        self._stroke_region = spot.region.as_pointer()
+        self._go_to(spot, shown=True)
+
+    def _go_on(self, spot: Spot | None, event: bpy.types.Event) -> Answer:
+        """While a stroke is painted."""
+        if event.type in {"MOUSEMOVE", "INBETWEEN_MOUSEMOVE"}:
+            if spot is not None and spot.region.as_pointer() == self._stroke_region:
+                self._go_to(spot, shown=event.type == "MOUSEMOVE")
+        elif event.type == "LEFTMOUSE" and event.value == "RELEASE":
+            stroke, self._stroke = self._stroke, None
+            if stroke.finish():
+                undo.push(UNDO)
+        elif event.type in _DROPS and event.value == "PRESS":
+            self._drop()
+        return Answer.TAKEN
+
+    def _go_to(self, spot: Spot, *, shown: bool) -> None:
+        self._stroke.to(spot.point)
+        if shown:  # else more of the mouse's way is waiting
+            self._stroke.show()
+            redraw_views()
+
+    def _drop(self) -> None:
+        stroke, self._stroke = self._stroke, None
+        stroke.cancel()
+        redraw_views()
+
+    def _size(self, brush: BrushSettings, event: bpy.types.Event) -> Answer:
+        """While the mouse's way says how large the brush is."""
+        radius, x = self._sizing
+        if event.type in _ENTERS and event.value == "PRESS":
+            self._sizing = None
+        elif event.type in _DROPS and event.value == "PRESS":
+            brush.radius, self._sizing = radius, None
+        elif event.type == "MOUSEMOVE":
+            brush.radius = min(max(radius + event.mouse_x - x, 1), LARGEST_RADIUS)
+        return Answer.TAKEN
+
+    def _pick(self, context: bpy.types.Context, spot: Spot, brush: BrushSettings) -> None:
+        brush.color = sight.color_at(paintable(context), spot.view, spot.point)
+        redraw_views()
+
+    def _show_undone(self, context: bpy.types.Context) -> None:
+        ob = objects.meant(context)
+        if objects.is_splats(ob):
+            canvas.show_as_kept(ob)
+            redraw_views()
+
+    def _place_cursor(self, spot: Spot | None, brush: BrushSettings) -> None:
+        region = 0 if spot is None else spot.region.as_pointer()
+        if self._sizing is None:  # else it stays where it is, and grows
+            place = (0.0, 0.0) if spot is None else (spot.x, spot.y)
+            self.cursor.region, self.cursor.place = region, place
+        self.cursor.radius, self.cursor.hardness = brush.radius, brush.hardness
+        redraw_views()
+
+    def sentence(self, brush: BrushSettings) -> str:
+        """What the keys do, for the status bar."""
+        if self._sizing is not None:
+            return f"Radius {brush.radius:.0f} px   |   move the mouse, click to keep, Esc to drop"
+        keys = ["drag to paint"]
+        if brush.does == OPACITY:
+            keys.append("with Ctrl the opposite")
+        elif brush.does == SELECT:
+            keys.append("with Ctrl to deselect")
+        else:
+            keys.append("S or Shift click takes the color under the cursor")
+        keys += ["F or [ ] radius", "Ctrl Z undo", "Enter or Esc end"]
+        label = brush.bl_rna.properties["does"].enum_items[brush.does].name
+        return f"{label}, {brush.radius:.0f} px   |   {', '.join(keys)}"
+
+
+def paintable(context: bpy.types.Context) -> bpy.types.Object:
+    """The splat object that is active, in Object Mode and with the splats that it shows.
+
+    Raises:
+        GsError, ValueError: there is none, it is hidden, or Blender would not keep what is painted.
+    """
+    ob = objects.meant(context)
+    if not objects.is_splats(ob):
+        raise ValueError("Select a splat object to paint on.")
+    check_shown(ob)
+    writable.check(ob.data)
+    objects.catch_up(ob)
+    if ob.mode != "OBJECT":
+        bpy.ops.object.mode_set(mode="OBJECT")
+    return ob
+
+
+def spot_of(window: bpy.types.Window, x: int, y: int) -> Spot | None:
+    """The main region of a 3D view under a place of a window; None where none is, or something
+    lies over it: the sidebar, a header.
+
+    Args:
+        window: Of the event.
+        x: Pixels from its lower left.
+        y: The same.
+    """
+    for area in window.screen.areas:
+        if area.type != "VIEW_3D":
+            continue
+        under = [r for r in area.regions if _holds(r, x, y)]
+        if under and all(r.type == "WINDOW" for r in under):
+            # A pixel's middle, as those of pictures.
+            return Spot(under[0], x - under[0].x + 0.5, y - under[0].y + 0.5)
+    return None
+
+
+def _holds(region: bpy.types.Region, x: int, y: int) -> bool:
+    inside = 0 <= x - region.x < region.width and 0 <= y - region.y < region.height
+    return inside and region.width > 1 and region.height > 1

@@ -1,0 +1,107 @@
+"""The brush of this Blender session. Windows have it, not scenes: undo of a stroke leaves it."""
+
+import bpy
+from bpy.props import (
+    BoolProperty,
+    EnumProperty,
+    FloatProperty,
+    FloatVectorProperty,
+    PointerProperty,
+)
+
+from .brush import COLOR, OPACITY, SELECT, Brush
+
+LARGEST_RADIUS = 2000.0
+"""Pixels."""
+_DOES = [
+    (COLOR, "Color", "Paint a color; how colors depend on the view stays", "BRUSH_DATA", 0),
+    (OPACITY, "Opacity", "Paint an opacity; 0 erases", "MOD_OPACITY", 1),
+    (SELECT, "Select", "Select splats, or deselect them", "RESTRICT_SELECT_OFF", 2),
+]
+
+
+class BrushProperties:
+    """Mixed into what has a brush: the settings of the session, and the operator of scripts."""
+
+    does: EnumProperty(name="Brush", description="What the brush does", items=_DOES)
+    strength: FloatProperty(
+        name="Strength",
+        description="How far one stroke goes towards the color or opacity",
+        subtype="FACTOR",
+        min=0.0,
+        max=1.0,
+        default=1.0,
+    )
+    hardness: FloatProperty(
+        name="Hardness",
+        description="Share of the radius within which the brush acts in full; beyond, it fades",
+        subtype="FACTOR",
+        min=0.0,
+        max=1.0,
+        default=0.5,
+    )
+    color: FloatVectorProperty(
+        name="Color",
+        description="What splats are painted with",
+        subtype="COLOR_GAMMA",
+        min=0.0,
+        max=1.0,
+        default=(0.8, 0.1, 0.1),
+    )
+    opacity: FloatProperty(
+        name="Opacity",
+        description="What splats are given; 0 erases them",
+        subtype="FACTOR",
+        min=0.0,
+        max=1.0,
+        default=0.0,
+    )
+    front_only: BoolProperty(
+        name="Front Only",
+        description="Leave out splats whose center lies behind the surface that the view shows of "
+        "the object",
+        default=True,
+    )
+    only_selected: BoolProperty(
+        name="Only Selected", description="Leave out what is not selected in Edit Mode"
+    )
+
+    def brush(self, *, inverted: bool) -> Brush:
+        """The brush that these settings say."""
+        return Brush(
+            radius=self.radius,
+            does=self.does,
+            strength=self.strength,
+            hardness=self.hardness,
+            color=tuple(self.color),
+            opacity=self.opacity,
+            inverted=inverted,
+        )
+
+
+class BrushSettings(BrushProperties, bpy.types.PropertyGroup):
+    """The brush of Paint Splats."""
+
+    radius: FloatProperty(
+        name="Radius",
+        description="Of the brush, in pixels",
+        subtype="PIXEL",
+        min=1.0,
+        max=LARGEST_RADIUS,
+        soft_max=500.0,
+        default=50.0,
+        precision=0,
+    )
+
+
+CLASSES = (BrushSettings,)
+
+
+def on_register() -> None:
+    """Give the session its brush."""
+    bpy.types.WindowManager.gscore_paint = PointerProperty(type=BrushSettings)
+
+
+def on_unregister() -> None:
+    """Take it back."""
+    del bpy.types.WindowManager.gscore_paint

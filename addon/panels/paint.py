@@ -1,0 +1,48 @@
+"""Painting splats: the brush."""
+
+from typing import ClassVar
+
+import bpy
+
+from ..paint.brush import COLOR, OPACITY
+from ..paint.modal import RUNNING
+from ..splats.objects import is_splats, meant
+from .widgets import TabPanel
+
+
+class PaintPanel(TabPanel, bpy.types.Panel):
+    """The brush, and the button that begins and ends painting"""
+
+    bl_idname = "GSCORE_PT_paint"
+    bl_label = "Paint"
+    bl_parent_id = "GSCORE_PT_edit"
+    bl_options: ClassVar = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """A splat object is active, or what crops one."""
+        return is_splats(meant(context))
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        layout, brush = self.layout, context.window_manager.gscore_paint
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        text = "Paint Splats" if RUNNING.session is None else "Stop Painting"
+        layout.operator("gscore.paint_splats", text=text, icon="BRUSH_DATA")
+        row = layout.row(align=True)
+        row.use_property_split = False  # else the names have no room
+        row.prop(brush, "does", expand=True)
+        if brush.does == COLOR:
+            layout.prop(brush, "color")
+        elif brush.does == OPACITY:
+            layout.prop(brush, "opacity")
+        layout.prop(brush, "radius")
+        if brush.does in {COLOR, OPACITY}:
+            layout.prop(brush, "strength")
+            layout.prop(brush, "hardness")
+        layout.prop(brush, "front_only")
+        layout.prop(brush, "only_selected")
+
+
+CLASSES = (PaintPanel,)

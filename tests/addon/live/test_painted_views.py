@@ -1,0 +1,76 @@
+"""What a view's thread makes of splats that are painted. Oracle: another thread's work, from
+nothing."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import bpy
+import numpy as np
+import pytest
+
+from addon.live import atlas, order, views
+from addon.render.frozen import HIDDEN, SELECTED, FrozenMesh, freeze
+from addon.render.scene import Placed, SplatCache, place, sources
+from tests.addon import splat_scenes as lab
+
+EYE = order.Eye(viewmats=(np.diag([1.0, -1, -1, 1]),), orthographic=False)
+
+
+@pytest.fixture
+def wish(scene: bpy.types.Scene) -> Callable[[FrozenMesh], views.Wish]:
+    """A wish for an object as one of its copies has it."""
+    ob = lab.add(scene, lab.blob(800))
+    bpy.context.view_layer.update()
+    (source,) = sources(bpy.context.evaluated_depsgraph_get())
+
+    def make(frozen: FrozenMesh) -> views.Wish:
+        placed: Placed = place(source, frozen)
+        return views.Wish(placed=(placed,), eye=EYE, count=800, tint=True)
+
+    make.frozen = freeze(ob.data, ob.name)
+    return make
+
+
+def seen(answer: tuple[atlas.Atlas, np.ndarray]) -> np.ndarray:
+    """[M, 5] of the splats that show, by their number: colours, opacity and what they are."""
+    made, entries = answer
+    rows = entries[:, 0].astype(int)
+    texels = made.texels.reshape(-1, atlas.TEXELS, 4)[rows, 0, 3]
+    table = np.column_stack([made.index[rows], entries[:, 1:], texels])
+    return table[np.argsort(table[:, 0])]
+
+
+def test_paint_and_selections_go_over_what_they_change(wish, monkeypatch) -> None:
+    """Oracle: a view that sees it for the first time, to the bit; nothing was sorted again."""
+    arranger = views.Arranger(SplatCache())
+    frozen = wish.frozen
+    first = seen(arranger(wish(frozen)))
+    sorted_ = []
+    arrange = order.arrange
+    monkeypatch.setattr(order, "arrange", lambda *a: sorted_.append(1) or arrange(*a))
+    base = frozen.base.copy()
+    base[100:300] = np.random.default_rng(3).uniform(0, 1, (200, 4))
+    marks = np.zeros(800, np.uint8)
+    marks[200:500] = SELECTED
+    steps = [frozen.repainted(base), frozen.repainted(base).remarked(marks), frozen]
+    for step in steps:
+        got = seen(arranger(wish(step)))
+        assert not sorted_
+        want = seen(views.Arranger(SplatCache())(wish(step)))
+        sorted_.clear()
+        np.testing.assert_array_equal(got, want)
+    np.testing.assert_array_equal(got, first)
+
+
+def test_another_view_or_hidden_splats_are_sorted_anew(wish, monkeypatch) -> None:
+    """Oracle: a view that sees it for the first time, and how often was sorted."""
+    arranger, frozen, calls = views.Arranger(SplatCache()), wish.frozen, []
+    arrange = order.arrange
+    monkeypatch.setattr(order, "arrange", lambda *a: calls.append(1) or arrange(*a))
+    arranger(wish(frozen))
+    hidden = np.where(np.arange(800) < 50, HIDDEN, 0).astype(np.uint8)
+    asked = wish(frozen.remarked(hidden))
+    # In Edit Mode, where what is hidden does not show.
+    asked = replace(asked, placed=(replace(asked.placed[0], edited=True),))
+    assert len(arranger(asked)[1]) == 750 and len(calls) == 2
+    assert len(arranger(replace(asked, count=300))[1]) <= 300 and len(calls) == 3

@@ -1,0 +1,316 @@
+"""Mouse and keys while splats are painted. Oracles: the same strokes by the plain function, and
+Blender's undo. Views and events stand in for those of a window, which tests have not."""
+
+import re
+from collections.abc import Iterator
+from types import SimpleNamespace
+
+import bpy
+import numpy as np
+import pytest
+
+from addon import attributes
+from addon.cameras.captures import render_camera
+from addon.paint import canvas, session
+from addon.paint.session import Answer, Session
+from addon.panels.paint import PaintPanel
+from addon.splats import objects
+from tests.addon import splat_scenes as lab
+from tests.addon.drawn import drawn
+
+WIDTH, HEIGHT = 300, 200
+WAY = [(120, 60), (190, 110), (160, 160)]
+COMMON = {"does", "radius", "front_only", "only_selected"}
+"""Settings of every brush."""
+
+
+class Desk:
+    """A session with what Blender would give it."""
+
+    def __init__(self) -> None:
+        self.session = Session()
+        self.over_view = True
+        self.pushed: list[str] = []
+
+    @property
+    def brush(self) -> bpy.types.PropertyGroup:
+        """Of the session."""
+        return bpy.context.window_manager.gscore_paint
+
+    def spot(self, window: object, x: int, y: int) -> session.Spot | None:
+        """In the only view there is, which the scene's camera sees."""
+        return StandIn(Region(), x, y) if self.over_view else None
+
+    def send(self, key: str, value: str = "PRESS", at: tuple[int, int] = WAY[0], **held) -> Answer:
+        """An event."""
+        keys = dict.fromkeys(("ctrl", "shift", "alt", "oskey"), False) | held
+        event = SimpleNamespace(type=key, value=value, mouse_x=at[0], mouse_y=at[1], **keys)
+        return self.session.take(bpy.context, event)
+
+    def paint(self, **held) -> None:
+        """A stroke along WAY."""
+        assert self.send("LEFTMOUSE", at=WAY[0], **held) is Answer.TAKEN
+        for at in WAY[1:]:
+            assert self.send("MOUSEMOVE", at=at, **held) is Answer.TAKEN
+        assert self.send("LEFTMOUSE", "RELEASE", at=WAY[-1], **held) is Answer.TAKEN
+
+
+class Region:
+    """A region of one view."""
+
+    height = HEIGHT
+
+    def as_pointer(self) -> int:
+        """Never 0."""
+        return 17
+
+
+class StandIn(session.Spot):
+    """A place in it."""
+
+    @property
+    def view(self) -> object:
+        """Of the scene's camera."""
+        return render_camera(bpy.context.scene.camera, bpy.context.scene)
+
+
+@pytest.fixture
+def ob(scene: bpy.types.Scene) -> bpy.types.Object:
+    """Splats, active, before a camera."""
+    lab.prepare(scene, (WIDTH, HEIGHT))
+    made = lab.add(scene, lab.blob(600, size=1.4))
+    bpy.context.view_layer.objects.active = made
+    made.data.vertices.foreach_set("select", np.zeros(600, bool))
+    bpy.context.view_layer.update()
+    return made
+
+
+@pytest.fixture
+def desk(ob: bpy.types.Object, monkeypatch: pytest.MonkeyPatch) -> Iterator[Desk]:
+    """A session that has begun."""
+    made = Desk()
+    for name in ("does", "radius", "strength", "hardness", "color", "opacity", "front_only"):
+        made.brush.property_unset(name)
+    monkeypatch.setattr(session, "spot_of", made.spot)
+    monkeypatch.setattr(session.undo, "push", made.pushed.append)
+    yield made
+    made.session.close()
+
+
+def base_of(ob: bpy.types.Object) -> np.ndarray:
+    """[N, 4] of `radiance:base`."""
+    return attributes.column(ob.data, attributes.BASE)
+
+
+def by_function(ob: bpy.types.Object, brush: bpy.types.PropertyGroup, **how) -> np.ndarray:
+    """[N, 4] after the same stroke by the plain function, on another object."""
+    other = lab.add(bpy.context.scene, objects.read(ob), "other")
+    bpy.context.view_layer.update()
+    view = render_camera(bpy.context.scene.camera, bpy.context.scene)
+    way = [np.array([x, HEIGHT - y], np.float64) for x, y in WAY]
+    canvas.paint(
+        other,
+        way,
+        brush.brush(inverted=how.get("inverted", False)),
+        view,
+        front_only=brush.front_only,
+    )
+    return base_of(other)
+
+
+def test_a_drag_is_a_stroke_and_an_undo_step(ob: bpy.types.Object, desk: Desk) -> None:
+    """Oracle: the plain function; one step a stroke, none where nothing was reached."""
+    want = by_function(ob, desk.brush)
+    desk.paint()
+    np.testing.assert_array_equal(base_of(ob), want)
+    assert desk.pushed == ["Paint Splats"]
+    desk.brush.radius = 1
+    desk.send("LEFTMOUSE", at=(1, 1))
+    desk.send("LEFTMOUSE", "RELEASE", at=(1, 1))
+    assert desk.pushed == ["Paint Splats"]
+
+
+def test_ctrl_paints_the_opposite(ob: bpy.types.Object, desk: Desk) -> None:
+    """Oracle: the plain function, inverted; deselecting leaves nothing selected on the way."""
+    desk.brush.does = "OPACITY"
+    want = by_function(ob, desk.brush, inverted=True)
+    desk.paint(ctrl=True)
+    np.testing.assert_array_equal(base_of(ob), want)
+    assert (want[:, 3] == 1).sum() > 20
+    desk.brush.does = "SELECT"
+    desk.paint()
+    assert attributes.selected(ob.data).sum() > 20
+    desk.paint(ctrl=True)
+    assert not attributes.selected(ob.data).any()
+
+
+def test_escape_drops_the_stroke_then_ends(ob: bpy.types.Object, desk: Desk) -> None:
+    """Oracle: the attribute as it was, no step; then the answer."""
+    before = base_of(ob)
+    desk.send("LEFTMOUSE")
+    desk.send("MOUSEMOVE", at=WAY[1])
+    assert (base_of(ob) != before).any()
+    assert desk.send("ESC") is Answer.TAKEN
+    np.testing.assert_array_equal(base_of(ob), before)
+    assert desk.pushed == []
+    assert desk.send("ESC") is Answer.ENDED
+
+
+@pytest.mark.parametrize("key", ["RET", "NUMPAD_ENTER", "ESC"])
+def test_keys_that_end(desk: Desk, key: str) -> None:
+    """Oracle: the answer; also where another button says so."""
+    assert desk.send(key, "RELEASE") is not Answer.ENDED
+    assert desk.send(key) is Answer.ENDED
+    desk.session.ended = True
+    assert desk.send("MOUSEMOVE") is Answer.ENDED
+
+
+def test_what_is_for_others(desk: Desk) -> None:
+    """Oracle: navigation, panels, clocks and whatever happens outside of views pass; keys that
+    would change the scene do not."""
+    for key in ("MIDDLEMOUSE", "WHEELUPMOUSE", "TRACKPADPAN", "NUMPAD_1", "NDOF_MOTION", "HOME"):
+        assert desk.send(key) is Answer.PASSED, key
+    for key in ("N", "T", "TIMER", "WINDOW_DEACTIVATE", "LEFT_CTRL", "MOUSEMOVE"):
+        assert desk.send(key) is Answer.PASSED, key
+    assert desk.send("LEFTMOUSE", alt=True) is Answer.PASSED
+    for key in ("X", "DEL", "G", "TAB", "A", "LEFT_ARROW", "RIGHTMOUSE", "D"):
+        assert desk.send(key) is Answer.TAKEN, key
+    assert desk.send("D", alt=True) is Answer.TAKEN
+    desk.over_view = False
+    for key in ("LEFTMOUSE", "ESC", "X"):
+        assert desk.send(key) is Answer.PASSED, key
+
+
+def test_radius_by_keys(desk: Desk) -> None:
+    """Oracle: pixels that the mouse moved; Esc brings the earlier one back, and a click keeps."""
+    desk.brush.radius = 50
+    desk.send("F", at=(100, 100))
+    desk.send("MOUSEMOVE", at=(130, 90))
+    assert desk.brush.radius == 80 and "Radius 80 px" in desk.session.sentence(desk.brush)
+    assert desk.session.cursor.radius == 80
+    desk.send("ESC", at=(130, 90))
+    assert desk.brush.radius == 50
+    desk.send("F", at=(100, 100))
+    desk.send("MOUSEMOVE", at=(0, 90))
+    assert desk.brush.radius == 1
+    desk.send("MOUSEMOVE", at=(110, 90))
+    desk.send("LEFTMOUSE", at=(110, 90))
+    assert desk.brush.radius == 60
+    desk.send("RIGHT_BRACKET")
+    assert desk.brush.radius == pytest.approx(66)
+    desk.send("LEFT_BRACKET")
+    assert desk.brush.radius == pytest.approx(60)
+    assert "Color, 60 px" in desk.session.sentence(desk.brush)
+
+
+@pytest.mark.parametrize("how", [{"key": "S"}, {"key": "LEFTMOUSE", "shift": True}])
+def test_picking_a_color(scene: bpy.types.Scene, desk: Desk, how: dict) -> None:
+    """Oracle: the colour of a wall that fills the view; nothing is painted."""
+    wall = lab.add(scene, lab.wall(0.0, (0.9, 0.4, 0.2)))
+    bpy.context.view_layer.objects.active = wall
+    bpy.context.view_layer.update()
+    before = base_of(wall)
+    key = how.pop("key")
+    desk.send(key, at=(150, 100), **how)
+    np.testing.assert_allclose(desk.brush.color, (0.9, 0.4, 0.2), atol=0.02)
+    np.testing.assert_array_equal(base_of(wall), before)
+    wall.location.x = 50
+    bpy.context.view_layer.update()
+    with pytest.raises(ValueError, match="no splats of"):
+        desk.send("S", at=(150, 100))
+
+
+def test_undo_passes_and_what_it_brings_is_shown(
+    ob: bpy.types.Object, desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: the event after it hands the mesh's values to the live display."""
+    shown = []
+    monkeypatch.setattr(canvas, "show_as_kept", shown.append)
+    assert desk.send("Z") is Answer.TAKEN
+    assert desk.send("Z", ctrl=True) is Answer.PASSED
+    assert shown == []
+    desk.send("MOUSEMOVE")
+    desk.send("MOUSEMOVE")
+    assert shown == [ob]
+
+
+def test_what_cannot_be_painted_on(ob: bpy.types.Object, desk: Desk) -> None:
+    """Oracle: a sentence for each, after which painting goes on."""
+    ob.hide_set(True)
+    with pytest.raises(ValueError, match="is hidden"):
+        desk.send("LEFTMOUSE")
+    ob.hide_set(False)
+    bpy.context.view_layer.objects.active = bpy.context.scene.camera
+    with pytest.raises(ValueError, match="Select a splat object"):
+        desk.send("LEFTMOUSE")
+    bpy.context.view_layer.objects.active = ob
+    bpy.ops.object.mode_set(mode="EDIT")  # where undo may lead to
+    desk.paint()
+    assert ob.mode == "OBJECT" and desk.pushed == ["Paint Splats"]
+
+
+def test_closing_takes_back_what_was_begun(ob: bpy.types.Object, desk: Desk) -> None:
+    """Oracle: the attribute; nothing is drawn any more. An object that is gone is no error."""
+    before = base_of(ob)
+    desk.send("LEFTMOUSE")
+    desk.session.close()
+    np.testing.assert_array_equal(base_of(ob), before)
+    assert desk.session.cursor._handle is None
+    desk.session.close()
+    again = Session()
+    desk.session = again
+    desk.send("LEFTMOUSE")
+    bpy.data.meshes.remove(ob.data)
+    again.close()
+
+
+def test_the_live_display_follows_without_the_mesh(
+    ob: bpy.types.Object, desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: what is handed to it; the mesh is written at the end of the stroke alone."""
+    monkeypatch.setattr("addon.splats.live.SESSION.there", True)
+    ob.gscore.display = "SPLATS"
+    told: list[np.ndarray] = []
+    monkeypatch.setattr(canvas.copies.SHARED, "repaint", lambda uid, base: told.append(base.copy()))
+    before, want = base_of(ob), by_function(ob, desk.brush)
+    told.clear()
+    desk.send("LEFTMOUSE", at=WAY[0])
+    for at in WAY[1:]:
+        desk.send("MOUSEMOVE", at=at)
+    np.testing.assert_array_equal(base_of(ob), before)
+    np.testing.assert_array_equal(told[-1], want)
+    assert len(told) == 3 and (told[0] != told[1]).any()
+    desk.send("LEFTMOUSE", "RELEASE", at=WAY[-1])
+    np.testing.assert_array_equal(base_of(ob), want)
+
+
+def test_where_the_mouse_is() -> None:
+    """Oracle: rectangles by hand: what lies over a view's main region hides it."""
+
+    def part(kind: str, x: int, y: int, width: int, height: int) -> SimpleNamespace:
+        return SimpleNamespace(type=kind, x=x, y=y, width=width, height=height)
+
+    main, side = part("WINDOW", 100, 50, 400, 300), part("UI", 400, 50, 100, 300)
+    gone = part("TOOLS", 100, 50, 1, 300)
+    view = SimpleNamespace(type="VIEW_3D", regions=[main, side, gone])
+    other = SimpleNamespace(type="OUTLINER", regions=[part("WINDOW", 500, 50, 100, 300)])
+    window = SimpleNamespace(screen=SimpleNamespace(areas=[other, view]))
+    found = session.spot_of(window, 100, 50)
+    assert (found.region, found.x, found.y) == (main, 0.5, 0.5)
+    assert session.spot_of(window, 399, 349).point == pytest.approx([299.5, 0.5])
+    for x, y in ((400, 100), (550, 100), (99, 100), (200, 350)):
+        assert session.spot_of(window, x, y) is None
+
+
+def test_the_panel_shows_what_the_brush_needs(ob: bpy.types.Object, desk: Desk) -> None:
+    """Oracle: the settings that do something."""
+    wanted = {
+        "COLOR": {"color", "strength", "hardness"},
+        "OPACITY": {"opacity", "strength", "hardness"},
+        "SELECT": set(),
+    }
+    for does, own in wanted.items():
+        desk.brush.does = does
+        shown = drawn(PaintPanel)
+        assert "(Paint Splats)" in shown
+        assert set(re.findall(r"<(\w+)>", shown)) == own | COMMON

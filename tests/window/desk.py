@@ -1,0 +1,84 @@
+"""What scripts inside a Blender with a window share: its 3D view, and a story told bit by bit.
+
+The add-on is there before this is imported.
+"""
+
+import traceback
+from collections.abc import Callable, Iterator
+
+import bpy
+
+from addon.live import handler
+
+
+def area() -> bpy.types.Area:
+    """The area of the 3D view, the largest there is."""
+    screen = bpy.context.window_manager.windows[0].screen
+    return next(a for a in screen.areas if a.type == "VIEW_3D")
+
+
+def space() -> bpy.types.SpaceView3D:
+    """The 3D view."""
+    return area().spaces.active
+
+
+def region() -> bpy.types.Region:
+    """Its main region."""
+    return next(r for r in area().regions if r.type == "WINDOW")
+
+
+def at_rest() -> bool:
+    """Whether the view shows everything as it is now."""
+    view = handler.view_of(region())
+    return view is not None and view.complete and not view.waits
+
+
+def clear() -> None:
+    """Nothing in the scene, and nothing over the view but splats."""
+    for ob in list(bpy.data.objects):
+        bpy.data.objects.remove(ob)
+    space().show_region_ui = space().show_region_header = False
+    space().show_region_toolbar = space().show_gizmo = False
+    space().overlay.show_overlays = True
+    for switch in ("show_floor", "show_axis_x", "show_axis_y", "show_cursor", "show_text"):
+        setattr(space().overlay, switch, False)
+
+
+class Teller:
+    """Goes on with a story when what it waits for is there; a timer of Blender's.
+
+    Each yield of the story hands over to Blender: for seconds, or until what is yielded says that
+    it may go on.
+    """
+
+    LONGEST = 60.0
+    STEP = 0.1
+
+    def __init__(self, story: Iterator[object], end: Callable[[str], None]) -> None:
+        """Begin soon.
+
+        Args:
+            story: What happens.
+            end: Called once after it, with what went wrong or an empty string.
+        """
+        self._story, self._end = story, end
+        self._wish: object = 0.0
+        self._waited = 0.0
+        bpy.context.preferences.view.show_splash = False
+        bpy.app.timers.register(self._go_on, first_interval=2.0)
+
+    def _go_on(self) -> float | None:
+        """Seconds to the next call."""
+        if callable(self._wish) and not self._wish():
+            if self._waited >= self.LONGEST:
+                return self._end("waited in vain")
+            self._waited += self.STEP
+            area().tag_redraw()
+            return self.STEP
+        try:
+            self._wish, self._waited = next(self._story), 0.0
+        except StopIteration:
+            return self._end("")
+        except Exception:
+            return self._end(traceback.format_exc())
+        return self.STEP if callable(self._wish) else float(self._wish)

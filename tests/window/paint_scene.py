@@ -1,0 +1,154 @@
+"""Runs inside a Blender with a window: paints with simulated mouse and keys, takes screenshots.
+
+`blender --factory-startup --enable-event-simulate -P tests/window/paint_scene.py -- FOLDER
+PACKAGES...`; PACKAGES are folders with what Blender's Python lacks. Leaves FOLDER/seen.json and
+pictures of the screen.
+"""
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+FOLDER, *PACKAGES = map(Path, sys.argv[sys.argv.index("--") + 1 :])
+sys.path[:0] = [str(ROOT), *map(str, PACKAGES)]
+
+import addon_utils  # noqa: E402 - the path comes first
+import bpy  # noqa: E402
+import numpy as np  # noqa: E402
+from mathutils import Quaternion  # noqa: E402
+
+addon_utils.enable("addon", default_set=True, persistent=True)
+
+from addon import attributes  # noqa: E402
+from addon.paint import modal  # noqa: E402
+from tests.addon import splat_scenes as lab  # noqa: E402
+from tests.window.desk import Teller, area, at_rest, clear, region, space  # noqa: E402
+
+WALL, BRUSH = (0.8, 0.4, 0.2), (0.05, 0.2, 0.9)
+PAUSE = 0.2
+"""Seconds in which Blender has handled an event and drawn what came of it."""
+seen: dict = {"log": []}
+
+
+def send(key: str, value: str = "PRESS", aside: int = 0, **held: bool) -> None:
+    """An event so many pixels to the right of the view's middle."""
+    x, y = seen["middle"]
+    bpy.context.window_manager.windows[0].event_simulate(key, value, x=x + aside, y=y, **held)
+
+
+def drag(*way: int, **held: bool) -> Iterator[float]:
+    """The left mouse button along the view's middle; it is not let go."""
+    send("MOUSEMOVE", "NOTHING", way[0])
+    yield PAUSE
+    send("LEFTMOUSE", "PRESS", way[0], **held)
+    for aside in way[1:]:
+        yield PAUSE
+        send("MOUSEMOVE", "NOTHING", aside, **held)
+    yield PAUSE
+
+
+def let_go(aside: int) -> Iterator[object]:
+    """End a drag."""
+    send("LEFTMOUSE", "RELEASE", aside)
+    yield PAUSE
+    yield at_rest
+
+
+def press(key: str, **held: bool) -> Iterator[object]:
+    """A key, and the mouse's next move."""
+    send(key, "PRESS", **held)
+    send(key, "RELEASE", **held)
+    yield PAUSE
+    send("MOUSEMOVE", "NOTHING", 1)
+    yield PAUSE
+    yield at_rest
+
+
+def screenshot(name: str) -> None:
+    """The screen as a file."""
+    subprocess.run(["import", "-window", "root", str(FOLDER / f"{name}.png")], check=True)
+
+
+def begin() -> list[str]:
+    """Press the button."""
+    window = bpy.context.window_manager.windows[0]
+    with bpy.context.temp_override(window=window, area=area(), region=region()):
+        return sorted(bpy.ops.gscore.paint_splats("INVOKE_DEFAULT"))
+
+
+def base() -> np.ndarray:
+    """[N, 4] of `radiance:base` in Blender's mesh."""
+    return attributes.column(bpy.data.objects["wall"].data, attributes.BASE)
+
+
+def story() -> Iterator[object]:
+    """What happens; a yield hands over to Blender (`Teller`)."""
+    clear()
+    view = space().region_3d
+    view.view_rotation, view.view_distance = Quaternion((1, 0, 0, 0)), 4.0
+    view.view_location, view.view_perspective = (0, 0, 0), "PERSP"
+    wall = lab.add(bpy.context.scene, lab.wall(0.0, WALL), "wall")
+    bpy.context.view_layer.objects.active = wall
+    bpy.ops.ed.undo_push(message="wall")
+    brush = bpy.context.window_manager.gscore_paint
+    brush.radius, brush.color, brush.hardness = 40, BRUSH, 0.8
+    yield at_rest
+    yield 1.0
+    main = region()
+    seen["middle"] = [main.x + main.width // 2, main.y + main.height // 2]
+    seen["begun"], plain = begin(), base()
+    yield PAUSE
+    yield from drag(-60, -20, 20, 60)
+    yield at_rest
+    seen["mesh_waits"] = bool((base() == plain).all())
+    screenshot("while")
+    yield from let_go(60)
+    colored = base()
+    seen["mesh_follows"] = bool((colored != plain).any())
+    screenshot("color")
+    yield from press("Z", ctrl=True)
+    seen["undone"] = bool((base() == plain).all())
+    screenshot("undone")
+    yield from press("Z", ctrl=True, shift=True)
+    seen["redone"] = bool((base() == colored).all())
+    brush.does = "OPACITY"
+    yield from drag(-60, 0)
+    yield from let_go(0)
+    screenshot("erased")
+    brush.does = "SELECT"
+    yield from drag(40, 60)
+    yield from let_go(60)
+    seen["selected"] = int(attributes.selected(bpy.data.objects["wall"].data).sum())
+    before = view.view_rotation.copy()
+    send("MIDDLEMOUSE")
+    for aside in (10, 20):
+        yield PAUSE
+        send("MOUSEMOVE", "NOTHING", aside)
+    yield PAUSE
+    send("MIDDLEMOUSE", "RELEASE", 20)
+    yield PAUSE
+    seen["turned"] = view.view_rotation != before
+    yield from press("X")
+    seen["kept"] = "wall" in bpy.data.objects
+    yield from press("ESC")
+    seen["ended"] = modal.RUNNING.session is None
+    seen["begun_again"], kept = begin(), base()
+    yield from drag(0, 20)
+    cursor = modal.RUNNING.session.cursor
+    addon_utils.disable("addon", default_set=True)
+    seen["ended_with_the_addon"] = cursor._handle is None and bool((base() == kept).all())
+    yield PAUSE
+
+
+def _end(problem: str) -> None:
+    if problem:
+        seen["log"].append(problem)
+    (FOLDER / "seen.json").write_text(json.dumps(seen))
+    addon_utils.disable("addon", default_set=True)  # where the story broke off before it
+    bpy.ops.wm.quit_blender()
+
+
+Teller(story(), _end)

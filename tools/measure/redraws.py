@@ -1,0 +1,102 @@
+"""How often Blender draws a view of splats again, and what that takes.
+
+    GSCORE_BLENDER=PROGRAM python tools/measure/redraws.py [--splats N | --ply FILE]
+
+Starts a Blender of 4.2 or later in a window on a screen that is not there, where the processor
+stands in for a graphics card, turns the view around the splats and lets it rest. Prints the rows of
+the table in docs/benchmarks.md: redraws a second (median, and with all waits), milliseconds of the
+main thread in the add-on without the card's work (median, longest) and with it, splats drawn, draw
+calls, and megabytes that are uploaded, and read by the card, a redraw. Needs Xvfb and ImageMagick.
+"""
+
+import argparse
+import json
+import shutil
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import gscore
+from gscore.bench.raster import synthetic_scene
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT))
+
+from tests.window import programs  # noqa: E402
+
+LONGEST = 280
+"""Seconds."""
+BYTES = 64
+"""Of a splat that the card reads: four texels of four floats, one of them of the order."""
+COLUMNS = (
+    "redraws a second", "with waits", "main thread, ms", "with the card's, ms", "splats",
+    "draw calls", "uploaded MB", "read MB",
+)  # fmt: skip
+
+
+def parse() -> argparse.Namespace:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument("--splats", type=int, default=300_000, help="of a synthetic cloud")
+    what.add_argument("--ply", type=Path, help="a model instead")
+    parser.add_argument("--steps", type=int, default=60, help="redraws of the turn")
+    parser.add_argument("--size", type=int, nargs=2, default=(960, 540), metavar=("W", "H"))
+    return parser.parse_args()
+
+
+def run(options: argparse.Namespace) -> dict[str, Any]:
+    """What redraw_scene.py saw."""
+    blender, problem = programs.find()
+    if not blender:
+        raise SystemExit(f"{problem}: install it, or name a Blender with GSCORE_BLENDER.")
+    with tempfile.TemporaryDirectory() as name:
+        folder, size = Path(name), tuple(options.size)
+        if options.ply:
+            shutil.copy(options.ply, folder / "splats.ply")
+        else:
+            gscore.write_splats(folder / "splats.ply", synthetic_scene(options.splats)[0])
+        (folder / "asked.json").write_text(json.dumps({"steps": options.steps}))
+        script = Path(__file__).with_name("redraw_scene.py")
+        with programs.screen(*size) as display:
+            told = programs.run(blender, script, folder, display, size, LONGEST)
+        left = folder / "seen.json"
+        seen = json.loads(left.read_text()) if left.is_file() else {"problem": told}
+    if seen["problem"]:
+        raise SystemExit(seen["problem"])
+    return seen
+
+
+def cells(redraws: list[dict[str, float]]) -> list[str]:
+    """Of a row."""
+    value = {name: np.array([r[name] for r in redraws]) for name in redraws[0]}
+    apart = np.diff(value["began"])
+    own = value["total_ms"] - value["card_ms"]
+    middle = {name: float(np.median(found)) for name, found in value.items()}
+    return [
+        f"{1 / np.median(apart):.1f}",
+        f"{1 / apart.mean():.1f}",
+        f"{np.median(own):.1f}, {own.max():.1f}",
+        f"{middle['total_ms']:.1f}, {value['total_ms'].max():.1f}",
+        f"{middle['drawn']:,.0f}",
+        f"{middle['calls']:.0f}",
+        f"{middle['uploaded'] / 1e6:.2f}",
+        f"{middle['drawn'] * BYTES / 1e6:.1f}",
+    ]
+
+
+def main() -> None:
+    """Measure and print."""
+    seen = run(parse())
+    width, height = seen["size"]
+    print(f"Blender {seen['blender']}, {width} x {height} px\n")
+    print(f"| | {' | '.join(COLUMNS)} |\n|{'---|' * (1 + len(COLUMNS))}")
+    for row in seen["rows"]:
+        print(f"| {row['what']} | {' | '.join(cells(row['redraws']))} |")
+
+
+if __name__ == "__main__":
+    main()
