@@ -4,6 +4,7 @@ python -m experiments.depth --quick
 python -m experiments.depth --table switches
 python -m experiments.depth --views 6 12 24 50 --arms none exact mono --seeds 0 1 2
 
+All train as `gscore train --preset` does with the sizes that are given, and nothing else changed.
 Every run keeps its figures in a folder of its own, named after the code that made it: what is there
 already is not repeated, several of these may run at once, and results of other code are left out.
 """
@@ -14,19 +15,19 @@ import json
 import os
 import resource
 import shutil
-import statistics
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from gscore.bench.quality import COMPARED
+from gscore.config import PRESETS
 from gscore.io.pictures.images import resize, write_png
 from gscore.io.ply.splats import read_ply
 from gscore.raster.api import render
@@ -42,83 +43,9 @@ from .captures import (
     write_depths,
     write_mono,
 )
-from .measures import inverse, measure, pinhole, test_views
-
-ARMS: dict[str, list[str]] = {
-    "none": [],
-    "exact": ["--depths", "depths-exact", "--depth-mode", "on"],
-    "mono": ["--depths", "depths-mono-{seed}", "--depth-mode", "on"],
-    "mono-auto": ["--depths", "depths-mono-{seed}"],
-    "onnx": ["--depths", "depths-onnx", "--depth-mode", "on"],
-    "drop": ["--drop-rate", "0.2"],
-    "mono+drop": ["--depths", "depths-mono-{seed}", "--depth-mode", "on", "--drop-rate", "0.2"],
-    "mono-points": [
-        *("--depths", "depths-mono-{seed}", "--depth-mode", "on"),
-        *("--depth-points", "0"),
-    ],
-    "mono+falling": [
-        *("--depths", "depths-mono-{seed}", "--depth-mode", "on"),
-        *("--depth-weight", "0.3", "--depth-weight-final", "0.1"),
-    ],
-    "random": ["--background", "random"],
-    "masked": ["--mask-mode", "composite"],
-    "masked+alpha": ["--mask-mode", "composite", "--alpha-weight", "0.1"],
-    "masked+black": ["--mask-mode", "composite", "--background", "black"],
-    "masked+exact": [
-        *("--mask-mode", "composite"),
-        *("--depths", "depths-exact", "--depth-mode", "on"),
-    ],
-    "masked+mono": [
-        *("--mask-mode", "composite"),
-        *("--depths", "depths-mono-{seed}", "--depth-mode", "on"),
-    ],
-}
-"""What is trained with: options of `gscore train`."""
-TABLES: dict[str, dict[str, Any]] = {
-    "views": {},
-    "auto": {"views": ["50"], "arms": ["none", "mono-auto"], "seeds": [0]},
-    "switches": {
-        "views": ["6", "12"],
-        "arms": [
-            *("none", "drop", "random"),
-            *("mono", "mono+drop", "mono-points", "mono+falling"),
-            *("masked", "masked+alpha", "masked+black", "masked+mono"),
-        ],
-    },
-    "real": {"captures": ["plush", "stone_horse"], "views": ["6", "12", "24", "all"]},
-    "study": {
-        "views": ["50"],
-        "arms": ["none", "mono", "exact", "masked", "masked+mono", "masked+exact"],
-        "width": 480,
-        "iterations": 3000,
-        "max_splats": 60_000,
-        "sh_degree": 3,
-    },
-}
-"""What is trained for each table of docs/experiments/2026-11-depth.md, if not the default."""
-REFERENCE = {"width": 400, "iterations": 3000, "max_splats": 80_000, "sh_degree": 2}
-"""The training on all views that stands for the exact depth of real captures."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Setting:
-    """How large and how long all trainings of a table are."""
-
-    width: int
-    iterations: int
-    max_splats: int
-    sh_degree: int
-    threads: int
-
-    def __str__(self) -> str:
-        return (
-            f"{self.width} px, {self.iterations} steps, {self.max_splats} splats, "
-            f"SH degree {self.sh_degree}"
-        )
-
-    @property
-    def folder(self) -> str:
-        return f"{self.width}px-{self.iterations}-{self.max_splats}-sh{self.sh_degree}"
+from .measures import inverse, known_share, measure, pinhole, test_views
+from .plans import ARMS, REFERENCE, TABLES, Setting
+from .tables import tables
 
 
 def main() -> int:
@@ -127,12 +54,14 @@ def main() -> int:
     setting = Setting(**{key: getattr(args, key) for key in Setting.__dataclass_fields__})
     runs = args.output / "runs" / code_version()
     for source in [_source(args, name) for name in args.captures]:
-        for count in [_count(source, views) for views in args.views]:
+        for views in args.views:
+            count = _count(source, views)
             for seed in args.seeds:
                 for arm in args.arms:
                     out = runs / f"{source.name}-{count}-{arm}-{setting.folder}-{seed}"
                     if not (out / "row.json").is_file():
                         row = _run(args, setting, source, count, arm, seed, out)
+                        row["asked"] = views
                         _write(out / "row.json", json.dumps(row, indent=1) + "\n")
                         print(out.name, _line(row), flush=True)
             found = [
@@ -142,7 +71,7 @@ def main() -> int:
             _pictures(source, found, args.output / f"{source.name}-{count}-{setting.folder}.png")
     rows = [json.loads(path.read_text()) for path in sorted(runs.glob("*/row.json"))]
     _write(args.output / "results.json", json.dumps(rows, indent=1) + "\n")
-    table = tables(rows)
+    table = tables(rows, list(ARMS))
     _write(args.output / "results.md", table)
     print(table)
     return 0
@@ -162,12 +91,20 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument(
         "--views", nargs="+", default=["6", "12", "24", "50"], help="to train on; all: all"
     )
-    parser.add_argument("--arms", nargs="+", choices=tuple(ARMS), default=["none", "mono", "exact"])
+    parser.add_argument(
+        "--arms",
+        nargs="+",
+        choices=tuple(ARMS),
+        default=["none", "stereo", "mono", "exact"],
+    )
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
-    parser.add_argument("--width", type=int, default=120, help="of the photos, pixels")
-    parser.add_argument("--iterations", type=int, default=500)
-    parser.add_argument("--max-splats", type=int, default=15_000)
-    parser.add_argument("--sh-degree", type=int, default=1)
+    parser.add_argument("--preset", choices=tuple(PRESETS), default="preview")
+    parser.add_argument(
+        "--width", type=int, default=0, help="of the photos, pixels; 0: the preset's"
+    )
+    parser.add_argument("--iterations", type=int, default=0, help="0: the preset's")
+    parser.add_argument("--max-splats", type=int, default=0, help="0: the preset's")
+    parser.add_argument("--sh-degree", type=int, help="if not the preset's")
     parser.add_argument("--threads", type=int, default=0, help="of each training; 0: all cores")
     parser.add_argument(
         "--model",
@@ -255,11 +192,20 @@ def _capture(args: argparse.Namespace, source: Source, count: int, arm: str, see
     if "mono" in arm and not mono.is_dir():
         with _whole(mono) as part:
             write_mono(source, names, part, seed=seed)
-    if arm == "onnx" and not (folder / "depths-onnx").is_dir():
-        command = [sys.executable, "-m", "gscore", "depth", folder, "--model", args.model]
-        command += ["-d", "depths-onnx", "--hold-out", folder / "test.txt"]
-        subprocess.run(command, check=True, cwd=ROOT)
+    if arm == "onnx":
+        _predict(folder, "depths-onnx", ["--model", str(args.model)])
+    if "depths-stereo" in ARMS[arm]:
+        _predict(folder, "depths-stereo", ["--method", "stereo", "--threads", str(args.threads)])
     return folder
+
+
+def _predict(folder: Path, depths: str, options: list[str]) -> None:
+    """Make depth maps as anybody does, from the training photos alone."""
+    if not (folder / depths).is_dir():
+        with _whole(folder / depths) as part:
+            command = [sys.executable, "-m", "gscore", "depth", folder, "-d", part.name, *options]
+            command += ["--hold-out", folder / "test.txt", "--quiet"]
+            subprocess.run(command, check=True, cwd=ROOT)
 
 
 @contextmanager
@@ -300,6 +246,8 @@ def _run(
         "views": count,
         "arm": arm,
         "seed": seed,
+        "known": _known(folder, options),
+        "judged": _judged(out),
         **{key: measured[key] for key in ("psnr", "ssim", "lpips", "train_seconds", "splats")},
         "cpu_seconds": after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime,
         "splats_sha256": hashlib.sha256((out / "point_cloud.ply").read_bytes()).hexdigest(),
@@ -311,14 +259,26 @@ def _train(
     folder: Path, out: Path, setting: Setting, options: list[str], *, seed: int
 ) -> dict[str, Any]:
     command = [sys.executable, "-m", "gscore", "train", folder, "-o", out, "--overwrite"]
-    command += ["--quiet", "--json", "--seed", str(seed), "--sh-degree", str(setting.sh_degree)]
-    command += ["--resolution", str(setting.width), "--iterations", str(setting.iterations)]
-    command += ["--max-splats", str(setting.max_splats), "--threads", str(setting.threads)]
+    command += ["--quiet", "--json", "--seed", str(seed), *setting.options]
     command += ["--checkpoint-seconds", "0", *options]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         raise SystemExit(f"{' '.join(map(str, command))}\n{done.stderr}")
     return json.loads(done.stdout.splitlines()[-1])
+
+
+def _known(folder: Path, options: list[str]) -> float | None:
+    """Share of the training photos' pixels with a depth; None: the arm has no maps."""
+    if "--depths" not in options:
+        return None
+    depths = folder / options[options.index("--depths") + 1]
+    return known_share(depths, json.loads((folder / "train.json").read_text()))
+
+
+def _judged(out: Path) -> list[dict[str, Any]]:
+    """What is known of each held-out view, as `gscore bench quality` has it."""
+    views = json.loads((out / "metrics.json").read_text())["views"]
+    return [{key: view[key] for key in ("name", *COMPARED)} for view in views]
 
 
 def _pictures(source: Source, found: list[tuple[str, Path]], path: Path) -> None:
@@ -336,55 +296,6 @@ def _pictures(source: Source, found: list[tuple[str, Path]], path: Path) -> None
         assert view.shown.median_depth is not None
         columns.append(np.concatenate([rgb, colorize(inverse(view.shown.median_depth) / top)]))
     write_png(path, np.concatenate(columns, axis=1))
-
-
-def tables(rows: list[dict[str, Any]]) -> str:
-    """Markdown: mean and standard deviation over seeds, and the gain over no depth seed by seed."""
-    groups: dict[tuple[str, str, int], dict[str, dict[int, dict[str, Any]]]] = {}
-    for row in rows:
-        group = groups.setdefault((row["setting"], row["capture"], row["views"]), {})
-        group.setdefault(row["arm"], {})[row["seed"]] = row
-    lines: list[str] = []
-    previous = ""
-    for (setting, capture, count), arms in sorted(groups.items()):
-        if setting != previous:
-            lines += ["", f"{setting}:", "", *_HEAD]
-            previous = setting
-        for arm in sorted(arms, key=list(ARMS).index):
-            found = arms[arm]
-            base = arms.get("masked" if arm.startswith("masked") else "none", {})
-            gains = [row["psnr"] - base[s]["psnr"] for s, row in found.items() if s in base]
-            same = [
-                row["splats_sha256"] == base[s]["splats_sha256"]
-                for s, row in found.items()
-                if s in base
-            ]
-            gain = "same splats" if same and all(same) else _mean_words(gains, 2, sign="+")
-            cells = [capture, str(count), arm, str(len(found)), _spread_words(found, "psnr", 2)]
-            cells += ["" if base is found else gain]
-            cells += [_spread_words(found, "ssim", 3), _spread_words(found, "lpips", 3)]
-            cells += [_spread_words(found, key, 3) for key in ("depth_error", "depth_error_seen")]
-            cells += [_spread_words(found, "cpu_seconds", 0)]
-            lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines).strip() + "\n"
-
-
-_HEAD = (
-    "| capture | views | arm | seeds | PSNR | gain in PSNR | SSIM | LPIPS | depth error "
-    "| where seen | CPU s |",
-    "|---|---|---|---|---|---|---|---|---|---|---|",
-)
-
-
-def _spread_words(rows: dict[int, dict[str, Any]], key: str, digits: int) -> str:
-    return _mean_words([row[key] for row in rows.values() if row[key] is not None], digits)
-
-
-def _mean_words(values: list[float], digits: int, *, sign: str = "") -> str:
-    if not values:
-        return "n/a"
-    mean = f"{statistics.fmean(values):{sign}.{digits}f}"
-    return f"{mean} ± {statistics.stdev(values):.{digits}f}" if len(values) > 1 else mean
 
 
 def _line(row: dict[str, Any]) -> str:

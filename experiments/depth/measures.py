@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from gscore.depth.maps import MapFolder, read_map
 from gscore.io.pictures.images import read_mask, resize
 from gscore.io.ply.splats import read_ply
 from gscore.raster.api import Rendered, render
@@ -104,6 +105,13 @@ def measure(source: Source, out: Path, *, masked: bool) -> dict[str, float | Non
                 float(-10 * np.log10(squares[part].mean())) if part.any() else None
             )
     return found
+
+
+def known_share(folder: Path, names: list[str]) -> float:
+    """Share of the pixels of these photos whose depth the maps in `folder` state."""
+    maps = [MapFolder(folder).find(name) for name in names]
+    known = [0.0 if path is None else float((read_map(path) > 0).mean()) for path in maps]
+    return float(np.mean(known))
 
 
 def inverse(depth: np.ndarray) -> np.ndarray:

@@ -2,6 +2,8 @@
 
 import json
 import sys
+from argparse import ArgumentParser
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +11,15 @@ import numpy as np
 import pytest
 
 from experiments.depth import compare
-from experiments.depth.compare import _whole, tables
-from experiments.depth.measures import is_seen
+from experiments.depth.captures import few_views, studio
+from experiments.depth.compare import _predict, _whole
+from experiments.depth.measures import is_seen, known_share
+from experiments.depth.plans import ARMS, TABLES, Setting
+from experiments.depth.tables import tables
+from gscore.commands.train import add_arguments, configs
+from gscore.config import PRESETS
+from gscore.depth.origin import read_record
+from gscore.io.pictures.images import write_png
 
 
 def test_seen_is_what_lies_at_its_depth_in_another_frame() -> None:
@@ -38,6 +47,10 @@ def _row(arm: str, seed: int, psnr: float, splats: str = "") -> dict[str, Any]:
         "capture": "c",
         "setting": "120 px",
         "views": 6,
+        "asked": "6",
+        "known": None,
+        "splats": 100,
+        "judged": [{"name": "a", "psnr": psnr, "psnr_cc": psnr + 1, "ssim": 0.5, "lpips": None}],
         "arm": arm,
         "seed": seed,
         "psnr": psnr,
@@ -54,12 +67,54 @@ def test_gains_are_of_the_same_seed() -> None:
     """Oracle: 2 and 4 dB, 3 in the mean with a deviation of root two; a seed without its pair."""
     rows = [_row("none", 0, 20), _row("none", 1, 10), _row("mono", 0, 22), _row("mono", 1, 14)]
     rows += [_row("mono", 2, 18), _row("mono-auto", 0, 20, "none"), _row("masked", 0, 30)]
-    lines = [line.strip("| ").split(" | ") for line in tables(rows).splitlines()]
+    text = tables(rows, list(ARMS))
+    lines = [[cell.strip() for cell in line[1:-1].split("|")] for line in text.splitlines()]
     found = {cells[2]: cells for cells in lines if cells[0] == "c"}
     assert found["none"][3:6] == ["2", "15.00 ± 7.07", ""]
     assert found["mono"][3:6] == ["3", "18.00 ± 4.00", "+3.00 ± 1.41"]
     assert found["mono-auto"][5] == "same splats"
     assert found["masked"][5] == ""
+    # One view, so each draw has its 2 and 4 dB; the rule asks for 0.1 at equal time.
+    assert found["mono"][6] == "+3.00 (+3.00 to +3.00)"
+    (judged,) = [cells for cells in lines if cells[:2] == ["6", "mono"]]
+    assert judged[2:4] == ["c", "+3.00 (+3.00 to +3.00)"]
+    assert judged[4] == "yes: +3.00 dB, surely above 0, 1.00 times as long"
+
+
+@pytest.mark.parametrize("table", TABLES)
+def test_trainings_are_the_presets_own(table: str) -> None:
+    """Oracle: the options of the preset, but for the sizes that the table states."""
+    plan = TABLES[table]
+    preset = plan.get("preset", "preview")
+    sizes = {key: plan[key] for key in ("iterations", "max_splats", "sh_degree") if key in plan}
+    setting = Setting(preset=preset, threads=0, width=plan.get("width", 0), **sizes)
+    parser = ArgumentParser()
+    add_arguments(parser)
+    line = ["capture", "-o", "out", *setting.options, *ARMS["none"]]
+    data, train = configs(parser.parse_args(line))
+    wanted_data, wanted = PRESETS[preset](Path("capture"))
+    limits = {"iterations": "steps_a_photo", "max_splats": "splats_a_photo"}
+    lifted = {limits[key]: 0 for key in sizes if key in limits}  # a number that is given is meant
+    assert train == replace(wanted, **sizes, **lifted)
+    assert data == replace(wanted_data, resolution=plan.get("width", wanted_data.resolution))
+
+
+def test_stereo_looks_at_no_test_view(tmp_path: Path) -> None:
+    """Oracle: the training views that were chosen, and that a part of their pixels is known."""
+    names = few_views(studio(), 12, tmp_path / "c")
+    _predict(tmp_path / "c", "depths-stereo", ["--method", "stereo"])
+    record = read_record(tmp_path / "c" / "depths-stereo")
+    assert record is not None
+    assert sorted(record["photos"]) == names and not set(names) & set(studio().test)
+    assert 0 < known_share(tmp_path / "c" / "depths-stereo", names) < 0.5
+
+
+def test_known_are_pixels_with_a_depth(tmp_path: Path) -> None:
+    """Oracle: a quarter of one map, none of a photo without one: an eighth."""
+    levels = np.zeros((4, 8), np.uint16)
+    levels[:2, :4] = 1000
+    write_png(tmp_path / "a.png", levels)
+    assert known_share(tmp_path, ["a.jpg", "b.jpg"]) == 0.125
 
 
 def test_options_of_a_table_can_be_overruled(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -67,7 +122,8 @@ def test_options_of_a_table_can_be_overruled(monkeypatch: pytest.MonkeyPatch) ->
     given = ["x", "--table", "study", "--seeds", "4", "--arms", "none"]
     monkeypatch.setattr(sys, "argv", given)
     args = compare._arguments()
-    assert (args.width, args.iterations, args.seeds) == (480, 3000, [4])
+    assert (args.preset, args.width, args.iterations) == ("normal", 480, 3000)
+    assert args.seeds == [4]
     assert (args.views, args.arms) == (["50"], ["none"])
     monkeypatch.setattr(sys, "argv", ["x", "--views", "few"])
     with pytest.raises(SystemExit):
