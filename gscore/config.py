@@ -393,8 +393,9 @@ class TrainConfig:
     sky: bool = option(
         False,
         "Start with a far sphere of splats around all else too, in the colours that photos have "
-        "there: outdoors, what no photo shows behind the rest is then not black. From outside the "
-        "sphere hides the scene. Opacities are then reset only where `reset_every` says so.",
+        "there: outdoors, parts of the background that no photo shows are then not black. From "
+        "outside the sphere hides the scene. Opacities are then reset only where `reset_every` "
+        "says so.",
         group="start",
         when="points",
     )

@@ -104,8 +104,9 @@ class Plan:
         # held-out views in 1,000 steps and 0.7 dB in 3000.
         boost = config.lr_boost or min(max((_PAPER_STEPS / n) ** 0.35, 1.0), 4.0)
         root = math.sqrt(boost)
-        # What is far is large, and large splats go after a reset.
-        reset = config.reset_every or (3000 if n >= 6000 and not config.sky else -1)
+        # What is far is large, and large splats go after a reset. Given splats get no sky.
+        sky = config.sky and not config.start_splats
+        reset = config.reset_every or (3000 if n >= 6000 and not sky else -1)
         # Given splats hold their detail already; coarse photos would wear it off. On a video of
         # 240 x 320 px, 500 steps from the frame before ended 1.1 dB higher at full size.
         coarse = 1.0 if config.start_splats else min(max(side / _COARSE_SIDE, 1.0), 8.0)

@@ -188,6 +188,15 @@ def test_options_win_over_what_is_derived() -> None:
     assert not any(plan.resets_at(s) for s in range(1, 101))
 
 
+def test_opacities_are_not_reset_before_a_sky(tmp_path: Path) -> None:
+    """Oracle: the paper's 3,000 steps, none with a sky, which given splats do not get."""
+    sky = TrainConfig(iterations=9000, sky=True)
+    assert plan_of(replace(sky, sky=False)).reset_every == 3000
+    assert plan_of(sky).reset_every == 0
+    assert plan_of(replace(sky, reset_every=500)).reset_every == 500
+    assert plan_of(replace(sky, start_splats=tmp_path / "splats.ply")).reset_every == 3000
+
+
 def test_a_rate_of_zero_stays_zero() -> None:
     """Oracle: frozen positions do not move, and no logarithm fails."""
     plan = plan_of(TrainConfig(means_lr=0.0))
