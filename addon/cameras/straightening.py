@@ -36,8 +36,7 @@ def ask(cameras: Iterable[bpy.types.Object]) -> int:
         if copy is not None:
             _renew(ob)
             needed.append(task_of(stated(ob), copy))
-    for task in reversed(needed):
-        QUEUE.ask(task)
+    QUEUE.ask(needed)
     if needed:
         beat.ensure()
     return len(needed)
