@@ -12,6 +12,7 @@ from ..interface.questions import Asking, wrapped
 from ..preferences import SECTIONS, Preferences
 from ..process.lookup import Lookup
 from . import straight, straightening
+from .lacking import lack_of
 from .lookup import find_root
 from .objects import cameras_of
 
@@ -37,14 +38,15 @@ class StraightenPhotos(Acting, bpy.types.Operator):
         """Ask for them; without a window, wait until they are there."""
         cameras = cameras_of(find_root(context, self.capture))
         count = straightening.ask(cameras)
-        if not count:
-            return "No photo lacks a straightened copy."
-        if not bpy.app.background:
+        if bpy.app.background:
+            straightening.wait()
+        elif count:
             return f"{count} photos are being straightened."
-        straightening.wait()
-        problems = straightening.problems_of(cameras)
+        problems = straightening.problems_of(lack_of(cameras))
         if problems:
             raise ValueError(problems[0])
+        if not count:
+            return "No photo lacks a straightened copy."
         return f"{count} photos are straightened, in {straight.copies_folder()}."
 
 
