@@ -12,6 +12,7 @@ from pathlib import Path
 import bpy
 from bpy.app.handlers import persistent
 
+from ..interface.views import redraw_views
 from ..process import beat
 from .backgrounds import file_of, known_images, lead_to, straight_background
 from .lacking import Lack, Lacking
@@ -77,7 +78,7 @@ def collect() -> bool:
         for image in bpy.data.images:
             if image.source == "FILE" and file_of(image) in made:
                 image.reload()
-        _redraw_views()
+        redraw_views()
     if made or not QUEUE.busy:
         LACKING.expire()
     return bool(made) or not QUEUE.busy
@@ -95,13 +96,6 @@ def _program() -> tuple[list[str], Mapping[str, str]]:
         options = ["--background", "--factory-startup", "--python-exit-code", "1"]
         return [bpy.app.binary_path, *options, "--python-expr", code], {}
     return [sys.executable, "-c", code], {"PYTHONPATH": os.pathsep.join(path)}
-
-
-def _redraw_views() -> None:
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                area.tag_redraw()
 
 
 @persistent
