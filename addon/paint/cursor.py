@@ -24,6 +24,11 @@ class Cursor:
         space = bpy.types.SpaceView3D
         self._handle = space.draw_handler_add(self._draw, (), "WINDOW", "POST_PIXEL")
 
+    @property
+    def state(self) -> tuple[object, ...]:
+        """All of what is drawn depends on."""
+        return self.region, self.place, self.radius, self.hardness
+
     def close(self) -> None:
         """Draw it no more; may be called twice."""
         if self._handle is not None:
