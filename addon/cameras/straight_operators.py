@@ -10,6 +10,7 @@ from bpy.props import StringProperty
 from ..interface.operators import Acting
 from ..interface.questions import Asking, wrapped
 from ..preferences import SECTIONS, Preferences
+from ..process import beat
 from ..process.lookup import Lookup
 from . import straight, straightening
 from .lacking import lack_of
@@ -97,16 +98,18 @@ class RemoveStraightPhotos(Asking, Acting, bpy.types.Operator):
 
     def act(self, context: bpy.types.Context) -> str:
         """Remove them."""
-        files = straight.copies(straight.copies_folder())
-        straight.remove(files)
+        folder = straight.copies_folder()
+        files = straight.copies(folder)
+        straight.remove(files + straight.left_over(folder))
         _SIZES.expire()
-        return f"{len(files)} straightened copies are removed from {straight.copies_folder()}."
+        return f"{len(files)} straightened copies are removed from {folder}."
 
 
 def draw_copies(layout: bpy.types.UILayout, prefs: Preferences) -> None:
     """How large the folder of copies is, and the button that empties it."""
     folder = straight.copies_folder()
     count, size = _SIZES.get(folder)[0] or (0, 0)
+    beat.ensure()  # which has this drawn again when more is known
     if not count:
         return
     box = layout.box()
@@ -117,11 +120,16 @@ def draw_copies(layout: bpy.types.UILayout, prefs: Preferences) -> None:
 CLASSES = (StraightenPhotos, StopStraightening, RemoveStraightPhotos)
 
 
+_FOLLOWER = beat.Follower(_SIZES.collect, lambda: _SIZES.busy)
+
+
 def on_register() -> None:
     """Draw in the preferences."""
     SECTIONS.append(draw_copies)
+    beat.FOLLOWERS.append(_FOLLOWER)
 
 
 def on_unregister() -> None:
     """Draw there no more."""
+    beat.FOLLOWERS.remove(_FOLLOWER)
     SECTIONS.remove(draw_copies)

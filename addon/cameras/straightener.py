@@ -16,7 +16,7 @@ import numpy as np
 from ..core import Undistortion
 from .objects import PhotoCamera
 from .pictures import levels_of, read_picture
-from .straight import earlier_copies, remove, undistortion_of
+from .straight import earlier_copies, part_of, remove, undistortion_of
 from .straight_queue import ANSWER, READY
 
 _QUALITY = 95
@@ -62,7 +62,7 @@ def straighten(own: PhotoCamera, copy: Path) -> None:
     assert plan is not None
     pixels = levels_of(read_picture(own.photo, own))
     copy.parent.mkdir(parents=True, exist_ok=True)
-    part = copy.with_name(f".{copy.name}.part")
+    part = part_of(copy)
     try:
         _write(part, pixels, plan, jpeg=copy.suffix == ".jpg")
         part.replace(copy)

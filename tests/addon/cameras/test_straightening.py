@@ -14,7 +14,8 @@ import pytest
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 
-from addon.cameras import backgrounds, captures, straight, straightening
+from addon import preferences
+from addon.cameras import backgrounds, captures, straight, straight_operators, straightening
 from addon.cameras.backgrounds import copy_needed, photo_of
 from addon.cameras.objects import PhotoCamera, stated
 from addon.core import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints, write_colmap
@@ -22,7 +23,7 @@ from addon.panels.cameras import CamerasPanel
 from addon.process import beat
 from addon.steer import masks
 from gscore.io.pictures.images import write_png
-from tests.addon.drawn import drawn
+from tests.addon.drawn import Layout, drawn
 
 SIZE = (320, 240)
 LENSES = {
@@ -223,6 +224,7 @@ def test_files_find_their_copies_again(scene, tmp_path: Path, own_copies: Path) 
     assert straightening.ask(cameras) == 0
     assert shown(photo_of(cameras[0])).std() > 0.3
     assert bpy.ops.gscore.straighten_photos() == {"FINISHED"}
+    straight.part_of(straight.copies(own_copies)[0]).write_bytes(b"half")
     assert bpy.ops.gscore.remove_straight_photos() == {"FINISHED"}
     assert [*own_copies.iterdir()] == []
     assert None not in [copy_needed(ob) for ob in cameras]
@@ -337,3 +339,28 @@ def test_many_cameras_are_asked_for_at_once(
     assert [copy_needed(ob) for ob in made.cameras] == [
         backgrounds.file_of(photo_of(ob)) for ob in made.cameras
     ]
+
+
+def test_why_a_lens_is_not_straightened() -> None:
+    """Oracle: the sentence of the trainer, which refuses the lens too; importing again helps only
+    where a lens can be straightened."""
+    known = {"image": "a.png", "photo": "", "viewmat": np.eye(4), "K": np.eye(3)}
+    known |= {"width": SIZE[0], "height": SIZE[1], "model": "SIMPLE_RADIAL"}
+    folded = PhotoCamera(**known, params=(260.0, 160.0, 120.0, -1.5))
+    with pytest.raises(ValueError, match=r"^a\.png cannot be straightened.*folds back"):
+        straight.undistortion_of(folded)
+    with pytest.raises(ValueError, match="import the capture's cameras again"):
+        straight.undistortion_of(PhotoCamera(**known, params=LENSES["SIMPLE_RADIAL"]))
+
+
+def test_preferences_tell_the_copies_once_they_are_counted(scene, own_copies: Path) -> None:
+    """Oracle: the files in the folder; and that something waits for the thread that counts."""
+    own_copies.mkdir(parents=True)
+    (own_copies / "a.png").write_bytes(bytes(3_000_000))
+    layout = Layout()
+    straight_operators.draw_copies(layout, preferences.get())
+    assert layout.notes == [] and beat.tick()
+    while beat.tick():
+        time.sleep(0.01)
+    straight_operators.draw_copies(layout, preferences.get())
+    assert "1 files, 3 MB" in layout.text and "(Remove Straightened Photos)" in layout.text
