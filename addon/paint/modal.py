@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from typing import ClassVar
 
 import bpy
+from bpy.props import BoolProperty
 
 from ..core import GsError
 from ..interface import undo
@@ -55,6 +56,12 @@ class PaintSplats(OnSplats, bpy.types.Operator):
     bl_label = "Paint Splats"
     bl_options: ClassVar = set()  # each stroke is an undo step of its own
 
+    once: BoolProperty(
+        name="Once",
+        description="Paint the stroke that begins where the mouse is pressed, and end with it",
+        options={"HIDDEN", "SKIP_SAVE"},
+    )
+
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Whether a splat object is active, and in a mode that can be left."""
@@ -93,8 +100,10 @@ class PaintSplats(OnSplats, bpy.types.Operator):
             self._edited = ob.name
             undo.push(UNDO)  # else undoing the first stroke would lead back into Edit Mode
         RUNNING.begin(context)
-        context.window_manager.modal_handler_add(self)
-        return {"RUNNING_MODAL"}
+        answer = self.modal(context, event) if self.once else {"RUNNING_MODAL"}
+        if RUNNING.session is not None:
+            context.window_manager.modal_handler_add(self)
+        return answer
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Hand an event to the session."""
@@ -106,6 +115,8 @@ class PaintSplats(OnSplats, bpy.types.Operator):
         except BaseException:
             RUNNING.end()
             raise
+        if self.once and not RUNNING.session.painting:
+            answer = Answer.ENDED
         if answer is Answer.ENDED:
             RUNNING.end()
             self._edit_again(context)

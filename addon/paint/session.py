@@ -104,6 +104,11 @@ class Session:
         """Radius before F was pressed, and the mouse's x."""
         self._undone = False
 
+    @property
+    def painting(self) -> bool:
+        """Whether a stroke is under way."""
+        return self._stroke is not None
+
     def close(self) -> None:
         """End; a stroke that is under way is taken back."""
         self.cursor.close()
