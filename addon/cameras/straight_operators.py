@@ -92,7 +92,7 @@ class RemoveStraightPhotos(Asking, Acting, bpy.types.Operator):
         """How many, and where."""
         folder = straight.copies_folder()
         count, size = straight.size_of(folder)
-        if not count:
+        if not count and not straight.left_over(folder):
             raise ValueError(f"There are no straightened photos in {folder}.")
         return [f"{count} copies of photos, {size / 1e6:.0f} MB, in {folder}. Photos stay."]
 
