@@ -62,6 +62,7 @@ MODULES: tuple[str, ...] = (
     "panels.depth_table",
     "panels.manual",
     "panels",
+    "panels.paint_tool",
 )
 """Modules that `registration` registers, in the order in which they need each other."""
 

@@ -38,13 +38,14 @@ def export_path(
     Raises:
         GsError: the file cannot be written.
         ValueError: the camera is orthographic, panoramic or sheared at some frame, or has
-            distortion, which cameras.json cannot state.
+            distortion, which cameras.json cannot state, and no straightened photo.
     """
     here, views = (scene.frame_current, scene.frame_subframe), []
     try:
         for number in range(scene.frame_start, scene.frame_end + 1, scene.frame_step):
             scene.frame_set(number)
-            (view,) = collect([camera], scene, root, bpy.context.evaluated_depsgraph_get())
+            depsgraph = bpy.context.evaluated_depsgraph_get()
+            (view,) = collect([camera], scene, root, depsgraph, photos=False)
             views.append(replace(view, name=f"frame_{number:06d}.png", photo=None))
     finally:
         scene.frame_set(here[0], subframe=here[1])

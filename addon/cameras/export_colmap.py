@@ -53,6 +53,8 @@ class ExportView:
     """Intrinsics."""
     is_moved: bool
     """Pose or lens are Blender's, not the capture's."""
+    is_lens_kept: bool = False
+    """The lens is the capture's though Blender's is another, which a bent photo would not fit."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,6 +107,7 @@ def export_colmap(
         )
     views = collect(cameras, scene, root, depsgraph)
     model, warnings = _source_model(source)
+    warnings += kept_lenses(views)
     cloud, more = points_to_export(root, source, model)
     ids, table = _camera_table(views, model)
     images = _images(views, ids, model)
@@ -130,8 +133,18 @@ def collect(
     scene: bpy.types.Scene,
     root: bpy.types.Object | None,
     depsgraph: bpy.types.Depsgraph | None = None,
+    *,
+    photos: bool = True,
 ) -> list[ExportView]:
     """The cameras as they are to be written, with names that differ.
+
+    Args:
+        cameras: As for `export_colmap`; so are the others.
+        scene: Gives resolution and pixel aspect of cameras that are of no photo.
+        root: A capture's empty; None: Blender's world.
+        depsgraph: Gives the animated poses.
+        photos: Photos belong to them, as they were taken; else a camera whose photo is straightened
+            is the pinhole camera that it is in Blender.
 
     Raises:
         ValueError: there are none, or one is orthographic, panoramic or sheared.
@@ -142,7 +155,7 @@ def collect(
     taken: set[str] = set()
     for ob in cameras:
         if co.is_camera(ob):
-            view = _photo_view(ob, root, depsgraph)
+            view = _photo_view(ob, root, depsgraph, photos=photos)
         else:
             view = _plain_view(ob, scene, root, depsgraph)
         name, count = view.name, 1
@@ -194,24 +207,40 @@ def points_to_export(
     return _joined(kept, added), []
 
 
+def kept_lenses(views: Sequence[ExportView]) -> list[str]:
+    """What to tell of lenses that are not written as they are in Blender, a sentence at most."""
+    names = [view.name for view in views if view.is_lens_kept]
+    if not names:
+        return []
+    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+    return [
+        f"The lens of {', '.join(names[:3])}{more} was changed in Blender; it is written as the "
+        f"capture states it, for such photos are bent by that lens."
+    ]
+
+
 def _photo_view(
-    ob: bpy.types.Object, root: bpy.types.Object | None, depsgraph: bpy.types.Depsgraph | None
+    ob: bpy.types.Object,
+    root: bpy.types.Object | None,
+    depsgraph: bpy.types.Depsgraph | None,
+    *,
+    photos: bool,
 ) -> ExportView:
     own = co.stated(ob)
+    camera = lens_of(own)
     moved = root is None or co.root_of(ob) != root or co.is_moved(ob, own)
-    bent = co.is_lens_changed(ob.data, own)
-    viewmat = _rigid(co.viewmat_in(ob, root, depsgraph)) if moved else own.viewmat
-    if bent:
+    changed = co.is_lens_changed(ob.data, own)
+    kept = photos and changed and not camera.is_pinhole
+    if (changed and not kept) or (own.photo_size is not None and not photos):
         _, frame = cm.lens_from_intrinsics(own.K, own.width, own.height)
         camera = _pinhole(_intrinsics(ob, frame), frame)
-    else:
-        camera = lens_of(own)
     return ExportView(
         name=own.image,
         photo=Path(own.photo) if own.photo else None,
-        viewmat=viewmat,
+        viewmat=_rigid(co.viewmat_in(ob, root, depsgraph)) if moved else own.viewmat,
         camera=camera,
-        is_moved=moved or bent,
+        is_moved=moved or (changed and not kept),
+        is_lens_kept=kept,
     )
 
 

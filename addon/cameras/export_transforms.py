@@ -14,6 +14,7 @@ from .export_colmap import (
     Exported,
     ExportView,
     collect,
+    kept_lenses,
     known_captures,
     points_to_export,
     source_of,
@@ -56,6 +57,7 @@ def export_transforms(
             raise ValueError(f"{path} is the own file of {known}. Choose another name.")
     views = collect(cameras, scene, root, depsgraph)
     points, warnings = points_to_export(root, source)
+    warnings += kept_lenses(views)
     away = sum(1 for view in views if view.photo and not _is_below(view.photo, path.parent))
     if away:
         warnings.append(

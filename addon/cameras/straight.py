@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..core import ColmapCamera, Undistortion
+from ..core import ColmapCamera, GsError, Undistortion, plan_undistortion
 from ..paths import own_folder
 from .objects import PhotoCamera
 
@@ -19,6 +19,8 @@ _VERSION = 1
 _STEM, _DIGITS = 40, 16
 """Letters of the photo's name in that of its copy, and of what makes it another than its likes."""
 _JPEG = frozenset({".jpg", ".jpeg"})
+_PART = ".part"
+"""Ends the names of files that are being written."""
 
 
 def lens_of(own: PhotoCamera) -> ColmapCamera:
@@ -35,13 +37,18 @@ def undistortion_of(own: PhotoCamera) -> Undistortion | None:
     """The way from a photo to what its camera in Blender sees; None: they are the same.
 
     Raises:
-        ValueError: the lens bends lines, and the camera is not made for straightened photos.
+        ValueError: the lens bends lines, and cannot be straightened, or the camera is not made for
+            straightened photos.
     """
     lens = lens_of(own)
     if own.photo_size is not None:
         return Undistortion(camera=lens, width=own.width, height=own.height, K=own.K)
     if lens.is_pinhole:
         return None
+    try:
+        plan_undistortion(lens)
+    except GsError as error:
+        raise ValueError(f"{own.image} cannot be straightened. {error}") from error
     raise ValueError(
         f"The lens of {own.image} bends lines ({own.model}), and its camera was imported without "
         f"straightening: import the capture's cameras again."
@@ -81,6 +88,16 @@ def copies(folder: Path) -> list[Path]:
     """All copies that lie in a folder."""
     files = folder.iterdir() if folder.is_dir() else ()
     return sorted(file for file in files if file.suffix in (".jpg", ".png") and file.is_file())
+
+
+def part_of(copy: Path) -> Path:
+    """The file of a copy while it is written."""
+    return copy.with_name(f".{copy.name}{_PART}")
+
+
+def left_over(folder: Path) -> list[Path]:
+    """What programs that were ended in the middle of copies have left in their folder."""
+    return sorted(folder.glob(f".*{_PART}"))
 
 
 def size_of(folder: Path) -> tuple[int, int]:

@@ -10,8 +10,10 @@ from bpy.props import StringProperty
 from ..interface.operators import Acting
 from ..interface.questions import Asking, wrapped
 from ..preferences import SECTIONS, Preferences
+from ..process import beat
 from ..process.lookup import Lookup
 from . import straight, straightening
+from .lacking import lack_of
 from .lookup import find_root
 from .objects import cameras_of
 
@@ -37,14 +39,15 @@ class StraightenPhotos(Acting, bpy.types.Operator):
         """Ask for them; without a window, wait until they are there."""
         cameras = cameras_of(find_root(context, self.capture))
         count = straightening.ask(cameras)
-        if not count:
-            return "No photo lacks a straightened copy."
-        if not bpy.app.background:
+        if bpy.app.background:
+            straightening.wait()
+        elif count:
             return f"{count} photos are being straightened."
-        straightening.wait()
-        problems = straightening.problems_of(cameras)
+        problems = straightening.problems_of(lack_of(cameras))
         if problems:
             raise ValueError(problems[0])
+        if not count:
+            return "No photo lacks a straightened copy."
         return f"{count} photos are straightened, in {straight.copies_folder()}."
 
 
@@ -89,22 +92,24 @@ class RemoveStraightPhotos(Asking, Acting, bpy.types.Operator):
         """How many, and where."""
         folder = straight.copies_folder()
         count, size = straight.size_of(folder)
-        if not count:
+        if not count and not straight.left_over(folder):
             raise ValueError(f"There are no straightened photos in {folder}.")
         return [f"{count} copies of photos, {size / 1e6:.0f} MB, in {folder}. Photos stay."]
 
     def act(self, context: bpy.types.Context) -> str:
         """Remove them."""
-        files = straight.copies(straight.copies_folder())
-        straight.remove(files)
+        folder = straight.copies_folder()
+        files = straight.copies(folder)
+        straight.remove(files + straight.left_over(folder))
         _SIZES.expire()
-        return f"{len(files)} straightened copies are removed from {straight.copies_folder()}."
+        return f"{len(files)} straightened copies are removed from {folder}."
 
 
 def draw_copies(layout: bpy.types.UILayout, prefs: Preferences) -> None:
     """How large the folder of copies is, and the button that empties it."""
     folder = straight.copies_folder()
     count, size = _SIZES.get(folder)[0] or (0, 0)
+    beat.ensure()  # which has this drawn again when more is known
     if not count:
         return
     box = layout.box()
@@ -115,11 +120,16 @@ def draw_copies(layout: bpy.types.UILayout, prefs: Preferences) -> None:
 CLASSES = (StraightenPhotos, StopStraightening, RemoveStraightPhotos)
 
 
+_FOLLOWER = beat.Follower(_SIZES.collect, lambda: _SIZES.busy)
+
+
 def on_register() -> None:
     """Draw in the preferences."""
     SECTIONS.append(draw_copies)
+    beat.FOLLOWERS.append(_FOLLOWER)
 
 
 def on_unregister() -> None:
     """Draw there no more."""
+    beat.FOLLOWERS.remove(_FOLLOWER)
     SECTIONS.remove(draw_copies)

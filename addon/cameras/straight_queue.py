@@ -1,14 +1,18 @@
 """Photos that are straightened by a program beside Blender, one after the other; no bpy."""
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from types import MappingProxyType
 from typing import Any
 
 from ..process.program import Process
 
+READY = "ready to straighten"
+"""The first line of the program: a Blender says other things too."""
 ANSWER = "straightened "
-"""Begins an answer of the program: a Blender says other things too."""
+"""Begins an answer of the program."""
+_STARTS = 2
+"""Starts after which a program that never becomes ready is given up."""
 _BUDGET = 0.02
 """Seconds for reading answers at one beat."""
 
@@ -25,6 +29,10 @@ class StraightQueue:
         self._tasks: dict[str, dict[str, Any]] = {}
         self._current = ""
         self._process: Process | None = None
+        self._closing = False
+        """Whether the program was told to end: it reads nothing more."""
+        self._starts = 0
+        """Of the program since it was last ready."""
 
     @property
     def busy(self) -> bool:
@@ -36,16 +44,15 @@ class StraightQueue:
         """Copies that were wanted since it was last idle."""
         return self.done + len(self._tasks)
 
-    def ask(self, task: dict[str, Any]) -> None:
-        """Make this copy next, after the one that is being made."""
+    def ask(self, tasks: Iterable[dict[str, Any]]) -> None:
+        """Make these copies next, after the one that is being made."""
         if not self.busy:
             self.done = 0
-        copy = task["copy"]
-        self.problems.pop(copy, None)
-        if copy != self._current:
-            waiting = {key: other for key, other in self._tasks.items() if key != copy}
-            first = {self._current: waiting.pop(self._current)} if self._current else {}
-            self._tasks = {**first, copy: task, **waiting}
+        wanted = {task["copy"]: task for task in tasks}
+        for copy in wanted:
+            self.problems.pop(copy, None)
+        current = {copy: t for copy, t in self._tasks.items() if copy == self._current}
+        self._tasks = {**current, **wanted, **self._tasks}
 
     def stop(self) -> None:
         """Forget what is wanted; the copy that is being made stays whole."""
@@ -59,35 +66,46 @@ class StraightQueue:
         """
         if not self.busy:
             return []
-        if self._process is None:
-            try:
-                arguments, variables = program()
-                self._process = Process(arguments, variables=MappingProxyType(dict(variables)))
-            except OSError as error:
-                self._give_up(f"Blender cannot be started once more: {error}.")
-                return []
-        made = [copy for line in self._process.lines(_BUDGET) if (copy := self._answer(line))]
-        if self._process.ended:
-            self._ended(self._process)
-        elif not self._current:
-            self._next(self._process)
+        if self._process is None and not self._start(program):
+            return []
+        process = self._process
+        made = [copy for line in process.lines(_BUDGET) if (copy := self._answer(line))]
+        if process.ended:
+            self._ended(process)
+        elif not self._current and not self._closing:
+            self._next(process)
         return made
 
     def kill(self) -> None:
         """End the program at once, and forget what is wanted."""
         if self._process is not None:
             self._process.kill(wait=5.0)
-        self._tasks, self._current, self._process = {}, "", None
+        self._tasks, self._starts = {}, 0
+        self._forget_process()
+
+    def _start(self, program: Callable[[], tuple[list[str], Mapping[str, str]]]) -> bool:
+        """Start the program; whether it runs."""
+        try:
+            arguments, variables = program()
+            self._process = Process(arguments, variables=MappingProxyType(dict(variables)))
+        except OSError as error:
+            self._give_up(f"Blender cannot be started once more: {error}.")
+            return False
+        self._starts += 1
+        return True
 
     def _next(self, process: Process) -> None:
         self._current = next(iter(self._tasks), "")
         if self._current:
             process.send(json.dumps(self._tasks[self._current]))
         else:
+            self._closing = True
             process.end_input()
 
     def _answer(self, line: str) -> str:
         """The copy that was made, if the line says so."""
+        if line.startswith((READY, ANSWER)):
+            self._starts = 0
         if not line.startswith(ANSWER):
             return ""
         told = json.loads(line.removeprefix(ANSWER))
@@ -101,16 +119,22 @@ class StraightQueue:
         return copy
 
     def _ended(self, process: Process) -> None:
-        """Where it ended in the middle of a photo, that one is left out."""
-        if self._current:
-            last = next((line for line in reversed(process.stderr_tail) if line.strip()), "")
-            self.problems[self._current] = (
-                f"The Blender that straightens photos ended by itself at {self._current} "
-                f"(exit code {process.returncode}). {last}"
-            )
+        """Where it ended in the middle of a photo, that one is left out; where it was never ready,
+        it is started once more."""
+        last = next((line for line in reversed(process.stderr_tail) if line.strip()), "")
+        how = f"(exit code {process.returncode}). {last}".rstrip()
+        if self._starts >= _STARTS:
+            self._give_up(f"The Blender that straightens photos ended before it began {how}")
+        elif self._current and not self._starts:
             self._tasks.pop(self._current, None)
-        self._current, self._process = "", None
+            self.problems[self._current] = (
+                f"The Blender that straightens photos ended by itself at {self._current} {how}"
+            )
+        self._forget_process()
+
+    def _forget_process(self) -> None:
+        self._current, self._process, self._closing = "", None, False
 
     def _give_up(self, problem: str) -> None:
         self.problems.update(dict.fromkeys(self._tasks, problem))
-        self._tasks = {}
+        self._tasks, self._starts = {}, 0

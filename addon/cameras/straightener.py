@@ -16,8 +16,8 @@ import numpy as np
 from ..core import Undistortion
 from .objects import PhotoCamera
 from .pictures import levels_of, read_picture
-from .straight import earlier_copies, remove, undistortion_of
-from .straight_queue import ANSWER
+from .straight import earlier_copies, part_of, remove, undistortion_of
+from .straight_queue import ANSWER, READY
 
 _QUALITY = 95
 """Of JPEGs, per cent."""
@@ -39,6 +39,7 @@ def task_of(own: PhotoCamera, copy: Path) -> dict[str, Any]:
 
 def main(lines: Iterable[str] = sys.stdin, out: TextIO = sys.stdout) -> None:
     """Straighten one photo after the other until the input ends."""
+    print(READY, file=out, flush=True)
     for line in lines:
         task = json.loads(line)
         problem = ""
@@ -61,7 +62,7 @@ def straighten(own: PhotoCamera, copy: Path) -> None:
     assert plan is not None
     pixels = levels_of(read_picture(own.photo, own))
     copy.parent.mkdir(parents=True, exist_ok=True)
-    part = copy.with_name(f".{copy.name}.part")
+    part = part_of(copy)
     try:
         _write(part, pixels, plan, jpeg=copy.suffix == ".jpg")
         part.replace(copy)

@@ -5,21 +5,25 @@ import os
 import sys
 import time
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 
 import bpy
 from bpy.app.handlers import persistent
 
-from ..interface import writable
+from ..interface.views import redraw_views
 from ..process import beat
-from .backgrounds import copy_needed, file_of, known_images, set_photo
-from .objects import is_camera, stated
+from .backgrounds import file_of, known_images, lead_to, straight_background
+from .lacking import Lack, Lacking
+from .objects import is_camera
 from .straight_queue import StraightQueue
 from .straightener import task_of
 
 QUEUE = StraightQueue()
 """What this Blender has straightened."""
+LACKING = Lacking()
+"""What is still to be straightened, for panels."""
 _PAUSE = 0.05
 """Seconds between two looks of a script that waits."""
 
@@ -28,19 +32,28 @@ def ask(cameras: Iterable[bpy.types.Object]) -> int:
     """Have the copies made that the backgrounds of cameras lack, the first camera's first; how many
     they are.
 
-    Without a window nothing is begun until `wait` is called.
+    Backgrounds are led to their copies. Without a window nothing is begun until `wait` is called.
+    Cameras that have lost what the capture says about them are left out.
     """
-    needed = []
+    tasks, astray = [], []
     for ob in cameras:
-        copy = copy_needed(ob)
-        if copy is not None:
-            _renew(ob)
-            needed.append(task_of(stated(ob), copy))
-    for task in reversed(needed):
-        QUEUE.ask(task)
-    if needed:
+        with suppress(ValueError):
+            found = straight_background(ob)
+            copy = None if found is None else found.lacks()
+            if copy is None:
+                continue
+            if found.file != copy:
+                astray.append((ob, copy))
+            if not copy.is_file():
+                tasks.append(task_of(found.own, copy))
+    known = known_images() if astray else {}
+    for ob, copy in astray:
+        lead_to(ob, copy, known)
+    if tasks:
+        QUEUE.ask(tasks)
         beat.ensure()
-    return len(needed)
+    LACKING.expire()
+    return len(tasks)
 
 
 def wait() -> None:
@@ -50,11 +63,10 @@ def wait() -> None:
         time.sleep(_PAUSE)
 
 
-def problems_of(cameras: Iterable[bpy.types.Object]) -> list[str]:
-    """Why the copies that cameras lack could not be made, sentences."""
-    needed = (copy_needed(ob) for ob in cameras)
-    told = (QUEUE.problems.get(str(copy)) for copy in needed if copy is not None)
-    return [problem for problem in told if problem]
+def problems_of(lack: Lack) -> list[str]:
+    """Why copies that are lacking could not be made, sentences."""
+    told = (QUEUE.problems.get(str(copy)) for copy in lack.copies)
+    return [*lack.problems, *(problem for problem in told if problem)]
 
 
 def collect() -> bool:
@@ -66,18 +78,10 @@ def collect() -> bool:
         for image in bpy.data.images:
             if image.source == "FILE" and file_of(image) in made:
                 image.reload()
-        _redraw_views()
+        redraw_views()
+    if made or not QUEUE.busy:
+        LACKING.expire()
     return bool(made) or not QUEUE.busy
-
-
-def _renew(ob: bpy.types.Object) -> None:
-    """Lead a camera's background to the copy of the photo as it is now."""
-    camera = ob.data
-    if not writable.keeps(camera) or not writable.keeps(ob):
-        return
-    shown, opacity = camera.show_background_images, camera.background_images[0].alpha
-    set_photo(ob, Path(stated(ob).photo), known_images())
-    camera.show_background_images, camera.background_images[0].alpha = shown, opacity
 
 
 def _program() -> tuple[list[str], Mapping[str, str]]:
@@ -94,31 +98,29 @@ def _program() -> tuple[list[str], Mapping[str, str]]:
     return [sys.executable, "-c", code], {"PYTHONPATH": os.pathsep.join(path)}
 
 
-def _redraw_views() -> None:
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                area.tag_redraw()
-
-
 @persistent
 def _file_loaded(*_: object) -> None:
     """Copies may be missing here, or be of photos that have changed."""
+    LACKING.clear()
     if not bpy.app.background:
         ask(ob for ob in bpy.data.objects if is_camera(ob) and ob.library is None)
 
 
-_FOLLOWER = beat.Follower(collect, lambda: QUEUE.busy)
+_FOLLOWERS = (
+    beat.Follower(collect, lambda: QUEUE.busy),
+    beat.Follower(LACKING.collect, lambda: LACKING.busy),
+)
 
 
 def on_register() -> None:
     """Follow the beat, and files that are opened."""
-    beat.FOLLOWERS.append(_FOLLOWER)
+    beat.FOLLOWERS.extend(_FOLLOWERS)
     bpy.app.handlers.load_post.append(_file_loaded)
 
 
 def on_unregister() -> None:
     """Follow no more; a copy that is half made is left undone."""
     bpy.app.handlers.load_post.remove(_file_loaded)
-    beat.FOLLOWERS.remove(_FOLLOWER)
+    for follower in _FOLLOWERS:
+        beat.FOLLOWERS.remove(follower)
     QUEUE.kill()

@@ -62,6 +62,7 @@ def train(
             f"{output} holds another run; press Resume to go on with it, Start Over to replace it, "
             "or choose another output folder."
         )
+    box = within.arguments(scene, output)
     arguments = options.new_run(
         scene.gscore,
         source=source,
@@ -70,7 +71,7 @@ def train(
         overwrite=overwrite,
         depths=found.depths > 0,
     )
-    arguments += guides.arguments(scene, output) + within.arguments(scene, output)
+    arguments += guides.arguments(scene, output) + box
     scene.gscore.output_path = relative(output)
     scene.gscore.outcome_of = scene.gscore.capture_path
     scene.gscore.depth_shown = "RUN"  # once there is one

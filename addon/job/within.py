@@ -2,6 +2,7 @@
 
 import hashlib
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
@@ -11,18 +12,32 @@ from ..core import GUIDES, write_region
 from ..splats.filters import crop_matrix
 
 
+def problem(settings: Any) -> str:
+    """What a scene's settings ask for that cannot be had together, a sentence; else empty."""
+    ob = settings.train_within
+    if ob is None or not settings.sky:
+        return ""
+    return (
+        f"Nothing but what lies in {ob.name} is trained, so there is no sky: turn Sky off, or "
+        "clear Only Within."
+    )
+
+
 def arguments(scene: bpy.types.Scene, output: Path) -> list[str]:
     """Write the box of a scene's object for a training into `output`; the option that tells it.
 
     The file is named by what it holds, so that one of an earlier run stays as it is.
 
     Raises:
-        ValueError: the capture is not in the scene, or the object has no volume.
+        ValueError: the capture is not in the scene, the object has no volume, or the settings ask
+            for a sky.
         GsError: the file cannot be written.
     """
     ob = scene.gscore.train_within
     if ob is None:
         return []
+    if without_sky := problem(scene.gscore):
+        raise ValueError(without_sky)
     root = panel_root(scene)
     if root is None:
         raise ValueError(

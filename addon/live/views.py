@@ -13,10 +13,10 @@ from ..render import picture
 from ..render.scene import Placed, SplatCache, marks_of
 from ..render.viewport import smaller
 from . import atlas, order
-from .canvas import Canvas
 from .card import Card, Order, Shot
 from .level import Level
 from .marks import reselected
+from .view_picture import ViewPicture
 
 UPLOAD = 0.004
 """Seconds of a redraw after which no further chunk of an order is uploaded."""
@@ -152,7 +152,7 @@ class View:
         self._answered: Wish | None = None
         self._coming: tuple[Wish, atlas.Atlas, Order] | None = None
         self._shown: tuple[Wish, atlas.Atlas, Order] | None = None
-        self._canvas = Canvas()
+        self._picture = ViewPicture()
 
     @property
     def waits(self) -> bool:
@@ -213,7 +213,7 @@ class View:
         # An order of many more splats than are wanted takes the time of those too.
         like = shown.count <= _LIKE * detail.count
         took = self.level.took if self.level.measures and like else None
-        picture_ = self._canvas.draw(card, atlas_, entries, shot, meshes, took)
+        picture_ = self._picture.draw(card, atlas_, entries, shot, meshes, took)
         self.drawn = min(detail.count, self._shown[0].count)
         self.seconds = time.perf_counter() - began
         return picture_

@@ -9,6 +9,17 @@ _FAINT = (1.0, 1.0, 1.0, 0.4)
 _SEGMENTS = 64
 
 
+def draw_circle(place: tuple[float, float], radius: float, hardness: float) -> None:
+    """Draw the brush, with a second circle where it begins to fade; all in pixels of a region."""
+    gpu.state.blend_set("ALPHA")
+    # Dark beside bright, so that it is seen over everything.
+    draw_circle_2d(place, _SHADOW, radius + 1, segments=_SEGMENTS)
+    draw_circle_2d(place, _LINE, radius, segments=_SEGMENTS)
+    if 0 < hardness < 1:
+        draw_circle_2d(place, _FAINT, hardness * radius, segments=_SEGMENTS)
+    gpu.state.blend_set("NONE")
+
+
 class Cursor:
     """Is drawn from its making to `close`."""
 
@@ -24,6 +35,11 @@ class Cursor:
         space = bpy.types.SpaceView3D
         self._handle = space.draw_handler_add(self._draw, (), "WINDOW", "POST_PIXEL")
 
+    @property
+    def state(self) -> tuple[object, ...]:
+        """All of what is drawn depends on."""
+        return self.region, self.place, self.radius, self.hardness
+
     def close(self) -> None:
         """Draw it no more; may be called twice."""
         if self._handle is not None:
@@ -31,13 +47,5 @@ class Cursor:
             self._handle = None
 
     def _draw(self) -> None:
-        if bpy.context.region.as_pointer() != self.region:
-            return
-        gpu.state.blend_set("ALPHA")
-        # Dark beside bright, so that it is seen over everything.
-        draw_circle_2d(self.place, _SHADOW, self.radius + 1, segments=_SEGMENTS)
-        draw_circle_2d(self.place, _LINE, self.radius, segments=_SEGMENTS)
-        if 0 < self.hardness < 1:
-            inner = self.hardness * self.radius
-            draw_circle_2d(self.place, _FAINT, inner, segments=_SEGMENTS)
-        gpu.state.blend_set("NONE")
+        if bpy.context.region.as_pointer() == self.region:
+            draw_circle(self.place, self.radius, self.hardness)

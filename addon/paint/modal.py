@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from typing import ClassVar
 
 import bpy
+from bpy.props import BoolProperty
 
 from ..core import GsError
 from ..interface import undo
@@ -17,24 +18,31 @@ class Running:
 
     def __init__(self) -> None:
         self.session: Session | None = None
-        self._workspace: bpy.types.WorkSpace | None = None
+        self._workspace = 0
+        """Session number of the workspace whose status bar tells the keys; it may be deleted."""
 
     def begin(self, context: bpy.types.Context) -> None:
         """Paint from now on, with the brush's circle and the keys in the status bar."""
-        self.session, self._workspace = Session(), context.workspace
+        self.session, self._workspace = Session(), context.workspace.session_uid
         self.tell(context)
 
     def tell(self, context: bpy.types.Context) -> None:
         """Bring what the status bar says up to date."""
         sentence = self.session.sentence(context.window_manager.gscore_paint)
-        self._workspace.status_text_set(sentence)
+        self._say(sentence)
 
     def end(self) -> None:
         """Leave nothing behind; nothing happens where none is under way."""
         session, self.session = self.session, None
         if session is not None:
             session.close()
-            self._workspace.status_text_set(None)
+            self._say(None)
+
+    def _say(self, sentence: str | None) -> None:
+        """In the status bar; None: what Blender itself says."""
+        for workspace in bpy.data.workspaces:
+            if workspace.session_uid == self._workspace:
+                workspace.status_text_set(sentence)
 
 
 RUNNING = Running()
@@ -47,6 +55,12 @@ class PaintSplats(OnSplats, bpy.types.Operator):
     bl_idname = "gscore.paint_splats"
     bl_label = "Paint Splats"
     bl_options: ClassVar = set()  # each stroke is an undo step of its own
+
+    once: BoolProperty(
+        name="Once",
+        description="Paint the stroke that begins where the mouse is pressed, and end with it",
+        options={"HIDDEN", "SKIP_SAVE"},
+    )
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -86,8 +100,10 @@ class PaintSplats(OnSplats, bpy.types.Operator):
             self._edited = ob.name
             undo.push(UNDO)  # else undoing the first stroke would lead back into Edit Mode
         RUNNING.begin(context)
-        context.window_manager.modal_handler_add(self)
-        return {"RUNNING_MODAL"}
+        answer = self.modal(context, event) if self.once else {"RUNNING_MODAL"}
+        if RUNNING.session is not None:
+            context.window_manager.modal_handler_add(self)
+        return answer
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Hand an event to the session."""
@@ -99,6 +115,8 @@ class PaintSplats(OnSplats, bpy.types.Operator):
         except BaseException:
             RUNNING.end()
             raise
+        if self.once and not RUNNING.session.painting:
+            answer = Answer.ENDED
         if answer is Answer.ENDED:
             RUNNING.end()
             self._edit_again(context)

@@ -13,8 +13,8 @@ from bpy.props import (
 
 from ..cameras.captures import RenderCamera, render_camera
 from ..splats.edit_operators import Editing
-from . import canvas
-from .settings import BrushProperties
+from . import painted
+from .settings import FRONT_ONLY, BrushProperties
 
 _CAMERA, _PLACES = "CAMERA", "PLACES"
 _WAYS = [
@@ -59,6 +59,11 @@ class PaintStroke(BrushProperties, Editing, bpy.types.Operator):
         min=1e-6,
         default=50.0,
     )
+    front_only: BoolProperty(
+        name="Front Only",
+        description=f"{FRONT_ONLY}; around places, which are seen from nowhere, it does nothing",
+        default=True,
+    )
     inverted: BoolProperty(
         name="Inverted", description="Paint the opposite opacity, or deselect", default=False
     )
@@ -69,7 +74,7 @@ class PaintStroke(BrushProperties, Editing, bpy.types.Operator):
             raise ValueError("The stroke has no points: give it one or more.")
         context.view_layer.update()
         view = self._view(context) if self.way == _CAMERA else None
-        count = canvas.paint(
+        count = painted.paint(
             ob,
             [self._point(point, view) for point in self.stroke],
             self.brush(inverted=self.inverted),
@@ -88,8 +93,8 @@ class PaintStroke(BrushProperties, Editing, bpy.types.Operator):
         scene = context.scene
         camera = scene.objects.get(self.camera) if self.camera else scene.camera
         if camera is None:
-            missing = f"an object {self.camera}" if self.camera else "a camera"
-            raise ValueError(f"The scene has not {missing} to paint through: choose a camera.")
+            missing = f"object {self.camera}" if self.camera else "camera"
+            raise ValueError(f"The scene has no {missing} to paint through: choose a camera.")
         depsgraph = context.evaluated_depsgraph_get()
         return render_camera(camera, scene, depsgraph=depsgraph)
 

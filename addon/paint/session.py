@@ -10,11 +10,11 @@ import numpy as np
 from ..cameras.captures import RenderCamera
 from ..compat import matrix_to_numpy
 from ..interface import undo, writable
+from ..interface.views import redraw_views
 from ..render.viewport import view_camera
 from ..splats import objects
 from ..splats.operators import check_shown
-from ..timeline.follow import redraw_views
-from . import canvas, sight
+from . import painted, sight
 from .brush import OPACITY, SELECT
 from .cursor import Cursor
 from .settings import LARGEST_RADIUS, BrushSettings
@@ -23,6 +23,10 @@ UNDO = "Paint Splats"
 """What the history calls a stroke."""
 STEP = 1.1
 """By which [ and ] change the radius."""
+_MOVES = {"MOUSEMOVE", "INBETWEEN_MOUSEMOVE"}
+_NUMPAD = "NUMPAD_"
+_NUMPAD_WITH_CTRL = tuple(f"{_NUMPAD}{digit}" for digit in range(1, 10))
+"""Those that turn a view with Ctrl too; 0 and others change the scene then."""
 _NAVIGATION = (
     "MIDDLEMOUSE",
     "WHEEL",
@@ -30,13 +34,13 @@ _NAVIGATION = (
     "MOUSEROTATE",
     "MOUSESMARTZOOM",
     "NDOF",
-    "NUMPAD_",
+    _NUMPAD,
     "HOME",
     "ACCENT_GRAVE",
 )
 """What events that turn a view begin with."""
-_UNTOUCHED = ("TIMER", "WINDOW", "NONE", "INBETWEEN")
-"""What events begin with that change nothing of a scene: clocks, windows."""
+_UNTOUCHED = ("TIMER", "WINDOW", "NONE")
+"""What events begin with that are for all: clocks, windows."""
 _HELD = {f"{side}_{key}" for side in ("LEFT", "RIGHT") for key in ("CTRL", "SHIFT", "ALT")}
 """Keys that are held while others are pressed."""
 _PANELS = {"N", "T"}
@@ -94,11 +98,16 @@ class Session:
         self.ended = False
         """Set it to have painting end with the next event."""
         self.cursor = Cursor()
-        self._stroke: canvas.Canvas | None = None
+        self._stroke: painted.PaintedObject | None = None
         self._stroke_region = 0
         self._sizing: tuple[float, float] | None = None
         """Radius before F was pressed, and the mouse's x."""
         self._undone = False
+
+    @property
+    def painting(self) -> bool:
+        """Whether a stroke is under way."""
+        return self._stroke is not None
 
     def close(self) -> None:
         """End; a stroke that is under way is taken back."""
@@ -121,7 +130,9 @@ class Session:
             self._show_undone(context)
         spot = spot_of(context.window, event.mouse_x, event.mouse_y)
         brush = context.window_manager.gscore_paint
-        if self._stroke is not None:
+        if event.type.startswith(_UNTOUCHED):
+            answer = Answer.PASSED
+        elif self._stroke is not None:
             answer = self._go_on(spot, event)
         elif self._sizing is not None:
             answer = self._size(brush, event)
@@ -139,7 +150,7 @@ class Session:
     ) -> Answer:
         """While nothing is painted."""
         key, pressed = event.type, event.value == "PRESS"
-        if spot is None or key == "MOUSEMOVE" or (event.alt and key in _BUTTONS):
+        if spot is None or key in _MOVES or (event.alt and key in _BUTTONS):
             return Answer.PASSED
         if key in _ENDS and pressed:
             return Answer.ENDED
@@ -157,7 +168,7 @@ class Session:
         elif key == "Z" and (event.ctrl or event.oskey):
             self._undone = True  # once Blender has done it
             return Answer.PASSED
-        elif key in _PANELS | _HELD or key.startswith((*_NAVIGATION, *_UNTOUCHED)):
+        elif key in _PANELS | _HELD or _navigates(key, ctrl=event.ctrl):
             return Answer.PASSED
         # What is left would change the scene: delete, move, another mode.
         return Answer.TAKEN
@@ -166,7 +177,7 @@ class Session:
         self, context: bpy.types.Context, spot: Spot, brush: BrushSettings, *, inverted: bool
     ) -> None:
         ob = paintable(context)
-        self._stroke = canvas.Canvas(
+        self._stroke = painted.PaintedObject(
             ob,
             brush.brush(inverted=inverted),
             spot.view,
@@ -178,7 +189,7 @@ class Session:
 
     def _go_on(self, spot: Spot | None, event: bpy.types.Event) -> Answer:
         """While a stroke is painted."""
-        if event.type in {"MOUSEMOVE", "INBETWEEN_MOUSEMOVE"}:
+        if event.type in _MOVES:
             if spot is not None and spot.region.as_pointer() == self._stroke_region:
                 self._go_to(spot, shown=event.type == "MOUSEMOVE")
         elif event.type == "LEFTMOUSE" and event.value == "RELEASE":
@@ -218,16 +229,18 @@ class Session:
     def _show_undone(self, context: bpy.types.Context) -> None:
         ob = objects.meant(context)
         if objects.is_splats(ob):
-            canvas.show_as_kept(ob)
+            painted.show_as_kept(ob)
             redraw_views()
 
     def _place_cursor(self, spot: Spot | None, brush: BrushSettings) -> None:
+        before = self.cursor.state
         region = 0 if spot is None else spot.region.as_pointer()
         if self._sizing is None:  # else it stays where it is, and grows
             place = (0.0, 0.0) if spot is None else (spot.x, spot.y)
             self.cursor.region, self.cursor.place = region, place
         self.cursor.radius, self.cursor.hardness = brush.radius, brush.hardness
-        redraw_views()
+        if self.cursor.state != before:
+            redraw_views()
 
     def sentence(self, brush: BrushSettings) -> str:
         """What the keys do, for the status bar."""
@@ -243,6 +256,13 @@ class Session:
         keys += ["F or [ ] radius", "Ctrl Z undo", "Enter or Esc end"]
         label = brush.bl_rna.properties["does"].enum_items[brush.does].name
         return f"{label}, {brush.radius:.0f} px   |   {', '.join(keys)}"
+
+
+def _navigates(key: str, *, ctrl: bool) -> bool:
+    """Whether a key turns or moves the view."""
+    if ctrl and key.startswith(_NUMPAD):
+        return key in _NUMPAD_WITH_CTRL
+    return key.startswith(_NAVIGATION)
 
 
 def paintable(context: bpy.types.Context) -> bpy.types.Object:

@@ -13,6 +13,10 @@ from .brush import COLOR, OPACITY, SELECT, Brush
 
 LARGEST_RADIUS = 2000.0
 """Pixels."""
+FRONT_ONLY = (
+    "Leave out splats whose center lies behind the surface that the view shows of the object"
+)
+"""What the setting of that name does."""
 _DOES = [
     (COLOR, "Color", "Paint a color; how colors depend on the view stays", "BRUSH_DATA", 0),
     (OPACITY, "Opacity", "Paint an opacity; 0 erases", "MOD_OPACITY", 1),
@@ -56,12 +60,7 @@ class BrushProperties:
         max=1.0,
         default=0.0,
     )
-    front_only: BoolProperty(
-        name="Front Only",
-        description="Leave out splats whose center lies behind the surface that the view shows of "
-        "the object",
-        default=True,
-    )
+    front_only: BoolProperty(name="Front Only", description=FRONT_ONLY, default=True)
     only_selected: BoolProperty(
         name="Only Selected", description="Leave out what is not selected in Edit Mode"
     )

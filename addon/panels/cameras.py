@@ -5,7 +5,6 @@ from typing import ClassVar
 import bpy
 
 from ..cameras import straightening
-from ..cameras.backgrounds import copy_needed
 from ..cameras.objects import cameras_of, points_of
 from ..cameras.photos import changeable
 from ..steer import masks
@@ -50,14 +49,17 @@ class CamerasPanel(TabPanel, bpy.types.Panel):
         opacity = row.row(align=True)
         opacity.enabled = photos.shown
         opacity.prop(photos, "opacity")
-        draw_straightening(layout, context, cameras)
+        draw_straightening(layout, context, empty, cameras)
         draw_mask(layout, context, camera if camera in cameras else None)
         if camera is not None and camera not in cameras:
             sentence(layout, context, "The scene camera is not one of the capture's.")
 
 
 def draw_straightening(
-    layout: bpy.types.UILayout, context: bpy.types.Context, cameras: list[bpy.types.Object]
+    layout: bpy.types.UILayout,
+    context: bpy.types.Context,
+    empty: bpy.types.Object,
+    cameras: list[bpy.types.Object],
 ) -> None:
     """How far the photos are straightened, where some are; else a button where some have to be."""
     queue = straightening.QUEUE
@@ -67,11 +69,12 @@ def draw_straightening(
         row.progress(factor=queue.done / total, text=text)
         row.operator("gscore.stop_straightening", text="", icon="X")
         return
-    for problem in straightening.problems_of(cameras)[:1]:
+    lack = straightening.LACKING.of(empty, cameras)
+    for problem in straightening.problems_of(lack)[:1]:
         sentence(layout, context, problem, icon="ERROR")
-    if any(copy_needed(ob) is not None for ob in cameras):
+    if lack.copies:
         button = layout.operator("gscore.straighten_photos", icon="IMAGE_DATA")
-        button.capture = root(context).name
+        button.capture = empty.name
 
 
 def draw_mask(

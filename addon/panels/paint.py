@@ -6,6 +6,7 @@ import bpy
 
 from ..paint.brush import COLOR, OPACITY
 from ..paint.modal import RUNNING
+from ..paint.settings import BrushSettings
 from ..splats.objects import is_splats, meant
 from .widgets import TabPanel
 
@@ -30,19 +31,24 @@ class PaintPanel(TabPanel, bpy.types.Panel):
         layout.use_property_decorate = False
         text = "Paint Splats" if RUNNING.session is None else "Stop Painting"
         layout.operator("gscore.paint_splats", text=text, icon="BRUSH_DATA")
-        row = layout.row(align=True)
-        row.use_property_split = False  # else the names have no room
-        row.prop(brush, "does", expand=True)
-        if brush.does == COLOR:
-            layout.prop(brush, "color")
-        elif brush.does == OPACITY:
-            layout.prop(brush, "opacity")
-        layout.prop(brush, "radius")
-        if brush.does in {COLOR, OPACITY}:
-            layout.prop(brush, "strength")
-            layout.prop(brush, "hardness")
-        layout.prop(brush, "front_only")
-        layout.prop(brush, "only_selected")
+        draw_brush(layout, brush)
+
+
+def draw_brush(layout: bpy.types.UILayout, brush: BrushSettings) -> None:
+    """What the brush does, and the settings that this has."""
+    row = layout.row(align=True)
+    row.use_property_split = False  # else the names have no room
+    row.prop(brush, "does", expand=True)
+    if brush.does == COLOR:
+        layout.prop(brush, "color")
+    elif brush.does == OPACITY:
+        layout.prop(brush, "opacity")
+    layout.prop(brush, "radius")
+    if brush.does in {COLOR, OPACITY}:
+        layout.prop(brush, "strength")
+        layout.prop(brush, "hardness")
+    layout.prop(brush, "front_only")
+    layout.prop(brush, "only_selected")
 
 
 CLASSES = (PaintPanel,)

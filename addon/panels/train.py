@@ -8,7 +8,7 @@ import bpy
 from .. import preferences
 from ..cameras.lookup import panel_root
 from ..core import PRESETS, Estimate, RunInfo
-from ..job import facts, forecast, guides
+from ..job import facts, forecast, guides, within
 from ..job.options import AS_PRESET, BY_WIDTH, continuation
 from ..paths import output_folder
 from ..sequence import work as sequence
@@ -167,6 +167,8 @@ def draw_buttons(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
     before, problem = facts.run(context.scene)
     if problem:
         sentence(layout, context, problem, icon="ERROR")
+    if not_together := within.problem(context.scene.gscore):
+        sentence(layout, context, not_together, icon="ERROR")
     big = layout.column()
     big.scale_y = 1.4
     if before is None:

@@ -123,13 +123,14 @@ class FrozenMesh:
         made.marks = self.marks
         return made
 
-    def alike(self, other: "FrozenMesh") -> bool:
-        """Whether another copy differs in the values of `radiance:base` at most."""
-        mine, theirs = (
-            {a.name: a.fingerprint[: 3 if a.name == BASE else 4] for a in one.attributes}
-            for one in (self, other)
-        )
-        return BASE in mine and mine == theirs and len(self.vertices) == len(other.vertices)
+    @property
+    def unpainted(self) -> tuple[Any, ...] | None:
+        """Like `fingerprint`, but the same whatever the values of `radiance:base`; None: there is
+        no such attribute."""
+        if BASE not in self.attributes:
+            return None
+        found = (a.fingerprint[: 3 if a.name == BASE else 4] for a in self.attributes)
+        return (len(self.vertices), *sorted(found))
 
     @property
     def base(self) -> np.ndarray:
@@ -178,19 +179,6 @@ class Freezer:
         """
         if self._begun is not None and self._begun.can_take(base):
             self._begun = self._begun.repainted(base)
-
-
-def repainted_rows(before: Frozen, after: Frozen) -> np.ndarray | None:
-    """[K], which splats differ in colour or opacity, where two copies are alike in all else.
-
-    None where they are not, or where new values are not finite, which reading them refuses.
-    """
-    if not (isinstance(before, FrozenMesh) and isinstance(after, FrozenMesh)):
-        return None
-    if not before.alike(after):
-        return None
-    rows = np.flatnonzero((before.base != after.base).any(axis=1))
-    return rows if np.isfinite(after.base[rows]).all() else None
 
 
 def freeze(data: Any, name: str) -> FrozenMesh:

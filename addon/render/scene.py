@@ -14,9 +14,10 @@ from ..splats.filters import Filters, filters_of
 from ..splats.objects import ANTIALIAS, KIND
 from ..timeline.moment import Moment, moment_of
 from . import apart
-from .frozen import HIDDEN, SELECTED, Frozen, FrozenMesh, freeze, read_marks, repainted_rows
+from .frozen import HIDDEN, SELECTED, Frozen, FrozenMesh, freeze, read_marks
 from .holdout import held_out
 from .instances import instances
+from .trace import Trace, repainted_rows, trace_of
 
 NO_SPLATS = (
     "There are no splats to render: import a splat PLY, or enable the splat object and its "
@@ -232,7 +233,7 @@ class SplatCache:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._parts: dict[tuple[int, bytes], tuple[Frozen, Splats]] = {}
+        self._parts: dict[tuple[int, bytes], tuple[Trace, Splats]] = {}
         self._merged: tuple[list[tuple[Splats, np.ndarray]], Splats] | None = None
         self._held: tuple[Splats, list[tuple[int, bool]], tuple[Splats, Splats]] | None = None
         self.decoded = 0
@@ -289,14 +290,12 @@ class SplatCache:
         known = self._parts.get(placed.part)
         if known is not None and known[0].fingerprint == placed.frozen.fingerprint:
             return known[1]
-        splats = None if known is None else _repainted(*known, placed)
-        if splats is None:
-            splats = placed.frozen.read()
-            if placed.filters is not None:
-                splats = splats.subset(placed.frozen.kept(placed.filters))
+        made = None if known is None else _repainted(*known, placed)
+        if made is None:
+            made = _read(placed)
             self.decoded += 1
-        self._parts[placed.part] = placed.frozen, splats
-        return splats
+        self._parts[placed.part] = made
+        return made[1]
 
     def _hold_out(self, splats: Splats, runs: list[tuple[int, bool]]) -> tuple[Splats, Splats]:
         """`Model.splats` and `shares`, of splats of which so many each are held out or not."""
@@ -320,12 +319,22 @@ class SplatCache:
         return self._merged[1]
 
 
-def _repainted(before: Frozen, splats: Splats, placed: Placed) -> Splats | None:
-    """The splats of an object of which only colours and opacities have changed; their other arrays
-    are shared with what they were.
+def _read(placed: Placed) -> tuple[Trace, Splats]:
+    """The splats of an object that pass its filters, and what to remember of it."""
+    splats, kept = placed.frozen.read(), None
+    if placed.filters is not None:
+        kept = placed.frozen.kept(placed.filters)
+        splats = splats.subset(kept)
+    return trace_of(placed.frozen, kept), splats
+
+
+def _repainted(before: Trace, splats: Splats, placed: Placed) -> tuple[Trace, Splats] | None:
+    """As `_read`, of an object of which only colours and opacities have changed; the other arrays
+    of its splats are shared with what they were.
 
     Args:
-        before: The copy that `splats` were decoded from, with the filters that it has now.
+        before: What is remembered of the copy that `splats` were decoded from, with the filters
+            that it has now.
         splats: As they were.
         placed: The object.
 
@@ -336,14 +345,14 @@ def _repainted(before: Frozen, splats: Splats, placed: Placed) -> Splats | None:
     if rows is None:
         return None
     assert isinstance(placed.frozen, FrozenMesh)
-    base = placed.frozen.base
-    if placed.filters is None:
-        return attributes.repainted(splats, rows, base[rows])
-    kept = placed.frozen.kept(placed.filters)
-    if not np.array_equal(kept, before.kept(placed.filters)):
-        return None
-    rows = rows[kept[rows]]
-    return attributes.repainted(splats, (np.cumsum(kept) - 1)[rows], base[rows])
+    base, among = placed.frozen.base[rows], rows
+    if placed.filters is not None:
+        kept = placed.frozen.kept(placed.filters)
+        if not np.array_equal(kept, before.kept):
+            return None
+        base, among = base[kept[rows]], (np.cumsum(kept) - 1)[rows[kept[rows]]]
+    after = trace_of(placed.frozen, before.kept)
+    return after, attributes.repainted(splats, among, base)
 
 
 def _may_show(ob: bpy.types.Object) -> bool:

@@ -13,6 +13,7 @@ from gpu_extras.presets import draw_texture_2d
 from ..cameras.captures import RenderCamera
 from ..cameras.formulas import FLIP
 from ..core import CancelFlag, Cancelled, GsError
+from ..interface.views import redraw_views
 from ..process import threads
 from . import picture
 from .film import Film
@@ -234,10 +235,7 @@ def redraw_when_ready(painter: Painter) -> None:
 
     def poll() -> float | None:
         if painter.fresh:
-            for window in bpy.context.window_manager.windows:
-                for area in window.screen.areas:
-                    if area.type == "VIEW_3D":
-                        area.tag_redraw()
+            redraw_views()
         return _POLL if painter.busy or painter.fresh else None
 
     bpy.app.timers.register(poll, first_interval=_POLL)

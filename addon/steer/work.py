@@ -30,7 +30,7 @@ class _Asked:
         self._settings = settings
         self.iterations = steps
         self.time_budget = self.target_psnr = 0.0
-        self.early_stop = False
+        self.early_stop = self.sky = False  # a region is trained from splats that are there
         self.max_splats = max(settings.max_splats, 2 * len(ob.data.vertices))
         degree = attributes.SH_COUNTS.index(attributes.sh_count(ob.data))
         self.sh_degree = max(settings.sh_degree, degree)

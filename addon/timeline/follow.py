@@ -14,6 +14,7 @@ import numpy as np
 from bpy.app.handlers import persistent
 
 from ..core import GsError
+from ..interface.views import redraw_views
 from ..job.loader import Loaded
 from ..process import beat
 from ..process.background import Task
@@ -123,14 +124,6 @@ def settings_changed(ob: bpy.types.Object) -> None:
             bring(scene)
     redraw_views()
     beat.ensure()
-
-
-def redraw_views() -> None:
-    """Draw all 3D views anew."""
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                area.tag_redraw()
 
 
 def _players(scene: bpy.types.Scene) -> list[bpy.types.Object]:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import bpy
 import pytest
+from bl_ui.space_toolsystem_common import ToolSelectPanelHelper
 
 import addon
 
@@ -35,8 +36,11 @@ def _ours() -> set[str]:
     found = {
         f"class {cls.__name__}"
         for cls in _subclasses(bpy.types.bpy_struct)
-        if cls.__module__.split(".")[0] == "addon" and cls.is_registered
+        if cls.__module__.split(".")[0] == "addon" and getattr(cls, "is_registered", False)
     }
+    tools = ToolSelectPanelHelper._tool_class_from_space_type("VIEW_3D")._tools["OBJECT"]
+    names = [tool.idname for tool in ToolSelectPanelHelper._tools_flatten(tools) if tool]
+    found |= {f"tool {name}" for name in names if name.startswith("gscore")}
     found |= {f"operator {name}" for name in dir(bpy.ops.gscore)}
     for owner in OWNERS:
         names = owner.bl_rna.properties.keys()

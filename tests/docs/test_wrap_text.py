@@ -52,3 +52,20 @@ def test_our_pages_keep_their_words(page: Path) -> None:
     wrapped = wrap(text)
     assert wrapped.split() == text.split() and wrap(wrapped) == wrapped
     assert [line for line in too_wide(wrapped) if "`" not in line] == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_no_line_of_a_paragraph_becomes_a_quote(page: Path) -> None:
+    """Oracle: a quote that is meant begins after an empty line."""
+    lines = page.read_text(encoding="utf-8").splitlines()
+    pairs = zip(["", *lines], lines, strict=False)
+    odd = [
+        line
+        for before, line in pairs
+        if _is_quote(line) and before.strip() and not _is_quote(before)
+    ]
+    assert odd == []
+
+
+def _is_quote(line: str) -> bool:
+    return line.lstrip().startswith(">")

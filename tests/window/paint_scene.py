@@ -84,6 +84,38 @@ def base() -> np.ndarray:
     return attributes.column(bpy.data.objects["wall"].data, attributes.BASE)
 
 
+def choose(tool: str) -> None:
+    """Take a tool of the 3D view."""
+    window = bpy.context.window_manager.windows[0]
+    with bpy.context.temp_override(window=window, area=area(), region=region()):
+        bpy.ops.wm.tool_set_by_id(name=tool)
+
+
+def by_tool(brush: bpy.types.PropertyGroup) -> Iterator[object]:
+    """A stroke by the tool, and the radius by its keys."""
+    choose("gscore.paint_tool")
+    brush.does, before = "COLOR", base()
+    yield from drag(-90, -80)
+    seen["tool_begins"] = modal.RUNNING.session is not None
+    yield from let_go(-80)
+    seen["tool_paints"] = bool((base() != before).any())
+    seen["tool_ends"] = modal.RUNNING.session is None
+    screenshot("tool")
+    seen["radius"] = [brush.radius]
+    yield from press("RIGHT_BRACKET")
+    seen["radius"].append(brush.radius)
+    send("F")
+    for aside in (10, 60):
+        yield PAUSE
+        send("MOUSEMOVE", "NOTHING", aside)
+    yield PAUSE
+    send("LEFTMOUSE", "PRESS", 60)
+    send("LEFTMOUSE", "RELEASE", 60)
+    yield PAUSE
+    seen["radius"].append(brush.radius)
+    choose("builtin.select_box")
+
+
 def story() -> Iterator[object]:
     """What happens; a yield hands over to Blender (`Teller`)."""
     clear()
@@ -135,6 +167,7 @@ def story() -> Iterator[object]:
     seen["kept"] = "wall" in bpy.data.objects
     yield from press("ESC")
     seen["ended"] = modal.RUNNING.session is None
+    yield from by_tool(brush)
     seen["begun_again"], kept = begin(), base()
     yield from drag(0, 20)
     cursor = modal.RUNNING.session.cursor

@@ -78,6 +78,14 @@ def test_what_keys_do(seen):
     assert found["turned"] and found["kept"] and found["ended"]
 
 
+def test_the_tool_paints_a_stroke_a_drag(seen):
+    """Oracle: the mesh, and whether painting is under way; the radius that its keys leave."""
+    found = seen[0]
+    assert found["tool_begins"] and found["tool_paints"] and found["tool_ends"]
+    first, by_key, by_mouse = found["radius"]
+    assert first < by_key < by_mouse
+
+
 def test_painting_ends_with_the_addon(seen):
     """Oracle: the circle's handle, and the mesh as it was before the stroke under way."""
     assert seen[0]["begun_again"] == ["RUNNING_MODAL"] and seen[0]["ended_with_the_addon"]

@@ -24,7 +24,7 @@ from mathutils import Quaternion  # noqa: E402
 addon_utils.enable("addon", default_set=True, persistent=True)
 
 from addon.core import read_splats  # noqa: E402
-from addon.live import canvas, card, handler  # noqa: E402
+from addon.live import card, handler, view_picture  # noqa: E402
 from addon.live.program import QUADS  # noqa: E402
 from addon.splats import objects  # noqa: E402
 from tests.window import desk  # noqa: E402
@@ -60,7 +60,7 @@ class Meter:
 
     def __init__(self) -> None:
         self.redraws: list[Redraw] = []
-        draw, texture, wait = handler.draw, card.texture, canvas._wait
+        draw, texture, wait = handler.draw, card.texture, view_picture._wait
         init = card.Card.__init__
 
         def timed(context: bpy.types.Context) -> None:
@@ -79,7 +79,7 @@ class Meter:
             this._quads, this._screen = (_Batch(b, self) for b in (this._quads, this._screen))
 
         handler.draw, card.texture, card.Card.__init__ = timed, counted, made
-        canvas._wait = lambda target: self.time(wait, target)
+        view_picture._wait = lambda target: self.time(wait, target)
 
     def time(self, act: Callable, *given: Any, **named: Any) -> None:
         """Count what an act takes as the card's."""

@@ -14,10 +14,12 @@ from mathutils import Vector
 
 from addon.cameras import captures
 from addon.cameras import formulas as cm
+from addon.cameras.camera_path import export_path
 from addon.core import write_splats
 from addon.splats import objects
 from gscore.io.cameras_json import read_cameras_json as read_cameras
 from tests.addon import splat_scenes as lab
+from tests.addon.captures import write_capture
 
 ROOT = Path(__file__).parents[3]
 POINTS = [(0.0, 0.0, 0.0), (0.7, -0.4, 1.0), (-0.5, 0.8, 0.3)]
@@ -259,3 +261,21 @@ def test_gscore_render_draws_what_f12_does(scene, camera, tmp_path: Path, kind) 
         want = lab.read_image(next((tmp_path / "out").rglob(f"frame_{number:06d}.png")))
         assert np.abs(got - want).mean() < 2 / 255 and np.abs(got - want).max() < 4 / 255
         assert want[..., :3].std() > 0.05
+
+
+def test_a_camera_of_a_straightened_photo(scene, tmp_path: Path) -> None:
+    """Oracle: the pinhole camera that it is in Blender, whose size its photo has there, with its
+    lens as it is animated."""
+    write_capture(tmp_path / "c", np.random.default_rng(0))
+    made = captures.import_capture(scene, tmp_path / "c")
+    ob = next(ob for ob in made.cameras if ob["gs_model"] == "OPENCV")
+    scene.frame_start, scene.frame_end = 1, 2
+    ob.data.keyframe_insert("lens", frame=1)
+    ob.data.lens *= 2
+    ob.data.keyframe_insert("lens", frame=2)
+    assert export_path(tmp_path / "p.json", ob, scene, root=made.root) == 2
+    found = read_cameras(tmp_path / "p.json")
+    assert [found.widths[0], found.heights[0]] == list(ob["gs_size"])
+    K = np.reshape(ob["gs_K"], (3, 3))
+    np.testing.assert_allclose(found.Ks[0], K, rtol=1e-5)
+    np.testing.assert_allclose(found.Ks[1][[0, 1], [0, 1]], 2 * K[[0, 1], [0, 1]], rtol=1e-5)

@@ -126,6 +126,35 @@ def test_a_zoomed_camera(made, scene, tmp_path: Path) -> None:
     assert len(model.cameras) == 8
 
 
+@pytest.mark.parametrize("kind", ["COLMAP", "TRANSFORMS"])
+def test_a_zoomed_camera_of_a_bent_photo(
+    made, scene, capture: Path, tmp_path: Path, kind: str
+) -> None:
+    """Oracle: the capture's own files, for the photo fits no other lens; a warning names it."""
+    bent = [ob for ob in made.cameras if "gs_photo_size" in ob]
+    for ob in bent:
+        ob.data.lens *= 2
+    export = export_colmap if kind == "COLMAP" else export_transforms
+    out = tmp_path / ("o" if kind == "COLMAP" else "o.json")
+    done = export(out, bent, scene, root=made.root, depsgraph=graph())
+    assert done.moved == 0
+    (warning,) = [text for text in done.warnings if "lens" in text]
+    names = ", ".join(ob["gs_image"] for ob in bent[:3])
+    assert warning.startswith(f"The lens of {names} and 1 more was changed in Blender")
+    if kind == "COLMAP":
+        ours, theirs = read_colmap(out), read_colmap(capture)
+        own = {image.name: image for image in theirs.images}
+        for image in ours.images:
+            camera, there = ours.cameras[image.camera_id], theirs.cameras[own[image.name].camera_id]
+            assert (camera.model, camera.width) == (there.model, there.width)
+            np.testing.assert_array_equal(camera.params, there.params)
+            np.testing.assert_array_equal(image.xys, own[image.name].xys)
+    else:
+        for frame in json.loads(out.read_text())["frames"]:
+            ob = next(ob for ob in bent if frame["file_path"].endswith(ob["gs_image"]))
+            assert [frame["w"], frame["h"]] == list(ob["gs_photo_size"])
+
+
 def test_an_animated_camera(made, scene, tmp_path: Path) -> None:
     """Oracle: the evaluated pose at the current frame."""
     ob = made.cameras[0]

@@ -3,6 +3,7 @@ lenses, and where Blender's own projection has its corners."""
 
 import os
 import shutil
+import threading
 import time
 from functools import lru_cache
 from pathlib import Path
@@ -13,14 +14,16 @@ import pytest
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 
-from addon.cameras import captures, straight, straightening
+from addon import preferences
+from addon.cameras import backgrounds, captures, straight, straight_operators, straightening
 from addon.cameras.backgrounds import copy_needed, photo_of
-from addon.cameras.objects import stated
+from addon.cameras.objects import PhotoCamera, stated
 from addon.core import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints, write_colmap
 from addon.panels.cameras import CamerasPanel
+from addon.process import beat
 from addon.steer import masks
 from gscore.io.pictures.images import write_png
-from tests.addon.drawn import drawn
+from tests.addon.drawn import Layout, drawn
 
 SIZE = (320, 240)
 LENSES = {
@@ -122,6 +125,16 @@ def corner_near(picture: np.ndarray, place: np.ndarray, half: int = 4) -> np.nda
     return place - np.linalg.solve([[2 * a, b], [b, 2 * c]], [d, e])
 
 
+def panel() -> str:
+    """What the panel shows once it knows what is lacking; others have to be told first."""
+    text = drawn(CamerasPanel)
+    while straightening.LACKING.busy:
+        time.sleep(0.01)
+        beat.tick()
+        text = drawn(CamerasPanel)
+    return text
+
+
 @pytest.fixture(autouse=True)
 def own_copies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Copies go to a folder of the test."""
@@ -164,8 +177,8 @@ def test_masks_stay_those_of_the_photo(scene, tmp_path: Path) -> None:
     """Oracle: the photo's own pixels and size, and the size of the file that is saved."""
     made = captures.import_capture(scene, capture_of(tmp_path / "c", ["OPENCV"]))
     scene.gscore.capture_path = str(tmp_path / "c")
-    image = masks.make(scene, made.cameras[0])
-    assert tuple(image.size) == SIZE != (stated(made.cameras[0]).width,) * 2
+    image, own = masks.make(scene, made.cameras[0]), stated(made.cameras[0])
+    assert tuple(image.size) == SIZE != (own.width, own.height)
     np.testing.assert_array_equal(np.rint(shown(image) * 255), board("OPENCV")[..., 0])
     saved = bpy.data.images.load(str(masks.save(scene, image)))
     assert tuple(saved.size) == SIZE
@@ -175,9 +188,9 @@ def test_photos_that_change_or_move_get_new_copies(scene, tmp_path: Path, own_co
     """Oracle: the files in the folder, and the picture, which is that of the photo as it is now."""
     made = captures.import_capture(scene, capture_of(tmp_path / "c", ["OPENCV"]))
     ob = made.cameras[0]
-    assert copy_needed(ob) is not None and "(Straighten Photos)" in drawn(CamerasPanel)
+    assert copy_needed(ob) is not None and "(Straighten Photos)" in panel()
     bpy.ops.gscore.straighten_photos()
-    assert copy_needed(ob) is None and "(Straighten Photos)" not in drawn(CamerasPanel)
+    assert copy_needed(ob) is None and "(Straighten Photos)" not in panel()
     (first,) = own_copies.iterdir()
     before = shown(photo_of(ob)).copy()
 
@@ -211,6 +224,7 @@ def test_files_find_their_copies_again(scene, tmp_path: Path, own_copies: Path) 
     assert straightening.ask(cameras) == 0
     assert shown(photo_of(cameras[0])).std() > 0.3
     assert bpy.ops.gscore.straighten_photos() == {"FINISHED"}
+    straight.part_of(straight.copies(own_copies)[0]).write_bytes(b"half")
     assert bpy.ops.gscore.remove_straight_photos() == {"FINISHED"}
     assert [*own_copies.iterdir()] == []
     assert None not in [copy_needed(ob) for ob in cameras]
@@ -223,7 +237,7 @@ def test_a_photo_that_cannot_be_read_is_said(scene, tmp_path: Path, own_copies: 
     captures.import_capture(scene, folder)
     with pytest.raises(RuntimeError, match=r"OPENCV\.png"):
         bpy.ops.gscore.straighten_photos()
-    assert "OPENCV.png" in drawn(CamerasPanel)
+    assert "OPENCV.png" in panel()
     (copy,) = own_copies.iterdir()
     assert copy.name.startswith("SIMPLE_RADIAL-")
 
@@ -236,12 +250,117 @@ def test_the_queue_stops_and_goes_on(scene, tmp_path: Path, own_copies: Path) ->
     assert straightening.ask(made.cameras) == 3
     straightening.collect()
     assert time.monotonic() - began < 0.5
+    begun = copy_needed(made.cameras[0])
     assert "Straightening photos: 0 of 3" in drawn(CamerasPanel)
     assert not bpy.ops.gscore.remove_straight_photos.poll()
     assert bpy.ops.gscore.stop_straightening() == {"FINISHED"}
     straightening.wait()
-    there = [copy.name for copy in straight.copies(own_copies)]
-    assert len(there) <= 1
+    assert straight.copies(own_copies) == [begun]  # which was under way, and stays whole
     bpy.ops.gscore.straighten_photos()
     assert len(straight.copies(own_copies)) == 3
     assert [copy_needed(ob) for ob in made.cameras] == [None] * 3
+
+
+def test_a_picture_that_the_user_chose_stays(scene, tmp_path: Path, own_copies: Path) -> None:
+    """Oracle: the picture in the background, after what leads backgrounds to their copies."""
+    made = captures.import_capture(scene, capture_of(tmp_path / "c", ["OPENCV"]))
+    ob = made.cameras[0]
+    write_png(tmp_path / "own.png", board("OPENCV"))
+    chosen = bpy.data.images.load(str(tmp_path / "own.png"))
+    ob.data.background_images[0].image = chosen
+    assert straightening.ask([ob]) == 0 and copy_needed(ob) is None
+    assert "(Straighten Photos)" not in panel()
+    captures.relink(made.root, tmp_path / "c")
+    assert [slot.image for slot in ob.data.background_images] == [chosen]
+    assert not own_copies.exists()
+
+    slot = ob.data.background_images[0]
+    slot.image = None
+    captures.relink(made.root, tmp_path / "c")
+    assert copy_needed(ob) is not None and len(ob.data.background_images) == 1
+
+
+def test_a_wrong_link_is_led_to_a_copy_that_is_there(
+    scene, tmp_path: Path, own_copies: Path
+) -> None:
+    """Oracle: the file in the background; nothing is asked for, and opacity stays."""
+    made = captures.import_capture(scene, capture_of(tmp_path / "c", ["OPENCV"]))
+    bpy.ops.gscore.straighten_photos()
+    (ob,), (copy,) = made.cameras, own_copies.iterdir()
+    slot = ob.data.background_images[0]
+    slot.image.filepath, slot.alpha = str(tmp_path / "elsewhere.png"), 0.5
+    ob.data.show_background_images = False
+    assert copy_needed(ob) == copy and "(Straighten Photos)" in panel()
+    assert straightening.ask([ob]) == 0 and not straightening.QUEUE.busy
+    assert slot.image.filepath == str(copy) and copy_needed(ob) is None
+    assert slot.alpha == 0.5 and not ob.data.show_background_images
+
+
+def test_a_damaged_camera_keeps_none_from_the_others(scene, tmp_path: Path) -> None:
+    """Oracle: how many copies are asked for; the sentence in the panel and from the operator."""
+    made = captures.import_capture(scene, capture_of(tmp_path / "c", ["OPENCV", "SIMPLE_RADIAL"]))
+    del made.cameras[0]["gs_K"]
+    assert straightening.ask(made.cameras) == 1
+    straightening.QUEUE.kill()
+    assert "has lost what the capture says" in panel() and "(Straighten Photos)" in panel()
+    with pytest.raises(RuntimeError, match="has lost what the capture says"):
+        bpy.ops.gscore.straighten_photos()
+    assert copy_needed(made.cameras[1]) is None
+
+
+def test_panels_wait_for_no_disk(scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: the threads in which photos are looked at, and how often."""
+    captures.import_capture(scene, capture_of(tmp_path / "c", [*LENSES]))
+    main, looks = threading.current_thread(), []
+
+    def copy_of(own: PhotoCamera, photo: Path) -> Path:
+        looks.append((own.model, threading.current_thread()))
+        return straight.copy_of(own, photo)
+
+    monkeypatch.setattr(backgrounds, "copy_of", copy_of)
+    for _ in range(5):
+        assert "(Straighten Photos)" in panel()
+    assert sorted(model for model, _ in looks) == sorted(LENSES)
+    assert main not in [thread for _, thread in looks]
+
+
+def test_many_cameras_are_asked_for_at_once(
+    scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: how often all images of the file are gone through."""
+    made = captures.import_capture(scene, capture_of(tmp_path / "c", [*LENSES]))
+    for ob in made.cameras:
+        os.utime(stated(ob).photo, (1e9, 1e9))  # so that all copies have other names
+    calls = []
+    known = backgrounds.known_images
+    monkeypatch.setattr(straightening, "known_images", lambda: calls.append(1) or known())
+    assert straightening.ask(made.cameras) == 3 and len(calls) == 1
+    straightening.QUEUE.kill()
+    assert [copy_needed(ob) for ob in made.cameras] == [
+        backgrounds.file_of(photo_of(ob)) for ob in made.cameras
+    ]
+
+
+def test_why_a_lens_is_not_straightened() -> None:
+    """Oracle: the sentence of the trainer, which refuses the lens too; importing again helps only
+    where a lens can be straightened."""
+    known = {"image": "a.png", "photo": "", "viewmat": np.eye(4), "K": np.eye(3)}
+    known |= {"width": SIZE[0], "height": SIZE[1], "model": "SIMPLE_RADIAL"}
+    folded = PhotoCamera(**known, params=(260.0, 160.0, 120.0, -1.5))
+    with pytest.raises(ValueError, match=r"^a\.png cannot be straightened.*folds back"):
+        straight.undistortion_of(folded)
+    with pytest.raises(ValueError, match="import the capture's cameras again"):
+        straight.undistortion_of(PhotoCamera(**known, params=LENSES["SIMPLE_RADIAL"]))
+
+
+def test_preferences_tell_the_copies_once_they_are_counted(scene, own_copies: Path) -> None:
+    """Oracle: the files in the folder; and that something waits for the thread that counts."""
+    own_copies.mkdir(parents=True)
+    (own_copies / "a.png").write_bytes(bytes(3_000_000))
+    layout = Layout()
+    straight_operators.draw_copies(layout, preferences.get())
+    assert layout.notes == [] and beat.tick()
+    while beat.tick():
+        time.sleep(0.01)
+    straight_operators.draw_copies(layout, preferences.get())
+    assert "1 files, 3 MB" in layout.text and "(Remove Straightened Photos)" in layout.text

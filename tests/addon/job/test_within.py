@@ -12,8 +12,10 @@ from mathutils import Euler, Matrix, Vector
 from addon import preferences
 from addon.cameras.captures import import_capture
 from addon.job import facts, registry
+from addon.panels.train import TrainPanel
 from gscore.io.region_file import read_region
 from tests.addon.captures import STUDIO
+from tests.addon.drawn import drawn
 from tests.addon.fake_trainer import STARTED, fake_python, finish
 from tests.addon.trainings import until
 
@@ -81,6 +83,23 @@ def test_what_limits_nothing_is_refused(studio: bpy.types.Scene, tmp_path: Path)
     assert ob.name in bpy.data.objects and bpy.ops.gscore.train() == {"FINISHED"}
     line = told(tmp_path)
     assert "--region" not in line
+
+
+def test_there_is_no_sky_within_an_object(studio: bpy.types.Scene, tmp_path: Path) -> None:
+    """Oracle: the sentence, in the panel and from the operator, in words of the panel; no training
+    begins, and nothing is written."""
+    import_capture(bpy.context.scene, STUDIO)
+    around(studio, (1, 1, 1))
+    said = "subject is trained, so there is no sky: turn Sky off, or clear Only Within"
+    assert said not in drawn(TrainPanel)
+    studio.gscore.sky = True
+    assert said in drawn(TrainPanel)
+    with pytest.raises(RuntimeError, match=said):
+        bpy.ops.gscore.train()
+    assert not registry.jobs() and not (tmp_path / "out").exists()
+    studio.gscore.train_within = None
+    assert said not in drawn(TrainPanel) and bpy.ops.gscore.train() == {"FINISHED"}
+    assert "--sky" in told(tmp_path)
 
 
 def test_it_belongs_to_its_capture(studio: bpy.types.Scene, tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from addon import attributes
 from addon.attributes import BASE
 from addon.cameras.captures import render_camera
 from addon.core import Splats, join_splats
-from addon.paint import canvas
+from addon.paint import painted
 from addon.paint.brush import COLOR, OPACITY, Brush
 from addon.render.viewport import view_camera
 from addon.splats import objects
@@ -126,9 +126,9 @@ def test_what_is_hidden_is_not_painted(ob: bpy.types.Object) -> None:
     faint = before[:, 3] < 0.5
     how = {"stroke": stroke(WAY), "radius": 60, "hardness": 1.0, "front_only": False, "color": RED}
     bpy.ops.gscore.paint_stroke(only_selected=True, **how)
-    painted = (base_of(ob) != before).any(axis=1)
-    np.testing.assert_array_equal(painted, under & ~hidden & ~faint & chosen)
-    assert 10 < painted.sum() < under.sum() / 3
+    reached = (base_of(ob) != before).any(axis=1)
+    np.testing.assert_array_equal(reached, under & ~hidden & ~faint & chosen)
+    assert 10 < reached.sum() < under.sum() / 3
     ob.data.vertices.foreach_set("select", np.zeros(len(under), bool))
     with pytest.raises(RuntimeError, match="turn Only Selected off"):
         bpy.ops.gscore.paint_stroke(only_selected=True, **how)
@@ -165,9 +165,9 @@ def test_only_the_front(scene: bpy.types.Scene, kind: str, scale: float) -> None
     before = base_of(ob)
     how = {"stroke": stroke([(90, 100), (210, 100)]), "radius": 35, "color": RED, "hardness": 1.0}
     bpy.ops.gscore.paint_stroke(front_only=True, **how)
-    painted = (base_of(ob) != before).any(axis=1)
-    assert painted[which == 0].sum() > 100 and not painted[which == 1].any()
-    assert painted[which == 2].sum() > 100
+    reached = (base_of(ob) != before).any(axis=1)
+    assert reached[which == 0].sum() > 100 and not reached[which == 1].any()
+    assert reached[which == 2].sum() > 100
     bpy.ops.gscore.paint_stroke(front_only=False, **how)
     assert (base_of(ob) != before).any(axis=1)[which == 1].sum() > 100
 
@@ -183,9 +183,9 @@ def test_only_the_front_of_a_view(scene: bpy.types.Scene, perspective: bool) -> 
         window = np.array([[2.0, 0, 0, 0], [0, 3, 0, 0], [0, 0, -1.002, -0.2002], [0, 0, -1, 0]])
     camera = view_camera(view, window, *SIZE, perspective=perspective)
     before, middle = base_of(ob), np.array([150.0, 100])
-    canvas.paint(ob, [middle], Brush(radius=40, color=RED), camera, front_only=True)
-    painted = (base_of(ob) != before).any(axis=1)
-    assert painted[: 41 * 41].sum() > 30 and not painted[41 * 41 :].any()
+    painted.paint(ob, [middle], Brush(radius=40, color=RED), camera, front_only=True)
+    reached = (base_of(ob) != before).any(axis=1)
+    assert reached[: 41 * 41].sum() > 30 and not reached[41 * 41 :].any()
 
 
 def test_undo_and_edit_mode(ob: bpy.types.Object) -> None:
@@ -207,17 +207,17 @@ def test_refusals(ob: bpy.types.Object) -> None:
     before = base_of(ob)
     with pytest.raises(RuntimeError, match="stroke has no points"):
         bpy.ops.gscore.paint_stroke()
-    with pytest.raises(RuntimeError, match="not an object nobody"):
+    with pytest.raises(RuntimeError, match="has no object nobody"):
         bpy.ops.gscore.paint_stroke(stroke=stroke(WAY), camera="nobody")
     with pytest.raises(RuntimeError, match="is no camera"):
         bpy.ops.gscore.paint_stroke(stroke=stroke(WAY), camera=ob.name)
     bpy.context.scene.camera = None
-    with pytest.raises(RuntimeError, match="not a camera to paint through"):
+    with pytest.raises(RuntimeError, match="has no camera to paint through"):
         bpy.ops.gscore.paint_stroke(stroke=stroke(WAY))
     with pytest.raises(RuntimeError, match="needs a 3D view"):
         bpy.ops.gscore.paint_splats()
     with pytest.raises(ValueError, match="Front Only needs a view"):
-        canvas.paint(ob, [np.zeros(3)], Brush(radius=1), None, front_only=True)
+        painted.paint(ob, [np.zeros(3)], Brush(radius=1), None, front_only=True)
     np.testing.assert_array_equal(base_of(ob), before)
 
 
@@ -248,7 +248,7 @@ def test_a_dropped_stroke_leaves_nothing(ob: bpy.types.Object) -> None:
     """Oracle: the attribute; displays other than the live one had been written to."""
     before = base_of(ob)
     view = render_camera(bpy.context.scene.camera, bpy.context.scene)
-    made = canvas.Canvas(ob, Brush(radius=40, does=COLOR, color=RED), view)
+    made = painted.PaintedObject(ob, Brush(radius=40, does=COLOR, color=RED), view)
     for point in WAY:
         made.to(np.array(point))
         made.show()
@@ -260,7 +260,7 @@ def test_a_dropped_stroke_leaves_nothing(ob: bpy.types.Object) -> None:
 def test_splats_that_were_replaced_meanwhile(ob: bpy.types.Object) -> None:
     """Oracle: the sentence, and the new splats as they came."""
     view = render_camera(bpy.context.scene.camera, bpy.context.scene)
-    made = canvas.Canvas(ob, Brush(radius=400, color=RED), view)
+    made = painted.PaintedObject(ob, Brush(radius=400, color=RED), view)
     made.to(np.array(WAY[0]))
     objects.refresh(ob, lab.blob(30))
     with pytest.raises(ValueError, match="were replaced while the stroke"):
@@ -283,7 +283,7 @@ def test_a_million_splats(
     monkeypatch.setattr("addon.splats.live.SESSION.there", True)
     ob.gscore.display = "SPLATS"
     began = time.perf_counter()
-    made, steps = canvas.Canvas(ob, Brush(radius=50, color=RED), view, front_only=True), []
+    made, steps = painted.PaintedObject(ob, Brush(radius=50, color=RED), view, front_only=True), []
     for x in range(500, 1100, 20):
         step = time.perf_counter()
         made.to(np.array([x, 450.0]))

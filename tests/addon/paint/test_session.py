@@ -11,7 +11,7 @@ import pytest
 
 from addon import attributes
 from addon.cameras.captures import render_camera
-from addon.paint import canvas, session
+from addon.paint import modal, painted, session
 from addon.paint.session import Answer, Session
 from addon.panels.paint import PaintPanel
 from addon.splats import objects
@@ -108,7 +108,7 @@ def by_function(ob: bpy.types.Object, brush: bpy.types.PropertyGroup, **how) -> 
     bpy.context.view_layer.update()
     view = render_camera(bpy.context.scene.camera, bpy.context.scene)
     way = [np.array([x, HEIGHT - y], np.float64) for x, y in WAY]
-    canvas.paint(
+    painted.paint(
         other,
         way,
         brush.brush(inverted=how.get("inverted", False)),
@@ -176,9 +176,58 @@ def test_what_is_for_others(desk: Desk) -> None:
     for key in ("X", "DEL", "G", "TAB", "A", "LEFT_ARROW", "RIGHTMOUSE", "D"):
         assert desk.send(key) is Answer.TAKEN, key
     assert desk.send("D", alt=True) is Answer.TAKEN
+    for key in ("NUMPAD_1", "NUMPAD_7", "WHEELUPMOUSE"):
+        assert desk.send(key, ctrl=True) is Answer.PASSED, key
+    for key in ("NUMPAD_0", "NUMPAD_PLUS"):  # the camera of the scene, the selection
+        assert desk.send(key, ctrl=True) is Answer.TAKEN, key
     desk.over_view = False
     for key in ("LEFTMOUSE", "ESC", "X"):
         assert desk.send(key) is Answer.PASSED, key
+
+
+def test_clocks_go_on_while_something_is_drawn(ob: bpy.types.Object, desk: Desk) -> None:
+    """Oracle: what is for all passes during a stroke and while a radius is chosen; the mouse's way
+    does not."""
+    for begin, end in (("LEFTMOUSE", "RELEASE"), ("F", "PRESS")):
+        desk.send(begin)
+        for key in ("TIMER", "TIMER_REPORT", "TIMER0", "WINDOW_DEACTIVATE", "NONE"):
+            assert desk.send(key) is Answer.PASSED, key
+        for key in ("INBETWEEN_MOUSEMOVE", "MOUSEMOVE", "X"):
+            assert desk.send(key) is Answer.TAKEN, key
+        desk.send("LEFTMOUSE", end)
+    assert desk.send("INBETWEEN_MOUSEMOVE") is Answer.PASSED
+
+
+def test_views_are_drawn_where_the_circle_changes(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: how often views are told to draw."""
+    drawn_: list[int] = []
+    monkeypatch.setattr(session, "redraw_views", lambda: drawn_.append(1))
+    desk.send("MOUSEMOVE", at=WAY[0])
+    for key in ("TIMER", "LEFT_CTRL", "MOUSEMOVE"):
+        desk.send(key, at=WAY[0])
+    assert len(drawn_) == 1
+    desk.send("MOUSEMOVE", at=WAY[1])
+    desk.send("RIGHT_BRACKET", at=WAY[1])
+    assert len(drawn_) == 3
+    desk.over_view = False
+    for _ in range(3):
+        desk.send("MOUSEMOVE", at=WAY[1])
+    assert len(drawn_) == 4
+
+
+def test_painting_goes_on_where_its_workspace_is_deleted(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: the keys are told, and painting ends, without an error."""
+    running = modal.Running()
+    workspace = bpy.context.workspace.copy()
+    running.begin(SimpleNamespace(workspace=workspace, window_manager=bpy.context.window_manager))
+    bpy.data.batch_remove([workspace])
+    running.tell(bpy.context)
+    running.end()
+    assert running.session is None
 
 
 def test_radius_by_keys(desk: Desk) -> None:
@@ -225,7 +274,7 @@ def test_undo_passes_and_what_it_brings_is_shown(
 ) -> None:
     """Oracle: the event after it hands the mesh's values to the live display."""
     shown = []
-    monkeypatch.setattr(canvas, "show_as_kept", shown.append)
+    monkeypatch.setattr(painted, "show_as_kept", shown.append)
     assert desk.send("Z") is Answer.TAKEN
     assert desk.send("Z", ctrl=True) is Answer.PASSED
     assert shown == []
@@ -271,7 +320,9 @@ def test_the_live_display_follows_without_the_mesh(
     monkeypatch.setattr("addon.splats.live.SESSION.there", True)
     ob.gscore.display = "SPLATS"
     told: list[np.ndarray] = []
-    monkeypatch.setattr(canvas.copies.SHARED, "repaint", lambda uid, base: told.append(base.copy()))
+    monkeypatch.setattr(
+        painted.copies.SHARED, "repaint", lambda uid, base: told.append(base.copy())
+    )
     before, want = base_of(ob), by_function(ob, desk.brush)
     told.clear()
     desk.send("LEFTMOUSE", at=WAY[0])

@@ -1,6 +1,7 @@
 """Colours and opacities that change before Blender's mesh does. Oracles: the values that were
 handed over, and a decoding of everything anew."""
 
+import weakref
 from collections.abc import Iterator
 
 import bpy
@@ -11,8 +12,9 @@ from addon import attributes
 from addon.attributes import BASE
 from addon.core import Splats
 from addon.render import copies
-from addon.render.frozen import FrozenMesh, freeze, repainted_rows
+from addon.render.frozen import FrozenMesh, freeze
 from addon.render.scene import Placed, SplatCache, place, sources
+from addon.render.trace import repainted_rows, trace_of
 from tests.addon import splat_scenes as lab
 
 FIELDS = ("means", "quats", "scales", "opacities", "sh0", "shN")
@@ -125,18 +127,34 @@ def test_only_what_was_painted_is_decoded(ob, opacity_min: float) -> None:
     assert cache.decoded == (1 if not opacity_min else 2)
 
 
+def test_only_paint_is_remembered_of_a_copy(ob) -> None:
+    """Oracle: which arrays of copies are still there when nobody else has them; and a decoding of
+    all."""
+    (source,) = sources(bpy.context.evaluated_depsgraph_get())
+    frozen, cache = freeze(ob.data, ob.name), SplatCache()
+    first = frozen.repainted(painted(ob, np.arange(3, 60)))
+    second = frozen.repainted(painted(ob, np.arange(90, 150)))
+    arrays = [weakref.ref(a.data.values) for a in first.attributes if a.name != BASE]
+    cache.parts([place(source, first)])
+    (got,) = cache.parts([place(source, second)])
+    same(got, second.read())
+    assert cache.decoded == 1 and len(arrays) >= 3
+    del frozen, first, second
+    assert [array() for array in arrays] == [None] * len(arrays)
+
+
 def test_what_makes_copies_differ(ob) -> None:
     """Oracle: the rows that were changed; None where more was, or values are not finite."""
     one = freeze(ob.data, "one")
     base = one.base.copy()
-    assert repainted_rows(one, one.repainted(base.copy())).tolist() == []
+    assert repainted_rows(trace_of(one), one.repainted(base.copy())).tolist() == []
     base[[4, 9], 1] = 2
-    assert repainted_rows(one, one.repainted(base.copy())).tolist() == [4, 9]
+    assert repainted_rows(trace_of(one), one.repainted(base.copy())).tolist() == [4, 9]
     base[4, 1] = np.nan
-    assert repainted_rows(one, one.repainted(base.copy())) is None
+    assert repainted_rows(trace_of(one), one.repainted(base.copy())) is None
     ob.data.attributes[attributes.SCALE].data[0].vector = (1, 1, 1)
-    assert repainted_rows(one, freeze(ob.data, "one")) is None
-    assert repainted_rows(one, FrozenMesh("one", 200)) is None
+    assert repainted_rows(trace_of(one), freeze(ob.data, "one")) is None
+    assert repainted_rows(trace_of(one), FrozenMesh("one", 200)) is None
 
 
 def test_selections_show_before_they_are_written(ob, made) -> None:

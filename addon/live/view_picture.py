@@ -10,7 +10,7 @@ from .atlas import Atlas
 from .card import Card, Order, Shot, upload
 
 
-class Canvas:
+class ViewPicture:
     """Keeps what has been drawn as long as it stays the same: Blender draws views again and again,
     at each step of the mouse over a panel."""
 
@@ -49,7 +49,7 @@ class Canvas:
         size = shot.camera.width, shot.camera.height
         if self._target is None or (self._target.width, self._target.height) != size:
             self._target = gpu.types.GPUOffScreen(*size, format="RGBA16F")
-        self._holds = (order, shot) if meshes is None else None
+        self._holds = None  # until it is drawn
         if took is None:
             card.draw(self._target, self._atlas[1], order, shot, meshes)
         else:
@@ -58,6 +58,7 @@ class Canvas:
             card.draw(self._target, self._atlas[1], order, shot, meshes)
             _wait(self._target)
             took(time.perf_counter() - began)
+        self._holds = (order, shot) if meshes is None else None
         return self._target.texture_color
 
 

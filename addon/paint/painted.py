@@ -20,7 +20,7 @@ from .brush import SELECT, Brush
 from .stroke import Stroke
 
 
-class Canvas:
+class PaintedObject:
     """Used on the main thread, from the beginning of a stroke to its end or cancellation."""
 
     def __init__(
@@ -165,7 +165,7 @@ def paint(
     front_only: bool = False,
     only_selected: bool = False,
 ) -> int:
-    """Paint a whole stroke; how many splats it reached. Arguments and errors as `Canvas`.
+    """Paint a whole stroke; how many splats it reached. Arguments and errors as `PaintedObject`.
 
     Args:
         ob: A splat object.
@@ -175,10 +175,10 @@ def paint(
         front_only: Leave out what lies behind.
         only_selected: Leave out what is not selected.
     """
-    canvas = Canvas(ob, brush, view, front_only=front_only, only_selected=only_selected)
+    painted = PaintedObject(ob, brush, view, front_only=front_only, only_selected=only_selected)
     for point in points:
-        canvas.to(point)
-    return canvas.finish()
+        painted.to(point)
+    return painted.finish()
 
 
 def show_as_kept(ob: bpy.types.Object) -> None:

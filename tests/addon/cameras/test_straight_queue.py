@@ -1,0 +1,104 @@
+"""The queue of photos to straighten, with stand-ins for the program. Oracle: what these were told,
+which they write down."""
+
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from addon.cameras.straight_queue import ANSWER, READY, StraightQueue
+
+BEGINS = """
+import json, sys, time
+told = open(sys.argv[1], "a")
+print("begun", file=told, flush=True)
+"""
+ANSWERS = f"""
+print({READY!r}, flush=True)
+for line in sys.stdin:
+    copy = json.loads(line)["copy"]
+    print(copy, file=told, flush=True)
+    if copy == "crash":
+        sys.exit("no memory")
+    print({ANSWER!r} + json.dumps({{"copy": copy, "problem": ""}}), flush=True)
+"""
+Run = Callable[[str], Callable[[], tuple[list[str], dict[str, str]]]]
+
+
+@pytest.fixture
+def told(tmp_path: Path) -> Path:
+    """Where programs write down what they are told."""
+    return tmp_path / "told"
+
+
+@pytest.fixture
+def run(told: Path) -> Run:
+    """A program from the text of its script."""
+    return lambda script: lambda: ([sys.executable, "-c", script, str(told)], {})
+
+
+def tasks(*copies: str) -> list[dict[str, str]]:
+    """One for each copy."""
+    return [{"copy": copy} for copy in copies]
+
+
+def poll_until(queue: StraightQueue, program: object, done: Callable[[list[str]], bool]) -> list:
+    """The copies that were made until something holds of them."""
+    made, until = [], time.monotonic() + 20
+    while not done(made):
+        assert time.monotonic() < until, (made, queue.problems)
+        made += queue.poll(program)
+        time.sleep(0.01)
+    return made
+
+
+def test_what_is_asked_for_while_the_program_ends_is_made(run: Run, told: Path) -> None:
+    """The program needs a second to end, in which it reads nothing more."""
+    queue, program = StraightQueue(), run(BEGINS + ANSWERS + "time.sleep(1)")
+    queue.ask(tasks("a"))
+    poll_until(queue, program, lambda made: made == ["a"])
+    for _ in range(5):  # its input ends
+        assert queue.poll(program) == []
+        time.sleep(0.02)
+    assert queue.busy
+    queue.ask(tasks("b"))
+    poll_until(queue, program, lambda made: made == ["b"])
+    assert queue.problems == {} and queue.done == queue.total == 2
+    poll_until(queue, program, lambda _: not queue.busy)
+    assert told.read_text().split() == ["begun", "a", "begun", "b"]
+
+
+def test_a_program_that_never_begins_is_given_up(run: Run, told: Path) -> None:
+    """Every photo is told why; later ones are tried again."""
+    queue, program = StraightQueue(), run(BEGINS + "sys.exit('no display')")
+    for _ in range(2):
+        queue.ask(tasks("a", "b", "c"))
+        poll_until(queue, program, lambda _: not queue.busy)
+        assert set(queue.problems) == {"a", "b", "c"}
+        assert set(queue.problems.values()) == {
+            "The Blender that straightens photos ended before it began (exit code 1). no display"
+        }
+    assert told.read_text().split() == ["begun"] * 4
+
+
+def test_a_photo_that_ends_the_program_is_left_out(run: Run, told: Path) -> None:
+    """The others are made by another one."""
+    queue, program = StraightQueue(), run(BEGINS + ANSWERS)
+    queue.ask(tasks("a", "crash", "b"))
+    assert poll_until(queue, program, lambda _: not queue.busy) == ["a", "b"]
+    assert told.read_text().split() == ["begun", "a", "crash", "begun", "b"]
+    (copy,) = queue.problems
+    assert copy == "crash" and "at crash (exit code 1). no memory" in queue.problems[copy]
+
+
+def test_what_is_asked_for_last_comes_first(run: Run, told: Path) -> None:
+    """But for the copy that is being made; nothing is made twice."""
+    slow = ANSWERS.replace("    if copy", "    time.sleep(0.3)\n    if copy")
+    queue, program = StraightQueue(), run(BEGINS + slow)
+    queue.ask(tasks("a", "b", "c"))
+    queue.poll(program)
+    queue.ask(tasks("d", "a", "c"))
+    assert poll_until(queue, program, lambda _: not queue.busy) == ["a", "d", "c", "b"]
+    assert told.read_text().split() == ["begun", "a", "d", "c", "b"]
