@@ -192,9 +192,9 @@ class TrainConfig:
     steps_a_photo: int = option(
         0,
         "Never more steps than this for each training photo: more fit the photos, and no new view "
-        "gains. 1,500 steps are always taken, and all of them where masks are opacity, under "
-        "`time_budget`, where `--iterations` is given by itself, or in `gscore sequence`; 0: no "
-        "limit, which Python has to say beside `iterations`.",
+        "gains; twice as many where masks are opacity. 1,500 are always taken, and all of them "
+        "under `time_budget`, where `--iterations` is given by itself, or in `gscore sequence`; "
+        "0: no limit, which Python has to say beside `iterations`.",
         group="run",
         range=Range(high=_MOST),
         unit="steps",
@@ -819,10 +819,10 @@ class TrainConfig:
         check_options(self)
 
 
-_OPAQUE = TrainConfig(opaque_weight=0.005)
-_LONG = replace(_OPAQUE, steps_a_photo=80, stereo=Switch.AUTO)
-"""What the longer presets share: points of stereo place what they grow, and more steps for each
-photo lose on views between the photos."""
+_LIMITED = TrainConfig(opaque_weight=0.005, steps_a_photo=80)
+"""What all but previews share: more steps for each photo lose on views between the photos."""
+_LONG = replace(_LIMITED, stereo=Switch.AUTO)
+"""What the longer presets share: points of stereo place what they grow."""
 
 
 def preview(source: Path) -> tuple[DataConfig, TrainConfig]:
@@ -834,7 +834,7 @@ def preview(source: Path) -> tuple[DataConfig, TrainConfig]:
 
 def draft(source: Path) -> tuple[DataConfig, TrainConfig]:
     """Good enough to judge a capture, in about a minute and a quarter on two cores."""
-    train = replace(_OPAQUE, iterations=4000, max_splats=150_000, sh_degree=2)
+    train = replace(_LIMITED, iterations=4000, max_splats=150_000, sh_degree=2)
     return DataConfig(source=source, max_width=640), train
 
 

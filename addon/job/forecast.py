@@ -56,7 +56,7 @@ def question(settings: Settings, facts: CaptureFacts, *, threads: int) -> Questi
         size = target_size(width, height, resolution, max_width=data.max_width)
         sizes[size] = sizes.get(size, 0) + count
     return Question(
-        # Alpha is most often a matte, of which all steps are taken; photos are not decoded here.
+        # Alpha is most often a matte, of which more steps are taken; photos are not decoded here.
         train=limit_by_photos(
             train,
             photos=photos,

@@ -143,16 +143,10 @@ def _coupled(capture: str) -> Source:
     return less(cell(page, heading, capture, "with the photos: PSNR"), without)
 
 
-def _few(row: str) -> Source:
-    """What simulated network depth brings to studio, dB."""
+def _depth(row: str, heading: str = "Real captures") -> Source:
+    """What simulated network depth brings, colour-corrected, dB."""
     page = EXPERIMENTS.format("depth")
-    return cell(page, "Few views and many", f"{row} | simulated network", "gain in PSNR")
-
-
-def _real(row: str) -> Source:
-    """What it brings to a real capture, dB."""
-    page = EXPERIMENTS.format("depth")
-    return cell(page, "Real captures", row, "simulated network: gain")
+    return cell(page, heading, f"{row} | simulated network", "colour-corrected")
 
 
 def _before(row: str, column: str) -> Source:
@@ -290,30 +284,20 @@ QUOTES = (
     ),
     Quote(
         "docs/depth.md",
-        r"studio (\S+) dB, plush (\S+) dB, stone_horse \*\*(\S+) dB\*\*",
-        (_few("6"), _real("plush | 6"), _real("stone_horse | 6")),
+        r"\| 6 \| \*\*(\S+)\*\* \(plush\), \*\*(\S+)\*\* \(stone_horse\), studio (\S+) in small",
+        (_depth("plush, 6"), _depth("stone_horse, 6"), _depth("6", "Few views and many")),
     ),
     Quote(
         "docs/depth.md",
-        r"12 photos \| (\S+), (\S+), (\S+) dB",
-        (_few("12"), _real("plush | 12"), _real("stone_horse | 12")),
+        r"in the median: studio (\S+), plush (\S+) ",
+        (_depth("studio, 24"), _depth("plush, 24")),
     ),
     Quote(
         "docs/depth.md",
-        r"24 photos \| (\S+), (\S+), (\S+) dB",
-        (_few("24"), _real("plush | 24"), _real("stone_horse | 24")),
-    ),
-    Quote(
-        "docs/depth.md",
-        r"studio (\S+) dB in small runs, (\S+) dB at full size",
+        r"studio (\S+) in small runs, (\S+) at full size",
         (
-            _few("50"),
-            cell(
-                EXPERIMENTS.format("depth"),
-                "Full size, 50 training and 10 test views",
-                "50 | simulated network",
-                "gain in PSNR",
-            ),
+            _depth("50", "Few views and many"),
+            _depth("50", "Full size, 50 training and 10 test views"),
         ),
     ),
 )

@@ -16,9 +16,9 @@ def limit_by_photos(
 ) -> tuple[TrainConfig, str]:
     """The options with no more steps and splats than so many photos are good for.
 
-    Where masks are opacity (`composite`), all are taken: a subject alone is seen from all sides,
-    and there is nothing before or behind it that one photo alone could explain. Under a time budget
-    steps are found otherwise.
+    Where masks are opacity (`composite`), twice as many steps and all splats are taken: a subject
+    alone is seen from all sides, and there is nothing before or behind it that one photo alone
+    could explain. Under a time budget steps are found otherwise.
 
     Args:
         config: How to train.
@@ -29,10 +29,10 @@ def limit_by_photos(
     Returns:
         The options, and a sentence for each thing that was left out; empty where nothing was.
     """
-    if mask_mode == "composite":
-        return config, ""
+    subject = mask_mode == "composite"
     words, of_photos = [], count_words(photos, "photo")
-    asked, steps = config.iterations, max(config.steps_a_photo * photos, _FEWEST_STEPS, taken)
+    each = config.steps_a_photo * (2 if subject else 1)
+    asked, steps = config.iterations, max(each * photos, _FEWEST_STEPS, taken)
     if config.steps_a_photo and not config.time_budget and steps < asked:
         config = replace(config, iterations=steps)
         words.append(
@@ -40,7 +40,7 @@ def limit_by_photos(
             f"{of_photos} better (--steps-a-photo 0 takes them all)."
         )
     most, splats = config.max_splats, max(config.splats_a_photo * photos, _FEWEST_SPLATS)
-    if config.splats_a_photo and splats < most:
+    if config.splats_a_photo and not subject and splats < most:
         config = replace(config, max_splats=splats)
         words.append(
             f"At most {number(splats)} of {number(most)} splats grow: more do not make unseen "

@@ -30,12 +30,20 @@ def test_the_sentence() -> None:
     )
 
 
+def test_a_subject_that_is_cut_out_is_good_for_twice_as_many() -> None:
+    """Oracle: 160 times the photos, and as many splats as are asked for."""
+    long = replace(TRAIN, iterations=15_000, splats_a_photo=6000, max_splats=600_000)
+    for photos, steps in ((5, 1500), (50, 8000), (100, 15_000)):
+        found, why = limit_by_photos(long, photos=photos, mask_mode="composite")
+        assert found == replace(long, iterations=steps)
+        assert why.count("steps are taken") == (steps < 15_000)
+
+
 @pytest.mark.parametrize(
     ("config", "mask_mode"),
     [
         (replace(TRAIN, steps_a_photo=0), "none"),
         (replace(TRAIN, time_budget=60.0), "none"),
-        (TRAIN, "composite"),
         (replace(TRAIN, iterations=1500), "ignore"),
     ],
 )
@@ -45,9 +53,9 @@ def test_where_all_are_taken(config: TrainConfig, mask_mode: str) -> None:
 
 
 def test_which_presets_have_the_limit() -> None:
-    """Oracle: preview and draft are what they were; the longer ones have it."""
+    """Oracle: all but previews have it, `high` for splats too."""
     limits = {name: make(Path())[1].steps_a_photo for name, make in PRESETS.items()}
-    assert limits == {"preview": 0, "draft": 0, "normal": 80, "high": 80}
+    assert limits == {"preview": 0, "draft": 80, "normal": 80, "high": 80}
     limits = {name: make(Path())[1].splats_a_photo for name, make in PRESETS.items()}
     assert limits == {"preview": 0, "draft": 0, "normal": 0, "high": 6000}
 
