@@ -25,7 +25,7 @@ addon_utils.enable("addon", default_set=True, persistent=True)
 from addon.live import handler  # noqa: E402
 from addon.live.card import Card, Shot  # noqa: E402
 from tests.addon import splat_scenes as lab  # noqa: E402
-from tests.window.desk import Teller, area, at_rest, clear, region, space  # noqa: E402
+from tools.window.desk import Teller, area, at_rest, clear, region, space  # noqa: E402
 
 COLOR = (0.8, 0.4, 0.2)
 seen: dict = {"log": []}

@@ -25,7 +25,7 @@ addon_utils.enable("addon", default_set=True, persistent=True)
 from addon import attributes  # noqa: E402
 from addon.paint import modal  # noqa: E402
 from tests.addon import splat_scenes as lab  # noqa: E402
-from tests.window.desk import Teller, area, at_rest, clear, region, space  # noqa: E402
+from tools.window.desk import Teller, area, at_rest, clear, region, space  # noqa: E402
 
 WALL, BRUSH = (0.8, 0.4, 0.2), (0.05, 0.2, 0.9)
 PAUSE = 0.2

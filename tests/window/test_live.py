@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.window import programs
+from tools.window import programs
 
 pytestmark = pytest.mark.window
 
@@ -24,7 +24,7 @@ COLOR = (204, 102, 51)
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path]:
     """What `live_scene.py` saw, and the folder of its pictures."""
-    blender, problem = programs.find()
+    blender, problem = programs.find(*programs.PICTURES)
     if not blender:
         pytest.skip(problem)
     folder, script = tmp_path_factory.mktemp("window"), Path(__file__).with_name("live_scene.py")

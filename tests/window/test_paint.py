@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.window import programs
+from tools.window import programs
 
 pytestmark = pytest.mark.window
 
@@ -21,7 +21,7 @@ WALL, BRUSH = (204, 102, 51), (13, 51, 230)
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path]:
     """What `paint_scene.py` saw, and the folder of its pictures."""
-    blender, problem = programs.find()
+    blender, problem = programs.find(*programs.PICTURES)
     if not blender:
         pytest.skip(problem)
     folder, script = tmp_path_factory.mktemp("paint"), Path(__file__).with_name("paint_scene.py")

@@ -27,7 +27,7 @@ from addon.core import read_splats  # noqa: E402
 from addon.live import card, handler, view_picture  # noqa: E402
 from addon.live.program import QUADS  # noqa: E402
 from addon.splats import objects  # noqa: E402
-from tests.window import desk  # noqa: E402
+from tools.window import desk  # noqa: E402
 
 ASKED = json.loads((FOLDER / "asked.json").read_text())
 seen: dict[str, Any] = {"rows": []}

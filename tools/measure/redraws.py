@@ -6,12 +6,13 @@ Starts a Blender of 4.2 or later in a window on a screen that is not there, wher
 stands in for a graphics card, turns the view around the splats and lets it rest. Prints the rows of
 the table in docs/benchmarks.md: redraws a second (median, and with all waits), milliseconds of the
 main thread in the add-on without the card's work (median, longest) and with it, splats drawn, draw
-calls, and megabytes that are uploaded, and read by the card, a redraw. Needs Xvfb and ImageMagick.
+calls, and megabytes that are uploaded, and read by the card, a redraw. Needs Xvfb.
 """
 
 import argparse
 import json
 import shutil
+import subprocess
 import sys
 import tempfile
 from pathlib import Path
@@ -25,7 +26,7 @@ from gscore.bench.raster import synthetic_scene
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
-from tests.window import programs  # noqa: E402
+from tools.window import programs  # noqa: E402
 
 LONGEST = 280
 """Seconds."""
@@ -62,9 +63,14 @@ def run(options: argparse.Namespace) -> dict[str, Any]:
         (folder / "asked.json").write_text(json.dumps({"steps": options.steps}))
         script = Path(__file__).with_name("redraw_scene.py")
         with programs.screen(*size) as display:
-            told = programs.run(blender, script, folder, display, size, LONGEST)
+            try:
+                told = programs.run(blender, script, folder, display, size, LONGEST)
+            except subprocess.TimeoutExpired:
+                raise SystemExit(f"{blender} took longer than {LONGEST} s: fewer steps.") from None
         left = folder / "seen.json"
-        seen = json.loads(left.read_text()) if left.is_file() else {"problem": told}
+        if not left.is_file():
+            raise SystemExit(f"{told}\n{blender} ended before it had measured.".lstrip())
+        seen = json.loads(left.read_text())
     if seen["problem"]:
         raise SystemExit(seen["problem"])
     return seen

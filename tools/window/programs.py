@@ -4,20 +4,25 @@ import os
 import re
 import shutil
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-TOOLS = ("Xvfb", "import", "convert")
-"""What is needed besides: a screen, and ImageMagick's pictures of it."""
+import plyfile
+
+PICTURES = ("import", "convert")
+"""ImageMagick, for pictures of the screen."""
 
 
-def find() -> tuple[str, str]:
-    """A Blender that can be used, else an empty string; and why there is none."""
+def find(*tools: str) -> tuple[str, str]:
+    """A Blender that can be used, else an empty string; and why there is none.
+
+    Args:
+        tools: Programs that are needed besides the screen.
+    """
     found = os.environ.get("GSCORE_BLENDER") or shutil.which("blender")
-    missing = [name for name in TOOLS if shutil.which(name) is None]
+    missing = [name for name in ("Xvfb", *tools) if shutil.which(name) is None]
     if found is None or missing:
         return "", f"there is no {'Blender' if found is None else ', '.join(missing)}"
     told = subprocess.run([found, "--version"], capture_output=True, text=True, check=False).stdout
@@ -61,7 +66,7 @@ def run(
 
     Args:
         blender: The program.
-        script: Called with `folder`, and with folders of what Blender's Python lacks.
+        script: Called with `folder`, and with a folder of what Blender's Python lacks.
         folder: For what the script leaves, and the profile.
         display: Of `screen`.
         size: Width and height of the window, pixels.
@@ -75,7 +80,9 @@ def run(
         subprocess.TimeoutExpired: it took longer.
     """
     (folder / "profile").mkdir()
-    packages = [p for p in sys.path if (Path(p) / "plyfile.py").is_file()]
+    packages = folder / "packages"
+    packages.mkdir()
+    shutil.copy(plyfile.__file__, packages)  # alone: numpy beside it is for another Python
     environment = {
         **os.environ,
         "DISPLAY": display,
@@ -84,7 +91,7 @@ def run(
     }
     place = ["-p", "0", "0", *map(str, size)]
     done = subprocess.run(
-        [blender, "--factory-startup", *options, *place, "-P", script, "--", folder, *packages[:1]],
+        [blender, "--factory-startup", *options, *place, "-P", script, "--", folder, packages],
         env=environment,
         capture_output=True,
         text=True,
