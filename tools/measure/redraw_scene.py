@@ -165,20 +165,24 @@ def story() -> Iterator[object]:
 
 
 def measured(what: str, meter: Meter, at_rest: Callable[[], bool]) -> Iterator[object]:
-    """Notes what turning takes, and then standing still."""
+    """Notes what turning takes, coming to rest, and then standing still."""
     yield at_rest
     meter.redraws.clear()
     yield from turn(ASKED["steps"])
     note(f"{what}, turning", meter)
+    meter.redraws.clear()
     yield at_rest
+    if any(r.calls for r in meter.redraws):
+        note(f"{what}, coming to rest", meter, summed=True)
     meter.redraws.clear()
     yield from redraw()
     note(f"{what}, at rest", meter)
 
 
-def note(what: str, meter: Meter) -> None:
-    """Keep what was measured."""
-    seen["rows"].append({"what": what, "redraws": [asdict(r) for r in meter.redraws]})
+def note(what: str, meter: Meter, *, summed: bool = False) -> None:
+    """Keep what was measured; `summed`: all redraws together make one picture."""
+    redraws = [asdict(r) for r in meter.redraws]
+    seen["rows"].append({"what": what, "redraws": redraws, "summed": summed})
 
 
 def end(problem: str) -> None:

@@ -3,10 +3,11 @@
     GSCORE_BLENDER=PROGRAM python tools/measure/redraws.py [--splats N | --ply FILE]
 
 Starts a Blender of 4.2 or later in a window on a screen that is not there, where the processor
-stands in for a graphics card, turns the view around the splats and lets it rest. Prints the rows of
-the table in docs/benchmarks.md: redraws a second (median, and with all waits), milliseconds of the
-main thread in the add-on without the card's work (median, longest) and with it, splats drawn, draw
-calls, and megabytes that are uploaded, and read by the card, a redraw. Needs Xvfb.
+stands in for a graphics card, turns the view around the splats and lets it rest. Prints a table, as
+in docs/experiments/2026-11-redraws.md: redraws a second (median, and with all waits), milliseconds
+of the main thread in the add-on without the card's work (median, longest) and with it, splats
+drawn, draw calls, and megabytes that are uploaded, and read by the card, a redraw. Of a view that
+comes to rest the last four are sums: of all redraws until every splat is there. Needs Xvfb.
 """
 
 import argparse
@@ -76,21 +77,22 @@ def run(options: argparse.Namespace) -> dict[str, Any]:
     return seen
 
 
-def cells(redraws: list[dict[str, float]]) -> list[str]:
-    """Of a row."""
+def cells(redraws: list[dict[str, float]], *, summed: bool) -> list[str]:
+    """Of a row; what is drawn and moved is that of one redraw, or `summed` of all."""
     value = {name: np.array([r[name] for r in redraws]) for name in redraws[0]}
     apart = np.diff(value["began"])
     own = value["total_ms"] - value["card_ms"]
     middle = {name: float(np.median(found)) for name, found in value.items()}
+    moved = {name: float(found.sum()) for name, found in value.items()} if summed else middle
     return [
         f"{1 / np.median(apart):.1f}",
         f"{1 / apart.mean():.1f}",
         f"{np.median(own):.1f}, {own.max():.1f}",
         f"{middle['total_ms']:.1f}, {value['total_ms'].max():.1f}",
-        f"{middle['drawn']:,.0f}",
-        f"{middle['calls']:.0f}",
-        f"{middle['uploaded'] / 1e6:.2f}",
-        f"{middle['drawn'] * BYTES / 1e6:.1f}",
+        f"{moved['drawn']:,.0f}",
+        f"{moved['calls']:.0f}",
+        f"{moved['uploaded'] / 1e6:.2f}",
+        f"{moved['drawn'] * BYTES / 1e6:.1f}",
     ]
 
 
@@ -101,7 +103,7 @@ def main() -> None:
     print(f"Blender {seen['blender']}, {width} x {height} px\n")
     print(f"| | {' | '.join(COLUMNS)} |\n|{'---|' * (1 + len(COLUMNS))}")
     for row in seen["rows"]:
-        print(f"| {row['what']} | {' | '.join(cells(row['redraws']))} |")
+        print(f"| {row['what']} | {' | '.join(cells(row['redraws'], summed=row['summed']))} |")
 
 
 if __name__ == "__main__":

@@ -1,0 +1,116 @@
+"""How near the colours of soft splats in Cycles come to those of the engine.
+
+    python tools/measure/soft_colors.py CAPTURE SPLATS [SPLATS ...]    (a Python with bpy)
+
+Renders one view of the capture's first camera with the engine Gaussian Splats and with the display
+Soft Splats, over one grey, with the view transform Standard. Prints the mean difference of the two
+pictures, 8 bit, per channel: over the pixels that the splats cover by half and more, and that of
+each such pixel, without its sign. `--keep FOLDER` leaves the pictures.
+"""
+
+import argparse
+import sys
+import tempfile
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[2]
+CYCLES, SPLATS = "CYCLES", "GSCORE_SPLATS"
+
+
+def parse() -> argparse.Namespace:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("capture", type=Path)
+    parser.add_argument("splats", type=Path, nargs="+", help="what was trained on it")
+    parser.add_argument("--camera", default="", help="name of a photo; default: the first")
+    parser.add_argument("--engine", default=CYCLES, help="CYCLES, or EEVEE's name in this Blender")
+    parser.add_argument("--samples", type=int, default=32)
+    parser.add_argument("--width", type=int, default=400)
+    parser.add_argument("--grey", type=float, default=0.2, help="of the background, scene-linear")
+    parser.add_argument("--keep", type=Path)
+    return parser.parse_args()
+
+
+def prepare(options: argparse.Namespace) -> bpy.types.Scene:
+    """Cameras of the capture, a grey world, and nothing that changes colours."""
+    bpy.ops.wm.read_homefile(use_empty=True)
+    bpy.ops.gscore.import_cameras(directory=str(options.capture.absolute()))
+    index = -1 if options.camera else 0
+    bpy.ops.gscore.use_camera(camera=options.camera, index=index, look_through=False)
+    scene = bpy.context.scene
+    scene.view_settings.view_transform = "Standard"
+    scene.render.resolution_percentage = 100
+    height = scene.render.resolution_y * options.width / scene.render.resolution_x
+    scene.render.resolution_x, scene.render.resolution_y = options.width, round(height)
+    scene.render.dither_intensity = 0.0
+    scene.world = bpy.data.worlds.new("grey")
+    scene.world.color = (options.grey,) * 3
+    scene.cycles.samples, scene.cycles.use_denoising = options.samples, False
+    scene.cycles.use_adaptive_sampling = False
+    scene.eevee.taa_render_samples = options.samples
+    return scene
+
+
+def picture(scene: bpy.types.Scene, engine: str, path: Path, mode: str = "RGB") -> np.ndarray:
+    """[H, W, 3 or 4], 8 bit values as floats."""
+    scene.render.engine = engine
+    scene.render.film_transparent = mode == "RGBA"
+    settings = scene.render.image_settings
+    settings.file_format, settings.color_mode, settings.color_depth = "PNG", mode, "8"
+    scene.render.filepath = str(path)
+    bpy.ops.render.render(write_still=True)
+    image = bpy.data.images.load(str(path), check_existing=False)
+    pixels = np.empty((image.size[1], image.size[0], image.channels), np.float32)
+    image.pixels.foreach_get(pixels.ravel())
+    bpy.data.images.remove(image)
+    return pixels[..., : len(mode)].astype(np.float64) * 255
+
+
+def compare(scene: bpy.types.Scene, path: Path, engine: str, folder: Path) -> None:
+    """Print a row."""
+    bpy.context.view_layer.objects.active = scene.camera  # whose capture's place they take
+    bpy.ops.gscore.import_splats(filepath=str(path.absolute()))
+    ob = bpy.context.object
+    name = f"{path.parent.name}_{path.stem}"
+    exact = picture(scene, SPLATS, folder / f"{name}_exact.png")
+    covered = picture(scene, SPLATS, folder / f"{name}_alpha.png", "RGBA")[..., 3] >= 127.5
+    ob.gscore.display = "SOFT"
+    scene.render.engine = engine
+    if bpy.ops.gscore.see_through_splats.poll():
+        bpy.ops.gscore.see_through_splats()
+    soft = picture(scene, engine, folder / f"{name}_soft.png")
+    apart = (soft - exact)[covered]
+    print(
+        f"{path}: {covered.mean():.0%} covered; R, G, B apart by "
+        f"{', '.join(f'{v:+.2f}' for v in apart.mean(axis=0))} of 255 in the mean, "
+        f"{', '.join(f'{v:.2f}' for v in np.abs(apart).mean(axis=0))} a pixel",
+        flush=True,
+    )
+    bpy.data.objects.remove(ob)
+
+
+def main() -> None:
+    """Measure and print."""
+    options = parse()
+    sys.path.insert(0, str(ROOT))
+    import addon
+
+    addon.register()
+    try:
+        scene = prepare(options)
+        print(f"Blender {bpy.app.version_string}, {options.engine}, {options.samples} samples")
+        with tempfile.TemporaryDirectory() as name:
+            folder = options.keep or Path(name)
+            folder.mkdir(parents=True, exist_ok=True)
+            for path in options.splats:
+                compare(scene, path, options.engine, folder.absolute())
+    finally:
+        addon.unregister()
+        sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()
