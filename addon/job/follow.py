@@ -6,16 +6,19 @@ from .launch import Following
 
 
 def _collect() -> bool:
-    """A beat does one thing that may take milliseconds: read lines, show a picture, hand splats."""
+    """A beat does one thing that may take milliseconds: read lines, show a picture, hand splats.
+
+    Both get their turn, for a view that is redrawn all the time leaves so few beats that each finds
+    lines of the trainer.
+    """
     stale = False
     for job in registry.jobs():
-        if job.poll():
-            stale = True
-            if job.state.ended:
-                lookups.runs.expire()
-                lookups.depth_runs.expire()
-        else:
-            stale |= display.update(job)
+        shown = job.told and display.update(job)
+        job.told = not shown and job.poll()
+        if job.told and job.state.ended:
+            lookups.runs.expire()
+            lookups.depth_runs.expire()
+        stale |= shown or job.told or display.update(job)
     return stale
 
 

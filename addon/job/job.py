@@ -72,6 +72,8 @@ class Job:
         self.chores: list[Callable[[], Any]] = []
         """What is to be made ready in the open file, one at a beat; `training` puts it here."""
         self.preview_shown = ""
+        self.told = False
+        """Whether the last beat took in what the trainer told; `follow` says so."""
         self._discarding = False
         self._clearer: threading.Thread | None = None
         self._asked_for_live = time.monotonic()

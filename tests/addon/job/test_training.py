@@ -84,6 +84,21 @@ def test_snapshots_then_the_result_reach_one_object(
     assert len([a for a in ob.data.attributes if a.name.startswith("radiance:sh_")]) == 3
 
 
+def test_splats_show_though_each_beat_finds_lines(
+    studio: bpy.types.Scene, play: Play, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: the splats of the snapshot. So it is where Blender redraws a view all the time."""
+    snapshot = splats(3000, 1)
+    write_splats(tmp_path / "s.ply", snapshot)
+    event = {"event": "snapshot", "step": 5, "path": str(tmp_path / "s.ply"), "splats": 3000}
+    play({"say": STARTED}, {"say": event}, {"await": "go"}, finish())
+    poll = Job.poll
+    monkeypatch.setattr(Job, "poll", lambda job: poll(job) or True)
+    training.train(studio, overwrite=True)
+    until(lambda: studio.gscore.result is not None)
+    np.testing.assert_array_equal(positions(studio.gscore.result), snapshot.means)
+
+
 @pytest.mark.parametrize("discarded", [False, True])
 def test_points_make_room_for_splats(
     studio: bpy.types.Scene, play: Play, tmp_path: Path, discarded: bool
