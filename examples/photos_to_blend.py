@@ -43,13 +43,17 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--splats", type=Path, help="a PLY; default: train")
     parser.add_argument("--run", type=Path, help="folder of the training; default: OUTPUT_run")
     parser.add_argument("--preset", default="preview", help="of the training")
-    parser.add_argument("--python", type=Path, help="Python with gscore[train]; default: found")
+    parser.add_argument(
+        "--python", type=Path, help="with gscore[train]; default: this checkout's, or the add-on's"
+    )
     arguments = sys.argv[1:]
     if bpy.app.binary_path:
         arguments = arguments[arguments.index("--") + 1 :] if "--" in arguments else []
     options = parser.parse_args(arguments)
     options.output = options.output.absolute()
     options.render = (options.render or options.output.with_suffix(".png")).absolute()
+    beside = ROOT / ".venv" / "bin" / "python"
+    options.python = options.python or (beside if beside.is_file() else None)
     options.run = (options.run or options.output.with_name(options.output.stem + "_run")).absolute()
     return options
 

@@ -110,8 +110,8 @@ def _measure(args: argparse.Namespace, show: Show, control: Control) -> tuple[di
     output = args.output or model.run
     if output is None:
         raise ConfigError(
-            f"{model.path} lies in no run's folder; say with -s which capture to measure it on and "
-            "with -o where to write metrics.json."
+            f"{model.path} lies in no run's folder; say with -o where to write metrics.json"
+            + ("." if args.source else ", and with -s which capture to measure it on.")
         )
     check_folder(output)
     config = _data_config(args, model)
