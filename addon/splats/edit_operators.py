@@ -287,8 +287,8 @@ class JoinSplats(Editing, bpy.types.Operator):
         """Join."""
         others = _others(context)
         context.view_layer.update()
+        make_active(context, ob)  # before: 4.2 crashes where selected objects have just gone
         parts.join(ob, others)
-        make_active(context, ob)
         return f"{ob.name} has {len(ob.data.vertices):,} splats."
 
 

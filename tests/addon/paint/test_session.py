@@ -223,6 +223,8 @@ def test_painting_goes_on_where_its_workspace_is_deleted(
     """Oracle: the keys are told, and painting ends, without an error."""
     running = modal.Running()
     workspace = bpy.context.workspace.copy()
+    if workspace is None:
+        pytest.skip("this Blender copies no workspace without a window")
     running.begin(SimpleNamespace(workspace=workspace, window_manager=bpy.context.window_manager))
     bpy.data.batch_remove([workspace])
     running.tell(bpy.context)
