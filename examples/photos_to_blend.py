@@ -52,8 +52,8 @@ def parse() -> argparse.Namespace:
     options = parser.parse_args(arguments)
     options.output = options.output.absolute()
     options.render = (options.render or options.output.with_suffix(".png")).absolute()
-    beside = ROOT / ".venv" / "bin" / "python"
-    options.python = options.python or (beside if beside.is_file() else None)
+    beside = ROOT / ".venv"  # the add-on takes the folder of an environment too
+    options.python = options.python or (beside if beside.is_dir() else None)
     options.run = (options.run or options.output.with_name(options.output.stem + "_run")).absolute()
     return options
 

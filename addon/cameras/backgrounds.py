@@ -106,13 +106,6 @@ def straight_background(ob: bpy.types.Object) -> StraightBackground | None:
     )
 
 
-def copy_needed(ob: bpy.types.Object) -> Path | None:
-    """`StraightBackground.lacks` of a camera, None where it has no such background; errors as
-    `straight_background`."""
-    found = straight_background(ob)
-    return None if found is None else found.lacks()
-
-
 def known_images() -> dict[str, bpy.types.Image]:
     """The images of this file by absolute path."""
     images = (i for i in bpy.data.images if i.source == "FILE" and i.filepath)

@@ -124,18 +124,19 @@ def _views(run: ComparedRun) -> dict[str, dict[str, Any]]:
 def _check_masks(runs: Sequence[ComparedRun]) -> None:
     modes = [run.metrics.get("mask_mode") for run in runs]
     if modes[0] != modes[1]:
-        said = (
-            f"{shown(runs[0].label)} was scored with --mask-mode {modes[0]}, "
-            f"{shown(runs[1].label)} with {modes[1]}: their numbers are of different pixels. "
+        advice = (
+            "Measure one of them as the other, in its own folder: gscore eval "
+            f"{shown(runs[1].folder)} --mask-mode {modes[0]}."
         )
         if "composite" in modes:
-            raise ConfigError(
-                f"{said}With composite splats show the subject alone, else what is around it too, "
-                "so no measurement makes them alike: train one with the other's --mask-mode."
+            advice = (
+                "With composite splats show the subject alone, else what is around it too, so no "
+                "measurement makes them alike: train one with the other's --mask-mode."
             )
         raise ConfigError(
-            f"{said}Measure one of them as the other, in its own folder: gscore eval "
-            f"{shown(runs[1].folder)} --mask-mode {modes[0]}."
+            f"{shown(runs[0].label)} was scored with --mask-mode {modes[0]}, "
+            f"{shown(runs[1].label)} with {modes[1]}: their numbers are of different pixels. "
+            f"{advice}"
         )
 
 

@@ -39,15 +39,20 @@ def send(key: str, value: str = "PRESS", aside: int = 0, **held: bool) -> None:
     bpy.context.window_manager.windows[0].event_simulate(key, value, x=x + aside, y=y, **held)
 
 
+def move(*way: int, **held: bool) -> Iterator[float]:
+    """The mouse along the view's middle, with whatever is pressed."""
+    for aside in way:
+        yield PAUSE
+        send("MOUSEMOVE", "NOTHING", aside, **held)
+    yield PAUSE
+
+
 def drag(*way: int, **held: bool) -> Iterator[float]:
     """The left mouse button along the view's middle; it is not let go."""
     send("MOUSEMOVE", "NOTHING", way[0])
     yield PAUSE
     send("LEFTMOUSE", "PRESS", way[0], **held)
-    for aside in way[1:]:
-        yield PAUSE
-        send("MOUSEMOVE", "NOTHING", aside, **held)
-    yield PAUSE
+    yield from move(*way[1:], **held)
 
 
 def let_go(aside: int) -> Iterator[object]:
@@ -105,10 +110,7 @@ def by_tool(brush: bpy.types.PropertyGroup) -> Iterator[object]:
     yield from press("RIGHT_BRACKET")
     seen["radius"].append(brush.radius)
     send("F")
-    for aside in (10, 60):
-        yield PAUSE
-        send("MOUSEMOVE", "NOTHING", aside)
-    yield PAUSE
+    yield from move(10, 60)
     send("LEFTMOUSE", "PRESS", 60)
     send("LEFTMOUSE", "RELEASE", 60)
     yield PAUSE
@@ -156,10 +158,7 @@ def story() -> Iterator[object]:
     seen["selected"] = int(attributes.selected(bpy.data.objects["wall"].data).sum())
     before = view.view_rotation.copy()
     send("MIDDLEMOUSE")
-    for aside in (10, 20):
-        yield PAUSE
-        send("MOUSEMOVE", "NOTHING", aside)
-    yield PAUSE
+    yield from move(10, 20)
     send("MIDDLEMOUSE", "RELEASE", 20)
     yield PAUSE
     seen["turned"] = view.view_rotation != before

@@ -16,7 +16,7 @@ from mathutils import Vector
 
 from addon import preferences
 from addon.cameras import backgrounds, captures, straight, straight_operators, straightening
-from addon.cameras.backgrounds import copy_needed, photo_of
+from addon.cameras.backgrounds import photo_of, straight_background
 from addon.cameras.objects import PhotoCamera, stated
 from addon.core import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints, write_colmap
 from addon.panels.cameras import CamerasPanel
@@ -33,6 +33,12 @@ LENSES = {
 }
 FIELD, FAR = 0.25, 2.0
 """Side of a field of the board, and its distance from the first camera, whose axes are its own."""
+
+
+def copy_needed(ob: bpy.types.Object) -> Path | None:
+    """The copy that a camera's background lacks, if it shows a straightened photo."""
+    found = straight_background(ob)
+    return None if found is None else found.lacks()
 
 
 def bend(model: str, rays: np.ndarray) -> np.ndarray:
