@@ -93,8 +93,8 @@ def columns(splats: Splats, *, base_type: str = "FLOAT_COLOR") -> list[tuple[str
         (ROTATION, "QUATERNION", splats.quats / lengths),
         (BASE, base_type, base),
     ]
-    by_coefficient = _swapped(splats.shN)
-    made += [(f"{SH}{k}", "FLOAT_VECTOR", rows) for k, rows in enumerate(by_coefficient)]
+    rest = _by_coefficient(splats.shN)
+    made += [(f"{SH}{k}", "FLOAT_VECTOR", rows) for k, rows in enumerate(rest)]
     return [
         (name, kind, np.ascontiguousarray(values, np.float32).ravel())
         for name, kind, values in made
@@ -212,17 +212,14 @@ def as_splats(columns: dict[str, np.ndarray]) -> Splats:
     base, scales, quats = (columns.pop(name) for name in (BASE, SCALE, ROTATION))
     quats[~quats.any(axis=1)] = (1, 0, 0, 0)
     means = columns.pop(POSITION, np.zeros((0, 3), np.float32))
-    count = len(columns)
-    coefficients = np.empty((count, len(base), 3), np.float32)
-    for k in range(count):
-        coefficients[k] = columns.pop(f"{SH}{k}")
+    coefficients = [columns.pop(f"{SH}{k}") for k in range(len(columns))]
     return Splats(
         means=means,
         quats=quats,
         scales=np.log(np.maximum(np.abs(scales).astype(np.float64), _TINY)).astype(np.float32),
         opacities=_logits(base[:, 3], ~scales.any(axis=1)),
         sh0=np.ascontiguousarray(base[:, None, :3]),
-        shN=_swapped(coefficients),
+        shN=_by_splat(coefficients, len(base)),
     )
 
 
@@ -270,7 +267,7 @@ def keep(mesh: Any, mask: np.ndarray) -> None:
     Attributes of numbers and vectors follow to the bit; selection, hiding and vertex groups go.
     """
     rows = np.flatnonzero(mask)  # whose numbers are found once, and not for each attribute
-    kept = [Column(c.name, c.kind, c.values.take(rows, axis=0)) for c in table(mesh)]
+    kept = table(mesh, rows)
     # Blender has no other way to take vertices away without a copy of everything in its editor.
     mesh.clear_geometry()
     add_points(mesh, len(rows))
@@ -316,11 +313,18 @@ class Column(NamedTuple):
     """[N, width]"""
 
 
-def table(mesh: Any) -> list[Column]:
-    """Copies of all attributes of points of numbers and vectors, those of others among them."""
-    return [
-        Column(name, kind, _values(mesh.attributes[name])) for name, kind in _kinds(mesh).items()
-    ]
+def table(mesh: Any, rows: np.ndarray | None = None) -> list[Column]:
+    """Copies of all attributes of points of numbers and vectors, those of others among them.
+
+    Args:
+        mesh: A mesh that is not in Edit Mode.
+        rows: [K], numbers of the points that are wanted; None: all.
+    """
+    found = []
+    for name, kind in _kinds(mesh).items():
+        values = _values(mesh.attributes[name])
+        found.append(Column(name, kind, values if rows is None else values.take(rows, axis=0)))
+    return found
 
 
 def append(mesh: Any, tables: list[list[Column]]) -> None:
@@ -384,17 +388,28 @@ def put(mesh: Any, columns: list[Column]) -> None:
         mesh.attributes[name].data.foreach_set(_COPIED[kind][0], values.reshape(-1))
 
 
-def _swapped(values: np.ndarray) -> np.ndarray:
-    """[a, b, 3] float32 as a contiguous [b, a, 3], in blocks that fit a cache."""
-    out = np.empty((values.shape[1], values.shape[0], 3), np.float32)
-    if not out.size:
-        return out
-    # Three numbers as one thing of twelve bytes: numpy moves these much faster.
-    old, new = (np.ascontiguousarray(v).view("V12")[..., 0] for v in (values, out))
-    for at in range(0, max(old.shape), _BLOCK):
-        part = slice(at, at + _BLOCK)
-        if old.shape[0] > old.shape[1]:
-            new[:, part] = old[part].T
-        else:
-            new[part] = old[:, part].T
-    return out
+def _by_coefficient(shN: np.ndarray) -> np.ndarray:
+    """[N, K, 3] float32 as a contiguous [K, N, 3]."""
+    count, coefficients, _ = shN.shape
+    found = np.empty((coefficients, count, 3), np.float32)
+    if found.size:
+        old, new = _triples(np.ascontiguousarray(shN)), _triples(found)
+        for at in range(0, count, _BLOCK):  # which fits a cache
+            new[:, at : at + _BLOCK] = old[at : at + _BLOCK].T
+    return found
+
+
+def _by_splat(columns: list[np.ndarray], count: int) -> np.ndarray:
+    """K times [N, 3] contiguous float32, of N = `count` splats, as [N, K, 3]."""
+    found = np.empty((count, len(columns), 3), np.float32)
+    if found.size:
+        old, new = [_triples(c) for c in columns], _triples(found)
+        for at in range(0, count, _BLOCK):
+            for k, values in enumerate(old):
+                new[at : at + _BLOCK, k] = values[at : at + _BLOCK]
+    return found
+
+
+def _triples(values: np.ndarray) -> np.ndarray:
+    """Three numbers as one thing of twelve bytes, which numpy moves much faster."""
+    return values.view("V12")[..., 0]

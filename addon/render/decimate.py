@@ -81,7 +81,9 @@ class DecimateSplats(Editing, bpy.types.Operator):
 
     def edit(self, context: bpy.types.Context, ob: bpy.types.Object) -> str:
         """Delete the others."""
-        splats = objects.read(ob)
+        # Without what turns with the view: that is half of the time, and changes
+        # the figure by 0.1 to 0.5 dB.
+        splats = objects.read(ob, rest=False)
         if len(splats) <= self.count:
             return f"{ob.name} has {len(splats):,} splats; none were deleted."
         context.view_layer.update()

@@ -97,12 +97,13 @@ def catch_up(ob: bpy.types.Object) -> None:
         bring(ob.original)
 
 
-def read(ob: bpy.types.Object, *, filtered: bool = False) -> Splats:
+def read(ob: bpy.types.Object, *, filtered: bool = False, rest: bool = True) -> Splats:
     """Raw parameters in object space, from the object's own mesh (no modifiers).
 
     Args:
         ob: A splat object, or any mesh or point cloud with the attributes.
         filtered: Leave out what the object's display filters hide.
+        rest: As `attributes.read`.
 
     Raises:
         ValueError: attributes are missing or not finite, and named; or as `catch_up`.
@@ -111,7 +112,7 @@ def read(ob: bpy.types.Object, *, filtered: bool = False) -> Splats:
         raise ValueError(f"{ob.name} is no splat object: it is a {ob.type.lower()}.")
     catch_up(ob)
     with _readable(ob) as data:
-        splats = attributes.read(data)
+        splats = attributes.read(data, rest=rest)
         return splats.subset(visible_mask(ob, data)) if filtered else splats
 
 

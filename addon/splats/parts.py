@@ -55,12 +55,10 @@ def join(ob: bpy.types.Object, others: list[bpy.types.Object]) -> None:
         raise ValueError(f"{ob.name} is scaled to nothing: set its scale to 1 first.")
     to_own = np.linalg.inv(world)
     matrices = [to_own @ compat.matrix_to_numpy(one.matrix_world) for one in others]
-    moved = [objects.transformed(one, m) for one, m in zip(others, matrices, strict=True)]
     attributes.check(ob.data)
-    tables = []
-    for one, splats in zip(others, moved, strict=True):
-        own = [c for c in attributes.table(one.data) if not attributes.is_splats(c.name)]
-        tables.append([*attributes.as_table(splats), *own])
+    for one in others:
+        attributes.check(one.data)
+    tables = [_moved(one, m) for one, m in zip(others, matrices, strict=True)]
     attributes.append(ob.data, tables)
     ob.data.update()
     for one in others:
@@ -68,3 +66,12 @@ def join(ob: bpy.types.Object, others: list[bpy.types.Object]) -> None:
         bpy.data.objects.remove(one)
         if not data.users:
             bpy.data.meshes.remove(data)
+
+
+def _moved(ob: bpy.types.Object, matrix: np.ndarray) -> list[attributes.Column]:
+    """All that the points of an object carry, after a 4x4 similarity; ValueError as `join`."""
+    if np.array_equal(matrix, np.eye(4)):
+        return attributes.table(ob.data)
+    splats = objects.transformed(ob, matrix)
+    rest = [c for c in attributes.table(ob.data) if not attributes.is_splats(c.name)]
+    return [*attributes.as_table(splats), *rest]

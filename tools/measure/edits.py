@@ -1,11 +1,12 @@
-"""How long *Floaters* and *Decimate* hold Blender, of a million splats.
+"""How long the buttons of *Edit Splats* hold Blender, of a million splats.
 
     python tools/measure/edits.py [--cameras CAPTURE] [--splats N]    (a Python with bpy)
 
 Splats of SH degree 3 lie on spheres, as those of captures lie on surfaces, with some floating
-around. Prints the seconds of two calls of each operator, the undo step before it not counted.
-*Decimate* keeps half, and compares pictures from around the splats or, with a capture, from its
-cameras.
+around. Prints the seconds of two calls of each operator, with entering Edit Mode where it ends in
+it, and without the undo step. *Separate* takes half of them away, *Join* brings as many back,
+turned, *Decimate* keeps half, and compares pictures from around the splats or, with a capture, from
+its cameras.
 """
 
 import argparse
@@ -55,11 +56,13 @@ def surfaces(count: int) -> dict[str, np.ndarray]:
 
 
 def timed(name: str, act: Callable[[], object]) -> None:
-    """Print the seconds of one call."""
+    """Print the seconds of one call from Object Mode, and end there."""
     bpy.ops.ed.undo_push(message=name)
     began = time.perf_counter()
     act()
     print(f"{name}: {time.perf_counter() - began:.2f} s", flush=True)
+    if bpy.context.mode != "OBJECT":
+        bpy.ops.object.mode_set(mode="OBJECT")
 
 
 def main() -> None:
@@ -67,6 +70,7 @@ def main() -> None:
     options = parse()
     sys.path.insert(0, str(ROOT))
     import addon
+    from addon import attributes
     from addon.cameras.objects import root_of
     from addon.core import Splats
     from addon.splats import objects
@@ -78,15 +82,26 @@ def main() -> None:
         if options.cameras:
             bpy.ops.gscore.import_cameras(directory=str(options.cameras.resolve()))
             parent = root_of(next(ob for ob in bpy.data.objects if ob.type == "CAMERA"))
+        act = bpy.ops.gscore
         splats = Splats(**surfaces(options.splats))
         for _ in range(2):
             ob = objects.create(splats, "splats", collection=scene.collection)
             ob.parent = parent
             bpy.context.view_layer.objects.active = ob
-            timed("Floaters", bpy.ops.gscore.select_floaters)
-            if ob.mode == "EDIT":
-                bpy.ops.object.mode_set(mode="OBJECT")
-            timed("Decimate", lambda: bpy.ops.gscore.decimate_splats(count=options.splats // 2))
+            attributes.select(ob.data, np.arange(options.splats) == 1)
+            timed("Color", act.select_by_color)
+            attributes.select(ob.data, np.arange(options.splats) == 1)
+            timed("Flood", act.select_flood)
+            timed("Grade", lambda: act.grade_splats(saturation=0.5))
+            timed("Floaters", act.select_floaters)
+            attributes.select(ob.data, np.arange(options.splats) % 2 == 0)
+            timed("Separate", act.separate_splats)
+            part = next(o for o in scene.objects if objects.is_splats(o) and o is not ob)
+            part.rotation_euler = (0.1, 0.2, 0.3)
+            for one in (part, ob):
+                one.select_set(True)
+            timed("Join", act.join_splats)
+            timed("Decimate", lambda: act.decimate_splats(count=options.splats // 2))
             bpy.data.objects.remove(ob)
     finally:
         addon.unregister()
