@@ -8,8 +8,8 @@ from gpu_extras.batch import batch_for_shader
 
 from ..cameras.captures import RenderCamera
 from . import program
-from .atlas import Atlas
-from .program import ORDER_COLUMNS, QUADS
+from .program import QUADS
+from .uploads import Order, texture
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +45,7 @@ class Card:
         Raises:
             Exception: the driver refuses a program.
         """
-        self._splats, self._view = program.splats(), program.view()
+        self._splats, self._view, self._rows = program.splats(), program.view(), program.rows()
         corners, indices = [], []
         for k in range(QUADS):
             corners += [(x, y, float(k)) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
@@ -55,13 +55,14 @@ class Card:
         )
         big = [(-1, -1), (3, -1), (-1, 3)]
         self._screen = batch_for_shader(self._view, "TRIS", {"corner": big})
+        self._piece = batch_for_shader(self._rows, "TRIS", {"corner": big})
         self._nothing = texture(np.full((1, 1, 1), 2, np.float32))
 
     def draw(
         self,
         target: gpu.types.GPUOffScreen,
         atlas: gpu.types.GPUTexture,
-        order: "Order",
+        order: Order,
         shot: Shot,
         meshes: gpu.types.GPUTexture | None,
     ) -> None:
@@ -69,7 +70,7 @@ class Card:
 
         Args:
             target: Receives them, the bottom row first.
-            atlas: Of `upload`.
+            atlas: Of `Texels`.
             order: Its entries name rows of the atlas.
             shot: From where.
             meshes: Depths of what hides splats, of the camera's size or of one proportional to it.
@@ -99,6 +100,18 @@ class Card:
                 self._quads.draw_instanced(shader, instance_count=-(-count // QUADS))
             gpu.state.blend_set("NONE")
 
+    def copy(self, piece: gpu.types.GPUTexture, target: gpu.types.GPUFrameBuffer, row: int) -> None:
+        """Put the rows of a texture into those of a target of the same width, from `row` on."""
+        with target.bind():
+            # The target's own method takes no numbers before 5.0.
+            gpu.state.viewport_set(0, row, piece.width, piece.height)
+            gpu.state.blend_set("NONE")
+            gpu.state.depth_test_set("NONE")
+            self._rows.bind()
+            self._rows.uniform_float("row", float(row))
+            self._rows.uniform_sampler("piece", piece)
+            self._piece.draw(self._rows)
+
     def show(
         self, picture: gpu.types.GPUTexture, left: int, bottom: int, width: int, height: int
     ) -> None:
@@ -111,65 +124,6 @@ class Card:
         self._view.uniform_sampler("picture", picture)
         self._screen.draw(self._view)
         gpu.state.blend_set("NONE")
-
-
-class Order:
-    """An order of splats on the card, in chunks that are uploaded one at a time."""
-
-    CHUNK = 1 << 17
-    """Entries; one takes a millisecond or two."""
-
-    def __init__(self, entries: np.ndarray, before: "Order | None" = None) -> None:
-        """Nothing is uploaded yet.
-
-        Args:
-            entries: [N, 4] float32, of `order.arrange`.
-            before: Another that is on the card; chunks that are the same need no upload.
-        """
-        self._entries = entries
-        self._before = () if before is None else (before._entries, tuple(before.chunks))
-        self.chunks: list[tuple[gpu.types.GPUTexture, int]] = []
-        """Textures and how many entries each has, in the order of drawing."""
-
-    def step(self) -> bool:
-        """Upload one more chunk; whether all are there."""
-        number = len(self.chunks)
-        at = number * self.CHUNK
-        part = self._entries[at : at + self.CHUNK]
-        known = self._known(number, part)
-        if known is not None:
-            self.chunks.append(known)
-        elif len(part):
-            rows = -(-len(part) // ORDER_COLUMNS)
-            padded = np.zeros((rows * ORDER_COLUMNS, 4), np.float32)
-            padded[: len(part)] = part
-            self.chunks.append((texture(padded.reshape(rows, ORDER_COLUMNS, 4)), len(part)))
-        complete = at + self.CHUNK >= len(self._entries)
-        if complete:
-            self._before = ()  # else each would keep all that were before it
-        return complete
-
-    def _known(self, number: int, part: np.ndarray) -> tuple[gpu.types.GPUTexture, int] | None:
-        """The chunk of this number of the order before, if it has the same entries."""
-        if not self._before or number >= len(self._before[1]):
-            return None
-        at = number * self.CHUNK
-        same = np.array_equal(self._before[0][at : at + self.CHUNK], part)
-        return self._before[1][number] if same else None
-
-
-def upload(atlas: Atlas) -> gpu.types.GPUTexture:
-    """An atlas on the card."""
-    rows, columns, texels, _ = atlas.texels.shape
-    return texture(atlas.texels.reshape(rows, columns * texels, 4))
-
-
-def texture(values: np.ndarray) -> gpu.types.GPUTexture:
-    """[H, W, 1] or [H, W, 4] float32 as a texture of the same numbers."""
-    flat = np.ascontiguousarray(values).reshape(-1)
-    data = gpu.types.Buffer("FLOAT", flat.size, flat)
-    kind = {1: "R32F", 4: "RGBA32F"}[values.shape[2]]
-    return gpu.types.GPUTexture(values.shape[1::-1], format=kind, data=data)
 
 
 def _projection(shot: Shot) -> tuple[float, float, float, float]:

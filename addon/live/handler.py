@@ -37,6 +37,8 @@ class _State:
     handle: object = None
     problems: dict[int, str] = field(default_factory=dict)
     """Sentences of views, by the pointer of their region."""
+    copying: set[int] = field(default_factory=set)
+    """Pointers of regions whose splats are still being copied."""
 
 
 _state = _State()
@@ -96,6 +98,7 @@ def draw(context: bpy.types.Context) -> None:
         _draw(context, pointer)
         _state.problems.pop(pointer, None)
     except ValueError as error:
+        _state.copying.discard(pointer)
         _state.problems[pointer] = str(error)
     except Exception as error:  # drivers raise anything; Blender would print it at each redraw
         _log.exception("Splats cannot be drawn live.")
@@ -106,6 +109,7 @@ def _draw(context: bpy.types.Context, pointer: int) -> None:
     depsgraph = context.evaluated_depsgraph_get()
     found = shown(context, depsgraph)
     placed, complete = copies.SHARED.copied(found)
+    (_state.copying.discard if complete else _state.copying.add)(pointer)
     if not placed:
         if not complete:
             _ensure()
@@ -178,7 +182,10 @@ def _poll() -> float | None:
                 regions |= {r.as_pointer(): r for r in area.regions if r.type == "WINDOW"}
     for pointer in _state.views.keys() - regions.keys():
         _state.views.pop(pointer).close()
-    waiting = False
+    _state.copying &= regions.keys()
+    for pointer in _state.copying:
+        regions[pointer].tag_redraw()
+    waiting = bool(_state.copying)
     for pointer, view in _state.views.items():
         if view.stale(time.monotonic()):
             regions[pointer].tag_redraw()
@@ -200,8 +207,8 @@ def _file_loaded(*_: object) -> None:
 def _close_views() -> None:
     for view in _state.views.values():
         view.close()
-    _state.views.clear()
-    _state.problems.clear()
+    for kept in (_state.views, _state.problems, _state.copying):
+        kept.clear()
 
 
 def _draw_handler() -> None:

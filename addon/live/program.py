@@ -1,4 +1,5 @@
-"""The two programs of the graphics card: splats onto a picture of their own, that onto the view.
+"""The programs of the graphics card: splats onto a picture of their own, that onto the view, and
+rows of the atlas to where they belong.
 
 The formulas are those of docs/conventions.md. What depends on a splat's row alone is in the atlas,
 what depends on its colour in this view in the order; both come from the processor.
@@ -105,7 +106,7 @@ void main()
   result = vec4(shade.rgb * alpha, alpha);
 }
 """
-_VIEW_VERTEX = """
+_SCREEN_VERTEX = """
 void main()
 {
   gl_Position = vec4(corner, 0.0, 1.0);
@@ -134,6 +135,12 @@ void main()
   // The view holds what lies over its picture as light, and encodes it with this exponent.
   vec3 light = pow(clamp(found.rgb / found.a, 0.0, 1.0), vec3(2.2));
   result = vec4(light * found.a, found.a);
+}
+"""
+_ROWS_FRAGMENT = """
+void main()
+{
+  result = texelFetch(piece, ivec2(gl_FragCoord.xy - vec2(0.0, row)), 0);
 }
 """
 
@@ -175,7 +182,20 @@ def view() -> gpu.types.GPUShader:
     info.push_constant("VEC4", "place")  # left, bottom, picture's pixels for one of the view
     info.sampler(0, "FLOAT_2D", "picture")
     info.vertex_in(0, "VEC2", "corner")
-    return _made(info, _VIEW_VERTEX, _VIEW_FRAGMENT)
+    return _made(info, _SCREEN_VERTEX, _VIEW_FRAGMENT)
+
+
+def rows() -> gpu.types.GPUShader:
+    """Copies a texture to a place in another.
+
+    Raises:
+        Exception: the driver refuses it.
+    """
+    info = gpu.types.GPUShaderCreateInfo()
+    info.push_constant("FLOAT", "row")  # the first that is written to
+    info.sampler(0, "FLOAT_2D", "piece")
+    info.vertex_in(0, "VEC2", "corner")
+    return _made(info, _SCREEN_VERTEX, _ROWS_FRAGMENT)
 
 
 def _made(info: gpu.types.GPUShaderCreateInfo, vertex: str, fragment: str) -> gpu.types.GPUShader:

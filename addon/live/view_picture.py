@@ -4,10 +4,9 @@ import time
 from collections.abc import Callable
 
 import gpu
-import numpy as np
 
-from .atlas import Atlas
-from .card import Card, Order, Shot, upload
+from .card import Card, Shot
+from .uploads import Order
 
 
 class ViewPicture:
@@ -15,8 +14,6 @@ class ViewPicture:
     at each step of the mouse over a panel."""
 
     def __init__(self) -> None:
-        self._atlas: tuple[np.ndarray, gpu.types.GPUTexture] | None = None
-        """Texels, and where they are on the card."""
         self._target: gpu.types.GPUOffScreen | None = None
         self._holds: tuple[Order, Shot] | None = None
         """What the target shows; None where meshes, which may have moved, hide some of it."""
@@ -24,7 +21,7 @@ class ViewPicture:
     def draw(
         self,
         card: Card,
-        atlas: Atlas,
+        atlas: gpu.types.GPUTexture,
         order: Order,
         shot: Shot,
         meshes: gpu.types.GPUTexture | None,
@@ -34,7 +31,7 @@ class ViewPicture:
 
         Args:
             card: What draws it.
-            atlas: The splats.
+            atlas: As `Card.draw`.
             order: Its entries name rows of the atlas.
             shot: From where.
             meshes: As `Card.draw`.
@@ -44,18 +41,16 @@ class ViewPicture:
             order_, shot_ = self._holds
             if order_ is order and shot.same(shot_):
                 return self._target.texture_color
-        if self._atlas is None or self._atlas[0] is not atlas.texels:
-            self._atlas = atlas.texels, upload(atlas)
         size = shot.camera.width, shot.camera.height
         if self._target is None or (self._target.width, self._target.height) != size:
             self._target = gpu.types.GPUOffScreen(*size, format="RGBA16F")
         self._holds = None  # until it is drawn
         if took is None:
-            card.draw(self._target, self._atlas[1], order, shot, meshes)
+            card.draw(self._target, atlas, order, shot, meshes)
         else:
             _wait(self._target)
             began = time.perf_counter()
-            card.draw(self._target, self._atlas[1], order, shot, meshes)
+            card.draw(self._target, atlas, order, shot, meshes)
             _wait(self._target)
             took(time.perf_counter() - began)
         self._holds = (order, shot) if meshes is None else None

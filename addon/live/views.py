@@ -13,13 +13,14 @@ from ..render import picture
 from ..render.scene import Placed, SplatCache, marks_of
 from ..render.viewport import smaller
 from . import atlas, order
-from .card import Card, Order, Shot
+from .card import Card, Shot
 from .level import Level
 from .marks import reselected
+from .uploads import Order, Texels
 from .view_picture import ViewPicture
 
 UPLOAD = 0.004
-"""Seconds of a redraw after which no further chunk of an order is uploaded."""
+"""Seconds of a redraw after which nothing further is uploaded."""
 
 _LIKE = 1.25
 """How many times more splats than are wanted an order has that is as good as the wanted one."""
@@ -135,6 +136,22 @@ def _recolored_rows(
     return rows
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Upload:
+    """An answer on its way to the card, or there."""
+
+    wish: Wish
+    texels: Texels
+    order: Order
+
+    def step(self, card: Card) -> bool:
+        """Upload some more; whether all is there."""
+        if not self.texels.complete:
+            self.texels.step(card)
+            return False
+        return self.order.step()
+
+
 class View:
     """One region of a 3D view; used where Blender draws."""
 
@@ -150,8 +167,8 @@ class View:
         """Whether the last picture shows everything as it is now."""
         self._asked: Wish | None = None
         self._answered: Wish | None = None
-        self._coming: tuple[Wish, atlas.Atlas, Order] | None = None
-        self._shown: tuple[Wish, atlas.Atlas, Order] | None = None
+        self._coming: _Upload | None = None
+        self._shown: _Upload | None = None
         self._picture = ViewPicture()
 
     @property
@@ -198,38 +215,47 @@ class View:
         if not wish.same(self._asked):
             self._asked = wish
             self.sorter.ask(wish)
-        self._take_in()
+        self._take_in(card)
         if self._shown is None:
             return None
-        self.complete = self._shown[0].same(wish) and not self.level.moving
+        shown = self._shown
+        self.complete = shown.wish.same(wish) and not self.level.moving
         shot = Shot(
             camera=smaller(camera, detail.factor),
-            viewmats=_viewmats(self._shown[0], wish, camera),
+            viewmats=_viewmats(shown.wish, wish, camera),
             window=window,
             antialias=_antialias(placed, antialias),
             limit=detail.count,
         )
-        shown, atlas_, entries = self._shown
         # An order of many more splats than are wanted takes the time of those too.
-        like = shown.count <= _LIKE * detail.count
+        like = shown.wish.count <= _LIKE * detail.count
         took = self.level.took if self.level.measures and like else None
-        picture_ = self._picture.draw(card, atlas_, entries, shot, meshes, took)
-        self.drawn = min(detail.count, self._shown[0].count)
+        picture_ = self._picture.draw(card, shown.texels.texture, shown.order, shot, meshes, took)
+        self.drawn = min(detail.count, shown.wish.count)
         self.seconds = time.perf_counter() - began
         return picture_
 
-    def _take_in(self) -> None:
-        """Upload orders that have come, bit by bit."""
+    def _take_in(self, card: Card) -> None:
+        """Upload answers that have come, bit by bit."""
         until = time.perf_counter() + UPLOAD
         self.sorter.fresh = False
         answer = self.sorter.answer
         if self._coming is None and answer is not None and answer[0] is not self._answered:
             self._answered = answer[0]
-            before = None if self._shown is None else self._shown[2]
-            self._coming = answer[0], answer[1][0], Order(answer[1][1], before)
+            self._coming = self._upload(answer[0], *answer[1])
         while self._coming is not None and time.perf_counter() < until:
-            if self._coming[2].step():
+            if self._coming.step(card):
                 self._shown, self._coming = self._coming, None
+
+    def _upload(self, wish: Wish, built: atlas.Atlas, entries: np.ndarray) -> _Upload:
+        """Of an answer, without what the card has already."""
+        shown = self._shown
+        if shown is not None and shown.texels.values is built.texels:
+            texels = shown.texels
+        else:
+            texels = Texels(built.texels)
+        order_ = Order(entries, None if shown is None else shown.order)
+        return _Upload(wish=wish, texels=texels, order=order_)
 
 
 def _viewmats(shown: Wish, wish: Wish, camera: RenderCamera) -> tuple[np.ndarray, ...]:

@@ -8,7 +8,7 @@ import numpy as np
 from .frozen import Freezer, Frozen, FrozenMesh
 from .scene import Placed, Source, place
 
-COPY_BUDGET = 0.015
+COPY_BUDGET = 0.003
 """Seconds that one redraw may spend on copying splats out of Blender."""
 EDITED_AT_ONCE = 200_000
 """Splats in Edit Mode that are copied anew after each step of editing; others after its end."""
@@ -113,7 +113,7 @@ class Copies:
                 self._frozen[uid] = frozen
                 del self._freezers[uid]
                 self._stale.pop(uid, None)
-            elif time.perf_counter() > until:
+            elif freezer.waits or time.perf_counter() > until:
                 return None
         return self._frozen[uid]
 

@@ -1,5 +1,6 @@
 """Copies of splat meshes' attributes, so that decoding them needs neither bpy nor its thread."""
 
+import sys
 import zlib
 from collections.abc import Hashable, Sized
 from typing import Any, Protocol
@@ -9,12 +10,15 @@ import numpy as np
 from .. import attributes
 from ..attributes import BASE, POSITION, ROTATION, SCALE, SH
 from ..core import Splats
+from ..process.memory import Memory
 from ..splats.filters import Filters, mask
 
 _KEYS = {"FLOAT_VECTOR": ("vector", 3), "QUATERNION": ("value", 4), "FLOAT4": ("vector", 4)}
 _KEYS["FLOAT_COLOR"] = ("color", 4)
 SELECTED, HIDDEN = 1, 2
 """Bits of marks: what the user has done to a point in Edit Mode."""
+AHEAD = 1 << 21
+"""Numbers, 8 MB, whose memory takes the main thread too long to get."""
 _MARKED_BY = {".select_vert": SELECTED, ".hide_vert": HIDDEN}
 
 
@@ -67,14 +71,18 @@ class _Attribute:
         return _Attribute(self.name, self.domain, self.data_type, values)
 
 
-def _copied(attribute: Any) -> _Attribute:
-    """A copy of Blender's attribute; an empty one where its type is none of a splat's, which the
-    reader refuses."""
-    key, width = _KEYS.get(attribute.data_type, ("", 1))
-    count = len(attribute.data) * width if key else 0
-    values = np.empty(count, np.float32)
-    if count:
-        attribute.data.foreach_get(key, values)
+def _numbers(attribute: Any) -> int:
+    """How many numbers are copied of Blender's attribute; none where its type is none of a splat's,
+    which the reader refuses."""
+    _, width = _KEYS.get(attribute.data_type, ("", 0))
+    return len(attribute.data) * width
+
+
+def _copied(attribute: Any, memory: Memory | None) -> _Attribute:
+    """A copy of Blender's attribute, where there is a memory in its next array."""
+    values = memory.take() if memory else np.empty(_numbers(attribute), np.float32)
+    if len(values):
+        attribute.data.foreach_get(_KEYS[attribute.data_type][0], values)
     return _Attribute(attribute.name, attribute.domain, attribute.data_type, values)
 
 
@@ -150,27 +158,46 @@ class FrozenMesh:
 class Freezer:
     """Copies a datablock's splat attributes one at a time, so that nobody waits for all."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, ahead: int = AHEAD) -> None:
+        """Nothing is copied yet.
+
+        Args:
+            ahead: From so many numbers of all attributes on a thread makes the memory for them.
+        """
+        self._ahead = ahead
         self._begun: FrozenMesh | None = None
+        self._memory: Memory | None = None
+
+    @property
+    def waits(self) -> bool:
+        """Whether the next step has to wait for memory, and so does nothing."""
+        return self._memory is not None and not self._memory.ready
 
     def step(self, data: Any, name: str) -> FrozenMesh | None:
-        """Copy one more attribute; the whole once there are no more.
+        """Copy one more attribute, unless it `waits`; the whole once there are no more.
 
         Args:
             data: Mesh or point cloud; between the steps of one copy it must not change.
             name: What messages shall call it: the object's name.
         """
         if self._begun is None:
-            points = data.vertices if hasattr(data, "vertices") else data.points
-            self._begun = FrozenMesh(name, len(points))
+            self._begin(data, name)
         frozen = self._begun
         for wanted in sorted(_wanted(data)):
             if wanted not in frozen.attributes:
-                dict.__setitem__(frozen.attributes, wanted, _copied(data.attributes[wanted]))
+                if not self.waits:
+                    copy = _copied(data.attributes[wanted], self._memory)
+                    dict.__setitem__(frozen.attributes, wanted, copy)
                 return None
-        self._begun = None
+        self._begun = self._memory = None
         frozen.marks = read_marks(data)
         return frozen
+
+    def _begin(self, data: Any, name: str) -> None:
+        points = data.vertices if hasattr(data, "vertices") else data.points
+        self._begun = FrozenMesh(name, len(points))
+        sizes = [_numbers(data.attributes[n]) for n in sorted(_wanted(data))]
+        self._memory = Memory(sizes) if sum(sizes) >= self._ahead else None
 
     def repaint(self, base: np.ndarray) -> None:
         """Have the copy that has begun get other colours and opacities; as `FrozenMesh.repainted`.
@@ -183,7 +210,7 @@ class Freezer:
 
 def freeze(data: Any, name: str) -> FrozenMesh:
     """All of a datablock's splat attributes at once; arguments as `Freezer.step`."""
-    freezer = Freezer()
+    freezer = Freezer(ahead=sys.maxsize)
     while (frozen := freezer.step(data, name)) is None:
         pass
     return frozen

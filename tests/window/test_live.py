@@ -59,6 +59,11 @@ def test_colours_of_splats_reach_the_screen(seen):
     assert np.abs(middle(seen, "wall") - COLOR).max() <= 2
 
 
+def test_splats_come_without_being_touched(seen):
+    """Oracle: the copy three seconds after one redraw, each of which copies one attribute."""
+    assert seen[0]["by_itself"]
+
+
 def test_meshes_before_and_behind_splats(seen):
     """Oracle: the wall's colour where the mesh is behind it, Solid's grey where it is before."""
     assert np.ptp(middle(seen, "plate_before")) < 10

@@ -24,7 +24,7 @@ from mathutils import Quaternion  # noqa: E402
 addon_utils.enable("addon", default_set=True, persistent=True)
 
 from addon.core import read_splats  # noqa: E402
-from addon.live import card, handler, view_picture  # noqa: E402
+from addon.live import card, handler, uploads, view_picture  # noqa: E402
 from addon.live.program import QUADS  # noqa: E402
 from addon.splats import objects  # noqa: E402
 from tools.window import desk  # noqa: E402
@@ -60,7 +60,7 @@ class Meter:
 
     def __init__(self) -> None:
         self.redraws: list[Redraw] = []
-        draw, texture, wait = handler.draw, card.texture, view_picture._wait
+        draw, texture, wait = handler.draw, uploads.texture, view_picture._wait
         init = card.Card.__init__
 
         def timed(context: bpy.types.Context) -> None:
@@ -78,7 +78,8 @@ class Meter:
             init(this)
             this._quads, this._screen = (_Batch(b, self) for b in (this._quads, this._screen))
 
-        handler.draw, card.texture, card.Card.__init__ = timed, counted, made
+        handler.draw, card.Card.__init__ = timed, made
+        uploads.texture = card.texture = counted
         view_picture._wait = lambda target: self.time(wait, target)
 
     def time(self, act: Callable, *given: Any, **named: Any) -> None:
@@ -165,8 +166,11 @@ def story() -> Iterator[object]:
 
 
 def measured(what: str, meter: Meter, at_rest: Callable[[], bool]) -> Iterator[object]:
-    """Notes what turning takes, coming to rest, and then standing still."""
+    """Notes what the first picture takes, turning, coming to rest, and then standing still."""
+    meter.redraws.clear()
     yield at_rest
+    if any(r.calls for r in meter.redraws):
+        note(f"{what}, first", meter, summed=True)
     meter.redraws.clear()
     yield from turn(ASKED["steps"])
     note(f"{what}, turning", meter)

@@ -51,7 +51,8 @@ WINDOW = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, -1.002, -0.2002], [0, 0,
 
 def drawn(card, parts: list[Splats], matrices, camera, *, meshes=None, limit=None, **options):
     """[H, W, 4] premultiplied sRGB values, the top row first."""
-    from addon.live.card import Order, Shot, texture, upload
+    from addon.live.card import Shot
+    from addon.live.uploads import Order, Texels, texture
 
     viewmats = tuple(camera.viewmat @ m for m in matrices)
     made = atlas.build(parts)
@@ -59,6 +60,9 @@ def drawn(card, parts: list[Splats], matrices, camera, *, meshes=None, limit=Non
     entries = Order(order.arrange(made, eye, len(made)))
     while not entries.step():
         pass
+    texels = Texels(made.texels)
+    while not texels.complete:
+        texels.step(card)
     target = gpu.types.GPUOffScreen(*SIZE, format="RGBA16F")
     shot = Shot(
         camera=camera,
@@ -68,7 +72,7 @@ def drawn(card, parts: list[Splats], matrices, camera, *, meshes=None, limit=Non
         limit=len(made) if limit is None else limit,
     )
     depths = None if meshes is None else texture(meshes[::-1, :, None])
-    card.draw(target, upload(made), entries, shot, depths)
+    card.draw(target, texels.texture, entries, shot, depths)
     found = target.texture_color.read()
     found.dimensions = SIZE[0] * SIZE[1] * 4
     return np.array(found, np.float32).reshape(SIZE[1], SIZE[0], 4)[::-1]
@@ -142,9 +146,27 @@ def test_fewer_splats(card):
     assert np.abs(got[..., :3] - truth(splats.subset(chosen), view()).rgb).max() < LIMIT
 
 
+def test_an_atlas_comes_in_pieces(card, monkeypatch):
+    """Oracle: the texels themselves, to the bit; by one row, and by five, which leaves three."""
+    from addon.live.uploads import Texels
+
+    values = np.random.default_rng(0).normal(0, 1e6, (13, 40, 3, 4)).astype(np.float32)
+    values[3, 5, 1] = 1e-38, -0.0, 16777215.0, 3e38
+    for piece, steps in ((1, 13), (5 * 120, 3)):
+        monkeypatch.setattr(Texels, "PIECE", piece)
+        texels = Texels(values)
+        for _ in range(steps):
+            assert not texels.complete
+            texels.step(card)
+        assert texels.complete
+        found = texels.texture.read()
+        found.dimensions = values.size
+        np.testing.assert_array_equal(np.array(found, np.float32), values.reshape(-1))
+
+
 def test_chunks_that_stay_are_not_uploaded_again(card, monkeypatch):
     """Oracle: the textures themselves, and the picture of an order that is uploaded whole."""
-    from addon.live.card import Order
+    from addon.live.uploads import Order
 
     monkeypatch.setattr(Order, "CHUNK", 500)
     entries = np.random.default_rng(0).uniform(0, 1, (1300, 4)).astype(np.float32)

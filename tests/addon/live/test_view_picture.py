@@ -16,11 +16,10 @@ def test_a_picture_that_failed_is_not_kept() -> None:
         if len(calls) == 1:
             raise SystemError("out of memory")
 
-    picture, texels = ViewPicture(), object()
+    picture = ViewPicture()
     picture._target = SimpleNamespace(width=4, height=3, texture_color="texture")
-    picture._atlas = texels, "texels"
     shot = SimpleNamespace(camera=SimpleNamespace(width=4, height=3), same=lambda other: True)
-    given = SimpleNamespace(draw=draw), SimpleNamespace(texels=texels), object(), shot, None
+    given = SimpleNamespace(draw=draw), object(), object(), shot, None
     with pytest.raises(SystemError):
         picture.draw(*given)
     assert picture.draw(*given) == "texture" and len(calls) == 2

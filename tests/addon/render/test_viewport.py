@@ -10,7 +10,8 @@ import pytest
 from addon.cameras import captures
 from addon.compat import matrix_to_numpy
 from addon.core import render
-from addon.render import copies, picture, viewport
+from addon.process.memory import Memory
+from addon.render import copies, frozen, picture, viewport
 from addon.render.frozen import HIDDEN
 from addon.render.scene import Placed, SplatCache, marks_of, sources
 from addon.splats import filters
@@ -148,6 +149,32 @@ def test_copying_is_spread_over_redraws(scene, monkeypatch):
     placed = found[0]
     assert redraws == 12  # position, scale, rotation, base and 8 of SH
     assert len(SplatCache().model(placed).splats) == 2000
+
+
+class _SlowMemory(Memory):
+    """Whose arrays are there from the second look on."""
+
+    looks = 0
+
+    @property
+    def ready(self) -> bool:
+        """Every other time, if the thread has made it."""
+        self.looks += 1
+        return self.looks % 2 == 0 and super().ready
+
+
+def test_a_copy_waits_for_memory(scene, monkeypatch):
+    """Oracle: a copy of the same mesh that makes its own; a step that waits copies nothing."""
+    ob = lab.add(scene, lab.blob(2000))
+    monkeypatch.setattr(frozen, "Memory", _SlowMemory)
+    freezer, had, waits = frozen.Freezer(ahead=0), 0, 0
+    while (copy := freezer.step(ob.data, ob.name)) is None:
+        has = len(freezer._begun.attributes)
+        waits += has == had
+        had = has
+    assert waits >= 12  # once an attribute: position, scale, rotation, base and 8 of SH
+    assert copy.fingerprint == frozen.freeze(ob.data, ob.name).fingerprint
+    assert not freezer.waits
 
 
 @pytest.mark.parametrize("filtered", [False, True])

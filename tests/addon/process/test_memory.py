@@ -1,0 +1,39 @@
+"""Memory that a thread makes; oracle: the sizes, and what the arrays hold."""
+
+import gc
+import threading
+import time
+
+import numpy as np
+
+from addon.process.memory import Memory
+
+
+def makers() -> list[threading.Thread]:
+    """The threads that make memory."""
+    return [t for t in threading.enumerate() if t.name == "gscore-memory"]
+
+
+def test_arrays_come_in_order_and_are_zero() -> None:
+    """Also of no numbers; the thread ends with the last."""
+    memory = Memory([5, 0, 70_000])
+    for size in (5, 0, 70_000):
+        until = time.monotonic() + 10
+        while not memory.ready:
+            assert time.monotonic() < until
+        array = memory.take()
+        assert array.dtype == np.float32 and array.shape == (size,) and not array.any()
+    assert not memory.ready
+    for thread in makers():
+        thread.join(10)
+    assert not makers()
+
+
+def test_no_more_is_made_for_nobody() -> None:
+    """Oracle: the thread ends long before it could have made 4 TB."""
+    memory = Memory([1 << 20] * (1 << 20))
+    del memory
+    gc.collect()
+    for thread in makers():
+        thread.join(10)
+    assert not makers()
