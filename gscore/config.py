@@ -549,6 +549,16 @@ class TrainConfig:
         group="loss",
         range=Range(high=1, below=True),
     )
+    drop_below: float = option(
+        0.0,
+        "None are left out unless stereo, asked for points, finds the depth of less than this "
+        "share of the photos' pixels, nor where masks are opacity: photos that agree in more show "
+        "fine detail, which leaving out costs. 0: always, as where `--drop-rate` is given by "
+        "itself.",
+        group="loss",
+        range=Range(high=1),
+        when="dropping",
+    )
     opaque_weight: float = option(
         0.0,
         "Weight of the mean share of light that passes between splats where the pixels of a photo "
@@ -821,8 +831,9 @@ class TrainConfig:
 
 _LIMITED = TrainConfig(opaque_weight=0.005, steps_a_photo=80)
 """What all but previews share: more steps for each photo lose on views between the photos."""
-_LONG = replace(_LIMITED, stereo=Switch.AUTO)
-"""What the longer presets share: points of stereo place what they grow."""
+_LONG = replace(_LIMITED, stereo=Switch.AUTO, drop_rate=0.1, drop_below=0.35)
+"""What the longer presets share: points of stereo place what they grow, and what photos do not
+agree on is not learnt by heart."""
 
 
 def preview(source: Path) -> tuple[DataConfig, TrainConfig]:
@@ -855,8 +866,12 @@ PRESETS: dict[str, Callable[[Path], tuple[DataConfig, TrainConfig]]] = {
 }
 
 
-LIFTED_BY = {"iterations": "steps_a_photo", "max_splats": "splats_a_photo"}
-"""Limits by the number of photos, by the option that lifts them where it is given by itself."""
+LIFTED_BY = {
+    "iterations": "steps_a_photo",
+    "max_splats": "splats_a_photo",
+    "drop_rate": "drop_below",
+}
+"""Limits by what the photos are like, by the option that lifts them where it is given by itself."""
 
 
 def flag_of(name: str) -> str:

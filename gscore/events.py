@@ -46,6 +46,9 @@ class Started(Event):
     maps."""
     stereo: str = ""
     """A sentence on the points that stereo added, or why none; empty: nobody asked."""
+    drops: str = ""
+    """One on splats that are left out of steps for these photos; empty: none are, or the options
+    say so."""
     exposure: str = ""
     """A sentence on whether the exposure of photos is learnt; empty: nobody asked."""
     poses: str = ""

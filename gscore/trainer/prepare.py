@@ -16,6 +16,7 @@ from ..errors import BackendError, ConfigError
 from ..events import Event
 from ..io.block_record import read_block
 from ..splats import Splats
+from .depth.regularisers import drop_rate_of
 from .depth.setup import DepthSetup, prepare_depth
 from .depth.stereo import StereoStart, stereo_start
 from .guide.setup import GuideSetup, prepare_guide
@@ -47,6 +48,8 @@ class Prepared:
     depth: DepthSetup
     guide: GuideSetup
     stereo: StereoStart
+    drops: str
+    """One on splats that are left out of steps; empty: none are, or the options say so."""
     exposure: Exposure
     placing: Placing
 
@@ -59,6 +62,7 @@ class Prepared:
                 {"train": torch.tensor(list(self.photos.train), dtype=torch.int64, device="cpu")}
             ),
             "the plan": repr(trainer.plan),
+            "the share of splats that is left out": trainer.drop_rate,
             "the meshes that guide it": trainer.guide_digest,
             "the first splats": crc_of(trainer.tensors()),
         }
@@ -129,6 +133,7 @@ def prepare(
         if stereo:
             telling = progress_of("depth of photos", config, emit, control)
             added = stereo_start(config, photos, points, on_view=telling)
+        drop_rate, drops = drop_rate_of(config, known=added.known, mask_mode=photos.mask_mode)
         exposure, placing = judge_photos(config, photos)
         trainer = Trainer(
             config,
@@ -137,6 +142,7 @@ def prepare(
             start=start,
             depth=depth.loss_targets,
             points=points if added.points is None else added.points,
+            drop_rate=drop_rate,
             gains=exposure.gains,
             placing=placing,
             photo_cache=loaded.cache,
@@ -155,6 +161,7 @@ def prepare(
         depth=depth,
         guide=guide,
         stereo=added,
+        drops=drops,
         exposure=exposure,
         placing=placing,
     )

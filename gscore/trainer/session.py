@@ -73,6 +73,7 @@ class Session:
         lpips_reason: str,
         depth: DepthSetup | None = None,
         stereo: StereoStart | None = None,
+        drops: str = "",
         exposure: Exposure | None = None,
         placing: Placing | None = None,
         onlookers: Onlookers | None = None,
@@ -80,8 +81,9 @@ class Session:
         region: str = "",
         guide: str = "",
     ) -> None:
-        """`enough`: a sentence on steps that are left out; `region`: one on the part of the splats
-        that is trained; `guide`: some on meshes that guide it."""
+        """`drops`: a sentence on splats that are left out of steps; `enough`: one on steps that are
+        left out; `region`: one on the part of the splats that is trained; `guide`: some on meshes
+        that guide it."""
         self._trainer = trainer
         self._config = trainer.config
         self._folder = folder
@@ -92,6 +94,7 @@ class Session:
         self._results = Results(trainer, folder, data)
         self._depth = depth or DepthSetup()
         self._stereo = stereo or StereoStart()
+        self._drops = drops
         self._exposure = exposure or Exposure()
         self._placing = placing or Placing()
         self._onlookers = onlookers or Onlookers()
@@ -225,6 +228,7 @@ class Session:
                 threads=self._results.threads,
                 depth=self._depth.why if self._depth.supervises else "",
                 stereo=self._stereo.why,
+                drops=self._drops,
                 exposure=self._exposure.why,
                 poses=self._placing.why,
                 viewer=self._onlookers.why,

@@ -138,6 +138,7 @@ class Trainer:
         start: Splats | None = None,
         depth: DepthTargets | None = None,
         points: PointCloud | None = None,
+        drop_rate: float | None = None,
         gains: PhotoGains | None = None,
         placing: Placing | None = None,
         photo_cache: int | None = None,
@@ -148,13 +149,14 @@ class Trainer:
     ) -> None:
         """Start from `start` or from `points`, in COLMAP world, or from the points of the capture.
 
-        `depth` holds what to supervise depth with; `gains` how photos were exposed, which is
-        learnt, None: they are taken as they are; `placing` where training cameras stand, None:
-        where the capture has them; `photo_cache` is how many bytes of photos may be kept, None:
-        all; `team` are the processes that train together, each of which makes such a trainer;
-        `region`, in COLMAP world, holds the splats of `start` that are trained, None: all are;
-        where there is no `start`, `photos` are those that are narrowed to it; `guide` are the
-        meshes that guide the run; `block` is the one in whose cell alone splats are
+        `depth` holds what to supervise depth with; `drop_rate` is the share of splats that is left
+        out of the last step, None: that of the config, whatever its condition; `gains` how photos
+        were exposed, which is learnt, None: they are taken as they are; `placing` where training
+        cameras stand, None: where the capture has them; `photo_cache` is how many bytes of photos
+        may be kept, None: all; `team` are the processes that train together, each of which makes
+        such a trainer; `region`, in COLMAP world, holds the splats of `start` that are trained,
+        None: all are; where there is no `start`, `photos` are those that are narrowed to it;
+        `guide` are the meshes that guide the run; `block` is the one in whose cell alone splats are
         added, None: they are everywhere.
 
         Raises:
@@ -167,6 +169,8 @@ class Trainer:
                 "hold out fewer."
             )
         self.config = config
+        self.drop_rate = config.drop_rate if drop_rate is None else drop_rate
+        """Share of the splats that is left out of the last step."""
         self.photos = photos
         self.team = team
         """Those with whom each step is taken together; None: this process trains alone."""
@@ -699,7 +703,7 @@ class Trainer:
         """The opacities that this step draws, and, where they are not the model's own, the leaf
         that their gradients belong to."""
         opacities = self.model.params["opacities"]
-        rate = drop_rate_at(self.config.drop_rate, step, self.plan.iterations)
+        rate = drop_rate_at(self.drop_rate, step, self.plan.iterations)
         if rate <= 0:
             return opacities, None
         leaf = opacities.detach().requires_grad_()

@@ -10,7 +10,7 @@ import pytest
 from gscore.commands import dashed, main, train
 from gscore.commands.bench.changes import changed
 from gscore.commands.given import names_3dgs
-from gscore.config import PRESETS, Background, Skip, Strategy, Switch, TrainConfig
+from gscore.config import LIFTED_BY, PRESETS, Background, Skip, Strategy, Switch, TrainConfig
 from gscore.options import options_of
 
 
@@ -107,8 +107,8 @@ def test_an_option_is_taken_in_both_ways(name: str) -> None:
         text = "0.5"
     found = configured(f"{one.flag} {text}")
     assert found == configured(f"--set {name}={text}") != plain
-    if name == "iterations":  # a number of steps that is given is meant
-        found = replace(found, steps_a_photo=plain.steps_a_photo)
+    if limit := LIFTED_BY.get(name):  # what is given is meant
+        found = replace(found, **{limit: getattr(plain, limit)})
     assert replace(found, **{name: getattr(plain, name)}) == plain
 
 

@@ -204,7 +204,7 @@ def _texts(event: Event) -> Iterator[str]:
                 yield event.region
             if sentence := _MASKS.get(event.mask_mode):
                 yield sentence
-            said = (event.enough, event.stereo, event.depth, event.guide)
+            said = (event.enough, event.stereo, event.drops, event.depth, event.guide)
             yield from filter(None, (*said, event.exposure, event.poses, event.viewer))
         case Warn():
             yield f"Warning: {event.message}"

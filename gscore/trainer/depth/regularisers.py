@@ -3,12 +3,35 @@
 import numpy as np
 import torch
 
+from ...config import TrainConfig
 from ..host.random import uniform
 
 _GONE = -30.0
 """Logit of a splat that is left out: far below the opacity at which one is drawn."""
 _MOST = 0.999
 """Highest opacity that making up for the others leads to; no more than 0.99 is drawn anyway."""
+
+
+def drop_rate_of(config: TrainConfig, *, known: float | None, mask_mode: str) -> tuple[float, str]:
+    """The share of splats that a run leaves out of its last step, for these photos.
+
+    Args:
+        config: `drop_rate`, and `drop_below`, its condition.
+        known: Share of the photos' pixels whose depth stereo found; None: nobody looked.
+        mask_mode: What masks are for, as `Dataset.mask_mode`.
+
+    Returns:
+        The share, and a sentence where a condition holds; empty where there is none.
+    """
+    rate = config.drop_rate
+    if not (rate and config.drop_below):
+        return rate, ""
+    if known is None or known >= config.drop_below or mask_mode == "composite":
+        return 0.0, ""
+    return rate, (
+        f"Photos agree on the depth of {known:.0%} of their pixels: of each step as many as "
+        f"{rate:.0%} of the splats are left out, for unseen views (--drop-rate 0 leaves out none)."
+    )
 
 
 def drop_rate_at(rate: float, step: int, iterations: int) -> float:

@@ -28,6 +28,8 @@ class StereoStart:
     points: PointCloud | None = None
     """Those of the capture and more; None: nothing is added."""
     added: int = 0
+    known: float | None = None
+    """Share of the photos' pixels whose depth others confirm; None: nobody looked."""
     why: str = ""
     """A sentence that says how many were added, or why none were; empty where nobody asks."""
 
@@ -55,10 +57,10 @@ def stereo_start(
     used = evenly(photos.train, _MOST_VIEWS)
     found = stereo_maps(photos, used, side=_SIDE, threads=config.threads, on_view=on_view)
     if found.reason:
-        return _nothing(found.reason)
+        return _nothing(found.reason, known=0.0)
     added = dense_points(found, most=most)
     if len(added) < min(_FEWEST, most):
-        return _nothing("photos agree on the depth of hardly anything")
+        return _nothing("photos agree on the depth of hardly anything", known=found.known)
     return StereoStart(
         points=PointCloud(
             points=np.concatenate([known.points, added.points]),
@@ -66,6 +68,7 @@ def stereo_start(
             made_up=known.made_up,
         ),
         added=len(added),
+        known=found.known,
         why=f"{count_words(len(added), 'point')} of surfaces that photos agree on were added to "
         f"{number(len(known))} of the capture.",
     )
@@ -78,5 +81,5 @@ def _wanted(config: TrainConfig, known: PointCloud) -> int:
     return min(config.stereo_points or min(MOST_ADDED, config.max_splats // SPLATS_A_POINT), room)
 
 
-def _nothing(why: str) -> StereoStart:
-    return StereoStart(why=f"No points were added by stereo: {why}.")
+def _nothing(why: str, *, known: float | None = None) -> StereoStart:
+    return StereoStart(known=known, why=f"No points were added by stereo: {why}.")

@@ -1,15 +1,55 @@
 """Splats left out; opacity, by masks or everywhere; oracles: expectations, formulas, counts."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
-from gscore.config import Background, TrainConfig
-from gscore.trainer.depth.regularisers import drop_rate_at, drop_splats, opacity_loss, see_through
+from gscore.config import PRESETS, Background, TrainConfig
+from gscore.trainer.depth.regularisers import (
+    drop_rate_at,
+    drop_rate_of,
+    drop_splats,
+    opacity_loss,
+    see_through,
+)
 from gscore.trainer.trainer import Trainer
+
+
+@pytest.mark.parametrize(
+    ("below", "known", "mask_mode", "rate"),
+    [
+        (0.0, None, "none", 0.1),
+        (0.0, 0.9, "composite", 0.1),
+        (0.35, None, "none", 0.0),
+        (0.35, 0.0, "none", 0.1),
+        (0.35, 0.349, "ignore", 0.1),
+        (0.35, 0.35, "none", 0.0),
+        (0.35, 0.1, "composite", 0.0),
+    ],
+)
+def test_where_splats_are_left_out(
+    below: float, known: float | None, mask_mode: str, rate: float
+) -> None:
+    """Oracle: the text of the option; the sentence comes with the condition."""
+    config = TrainConfig(drop_rate=0.1, drop_below=below)
+    found, words = drop_rate_of(config, known=known, mask_mode=mask_mode)
+    assert found == rate
+    assert bool(words) == bool(below and rate)
+    if words:
+        assert f"{known:.0%} of their pixels" in words and "10% of the splats" in words
+    assert drop_rate_of(replace(config, drop_rate=0.0), known=known, mask_mode=mask_mode)[0] == 0
+
+
+def test_which_presets_leave_splats_out() -> None:
+    """Oracle: those that ask stereo, without which the condition is never met."""
+    for name, make in PRESETS.items():
+        config = make(Path())[1]
+        longer = name in ("normal", "high")
+        assert (config.drop_rate, config.drop_below) == ((0.1, 0.35) if longer else (0, 0))
 
 
 def test_the_share_left_out_rises_evenly() -> None:

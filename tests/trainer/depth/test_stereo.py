@@ -37,6 +37,7 @@ def test_points_are_added_and_none_is_lost(arc: Path) -> None:
     off = np.minimum(np.abs(6 - 0.1 * x - z), np.abs(np.hypot(np.hypot(x - 0.3, y), z - 4.6) - 0.8))
     assert np.quantile(off, 0.95) < 0.06
     assert f"{found.added:,} points" in found.why
+    assert found.known is not None and 0.1 < found.known < 0.9
 
 
 def test_the_option_says_how_many(arc: Path) -> None:
@@ -51,13 +52,14 @@ def test_the_option_says_how_many(arc: Path) -> None:
 def test_nothing_is_looked_for_where_nobody_asks(config: TrainConfig, arc: Path) -> None:
     """Oracle: no points and no sentence."""
     found = start(arc, config)
-    assert found.points is None and found.why == ""
+    assert found.points is None and found.known is None and found.why == ""
 
 
 def test_it_says_why_it_adds_nothing(arc: Path, tmp_path: Path) -> None:
     """Oracle: as many points as splats are allowed; two photos."""
     many = PointCloud(points=np.zeros((4000, 3)), colors=np.zeros((4000, 3), np.uint8))
-    assert "leave no room" in start(arc, known=many).why
+    full = start(arc, known=many)
+    assert "leave no room" in full.why and full.known is None
     half = PointCloud(points=many.points[:2100], colors=many.colors[:2100])
     assert "leave no room" in start(arc, known=half).why
     asked = start(arc, replace(ON, stereo=Switch.ON), known=half)
@@ -65,7 +67,7 @@ def test_it_says_why_it_adds_nothing(arc: Path, tmp_path: Path) -> None:
     scene = Scene(80, 60)
     write_capture(tmp_path, scene, [scene.viewmat(angle) for angle in ANGLES[:2]])
     found = start(tmp_path)
-    assert found.points is None and "at least 3 photos" in found.why
+    assert found.points is None and "at least 3 photos" in found.why and found.known == 0
 
 
 LINE = ["--max-splats", "900", "--stereo", "auto", "--seed", "3", "--quiet"]
@@ -91,6 +93,32 @@ def test_a_training_starts_from_them_and_goes_on_bit_equal(
     assert main([*line, "--iterations", "1"]) == 0
     plain = read_ply(without / "point_cloud.ply")
     assert len(plain) == len(load_dataset(DataConfig(source=arc)).scene.points) < len(a)
+
+
+def test_splats_are_left_out_where_photos_agree_on_little(
+    arc: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Oracles: runs with that share whatever the photos are, and with none; the sentence; a resume
+    finds the same."""
+
+    def run(name: str, *options: str) -> bytes:
+        line = ["train", str(arc), "-o", str(tmp_path / name), *LINE[:-1], "--iterations", "30"]
+        assert main([*line, "--checkpoint-iterations", "15", *options]) == 0
+        return read_ply(tmp_path / name / "point_cloud.ply").means.tobytes()
+
+    always, never = run("always", "--drop-rate", "0.5"), run("never", "--drop-rate", "0")
+    capsys.readouterr()
+    below = run("below", "--drop-rate", "0.5", "--drop-below", "0.99")
+    captured = capsys.readouterr()
+    assert "Photos agree on the depth of" in captured.out + captured.err
+    above = run("above", "--drop-rate", "0.5", "--drop-below", "0.01")
+    captured = capsys.readouterr()
+    assert "Photos agree on the depth of" not in captured.out + captured.err
+    assert below == always != never == above
+    for checkpoint in (tmp_path / "below/checkpoints").glob("*30*"):
+        checkpoint.unlink()
+    assert main(["train", "-o", str(tmp_path / "below"), "--resume"]) == 0
+    assert read_ply(tmp_path / "below/point_cloud.ply").means.tobytes() == below
 
 
 def test_a_checkpoint_of_a_run_without_goes_on_without(
