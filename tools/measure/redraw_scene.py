@@ -46,7 +46,8 @@ class Redraw:
     total_ms: float = 0.0
     """Of Blender's main thread."""
     card_ms: float = 0.0
-    """Of these, in draw calls and waits: where the processor stands in for a card, its work."""
+    """Of these, in draw calls, in waits and for the card's memory: where the processor stands in
+    for a card, its work."""
     drawn: int = 0
     """Splats."""
     calls: int = 0
@@ -61,7 +62,7 @@ class Meter:
     def __init__(self) -> None:
         self.redraws: list[Redraw] = []
         draw, texture, wait = handler.draw, uploads.texture, view_picture._wait
-        init = card.Card.__init__
+        init, reserve = card.Card.__init__, uploads.Texels.__init__
 
         def timed(context: bpy.types.Context) -> None:
             now = Redraw(began=time.perf_counter())
@@ -80,6 +81,8 @@ class Meter:
 
         handler.draw, card.Card.__init__ = timed, made
         uploads.texture = card.texture = counted
+        # The room for an atlas, which the processor empties where it stands in for a card.
+        uploads.Texels.__init__ = lambda this, values: self.time(reserve, this, values)
         view_picture._wait = lambda target: self.time(wait, target)
 
     def time(self, act: Callable, *given: Any, **named: Any) -> None:
