@@ -359,13 +359,20 @@ def test_why_a_lens_is_not_straightened() -> None:
         straight.undistortion_of(PhotoCamera(**known, params=LENSES["SIMPLE_RADIAL"]))
 
 
-def test_preferences_tell_the_copies_once_they_are_counted(scene, own_copies: Path) -> None:
+def test_preferences_tell_the_copies_once_they_are_counted(
+    scene, own_copies: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Oracle: the files in the folder; and that something waits for the thread that counts."""
+    looked, count = threading.Event(), straight_operators._SIZES._function
+    monkeypatch.setattr(
+        straight_operators._SIZES, "_function", lambda folder: looked.wait(60) and count(folder)
+    )
     own_copies.mkdir(parents=True)
     (own_copies / "a.png").write_bytes(bytes(3_000_000))
     layout = Layout()
     straight_operators.draw_copies(layout, preferences.get())
     assert layout.notes == [] and beat.tick()
+    looked.set()
     while beat.tick():
         time.sleep(0.01)
     straight_operators.draw_copies(layout, preferences.get())
