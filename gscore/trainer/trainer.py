@@ -573,6 +573,7 @@ class Trainer:
             "adam_steps": {name: self.model.steps(name) for name in self.model.params},
             "bad_rows": self.bad_rows,
             "lost_rows": self.lost_rows,
+            "drop_rate": self.drop_rate,
             "skipped": self._skipped,
             "factor": self._factor if math.isfinite(self._factor) else None,
         } | self.removal.state()
@@ -620,6 +621,8 @@ class Trainer:
         self.replan(length)
         factor = state.get("factor")
         self._factor = math.inf if factor is None else real("factor", factor, low=1)
+        # What was found of the photos then: a run that stereo gave no points does not ask it again.
+        self.drop_rate = real("drop_rate", state.get("drop_rate", self.drop_rate), low=0)
         names = list(self.model.params)
         rank, size = (self.team.rank, self.team.size) if self.team else (0, 1)
         gathered = gathered_of(tensors, rank, size)
