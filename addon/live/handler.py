@@ -89,16 +89,16 @@ def shown(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> list[So
 
 def draw(context: bpy.types.Context) -> None:
     """Draw the view of a context; called by Blender after everything else in it."""
+    pointer = context.region.as_pointer()
+    _state.copying.discard(pointer)  # unless it is seen to go on below
     if not SESSION.works or context.region_data is None:
         return
-    pointer = context.region.as_pointer()
     if pointer in viewport.EXACT and _is_own(context):
         return
     try:
         _draw(context, pointer)
         _state.problems.pop(pointer, None)
     except ValueError as error:
-        _state.copying.discard(pointer)
         _state.problems[pointer] = str(error)
     except Exception as error:  # drivers raise anything; Blender would print it at each redraw
         _log.exception("Splats cannot be drawn live.")
@@ -109,10 +109,10 @@ def _draw(context: bpy.types.Context, pointer: int) -> None:
     depsgraph = context.evaluated_depsgraph_get()
     found = shown(context, depsgraph)
     placed, complete = copies.SHARED.copied(found)
-    (_state.copying.discard if complete else _state.copying.add)(pointer)
+    if not complete:
+        _state.copying.add(pointer)
+        _ensure()
     if not placed:
-        if not complete:
-            _ensure()
         return
     if _state.card is None:
         _state.card = Card()
@@ -128,7 +128,7 @@ def _draw(context: bpy.types.Context, pointer: int) -> None:
     )
     if picture is not None:
         _state.card.show(picture, left, bottom, width, height)
-    if view.waits or not complete:
+    if view.waits:
         _ensure()
 
 
