@@ -221,6 +221,8 @@ def test_painting_goes_on_where_its_workspace_is_deleted(
     desk: Desk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Oracle: the keys are told, and painting ends, without an error."""
+    if bpy.app.version[:2] == (5, 0):
+        pytest.skip("bpy 5.0 crashes where a workspace is copied without a window")
     running = modal.Running()
     workspace = bpy.context.workspace.copy()
     if workspace is None:
