@@ -107,6 +107,7 @@ class Card:
             gpu.state.viewport_set(0, row, piece.width, piece.height)
             gpu.state.blend_set("NONE")
             gpu.state.depth_test_set("NONE")
+            gpu.state.face_culling_set("NONE")
             self._rows.bind()
             self._rows.uniform_float("row", float(row))
             self._rows.uniform_sampler("piece", piece)

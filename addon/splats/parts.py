@@ -56,8 +56,6 @@ def join(ob: bpy.types.Object, others: list[bpy.types.Object]) -> None:
     to_own = np.linalg.inv(world)
     matrices = [to_own @ compat.matrix_to_numpy(one.matrix_world) for one in others]
     attributes.check(ob.data)
-    for one in others:
-        attributes.check(one.data)
     tables = [_moved(one, m) for one, m in zip(others, matrices, strict=True)]
     attributes.append(ob.data, tables)
     ob.data.update()
@@ -70,8 +68,6 @@ def join(ob: bpy.types.Object, others: list[bpy.types.Object]) -> None:
 
 def _moved(ob: bpy.types.Object, matrix: np.ndarray) -> list[attributes.Column]:
     """All that the points of an object carry, after a 4x4 similarity; ValueError as `join`."""
-    if np.array_equal(matrix, np.eye(4)):
-        return attributes.table(ob.data)
     splats = objects.transformed(ob, matrix)
     rest = [c for c in attributes.table(ob.data) if not attributes.is_splats(c.name)]
     return [*attributes.as_table(splats), *rest]

@@ -13,6 +13,7 @@ from ..metrics.evaluate import masked_pair, target_picture
 from ..metrics.image import psnr, ssim
 from ..raster.api import render_camera
 from ..splats import Splats
+from ..trainer.depth.regularisers import drop_rate_of
 from ..trainer.depth.stereo import stereo_start
 from ..trainer.host.state import ordinary_state
 from ..trainer.photos.views import Photos
@@ -166,9 +167,15 @@ def train_measured(
         began = time.perf_counter()
         start = stereo_start(config, photos, photos.scene.points)
         seconds += time.perf_counter() - began
+        drop_rate, _ = drop_rate_of(config, known=start.known, mask_mode=photos.mask_mode)
         exposure, placing = judge_photos(config, photos)
         trainer = Trainer(
-            config, photos, points=start.points, gains=exposure.gains, placing=placing
+            config,
+            photos,
+            points=start.points,
+            drop_rate=drop_rate,
+            gains=exposure.gains,
+            placing=placing,
         )
         for step in range(1, config.iterations + 1):
             began = time.perf_counter()
