@@ -1,18 +1,14 @@
 """What is uploaded to the graphics card, in pieces of a millisecond; used where Blender draws."""
 
-from typing import Protocol
+from collections.abc import Callable
 
 import gpu
 import numpy as np
 
 from .program import ORDER_COLUMNS
 
-
-class Copier(Protocol):
-    """What copies on the card."""
-
-    def copy(self, piece: gpu.types.GPUTexture, target: gpu.types.GPUFrameBuffer, row: int) -> None:
-        """Put the rows of a texture into those of a target of the same width, from `row` on."""
+Copy = Callable[[gpu.types.GPUTexture, gpu.types.GPUFrameBuffer, int], None]
+"""As `Card.copy`."""
 
 
 class Texels:
@@ -39,12 +35,12 @@ class Texels:
         """Whether all are there."""
         return self._done == len(self.values)
 
-    def step(self, copier: Copier) -> None:
+    def step(self, copy: Copy) -> None:
         """Upload some more. Blender writes to a texture only when it makes it, so they come in one
         of their own, and the card copies them."""
         width = self.texture.width
         rows = self.values[self._done : self._done + max(self.PIECE // width, 1)]
-        copier.copy(texture(rows.reshape(len(rows), width, 4)), self._target, self._done)
+        copy(texture(rows.reshape(len(rows), width, 4)), self._target, self._done)
         self._done += len(rows)
 
 

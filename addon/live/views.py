@@ -147,7 +147,7 @@ class _Upload:
     def step(self, card: Card) -> bool:
         """Upload some more; whether all is there."""
         if not self.texels.complete:
-            self.texels.step(card)
+            self.texels.step(card.copy)
             return False
         return self.order.step()
 

@@ -23,16 +23,20 @@ class Memory:
         Args:
             sizes: How many float32 each array has.
         """
-        made: deque[np.ndarray] = deque()
+        made: deque[np.ndarray | int] = deque()  # a size where there was no memory for it
         dropped = threading.Event()
 
         def make() -> None:
             for size in sizes:
                 if dropped.is_set():
                     return
-                array = np.empty(size, np.float32)
-                array.fill(0)
-                made.append(array)
+                try:
+                    array = np.empty(size, np.float32)
+                except MemoryError:  # which the owner shall hear of, and not wait for ever
+                    made.append(size)
+                else:
+                    array.fill(0)
+                    made.append(array)
 
         self._made = made
         weakref.finalize(self, dropped.set)
@@ -44,5 +48,10 @@ class Memory:
         return bool(self._made)
 
     def take(self) -> np.ndarray:
-        """The next array, of zeros; only where it is `ready`."""
-        return self._made.popleft()
+        """The next array, of zeros; only where it is `ready`.
+
+        Raises:
+            MemoryError: there was none in the thread, and there is none now.
+        """
+        made = self._made.popleft()
+        return np.zeros(made, np.float32) if isinstance(made, int) else made

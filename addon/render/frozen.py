@@ -183,13 +183,15 @@ class Freezer:
         if self._begun is None:
             self._begin(data, name)
         frozen = self._begun
-        for wanted in sorted(_wanted(data)):
-            if wanted not in frozen.attributes:
-                if not self.waits:
-                    copy = _copied(data.attributes[wanted], self._memory)
-                    dict.__setitem__(frozen.attributes, wanted, copy)
-                return None
-        self._begun = self._memory = None
+        missing = sorted(set(_wanted(data)) - frozen.attributes.keys())
+        if missing:
+            if not self.waits:
+                copy = _copied(data.attributes[missing[0]], self._memory)
+                dict.__setitem__(frozen.attributes, missing[0], copy)
+                if len(missing) == 1:
+                    self._memory = None  # nothing is left to wait for
+            return None
+        self._begun = None
         frozen.marks = read_marks(data)
         return frozen
 

@@ -13,7 +13,6 @@ from ..metrics.evaluate import masked_pair, target_picture
 from ..metrics.image import psnr, ssim
 from ..raster.api import render_camera
 from ..splats import Splats
-from ..trainer.depth.regularisers import drop_rate_of
 from ..trainer.depth.stereo import stereo_start
 from ..trainer.host.state import ordinary_state
 from ..trainer.photos.views import Photos
@@ -167,13 +166,12 @@ def train_measured(
         began = time.perf_counter()
         start = stereo_start(config, photos, photos.scene.points)
         seconds += time.perf_counter() - began
-        drop_rate, _ = drop_rate_of(config, known=start.known, mask_mode=photos.mask_mode)
         exposure, placing = judge_photos(config, photos)
         trainer = Trainer(
             config,
             photos,
             points=start.points,
-            drop_rate=drop_rate,
+            known=start.known,
             gains=exposure.gains,
             placing=placing,
         )

@@ -16,7 +16,6 @@ from ..errors import BackendError, ConfigError
 from ..events import Event
 from ..io.block_record import read_block
 from ..splats import Splats
-from .depth.regularisers import drop_rate_of
 from .depth.setup import DepthSetup, prepare_depth
 from .depth.stereo import StereoStart, stereo_start
 from .guide.setup import GuideSetup, prepare_guide
@@ -133,7 +132,6 @@ def prepare(
         if stereo:
             telling = progress_of("depth of photos", config, emit, control)
             added = stereo_start(config, photos, points, on_view=telling)
-        drop_rate, drops = drop_rate_of(config, known=added.known, mask_mode=photos.mask_mode)
         exposure, placing = judge_photos(config, photos)
         trainer = Trainer(
             config,
@@ -142,7 +140,7 @@ def prepare(
             start=start,
             depth=depth.loss_targets,
             points=points if added.points is None else added.points,
-            drop_rate=drop_rate,
+            known=added.known,
             gains=exposure.gains,
             placing=placing,
             photo_cache=loaded.cache,
@@ -161,7 +159,7 @@ def prepare(
         depth=depth,
         guide=guide,
         stereo=added,
-        drops=drops,
+        drops=trainer.drop_words,
         exposure=exposure,
         placing=placing,
     )

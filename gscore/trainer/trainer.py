@@ -22,7 +22,7 @@ from ..scene import Cameras, PointCloud
 from ..splats import Splats
 from ..words import count_words, number
 from .depth.loss import DepthLoss
-from .depth.regularisers import drop_rate_at, drop_splats, opacity_loss, see_through
+from .depth.regularisers import drop_rate_at, drop_rate_of, drop_splats, opacity_loss, see_through
 from .depth.targets import DepthTargets
 from .guide.loss import GuideLoss
 from .guide.setup import GuideSetup
@@ -138,7 +138,7 @@ class Trainer:
         start: Splats | None = None,
         depth: DepthTargets | None = None,
         points: PointCloud | None = None,
-        drop_rate: float | None = None,
+        known: float | None = None,
         gains: PhotoGains | None = None,
         placing: Placing | None = None,
         photo_cache: int | None = None,
@@ -149,15 +149,14 @@ class Trainer:
     ) -> None:
         """Start from `start` or from `points`, in COLMAP world, or from the points of the capture.
 
-        `depth` holds what to supervise depth with; `drop_rate` is the share of splats that is left
-        out of the last step, None: that of the config, whatever its condition; `gains` how photos
-        were exposed, which is learnt, None: they are taken as they are; `placing` where training
-        cameras stand, None: where the capture has them; `photo_cache` is how many bytes of photos
-        may be kept, None: all; `team` are the processes that train together, each of which makes
-        such a trainer; `region`, in COLMAP world, holds the splats of `start` that are trained,
-        None: all are; where there is no `start`, `photos` are those that are narrowed to it;
-        `guide` are the meshes that guide the run; `block` is the one in whose cell alone splats are
-        added, None: they are everywhere.
+        `depth` holds what to supervise depth with; `known` is the share of the photos' pixels whose
+        depth stereo found, None: nobody looked; `gains` how photos were exposed, which is learnt,
+        None: they are taken as they are; `placing` where training cameras stand, None: where the
+        capture has them; `photo_cache` is how many bytes of photos may be kept, None: all; `team`
+        are the processes that train together, each of which makes such a trainer; `region`, in
+        COLMAP world, holds the splats of `start` that are trained, None: all are; where there is no
+        `start`, `photos` are those that are narrowed to it; `guide` are the meshes that guide the
+        run; `block` is the one in whose cell alone splats are added, None: they are everywhere.
 
         Raises:
             DatasetError: nothing to train on.
@@ -169,8 +168,11 @@ class Trainer:
                 "hold out fewer."
             )
         self.config = config
-        self.drop_rate = config.drop_rate if drop_rate is None else drop_rate
-        """Share of the splats that is left out of the last step."""
+        self.drop_rate, self.drop_words = drop_rate_of(
+            config, known=known, mask_mode=photos.mask_mode
+        )
+        """Share of the splats that is left out of the last step, and a sentence on it where these
+        photos decide; empty: none are, or the options say so."""
         self.photos = photos
         self.team = team
         """Those with whom each step is taken together; None: this process trains alone."""

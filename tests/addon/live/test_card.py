@@ -62,7 +62,7 @@ def drawn(card, parts: list[Splats], matrices, camera, *, meshes=None, limit=Non
         pass
     texels = Texels(made.texels)
     while not texels.complete:
-        texels.step(card)
+        texels.step(card.copy)
     target = gpu.types.GPUOffScreen(*SIZE, format="RGBA16F")
     shot = Shot(
         camera=camera,
@@ -157,7 +157,7 @@ def test_an_atlas_comes_in_pieces(card, monkeypatch):
         texels = Texels(values)
         for _ in range(steps):
             assert not texels.complete
-            texels.step(card)
+            texels.step(card.copy)
         assert texels.complete
         found = texels.texture.read()
         found.dimensions = values.size

@@ -5,6 +5,7 @@ import threading
 import time
 
 import numpy as np
+import pytest
 
 from addon.process.memory import Memory
 
@@ -37,3 +38,16 @@ def test_no_more_is_made_for_nobody() -> None:
     for thread in makers():
         thread.join(10)
     assert not makers()
+
+
+def test_where_there_is_no_memory_its_owner_hears_of_it() -> None:
+    """Oracle: the error of numpy, where the array is taken; what comes after it is made."""
+    memory = Memory([1 << 60, 3])
+    until = time.monotonic() + 10
+    while not memory.ready:
+        assert time.monotonic() < until
+    with pytest.raises(MemoryError):
+        memory.take()
+    while not memory.ready:
+        assert time.monotonic() < until
+    assert memory.take().shape == (3,)
