@@ -115,7 +115,7 @@ test-neon: $(INSTALLED)  ## NEON, emulated (Debian's g++-aarch64-linux-gnu and q
 	$(CMAKE) -B build/neon -DGS_TESTS=ON -DCMAKE_SYSTEM_NAME=Linux -DCMAKE_SYSTEM_PROCESSOR=aarch64 \
 		-DCMAKE_CXX_COMPILER=aarch64-linux-gnu-g++ > /dev/null
 	$(BIN)/cmake --build build/neon
-	for t in mesh native stereo; do \
+	for t in match mesh native stereo; do \
 		qemu-aarch64-static -L /usr/aarch64-linux-gnu -E LD_LIBRARY_PATH=build/neon build/neon/test_$$t || exit 1; \
 	done
 

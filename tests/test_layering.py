@@ -47,7 +47,7 @@ ALLOWED = {
     "formats": BOTTOM | {"io", "formats"},
     "datasets": BOTTOM | {"io", "datasets"},
     "video": BOTTOM | {"io", "video"},
-    "sfm": BOTTOM | {"io", "datasets", "video", "sfm"},
+    "sfm": BOTTOM | {"io", "datasets", "video", "raster", "sfm"},
     "depth": BOTTOM | {"io", "datasets", "depth"},
     "inspection": BOTTOM | {"io", "datasets", "video", "sfm", "depth", "inspection"},
     "raster": BOTTOM | {"io", "formats", "raster"},

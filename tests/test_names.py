@@ -12,6 +12,7 @@ TWINS = {
     "__main__.py, commands/__init__.py": "main",  # of the process, and of a list of words
     "io/colmap/binary.py, io/colmap/text.py": "count_images read_cameras read_images read_points",
     "raster/stereo.py, raster/reference/stereo.py": "check sweep",
+    "raster/match.py, raster/reference/match.py": "match_descriptors",
     "raster/mesh.py, raster/reference/mesh.py": "mesh_depth",
     "transforms.py, raster/reference/geometry.py": "quat_to_rotmat",
     "sh.py, raster/reference/harmonics.py": "sh_basis",

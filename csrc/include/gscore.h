@@ -36,7 +36,7 @@ extern "C" {
 #endif
 
 /* Changes whenever a struct or a signature below changes. */
-#define GS_ABI_VERSION 7
+#define GS_ABI_VERSION 8
 
 /* A splat contributes to a pixel where its alpha is at least this. */
 #define GS_ALPHA_MIN (1.0f / 255.0f)
@@ -387,6 +387,20 @@ typedef struct gs_mesh {
 /* 1 / z of the nearest triangle at each pixel's centre, [H, W]; 0 where there is none. One thread: views are what
  * callers do at once. */
 GS_API gs_status gs_mesh_depth(const gs_mesh *mesh, int32_t width, int32_t height, float *inverse_depth);
+
+/* Descriptors of a photo's features, such as SIFT's. */
+#define GS_DESCRIPTOR_SIZE 128
+#define GS_DESCRIPTORS_MAX 1048576
+typedef struct gs_descriptors {
+    int32_t count;         /* 0 to GS_DESCRIPTORS_MAX */
+    const uint8_t *values; /* [count, GS_DESCRIPTOR_SIZE] */
+} gs_descriptors;
+
+/* Features of two photos that match: each is the nearest of its photo to the other one, at most `max_distance` away,
+ * and nearer than `max_ratio` times the second nearest (Lowe 2004), where its photo has a second. Exact. matches
+ * [first.count] are rows of `second`, or -1. One thread: pairs of photos are what callers do at once. */
+GS_API gs_status gs_match_descriptors(const gs_descriptors *first, const gs_descriptors *second, double max_distance,
+                                      double max_ratio, int32_t *matches);
 
 #ifdef __cplusplus
 }

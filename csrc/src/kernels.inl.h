@@ -6,6 +6,7 @@
 #include "blend.inl.h"
 #include "exp2.inl.h"
 #include "loss.inl.h"
+#include "match.inl.h"
 #include "project.inl.h"
 #include "stereo.inl.h"
 
@@ -13,7 +14,7 @@ namespace gs::GS_NAMESPACE {
 
 static constexpr Kernels make_kernels(const char *name) {
     return {name, project, bin, blend, blend_backward, project_backward, image_loss,
-            adam_step, adam_catch_up, exp2_array, stereo_sweep};
+            adam_step, adam_catch_up, exp2_array, stereo_sweep, match};
 }
 
 } // namespace gs::GS_NAMESPACE

@@ -143,6 +143,29 @@ static inline uint32_t bits(Mask m) {
 
 #endif
 
+static inline IVec set1(int32_t x) { return x - IVec{}; }
+static inline IVec load(const int32_t *p) {
+    IVec v;
+    std::memcpy(&v, p, sizeof v);
+    return v;
+}
+static inline void store(int32_t *p, IVec v) { std::memcpy(p, &v, sizeof v); }
+static inline IVec select(Mask m, IVec a, IVec b) { return as_int(select(m, as_float(a), as_float(b))); }
+
+// c and the products of two pairs of 16-bit numbers a lane, which are not negative.
+static inline IVec add_products(IVec c, IVec a, IVec b) {
+#if defined(GS_ISA_AVX512)
+    return c + (IVec)_mm512_madd_epi16((__m512i)a, (__m512i)b);
+#elif defined(GS_ISA_AVX2)
+    return c + (IVec)_mm256_madd_epi16((__m256i)a, (__m256i)b);
+#elif defined(GS_ISA_NEON)
+    const int16x8_t x = (int16x8_t)a, y = (int16x8_t)b;
+    return c + (IVec)vpaddq_s32(vmull_s16(vget_low_s16(x), vget_low_s16(y)), vmull_high_s16(x, y));
+#else
+    return c + (a & 0xffff) * (b & 0xffff) + (a >> 16) * (b >> 16);
+#endif
+}
+
 // Words of a table, one a lane.
 static inline IVec gather(const uint32_t *table, IVec at) {
 #if defined(GS_ISA_AVX512)

@@ -179,6 +179,26 @@ struct StereoArgs {
     gs_stereo_found found;
 };
 
+// Of each descriptor the nearest of the other photo. What is compared is twice the product less the other's squared
+// length: it grows where the squared distance falls, by as much.
+struct Nearest {
+    int32_t *closeness, *second; // [padded], at least kNoCloseness
+    int32_t *row;                // [padded]
+};
+
+// Descriptors of a photo, with zeros behind them whose squared length puts them out of reach.
+struct MatchSide {
+    int64_t padded;
+    const int16_t *values;          // [padded, GS_DESCRIPTOR_SIZE]
+    const int32_t *squared_lengths; // [padded]
+    Nearest nearest;
+};
+
+struct MatchArgs {
+    MatchSide first, second;
+    int32_t *packed; // [second.padded * GS_DESCRIPTOR_SIZE / 2]
+};
+
 // One instruction set's kernels.
 struct Kernels {
     const char *name;
@@ -197,6 +217,7 @@ struct Kernels {
     void (*exp2)(const float *x, float *y, int64_t count);
     // One band of rows of `StereoBand`; `scratch` holds its scratch_floats().
     void (*stereo_sweep)(const StereoArgs &, int band, float *scratch);
+    void (*match)(const MatchArgs &);
 };
 
 } // namespace gs

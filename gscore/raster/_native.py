@@ -200,6 +200,11 @@ def _declare(lib: ct.CDLL) -> None:
         *[ct.c_int32] * 2,
         _pointer,
     ]
+    lib.gs_match_descriptors.argtypes = [
+        *[ct.POINTER(header.DescriptorsStruct)] * 2,
+        *[ct.c_double] * 2,
+        _pointer,
+    ]
 
 
 _lock = threading.Lock()

@@ -1,12 +1,12 @@
 """Constants and structs of `csrc/include/gscore.h` for ctypes; that header is their manual.
 
-Structs that hold addresses are filled in `arguments.py` and, those of stereo and meshes, in
-`stereo.py` and `mesh.py`, which look at the arrays first.
+Structs that hold addresses are filled in `arguments.py` and, those of stereo, meshes and
+descriptors, in `stereo.py`, `mesh.py` and `match.py`, which look at the arrays first.
 """
 
 import ctypes as ct
 
-ABI_VERSION = 7
+ABI_VERSION = 8
 
 OUT_INVERSE_DEPTH, OUT_DEPTH, OUT_MEDIAN_DEPTH, COUNT_USEFUL = 1, 2, 4, 8
 DEPTH_OUTPUTS = {
@@ -27,6 +27,7 @@ ADAM_LAGS = 256
 MASK_MODES = {"none": 0, "composite": 1, "ignore": 2}
 STEREO_SOURCES_MAX, STEREO_RADIUS_MAX, STEREO_SIDE_MAX = 8, 7, 8192
 STEREO_PLANES_MIN, STEREO_PLANES_MAX = 3, 1024
+DESCRIPTOR_SIZE, DESCRIPTORS_MAX = 128, 1 << 20
 OK, BAD_ARGUMENT, OUT_OF_MEMORY, CANCELLED = 0, 1, 2, 3
 
 _pointer = ct.c_void_p
@@ -300,4 +301,13 @@ class MeshStruct(ct.Structure):
         ("corners", _pointer),
         ("triangle_count", ct.c_int64),
         ("triangles", _pointer),
+    )
+
+
+class DescriptorsStruct(ct.Structure):
+    """gs_descriptors"""
+
+    _fields_ = (
+        ("count", ct.c_int32),
+        ("values", _pointer),
     )

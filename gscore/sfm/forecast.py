@@ -9,7 +9,7 @@ FEATURES, MATCHING = "finding features", "comparing photos"
 PLACING, ADJUSTING = "placing cameras", "adjusting cameras"
 """Phases that take time, in their order."""
 
-_LOOK, _DESCRIBE = 0.37, 5.9e-5
+_LOOK, _DESCRIBE = 0.5, 9e-5
 """CPU seconds to look for features in a megapixel, and for each that is found. All of these on
 cores of an EPYC of 2024, with five captures of 29 to 60 photos; docs/sfm.md has the figures that
 they come from."""
@@ -17,8 +17,9 @@ _PER_MEGAPIXEL = 8000
 """Features in a megapixel where none were looked for; from 3,400 (walls) to 20,000 (grass)."""
 _DOUBLED = 1.5
 """Features against those that are kept: some point two ways."""
-_VERIFY, _COMPARE = 1e-3, 1.03e-5
-"""CPU seconds of a pair of photos, and more for each feature of a photo."""
+_COMPARE, _FIT, _FIT_EACH = 1.75e-9, 4e-3, 1e-6
+"""CPU seconds for each feature of a photo with each of another, to fit a geometry to a pair of
+photos, and more for each feature of a photo."""
 _MATCHED = 0.5
 """Matches for each feature where none were looked for; from 0.1 (lund) to 1.0 (studio, masked)."""
 _PLACE, _ADJUST = 8.5e-5, 5.5e-5
@@ -152,7 +153,7 @@ class Forecast:
         self._features = features
         each = features / max(self._photos, 1)
         self._take(FEATURES, _LOOK * self._megapixels + _DESCRIBE * features)
-        self._take(MATCHING, self._pairs * (_VERIFY + _COMPARE * each))
+        self._take(MATCHING, self._pairs * (_FIT + (_FIT_EACH + _COMPARE * each) * each))
         self._expect_places(_MATCHED * features)
 
     def _expect_places(self, matches: float) -> None:

@@ -10,6 +10,7 @@ from . import database, gps
 from .adjust import may_stand
 from .attempts import Attempt
 from .forecast import Forecast, working_cores
+from .matches import match_pairs
 from .pairs import FURTHER_PAIRS, Pair, further_parts, in_parts, is_sequential
 from .photos import LEAST, Photo, by_camera
 from .request import Request
@@ -192,6 +193,18 @@ def further(work: Work, attempt: Attempt) -> list[list[Pair]]:
 
 def match(work: Work, attempt: Attempt, pairs: list[Pair], token: Any) -> None:
     """Compare those of the pairs that have not been compared in the database yet."""
+    match_pairs(
+        work.database(attempt),
+        pairs,
+        least=LEAST_MATCHES,
+        threads=working_cores(checked_threads(work.request.threads)),
+        cancelled=lambda: token.is_cancelled,
+    )
+    _fit_geometries(work, attempt, pairs, token)
+
+
+def _fit_geometries(work: Work, attempt: Attempt, pairs: list[Pair], token: Any) -> None:
+    """Find what geometry the matches of pairs fit, where that is not known yet."""
     p = colmap()
     p.set_random_seed(SEED)
     options, checks = p.FeatureMatchingOptions(), p.TwoViewGeometryOptions()
