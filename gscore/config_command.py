@@ -27,7 +27,7 @@ def preset_words(data: DataConfig, train: TrainConfig) -> str:
     plain = PRESETS[name](data.source)[1]
     for option, limit in LIFTED_BY.items():
         found = getattr(train, option)
-        if found < getattr(plain, option) and getattr(train, limit):  # those of so many photos
+        if found < getattr(plain, option) and getattr(train, limit):  # as the limit has them
             plain = replace(plain, **{option: found})
     changed = any(getattr(plain, option) != getattr(train, option) for option in _OF_A_PRESET)
     return f"preset {name}, changed" if changed else f"preset {name}"

@@ -48,14 +48,10 @@ class StereoMaps:
 
     maps: dict[int, StereoMap]
     """By index of the view; views of which nothing is known are missing."""
+    known: float = 0.0
+    """Share of the pixels whose depth is known, of those that count in the views asked for."""
     reason: str = ""
     """Why there are none, a clause without a full stop; empty if there are some."""
-
-    @property
-    def known(self) -> float:
-        """Share of the pixels whose depth is known; 0 without maps."""
-        shares = [float((found.inverse_depth > 0).mean()) for found in self.maps.values()]
-        return float(np.mean(shares)) if shares else 0.0
 
 
 def stereo_maps(
@@ -107,8 +103,17 @@ def stereo_maps(
         one = _judged(photo, trust[place], checked)
         if (one.inverse_depth > 0).any():
             found[photo.index] = one
-    reason = "" if found else "no depth that one photo shows is confirmed by two others"
-    return StereoMaps(maps=found, reason=reason)
+    if not found:
+        return StereoMaps(
+            maps={}, reason="no depth that one photo shows is confirmed by two others"
+        )
+    known = sum(int((one.inverse_depth > 0).sum()) for one in found.values())
+    return StereoMaps(maps=found, known=known / sum(map(_counting, photos)))
+
+
+def _counting(photo: SmallPhoto) -> int:
+    """Pixels of a photo that masks do not hide."""
+    return photo.view.grey.size if photo.counts is None else int(photo.counts.sum())
 
 
 def _swept(

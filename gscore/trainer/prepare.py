@@ -47,8 +47,6 @@ class Prepared:
     depth: DepthSetup
     guide: GuideSetup
     stereo: StereoStart
-    drops: str
-    """One on splats that are left out of steps; empty: none are, or the options say so."""
     exposure: Exposure
     placing: Placing
 
@@ -159,7 +157,6 @@ def prepare(
         depth=depth,
         guide=guide,
         stereo=added,
-        drops=trainer.drop_words,
         exposure=exposure,
         placing=placing,
     )

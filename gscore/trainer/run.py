@@ -90,7 +90,6 @@ def train(
                 lpips_reason=lpips_reason,
                 depth=found.depth,
                 stereo=found.stereo,
-                drops=found.drops,
                 exposure=found.exposure,
                 placing=found.placing,
                 onlookers=onlookers,

@@ -73,7 +73,6 @@ class Session:
         lpips_reason: str,
         depth: DepthSetup | None = None,
         stereo: StereoStart | None = None,
-        drops: str = "",
         exposure: Exposure | None = None,
         placing: Placing | None = None,
         onlookers: Onlookers | None = None,
@@ -81,9 +80,8 @@ class Session:
         region: str = "",
         guide: str = "",
     ) -> None:
-        """`drops`: a sentence on splats that are left out of steps; `enough`: one on steps that are
-        left out; `region`: one on the part of the splats that is trained; `guide`: some on meshes
-        that guide it."""
+        """`enough`: a sentence on steps that are left out; `region`: one on the part of the splats
+        that is trained; `guide`: some on meshes that guide it."""
         self._trainer = trainer
         self._config = trainer.config
         self._folder = folder
@@ -94,7 +92,6 @@ class Session:
         self._results = Results(trainer, folder, data)
         self._depth = depth or DepthSetup()
         self._stereo = stereo or StereoStart()
-        self._drops = drops
         self._exposure = exposure or Exposure()
         self._placing = placing or Placing()
         self._onlookers = onlookers or Onlookers()
@@ -228,7 +225,7 @@ class Session:
                 threads=self._results.threads,
                 depth=self._depth.why if self._depth.supervises else "",
                 stereo=self._stereo.why,
-                drops=self._drops,
+                drops=self._trainer.drop_words,
                 exposure=self._exposure.why,
                 poses=self._placing.why,
                 viewer=self._onlookers.why,

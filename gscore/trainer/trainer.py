@@ -168,12 +168,11 @@ class Trainer:
                 "hold out fewer."
             )
         self.config = config
-        self.drop_rate, self.drop_words = drop_rate_of(
-            config, known=known, mask_mode=photos.mask_mode
-        )
+        self.photos = photos
+        self._known = known
+        self.drop_rate, self.drop_words = self._drops()
         """Share of the splats that is left out of the last step, and a sentence on it where these
         photos decide; empty: none are, or the options say so."""
-        self.photos = photos
         self.team = team
         """Those with whom each step is taken together; None: this process trains alone."""
         self.frame = frame or Frame.of(photos.scene, near=config.near)
@@ -575,7 +574,7 @@ class Trainer:
             "adam_steps": {name: self.model.steps(name) for name in self.model.params},
             "bad_rows": self.bad_rows,
             "lost_rows": self.lost_rows,
-            "drop_rate": self.drop_rate,
+            "known": self._known,
             "skipped": self._skipped,
             "factor": self._factor if math.isfinite(self._factor) else None,
         } | self.removal.state()
@@ -604,6 +603,9 @@ class Trainer:
         out |= self.learnt.tensors()
         return out | {f"row/{name}": counter for name, counter in self.model.rows.items()}
 
+    def _drops(self) -> tuple[float, str]:
+        return drop_rate_of(self.config, known=self._known, mask_mode=self.photos.mask_mode)
+
     def restore(self, state: dict[str, Any], tensors: dict[str, torch.Tensor]) -> None:
         """Go on from what `state` and `tensors` of another trainer with this config returned; the
         tensors are taken over. Rank 0 hands both to all others of its team.
@@ -624,7 +626,9 @@ class Trainer:
         factor = state.get("factor")
         self._factor = math.inf if factor is None else real("factor", factor, low=1)
         # What was found of the photos then: a run that stereo gave no points does not ask it again.
-        self.drop_rate = real("drop_rate", state.get("drop_rate", self.drop_rate), low=0)
+        if state.get("known") is not None:
+            self._known = real("known", state["known"], low=0)
+            self.drop_rate, self.drop_words = self._drops()
         names = list(self.model.params)
         rank, size = (self.team.rank, self.team.size) if self.team else (0, 1)
         gathered = gathered_of(tensors, rank, size)

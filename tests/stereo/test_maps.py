@@ -111,7 +111,8 @@ def test_bare_walls_are_left_out(tmp_path: Path) -> None:
 
 
 def test_masked_pixels_have_no_depth(tmp_path: Path) -> None:
-    """Oracle: the masks, and the same places of the views beside them."""
+    """Oracle: the masks, and the same places of the views beside them; what is known is a share of
+    what they leave, of a view without depth too."""
     scene = Scene(160, 120)
     write_capture(tmp_path, scene, [scene.viewmat(angle) for angle in ANGLES])
     mask = np.full((scene.height, scene.width), 255, np.uint8)
@@ -123,6 +124,19 @@ def test_masked_pixels_have_no_depth(tmp_path: Path) -> None:
     for one in found.maps.values():
         assert not (one.inverse_depth[:, :73] > 0).any()
     assert np.mean(errors(found, scene) < 0.02) > 0.97
+    known = sum((one.inverse_depth > 0).sum() for one in found.maps.values())
+    assert found.known == known / (len(ANGLES) * scene.height * (scene.width - 73))
+
+
+def test_what_is_known_counts_all_views(tmp_path: Path) -> None:
+    """Oracle: the known pixels of the views that have some, of the pixels of all."""
+    scene = Scene(160, 120)
+    away = scene.viewmat(ANGLES[0]) @ np.diag([-1.0, 1, -1, 1])  # looks the other way
+    write_capture(tmp_path, scene, [*(scene.viewmat(angle) for angle in ANGLES), away])
+    found = found_in(tmp_path)
+    assert len(found.maps) == len(ANGLES)
+    known = sum((one.inverse_depth > 0).sum() for one in found.maps.values())
+    assert found.known == known / ((len(ANGLES) + 1) * scene.height * scene.width)
 
 
 @pytest.mark.parametrize("points", [0, 60])
