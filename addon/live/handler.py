@@ -38,7 +38,7 @@ class _State:
     problems: dict[int, str] = field(default_factory=dict)
     """Sentences of views, by the pointer of their region."""
     copying: set[int] = field(default_factory=set)
-    """Pointers of regions whose splats are still being copied."""
+    """Pointers of regions in whose last redraw splats were copied, but not all."""
 
 
 _state = _State()
@@ -90,7 +90,6 @@ def shown(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> list[So
 def draw(context: bpy.types.Context) -> None:
     """Draw the view of a context; called by Blender after everything else in it."""
     pointer = context.region.as_pointer()
-    _state.copying.discard(pointer)  # unless it is seen to go on below
     if not SESSION.works or context.region_data is None:
         return
     if pointer in viewport.EXACT and _is_own(context):
@@ -108,8 +107,8 @@ def draw(context: bpy.types.Context) -> None:
 def _draw(context: bpy.types.Context, pointer: int) -> None:
     depsgraph = context.evaluated_depsgraph_get()
     found = shown(context, depsgraph)
-    placed, complete = copies.SHARED.copied(found)
-    if not complete:
+    placed, _ = copies.SHARED.copied(found)
+    if copies.SHARED.under_way:
         _state.copying.add(pointer)
         _ensure()
     if not placed:
@@ -182,10 +181,11 @@ def _poll() -> float | None:
                 regions |= {r.as_pointer(): r for r in area.regions if r.type == "WINDOW"}
     for pointer in _state.views.keys() - regions.keys():
         _state.views.pop(pointer).close()
-    _state.copying &= regions.keys()
-    for pointer in _state.copying:
+    copying = _state.copying & regions.keys()
+    for pointer in copying:
         regions[pointer].tag_redraw()
-    waiting = bool(_state.copying)
+    _state.copying.clear()  # a window that is not drawn, being minimised, asks for no more
+    waiting = bool(copying)
     for pointer, view in _state.views.items():
         if view.stale(time.monotonic()):
             regions[pointer].tag_redraw()

@@ -29,6 +29,12 @@ class Copies:
         for kept in (self._frozen, self._stale, self._freezers, self._unmarked):
             kept.clear()
 
+    @property
+    def under_way(self) -> bool:
+        """Whether meshes are copied bit by bit, for which a view must be drawn again. Frames that
+        are read have views drawn when they come."""
+        return bool(self._freezers)
+
     def forget_changed(self, depsgraph: bpy.types.Depsgraph) -> None:
         """Copy again what a depsgraph update says has changed."""
         for update in depsgraph.updates:

@@ -73,6 +73,7 @@ def copied(depsgraph: bpy.types.Depsgraph) -> list:
     until = time.monotonic() + 20
     while True:
         placed, complete = made.copied(sources(depsgraph))
+        assert not made.under_way  # no view is drawn again and again for a file
         if complete:
             return placed
         assert time.monotonic() < until
