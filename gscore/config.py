@@ -552,8 +552,9 @@ class TrainConfig:
     drop_below: float = option(
         0.0,
         "Splats are left out only where stereo, asked for points, finds the depth of less than "
-        "this share of the photos' pixels, and never where masks are opacity: where photos agree "
-        "in more, it costs fine detail. 0: always, as where `--drop-rate` is given by itself.",
+        "this share of the pixels that masks leave, and never where masks are opacity: where "
+        "photos agree in more, it costs fine detail. 0: always, as where `--drop-rate` is given by "
+        "itself.",
         group="loss",
         range=Range(high=1),
         when="dropping",

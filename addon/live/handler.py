@@ -108,7 +108,7 @@ def _draw(context: bpy.types.Context, pointer: int) -> None:
     depsgraph = context.evaluated_depsgraph_get()
     found = shown(context, depsgraph)
     placed, _ = copies.SHARED.copied(found)
-    if copies.SHARED.under_way:
+    if copies.SHARED.under_way(found):
         _state.copying.add(pointer)
         _ensure()
     if not placed:

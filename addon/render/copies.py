@@ -29,11 +29,10 @@ class Copies:
         for kept in (self._frozen, self._stale, self._freezers, self._unmarked):
             kept.clear()
 
-    @property
-    def under_way(self) -> bool:
-        """Whether meshes are copied bit by bit, for which a view must be drawn again. Frames that
-        are read have views drawn when they come."""
-        return bool(self._freezers)
+    def under_way(self, found: list[Source]) -> bool:
+        """Whether meshes of objects are copied bit by bit, for which a view must be drawn again.
+        Frames that are read have views drawn when they come."""
+        return any(one.moment is None and one.uid in self._freezers for one in found)
 
     def forget_changed(self, depsgraph: bpy.types.Depsgraph) -> None:
         """Copy again what a depsgraph update says has changed."""
@@ -113,14 +112,15 @@ class Copies:
             self._frozen[uid] = known.remarked(source.marks())
         self._unmarked.discard(uid)
         while uid not in self._frozen:
-            freezer = self._freezers.setdefault(uid, Freezer())
-            frozen = freezer.step(source.data, source.ob.name)
-            if frozen is not None:
+            freezer = self._freezers.pop(uid, None) or Freezer()
+            frozen = freezer.step(source.data, source.ob.name)  # which may refuse the mesh
+            if frozen is None:
+                self._freezers[uid] = freezer
+                if freezer.waits or time.perf_counter() > until:
+                    return None
+            else:
                 self._frozen[uid] = frozen
-                del self._freezers[uid]
                 self._stale.pop(uid, None)
-            elif freezer.waits or time.perf_counter() > until:
-                return None
         return self._frozen[uid]
 
 

@@ -85,7 +85,8 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         pointer = region.as_pointer()
         EXACT.discard(pointer)
         try:
-            placed, complete = copies.SHARED.copied(sources(depsgraph))
+            found = sources(depsgraph)
+            placed, complete = copies.SHARED.copied(found)
         except ValueError as error:
             self.update_stats("", str(error))
             return
@@ -93,7 +94,8 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         live = next((one for one in STAND_INS if one.stands_in(context)), None)
         if not complete:
             self.update_stats("", "Reading splats")
-            self.tag_redraw()
+            if copies.SHARED.under_way(found):
+                self.tag_redraw()
         elif not placed:
             view.painter.pixels = None
             self.update_stats("", "There are no splats to show")

@@ -184,7 +184,7 @@ def _needs_mesh(ob: bpy.types.Object) -> bool:
 
 def _collect() -> bool:
     """Do a small piece; whether panels have to be drawn anew."""
-    came, LIBRARY.fresh = LIBRARY.fresh, False
+    came = LIBRARY.take_news()
     if came:
         redraw_views()
     if bpy.app.is_job_running("RENDER"):

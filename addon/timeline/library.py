@@ -125,9 +125,15 @@ class Library:
         self.most = _GB
         """Bytes that frames take at most; the ones that are shown have room in any case."""
         self.fresh = False
-        """Whether something came since the owner last set this to False."""
+        """Whether something came since `take_news` was last asked."""
         self.reads = 0
         """How many files were read, for measuring."""
+
+    def take_news(self) -> bool:
+        """Whether something came since this was last asked."""
+        with self._changed:
+            came, self.fresh = self.fresh, False
+        return came
 
     @property
     def busy(self) -> bool:

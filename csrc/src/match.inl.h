@@ -6,6 +6,8 @@
 
 namespace gs::GS_NAMESPACE {
 
+static_assert(kMatchColumns % (2 * kLanes) == 0, "buffers are padded to whole steps");
+
 constexpr int kPairs = GS_DESCRIPTOR_SIZE / 2; // two numbers of 16 bits are multiplied at once
 
 // The nearest so far, in each lane.

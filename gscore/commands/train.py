@@ -163,7 +163,7 @@ def configs(args: argparse.Namespace) -> tuple[DataConfig, TrainConfig]:
 
 
 def _given(args: argparse.Namespace) -> dict[str, Any]:
-    """The options given one by one; those among them that have limits are meant as they are."""
+    """The options given one by one; a number among them that photos may limit is meant."""
     given = given_options(TrainConfig, args)
     return {LIFTED_BY[name]: 0 for name in LIFTED_BY.keys() & given.keys()} | given
 

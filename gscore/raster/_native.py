@@ -245,7 +245,7 @@ def raise_status(status: int) -> None:
         raise Cancelled("Rendering was cancelled.")
     if status == header.OUT_OF_MEMORY:
         raise BackendError(
-            f"{message}. Use a smaller image (-r), fewer splats (--max-splats), or close programs."
+            f"{message}. Close programs, or use smaller images (-r) or fewer splats (--max-splats)."
         )
     if status == header.BAD_ARGUMENT:
         raise ShapeError(f"{message}.")

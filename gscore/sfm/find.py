@@ -14,6 +14,7 @@ from ..datasets.capture import listing
 from ..errors import DatasetError
 from ..events import SfmDone, SfmEstimated, SfmProgress, Show, Warn, strict_json
 from ..io.runs import MADE_OF
+from ..raster import backend
 from ..words import count_words
 from . import database, masks, photos, stages
 from .adjust import Adjusted, adjust, stands
@@ -58,10 +59,11 @@ def find_cameras(
         Cancelled: `control` said so.
         DatasetError: there are too few photos, they cannot be read, or no cameras can be found.
         ConfigError: the output is taken, or an option has a value that cannot work.
-        BackendError: pycolmap is missing or too old.
+        BackendError: pycolmap is missing or too old, or the native library is missing.
         GsError: the output cannot be written.
     """
     colmap()
+    backend.available_isas()  # raises where the library is missing, before any work
     search = _Search(request, on_event, control or Control())
     try:
         return search.run()

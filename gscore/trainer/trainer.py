@@ -149,14 +149,15 @@ class Trainer:
     ) -> None:
         """Start from `start` or from `points`, in COLMAP world, or from the points of the capture.
 
-        `depth` holds what to supervise depth with; `known` is the share of the photos' pixels whose
-        depth stereo found, None: nobody looked; `gains` how photos were exposed, which is learnt,
-        None: they are taken as they are; `placing` where training cameras stand, None: where the
-        capture has them; `photo_cache` is how many bytes of photos may be kept, None: all; `team`
-        are the processes that train together, each of which makes such a trainer; `region`, in
-        COLMAP world, holds the splats of `start` that are trained, None: all are; where there is no
-        `start`, `photos` are those that are narrowed to it; `guide` are the meshes that guide the
-        run; `block` is the one in whose cell alone splats are added, None: they are everywhere.
+        `depth` holds what to supervise depth with; `known` is the share of the pixels that masks
+        leave whose depth stereo found, None: nobody looked; `gains` how photos were exposed, which
+        is learnt, None: they are taken as they are; `placing` where training cameras stand, None:
+        where the capture has them; `photo_cache` is how many bytes of photos may be kept, None:
+        all; `team` are the processes that train together, each of which makes such a trainer;
+        `region`, in COLMAP world, holds the splats of `start` that are trained, None: all are;
+        where there is no `start`, `photos` are those that are narrowed to it; `guide` are the
+        meshes that guide the run; `block` is the one in whose cell alone splats are added, None:
+        they are everywhere.
 
         Raises:
             DatasetError: nothing to train on.

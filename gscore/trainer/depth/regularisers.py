@@ -17,7 +17,8 @@ def drop_rate_of(config: TrainConfig, *, known: float | None, mask_mode: str) ->
 
     Args:
         config: `drop_rate`, and `drop_below`, its condition.
-        known: Share of the photos' pixels whose depth stereo found; None: nobody looked.
+        known: Share of the pixels that masks leave whose depth stereo found; None: nobody
+            looked.
         mask_mode: What masks are for, as `Dataset.mask_mode`.
 
     Returns:

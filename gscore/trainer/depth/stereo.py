@@ -29,7 +29,7 @@ class StereoStart:
     """Those of the capture and more; None: nothing is added."""
     added: int = 0
     known: float | None = None
-    """Share of the photos' pixels whose depth others confirm; None: nobody looked."""
+    """Share of the pixels that masks leave whose depth others confirm; None: nobody looked."""
     why: str = ""
     """A sentence that says how many were added, or why none were; empty where nobody asks."""
 

@@ -142,12 +142,14 @@ def test_copying_is_spread_over_redraws(scene, monkeypatch):
     depsgraph = bpy.context.evaluated_depsgraph_get()
     monkeypatch.setattr(copies, "COPY_BUDGET", 0.0)
     made, redraws = copies.Copies(), 0
-    while not (found := made.copied(sources(depsgraph)))[1]:
-        assert not found[0] and made.under_way
+    shown = sources(depsgraph)
+    while not (found := made.copied(shown))[1]:
+        assert not found[0] and made.under_way(shown)
+        assert not made.under_way([])  # another view, which shows none of them
         redraws += 1
         assert redraws < 100
     placed = found[0]
-    assert not made.under_way
+    assert not made.under_way(shown)
     assert redraws == 12  # position, scale, rotation, base and 8 of SH
     assert len(SplatCache().model(placed).splats) == 2000
 

@@ -72,8 +72,9 @@ def copied(depsgraph: bpy.types.Depsgraph) -> list:
     made = Copies()
     until = time.monotonic() + 20
     while True:
-        placed, complete = made.copied(sources(depsgraph))
-        assert not made.under_way  # no view is drawn again and again for a file
+        found = sources(depsgraph)
+        placed, complete = made.copied(found)
+        assert not made.under_way(found)  # no view is drawn again and again for a file
         if complete:
             return placed
         assert time.monotonic() < until
