@@ -15,7 +15,8 @@ from ..splats.objects import catch_up, is_splats, meant
 from .operators import use_engine
 
 _MOST = 0.9
-"""Share of the splats, those nearest to their middle, that a view is turned to: the rest is sky."""
+"""Share of the splats, on each axis and then those nearest to their middle, that a view is turned
+to: the rest is sky."""
 _ROOM = 2.5
 """Distance from the middle, in radii of what is framed, at which Blender's usual lens shows it."""
 
@@ -32,7 +33,8 @@ def frame_of(ob: bpy.types.Object) -> tuple[np.ndarray, float]:
         raise ValueError(f"{ob.name} shows no splats: it has none, or is in Edit Mode.")
     matrix = compat.matrix_to_numpy(ob.matrix_world)
     placed = means @ matrix[:3, :3].T + matrix[:3, 3]
-    middle = np.median(placed, axis=0)
+    # Of a box, as the median lies on the ground wherever that has the most splats.
+    middle = np.quantile(placed, [(1 - _MOST) / 2, (1 + _MOST) / 2], axis=0).mean(axis=0)
     return middle, float(np.quantile(np.linalg.norm(placed - middle, axis=1), _MOST))
 
 

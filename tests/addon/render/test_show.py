@@ -43,6 +43,18 @@ def test_the_frame_holds_most_splats_and_no_sky(scene: bpy.types.Scene) -> None:
     np.testing.assert_allclose(radius, 3, atol=0.4)
 
 
+def test_the_frame_is_around_what_stands_on_the_ground(scene: bpy.types.Scene) -> None:
+    """Oracle: a figure of two metres on a floor that has two thirds of the splats."""
+    rng = np.random.default_rng(0)
+    splats = lab.blob(900)
+    splats.means[:] = rng.uniform((-0.3, -0.3, 0), (0.3, 0.3, 2), (900, 3))
+    splats.means[:600] = rng.uniform((-1, -1, -0.01), (1, 1, 0), (600, 3))
+    ob = lab.add(scene, splats)
+    bpy.context.view_layer.update()
+    middle, radius = show.frame_of(ob)
+    assert 0.8 < middle[2] < 1.1 and radius > 1
+
+
 def test_without_splats_it_is_a_sentence(scene: bpy.types.Scene) -> None:
     """Oracle: what to do about it; an object without splats is named."""
     assert "import a splat" in lab.error_of(bpy.ops.gscore.show_splats)
