@@ -4,6 +4,8 @@ import re
 
 LABELS: dict[str, str] = {}
 """Option to its name in a panel; `declared` notes them."""
+CHOICES: dict[tuple[str, str], str] = {}
+"""Option and value to what a panel calls that choice."""
 _FLAG = re.compile(r"(?<![\w/-])--([a-z][a-z0-9-]*)(?: (on|off|auto|none|ignore|composite)\b)?")
 
 
@@ -14,7 +16,10 @@ def panel_words(sentence: str) -> str:
 
 def _label(found: re.Match[str]) -> str:
     flag, value = found.groups()
-    label = LABELS.get(flag.replace("-", "_"))
+    option = flag.replace("-", "_")
+    label = LABELS.get(option)
     if label is None:
         return f"the option {flag.replace('-', ' ')}" + (f" ({value})" if value else "")
-    return f'"{label}: {value.capitalize()}"' if value else f'"{label}"'
+    if not value:
+        return f'"{label}"'
+    return f'"{label}: {CHOICES.get((option, value), value.capitalize())}"'

@@ -6,7 +6,7 @@ from typing import Any
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
 
 from ..core import DataConfig, SequenceOptions, TrainConfig, options_of
-from ..interface.flags import LABELS
+from ..interface.flags import CHOICES, LABELS
 
 Config = DataConfig | TrainConfig | SequenceOptions
 """Has options."""
@@ -26,6 +26,7 @@ def declared(config: Config, name: str, label: str, **facts: Any) -> Any:
         **facts: What else `bpy.props` takes, or takes otherwise; `items` of choices.
     """
     LABELS[name] = label
+    CHOICES.update({(name, item[0]): item[1] for item in facts.get("items", ())})
     one = options_of(type(config))[name]
     value = getattr(config, name)
     given = {"name": label, "description": describe(one.text, short=bool(one.choices))}

@@ -15,6 +15,11 @@ from ..splats.filters import crop_matrix
 def problem(settings: Any) -> str:
     """What a scene's settings ask for that cannot be had together, a sentence; else empty."""
     ob = settings.train_within
+    if ob is not None and settings.use_masks and settings.mask_mode == "composite":
+        return (
+            f"Masks that are opacity cut the subject out, which {ob.name} cannot narrow: choose "
+            "Masks Mean: Leave Out, or clear Only Within."
+        )
     if ob is None or not settings.sky:
         return ""
     return (
@@ -30,14 +35,14 @@ def arguments(scene: bpy.types.Scene, output: Path) -> list[str]:
 
     Raises:
         ValueError: the capture is not in the scene, the object has no volume, or the settings ask
-            for a sky.
+            for what cannot be had together.
         GsError: the file cannot be written.
     """
     ob = scene.gscore.train_within
     if ob is None:
         return []
-    if without_sky := problem(scene.gscore):
-        raise ValueError(without_sky)
+    if not_together := problem(scene.gscore):
+        raise ValueError(not_together)
     root = panel_root(scene)
     if root is None:
         raise ValueError(

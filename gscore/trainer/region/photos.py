@@ -27,8 +27,8 @@ class RegionPhotos(Dataset):
         """
         if narrow and whole.mask_mode == "composite":
             raise ConfigError(
-                "The masks of this capture are opacity: they cut the subject out already. A region "
-                "of a new training takes masks of mode ignore, or none."
+                "The masks of this capture cut the subject out, which a region cannot narrow. Give "
+                "--mask-mode ignore: then they leave pixels out of the training."
             )
         points = whole.scene.points.points
         if narrow and len(points) and not box.holds(points).any():

@@ -11,9 +11,10 @@ from gscore.events import Failed, Warn, to_line
 @pytest.mark.parametrize(
     ("said", "shown"),
     [
-        ("Not used; --depth-mode on uses it.", 'Not used; "Use Depth: On" uses it.'),
+        ("Not used; --depth-mode on uses it.", 'Not used; "Use Depth: Always" uses it.'),
         ("Give fewer --max-splats.", 'Give fewer "Most Splats".'),
         ("--exposure off takes colours as they are.", "the option exposure (off) takes"),
+        ("Give --mask-mode ignore: then", 'Give "Masks Mean: Leave Out": then'),
         ("/tmp/a--b and x-- y stay", "/tmp/a--b and x-- y stay"),
     ],
 )
@@ -27,6 +28,6 @@ def test_names_of_panels(scene: bpy.types.Scene, said: str, shown: str) -> None:
 def test_warnings_and_failures_of_a_process(scene: bpy.types.Scene) -> None:
     """Oracle: lines as the trainer writes them."""
     warned = read_event(to_line(Warn(message="Try --depth-mode off.", code="depth")))
-    assert isinstance(warned, Warn) and warned.message == 'Try "Use Depth: Off".'
+    assert isinstance(warned, Warn) and warned.message == 'Try "Use Depth: Never".'
     failed = read_event(to_line(Failed(message="Needs --max-splats.")))
     assert isinstance(failed, Failed) and failed.message == 'Needs "Most Splats".'

@@ -102,6 +102,17 @@ def test_there_is_no_sky_within_an_object(studio: bpy.types.Scene, tmp_path: Pat
     assert "--sky" in told(tmp_path)
 
 
+def test_masks_that_are_opacity_are_not_narrowed(studio: bpy.types.Scene, tmp_path: Path) -> None:
+    """Oracle: the sentence in the panel and of the button, in the panel's own words."""
+    around(studio, (1, 1, 1))
+    studio.gscore.mask_mode = "composite"
+    assert "choose Masks Mean: Leave Out" in drawn(TrainPanel)
+    with pytest.raises(RuntimeError, match="choose Masks Mean: Leave Out"):
+        bpy.ops.gscore.train()
+    studio.gscore.mask_mode = "ignore"
+    assert "Masks Mean" not in drawn(TrainPanel)
+
+
 def test_it_belongs_to_its_capture(studio: bpy.types.Scene, tmp_path: Path) -> None:
     """Oracle: another capture has none, and it is back with the first."""
     ob = around(studio, (1, 1, 1))

@@ -68,7 +68,7 @@ def test_photos_that_masks_cut_out_are_refused(capture: Path) -> None:
     """Oracle: their masks are opacity already, which a region cannot narrow."""
     dataset = load_dataset(DataConfig(source=capture))
     dataset.mask_mode = "composite"
-    with pytest.raises(ConfigError, match="mode ignore"):
+    with pytest.raises(ConfigError, match="mask-mode ignore"):
         RegionPhotos(dataset, Box(BOX), near=0.01, narrow=True)
 
 
