@@ -26,6 +26,7 @@ MODULES: tuple[str, ...] = (
     "job.properties",
     "job.follow",
     "job.operators",
+    "job.bring",
     "job.guide_operators",
     "search.follow",
     "search.operators",

@@ -130,7 +130,7 @@ def result_object(place: Place, job: Job, loaded: Loaded) -> bpy.types.Object:
             ob.pop(key, None)
         why = "was edited" if edited else "is of an earlier training"
         job.state.warn(f"{ob.name} {why} and is kept; the training goes into a new object.")
-    root = _root(scene, job.source)
+    root = capture_of(scene, job.source)
     collection = root.users_collection[0] if root and root.users_collection else scene.collection
     name = f"{job.source.name} splats"
     ob = objects.create(NO_SPLATS, name, collection=collection, parent=root)
@@ -164,6 +164,17 @@ def shown_object(holder: Any, output: Path, sources: Sequence[Path]) -> bpy.type
     return ob if same_run and of_capture else None
 
 
+def adopt(scene: bpy.types.Scene, ob: bpy.types.Object, output: Path, source: Path) -> None:
+    """Let an object with the splats of a run in `output` be what a scene shows of it."""
+    ob.name = ob.data.name = f"{source.name} splats"
+    stored_paths.write(ob, stored_paths.RUN, output)
+    stored_paths.write(ob, stored_paths.SOURCE, source)
+    ob[_FILLED] = signature(ob)
+    scene.gscore.result = ob
+    if (root := capture_of(scene, source)) is not None:
+        _hide_points(scene, root, True)
+
+
 def was_edited(ob: bpy.types.Object) -> bool:
     """Whether splats of a result were deleted, added or moved since they came."""
     return ob.get(_FILLED, "") not in ("", signature(ob))
@@ -186,7 +197,7 @@ def _remove_discarded(job: Job, place: Place) -> bool:
     bpy.data.objects.remove(ob)
     if mesh.users == 0:
         bpy.data.meshes.remove(mesh)
-    if (root := _root(place.scene, job.source)) is not None:
+    if (root := capture_of(place.scene, job.source)) is not None:
         _hide_points(place.scene, root, False)
     undo.push("Discard Training")
     return True
@@ -224,7 +235,7 @@ def _update_splats(job: Job, place: Place) -> bool:
         replace(ob, mesh)
         ob[_FILLED], ob[_FILLED_BY] = signature(ob), job.id
         job.result_wanted = job.result_wanted and not filling.loaded.final
-        if (root := _root(place.scene, job.source)) is not None:
+        if (root := capture_of(place.scene, job.source)) is not None:
             if filling.loaded.final:
                 note_moves(root, filling.loaded.moves)
             if ob != before:
@@ -256,8 +267,8 @@ def _hide_points(scene: bpy.types.Scene, root: bpy.types.Object, hide: bool) -> 
             points.hide_set(hide, view_layer=layer)
 
 
-def _root(scene: bpy.types.Scene, source: Path) -> bpy.types.Object | None:
-    """The empty that carries the alignment of the capture."""
+def capture_of(scene: bpy.types.Scene, source: Path) -> bpy.types.Object | None:
+    """The empty that carries the alignment of a capture, if the scene has it."""
     for ob in scene.objects:
         text = stored_paths.read(ob, stored_paths.SOURCE)
         if is_kind(ob, "capture") and text and same_folder(Path(text), source):

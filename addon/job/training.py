@@ -8,7 +8,7 @@ import bpy
 
 from .. import outcomes, preferences
 from ..capture.inspection import ShownFacts
-from ..core import read_losses
+from ..core import RunInfo, read_losses
 from ..nodes import display as display_nodes
 from ..paths import absolute, capture_folder, output_folder, relative
 from ..process import beat
@@ -223,6 +223,21 @@ def machine() -> options.Machine:
     return options.Machine(
         threads=prefs.threads, lpips=lpips, preview_seconds=prefs.preview_seconds
     )
+
+
+def run_of(scene: bpy.types.Scene) -> tuple[Path, RunInfo]:
+    """Folder of the capture, and the run in the scene's output folder.
+
+    Raises:
+        ValueError: there is none, or it is of another capture.
+    """
+    output = output_folder(scene, preferences.get().output_folder)
+    before = earlier.look(output, _chosen_capture(scene))
+    if before is None:
+        raise ValueError(f"{output} holds no run; press Train.")
+    if before.foreign:
+        raise ValueError(before.foreign_words)
+    return capture_folder(scene), before.info
 
 
 def _check_free(output: Path) -> None:

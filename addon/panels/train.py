@@ -5,8 +5,9 @@ from typing import ClassVar
 
 import bpy
 
-from .. import preferences
+from .. import preferences, stored_paths
 from ..cameras.lookup import panel_root
+from ..capture.folders import same_folder
 from ..core import PRESETS, Estimate, RunInfo
 from ..job import facts, forecast, guides, within
 from ..job.options import AS_PRESET, BY_WIDTH, continuation
@@ -162,9 +163,11 @@ def draw_buttons(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
     if running is not None and not running.state.ended:
         layout.label(text="Training; see Progress", icon="TIME")
         return
+    before, problem = facts.run(context.scene)
+    if before is not None and not before.foreign and lacks(context.scene, before.info):
+        layout.operator("gscore.import_result", icon="IMPORT")
     if not has_python(layout, context):
         return
-    before, problem = facts.run(context.scene)
     if problem:
         sentence(layout, context, problem, icon="ERROR")
     if not_together := within.problem(context.scene.gscore):
@@ -188,6 +191,13 @@ def draw_buttons(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
         row.operator("gscore.resume_training", icon="PLAY")
     operator = row.operator("gscore.train", text="Start Over", icon="FILE_REFRESH")
     operator.overwrite = True
+
+
+def lacks(scene: bpy.types.Scene, info: RunInfo) -> bool:
+    """Whether a run has splats of which a scene has no object."""
+    ob = scene.gscore.result
+    run = "" if ob is None else stored_paths.read(ob, stored_paths.RUN)
+    return info.splats is not None and not (run and same_folder(Path(run), info.path))
 
 
 def can_go_on(settings: bpy.types.PropertyGroup, info: RunInfo) -> bool:

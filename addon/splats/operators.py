@@ -16,12 +16,10 @@ from bpy_extras.io_utils import ExportHelper, ImportHelper
 
 from ..cameras.objects import root_of
 from ..compat import native_splat_type
-from ..core import LOD_ENDING, SPLAT_ENDINGS, GsError, collected_warnings
-from ..interface import writable
-from ..interface.operators import Acting, OnScene, make_active
-from ..interface.waiting import Waiting
+from ..core import LOD_ENDING, SPLAT_ENDINGS
+from ..interface.operators import Acting, make_active
 from . import edit, even_scale, files, native, settings
-from .arrival import Arrival
+from .arriving import Arriving
 from .objects import can_export, is_splats, meant
 
 _GLOB = ";".join(f"*{ending}" for ending in SPLAT_ENDINGS)
@@ -82,7 +80,7 @@ class OnSplats(Acting):
         return False
 
 
-class ImportSplats(OnScene, bpy.types.Operator, ImportHelper):
+class ImportSplats(Arriving, bpy.types.Operator, ImportHelper):
     """Import Gaussian splats of any trainer or viewer: PLY, SPZ, SOG, .splat, .ksplat, glTF, USD;
     or a level of detail of a .lod file"""
 
@@ -128,63 +126,7 @@ class ImportSplats(OnScene, bpy.types.Operator, ImportHelper):
         """Open the file browser, or the options of a file that was dropped."""
         return self.invoke_popup(context)
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """Import: for a user in a window bit by bit, for a script or once more at once."""
-        called = self.options.is_invoke and not self.options.is_repeat
-        if bpy.app.background or context.window is None or not called:
-            return super().execute(context)
-        try:
-            writable.check(*self.changes(context))
-            self._arrival = Arrival(context, self._wanted(context))
-        except (ValueError, OSError) as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        self._waiting = Waiting(context, "Esc cancels")
-        context.window_manager.modal_handler_add(self)
-        return {"RUNNING_MODAL"}
-
-    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Go on with it; whatever else is pressed is for others."""
-        if event.type == "ESC" and event.value == "PRESS":
-            self.cancel(context)
-            self.report({"INFO"}, "The import is cancelled.")
-            return {"CANCELLED"}
-        if event.type != "TIMER" or bpy.app.is_job_running("RENDER"):
-            return {"PASS_THROUGH"}
-        try:
-            made = self._arrival.step()
-            if made is None:
-                self._waiting.tell(self._arrival.sentence)
-                return {"PASS_THROUGH"}
-            told = self._show(context, made, self._arrival.warnings)
-        except ValueError as error:
-            self.cancel(context)
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        self._waiting.end()
-        self.report({"INFO"}, told)
-        return {"FINISHED"}
-
-    def cancel(self, context: bpy.types.Context) -> None:
-        """Blender calls this where another file is opened, or it ends: leave nothing."""
-        if (arrival := getattr(self, "_arrival", None)) is not None:  # else it was the file browser
-            arrival.cancel()
-            self._waiting.end()
-
-    def act(self, context: bpy.types.Context) -> str:
-        """Import one or several files; none of them where one cannot be read."""
-        made: list[bpy.types.Object] = []
-        try:
-            with collected_warnings() as warnings:
-                for wanted in self._wanted(context):
-                    made.append(files.import_wanted(context, wanted))
-        except (GsError, ValueError, OSError):
-            for ob in made:
-                bpy.data.meshes.remove(ob.data)
-            raise
-        return self._show(context, made, warnings)
-
-    def _wanted(self, context: bpy.types.Context) -> list[files.Wanted]:
+    def wanted(self, context: bpy.types.Context) -> list[files.Wanted]:
         """What the properties say; ValueError where they ask for what there is not."""
         paths = [Path(self.directory, file.name) for file in self.files if file.name]
         parent = root_of(context.object) if self.under_capture else None
@@ -197,7 +139,7 @@ class ImportSplats(OnScene, bpy.types.Operator, ImportHelper):
             for path in paths or [Path(self.filepath)]
         ]
 
-    def _show(
+    def show(
         self, context: bpy.types.Context, made: list[bpy.types.Object], warnings: list[str]
     ) -> str:
         """Select what was imported; what to tell the user."""
@@ -277,12 +219,13 @@ class ExportSplats(Acting, bpy.types.Operator, ExportHelper):
 
 
 def _chosen(context: bpy.types.Context, collection: str) -> list[bpy.types.Object]:
-    """Objects with splats of a collection, else the active one and then those selected.
+    """Objects with splats of a collection, else the active one, or the one that the active crops,
+    and then those selected.
 
     Raises:
         ValueError: there is no such collection.
     """
-    obs = [context.object, *context.selected_objects]
+    obs = [context.object, meant(context), *context.selected_objects]
     if collection:
         found = bpy.data.collections.get(collection)
         if found is None:

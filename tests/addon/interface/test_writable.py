@@ -39,6 +39,7 @@ CALLS: dict[str, dict[str, Any]] = {
     "reset_display": {},
     "make_native_splats": {},
     "import_splats": {"filepath": "a.ply"},
+    "import_result": {},
     "import_sequence": {"directory": "frames"},
     "play_again": {},
     "keep_frame": {},

@@ -96,6 +96,19 @@ def test_import_below_the_capture(scene: bpy.types.Scene, ply: Path) -> None:
     np.testing.assert_allclose(ob.matrix_world, root.matrix_world, atol=1e-6)
 
 
+def test_an_export_of_the_box_that_crops_is_of_the_splats(
+    scene: bpy.types.Scene, ply: Path, tmp_path: Path
+) -> None:
+    """Oracle: what the panel shows then; Add Crop Box leaves the box active."""
+    bpy.ops.gscore.import_splats(filepath=str(ply))
+    ob = bpy.context.object
+    bpy.ops.gscore.add_crop_box()
+    assert bpy.context.object == ob.gscore.crop_object
+    out = tmp_path / "boxed.ply"
+    assert bpy.ops.gscore.export_splats(filepath=str(out), filtered=False) == {"FINISHED"}
+    assert len(read_splats(out)) == len(ob.data.vertices)
+
+
 @pytest.mark.parametrize("under", [False, True])
 @pytest.mark.parametrize(("axis", "world"), [("-Y", "BLENDER"), ("Y", "BLENDER"), ("Y", "SOURCE")])
 def test_an_export_lands_in_place(

@@ -1,0 +1,40 @@
+"""Brings the splats of an earlier run into a file that does not show them."""
+
+from typing import ClassVar
+
+import bpy
+
+from ..interface.operators import make_active
+from ..splats import files
+from ..splats.arriving import Arriving
+from . import display, training
+
+
+class ImportResult(Arriving, bpy.types.Operator):
+    """Bring the splats of the run in the output folder into this file, where the capture stands"""
+
+    bl_idname = "gscore.import_result"
+    bl_label = "Show Trained Splats"
+    bl_options: ClassVar = {"REGISTER", "UNDO"}
+
+    def wanted(self, context: bpy.types.Context) -> list[files.Wanted]:
+        """Those of the run."""
+        source, info = training.run_of(context.scene)
+        if info.splats is None:
+            raise ValueError(f"{info.path} holds no splats yet: go on with its training.")
+        return [files.want(info.splats, parent=display.capture_of(context.scene, source))]
+
+    def show(
+        self, context: bpy.types.Context, made: list[bpy.types.Object], warnings: list[str]
+    ) -> str:
+        """Take the object for the result of the training."""
+        self.warn(warnings)
+        (ob,) = made
+        source, info = training.run_of(context.scene)
+        display.adopt(context.scene, ob, info.path, source)
+        if context.mode == "OBJECT" and ob.name in context.view_layer.objects:
+            make_active(context, ob)
+        return f"{ob.name} has the {len(ob.data.vertices):,} splats of {info.path}."
+
+
+CLASSES = (ImportResult,)

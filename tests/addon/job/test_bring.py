@@ -1,0 +1,62 @@
+"""Splats of an earlier run in a file that lacks them; oracles: the file and the capture's axes."""
+
+import shutil
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+
+from addon import stored_paths
+from addon.cameras.captures import import_capture
+from addon.core import PRESETS
+from addon.job import display, facts
+from addon.panels.train import TrainPanel
+from gscore.config_file import config_json
+from gscore.io.ply.splats import write_splats
+from tests.addon.captures import STUDIO
+from tests.addon.drawn import drawn
+from tests.addon.splat_scenes import error_of
+from tests.addon.trainings import positions, splats, until
+
+
+@pytest.fixture
+def run(scene: bpy.types.Scene, tmp_path: Path) -> Path:
+    """The folder of a finished run of the studio, which the scene has chosen."""
+    out = tmp_path / "out"
+    (out / "checkpoints").mkdir(parents=True)
+    (out / "checkpoints" / "step_00001000.safetensors").write_bytes(b"")
+    (out / "config.json").write_text(config_json(*PRESETS["preview"](STUDIO)))
+    write_splats(out / "point_cloud.ply", splats(70))
+    scene.gscore.capture_path, scene.gscore.output_path = str(STUDIO), str(out)
+    facts.look_again(scene)
+    until(lambda: facts.run(scene)[0] is not None)
+    return out
+
+
+def test_a_finished_run_comes_into_another_file(scene: bpy.types.Scene, run: Path) -> None:
+    """Oracle: the PLY, the capture's empty, and that the training's own object is it from now."""
+    root = import_capture(bpy.context.scene, STUDIO).root
+    assert "Show Trained Splats" in drawn(TrainPanel)
+    assert bpy.ops.gscore.import_result() == {"FINISHED"}
+    ob = scene.gscore.result
+    assert ob == bpy.context.object and ob.parent == root and ob.name == f"{STUDIO.name} splats"
+    np.testing.assert_array_equal(positions(ob), splats(70).means)
+    assert Path(stored_paths.read(ob, stored_paths.RUN)) == run and not display.was_edited(ob)
+    assert "Show Trained Splats" not in drawn(TrainPanel)
+
+
+def test_it_needs_no_cameras(scene: bpy.types.Scene, run: Path) -> None:
+    """Oracle: the PLY; there is no empty to stand under."""
+    assert bpy.ops.gscore.import_result() == {"FINISHED"}
+    assert scene.gscore.result.parent is None
+    np.testing.assert_array_equal(positions(scene.gscore.result), splats(70).means)
+
+
+def test_what_is_not_there_is_a_sentence(scene: bpy.types.Scene, run: Path) -> None:
+    """Oracle: nothing comes, and it says why."""
+    (run / "point_cloud.ply").unlink()
+    assert "holds no splats yet" in error_of(bpy.ops.gscore.import_result)
+    shutil.rmtree(run)
+    assert "holds no run" in error_of(bpy.ops.gscore.import_result)
+    assert scene.gscore.result is None
