@@ -172,6 +172,10 @@ def adopt(scene: bpy.types.Scene, ob: bpy.types.Object, output: Path, source: Pa
     ob[_FILLED] = signature(ob)
     scene.gscore.result = ob
     if (root := capture_of(scene, source)) is not None:
+        for collection in set(ob.users_collection) - set(root.users_collection[:1]):
+            collection.objects.unlink(ob)
+        if not ob.users_collection:
+            root.users_collection[0].objects.link(ob)
         _hide_points(scene, root, True)
 
 

@@ -41,6 +41,7 @@ def test_a_finished_run_comes_into_another_file(scene: bpy.types.Scene, run: Pat
     assert bpy.ops.gscore.import_result() == {"FINISHED"}
     ob = scene.gscore.result
     assert ob == bpy.context.object and ob.parent == root and ob.name == f"{STUDIO.name} splats"
+    assert ob.users_collection == root.users_collection
     np.testing.assert_array_equal(positions(ob), splats(70).means)
     assert Path(stored_paths.read(ob, stored_paths.RUN)) == run and not display.was_edited(ob)
     assert "Show Trained Splats" not in drawn(TrainPanel)
