@@ -13,7 +13,7 @@ namespace {
 class Side {
   public:
     Side(const gs_descriptors &d, int step)
-        : count_(d.count), padded_((int64_t(d.count) + step - 1) / step * step),
+        : count_(d.count), padded_(int64_t(ceil_div(d.count, step)) * step),
           values_(size_t(padded_) * GS_DESCRIPTOR_SIZE), lengths_(size_t(padded_), -kNoCloseness),
           closeness_(size_t(padded_)), second_(size_t(padded_)), row_(size_t(padded_)) {
         for (int64_t i = 0; i < count_; ++i) {

@@ -6,11 +6,11 @@ lost a tenth of its matches, without an error. Ours is exact, and no slower.
 """
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 
+from ..datasets.dataset import map_threads
 from ..raster.match import match_descriptors
 from .pairs import Pair
 from .watch import colmap
@@ -33,7 +33,7 @@ def match_pairs(
         database: With features; nothing else has it open.
         pairs: Aliases of photos.
         least: Matches below which a pair has none.
-        threads: Pairs at a time.
+        threads: Pairs at a time; 0: one a core.
         cancelled: Asked after each pair; what was matched until then is kept.
 
     Raises:
@@ -50,16 +50,15 @@ def match_pairs(
         }
         wanted = [(a, b) for a, b in wanted if a in described and b in described]
 
-        def of(pair: tuple[int, int]) -> np.ndarray:
-            first, second = (described[i] for i in pair)
-            found = match_descriptors(
+        def found(k: int) -> np.ndarray:
+            first, second = (described[i] for i in wanted[k])
+            matches = match_descriptors(
                 first, second, max_distance=FARTHEST_MATCH, max_ratio=LARGEST_RATIO
             )
-            return found if len(found) >= least else found[:0]
+            return matches if len(matches) >= least else matches[:0]
 
-        with ThreadPoolExecutor(threads, thread_name_prefix="gscore-match") as pool:
-            for found, pair in zip(pool.map(of, wanted), wanted, strict=True):
-                link.write_matches(*pair, found)
-                if cancelled():
-                    pool.shutdown(cancel_futures=True)
-                    return
+        results = map_threads(found, [*range(len(wanted))], threads=threads)
+        for pair, matches in zip(wanted, results, strict=True):
+            link.write_matches(*pair, matches)
+            if cancelled():
+                return

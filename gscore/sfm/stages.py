@@ -197,7 +197,7 @@ def match(work: Work, attempt: Attempt, pairs: list[Pair], token: Any) -> None:
         work.database(attempt),
         pairs,
         least=LEAST_MATCHES,
-        threads=working_cores(checked_threads(work.request.threads)),
+        threads=work.request.threads,
         cancelled=lambda: token.is_cancelled,
     )
     _fit_geometries(work, attempt, pairs, token)
