@@ -19,10 +19,11 @@ class ImportResult(Arriving, bpy.types.Operator):
 
     def wanted(self, context: bpy.types.Context) -> list[files.Wanted]:
         """Those of the run."""
-        source, info = training.run_of(context.scene)
+        self._source, info = training.run_of(context.scene)
+        self._output = info.path  # as it was asked for: the panel may name another meanwhile
         if info.splats is None:
             raise ValueError(f"{info.path} holds no splats yet: go on with its training.")
-        return [files.want(info.splats, parent=display.capture_of(context.scene, source))]
+        return [files.want(info.splats, parent=display.capture_of(context.scene, self._source))]
 
     def show(
         self, context: bpy.types.Context, made: list[bpy.types.Object], warnings: list[str]
@@ -30,11 +31,10 @@ class ImportResult(Arriving, bpy.types.Operator):
         """Take the object for the result of the training."""
         self.warn(warnings)
         (ob,) = made
-        source, info = training.run_of(context.scene)
-        display.adopt(context.scene, ob, info.path, source)
+        display.adopt(context.scene, ob, self._output, self._source)
         if context.mode == "OBJECT" and ob.name in context.view_layer.objects:
             make_active(context, ob)
-        return f"{ob.name} has the {len(ob.data.vertices):,} splats of {info.path}."
+        return f"{ob.name} has the {len(ob.data.vertices):,} splats of {self._output}."
 
 
 CLASSES = (ImportResult,)

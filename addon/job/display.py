@@ -132,10 +132,9 @@ def result_object(place: Place, job: Job, loaded: Loaded) -> bpy.types.Object:
         job.state.warn(f"{ob.name} {why} and is kept; the training goes into a new object.")
     root = capture_of(scene, job.source)
     collection = root.users_collection[0] if root and root.users_collection else scene.collection
-    name = f"{job.source.name} splats"
+    name = _name(job.source)
     ob = objects.create(NO_SPLATS, name, collection=collection, parent=root)
-    stored_paths.write(ob, stored_paths.RUN, job.output)
-    stored_paths.write(ob, stored_paths.SOURCE, job.source)
+    _note_run(ob, job.output, job.source)
     if loaded.typical_size:
         ob.gscore.point_size = 0.5 * loaded.typical_size
     if job.antialias:
@@ -158,24 +157,36 @@ def shown_object(holder: Any, output: Path, sources: Sequence[Path]) -> bpy.type
     ob = holder.result
     if ob is None:
         return None
-    run, source = (stored_paths.read(ob, key) for key in (stored_paths.RUN, stored_paths.SOURCE))
-    same_run = bool(run) and same_folder(Path(run), output)
+    source = stored_paths.read(ob, stored_paths.SOURCE)
     of_capture = bool(source) and any(same_folder(Path(source), known) for known in sources)
-    return ob if same_run and of_capture else None
+    return ob if is_of_run(ob, output) and of_capture else None
+
+
+def is_of_run(ob: bpy.types.Object, output: Path) -> bool:
+    """Whether an object holds splats of the run in a folder."""
+    run = stored_paths.read(ob, stored_paths.RUN)
+    return bool(run) and same_folder(Path(run), output)
+
+
+def _note_run(ob: bpy.types.Object, output: Path, source: Path) -> None:
+    stored_paths.write(ob, stored_paths.RUN, output)
+    stored_paths.write(ob, stored_paths.SOURCE, source)
+
+
+def _name(source: Path) -> str:
+    return f"{source.name} splats"
 
 
 def adopt(scene: bpy.types.Scene, ob: bpy.types.Object, output: Path, source: Path) -> None:
     """Let an object with the splats of a run in `output` be what a scene shows of it."""
-    ob.name = ob.data.name = f"{source.name} splats"
-    stored_paths.write(ob, stored_paths.RUN, output)
-    stored_paths.write(ob, stored_paths.SOURCE, source)
+    ob.name = ob.data.name = _name(source)
+    _note_run(ob, output, source)
     ob[_FILLED] = signature(ob)
     scene.gscore.result = ob
     if (root := capture_of(scene, source)) is not None:
-        for collection in set(ob.users_collection) - set(root.users_collection[:1]):
+        for collection in ob.users_collection:
             collection.objects.unlink(ob)
-        if not ob.users_collection:
-            root.users_collection[0].objects.link(ob)
+        writable.link_beside(ob, root)
         _hide_points(scene, root, True)
 
 

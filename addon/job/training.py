@@ -54,9 +54,7 @@ def train(
     output = output_folder(scene, preferences.get().output_folder)
     _check_free(output)
     found = check_capture(scene)
-    before = earlier.look(output, source)
-    if before is not None and before.foreign:
-        raise ValueError(before.foreign_words)
+    before = _own_run(output, source)
     if before is not None and not overwrite:
         raise ValueError(
             f"{output} holds another run; press Resume to go on with it, Start Over to replace it, "
@@ -89,9 +87,7 @@ def replaced(scene: bpy.types.Scene) -> list[str]:
     """
     source = capture_folder(scene)
     output = output_folder(scene, preferences.get().output_folder)
-    before = earlier.look(output, source)
-    if before is not None and before.foreign:
-        raise ValueError(before.foreign_words)
+    before = _own_run(output, source)
     lines = [] if before is None else [f"The run in {before.words} is replaced for good."]
     ob = display.shown_object(scene.gscore, output, (source,))
     if ob is not None and display.was_edited(ob):
@@ -232,12 +228,18 @@ def run_of(scene: bpy.types.Scene) -> tuple[Path, RunInfo]:
         ValueError: there is none, or it is of another capture.
     """
     output = output_folder(scene, preferences.get().output_folder)
-    before = earlier.look(output, _chosen_capture(scene))
+    before = _own_run(output, _chosen_capture(scene))
     if before is None:
         raise ValueError(f"{output} holds no run; press Train.")
-    if before.foreign:
-        raise ValueError(before.foreign_words)
     return capture_folder(scene), before.info
+
+
+def _own_run(output: Path, capture: Path | None) -> earlier.EarlierRun | None:
+    """The run in a folder, if there is one; ValueError where it is of another capture."""
+    before = earlier.look(output, capture)
+    if before is not None and before.foreign:
+        raise ValueError(before.foreign_words)
+    return before
 
 
 def _check_free(output: Path) -> None:

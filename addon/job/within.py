@@ -15,12 +15,14 @@ from ..splats.filters import crop_matrix
 def problem(settings: Any) -> str:
     """What a scene's settings ask for that cannot be had together, a sentence; else empty."""
     ob = settings.train_within
-    if ob is not None and settings.use_masks and settings.mask_mode == "composite":
+    if ob is None:
+        return ""
+    if settings.use_masks and settings.mask_mode == "composite":
         return (
             f"Masks that are opacity cut the subject out, which {ob.name} cannot narrow: choose "
             "Masks Mean: Leave Out, or clear Only Within."
         )
-    if ob is None or not settings.sky:
+    if not settings.sky:
         return ""
     return (
         f"Nothing but what lies in {ob.name} is trained, so there is no sky: turn Sky off, or "

@@ -5,11 +5,10 @@ from typing import ClassVar
 
 import bpy
 
-from .. import preferences, stored_paths
+from .. import preferences
 from ..cameras.lookup import panel_root
-from ..capture.folders import same_folder
 from ..core import PRESETS, Estimate, RunInfo
-from ..job import facts, forecast, guides, within
+from ..job import display, facts, forecast, guides, within
 from ..job.options import AS_PRESET, BY_WIDTH, continuation
 from ..paths import output_folder
 from ..sequence import work as sequence
@@ -196,8 +195,8 @@ def draw_buttons(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
 def lacks(scene: bpy.types.Scene, info: RunInfo) -> bool:
     """Whether a run has splats of which a scene has no object."""
     ob = scene.gscore.result
-    run = "" if ob is None else stored_paths.read(ob, stored_paths.RUN)
-    return info.splats is not None and not (run and same_folder(Path(run), info.path))
+    shown = ob is not None and display.is_of_run(ob, info.path)
+    return info.splats is not None and not shown
 
 
 def can_go_on(settings: bpy.types.PropertyGroup, info: RunInfo) -> bool:
