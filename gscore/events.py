@@ -42,8 +42,8 @@ class Started(Event):
     isa: str
     threads: int
     depth: str = ""
-    """A sentence on the depth that supervises; empty: none, and a warning says why if there are
-    maps."""
+    """Sentences on whether depth maps supervise, and why; empty: there are none, or none can be
+    used, which is a warning."""
     stereo: str = ""
     """A sentence on the points that stereo added, or why none; empty: nobody asked."""
     drops: str = ""

@@ -4,7 +4,8 @@ import bpy
 
 from ..cameras.objects import is_camera
 from ..render import see_through
-from ..render.compositor import SPLAT_SCENE, combine_node
+from ..render.apart import SPLAT_SCENE
+from ..render.compositor import combine_node
 from ..render.engine import NAME
 from ..render.held_meshes import not_taken_over
 from ..render.ignored import NOT_TAKEN_OVER

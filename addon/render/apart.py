@@ -8,6 +8,8 @@ import bpy
 
 MAIN_SCENE = "gs_main_scene"
 """Custom property of a scene that only renders the splats of another: that scene."""
+SPLAT_SCENE = "gs_splat_scene"
+"""Custom property of a scene: the scene that renders its splats."""
 
 
 def main_scene(scene: bpy.types.Scene) -> bpy.types.Scene | None:

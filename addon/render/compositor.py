@@ -5,12 +5,10 @@ import bpy
 from .. import compat
 from ..interface import writable
 from ..splats.objects import is_splats
-from .apart import MAIN_SCENE
+from .apart import MAIN_SCENE, SPLAT_SCENE
 from .engine import NAME
 from .held_meshes import held_by
 
-SPLAT_SCENE = "gs_splat_scene"
-"""Custom property of a scene: the scene that renders its splats."""
 _FILM = "gs_film_transparent"
 """Custom property of a scene: whether its film was transparent before."""
 LAYER_NODE, COMBINE_NODE = "GS Splats", "GS Combine by Depth"

@@ -11,7 +11,7 @@ from ..cameras.panorama import KINDS, kind_of
 from ..compat import matrix_to_numpy
 from ..nodes import display
 from ..splats.objects import is_splats
-from .apart import main_scene
+from .apart import SPLAT_SCENE, main_scene
 from .held_meshes import is_held_by, may_hide, not_taken_over
 from .world import world_light
 
@@ -126,6 +126,11 @@ def _others(shown: Shown) -> str:
     return ", ".join(names[:2]) + more
 
 
+def _composited(shown: Shown) -> bool:
+    """Whether splats are set up to be composited with what is rendered."""
+    return isinstance(shown.scene.original.get(SPLAT_SCENE), bpy.types.Scene)
+
+
 def _held_without_faces(shown: Shown) -> str:
     """Objects that are cut out and have no faces."""
     return ", ".join(
@@ -171,7 +176,12 @@ CHECKS = (
     Check("{}", _world),
     Check(
         "{} is not drawn by this engine: Composite Splats with Meshes renders both.",
-        _others,
+        lambda s: "" if _composited(s) else _others(s),
+    ),
+    Check(
+        "{} is not drawn by this engine, with which compositing rests: Cycles and EEVEE render "
+        "both.",
+        lambda s: _others(s) if _composited(s) else "",
     ),
     Check("Holdout of {} hides no splats: only faces do.", _held_without_faces),
     Check(

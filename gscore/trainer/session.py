@@ -223,7 +223,7 @@ class Session:
                 height=int(cameras.heights.max()),
                 isa=backend.isa(),
                 threads=self._results.threads,
-                depth=self._depth.why if self._depth.supervises else "",
+                depth=self._depth.decision,
                 stereo=self._stereo.why,
                 drops=self._trainer.drop_words,
                 exposure=self._exposure.why,

@@ -39,6 +39,11 @@ class DepthSetup:
     """Sentences for the user."""
 
     @property
+    def decision(self) -> str:
+        """`why`, unless it is a warning already."""
+        return "" if self.why in self.warnings else self.why
+
+    @property
     def loss_targets(self) -> DepthTargets | None:
         """The maps if they enter the loss."""
         return self.targets if self.supervises else None
@@ -75,7 +80,9 @@ def prepare_depth(
         and (np.isfinite(p.inverse_depth) & (p.confidence > 0)).any()
     )
     supervises, why = decide(config.depth_mode, facts, usable=usable)
-    warnings = [*priors.warnings] if supervises else [*priors.warnings, why]
+    warnings = [*priors.warnings]
+    if not usable:
+        warnings.append(why)
     points = None
     resolved = with_weights(config, facts.views_of_point)
     weights = (resolved.depth_weight, resolved.depth_weight_final) if supervises else (0.0, 0.0)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from addon import compat
-from addon.render import compositor, grown, held_meshes, ignored, mesh_holdout
+from addon.render import apart, compositor, grown, held_meshes, ignored, mesh_holdout
 from addon.render.engine import SplatsRenderEngine
 from addon.render.held_meshes import HeldMeshes
 from addon.triangles import Triangles
@@ -357,8 +357,8 @@ def test_composites_have_them(held, tmp_path, shape):
     assert ignored.NOT_TAKEN_OVER.format("owner") in "".join(
         ignored.without_effect(
             ignored.Shown(
-                scene=held[compositor.SPLAT_SCENE],
-                layer=held[compositor.SPLAT_SCENE].view_layers[0],
+                scene=held[apart.SPLAT_SCENE],
+                layer=held[apart.SPLAT_SCENE].view_layers[0],
                 camera=held.camera,
             )
         )

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from addon import compat
-from addon.render import ignored, panels
+from addon.render import compositor, ignored, panels
+from addon.render.engine import NAME
 from addon.render.operators import changes_colors, use_photo_colors
 from tests.addon import splat_scenes as lab
 
@@ -26,6 +27,14 @@ def others(scene: bpy.types.Scene) -> None:
     mesh = bpy.data.meshes.new("board")
     mesh.from_pydata([(-1, -1, 2), (1, -1, 2), (0, 1, 2)], [], [(0, 1, 2)])
     scene.collection.objects.link(bpy.data.objects.new("board", mesh))
+
+
+def composited(scene: bpy.types.Scene) -> None:
+    """The same, set up to be composited, and then the splats' engine."""
+    others(scene)
+    scene.render.engine = "CYCLES"
+    compositor.set_up(scene, transparent=False)
+    scene.render.engine = NAME
 
 
 def modified(scene: bpy.types.Scene) -> None:
@@ -71,7 +80,8 @@ def setting(path: str, value: object) -> Callable[[bpy.types.Scene], None]:
 WITHOUT_EFFECT = {
     "Clip End of Camera": setting("camera.clip_end", 3.5),
     "World World is not one colour": striped_world,
-    "board is not drawn": others,
+    "Composite Splats with Meshes renders both": others,
+    "with which compositing rests": composited,
     "shape keys of splats": modified,
     "Shadow Catcher of splats": setting("splats.is_shadow_catcher", True),
     "Material Override clay": override,

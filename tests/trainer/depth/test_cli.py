@@ -14,7 +14,7 @@ from gscore.commands import main
 from gscore.config import DataConfig, Switch, TrainConfig
 from gscore.datasets import load_dataset
 from gscore.depth.params import FILE
-from gscore.events import Estimated, Event
+from gscore.events import Estimated, Event, Started, Warn
 from gscore.scene import PointCloud
 from gscore.trainer.depth.setup import prepare_depth
 from gscore.trainer.run import train
@@ -120,7 +120,7 @@ def test_maps_that_say_nothing_do_not_supervise(deep: Path, tmp_path: Path, alig
     found = prepare_depth(data, config, photos)
     assert not found.supervises and found.loss_targets is None
     assert "No training view has a depth map that can be used" in found.why
-    assert found.why in found.warnings
+    assert found.why in found.warnings and not found.decision
     np.save(
         blank / f"{names[0]}.npy", np.linspace(0.3, 0.4, 48 * 48, dtype=np.float32).reshape(48, 48)
     )
@@ -174,6 +174,17 @@ def test_off_reads_maps_but_trains_without(deep: Path, tmp_path: Path) -> None:
     assert depth["used"] is False and depth["weights"] == [0, 0]
     assert "depth_mode off" in (tmp_path / "b" / "report.html").read_text()
     assert "depth" not in json.loads((tmp_path / "a" / "metrics.json").read_text())
+
+
+def test_maps_that_are_not_wanted_are_no_warning(deep: Path, tmp_path: Path) -> None:
+    """Oracle: the option; what was decided stands among what a training says first."""
+    events: list[Event] = []
+    config = TrainConfig(iterations=2, max_splats=200, sh_degree=0, depth_mode=Switch.OFF)
+    data = DataConfig(source=deep, depths="depths", depth_align="official")
+    train(config, data, tmp_path / "o", events.append)
+    said = next(e for e in events if isinstance(e, Started)).depth
+    assert said == "Depth maps are read for the report only (depth_mode off)."
+    assert not [e for e in events if isinstance(e, Warn) and e.code == "depth"]
 
 
 @pytest.mark.parametrize(
