@@ -83,7 +83,7 @@ WRITES = {
     "addon/python/installer.py:_make_venv folder.parent.mkdir": "Blender's folder of it",
     "addon/python/installer.py:_put_in_place shutil.rmtree": "Blender's folder of it",
     "addon/python/installer.py:_rename os.replace": "Blender's folder of it",
-    "addon/job/display.py:adopt collection.objects.unlink": "no file, an object",
+    "addon/job/results.py:adopt collection.objects.unlink": "no file, an object",
     "addon/render/compositor.py:_link other.collection.objects.unlink": "no file, an object",
 }
 """All calls in the add-on that write, make or remove files, and where these lie."""

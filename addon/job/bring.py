@@ -7,7 +7,7 @@ import bpy
 from ..interface.operators import make_active
 from ..splats import files
 from ..splats.arriving import Arriving
-from . import display, training
+from . import results, training
 
 
 class ImportResult(Arriving, bpy.types.Operator):
@@ -19,22 +19,22 @@ class ImportResult(Arriving, bpy.types.Operator):
 
     def wanted(self, context: bpy.types.Context) -> list[files.Wanted]:
         """Those of the run."""
-        self._source, info = training.run_of(context.scene)
-        self._output = info.path  # as it was asked for: the panel may name another meanwhile
+        # As it is now: the panel may name another meanwhile.
+        self._source, self._run = training.run_of(context.scene)
+        info = self._run.info
         if info.splats is None:
             raise ValueError(f"{info.path} holds no splats yet: go on with its training.")
-        return [files.want(info.splats, parent=display.capture_of(context.scene, self._source))]
+        return [files.want(info.splats, parent=results.capture_of(context.scene, self._source))]
 
     def show(
         self, context: bpy.types.Context, made: list[bpy.types.Object], warnings: list[str]
     ) -> str:
         """Take the object for the result of the training."""
         self.warn(warnings)
-        (ob,) = made
-        display.adopt(context.scene, ob, self._output, self._source)
+        ob = results.adopt(context.scene, made[0], self._run, self._source)
         if context.mode == "OBJECT" and ob.name in context.view_layer.objects:
             make_active(context, ob)
-        return f"{ob.name} has the {len(ob.data.vertices):,} splats of {self._output}."
+        return f"{ob.name} has the {len(ob.data.vertices):,} splats of {self._run.info.path}."
 
 
 CLASSES = (ImportResult,)

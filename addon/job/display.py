@@ -1,42 +1,29 @@
 """Shows in the open file what a training leaves on the disk: splats and a picture."""
 
-import zlib
-from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import bpy
-import numpy as np
 
-from .. import outcomes, preferences, stored_paths
-from ..attributes import NO_SPLATS
-from ..cameras.objects import is_kind, note_moves, points_of
+from .. import outcomes, preferences
+from ..cameras.objects import note_moves
 from ..capture.folders import same_folder
 from ..interface import undo, writable
 from ..paths import absolute, output_folder
-from ..splats import files, objects
 from ..splats.error_maps import drop_maps
 from ..splats.filling import Filling, replace
-from ..splats.objects import ANTIALIAS
 from . import registry, session
 from .job import Job
 from .loader import Loaded
-
-_FILLED = "gs_filled"
-"""Custom property of a result: its `signature` as it came, to know whether it was edited."""
-_FILLED_BY = "gs_job"
-"""Custom property of a result: the id of the job that filled it last."""
-
-
-@dataclass(frozen=True)
-class Place:
-    """Where the open file shows what a job makes."""
-
-    scene: bpy.types.Scene
-    holder: Any
-    """Has `result` and `preview`: the scene's settings, or the outcome of a capture that is not the
-    chosen one."""
+from .results import (
+    Place,
+    capture_of,
+    hide_points,
+    is_own,
+    note_filled,
+    result_object,
+    shown_object,
+)
 
 
 def place_of(job: Job) -> Place | None:
@@ -113,107 +100,18 @@ def show_picture(holder: Any, path: Path, name: str) -> bpy.types.Image:
     return image
 
 
-def result_object(place: Place, job: Job, loaded: Loaded) -> bpy.types.Object:
-    """The object that shows the splats of a run: the one it has, or a new and empty one.
-
-    One that was edited stays as it is, as does one of an earlier run that this one was not asked to
-    replace; the splats go into a new one.
-    """
-    scene = place.scene
-    ob = shown_object(place.holder, job.output, job.sources)
-    if ob is not None and scene.objects.get(ob.name) is ob:
-        own = job.may_replace or ob.get(_FILLED_BY) == job.id
-        edited = was_edited(ob)
-        if own and not edited:
-            return ob
-        for key in (stored_paths.RUN, _FILLED, _FILLED_BY):
-            ob.pop(key, None)
-        why = "was edited" if edited else "is of an earlier training"
-        job.state.warn(f"{ob.name} {why} and is kept; the training goes into a new object.")
-    root = capture_of(scene, job.source)
-    collection = root.users_collection[0] if root and root.users_collection else scene.collection
-    name = _name(job.source)
-    ob = objects.create(NO_SPLATS, name, collection=collection, parent=root)
-    _note_run(ob, job.output, job.source)
-    if loaded.typical_size:
-        ob.gscore.point_size = 0.5 * loaded.typical_size
-    if job.antialias:
-        ob[ANTIALIAS] = True
-    if root is None:
-        # Else as a first camera that was held level: COLMAP's own worlds have no up.
-        files.place(ob, files.UP_AXES["-Y"] if loaded.upright is None else loaded.upright)
-    place.holder.result = ob
-    return ob
-
-
-def shown_object(holder: Any, output: Path, sources: Sequence[Path]) -> bpy.types.Object | None:
-    """The object that shows the splats of a run, if a holder has it.
-
-    Args:
-        holder: See `Place`.
-        output: Folder of the run.
-        sources: Folders that the capture has, and had; an object of any other is not the run's.
-    """
-    ob = holder.result
-    if ob is None:
-        return None
-    source = stored_paths.read(ob, stored_paths.SOURCE)
-    of_capture = bool(source) and any(same_folder(Path(source), known) for known in sources)
-    return ob if is_of_run(ob, output) and of_capture else None
-
-
-def is_of_run(ob: bpy.types.Object, output: Path) -> bool:
-    """Whether an object holds splats of the run in a folder."""
-    run = stored_paths.read(ob, stored_paths.RUN)
-    return bool(run) and same_folder(Path(run), output)
-
-
-def _note_run(ob: bpy.types.Object, output: Path, source: Path) -> None:
-    stored_paths.write(ob, stored_paths.RUN, output)
-    stored_paths.write(ob, stored_paths.SOURCE, source)
-
-
-def _name(source: Path) -> str:
-    return f"{source.name} splats"
-
-
-def adopt(scene: bpy.types.Scene, ob: bpy.types.Object, output: Path, source: Path) -> None:
-    """Let an object with the splats of a run in `output` be what a scene shows of it."""
-    ob.name = ob.data.name = _name(source)
-    _note_run(ob, output, source)
-    ob[_FILLED] = signature(ob)
-    scene.gscore.result = ob
-    if (root := capture_of(scene, source)) is not None:
-        for collection in ob.users_collection:
-            collection.objects.unlink(ob)
-        writable.link_beside(ob, root)
-        _hide_points(scene, root, True)
-
-
-def was_edited(ob: bpy.types.Object) -> bool:
-    """Whether splats of a result were deleted, added or moved since they came."""
-    return ob.get(_FILLED, "") not in ("", signature(ob))
-
-
-def signature(ob: bpy.types.Object) -> str:
-    """Tells whether splats were deleted, added or moved; 15 ms for a million."""
-    positions = np.empty(3 * len(ob.data.vertices), np.float32)
-    ob.data.attributes["position"].data.foreach_get("vector", positions)
-    return f"{len(positions) // 3}-{zlib.crc32(positions):08x}"
-
-
 def _remove_discarded(job: Job, place: Place) -> bool:
     """Take back the live splats of a run that was discarded; whether there were any."""
     ob = shown_object(place.holder, job.output, job.sources)
     over = job.state.status == session.DISCARDED and not job.resumed
-    if not over or ob is None or ob.get(_FILLED_BY) != job.id or ob.mode != "OBJECT":
+    if not over or ob is None or not is_own(ob, job) or ob.mode != "OBJECT":
         return False
     mesh = ob.data
     bpy.data.objects.remove(ob)
     if mesh.users == 0:
         bpy.data.meshes.remove(mesh)
     if (root := capture_of(place.scene, job.source)) is not None:
-        _hide_points(place.scene, root, False)
+        hide_points(place.scene, root, False)
     undo.push("Discard Training")
     return True
 
@@ -248,13 +146,13 @@ def _update_splats(job: Job, place: Place) -> bool:
         before = place.holder.result
         ob = result_object(place, job, filling.loaded)
         replace(ob, mesh)
-        ob[_FILLED], ob[_FILLED_BY] = signature(ob), job.id
+        note_filled(ob, job, filling.loaded)
         job.result_wanted = job.result_wanted and not filling.loaded.final
         if (root := capture_of(place.scene, job.source)) is not None:
             if filling.loaded.final:
                 note_moves(root, filling.loaded.moves)
             if ob != before:
-                _hide_points(place.scene, root, True)
+                hide_points(place.scene, root, True)
         if filling.loaded.final:
             drop_maps(ob)  # of what it showed before
         if filling.loaded.final or ob != before:
@@ -271,21 +169,3 @@ def _give_up(job: Job, loaded: Loaded, problem: str) -> None:
     if loaded.final:
         job.result_wanted = False
         job.state.sentence += " The splats could not be shown."
-
-
-def _hide_points(scene: bpy.types.Scene, root: bpy.types.Object, hide: bool) -> None:
-    """The SfM points of a capture would lie over its splats as black dots; the eye in the outliner
-    shows them again."""
-    points = points_of(root)
-    for layer in scene.view_layers if points is not None else ():
-        if points.name in layer.objects:
-            points.hide_set(hide, view_layer=layer)
-
-
-def capture_of(scene: bpy.types.Scene, source: Path) -> bpy.types.Object | None:
-    """The empty that carries the alignment of a capture, if the scene has it."""
-    for ob in scene.objects:
-        text = stored_paths.read(ob, stored_paths.SOURCE)
-        if is_kind(ob, "capture") and text and same_folder(Path(text), source):
-            return ob
-    return None

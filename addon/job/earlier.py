@@ -1,10 +1,14 @@
 """The run that an output folder holds already: how far it is, whose and from when; no bpy."""
 
 import time
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
 from ..core import RunInfo, find_capture, read_run
+
+_BEGINNING = 65_536
+"""Bytes of a file that tell it from others."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -14,6 +18,8 @@ class EarlierRun:
     info: RunInfo
     trained: float
     """When its newest file was written, seconds since the epoch."""
+    content: str
+    """`content` of its splats; empty where there are none."""
     foreign: bool
     """Whether it is known to be of another capture than the one that is chosen."""
 
@@ -44,7 +50,24 @@ def look(folder: Path, capture: Path | None) -> EarlierRun | None:
     info = read_run(folder)
     if info is None:
         return None
-    return EarlierRun(info=info, trained=_written(info), foreign=_is_foreign(info, capture))
+    return EarlierRun(
+        info=info,
+        trained=_written(info),
+        content="" if info.splats is None else content(info.splats),
+        foreign=_is_foreign(info, capture),
+    )
+
+
+def content(path: Path) -> str:
+    """Tells a file of splats from another, by its size and its beginning; empty if there is none.
+
+    Copies of a folder keep it, unlike dates.
+    """
+    try:
+        with path.open("rb") as file:
+            return f"{path.stat().st_size}-{zlib.crc32(file.read(_BEGINNING)):08x}"
+    except OSError:
+        return ""
 
 
 def _written(info: RunInfo) -> float:

@@ -12,6 +12,7 @@ from .. import attributes
 from ..cameras import alignment
 from ..core import POSES_FILE, GsError, Splats, read_cameras, read_moves, read_splats
 from ..process import threads
+from .earlier import content
 
 _GROUND_POINTS = 20_000
 """Splats among which the ground is looked for."""
@@ -27,6 +28,8 @@ class Loaded:
     problem: str = ""
     count: int = 0
     """Number of splats."""
+    content: str = ""
+    """`earlier.content` of a result; empty for snapshots."""
     columns: tuple[tuple[str, str, np.ndarray], ...] = ()
     """`attributes.columns`; empty if there is a problem."""
     typical_size: float = 0.0
@@ -95,6 +98,7 @@ def _load(path: Path, most: int, final: bool) -> Loaded:
             path=path,
             final=final,
             count=len(splats),
+            content=content(path) if final else "",
             columns=tuple(attributes.columns(splats)),
             typical_size=float(np.exp(np.median(sizes))) if len(splats) else 0.0,
             upright=_upright(path, splats),

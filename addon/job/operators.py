@@ -163,6 +163,24 @@ class StopTraining(_OnJob, bpy.types.Operator):
         job.stop()
 
 
+class FollowTraining(OnScene, bpy.types.Operator):
+    """Choose the capture and the output folder of this training, so that its splats come here"""
+
+    bl_idname = "gscore.follow_training"
+    bl_label = "Follow Training"
+    bl_options: ClassVar = {"REGISTER", "UNDO"}
+
+    job_id: StringProperty(name="Training", description="Which one", options={"HIDDEN"})
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Choose them."""
+        job = registry.by_id(self.job_id)
+        if job is None:
+            raise ValueError("This training is gone; press Show Trained Splats under Train.")
+        training.follow(context.scene, job)
+        return f"This scene shows the training of {job.source.name}."
+
+
 class DiscardTraining(Asking, _OnJob, bpy.types.Operator):
     """End at once and remove what this run wrote; a resumed run keeps its last checkpoint"""
 
@@ -261,6 +279,7 @@ CLASSES = (
     PauseTraining,
     ContinueTraining,
     StopTraining,
+    FollowTraining,
     DiscardTraining,
     UpdateSplats,
     ShowTestView,

@@ -100,6 +100,15 @@ class RunState:
     """How it ended, for people; empty before the end."""
 
     @property
+    def decisions(self) -> list[str]:
+        """What the training decided by what the capture is like, in sentences with the names of
+        panels."""
+        if (told := self.started) is None:
+            return []
+        said = (told.enough, told.stereo, told.drops, told.depth, told.guide, told.exposure)
+        return [panel_words(text) for text in (*said, told.poses) if text]
+
+    @property
     def ended(self) -> bool:
         """Whether nothing will change any more."""
         return self.status in ENDED

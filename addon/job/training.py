@@ -8,11 +8,11 @@ import bpy
 
 from .. import outcomes, preferences
 from ..capture.inspection import ShownFacts
-from ..core import RunInfo, read_losses
+from ..core import read_losses
 from ..nodes import display as display_nodes
 from ..paths import absolute, capture_folder, output_folder, relative
 from ..process import beat
-from . import display, earlier, facts, guides, lookups, options, registry, within
+from . import display, earlier, facts, guides, lookups, options, registry, results, within
 from .curve import LossCurve
 from .job import Job
 from .launch import launch
@@ -89,9 +89,9 @@ def replaced(scene: bpy.types.Scene) -> list[str]:
     output = output_folder(scene, preferences.get().output_folder)
     before = _own_run(output, source)
     lines = [] if before is None else [f"The run in {before.words} is replaced for good."]
-    ob = display.shown_object(scene.gscore, output, (source,))
-    if ob is not None and display.was_edited(ob):
-        lines.append(f"Its object {ob.name} was edited and is kept.")
+    ob = results.shown_object(scene.gscore, output, (source,))
+    if ob is not None and results.was_edited(ob):
+        lines.append(f"Its object {ob.name} was edited and is kept, hidden.")
     elif ob is not None:
         count = len(ob.data.vertices)
         lines.append(f"Its object {ob.name} with {count:,} splats is replaced too.")
@@ -154,6 +154,12 @@ def resume(scene: bpy.types.Scene, *, wait: bool = False, python: str | Path | N
     if wait:
         wait_for(job)
     return job
+
+
+def follow(scene: bpy.types.Scene, job: Job) -> None:
+    """Let a scene show a training that another scene or file has begun."""
+    scene.gscore.capture_path = relative(job.source)
+    scene.gscore.output_path = relative(job.output)
 
 
 def wait_for(
@@ -221,7 +227,7 @@ def machine() -> options.Machine:
     )
 
 
-def run_of(scene: bpy.types.Scene) -> tuple[Path, RunInfo]:
+def run_of(scene: bpy.types.Scene) -> tuple[Path, earlier.EarlierRun]:
     """Folder of the capture, and the run in the scene's output folder.
 
     Raises:
@@ -231,7 +237,7 @@ def run_of(scene: bpy.types.Scene) -> tuple[Path, RunInfo]:
     before = _own_run(output, _chosen_capture(scene))
     if before is None:
         raise ValueError(f"{output} holds no run; press Train.")
-    return capture_folder(scene), before.info
+    return capture_folder(scene), before
 
 
 def _own_run(output: Path, capture: Path | None) -> earlier.EarlierRun | None:

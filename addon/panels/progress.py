@@ -6,7 +6,7 @@ from typing import ClassVar
 import bpy
 
 from ..core import judged_psnr
-from ..job import session, verb_job
+from ..job import registry, session, verb_job
 from ..job.job import Job
 from ..search import work as search_work
 from ..search.job import SearchJob
@@ -19,7 +19,7 @@ _CURVE_SCALE = 6.0
 
 
 class NowPanel(TabPanel, bpy.types.Panel):
-    """The bar of what is under way, above all panels, so that nobody has to look for it"""
+    """The bars of what is under way, above all panels, so that nobody has to look for them"""
 
     bl_idname = "GSCORE_PT_now"
     bl_label = "Now"
@@ -28,17 +28,19 @@ class NowPanel(TabPanel, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """A training is under way."""
-        current = job(context)
-        return current is not None and not current.state.ended
+        """A training is under way, of whichever file."""
+        return any(not job.state.ended for job in registry.jobs())
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
-        current = job(context)
-        state = current.state
-        row = self.layout.row(align=True)
-        row.progress(factor=state.share, text=f"Training: {bar_text(state)}")
-        row.operator("gscore.stop_training", text="", icon="SNAP_FACE")
+        own = job(context)
+        if own is not None and not own.state.ended:
+            draw_bar(self.layout, own, "Training")
+        for other in registry.jobs():
+            if other is not own and not other.state.ended:
+                row = draw_bar(self.layout, other, other.source.name)
+                show = row.operator("gscore.follow_training", text="", icon="RESTRICT_SELECT_OFF")
+                show.job_id = other.id
 
 
 class ProgressPanel(TabPanel, bpy.types.Panel):
@@ -67,8 +69,6 @@ class ProgressPanel(TabPanel, bpy.types.Panel):
         if state.sentence:
             icon = "ERROR" if state.status == session.FAILED else "CHECKMARK"
             sentence(layout, context, state.sentence, icon=icon)
-        if state.started is not None and state.started.guide and not state.ended:
-            sentence(layout, context, state.started.guide, icon="MESH_GRID")
         if current.silence:
             sentence(layout, context, current.silence, icon="QUESTION")
         for text in state.warnings[-_WARNINGS_SHOWN:]:
@@ -76,6 +76,34 @@ class ProgressPanel(TabPanel, bpy.types.Panel):
         if len(state.warnings) > _WARNINGS_SHOWN:
             layout.label(text=f"{len(state.warnings) - _WARNINGS_SHOWN} earlier warnings")
         draw_buttons(layout, context, current)
+
+
+class DecisionsPanel(TabPanel, bpy.types.Panel):
+    """What the training decided by what the capture is like"""
+
+    bl_idname = "GSCORE_PT_decisions"
+    bl_label = "Decisions"
+    bl_parent_id = "GSCORE_PT_progress"
+    bl_options: ClassVar = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """There were some to take."""
+        current = job(context)
+        return current is not None and bool(current.state.decisions)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        for text in job(context).state.decisions:
+            sentence(self.layout, context, text, icon="DOT")
+
+
+def draw_bar(layout: bpy.types.UILayout, current: Job, name: str) -> bpy.types.UILayout:
+    """A training's bar and the button that ends it; the row that they are in."""
+    row = layout.row(align=True)
+    row.progress(factor=current.state.share, text=f"{name}: {bar_text(current.state)}")
+    row.operator("gscore.stop_training", text="", icon="SNAP_FACE").job_id = current.id
+    return row
 
 
 def draw_search(layout: bpy.types.UILayout, context: bpy.types.Context, search: SearchJob) -> None:
@@ -116,6 +144,8 @@ def draw_numbers(layout: bpy.types.UILayout, current: Job) -> None:
     """The loss curve beside the numbers."""
     state = current.state
     if state.started is None:
+        if not state.ended:
+            layout.label(text=f"{bar_text(state)}...", icon="TIME")
         return
     icon = curve_icon.ICONS.update(current)
     if icon and len(state.curve.losses) > 1:
@@ -183,4 +213,4 @@ def clock(seconds: float) -> str:
     return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"
 
 
-CLASSES = (NowPanel, ProgressPanel)
+CLASSES = (NowPanel, ProgressPanel, DecisionsPanel)

@@ -8,7 +8,8 @@ import bpy
 from .. import preferences
 from ..cameras.lookup import panel_root
 from ..core import PRESETS, Estimate, RunInfo
-from ..job import display, facts, forecast, guides, within
+from ..job import facts, forecast, guides, results, within
+from ..job.earlier import EarlierRun
 from ..job.options import AS_PRESET, BY_WIDTH, continuation
 from ..paths import output_folder
 from ..sequence import work as sequence
@@ -163,8 +164,8 @@ def draw_buttons(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
         layout.label(text="Training; see Progress", icon="TIME")
         return
     before, problem = facts.run(context.scene)
-    if before is not None and not before.foreign and lacks(context.scene, before.info):
-        layout.operator("gscore.import_result", icon="IMPORT")
+    if before is not None and not before.foreign:
+        draw_missing(layout, context, before)
     if not has_python(layout, context):
         return
     if problem:
@@ -192,11 +193,18 @@ def draw_buttons(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
     operator.overwrite = True
 
 
-def lacks(scene: bpy.types.Scene, info: RunInfo) -> bool:
-    """Whether a run has splats of which a scene has no object."""
-    ob = scene.gscore.result
-    shown = ob is not None and display.is_of_run(ob, info.path)
-    return info.splats is not None and not shown
+def draw_missing(
+    layout: bpy.types.UILayout, context: bpy.types.Context, before: EarlierRun
+) -> None:
+    """A button that brings the splats of a run where the scene shows none of it, or earlier ones."""
+    ob = context.scene.gscore.result
+    shown = ob is not None and results.is_of_run(ob, before.info.path)
+    if shown and results.is_behind(ob, before):
+        text = f"{ob.name} shows other splats than this run has now."
+        sentence(layout, context, text, icon="INFO")
+    elif shown or before.info.splats is None:
+        return
+    layout.operator("gscore.import_result", icon="IMPORT")
 
 
 def can_go_on(settings: bpy.types.PropertyGroup, info: RunInfo) -> bool:

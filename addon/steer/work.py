@@ -10,8 +10,9 @@ from mathutils import Matrix
 
 from .. import attributes, preferences
 from ..interface import undo
-from ..job import display, guides, options, training
+from ..job import guides, options, training
 from ..job.launch import begin, follow, launch
+from ..job.results import signature
 from ..paths import capture_folder, output_folder
 from ..process import beat
 from ..splats import files, objects
@@ -84,7 +85,7 @@ def train_region(
     line += guides.arguments(scene, output)
     line += ["--start-splats", str(start_file), "--region", str(region_file)]
     known = {"source": source, "output": output, "object_uid": ob.session_uid}
-    before = display.signature(ob)
+    before = signature(ob)
     job = launch(lambda program: RegionJob(program, line, **known, before=before), python)
     job.start = Start(ob, box, splats_file=start_file, region_file=region_file)
     JOBS.add(job)
@@ -154,7 +155,7 @@ def _show(job: RegionJob, mesh: bpy.types.Mesh) -> None:
     ob = next(filter(objects.is_splats, found), None)
     if ob is None:
         raise ValueError(f"The splats of the region are gone from the scene; {job.output} has all.")
-    if display.signature(ob) != job.before:
+    if signature(ob) != job.before:
         name = ob.name
         ob = _beside(ob)
         job.warnings.append(f"{name} was edited and is kept; the result is {ob.name}.")

@@ -70,6 +70,7 @@ CALLS: dict[str, dict[str, Any]] = {
     "remove_errors": {},
     "choose_video": {"filepath": "a.ply"},
     "fit_training": {},
+    "follow_training": {},
     "paint_mask": {},
     "paint_splats": {},
     "paint_stroke": {

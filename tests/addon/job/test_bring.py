@@ -10,7 +10,7 @@ import pytest
 from addon import stored_paths
 from addon.cameras.captures import import_capture
 from addon.core import PRESETS
-from addon.job import display, facts
+from addon.job import facts, lookups, results
 from addon.panels.train import TrainPanel
 from gscore.config_file import config_json
 from gscore.io.ply.splats import write_splats
@@ -18,6 +18,13 @@ from tests.addon.captures import STUDIO
 from tests.addon.drawn import drawn
 from tests.addon.splat_scenes import error_of
 from tests.addon.trainings import positions, splats, until
+
+
+def look_again(scene: bpy.types.Scene) -> None:
+    """Have the panel know the run as it is now."""
+    lookups.runs.expire()
+    facts.run(scene)
+    until(lambda: lookups.collect() or not lookups.busy())
 
 
 @pytest.fixture
@@ -43,7 +50,7 @@ def test_a_finished_run_comes_into_another_file(scene: bpy.types.Scene, run: Pat
     assert ob == bpy.context.object and ob.parent == root and ob.name == f"{STUDIO.name} splats"
     assert ob.users_collection == root.users_collection
     np.testing.assert_array_equal(positions(ob), splats(70).means)
-    assert Path(stored_paths.read(ob, stored_paths.RUN)) == run and not display.was_edited(ob)
+    assert Path(stored_paths.read(ob, stored_paths.RUN)) == run and not results.was_edited(ob)
     assert "Show Trained Splats" not in drawn(TrainPanel)
 
 
@@ -61,3 +68,45 @@ def test_what_is_not_there_is_a_sentence(scene: bpy.types.Scene, run: Path) -> N
     shutil.rmtree(run)
     assert "holds no run" in error_of(bpy.ops.gscore.import_result)
     assert scene.gscore.result is None
+
+
+def test_a_run_that_went_on_elsewhere_is_told(
+    scene: bpy.types.Scene, run: Path, tmp_path: Path
+) -> None:
+    """Oracle: the PLY. The object that is there keeps its place and display and gets the splats;
+    copies of the folder are the same run."""
+    bpy.ops.gscore.import_result()
+    ob = scene.gscore.result
+    ob.location.x, ob.gscore.opacity_min = 3.0, 0.25
+    shutil.copytree(run, tmp_path / "copy")
+    scene.gscore.output_path = str(tmp_path / "copy")
+    shutil.rmtree(run)
+    (tmp_path / "copy").rename(run)
+    scene.gscore.output_path = str(run)
+    look_again(scene)
+    assert "shows other splats" not in drawn(TrainPanel)
+    write_splats(run / "point_cloud.ply", splats(71))
+    look_again(scene)
+    told = drawn(TrainPanel)
+    assert f"{ob.name} shows other splats than this run has now." in told
+    assert bpy.ops.gscore.import_result() == {"FINISHED"}
+    assert scene.gscore.result == ob and bpy.data.objects[:] == [ob] and len(bpy.data.meshes) == 1
+    np.testing.assert_array_equal(positions(ob), splats(71).means)
+    assert (ob.location.x, ob.gscore.opacity_min) == (3.0, 0.25)
+    look_again(scene)
+    assert "Show Trained Splats" not in drawn(TrainPanel)
+
+
+def test_edited_splats_stay_hidden_beside_it(scene: bpy.types.Scene, run: Path) -> None:
+    """Oracle: the edited object, which nothing shows, and a new one that is the result."""
+    bpy.ops.gscore.import_result()
+    edited = scene.gscore.result
+    edited.data.vertices[0].co.x += 1.0
+    kept = positions(edited)
+    write_splats(run / "point_cloud.ply", splats(71))
+    assert bpy.ops.gscore.import_result() == {"FINISHED"}
+    ob = scene.gscore.result
+    assert ob != edited and len(ob.data.vertices) == 71
+    np.testing.assert_array_equal(positions(edited), kept)
+    assert edited.hide_get() and edited.hide_render and stored_paths.RUN not in edited
+    assert ob.visible_get() and not ob.hide_render

@@ -20,11 +20,14 @@ from addon.cameras.captures import import_capture
 from addon.core import write_splats
 from addon.job import display, registry, session, training
 from addon.job.job import Job
+from addon.panels.progress import NowPanel, bar_text
 from addon.paths import output_folder
 from addon.process import beat
 from addon.splats import filling
 from addon.stored_paths import RUN
+from tests.addon.drawn import drawn
 from tests.addon.fake_trainer import CONFIG, STARTED, fake_python, finish, step
+from tests.addon.splat_scenes import error_of
 from tests.addon.trainings import positions, splats, until
 
 ROOT = Path(__file__).parents[3]
@@ -341,6 +344,28 @@ def test_a_job_outlives_the_file(studio: bpy.types.Scene, play: Play, tmp_path: 
     assert job_api.job_of(mine) is job and output_folder(mine) == output
     assert training.wait_for(job, timeout=20)
     assert len(mine.gscore.result.data.vertices) == 30
+
+
+def test_a_training_is_followed_in_another_file(
+    studio: bpy.types.Scene, play: Play, tmp_path: Path
+) -> None:
+    """Oracle: the bar that the other file shows, and the splats that come into it once it does."""
+    write_splats(tmp_path / "r.ply", splats(30))
+    play({"say": STARTED}, step(1), {"await": "go"}, finish(str(tmp_path / "r.ply")))
+    job = training.train(studio)
+    until(lambda: job.state.step == 1)
+    assert "Training: " in drawn(NowPanel)
+    bpy.ops.wm.read_homefile(use_empty=True)
+    assert f"{STUDIO.name}: {bar_text(job.state)}" in drawn(NowPanel)
+    assert bpy.ops.gscore.follow_training(job_id=job.id) == {"FINISHED"}
+    other = bpy.context.scene
+    assert job_api.job_of(other) is job and "Training: " in drawn(NowPanel)
+    job._process.send("go")
+    assert training.wait_for(job, timeout=20)
+    np.testing.assert_array_equal(positions(other.gscore.result), splats(30).means)
+    assert drawn(NowPanel) == ""
+    registry.remove(job)
+    assert "is gone" in error_of(lambda: bpy.ops.gscore.follow_training(job_id=job.id))
 
 
 def test_two_scenes_train_at_once(studio: bpy.types.Scene, play: Play, tmp_path: Path) -> None:

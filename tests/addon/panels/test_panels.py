@@ -1,5 +1,6 @@
 """Oracle: Blender's lists of panels, and the numbers of a run."""
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -10,6 +11,7 @@ import pytest
 from addon import panels
 from addon.attributes import NO_SPLATS
 from addon.core import PRESETS, Progress, RunInfo, Started
+from addon.job import registry
 from addon.job.curve import LossCurve
 from addon.job.session import FINISHED, PAUSED, RunState
 from addon.panels import progress, result, train
@@ -184,7 +186,33 @@ def test_the_bar_is_on_top_while_a_training_runs(
 ) -> None:
     """Oracle: the run's numbers; the panel is gone with the end."""
     state = running()
-    monkeypatch.setattr(progress, "job", lambda _: SimpleNamespace(state=state))
-    assert f"[25%] Training: {progress.bar_text(state)}" in drawn(progress.NowPanel)
+    job = SimpleNamespace(state=state, id="a", source=Path("plush"))
+    monkeypatch.setattr(registry, "jobs", lambda: [job])
+    assert f"[25%] plush: {progress.bar_text(state)}" in drawn(progress.NowPanel)
+    monkeypatch.setattr(progress, "job", lambda _: job)
+    assert drawn(progress.NowPanel) == f"[25%] Training: {progress.bar_text(state)} ()"
     state.status = FINISHED
     assert drawn(progress.NowPanel) == ""
+
+
+def test_decisions_are_told_in_words_of_panels(
+    scene: bpy.types.Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: the sentences of the trainer, and the names of fields for its flags."""
+    state = running()
+    monkeypatch.setattr(progress, "job", lambda _: SimpleNamespace(state=state))
+    assert drawn(progress.DecisionsPanel) == ""
+    state.started = replace(
+        state.started, depth="Depth is not used; --depth-mode on uses it.", enough="Enough steps."
+    )
+    told = drawn(progress.DecisionsPanel)
+    assert told == 'Enough steps. Depth is not used; "Use Depth: Always" uses it.'
+
+
+def test_a_training_that_starts_says_so(
+    scene: bpy.types.Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: the words of a state in which nothing was told yet."""
+    job = SimpleNamespace(state=RunState(), silence="", id="a")
+    monkeypatch.setattr(progress, "job", lambda _: job)
+    assert drawn(progress.ProgressPanel).startswith("Starting the trainer... ")
