@@ -196,7 +196,7 @@ def draw_buttons(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
 def draw_missing(
     layout: bpy.types.UILayout, context: bpy.types.Context, before: EarlierRun
 ) -> None:
-    """A button that brings the splats of a run where the scene shows none of it, or earlier ones."""
+    """A button that brings the splats of a run, where the scene shows none or earlier ones."""
     ob = context.scene.gscore.result
     shown = ob is not None and results.is_of_run(ob, before.info.path)
     if shown and results.is_behind(ob, before):
