@@ -29,6 +29,7 @@ _FILLED_BY = "gs_job"
 _CONTENT = "gs_content"
 """Custom property of a result: `content` of the file that it shows; empty: a snapshot's."""
 
+
 @dataclass(frozen=True)
 class Place:
     """Where the open file shows what a job makes."""
