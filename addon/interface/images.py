@@ -28,17 +28,31 @@ def editor_of(
         return None
     if area.spaces.active.image != image:  # else it stays as the user has zoomed into it
         area.spaces.active.image = image
-        _fit(area, next(window for window in windows if area in window.screen.areas[:]))
+        fit(area)
     return area
 
 
-def _fit(area: bpy.types.Area, window: bpy.types.Window) -> None:
-    """Zoom out until the image of an editor fits into it.
+def fit(area: bpy.types.Area) -> bool:
+    """Zoom out until the image of an editor fits into it, beside its sidebar; True.
 
     `bpy.ops.image.view_all` would need another context, and an area that was drawn already.
     """
-    space = area.spaces.active
-    drawn = area.width > 1  # an area in a new window knows no size yet
-    room = (area.width, area.height) if drawn else (window.width, window.height)
-    zoom = min(_FILLS * r / max(s, 1) for r, s in zip(room, space.image.size, strict=True))
+    space, size = area.spaces.active, (area.width, area.height)
+    if area.width <= 1:  # an area in a new window knows no size yet
+        windows = bpy.context.window_manager.windows
+        window = next(window for window in windows if area in window.screen.areas[:])
+        size = (window.width, window.height)
+    # The image stays in the middle, so the sidebar takes its width on both sides.
+    beside = max(size[0] - 2 * _sidebar(area), size[0] // 2)
+    zoom = min(
+        _FILLS * beside / max(space.image.size[0], 1),
+        _FILLS * size[1] / max(space.image.size[1], 1),
+    )
     space.zoom_percentage = 100 * min(zoom, 1.0)
+    return True
+
+
+def _sidebar(area: bpy.types.Area) -> int:
+    """Width of an editor's sidebar where it lies over the image, pixels."""
+    over = bpy.context.preferences.system.use_region_overlap and area.spaces.active.show_region_ui
+    return max((r.width for r in area.regions if r.type == "UI" and over), default=0)

@@ -173,6 +173,9 @@ def draw_counts(
     visible = "not known" if counts.visible is None else f"{counts.visible:,}"
     pairs = [("Splats", f"{counts.total:,}"), ("Shown", visible)]
     rows(layout, [*pairs, ("Color degree", str(counts.sh_degree))])
+    if counts.total and counts.visible == 0:
+        text = "Filters hide all splats; Reset under Filters shows them."
+        sentence(layout, context, text, icon="ERROR")
 
 
 CLASSES = (ResultPanel, FiltersPanel, MorePanel)

@@ -6,6 +6,7 @@ from .. import preferences
 from ..cameras.lookup import panel_root
 from ..capture.inspection import ShownFacts
 from ..interface.questions import letters, wrapped
+from ..interface.sidebar import TAB
 from ..job import facts, training
 from ..job.job import Job
 from ..python import setup
@@ -16,7 +17,7 @@ class TabPanel:
 
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
-    bl_category = "Train Splats"
+    bl_category = TAB
 
 
 def sentence(

@@ -8,6 +8,7 @@ from bpy.props import BoolProperty, StringProperty
 
 from ..core import VIDEO_ENDINGS
 from ..interface.operators import OnScene
+from ..interface.sidebar import choose_tab, in_turn, open_sidebar
 from ..job.verb_job import FAILED
 from ..job.verb_operators import Cancelling
 from ..paths import relative
@@ -48,7 +49,8 @@ class ChooseVideo(OnScene, bpy.types.Operator):
         if not chosen.exists():
             raise ValueError(f"There is no video {chosen}; choose a file.")
         context.scene.gscore.capture_path = relative(chosen.absolute())
-        _show_tab(context)
+        if context.area is not None and context.area.type == "VIEW_3D":  # a file was dropped on it
+            in_turn(context.area, open_sidebar, choose_tab)
         return ""
 
 
@@ -86,20 +88,6 @@ class CancelSearch(Cancelling, bpy.types.Operator):
     def job_of(self, scene: bpy.types.Scene) -> SearchJob | None:
         """The search for the scene's photos."""
         return work.job_of(scene)
-
-
-def _show_tab(context: bpy.types.Context) -> None:
-    """Open the sidebar of the 3D view on which a file was dropped."""
-    space = context.space_data
-    if space is None or space.type != "VIEW_3D":
-        return
-    space.show_region_ui = True
-    for region in context.area.regions:
-        if region.type == "UI" and hasattr(region, "active_panel_category"):
-            try:
-                region.active_panel_category = "Train Splats"
-            except (AttributeError, TypeError):
-                return  # older Blenders only tell it, and some regions have none before a redraw
 
 
 CLASSES = [ChooseVideo, FindCameras, CancelSearch]

@@ -7,8 +7,9 @@ import bpy
 from bpy.props import EnumProperty, StringProperty
 
 from ..cameras.lookup import find_camera, find_root
-from ..interface.images import editor_of
+from ..interface.images import editor_of, fit
 from ..interface.operators import Acting
+from ..interface.sidebar import TAB, choose_tab, close_shelf, in_turn, open_sidebar
 from . import masks
 
 _NO_BRUSH = "There is no brush yet; choose one in the image editor, then press Leave Out."
@@ -35,7 +36,8 @@ class PaintMask(Acting, bpy.types.Operator):
         if area is None:
             return f"{image.name} is made; open it in an Image Editor to paint."
         area.spaces.active.ui_mode = "PAINT"
-        area.spaces.active.show_region_ui = True  # where the mask is saved
+        # The mask is saved in the sidebar; neither it nor brushes are to cover the photo.
+        in_turn(area, open_sidebar, choose_tab, close_shelf, fit)
         if not use_brush(context, hides=True):
             self.warn([_NO_BRUSH])
         return ""
@@ -128,7 +130,7 @@ class MaskPanel(bpy.types.Panel):
     bl_label = "Mask of a Photo"
     bl_space_type = "IMAGE_EDITOR"
     bl_region_type = "UI"
-    bl_category = "Train Splats"
+    bl_category = TAB
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

@@ -4,18 +4,15 @@ Needs a Blender of 4.2 or later, Xvfb and ImageMagick: `make test-window`. GSCOR
 program; without it `blender` is taken.
 """
 
-import json
-import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tools.window import programs
+from tests.window.scenes import SCREEN, pixels, told
 
 pytestmark = pytest.mark.window
 
-SCREEN = (1000, 700)
 LONGEST = 500
 COLOR = (204, 102, 51)
 """Of the wall, 8 bit."""
@@ -24,26 +21,10 @@ COLOR = (204, 102, 51)
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path]:
     """What `live_scene.py` saw, and the folder of its pictures."""
-    blender, problem = programs.find(*programs.PICTURES)
-    if not blender:
-        pytest.skip(problem)
-    folder, script = tmp_path_factory.mktemp("window"), Path(__file__).with_name("live_scene.py")
-    with programs.screen(*SCREEN) as display:
-        output = programs.run(blender, script, folder, display, SCREEN, LONGEST)
-    told = folder / "seen.json"
-    assert told.is_file(), output
-    found = json.loads(told.read_text())
-    assert not found["log"], found["log"]
+    found, folder, output = told("live", tmp_path_factory, longest=LONGEST)
     refused = output.count("Splats cannot be drawn live.")  # what the driver said is shown whole
     assert refused == output.count("Traceback") == 1, output
     return found, folder
-
-
-def pixels(folder: Path, name: str) -> np.ndarray:
-    """[H, W, 3] 8 bit of a picture of the screen."""
-    command = ["convert", str(folder / f"{name}.png"), "-depth", "8", "rgb:-"]
-    raw = subprocess.run(command, capture_output=True, check=True).stdout
-    return np.frombuffer(raw, np.uint8).reshape(SCREEN[1], SCREEN[0], 3).astype(int)
 
 
 def middle(seen: tuple[dict, Path], name: str, aside: int = 0) -> np.ndarray:

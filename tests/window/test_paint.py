@@ -1,18 +1,15 @@
 """Splats painted in the window of a real Blender, by a mouse that is simulated. Oracles: in the
 tests; what is needed: `test_live.py`."""
 
-import json
-import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tools.window import programs
+from tests.window.scenes import SCREEN, pixels, told
 
 pytestmark = pytest.mark.window
 
-SCREEN = (1000, 700)
 LONGEST = 280
 WALL, BRUSH = (204, 102, 51), (13, 51, 230)
 """8 bit."""
@@ -21,18 +18,9 @@ WALL, BRUSH = (204, 102, 51), (13, 51, 230)
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path]:
     """What `paint_scene.py` saw, and the folder of its pictures."""
-    blender, problem = programs.find(*programs.PICTURES)
-    if not blender:
-        pytest.skip(problem)
-    folder, script = tmp_path_factory.mktemp("paint"), Path(__file__).with_name("paint_scene.py")
-    with programs.screen(*SCREEN) as display:
-        output = programs.run(
-            blender, script, folder, display, SCREEN, LONGEST, "--enable-event-simulate"
-        )
-    told = folder / "seen.json"
-    assert told.is_file(), output
-    found = json.loads(told.read_text())
-    assert not found["log"], found["log"]
+    found, folder, output = told(
+        "paint", tmp_path_factory, "--enable-event-simulate", longest=LONGEST
+    )
     assert "Traceback" not in output, output
     return found, folder
 
@@ -40,13 +28,9 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path]:
 def color(seen: tuple[dict, Path], name: str, aside: int) -> np.ndarray:
     """[3] 8 bit, so many pixels to the right of the view's middle."""
     found, folder = seen
-    command = ["convert", str(folder / f"{name}.png"), "-depth", "8", "rgb:-"]
-    raw = subprocess.run(command, capture_output=True, check=True).stdout
     x, y = found["middle"]
     # Off the brush's circles, which are drawn around the mouse.
-    return (
-        np.frombuffer(raw, np.uint8).reshape(*SCREEN[::-1], 3).astype(int)[SCREEN[1] - y, x + aside]
-    )
+    return pixels(folder, name)[SCREEN[1] - y, x + aside]
 
 
 def test_a_stroke_shows_while_it_is_painted(seen):

@@ -82,16 +82,15 @@ def test_from_button_to_training(studio: bpy.types.Scene, tmp_path: Path) -> Non
 
 
 def test_what_painting_needs_is_at_hand(studio: bpy.types.Scene) -> None:
-    """Oracle: Blender's own image editor: its mode, its sidebar, where the mask is saved, and what
-    its brush does."""
+    """Oracle: Blender's own image editor: its mode, and what its brush does; what lies around it is
+    tried in a window."""
     area = bpy.context.window_manager.windows[0].screen.areas[0]
     before, area.type = area.type, "IMAGE_EDITOR"
     try:
         space = area.spaces.active
-        assert not space.show_region_ui
         assert bpy.ops.gscore.paint_mask() == {"FINISHED"}
         assert masks.is_mask(space.image)
-        assert space.ui_mode == "PAINT" and space.show_region_ui
+        assert space.ui_mode == "PAINT"
         assert bpy.context.tool_settings.image_paint.brush.blend == "ERASE_ALPHA"
     finally:
         area.type = before

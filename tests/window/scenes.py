@@ -1,0 +1,50 @@
+"""Scripts that run inside a Blender with a window, and what they leave."""
+
+import json
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tools.window import programs
+
+SCREEN = (1000, 700)
+"""Width and height of the screen that is not there, unless a test has another."""
+
+
+def told(
+    name: str,
+    tmp_path_factory: pytest.TempPathFactory,
+    *options: str,
+    longest: int,
+    size: tuple[int, int] = SCREEN,
+) -> tuple[dict, Path, str]:
+    """What a script saw, the folder of its pictures, and what Blender wrote.
+
+    Args:
+        name: The script `NAME_scene.py` beside this file.
+        tmp_path_factory: Makes the folder.
+        options: Of Blender, besides.
+        longest: Seconds that it may take.
+        size: Width and height of the screen.
+    """
+    blender, problem = programs.find(*programs.PICTURES)
+    if not blender:
+        pytest.skip(problem)
+    script = Path(__file__).with_name(f"{name}_scene.py")
+    folder = tmp_path_factory.mktemp(name)
+    with programs.screen(*size) as display:
+        output = programs.run(blender, script, folder, display, size, longest, *options)
+    file = folder / "seen.json"
+    assert file.is_file(), output
+    found = json.loads(file.read_text())
+    assert not found["log"], found["log"]
+    return found, folder, output
+
+
+def pixels(folder: Path, name: str) -> np.ndarray:
+    """[H, W, 3] 8 bit of a picture of the screen."""
+    command = ["convert", str(folder / f"{name}.png"), "-depth", "8", "rgb:-"]
+    raw = subprocess.run(command, capture_output=True, check=True).stdout
+    return np.frombuffer(raw, np.uint8).reshape(*SCREEN[::-1], 3).astype(int)
