@@ -66,11 +66,10 @@ def _soft(name: str) -> bpy.types.Material:
     material.surface_render_method = "DITHERED"  # sorted blending cannot work across instances
     surface = graph.node("ShaderNodeTexCoord").outputs["Object"]
     geometry = graph.node("ShaderNodeNewGeometry")
-    to_instance = graph.node(
-        "ShaderNodeVectorTransform", vector_type="VECTOR", convert_from="WORLD", convert_to="OBJECT"
-    )
-    graph.feed(to_instance.inputs[0], geometry.outputs["Incoming"])
-    view = graph.vector("NORMALIZE", to_instance.outputs[0])
+    to_instance = {"vector_type": "VECTOR", "convert_from": "WORLD", "convert_to": "OBJECT"}
+    incoming = geometry.outputs["Incoming"]
+    view = graph.call("ShaderNodeVectorTransform", incoming, **to_instance)
+    view = graph.vector("NORMALIZE", view)
     along = graph.vector("DOT_PRODUCT", surface, view)
     squared = graph.vector("DOT_PRODUCT", surface, surface)
     distance = graph.math("SUBTRACT", squared, graph.math("MULTIPLY", along, along))

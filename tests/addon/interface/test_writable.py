@@ -161,10 +161,13 @@ def bring(library: Path, case: str, *, beside: bool = False) -> bpy.types.Object
     if case == "scene":
         bpy.context.window.scene = wanted.scenes[0]
     scene, layer = bpy.context.scene, bpy.context.view_layer
-    if case in ("override", "both", "system"):
-        kit = kit.override_hierarchy_create(scene, layer, do_fully_editable=case != "system")
-    elif case != "scene":
+    if case != "scene":
         scene.collection.children.link(kit)
+    if case in ("override", "both", "system"):
+        linked = kit
+        kit = kit.override_hierarchy_create(scene, layer, do_fully_editable=case != "system")
+        if scene.collection.children.get(linked.name, linked.library.filepath) == linked:
+            scene.collection.children.unlink(linked)  # Blenders differ in whether it is left
     ob = next(o for o in kit.objects if o.name.startswith("tree"))
     if case == "both":
         ob.data.override_create(remap_local_usages=True)
